@@ -141,7 +141,7 @@ def campaign(
     changed = words.replace(*CHANGED[step], 1)
     finish(folder, words)
     before = contents(folder)
-    seconds = finish(folder, changed)
+    seconds = min(finish(folder, changed), finish(folder, changed))
     found = Campaign(folder, changed, before, contents(folder), seconds)
     assert found.outputs, "both runs wrote the same"
     found.restore()
@@ -203,12 +203,14 @@ def test_outputs_are_those_before_or_after(campaign: Campaign, capsys) -> None:
         if process.is_alive():
             kill(process, kind)
         wait_for_group(process)
+        ended = process.exitcode
+        assert ended in (0, 3) or (ended is not None and ended < 0), f"ended by itself with {ended}"
         stderr = campaign.folder / ".stderr"
         if stderr.exists():
             assert "Traceback" not in stderr.read_text()
             stderr.unlink()
         state = state_of(campaign)
-        told[f"{kind}: {'done' if process.exitcode == 0 else state}"] += 1
+        told[f"{kind}: {'done' if ended == 0 else state}"] += 1
         hidden["left hidden files"] += bool(leftovers(campaign.folder))
         campaign.restore()
     finish(campaign.folder, campaign.words)

@@ -36,9 +36,12 @@ def parts_folder(out: Path) -> Path:
     return out.with_name(f"{out.stem}.parts")
 
 
-def take_samples_path(take: Path) -> Path:
-    """Return the layer with a take's samples: NAME.samples.usdc, or a binary take itself."""
-    return take if take.suffix == ".usdc" else take.with_name(f"{take.stem}.samples.usdc")
+def samples_path(asset: Path) -> Path:
+    """Return the layer with the arrays of a take or references; a binary asset holds them itself.
+
+    It is NAME.samples.usdc beside NAME.usda.
+    """
+    return asset if asset.suffix == ".usdc" else asset.with_name(f"{asset.stem}.samples.usdc")
 
 
 def proposed_path(asset: Path) -> Path:
@@ -54,6 +57,12 @@ def corrected_path(binding: Path) -> Path:
 def tuned_path(references: Path) -> Path:
     """Return the layer with what people tuned of a references asset."""
     return references.with_name(f"{references.stem}.tuned.usda")
+
+
+def reference_layers(references: Path) -> tuple[Path, ...]:
+    """Return the files of a references asset: the one to open, and the layers beneath it."""
+    beneath = (tuned_path(references), proposed_path(references), samples_path(references))
+    return tuple(dict.fromkeys((references, *beneath)))
 
 
 def placement_path(references: Path) -> Path:

@@ -174,32 +174,32 @@ def _same_kind(step: str, spec: Spec) -> bool:
     return other is not None and other.kind_of_output() == spec.kind_of_output()
 
 
-def sidecar_of(spec: Spec, path: Path) -> Path | None:
-    """Return the layer that a step writes beneath an output; None where it writes none."""
-    rule = type(spec).sidecar
-    sidecar = None if rule is None else rule(path)
-    return None if sidecar == path else sidecar
+def sidecars_of(spec: Spec, path: Path) -> list[Path]:
+    """Return the layers that a step writes beneath an output."""
+    return [layer for rule in type(spec).sidecars if (layer := rule(path)) != path]
 
 
 def foreign_sidecar(spec: Spec, path: Path) -> Path | None:
     """Return the file of somebody else where a step would write a layer beneath its output."""
-    sidecar = sidecar_of(spec, path)
-    if sidecar is None or not sidecar.exists() or provenance_of(sidecar) is not None:
-        return None
-    return sidecar
+    foreign = (
+        layer
+        for layer in sidecars_of(spec, path)
+        if layer.exists() and provenance_of(layer) is None
+    )
+    return next(foreign, None)
 
 
 def sibling_sharing_layers(spec: Spec, path: Path) -> Path | None:
     """Return the file that differs from an output in its ending alone, and so shares its layers."""
-    sidecar = sidecar_of(spec, path)
-    if sidecar is None or path.suffix not in LAYER_SUFFIXES:
+    sidecars = {layer.resolve() for layer in sidecars_of(spec, path)}
+    if not sidecars or path.suffix not in LAYER_SUFFIXES:
         return None
     for suffix in LAYER_SUFFIXES:
         other = path.with_suffix(suffix)
         if other == path or not other.is_file():
             continue
         with contextlib.suppress(InputError):  # it cannot be read, so it shows nothing
-            if sidecar.resolve() in {each.resolve() for each in dependencies(other)[1:]}:
+            if sidecars & {each.resolve() for each in dependencies(other)[1:]}:
                 return other
     return None
 

@@ -95,8 +95,8 @@ class Spec(BaseModel):
     makes: ClassVar[str] = ""
     """Kind of the outputs; steps of one kind may replace each other's. Default: the step's name."""
 
-    sidecar: ClassVar[Sidecar | None] = None
-    """Function from the path of an output to that of the sublayer that the step writes."""
+    sidecars: ClassVar[tuple[Sidecar, ...]] = ()
+    """Functions from the path of an output to those of the sublayers that the step writes."""
 
     cores: ClassVar[int] = 1
     """Processor cores requested from a farm."""

@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from usdface.core.sidecars import take_samples_path
+from usdface.core.sidecars import samples_path
 from usdface.specs.base import Axis, Name, Positional, Sidecar, Spec, Units
 from usdface.specs.paths import (
     FilePath,
@@ -35,7 +35,7 @@ class IngestSpec(Spec):
         "usdface ingest kitchen.c3d --out kitchen.take.usda --video kitchen.mov --neutral 120"
     )
     module: ClassVar[str] = "capture.ingest"
-    sidecar: ClassVar[Sidecar | None] = take_samples_path
+    sidecars: ClassVar[tuple[Sidecar, ...]] = (samples_path,)
 
     step: Literal["ingest"] = "ingest"
     sources: Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()] = ()
@@ -142,7 +142,7 @@ class TrackSpec(Spec):
         "usdface track kitchen.mp4 --out kitchen.take.usda --model face_landmarker.task"
     )
     module: ClassVar[str] = "capture.track"
-    sidecar: ClassVar[Sidecar | None] = take_samples_path
+    sidecars: ClassVar[tuple[Sidecar, ...]] = (samples_path,)
 
     step: Literal["track"] = "track"
     video: Annotated[FilePath, Reads(), Positional()]
@@ -245,7 +245,7 @@ class CleanSpec(Spec):
 
     example: ClassVar[str] = "usdface clean kitchen.take.usda --out kitchen.clean.take.usda"
     module: ClassVar[str] = "capture.clean"
-    sidecar: ClassVar[Sidecar | None] = take_samples_path
+    sidecars: ClassVar[tuple[Sidecar, ...]] = (samples_path,)
     cores: ClassVar[int] = 2
     memory_mib: ClassVar[int] = 4096
 

@@ -67,7 +67,7 @@ class MapSpec(Spec):
     )
     module: ClassVar[str] = "performance.map"
     makes: ClassVar[str] = "performance"
-    sidecar: ClassVar[Sidecar | None] = weights_path
+    sidecars: ClassVar[tuple[Sidecar, ...]] = (weights_path,)
     removed: ClassVar[Mapping[str, str]] = {
         "device": "weights are always predicted on the processor; leave it out"
     }
@@ -145,7 +145,7 @@ class JoinSpec(Spec):
     )
     module: ClassVar[str] = "performance.join"
     makes: ClassVar[str] = "performance"
-    sidecar: ClassVar[Sidecar | None] = weights_path
+    sidecars: ClassVar[tuple[Sidecar, ...]] = (weights_path,)
 
     step: Literal["join"] = "join"
     parts: Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]

@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from usdface.core.sidecars import placement_path, proposed_path, tuned_path
+from usdface.core.sidecars import placement_path, proposed_path, samples_path, tuned_path
 from usdface.specs.base import MovedRigSpec, Name, Positional, Sidecar, Spec
 from usdface.specs.paths import (
     ChosenFrames,
@@ -35,7 +35,7 @@ class PlaceSpec(Spec):
         "--picture hero.placement.jpg"
     )
     module: ClassVar[str] = "references.place"
-    sidecar: ClassVar[Sidecar | None] = proposed_path
+    sidecars: ClassVar[tuple[Sidecar, ...]] = (proposed_path,)
     cores: ClassVar[int] = 2
     memory_mib: ClassVar[int] = 4096
 
@@ -72,7 +72,7 @@ class SelectSpec(Spec):
     )
     module: ClassVar[str] = "references.select"
     makes: ClassVar[str] = "references"
-    sidecar: ClassVar[Sidecar | None] = proposed_path
+    sidecars: ClassVar[tuple[Sidecar, ...]] = (proposed_path, samples_path)
     cores: ClassVar[int] = 2
     memory_mib: ClassVar[int] = 8192
 
@@ -209,7 +209,7 @@ class ReferencesFromEditsSpec(MovedRigSpec):
     in_place: ClassVar[bool] = True
     module: ClassVar[str] = "references.from_edits"
     makes: ClassVar[str] = "references"
-    sidecar: ClassVar[Sidecar | None] = proposed_path
+    sidecars: ClassVar[tuple[Sidecar, ...]] = (proposed_path, samples_path)
 
     step: Literal["references-from-edits"] = "references-from-edits"
     performances: Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]
@@ -237,7 +237,7 @@ class ReferencesAddSpec(MovedRigSpec):
     in_place: ClassVar[bool] = True
     module: ClassVar[str] = "references.add"
     makes: ClassVar[str] = "references"
-    sidecar: ClassVar[Sidecar | None] = proposed_path
+    sidecars: ClassVar[tuple[Sidecar, ...]] = (proposed_path, samples_path)
 
     step: Literal["references-add"] = "references-add"
     performance: Annotated[FilePath, Reads(), Positional()]

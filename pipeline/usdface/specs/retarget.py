@@ -32,7 +32,7 @@ class PairsProposeSpec(Spec):
     )
     module: ClassVar[str] = "retarget.pairs_propose"
     makes: ClassVar[str] = "pairs"
-    sidecar: ClassVar[Sidecar | None] = proposed_path
+    sidecars: ClassVar[tuple[Sidecar, ...]] = (proposed_path,)
 
     step: Literal["pairs-propose"] = "pairs-propose"
     source: ReadPath
@@ -71,7 +71,7 @@ class PairsImportSpec(Spec):
     )
     module: ClassVar[str] = "retarget.pairs_import"
     makes: ClassVar[str] = "pairs"
-    sidecar: ClassVar[Sidecar | None] = proposed_path
+    sidecars: ClassVar[tuple[Sidecar, ...]] = (proposed_path,)
 
     step: Literal["pairs-import"] = "pairs-import"
     source: ReadPath
@@ -157,7 +157,7 @@ class RetargetSpec(Spec):
     example: ClassVar[str] = "usdface retarget kitchen.csv --rig hero.usd --out kitchen.hero.usda"
     module: ClassVar[str] = "retarget.retarget"
     makes: ClassVar[str] = "performance"
-    sidecar: ClassVar[Sidecar | None] = weights_path
+    sidecars: ClassVar[tuple[Sidecar, ...]] = (weights_path,)
 
     step: Literal["retarget"] = "retarget"
     source: Annotated[FilePath, Reads(), Positional()]
@@ -340,7 +340,7 @@ class WarpSpec(Spec):
         "--out kitchen.warped.usda --curves kitchen.warp.jpg"
     )
     module: ClassVar[str] = "retarget.warp"
-    sidecar: ClassVar[Sidecar | None] = weights_path
+    sidecars: ClassVar[tuple[Sidecar, ...]] = (weights_path,)
 
     step: Literal["warp"] = "warp"
     performance: Annotated[FilePath, Reads(), Positional()]

@@ -25,7 +25,7 @@ class BindSpec(Spec):
         "--landmarks nose_tip=3437,chin=60,brow_L3=9445 --picture scan.binding.jpg"
     )
     module: ClassVar[str] = "surface.bind"
-    sidecar: ClassVar[Sidecar | None] = proposed_path
+    sidecars: ClassVar[tuple[Sidecar, ...]] = (proposed_path,)
 
     step: Literal["bind"] = "bind"
     take: Annotated[FilePath, Reads(), Positional()]

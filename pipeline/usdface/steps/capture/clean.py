@@ -7,7 +7,7 @@ from usdface.core.assets import Markers, Take
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
-from usdface.core.sidecars import take_samples_path
+from usdface.core.sidecars import samples_path
 from usdface.core.text import first_few, pluralize
 from usdface.media.charts.repair import RepairKind, draw_repairs
 from usdface.media.picture.image import write_image
@@ -94,7 +94,7 @@ def run(spec: CleanSpec, *, provenance: Provenance, progress: Progress = silent)
         head_motion=cleaned.head_motion,
     )
     write_take(spec.out, written, over=spec.take, provenance=provenance)
-    outputs = tuple(dict.fromkeys((spec.out, take_samples_path(spec.out))))
+    outputs = tuple(dict.fromkeys((spec.out, samples_path(spec.out))))
     if spec.report is not None:
         picture = _picture(cleaned, markers, take)
         write_image(spec.report, picture, metadata=provenance_metadata(provenance))

@@ -14,7 +14,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.rates import exact_rate, frames_of
-from usdface.core.sidecars import LAYER_SUFFIXES, take_samples_path
+from usdface.core.sidecars import LAYER_SUFFIXES, samples_path
 from usdface.core.text import pluralize
 from usdface.media.film.image_sequence import open_video
 from usdface.model.placement.plausibility import judge_markers, settle_findings
@@ -266,7 +266,7 @@ def _report(
     if take.source is not None:
         figures["channels"] = len(take.source.names)
         parts.append(pluralize(len(take.source.names), "weight"))
-    outputs = tuple(dict.fromkeys((spec.out, take_samples_path(spec.out), *made)))
+    outputs = tuple(dict.fromkeys((spec.out, samples_path(spec.out), *made)))
     if take.events:
         figures["events"] = [[event.label, event.frame] for event in take.events]
         parts.append(pluralize(len(take.events), "event"))

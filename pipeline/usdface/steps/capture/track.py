@@ -23,7 +23,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
 from usdface.core.rates import exact_rate, frames_of
-from usdface.core.sidecars import take_samples_path
+from usdface.core.sidecars import samples_path
 from usdface.core.text import first_few, pluralize
 from usdface.media.film.image_sequence import ImageSequence, open_video
 from usdface.media.film.video import VideoReader
@@ -79,7 +79,7 @@ def run(spec: TrackSpec, *, provenance: Provenance, progress: Progress = silent)
     progress(0.95, f"writing {spec.out.name}")
     write_take(spec.out, take, provenance=provenance)
     progress(1.0, f"wrote {spec.out.name}")
-    outputs = tuple(dict.fromkeys((spec.out, take_samples_path(spec.out))))
+    outputs = tuple(dict.fromkeys((spec.out, samples_path(spec.out))))
     figures = _figures(take, track, camera) | {"model_sha256": digest}
     summary = (
         f"{take.name}: {pluralize(take.frame_count, 'frame')} at {float(take.rate):g} per second, "

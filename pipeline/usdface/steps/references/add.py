@@ -9,7 +9,7 @@ from usdface.core.assets import References
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.sidecars import proposed_path, tuned_path
+from usdface.core.sidecars import reference_layers
 from usdface.core.text import first_few, pluralize
 from usdface.runner.result import StepResult
 from usdface.specs.notes import read_notes
@@ -57,7 +57,7 @@ def run(
     progress(1.0, "written")
     added = frames[seen].tolist()
     return StepResult(
-        (spec.out, tuned_path(spec.out), proposed_path(spec.out)),
+        reference_layers(spec.out),
         f"{pluralize(len(added), 'frame')} added to {pluralize(len(old.frames), 'pair')}; tune "
         f"{'it' if len(added) == 1 else 'them'} with `usdface tune {spec.out} --frame {added[0]}`",
         tuple(notes),

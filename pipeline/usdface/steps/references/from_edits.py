@@ -12,7 +12,7 @@ from usdface.core.assets import References, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.sidecars import proposed_path, tuned_path
+from usdface.core.sidecars import proposed_path, reference_layers, tuned_path
 from usdface.core.text import first_few, pluralize
 from usdface.numerics.motion.key_reduction import EditCurve
 from usdface.numerics.regression.reference_design import design_k_centre
@@ -85,7 +85,7 @@ def run(
         )
     progress(1.0, "written")
     return StepResult(
-        (spec.out, tuned_path(spec.out), proposed_path(spec.out)),
+        reference_layers(spec.out),
         f"{pluralize(added, 'corrected frame')} added to {pluralize(len(old.frames), 'pair')}",
         tuple(notes),
         {

@@ -10,7 +10,7 @@ from usdface.core.assets import References, Rig, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.sidecars import placement_path, proposed_path, tuned_path
+from usdface.core.sidecars import placement_path, reference_layers, tuned_path
 from usdface.core.text import first_few, pluralize
 from usdface.media.picture.image import write_image
 from usdface.model.selection.design import (
@@ -136,9 +136,7 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
     contradictions, conflicts = tuned_conflicts(spec.out)
     return StepResult(
         (
-            spec.out,
-            proposed_path(spec.out),
-            tuned_path(spec.out),
+            *reference_layers(spec.out),
             spec.picture_path(),
             *((placement_path(spec.out),) if spec.placement is None else ()),
             _placement_picture(spec),

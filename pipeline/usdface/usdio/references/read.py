@@ -102,6 +102,12 @@ def read_references(path: Path) -> References:
     shape_names = tuple(map(str, animation.GetBlendShapesAttr().Get()))
     weights = _stack(path, animation.GetBlendShapeWeightsAttr(), pairs, (len(shape_names),))
     markers = _stack(path, points.GetPointsAttr(), pairs, (len(marker_names), 3))
+    held = points.GetPointsAttr().GetNumTimeSamples()
+    if held != len(pairs):
+        raise InputError(
+            f"{path}: its end time code says {len(pairs)} pairs, and its samples hold {held}: "
+            "they are of another selection; select again, which keeps what is tuned"
+        )
     frames = root.GetAttribute(FRAME_PATH.name)
     takes = root.GetAttribute(TAKE.name)
     tuned = root.GetAttribute(TUNED.name)
@@ -114,7 +120,7 @@ def read_references(path: Path) -> References:
     columns = [index for index, name in enumerate(shape_names) if name not in driven]
     take_of = tuple(str(takes.Get(pair)) for pair in pairs)
     frame_of = np.array([frames.Get(pair) for pair in pairs], dtype=np.int64)
-    _check_tuning(stage, take_of, frame_of)
+    _check_layers(stage, take_of, frame_of)
     return References(
         marker_names=marker_names,
         shape_names=tuple(shape_names[index] for index in columns),
@@ -165,22 +171,24 @@ def _labels(root: Usd.Prim, path: Sdf.Path, pairs: range) -> tuple[str, ...]:
     return tuple(str(attribute.Get(pair) or "") for pair in pairs) if attribute else ()
 
 
-def _check_tuning(stage: Usd.Stage, takes: tuple[str, ...], frames: IntArray) -> None:
-    """Refuse weights that were tuned for other frames than those the asset has there now."""
+def _check_layers(stage: Usd.Stage, takes: tuple[str, ...], frames: IntArray) -> None:
+    """Refuse weights that are of other frames than those the asset has there now."""
     for layer in stage.GetLayerStack(includeSessionLayers=False)[1:]:
-        for time in layer.ListTimeSamplesForPath(TUNED):
-            pair = round(time) - 1
-            if not layer.QueryTimeSample(TUNED, time):
+        times = layer.ListTimeSamplesForPath(TUNED)
+        done = "tuned" if times else "proposed"
+        for time in times or layer.ListTimeSamplesForPath(FRAME_PATH):
+            if times and not layer.QueryTimeSample(TUNED, time):
                 continue
+            pair = round(time) - 1
             take, frame = (layer.QueryTimeSample(path, time) for path in (TAKE, FRAME_PATH))
             here = (takes[pair], int(frames[pair])) if 0 <= pair < len(takes) else None
             if here != (str(take), frame):
                 is_now = "no pair" if here is None else f"frame {here[1]} of {here[0]}"
                 raise InputError(
-                    f"{layer.realPath} time code {time:g}: was tuned for frame {frame} of {take}, "
-                    f"and the asset has {is_now} there: it is the tuning of an older selection. "
-                    "Select again with --out of this asset, which keeps what is tuned, or put the "
-                    "asset's own tuning layer back"
+                    f"{layer.realPath} time code {time:g}: was {done} for frame {frame} of {take}, "
+                    f"and the asset has {is_now} there: it is of an older selection. Select again "
+                    "with --out of this asset, which keeps what is tuned, or put the asset's own "
+                    f"{done} layer back"
                 )
 
 

@@ -16,7 +16,7 @@ from usdface.core.arrays import FloatArray, index_of
 from usdface.core.assets import MotionSpace, References, Rig
 from usdface.core.provenance import Provenance
 from usdface.core.rig_logic import logic_of
-from usdface.core.sidecars import proposed_path, tuned_path
+from usdface.core.sidecars import proposed_path, samples_path, tuned_path
 from usdface.usdio.authoring import PointExtents, apply_api, author_uniform, define_prim, doubles
 from usdface.usdio.layers import new_layer, new_layers, relative_path
 from usdface.usdio.references.pair_layers import author_pair_header
@@ -63,8 +63,9 @@ def write_references(
     Parameters
     ----------
     path : Path
-        The layer to open; a tuned and a proposed layer lie beneath it. The tuned layer's tuned
-        pairs stay as they are where they are among `references`, at the time codes they have.
+        The layer to open; a tuned and a proposed layer lie beneath it, and one with the arrays of
+        markers and of their motion. The tuned layer's tuned pairs stay as they are where they are
+        among `references`, at the time codes they have.
     tuned : sequence of TunedPair, optional
         Pairs that are tuned from now on, besides those kept.
     images : sequence of Path or None, optional
@@ -77,18 +78,25 @@ def write_references(
         for each in _merge_tuned(layer_paths[0], tuned)
         if here[each.pair : each.pair + 1] == [(each.take, each.frame)]
     ]
-    made = {layer_paths[1]: provenance, path: provenance}
+    heavy = samples_path(path)
+    made = {layer_paths[1]: provenance, heavy: provenance, path: provenance}
     if pairs or not layer_paths[0].is_file():
         made = {layer_paths[0]: provenance if tuned else None} | made
     with new_layers(made) as layers:
-        *beneath, proposed, layer = layers
-        for each in beneath:
-            _author_tuned_layer(each, references, pairs)
-        _author_weights(proposed, references, references.weights)
-        author_pair_header(layer, ROOT, len(references.frames))
-        layer.subLayerPaths = [relative_path(each, path) for each in layer_paths]
+        by_path = dict(zip(made, layers, strict=True))
+        if layer_paths[0] in by_path:
+            _author_tuned_layer(by_path[layer_paths[0]], references, pairs)
+        _author_weights(by_path[layer_paths[1]], references, references.weights)
+        _author_frames(by_path[layer_paths[1]], references)
+        layer = by_path[path]
+        for each in {heavy, path}:
+            author_pair_header(by_path[each], ROOT, len(references.frames))
+        # Above the tuned layer, which repeats frames and takes as they were when it was tuned.
+        beneath = [each for each in (heavy, *layer_paths) if each != path]
+        layer.subLayerPaths = [relative_path(each, path) for each in beneath]
         _author_pairs(layer, references)
-        _author_images(layer, images, path)
+        _author_samples(by_path[heavy], references)
+        _author_images(by_path[heavy], images, path)
         if references.placement is not None:
             named = Sdf.AssetPath(relative_path(references.placement, path))
             root = layer.GetPrimAtPath(ROOT)
@@ -154,16 +162,23 @@ def _author_tuned_layer(layer: Sdf.Layer, references: References, pairs: list[Tu
                 weights[each.pair, column[name]] = value
     _author_weights(layer, references, weights)
     done = {each.pair: each.done for each in pairs}
-    over = Sdf.CreatePrimInLayer(layer, ROOT)
-    Sdf.AttributeSpec(over, FRAME_PATH.name, Sdf.ValueTypeNames.Int)
-    Sdf.AttributeSpec(over, TAKE.name, Sdf.ValueTypeNames.Token)
+    _author_frames(layer, references)
+    over = layer.GetPrimAtPath(ROOT)
     Sdf.AttributeSpec(over, TUNED.name, Sdf.ValueTypeNames.Bool)
     Sdf.AttributeSpec(over, DONE.name, Sdf.ValueTypeNames.Bool)
     for pair in range(len(references.frames)):
-        layer.SetTimeSample(FRAME_PATH, pair + 1, int(references.frames[pair]))
-        layer.SetTimeSample(TAKE, pair + 1, references.takes[pair])
         layer.SetTimeSample(TUNED, pair + 1, pair in done)
         layer.SetTimeSample(DONE, pair + 1, done.get(pair, False))
+
+
+def _author_frames(layer: Sdf.Layer, references: References) -> None:
+    """Say which frame each pair is of: layers of two runs can be told apart."""
+    over = Sdf.CreatePrimInLayer(layer, ROOT)
+    Sdf.AttributeSpec(over, FRAME_PATH.name, Sdf.ValueTypeNames.Int)
+    Sdf.AttributeSpec(over, TAKE.name, Sdf.ValueTypeNames.Token)
+    for pair in range(len(references.frames)):
+        layer.SetTimeSample(FRAME_PATH, pair + 1, int(references.frames[pair]))
+        layer.SetTimeSample(TAKE, pair + 1, references.takes[pair])
 
 
 def _author_weights(layer: Sdf.Layer, references: References, weights: FloatArray) -> None:
@@ -187,16 +202,12 @@ def _author_pairs(layer: Sdf.Layer, references: References) -> None:
     root = define_prim(layer, ROOT, "Xform")
     root.SetInfo("kind", Kind.Tokens.assembly)
     apply_api(root, "FaceReferencesAPI")
-    Sdf.AttributeSpec(root, FRAME_PATH.name, Sdf.ValueTypeNames.Int)
-    Sdf.AttributeSpec(root, TAKE.name, Sdf.ValueTypeNames.Token)
     for name, text in (
         ("face:performer", references.performer),
         ("face:session", references.session),
     ):
         if text:
             author_uniform(root, name, Sdf.ValueTypeNames.String, text)
-    if references.motion is not None:
-        _author_motion(root, references.motion)
     points = define_prim(layer, MARKERS_PATH, "Points")
     apply_api(points, "FaceMarkersAPI")
     for name, kind, value in (
@@ -205,21 +216,28 @@ def _author_pairs(layer: Sdf.Layer, references: References) -> None:
         ("face:markers:space", Sdf.ValueTypeNames.Token, "stabilized"),
     ):
         author_uniform(points, name, kind, value)
+
+
+def _author_samples(layer: Sdf.Layer, references: References) -> None:
+    """Write what belongs to each pair, in one file: markers never meet the frames of others."""
+    root = Sdf.CreatePrimInLayer(layer, ROOT)
+    if references.motion is not None:
+        _author_motion(root, references.motion)
+    _author_frames(layer, references)
+    for path, labels in ((VISEME, references.visemes), (EMOTION, references.emotions)):
+        if any(labels):
+            Sdf.AttributeSpec(root, path.name, Sdf.ValueTypeNames.Token)
+            for pair, label in enumerate(labels):
+                layer.SetTimeSample(path, pair + 1, label)
+    points = Sdf.CreatePrimInLayer(layer, MARKERS_PATH)
     neutral = doubles(references.neutral / MM_PER_STAGE_UNIT)
     author_uniform(points, NEUTRAL, Sdf.ValueTypeNames.DoubleArray, neutral)
     extents = PointExtents(points, len(references.marker_names), 0.3)
     placed = Sdf.AttributeSpec(points, "points", Sdf.ValueTypeNames.Point3fArray)
     stage_points = (references.markers / MM_PER_STAGE_UNIT).astype(np.float32)
     extents.author(layer, range(1, len(references.frames) + 1), stage_points)
-    for pair in range(len(references.frames)):
-        layer.SetTimeSample(FRAME_PATH, pair + 1, int(references.frames[pair]))
-        layer.SetTimeSample(TAKE, pair + 1, references.takes[pair])
-        layer.SetTimeSample(placed.path, pair + 1, Vt.Vec3fArray.FromNumpy(stage_points[pair]))
-    for path, labels in ((VISEME, references.visemes), (EMOTION, references.emotions)):
-        if any(labels):
-            Sdf.AttributeSpec(root, path.name, Sdf.ValueTypeNames.Token)
-            for pair, label in enumerate(labels):
-                layer.SetTimeSample(path, pair + 1, label)
+    for pair, row in enumerate(stage_points):
+        layer.SetTimeSample(placed.path, pair + 1, Vt.Vec3fArray.FromNumpy(row))
 
 
 def _author_images(layer: Sdf.Layer, images: Sequence[Path | None], path: Path) -> None:

@@ -10,7 +10,7 @@ from pxr import Gf, Kind, Sdf, UsdGeom, UsdMedia, Vt
 from usdface.core.assets import Markers, Take
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
-from usdface.core.sidecars import take_samples_path
+from usdface.core.sidecars import samples_path
 from usdface.usdio.authoring import (
     PointExtents,
     apply_api,
@@ -49,7 +49,7 @@ def write_take(
     InputError
         If the files cannot be written; what was there is then left as it was.
     """
-    samples = take_samples_path(path)
+    samples = samples_path(path)
     beneath = [] if over is None else [relative_path(over, path)]
     if samples != path:
         beneath = [relative_path(samples, path), *beneath]
