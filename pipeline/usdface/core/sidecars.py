@@ -26,6 +26,11 @@ def controls_path(performance: Path) -> Path:
     return performance.with_name(f"{performance.stem}.controls.usdc")
 
 
+def head_path(performance: Path) -> Path:
+    """Return the layer with what turns a performance's head and eyes: NAME.head.usdc."""
+    return performance.with_name(f"{performance.stem}.head.usdc")
+
+
 def points_path(deformed: Path) -> Path:
     """Return the layer with the points of a deformed mesh: NAME.points.usdc."""
     return deformed.with_name(f"{deformed.stem}.points.usdc")

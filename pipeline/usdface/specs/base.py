@@ -12,7 +12,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    GetJsonSchemaHandler,
+    model_validator,
+)
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import core_schema
 
@@ -23,6 +31,28 @@ log = logging.getLogger(__name__)
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 Axis = Literal["y", "z", "x", "-x", "-y", "-z"]
 Units = Literal["mm", "cm", "m", "in"]
+
+DRIVEN_PARTS = ("head", "left_eye", "right_eye")
+
+
+def _one_or_several(given: Any) -> Any:
+    return (given,) if isinstance(given, str) else given
+
+
+def _parts_once(drive: tuple[str, ...]) -> tuple[str, ...]:
+    parts = [each.partition("=")[0] for each in drive]
+    for each, part in zip(drive, parts, strict=True):
+        if part not in DRIVEN_PARTS or each in (part, f"{part}="):
+            raise ValueError(
+                f"{each!r} is not PART=NAME; the parts are {', '.join(DRIVEN_PARTS)}, the name is "
+                "that of a joint or an Xform of the rig"
+            )
+        if parts.count(part) > 1:
+            raise ValueError(f"{part} is given twice; it drives one joint or Xform")
+    return drive
+
+
+Drive = Annotated[tuple[Name, ...], BeforeValidator(_one_or_several), AfterValidator(_parts_once)]
 
 Sidecar = Callable[[Path], Path]
 """Function from the path of a file to that of a layer it needs; see `core.sidecars`."""

@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from usdface.core.sidecars import weights_path
-from usdface.specs.base import MovedRigSpec, Name, Positional, Sidecar, Spec
+from usdface.specs.base import Drive, MovedRigSpec, Name, Positional, Sidecar, Spec
 from usdface.specs.paths import FilePath, Frames, ImageOut, LayerOut, PrimPath, ReadPath, Reads
 
 
@@ -102,6 +102,10 @@ class MapSpec(Spec):
     frames: Frames | None = None
     """Frames to map, as FIRST-LAST. Default: all. The result of a frame does not depend on this
     range."""
+    drive: Drive = ()
+    """What the take's head motion and gaze drive, as PART=NAME: `head`, `left_eye` or `right_eye`,
+    and a joint or Xform of the rig. May be given for each. Written to NAME.head.usdc, over the
+    weights."""
     alpha: ReadPath | None = None
     """Share of the multiquadric in a `hybrid` mapping over time: .csv (frame, alpha), or .usd with
     a time-sampled float `face:mapping:alpha` on any prim."""
@@ -128,8 +132,8 @@ class MapSpec(Spec):
             raise ValueError("give --mapping, or --baseline for the blendshape equation; not both")
         if not self.baseline and (self.unlimited or self.placement is not None):
             raise ValueError("--unlimited and --placement are options of --baseline; give it too")
-        if self.baseline and (self.alpha is not None or self.temporal != "none"):
-            raise ValueError("--alpha and --temporal are for mappings; leave them out")
+        if self.baseline and (self.alpha is not None or self.temporal != "none" or self.drive):
+            raise ValueError("--alpha, --temporal and --drive are for mappings; leave them out")
         return self
 
 

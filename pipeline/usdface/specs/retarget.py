@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from usdface.core.sidecars import proposed_path, weights_path
-from usdface.specs.base import Name, Positional, Sidecar, Spec
+from usdface.specs.base import Drive, Name, Positional, Sidecar, Spec
 from usdface.specs.paths import (
     FilePath,
     Frames,
@@ -177,11 +177,22 @@ class RetargetSpec(Spec):
     with."""
     prim: PrimPath | None = None
     """Prim path of the rig in its performance. Default: the name of the rig's default prim."""
+    drive: Drive = ()
+    """What the source's head motion and gaze drive, as PART=NAME: `head`, `left_eye` or
+    `right_eye`, and a joint or Xform of the rig. May be given for each. Written to NAME.head.usdc,
+    over the weights."""
     alpha: ReadPath | None = None
     """Share of the multiquadric in a `hybrid` retargeting over time: .csv (frame, alpha), or .usd
     with a time-sampled float `face:mapping:alpha` on any prim."""
     frames: Frames | None = None
     """Frames to retarget, as FIRST-LAST. Default: all."""
+    rate: Annotated[float, Field(gt=0, le=100_000)] | None = None
+    """Frames per second of a table of weights that has no column of times."""
+    weight_unit: Literal["one", "percent"] | None = None
+    """Unit of a table of weights: `one`, where 1 is the full shape, or `percent`. Needed if weights
+    are too large to be told."""
+    shapes: ReadPath | None = None
+    """Names of the columns of a .npy matrix of weights, as `ingest` takes them."""
 
     @field_validator("retargeting", "out", "rig", mode="before")
     @classmethod

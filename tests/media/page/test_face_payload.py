@@ -2,6 +2,7 @@
 
 import json
 import zlib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +10,11 @@ import numpy as np
 import pytest
 
 from tests.browser import chromium
+from tests.usdio.driven_rig import driven_rig
 from tests.usdio.small_rig import small_rig
 from usdface.core.assets import MeshShape, Rig, RigMesh, ShapeKey
 from usdface.core.deformer import Deformer
+from usdface.core.rig_logic import Combination, order_combinations
 from usdface.media.face.camera import Camera
 from usdface.media.face.surface import build_surface
 from usdface.media.page.face_payload import FacePayload, pack_face, viewer_source
@@ -157,6 +160,40 @@ def test_a_browser_poses_the_face_as_the_deformer_does(tmp_path: Path, shared_ri
     assert np.abs(away).max() < 0.02  # rounding of every key in play, and single precision
     assert shown
     assert again
+
+
+def test_a_browser_evaluates_combinations_as_the_rig_does(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    names = [("half", "smooth", (0.5, 1.0)), ("lip", "minimum", (1.0, 0.3)), ("both", "smooth", ())]
+    parts = [("jawOpen", "smile"), ("smile", "eyeBlink"), ("half", "jaw_smile")]
+    more = tuple(
+        Combination(name, driving, mode, weights)
+        for (name, mode, weights), driving in zip(names, parts, strict=True)
+    )
+    rig = driven_rig()
+    skin = rig.meshes[0]
+    keys = [
+        MeshShape(each.shape, (ShapeKey(1.0, np.arange(5), rng.normal(0, 4, (5, 3))),))
+        for each in more
+    ]
+    meshes = (replace(skin, shapes=(*skin.shapes, *keys)), *rig.meshes[1:])
+    every = order_combinations(
+        (*rig.combinations, *more), [each.name for each in meshes[0].shapes], source="test"
+    )
+    rig = replace(rig, meshes=meshes, combinations=every)
+    corners = np.stack(np.meshgrid(*[[-0.3, 0.0, 0.25, 0.5, 1.0, 1.3]] * 3), -1).reshape(-1, 3)
+    poses = np.concatenate([corners, rng.uniform(-0.2, 1.2, (100, 3))])
+    with chromium() as browser:
+        page = browser.new_page()
+        page.goto(embed(tmp_path, rig).as_uri())
+        page.wait_for_function("window.viewer")
+        posed = page.evaluate(
+            "rows => rows.map(w => (viewer.face.pose(w), Array.from(viewer.face.positions)))",
+            poses.tolist(),
+        )
+    expected = np.array([drawn(rig, pose) for pose in poses])
+    np.testing.assert_allclose(np.reshape(posed, expected.shape), expected, atol=0.02)
+    assert rig.logic.evaluate(poses)[:, len(rig.shapes) :].max(axis=0).min() > 0.2
 
 
 def test_a_page_first_sees_the_face_from_where_the_camera_stands(tmp_path: Path) -> None:

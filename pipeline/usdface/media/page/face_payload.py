@@ -34,6 +34,7 @@ PAYLOAD_FORMAT = 3
 """Version of the blob; the viewer refuses others."""
 
 STEPS_PER_MM = 1000.0
+_SHARE_STEPS = 32_000  # of 1
 _NARROW = np.iinfo(np.int16).max
 _SKY_RAYS = 40
 _OPEN_SHARE = 0.6
@@ -91,7 +92,9 @@ def viewer_source(*scripts: str) -> str:
     return "\n".join(_LINKS.sub("", part) for part in parts)
 
 
-def pack_face(rig: Rig, *, camera: Camera | None = None) -> FacePayload:
+def pack_face(
+    rig: Rig, *, camera: Camera | None = None, shares: sparse.csc_array | None = None
+) -> FacePayload:
     """Pack a rig for the web viewer.
 
     What is drawn is what `usdface.media.face.render` draws: hidden meshes and lash cards left out,
@@ -135,6 +138,9 @@ def pack_face(rig: Rig, *, camera: Camera | None = None) -> FacePayload:
         "offsets16": keys.narrow,
         "offsets32": keys.wide,
     }
+    if shares is not None:
+        followed = (matrix @ shares).toarray().T
+        arrays["carriers"] = np.round(_SHARE_STEPS * followed).astype(np.int16)
     header = {
         "format": PAYLOAD_FORMAT,
         "points": len(used),
@@ -146,6 +152,7 @@ def pack_face(rig: Rig, *, camera: Camera | None = None) -> FacePayload:
         "camera": _camera(camera or frame_rig(rig.meshes)),
         "size": round(surface.size, 3),
         "eyesPutIn": surface.eyes_put_in,
+        "carriers": 0 if shares is None else shares.shape[1],
     }
     return _joined(header, arrays)
 

@@ -172,6 +172,9 @@ class ReviewPage:
     origin: Mapping[str, object] | None = None
     """What made it, for those who make it again."""
     markers: PageMarkers | None = None
+    carried: FloatArray | None = None
+    """(pictures, parts, 3, 4): where joints and Xforms take the face, by the parts of `face` [mm];
+    None where none moves."""
     heat: PageHeat | None = None
     """Without it nothing is painted."""
     gaze: tuple[str, ...] = ()
@@ -241,6 +244,7 @@ def _data(page: ReviewPage) -> Mapping[str, Any]:
         "heat": _heat(page.heat),
         "gaze": list(page.gaze),
         "markers": _markers(page.markers),
+        "carried": page.carried is not None,
         "performance": page.notes.performance,
         "take": page.notes.take,
         "version": page.notes.version,
@@ -303,6 +307,8 @@ def _arrays(page: ReviewPage) -> Iterator[str]:
     """Yield curves and markers as elements of numbers, deflated."""
     for index, curve in enumerate(page.curves):
         yield _array(f"curve-{index}", _steps(curve.values.T, WEIGHT_STEPS))
+    if page.carried is not None:
+        yield _array("carried", page.carried.astype("<f4"))
     if page.markers is not None:
         motion = _steps(page.markers.motion, _MARKER_STEPS).reshape(len(page.frames), -1)
         # Differences in time wrap like the sums that undo them.

@@ -3,6 +3,7 @@
 
 const FORMAT = 3;
 const SKIN = 0; // of FacePart in media/face/parts.py
+const SHARE = 1 / 32000; // of a part that carries a point
 const MM = 1e-3; // the payload counts micrometres
 const TYPES = {
   i1: Int8Array,
@@ -79,6 +80,8 @@ export class FaceModel {
     }
     this.parts = array("parts").slice();
     this.gaze = this.#gaze(array("eyes"), header.eyeCenters);
+    this.carriers = header.carriers ? array("carriers").slice() : null; // part by part
+    this.carried = null;
     this.combinations = header.combinations;
     this.channels = new Float64Array(this.shapes.length + this.combinations.length);
     this.tracks = this.#readTracks(header.tracks, array);
@@ -175,6 +178,31 @@ export class FaceModel {
     return keys.stops;
   }
 
+  /**
+   * Take points with joints and Xforms in the poses that follow; null leaves them at rest.
+   * @param {null | Float32Array} transforms three rows of four numbers for each part [mm]
+   */
+  carry(transforms) {
+    this.carried = transforms;
+  }
+
+  /** Add what each part does to the points that follow it: linear blend skinning. */
+  #carry() {
+    const { carried, carriers, positions, pointCount } = this;
+    if (!carried) return;
+    const before = positions.slice();
+    for (let part = 0, t = 0; t < carried.length; part++, t += 12) {
+      for (let i = 0, p = 0; i < pointCount; i++, p += 3) {
+        const share = carriers[part * pointCount + i] * SHARE;
+        if (share === 0) continue;
+        for (let k = 0, r = t; k < 3; k++, r += 4) {
+          const to = carried[r] * before[p] + carried[r + 1] * before[p + 1] + carried[r + 2] * before[p + 2] + carried[r + 3];
+          positions[p + k] += share * (to - before[p + k]);
+        }
+      }
+    }
+  }
+
   /** Move points and normals to where the weights put them. */
   pose(weights) {
     const begun = performance.now();
@@ -193,6 +221,7 @@ export class FaceModel {
         }
       }
     }
+    this.#carry();
     const moved = performance.now();
     normals.fill(0);
     for (let t = 0; t < triangles.length; t += 3) {

@@ -346,7 +346,7 @@ class Report {
       "[": () => this.mark("first"), "]": () => this.mark("last"), o: () => this.#loop(),
       s: () => this.#nextSpeed(), z: () => this.#zoomToRange(), "+": () => this.plots.zoom(0.5),
       "=": () => this.plots.zoom(0.5), "-": () => this.plots.zoom(2), 0: () => this.plots.zoomAll(),
-      t: () => this.notes.open(), d: () => this.notes.draw(), m: press("markers"), h: press("heat"),
+      t: () => this.notes.open(), d: () => this.notes.draw(), m: press("markers"), h: press("heat"), e: press("head"),
       "?": press("help"),
     };
     const action = actions[event.key.length === 1 ? event.key.toLowerCase() : event.key];

@@ -40,11 +40,14 @@ export class Stage {
     this.curve = 0;
     this.picture = 0;
     this.markers = null;
+    this.carried = null;
     this.#fill();
   }
 
-  /** Unpack the markers, where the page has some. */
+  /** Unpack the motion of the head and the markers, where the page has some. */
   async load() {
+    byId("headLabel").hidden = !data.carried;
+    if (data.carried) this.carried = new Float32Array(await inflate("carried"));
     byId("markersLabel").hidden = !data.markers;
     if (!data.markers) return;
     const motion = new Int16Array(await inflate("markerMotion"));
@@ -58,12 +61,20 @@ export class Stage {
     this.picture = picture;
     const { viewer } = this;
     const weights = this.weightsAt(this.curve, picture);
+    viewer.face.carry(this.#carriedAt(picture));
     viewer.setWeights(weights);
     const other = this.other === null ? null : this.weightsAt(this.other, picture);
     const how = byId("how").value;
     viewer.compare(other && how !== "difference" ? { weights: other, how, share: byId("share").valueAsNumber } : null);
     viewer.setMarkers(byId("markers").checked && this.markers ? this.markers.overlay(weights, picture) : null);
     this.#paint(weights, other, how);
+  }
+
+  /** Where the head is; markers are without its motion, so it is held still beside them. */
+  #carriedAt(picture) {
+    if (!this.carried || !byId("head").checked || (this.markers && byId("markers").checked)) return null;
+    const size = this.carried.length / count;
+    return this.carried.subarray(picture * size, (picture + 1) * size);
   }
 
   again() {
@@ -90,7 +101,7 @@ export class Stage {
       this.again();
     });
     byId("how").addEventListener("change", () => { this.#controls(); this.again(); });
-    for (const id of ["markers", "heat"]) byId(id).addEventListener("change", () => this.again());
+    for (const id of ["markers", "heat", "head"]) byId(id).addEventListener("change", () => this.again());
     byId("share").addEventListener("input", () => this.again());
     this.#controls();
   }

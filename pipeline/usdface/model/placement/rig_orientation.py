@@ -82,6 +82,29 @@ def check_rig_stands(rig: Rig) -> tuple[str, ...]:
     )
 
 
+def face_axes(rig: Rig) -> FloatArray:
+    """Return where a rig's left, up and forward are: columns of a rotation, (3, 3).
+
+    Up is Y; left and forward are level, by where its shapes of the left and of the right act. X and
+    Z where names do not say.
+    """
+    moved, centres = _motions(rig)
+    left = _across(centres)
+    if left is None or np.hypot(left[0], left[2]) < _LEAST_AGREEMENT:
+        return np.eye(3)
+    forward = _mean_direction(moved, _FORWARDS, left)
+    if forward is not None and forward @ np.cross(left, (0, 1, 0)) < 0:
+        left = -left  # its names are the viewer's
+    left = np.array([left[0], 0.0, left[2]]) / np.hypot(left[0], left[2])
+    return np.stack([left, (0.0, 1.0, 0.0), np.cross(left, (0.0, 1.0, 0.0))], axis=1)
+
+
+def face_centre(rig: Rig) -> FloatArray:
+    """Return the middle of what a rig's shapes move: (3,) [mm]."""
+    _, centres = _motions(rig)
+    return np.asarray(np.mean(list(centres.values()), axis=0) if centres else np.zeros(3))
+
+
 def _motions(
     rig: Rig,
 ) -> tuple[dict[tuple[str, str], FloatArray], dict[tuple[str, str], FloatArray]]:

@@ -4,6 +4,7 @@ import re
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -53,16 +54,32 @@ class SourceMotion:
         return tuple(name for name, each in named if each and not _ROTATION.search(name))
 
 
-def read_source_motion(path: Path, frames: tuple[int, int] | None = None) -> SourceMotion:
+def read_source_motion(
+    path: Path, frames: tuple[int, int] | None = None, **stated: Any
+) -> SourceMotion:
     """Read the weights of a take, of a performance with its edits, or of a capture file.
+
+    Parameters
+    ----------
+    **stated
+        What the user says about a capture file, or None: fields of `CaptureOptions`.
 
     Raises
     ------
     InputError
-        If there are none, or the frames are not all there.
+        If there are none, the frames are not all there, or something is stated of a file that says
+        it itself.
     """
-    if path.suffix.lower() not in (*LAYER_SUFFIXES, ".usdz"):
-        take = read_capture(path).take
+    stated = {name: value for name, value in stated.items() if value is not None}
+    is_layer = path.suffix.lower() in (*LAYER_SUFFIXES, ".usdz")
+    capture = None if is_layer else read_capture(path, **stated)
+    if stated and (capture is None or capture.format != "weights"):
+        option = next(iter(stated)).replace("_", "-")
+        raise InputError(
+            f"{path}: --{option} is of a table of weights, and this says it itself; leave it out"
+        )
+    if capture is not None:
+        take = capture.take
         end = take.first_frame + take.frame_count - 1
         first, last = _limits(path, frames, take.first_frame, end)
         start = shift_timecode(take.timecode_start, first - take.first_frame, take.rate)

@@ -14,6 +14,7 @@ from usdface.specs.performance import JoinSpec
 from usdface.steps.inputs.edit_ranges import edit_notes
 from usdface.steps.performance.map import LARGEST_LAYER_BYTES
 from usdface.usdio.performance.clips import ClipPart, write_clips
+from usdface.usdio.performance.head_layer import join_head_layers
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import WeightsHeader, writing_weights
 from usdface.usdio.performance.write import writing_top
@@ -48,6 +49,8 @@ def run(spec: JoinSpec, *, provenance: Provenance, progress: Progress = silent) 
                         reader.last_frame,
                         copied_to=report,
                     )
+    paths = [each.path for each in readers]
+    join_head_layers(spec.out, paths, last_frame=whole.last_frame, provenance=provenance)
     notes = edit_notes(spec.out)
     notes += [
         f"{reader.path}: its edits of {first_few(sorted(reader.edits))} stay there; edits "

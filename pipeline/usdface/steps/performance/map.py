@@ -16,23 +16,27 @@ from usdface.core.assets import Rig, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.sidecars import weights_path
+from usdface.core.sidecars import head_path, weights_path
 from usdface.core.text import first_few, pluralize
 from usdface.model.mapping.head_space import MINIMUM_SHARE, HeadSpace, MappedMarkers
 from usdface.model.mapping.predict import Prediction, WeightPredictor, basis_of, regions_of
 from usdface.model.mapping.rig_match import check_same_rig
 from usdface.model.mapping.temporal import TemporalSolve, smooth_weights
 from usdface.model.placement.rig_orientation import check_rig_stands
+from usdface.model.retarget.head_pose import performer_onto_rig
 from usdface.model.review.verdict import SEEN_MM, SolveEvidence, judge_solve
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.performance import MapSpec
 from usdface.steps.inputs.cleaned_takes import read_markers, take_head_space
 from usdface.steps.inputs.edit_ranges import edit_notes
+from usdface.steps.inputs.head_drive import named_targets, take_head_source
 from usdface.steps.inputs.weight_tables import read_alpha
 from usdface.usdio.mapping import read_mapping
+from usdface.usdio.performance.head_layer import write_head_layer
 from usdface.usdio.performance.weights_layer import every_shape, make_header
 from usdface.usdio.performance.write import writing_performance
+from usdface.usdio.rig.drive_targets import DriveTarget
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import TakeReader
 
@@ -149,27 +153,29 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress = silent) -
     take = TakeReader(spec.take)
     first, last = _frames(spec, take)
     space = take_head_space(take, mapping)
+    driven = _driven(spec, take, mapping, space, rig, (first, last))
     temporal = TemporalSolve(spec.temporal, spec.cutoff, spec.lag, spec.bands)
     margin = temporal.margin_at(float(take.rate))
     blocks = list(_blocks(take, first, last))
     windows = [_window(take, block, margin) for block in blocks]
     written = _Written()
+    header = replace(
+        make_header(
+            rig,
+            shape_names=every_shape(mapping.shape_names, rig),
+            rate=take.rate,
+            first_frame=first,
+            last_frame=last,
+            place=spec.prim,
+            regions=regions_of(mapping),
+            timecode_start=take.timecode_at(first),
+        ),
+        neutral_frame=space.neutral.neutral_frame,
+        basis=basis_of(mapping),
+    )
     with writing_performance(
         spec.out,
-        replace(
-            make_header(
-                rig,
-                shape_names=every_shape(mapping.shape_names, rig),
-                rate=take.rate,
-                first_frame=first,
-                last_frame=last,
-                place=spec.prim,
-                regions=regions_of(mapping),
-                timecode_start=take.timecode_at(first),
-            ),
-            neutral_frame=space.neutral.neutral_frame,
-            basis=basis_of(mapping),
-        ),
+        header,
         rig,
         part_frames=_part_frames(spec, last - first + 1, len(rig.shapes)),
         provenance=provenance,
@@ -195,6 +201,7 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress = silent) -
             written.add(solved, rows)
             done = min(block.stop - 1, last)
             progress((done - first + 1) / (last - first + 1), f"mapped to frame {done}")
+    write_head_layer(spec.out, header, rig, driven, provenance=provenance)
     notes += [*_marker_notes(space), *space.neutral.notes(take.name)]
     notes += _left_over_notes(mapping, written)
     notes += _few_marker_notes(first, np.concatenate(written.few_markers))
@@ -216,6 +223,27 @@ def _predict(
     if spec.alpha is None:
         return predict_pipelined(mapping, placed)
     return predict_with_keyed_blend(mapping, placed, spec.alpha, windows)
+
+
+def _driven(
+    spec: MapSpec,
+    take: TakeReader,
+    mapping: TrainedMapping,
+    space: HeadSpace,
+    rig: Rig,
+    frames: tuple[int, int],
+) -> dict[DriveTarget, FloatArray]:
+    """Return what the take's head and eyes move on the rig: a target's (frames, 4, 4) [mm]."""
+    targets = named_targets(rig, spec.drive)
+    if not targets:
+        return {}
+    into_mapping = np.eye(4)
+    into_mapping[:3, :3], into_mapping[:3, 3] = space.rotation, space.shift
+    try:
+        onto = performer_onto_rig(mapping, rig) @ into_mapping
+    except ValueError as error:
+        raise InputError(f"{spec.mapping}: how the performer lies on the rig: {error}") from error
+    return take_head_source(take, *frames).transforms(rig, targets, onto)
 
 
 def _run_baseline(spec: MapSpec, provenance: Provenance, progress: Progress) -> StepResult:
@@ -353,7 +381,7 @@ def _report(
         notes.append(f"to do: {verdict.advice}")
     count = len(uncertainty)
     return StepResult(
-        (spec.out, weights_path(spec.out)),
+        (spec.out, weights_path(spec.out), *([head_path(spec.out)] if spec.drive else [])),
         f"{pluralize(count, 'frame')}. {verdict.sentence}",
         tuple(notes),
         {

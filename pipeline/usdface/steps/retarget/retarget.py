@@ -11,7 +11,7 @@ from usdface.core.controls import Controls, Retargeting, bare_controls
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
-from usdface.core.sidecars import controls_path, weights_path
+from usdface.core.sidecars import LAYER_SUFFIXES, controls_path, head_path, weights_path
 from usdface.core.text import first_few, pluralize
 from usdface.model.retarget.shape_matching import Correspondence, correspond, match_positions
 from usdface.model.retarget.train import retarget
@@ -19,6 +19,7 @@ from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.retarget import RetargetSpec
 from usdface.steps.inputs.edit_ranges import edit_notes
+from usdface.steps.inputs.head_drive import named_targets, take_head_source, weights_head_source
 from usdface.steps.inputs.name_tables import Transfer
 from usdface.steps.inputs.source_motion import (
     MOVING_WEIGHT,
@@ -28,10 +29,13 @@ from usdface.steps.inputs.source_motion import (
     unmatched_moving,
 )
 from usdface.steps.inputs.weight_tables import read_alpha
-from usdface.usdio.performance.weights_layer import every_shape, make_header
+from usdface.usdio.performance.head_layer import write_head_layer
+from usdface.usdio.performance.weights_layer import WeightsHeader, every_shape, make_header
 from usdface.usdio.retarget.control_performance import writing_control_performance
 from usdface.usdio.retarget.retargeting import read_retargeting
+from usdface.usdio.rig.drive_targets import DriveTarget
 from usdface.usdio.rig.read import read_rig
+from usdface.usdio.take.read import TakeReader, is_take
 
 _CHUNK_FRAMES = 8192
 
@@ -71,8 +75,15 @@ class _Target:
 
 def run(spec: RetargetSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Retarget to each target in turn; all are read before the first is written."""
-    motion = read_source_motion(spec.source, frame_range(spec.frames))
+    motion = read_source_motion(
+        spec.source,
+        frame_range(spec.frames),
+        rate=spec.rate,
+        weight_unit=spec.weight_unit,
+        shapes=spec.shapes,
+    )
     targets = [_target(spec, index, motion) for index in range(len(spec.out))]
+    heads = _heads(spec, motion, targets)
     alpha = None
     if spec.alpha is not None:
         frames = np.arange(motion.first_frame, motion.last_frame + 1)
@@ -82,11 +93,15 @@ def run(spec: RetargetSpec, *, provenance: Provenance, progress: Progress = sile
     for index, target in enumerate(targets):
         out = spec.out[index]
         share = part(progress, index / len(targets), (index + 1) / len(targets))
-        _write(spec, out, motion, target, alpha, share, provenance)
+        header = _header(spec, motion, target)
+        _write(out, header, motion, target, alpha, share, provenance)
+        write_head_layer(out, header, target.rig, heads[index], provenance=provenance)
         notes += [f"{out.name}: {note}" for note in (*target.notes, *edit_notes(out))]
         outputs += [out, weights_path(out)]
         if target.trained and (target.trained.joints or target.trained.attributes):
             outputs.append(controls_path(out))
+        if spec.drive:
+            outputs.append(head_path(out))
     count = len(motion.weights)
     return StepResult(
         tuple(outputs),
@@ -142,9 +157,37 @@ def _target(spec: RetargetSpec, index: int, motion: SourceMotion) -> _Target:
     return _Target(rig, trained, transfer, (*notes, *_dead(spec, trained, motion, transfer)))
 
 
+def _heads(
+    spec: RetargetSpec, motion: SourceMotion, targets: list[_Target]
+) -> list[dict[DriveTarget, FloatArray]]:
+    """Return for each target what the source's head and eyes move on it: (frames, 4, 4) [mm]."""
+    if not spec.drive:
+        return [{} for _ in targets]
+    found = [named_targets(each.rig, spec.drive) for each in targets]
+    if spec.source.suffix.lower() in LAYER_SUFFIXES and is_take(spec.source):
+        take = TakeReader(spec.source)
+        head = take_head_source(take, motion.first_frame, motion.last_frame)
+    else:
+        head = weights_head_source(spec.source, motion.names, motion.weights)
+    return [head.transforms(each.rig, own) for each, own in zip(targets, found, strict=True)]
+
+
+def _header(spec: RetargetSpec, motion: SourceMotion, target: _Target) -> WeightsHeader:
+    header = make_header(
+        target.rig,
+        shape_names=every_shape(target.shapes, target.rig),
+        rate=motion.rate,
+        first_frame=motion.first_frame,
+        last_frame=motion.last_frame,
+        place=spec.prim,
+        timecode_start=motion.timecode_start,
+    )
+    return replace(header, unmatched=unmatched_moving(target.transfer, motion))
+
+
 def _write(
-    spec: RetargetSpec,
     out: Path,
+    header: WeightsHeader,
     motion: SourceMotion,
     target: _Target,
     alpha: FloatArray | None,
@@ -154,18 +197,7 @@ def _write(
     trained = target.trained
     with writing_control_performance(
         out,
-        replace(
-            make_header(
-                target.rig,
-                shape_names=every_shape(target.shapes, target.rig),
-                rate=motion.rate,
-                first_frame=motion.first_frame,
-                last_frame=motion.last_frame,
-                place=spec.prim,
-                timecode_start=motion.timecode_start,
-            ),
-            unmatched=unmatched_moving(target.transfer, motion),
-        ),
+        header,
         target.rig,
         joints=trained.joints if trained else (),
         attributes=trained.attributes if trained else (),

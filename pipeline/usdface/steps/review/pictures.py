@@ -77,7 +77,7 @@ class ShotPictures:
         self._normals = SculptedNormals(shot.rig, shot.deformer)
         self._camera = camera or shot.camera()
         self._width = self._camera.width(height, int(shot.frames[0]))
-        self._last: dict[tuple[Camera, bytes], ByteImage] = {}
+        self._last: dict[tuple[Camera, bytes, int | None], ByteImage] = {}
         self._cloud = _frame_of(shot.take)
         self._open = ExitStack()
         self._video: VideoReader | ImageSequence | None = None
@@ -151,11 +151,11 @@ class ShotPictures:
         """
         shot = self._shot
         repaired = repaired_markers(shot.take, int(shot.frames[row]))
-        picture = self.face(row, shot.weights[row])
+        picture = self._draw(row, shot.weights[row], still=True)  # so are the markers
         posed = shot.deformer.points(shot.weights[row][None])[0]
         motion = character_motion(equation.virtual, shot.positions[row][None], equation.neutral)[0]
         seen = equation.virtual.places(shot.deformer.neutral) + motion
-        view = self._camera.at(int(shot.frames[row]))
+        view = self._camera.at(int(shot.frames[row]), still=True)
         size = self._height / 320
         ends = [
             view.project(points, width=self._width, height=self._height)[:, :2]
@@ -171,16 +171,25 @@ class ShotPictures:
 
     def face(self, row: int, weights: FloatArray) -> ByteImage:
         """Draw the rig at one set of weights, (shapes,), as a row's frame sees it."""
-        camera = self._camera.at(int(self._shot.frames[row]))
-        seen = (camera, weights.tobytes())
+        return self._draw(row, weights)
+
+    def _draw(self, row: int, weights: FloatArray, *, still: bool = False) -> ByteImage:
+        shot = self._shot
+        still = still or shot.motion is None
+        frame = int(shot.frames[row])
+        camera = self._camera.at(frame, still=still)
+        seen = (camera, weights.tobytes(), None if still else frame)
         if seen not in self._last:  # a sheet shows the solve twice, and a still face stays
+            sculpted = self._normals.at(weights)
+            if sculpted is not None and not still:
+                sculpted = shot.carry(row, sculpted, vectors=True)
             picture = self._renderer.render(
-                self._shot.deformer.points(weights[None])[0],
+                shot.pose(row, weights, still=still),
                 camera=camera,
                 width=self._width,
                 height=self._height,
                 quality=self._quality,
-                sculpted=self._normals.at(weights),
+                sculpted=sculpted,
             )
             self._last = dict([*self._last.items(), (seen, picture)][-_LAST_PICTURES:])
         return self._last[seen].copy()
@@ -190,7 +199,7 @@ class ShotPictures:
     ) -> ByteImage:
         """Paint values of points, (points,), on the rig at one set of weights; NaN is grey."""
         return self._renderer.render(
-            self._shot.deformer.points(weights[None])[0],
+            self._shot.pose(row, weights),
             camera=self._camera.at(int(self._shot.frames[row])),
             width=self._width,
             height=self._height,

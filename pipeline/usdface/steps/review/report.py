@@ -34,6 +34,7 @@ from usdface.steps.review.report_parts import (
     page_curves,
     page_heat,
     page_markers,
+    page_motion,
     page_notes,
     page_strips,
 )
@@ -142,7 +143,12 @@ def _page(
         strips=page_strips(signals),
         worst=tuple((each.row, each.region, each.reason) for each in moments),
         listings=tables,
-        face=pack_face(rig, camera=view.at(clock.first_frame)),
+        face=pack_face(
+            rig,
+            camera=view.at(clock.first_frame, still=True),
+            shares=None if shot.motion is None else shot.motion.shares,
+        ),
+        carried=page_motion(shot),
         movie=movie,
         movie_type=_movie_kind()[1],
         pictures=pictures,

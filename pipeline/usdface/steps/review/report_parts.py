@@ -110,6 +110,13 @@ def page_markers(shot: Shot, equation: BlendshapeEquation) -> PageMarkers | None
     )
 
 
+def page_motion(shot: Shot) -> FloatArray | None:
+    """Return where joints and Xforms take the face: (pictures, parts, 3, 4) [mm]."""
+    if shot.motion is None:
+        return None
+    return np.stack([shot.motion.transforms(frame)[:, :3] for frame in shot.frames.tolist()])
+
+
 def page_heat(signals: ReviewSignals, curves: tuple[WeightCurves, ...]) -> PageHeat | None:
     """Return what is painted on the face: the error against keys, else the uncertainty."""
     kinds = [curve.kind for curve in curves]

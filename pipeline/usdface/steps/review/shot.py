@@ -5,11 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
+from usdface.capture.sniff import read_capture
 from usdface.core.arrays import FloatArray, IntArray, columns_by_name
 from usdface.core.assets import Performance, Rig, Take
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.rates import shift_timecode
+from usdface.core.sidecars import LAYER_SUFFIXES
 from usdface.media.face.camera import Camera, frame_rig, motion_weights
 from usdface.model.review.verdict import SolveEvidence
 from usdface.runner.origin import hash_input, provenance_of, spec_of
@@ -18,6 +20,7 @@ from usdface.specs.review import AUTO_CAMERA
 from usdface.steps.inputs.cleaned_takes import read_cleaned
 from usdface.usdio.performance.read import PerformanceReader, read_performance
 from usdface.usdio.rig.read import read_rig
+from usdface.usdio.rig.rig_motion import RigMotion
 from usdface.usdio.rig.stage_camera import StageCamera, StageView
 from usdface.usdio.take.read import is_take
 
@@ -37,6 +40,8 @@ class ShotCamera:
         ``'auto'``, or the path of a camera.
     stage : Path, optional
         The stage that holds it; the performance by default.
+    motion : RigMotion, optional
+        What the automatic camera follows.
     """
 
     def __init__(
@@ -47,8 +52,12 @@ class ShotCamera:
         *,
         name: str = AUTO_CAMERA,
         stage: Path | None = None,
+        motion: RigMotion | None = None,
     ) -> None:
         self._rig = rig
+        self._motion = motion
+        reach = motion_weights(rig.meshes)
+        self._face = reach > 0 if reach.any() else np.ones(len(reach), bool)
         self._framed = frame_rig(rig.meshes, hair=True)
         self._name = name
         self._stage: StageCamera | None = None
@@ -61,11 +70,23 @@ class ShotCamera:
                 rate=performance.weights.rate,
             )
 
-    def at(self, frame: int) -> Camera:
-        """Return the camera at a frame."""
+    def at(self, frame: int, *, still: bool = False) -> Camera:
+        """Return the camera at a frame; a still one does not follow the head."""
         if self._stage is None:
-            return self._framed
+            if still or self._motion is None:
+                return self._framed
+            return self._followed(self._motion, frame)
         return _as_camera(self._stage.at(frame), self._framed)
+
+    def _followed(self, motion: RigMotion, frame: int) -> Camera:
+        """Keep a face that goes somewhere in the picture; how it turns is seen."""
+        points = np.concatenate([mesh.points for mesh in self._rig.meshes])
+        step = (motion.carry(points, frame) - points)[self._face].mean(axis=0)
+        return replace(
+            self._framed,
+            eye=_triple(self._framed.eye + step),
+            target=_triple(self._framed.target + step),
+        )
 
     def width(self, height: int, frame: int) -> int:
         """Return how wide pictures of a height are: square, or as the camera's film at a frame."""
@@ -135,10 +156,33 @@ class Shot:
     """(frames,): frame numbers."""
     weights: FloatArray
     """(frames, shapes): in the rig's order."""
+    motion: RigMotion | None = None
+    """What carries the points beside the shapes: joints and Xforms; None where none moves."""
+
+    def pose(self, row: int, weights: FloatArray, *, still: bool = False) -> FloatArray:
+        """Return the rig's points at weights, (shapes,), where a row's joints and Xforms are.
+
+        A still head is where it rests.
+        """
+        points = self.deformer.points(weights[None])[0]
+        return points if still else self.carry(row, points)
+
+    def carry(self, row: int, points: FloatArray, *, vectors: bool = False) -> FloatArray:
+        """Return points, or directions at them, where a row's joints and Xforms take them."""
+        if self.motion is None:
+            return points
+        return self.motion.carry(points, int(self.frames[row]), vectors=vectors)
 
     def camera(self, name: str = AUTO_CAMERA, stage: Path | None = None) -> ShotCamera:
         """Return where its pictures are taken from; see `ShotCamera`."""
-        return ShotCamera(self.performance_file, self.performance, self.rig, name=name, stage=stage)
+        return ShotCamera(
+            self.performance_file,
+            self.performance,
+            self.rig,
+            name=name,
+            stage=stage,
+            motion=self.motion,
+        )
 
     @property
     def positions(self) -> FloatArray:
@@ -236,7 +280,7 @@ def _take_of(performance: Path) -> Path | None:
         if not isinstance(named, str) or not named:
             return None
         file = file.parent / named
-        if "take" in spec or not file.is_file() or is_take(file):
+        if "take" in spec or not file.is_file() or not _is_layer(file) or is_take(file):
             return file
     return None
 
@@ -273,7 +317,7 @@ def open_shot(
             "the offset"
         )
     performance = read_performance(performance_file)
-    take = _with_video(take_file, read_cleaned(take_file, need_markers=False), video)
+    take = _with_video(take_file, _read_take(take_file, performance_file), video)
     rig = read_rig(performance.rig_file, prim=performance.rig_prim)
     clip = performance.weights
     first = max(clip.first_frame, take.first_frame)
@@ -289,7 +333,32 @@ def open_shot(
         )
     numbers = np.arange(first, last, dtype=np.int64)
     weights = weights_in_rig_order(performance, rig, numbers)
-    return Shot(performance_file, take, performance, rig, Deformer(rig), numbers, weights)
+    motion = RigMotion(performance_file, rig)
+    return Shot(
+        performance_file,
+        take,
+        performance,
+        rig,
+        Deformer(rig),
+        numbers,
+        weights,
+        motion if motion.shares.nnz else None,
+    )
+
+
+def _is_layer(file: Path) -> bool:
+    return file.suffix.lower() in (*LAYER_SUFFIXES, ".usdz")
+
+
+def _read_take(file: Path, performance: Path) -> Take:
+    """Read a take, or the capture of weights that a performance was retargeted from."""
+    if _is_layer(file):
+        return read_cleaned(file, need_markers=False)
+    spec = spec_of(provenance_of(performance))
+    stated = {name: spec[name] for name in ("rate", "weight_unit") if spec.get(name) is not None}
+    if spec.get("shapes"):
+        stated["shapes"] = performance.parent / str(spec["shapes"])
+    return read_capture(file, **stated).take
 
 
 def _with_video(file: Path, take: Take, moved: Path | None) -> Take:

@@ -14,7 +14,7 @@ from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import check_not_written_since
 from usdface.core.side_files import side_stream
-from usdface.core.sidecars import edits_path, weights_path
+from usdface.core.sidecars import controls_path, edits_path, head_path, weights_path
 from usdface.core.text import first_few
 from usdface.usdio.authoring import author_timing
 from usdface.usdio.layers import (
@@ -78,7 +78,11 @@ def write_package(
             top.customLayerData = {"usdface": provenance_data(provenance)}
         author_timing(top, rate=reader.rate, first=reader.first_frame, last=reader.last_frame)
         top.defaultPrim = place.GetPrefixes()[0].name
-        top.subLayerPaths = [f"./{weights.name}"]
+        others = [each(reader.path) for each in (head_path, controls_path)]
+        present = {relative_path(each, reader.path): each for each in others}
+        opened = open_layer(reader.path)
+        below = [present[each].resolve() for each in opened.subLayerPaths if each in present]
+        top.subLayerPaths = [*map(str, below), f"./{weights.name}"]
         for above in place.GetParentPath().GetPrefixes():
             prim = Sdf.CreatePrimInLayer(top, above)
             prim.specifier, prim.typeName = Sdf.SpecifierDef, "Xform"
@@ -194,6 +198,9 @@ def writing_top(
         author_units(layer, like=rig.file)
         layer.defaultPrim = Sdf.Path(header.place).GetPrefixes()[0].name
         weights_asset = relative_path(weights_path(path), path)
+        head_asset = relative_path(head_path(path), path)  # of an earlier run: written after this
+        if head_asset in list(layer.subLayerPaths):
+            layer.subLayerPaths.remove(head_asset)
         below = list(layer.subLayerPaths)
         again = weights_asset in below
         moved = layer.subLayerOffsets[below.index(weights_asset)] if again else Sdf.LayerOffset()

@@ -146,7 +146,7 @@ class TakeReader:
             rate=self.rate,
             first_frame=first,
             markers=self._read_markers(frames),
-            source=self._read_source(frames),
+            source=self.read_source(frames),
             head_motion=self._read_head_motion(frames) if head_motion else None,
             video=self._read_video(),
             audio=self._read_audio(),
@@ -292,7 +292,9 @@ class TakeReader:
             self._times[attribute.GetName()] = np.array(attribute.GetTimeSamples())
         return self._times[attribute.GetName()]
 
-    def _read_source(self, frames: range) -> WeightsClip | None:
+    @refusing_wrong_types
+    def read_source(self, frames: range) -> WeightsClip | None:
+        """Return the channels of frames that a capture came with; None without any."""
         prim = self._prims[SOURCE.name]
         if not prim:
             return None
@@ -310,6 +312,22 @@ class TakeReader:
                 )
             values[index] = row
         return WeightsClip(names, values, frames[0], self.rate)
+
+    @refusing_wrong_types
+    def head_motion_from_neutral(self, first: int, last: int) -> np.ndarray | None:
+        """Return how the head moved since the neutral frame, in its own space there.
+
+        Returns
+        -------
+        (frames, 4, 4) float array or None
+            For column vectors [mm]; None where the take has no head motion.
+        """
+        motion = self._read_head_motion(range(first, last + 1))
+        at = min(max(self.neutral_frame, self.first_frame), self.last_frame)
+        neutral = self._read_head_motion(range(at, at + 1))
+        if motion is None or neutral is None:
+            return None
+        return np.asarray(np.linalg.inv(neutral[0]) @ motion)
 
     def _read_head_motion(self, frames: range) -> np.ndarray | None:
         prim = self._prims[HEAD_MOTION.name]

@@ -1,0 +1,156 @@
+"""How a performer's head and eyes are turned, and the same on a rig.
+
+Angles are about the axes of a face, x to its own left, y up, z forward, right-handed::
+
+    R = Ry(yaw) Rx(pitch) Rz(roll)
+
+so that a positive yaw turns to the left, a positive pitch down, and a positive roll lowers the
+right side. Recorders count some of them the other way: a system of axes that is mirrored or turned
+changes the signs of two angles or of none, so that two signs give the third. Where a take says by
+weights as well where the eyes look, these tell them.
+"""
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from usdface.core.arrays import FloatArray
+from usdface.core.assets import Rig, TrainedMapping
+from usdface.core.deformer import Deformer
+from usdface.model.retarget.shape_names import read_meanings
+from usdface.numerics.registration.cloud_alignment import align_landmarks
+
+HEAD = "head"
+EYES = ("left_eye", "right_eye")
+
+FULL_LOOK_RADIANS = float(np.radians(30.0))
+"""Of a weight of 1, as `usdface.capture.face_gaze` has it."""
+
+_CHANNEL = re.compile(
+    r"(?P<part>head|left_?eye|right_?eye)_?(?P<axis>yaw|pitch|roll|rotation_?[xyz])", re.IGNORECASE
+)
+_AXES = {"pitch": 0, "yaw": 1, "roll": 2, "x": 0, "y": 1, "z": 2}
+
+_RECORDED_SIGNS = np.array([1.0, -1.0, -1.0])
+"""Of pitch, yaw and roll where no look tells: Live Link Face's. In two recordings its eyes' pitch
+agrees with the weights of their looks by a correlation above 0.99, and its yaw by one below
+-0.98."""
+
+_TELLING_RADIANS = 0.02
+"""Standard deviation of a look from which on it tells the sign of an angle."""
+
+_WAYS = {"down": (0, 1), "up": (0, -1), "out": (1, 1), "in": (1, -1)}
+"""Axis and sign of a look of the left eye."""
+
+_EYE_OF = {"L": "left_eye", "R": "right_eye"}
+
+
+def recorded_angles(names: Sequence[str], weights: FloatArray) -> dict[str, FloatArray]:
+    """Return the angles that channels of a recorder hold: (frames, 3) about x, y, z, by part [rad].
+
+    An axis that has no channel is at 0; a part whose channels never move is left out. Signs are
+    those of the module's axes.
+
+    Raises
+    ------
+    ValueError
+        If an angle is beyond half a turn: then it is in degrees.
+    """
+    found: dict[str, FloatArray] = {}
+    for column, name in enumerate(names):
+        match = _CHANNEL.fullmatch(name)
+        if match is None or not weights[:, column].any():
+            continue
+        largest = float(np.abs(weights[:, column]).max())
+        if largest > np.pi:
+            raise ValueError(f"{name} reaches {largest:g}, and angles are in radians: convert it")
+        part = match["part"].lower().replace("_", "").replace("eye", "_eye")
+        at = _AXES[match["axis"].lower().removeprefix("rotation").lstrip("_")]
+        found.setdefault(part, np.zeros((len(weights), 3)))[:, at] = weights[:, column]
+    signs = _recorded_signs(found, look_angles(names, weights))
+    return {part: signs * angles for part, angles in found.items()}
+
+
+def look_angles(names: Sequence[str], weights: FloatArray) -> dict[str, FloatArray]:
+    """Return where eyes look by weights: (frames, 3) about x, y, z, by eye [rad]."""
+    angles: dict[str, FloatArray] = {}
+    meanings = read_meanings(names)
+    for column, name in enumerate(names):
+        for motion, side, _ in meanings[name].cells:
+            way = motion.removeprefix("eyelook")
+            if way == motion or way not in _WAYS or side not in _EYE_OF:
+                continue
+            axis, sign = _WAYS[way]
+            if axis == 1 and side == "R":
+                sign = -sign
+            turned = angles.setdefault(_EYE_OF[side], np.zeros((len(weights), 3)))
+            turned[:, axis] += sign * FULL_LOOK_RADIANS * weights[:, column]
+    return angles
+
+
+def _recorded_signs(recorded: dict[str, FloatArray], looked: dict[str, FloatArray]) -> FloatArray:
+    """Return by what a recorder's angles are to be multiplied: (3,), about x, y and z."""
+    both = [(recorded[eye], looked[eye]) for eye in EYES if eye in recorded and eye in looked]
+    signs = _RECORDED_SIGNS.copy()
+    for axis in (0, 1):
+        spread = np.sqrt(sum(look[:, axis].var() for _, look in both))
+        common = sum(np.cov(own[:, axis], look[:, axis], bias=True)[0, 1] for own, look in both)
+        if spread > _TELLING_RADIANS and common:
+            signs[axis] = np.sign(common)
+    signs[2] = signs[0] * signs[1]
+    return signs
+
+
+def rotations_of(angles: FloatArray) -> FloatArray:
+    """Return (frames, 3, 3) rotations of (frames, 3) angles about x, y and z [rad]."""
+    return np.asarray(Rotation.from_euler("YXZ", angles[:, [1, 0, 2]]).as_matrix())
+
+
+def performer_onto_rig(mapping: TrainedMapping, rig: Rig) -> FloatArray:
+    """Return the similarity, (4, 4), that lays a mapping's performer on the rig.
+
+    The middle of what a shape moves on the performer, as the mapping's forward model says, belongs
+    on the middle of what it moves on the rig.
+
+    Raises
+    ------
+    ValueError
+        If fewer than three shapes move both.
+    """
+    on_face = np.linalg.norm(mapping.arrays["forward_basis"], axis=2)
+    offsets = Deformer(rig).shapes.target_offsets().toarray().reshape(len(rig.shapes), -1, 3)
+    on_rig = np.linalg.norm(offsets, axis=2)[[rig.shapes.index(n) for n in mapping.shape_names]]
+    both = (on_face.sum(axis=1) > 0) & (on_rig.sum(axis=1) > 0)
+    points = np.concatenate([mesh.points for mesh in rig.meshes])
+    face, character = (
+        size[both] @ places / size[both].sum(axis=1, keepdims=True)
+        for size, places in ((on_face, mapping.neutral), (on_rig, points))
+    )
+    found = align_landmarks(face, character)
+    onto = np.eye(4)
+    onto[:3, :3] = found.scale[:, None] * found.rotation
+    onto[:3, 3] = found.translation
+    return onto
+
+
+def turn_about(turns: FloatArray, axes: FloatArray, pivot: Sequence[float]) -> FloatArray:
+    """Return rotations about a face's axes as transforms of a rig.
+
+    Parameters
+    ----------
+    turns : (frames, 3, 3) float array
+    axes : (3, 3) float array
+        Columns: the rig's left, up and forward.
+    pivot : (3,) sequence of float
+        What stays in its place.
+
+    Returns
+    -------
+    (frames, 4, 4) float array
+    """
+    out = np.tile(np.eye(4), (len(turns), 1, 1))
+    out[:, :3, :3] = axes @ turns @ axes.T
+    out[:, :3, 3] = pivot - out[:, :3, :3] @ np.asarray(pivot)
+    return out

@@ -1,0 +1,129 @@
+"""What turns the head and the eyes of a rig: a take's head motion and gaze, by named targets."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from usdface.core.arrays import FloatArray
+from usdface.core.assets import Rig
+from usdface.core.errors import InputError
+from usdface.model.placement.rig_orientation import face_axes, face_centre
+from usdface.model.retarget.head_pose import (
+    EYES,
+    HEAD,
+    look_angles,
+    recorded_angles,
+    rotations_of,
+    turn_about,
+)
+from usdface.usdio.rig.drive_targets import DriveTarget, find_drive_target
+from usdface.usdio.take.read import TakeReader
+
+_REMEDY = {
+    HEAD: "needs HeadMotion of a cleaned take, or channels such as HeadYaw that move",
+    **dict.fromkeys(EYES, "needs channels such as LeftEyeYaw that move, or weights of eyeLook"),
+}
+
+
+@dataclass(frozen=True)
+class HeadSource:
+    """How a performer's head and eyes move, over frames."""
+
+    path: Path
+    turns: Mapping[str, FloatArray]
+    """(frames, 3, 3) by part: about the axes of a face."""
+    motion: FloatArray | None = None
+    """(frames, 4, 4): of the head since the neutral frame, in its space there [mm]; None where its
+    place is not known."""
+    centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Of the head in that space [mm]."""
+
+    def transforms(
+        self, rig: Rig, targets: Sequence[DriveTarget], onto: FloatArray | None = None
+    ) -> dict[DriveTarget, FloatArray]:
+        """Return what moves each target from rest, (frames, 4, 4), in the rig's world [mm].
+
+        Parameters
+        ----------
+        onto : (4, 4) float array, optional
+            Similarity from the performer's space to the rig's. By default the performer is upright
+            and looks along Z, as tracked and stabilised faces do.
+
+        Raises
+        ------
+        InputError
+            If the source does not have a part.
+        """
+        axes, made = face_axes(rig), dict[DriveTarget, FloatArray]()
+        for target in targets:
+            if target.part == HEAD and self.motion is not None:
+                laid = self._upright_onto(rig, axes) if onto is None else onto
+                made[target] = laid @ self.motion @ np.linalg.inv(laid)
+            elif target.part in self.turns:
+                made[target] = turn_about(self.turns[target.part], axes, target.pivot)
+            else:
+                raise InputError(
+                    f"{self.path}: nothing in it moves the {target.part}, which --drive asks for: "
+                    f"that {_REMEDY[target.part]}; leave out --drive {target.part}="
+                )
+        return made
+
+    def _upright_onto(self, rig: Rig, axes: FloatArray) -> FloatArray:
+        onto = np.eye(4)
+        onto[:3, :3], onto[:3, 3] = axes, face_centre(rig) - axes @ self.centre
+        return onto
+
+
+def named_targets(rig: Rig, drive: Sequence[str]) -> tuple[DriveTarget, ...]:
+    """Return what ``PART=NAME`` mean on a rig.
+
+    Raises
+    ------
+    InputError
+        If a name is not there, or means several.
+    """
+    named = (each.partition("=") for each in drive)
+    return tuple(find_drive_target(rig, part, name) for part, _, name in named)
+
+
+def weights_head_source(path: Path, names: Sequence[str], weights: FloatArray) -> HeadSource:
+    """Return the head and eyes of channels, (frames, channels).
+
+    Raises
+    ------
+    InputError
+        If channels are in degrees.
+    """
+    try:
+        angles = look_angles(names, weights) | recorded_angles(names, weights)
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from error
+    return HeadSource(path, {part: rotations_of(each) for part, each in angles.items()})
+
+
+def take_head_source(take: TakeReader, first: int, last: int) -> HeadSource:
+    """Return the head and eyes of a take's frames; channels of the head go before HeadMotion.
+
+    Raises
+    ------
+    InputError
+        If channels are in degrees, or a frame is broken.
+    """
+    # The signs of angles are those of the whole take, whatever part is asked for.
+    channels = take.read_source(range(take.first_frame, take.last_frame + 1))
+    turns: Mapping[str, FloatArray] = {}
+    if channels is not None:
+        every = weights_head_source(take.path, channels.names, channels.values.astype(np.float64))
+        rows = slice(first - take.first_frame, last + 1 - take.first_frame)
+        turns = {part: each[rows] for part, each in every.turns.items()}
+    motion = None if HEAD in turns else take.head_motion_from_neutral(first, last)
+    if motion is None:
+        return HeadSource(take.path, turns)
+    at = min(max(take.neutral_frame, take.first_frame), take.last_frame)
+    markers = take.read_markers_at([at])
+    if markers is None:
+        return HeadSource(take.path, turns, motion)
+    x, y, z = markers.positions[0][markers.visible[0]].mean(axis=0).tolist()
+    return HeadSource(take.path, turns, motion, (x, y, z))

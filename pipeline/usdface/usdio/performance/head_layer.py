@@ -1,0 +1,197 @@
+"""What turns a performance's head and eyes: joints and Xforms in a layer of their own.
+
+NAME.head.usdc lies above the weights of NAME.usda: joints on the same animation prim, Xforms as
+overs that put one transform before those that the rig has. A joint below another one turns and does
+not leave its place, since a neck holds it; one without a parent, and an Xform, go with the head.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
+from scipy.spatial.transform import Rotation
+
+from usdface.core.arrays import FloatArray
+from usdface.core.assets import Rig
+from usdface.core.controls import Controls
+from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
+from usdface.core.sidecars import controls_path, head_path, weights_path
+from usdface.numerics.motion.rotation_space import multiply_quaternions
+from usdface.usdio.authoring import author_timing, author_uniform
+from usdface.usdio.layers import new_layers, open_layer, open_stage, relative_path
+from usdface.usdio.performance.weights_layer import WeightsHeader
+from usdface.usdio.retarget.controls import author_joints, controls_at, set_joint_samples
+from usdface.usdio.rig.drive_targets import DriveTarget, joint_rest, skeleton_with
+from usdface.usdio.units import author_units, column_matrix, stage_to_ours
+
+TRANSFORM = "xformOp:transform:head"
+
+
+def write_head_layer(
+    path: Path,
+    header: WeightsHeader,
+    rig: Rig,
+    transforms: Mapping[DriveTarget, FloatArray],
+    *,
+    provenance: Provenance | None = None,
+) -> None:
+    """Write what drives joints and Xforms of a performance that was just written.
+
+    Parameters
+    ----------
+    path : Path
+        The performance; it will open the new layer.
+    transforms : mapping of DriveTarget to (frames, 4, 4) float array
+        From rest, in the rig's world, for column vectors [mm]. Without any nothing is written.
+
+    Raises
+    ------
+    InputError
+        If a layer cannot be written.
+    """
+    if not transforms:
+        return
+    stage = open_stage(rig.file)
+    ours = np.eye(4)
+    ours[:3, :3] = stage_to_ours(stage)
+    back = np.linalg.inv(ours)
+    world = {target: back @ values @ ours for target, values in transforms.items()}
+    joints = {target: values for target, values in world.items() if target.is_joint}
+    with new_layers({head_path(path): provenance, path: provenance}) as (layer, top):
+        author_units(layer, like=rig.file)
+        author_timing(layer, rate=header.rate, first=header.first_frame, last=header.last_frame)
+        layer.defaultPrim = Sdf.Path(header.place).GetPrefixes()[0].name
+        if joints:
+            driven = _turn_joints(_joints_below(path, header), stage, rig, joints)
+            prim = Sdf.CreatePrimInLayer(layer, header.animation)
+            author_joints(prim, driven.joints)
+            set_joint_samples(layer, header.animation, driven, header.first_frame)
+        source = Sdf.Path(rig.prim).GetPrefixes()[0]
+        for target in world.keys() - joints.keys():
+            prim = stage.GetPrimAtPath(target.path)
+            over = Sdf.CreatePrimInLayer(layer, prim.GetPath().ReplacePrefix(source, header.place))
+            _author_xform(over, prim, world[target], header.first_frame)
+        _open_from(top, path)
+
+
+def join_head_layers(
+    path: Path,
+    parts: Sequence[Path],
+    *,
+    last_frame: int,
+    provenance: Provenance | None = None,
+) -> None:
+    """Join what turns the head in parts of a performance, in the order of their frames.
+
+    Raises
+    ------
+    InputError
+        If a part has no such layer and another has.
+    """
+    layers = [head_path(each) for each in parts if opens_head(each)]
+    if not layers:
+        return
+    if len(layers) < len(parts):
+        lacking = next(each for each in parts if not opens_head(each))
+        raise InputError(
+            f"{lacking}: drives no head, and {layers[0]} does; map it again with the same --drive"
+        )
+    with new_layers({head_path(path): provenance, path: provenance}) as (layer, top):
+        layer.TransferContent(open_layer(layers[0]))
+        layer.endTimeCode = last_frame
+        for other in map(open_layer, layers[1:]):
+            _copy_samples(other, layer)
+        _open_from(top, path)
+
+
+def opens_head(performance: Path) -> bool:
+    """Whether a performance opens a layer that turns its head."""
+    layer = open_layer(performance)  # in a name: what a layer lends does not outlive it
+    return relative_path(head_path(performance), performance) in list(layer.subLayerPaths)
+
+
+def _copy_samples(source: Sdf.Layer, target: Sdf.Layer) -> None:
+    def copy(path: Sdf.Path) -> None:
+        if path.IsPropertyPath():
+            for time in source.ListTimeSamplesForPath(path):
+                target.SetTimeSample(path, time, source.QueryTimeSample(path, time))
+
+    source.Traverse(Sdf.Path.absoluteRootPath, copy)
+
+
+def _open_from(top: Sdf.Layer, path: Path) -> None:
+    """Make a new top layer open the head's above the weights."""
+    old = open_layer(path)
+    top.TransferContent(old)
+    head, weights = (relative_path(each(path), path) for each in (head_path, weights_path))
+    present = list(top.subLayerPaths)
+    if head not in present:
+        top.subLayerPaths.insert(present.index(weights), head)
+
+
+def _joints_below(path: Path, header: WeightsHeader) -> Controls:
+    """Return the joints that a retargeting wrote beside the performance; none without one."""
+    layer = open_layer(path)
+    if relative_path(controls_path(path), path) in list(layer.subLayerPaths):
+        stage = open_stage(controls_path(path))
+        frames = range(header.first_frame, header.last_frame + 1)
+        return controls_at(stage.GetPrimAtPath(header.animation), None, (), frames, path)
+    return _no_joints(header.frame_count)
+
+
+def _no_joints(count: int) -> Controls:
+    return Controls(
+        translations=np.zeros((count, 0, 3)),
+        rotations=np.zeros((count, 0, 4)),
+        scales=np.zeros((count, 0, 3)),
+    )
+
+
+def _turn_joints(
+    below: Controls, stage: Usd.Stage, rig: Rig, transforms: Mapping[DriveTarget, FloatArray]
+) -> Controls:
+    """Return joints as a retargeting has them, if it does, with the driven ones turned on top."""
+    names = list(below.joints)
+    places, turns, scales = (
+        list(np.moveaxis(each, 1, 0))
+        for each in (below.translations, below.rotations, below.scales)
+    )
+    for target, world in transforms.items():
+        rest, parent, is_root = joint_rest(skeleton_with(stage, rig, target.path), target.path)
+        local = np.linalg.inv(parent) @ world @ parent
+        if target.path not in names:
+            place, turn, scale = UsdSkel.DecomposeTransform(Gf.Matrix4d(rest.T.tolist()))
+            names.append(target.path)
+            places.append(np.tile(list(place), (len(world), 1)))
+            turns.append(np.tile([turn.GetReal(), *turn.GetImaginary()], (len(world), 1)))
+            scales.append(np.tile([float(each) for each in scale], (len(world), 1)))
+        at = names.index(target.path)
+        turned = Rotation.from_matrix(local[:, :3, :3]).as_quat(scalar_first=True)
+        turns[at] = multiply_quaternions(turned, turns[at])
+        if is_root:
+            places[at] = np.einsum("fij,fj->fi", local[:, :3, :3], places[at]) + local[:, :3, 3]
+    return Controls(
+        joints=tuple(names),
+        weights=np.zeros((len(places[0]), 0)),
+        translations=np.stack(places, axis=1),
+        rotations=np.stack(turns, axis=1),
+        scales=np.stack(scales, axis=1),
+    )
+
+
+def _author_xform(over: Sdf.PrimSpec, prim: Usd.Prim, world: FloatArray, first: int) -> None:
+    """Put the transforms of an Xform, in the stage's world, before those that it has."""
+    xform = UsdGeom.Xformable(prim)
+    own = [str(op) for op in xform.GetXformOpOrderAttr().Get() or ()]
+    start = int(xform.GetResetXformStack())
+    parent = np.eye(4)
+    if not start:
+        parent = column_matrix(UsdGeom.XformCache().GetParentToWorldTransform(prim))
+    order = [*own[:start], TRANSFORM, *own[start:]]
+    author_uniform(over, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, order)
+    attribute = Sdf.AttributeSpec(over, TRANSFORM, Sdf.ValueTypeNames.Matrix4d)
+    local = (np.linalg.inv(parent) @ world @ parent).transpose(0, 2, 1)
+    for frame, matrix in enumerate(local.tolist(), start=first):
+        over.layer.SetTimeSample(attribute.path, frame, Gf.Matrix4d(matrix))

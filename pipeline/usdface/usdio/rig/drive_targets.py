@@ -1,0 +1,131 @@
+"""Joints and Xforms of a rig that a performer's head and eyes may drive."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from pxr import Sdf, Usd, UsdGeom, UsdSkel
+
+from usdface.core.arrays import FloatArray
+from usdface.core.assets import Rig
+from usdface.core.errors import InputError
+from usdface.core.text import first_few
+from usdface.usdio.layers import open_stage
+from usdface.usdio.rig.read import skeletons_of
+from usdface.usdio.units import column_matrix, stage_to_ours, transform_points
+
+_LISTED_NAMES = 12
+
+
+@dataclass(frozen=True)
+class DriveTarget:
+    """What one part of a performer drives, and where it is at rest."""
+
+    part: str
+    """``head``, ``left_eye`` or ``right_eye``."""
+    path: str
+    """Of a joint in its skeleton, or of a prim in the rig's file."""
+    is_joint: bool
+    pivot: tuple[float, float, float]
+    """What it turns about, in the rig's world [mm]."""
+
+
+def find_drive_target(rig: Rig, part: str, name: str) -> DriveTarget:
+    """Return the one joint or Xform of a name: a path, or the end of one.
+
+    Raises
+    ------
+    InputError
+        If there is none, there are several, or USD would not move it.
+    """
+    stage = open_stage(rig.file)
+    joints, xforms = _joints(stage, rig), _xforms(stage, rig)
+    for paths, is_joint in ((joints, True), (xforms, False)):
+        exact = [path for path in paths if path == name]
+        found = exact or [path for path in paths if f"/{path}".endswith(f"/{name.lstrip('/')}")]
+        if len(found) > 1:
+            raise InputError(
+                f"{rig.file}: {len(found)} {'joints' if is_joint else 'Xforms'} are called "
+                f"{name!r}: {first_few(found)}; give --drive {part}= the whole path of one"
+            )
+        if found:
+            if is_joint:
+                return DriveTarget(part, found[0], True, _joint_pivot(stage, rig, found[0]))
+            return DriveTarget(part, found[0], False, _xform_pivot(stage, rig, found[0]))
+    raise InputError(
+        f"{rig.file}: no joint and no Xform is called {name!r}, which --drive names for the "
+        f"{part}; it has the joints {first_few(joints, most=_LISTED_NAMES) or 'none'} and the "
+        f"Xforms {first_few(xforms, most=_LISTED_NAMES) or 'none'}"
+    )
+
+
+def skeleton_with(stage: Usd.Stage, rig: Rig, joint: str) -> UsdSkel.Skeleton:
+    """Return the first skeleton of a rig that has a joint."""
+    skeletons = map(UsdSkel.Skeleton, skeletons_of(stage.GetPrimAtPath(rig.prim)))
+    return next(each for each in skeletons if joint in (each.GetJointsAttr().Get() or ()))
+
+
+def _joints(stage: Usd.Stage, rig: Rig) -> list[str]:
+    skeletons = skeletons_of(stage.GetPrimAtPath(rig.prim))
+    of_each = (UsdSkel.Skeleton(each).GetJointsAttr().Get() or () for each in skeletons)
+    return list(dict.fromkeys(str(joint) for joints in of_each for joint in joints))
+
+
+def _xforms(stage: Usd.Stage, rig: Rig) -> list[str]:
+    top = stage.GetPrimAtPath(Sdf.Path(rig.prim).GetPrefixes()[0])
+    prims = Usd.PrimRange(top, Usd.TraverseInstanceProxies())
+    kept = (p for p in prims if p.IsA(UsdGeom.Xformable) and not p.IsA(UsdSkel.Skeleton))
+    return [str(prim.GetPath()) for prim in kept]
+
+
+def joint_rest(skeleton: UsdSkel.Skeleton, joint: str) -> tuple[FloatArray, FloatArray, bool]:
+    """Return a joint's rest, its parent's rest in the stage's world, and whether it has none."""
+    names = list(map(str, skeleton.GetJointsAttr().Get()))
+    rest = [column_matrix(each) for each in skeleton.GetRestTransformsAttr().Get()]
+    world = column_matrix(UsdGeom.XformCache().GetLocalToWorldTransform(skeleton.GetPrim()))
+    above = [name for name in names if joint.startswith(f"{name}/")]
+    for name in sorted(above, key=len):
+        world = world @ rest[names.index(name)]
+    return rest[names.index(joint)], world, not above
+
+
+def _joint_pivot(stage: Usd.Stage, rig: Rig, joint: str) -> tuple[float, float, float]:
+    skeleton = skeleton_with(stage, rig, joint)
+    count, rest = len(skeleton.GetJointsAttr().Get()), skeleton.GetRestTransformsAttr().Get() or ()
+    if len(rest) != count:
+        raise InputError(
+            f"{rig.file} <{skeleton.GetPath()}>: has {len(rest)} restTransforms for {count} "
+            "joints; author one for each to drive them"
+        )
+    own, parent, _ = joint_rest(skeleton, joint)
+    return _in_millimetres(stage, (parent @ own)[:3, 3])
+
+
+def _xform_pivot(stage: Usd.Stage, rig: Rig, path: str) -> tuple[float, float, float]:
+    """Return the origin of a prim that was placed; of one that was not, the middle of its meshes.
+
+    Groups whose transforms were frozen into their points have the origin of the world, which may be
+    at a character's feet.
+    """
+    prim, cache = stage.GetPrimAtPath(path), UsdGeom.XformCache()
+    if prim.IsInstanceProxy():
+        raise InputError(
+            f"{rig.file} <{path}>: lies inside an instanceable prim, and USD ignores what is said "
+            "below one; set instanceable = false there"
+        )
+    origin = column_matrix(cache.GetLocalToWorldTransform(prim))[:3, 3]
+    if UsdGeom.Xformable(prim).GetXformOpOrderAttr().Get():
+        return _in_millimetres(stage, origin)
+    clouds = [
+        transform_points(column_matrix(cache.GetLocalToWorldTransform(each)), points)
+        for each in Usd.PrimRange(prim, Usd.TraverseInstanceProxies())
+        if each.IsA(UsdGeom.Mesh) and (points := UsdGeom.Mesh(each).GetPointsAttr().Get())
+    ]
+    if not clouds:
+        return _in_millimetres(stage, origin)
+    cloud = np.concatenate(clouds)
+    return _in_millimetres(stage, (cloud.min(axis=0) + cloud.max(axis=0)) / 2)
+
+
+def _in_millimetres(stage: Usd.Stage, place: FloatArray) -> tuple[float, float, float]:
+    x, y, z = (stage_to_ours(stage) @ place).tolist()
+    return x, y, z

@@ -1,0 +1,334 @@
+"""Head and eyes onto the character: a take's rotations drive joints and Xforms that are named."""
+
+import shlex
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
+from scipy.spatial.transform import Rotation
+
+from tests.browser import chromium
+from tests.regenerate import REPOSITORY
+from tests.steps.review.test_report import visit
+from tests.steps.small_shot import Shot
+from tests.test_docs import commands
+from tests.usdio.small_rig import small_rig
+from usdface.cli import main
+from usdface.core.assets import Rig
+from usdface.core.sidecars import head_path
+from usdface.media.face.surface import build_surface
+from usdface.steps.review.pictures import ShotPictures
+from usdface.steps.review.shot import open_shot
+from usdface.usdio.performance.head_layer import opens_head
+from usdface.usdio.rig.posed_points import PosedRig
+from usdface.usdio.rig.read import read_rig
+from usdface.usdio.rig.rig_motion import RigMotion
+from usdface.usdio.rig.write import write_rig
+from usdface.usdio.take.read import TakeReader
+from usdface.usdio.validation import validate
+
+FRAMES = 40
+JOINTS = ("spine", "spine/neck", "spine/neck/eye_L", "spine/neck/eye_R")
+REST = np.array([[0, 1, 0], [0, 2, 0], [1, 0.5, 0.5], [-1, 0.5, 0.5]], float)
+"""Local translations of `JOINTS` [cm]."""
+
+
+def usdface(*arguments: object) -> int:
+    with pytest.raises(SystemExit) as stopped:
+        main([str(each) for each in arguments])
+    return int(stopped.value.code or 0)
+
+
+def write_character(path: Path, *, z_up: bool = False, neck: str = "neck") -> Rig:
+    """A rig whose skin follows spine and neck, and whose eye is an Xform that was placed."""
+    write_rig(path, small_rig("/Hero"))
+    stage = Usd.Stage.Open(str(path))
+    if z_up:
+        UsdGeom.SetStageUpAxis(stage, "Z")
+    skeleton = UsdSkel.Skeleton.Get(stage, "/Hero/rig/skeleton")
+    turn = Gf.Rotation(Gf.Vec3d(0, 0, 1), 20)
+    rest = [Gf.Matrix4d(1).SetTranslate(Gf.Vec3d(*each.tolist())) for each in REST]
+    rest[1].SetTransform(turn, Gf.Vec3d(*REST[1].tolist()))
+    world: list[Gf.Matrix4d] = []
+    for joint, local in zip(JOINTS, rest, strict=True):
+        above = joint.rpartition("/")[0]
+        world.append(local * world[JOINTS.index(above)] if above else local)
+    skeleton.GetJointsAttr().Set([each.replace("neck", neck) for each in JOINTS])
+    skeleton.GetBindTransformsAttr().Set(world)
+    skeleton.GetRestTransformsAttr().Set(rest)
+    skin = stage.GetPrimAtPath("/Hero/geo/skin")
+    binding = UsdSkel.BindingAPI(skin)
+    for primvar in (binding.GetJointIndicesPrimvar(), binding.GetJointWeightsPrimvar()):
+        primvar.GetAttr().Clear()
+    share = np.linspace(0, 1, 12)
+    binding.CreateJointIndicesPrimvar(False, 2).Set(np.tile([0, 1], (12, 1)).ravel().tolist())
+    binding.CreateJointWeightsPrimvar(False, 2).Set(
+        np.stack([1 - share, share], 1).ravel().tolist()
+    )
+    eye = UsdGeom.Xform.Define(stage, "/Hero/props/eyeball")
+    eye.AddTranslateOp().Set(Gf.Vec3d(3, 4, 5))
+    eye.AddRotateXYZOp().Set(Gf.Vec3f(0, 90, 0))
+    UsdGeom.Xform.Define(stage, "/Hero/props/other/eyeball")
+    stage.GetRootLayer().Save()
+    return read_rig(path)
+
+
+def angles() -> np.ndarray:
+    """Pitch, yaw and roll of the head, then of the left eye [rad]."""
+    time = np.arange(FRAMES) / 10
+    return np.stack([np.sin(time * rate) * size for rate, size in RATES], axis=1)
+
+
+RATES = ((1.0, 0.3), (0.7, 0.5), (1.3, 0.2), (1.9, 0.1), (0.4, 0.2), (1.0, 0.0))
+
+
+def write_source(path: Path, *, mirrored: bool = True, scale: float = 1.0) -> Path:
+    """Weights that say where the left eye looks, and angles as a recorder counts them."""
+    turned = angles()
+    look = 1.0 / np.radians(30)
+    weights = {
+        "jawOpen": 0.5 + 0.3 * np.sin(np.arange(FRAMES)),
+        "eyeBlink": np.zeros(FRAMES),
+        "smile": np.zeros(FRAMES),
+        "eyeLookDownLeft": np.maximum(turned[:, 3], 0) * look,
+        "eyeLookUpLeft": np.maximum(-turned[:, 3], 0) * look,
+        "eyeLookOutLeft": np.maximum(turned[:, 4], 0) * look,
+        "eyeLookInLeft": np.maximum(-turned[:, 4], 0) * look,
+    }
+    signs = (1, -1, -1) if mirrored else (1, 1, 1)
+    for part, first in (("Head", 0), ("LeftEye", 3)):
+        for axis, sign, name in zip(range(3), signs, ("Pitch", "Yaw", "Roll"), strict=True):
+            weights[part + name] = sign * scale * turned[:, first + axis]
+    lines = [",".join(("frame", *weights))]
+    rows = zip(*weights.values(), strict=True)
+    lines += [
+        ",".join((str(frame), *(f"{each:.9f}" for each in row)))
+        for frame, row in enumerate(rows, 1)
+    ]
+    path.write_text("\n".join(lines), encoding="utf-8")
+    return path
+
+
+def turns(columns: slice) -> np.ndarray:
+    pitch, yaw, roll = angles()[:, columns].T
+    return Rotation.from_euler("YXZ", np.stack([yaw, pitch, roll], axis=1)).as_matrix()
+
+
+@pytest.mark.parametrize("mirrored", [True, False])
+def test_a_joint_turns_as_the_head_does(tmp_path: Path, mirrored: bool) -> None:
+    rig = write_character(tmp_path / "hero.usda")
+    source = write_source(tmp_path / "shot.csv", mirrored=mirrored)
+    out = tmp_path / "shot.hero.usda"
+    assert usdface(
+        "retarget", source, "--rate", 30, "--rig", rig.file, "--drive", "head=neck",
+        "--drive", "left_eye=eye_L", "--out", out,
+    ) == 0  # fmt: skip
+    stage = Usd.Stage.Open(str(out))
+    cache = UsdSkel.Cache()
+    root = UsdSkel.Root(stage.GetPrimAtPath("/Hero"))
+    cache.Populate(root, Usd.TraverseInstanceProxies())
+    query = cache.GetSkelQuery(UsdSkel.Skeleton.Get(stage, "/Hero/rig/skeleton"))
+    for frame in (1, 17, FRAMES):
+        placed = [np.array(each).T for each in query.ComputeJointSkelTransforms(frame)]
+        rest = [np.array(each).T for each in query.ComputeJointSkelTransforms(frame, True)]
+        moved = [(a @ np.linalg.inv(b))[:3, :3] for a, b in zip(placed, rest, strict=True)]
+        head, eye = turns(slice(0, 3))[frame - 1], turns(slice(3, 6))[frame - 1]
+        np.testing.assert_allclose(moved[0], np.eye(3), atol=1e-6)
+        np.testing.assert_allclose(moved[1], head, atol=1e-5)
+        np.testing.assert_allclose(moved[2], head @ eye, atol=1e-5)
+        np.testing.assert_allclose(moved[3], head, atol=1e-5)
+        np.testing.assert_allclose(placed[1][:3, 3], rest[1][:3, 3], atol=1e-6)
+    assert not [each for each in validate(out) if each.severity == "error"]
+
+
+def test_the_how_to_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = REPOSITORY / "docs" / "howto" / "head_and_eyes.md"
+    write_character(tmp_path / "hero.usda", neck="neck_02")
+    Usd.Stage.Open(str(tmp_path / "hero.usda")).Export(str(tmp_path / "hero.usd"))
+    source = write_source(tmp_path / "still.csv").read_text(encoding="utf-8").splitlines()
+    lines = [
+        f"{source[0]},RightEyeYaw,time",
+        *(f"{row},0.1,{i / 30:.5f}" for i, row in enumerate(source[1:])),
+    ]
+    (tmp_path / "phone.csv").write_text("\n".join(lines), encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    (line,) = commands(page)
+    assert usdface(*shlex.split(line)[1:]) == 0
+    layer = Sdf.Layer.FindOrOpen("phone.hero.head.usdc")
+    joints = layer.GetAttributeAtPath("/Hero/FaceSolve.joints").default
+    assert list(joints) == [f"spine/neck_02{end}" for end in ("", "/eye_L", "/eye_R")]
+
+
+def test_an_xform_turns_about_where_it_was_placed(tmp_path: Path) -> None:
+    rig = write_character(tmp_path / "hero.usda", z_up=True)
+    out = tmp_path / "shot.hero.usda"
+    source = write_source(tmp_path / "shot.csv")
+    assert usdface(
+        "retarget", source, "--rate", 30, "--rig", rig.file, "--out", out,
+        "--drive", "left_eye=/Hero/props/eyeball", "--prim", "/Shot/Hero",
+    ) == 0  # fmt: skip
+    stage, rest = Usd.Stage.Open(str(out)), Usd.Stage.Open(str(rig.file))
+    up = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # from Z up to Y up
+    for frame in (1, 23):
+        placed, still = (
+            np.array(
+                UsdGeom.Xformable(where.GetPrimAtPath(prim)).ComputeLocalToWorldTransform(frame)
+            )
+            for where, prim in ((stage, "/Shot/Hero/props/eyeball"), (rest, "/Hero/props/eyeball"))
+        )
+        np.testing.assert_allclose(placed[3], still[3], atol=1e-6)
+        turn = up.T @ turns(slice(3, 6))[frame - 1] @ up
+        np.testing.assert_allclose(placed[:3, :3].T, turn @ still[:3, :3].T, atol=1e-6)
+
+
+def test_pictures_are_posed_as_usdskel_poses(tmp_path: Path) -> None:
+    rig = write_character(tmp_path / "hero.usda")
+    out = tmp_path / "shot.hero.usda"
+    source = write_source(tmp_path / "shot.csv")
+    drive = ("--drive", "head=neck")
+    usdface("retarget", source, "--rate", 30, "--rig", rig.file, *drive, "--out", out)
+    shot = open_shot(out)  # the table itself is the take
+    posed = PosedRig(out)
+    still = 0.0
+    for row in (0, 13, 30):
+        seen = shot.pose(row, shot.weights[row])
+        np.testing.assert_allclose(seen, posed.points(row + 1), atol=2e-3)
+        still = max(still, np.abs(seen - shot.pose(row, shot.weights[row], still=True)).max())
+    assert still > 5
+
+
+def test_sheet_movie_and_report_show_the_head_turn(tmp_path: Path) -> None:
+    rig = write_character(tmp_path / "hero.usda")
+    out, source = tmp_path / "shot.hero.usda", write_source(tmp_path / "shot.csv")
+    drive = ("--drive", "head=neck")
+    usdface("retarget", source, "--rate", 30, "--rig", rig.file, *drive, "--out", out)
+    small = ("--quality", "draft", "--out")
+    assert usdface("sheet", out, "--tile", 64, "--rows", 2, *small, tmp_path / "s.png") == 0
+    assert usdface("movie", out, "--height", 64, *small, tmp_path / "m.mp4") == 0
+    assert usdface("report", out, "--out", tmp_path / "r.html") == 0
+    shot = open_shot(out)
+    with ShotPictures(shot, height=96, quality="draft") as pictures:
+        turned = pictures.face(16, shot.weights[16]).astype(int)
+    with ShotPictures(replace(shot, motion=None), height=96, quality="draft") as pictures:
+        still = pictures.face(16, shot.weights[16]).astype(int)
+    assert np.abs(turned - still).max(axis=2).mean() > 2
+    surface = build_surface(rig.meshes)
+    used, posed = np.unique(surface.triangles), PosedRig(out)
+    faults: list[str] = []
+    with chromium() as browser:
+        page = visit(browser.new_page(), tmp_path / "r.html", faults)
+        for row in (5, 16):
+            seen = page.evaluate(
+                f"(report.show({row}), report.viewer.draw(), [...report.viewer.face.positions])"
+            )
+            expected = (surface.matrix @ posed.points(row + 1))[used]
+            np.testing.assert_allclose(np.reshape(seen, (-1, 3)), expected, atol=0.05)
+        page.keyboard.press("e")
+        page.evaluate("report.viewer.draw()")
+        held = np.reshape(page.evaluate("[...report.viewer.face.positions]"), (-1, 3))
+        assert np.abs(held - expected).max() > 5
+        page.close()
+    assert not faults
+
+
+def test_without_the_option_it_is_taken_back(tmp_path: Path) -> None:
+    rig = write_character(tmp_path / "hero.usda")
+    out, source = tmp_path / "shot.hero.usda", write_source(tmp_path / "shot.csv")
+    common = ("retarget", source, "--rate", 30, "--rig", rig.file, "--out", out)
+    assert usdface(*common, "--drive", "head=neck") == 0
+    assert opens_head(out)
+    assert usdface(*common, "--overwrite") == 0
+    assert not opens_head(out)
+    assert not RigMotion(out, rig).shares.nnz
+
+
+@pytest.mark.parametrize(
+    ("drive", "said"),
+    [
+        ("head=nose", ("no joint and no Xform is called 'nose'", "spine/neck/eye_L", "eyeball")),
+        ("left_eye=eyeball", ("2 Xforms are called 'eyeball'", "/Hero/props/other/eyeball")),
+        ("right_eye=eye_R", ("nothing in it moves the right_eye", "eyeLook")),
+        ("nose=neck", ("'nose=neck' is not PART=NAME", "head, left_eye, right_eye")),
+        ("head=", ("'head=' is not PART=NAME",)),
+    ],
+)
+def test_wrong_names_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], drive: str, said: tuple[str, ...]
+) -> None:
+    rig = write_character(tmp_path / "hero.usda")
+    out, source = tmp_path / "shot.hero.usda", write_source(tmp_path / "shot.csv")
+    assert (
+        usdface("retarget", source, "--rate", 30, "--rig", rig.file, "--drive", drive, "--out", out)
+        == 2
+    )
+    message = " ".join(capsys.readouterr().err.replace("│", " ").split())
+    assert not [each for each in said if each not in message], message
+    assert not out.exists()
+    assert not head_path(out).exists()
+
+
+def test_degrees_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig = write_character(tmp_path / "hero.usda")
+    out, source = tmp_path / "o.usda", write_source(tmp_path / "shot.csv", scale=57.3)
+    code = usdface(
+        *("retarget", source, "--rate", 30, "--weight-unit", "one"),
+        *("--rig", rig.file, "--drive", "head=neck", "--out", out),
+    )
+    assert code == 2
+    assert "angles are in radians" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_markers_turn_the_head_of_the_character(shot: Shot) -> None:
+    """The demo's actor and hero face the same way: the joint has the head's own rotation."""
+    joint = str(UsdSkel.Skeleton(_skeleton(shot / "hero.usdc")).GetJointsAttr().Get()[0])
+    common = ("map", shot / "shot.clean.take.usda", "--mapping", shot / "hero.mapping.usdc")
+    common += ("--rig", shot / "hero.usdc", "--drive", f"head={joint}")
+    out = shot / "head.hero.usda"
+    assert usdface(*common, "--out", out) == 0
+    take = TakeReader(shot / "shot.clean.take.usda")
+    motion = take.head_motion_from_neutral(take.first_frame, take.last_frame)
+    assert motion is not None
+    driven = RigMotion(out, read_rig(shot / "hero.usdc"))
+    off = []
+    for row in range(0, len(motion), 60):
+        turned = driven.transforms(take.first_frame + row)[0][:3, :3]
+        off.append(Rotation.from_matrix(turned @ motion[row, :3, :3].T).magnitude())
+    assert np.degrees(Rotation.from_matrix(motion[:, :3, :3]).magnitude()).max() > 5
+    assert np.degrees(max(off)) < 2
+    parts = []
+    middle = (take.first_frame + take.last_frame) // 2
+    for first, last in ((take.first_frame, middle), (middle + 1, take.last_frame)):
+        parts.append(shot / f"part.{first}.usda")
+        assert usdface(*common, "--frames", f"{first}-{last}", "--out", parts[-1]) == 0
+    whole = shot / "whole.hero.usda"
+    assert usdface("join", *parts, "--out", whole) == 0
+    joined = RigMotion(whole, read_rig(shot / "hero.usdc"))
+    for frame in (take.first_frame, middle, middle + 1, take.last_frame):
+        np.testing.assert_allclose(
+            joined.transforms(frame), driven.transforms(frame), atol=1e-6, rtol=0
+        )
+
+
+def _skeleton(file: Path) -> Usd.Prim:
+    stage = Usd.Stage.Open(str(file))
+    _kept.append(stage)
+    return next(each for each in stage.Traverse() if each.IsA(UsdSkel.Skeleton))
+
+
+_kept: list[Usd.Stage] = []
+"""A prim does not keep its stage."""
+
+
+def test_a_package_turns_its_head(tmp_path: Path) -> None:
+    rig = write_character(tmp_path / "hero.usda")
+    out, source = tmp_path / "shot.hero.usda", write_source(tmp_path / "shot.csv")
+    drive = ("--drive", "head=neck")
+    usdface("retarget", source, "--rate", 30, "--rig", rig.file, *drive, "--out", out)
+    assert usdface("package", out, "--out", tmp_path / "shot.usdz") == 0
+    stage = Usd.Stage.Open(str(tmp_path / "shot.usdz"))
+    animation = UsdSkel.Animation(stage.GetPrimAtPath(Sdf.Path("/Hero/FaceSolve")))
+    assert list(animation.GetJointsAttr().Get()) == ["spine/neck"]
+    assert animation.GetRotationsAttr().GetNumTimeSamples() == FRAMES
