@@ -229,7 +229,7 @@ def test_describe_says_what_was_tried(trained: Stall, capsys) -> None:
 
 def test_cyclic_errors_are_figures_and_curves(trained: Stall, capsys) -> None:
     truth = creature_acts(trained.weights).weights
-    rows = [",".join(["frame", "jawOpen", "eyeBlink", "smile"])]
+    rows = [",".join(["Frame", "beast_JawOpen", "beast_eye_blink", "beast_Smile"])]
     rows += [",".join(map(str, [FIRST + i, *row])) for i, row in enumerate(truth.tolist())]
     Path("truth.csv").write_text("\n".join(rows))
     line = (

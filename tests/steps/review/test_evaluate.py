@@ -18,6 +18,7 @@ from usdface.runner.state import job_states
 from usdface.specs.reading import read_job
 from usdface.specs.review import EvaluateSpec
 from usdface.steps.inputs.weight_tables import read_weight_table
+from usdface.steps.review.scoring import read_keys
 from usdface.usdio.performance.read import read_performance
 from usdface.usdio.performance.weights_layer import make_header
 from usdface.usdio.performance.write import writing_performance
@@ -129,6 +130,28 @@ def test_a_truth_at_a_few_frames_is_enough(shot: Shot) -> None:
     assert frames["count"] == len(rows)
 
 
+def test_keys_by_other_names_are_the_same_keys(finished_shot: Shot, tmp_path: Path) -> None:
+    head, rows = (finished_shot / "keys.csv").read_text(encoding="utf-8").split("\n", 1)
+    frame, *names = head.strip().split(",")
+    named = [
+        "hero_face_bs_" + name.replace("Left", "_L").replace("Right", "_R")
+        if name not in ("jawLeft", "jawRight", "mouthLeft", "mouthRight")
+        else f"hero_face_bs_{name}"
+        for name in names
+    ]
+    keys = tmp_path / "other.csv"
+    keys.write_text(",".join([frame, *named]) + "\n" + rows, encoding="utf-8")
+    usual = execute(spec_of(finished_shot))
+    other = execute(spec_of(finished_shot, against=keys))
+    assert other.figures["vertex_rms_mm"] == pytest.approx(usual.figures["vertex_rms_mm"])
+    assert other.figures["weight_rmse"] == pytest.approx(usual.figures["weight_rmse"])
+    assert any("matched by the meaning" in note for note in other.notes)
+    rig = read_rig(finished_shot / "hero.usdc")
+    frames = np.arange(1, 40)
+    again = [read_keys(each, rig, frames) for each in (keys, finished_shot / "keys.csv")]
+    np.testing.assert_allclose(again[0], again[1])
+
+
 def test_shapes_that_markers_cannot_show_are_named(finished_shot: Shot) -> None:
     usual, more = (
         execute(spec_of(finished_shot, **changes)).figures
@@ -143,10 +166,10 @@ def test_shapes_that_markers_cannot_show_are_named(finished_shot: Shot) -> None:
 
 
 def test_shapes_of_one_side_count_as_0_on_the_other_and_are_told(shot: Shot) -> None:
-    lines = ["frame,jawOpen,grin", *(f"{frame},0.5,0" for frame in range(1, FRAMES + 1))]
+    lines = ["frame,jawOpen,wiggle", *(f"{frame},0.5,0" for frame in range(1, FRAMES + 1))]
     (shot / "jaw.csv").write_text("\n".join(lines))
     notes = execute(spec_of(shot, against=shot / "jaw.csv")).notes
-    assert any("left out 1 shape of" in note and "grin" in note for note in notes)
+    assert any("left out 1 shape of" in note and "wiggle" in note for note in notes)
     assert any("jaw.csv lacks" in note and "taken as 0" in note for note in notes)
 
 
@@ -222,7 +245,7 @@ def other_frames(shot: Shot) -> list[str]:
 
 
 def no_shape_in_common(shot: Shot) -> list[str]:
-    (shot / "names.csv").write_text("frame,grin\n1,0.5\n")
+    (shot / "names.csv").write_text("frame,wiggle\n1,0.5\n")
     return ["--against", "names.csv"]
 
 
@@ -255,7 +278,7 @@ def wrong_ending(shot: Shot) -> list[str]:
     ("spoil", "words"),
     [
         (other_frames, ("late.csv", "9001", "share no frame")),
-        (no_shape_in_common, ("names.csv", "grin", "rename")),
+        (no_shape_in_common, ("names.csv", "wiggle", "rename")),
         (frames_outside, ("share no frame in 900-999",)),
         (another_rate, ("slow.usda", "24 frames per second", "performance's rate")),
         (wrong_ending, ("error.txt", ".json", ".png")),

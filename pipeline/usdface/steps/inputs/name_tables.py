@@ -57,6 +57,21 @@ class Transfer:
         ]
 
 
+def meaning_notes(transfer: Transfer) -> list[str]:
+    """Return what to tell of shapes that were matched by meaning, or could be either of two."""
+    notes = []
+    meant = [row for row in transfer.rows() if row["by"] == "meaning"]
+    if meant:
+        shapes = dict.fromkeys(row["source"] for row in meant)
+        notes.append(
+            f"matched by the meaning of their names: {pluralize(len(shapes), 'shape')}, such as "
+            f"{meant[0]['source']} to {meant[0]['target']}; `usdface names` lists them"
+        )
+    if transfer.ambiguous:
+        notes.append(f"not matched, as it is not clear: {first_few(transfer.ambiguous, most=3)}")
+    return notes
+
+
 def transfer_by_names(
     source: Sequence[str], target: Sequence[str], *, matching: NameMatching | None = None
 ) -> Transfer:

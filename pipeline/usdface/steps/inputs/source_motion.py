@@ -15,7 +15,12 @@ from usdface.core.errors import InputError
 from usdface.core.rates import shift_timecode
 from usdface.core.sidecars import LAYER_SUFFIXES
 from usdface.core.text import first_few, pluralize
-from usdface.steps.inputs.name_tables import Transfer, transfer_by_names, transfer_by_table
+from usdface.steps.inputs.name_tables import (
+    Transfer,
+    meaning_notes,
+    transfer_by_names,
+    transfer_by_table,
+)
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.take.read import TakeReader, is_take
 
@@ -149,22 +154,13 @@ def unmatched_moving(transfer: Transfer, motion: SourceMotion) -> tuple[str, ...
 
 
 def _transfer_notes(path: Path, transfer: Transfer, motion: SourceMotion) -> tuple[str, ...]:
-    notes = []
-    meant = [row for row in transfer.rows() if row["by"] == "meaning"]
-    if meant:
-        shapes = dict.fromkeys(row["source"] for row in meant)
-        notes.append(
-            f"matched by the meaning of their names: {pluralize(len(shapes), 'shape')}, such as "
-            f"{meant[0]['source']} to {meant[0]['target']}; `usdface names` lists them"
-        )
+    notes = meaning_notes(transfer)
     lost = unmatched_moving(transfer, motion)
     if lost:
         notes.append(
             f"{path.name}: no counterpart for {pluralize(len(lost), 'moving shape')}: "
             f"{first_few(lost)}; pair them with --names, or leave them out"
         )
-    if transfer.ambiguous:
-        notes.append(f"not matched, as it is not clear: {first_few(transfer.ambiguous, most=3)}")
     return tuple(notes)
 
 

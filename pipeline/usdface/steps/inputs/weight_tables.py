@@ -3,7 +3,7 @@
 import csv
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
@@ -16,7 +16,7 @@ from usdface.core.errors import InputError
 from usdface.core.rates import FARTHEST_FRAME
 from usdface.core.sidecars import LAYER_SUFFIXES
 from usdface.core.text import first_few, pluralize, read_text
-from usdface.steps.inputs.name_tables import Transfer
+from usdface.steps.inputs.name_tables import Transfer, transfer_by_names
 from usdface.usdio.mapping import read_alpha_keys
 from usdface.usdio.performance.exported_weights import (
     ExportedWeights,
@@ -87,13 +87,29 @@ class WeightTable:
         if all(name in transfer.target for name in self.names):
             return self
         columns = np.flatnonzero((transfer.matrix != 0).any(axis=0))
+        rows = [self.names.index(name) for name in transfer.source]
         return replace(
             self,
             names=tuple(transfer.target[column] for column in columns.tolist()),
-            weights=self.weights @ transfer.matrix[:, columns],
+            weights=self.weights[:, rows] @ transfer.matrix[:, columns],
             meshes=(),
             elsewhere={},
         )
+
+    def by_meaning(
+        self, shapes: Sequence[str], *, leave: Collection[str] = ()
+    ) -> tuple["WeightTable", Transfer]:
+        """Return the table by the shapes that its names mean; as it is where none has a meaning.
+
+        Parameters
+        ----------
+        leave : collection of str
+            Names that are not matched, such as those of shapes that others drive.
+        """
+        names = tuple(name for name in self.names if name not in leave)
+        transfer = transfer_by_names(names, shapes)
+        table = self.renamed(transfer)
+        return (table if table.names else self), transfer
 
     def check_rate(self, rate: Fraction, *, file: Path, performance: Path) -> None:
         """Raise InputError if the file says another rate than the performance's."""

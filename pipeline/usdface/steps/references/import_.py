@@ -11,7 +11,7 @@ from usdface.core.sidecars import tuned_path
 from usdface.core.text import first_few, pluralize
 from usdface.runner.result import StepResult
 from usdface.specs.references import ReferencesImportSpec
-from usdface.steps.inputs.name_tables import transfer_by_names, transfer_by_table
+from usdface.steps.inputs.name_tables import meaning_notes, transfer_by_table
 from usdface.steps.inputs.tuned_pairs import tuned_conflicts
 from usdface.steps.inputs.weight_tables import WeightTable, read_weight_table, weights_meant
 from usdface.usdio.references.read import TunedPair, read_references
@@ -29,14 +29,11 @@ def run(
     given = read_weight_table(spec.weights, known=references.shape_names, unit=spec.weight_unit)
     combinations = {each.shape for each in references.combinations}
     if spec.names is None:
-        names = tuple(name for name in given.names if name not in combinations)
-        transfer = transfer_by_names(names, references.shape_names)
+        table, transfer = given.by_meaning(references.shape_names, leave=combinations)
     else:
         transfer = transfer_by_table(spec.names, given.names, references.shape_names)
-    table = given.renamed(transfer)
-    known = (table if table.names else given).shapes_among(
-        references.shape_names, file=spec.weights, owner="on the rig"
-    )
+        table = given.renamed(transfer)
+    known = table.shapes_among(references.shape_names, file=spec.weights, owner="on the rig")
     pairs = _pairs(spec, references, table, known)
     if not pairs:
         raise InputError(
@@ -48,15 +45,7 @@ def run(
         references, pairs, layer_path=tuned_path(spec.references), provenance=provenance
     )
     progress(1.0, "imported")
-    notes = []
-    meant = [row for row in transfer.rows() if row["by"] == "meaning"]
-    if meant:
-        notes.append(
-            f"matched by the meaning of their names: {pluralize(len(meant), 'pair')} of shapes, "
-            f"such as {meant[0]['source']} to {meant[0]['target']}; `usdface names` lists them"
-        )
-    if transfer.ambiguous:
-        notes.append(f"not matched, as it is not clear: {first_few(transfer.ambiguous, most=3)}")
+    notes = meaning_notes(transfer)
     matched = set(transfer.matched)
     driven = [name for name in given.names if name in combinations]
     if driven:

@@ -99,7 +99,8 @@ def _rig(spec: CyclicSpec, file: Path | None, prim: str, side: str) -> Rig:
 def _truth(
     spec: CyclicSpec, path: Path, motion: SourceMotion, picks: np.ndarray, pairs: ExpressionPairs
 ) -> FloatArray:
-    table = read_weight_table(path)
+    table, _ = read_weight_table(path).by_meaning(pairs.target.shapes)
+    table.shapes_among(pairs.target.shapes, file=path, owner="of the pairs' target")
     row_of = index_of(table.frames)
     frames = (picks + motion.first_frame).tolist()
     missing = [frame for frame in frames if frame not in row_of]

@@ -13,7 +13,7 @@ from usdface.core.text import first_few, pluralize
 from usdface.model.retarget.control_space import check_pairs, unused_shapes
 from usdface.runner.result import StepResult
 from usdface.specs.retarget import PairsImportSpec
-from usdface.steps.inputs.name_tables import transfer_by_names
+from usdface.steps.inputs.name_tables import meaning_notes
 from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.usdio.retarget.controls import find_control_attributes, read_control_clip
 from usdface.usdio.retarget.pairs import keyed_above, write_pairs
@@ -28,14 +28,13 @@ def run(
     source_rig = read_rig(spec.source_rig, prim=spec.source_prim)
     target_rig = read_rig(spec.target_rig, prim=spec.target_prim)
     given = read_weight_table(spec.source)
-    transfer = transfer_by_names(given.names, source_rig.shapes)
+    table, transfer = given.by_meaning(source_rig.shapes)
     unknown = [name for name in given.names if name not in set(transfer.matched)]
     if len(unknown) == len(given.names):
         raise InputError(
             f"{spec.source}: none of its shapes ({first_few(unknown, most=3)}) is on "
             f"{spec.source_rig} ({first_few(source_rig.shapes, most=3)}); rename them"
         )
-    table = given.renamed(transfer)
     frames, target = _read_target(spec, target_rig)
     _check_sides(spec, table.frames, frames)
     progress(0.5, "read")
@@ -55,7 +54,7 @@ def run(
         spec.out, pairs, source_rig=source_rig, target_rig=target_rig, provenance=provenance
     )
     progress(1.0, "done")
-    notes = []
+    notes = meaning_notes(transfer)
     if unknown:
         notes.append(
             f"left out {pluralize(len(unknown), 'column')}, of no shape of {spec.source_rig}: "

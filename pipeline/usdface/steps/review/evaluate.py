@@ -19,6 +19,7 @@ from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.review import EvaluateSpec
+from usdface.steps.inputs.name_tables import Transfer, meaning_notes
 from usdface.steps.inputs.weight_tables import WeightTable, read_weight_table
 from usdface.steps.review.evaluation_tables import (
     evaluation_figures,
@@ -75,10 +76,11 @@ def run(spec: EvaluateSpec, *, provenance: Provenance, progress: Progress = sile
 
 
 def _compare(
-    spec: EvaluateSpec, performance: Performance, truth: WeightTable, rig: Rig
+    spec: EvaluateSpec, performance: Performance, given: WeightTable, rig: Rig
 ) -> _Comparison:
     clip = performance.weights
-    truth.check_rate(clip.rate, file=spec.against, performance=spec.performance)
+    given.check_rate(clip.rate, file=spec.against, performance=spec.performance)
+    truth, transfer = given.by_meaning(rig.shapes, leave=rig.logic.driven)
     driven = truth.shapes_among(rig.shapes, file=spec.against, owner=f"on {rig.file}")
     solved_frames = np.arange(clip.first_frame, clip.first_frame + len(clip.values), dtype=np.int64)
     truth_frames = np.array(truth.frames, dtype=np.int64)
@@ -103,8 +105,23 @@ def _compare(
         solved=columns_by_name(clip.values[mine], clip.names, rig.shapes),
         truth=columns_by_name(truth.weights[other], truth.names, rig.shapes),
         compared=either,
-        notes=_notes(spec, clip.names, truth.names, rig),
+        notes=(
+            *meaning_notes(transfer),
+            *_unknown_notes(spec, given, transfer),
+            *_notes(spec, clip.names, truth.names, rig),
+        ),
     )
+
+
+def _unknown_notes(spec: EvaluateSpec, given: WeightTable, transfer: Transfer) -> list[str]:
+    matched = set(transfer.matched)
+    unknown = [name for name in given.names if name not in matched]
+    if not unknown:
+        return []
+    return [
+        f"left out {pluralize(len(unknown), 'shape')} of {spec.against}, not on the rig: "
+        f"{first_few(unknown)}"
+    ]
 
 
 def _notes(
@@ -112,12 +129,6 @@ def _notes(
 ) -> tuple[str, ...]:
     """Say which shapes only one side drives: there the other counts as 0."""
     notes = []
-    unknown = [name for name in truth if name not in rig.shapes]
-    if unknown:
-        notes.append(
-            f"left out {pluralize(len(unknown), 'shape')} of {spec.against}, not on the rig: "
-            f"{first_few(unknown)}"
-        )
     for label, these, those in (
         (spec.performance, truth, solved),
         (spec.against, solved, truth),

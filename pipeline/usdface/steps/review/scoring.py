@@ -187,7 +187,7 @@ def read_keys(file: Path | None, rig: Rig, frames: IntArray) -> FloatArray | Non
     """Return what the weights should have been; NaN at frames the file does not have."""
     if file is None:
         return None
-    table = read_weight_table(file)
+    table, _ = read_weight_table(file).by_meaning(rig.shapes, leave=rig.logic.driven)
     if not set(table.names) & set(rig.shapes):
         raise InputError(f"{file}: names none of the rig's shapes; is it the right file?")
     row_of = index_of(table.frames)

@@ -31,6 +31,7 @@ class RigMotion:
 
     @refusing_wrong_types
     def __init__(self, path: Path, rig: Rig) -> None:
+        self.path = path
         reader = PerformanceReader(path)
         self._animation = UsdSkel.Animation(reader.animation)
         source = Sdf.Path(rig.prim).GetPrefixes()[0]
@@ -39,7 +40,11 @@ class RigMotion:
         self._ours[:3, :3] = stage_to_ours(open_stage(rig.file))
         root = Sdf.Path(rig.prim)
         self._rest = _Placement(open_stage(rig.file), root)
-        self._posed = _Placement(reader.stage, root.ReplacePrefix(source, place))
+        posed = root.ReplacePrefix(source, place)
+        stage = reader.stage
+        if not UsdSkel.Root(stage.GetPrimAtPath(posed)):  # overs alone: the rig has moved
+            stage = _with_rig(path, rig, place)
+        self._posed = _Placement(stage, posed)
         self._parts: list[tuple[Sdf.Path, int]] = []
         """Path below the SkelRoot, and joint in its skeleton, or -1 for the prim itself."""
         self.shares: sparse.csc_array = self._read_shares(rig)
@@ -113,6 +118,16 @@ class RigMotion:
         if not self._animation.GetRotationsAttr().GetNumTimeSamples():
             return []
         return list(map(str, self._animation.GetJointsAttr().Get() or ()))
+
+
+def _with_rig(path: Path, rig: Rig, place: Sdf.Path) -> Usd.Stage:
+    """Open a performance with its rig from where that is now."""
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    layer.subLayerPaths = [str(path.resolve())]
+    prim = Sdf.CreatePrimInLayer(layer, place)
+    reference = Sdf.Reference(str(rig.file.resolve()), Sdf.Path(rig.prim).GetPrefixes()[0])
+    prim.referenceList.prependedItems = [reference]
+    return Usd.Stage.Open(layer)
 
 
 class _Placement:
