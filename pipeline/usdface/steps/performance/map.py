@@ -23,14 +23,12 @@ from usdface.model.mapping.predict import Prediction, WeightPredictor, basis_of,
 from usdface.model.mapping.rig_match import check_same_rig
 from usdface.model.mapping.temporal import TemporalSolve, smooth_weights
 from usdface.model.placement.rig_orientation import check_rig_stands
-from usdface.model.retarget.head_pose import performer_onto_rig
 from usdface.model.review.verdict import SEEN_MM, SolveEvidence, judge_solve
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.performance import MapSpec
 from usdface.steps.inputs.cleaned_takes import read_markers, take_head_space
 from usdface.steps.inputs.edit_ranges import edit_notes
-from usdface.steps.inputs.head_drive import named_targets, take_head_source
 from usdface.steps.inputs.weight_tables import read_alpha
 from usdface.usdio.mapping import read_mapping
 from usdface.usdio.performance.head_layer import write_head_layer
@@ -234,9 +232,12 @@ def _driven(
     frames: tuple[int, int],
 ) -> dict[DriveTarget, FloatArray]:
     """Return what the take's head and eyes move on the rig: a target's (frames, 4, 4) [mm]."""
-    targets = named_targets(rig, spec.drive)
-    if not targets:
+    if not spec.drive:
         return {}
+    from usdface.model.retarget.head_pose import performer_onto_rig  # mapping starts without these
+    from usdface.steps.inputs.head_drive import named_targets, take_head_source
+
+    targets = named_targets(rig, spec.drive)
     into_mapping = np.eye(4)
     into_mapping[:3, :3], into_mapping[:3, 3] = space.rotation, space.shift
     try:

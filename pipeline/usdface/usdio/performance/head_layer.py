@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
-from scipy.spatial.transform import Rotation
 
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig
@@ -153,6 +152,8 @@ def _turn_joints(
     below: Controls, stage: Usd.Stage, rig: Rig, transforms: Mapping[DriveTarget, FloatArray]
 ) -> Controls:
     """Return joints as a retargeting has them, if it does, with the driven ones turned on top."""
+    from scipy.spatial.transform import Rotation  # joining starts without it
+
     names = list(below.joints)
     places, turns, scales = (
         list(np.moveaxis(each, 1, 0))
