@@ -101,6 +101,14 @@ def test_tables_and_simplex_say_the_same(rig: Path) -> None:
     listed.write_text(json.dumps(simplex))
     with pytest.raises(InputError, match=r"combo both has a slider at 0\.5"):
         logic(rig, definition=listed)
+    simplex["combos"][0]["pairs"][0][1] = 1.0  # type: ignore[index]
+    for progression in (0, 2):  # of a slider, and of the combo itself
+        whole = json.loads(json.dumps(simplex))
+        whole["shapes"].append({"name": "jaw50"})
+        whole["progressions"][progression]["pairs"].append([4, 0.5])
+        listed.write_text(json.dumps(whole))
+        with pytest.raises(InputError, match=r"jaw50 is at 0\.5 of its progression"):
+            logic(rig, definition=listed)
 
 
 def test_metadata_names_the_drivers(rig: Path) -> None:

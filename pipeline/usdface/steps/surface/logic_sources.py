@@ -167,6 +167,14 @@ def _simplex(data: dict[str, Any], path: Path) -> tuple[Combination, ...]:
             raise InputError(f"{path}: {who} has no shape at {value:g}; state it in a table")
         return str(shapes[int(found[0])])
 
+    for progression in progressions:
+        for shape, at in progression:
+            if abs(float(at)) not in (0.0, 1.0):
+                raise InputError(
+                    f"{path}: {shapes[int(shape)]} is at {float(at):g} of its progression, where "
+                    "Simplex fades the shape at 1 out, which no combination does; make it an "
+                    "in-between of that shape, or state it in a table"
+                )
     found = []
     for combo in data["combos"]:
         named = dict(zip(("name", "prog", "pairs"), combo, strict=False)) if first else combo
