@@ -21,7 +21,7 @@ from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.model.retarget.shape_names import mirrored, read_meanings
-from usdface.numerics.registration.cloud_alignment import align_cloud
+from usdface.numerics.registration.cloud_alignment import Alignment, align_cloud
 from usdface.numerics.registration.outer_surface import (
     SurfaceSamples,
     facing_direction,
@@ -73,30 +73,42 @@ class ShapeMatch:
 def correspond(source: Rig, target: Rig) -> Correspondence:
     """Lay the source's face onto the target's.
 
+    Each is laid onto the other, and the better of the two counts: which one is called the source
+    then makes no difference to where they meet.
+
     Raises
     ------
     InputError
         If one of them has no recognisable face, or no alignment is upright.
     """
     one, other = _surface(source), _surface(target)
-    stride = max(len(one.samples.positions) // CLOUD_POINTS, 1)
     with _no_face(f"{source.file} on {target.file}"):
-        alignment = align_cloud(
-            one.samples.positions[::stride],
-            other.samples.positions,
-            activity=other.activity,
-            areas=other.samples.areas,
-            amplitude=one.activity[::stride],
-        )
+        forth, forth_error = _laid_onto(one, other)
+        back, back_error = _laid_onto(other, one)
+    by_inverse = back_error < forth_error
+    place = back.undo if by_inverse else forth.apply
+    move = back.undo_motion if by_inverse else forth.apply_to_motion
     stride = max(len(one.samples.positions) // _SAMPLE_COUNT, 1)
     chosen = np.arange(0, len(one.samples.positions), stride)
-    placed = alignment.apply(one.samples.positions[chosen])
-    _, nearest = KDTree(other.samples.positions).query(placed)
+    _, nearest = KDTree(other.samples.positions).query(place(one.samples.positions[chosen]))
     return Correspondence(
-        source=alignment.apply_to_motion(one.deltas[:, chosen]),
+        source=move(one.deltas[:, chosen]),
         target=other.deltas[:, np.asarray(nearest, np.int64)],
-        residual_mm=alignment.residual_mm,
+        residual_mm=min(forth_error, back_error) * other.size_mm,
     )
+
+
+def _laid_onto(one: "_Surface", other: "_Surface") -> tuple[Alignment, float]:
+    """Return how one face lies on another, and its residual as a share of the other's size."""
+    stride = max(len(one.samples.positions) // CLOUD_POINTS, 1)
+    found = align_cloud(
+        one.samples.positions[::stride],
+        other.samples.positions,
+        activity=other.activity,
+        areas=other.samples.areas,
+        amplitude=one.activity[::stride],
+    )
+    return found, found.residual_mm / other.size_mm
 
 
 def match_deformations(
@@ -212,6 +224,11 @@ class _Surface:
     samples: SurfaceSamples
     deltas: FloatArray
     activity: FloatArray
+
+    @property
+    def size_mm(self) -> float:
+        """Root mean square distance of the samples from their middle."""
+        return float(np.linalg.norm(self.samples.positions.std(axis=0)))
 
 
 def _surface(rig: Rig) -> _Surface:

@@ -51,6 +51,14 @@ class Alignment:
         """Return displacements in the character's space and proportions."""
         return self.scale * (np.asarray(motion, float) @ self.rotation.T)
 
+    def undo(self, placed: ArrayLike) -> FloatArray:
+        """Return points of the character in the cloud's space."""
+        return self.undo_motion(np.asarray(placed, float) - self.translation)
+
+    def undo_motion(self, motion: ArrayLike) -> FloatArray:
+        """Return displacements of the character in the cloud's space and proportions."""
+        return np.asarray(motion, float) / self.scale @ self.rotation
+
 
 _UNIT = Alignment(np.ones(3), np.eye(3), np.zeros(3), np.inf)
 
