@@ -341,3 +341,26 @@ def test_who_comes_to_write_when_another_has_written_says_so(tmp_path: Path) -> 
             with pytest.raises(InputError, match="another process wrote it meanwhile"):
                 check_not_written_since(path)
         check_not_written_since(path)
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="lists open files as Linux does")
+def test_files_are_open_while_they_are_replaced_so_that_no_rename_waits_for_the_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    paths = [tmp_path / name for name in ("a.samples.usdc", "a.usda", "new.usda")]
+    for path in paths[:2]:
+        path.write_text("old")
+    old = {path.stat().st_ino for path in paths[:2]}
+    held, rename = [], Path.replace
+
+    def replace(temporary: Path, target: Path) -> Path:
+        links = [each for each in Path("/proc/self/fd").iterdir() if each.exists()]
+        held.append(old <= {each.stat().st_ino for each in links})
+        return rename(temporary, target)
+
+    monkeypatch.setattr(Path, "replace", replace)
+    with replacing_together(paths) as temporaries:
+        for temporary in temporaries:
+            temporary.write_text("new")
+    assert held == [True, True, True]
+    assert [path.read_text() for path in paths] == ["new"] * 3

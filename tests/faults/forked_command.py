@@ -1,6 +1,8 @@
 """A command in a forked process that has imported everything, and leads a group of processes."""
 
 import os
+import signal
+from itertools import count
 from pathlib import Path
 
 from usdface.specs.job import STEP_SPECS
@@ -12,14 +14,33 @@ def preloaded() -> list[str]:
     return ["usdface.cli", "tests.faults.forked_command", *steps]
 
 
-def run_forked(folder: str, arguments: list[str]) -> None:
-    """Run a command in a folder, its messages in the file ``.stderr`` there."""
+def run_forked(folder: str, arguments: list[str], killed_at: int | None = None) -> None:
+    """Run a command in a folder, its messages in the file ``.stderr`` there.
+
+    Parameters
+    ----------
+    killed_at : int, optional
+        The rename, counted from 0, before which the process kills itself.
+    """
     os.setsid()
     os.chdir(folder)
     output = os.open(os.devnull, os.O_WRONLY)
     errors = os.open(Path(folder) / ".stderr", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
     os.dup2(output, 1)
     os.dup2(errors, 2)
+    if killed_at is not None:
+        _kill_before_rename(killed_at)
     from usdface.cli import main
 
     main(arguments)
+
+
+def _kill_before_rename(number: int) -> None:
+    numbers, rename = count(), Path.replace
+
+    def replace(path: Path, target: Path) -> Path:
+        if next(numbers) == number:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return rename(path, target)
+
+    Path.replace = replace  # type: ignore[method-assign, assignment]

@@ -1,7 +1,8 @@
 """Every command that writes, killed at random times while it replaces what it wrote before.
 
 What was there is from other options, so that every file tells which run it is from: after a kill,
-all outputs are of the run before or all are of the new one, and nothing else in the folder changed.
+every file is whole, all layers are of the run before or all are of the new one (a picture that is
+drawn of them may still be older), and nothing else in the folder changed.
 Commands run in processes forked from one that has imported everything, so that kills fall into
 their work. `USDFACE_KILLS` sets how many each gets.
 """
@@ -27,6 +28,7 @@ from tests.faults.commands import ALL_STEPS, COMMANDS, COMMON, MAP, contents, le
 from tests.faults.conftest import together
 from tests.faults.forked_command import preloaded, run_forked
 from tests.faults.world import World, copy_of
+from usdface.core.sidecars import LAYER_SUFFIXES
 
 pytestmark = pytest.mark.faults
 
@@ -176,19 +178,19 @@ def wait_for_group(process: BaseProcess) -> None:
 
 
 def state_of(campaign: Campaign) -> str:
-    """Return whether the outputs are those before or after; fail if a file is neither."""
+    """Return whether the layers are those before or after; fail if a file is neither."""
     now = contents(campaign.folder)
     # A tuning lock of a killed process holds nobody off; the next run takes it away.
     now = {name: content for name, content in now.items() if not name.endswith(".tuned.lock")}
-    seen = set()
+    seen: dict[bool, set[str]] = {True: set(), False: set()}
     for name in now.keys() | campaign.before.keys() | campaign.after.keys():
         content, old, new = now.get(name), campaign.before.get(name), campaign.after.get(name)
         if name not in campaign.outputs:
             assert content == old, f"{name} is no output, and changed"
         else:
             assert content in (old, new), f"{name} is neither old nor new"
-            seen.add("old" if content == old else "new")
-    return "/".join(sorted(seen))
+            seen[Path(name).suffix in LAYER_SUFFIXES].add("old" if content == old else "new")
+    return "/".join(sorted(seen[True] or seen[False]))
 
 
 def test_outputs_are_those_before_or_after(campaign: Campaign, capsys) -> None:
