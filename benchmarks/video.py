@@ -8,7 +8,7 @@ seconds with 50 references few are left, so the number of frames stands beside.
 
 import tempfile
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,24 +18,27 @@ from tests.conftest import SHARED_DATA
 from usdface.capture.face_gaze import FULL_LOOK_DEGREES, LOOK_SHAPES
 from usdface.capture.face_landmarker import FaceLandmarker
 from usdface.core.arrays import BoolArray, FloatArray, columns_by_name
-from usdface.core.assets import Rig, WeightsClip
+from usdface.core.assets import Performance, Rig, WeightsClip
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.demo.acting import performance
 from usdface.demo.build import (
+    CAMERA,
     FOCAL_LENGTH,
+    OFFSET_SECONDS,
     SIZE,
     weights_on_video,
     write_clip,
     write_demo_inputs,
     write_weights,
 )
-from usdface.demo.capture import ActorFace
+from usdface.demo.capture import ActorFace, head_poses
 from usdface.demo.head import HeadPart
 from usdface.demo.rig import make_head
 from usdface.demo.script import NEUTRAL_TIME
 from usdface.demo.sculpt import ACTOR
 from usdface.media.film.video import VideoReader
+from usdface.model.mapping.uncertainty import LIMIT_DEVIATIONS
 from usdface.numerics.measure.face_regions import gaze_shapes
 from usdface.numerics.rigid.rigid_alignment import align_rigid
 from usdface.runner.execute import execute
@@ -96,6 +99,7 @@ def run(*, quick: bool = False) -> None:
         print(f"the demo's actor at {size[0]} × {size[1]} pixels, 24 frames per second\n")
         _print_speed(video)
         _track(shot, video)
+        _print_pose(shot)
         _print_errors(shot)
         _print_gaze(shot)
 
@@ -138,37 +142,60 @@ def _track(shot: _Shot, video: Path) -> None:
     execute(CleanSpec(take=take, out=shot.folder / "video.clean.take.usda"))
 
 
-def _solve(shot: _Shot, name: str, frames: str | None = None) -> tuple[FloatArray, BoolArray]:
-    """Return the solve of every frame in the rig's order, and which frames are references."""
+def _solve(
+    shot: _Shot, name: str, *, learn: str | None = None, solve: str | None = None
+) -> tuple[FloatArray, Performance, str]:
+    """Learn from some frames and solve others.
+
+    Returns
+    -------
+    values : (frames, shapes) float array
+        In the rig's order.
+    performance : Performance
+        With its own doubts.
+    verdict : str
+    """
     folder, rig = shot.folder, shot.folder / "character.usdc"
     clean = folder / "video.clean.take.usda"
     references, mapping = folder / f"{name}.references.usda", folder / f"{name}.mapping.usdc"
     out = folder / f"{name}.usda"
-    execute(SelectSpec(takes=(clean,), rig=rig, out=references, count=COUNT, frames=frames))
+    execute(SelectSpec(takes=(clean,), rig=rig, out=references, count=COUNT, frames=learn))
     execute(ReferencesImportSpec(references=references, weights=folder / "keys.csv"))
     execute(TrainSpec(references=references, out=mapping))
-    execute(MapSpec(take=clean, mapping=mapping, rig=rig, out=out))
-    clip = read_performance(out).weights
-    keyed = np.zeros(len(shot.truth), bool)
-    keyed[read_references(references).frames - shot.keys.first_frame] = True
-    values = columns_by_name(clip.values, clip.names, shot.rig.shapes)
-    return values.astype(np.float64), keyed
+    result = execute(MapSpec(take=clean, mapping=mapping, rig=rig, out=out, frames=solve))
+    solved = read_performance(out)
+    clip = solved.weights
+    values = columns_by_name(clip.values, clip.names, shot.rig.shapes).astype(np.float64)
+    return values, solved, result.summary
 
 
 def _print_errors(shot: _Shot) -> None:
     print(f"{COUNT} references; mean surface error of the frames that count, gaze left out\n")
     print("| solve | frames | face [mm] | p95 [mm] | mouth [mm] | blink bias | jitter |")
     print("|---|---|---|---|---|---|---|")
-    solved, keyed = _solve(shot, "whole")
+    count, first = len(shot.truth), shot.keys.first_frame
+    every = np.ones(count, bool)
+    solved, _, verdict = _solve(shot, "whole")
+    keyed = np.zeros(count, bool)
+    keyed[read_references(shot.folder / "whole.references.usda").frames - first] = True
     reach = int(APART_SECONDS * shot.keys.rate)
     near = np.convolve(keyed, np.ones(2 * reach + 1), mode="same") > 0
     _print_row(shot, "frames that are no references", solved, ~keyed)
     _print_row(shot, "none within ¼ s", solved, ~near)
-    half = len(shot.truth) // 2
-    first = shot.keys.first_frame
-    later, _ = _solve(shot, "half", f"{first}-{first + half - 1}")
-    second = np.arange(len(shot.truth)) >= half
-    _print_row(shot, "references of the first half, the second", later, second)
+    verdicts = [f"- references of the whole take: {verdict}"]
+    half = count // 2
+    halves = {"first": slice(0, half), "second": slice(half, count)}
+    for learnt, judged in (("first", "second"), ("second", "first")):
+        part = halves[judged]
+        frames = {
+            name: f"{first + rows.start}-{first + rows.stop - 1}" for name, rows in halves.items()
+        }
+        other = replace(shot, truth=shot.truth[part])
+        label = f"references of the {learnt} half, frames of the {judged}"
+        values, solve, verdict = _solve(shot, learnt, learn=frames[learnt], solve=frames[judged])
+        _print_row(other, label, values, every[part])
+        _print_row(other, f"a face at rest, the {judged} half", 0 * other.truth, every[part])
+        verdicts.append(f"- {label}: {verdict}; {_measure_doubt(other, values, solve)}")
     take = read_take(shot.folder / "video.take.usda")
     assert take.source is not None
     shared = [name for name in take.source.names if name in shot.rig.shapes]
@@ -177,31 +204,68 @@ def _print_errors(shot: _Shot) -> None:
         column = take.source.values[:, take.source.names.index(name)]
         scores[:, shot.rig.shapes.index(name)] = column
     _print_row(shot, f"the model's own scores, {len(shared)} shapes", scores, ~keyed)
+    _print_row(shot, "the same, none within ¼ s", scores, ~near)
     _print_row(shot, "a face at rest", np.zeros_like(shot.truth), ~keyed)
+    print("\nWhat `map` says of them:\n\n" + "\n".join(verdicts) + "\n", flush=True)
+
+
+def _measure_doubt(shot: _Shot, values: FloatArray, solve: Performance) -> str:
+    """Say how an error that is known compares to what the solve expected of itself."""
+    assert solve.uncertainty_mm is not None
+    expected = solve.uncertainty_mm[:, 0]
+    inside = _surface(shot, values - shot.truth) <= LIMIT_DEVIATIONS * expected
+    return f"{inside.mean():.0%} of the frames are within the limit that holds for 90 %"
+
+
+def _surface(shot: _Shot, difference: FloatArray) -> FloatArray:
+    """Return the error of each frame, gaze left out: (frames,) [mm]."""
+    seen = difference.copy()
+    seen[:, gaze_shapes(shot.rig.shapes)] = 0
+    gram = Deformer(shot.rig).shapes.gram()
+    squared = np.einsum("fs,st,ft->f", seen, gram, seen)
+    return np.asarray(np.sqrt(np.maximum(squared, 0.0)))
+
+
+def _print_pose(shot: _Shot) -> None:
+    """Print how far the head's pose follows the true one, which the actor's landmarks hardly do."""
+    motion = read_take(shot.folder / "video.clean.take.usda").head_motion
+    assert motion is not None
+    clip = np.arange(len(motion)) + shot.keys.first_frame - 1
+    acted = performance()
+    times = clip / float(shot.keys.rate) + OFFSET_SECONDS
+    rows = np.clip(np.round(times * float(acted.weights.rate)), 0, len(acted.rotation) - 1)
+    poses = head_poses(acted)[rows.astype(int), :3, :3]
+    neutral = int(NEUTRAL_TIME * shot.keys.rate)
+    view = CAMERA.axes()
+    true = view @ poses @ poses[neutral].T @ view.T
+    found = motion[:, :3, :3] @ motion[neutral, :3, :3].T
+    turns = [Rotation.from_matrix(each).as_rotvec(degrees=True) for each in (found, true)]
+    print("| head | share of the true turn | correlation | mean error [degrees] |")
+    print("|---|---|---|---|")
+    for axis, name in enumerate(("pitch", "yaw", "roll")):
+        measured, real = (each[:, axis] - each[:, axis].mean() for each in turns)
+        error = np.abs(turns[0][:, axis] - turns[1][:, axis]).mean()
+        print(
+            f"| {name} | {measured @ real / (real @ real):.2f} | "
+            f"{np.corrcoef(measured, real)[0, 1]:.2f} | {error:.1f} |"
+        )
     print(flush=True)
 
 
 def _print_row(shot: _Shot, label: str, solved: FloatArray, counted: BoolArray) -> None:
     shapes = shot.rig.shapes
     error = solved - shot.truth
-    error[:, gaze_shapes(shapes)] = 0
-    gram = Deformer(shot.rig).shapes.gram()
-
-    def surface(difference: FloatArray) -> FloatArray:
-        squared = np.einsum("fs,st,ft->f", difference, gram, difference)
-        return np.asarray(np.sqrt(np.maximum(squared, 0.0)))
-
-    whole = surface(error[counted])
+    whole = _surface(shot, error[counted])
     mouth = np.where([name.startswith(_MOUTH) for name in shapes], error, 0.0)
     blinks = [shapes.index(name) for name in ("eyeBlinkLeft", "eyeBlinkRight")]
     closed = counted & (shot.truth[:, blinks].mean(axis=1) > _BLINKING)
-    bias = error[closed][:, blinks].mean() if closed.any() else np.nan
+    bias = f"{error[closed][:, blinks].mean():+.2f}" if closed.any() else "–"
     moved = shot.truth.std(axis=0) > 0.02
     moved[gaze_shapes(shapes)] = False
     rough, smooth = (np.diff(each[:, moved], 3, axis=0).std() for each in (solved, shot.truth))
     print(
         f"| {label} | {counted.sum()} | {whole.mean():.2f} | {np.percentile(whole, 95):.2f} | "
-        f"{surface(mouth[counted]).mean():.2f} | {bias:+.2f} of {closed.sum()} frames | "
+        f"{_surface(shot, mouth[counted]).mean():.2f} | {bias} of {closed.sum()} frames | "
         f"{rough / smooth:.2f} |",
         flush=True,
     )

@@ -11,6 +11,8 @@ from usdface.core.arrays import ByteImage, FloatArray
 from usdface.model.placement.face_template import face_template
 
 SCORES = ("_neutral", "eyeBlinkLeft", "jawOpen", "eyeLookUpLeft")
+IRIS_DIAMETER = 11.7
+"""[mm]"""
 SKULL = [LANDMARKS.indices[LANDMARKS.names.index(name)] for name in LANDMARKS.rigid]
 
 
@@ -25,6 +27,9 @@ def head_points() -> FloatArray:
         for column in LANDMARKS.columns(part):
             side = 1 if "_L" in LANDMARKS.names[column] else -1
             points[LANDMARKS.indices[column]] = (side * x, y, z)
+    edges = IRIS_DIAMETER / 2 * np.array([(0, 0), (1, 0), (0, 1), (-1, 0), (0, -1)])
+    for first in (LANDMARK_COUNT - 10, LANDMARK_COUNT - 5):
+        points[first : first + 5, :2] += edges
     return points
 
 

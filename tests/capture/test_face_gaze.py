@@ -4,17 +4,20 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.capture.simulated_faces import head_points, turning_head
+from tests.capture.simulated_faces import IRIS_DIAMETER, head_points, turning_head
 from usdface.capture.face_gaze import (
     FULL_LOOK_DEGREES,
-    IRIS_RADIUS_MM,
+    IRIS_TURN_RATIO,
     LOOK_SHAPES,
     closed_eyes,
     gaze_angles,
 )
 from usdface.capture.face_landmarks import LANDMARKS
+from usdface.numerics.rigid.rigid_alignment import RigidAlignment, align_rigid
 
 FRAMES = 60
+RADIUS = IRIS_TURN_RATIO * IRIS_DIAMETER
+"""About which eyes turn [mm]."""
 
 
 def moving_eyes(yaw: np.ndarray, pitch: np.ndarray, blink: np.ndarray) -> np.ndarray:
@@ -35,12 +38,17 @@ def moving_eyes(yaw: np.ndarray, pitch: np.ndarray, blink: np.ndarray) -> np.nda
             ]
             row = LANDMARKS.indices[iris]
             look = Rotation.from_euler("yx", [yaw[number], -pitch[number]], degrees=True)
-            local[row] += look.apply([0, 0, IRIS_RADIUS_MM]) - [0, 0, IRIS_RADIUS_MM]
+            local[row] += look.apply([0, 0, RADIUS]) - [0, 0, RADIUS]
             local[row] -= [0, 4 * blink[number], 0]
             for at, height in zip(lids, (5, -5), strict=True):
                 local[LANDMARKS.indices[at], 1] = height * (1 - 0.95 * blink[number])
         frames.append((local @ turn.T)[LANDMARKS.indices])
     return np.stack(frames)
+
+
+def head_of(positions: np.ndarray) -> RigidAlignment:
+    skull = [LANDMARKS.names.index(name) for name in LANDMARKS.rigid]
+    return align_rigid(positions[:, skull], positions[3][skull])
 
 
 def test_turns_of_the_eyes_come_back() -> None:
@@ -51,7 +59,7 @@ def test_turns_of_the_eyes_come_back() -> None:
     seen = np.ones(FRAMES, bool)
     closed = closed_eyes(positions, seen)
     assert not closed.any()
-    gaze = gaze_angles(positions, seen, closed, neutral=3)
+    gaze = gaze_angles(positions, head_of(positions), closed, neutral=3)
     # The second turn is about an axis that the first has turned: a cosine of the other angle.
     assert np.abs(gaze.yaw - yaw[:, None]).max() < 1.0
     assert np.abs(gaze.pitch - pitch[:, None]).max() < 1.0
@@ -70,7 +78,26 @@ def test_a_blink_is_no_look_down() -> None:
     closed = closed_eyes(positions, seen)
     assert closed[31:33].all()
     assert closed.any(axis=1).sum() <= 6
-    gaze = gaze_angles(positions, seen, closed, neutral=3)
+    gaze = gaze_angles(positions, head_of(positions), closed, neutral=3)
     assert np.abs(gaze.pitch).max() < 1e-3
-    unguarded = gaze_angles(positions, seen, np.zeros_like(closed), neutral=3)
+    unguarded = gaze_angles(positions, head_of(positions), np.zeros_like(closed), neutral=3)
     assert unguarded.pitch.min() < -15
+
+
+def test_a_drawn_eye_that_is_twice_as_large_turns_as_far() -> None:
+    """The scale of the face is a guess: the iris of each eye is its own measure."""
+    time = np.arange(FRAMES)
+    positions = moving_eyes(np.where(time < 10, 0, 15.0), np.zeros(FRAMES), np.zeros(FRAMES))
+    closed = np.zeros((FRAMES, 2), bool)
+    gaze = gaze_angles(2 * positions, head_of(2 * positions), closed, neutral=3)
+    np.testing.assert_allclose(gaze.yaw[20:], 15, atol=0.5)
+
+
+def test_a_wrong_pose_of_the_head_is_no_look_aside() -> None:
+    """The head is taken to be half as far aside as it is: only the eye's corners know."""
+    positions = moving_eyes(np.zeros(FRAMES), np.zeros(FRAMES), np.zeros(FRAMES))
+    aside = np.linspace(0, 20, FRAMES)
+    positions = positions + aside[:, None, None] * [1, 0, 0]
+    head = head_of(positions - aside[:, None, None] * [0.5, 0, 0])
+    gaze = gaze_angles(positions, head, np.zeros((FRAMES, 2), bool), neutral=3)
+    assert np.abs(gaze.yaw).max() < 1.0

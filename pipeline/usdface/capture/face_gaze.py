@@ -1,13 +1,18 @@
 """Where the eyes look, from the irises; a closed eye looks where it looked before.
 
-An iris turns about the eye's centre: its way across the skull is the sine of the angle. Behind a
-closed lid a landmark model guesses the iris, and guesses it low: such samples are gaps, so that a
-blink is never read as a look down.
+An iris turns about the eye's centre: its way across the skull is the sine of the angle times the
+radius, which follows from the diameter of the iris, as that differs little between people. Sideways
+the way is measured from the corners of the same eye, which owes nothing to the head's pose; up and
+down from the skull, as corners of the eye follow the lids. Behind a closed lid a landmark model
+guesses the iris, and guesses it low: such samples are gaps, so that a blink is never read as a look
+down.
 
 References
 ----------
 Fry and Hill (1962), The center of rotation of the eye, American Journal of Optometry 39, 581-595:
 13.5 mm behind the cornea.
+Rüfer, Schröder and Erb (2005), White-to-white corneal diameter, Cornea 24, 259-261: 11.7 mm, with a
+standard deviation of 0.4.
 Soukupová and Čech (2016), Real-time eye blink detection using facial landmarks, CVWW: aperture over
 width.
 """
@@ -18,11 +23,11 @@ import numpy as np
 
 from usdface.capture.face_landmarks import LANDMARKS
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
-from usdface.numerics.rigid.rigid_alignment import align_rigid_robust
+from usdface.numerics.rigid.rigid_alignment import RigidAlignment
 
-IRIS_RADIUS_MM = 10.0
-"""From the eye's centre of rotation to the plane of the iris: 13.5 mm to the cornea, less 3.5 mm of
-anterior chamber and cornea."""
+IRIS_TURN_RATIO = 10.0 / 11.7
+"""From the eye's centre of rotation to the plane of the iris, 13.5 mm to the cornea less 3.5 mm of
+anterior chamber and cornea, in diameters of the iris."""
 FULL_LOOK_DEGREES = 30.0
 """Of a weight of 1: how far eyes turn before the head follows (Stahl 1999, Experimental Brain
 Research 126: 20 to 35)."""
@@ -31,6 +36,8 @@ LOOK_SHAPES = tuple(
 )
 """ARKit's names, in the order of `GazeAngles.look_weights`."""
 
+_LEAST_IRIS_MM = 1.0
+"""Landmarks of an iris that fall together tell no angle."""
 _CLOSED_SHARE = 0.4
 """Of the usual aperture: a look down leaves more than half of it, a lid on its way covers the iris
 below."""
@@ -86,7 +93,7 @@ def closed_eyes(positions: FloatArray | Float32Array, seen: BoolArray) -> BoolAr
 
 
 def gaze_angles(
-    positions: FloatArray | Float32Array, seen: BoolArray, closed: BoolArray, neutral: int
+    positions: FloatArray | Float32Array, head: RigidAlignment, closed: BoolArray, neutral: int
 ) -> GazeAngles:
     """Return where the eyes look.
 
@@ -94,31 +101,30 @@ def gaze_angles(
     ----------
     positions : (frames, markers, 3) float array
         Of `LANDMARKS`, in the camera's space or the head's [mm].
-    seen : (frames,) bool array
+    head : RigidAlignment
+        How the head has moved since the neutral frame, where a face is seen.
     closed : (frames, 2) bool array
         From `closed_eyes`; the angles are interpolated there.
     neutral : int
         Row in which the eyes look straight ahead.
     """
-    skull = np.array([LANDMARKS.names.index(name) for name in LANDMARKS.rigid])
-    rest = positions[neutral].astype(np.float64)
-    pose = align_rigid_robust(
-        positions[:, skull], rest[skull], visible=np.repeat(seen[:, None], len(skull), axis=1)
-    )
     frames = np.arange(len(positions))
     near = np.abs(frames - neutral) <= _NEUTRAL_REACH
     angles = np.zeros((2, len(positions), 2))
-    axes = _head_axes(rest)
+    axes = _head_axes(positions[neutral].astype(np.float64))
     for side, eye in enumerate(_EYES):
-        iris = positions[:, eye["iris"]].mean(axis=1) - pose.translations
-        still = np.einsum("fji,fj->fi", pose.rotations, iris)
-        usable = seen & pose.determined & ~closed[:, side]
+        usable = head.determined & ~closed[:, side]
         if not usable.any():
             continue
-        ahead = still[usable & near] if (usable & near).any() else still[usable]
-        moved = (still - ahead.mean(axis=0)) @ axes.T / IRIS_RADIUS_MM
-        for axis in range(2):
-            turned = np.degrees(np.arcsin(np.clip(moved[:, axis], -1.0, 1.0)))
+        iris = positions[:, eye["iris"]].astype(np.float64)
+        across = np.linalg.norm(iris[:, :, None] - iris[:, None], axis=3).max(axis=(1, 2))
+        radius = IRIS_TURN_RATIO * max(float(np.median(across[usable])), _LEAST_IRIS_MM)
+        corners = positions[:, np.concatenate([eye["eye_inner"], eye["eye_outer"]])].mean(axis=1)
+        for axis, origin in enumerate((corners, head.translations)):
+            still = np.einsum("fji,fj->fi", head.rotations, iris.mean(axis=1) - origin) @ axes[axis]
+            ahead = still[usable & near] if (usable & near).any() else still[usable]
+            moved = (still - ahead.mean()) / radius
+            turned = np.degrees(np.arcsin(np.clip(moved, -1.0, 1.0)))
             angles[axis, :, side] = np.interp(frames, frames[usable], turned[usable])
     return GazeAngles(angles[0], angles[1])
 

@@ -115,8 +115,9 @@ RIGID_PARTS = (
     *("nose_bridge", "nose_tip", "nose", "eye_inner", "eye_outer", "temple"),
     *("forehead", "forehead_outer"),
 )
-"""Where skin moves over the skull by no more than a millimetre (`label_hints.skin_motion_mm`): the
-noise of the landmarks is as large, so that many count more than the stillest few."""
+"""Where skin moves over the skull by no more than a millimetre (`label_hints.skin_motion_mm`), so
+that size tells how far away the head is. The noise of the landmarks is as large, and many count
+more than the stillest few."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +143,7 @@ class LandmarkSet:
 
     @property
     def rigid(self) -> tuple[str, ...]:
-        """Names of the markers that move with the skull."""
+        """Names of the markers that stay next to the skull, to about a millimetre."""
         return tuple(self.names[column] for column in self.columns(*RIGID_PARTS))
 
 

@@ -38,9 +38,10 @@ TAIL_SECONDS = 0.25
 
 _SAMPLE_RATE = 48000
 _FIELD_DEGREES = 14.2
-_CAMERA = Camera(
+CAMERA = Camera(
     eye=(190.0, 1512.0, 1290.0), target=(60.0, 1503.0, 150.0), fov_degrees=_FIELD_DEGREES
 )
+"""That films the actor."""
 
 
 FOCAL_LENGTH = float(
@@ -64,7 +65,7 @@ class Studio:
         """Draw one picture: (4, 4) pose in the room, weights in `ActorFace`'s order."""
         points = self._face.pose(weights)[self._order] @ pose[:3, :3].T + pose[:3, 3]
         return self._renderer.render(
-            points, camera=_CAMERA, width=size[0], height=size[1], quality="draft"
+            points, camera=CAMERA, width=size[0], height=size[1], quality="draft"
         )
 
 

@@ -108,6 +108,8 @@ def test_frames_without_a_face_are_gaps_and_frames_are_chosen(tracked, tmp_path)
     assert any("no face in 4 pictures" in note for note in result.notes)
     with pytest.raises(InputError, match=r"--frames 90-99 holds none of its frames, 1 to 30"):
         tracked(video, one_head, frames="90-99")
+    with pytest.raises(InputError, match=r"--neutral 5 is none of the frames to track, 11 to 30"):
+        tracked(video, one_head, frames="11-30", neutral=5)
     with pytest.raises(InputError, match=r"no face in any of 30 pictures; .*ffmpeg"):
         tracked(video, lambda n: [])
 
@@ -162,7 +164,8 @@ def test_a_recorded_face_is_tracked_by_the_model_itself(shared_data: Path, tmp_p
     assert place["nose_tip_1"][1] > place["lip_upper_1"][1] > place["chin_4"][1]
     assert place["mouth_corner_L1"][0] > place["lip_lower_4"][0] > place["mouth_corner_R1"][0]
     assert place["nose_tip_1"][2] > place["mouth_corner_L1"][2] > place["temple_L1"][2]
-    skull = markers.positions[:, [markers.names.index(name) for name in markers.rigid]]
+    assert not markers.rigid  # `clean` weights each landmark by how far its part moves
+    skull = markers.positions[:, [markers.names.index(name) for name in LANDMARKS.rigid]]
     pose = align_rigid(skull, skull[0])
     still = skull[0] @ pose.rotations.transpose(0, 2, 1) + pose.translations[:, None]
     assert np.sqrt(((skull - still) ** 2).sum(axis=2).mean()) < 1.5

@@ -27,8 +27,10 @@ from usdface.core.sidecars import samples_path
 from usdface.core.text import first_few, pluralize
 from usdface.media.film.image_sequence import ImageSequence, open_video
 from usdface.media.film.video import VideoReader
+from usdface.model.placement.label_hints import skin_motion_mm
 from usdface.model.placement.plausibility import judge_markers, settle_findings
 from usdface.numerics.rigid.perspective import PinholeCamera, unproject_head
+from usdface.numerics.rigid.stabilization import align_by_prior
 from usdface.runner.result import StepResult
 from usdface.specs.capture import TrackSpec
 from usdface.specs.paths import frame_range
@@ -138,11 +140,17 @@ def _settle_timing(
                 f"{_FIRST_VIDEO_FRAME} to {last}"
             )
     first = int(np.ceil(frames[pictures[0]]))
+    first_frame, last = _FIRST_VIDEO_FRAME + first, _FIRST_VIDEO_FRAME + int(frames[pictures[-1]])
+    if spec.neutral is not None and not first_frame <= spec.neutral <= last:
+        raise InputError(
+            f"{spec.video}: --neutral {spec.neutral} is none of the frames to track, {first_frame} "
+            f"to {last}"
+        )
     return _Timing(
         rate=rate,
         pictures=pictures,
         frames=frames[pictures] - first,
-        first_frame=_FIRST_VIDEO_FRAME + first,
+        first_frame=first_frame,
         start_seconds=float(times[0] + first / float(rate)),
         notes=tuple(notes),
     )
@@ -268,27 +276,29 @@ def _build_take(
     confidence = _on_frames(track.confidence().astype(np.float64)[seen], timing.frames[seen], rows)
     scores = _on_frames(track.scores.astype(np.float64)[seen], timing.frames[seen], rows)
     positions = positions.reshape(len(rows), -1, 3)
-    visible = np.repeat(present[:, None], positions.shape[1], axis=1)
-    visible &= ~_turned_away(positions)
     closed = closed_eyes(positions, present)
-    for side, sign in enumerate(("iris_R", "iris_L")):
-        visible[:, [name.startswith(sign) for name in LANDMARKS.names]] &= ~closed[
-            :, side : side + 1
-        ]
+    visible = present[:, None] & ~_turned_away(positions) & ~_behind_lids(closed)
     neutral = spec.neutral
     notes = []
     if neutral is None:
         neutral = _least_expression(scores, present, score_names) + timing.first_frame
         notes.append(f"frame {neutral} shows the least expression, and is taken as neutral")
-    gaze = gaze_angles(positions, present, closed, neutral - timing.first_frame)
+    head = align_by_prior(
+        positions,
+        positions[neutral - timing.first_frame],
+        visible=np.repeat(present[:, None], len(LANDMARKS.names), axis=1),
+        skin_motion_mm=skin_motion_mm(LANDMARKS.names),
+        rate=float(timing.rate),
+    )
+    gaze = gaze_angles(positions, head, closed, neutral - timing.first_frame)
     score_names, scores = _with_gaze(score_names, scores, gaze)
-    header = CaptureHeader(spec.video, "track", timing.rate, timing.first_frame)
     built = build_marker_take(
-        header,
+        CaptureHeader(spec.video, "track", timing.rate, timing.first_frame),
         LANDMARKS.names,
         positions,
         visible,
-        CaptureOptions(rigid=LANDMARKS.rigid, neutral=neutral),
+        # None is rigid: `clean` weights each landmark by how far its part of the face moves.
+        CaptureOptions(neutral=neutral),
     )
     markers = built.take.markers
     assert markers is not None
@@ -304,6 +314,15 @@ def _build_take(
         emotion=spec.emotion,
     )
     return take, (*notes, *built.notes)
+
+
+def _behind_lids(closed: BoolArray) -> BoolArray:
+    """Return which landmarks a closed eye hides, its iris: (frames, landmarks)."""
+    hidden = [
+        closed[:, 0] if name.startswith("iris_R") else closed[:, 1] & name.startswith("iris_L")
+        for name in LANDMARKS.names
+    ]
+    return np.stack(hidden, axis=1)
 
 
 def _with_gaze(
@@ -376,7 +395,6 @@ def _figures(take: Take, track: FaceTrack, camera: PinholeCamera) -> dict[str, o
         "rate": float(take.rate),
         "first_frame": take.first_frame,
         "markers": len(markers.names),
-        "rigid": list(markers.rigid),
         "neutral_frame": markers.neutral_frame,
         "face_share": float(track.seen.mean()),
         "gap_share": float(1 - markers.visible.mean()),
