@@ -145,7 +145,7 @@ def test_a_mapping_of_an_earlier_version_is_refused() -> None:
 
 @pytest.mark.parametrize("count", [25, 50, 100])
 def test_constants_of_few_errors_hold_with_confidence(count: int) -> None:
-    """Nine in ten samples give a constant under which nine in ten of all errors lie."""
+    """Three in four samples give a constant under which nine in ten of all errors lie."""
     rng = np.random.default_rng(count)
     gram, everybody = np.ones((1, 1, 1)), np.abs(rng.standard_normal(20_000))
     held = []
@@ -154,4 +154,4 @@ def test_constants_of_few_errors_hold_with_confidence(count: int) -> None:
         ones, nothing = np.ones((count, 1)), np.zeros((count, 1))
         constant = calibrate_uncertainty(gram, errors, ones, nothing)[0]
         held.append((everybody < LIMIT_DEVIATIONS * constant).mean() >= 0.9)
-    assert 0.85 < np.mean(held) < 0.99
+    assert 0.68 < np.mean(held) < 0.82

@@ -34,8 +34,9 @@ ERROR_PROBABILITY = 0.9
 
 LIMIT_DEVIATIONS = NormalDist().inv_cdf((1 + ERROR_PROBABILITY) / 2)
 
-_TOLERANCE_CONFIDENCE = 0.9
-"""That no less than `ERROR_PROBABILITY` of all errors are below the limit taken from a sample."""
+_TOLERANCE_CONFIDENCE = 0.75
+"""That no less than `ERROR_PROBABILITY` of all errors are below the limit taken from a sample. With
+0.9 it would be the largest error of 25 references, and verdicts would be of that one."""
 
 _REGION_PRIOR_ERRORS = 20.0
 """Errors that the face's constant counts for beside a region's: of 20 errors, the quantile at .9 is
@@ -154,7 +155,7 @@ def _tolerance_limits(sample: FloatArray) -> FloatArray:
     """Return the upper tolerance limit of each column: an order statistic, of any distribution.
 
     Of n values the k-th smallest exceeds the quantile p with the probability that at most k - 1
-    of them are below it, binomial in n and p. Of fewer than 22 the largest has to do.
+    of them are below it, binomial in n and p; between two of them it is interpolated.
 
     References
     ----------
@@ -164,5 +165,5 @@ def _tolerance_limits(sample: FloatArray) -> FloatArray:
 
     count = len(sample)
     below = bdtr(np.arange(count), count, ERROR_PROBABILITY)
-    rank = min(int(np.searchsorted(below, _TOLERANCE_CONFIDENCE)), count - 1)
-    return np.asarray(np.sort(sample, axis=0)[rank])
+    rank = np.interp(_TOLERANCE_CONFIDENCE, below, np.arange(count))
+    return np.asarray(np.quantile(sample, rank / max(count - 1, 1), axis=0))
