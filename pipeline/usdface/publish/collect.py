@@ -102,7 +102,7 @@ def take_of(performance: Path) -> Path | None:
             return None
         spec = _spec(made.spec)
         take, parts = spec.get("take"), spec.get("parts")
-        if isinstance(take, str):
+        if isinstance(take, str) and "source" not in spec:  # of a table it is a name
             return path.parent / take
         if not (isinstance(parts, list) and parts and isinstance(parts[0], str)):
             return None

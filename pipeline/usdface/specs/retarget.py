@@ -193,6 +193,8 @@ class RetargetSpec(Spec):
     are too large to be told."""
     shapes: ReadPath | None = None
     """Names of the columns of a .npy matrix of weights, as `ingest` takes them."""
+    take: Name | None = None
+    """Which take of a table that holds several."""
 
     @field_validator("retargeting", "out", "rig", mode="before")
     @classmethod

@@ -124,6 +124,7 @@ def source_transfer(
     """
     if names is None:
         transfer = transfer_by_names(motion.names, wanted)
+        _check_no_name_twice(path, motion, transfer)
     else:
         transfer = transfer_by_table(names, motion.names, wanted)
     matched, moving = set(transfer.matched), motion.moving
@@ -135,8 +136,22 @@ def source_transfer(
             f"has a counterpart among {first_few(wanted, most=3)}, so nothing would move; are they "
             "of another character? `usdface names RIG SOURCE --out FILE.csv` writes the table, and "
             "--names takes it back edited"
+            + "".join(f". {note}" for note in meaning_notes(transfer))
         )
     return transfer, _transfer_notes(path, transfer, motion)
+
+
+def _check_no_name_twice(path: Path, motion: SourceMotion, transfer: Transfer) -> None:
+    """Refuse shapes that move, drive nothing, and differ in capitals and separators alone."""
+    spelled: dict[str, str] = {}
+    for name in unmatched_moving(transfer, motion):
+        letters = re.sub(r"[\W_]", "", name).lower()
+        if letters in spelled:
+            raise InputError(
+                f"{path}: {spelled[letters]} and {name} are one name twice, and which of them is "
+                "meant cannot be told; take one out, or pair them with --names"
+            )
+        spelled[letters] = name
 
 
 def source_columns(

@@ -81,6 +81,7 @@ def run(spec: RetargetSpec, *, provenance: Provenance, progress: Progress = sile
         rate=spec.rate,
         weight_unit=spec.weight_unit,
         shapes=spec.shapes,
+        take=spec.take,
     )
     targets = [_target(spec, index, motion) for index in range(len(spec.out))]
     heads = _heads(spec, motion, targets)

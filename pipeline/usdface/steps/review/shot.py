@@ -276,11 +276,12 @@ def _take_of(performance: Path) -> Path | None:
     while file not in seen:
         seen.add(file)
         spec = spec_of(provenance_of(file))
-        named = spec.get("take") or spec.get("source")
+        mapped = "take" in spec and "source" not in spec  # a table's take is no file
+        named = spec.get("take") if mapped else spec.get("source")
         if not isinstance(named, str) or not named:
             return None
         file = file.parent / named
-        if "take" in spec or not file.is_file() or not _is_layer(file) or is_take(file):
+        if mapped or not file.is_file() or not _is_layer(file) or is_take(file):
             return file
     return None
 
@@ -355,7 +356,9 @@ def _read_take(file: Path, performance: Path) -> Take:
     if _is_layer(file):
         return read_cleaned(file, need_markers=False)
     spec = spec_of(provenance_of(performance))
-    stated = {name: spec[name] for name in ("rate", "weight_unit") if spec.get(name) is not None}
+    stated = {
+        name: spec[name] for name in ("rate", "weight_unit", "take") if spec.get(name) is not None
+    }
     if spec.get("shapes"):
         stated["shapes"] = performance.parent / str(spec["shapes"])
     return read_capture(file, **stated).take

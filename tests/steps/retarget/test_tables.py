@@ -1,0 +1,85 @@
+"""Tables straight onto a rig: what they do not say is stated, what they say twice refused."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.usdio.small_creature import write_human
+from usdface.cli import main
+from usdface.publish.collect import take_of
+from usdface.steps.review.shot import open_shot
+from usdface.usdio.performance.read import read_weights
+
+WEIGHTS = np.round(0.5 + 0.4 * np.sin(np.arange(1, 41) / 5), 4)
+
+
+def usdface(*arguments: object) -> int:
+    with pytest.raises(SystemExit) as stopped:
+        main([str(each) for each in arguments])
+    return int(stopped.value.code or 0)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    write_human(tmp_path / "human.usda")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def write(name: str, header: str, row: str) -> None:
+    lines = [header, *(row.format(n=n, w=w) for n, w in enumerate(WEIGHTS, start=1))]
+    Path(name).write_text("\n".join(lines), encoding="utf-8")
+
+
+def test_rate_unit_and_take_are_stated_and_the_table_is_reviewed(folder: Path) -> None:
+    lines = ["take;Frame;JawOpen;smile"]
+    for take, factor in (("a", 50), ("b", 100)):
+        lines += [f"{take};{n};{factor * w:.2f};10" for n, w in enumerate(WEIGHTS, start=1)]
+    Path("t.csv").write_text("\n".join(lines), encoding="utf-8")
+    stated = ("--rate", 24, "--weight-unit", "percent", "--take", "b")
+    out = folder / "p.usda"
+    assert usdface("retarget", "t.csv", "--rig", "human.usda", *stated, "--out", out) == 0
+    clip = read_weights(out)
+    assert float(clip.rate) == 24
+    np.testing.assert_allclose(clip.values[:, clip.names.index("jawOpen")], WEIGHTS, atol=1e-5)
+    shot = open_shot(out)
+    assert shot.take.source is not None
+    np.testing.assert_allclose(shot.take.source.values[:, 0], WEIGHTS, atol=1e-5)
+    assert take_of(out) is None
+
+
+@pytest.mark.parametrize(
+    ("header", "row", "options", "words"),
+    [
+        ("time,JawOpen,jaw_open,smile", "{n},{w},.1,.1", (), "JawOpen and jaw_open are one name"),
+        ("frame,jawOpen,smile", "{n},{w},.1", (), "frames per second with --rate"),
+        ("frame,time,jawOpen,smile", "{n},{n},{w},.1", ("--rate", 24), "two frame rates"),
+        ("time,jawOpen,smile", "{n},{w}x,.1", (), "where a number is expected"),
+        ("time,jawOpen,smile", "{n},{w}7,44", (), "--weight-unit percent"),
+        ("time,a1,b1", "{n},{w},.1", (), "none of its 2 shapes"),
+    ],
+)
+def test_what_is_wrong_is_named_and_nothing_written(
+    folder: Path,
+    capsys: pytest.CaptureFixture[str],
+    header: str,
+    row: str,
+    options: tuple[object, ...],
+    words: str,
+) -> None:
+    write("t.csv", header, row)
+    code = usdface("retarget", "t.csv", "--rig", "human.usda", *options, "--out", "p.usda")
+    assert code == 2
+    assert words in capsys.readouterr().err
+    assert not (folder / "p.usda").exists()
+
+
+def test_what_a_take_says_itself_is_not_stated(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write("t.csv", "frame,jawOpen,smile", "{n},{w},.1")
+    assert usdface("ingest", "t.csv", "--rate", 24, "--out", "t.take.usda") == 0
+    line = ("retarget", "t.take.usda", "--rate", 24, "--rig", "human.usda", "--out", "p.usda")
+    assert usdface(*line) == 2
+    assert "--rate is of a table of weights" in capsys.readouterr().err
