@@ -339,8 +339,40 @@ def test_a_folder_where_a_file_is_read_is_refused(tmp_path, capsys) -> None:
             "lag has no effect with temporal none",
         ),
         (("deform", "t", "--mesh", "m", "--rows", "3"), "rows has no effect without picture"),
+        (
+            ("sheet", "p", "--camera-stage", "shot.usda"),
+            "camera_stage has no effect without camera",
+        ),
+        (("movie", "p", "--camera-stage", "s"), "camera_stage has no effect without camera"),
+        (("sheet", "p", "--layout", "strip", "--no-baseline"), "with layout strip"),
+        (
+            ("sheet", "p", "--frames", "1,4", "--rows", "3"),
+            "--rows has no effect with listed --frames",
+        ),
+        (("bake", "p", "--unit", "mm"), "unit has no effect without tolerance"),
+        (
+            ("cyclic", "x", "--source", "s", "--methods", "rbf", "--published"),
+            "published has no effect with methods rbf",
+        ),
+        (
+            ("select", "t", "--rig", "r", "--landmarks", "l.csv", "--placement", "p"),
+            "landmarks has no effect with placement",
+        ),
+        (
+            ("deform", "t", "--mesh", "m", "--choose-blend", "--blend", "0.5"),
+            "blend has no effect with choose_blend",
+        ),
+        (
+            ("make-shapes", "t", "--mesh", "m", "--count", "3", "--names", "n.csv"),
+            "count has no effect with names",
+        ),
+        (
+            ("pairs", "propose", *"--source s --target t --names n.csv --match name".split()),
+            "match has no effect with names",
+        ),
     ],
 )
 def test_an_option_that_would_be_ignored_is_refused(arguments, message, capsys) -> None:
-    assert run(*arguments, "--out", "o.usda") == 2
+    out = {"sheet": "o.jpg", "movie": "o.mp4", "cyclic": "o.json"}.get(arguments[0], "o.usda")
+    assert run(*arguments, "--out", out) == 2
     assert message in capsys.readouterr().err

@@ -144,8 +144,12 @@ class Spec(BaseModel):
     """Removed fields, each with its replacement; refused with this advice."""
 
     only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {}
-    """Options that count only with certain values of another, which follow; without values, only if
-    the other is given. Where they would be ignored they are refused."""
+    """Options that count only with certain values of another, which follow (of a list, with one of
+    them); without values, only if the other is given. Where they would be ignored they are
+    refused."""
+
+    never_with: ClassVar[Mapping[str, Sequence[str]]] = {}
+    """Options that others, which follow, make void. Both together are refused."""
 
     step: str
 
@@ -164,16 +168,28 @@ class Spec(BaseModel):
     @model_validator(mode="after")
     def _no_option_is_ignored(self) -> Self:
         for name, (other, values) in type(self).only_with.items():
-            default = type(self).model_fields[name].get_default(call_default_factory=True)
             chosen = getattr(self, other)
-            if getattr(self, name) == default or chosen in values or (not values and chosen):
+            several = chosen if isinstance(chosen, tuple) else (chosen,)
+            counts = not set(several).isdisjoint(values)
+            if not self._is_given(name) or counts or (not values and self._is_given(other)):
                 continue
             needed = " or ".join(f"{other} {value}" for value in values) or other
-            without = f"with {other} {chosen}" if values else f"without {other}"
+            without = (
+                f"with {other} {', '.join(map(str, several))}" if values else f"without {other}"
+            )
             raise ValueError(
                 f"{name} has no effect {without}; leave it out, or give {needed.replace('_', '-')}"
             )
+        for name, others in type(self).never_with.items():
+            given = [other for other in others if self._is_given(other)]
+            if given and self._is_given(name):
+                raise ValueError(f"{name} has no effect with {given[0]}; leave one of them out")
         return self
+
+    def _is_given(self, name: str) -> bool:
+        """Whether a field is something else than its default."""
+        default = type(self).model_fields[name].get_default(call_default_factory=True)
+        return bool(getattr(self, name) != default)
 
     @model_validator(mode="after")
     def _names_are_text(self) -> Self:

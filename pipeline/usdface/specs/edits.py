@@ -1,5 +1,6 @@
 """Specs of edits and publishing: edit, edits-import, bake, package."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
@@ -113,6 +114,9 @@ class BakeSpec(MovedRigSpec):
 
     example: ClassVar[str] = "usdface bake kitchen.hero.usda --out kitchen.hero.published.usdc"
     module: ClassVar[str] = "edits.bake"
+    only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
+        "unit": ("tolerance", ()),
+    }
 
     step: Literal["bake"] = "bake"
     performance: Annotated[FilePath, Reads(), Positional()]

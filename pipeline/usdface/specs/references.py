@@ -79,6 +79,7 @@ class SelectSpec(Spec):
     only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
         "extremes": ("method", ("viseme",))
     }
+    never_with: ClassVar[Mapping[str, Sequence[str]]] = {"landmarks": ("placement",)}
 
     step: Literal["select"] = "select"
     takes: _Takes

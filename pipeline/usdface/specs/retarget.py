@@ -33,6 +33,7 @@ class PairsProposeSpec(Spec):
     module: ClassVar[str] = "retarget.pairs_propose"
     makes: ClassVar[str] = "pairs"
     sidecars: ClassVar[tuple[Sidecar, ...]] = (proposed_path,)
+    never_with: ClassVar[Mapping[str, Sequence[str]]] = {"match": ("names",)}
 
     step: Literal["pairs-propose"] = "pairs-propose"
     source: ReadPath
@@ -237,6 +238,9 @@ class CyclicSpec(Spec):
         "--out kitchen.cyclic.json --out kitchen.cyclic.jpg"
     )
     module: ClassVar[str] = "retarget.cyclic"
+    only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
+        "published": ("methods", ("auto", "kernel_cca", "hybrid")),
+    }
 
     step: Literal["cyclic"] = "cyclic"
     pairs: Annotated[FilePath, Reads(), Positional()]

@@ -1,9 +1,10 @@
 """Specs of review: sheet, movie, movie-join, report, faces, evaluate."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, model_validator
 
 from usdface.specs.base import MovedRigSpec, Name, Positional, Spec
 from usdface.specs.paths import (
@@ -18,6 +19,7 @@ from usdface.specs.paths import (
     ShownPath,
     WritePath,
     file_ending,
+    frame_list,
     prim_path,
 )
 
@@ -55,6 +57,11 @@ class SheetSpec(MovedRigSpec):
     module: ClassVar[str] = "review.sheet"
     cores: ClassVar[int] = 2
     memory_mib: ClassVar[int] = 4096
+    only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
+        "baseline": ("layout", ("comparison", "worst")),
+        "difference": ("layout", ("comparison", "worst")),
+        "camera_stage": ("camera", ()),
+    }
 
     step: Literal["sheet"] = "sheet"
     performance: Annotated[FilePath, Reads(), Positional()]
@@ -100,6 +107,13 @@ class SheetSpec(MovedRigSpec):
     """View of the OpenColorIO configuration ($OCIO, otherwise the built-in one) for the renders, as
     VIEW or DISPLAY/VIEW. Default: sRGB."""
 
+    @model_validator(mode="after")
+    def _listed_frames_are_not_chosen(self) -> Self:
+        for name in ("rows", "pick"):
+            if frame_list(self.frames) is not None and self._is_given(name):
+                raise ValueError(f"--{name} has no effect with listed --frames; leave it out")
+        return self
+
 
 MOVIE_SUFFIXES = (".mp4", ".mov", ".mkv", ".webm")
 
@@ -122,6 +136,9 @@ class MovieSpec(MovedRigSpec):
     makes: ClassVar[str] = "movie"
     cores: ClassVar[int] = 4
     memory_mib: ClassVar[int] = 8192
+    only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
+        "camera_stage": ("camera", ()),
+    }
 
     step: Literal["movie"] = "movie"
     performance: Annotated[FilePath, Reads(), Positional()]
@@ -190,6 +207,9 @@ class ReportSpec(MovedRigSpec):
         "usdface report kitchen.hero.usda --take kitchen.clean.take.usda --out kitchen.html"
     )
     module: ClassVar[str] = "review.report"
+    only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
+        "camera_stage": ("camera", ()),
+    }
 
     step: Literal["report"] = "report"
     performance: Annotated[FilePath, Reads(), Positional()]

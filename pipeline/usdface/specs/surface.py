@@ -161,6 +161,7 @@ class DeformSpec(SurfaceSpec):
         "rows": ("picture", ()),
         "picture_noise": ("picture", ()),
     }
+    never_with: ClassVar[Mapping[str, Sequence[str]]] = {"blend": ("choose_blend",)}
 
     step: Literal["deform"] = "deform"
     out: LayerOut
@@ -202,6 +203,10 @@ class MakeShapesSpec(SurfaceSpec):
     module: ClassVar[str] = "surface.make_shapes"
     cores: ClassVar[int] = 2
     memory_mib: ClassVar[int] = 8192
+    never_with: ClassVar[Mapping[str, Sequence[str]]] = {
+        "blend": ("choose_blend",),
+        "count": ("shape_frames", "names", "references"),
+    }
 
     step: Literal["make-shapes"] = "make-shapes"
     out: LayerOut
