@@ -8,6 +8,7 @@ from usdface.capture.sniff import recognise_format
 from usdface.cli import main
 from usdface.core.errors import InputError
 
+MEDIAPIPE = ",".join(["frame", *(f"{axis}_{n}" for n in range(478) for axis in "xyz")])
 DLIB = ",".join(["frame", *(f"x_{n}" for n in range(68)), *(f"y_{n}" for n in range(68))])
 
 
@@ -21,6 +22,13 @@ DLIB = ",".join(["frame", *(f"x_{n}" for n in range(68)), *(f"y_{n}" for n in ra
         ("walk.bvh", b"HIERARCHY", r"is a scene, which is not read"),
         ("a.json", b'[{"faceLandmarks": [[{"x": 0.5', r"landmarks in JSON.*usdface track"),
         ("a.json", b'{"frames": [{"landmarks": [', r"landmarks in JSON.* marker-csv"),
+        (
+            "a.json",
+            b'{"faceLandmarks": [[{"x": 0.5}]], "faceBlendshapes": []}',
+            r"landmarks in JSON",
+        ),
+        ("a.csv", MEDIAPIPE.encode(), r"holds MediaPipe's landmarks, .*usdface track"),
+        ("a.pts", b"version: 1\nn_points: 68\n{\n", r"68 landmarks in the picture"),
         ("a.csv", DLIB.encode(), r"68 landmarks in the picture \(dlib, iBUG\), without depth"),
         ("x_frame_log.csv", b"V,0", r"frame log of Live Link Face.* MOV as --video"),
         ("notes.txt", b"hello", r"known are c3d .* and USD \(\.usd, \.usda, \.usdc, \.usdz\);"),

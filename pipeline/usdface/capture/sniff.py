@@ -46,13 +46,23 @@ _LANDMARKS: tuple[tuple[re.Pattern[bytes], str], ...] = (
         f"{_TRACK_IT}, or write them as a table in mm, marker-csv",
     ),
     (
-        re.compile(rb"[^\n]*\bx_?0\b[^\n]*\by_?67\b", re.IGNORECASE),
+        re.compile(rb"[^\n]*\bx_?0\b[^\n]*\by_?4[67]7\b", re.IGNORECASE),
+        "holds MediaPipe's landmarks, in shares of a picture whose size it does not state: "
+        f"{_TRACK_IT}, or write them as a table in mm, marker-csv",
+    ),
+    (
+        re.compile(
+            rb"[^\n]*\bx_?0\b[^\n]*\by_?67\b|version:\s*1\s+n_points:\s*68\b", re.IGNORECASE
+        ),
         "holds 68 landmarks in the picture (dlib, iBUG), without depth: "
         f"{_TRACK_IT}, or run OpenFace's FeatureExtraction with -3Dfp",
     ),
 )
 """Landmarks of other trackers that are not read, by their first bytes."""
-_SCORES = re.compile(rb'"(categoryName|category_name|(face_?)?blendshapes)"', re.IGNORECASE)
+_SCORES = re.compile(
+    rb'"(categoryName|category_name|(face_?)?blendshapes"\s*:(?!\s*\[[\s\[\]]*\]))', re.IGNORECASE
+)
+"""What holds weights; not a list of them that is empty."""
 _FRAME_LOG = (
     "is the frame log of Live Link Face, which holds no weights: ingest the CSV of weights beside "
     f"it, with the MOV as --video; without such a CSV, {_TRACK_IT}"
