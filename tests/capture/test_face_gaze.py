@@ -61,8 +61,8 @@ def test_turns_of_the_eyes_come_back() -> None:
     assert not closed.any()
     gaze = gaze_angles(positions, head_of(positions), closed, neutral=3)
     # The second turn is about an axis that the first has turned: a cosine of the other angle.
-    assert np.abs(gaze.yaw - yaw[:, None]).max() < 1.0
-    assert np.abs(gaze.pitch - pitch[:, None]).max() < 1.0
+    assert np.abs(gaze.yaw - yaw).max() < 1.0
+    assert np.abs(gaze.pitch - pitch).max() < 1.0
     weights = dict(zip(LOOK_SHAPES, gaze.look_weights().T, strict=True))
     left = int(np.argmax(yaw))
     assert weights["eyeLookOutLeft"][left] == pytest.approx(yaw[left] / FULL_LOOK_DEGREES, abs=0.04)
@@ -101,3 +101,23 @@ def test_a_wrong_pose_of_the_head_is_no_look_aside() -> None:
     head = head_of(positions - aside[:, None, None] * [0.5, 0, 0])
     gaze = gaze_angles(positions, head, np.zeros((FRAMES, 2), bool), neutral=3)
     assert np.abs(gaze.yaw).max() < 1.0
+
+
+def test_of_a_wink_the_open_eye_says_where_both_look() -> None:
+    time = np.arange(FRAMES)
+    yaw = np.where(time < 10, 0, 15 * np.sin(time / 6))
+    positions = moving_eyes(yaw, np.zeros(FRAMES), np.zeros(FRAMES))
+    closed = np.zeros((FRAMES, 2), bool)
+    closed[20:40, 0] = True
+    gaze = gaze_angles(positions, head_of(positions), closed, neutral=3)
+    assert np.abs(gaze.yaw - yaw).max() < 1.0
+
+
+def test_noise_of_one_eye_is_halved_by_the_other() -> None:
+    positions = moving_eyes(np.zeros(FRAMES), np.zeros(FRAMES), np.zeros(FRAMES))
+    right = [at for at in LANDMARKS.columns("iris") if "_R" in LANDMARKS.names[at]]
+    positions[20:, right] += (2.0, 0.0, 0.0)
+    head = head_of(positions)
+    gaze = gaze_angles(positions, head, np.zeros((FRAMES, 2), bool), neutral=3)
+    whole = gaze_angles(positions, head, np.tile([False, True], (FRAMES, 1)), neutral=3)
+    np.testing.assert_allclose(gaze.yaw[20:], whole.yaw[20:] / 2, atol=0.3)
