@@ -105,7 +105,15 @@ def test_frames_without_a_face_are_gaps_and_frames_are_chosen(tracked, tmp_path)
     assert take.video.video_time(0.0) == pytest.approx(10 / 24)
     assert (np.flatnonzero(~take.markers.visible.all(axis=1)) == np.arange(5, 9)).all()
     assert (take.markers.confidence[5:9] == 0).all()
-    assert any("no face in 4 pictures" in note for note in result.notes)
+    assert any("no face in 4 pictures of 20" in note for note in result.notes)
+    with pytest.raises(InputError, match="no face is seen at the neutral frame 7; name another"):
+        tracked(video, lambda n: [] if 5 <= n < 9 else one_head(n), neutral=7)
+    result, _ = tracked(video, lambda n: [] if n < 20 else one_head(n))
+    assert any("stands on its head" in note for note in result.notes)
+    slow = clip(tmp_path / "slow.mp4", 12, rate=10)
+    result, _ = tracked(slow, one_head)
+    assert any("10 pictures per second: blinks" in note for note in result.notes)
+    assert not any("--rate" in note for note in result.notes)
     with pytest.raises(InputError, match=r"--frames 90-99 holds none of its frames, 1 to 30"):
         tracked(video, one_head, frames="90-99")
     with pytest.raises(InputError, match=r"--neutral 5 is none of the frames to track, 11 to 30"):
@@ -121,6 +129,15 @@ def test_a_lying_video_and_a_cut_are_said(tracked, tmp_path) -> None:
         tracked(video, lambda n: [turning_head(n) @ lying.T])
     result, _ = tracked(video, lambda n: [np.add(turning_head(n), [0 if n < 6 else 250, 0, 0])])
     assert any("the face jumps at frame 7: a cut?" in note for note in result.notes)
+    nearer, other = np.array([0, 0, 130.0]), np.array([1.0, 1.4, 1.0])
+    for changed in (lambda face: face + nearer, lambda face: face * other):
+        result, _ = tracked(
+            video,
+            lambda n, changed=changed: [turning_head(n) if n < 6 else changed(turning_head(n))],
+        )
+        assert any("the face jumps at frame 7: a cut?" in note for note in result.notes)
+    result, _ = tracked(video, one_head)
+    assert not any("jumps" in note for note in result.notes)
 
 
 def test_of_a_profile_the_hidden_side_is_a_gap(tracked, tmp_path) -> None:

@@ -47,9 +47,11 @@ _SMALLEST_EYE_PIXELS = 30.0
 """Between the eyes: the model sees the face at 192 or 256 pixels, where it is some 70."""
 _LONGEST_BRIDGED = 2.5
 """[frames] Between two pictures that are interpolated: one may be missing."""
-_CUT_BREADTHS = 1.0
-"""Of a face's breadth, from one picture to the next: heads move by a tenth."""
 _LYING_DEGREES = 60.0
+_USUAL_SHARE = 0.5
+"""Of the pictures, in which a filmed face is found."""
+_BLINK_RATE = 15.0
+"""[1/s] Of pictures: blinks last 0.1 to 0.2 s."""
 _PROFILE_SINE = 0.17
 """Sine of 10 degrees: skin turned further away than that beyond the silhouette is not seen."""
 
@@ -72,11 +74,9 @@ def run(spec: TrackSpec, *, provenance: Provenance, progress: Progress = silent)
     if digest not in KNOWN_MODELS:
         notes.append(f"{model.name} is not the version that was measured (SHA-256 {digest[:16]}…)")
     take, built = _build_take(spec, track, timing, camera, score_names)
-    doubts = settle_findings(
-        judge_markers(take.markers, float(timing.rate)) if take.markers else (),
-        stated=("rate",),
-        where=spec.video,
-    )
+    # The rate is the video's own: no option corrects it.
+    found = judge_markers(take.markers, None) if take.markers else ()
+    doubts = settle_findings(found, where=spec.video)
     take = replace(take, doubts=doubts, timecode_start=_timecode(timecode, timing))
     progress(0.95, f"writing {spec.out.name}")
     write_take(spec.out, take, provenance=provenance)
@@ -223,32 +223,42 @@ def _eye_columns() -> tuple[IntArray, IntArray]:
 def _track_notes(track: FaceTrack, timing: _Timing) -> list[str]:
     """Say what is doubtful about a track: cuts, small faces, pictures without one."""
     notes = []
+    if timing.rate < _BLINK_RATE:
+        notes.append(
+            f"{float(timing.rate):g} pictures per second: blinks are lost between two of them; "
+            "film with 24 or more"
+        )
     seen = track.seen
     frames = np.rint(timing.frames).astype(np.int64) + timing.first_frame
     if not seen.all():
-        notes.append(f"no face in {pluralize(int((~seen).sum()), 'picture')}, which are gaps")
+        missing = (
+            f"no face in {pluralize(int((~seen).sum()), 'picture')} of {len(seen)}, which are gaps"
+        )
+        if seen.mean() < _USUAL_SHARE:
+            missing += (
+                ": look whether the video stands on its head, or shows the face from the side, "
+                "from behind or in the dark"
+            )
+        notes.append(missing)
     unsure = seen & ~np.isfinite(track.difference[:, 0])
     if unsure.any():
         notes.append(
             f"the mirror image shows no face in {pluralize(int(unsure.sum()), 'picture')}: low "
             f"confidence ({first_few(frames[unsure].tolist())})"
         )
-    positions = track.positions[seen][..., :2]
-    breadth = np.median(np.ptp(positions[..., 0], axis=1))
-    step = np.linalg.norm(np.diff(positions.mean(axis=1), axis=0), axis=1)
-    together = np.diff(np.flatnonzero(seen)) == 1
-    cuts = frames[seen][1:][together & (step > _CUT_BREADTHS * breadth)]
+    cuts = frames[np.flatnonzero(track.jumps())]
     if len(cuts):
         notes.append(
             f"the face jumps at frame {first_few(cuts.tolist())}: a cut? Track each shot by itself "
             "with --frames"
         )
     right, left = _eye_columns()
-    between = positions[:, left].mean(axis=1) - positions[:, right].mean(axis=1)
-    eyes = float(np.median(np.linalg.norm(between, axis=1)))
-    if eyes < _SMALLEST_EYE_PIXELS:
+    eyes = track.positions[seen][..., :2]
+    apart = np.linalg.norm(eyes[:, left].mean(axis=1) - eyes[:, right].mean(axis=1), axis=1)
+    between = float(np.median(apart))
+    if between < _SMALLEST_EYE_PIXELS:
         notes.append(
-            f"the eyes are {eyes:.0f} pixels apart; lips and lids of faces below "
+            f"the eyes are {between:.0f} pixels apart; lips and lids of faces below "
             f"{_SMALLEST_EYE_PIXELS:g} are coarse: film closer or with more pixels"
         )
     return notes
@@ -278,11 +288,7 @@ def _build_take(
     positions = positions.reshape(len(rows), -1, 3)
     closed = closed_eyes(positions, present)
     visible = present[:, None] & ~_turned_away(positions) & ~_behind_lids(closed)
-    neutral = spec.neutral
-    notes = []
-    if neutral is None:
-        neutral = _least_expression(scores, present, score_names) + timing.first_frame
-        notes.append(f"frame {neutral} shows the least expression, and is taken as neutral")
+    neutral, notes = _neutral_frame(spec, timing, present, scores, score_names)
     head = align_by_prior(
         positions,
         positions[neutral - timing.first_frame],
@@ -314,6 +320,25 @@ def _build_take(
         emotion=spec.emotion,
     )
     return take, (*notes, *built.notes)
+
+
+def _neutral_frame(
+    spec: TrackSpec,
+    timing: _Timing,
+    present: BoolArray,
+    scores: Float32Array,
+    names: tuple[str, ...],
+) -> tuple[int, list[str]]:
+    """Return the frame of the face at rest, and a note where nobody named it."""
+    neutral = spec.neutral
+    if neutral is None:
+        neutral = _least_expression(scores, present, names) + timing.first_frame
+        return neutral, [f"frame {neutral} shows the least expression, and is taken as neutral"]
+    if not present[neutral - timing.first_frame]:
+        raise InputError(
+            f"{spec.video}: no face is seen at the neutral frame {neutral}; name another"
+        )
+    return neutral, []
 
 
 def _behind_lids(closed: BoolArray) -> BoolArray:
