@@ -14,6 +14,12 @@ from tests.regenerate import REPOSITORY
 from tests.steps.review.test_report import visit
 from tests.steps.small_shot import Shot
 from tests.test_docs import commands
+from tests.usdio.small_creature import (
+    creature_acts,
+    human_moves,
+    write_creature,
+    write_creature_performance,
+)
 from tests.usdio.small_rig import small_rig
 from usdface.cli import main
 from usdface.core.assets import Rig
@@ -21,7 +27,7 @@ from usdface.core.sidecars import head_path
 from usdface.media.face.surface import build_surface
 from usdface.steps.review.pictures import ShotPictures
 from usdface.steps.review.shot import open_shot
-from usdface.usdio.performance.head_layer import opens_head
+from usdface.usdio.performance.head_layer import opens_head, turned_xforms
 from usdface.usdio.rig.posed_points import PosedRig
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.rig_motion import RigMotion
@@ -169,6 +175,7 @@ def test_an_xform_turns_about_where_it_was_placed(tmp_path: Path) -> None:
         "retarget", source, "--rate", 30, "--rig", rig.file, "--out", out,
         "--drive", "left_eye=/Hero/props/eyeball", "--prim", "/Shot/Hero",
     ) == 0  # fmt: skip
+    assert turned_xforms(out) == ("/Shot/Hero/props/eyeball",)
     stage, rest = Usd.Stage.Open(str(out)), Usd.Stage.Open(str(rig.file))
     up = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # from Z up to Y up
     for frame in (1, 23):
@@ -197,6 +204,18 @@ def test_pictures_are_posed_as_usdskel_poses(tmp_path: Path) -> None:
         np.testing.assert_allclose(seen, posed.points(row + 1), atol=2e-3)
         still = max(still, np.abs(seen - shot.pose(row, shot.weights[row], still=True)).max())
     assert still > 5
+
+
+def test_joints_that_an_animator_keyed_are_drawn_without_a_take(tmp_path: Path) -> None:
+    rig = write_creature(tmp_path / "beast.usda")
+    out = tmp_path / "p.usda"
+    write_creature_performance(out, rig, creature_acts(human_moves(12)))
+    shot, posed = open_shot(out), PosedRig(out)
+    assert shot.take.source is not None
+    for row in (0, 7):
+        seen = shot.pose(row, shot.weights[row])
+        np.testing.assert_allclose(seen, posed.points(row + 1), atol=2e-3)
+    assert usdface("sheet", out, "--tile", 64, "--rows", 2, "--out", tmp_path / "s.png") == 0
 
 
 def test_sheet_movie_and_report_show_the_head_turn(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from usdface.core.controls import Controls, EmotionalSequence, SequenceMatch
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
-from usdface.core.sidecars import controls_path, weights_path
+from usdface.core.sidecars import controls_path, head_path, weights_path
 from usdface.core.text import first_few, pluralize
 from usdface.media.charts.motion_curves import (
     FrameSpan,
@@ -34,6 +34,7 @@ from usdface.runner.result import StepResult
 from usdface.specs.retarget import WarpSpec
 from usdface.steps.inputs.edit_ranges import edit_notes
 from usdface.steps.retarget.sequence_rate import read_sequence_at
+from usdface.usdio.performance.head_layer import turned_xforms
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import make_header
 from usdface.usdio.retarget.control_performance import writing_control_performance
@@ -96,6 +97,7 @@ def run(spec: WarpSpec, *, provenance: Provenance, progress: Progress = silent) 
         (
             *filter(None, dict.fromkeys(each.rate_note for each in placements)),
             *edit_notes(spec.out),
+            *_head_notes(spec.performance),
         ),
         {
             "frames": len(before),
@@ -155,6 +157,17 @@ def _placements(spec: WarpSpec, read: ReadControls) -> list[_Placement]:
                 "deactivate one, move it, or use --timing fit"
             )
     return placed
+
+
+def _head_notes(performance: Path) -> list[str]:
+    """Say what is not carried: Xforms are no controls, as joints are."""
+    xforms = turned_xforms(performance)
+    if not xforms:
+        return []
+    return [
+        f"not carried, as Xforms are no controls: how {first_few(xforms)} turned; "
+        f"{head_path(performance).name} has it"
+    ]
 
 
 def _rate_notes(placements: list[_Placement]) -> list[str]:

@@ -298,7 +298,7 @@ def open_shot(
     Parameters
     ----------
     take_file : Path, optional
-        See `find_take`.
+        See `find_take`; a performance that was made of none is shown by itself.
     frames : str, optional
         FIRST-LAST, to use no others.
     video : Path, optional
@@ -309,16 +309,21 @@ def open_shot(
     InputError
         If a file cannot be read, they share no frame, or the performance was moved in time.
     """
-    take_file = find_take(performance_file, take_file)
+    keyed = take_file is None and _take_of(performance_file) is None
+    take_file = performance_file if keyed else find_take(performance_file, take_file)
     moved = PerformanceReader(performance_file).moved
-    if moved:
+    if moved and not keyed:
         raise InputError(
             f"{performance_file}: a layer offset moves its weights by {moved:+g} frames, so its "
             f"frames are not those of {take_file}; show the performance as it was mapped, without "
             "the offset"
         )
     performance = read_performance(performance_file)
-    take = _with_video(take_file, _read_take(take_file, performance_file), video)
+    if keyed:
+        take = _keyed_take(performance_file, performance)
+    else:
+        take = _read_take(take_file, performance_file)
+    take = _with_video(take_file, take, video)
     rig = read_rig(performance.rig_file, prim=performance.rig_prim)
     clip = performance.weights
     first = max(clip.first_frame, take.first_frame)
@@ -362,6 +367,18 @@ def _read_take(file: Path, performance: Path) -> Take:
     if spec.get("shapes"):
         stated["shapes"] = performance.parent / str(spec["shapes"])
     return read_capture(file, **stated).take
+
+
+def _keyed_take(file: Path, performance: Performance) -> Take:
+    """Return the weights of a performance that was made of no take, such as an animator's."""
+    clip = performance.weights
+    return Take(
+        name=file.name.split(".")[0],
+        rate=clip.rate,
+        first_frame=clip.first_frame,
+        source=clip,
+        timecode_start=performance.timecode_start,
+    )
 
 
 def _with_video(file: Path, take: Take, moved: Path | None) -> Take:

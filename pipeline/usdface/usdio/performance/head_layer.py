@@ -111,6 +111,20 @@ def opens_head(performance: Path) -> bool:
     return relative_path(head_path(performance), performance) in list(layer.subLayerPaths)
 
 
+def turned_xforms(performance: Path) -> tuple[str, ...]:
+    """Return the paths of the Xforms that a performance's head layer turns."""
+    if not opens_head(performance):
+        return ()
+    layer, found = open_layer(head_path(performance)), list[str]()
+
+    def look(path: Sdf.Path) -> None:
+        if path.IsPropertyPath() and path.name == TRANSFORM:
+            found.append(str(path.GetPrimPath()))
+
+    layer.Traverse(Sdf.Path.absoluteRootPath, look)
+    return tuple(found)
+
+
 def _copy_samples(source: Sdf.Layer, target: Sdf.Layer) -> None:
     def copy(path: Sdf.Path) -> None:
         if path.IsPropertyPath():

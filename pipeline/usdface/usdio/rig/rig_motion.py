@@ -102,15 +102,22 @@ class RigMotion:
         order = list(map(str, query.GetJointOrder()))
         own = list(map(str, target.GetJointOrder() or order))
         driven, carried = self._driven_joints(), self._posed.moves(skeleton)
+        moving = [
+            (index, joint)
+            for index, joint in enumerate(own)
+            if joint in order
+            and (carried or any(f"{joint}/".startswith(f"{each}/") for each in driven))
+        ]
+        if not moving:
+            return
         indices, weights = (
             np.array(each).reshape(count, -1)
             for each in target.ComputeVaryingJointInfluences(count)
         )
-        for index, joint in enumerate(own):
+        for index, joint in moving:
             share = np.where(indices == index, weights, 0.0).sum(axis=1)
             points = np.flatnonzero(share)
-            follows = carried or any(f"{joint}/".startswith(f"{each}/") for each in driven)
-            if len(points) and joint in order and follows:
+            if len(points):
                 yield (skeleton, order.index(joint)), points, share[points]
 
     def _driven_joints(self) -> list[str]:
