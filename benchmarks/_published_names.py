@@ -580,4 +580,46 @@ PUBLISHED = (
         tongueOut > A52_Tongue_Out
         """,
     ),
+    Published(
+        "VRM 0",
+        "@pixiv/types-vrm-0.0 on npm, BlendShapePresetName; a lid of both sides has none "
+        "where each side has its own",
+        True,
+        """
+        eyeBlink<Left,Right> > blink_<l,r>
+        eyeLookUpLeft eyeLookUpRight > lookup
+        eyeLookDownLeft eyeLookDownRight > lookdown
+        eyeLookOutLeft eyeLookInRight > lookleft
+        eyeLookInLeft eyeLookOutRight > lookright
+        a angry blink e fun i joy neutral o sorrow u unknown
+        """,
+    ),
+    Published(
+        "VRM 1",
+        "@pixiv/three-vrm-core on npm, VRMExpressionPresetName; as VRM 0",
+        True,
+        """
+        eyeBlink<Left,Right> > blink<Left,Right>
+        eyeLookUpLeft eyeLookUpRight > lookUp
+        eyeLookDownLeft eyeLookDownRight > lookDown
+        eyeLookOutLeft eyeLookInRight > lookLeft
+        eyeLookInLeft eyeLookOutRight > lookRight
+        aa ih ou ee oh blink happy angry sad relaxed surprised neutral
+        """,
+    ),
+    Published(
+        "Ready Player Me, without ARKit's shapes",
+        "@met4citizen/talkinghead on npm: what avatars have beside visemes; counterparts as "
+        "its mtExtras make them from ARKit's",
+        True,
+        """
+        jawOpen > mouthOpen
+        mouthSmileLeft mouthSmileRight > mouthSmile
+        eyeBlinkLeft eyeBlinkRight > eyesClosed
+        eyeLookUpLeft eyeLookUpRight > eyesLookUp
+        eyeLookDownLeft eyeLookDownRight > eyesLookDown
+        viseme_sil viseme_PP viseme_FF viseme_TH viseme_DD viseme_kk viseme_CH viseme_SS
+        viseme_nn viseme_RR viseme_aa viseme_E viseme_I viseme_O viseme_U
+        """,
+    ),
 )
