@@ -7,6 +7,7 @@ Commands run in processes forked from one that has imported everything, so that 
 their work. `USDFACE_KILLS` sets how many each gets.
 """
 
+import contextlib
 import json
 import multiprocessing
 import os
@@ -51,7 +52,7 @@ CHANGED = {
     "deform": ("--length-scale 30", "--length-scale 20"),
     "make-shapes": ("--count 3", "--count 2"),
     "train-retarget": ("--method hybrid", "--method rbf"),
-    "retarget": ("--out", "--frames 1-100 --out"),
+    "retarget": ("--out", "--frames 101-200 --out"),
     "warp": ("--blend 8", "--blend 6"),
 }
 """What of the command of a step is replaced by what, for outputs that differ."""
@@ -154,13 +155,18 @@ def campaign(
 def kill(process: BaseProcess, kind: str) -> None:
     """End a command, or its group, as a farm, a shell or a user does."""
     assert process.pid is not None
+    last = signal.SIGTERM if kind == "terminated group" else signal.SIGKILL
+    try:
+        if kind == "stopped group":
+            os.killpg(process.pid, signal.SIGSTOP)
+            time.sleep(0.05)
+        if kind != "process":
+            os.killpg(process.pid, last)
+    except ProcessLookupError:  # it has just ended, or does not lead its group yet
+        kind = "process"
     if kind == "process":
-        os.kill(process.pid, signal.SIGKILL)
-        return
-    if kind == "stopped group":
-        os.killpg(process.pid, signal.SIGSTOP)
-        time.sleep(0.05)
-    os.killpg(process.pid, signal.SIGTERM if kind == "terminated group" else signal.SIGKILL)
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(process.pid, last)
 
 
 def wait_for_group(process: BaseProcess) -> None:

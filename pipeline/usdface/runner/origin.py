@@ -57,7 +57,8 @@ def provenance_of(path: Path) -> Provenance | None:
 def make_provenance(spec: Spec) -> Provenance:
     """Hash a spec's inputs; paths are kept relative to the output, so that folders can move."""
     anchor = spec.outputs()[0].resolve().parent if spec.outputs() else Path.cwd()
-    inputs = {_relative(path, anchor): hash_input(path, how) for path, how in spec.reads().items()}
+    read = traced_files(spec) | spec.reads()
+    inputs = {_relative(path, anchor): hash_input(path, how) for path, how in read.items()}
     data = spec.model_dump(mode="json", exclude_defaults=True)
     for kind in (Reads, Writes):
         for name in type(spec).fields_marked(kind):
@@ -67,6 +68,42 @@ def make_provenance(spec: Spec) -> Provenance:
             elif value is not None:
                 data[name] = [_relative(each, anchor) for each in value]
     return Provenance(step=spec.step, spec=canonical_json(data), inputs=inputs)
+
+
+_TRACED = {"take": Reads(assets=True), "source": Reads(assets=True)} | dict.fromkeys(
+    ("mapping", "references", "placement", "parts"), Reads()
+)
+"""Fields of a spec by which steps find files, and how these are read."""
+
+
+def traced_files(spec: Spec) -> dict[Path, Reads]:
+    """Return the files that a step reads because the provenance of its inputs names them.
+
+    That of a performance names take and mapping, that of the mapping the references; a take or
+    references that the spec itself names are not looked for.
+    """
+    given = {name for name in _TRACED if getattr(spec, name, None) is not None}
+    found: dict[Path, Reads] = {}
+    waiting = [path for name in type(spec).traces for path in _paths_in(getattr(spec, name))]
+    seen: set[Path] = set()
+    while waiting:
+        file = waiting.pop()
+        if file in seen or not file.is_file():
+            continue
+        seen.add(file)
+        named = spec_of(provenance_of(file))
+        for name in _TRACED.keys() - given & named.keys():
+            for path in _paths_in(named[name], file.parent):
+                if path.is_file():
+                    found[path] = _TRACED[name]
+                    waiting += [path] if name in ("mapping", "parts", "source") else []
+    return found
+
+
+def _paths_in(value: object, folder: Path = Path()) -> list[Path]:
+    """Return the files that a field names: one, several, or none."""
+    several = value if isinstance(value, list | tuple) else [value]
+    return [folder / each for each in several if isinstance(each, str | Path) and str(each)]
 
 
 def provenance_metadata(provenance: Provenance) -> dict[str, object]:

@@ -10,7 +10,7 @@ from usdface.core.errors import InputError
 from usdface.core.replacing import check_unprotected
 from usdface.core.sidecars import LAYER_SUFFIXES
 from usdface.core.text import first_few
-from usdface.runner.origin import REFUSED, provenance_of
+from usdface.runner.origin import REFUSED, provenance_of, traced_files
 from usdface.specs.base import Spec
 from usdface.specs.job import SPEC_BY_STEP, JobSpec
 from usdface.specs.paths import Reads, Writes
@@ -110,7 +110,7 @@ def check_outputs(spec: Spec, *, overwrite: bool) -> None:
     A file is replaced without asking only if this package wrote it, as the same kind of file, and
     an input has changed since.
     """
-    inputs = [path for path in spec.paths(Reads) if path.exists()]
+    inputs = [path for path in (*spec.paths(Reads), *traced_files(spec)) if path.exists()]
     newest_input = max((path.stat().st_mtime_ns for path in inputs), default=0)
     read = set() if spec.in_place else {path.resolve() for path in inputs}
     for path in spec.paths(Writes):

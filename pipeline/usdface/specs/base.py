@@ -128,6 +128,9 @@ class Spec(BaseModel):
     sidecars: ClassVar[tuple[Sidecar, ...]] = ()
     """Functions from the path of an output to those of the sublayers that the step writes."""
 
+    traces: ClassVar[Sequence[str]] = ()
+    """Inputs of which the step reads the files, too, that their provenance names."""
+
     cores: ClassVar[int] = 1
     """Processor cores requested from a farm."""
 

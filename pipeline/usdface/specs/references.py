@@ -211,6 +211,7 @@ class ReferencesFromEditsSpec(MovedRigSpec):
     module: ClassVar[str] = "references.from_edits"
     makes: ClassVar[str] = "references"
     sidecars: ClassVar[tuple[Sidecar, ...]] = (proposed_path, samples_path)
+    traces: ClassVar[Sequence[str]] = ("performances",)
 
     step: Literal["references-from-edits"] = "references-from-edits"
     performances: Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]
@@ -239,6 +240,7 @@ class ReferencesAddSpec(MovedRigSpec):
     module: ClassVar[str] = "references.add"
     makes: ClassVar[str] = "references"
     sidecars: ClassVar[tuple[Sidecar, ...]] = (proposed_path, samples_path)
+    traces: ClassVar[Sequence[str]] = ("performance",)
 
     step: Literal["references-add"] = "references-add"
     performance: Annotated[FilePath, Reads(), Positional()]

@@ -62,6 +62,7 @@ class SheetSpec(MovedRigSpec):
         "difference": ("layout", ("comparison", "worst")),
         "camera_stage": ("camera", ()),
     }
+    traces: ClassVar[Sequence[str]] = ("performance",)
 
     step: Literal["sheet"] = "sheet"
     performance: Annotated[FilePath, Reads(), Positional()]
@@ -139,6 +140,7 @@ class MovieSpec(MovedRigSpec):
     only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
         "camera_stage": ("camera", ()),
     }
+    traces: ClassVar[Sequence[str]] = ("performance",)
 
     step: Literal["movie"] = "movie"
     performance: Annotated[FilePath, Reads(), Positional()]
@@ -210,6 +212,7 @@ class ReportSpec(MovedRigSpec):
     only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
         "camera_stage": ("camera", ()),
     }
+    traces: ClassVar[Sequence[str]] = ("performance",)
 
     step: Literal["report"] = "report"
     performance: Annotated[FilePath, Reads(), Positional()]

@@ -1,0 +1,65 @@
+"""Files that a step finds by provenance count for what is out of date, as those it names do."""
+
+import pytest
+
+from tests.steps.small_shot import Shot
+from usdface.core.errors import InputError
+from usdface.runner.execute import execute
+from usdface.runner.origin import provenance_of, traced_files
+from usdface.specs.capture import CleanSpec
+from usdface.specs.review import ReportSpec, SheetSpec
+
+
+def sheet(shot: Shot, **options: object) -> SheetSpec:
+    return SheetSpec(
+        performance=shot / "shot.hero.usda",
+        out=shot / "found.jpg",
+        rows=1,
+        tile=64,
+        quality="draft",
+        **options,
+    )
+
+
+def test_a_sheet_is_out_of_date_once_the_take_that_it_found_has_changed(shot: Shot) -> None:
+    spec = sheet(shot)
+    execute(spec)
+    made = provenance_of(spec.out)
+    assert made is not None
+    assert "shot.clean.take.usda" in made.inputs
+    assert execute(spec).up_to_date
+    take = shot / "shot.clean.take.usda"
+    execute(CleanSpec(take=shot / "shot.take.usda", out=take, smooth=False), overwrite=True)
+    assert not execute(spec).up_to_date
+    assert execute(spec).up_to_date
+
+
+def test_files_of_a_performance_are_followed_and_those_that_are_named_are_not(shot: Shot) -> None:
+    found = {path.name for path in traced_files(sheet(shot))}
+    assert found == {"shot.clean.take.usda", "hero.mapping.usdc", "hero.references.usda"}
+    named = sheet(shot, take=shot / "shot.clean.take.usda")
+    assert {path.name for path in traced_files(named)} == found - {"shot.clean.take.usda"}
+    report = ReportSpec(
+        performance=shot / "shot.hero.usda",
+        out=shot / "a.html",
+        references=shot / "hero.references.usda",
+    )
+    assert {path.name for path in traced_files(report)} == found - {"hero.references.usda"}
+    (shot / "hero.mapping.usdc").unlink()
+    assert {path.name for path in traced_files(sheet(shot))} == {"shot.clean.take.usda"}
+
+
+def test_a_file_that_was_found_is_never_written_over(shot: Shot) -> None:
+    spec = sheet(shot).model_copy(update={"out": shot / "shot.clean.take.usda"})
+    before = (shot / "shot.clean.take.usda").read_bytes()
+    with pytest.raises(InputError, match="is read by sheet, and would be lost"):
+        execute(spec, overwrite=True)
+    assert (shot / "shot.clean.take.usda").read_bytes() == before
+
+
+def test_provenance_that_names_itself_ends(shot: Shot) -> None:
+    take = shot / "shot.clean.take.usda"
+    mapping = shot / "shot.hero.weights.usdc"  # says that it is mapped, by hero.mapping.usdc
+    mapping.replace(shot / "hero.mapping.usdc")
+    spec = SheetSpec(performance=shot / "hero.mapping.usdc", out=shot / "a.jpg")
+    assert {path.name for path in traced_files(spec)} == {take.name, "hero.mapping.usdc"}
