@@ -5,7 +5,14 @@ import av
 import numpy as np
 import pytest
 
-from tests.media.bar_code import draw_number, read_number, turn_in_header, write_numbered
+from tests.media.bar_code import (
+    HEIGHT,
+    WIDTH,
+    draw_number,
+    read_number,
+    turn_in_header,
+    write_numbered,
+)
 from usdface.core.errors import InputError
 from usdface.media.film import movie as movie_writer
 from usdface.media.film import video
@@ -48,6 +55,36 @@ def test_constant_rate_with_b_frames_is_read_frame_exactly(tmp_path: Path) -> No
 
 
 @needs_h264
+@pytest.mark.parametrize("group", [1, 4])
+def test_reading_on_never_seeks(tmp_path: Path, monkeypatch, group: int) -> None:
+    """Key frames that lie on the way are decoded like others."""
+    path = tmp_path / "keys.mp4"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=25, options={"g": str(group), "bf": "0"})
+        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
+        for number in range(20):
+            frame = av.VideoFrame.from_ndarray(draw_number(number), format="rgb24")
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    with VideoReader(path) as reader:
+        seeks, held = [], reader._container
+
+        class Counting:
+            def seek(self, *where, **how):
+                seeks.append(where)
+                held.seek(*where, **how)
+
+            def __getattr__(self, name):
+                return getattr(held, name)
+
+        monkeypatch.setattr(reader, "_container", Counting())
+        assert [read_number(reader.frame(index)) for index in range(20)] == list(range(20))
+        assert not seeks
+        assert read_number(reader.frame(3)) == 3
+        assert read_number(reader.frame(15)) == 15
+        assert len(seeks) == 2
+
+
 def test_variable_rate_shows_the_frame_whose_own_time_has_come(tmp_path: Path) -> None:
     path = tmp_path / "vfr.mp4"
     rng = np.random.default_rng(0)

@@ -183,7 +183,11 @@ class VideoReader:
         key = int(keys[max(int(np.searchsorted(keys, stamp, side="right")) - 1, 0)])
         try:
             position = self._position
-            if self._decoded is None or position is None or not key <= position < stamp:
+            if (
+                self._decoded is None
+                or position is None
+                or not self._is_ahead(position, key, stamp)
+            ):
                 self._container.seek(key, stream=self._stream, backward=True)
                 self._decoded = self._container.decode(self._stream)
             for frame in self._decoded:
@@ -201,6 +205,15 @@ class VideoReader:
             f"{self.path}: the frame at {seconds:.3f} s cannot be decoded; the file may be damaged "
             "there: copy or export it again"
         )
+
+    def _is_ahead(self, position: int, key: int, stamp: int) -> bool:
+        """Return whether decoding on from a position leads to a frame, past no more than needed.
+
+        Seeking to a key frame that comes next anyway would throw away what decoders have ahead.
+        """
+        stamps = self._index.stamps
+        after = min(int(np.searchsorted(stamps, position, side="right")), len(stamps) - 1)
+        return position < stamp and key <= int(stamps[after])
 
 
 def _table_of_contents(stream: Any, path: Path) -> _Index | None:
