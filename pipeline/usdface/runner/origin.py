@@ -57,7 +57,7 @@ def provenance_of(path: Path) -> Provenance | None:
 def make_provenance(spec: Spec) -> Provenance:
     """Hash a spec's inputs; paths are kept relative to the output, so that folders can move."""
     anchor = spec.outputs()[0].resolve().parent if spec.outputs() else Path.cwd()
-    read = traced_files(spec) | spec.reads()
+    read = {**traced_files(spec), **spec.reads()}
     inputs = {_relative(path, anchor): hash_input(path, how) for path, how in read.items()}
     data = spec.model_dump(mode="json", exclude_defaults=True)
     for kind in (Reads, Writes):
