@@ -22,9 +22,11 @@ from tests.usdio.small_creature import (
 )
 from tests.usdio.small_rig import small_rig
 from usdface.cli import main
-from usdface.core.assets import Rig
+from usdface.core.assets import Rig, WeightsClip
 from usdface.core.sidecars import head_path
 from usdface.media.face.surface import build_surface
+from usdface.model.placement.rig_orientation import face_axes, face_centre
+from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.steps.review.pictures import ShotPictures
 from usdface.steps.review.shot import open_shot
 from usdface.usdio.performance.head_layer import opens_head, turned_xforms
@@ -32,7 +34,8 @@ from usdface.usdio.rig.posed_points import PosedRig
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.rig_motion import RigMotion
 from usdface.usdio.rig.write import write_rig
-from usdface.usdio.take.read import TakeReader
+from usdface.usdio.take.read import TakeReader, read_take
+from usdface.usdio.take.write import write_take
 from usdface.usdio.validation import validate
 
 FRAMES = 40
@@ -329,6 +332,34 @@ def test_markers_turn_the_head_of_the_character(shot: Shot) -> None:
         np.testing.assert_allclose(
             joined.transforms(frame), driven.transforms(frame), atol=1e-6, rtol=0
         )
+
+
+def test_a_stabilised_take_of_weights_carries_the_head_along(shot: Shot) -> None:
+    """As tracked videos are retargeted: without a mapping, upright and facing the same way."""
+    take = read_take(shot / "shot.clean.take.usda")
+    keys = read_weight_table(shot / "keys.csv")
+    clip = WeightsClip(keys.names, keys.weights[: take.frame_count], take.first_frame, take.rate)
+    write_take(shot / "both.take.usda", replace(take, source=clip))
+    joint = str(UsdSkel.Skeleton(_skeleton(shot / "hero.usdc")).GetJointsAttr().Get()[0])
+    out = shot / "both.hero.usda"
+    line = ("retarget", shot / "both.take.usda", "--rig", shot / "hero.usdc", "--frames", "60-200")
+    assert usdface(*line, "--drive", f"head={joint}", "--out", out) == 0
+    motion = TakeReader(shot / "both.take.usda").head_motion_from_neutral(60, 200)
+    assert motion is not None
+    rig = read_rig(shot / "hero.usdc")
+    driven, axes, centre = RigMotion(out, rig), face_axes(rig), face_centre(rig)
+    assert take.markers is not None
+    neutral = take.markers.neutral_frame - take.first_frame
+    head = take.markers.positions[neutral][take.markers.visible[neutral]].mean(axis=0)
+    for frame in (60, 130, 200):
+        moved, captured = driven.transforms(frame)[0], motion[frame - 60]
+        turned = axes @ captured[:3, :3] @ axes.T
+        np.testing.assert_allclose(moved[:3, :3], turned, atol=1e-5)
+        gone = captured[:3, :3] @ head + captured[:3, 3] - head
+        placed = moved[:3, :3] @ centre + moved[:3, 3] - centre
+        np.testing.assert_allclose(placed, axes @ gone, atol=0.01)
+    np.testing.assert_allclose(axes, np.eye(3), atol=0.02)
+    assert np.linalg.norm(gone) > 1
 
 
 def _skeleton(file: Path) -> Usd.Prim:
