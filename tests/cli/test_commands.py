@@ -223,7 +223,9 @@ def test_names_are_given_with_commas_or_one_by_one(tmp_path: Path, given: list[s
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="a disk that is always full")
-@pytest.mark.parametrize("line", ["--version", "check job.yaml", "check job.yaml --json"])
+@pytest.mark.parametrize(
+    "line", ["--version", "--help", "map -h", "check job.yaml", "check job.yaml --json"]
+)
 def test_output_that_nobody_can_keep_is_an_error_in_words(
     line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

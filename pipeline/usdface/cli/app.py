@@ -1,6 +1,7 @@
 """All commands: those of steps are generated from their specs, the others are functions."""
 
 import contextlib
+import errno
 import os
 import sys
 import traceback
@@ -16,6 +17,7 @@ from usdface.cli.console import (
     set_up_logging,
     show_error,
     show_json,
+    unwritable_output,
 )
 from usdface.cli.job_commands import COMPLETE_VARIABLE, check, completion, demo, run
 from usdface.cli.reading_commands import describe, list_edits, names, validate
@@ -92,6 +94,8 @@ def main(arguments: list[str] | None = None) -> None:
         shown = isinstance(error, CheckFailedError)  # as the failures of a result
         _fail(str(error) or "interrupted", exit_code_of(error), as_json=as_json and not shown)
     except Exception as error:
+        if isinstance(error, OSError) and error.errno == errno.ENOSPC and error.filename is None:
+            _fail(str(unwritable_output(error)), 2, as_json=False)  # help, that typer prints
         if as_json and hasattr(error, "format_message"):  # of usage, of either kind of click
             _fail(error.format_message(), getattr(error, "exit_code", 2), as_json=True)
         if "--verbose" in given:

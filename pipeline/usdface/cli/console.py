@@ -151,13 +151,18 @@ def _print(text: str) -> None:
     except BrokenPipeError:  # nobody listens any more, which typer knows how to end by
         raise
     except OSError as error:
-        # Else Python would try again when it ends, and say so in words of its own.
-        with contextlib.suppress(OSError), open(os.devnull, "w") as nowhere:  # noqa: PTH123
-            os.dup2(nowhere.fileno(), sys.stdout.fileno())
-        raise InputError(
-            f"standard output cannot be written ({error.strerror}), so a report is lost; files "
-            "that were to be written are there. Send the output elsewhere"
-        ) from error
+        raise unwritable_output(error) from error
+
+
+def unwritable_output(error: OSError) -> InputError:
+    """Return the error that says that standard output is lost, which is not written to again."""
+    # Else Python would try again when it ends, and say so in words of its own.
+    with contextlib.suppress(OSError), open(os.devnull, "w") as nowhere:  # noqa: PTH123
+        os.dup2(nowhere.fileno(), sys.stdout.fileno())
+    return InputError(
+        f"standard output cannot be written ({error.strerror}), so a report is lost; files that "
+        "were to be written are there. Send the output elsewhere"
+    )
 
 
 def show_error(message: str) -> None:
