@@ -31,8 +31,8 @@ def tracked(tmp_path: Path, monkeypatch):
     model = tmp_path / "face_landmarker.task"
     model.write_bytes(b"")
 
-    def run(video: Path, faces, **options):
-        finder = SimulatedFinder(faces, focal_pixels=FOCAL_PIXELS, looks=1)
+    def run(video: Path, faces, *, looks: int = 1, **options):
+        finder = SimulatedFinder(faces, focal_pixels=FOCAL_PIXELS, looks=looks)
         monkeypatch.setattr(step, "FaceLandmarker", lambda path: finder)
         out = tmp_path / "x.take.usda"
         asked = {"model": model, "quality": "draft", "focal_length": FOCAL} | options
@@ -138,6 +138,21 @@ def test_a_lying_video_and_a_cut_are_said(tracked, tmp_path) -> None:
         assert any("the face jumps at frame 7: a cut?" in note for note in result.notes)
     result, _ = tracked(video, one_head)
     assert not any("jumps" in note for note in result.notes)
+
+
+def test_a_face_that_is_covered_throughout_is_guessed_and_not_trusted(tracked, tmp_path) -> None:
+    rng = np.random.default_rng(3)
+
+    def covered(number: int):
+        return [turning_head(number) + rng.normal(size=(478, 3)) * (5, 5, 0)]
+
+    video = clip(tmp_path / "e.mp4", 12)
+    result, take = tracked(video, covered, quality="final", looks=2)
+    assert any("of its mirror image differ by" in note for note in result.notes)
+    assert np.median(take.markers.confidence) < 0.9
+    result, take = tracked(video, one_head, quality="final", looks=2)
+    assert not any("mirror image" in note for note in result.notes)
+    assert (take.markers.confidence[take.markers.visible] == 1).all()
 
 
 def test_of_a_profile_the_hidden_side_is_a_gap(tracked, tmp_path) -> None:

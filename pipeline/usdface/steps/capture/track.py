@@ -47,6 +47,9 @@ _SMALLEST_EYE_PIXELS = 30.0
 """Between the eyes: the model sees the face at 192 or 256 pixels, where it is some 70."""
 _LONGEST_BRIDGED = 2.5
 """[frames] Between two pictures that are interpolated: one may be missing."""
+_GUESSED_BREADTHS = 0.02
+"""How far the mirror image's landmarks lie from the picture's, of a face's breadth: .005 and .006
+in recorded clips, .008 on a drawn face, .03 with half a face covered, .08 with one on its head."""
 _LYING_DEGREES = 60.0
 _USUAL_SHARE = 0.5
 """Of the pictures, in which a filmed face is found."""
@@ -245,6 +248,13 @@ def _track_notes(track: FaceTrack, timing: _Timing) -> list[str]:
         notes.append(
             f"the mirror image shows no face in {pluralize(int(unsure.sum()), 'picture')}: low "
             f"confidence ({first_few(frames[unsure].tolist())})"
+        )
+    doubt = track.mirror_difference()
+    if doubt > _GUESSED_BREADTHS:
+        notes.append(
+            f"landmarks of a picture and of its mirror image differ by {doubt:.1%} of the face's "
+            "breadth, where 0.5 to 0.8 % is usual: the face is partly covered, turned away or in "
+            "the dark, or on its head; many landmarks are guesses"
         )
     cuts = frames[np.flatnonzero(track.jumps())]
     if len(cuts):
