@@ -20,7 +20,7 @@ from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig, TrainedMapping
 from usdface.core.deformer import Deformer
 from usdface.model.retarget.shape_names import read_meanings
-from usdface.numerics.registration.cloud_alignment import align_landmarks
+from usdface.numerics.rigid.rigid_alignment import optimal_rotations
 
 HEAD = "head"
 EYES = ("left_eye", "right_eye")
@@ -40,6 +40,9 @@ agrees with the weights of their looks by a correlation above 0.99, and its yaw 
 
 _TELLING_RADIANS = 0.02
 """Standard deviation of a look from which on it tells the sign of an angle."""
+
+_FEWEST_SHAPES = 3
+"""That a similarity is told by."""
 
 _WAYS = {"down": (0, 1), "up": (0, -1), "out": (1, 1), "in": (1, -1)}
 """Axis and sign of a look of the left eye."""
@@ -112,26 +115,36 @@ def performer_onto_rig(mapping: TrainedMapping, rig: Rig) -> FloatArray:
     """Return the similarity, (4, 4), that lays a mapping's performer on the rig.
 
     The middle of what a shape moves on the performer, as the mapping's forward model says, belongs
-    on the middle of what it moves on the rig.
+    on the middle of what it moves on the rig. Motions count by their squares: the model knows each
+    a little everywhere, which draws plain middles together and makes the performer small. Shapes
+    count by how far they move the performer. The scale is Horn's symmetric one (1987, J. Opt. Soc.
+    Am. A 4, 629-642).
 
     Raises
     ------
     ValueError
         If fewer than three shapes move both.
     """
-    on_face = np.linalg.norm(mapping.arrays["forward_basis"], axis=2)
+    on_face = (mapping.arrays["forward_basis"] ** 2).sum(axis=2)
     offsets = Deformer(rig).shapes.target_offsets().toarray().reshape(len(rig.shapes), -1, 3)
-    on_rig = np.linalg.norm(offsets, axis=2)[[rig.shapes.index(n) for n in mapping.shape_names]]
+    on_rig = (offsets**2).sum(axis=2)[[rig.shapes.index(n) for n in mapping.shape_names]]
     both = (on_face.sum(axis=1) > 0) & (on_rig.sum(axis=1) > 0)
+    if both.sum() < _FEWEST_SHAPES:
+        raise ValueError(f"{both.sum()} shapes move both, {_FEWEST_SHAPES} are needed")
     points = np.concatenate([mesh.points for mesh in rig.meshes])
     face, character = (
         size[both] @ places / size[both].sum(axis=1, keepdims=True)
         for size, places in ((on_face, mapping.neutral), (on_rig, points))
     )
-    found = align_landmarks(face, character)
+    weight = np.sqrt(on_face[both].sum(axis=1))
+    means = [np.average(each, axis=0, weights=weight) for each in (face, character)]
+    near, far = face - means[0], character - means[1]
+    turned, _ = optimal_rotations(((weight[:, None] * far).T @ near)[None], rank_tolerance=1e-9)
+    rotation = turned[0]
+    scale = np.sqrt((weight @ far**2).sum() / (weight @ near**2).sum())  # both err alike
     onto = np.eye(4)
-    onto[:3, :3] = found.scale[:, None] * found.rotation
-    onto[:3, 3] = found.translation
+    onto[:3, :3] = scale * rotation
+    onto[:3, 3] = means[1] - onto[:3, :3] @ means[0]
     return onto
 
 
