@@ -18,6 +18,7 @@ from usdface.runner.state import job_states
 from usdface.specs.reading import read_job
 from usdface.specs.review import EvaluateSpec
 from usdface.steps.inputs.weight_tables import read_weight_table
+from usdface.steps.review.evaluation_tables import shapes_with_motion
 from usdface.steps.review.scoring import read_keys
 from usdface.usdio.performance.read import read_performance
 from usdface.usdio.performance.weights_layer import make_header
@@ -163,6 +164,15 @@ def test_shapes_that_markers_cannot_show_are_named(finished_shot: Shot) -> None:
     assert set(more["unobservable"]) == {*usual["unobservable"], "tongueOut"}
     report = execute(spec_of(finished_shot, unobservable=("nothing*",)))
     assert "--unobservable nothing* names no shape of the rig" in report.notes
+
+
+def test_looks_are_told_by_any_names() -> None:
+    for names in (
+        ("hero_bs_eyeLookOut_L", "hero_bs_jawOpen", "hero_bs_mouthSmile_L"),
+        ("CTRL_expressions_eyeLookUpL", "CTRL_expressions_jawOpen", "CTRL_expressions_eyeBlinkL"),
+        ("Eye_L_Look_Up", "Jaw_Open", "Mouth_Smile_L"),
+    ):
+        np.testing.assert_array_equal(shapes_with_motion(names), [False, True, True])
 
 
 def test_shapes_of_one_side_count_as_0_on_the_other_and_are_told(shot: Shot) -> None:

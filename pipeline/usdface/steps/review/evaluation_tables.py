@@ -11,6 +11,7 @@ from usdface.core.text import pluralize
 from usdface.media.charts.evaluation import EvaluationPage, ShapeBar
 from usdface.media.picture.error_strip import ErrorCurve
 from usdface.model.mapping.evaluation import Evaluation
+from usdface.model.retarget.shape_names import read_meanings
 from usdface.numerics.measure.performance_error import SurfaceError
 from usdface.specs.review import EvaluateSpec
 
@@ -22,14 +23,20 @@ def shapes_with_motion(
     shapes: Sequence[str],
     unobservable: Sequence[str] = EvaluateSpec.model_fields["unobservable"].default,
 ) -> BoolArray:
-    """Return which shapes markers can show, by default those that `usdface evaluate` counts."""
-    return np.array(
-        [
-            not any(fnmatchcase(name.lower(), pattern.lower()) for pattern in unobservable)
-            for name in shapes
-        ],
-        dtype=np.bool_,
-    )
+    """Return which shapes markers can show, by default those that `usdface evaluate` counts.
+
+    A pattern names shapes as they are called, and in ARKit's words as what they mean.
+    """
+    meanings = read_meanings(shapes)
+    called = [
+        (name.lower(), *([meanings[name].motion] if meanings[name].understood else []))
+        for name in shapes
+    ]
+    hidden = [
+        any(fnmatchcase(each, pattern.lower()) for each in names for pattern in unobservable)
+        for names in called
+    ]
+    return np.logical_not(np.array(hidden, dtype=np.bool_))
 
 
 def evaluation_summary(evaluation: Evaluation) -> str:
