@@ -54,7 +54,7 @@ FAULTS = {
         "trc", replaced(TRC, 9, 4, "oops", "\t"), r"line 9, column 4 \(brow_L\.Y\): 'oops'"),
     "trc: a ragged row": (
         "trc", replaced(TRC, 9, 4, "1\t2", "\t"), "line 9: 15 cells, 14 expected"),
-    "trc: two rates": ("trc", TRC.replace("100.00", "60.00"), "two frame rates: DataRate says 60"),
+    "trc: two rates": ("trc", TRC.replace("100.00", "60.00"), "DataRate says 60, .* with --rate"),
     "trc: rate of zero": ("trc", TRC.replace("100.00", "0"), "line 3 DataRate: frame rate 0"),
     "trc: no rate": ("trc", TRC.replace("DataRate", "Fast"), "line 3: DataRate is ''; it must"),
     "trc: unknown unit": ("trc", samples.trc(units="furlong"), "unit 'furlong'"),

@@ -154,7 +154,7 @@ def check_rate(
     if not low * 0.99 <= float(rate) <= high * 1.01:
         raise InputError(
             f"{where}: two frame rates: {stated_in} says {float(rate):g}, the times of the rows "
-            f"{measured:g}; export the take again"
+            f"{measured:g}; export the take again, or say which is right with --rate"
         )
 
 
