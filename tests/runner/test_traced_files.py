@@ -5,7 +5,8 @@ import pytest
 from tests.steps.small_shot import Shot
 from usdface.core.errors import InputError
 from usdface.runner.execute import execute
-from usdface.runner.origin import provenance_of, traced_files
+from usdface.runner.origin import make_provenance, provenance_of, traced_files
+from usdface.runner.state import step_state
 from usdface.specs.capture import CleanSpec
 from usdface.specs.review import ReportSpec, SheetSpec
 
@@ -63,3 +64,14 @@ def test_provenance_that_names_itself_ends(shot: Shot) -> None:
     mapping.replace(shot / "hero.mapping.usdc")
     spec = SheetSpec(performance=shot / "hero.mapping.usdc", out=shot / "a.jpg")
     assert {path.name for path in traced_files(spec)} == {take.name, "hero.mapping.usdc"}
+
+
+def test_new_samples_below_an_old_layer_are_not_up_to_date(shot: Shot) -> None:
+    spec = CleanSpec(take=shot / "shot.take.usda", out=shot / "shot.clean.take.usda")
+    assert execute(spec).up_to_date
+    old = spec.out.read_bytes()
+    execute(spec.model_copy(update={"smooth": False}), overwrite=True)
+    spec.out.write_bytes(old)  # as a kill between two renames leaves it
+    state = step_state(spec, make_provenance(spec))
+    assert state.state == "stale"
+    assert "shot.clean.take.samples.usdc is of another run" in state.reason

@@ -14,7 +14,7 @@ from usdface.core.provenance import Provenance
 from usdface.core.sidecars import LAYER_SUFFIXES
 from usdface.core.text import first_few, pluralize
 from usdface.runner.origin import make_provenance, provenance_of, spec_of
-from usdface.runner.outputs import check_may_be_read, missing_in_job, missing_inputs
+from usdface.runner.outputs import check_may_be_read, missing_in_job, missing_inputs, sidecars_of
 from usdface.specs.base import Spec
 from usdface.specs.job import JobSpec
 from usdface.specs.paths import Reads, Writes, frame_range
@@ -165,7 +165,19 @@ def step_state(spec: Spec, provenance: Provenance) -> StepState:
             return StepState(spec, "stale", f"{changed[0]} has changed since")
         if path.suffix in LAYER_SUFFIXES and (lost := missing_sublayers(path)):
             return StepState(spec, "missing", f"{lost[0]} is not there")
+        if other := _layer_of_another_run(spec, path, made):
+            return StepState(spec, "stale", f"{other.name} is of another run, which was cut off")
     return StepState(spec, "done", "up to date")
+
+
+def _layer_of_another_run(spec: Spec, path: Path, made: Provenance) -> Path | None:
+    """Return a layer beneath an output that the same step made, but of other settings or inputs."""
+    for layer in sidecars_of(spec, path):
+        beneath = provenance_of(layer) if layer.is_file() else None
+        if beneath is not None and beneath.step == made.step:
+            if (beneath.spec, dict(beneath.inputs)) != (made.spec, dict(made.inputs)):
+                return layer
+    return None
 
 
 def _changed_settings(was: Mapping[str, Any], now: Mapping[str, Any]) -> str:
