@@ -181,7 +181,7 @@ VOCABULARIES = (
         browinnerup+browouterup: brow surprised
         browinnerup: brow sorrow
         mouthsmile: mouth fun
-        jawopen: mouth a | aa
+        jawopen: mouth a
         """,
         rank=2,
     ),
