@@ -117,7 +117,8 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
     progress(0.85, f"writing {spec.out.name}")
     with nobody_tunes(spec.out):
         _check_tuning_is_as_read(spec, kept)
-        _write_placement(spec, placed, rig, provenance)
+        if spec.placement is None:
+            write_placement(placement_path(spec.out), placed.placement, rig, provenance=provenance)
         write_references(
             spec.out,
             references,
@@ -127,6 +128,7 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
             provenance=provenance,
         )
     remove_unused_images(spec.out, images.files)
+    _draw_placement(spec, placed, rig, provenance)
     progress(0.9, "measuring the coverage")
     scene = selection.scene
     covered = cover(scene.space, scene.features, rows, candidates=selection.candidates)
@@ -229,10 +231,8 @@ def _place(spec: SelectSpec, takes: CleanedTakes, rig: Rig) -> PlacedTakes:
     return place_takes(takes, rig, out=placement_path(spec.out), landmarks=landmarks)
 
 
-def _write_placement(spec: SelectSpec, placed: PlacedTakes, rig: Rig, made: Provenance) -> None:
-    """Write the placement if it is not given, and its picture beside the references."""
-    if spec.placement is None:
-        write_placement(placement_path(spec.out), placed.placement, rig, provenance=made)
+def _draw_placement(spec: SelectSpec, placed: PlacedTakes, rig: Rig, made: Provenance) -> None:
+    """Draw the placement beside the references."""
     title = f"{spec.out.stem} on {rig.file.stem}"
     picture = draw_placement(placed, rig, title=title, quality="draft")
     write_image(_placement_picture(spec), picture, metadata=provenance_metadata(made))
