@@ -176,13 +176,12 @@ class Spec(BaseModel):
             counts = not set(several).isdisjoint(values)
             if not self._is_given(name) or counts or (not values and self._is_given(other)):
                 continue
-            needed = " or ".join(f"{other} {value}" for value in values) or other
+            option = other.replace("_", "-")
+            needed = " or ".join(f"{option} {value}" for value in values) or option
             without = (
                 f"with {other} {', '.join(map(str, several))}" if values else f"without {other}"
             )
-            raise ValueError(
-                f"{name} has no effect {without}; leave it out, or give {needed.replace('_', '-')}"
-            )
+            raise ValueError(f"{name} has no effect {without}; leave it out, or give {needed}")
         for name, others in type(self).never_with.items():
             given = [other for other in others if self._is_given(other)]
             if given and self._is_given(name):

@@ -238,9 +238,6 @@ class CyclicSpec(Spec):
         "--out kitchen.cyclic.json --out kitchen.cyclic.jpg"
     )
     module: ClassVar[str] = "retarget.cyclic"
-    only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
-        "published": ("methods", ("auto", "kernel_cca", "hybrid")),
-    }
 
     step: Literal["cyclic"] = "cyclic"
     pairs: Annotated[FilePath, Reads(), Positional()]
@@ -263,6 +260,16 @@ class CyclicSpec(Spec):
     """Frames to measure, as FIRST-LAST. Default: all."""
     every: Annotated[int, Field(ge=1)] = 1
     """Measure every n-th frame."""
+
+    @model_validator(mode="after")
+    def _published_is_of_kernel_cca(self) -> Self:
+        measured = {"auto", "kernel_cca", "hybrid"} & set(self.methods)
+        if self.published and not measured and self.alpha is None:
+            raise ValueError(
+                f"published has no effect with methods {', '.join(self.methods)}; leave it out, or "
+                "give methods kernel_cca or hybrid, or alpha"
+            )
+        return self
 
 
 class MakeSequenceSpec(Spec):

@@ -193,7 +193,7 @@ def test_tuning_of_an_older_selection_is_refused_and_not_touched(shot: Shot) -> 
     execute(spec(shot, method="design", count=PAIRS, frames="200-480"))
     stale = tuned_path(shot / "hero.references.usda").read_bytes()
     tuned_path(new).write_bytes(stale)
-    with pytest.raises(InputError, match="it is the tuning of an older selection"):
+    with pytest.raises(InputError, match="it is of an older selection"):
         read_references(new)
     assert tuned_path(new).read_bytes() == stale
     # Selecting again takes the old tuning in, at the time codes it has.

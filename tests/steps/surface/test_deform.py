@@ -298,11 +298,9 @@ def test_shapes_are_made_of_the_references_of_a_take(folder: Path) -> None:
         out=folder / "scan.references.usda",
     )
     run(select)
-    layer = Sdf.Layer.FindOrOpen(str(folder / "scan.references.usda"))
-    frames = sorted(
-        layer.QueryTimeSample("/References.face:reference:frame", time)
-        for time in layer.ListTimeSamplesForPath("/References.face:reference:frame")
-    )
+    references = Usd.Stage.Open(str(folder / "scan.references.usda"))
+    frame = references.GetAttributeAtPath("/References.face:reference:frame")
+    frames = sorted(frame.Get(time) for time in frame.GetTimeSamples())
     out = folder / "more.rig.usda"
     run(make_shapes(folder, references=folder / "scan.references.usda", out=out))
     stage = Usd.Stage.Open(str(out))
