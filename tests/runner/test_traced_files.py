@@ -1,5 +1,9 @@
 """Files that a step finds by provenance count for what is out of date, as those it names do."""
 
+import os
+import subprocess
+import sys
+
 import pytest
 
 from tests.steps.small_shot import Shot
@@ -48,6 +52,26 @@ def test_files_of_a_performance_are_followed_and_those_that_are_named_are_not(sh
     assert {path.name for path in traced_files(report)} == found - {"hero.references.usda"}
     (shot / "hero.mapping.usdc").unlink()
     assert {path.name for path in traced_files(sheet(shot))} == {"shot.clean.take.usda"}
+
+
+def test_files_are_found_in_one_order_whatever_the_hashes_of_names(shot: Shot) -> None:
+    code = (
+        "from pathlib import Path; from usdface.runner.origin import traced_files; "
+        "from usdface.specs.review import SheetSpec; "
+        "spec = SheetSpec(performance=Path('shot.hero.usda'), out=Path('a.jpg')); "
+        "print(*traced_files(spec))"
+    )
+    orders = {
+        subprocess.run(
+            [sys.executable, "-c", code],
+            cwd=shot / ".",
+            env=os.environ | {"PYTHONHASHSEED": str(seed)},
+            capture_output=True,
+            check=True,
+        ).stdout
+        for seed in range(4)
+    }
+    assert len(orders) == 1
 
 
 def test_a_file_that_was_found_is_never_written_over(shot: Shot) -> None:

@@ -92,7 +92,9 @@ def traced_files(spec: Spec) -> dict[Path, Reads]:
             continue
         seen.add(file)
         named = spec_of(provenance_of(file))
-        for name in _TRACED.keys() - given & named.keys():
+        for name in _TRACED:  # in their order: the same inputs have to give the same bytes
+            if name in given or name not in named:
+                continue
             for path in _paths_in(named[name], file.parent):
                 if path.is_file():
                     found[path] = _TRACED[name]
