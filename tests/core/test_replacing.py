@@ -14,6 +14,7 @@ import pytest
 from usdface.core import write_lock
 from usdface.core.errors import InputError
 from usdface.core.replacing import (
+    appearing_together,
     check_not_written_since,
     creating,
     not_written_since,
@@ -319,6 +320,39 @@ def test_files_that_belong_together_are_all_whole_before_one_is_renamed(tmp_path
         fail()
     assert first.read_text() == "old"
     assert [each.name for each in tmp_path.iterdir()] == ["a.txt"]
+
+
+def test_files_written_one_by_one_appear_together_and_others_at_once(tmp_path: Path) -> None:
+    samples, top, other = (tmp_path / name for name in ("a.samples.usdc", "a.usda", "part.usdc"))
+    for path in (samples, top):
+        path.write_text("old")
+    placed = []
+
+    def write(path: Path) -> None:
+        with replacing_together([path], then=lambda each: placed.append(each.name)) as (temporary,):
+            temporary.write_text("new")
+
+    def write_all(*, failing: bool) -> None:
+        with appearing_together([top, samples]):
+            for path in (samples, other, top):
+                write(path)
+            assert [path.read_text() for path in (samples, top, other)] == ["old", "old", "new"]
+            assert placed == ["part.usdc"]
+            assert not failing
+
+    with pytest.raises(AssertionError):
+        write_all(failing=True)
+    assert samples.read_text() == top.read_text() == "old"
+    assert sorted(each.name for each in tmp_path.iterdir()) == [
+        "a.samples.usdc",
+        "a.usda",
+        "part.usdc",
+    ]
+    placed.clear()
+    write_all(failing=False)
+    assert samples.read_text() == top.read_text() == "new"
+    assert placed == ["part.usdc", "a.samples.usdc", "a.usda"]
+    assert len(list(tmp_path.iterdir())) == 3  # no lock is left
 
 
 @pytest.mark.parametrize("letter", ["a", "é", "漢", "😀"])

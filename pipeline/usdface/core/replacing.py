@@ -13,6 +13,7 @@ import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 
@@ -64,8 +65,59 @@ def creating(path: Path) -> Iterator[Path]:
         yield temporary
 
 
+@dataclass(frozen=True)
+class _Replacement:
+    """A file that is to take another's place."""
+
+    path: Path
+    temporary: Path
+    check_lock: Callable[[], None]
+    then: Callable[[Path], None] | None
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Files of which none is renamed before all are whole."""
+
+    paths: frozenset[Path]
+    whole: list[_Replacement] = field(default_factory=list)
+    held: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
+    """Their locks and temporaries."""
+
+
+_GROUP: ContextVar[_Group | None] = ContextVar("_GROUP", default=None)
+
+
 @contextmanager
-def replacing_together(paths: Sequence[Path], *, new: bool = False) -> Iterator[tuple[Path, ...]]:
+def appearing_together(paths: Iterable[Path]) -> Iterator[None]:
+    """Let files that a block writes one by one take their places at its end, or none of them.
+
+    They do in the order in which they became whole; other files that it writes do at once.
+
+    Parameters
+    ----------
+    paths : iterable of Path
+        Those of them that are written. None is to be read in the block.
+
+    Raises
+    ------
+    InputError
+        As `replacing` does.
+    """
+    group = _Group(frozenset(paths))
+    with group.held:
+        token = _GROUP.set(group)
+        try:
+            yield
+        finally:
+            _GROUP.reset(token)
+        _put_in_place(group.whole)
+
+
+@contextmanager
+def replacing_together(
+    paths: Sequence[Path], *, new: bool = False, then: Callable[[Path], None] | None = None
+) -> Iterator[tuple[Path, ...]]:
     """Give temporary names for files that belong together; all are whole before one is renamed.
 
     A disk that fills leaves every old file. The renames follow each other in the order given, so a
@@ -77,6 +129,8 @@ def replacing_together(paths: Sequence[Path], *, new: bool = False) -> Iterator[
         The files to make or to replace; no two are the same.
     new : bool
         Make them, and replace none.
+    then : callable, optional
+        Is called with each once all are in place.
 
     Yields
     ------
@@ -90,22 +144,34 @@ def replacing_together(paths: Sequence[Path], *, new: bool = False) -> Iterator[
     """
     if new and (there := [path for path in paths if os.path.lexists(path)]):
         raise _exists_error(there[0])
+    group = _GROUP.get()
     with contextlib.ExitStack() as stack:
-        made = [(path, *stack.enter_context(_temporary(path))) for path in paths]
-        yield tuple(temporary for _, temporary, _ in made)
-        for path, temporary, _ in made:
-            with _as_input_error(path):
-                _settle(path, temporary)
-        for path, _, check_lock in made:
-            with _as_input_error(path):
-                check_lock()
-        stack.enter_context(_old_files_open(paths))
-        for path, temporary, _ in made:
-            with _as_input_error(path):
+        made = [_Replacement(path, *stack.enter_context(_temporary(path)), then) for path in paths]
+        yield tuple(each.temporary for each in made)
+        for each in made:
+            with _as_input_error(each.path):
+                _settle(each.path, each.temporary)
+        if group is not None and group.paths.issuperset(paths):
+            group.whole.extend(made)
+            group.held.push(stack.pop_all())
+        else:
+            _put_in_place(made, new=new)
+
+
+def _put_in_place(made: Sequence[_Replacement], *, new: bool = False) -> None:
+    for each in made:
+        with _as_input_error(each.path):
+            each.check_lock()
+    with _old_files_open([each.path for each in made]):
+        for each in made:
+            with _as_input_error(each.path):
                 if new:
-                    _put_new(temporary, path)
+                    _put_new(each.temporary, each.path)
                 else:
-                    temporary.replace(path)
+                    each.temporary.replace(each.path)
+    for each in made:
+        if each.then is not None:
+            each.then(each.path)
 
 
 @contextmanager

@@ -182,7 +182,7 @@ def new_layers(made: Mapping[Path, Provenance | None]) -> Iterator[tuple[Sdf.Lay
     for path in paths:
         check_layer_name(path)
     with (
-        replacing_together(paths) as temporaries,
+        replacing_together(paths, then=_reload) as temporaries,
         usd_errors_as_input_errors(paths[-1], "writing it"),
     ):
         layers = tuple(Sdf.Layer.CreateNew(str(temporary)) for temporary in temporaries)
@@ -191,8 +191,6 @@ def new_layers(made: Mapping[Path, Provenance | None]) -> Iterator[tuple[Sdf.Lay
             author_provenance(layer, provenance)
             save_layer(layer, path)
         del layer, layers
-    for path in paths:
-        _reload(path)
 
 
 def author_provenance(layer: Sdf.Layer, provenance: Provenance | None) -> None:

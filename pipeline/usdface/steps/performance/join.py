@@ -7,14 +7,14 @@ from pathlib import Path
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.sidecars import weights_path
+from usdface.core.sidecars import head_path, weights_path
 from usdface.core.text import first_few, pluralize
 from usdface.runner.result import StepResult
 from usdface.specs.performance import JoinSpec
 from usdface.steps.inputs.edit_ranges import edit_notes
 from usdface.steps.performance.map import LARGEST_LAYER_BYTES
 from usdface.usdio.performance.clips import ClipPart, write_clips
-from usdface.usdio.performance.head_layer import join_head_layers
+from usdface.usdio.performance.head_layer import heads_of, join_head_layers
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import WeightsHeader, writing_weights
 from usdface.usdio.performance.write import writing_top
@@ -36,7 +36,9 @@ def run(spec: JoinSpec, *, provenance: Provenance, progress: Progress = silent) 
     def report(last: int) -> None:
         progress((last - whole.first_frame + 1) / whole.frame_count, f"joined to frame {last}")
 
-    with writing_top(spec.out, whole, rig, provenance=provenance):
+    heads = heads_of([each.path for each in readers])
+    above = [head_path(spec.out)] if heads else []
+    with writing_top(spec.out, whole, rig, above=above, provenance=provenance):
         if clips:
             parts = [_part(reader) for reader in readers]
             write_clips(target, whole, rig, parts, provenance=provenance)
@@ -49,8 +51,7 @@ def run(spec: JoinSpec, *, provenance: Provenance, progress: Progress = silent) 
                         reader.last_frame,
                         copied_to=report,
                     )
-    paths = [each.path for each in readers]
-    join_head_layers(spec.out, paths, last_frame=whole.last_frame, provenance=provenance)
+        join_head_layers(spec.out, heads, last_frame=whole.last_frame, provenance=provenance)
     notes = edit_notes(spec.out)
     notes += [
         f"{reader.path}: its edits of {first_few(sorted(reader.edits))} stay there; edits "

@@ -176,6 +176,7 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress = silent) -
         header,
         rig,
         part_frames=_part_frames(spec, last - first + 1, len(rig.shapes)),
+        above=[head_path(spec.out)] if driven else [],
         provenance=provenance,
     ) as writer:
         predictions = _predict(spec, mapping, take, space, windows)
@@ -199,7 +200,7 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress = silent) -
             written.add(solved, rows)
             done = min(block.stop - 1, last)
             progress((done - first + 1) / (last - first + 1), f"mapped to frame {done}")
-    write_head_layer(spec.out, header, rig, driven, provenance=provenance)
+        write_head_layer(spec.out, header, rig, driven, provenance=provenance)
     notes += [*_marker_notes(space), *space.neutral.notes(take.name)]
     notes += _left_over_notes(mapping, written)
     notes += _few_marker_notes(first, np.concatenate(written.few_markers))

@@ -95,8 +95,7 @@ def run(spec: RetargetSpec, *, provenance: Provenance, progress: Progress = sile
         out = spec.out[index]
         share = part(progress, index / len(targets), (index + 1) / len(targets))
         header = _header(spec, motion, target)
-        _write(out, header, motion, target, alpha, share, provenance)
-        write_head_layer(out, header, target.rig, heads[index], provenance=provenance)
+        _write(out, header, motion, target, heads[index], alpha, share, provenance)
         notes += [f"{out.name}: {note}" for note in (*target.notes, *edit_notes(out))]
         outputs += [out, weights_path(out)]
         if target.trained and (target.trained.joints or target.trained.attributes):
@@ -191,6 +190,7 @@ def _write(
     header: WeightsHeader,
     motion: SourceMotion,
     target: _Target,
+    head: dict[DriveTarget, FloatArray],
     alpha: FloatArray | None,
     progress: Progress,
     provenance: Provenance,
@@ -202,6 +202,7 @@ def _write(
         target.rig,
         joints=trained.joints if trained else (),
         attributes=trained.attributes if trained else (),
+        above=[head_path(out)] if head else [],
         provenance=provenance,
     ) as writer:
         count = len(motion.weights)
@@ -212,6 +213,9 @@ def _write(
             )
             done = min(start + _CHUNK_FRAMES, count)
             progress(done / count, f"{out.name}: frame {motion.first_frame + done - 1}")
+        write_head_layer(
+            out, header, target.rig, head, controls=writer.layer, provenance=provenance
+        )
 
 
 def _dead(

@@ -16,10 +16,10 @@ from usdface.core.assets import Rig
 from usdface.core.controls import Controls
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
-from usdface.core.sidecars import controls_path, head_path, weights_path
+from usdface.core.sidecars import head_path
 from usdface.numerics.motion.rotation_space import multiply_quaternions
 from usdface.usdio.authoring import author_timing, author_uniform
-from usdface.usdio.layers import new_layers, open_layer, open_stage, relative_path
+from usdface.usdio.layers import new_layer, open_layer, open_stage, relative_path
 from usdface.usdio.performance.weights_layer import WeightsHeader
 from usdface.usdio.retarget.controls import author_joints, controls_at, set_joint_samples
 from usdface.usdio.rig.drive_targets import DriveTarget, joint_rest, skeleton_with
@@ -34,16 +34,20 @@ def write_head_layer(
     rig: Rig,
     transforms: Mapping[DriveTarget, FloatArray],
     *,
+    controls: Sdf.Layer | None = None,
     provenance: Provenance | None = None,
 ) -> None:
-    """Write what drives joints and Xforms of a performance that was just written.
+    """Write what drives joints and Xforms of a performance that is being written.
 
     Parameters
     ----------
     path : Path
-        The performance; it will open the new layer.
+        The performance, which is to open the new layer.
     transforms : mapping of DriveTarget to (frames, 4, 4) float array
         From rest, in the rig's world, for column vectors [mm]. Without any nothing is written.
+
+    controls : Sdf.Layer, optional
+        With the joints of a retargeting, on which it turns.
 
     Raises
     ------
@@ -58,12 +62,12 @@ def write_head_layer(
     back = np.linalg.inv(ours)
     world = {target: back @ values @ ours for target, values in transforms.items()}
     joints = {target: values for target, values in world.items() if target.is_joint}
-    with new_layers({head_path(path): provenance, path: provenance}) as (layer, top):
+    with new_layer(head_path(path), provenance) as layer:
         author_units(layer, like=rig.file)
         author_timing(layer, rate=header.rate, first=header.first_frame, last=header.last_frame)
         layer.defaultPrim = Sdf.Path(header.place).GetPrefixes()[0].name
         if joints:
-            driven = _turn_joints(_joints_below(path, header), stage, rig, joints)
+            driven = _turn_joints(_joints_of(controls, header, path), stage, rig, joints)
             prim = Sdf.CreatePrimInLayer(layer, header.animation)
             author_joints(prim, driven.joints)
             set_joint_samples(layer, header.animation, driven, header.first_frame)
@@ -72,17 +76,10 @@ def write_head_layer(
             prim = stage.GetPrimAtPath(target.path)
             over = Sdf.CreatePrimInLayer(layer, prim.GetPath().ReplacePrefix(source, header.place))
             _author_xform(over, prim, world[target], header.first_frame)
-        _open_from(top, path)
 
 
-def join_head_layers(
-    path: Path,
-    parts: Sequence[Path],
-    *,
-    last_frame: int,
-    provenance: Provenance | None = None,
-) -> None:
-    """Join what turns the head in parts of a performance, in the order of their frames.
+def heads_of(parts: Sequence[Path]) -> list[Path]:
+    """Return the layers that turn the head in parts of a performance: of all, or of none.
 
     Raises
     ------
@@ -90,19 +87,29 @@ def join_head_layers(
         If a part has no such layer and another has.
     """
     layers = [head_path(each) for each in parts if opens_head(each)]
-    if not layers:
-        return
-    if len(layers) < len(parts):
+    if layers and len(layers) < len(parts):
         lacking = next(each for each in parts if not opens_head(each))
         raise InputError(
             f"{lacking}: drives no head, and {layers[0]} does; map it again with the same --drive"
         )
-    with new_layers({head_path(path): provenance, path: provenance}) as (layer, top):
-        layer.TransferContent(open_layer(layers[0]))
+    return layers
+
+
+def join_head_layers(
+    path: Path,
+    heads: Sequence[Path],
+    *,
+    last_frame: int,
+    provenance: Provenance | None = None,
+) -> None:
+    """Join what turns the head in parts of a performance, in the order of their frames."""
+    if not heads:
+        return
+    with new_layer(head_path(path), provenance) as layer:
+        layer.TransferContent(open_layer(heads[0]))
         layer.endTimeCode = last_frame
-        for other in map(open_layer, layers[1:]):
+        for other in map(open_layer, heads[1:]):
             _copy_samples(other, layer)
-        _open_from(top, path)
 
 
 def opens_head(performance: Path) -> bool:
@@ -134,21 +141,10 @@ def _copy_samples(source: Sdf.Layer, target: Sdf.Layer) -> None:
     source.Traverse(Sdf.Path.absoluteRootPath, copy)
 
 
-def _open_from(top: Sdf.Layer, path: Path) -> None:
-    """Make a new top layer open the head's above the weights."""
-    old = open_layer(path)
-    top.TransferContent(old)
-    head, weights = (relative_path(each(path), path) for each in (head_path, weights_path))
-    present = list(top.subLayerPaths)
-    if head not in present:
-        top.subLayerPaths.insert(present.index(weights), head)
-
-
-def _joints_below(path: Path, header: WeightsHeader) -> Controls:
-    """Return the joints that a retargeting wrote beside the performance; none without one."""
-    layer = open_layer(path)
-    if relative_path(controls_path(path), path) in list(layer.subLayerPaths):
-        stage = open_stage(controls_path(path))
+def _joints_of(controls: Sdf.Layer | None, header: WeightsHeader, path: Path) -> Controls:
+    """Return the joints that a retargeting moves; none without one."""
+    if controls is not None:
+        stage = Usd.Stage.Open(controls)
         frames = range(header.first_frame, header.last_frame + 1)
         return controls_at(stage.GetPrimAtPath(header.animation), None, (), frames, path)
     return _no_joints(header.frame_count)

@@ -3,7 +3,7 @@
 import contextlib
 import struct
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from pxr import Sdf, Usd, UsdUtils
 from usdface.core.assets import Rig
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
-from usdface.core.replacing import check_not_written_since
+from usdface.core.replacing import appearing_together, check_not_written_since
 from usdface.core.side_files import side_stream
 from usdface.core.sidecars import controls_path, edits_path, head_path, weights_path
 from usdface.core.text import first_few
@@ -141,6 +141,7 @@ def writing_performance(
     rig: Rig,
     *,
     part_frames: int | None = None,
+    above: Sequence[Path] = (),
     provenance: Provenance | None = None,
 ) -> Iterator[WeightsWriter | PartsWriter]:
     """Write a performance frame by frame; the files appear when the block ends without error.
@@ -153,6 +154,8 @@ def writing_performance(
         From `make_header`; frames are appended from its first to its last.
     part_frames : int, optional
         Write the weights as parts of this many frames, played as value clips; one layer by default.
+    above : sequence of Path
+        As `writing_top` takes it.
 
     Raises
     ------
@@ -160,7 +163,7 @@ def writing_performance(
         If the files cannot be written; what was there is then left as it was.
     """
     weights_file = weights_path(path)
-    with writing_top(path, header, rig, provenance=provenance):
+    with writing_top(path, header, rig, above=above, provenance=provenance):
         if part_frames is None:
             with writing_weights(weights_file, header, rig, provenance=provenance) as writer:
                 yield writer
@@ -177,19 +180,27 @@ def writing_top(
     header: WeightsHeader,
     rig: Rig,
     *,
+    above: Sequence[Path] = (),
     shown: Usd.Stage | None = None,
     provenance: Provenance | None = None,
 ) -> Iterator[None]:
-    """Write the layer to open around what writes its weights.
+    """Write the layer to open around what writes its weights; all appear together.
 
     It is locked from the start: nobody else can write this performance meanwhile.
 
     Parameters
     ----------
+    above : sequence of Path
+        Which of its layers with a head and with controls are written, and opened above the weights;
+        one of an earlier run is opened no more.
     shown : Usd.Stage, optional
         Has the rig at the same place: what it chose of the rig's variants is chosen here.
     """
-    with new_layer(path, provenance) as layer:
+    besides = (head_path(path), controls_path(path))
+    with (
+        appearing_together((path, weights_path(path), *besides)),
+        new_layer(path, provenance) as layer,
+    ):
         check_not_written_since(path)
         before = _previous(path)
         yield
@@ -198,9 +209,6 @@ def writing_top(
         author_units(layer, like=rig.file)
         layer.defaultPrim = Sdf.Path(header.place).GetPrefixes()[0].name
         weights_asset = relative_path(weights_path(path), path)
-        head_asset = relative_path(head_path(path), path)  # of an earlier run: written after this
-        if head_asset in list(layer.subLayerPaths):
-            layer.subLayerPaths.remove(head_asset)
         below = list(layer.subLayerPaths)
         again = weights_asset in below
         moved = layer.subLayerOffsets[below.index(weights_asset)] if again else Sdf.LayerOffset()
@@ -214,11 +222,23 @@ def writing_top(
             remove_reference(layer, before.place, {rig.file.resolve(), *before.files}, path)
         if not again:
             layer.subLayerPaths.append(weights_asset)
+        for each in besides:  # the head turns joints that the controls have
+            _open_above(layer, relative_path(each, path), weights_asset, wanted=each in above)
         edits_asset = relative_path(edits_path(path), path)
         if edits_path(path).is_file() and edits_asset not in list(layer.subLayerPaths):
             # The layer to open was lost or made anew; what was edited is not.
             layer.subLayerPaths.insert(0, edits_asset)
     clear_parts(weights_path(path))
+
+
+def _open_above(layer: Sdf.Layer, asset: str, other: str, *, wanted: bool) -> None:
+    """Let a layer open one just above another, moved in time as that is, or not at all."""
+    if asset in list(layer.subLayerPaths):
+        layer.subLayerPaths.remove(asset)
+    if wanted:
+        at = list(layer.subLayerPaths).index(other)
+        layer.subLayerPaths.insert(at, asset)
+        layer.subLayerOffsets[at] = layer.subLayerOffsets[at + 1]
 
 
 @dataclass(frozen=True)

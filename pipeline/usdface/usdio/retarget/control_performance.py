@@ -5,7 +5,7 @@ beside it, NAME.controls.usdc: joints on the same animation, attributes as overs
 """
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from pxr import Sdf
@@ -15,7 +15,7 @@ from usdface.core.controls import Controls
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import controls_path
 from usdface.usdio.authoring import author_timing, author_uniform
-from usdface.usdio.layers import new_layer, open_layer, open_stage, relative_path, save_layer
+from usdface.usdio.layers import new_layer, open_stage, save_layer
 from usdface.usdio.performance.clips import PartsWriter
 from usdface.usdio.performance.weights_layer import WeightsHeader, WeightsWriter
 from usdface.usdio.performance.write import writing_performance
@@ -45,7 +45,7 @@ class ControlsLayer:
         joints: tuple[str, ...],
         attributes: tuple[str, ...],
     ) -> None:
-        self._layer, self._path, self._unsaved = layer, path, 0
+        self.layer, self._path, self._unsaved = layer, path, 0
         self._animation = header.animation
         prim = Sdf.CreatePrimInLayer(layer, self._animation)
         if joints:
@@ -65,13 +65,13 @@ class ControlsLayer:
     def append(self, controls: Controls, first_frame: int) -> None:
         """Append frames of joints and attributes."""
         if controls.joints:
-            set_joint_samples(self._layer, self._animation, controls, first_frame)
+            set_joint_samples(self.layer, self._animation, controls, first_frame)
         for column, place in enumerate(self._attributes):
             for frame, value in enumerate(controls.values[:, column].tolist(), start=first_frame):
-                self._layer.SetTimeSample(place, frame, value)
+                self.layer.SetTimeSample(place, frame, value)
         self._unsaved += len(controls)
         if self._unsaved >= _FRAMES_PER_SAVE:
-            save_layer(self._layer, self._path)
+            save_layer(self.layer, self._path)
             self._unsaved = 0
 
 
@@ -82,6 +82,7 @@ class ControlsWriter:
         self, weights: WeightsWriter | PartsWriter, others: ControlsLayer | None, first_frame: int
     ) -> None:
         self._weights, self._others = weights, others
+        self.layer = others.layer if others is not None else None
         self.next_frame = first_frame
 
     def append(self, controls: Controls) -> None:
@@ -100,6 +101,7 @@ def writing_control_performance(
     *,
     joints: tuple[str, ...],
     attributes: tuple[str, ...],
+    above: Sequence[Path] = (),
     provenance: Provenance | None = None,
 ) -> Iterator[ControlsWriter]:
     """Write a performance of any controls; the files appear when the block ends without error.
@@ -110,6 +112,8 @@ def writing_control_performance(
         The layer to open; what others put into it stays.
     header : WeightsHeader
         Of the weights that will be appended, as `writing_performance` takes it.
+    above : sequence of Path
+        What else is written, as `writing_top` takes it.
 
     Raises
     ------
@@ -118,7 +122,10 @@ def writing_control_performance(
     """
     controls_file = controls_path(path) if joints or attributes else None
     with contextlib.ExitStack() as stack:
-        weights = stack.enter_context(writing_performance(path, header, rig, provenance=provenance))
+        above = above if controls_file is None else (controls_file, *above)
+        weights = stack.enter_context(
+            writing_performance(path, header, rig, above=above, provenance=provenance)
+        )
         others = None
         if controls_file is not None:
             layer = stack.enter_context(new_layer(controls_file, provenance))
@@ -129,17 +136,3 @@ def writing_control_performance(
                 layer, controls_file, header, rig, joints=joints, attributes=attributes
             )
         yield ControlsWriter(weights, others, header.first_frame)
-    _attach(path, controls_file, provenance)
-
-
-def _attach(path: Path, controls_file: Path | None, provenance: Provenance | None) -> None:
-    """Make the performance's layer open the controls' layer, or no longer open an older one."""
-    asset = relative_path(controls_path(path), path)
-    old = open_layer(path)  # what a layer lends does not outlive it
-    present = list(old.subLayerPaths)
-    wanted = [each for each in present if each != asset] + ([asset] if controls_file else [])
-    if wanted == present:
-        return
-    with new_layer(path, provenance) as layer:
-        layer.TransferContent(old)
-        layer.subLayerPaths = wanted

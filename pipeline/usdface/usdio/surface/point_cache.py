@@ -18,6 +18,7 @@ from usdface.core.arrays import Float32Array, FloatArray
 from usdface.core.assets import Rig
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance, hash_text
+from usdface.core.replacing import appearing_together
 from usdface.core.sidecars import points_path
 from usdface.usdio.authoring import apply_api, author_timing, author_uniform
 from usdface.usdio.layers import new_layer, open_layer, relative_path
@@ -217,17 +218,18 @@ def writing_points(
     at = Sdf.Path(face.path).ReplacePrefix(Sdf.Path(default_place(asset)), Sdf.Path(top))
     points_file = points_path(path)
     outdated = _clip_files(points_file, at)
-    with _writing_samples(points_file, face, at, header, format_, provenance) as writer:
-        yield writer
-    with new_layer(path, provenance) as layer:
-        if path.is_file():
-            layer.TransferContent(open_layer(path))
-        _author_header(layer, face, at, header)
-        name = relative_path(points_file, path)
-        again = name in list(layer.subLayerPaths)
-        define_reference(layer, top, asset, path, again=again)
-        if not again:
-            layer.subLayerPaths.append(name)
+    with appearing_together((points_file, path)):
+        with _writing_samples(points_file, face, at, header, format_, provenance) as writer:
+            yield writer
+        with new_layer(path, provenance) as layer:
+            if path.is_file():
+                layer.TransferContent(open_layer(path))
+            _author_header(layer, face, at, header)
+            name = relative_path(points_file, path)
+            again = name in list(layer.subLayerPaths)
+            define_reference(layer, top, asset, path, again=again)
+            if not again:
+                layer.subLayerPaths.append(name)
     for file in outdated - _clip_files(points_file, at):
         file.unlink(missing_ok=True)
 
