@@ -341,6 +341,7 @@ def test_a_folder_where_a_file_is_read_is_refused(tmp_path, capsys) -> None:
             "lag has no effect with temporal none",
         ),
         (("deform", "t", "--mesh", "m", "--rows", "3"), "rows has no effect without picture"),
+        (("bind", "t", "m", "--quality", "draft"), "quality has no effect without picture"),
         (
             ("sheet", "p", "--camera-stage", "shot.usda"),
             "camera_stage has no effect without camera",

@@ -44,10 +44,10 @@ COMMANDS = {
     "movie-join": "movie-join shot.mp4 --out joined.mp4",
     "report": f"report {HERO} --take {TAKE} --out shot.html --frames 1-48 --height 120 --worst 2",
     "evaluate": f"evaluate {HERO} --against keys.csv --out shot.figures.json",
-    "place": f"place {TAKE} --rig {RIG} --out hero.placement.usda --quality draft",
+    "place": f"place {TAKE} --rig {RIG} --out hero.placement.usda",
     "bind": "bind talk.take.usda scan.usdc --out scan.binding.usda "
-    f"--landmarks '{','.join(landmarks(small_scan()))}' --quality draft",
-    "deform": f"deform {SCAN} --out talk.scan.usda --length-scale 30 --quality draft",
+    f"--landmarks '{','.join(landmarks(small_scan()))}'",
+    "deform": f"deform {SCAN} --out talk.scan.usda --length-scale 30",
     "make-shapes": f"make-shapes {SCAN} --count 3 --out scan.rig.usda --length-scale 30",
     "logic": f"logic {RIG} --definition logic.csv --out hero.logic.usda",
     "pairs-propose": "pairs propose --source human.usda --target beast.usda --out guess.pairs.usda",

@@ -174,7 +174,7 @@ class Spec(BaseModel):
             chosen = getattr(self, other)
             several = chosen if isinstance(chosen, tuple) else (chosen,)
             counts = not set(several).isdisjoint(values)
-            if not self._is_given(name) or counts or (not values and self._is_given(other)):
+            if not self.is_given(name) or counts or (not values and self.is_given(other)):
                 continue
             option = other.replace("_", "-")
             needed = " or ".join(f"{option} {value}" for value in values) or option
@@ -183,12 +183,12 @@ class Spec(BaseModel):
             )
             raise ValueError(f"{name} has no effect {without}; leave it out, or give {needed}")
         for name, others in type(self).never_with.items():
-            given = [other for other in others if self._is_given(other)]
-            if given and self._is_given(name):
+            given = [other for other in others if self.is_given(other)]
+            if given and self.is_given(name):
                 raise ValueError(f"{name} has no effect with {given[0]}; leave one of them out")
         return self
 
-    def _is_given(self, name: str) -> bool:
+    def is_given(self, name: str) -> bool:
         """Whether a field is something else than its default."""
         default = type(self).model_fields[name].get_default(call_default_factory=True)
         return bool(getattr(self, name) != default)

@@ -38,6 +38,7 @@ class PlaceSpec(Spec):
     sidecars: ClassVar[tuple[Sidecar, ...]] = (proposed_path,)
     cores: ClassVar[int] = 2
     memory_mib: ClassVar[int] = 4096
+    only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {"quality": ("picture", ())}
 
     step: Literal["place"] = "place"
     takes: _Takes

@@ -111,7 +111,7 @@ class SheetSpec(MovedRigSpec):
     @model_validator(mode="after")
     def _listed_frames_are_not_chosen(self) -> Self:
         for name in ("rows", "pick"):
-            if frame_list(self.frames) is not None and self._is_given(name):
+            if frame_list(self.frames) is not None and self.is_given(name):
                 raise ValueError(f"--{name} has no effect with listed --frames; leave it out")
         return self
 

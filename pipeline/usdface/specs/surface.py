@@ -26,6 +26,7 @@ class BindSpec(Spec):
     )
     module: ClassVar[str] = "surface.bind"
     sidecars: ClassVar[tuple[Sidecar, ...]] = (proposed_path,)
+    only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {"quality": ("picture", ())}
 
     step: Literal["bind"] = "bind"
     take: Annotated[FilePath, Reads(), Positional()]
@@ -158,6 +159,7 @@ class DeformSpec(SurfaceSpec):
     cores: ClassVar[int] = 2
     memory_mib: ClassVar[int] = 8192
     only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
+        "quality": ("picture", ()),
         "rows": ("picture", ()),
         "picture_noise": ("picture", ()),
     }
@@ -203,6 +205,7 @@ class MakeShapesSpec(SurfaceSpec):
     module: ClassVar[str] = "surface.make_shapes"
     cores: ClassVar[int] = 2
     memory_mib: ClassVar[int] = 8192
+    only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {"quality": ("picture", ())}
     never_with: ClassVar[Mapping[str, Sequence[str]]] = {
         "blend": ("choose_blend",),
         "count": ("shape_frames", "names", "references"),

@@ -192,3 +192,19 @@ def test_only_is_for_folders(tmp_path: Path) -> None:
     write_c3d(tmp_path / "x.c3d", markers.positions, markers.visible, markers.names, rate=RATE)
     with pytest.raises(InputError, match="--only chooses among the captures of a folder"):
         ingest(tmp_path / "x.c3d", only="c3d")
+
+
+def test_options_that_change_nothing_of_a_capture_are_named(tmp_path: Path) -> None:
+    write_table(tmp_path / "x.csv", synthetic(frames=60))
+    (tmp_path / "x.names.txt").write_text("jawOpen\n")
+    _, report = ingest(tmp_path / "x.csv", weight_unit="one", shapes=tmp_path / "x.names.txt")
+    assert [note for note in report.notes if "no effect" in note] == [
+        f"--weight-unit has no effect: there is no table of weights in {tmp_path / 'x.csv'}",
+        f"--shapes has no effect: there is no .npy table in {tmp_path / 'x.csv'}",
+    ]
+    (tmp_path / "x.csv").write_text("frame,jawOpen,eyeBlinkLeft\n1,0.2,0\n2,0.4,1\n")
+    _, report = ingest(tmp_path / "x.csv", rate=RATE, units="cm", partial=True)
+    assert [note.split(":")[0] for note in report.notes if "no effect" in note] == [
+        "--units has no effect",
+        "--partial has no effect",
+    ]

@@ -71,7 +71,7 @@ def run(spec: IngestSpec, *, provenance: Provenance, progress: Progress = silent
     write_take(spec.out, take, provenance=provenance)
     progress(1.0, f"wrote {spec.out.name}")
     notes = (*(note for capture in captures for note in capture.notes), *joined.notes)
-    notes += (*timecode_notes, *padding, *(doubts or ()))
+    notes += (*timecode_notes, *padding, *(doubts or ()), *_unused_notes(spec, take, captures))
     notes += (sound.note,) if sound else ()
     log.info("%s: %d frames", spec.out, take.frame_count)
     return _report(spec, take, notes, (sound.file,) if sound else ())
@@ -113,6 +113,23 @@ def _read_source(source: Path, spec: IngestSpec) -> Capture:
             "times that the recorder wrote: leave --rate out"
         )
     return capture
+
+
+def _unused_notes(spec: IngestSpec, take: Take, captures: list[Capture]) -> list[str]:
+    """Name the options that change nothing in these captures."""
+    unused: list[tuple[str, tuple[str, ...]]] = []
+    if take.markers is None:
+        unused += [("marker", ("units", "scale", "up", "mirrored", "partial", "rigid", "neutral"))]
+    if all(each.format != "weights" for each in captures):
+        unused += [("table of weights", ("weight_unit",))]
+    if all(each.suffix.lower() != ".npy" for each in spec.sources):
+        unused += [(".npy table", ("shapes",))]
+    return [
+        f"--{name.replace('_', '-')} has no effect: there is no {what} in {_names(spec)}"
+        for what, names in unused
+        for name in names
+        if spec.is_given(name)
+    ]
 
 
 def _names(spec: IngestSpec) -> str:
