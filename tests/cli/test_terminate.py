@@ -3,6 +3,7 @@
 import importlib
 import os
 import signal
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -84,3 +85,19 @@ def test_ctrl_c_ends_a_command_as_interrupted_and_says_so(
     with pytest.raises(SystemExit) as stopped:  # a command of a group, too
         app.main(["edits", "list", "shot.usda"])
     assert stopped.value.code == 3
+
+
+def test_a_thread_that_nobody_ends_does_not_keep_a_stopped_command() -> None:
+    program = """
+import os, signal, threading, time
+from usdface.cli import console
+console.raise_on_signals()
+threading.Thread(target=threading.Event().wait).start()
+try:
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(30)
+except console.CancelledError:
+    raise SystemExit(3)
+"""
+    done = subprocess.run([sys.executable, "-c", program], timeout=30, check=False)
+    assert done.returncode == 3

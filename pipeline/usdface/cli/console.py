@@ -26,6 +26,8 @@ STOPPED = "interrupted; no partly written files remain"
 
 RETRY_SECONDS = 0.05
 """Interval after which a signal during an import is sent again; imports take a second or two."""
+ENDING_SECONDS = 0.5
+"""That threads get to end by themselves, once the main thread has."""
 
 LONGEST_FARM_MESSAGE = 1000
 """Characters; farms truncate or refuse longer lines."""
@@ -195,12 +197,24 @@ def raise_on_signals() -> None:
             again.daemon = True
             again.start()
             return
+        threading.Thread(target=_end_with_main_thread, daemon=True).start()
         raise KeyboardInterrupt if signum == signal.SIGINT else CancelledError(STOPPED)
 
     with contextlib.suppress(ValueError):  # only the main thread may set handlers
         signal.signal(signal.SIGTERM, stop)
         if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else it is ignored
             signal.signal(signal.SIGINT, stop)
+
+
+def _end_with_main_thread() -> None:
+    """End the process soon after its main thread.
+
+    An exception within a thread pool's start, as MediaPipe's, leaves a worker that nobody stops;
+    the interpreter would wait for it forever.
+    """
+    threading.main_thread().join()
+    time.sleep(ENDING_SECONDS)
+    os._exit(CancelledError.exit_code)
 
 
 def _is_importing(frame: FrameType | None) -> bool:
