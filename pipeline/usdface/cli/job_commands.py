@@ -121,7 +121,8 @@ def demo(
 
     usdface demo --out demo
     """
-    from usdface.cli.run import demo_events
+    from usdface.cli.run import showing_events
+    from usdface.demo import DOG_JOB_NAME, JOB_NAME
 
     if dog and (source == "video" or model is not None):
         raise InputError("--dog retargets a performance, and tracks nothing; leave --from out")
@@ -134,7 +135,8 @@ def demo(
     # On stderr, as stdout may be JSON; before the imports, which take a second or two.
     typer.echo(f"making a demo in {out_folder}; it takes a minute or so", err=True)
     with progress_listener(progress) as listener:
-        events = demo_events(progress, as_json=as_json)
+        job = out_folder / (DOG_JOB_NAME if dog else JOB_NAME)
+        events = showing_events(job, [], style=progress, as_json=as_json)
         if dog:
             from usdface.demo.dog_job import run_dog_demo
 

@@ -50,21 +50,10 @@ def run_and_show(
         Print what steps that are up to date said when they were made. Farms remember nothing: their
         jobs lie in bundles, which are compared by their files.
     """
-    remembered = _Results(file)
     shown: list[StepResult] = []
-
-    def ended(step: JobStep, report: StepResult) -> None:
-        if report.fresh and style != "openjd":
-            remembered.add(step, report)
-        if report.up_to_date and again:
-            report = remembered.of(step, report)
-        shown.append(report)
-        if not as_json:
-            show_step(step, report)
-
+    events = showing_events(file, shown, style=style, as_json=as_json, again=again)
     try:
         with progress_listener(style) as listener:
-            events = JobEvents(_announce(style), ended)
             run_job(job, progress=listener, overwrite=overwrite, events=events)
     except (UsdfaceError, KeyboardInterrupt) as error:
         kind = CancelledError if isinstance(error, KeyboardInterrupt) else type(error)
@@ -90,9 +79,33 @@ def show_step(step: JobStep, report: StepResult) -> None:
     show_details(report)
 
 
-def demo_events(style: ProgressStyle, *, as_json: bool) -> JobEvents:
-    """Return what prints the steps of the demo's job as they go."""
-    return JobEvents(_announce(style)) if as_json else JobEvents(_announce(style), show_step)
+def showing_events(
+    file: Path,
+    shown: list[StepResult],
+    *,
+    style: ProgressStyle,
+    as_json: bool,
+    again: bool = False,
+) -> JobEvents:
+    """Return what prints the steps of a job as they end, appends and remembers their results.
+
+    Parameters
+    ----------
+    file, style, as_json, again
+        As `run_and_show` takes them.
+    """
+    remembered = _Results(file)
+
+    def ended(step: JobStep, report: StepResult) -> None:
+        if report.fresh and style != "openjd":
+            remembered.add(step, report)
+        if report.up_to_date and again:
+            report = remembered.of(step, report)
+        shown.append(report)
+        if not as_json:
+            show_step(step, report)
+
+    return JobEvents(_announce(style), ended)
 
 
 def _announce(style: ProgressStyle) -> Any:

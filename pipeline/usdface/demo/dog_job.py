@@ -10,6 +10,7 @@ from usdface.core.arrays import FloatArray, columns_by_name
 from usdface.core.assets import Rig
 from usdface.core.controls import Controls
 from usdface.core.progress import Progress, part, silent
+from usdface.demo import DOG_JOB_NAME
 from usdface.demo.acting import performance
 from usdface.demo.dog import DOG_ATTRIBUTES, act, expressions, write_dog
 from usdface.demo.job import make_folder
@@ -34,8 +35,6 @@ from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.retarget.control_performance import writing_control_performance
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
-
-DOG_JOB_NAME = "dog.job.yaml"
 
 _STEP_FRAMES = 4
 """Of the performance's 120 frames a second, every so many: 30 a second are enough to animate on."""

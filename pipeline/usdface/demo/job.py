@@ -10,6 +10,7 @@ from usdface.core.arrays import FloatArray
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
+from usdface.demo import JOB_NAME
 from usdface.demo.build import (
     FOCAL_LENGTH,
     DemoInputs,
@@ -31,7 +32,6 @@ from usdface.usdio.performance.read import read_performance
 from usdface.usdio.references.read import read_references
 from usdface.usdio.rig.read import read_rig
 
-JOB_NAME = "demo.job.yaml"
 _PAIR_COUNT = 50
 """Enough to see the method work; the paper tuned 100."""
 
