@@ -379,3 +379,16 @@ def test_an_option_that_would_be_ignored_is_refused(arguments, message, capsys) 
     out = {"sheet": "o.jpg", "movie": "o.mp4", "cyclic": "o.json"}.get(arguments[0], "o.usda")
     assert run(*arguments, "--out", out) == 2
     assert message in capsys.readouterr().err
+
+
+def test_values_that_an_option_does_not_take_are_said_in_our_words(capsys) -> None:
+    for given, words in (
+        (("--units", "mete"), "'--units': 'mete' is not one of 'mm', 'cm', 'm', 'in'"),
+        (("--rate", "abc"), "'--rate': give a number (got 'abc')"),
+    ):
+        with pytest.raises(SystemExit) as ended:
+            main(["ingest", "x.c3d", "--out", "x.take.usda", *given])
+        assert ended.value.code == 2
+        told = capsys.readouterr().err
+        assert words in told
+        assert "Value error" not in told

@@ -5,7 +5,7 @@ import errno
 import os
 import sys
 import traceback
-from typing import Annotated, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
 
@@ -88,16 +88,15 @@ def main(arguments: list[str] | None = None) -> None:
         completion_init()  # Typer does so only for apps that install completion themselves
     as_json = "--json" in given
     try:
-        # Otherwise errors of usage are printed and end the process where they are found.
-        code = app(args=given, standalone_mode=not as_json)
+        code = app(args=given, standalone_mode=False)
     except (UsdfaceError, KeyboardInterrupt) as error:
         shown = isinstance(error, CheckFailedError)  # as the failures of a result
         _fail(str(error) or "interrupted", exit_code_of(error), as_json=as_json and not shown)
     except Exception as error:
         if isinstance(error, OSError) and error.errno == errno.ENOSPC and error.filename is None:
             _fail(str(unwritable_output(error)), 2, as_json=False)  # help, that typer prints
-        if as_json and hasattr(error, "format_message"):  # of usage, of either kind of click
-            _fail(error.format_message(), getattr(error, "exit_code", 2), as_json=True)
+        if hasattr(error, "format_message"):
+            _fail_usage(error, as_json=as_json)
         if "--verbose" in given:
             traceback.print_exc()
         _fail(
@@ -108,6 +107,20 @@ def main(arguments: list[str] | None = None) -> None:
             as_json=as_json,
         )
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _fail_usage(error: Any, *, as_json: bool) -> NoReturn:
+    """Print an error of usage, of either kind of click, and exit."""
+    from pydantic import ValidationError  # help starts without it
+
+    if isinstance(error.__cause__, ValidationError):
+        from usdface.specs.reading import fault_reason
+
+        error.message = fault_reason(error.__cause__.errors()[0])
+    if as_json:
+        _fail(error.format_message(), error.exit_code, as_json=True)
+    error.show()
+    sys.exit(error.exit_code)
 
 
 def _fail(message: str, code: int, *, as_json: bool) -> NoReturn:

@@ -74,7 +74,7 @@ def validation_messages(
     lines = []
     for fault in _drop_secondary_errors(error.errors()):
         place = _place(fault["loc"], places)
-        reason = _reason(fault, spec)
+        reason = fault_reason(fault, spec)
         lines.append(f"{place}: {reason}" if place else reason)
     lines = list(dict.fromkeys(lines))  # what is wrong in a loop over takes is wrong once
     if len(lines) == 1:
@@ -114,8 +114,8 @@ def _drop_secondary_errors(faults: Iterable[Mapping[str, Any]]) -> list[Mapping[
     ]
 
 
-def _reason(fault: Mapping[str, Any], spec: type[Spec]) -> str:
-    """Return the reason of a fault and, in brackets, the value."""
+def fault_reason(fault: Mapping[str, Any], spec: type[Spec] = Spec) -> str:
+    """Return the reason of a fault that pydantic found and, in brackets, the value."""
     context = fault.get("ctx", {})
     if fault["type"] == "union_tag_invalid":
         known = [name.strip(" '") for name in str(context["expected_tags"]).split(",")]
@@ -136,7 +136,7 @@ def _reason(fault: Mapping[str, Any], spec: type[Spec]) -> str:
     if fault["type"] == "missing" or isinstance(given, dict | list | tuple):
         return reason
     shown = str(given) if isinstance(given, Path) else given
-    return f"{reason} (got {shown!r})"
+    return reason if repr(shown) in reason else f"{reason} (got {shown!r})"
 
 
 def _unknown_key(location: Sequence[str | int], spec: type[Spec]) -> str:
