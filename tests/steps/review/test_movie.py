@@ -1,8 +1,6 @@
 """Review movies: the right frame at the right time, resumable, the same in parts."""
 
 import json
-import os
-import subprocess
 import sys
 from dataclasses import replace
 from fractions import Fraction
@@ -178,7 +176,7 @@ def test_two_processes_draw_what_one_draws(shot: Shot) -> None:
 
 def test_another_programs_python_starts_no_process(shot: Shot, monkeypatch) -> None:
     """Publish hooks draw movies inside DCCs, where a new process would be another DCC."""
-    monkeypatch.setattr(movie_step, "ProcessPoolExecutor", lambda *_, **__: pytest.fail("a pool"))
+    monkeypatch.setattr(movie_step, "worker_processes", lambda *_: pytest.fail("a pool"))
     monkeypatch.setattr(sys, "orig_argv", ["/opt/maya/bin/maya.bin"])
     execute(spec_of(shot, "dcc.mp4", frames="20-33", workers=2))
     assert len(pictures_of(shot / "dcc.mp4")) == 7
@@ -280,29 +278,8 @@ def test_the_uncertainty_of_a_narrow_movie_is_no_part_of_its_digits(
     assert not [text for text in drawn if "uncertainty" in text or "1.00" in text]
 
 
-def test_the_cores_used_are_those_this_process_may_use() -> None:
-    assert 1 <= movie_step._cores() <= (os.cpu_count() or 1)
-
-
 def test_movies_of_like_names_share_no_stretches(tmp_path: Path) -> None:
     names = ["a.mp4", "a.webm", *(f"{'long' * 30}.{number:04}.mp4" for number in (1, 2))]
     folders = {work_folder(tmp_path / name, "stretches") for name in names}
     assert len(folders) == 4
     assert all(len(each.name) < 100 for each in folders)
-
-
-def test_a_script_without_a_main_guard_is_not_run_again(tmp_path: Path) -> None:
-    script = tmp_path / "publish.py"
-    script.write_text(
-        "import os\n"
-        "from concurrent.futures import ProcessPoolExecutor\n"
-        "from multiprocessing import get_context\n"
-        "from usdface.steps.review.movie import without_main\n"
-        "print('script')\n"
-        "pool = ProcessPoolExecutor(1, mp_context=get_context('spawn'))\n"
-        "with without_main():\n"
-        "    work = pool.submit(os.getpid)\n"
-        "print(work.result() != os.getpid())\n"
-    )
-    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["script", "True"]

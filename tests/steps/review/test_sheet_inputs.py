@@ -1,6 +1,8 @@
 """Videos that end early or are damaged, and sheets of more tiles than memory would hold."""
 
+import os
 import weakref
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from tests.steps.review.test_report import give_video
 from tests.steps.small_shot import Shot
 from usdface.core.errors import InputError
 from usdface.media.film.video import VideoReader
+from usdface.media.picture.image import read_picture
 from usdface.media.picture.sheet import Tile
 from usdface.runner.execute import execute
 from usdface.specs.edits import EditSpec
@@ -50,6 +53,7 @@ def test_ten_thousand_tiles_are_drawn_page_by_page(shot: Shot, monkeypatch) -> N
         return picture
 
     monkeypatch.setattr(ShotPictures, "face", draw)
+    monkeypatch.setattr("usdface.steps.review.sheet.process_count", lambda: 1)
     blank = np.zeros((64, 64, 3), "u1")
     monkeypatch.setattr(ShotPictures, "markers_on_face", lambda self, row, equation: blank)
     report = execute(
@@ -106,3 +110,19 @@ def test_performances_of_one_name_have_an_error_each(shot: Shot) -> None:
     assert means["b/shot.hero"] > 2 * means["usdface"]
     assert {means[name] for name in same} == {means["usdface"]}
     assert f"b/shot.hero {means['b/shot.hero']:.2f} mm" in report.summary
+
+
+def test_several_processes_draw_the_sheet_that_one_draws(shot: Shot, monkeypatch) -> None:
+    files = [shot / f"{name}.png" for name in ("alone", "helped", "left")]
+
+    def draw(file: Path) -> bytes:
+        spec = SheetSpec(performance=shot / "shot.hero.usda", out=file, rows=5, tile=64)
+        execute(spec)
+        return read_picture(file).tobytes()
+
+    alone = draw(files[0])
+    monkeypatch.setattr("usdface.steps.review.sheet.HELPED_PIXELS", 5 * 64 * 64)
+    monkeypatch.setattr("usdface.steps.review.sheet.process_count", lambda: 2)
+    assert draw(files[1]) == alone
+    monkeypatch.setattr("usdface.steps.review.sheet._draw", os._exit)  # a helper dies
+    assert draw(files[2]) == alone

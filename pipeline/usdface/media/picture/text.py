@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from PIL import ImageFont
 
-from usdface.core.arrays import ByteImage, Float32Array
+from usdface.core.arrays import ByteImage, Float32Array, FloatArray
 from usdface.core.errors import InputError
 from usdface.media.picture.color import Color
 
@@ -99,11 +99,8 @@ def text_mask(text: str, *, size: int, weight: Weight = "regular") -> Float32Arr
     (height, width) float32 array
         [0-1]; read-only. The base line lies at ``round(1.02 * size)``.
     """
-    line = "".join(" " if letter.isspace() else letter for letter in text)
-    height = round(size * 1.35)
-    runs = _runs(line, size, weight) if line.strip() else []
-    starts = np.cumsum([0, *(font.getlength(run) for run, font in runs)])
-    mask = np.zeros((height, int(np.ceil(starts[-1])) + (2 if runs else 0)), np.float32)
+    runs, starts = _placed_runs(text, size, weight)
+    mask = np.zeros((round(size * 1.35), _width(starts)), np.float32)
     for (run, font), start in zip(runs, starts.tolist(), strict=False):
         _draw_run(mask, run, font, start, round(size * 1.02))
     mask.setflags(write=False)
@@ -111,8 +108,21 @@ def text_mask(text: str, *, size: int, weight: Weight = "regular") -> Float32Arr
 
 
 def text_width(text: str, style: TextStyle) -> int:
-    """Return how wide a label will be [pixels]."""
-    return int(text_mask(text, size=style.size, weight=style.weight).shape[1])
+    """Return how wide a label will be [pixels]; nothing is drawn."""
+    return _width(_placed_runs(text, style.size, style.weight)[1])
+
+
+def _placed_runs(
+    text: str, size: int, weight: Weight
+) -> tuple[list[tuple[str, ImageFont.FreeTypeFont]], FloatArray]:
+    """Return the runs of a line, and where each begins and the last ends [pixels]."""
+    line = "".join(" " if letter.isspace() else letter for letter in text)
+    runs = _runs(line, size, weight) if line.strip() else []
+    return runs, np.cumsum([0.0, *(font.getlength(run) for run, font in runs)])
+
+
+def _width(starts: FloatArray) -> int:
+    return int(np.ceil(starts[-1])) + (2 if len(starts) > 1 else 0)
 
 
 def wrap_text(text: str, style: TextStyle, *, max_width: int) -> list[str]:

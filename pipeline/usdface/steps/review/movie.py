@@ -2,20 +2,16 @@
 
 import contextlib
 import json
-import os
-import sys
 from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from contextlib import ExitStack, contextmanager
+from concurrent.futures import FIRST_COMPLETED, wait
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
-from multiprocessing.synchronize import Event
 from pathlib import Path
-from types import ModuleType
 
 from usdface.core.arrays import ByteImage
 from usdface.core.assets import Take
 from usdface.core.errors import CancelledError, InputError
+from usdface.core.processes import process_count, worker_processes
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance, canonical_json, hash_text
 from usdface.core.rates import exact_rate
@@ -90,7 +86,7 @@ def run(spec: MovieSpec, *, provenance: Provenance, progress: Progress = silent)
         frame_count=len(shot.frames),
     )
     folder = work_folder(spec.out, "stretches")
-    workers = spec.workers or _cores() if _is_python() else 1  # in a DCC a pool would start the DCC
+    workers = process_count(spec.workers)
     stretches = _stretches(spec, clock, folder, provenance, workers)
     make_side_folder(folder)
     # Those of another spec or of older inputs.
@@ -178,12 +174,6 @@ def _stretches(
     ]
 
 
-def _is_python() -> bool:
-    """Whether this process is a Python interpreter, and not a DCC with one inside."""
-    names = (sys.executable or "", *(sys.orig_argv[:1] or [""]))
-    return all(Path(name).stem.lower().startswith("python") for name in names)
-
-
 def _draw_all(
     plan: _Plan, stretches: list[_Stretch], shot: Shot, workers: int, progress: Progress
 ) -> None:
@@ -197,42 +187,14 @@ def _draw_all(
                 _draw_stretch(studio, stretch)
         return
     progress(0.02, f"drawing {pluralize(sum(s.stop - s.start for s in stretches), 'picture')}")
-    context = get_context("spawn")  # a fork would copy locks that ray tracer and codecs hold
-    stop = context.Event()
-    pool = ProcessPoolExecutor(
-        workers, mp_context=context, initializer=_set_up, initargs=(plan, stop)
-    )
-    try:
-        with without_main():  # processes start as work is given to them
-            left: set[Future[None]] = {pool.submit(_work, stretch) for stretch in stretches}
+    with worker_processes(workers, _set_up, plan) as give_work:
+        left = {give_work(_work, stretch) for stretch in stretches}
         while left:
             done, left = wait(left, return_when=FIRST_COMPLETED)
             for future in done:
                 future.result()
             share = 1 - len(left) / len(stretches)
             progress(0.02 + 0.95 * share, f"{len(left)} stretches left to draw")
-    finally:
-        stop.set()
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
-@contextmanager
-def without_main() -> Iterator[None]:
-    """Hide the script that runs: new processes would run it again if it has no `__main__` guard."""
-    main = sys.modules["__main__"]
-    sys.modules["__main__"] = ModuleType("__main__")
-    try:
-        yield
-    finally:
-        sys.modules["__main__"] = main
-
-
-def _cores() -> int:
-    """Return how many cores this process may use, which on a farm are fewer than there are."""
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:  # not on macOS or Windows
-        return os.cpu_count() or 1
 
 
 def _open_studio(plan: _Plan, shot: Shot, open_files: ExitStack) -> _Studio:
@@ -249,11 +211,11 @@ _shared: _Studio | None = None
 """What a worker process holds on to from stretch to stretch."""
 
 
-def _set_up(plan: _Plan, stop: Event) -> None:
+def _set_up(plan: _Plan, stopped: Callable[[], bool]) -> None:
     global _shared
     spec = plan.spec
     shot = open_shot(spec.performance, spec.take, frames=spec.frames, video=spec.video)
-    _shared = replace(_open_studio(plan, shot, ExitStack()), stopped=stop.is_set)
+    _shared = replace(_open_studio(plan, shot, ExitStack()), stopped=stopped)
 
 
 def _work(stretch: _Stretch) -> None:

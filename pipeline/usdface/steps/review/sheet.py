@@ -1,14 +1,17 @@
 """Contact sheets: video, markers, baseline, performances, differences."""
 
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from usdface.core.arrays import FloatArray
-from usdface.core.errors import InputError
+from usdface.core.errors import CancelledError, InputError, UsdfaceError
+from usdface.core.processes import GiveWork, process_count, worker_processes
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.text import pluralize
@@ -48,6 +51,11 @@ PICKS: dict[SheetLayout, FramePick] = {
 STRIP_ROWS, STRIP_TILE = 48, 192
 OTHER_ROWS, OTHER_TILE = 12, 320
 
+MOST_PROCESSES = 4
+"""That draw a sheet: more would read longer than they draw."""
+HELPED_PIXELS = 800_000
+"""Of a column, for which a process more is worth its start."""
+
 FIGURE_KEYS = {"solve": "usdface", "baseline": "equation"}
 """Of the labels on a sheet: scripts read these keys from ``--json``, so they stay."""
 
@@ -81,34 +89,93 @@ class Column:
     draw: Callable[[int], Tile]
 
 
+@dataclass(frozen=True)
+class _Desk:
+    """What rows are drawn with, in this process or in another."""
+
+    comparison: _Comparison
+    cameras: list[ShotCamera]
+    pictures: list[ShotPictures]
+    columns: list[Column]
+
+    def draw(self, number: int) -> SheetRow:
+        """Draw a row of the sheet."""
+        chosen, shot = self.comparison.chosen[number], self.comparison.shots[0]
+        frame = int(shot.frames[chosen.row])
+        return SheetRow(
+            frame=frame,
+            timecode=shot.timecode(frame),
+            tiles=tuple(column.draw(chosen.row) for column in self.columns),
+            note=chosen.reason,
+            said=self.comparison.labels[number],
+        )
+
+
 def run(spec: SheetSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Draw the sheet and write it."""
+    with ExitStack() as open_files:
+        helpers = _helpers(spec)
+        give_work = None
+        if helpers:
+            give_work = open_files.enter_context(worker_processes(helpers, _set_up, spec))
+            give_work(int)  # so that they read while this process does
+        desk = _open_desk(spec, open_files, progress)
+        page = _page(spec, desk.comparison, desk.columns, desk.pictures)
+        written = _write_pages(spec, page, desk, give_work, progress, provenance)
+    progress(1.0, "done")
+    first = int(desk.comparison.shots[0].frames[0])
+    notes = dict.fromkeys(note for each in desk.cameras for note in each.notes(first))
+    shots = desk.comparison.shots
+    notes |= dict.fromkeys(note for each in shots for note in each.rig.undrawn_notes())
+    return _result(written, desk.comparison, tuple(notes))
+
+
+def _open_desk(spec: SheetSpec, open_files: ExitStack, progress: Progress) -> _Desk:
     comparison = _compare(spec, progress)
     shots = comparison.shots
     cameras = [each.camera(spec.camera, spec.camera_stage) for each in shots]
-    with ExitStack() as open_files:
-        pictures = _open_pictures(spec, shots, cameras, open_files)
-        columns = sheet_columns(spec, comparison, pictures)
-        page = _page(spec, comparison, columns, pictures)
+    pictures = _open_pictures(spec, shots, cameras, open_files)
+    return _Desk(comparison, cameras, pictures, sheet_columns(spec, comparison, pictures))
 
-        def draw(number: int) -> SheetRow:
-            frame = comparison.chosen[number]
-            at = int(shots[0].frames[frame.row])
-            progress(0.2 + 0.75 * number / len(comparison.chosen), f"drawing frame {at}")
-            return SheetRow(
-                frame=at,
-                timecode=shots[0].timecode(at),
-                tiles=tuple(column.draw(frame.row) for column in columns),
-                note=frame.reason,
-                said=comparison.labels[number],
-            )
 
-        written = _write_pages(spec, page, draw, comparison, provenance)
-    progress(1.0, "done")
-    first = int(shots[0].frames[0])
-    notes = dict.fromkeys(note for each in cameras for note in each.notes(first))
-    notes |= dict.fromkeys(note for each in shots for note in each.rig.undrawn_notes())
-    return _result(written, comparison, tuple(notes))
+def _helpers(spec: SheetSpec) -> int:
+    """Return how many processes are to draw beside this one."""
+    pixels = _row_count(spec) * _tile_height(spec) ** 2
+    return min(process_count(), MOST_PROCESSES, 1 + pixels // HELPED_PIXELS) - 1
+
+
+_desk: _Desk | None = None
+"""Of a process that draws for another."""
+
+
+def _set_up(spec: SheetSpec, stopped: Callable[[], bool]) -> None:
+    def go_on(share: float, message: str) -> None:
+        if stopped():
+            raise CancelledError("nobody waits for this sheet any more")
+
+    global _desk
+    with suppress(UsdfaceError):  # the process that waits finds it itself, and says so
+        _desk = _open_desk(spec, ExitStack(), go_on)
+
+
+def _draw(number: int) -> SheetRow | None:
+    return None if _desk is None else _desk.draw(number)
+
+
+def _rows(
+    desk: _Desk, numbers: range, give_work: GiveWork | None, progress: Progress
+) -> Iterator[SheetRow]:
+    """Draw rows, from the first on; helpers draw from the last on."""
+    given, count = dict[int, Future[SheetRow | None]](), len(desk.comparison.chosen)
+    with suppress(BrokenProcessPool):  # a helper less, not a sheet less
+        given |= {each: give_work(_draw, each) for each in numbers[::-1] if give_work is not None}
+    for number in numbers:
+        progress(0.2 + 0.75 * number / count, f"drawing row {number + 1} of {count}")
+        row, work = None, given.get(number)
+        if work is not None and not work.cancel():
+            with suppress(BrokenProcessPool):
+                row = work.result()
+        yield row or desk.draw(number)
 
 
 def _compare(spec: SheetSpec, progress: Progress) -> _Comparison:
@@ -147,6 +214,13 @@ def _open_pictures(
     for each in pictures:
         open_files.enter_context(each)
     return pictures
+
+
+def _row_count(spec: SheetSpec) -> int:
+    listed = frame_list(spec.frames)
+    if listed is not None:
+        return len(listed)
+    return spec.rows or (STRIP_ROWS if spec.layout == "strip" else OTHER_ROWS)
 
 
 def _tile_height(spec: SheetSpec) -> int:
@@ -225,7 +299,7 @@ def _choose(spec: SheetSpec, shot: Shot, signals: ReviewSignals) -> list[ChosenF
         return [ChosenFrame(int(row)) for row in np.unique(rows)]
     return choose_frames(
         spec.pick or PICKS[spec.layout],
-        spec.rows or (STRIP_ROWS if spec.layout == "strip" else OTHER_ROWS),
+        _row_count(spec),
         strength=surface_distance(shot, shot.weights),
         signals=signals,
         rate=float(shot.take.rate),
@@ -235,20 +309,22 @@ def _choose(spec: SheetSpec, shot: Shot, signals: ReviewSignals) -> list[ChosenF
 def _write_pages(
     spec: SheetSpec,
     page: SheetPage,
-    draw: Callable[[int], SheetRow],
-    comparison: _Comparison,
+    desk: _Desk,
+    give_work: GiveWork | None,
+    progress: Progress,
     provenance: Provenance,
 ) -> tuple[Path, ...]:
     """Draw and write page by page, so that thousands of tiles are not held at once.
 
     The first page carries the name that was asked for.
     """
-    shot, count = comparison.shots[0], len(comparison.chosen)
+    shot, count = desk.comparison.shots[0], len(desk.comparison.chosen)
     pages = -(-count // spec.page_rows)
     written = []
     for number in range(pages):
         first = number * spec.page_rows
-        rows = tuple(draw(row) for row in range(first, min(first + spec.page_rows, count)))
+        numbers = range(first, min(first + spec.page_rows, count))
+        rows = tuple(_rows(desk, numbers, give_work, progress))
         title = page.title if pages == 1 else f"{page.title}, page {number + 1} of {pages}"
         file = spec.out
         if number:
