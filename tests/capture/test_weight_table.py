@@ -52,6 +52,16 @@ WRITTEN = {
             for n, row in enumerate(WEIGHTS)
         ]
     ),
+    "browser.json": json.dumps(
+        [
+            {
+                "timestamp_ms": 1000 * n / 30,
+                "faceLandmarks": [[{"x": 0.5, "y": 0.5, "z": 0.0}]],
+                "faceBlendshapes": [{"categories": categories(row), "headIndex": -1}],
+            }
+            for n, row in enumerate(WEIGHTS)
+        ]
+    ),
 }
 NO_TIMES = ("frames.csv", "rows.json", "mediapipe.json")
 
@@ -72,10 +82,68 @@ def test_a_table_becomes_a_take_to_the_last_bit(tmp_path: Path, name: str) -> No
     assert back.frames[0] == take.first_frame
 
 
+@pytest.mark.parametrize("name", WRITTEN)
+def test_keys_have_the_frames_that_the_take_of_the_same_table_has(
+    tmp_path: Path, name: str
+) -> None:
+    path = tmp_path / name
+    path.write_text(WRITTEN[name])
+    take = read_capture(path, rate=30.0 if name in NO_TIMES else None).take
+    table = read_weight_table(path)
+    assert np.array_equal(table.columns(NAMES).astype(np.float32), WEIGHTS)
+    first = take.first_frame
+    assert table.frames == tuple(range(first, first + take.frame_count))
+    assert table.rate in (None, 30)
+    (note,) = table.numbering_notes(path) or [""]
+    assert ("count from frame 1" in note) == ("frame" not in name and name != "rows.json")
+
+
+def test_keys_at_uneven_times_are_no_frames(tmp_path: Path) -> None:
+    path = tmp_path / "keys.csv"
+    path.write_text("time,jawOpen,smile\n0,0,0\n0.31,1,0\n0.4,0,1\n1.77,0,0\n")
+    with pytest.raises(InputError, match=r"uneven times, which tell no frames.*`frame` column"):
+        read_weight_table(path)
+
+
+def test_each_take_of_a_table_without_numbers_counts_its_own_rows(tmp_path: Path) -> None:
+    path = tmp_path / "day.csv"
+    rows = [f"{'kitchen' if n < 10 else 'stairs'},{(n % 10) / 30:.6f}" for n in range(20)]
+    path.write_text("\n".join(csv("take time", rows + ["x,0"] * 5).splitlines()[:21]))
+    table = read_weight_table(path)
+    assert table.frames == (*range(1, 11), *range(1, 11))
+    assert table.rate == 30
+
+
+def test_a_picture_without_a_face_is_a_dropped_frame(tmp_path: Path) -> None:
+    path = tmp_path / "seen.json"
+    rows = json.loads(WRITTEN["browser.json"])
+    rows[3]["faceBlendshapes"] = []
+    path.write_text(json.dumps(rows))
+    capture = read_capture(path)
+    assert any("1 of 25 frames were dropped" in note for note in capture.notes)
+    assert capture.take.source is not None
+    between = (WEIGHTS[2].astype(float) + WEIGHTS[4]) / 2
+    np.testing.assert_allclose(capture.take.source.values[3], between, atol=1e-6)
+    without_times = [{"faceBlendshapes": row["faceBlendshapes"]} for row in rows]
+    path.write_text(json.dumps(without_times))
+    assert read_weight_table(path).frames == (1, 2, 3, *range(5, 26))
+    rows[3]["faceBlendshapes"] = rows[4]["faceBlendshapes"] * 2
+    path.write_text(json.dumps(rows))
+    with pytest.raises(InputError, match="row 4: holds 2 faces"):
+        read_capture(path)
+
+
+def test_a_rate_against_that_of_the_file_is_noted(tmp_path: Path) -> None:
+    path = tmp_path / "a2f.json"
+    path.write_text(WRITTEN["a2f.json"])
+    (note,) = read_capture(path, rate=60.0).notes
+    assert note == "60 frames per second, as stated; the file says 30"
+
+
 def test_a_matrix_takes_its_names_from_beside_it(tmp_path: Path) -> None:
     path = tmp_path / "face.npy"
     np.save(path, WEIGHTS)
-    with pytest.raises(InputError, match=r"give a file with their names.*face\.names\.txt"):
+    with pytest.raises(InputError, match=r"put a file with their names.*face\.names\.txt"):
         read_capture(path, rate=25.0)
     np.save(tmp_path / "face.names.npy", np.array(NAMES))
     take = read_capture(path, rate=25.0).take

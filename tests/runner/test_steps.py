@@ -1,5 +1,6 @@
 """Single steps, as their users meet them."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -219,6 +220,28 @@ def test_keys_are_matched_by_meaning_take_and_unit(shot: Shot) -> None:
     table.write_text(rows.replace(take, "nowhere"))
     with pytest.raises(InputError, match=r"takes \(nowhere, elsewhere\) are none of the pairs'"):
         run(ReferencesImportSpec(**given))
+
+
+def test_keys_without_frame_numbers_count_from_1_at_the_rate_of_the_take(shot: Shot) -> None:
+    asset = shot / "hero.references.usda"
+    before = read_references(asset)
+    last = int(before.frames.max())
+    jaw, rate = before.shape_names.index("jawOpen"), float(read_take(shot / "shot.take.usda").rate)
+    names, values = ["JawOpen", "smirk"], [[n / (2 * last), 0.0] for n in range(1, last + 1)]
+    table = shot / "spoken.json"
+    table.write_text(json.dumps({"exportFps": 30, "facsNames": names, "weightMat": values}))
+    with pytest.raises(InputError, match=f"runs at 30 frames per second.*at {rate:g}"):
+        run(ReferencesImportSpec(references=asset, weights=table))
+    table.write_text(json.dumps({"exportFps": rate, "facsNames": names, "weightMat": values}))
+    report = run(ReferencesImportSpec(references=asset, weights=table))
+    assert any("count from frame 1" in note for note in report.notes)
+    expected = before.frames / (2 * last)
+    np.testing.assert_allclose(read_references(asset).weights[:, jaw], expected, atol=1e-6)
+    np.save(shot / "poses.npy", [[0.125, 0.0]] * len(before.frames))
+    (shot / "names.txt").write_text("jaw_open\nsmirk\n")
+    given = {"weights": shot / "poses.npy", "shapes": shot / "names.txt", "at": "pairs"}
+    run(ReferencesImportSpec(references=asset, **given))
+    np.testing.assert_allclose(read_references(asset).weights[:, jaw], 0.125)
 
 
 def test_an_untuned_start_is_named_and_imports_count_all_that_is_tuned(shot: Shot) -> None:

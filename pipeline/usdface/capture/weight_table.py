@@ -190,6 +190,41 @@ def read_weight_samples(path: Path, *, shapes: Path | None = None) -> WeightSamp
     return samples
 
 
+def row_frames(path: Path, samples: WeightSamples) -> tuple[IntArray, Fraction | None]:
+    """Return the frame of each row as `ingest` numbers it, and the rate where the file tells it.
+
+    Without numbers a take begins at frame 1; rows follow each other, or lie at their times.
+
+    Raises
+    ------
+    InputError
+        If a number is no frame, or times are uneven, so that they tell none.
+    """
+    if samples.frames is not None:
+        whole = np.isfinite(samples.frames) & (np.abs(samples.frames) < FARTHEST_FRAME)
+        if not whole.all():
+            row = int(np.argmin(whole))
+            raise InputError(
+                f"{path} line {samples.lines[row]}: {samples.frames[row]:g} is no frame; correct it"
+            )
+        return np.rint(samples.frames).astype(np.int64), samples.rate
+    takes = np.array(samples.takes or [""] * len(samples.values), object)
+    frames, rate = np.zeros(len(takes), np.int64), samples.rate
+    for take in dict.fromkeys(takes.tolist()):
+        rows = np.flatnonzero(takes == take)
+        if samples.seconds is None:
+            frames[rows] = 1 + np.arange(len(rows))
+            continue
+        first, times = _times(path, samples.rows(rows), None, [])
+        if not times.even:
+            raise InputError(
+                f"{path}: its rows are at uneven times, which tell no frames; number them in a "
+                "`frame` column"
+            )
+        frames[rows], rate = first + np.rint(times.frames).astype(np.int64), times.rate
+    return frames, rate
+
+
 def in_fractions(
     path: Path, values: FloatArray, unit: str | None, names: Sequence[str], notes: list[str]
 ) -> FloatArray:
@@ -259,7 +294,9 @@ def _times(
             )
         stated = rate_of_times(samples.seconds, frames, where=where)
     elif samples.seconds is None and rate is not None:
-        notes.append(f"{float(stated):g} frames per second, as stated")
+        other = samples.rate not in (None, stated)
+        instead = f"; the file says {float(samples.rate or 0):g}" if other else ""
+        notes.append(f"{float(stated):g} frames per second, as stated{instead}")
     return first, SampleTimes(stated, frames.astype(np.float64), even=True)
 
 
@@ -376,7 +413,11 @@ def _json_rows(path: Path, data: list[Any]) -> WeightSamples:
         seconds = _seconds(times, stacked)
     takes = tuple(str(row.get(at["take"], "")) for row in rows) if "take" in at else ()
     lines = np.arange(1, len(rows) + 1)
-    return WeightSamples(tuple(names), values, lines, frames, seconds, takes)
+    faces = np.flatnonzero([any(not _kind(name) for name in row) for row in rows])
+    if 0 < len(faces) < len(rows) and frames is None and seconds is None:
+        frames = lines.astype(np.float64)
+    # A picture without a face is no face at rest: its row is left out, as a dropped frame is.
+    return WeightSamples(tuple(names), values, lines, frames, seconds, takes).rows(faces)
 
 
 def _flat(path: Path, index: int, row: Any) -> dict[str, Any]:
@@ -387,8 +428,14 @@ def _flat(path: Path, index: int, row: Any) -> dict[str, Any]:
     if key is None:
         return dict(row)
     inner = row[key]
-    if isinstance(inner, list) and len(inner) == 1 and isinstance(inner[0], list):
-        inner = inner[0]  # MediaPipe: one face
+    faces = inner if isinstance(inner, list) else []
+    lists = [each.get("categories") if isinstance(each, dict) else each for each in faces]
+    if lists and all(isinstance(each, list) for each in lists):  # MediaPipe's faces of a picture
+        if len(lists) > 1:
+            raise InputError(
+                f"{path} row {index + 1}: holds {len(lists)} faces; export the scores of one"
+            )
+        inner = lists[0]
     nested = inner if isinstance(inner, dict) else _categories(path, index, inner)
     return {name: value for name, value in row.items() if _kind(name)} | nested
 
@@ -431,8 +478,8 @@ def _read_npy(path: Path, shapes: Path | None) -> WeightSamples:
     )
     if names_file is None:
         raise InputError(
-            f"{path}: says nothing of its {values.shape[1]} columns; give a file with their names, "
-            f"one per line, with --shapes, or beside it as {_names_path(path, 'txt').name}"
+            f"{path}: says nothing of its {values.shape[1]} columns; put a file with their names, "
+            f"one per line, beside it as {_names_path(path, 'txt').name}, or give one with --shapes"
         )
     names = _names(names_file)
     if len(names) != values.shape[1]:

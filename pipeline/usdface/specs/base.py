@@ -305,6 +305,14 @@ def warn_of_old_name(step: str, old: str, new: str) -> None:
     )
 
 
+class WeightTableSpec(Spec):
+    """A step that reads a table of weights."""
+
+    weight_unit: Literal["one", "percent"] | None = None
+    """Unit of a table of weights: `one`, where 1 is the full shape, or `percent`. Needed if weights
+    are too large to be told."""
+
+
 class MovedRigSpec(Spec):
     """A step that finds its rig by what a performance or references refer to."""
 

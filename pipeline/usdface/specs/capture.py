@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from usdface.core.sidecars import samples_path
-from usdface.specs.base import Axis, Name, Positional, Sidecar, Spec, Units
+from usdface.specs.base import Axis, Name, Positional, Sidecar, Spec, Units, WeightTableSpec
 from usdface.specs.paths import (
     FilePath,
     Frames,
@@ -20,7 +20,7 @@ from usdface.specs.paths import (
 )
 
 
-class IngestSpec(Spec):
+class IngestSpec(WeightTableSpec):
     """Convert capture files to a USD take.
 
     Formats are recognised by content: C3D, TRC, Vicon, Motive, Live Link Face, Face Cap,
@@ -69,9 +69,6 @@ class IngestSpec(Spec):
     rate: Annotated[float, Field(gt=0, le=100_000)] | None = None
     """Frames per second of markers or of a table of weights, if the file does not state it or
     states it wrongly. Tables without a column of times need it."""
-    weight_unit: Literal["one", "percent"] | None = None
-    """Unit of a table of weights: `one`, where 1 is the full shape, or `percent`. Needed if weights
-    are too large to be told."""
     shapes: ReadPath | None = None
     """Names of the columns of a .npy matrix of weights: a text file with one per line, a JSON list
     or .npy. Default: NAME.names.txt, .json or .npy beside it."""

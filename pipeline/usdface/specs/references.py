@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from usdface.core.sidecars import placement_path, proposed_path, samples_path, tuned_path
-from usdface.specs.base import MovedRigSpec, Name, Positional, Sidecar, Spec
+from usdface.specs.base import MovedRigSpec, Name, Positional, Sidecar, Spec, WeightTableSpec
 from usdface.specs.paths import (
     ChosenFrames,
     FilePath,
@@ -161,7 +161,7 @@ class SelectSpec(Spec):
         return self.picture or self.out.with_name(f"{self.out.stem}.coverage.png")
 
 
-class ReferencesImportSpec(MovedRigSpec):
+class ReferencesImportSpec(MovedRigSpec, WeightTableSpec):
     """Import tuned weights into a references asset.
 
     Weights are matched to the rig by what the shapes' names mean and to the pairs by frame. Shapes
@@ -177,14 +177,13 @@ class ReferencesImportSpec(MovedRigSpec):
     references: Annotated[FilePath, Reads(alone=True), Positional()]
     """The references asset written by `usdface select`."""
     weights: ReadPath
-    """Table of weights (.csv or .json: a `frame` column, then one column per shape; a `take` column
-    tells takes apart), or .usd with an animation, at the takes' frames or at the pairs' time codes
-    (--at pairs)."""
+    """Table of weights, as `ingest` reads them (.csv, .json or .npy; a `take` column tells takes
+    apart, and rows without a frame number count from 1), or .usd with an animation, at the takes'
+    frames or at the pairs' time codes (--at pairs)."""
+    shapes: ReadPath | None = None
+    """Names of the columns of a .npy matrix of weights, as `ingest` takes them."""
     names: ReadPath | None = None
     """Table of pairs of shapes, as `usdface names` writes it. Default: by what the names mean."""
-    weight_unit: Literal["one", "percent"] | None = None
-    """Unit of a table: `one`, where 1 is the full shape, or `percent`. Needed if weights are too
-    large to be told."""
     at: Literal["frames", "pairs"] = "frames"
     """Meaning of the frame numbers: `frames` of the takes, or time codes of the `pairs`."""
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from usdface.core.sidecars import proposed_path, weights_path
-from usdface.specs.base import Drive, Name, Positional, Sidecar, Spec
+from usdface.specs.base import Drive, Name, Positional, Sidecar, Spec, WeightTableSpec
 from usdface.specs.paths import (
     FilePath,
     Frames,
@@ -58,7 +58,7 @@ class PairsProposeSpec(Spec):
     """Face in the target's file, if it holds several."""
 
 
-class PairsImportSpec(Spec):
+class PairsImportSpec(WeightTableSpec):
     """Make pairs from two animations: pair i holds both at frame i.
 
     The source animation provides weights; the target animation provides weights, joints and the
@@ -142,7 +142,7 @@ class TrainRetargetSpec(Spec):
         return self
 
 
-class RetargetSpec(Spec):
+class RetargetSpec(WeightTableSpec):
     """Transfer weights to one or more characters.
 
     With --retargeting, as trained on pairs: give it and --out once per target. Without it, straight
@@ -189,9 +189,6 @@ class RetargetSpec(Spec):
     """Frames to retarget, as FIRST-LAST. Default: all."""
     rate: Annotated[float, Field(gt=0, le=100_000)] | None = None
     """Frames per second of a table of weights that has no column of times."""
-    weight_unit: Literal["one", "percent"] | None = None
-    """Unit of a table of weights: `one`, where 1 is the full shape, or `percent`. Needed if weights
-    are too large to be told."""
     shapes: ReadPath | None = None
     """Names of the columns of a .npy matrix of weights, as `ingest` takes them."""
     take: Name | None = None
@@ -226,7 +223,7 @@ class RetargetSpec(Spec):
 METHODS = ("auto", "rbf", "kernel_cca", "hybrid", "additive", "ridge", "positions")
 
 
-class CyclicSpec(Spec):
+class CyclicSpec(WeightTableSpec):
     """Measure the round-trip error of retargeting, source to target to source, in mm per frame.
 
     No keys of the target are needed. Every method is trained on the pairs in both directions;
@@ -238,6 +235,8 @@ class CyclicSpec(Spec):
         "--out kitchen.cyclic.json --out kitchen.cyclic.jpg"
     )
     module: ClassVar[str] = "retarget.cyclic"
+
+    only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {"weight_unit": ("truth", ())}
 
     step: Literal["cyclic"] = "cyclic"
     pairs: Annotated[FilePath, Reads(), Positional()]

@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from usdface.specs.base import MovedRigSpec, Name, Positional, Spec
+from usdface.specs.base import MovedRigSpec, Name, Positional, Spec, WeightTableSpec
 from usdface.specs.paths import (
     PRIM_PATTERN,
     ChosenFrames,
@@ -41,7 +41,7 @@ SheetLayout = Literal["comparison", "worst", "strip", "characters"]
 FramePick = Literal["expression", "review", "residual", "uncertainty", "jump", "even"]
 
 
-class SheetSpec(MovedRigSpec):
+class SheetSpec(MovedRigSpec, WeightTableSpec):
     """Draw a contact sheet of a performance.
 
     It begins with a verdict. Layouts: `comparison` shows video, the markers on the solve, the
@@ -61,6 +61,7 @@ class SheetSpec(MovedRigSpec):
         "baseline": ("layout", ("comparison", "worst")),
         "difference": ("layout", ("comparison", "worst")),
         "camera_stage": ("camera", ()),
+        "weight_unit": ("against", ()),
     }
     traces: ClassVar[Sequence[str]] = ("performance",)
 
@@ -198,7 +199,7 @@ class MovieJoinSpec(Spec):
 PAGE_SUFFIXES = (".html", ".htm")
 
 
-class ReportSpec(MovedRigSpec):
+class ReportSpec(MovedRigSpec, WeightTableSpec):
     """Write an HTML report of a performance that opens from disk, offline.
 
     The face plays in 3D, synchronised with the video. The report shows the curves of every shape,
@@ -211,6 +212,7 @@ class ReportSpec(MovedRigSpec):
     module: ClassVar[str] = "review.report"
     only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
         "camera_stage": ("camera", ()),
+        "weight_unit": ("against", ()),
     }
     traces: ClassVar[Sequence[str]] = ("performance",)
 
@@ -286,7 +288,7 @@ class FacesSpec(Spec):
 Limit = Annotated[float, Field(ge=0.0)]
 
 
-class EvaluateSpec(MovedRigSpec):
+class EvaluateSpec(MovedRigSpec, WeightTableSpec):
     """Measure the error of a performance against keys or another performance.
 
     Measures the error of the weights over the shapes that markers can show, of the surface and the

@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from usdface.core.sidecars import proposed_path
-from usdface.specs.base import Name, Positional, Sidecar, Spec
+from usdface.specs.base import Name, Positional, Sidecar, Spec, WeightTableSpec
 from usdface.specs.paths import FilePath, Frames, ImageOut, LayerOut, PrimPath, ReadPath, Reads
 
 Landmark = Annotated[str, Field(pattern=r"^[^=]+=\d+$", max_length=300, examples=["nose_tip=1203"])]
@@ -238,7 +238,7 @@ class MakeShapesSpec(SurfaceSpec):
         return self
 
 
-class LogicSpec(Spec):
+class LogicSpec(WeightTableSpec):
     """Write onto a rig which of its shapes others drive: combinations, correctives, in-betweens.
 
     Such shapes are evaluated, not learned: `select`, `train` and the tuning page show only the
@@ -250,6 +250,7 @@ class LogicSpec(Spec):
 
     example: ClassVar[str] = "usdface logic hero.usd --naming --out hero.logic.usda"
     module: ClassVar[str] = "surface.logic"
+    only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {"weight_unit": ("weights", ())}
 
     step: Literal["logic"] = "logic"
     rig: Annotated[FilePath, Reads(), Positional()]

@@ -18,6 +18,7 @@ from usdface.runner.execute import execute
 from usdface.runner.result import StepResult
 from usdface.specs.edits import EditsImportSpec, EditSpec
 from usdface.specs.references import ReferencesImportSpec
+from usdface.steps.inputs.source_motion import read_source_motion
 from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.usdio.performance.exported_weights import blender_names
 from usdface.usdio.performance.read import PerformanceReader
@@ -267,6 +268,23 @@ def test_channels_that_maya_named_come_back_by_the_shapes_they_drive(tmp_path: P
     expected = SOLVED.copy()
     expected[3, 0] = 1.25
     np.testing.assert_allclose(reader.edited(), expected, atol=1e-6)
+
+
+def test_a_shape_that_maya_exported_per_mesh_is_one_source(tmp_path: Path) -> None:
+    """By name, `_skin_Deformer_jawOpen` and `_teeth_Deformer_jawOpen` could be either of two."""
+    changed = exported(tmp_path, curves_of(), **MAYA)
+    motion = read_source_motion(changed, (FIRST + 2, FIRST + 4))
+    assert set(motion.names) == set(SKIN)
+    columns = [motion.names.index(name) for name in SKIN]
+    np.testing.assert_allclose(motion.weights[:, columns], SOLVED[2:5], atol=1e-7)
+    assert (motion.first_frame, motion.rate) == (FIRST + 2, 24)
+    given = read_weight_table(changed, known=("JawOpen", "Smile"))
+    np.testing.assert_allclose(given.columns(SKIN), SOLVED, atol=1e-7)
+
+
+def test_channels_of_a_single_mesh_keep_their_names(tmp_path: Path) -> None:
+    changed = exported(tmp_path, {"skin": curves_of()["skin"]}, **MAYA)
+    assert read_source_motion(changed).names[0] == "_skin_Deformer_jawOpen"
 
 
 def maya_reads(animation: Usd.Prim, mesh: Usd.Prim) -> dict[str, np.ndarray]:

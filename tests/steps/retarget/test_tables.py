@@ -75,6 +75,25 @@ def test_what_is_wrong_is_named_and_nothing_written(
     assert not (folder / "p.usda").exists()
 
 
+def test_names_are_listed_of_tables_that_say_no_rate_or_are_in_percent(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write("t.csv", "take,frame,JawOpen,smile", "a,{n},{w}7,44")
+    assert usdface("names", "human.usda", "t.csv") == 0
+    assert "2 of 2 shapes of t.csv" in capsys.readouterr().out
+    line = ("pairs", "propose", "--source", "t.csv", "--target", "human.usda")
+    assert usdface(*line, "--out", "p.pairs.usda") == 0
+
+
+def test_what_a_recorder_left_out_is_told(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write("t.csv", "frame,jawOpen,smile", "{n},{w},.1")
+    rows = Path("t.csv").read_text(encoding="utf-8").splitlines()
+    Path("t.csv").write_text("\n".join(rows[:7] + rows[9:]), encoding="utf-8")
+    line = ("retarget", "t.csv", "--rate", 24, "--rig", "human.usda", "--out", "p.usda")
+    assert usdface(*line) == 0
+    assert "t.csv: 2 of 40 frames were dropped" in capsys.readouterr().out
+
+
 def test_what_a_take_says_itself_is_not_stated(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -20,6 +20,7 @@ from usdface.specs.review import EvaluateSpec
 from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.steps.review.evaluation_tables import shapes_with_motion
 from usdface.steps.review.scoring import read_keys
+from usdface.steps.review.shot import open_shot
 from usdface.usdio.performance.read import read_performance
 from usdface.usdio.performance.weights_layer import make_header
 from usdface.usdio.performance.write import writing_performance
@@ -147,10 +148,37 @@ def test_keys_by_other_names_are_the_same_keys(finished_shot: Shot, tmp_path: Pa
     assert other.figures["vertex_rms_mm"] == pytest.approx(usual.figures["vertex_rms_mm"])
     assert other.figures["weight_rmse"] == pytest.approx(usual.figures["weight_rmse"])
     assert any("matched by the meaning" in note for note in other.notes)
-    rig = read_rig(finished_shot / "hero.usdc")
-    frames = np.arange(1, 40)
-    again = [read_keys(each, rig, frames) for each in (keys, finished_shot / "keys.csv")]
+    shot = open_shot(finished_shot / "shot.hero.usda", frames="1-39")
+    again = [read_keys(each, shot) for each in (keys, finished_shot / "keys.csv")]
     np.testing.assert_allclose(again[0], again[1])
+
+
+def test_keys_in_percent_are_the_same_keys(
+    finished_shot: Shot, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = read_weight_table(finished_shot / "keys.csv")
+    keys, performance = tmp_path / "percent.csv", finished_shot / "shot.hero.usda"
+    rows = np.c_[table.frames, 100 * table.weights]
+    header = ",".join(("frame", *table.names))
+    np.savetxt(keys, rows, "%.17g", ",", header=header, comments="")
+    usual = execute(spec_of(finished_shot))
+    with pytest.raises(InputError, match="--weight-unit percent"):
+        execute(spec_of(finished_shot, against=keys))
+    percent = execute(spec_of(finished_shot, against=keys, weight_unit="percent"))
+    assert percent.figures["vertex_rms_mm"] == pytest.approx(usual.figures["vertex_rms_mm"])
+    shot = open_shot(performance, frames="1-39")
+    np.testing.assert_allclose(
+        read_keys(keys, shot, "percent"), read_keys(finished_shot / "keys.csv", shot), atol=1e-12
+    )
+    with pytest.raises(InputError, match="--weight-unit is of a table of weights"):
+        execute(spec_of(finished_shot, against=performance, weight_unit="one"))
+    for command in ("sheet", "report"):
+        out = tmp_path / ("x.png" if command == "sheet" else "x.html")
+        code, _, err = told(
+            [command, str(performance), "--weight-unit", "percent", "--out", str(out)], capsys
+        )
+        assert code == 2
+        assert "weight_unit has no effect without against" in err
 
 
 def test_shapes_that_markers_cannot_show_are_named(finished_shot: Shot) -> None:

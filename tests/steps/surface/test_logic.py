@@ -70,6 +70,14 @@ def test_a_constant_prefix_is_no_part_and_two_readings_are_refused() -> None:
         combinations_of_names(("a", "b_c", "a_b", "c", "a_b_c"))
 
 
+def test_a_name_of_a_shape_that_is_not_there_is_refused() -> None:
+    with pytest.raises(InputError, match="bs_jaw__blow: blow is no shape of the rig"):
+        combinations_of_names(("bs_jaw", "bs_smile_L", "bs_jaw__blow"))
+    for other in ("bs_smile__L", "bs_grp__x", "bs_jaw_blow", "bs_jaw__smile_L"):
+        names = ("bs_jaw", "bs_smile", "bs_smile_L", other)
+        assert len(combinations_of_names(names)) == (other == "bs_jaw__smile_L"), other
+
+
 def test_tables_and_simplex_say_the_same(rig: Path) -> None:
     table = rig.with_name("logic.csv")
     table.write_text("shape,parts,mode,weights\njaw_smile_L,jaw smile_L,minimum,\njaw50,jaw,,0.5\n")
@@ -79,6 +87,8 @@ def test_tables_and_simplex_say_the_same(rig: Path) -> None:
     ]
     listed = rig.with_name("logic.json")
     listed.write_text(json.dumps({"combinations": rows}))
+    assert stated(rig, definition=table) == stated(rig, definition=listed)
+    table.write_text(table.read_text().replace(",", ";"))
     assert stated(rig, definition=table) == stated(rig, definition=listed)
     simplex = {
         "encodingVersion": 3,

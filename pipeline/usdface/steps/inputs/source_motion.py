@@ -21,6 +21,8 @@ from usdface.steps.inputs.name_tables import (
     transfer_by_names,
     transfer_by_table,
 )
+from usdface.steps.inputs.weight_tables import read_weight_table
+from usdface.usdio.performance.exported_weights import has_channels_per_mesh
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.take.read import TakeReader, is_take
 
@@ -45,6 +47,8 @@ class SourceMotion:
     """SMPTE timecode of the first frame, empty when unknown."""
     emotion: str = ""
     """Of the take, empty when unknown."""
+    notes: tuple[str, ...] = ()
+    """What a capture's reader assumed or filled."""
 
     @property
     def last_frame(self) -> int:
@@ -88,13 +92,19 @@ def read_source_motion(
         end = take.first_frame + take.frame_count - 1
         first, last = _limits(path, frames, take.first_frame, end)
         start = shift_timecode(take.timecode_start, first - take.first_frame, take.rate)
-        return _of_take(path, replace(take, timecode_start=start), first, last)
+        motion = _of_take(path, replace(take, timecode_start=start), first, last)
+        return replace(motion, notes=capture.notes)
     if is_take(path):
         reader = TakeReader(path)
         first, last = _limits(path, frames, reader.first_frame, reader.last_frame)
         return _of_take(path, reader.read(first, last), first, last)
     performance = PerformanceReader(path)
     first, last = _limits(path, frames, performance.first_frame, performance.last_frame)
+    if has_channels_per_mesh(path):
+        table = read_weight_table(path)
+        rows = slice(first - performance.first_frame, last + 1 - performance.first_frame)
+        start = performance.timecode_at(first)
+        return SourceMotion(table.names, table.weights[rows], first, performance.rate, start)
     return SourceMotion(
         names=performance.names,
         weights=performance.edited(first, last).astype(np.float64),

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.capture.weight_table import in_fractions, read_weight_samples
+from usdface.capture.text_table import sniff_delimiter
+from usdface.capture.weight_table import in_fractions, read_weight_samples, row_frames
 from usdface.core.arrays import FloatArray, IntArray, columns_by_name
 from usdface.core.errors import InputError
-from usdface.core.rates import FARTHEST_FRAME
 from usdface.core.sidecars import LAYER_SUFFIXES
 from usdface.core.text import first_few, pluralize, read_text
 from usdface.steps.inputs.name_tables import Transfer, transfer_by_names
@@ -21,6 +21,7 @@ from usdface.usdio.mapping import read_alpha_keys
 from usdface.usdio.performance.exported_weights import (
     ExportedWeights,
     blender_names,
+    has_channels_per_mesh,
     is_of_blender,
     read_exported_weights,
 )
@@ -50,6 +51,8 @@ class WeightTable:
     """Take of each row; empty of a file that does not say."""
     cut: bool = False
     """Whether weights beyond `CUT_TO` come back as its ends."""
+    numbered: bool = True
+    """Whether the file numbers its frames; else they count from 1."""
 
     def columns(self, names: tuple[str, ...]) -> FloatArray:
         """Return the weights in another order of shapes; 0 for those the table lacks."""
@@ -111,6 +114,16 @@ class WeightTable:
         table = self.renamed(transfer)
         return (table if table.names else self), transfer
 
+    def numbering_notes(self, file: Path) -> list[str]:
+        """Return what to tell of frames that the file does not number."""
+        if self.numbered:
+            return []
+        rate = "" if self.rate is None else f" at {float(self.rate):g} frames per second"
+        return [
+            f"{file.name} has no column of frames: its {pluralize(len(self.frames), 'row')} count "
+            f"from frame 1{rate}, as `ingest` has them"
+        ]
+
     def check_rate(self, rate: Fraction, *, file: Path, performance: Path) -> None:
         """Raise InputError if the file says another rate than the performance's."""
         if self.rate is not None and self.rate != rate:
@@ -121,7 +134,11 @@ class WeightTable:
 
 
 def read_weight_table(
-    path: Path, *, known: tuple[str, ...] = (), unit: str | None = None
+    path: Path,
+    *,
+    known: tuple[str, ...] = (),
+    unit: str | None = None,
+    shapes: Path | None = None,
 ) -> WeightTable:
     """Read weights by frame from a table (.csv, .json, .npy) or from USD.
 
@@ -131,6 +148,8 @@ def read_weight_table(
         Shapes that are expected: where a tool made identifiers of these names, they are undone.
     unit : {'one', 'percent'}, optional
         Of a table; told where left out, and refused where it cannot be.
+    shapes : Path, optional
+        Names of the columns of a .npy matrix; see `read_weight_samples`.
 
     Raises
     ------
@@ -138,6 +157,11 @@ def read_weight_table(
         If the file is no such table; the line and the column are named.
     """
     if path.suffix.lower() in (*LAYER_SUFFIXES, ".usdz"):
+        if unit is not None or shapes is not None:
+            option = "shapes" if unit is None else "weight-unit"
+            raise InputError(
+                f"{path}: --{option} is of a table of weights, and this file says it; leave it out"
+            )
         blender = is_of_blender(path)
         exported = read_exported_weights(path) if blender else _renamed_by_a_tool(path, known)
         if exported is not None:
@@ -146,25 +170,16 @@ def read_weight_table(
         weights = reader.edited().astype(np.float64)
         numbers = tuple(reader.frames.tolist())
         return WeightTable(reader.names, numbers, weights, reader.rate, reader.keyed_frames)
-    return _table_of(path, unit)
+    return _table_of(path, unit, shapes)
 
 
-def _table_of(path: Path, unit: str | None) -> WeightTable:
+def _table_of(path: Path, unit: str | None, shapes: Path | None) -> WeightTable:
     try:
-        samples = read_weight_samples(path)
+        samples = read_weight_samples(path, shapes=shapes)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}; check the path") from error
-    if samples.frames is None:
-        raise InputError(
-            f"{path} line 1: has no `frame` column; the first line must name the columns"
-        )
-    whole = np.isfinite(samples.frames) & (np.abs(samples.frames) < FARTHEST_FRAME)
-    if not whole.all():
-        row = int(np.argmin(whole))
-        raise InputError(
-            f"{path} line {samples.lines[row]}: {samples.frames[row]:g} is no frame; correct it"
-        )
-    frames = tuple(np.rint(samples.frames).astype(np.int64).tolist())
+    numbers, rate = row_frames(path, samples)
+    frames = tuple(numbers.tolist())
     takes = samples.takes or ("",) * len(frames)
     (take, twice), count = Counter(zip(takes, frames, strict=True)).most_common(1)[0]
     if count > 1:
@@ -175,14 +190,17 @@ def _table_of(path: Path, unit: str | None) -> WeightTable:
         samples.names,
         frames,
         values,
-        samples.rate,
+        rate,
         keyed=frozenset(frames),
         takes=samples.takes,
+        numbered=samples.frames is not None,
     )
 
 
 def _renamed_by_a_tool(path: Path, known: tuple[str, ...]) -> ExportedWeights | None:
     """Return weights by what their channels drive, where these have names that nobody expects."""
+    if has_channels_per_mesh(path):
+        return read_exported_weights(path)
     reader = PerformanceReader(path)
     if not known or set(reader.names) & set(known):
         return None
@@ -220,7 +238,8 @@ def csv_rows(path: Path, columns: Sequence[str]) -> list[tuple[str, dict[str, ob
     InputError
         If the file is no such table; the line and the column are named.
     """
-    reader = csv.DictReader(read_text(path, LARGEST_TABLE_BYTES).splitlines())
+    lines = read_text(path, LARGEST_TABLE_BYTES).splitlines()
+    reader = csv.DictReader(lines, delimiter=sniff_delimiter(next(iter(lines), "")) or ",")
     header = reader.fieldnames or []
     missing = [name for name in columns if name not in header]
     if missing:

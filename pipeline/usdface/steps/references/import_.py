@@ -9,6 +9,7 @@ from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import tuned_path
 from usdface.core.text import first_few, pluralize
+from usdface.runner.origin import provenance_of, spec_of
 from usdface.runner.result import StepResult
 from usdface.specs.references import ReferencesImportSpec
 from usdface.steps.inputs.name_tables import meaning_notes, transfer_by_table
@@ -16,6 +17,7 @@ from usdface.steps.inputs.tuned_pairs import tuned_conflicts
 from usdface.steps.inputs.weight_tables import WeightTable, read_weight_table, weights_meant
 from usdface.usdio.references.read import TunedPair, read_references
 from usdface.usdio.references.write import write_tuned_weights
+from usdface.usdio.take.read import TakeReader
 
 
 def run(
@@ -26,7 +28,10 @@ def run(
 ) -> StepResult:
     """Match the file's rows to pairs and its columns to shapes, and write the tuned layer."""
     references = read_references(spec.references)
-    given = read_weight_table(spec.weights, known=references.shape_names, unit=spec.weight_unit)
+    given = read_weight_table(
+        spec.weights, known=references.shape_names, unit=spec.weight_unit, shapes=spec.shapes
+    )
+    _check_rate(spec, given)
     combinations = {each.shape for each in references.combinations}
     if spec.names is None:
         table, transfer = given.by_meaning(references.shape_names, leave=combinations)
@@ -45,7 +50,7 @@ def run(
         references, pairs, layer_path=tuned_path(spec.references), provenance=provenance
     )
     progress(1.0, "imported")
-    notes = meaning_notes(transfer)
+    notes = [*meaning_notes(transfer), *given.numbering_notes(spec.weights)]
     matched = set(transfer.matched)
     driven = [name for name in given.names if name in combinations]
     if driven:
@@ -91,6 +96,15 @@ def run(
             "conflicts": conflicts,
         },
     )
+
+
+def _check_rate(spec: ReferencesImportSpec, table: WeightTable) -> None:
+    """Refuse rows that count at another rate than the pairs' takes, where these are there."""
+    takes = spec_of(provenance_of(spec.references)).get("takes", [])
+    for name in takes if spec.at == "frames" and not table.numbered else ():
+        take = spec.references.parent / str(name)
+        if take.is_file():
+            table.check_rate(TakeReader(take).rate, file=spec.weights, performance=take)
 
 
 def _key(spec: ReferencesImportSpec, pair: TunedPair) -> int:

@@ -99,7 +99,9 @@ def _rig(spec: CyclicSpec, file: Path | None, prim: str, side: str) -> Rig:
 def _truth(
     spec: CyclicSpec, path: Path, motion: SourceMotion, picks: np.ndarray, pairs: ExpressionPairs
 ) -> FloatArray:
-    table, _ = read_weight_table(path).by_meaning(pairs.target.shapes)
+    given = read_weight_table(path, known=pairs.target.shapes, unit=spec.weight_unit)
+    given.check_rate(motion.rate, file=path, performance=spec.source)
+    table, _ = given.by_meaning(pairs.target.shapes)
     table.shapes_among(pairs.target.shapes, file=path, owner="of the pairs' target")
     row_of = index_of(table.frames)
     frames = (picks + motion.first_frame).tolist()

@@ -27,7 +27,7 @@ def run(
     _check_nothing_hides(spec.out)
     source_rig = read_rig(spec.source_rig, prim=spec.source_prim)
     target_rig = read_rig(spec.target_rig, prim=spec.target_prim)
-    given = read_weight_table(spec.source)
+    given = read_weight_table(spec.source, unit=spec.weight_unit)
     table, transfer = given.by_meaning(source_rig.shapes)
     unknown = [name for name in given.names if name not in set(transfer.matched)]
     if len(unknown) == len(given.names):
@@ -97,7 +97,7 @@ def _read_target(spec: PairsImportSpec, rig: Rig) -> tuple[list[int], Controls]:
         raise InputError(
             f"{spec.target}: attributes are read from USD; give the target as a .usd animation"
         )
-    table = read_weight_table(spec.target)
+    table = read_weight_table(spec.target, unit=spec.weight_unit)
     return list(table.frames), bare_controls(rig.shapes, table.columns(rig.shapes))
 
 

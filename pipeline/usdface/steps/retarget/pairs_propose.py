@@ -4,6 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
+from usdface.capture.sniff import recognise_format
+from usdface.capture.weight_table import read_weight_samples, read_weight_take
 from usdface.core.arrays import FloatArray, index_of
 from usdface.core.assets import Rig
 from usdface.core.controls import Controls, ExpressionPairs, bare_controls
@@ -94,6 +96,8 @@ def source_shapes(path: Path, *, prim: str | None = None) -> tuple[tuple[str, ..
         If it is none of them.
     """
     if path.suffix.lower() not in (*LAYER_SUFFIXES, ".usdz"):
+        if recognise_format(path).read is read_weight_take:  # names need no rate, unit or take
+            return read_weight_samples(path).names, None
         return read_source_motion(path).names, None
     if is_take(path):
         return read_source_motion(path).names, None

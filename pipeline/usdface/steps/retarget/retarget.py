@@ -89,7 +89,7 @@ def run(spec: RetargetSpec, *, provenance: Provenance, progress: Progress = sile
     if spec.alpha is not None:
         frames = np.arange(motion.first_frame, motion.last_frame + 1)
         alpha = read_alpha(spec.alpha, frames)
-    notes: list[str] = []
+    notes = [f"{spec.source.name}: {note}" for note in motion.notes]
     outputs: list[Path] = []
     for index, target in enumerate(targets):
         out = spec.out[index]

@@ -49,7 +49,8 @@ def run(spec: EvaluateSpec, *, provenance: Provenance, progress: Progress = sile
     progress(0.0, "reading")
     performance = read_performance(spec.performance)
     rig = read_rig(performance.rig_file, prim=performance.rig_prim)
-    comparison = _compare(spec, performance, read_weight_table(spec.against), rig)
+    given = read_weight_table(spec.against, known=rig.shapes, unit=spec.weight_unit)
+    comparison = _compare(spec, performance, given, rig)
     observable, notes = _observable(spec, rig)
     progress(0.4, "measuring")
     evaluation = evaluate_weights(
@@ -107,6 +108,7 @@ def _compare(
         compared=either,
         notes=(
             *meaning_notes(transfer),
+            *given.numbering_notes(spec.against),
             *_unknown_notes(spec, given, transfer),
             *_notes(spec, clip.names, truth.names, rig),
         ),

@@ -110,7 +110,7 @@ def _page(
 ) -> ReviewPage:
     """Measure, pack and draw what the page shows; what could not be had is added to the notes."""
     take, rig, ruler = shot.take, shot.rig, ShotRuler(shot)
-    keys = read_keys(spec.against, rig, shot.frames)
+    keys = read_keys(spec.against, shot, spec.weight_unit)
     progress(0.05, "placing the markers on the rig")
     equation = set_up_shot_baseline(shot) if take.markers is not None else None
     signals = ruler.signals(keys, equation)

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray, index_of
-from usdface.core.assets import Rig
 from usdface.core.errors import InputError
 from usdface.media.picture.color import KEYS_RANGE_MM, UNKEYED_RANGE_MM
 from usdface.media.picture.error_strip import ErrorCurve
@@ -183,11 +182,14 @@ def solve_baseline(equation: BlendshapeEquation, shot: Shot, rows: IntArray) -> 
     return weights
 
 
-def read_keys(file: Path | None, rig: Rig, frames: IntArray) -> FloatArray | None:
+def read_keys(file: Path | None, shot: Shot, unit: str | None = None) -> FloatArray | None:
     """Return what the weights should have been; NaN at frames the file does not have."""
     if file is None:
         return None
-    table, _ = read_weight_table(file).by_meaning(rig.shapes, leave=rig.logic.driven)
+    rig, frames = shot.rig, shot.frames
+    given = read_weight_table(file, known=rig.shapes, unit=unit)
+    given.check_rate(shot.take.rate, file=file, performance=shot.performance_file)
+    table, _ = given.by_meaning(rig.shapes, leave=rig.logic.driven)
     if not set(table.names) & set(rig.shapes):
         raise InputError(f"{file}: names none of the rig's shapes; is it the right file?")
     row_of = index_of(table.frames)

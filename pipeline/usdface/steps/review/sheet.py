@@ -186,7 +186,7 @@ def _compare(spec: SheetSpec, progress: Progress) -> _Comparison:
     progress(0.1, "placing the markers on the rig")
     equation = None if shot.take.markers is None else set_up_shot_baseline(shot)
     ruler = ShotRuler(shot)
-    truth = read_keys(spec.against, shot.rig, shot.frames)
+    truth = read_keys(spec.against, shot, spec.weight_unit)
     signals = ruler.signals(truth, equation)
     chosen = _choose(spec, shot, signals)
     rows = [frame.row for frame in chosen]

@@ -87,7 +87,7 @@ def _inferred(spec: LogicSpec, shapes: tuple[str, ...]) -> tuple[tuple[Combinati
             f"{spec.rig}: --driven names none of its shapes ({first_few(shapes, most=3)}); name "
             "those whose logic is to be inferred"
         )
-    table = read_weight_table(spec.weights, known=shapes)
+    table = read_weight_table(spec.weights, known=shapes, unit=spec.weight_unit)
     table.shapes_among(driven, file=spec.weights, owner="among those driven")
     rows = table.weights[:: -(-len(table.weights) // _MOST_ROWS)]
     free = tuple(name for name in shapes if name not in driven and name in table.names)

@@ -8,7 +8,7 @@ from typing import Any, cast
 
 from usdface.core.errors import InputError
 from usdface.core.rig_logic import Combination, CombinationMode
-from usdface.core.text import first_few, read_text
+from usdface.core.text import first_few, pluralize, read_text
 from usdface.steps.inputs.weight_tables import csv_rows
 
 _LARGEST_BYTES = 1 << 26
@@ -41,7 +41,7 @@ def combinations_of_names(shapes: Sequence[str]) -> tuple[Combination, ...]:
     Raises
     ------
     InputError
-        If a name can be read in two ways.
+        If a name can be read in two ways, or a part of ``A__B`` is no shape.
     """
     prefix = _common_prefix(shapes)
     known = {name.removeprefix(prefix): name for name in shapes}
@@ -61,7 +61,23 @@ def combinations_of_names(shapes: Sequence[str]) -> tuple[Combination, ...]:
         elif between is not None and between["part"] in known:
             at = int(between["percent"]) / 100
             found.append(Combination(name, (known[between["part"]],), weights=(at,)))
+        else:
+            _check_parts(name, short, known)
     return tuple(found)
+
+
+def _check_parts(name: str, short: str, known: dict[str, str]) -> None:
+    """Refuse a name of two shapes, ``A__B``, of which the rig has only one."""
+    side = _SIDE.search(short)
+    ending = side.group() if side else ""
+    pieces = [each for each in short.removesuffix(ending).split("__") if each.strip("_")]
+    there = [not known.keys().isdisjoint((each.strip("_"), each + ending)) for each in pieces]
+    if any(there) and not all(there):
+        missing = pieces[there.index(False)]
+        raise InputError(
+            f"{name}: {missing} is no shape of the rig, so that it is no combination by its name; "
+            "rename it, or state it in a table (--definition)"
+        )
 
 
 def _common_prefix(shapes: Sequence[str]) -> str:
@@ -233,7 +249,7 @@ def merged(stated: Iterable[tuple[Combination, ...]]) -> tuple[Combination, ...]
             conflicts.append(f"{found[each.shape]} and {each}")
     if conflicts:
         raise InputError(
-            f"{len(conflicts)} combinations are stated in two ways: {first_few(conflicts)}; give "
-            "one source, or make them agree"
+            f"{pluralize(len(conflicts), 'combination')} stated in two ways: "
+            f"{first_few(conflicts)}; give one source, or make them agree"
         )
     return tuple(found.values())

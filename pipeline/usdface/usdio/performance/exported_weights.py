@@ -58,6 +58,28 @@ def is_of_blender(path: Path) -> bool:
 
 
 @refusing_wrong_types
+def has_channels_per_mesh(path: Path) -> bool:
+    """Whether channels are named after mesh and shape, so that one shape has several.
+
+    Then every channel of a mesh is the name of the shape that it drives behind what stands for the
+    mesh, and another mesh has one of these shapes under another name.
+    """
+    stage = open_stage(path)
+    animations = list(animations_of_skeletons(stage).values())
+    if len(animations) != 1:
+        return False
+    starts: dict[str, set[str]] = {}
+    for mesh in _meshes(stage, animations[0].GetPath()):
+        channels = _shapes_of_channels(mesh)
+        own = {name.removesuffix(shape) for name, shape in channels.items()}
+        if len(own) != 1 or own & {"", *channels}:
+            return False
+        for shape in channels.values():
+            starts.setdefault(shape, set()).update(own)
+    return any(len(each) > 1 for each in starts.values())
+
+
+@refusing_wrong_types
 def read_exported_weights(path: Path) -> ExportedWeights | None:
     """Read weights by the shapes that channels drive; None where no mesh tells.
 
