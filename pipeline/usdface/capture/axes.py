@@ -41,13 +41,7 @@ _UPRIGHT = {
 
 
 def mm_per_unit(units: str, *, where: str) -> float:
-    """Return how many millimetres one unit is.
-
-    Raises
-    ------
-    InputError
-        If the unit is not known.
-    """
+    """Return how many millimetres one unit is."""
     key = units.strip().lower()
     scale = _MM_PER_UNIT.get(key, _MM_PER_UNIT.get(key.removesuffix("s")))
     if scale is None and len(key) == _CUT_LENGTH:  # "mete", "mill", "cent" and so on
@@ -62,13 +56,7 @@ def mm_per_unit(units: str, *, where: str) -> float:
 
 
 def rotation_to_y_up(*, up: str, where: str) -> FloatArray:
-    """Return the rotation that brings `up`, such as 'y', 'z' or '-x', to Y.
-
-    Raises
-    ------
-    InputError
-        If `up` is no axis.
-    """
+    """Return the rotation that brings `up`, such as 'y', 'z' or '-x', to Y."""
     if up.lower() not in _UPRIGHT:
         raise InputError(f"{where}: up axis {up!r}; it must be one of {', '.join(_UPRIGHT)}")
     return _UPRIGHT[up.lower()]

@@ -198,13 +198,7 @@ class C3dFile:
 
 
 def open_c3d(path: Path) -> C3dFile:
-    """Open a C3D file and check that it holds what it promises.
-
-    Raises
-    ------
-    InputError
-        If the file is not a C3D file, is damaged, or ends too early.
-    """
+    """Open a C3D file and check that it holds what it promises."""
     layout = read_layout(path)
     parameters = layout.parameters
     return C3dFile(
@@ -249,14 +243,7 @@ def is_c3d(head: bytes) -> bool:
 
 
 def read_c3d_take(path: Path, options: CaptureOptions) -> Capture:
-    """Read the labelled points of a C3D file as markers.
-
-    Raises
-    ------
-    InputError
-        If the file is damaged or ends early, its units or axes are unknown, or nothing is left to
-        use.
-    """
+    """Read the labelled points of a C3D file as markers."""
     file = open_c3d(path)
     notes = list(file.layout.notes)
     point_count = file.layout.point_count

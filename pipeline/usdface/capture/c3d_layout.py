@@ -54,13 +54,7 @@ class C3dLayout:
 
 
 def read_layout(path: Path) -> C3dLayout:
-    """Read header and parameters of a C3D file.
-
-    Raises
-    ------
-    InputError
-        If the file is not a C3D file, is damaged, or ends before the samples it promises.
-    """
+    """Read header and parameters of a C3D file."""
     check_may_open(path)
     size = path.stat().st_size
     with path.open("rb") as file:

@@ -42,11 +42,6 @@ def write_c3d(
         Frame number of the first sample; the format counts from 1.
     analog : (frames * k, channels) array_like, optional
         k samples per frame and channel.
-
-    Raises
-    ------
-    ValueError
-        If the shapes, the labels or the first frame do not fit.
     """
     points = np.asarray(positions, np.float32)
     seen = np.asarray(visible, bool)

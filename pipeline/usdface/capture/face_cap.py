@@ -44,13 +44,7 @@ def is_face_cap(head: bytes) -> bool:
 
 
 def read_face_cap(path: Path, options: CaptureOptions) -> Capture:
-    """Read weights and rotations as channels.
-
-    Raises
-    ------
-    InputError
-        If a line is of no known kind, names or a sample are damaged, or times do not ascend.
-    """
+    """Read weights and rotations as channels."""
     names: list[str] = []
     samples: list[list[float]] = []
     numbers: list[int] = []

@@ -57,13 +57,7 @@ class FaceFinding:
 
 
 def named_model(path: Path | None) -> Path:
-    """Return the model that the user names, or else his environment.
-
-    Raises
-    ------
-    InputError
-        If neither does.
-    """
+    """Return the model that the user names, or else his environment."""
     named = path or os.environ.get(MODEL_VARIABLE)
     if not named:
         raise InputError(f"no model is named: {MODEL_ADVICE}")
@@ -71,13 +65,7 @@ def named_model(path: Path | None) -> Path:
 
 
 def check_model(path: Path) -> str:
-    """Check that a file is a face landmark model, whole; return its SHA-256.
-
-    Raises
-    ------
-    InputError
-        If it is missing, cut short, or a model of another task.
-    """
+    """Check that a file is a face landmark model, whole; return its SHA-256."""
     if not path.is_file():
         raise InputError(f"{path}: no such file; {MODEL_ADVICE}")
     size = path.stat().st_size

@@ -36,13 +36,7 @@ def is_ifacialmocap(head: bytes) -> bool:
 
 
 def read_ifacialmocap(path: Path, options: CaptureOptions) -> Capture:
-    """Read weights, divided by 100, and rotations as channels.
-
-    Raises
-    ------
-    InputError
-        If a frame is damaged or has other channels than the first.
-    """
+    """Read weights, divided by 100, and rotations as channels."""
     names: list[str] = []
     rows: list[list[float]] = []
     places: list[int] = []

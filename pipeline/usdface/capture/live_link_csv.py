@@ -63,13 +63,7 @@ def is_live_link_csv(head: bytes) -> bool:
 
 
 def read_live_link_csv(path: Path, options: CaptureOptions) -> Capture:
-    """Read weights and rotations as channels, by the names in the header.
-
-    Raises
-    ------
-    InputError
-        If the header or a row is damaged, or timecodes do not ascend or come at two rates.
-    """
+    """Read weights and rotations as channels, by the names in the header."""
     lines = read_lines(path)
     header = next(lines)
     delimiter = sniff_delimiter(header.text) or ","

@@ -41,13 +41,7 @@ def is_marker_csv(head: bytes) -> bool:
 
 
 def read_marker_csv(path: Path, options: CaptureOptions) -> Capture:
-    """Read every NAME.x, NAME.y, NAME.z as a marker; the dot may be ``_``, ``:`` or a space.
-
-    Raises
-    ------
-    InputError
-        If the header or a row is damaged, there is no column of times, or no marker.
-    """
+    """Read every NAME.x, NAME.y, NAME.z as a marker; the dot may be ``_``, ``:`` or a space."""
     lines = read_lines(path)
     header = next(lines)
     delimiter = sniff_delimiter(header.text) or ","

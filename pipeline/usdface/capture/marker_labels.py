@@ -121,13 +121,7 @@ def _unused(name: str, used: set[str]) -> str:
 def match_labels(
     wanted: Sequence[str], names: Sequence[str], *, where: str, role: str
 ) -> tuple[str, ...]:
-    """Return `wanted` as the take names them, with or without the subject's prefix.
-
-    Raises
-    ------
-    InputError
-        If a name is not a marker of the take, with the nearest ones.
-    """
+    """Return `wanted` as the take names them, with or without the subject's prefix."""
     known = set(names)
     found = tuple(name if name in known else name.rpartition(":")[2] for name in wanted)
     missing = [name for name in found if name not in known]

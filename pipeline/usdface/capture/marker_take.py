@@ -235,11 +235,6 @@ def build_table_take(header: CaptureHeader, table: MarkerTable, options: Capture
     """Make a take of the markers of a table.
 
     Frames without a row are gaps of every marker, and are reported.
-
-    Raises
-    ------
-    InputError
-        As `settle_labels` and `build_marker_take`.
     """
     labels = settle_labels(table.labels, where=table.where)
     notes = [*header.notes, *labels.notes()]
@@ -286,11 +281,6 @@ def settle_space(
         File, and what its units are called there, for notes and messages.
     up_note : str
         Added to `notes` when the convention decides; nothing when empty.
-
-    Raises
-    ------
-    InputError
-        If the units or the axis are not known.
     """
     scale = settle_units(stated_units, options, notes, where=where, field=field)
     if options.up is None and up_note:
@@ -302,13 +292,7 @@ def settle_space(
 def settle_units(
     stated: str, options: CaptureOptions, notes: list[str], *, where: str, field: str
 ) -> float:
-    """Return millimetres per unit, from what the file states or the user says, and his factor.
-
-    Raises
-    ------
-    InputError
-        If the unit is not known.
-    """
+    """Return millimetres per unit, from what the file states or the user says, and his factor."""
     scale = 1.0 if options.scale is None else options.scale
     if options.units is not None:
         if stated and stated.lower() != options.units.lower():

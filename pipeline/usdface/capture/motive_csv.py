@@ -66,12 +66,6 @@ def read_motive_csv(path: Path, options: CaptureOptions) -> Capture:
 
     Rigid bodies, bones and the markers solved from them are left out: those are where the solver
     expects a marker, not where one was seen.
-
-    Raises
-    ------
-    InputError
-        If the header or a row is damaged, rate and times disagree, units are unknown, or nothing
-        is left to use.
     """
     lines = read_lines(path)
     header = _read_header(path, lines)

@@ -69,14 +69,7 @@ class _Columns:
 
 
 def read_openface_csv(path: Path, options: CaptureOptions) -> Capture:
-    """Read landmarks as markers, and intensities divided by 5 as channels.
-
-    Raises
-    ------
-    InputError
-        If the header or a row is damaged, times tell no rate, neither landmarks nor intensities
-        are there, or no face was found in any frame.
-    """
+    """Read landmarks as markers, and intensities divided by 5 as channels."""
     lines = read_lines(path)
     header = next(lines)
     delimiter = sniff_delimiter(header.text) or ","

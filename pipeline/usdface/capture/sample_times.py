@@ -50,11 +50,6 @@ def settle_device_times(seconds: FloatArray, lines: IntArray, *, where: str) -> 
         [s]
     lines : (samples,) int array
         Where each is in its file, for messages.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than two samples, or times do not ascend.
     """
     check_ascending(seconds, lines, where=where)
     if len(seconds) < 2:
@@ -106,13 +101,7 @@ def settle_frame_numbers(
 
 
 def rate_of_times(seconds: FloatArray, frames: IntArray, *, where: str) -> Fraction:
-    """Return the simplest rate that rounded times of numbered frames allow.
-
-    Raises
-    ------
-    InputError
-        If times do not tell a rate, or one that no capture has.
-    """
+    """Return the simplest rate that rounded times of numbered frames allow."""
     low, measured, high = _rate_limits(seconds, frames, where=where)
     if high < _LOWEST_RATE:
         raise InputError(
@@ -159,13 +148,7 @@ def check_rate(
 
 
 def check_ascending(values: FloatArray, lines: IntArray, *, where: str) -> None:
-    """Refuse times or frame numbers that repeat or go back.
-
-    Raises
-    ------
-    InputError
-        With the line of the first.
-    """
+    """Refuse times or frame numbers that repeat or go back."""
     wrong = ~(np.diff(values) > 0)
     if wrong.any():
         row = int(np.argmax(wrong)) + 1
@@ -176,13 +159,7 @@ def check_ascending(values: FloatArray, lines: IntArray, *, where: str) -> None:
 
 
 def check_span(frames: FloatArray, lines: IntArray, *, where: str) -> None:
-    """Refuse samples so far apart that most of a take would be missing.
-
-    Raises
-    ------
-    InputError
-        With the widest gap.
-    """
+    """Refuse samples so far apart that most of a take would be missing."""
     if frames[-1] > _LARGEST_RATIO * (len(frames) + 100):
         row = int(np.argmax(np.diff(frames))) + 1
         raise InputError(

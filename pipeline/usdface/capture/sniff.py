@@ -114,11 +114,6 @@ def read_capture(path: Path, *, format: str | None = None, **stated: Any) -> Cap
         Name of one of `FORMATS`; told from the content when left out, whatever the extension.
     **stated
         What the user says about the capture: fields of `CaptureOptions`.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, is of no known format, is damaged, or contradicts the options.
     """
     path = Path(path)
     options = CaptureOptions(**stated | {"rigid": tuple(stated.get("rigid", ()))})
@@ -132,13 +127,7 @@ def read_capture(path: Path, *, format: str | None = None, **stated: Any) -> Cap
 
 
 def recognise_format(path: Path) -> CaptureFormat:
-    """Tell a file's format by its first bytes.
-
-    Raises
-    ------
-    InputError
-        If no format fits; the message lists the known ones.
-    """
+    """Tell a file's format by its first bytes."""
     check_may_open(path)
     with path.open("rb") as file:
         head = file.read(_HEAD_BYTES)

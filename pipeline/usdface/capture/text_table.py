@@ -63,13 +63,7 @@ def head_lines(head: bytes, count: int) -> list[str]:
 
 
 def read_lines(path: Path) -> Iterator[TableLine]:
-    r"""Read a text file line by line: UTF-8 or UTF-16, any line ends, empty lines included.
-
-    Raises
-    ------
-    InputError
-        If the file is empty or too large, is not text, or has a line that is too long.
-    """
+    r"""Read a text file line by line: UTF-8 or UTF-16, any line ends, empty lines included."""
     size = path.stat().st_size
     if size == 0:
         raise InputError(f"{path}: the file is empty (0 bytes); export the take again")
@@ -92,13 +86,7 @@ def read_lines(path: Path) -> Iterator[TableLine]:
 
 
 def split_cells(line: TableLine, delimiter: str | None) -> list[str]:
-    """Split a line at a delimiter, or at white space where that is None; quotes are taken off.
-
-    Raises
-    ------
-    InputError
-        If a quoted cell never ends.
-    """
+    """Split a line at a delimiter, or at white space where that is None; quotes are taken off."""
     if delimiter is None:
         return line.text.split()
     if '"' not in line.text:
@@ -125,13 +113,7 @@ def sniff_delimiter(text: str) -> str | None:
 
 
 def check_columns(columns: Sequence[str], line: TableLine) -> None:
-    """Refuse empty and doubled column names.
-
-    Raises
-    ------
-    InputError
-        With the place of each of the first.
-    """
+    """Refuse empty and doubled column names."""
     seen: dict[str, int] = {}
     for index, name in enumerate(columns):
         if not name:
@@ -167,11 +149,6 @@ def parse_cells(
         Whether an empty cell, ``NaN`` or ``NA`` means that nothing was seen; else it is refused.
     first_column : int
         Which column of the line `cells` starts at, from 0; for messages.
-
-    Raises
-    ------
-    InputError
-        If the count is wrong or a cell is not a number.
     """
     if len(cells) != len(columns):
         if len(without_empty_tail(cells)) > len(columns) or len(cells) < len(columns):
@@ -220,11 +197,6 @@ def read_number_table(
         Columns to keep as text.
     stop_at_empty : bool
         Whether an empty line ends the table.
-
-    Raises
-    ------
-    InputError
-        If a row has too few or too many cells, a cell is not a number, or there is no row.
     """
     values = array("d")
     numbers: list[int] = []

@@ -41,13 +41,7 @@ def is_trc(head: bytes) -> bool:
 
 
 def read_trc(path: Path, options: CaptureOptions) -> Capture:
-    """Read the markers of a TRC file; empty cells and ``NaN`` are gaps.
-
-    Raises
-    ------
-    InputError
-        If the header or a row is damaged, the rate or units are unknown, or nothing is left to use.
-    """
+    """Read the markers of a TRC file; empty cells and ``NaN`` are gaps."""
     lines = read_lines(path)
     _next(lines, path, "PathFileType")
     keys = _next(lines, path, "names of the header values, DataRate first")

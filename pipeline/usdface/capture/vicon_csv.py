@@ -46,14 +46,7 @@ def is_vicon_csv(head: bytes) -> bool:
 
 
 def read_vicon_csv(path: Path, options: CaptureOptions) -> Capture:
-    """Read the trajectories of a Vicon export; empty cells are gaps.
-
-    Raises
-    ------
-    InputError
-        If there is no block of trajectories, or two; if its header or a row is damaged, its rate
-        or units are unknown, or nothing is left to use.
-    """
+    """Read the trajectories of a Vicon export; empty cells are gaps."""
     lines = read_lines(path)
     skipped: list[str] = []
     capture: Capture | None = None

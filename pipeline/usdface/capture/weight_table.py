@@ -172,11 +172,6 @@ def read_weight_samples(path: Path, *, shapes: Path | None = None) -> WeightSamp
     shapes : Path, optional
         File with the names of a matrix's columns: one per line, or a JSON list, or ``.npy``.
         Default: ``NAME.names.txt``, ``.json`` or ``.npy`` beside it.
-
-    Raises
-    ------
-    InputError
-        If it is no such table; the place is named.
     """
     check_may_open(path)
     with path.open("rb") as file:

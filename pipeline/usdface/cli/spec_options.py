@@ -47,13 +47,7 @@ def options_of(spec: type[Spec]) -> list[inspect.Parameter]:
 
 
 def build_spec(spec: type[SpecType], values: dict[str, Any]) -> SpecType:
-    """Make a spec from command-line values.
-
-    Raises
-    ------
-    InputError
-        If values are invalid; the message lists all of them.
-    """
+    """Make a spec from command-line values."""
     given: dict[str, Any] = {}
     for name, field in spec.model_fields.items():
         value = values.get(name)
@@ -84,13 +78,7 @@ def command_of(spec: type[Spec], run: Callable[..., None], common: list[inspect.
 
 
 def current_options(spec: type[Spec], arguments: list[str]) -> list[str]:
-    """Return a command's arguments with old names of options replaced by the new, with a warning.
-
-    Raises
-    ------
-    InputError
-        If an option is gone; the message says what to do instead.
-    """
+    """Return a command's arguments, old names of options replaced by the new with a warning."""
     end = arguments.index("--") if "--" in arguments else len(arguments)
     current = []
     for argument in arguments[:end]:

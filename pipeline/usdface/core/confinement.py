@@ -26,11 +26,6 @@ def check_confined(paths: Sequence[tuple[str, Path]], root: Path) -> None:
     ----------
     paths : sequence of (str, Path)
         Each with the name of what reads or writes it.
-
-    Raises
-    ------
-    InputError
-        If the folder does not exist, or naming every path that lies outside.
     """
     if not root.is_dir():
         raise InputError(f"{root}: no such folder, so nothing can be confined to it")
@@ -56,11 +51,6 @@ def check_may_open(path: Path, *, what: str = "open") -> None:
     ----------
     what : str
         What is about to be done, for the message.
-
-    Raises
-    ------
-    InputError
-        If it lies outside.
     """
     root = confinement_root()
     if root is not None:

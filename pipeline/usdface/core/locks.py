@@ -56,11 +56,6 @@ class TuningLock:
         ----------
         take_over : bool
             Take it from whoever holds it; their page then refuses changes and says why.
-
-        Raises
-        ------
-        InputError
-            If someone else holds it: who, where, since when, and what to do.
         """
         holding = Holder(
             user=_user(),

@@ -124,11 +124,6 @@ def exact_rate(value: float, *, where: str) -> Fraction:
     Whole numbers stay whole; multiples of 24 and 30 over 1.001 (23.976, 29.97, 59.94, 119.88, …)
     become exact rationals; anything else becomes the nearest fraction with a denominator of at
     most 1001.
-
-    Raises
-    ------
-    InputError
-        If the rate is not a number above 0.
     """
     if not (isfinite(value) and 0 < value <= _HIGHEST_RATE):
         raise InputError(
@@ -157,11 +152,6 @@ def check_frame_span(where: str, first: float, last: float, *, samples: int | No
         Inclusive; what a file says, finite or not.
     samples : int or None
         Time codes at which the file has a value; None where nothing in it is read by frames.
-
-    Raises
-    ------
-    InputError
-        If an end is no frame, or there are too many frames between them.
     """
     if not (abs(first) < FARTHEST_FRAME and abs(last) < FARTHEST_FRAME):  # also catches NaN
         raise InputError(
@@ -181,12 +171,6 @@ def check_frame_span(where: str, first: float, last: float, *, samples: int | No
 
 
 def span_of_samples(where: str, times: Sequence[float]) -> tuple[int, int]:
-    """Return the first and the last frame of ascending time codes.
-
-    Raises
-    ------
-    InputError
-        If they span more frames than a file of so few samples can mean.
-    """
+    """Return the first and the last frame of ascending time codes."""
     check_frame_span(where, times[0], times[-1], samples=len(times))
     return round(times[0]), round(times[-1])

@@ -98,11 +98,6 @@ def appearing_together(paths: Iterable[Path]) -> Iterator[None]:
     ----------
     paths : iterable of Path
         Those of them that are written. None is to be read in the block.
-
-    Raises
-    ------
-    InputError
-        As `replacing` does.
     """
     group = _Group(frozenset(paths))
     with group.held:
@@ -136,11 +131,6 @@ def replacing_together(
     ------
     tuple of Path
         To write to, in the same order.
-
-    Raises
-    ------
-    InputError
-        As `replacing` does.
     """
     if new and (there := [path for path in paths if os.path.lexists(path)]):
         raise _exists_error(there[0])
@@ -207,13 +197,7 @@ def not_written_since(paths: Iterable[Path]) -> Iterator[None]:
 
 
 def check_not_written_since(path: Path) -> None:
-    """Refuse a file that somebody else wrote since; for who has locked it, and is about to write.
-
-    Raises
-    ------
-    InputError
-        If it is another than `not_written_since` saw.
-    """
+    """Refuse a file that somebody else wrote since; for who has locked it and is about to write."""
     seen = _STAMPS_BEFORE.get()
     if path.absolute() in seen and _stamp(path) != seen[path.absolute()]:
         raise InputError(
@@ -231,13 +215,7 @@ def _stamp(path: Path) -> _Stamp:
 
 
 def check_unprotected(path: Path) -> None:
-    """Refuse a file that nobody may write to: a rename would ask for the folder's rights alone.
-
-    Raises
-    ------
-    InputError
-        If it is there and write-protected.
-    """
+    """Refuse a file that nobody may write to: a rename would ask for the folder's rights alone."""
     with contextlib.suppress(OSError):
         if not path.stat().st_mode & _WRITE_PERMISSIONS:
             raise InputError(

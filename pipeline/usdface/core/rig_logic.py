@@ -241,16 +241,12 @@ class RigLogic:
         ]
 
     def evaluate(self, weights: ArrayLike) -> FloatArray:
-        """Return the weights of all shapes, combinations last.
+        """Return the weights of all shapes, combinations last: (frames, shapes + combinations).
 
         Parameters
         ----------
         weights : (frames, shapes) array_like
             Of the animated shapes.
-
-        Returns
-        -------
-        (frames, shapes + combinations) float array
         """
         given = np.asarray(weights, dtype=np.float64)
         out = np.zeros((len(given), len(self.shapes) + len(self.combinations)))

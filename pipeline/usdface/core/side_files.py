@@ -67,13 +67,7 @@ def side_stream(path: Path, mode: str) -> IO[Any]:
 
 
 def make_side_folder(folder: Path) -> None:
-    """Make a folder beside a file, if it is not there.
-
-    Raises
-    ------
-    InputError
-        If there is a link or a file in its place, or it cannot be made.
-    """
+    """Make a folder beside a file, if it is not there."""
     try:
         with _opened_folder(folder.parent) as parent, contextlib.suppress(FileExistsError):
             os.mkdir(folder if parent is None else folder.name, dir_fd=parent)
@@ -90,13 +84,7 @@ def check_side_folder(folder: Path) -> None:
 
 
 def clear_side_folder(folder: Path, pattern: str, *, keep: frozenset[str] = frozenset()) -> None:
-    """Remove the files of a folder whose names match; what others put there stays.
-
-    Raises
-    ------
-    InputError
-        If the folder is a link, or files cannot be removed.
-    """
+    """Remove the files of a folder whose names match; what others put there stays."""
     check_side_folder(folder)
     try:
         with _opened_folder(folder.parent) as parent:

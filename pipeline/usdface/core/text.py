@@ -26,13 +26,7 @@ def first_few(names: Iterable[object], *, most: int = 5) -> str:
 
 
 def read_text(path: Path, largest_bytes: int) -> str:
-    """Read a text file of people, in UTF-8 or UTF-16.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read or is too large.
-    """
+    """Read a text file of people, in UTF-8 or UTF-16."""
     check_may_open(path)
     try:
         if path.stat().st_size > largest_bytes:

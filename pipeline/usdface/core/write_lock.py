@@ -51,11 +51,6 @@ def write_lock(path: Path) -> Iterator[Callable[[], None]]:
     ------
     callable
         Raises InputError if the lock is no longer ours: for who is about to put the file there.
-
-    Raises
-    ------
-    InputError
-        If another process holds it, or the folder cannot be written to.
     """
     name = path.name
     short = shorten(name, _LONGEST_LOCK_NAME_BYTES)

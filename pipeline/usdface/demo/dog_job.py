@@ -53,13 +53,7 @@ _HEADER = """\
 def run_dog_demo(
     folder: Path, *, progress: Progress = silent, events: JobEvents | None = None
 ) -> StepResult:
-    """Make both characters, pairs and a sequence in a folder, and run the job.
-
-    Raises
-    ------
-    InputError
-        If the folder cannot be made or written, or holds something else.
-    """
+    """Make both characters, pairs and a sequence in a folder, and run the job."""
     confine("demo", writes=[folder])
     job_file = folder / DOG_JOB_NAME
     make_folder(folder, job_file)

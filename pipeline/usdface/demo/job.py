@@ -57,11 +57,6 @@ def run_demo(
         the capture are not used.
     events : JobEvents, optional
         Called as the steps of the job start and end.
-
-    Raises
-    ------
-    InputError
-        If the folder cannot be made or written, or holds something else.
     """
     confine("demo", writes=[folder])
     if model is not None:  # before two minutes of drawing
@@ -107,13 +102,7 @@ _HEADER = """\
 
 
 def make_folder(folder: Path, job_file: Path) -> None:
-    """Make a folder for a demo whose job file is to be there.
-
-    Raises
-    ------
-    InputError
-        If it cannot be made, or holds something else.
-    """
+    """Make a folder for a demo whose job file is to be there."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         strangers = any(folder.iterdir()) and not job_file.exists()

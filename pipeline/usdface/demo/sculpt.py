@@ -287,16 +287,12 @@ LID_THICKNESS = 2.2
 
 
 def trace(form: Form, origins: FloatArray, directions: FloatArray) -> FloatArray:
-    """First points where rays from outside meet the form.
+    """First points where rays from outside meet the form: (n, 3).
 
     Parameters
     ----------
     origins, directions : (n, 3) float arrays
         Directions need not be normalised; a ray that misses ends where it came nearest.
-
-    Returns
-    -------
-    (n, 3) float array
     """
     unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
     points = np.array(origins, dtype=float)

@@ -137,11 +137,6 @@ def compose_bundle(
     carried : iterable of Path
         Files that the tasks read and that no task makes: a farm without shared storage copies them
         to its workers.
-
-    Raises
-    ------
-    InputError
-        If farms would refuse the job's name.
     """
     files = {TEMPLATE: MARK + _yaml(job_template(name, steps))}
     files["asset_references.yaml"] = MARK + _yaml(_asset_references(steps, carried))

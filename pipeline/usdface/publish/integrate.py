@@ -74,13 +74,7 @@ def latest_version(folder: Path) -> int:
 
 
 def read_manifest(folder: Path) -> dict[str, object]:
-    """Return what a published version says of itself.
-
-    Raises
-    ------
-    InputError
-        If the folder is no published version.
-    """
+    """Return what a published version says of itself."""
     file = folder / MANIFEST
     try:
         data = json.loads(file.read_text(encoding="utf-8"))

@@ -111,13 +111,7 @@ def run_job(
 
 
 def make_folders(job: JobSpec) -> None:
-    """Make the folders that a job writes to: a farm's worker may have none of them.
-
-    Raises
-    ------
-    InputError
-        If one cannot be made.
-    """
+    """Make the folders that a job writes to: a farm's worker may have none of them."""
     for folder in {path.parent for step in job.steps for path in step.paths(Writes)}:
         try:
             folder.mkdir(parents=True, exist_ok=True)

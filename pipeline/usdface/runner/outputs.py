@@ -19,25 +19,13 @@ from usdface.usdio.referenced_files import all_files, dependencies
 
 
 def check_confined_inputs(spec: Spec, root: Path) -> None:
-    """Refuse a spec with a path outside a folder, or with a layer that refers to one.
-
-    Raises
-    ------
-    InputError
-        Naming every such path.
-    """
+    """Refuse a spec with a path outside a folder, or with a layer that refers to one."""
     check_confined(spec.named_paths(), root)
     _check_layers(spec.step, spec.paths(Reads), root)
 
 
 def confine(what: str, *, reads: Sequence[Path] = (), writes: Sequence[Path] = ()) -> None:
-    """Hold a command that has no spec to the folder that ``USDFACE_ROOT`` names, if it does.
-
-    Raises
-    ------
-    InputError
-        Naming every path outside, those that layers refer to included.
-    """
+    """Hold a command that has no spec to the folder that ``USDFACE_ROOT`` names, if it does."""
     root = confinement_root()
     if root is not None:
         check_confined([(what, path) for path in (*reads, *writes)], root)

@@ -91,13 +91,7 @@ class ReviewNotes(BaseModel):
 
 
 def read_notes(path: Path) -> ReviewNotes:
-    """Read the notes that a report saved.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or holds no notes; every fault of it is named.
-    """
+    """Read the notes that a report saved."""
     try:
         given = json.loads(read_text(path, LARGEST_NOTES_BYTES))
     except (ValueError, RecursionError) as error:

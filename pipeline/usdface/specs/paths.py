@@ -165,11 +165,6 @@ def read_path_rules(path: Path) -> PathRules:
     -------
     tuple of PathRule
         The deepest source first: the first that fits a path is the one to use.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read or is no such document.
     """
     data = _read_document(path)
     if not data:

@@ -176,11 +176,6 @@ def read_job(path: Path, *, path_rules: PathRules = ()) -> JobSpec:
     -------
     JobSpec
         Relative paths taken from the job's folder.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, is no YAML or JSON, or does not validate; every fault is named.
     """
     data = _read_data(path)
     if not isinstance(data, dict):

@@ -80,11 +80,6 @@ def write_out(job: Mapping[str, Any]) -> dict[str, Any]:
     -------
     dict
         Without ``takes``. A job that has none comes back as it is, braces and all.
-
-    Raises
-    ------
-    ValueError
-        If the table of takes is not in order, or a step asks for a value that a take lacks.
     """
     written = dict(job)
     given = written.pop("takes", None)

@@ -42,12 +42,6 @@ def spoken_words(text: str) -> tuple[str, ...]:
     """Return the words of a transcript, in lower case, numbers spelled out.
 
     What stands in brackets is a remark, as ``[laughs]`` or ``<noise>``, and is left out.
-
-
-    Raises
-    ------
-    InputError
-        If no word is left.
     """
     plain = _without_remarks(text.replace("’", "'"))
     plain = _DIGITS.sub(lambda found: f" {_number(found.group())} ", plain)

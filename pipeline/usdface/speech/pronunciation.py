@@ -102,11 +102,6 @@ def phones_of_letters(word: str) -> tuple[str, ...]:
     -------
     tuple of str
         ARPAbet in upper case without stress, as pocketsphinx has it; at least one.
-
-    Raises
-    ------
-    ValueError
-        If there is no letter in the word.
     """
     letters = re.sub(r"[^a-z']", "", word.lower())
     plain = letters.replace("'", "")
@@ -149,11 +144,6 @@ def read_dictionary(path: Path) -> dict[str, tuple[str, ...]]:
     -------
     dict of str to tuple of str
         ARPAbet in upper case, by word in lower case.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or a line has no phones or one that is not ARPAbet.
     """
     said: dict[str, tuple[str, ...]] = {}
     for number, line in enumerate(read_text(path, LARGEST_DICTIONARY_BYTES).splitlines(), start=1):

@@ -45,11 +45,6 @@ def read_phone_track(path: Path) -> PhoneTrack:
         ``.TextGrid`` (long, short, UTF-16 or JSON): tiers named after phones, words, emotions, by
         themselves or as ``speaker - phones``. ``.lab``: HTK, in 100 ns or in seconds. ``.json``:
         ``{"phones": [{"start": 0.1, "end": 0.2, "label": "AH"}, ...]}``.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, has no phones, or symbols that are mostly unknown.
     """
     suffix = path.suffix.lower()
     if suffix not in _TRACK_SUFFIXES:

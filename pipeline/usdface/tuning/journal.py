@@ -75,13 +75,7 @@ class Journal:
         return changes
 
     def append(self, changes: Iterable[Change]) -> None:
-        """Write changes; when this returns they are on disk.
-
-        Raises
-        ------
-        InputError
-            If they cannot be written.
-        """
+        """Write changes; when this returns they are on disk."""
         lines = [json.dumps(asdict(change), ensure_ascii=False) + "\n" for change in changes]
         is_new = not self.path.exists()
         try:

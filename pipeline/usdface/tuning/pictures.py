@@ -53,13 +53,7 @@ class PairPictures:
         return "" if take.video is not None else f"the take {name} has no video"
 
     def jpeg(self, pair: int) -> bytes:
-        """Return a pair's picture.
-
-        Raises
-        ------
-        InputError
-            Saying why there is none.
-        """
+        """Return a pair's picture."""
         with self._guard:
             if pair not in self._cached:
                 self._cached[pair] = encode_image(self._find(pair), max_height=1080)

@@ -48,11 +48,6 @@ def find_targets(references: References, rig: Rig) -> MarkerTargets:
 
     The takes are not needed: the asset carries a sample of their motion. References without a
     placement have their markers placed here.
-
-    Raises
-    ------
-    InputError
-        If the markers cannot be put on the rig's face.
     """
     positions = _sample(references)
     rigid = [references.marker_names.index(name) for name in references.rigid]

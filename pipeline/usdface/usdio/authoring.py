@@ -96,13 +96,7 @@ def author_arrays(prim: Sdf.PrimSpec, arrays: Mapping[str, FloatArray]) -> None:
 
 
 def read_arrays(path: Path, prim: Usd.Prim) -> dict[str, FloatArray]:
-    """Return what `author_arrays` wrote to a prim of a trained asset.
-
-    Raises
-    ------
-    InputError
-        If an array has no shape, or other numbers than its shape says.
-    """
+    """Return what `author_arrays` wrote to a prim of a trained asset."""
     arrays = {}
     for attribute in prim.GetAttributes():
         name = attribute.GetName()
@@ -117,13 +111,7 @@ def read_arrays(path: Path, prim: Usd.Prim) -> dict[str, FloatArray]:
 
 
 def shaped(path: Path, value: object, shape: tuple[int, ...], name: str) -> FloatArray:
-    """Return an attribute's numbers in a shape, of which one size may be -1.
-
-    Raises
-    ------
-    InputError
-        If their count is not that of the shape, or one is not finite.
-    """
+    """Return an attribute's numbers in a shape, of which one size may be -1."""
     array = np.array(value if value is not None else [], dtype=np.float64)
     try:
         array = array.reshape(shape)
@@ -145,13 +133,7 @@ def read_array_samples(
     *,
     remedy: str,
 ) -> FloatArray:
-    """Return an array attribute over time: (times, *shape).
-
-    Raises
-    ------
-    InputError
-        If a sample is missing, of another shape, or not finite.
-    """
+    """Return an array attribute over time: (times, *shape)."""
     out = np.zeros((len(times), *shape))
     if not shape[0]:
         return out

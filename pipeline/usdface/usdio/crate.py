@@ -45,11 +45,6 @@ def check_crate(path: Path) -> None:
     path : Path
         Any file. What is no binary layer passes; of a package, the binary layers in it are
         looked at. What a file is called counts for nothing but packages.
-
-    Raises
-    ------
-    InputError
-        If the table of contents, a part or a count is damaged.
     """
     try:
         with path.open("rb") as stream:

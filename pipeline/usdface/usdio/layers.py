@@ -68,13 +68,7 @@ def is_layer_name(path: Path) -> bool:
 
 
 def open_layer(path: Path) -> Sdf.Layer:
-    """Open one layer as it is on disk now.
-
-    Raises
-    ------
-    InputError
-        If the file is absent, is no USD layer, or was written by a newer schema than ours.
-    """
+    """Open one layer as it is on disk now."""
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file in it")
     if not path.is_file():
@@ -121,13 +115,7 @@ def _check_rate(layer: Sdf.Layer, path: Path) -> None:
 
 
 def open_stage(path: Path) -> Usd.Stage:
-    """Open a stage from a file as it is on disk now.
-
-    Raises
-    ------
-    InputError
-        If the file or a layer it is built from cannot be read.
-    """
+    """Open a stage from a file as it is on disk now."""
     layer = open_layer(path)
     with usd_errors_as_input_errors(path, "composing it"):
         check_reached(layer)
@@ -209,13 +197,7 @@ def _reload(path: Path) -> None:
 
 
 def save_layer(layer: Sdf.Layer, path: Path) -> None:
-    """Save a layer under its temporary name.
-
-    Raises
-    ------
-    InputError
-        If the disk is full, or the folder has gone.
-    """
+    """Save a layer under its temporary name."""
     if not layer.Save():
         raise InputError(
             f"{path}: USD could not save it; is the disk full, or the folder gone? Nothing under "

@@ -59,13 +59,7 @@ def write_mapping(
 
 @refusing_wrong_types
 def read_mapping(path: Path) -> TrainedMapping:
-    """Read a mapping.
-
-    Raises
-    ------
-    InputError
-        If the file holds no mapping, or its arrays do not have the shapes they claim.
-    """
+    """Read a mapping."""
     stage = open_stage(path)
     prim = prim_in_scope(stage, "FaceMapping")
     if prim is None:
@@ -110,13 +104,7 @@ def _value(path: Path, prim: Usd.Prim, name: str) -> Any:
 
 @refusing_wrong_types
 def read_alpha_keys(path: Path) -> list[tuple[float, float]]:
-    """Return (time code, alpha) for every key; one key for a value that does not change.
-
-    Raises
-    ------
-    InputError
-        If no prim has the attribute with a value, or several have.
-    """
+    """Return (time code, alpha) for every key; one key for a value that does not change."""
     stage = open_stage(path)
     found = [
         attribute

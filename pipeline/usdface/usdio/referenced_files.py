@@ -11,13 +11,7 @@ from usdface.usdio.reached import check_reached
 
 
 def referenced_files(path: Path) -> list[Path]:
-    """Return a USD file, its layers, and the textures, movies and sounds that they name.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be opened.
-    """
+    """Return a USD file, its layers, and the textures, movies and sounds that they name."""
     layers, assets, _ = _dependencies(path)
     files = (*layers, *(asset for asset in assets if asset.is_file()), path)
     return sorted({file.resolve(): file for file in files}.values())
@@ -48,13 +42,7 @@ def _dependencies(path: Path) -> tuple[list[Path], list[Path], list[Path]]:
 
 
 def frame_range_of(path: Path) -> tuple[int, int] | None:
-    """Return the first and last frame that a take or a performance says it has.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be opened, or its range is none.
-    """
+    """Return the first and last frame that a take or a performance says it has."""
     layer = open_layer(path)
     with usd_errors_as_input_errors(path, "reading its range"):
         if not (layer.HasStartTimeCode() and layer.HasEndTimeCode()):
@@ -69,11 +57,6 @@ def missing_sublayers(path: Path) -> list[str]:
     """Return the names of layers that were written with a layer, beneath it, and are gone.
 
     What others put there is theirs to bring back, and so are edits.
-
-    Raises
-    ------
-    InputError
-        If the layer cannot be read.
     """
     layer = open_layer(path)
     beneath = [path.parent / asset for asset in layer.subLayerPaths]

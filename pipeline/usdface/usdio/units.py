@@ -37,13 +37,7 @@ def transform_points(matrix: FloatArray, points: ArrayLike) -> FloatArray:
 
 
 def millimetres(stage: Usd.Stage) -> float:
-    """Return how many millimetres one unit of a stage is.
-
-    Raises
-    ------
-    InputError
-        If the stage's unit is no length.
-    """
+    """Return how many millimetres one unit of a stage is."""
     metres = float(UsdGeom.GetStageMetersPerUnit(stage))
     if not _SMALLEST_UNIT_M <= metres <= _LARGEST_UNIT_M:  # also catches NaN
         raise InputError(

@@ -35,11 +35,6 @@ def validate(path: Path) -> list[Finding]:
 
     A weights layer given alone, which says all it says over a rig that is not there, is looked at
     for what its samples tell.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be opened at all.
     """
     stage = open_stage(path)
     registry = UsdValidation.ValidationRegistry()

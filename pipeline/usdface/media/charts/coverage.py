@@ -91,11 +91,6 @@ def draw_coverage(page: CoveragePage) -> ByteImage:
     -------
     (height, width, 3) uint8 array
         sRGB.
-
-    Raises
-    ------
-    InputError
-        If there is nothing to draw.
     """
     if not page.lanes or not len(page.growth):
         raise InputError("coverage to draw needs at least one lane and a curve")

@@ -91,13 +91,7 @@ class EvaluationPage:
 
 
 def draw_evaluation(page: EvaluationPage) -> ByteImage:
-    """Draw the picture: (height, width, 3) uint8 array, sRGB.
-
-    Raises
-    ------
-    InputError
-        If there is no curve.
-    """
+    """Draw the picture: (height, width, 3) uint8 array, sRGB."""
     if not page.curves:
         raise InputError(f"{page.title}: no error curve to draw")
     shapes = page.shapes[:MOST_SHAPES]

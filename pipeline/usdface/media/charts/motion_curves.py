@@ -148,11 +148,6 @@ def draw_motion_curves(
         Shaded in every panel, named in the first row.
     from_zero : bool
         Let every panel start at 0: for errors.
-
-    Raises
-    ------
-    InputError
-        If there is no panel.
     """
     if not panels:
         raise InputError(f"{title}: nothing changes, so there is no curve to draw")

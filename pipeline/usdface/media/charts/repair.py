@@ -66,11 +66,6 @@ def draw_repairs(
     -------
     (height, width, 3) uint8 array
         sRGB.
-
-    Raises
-    ------
-    InputError
-        If the kinds do not fit the names, or there is no frame.
     """
     frames = len(kinds[0].where) if kinds else 0
     if not frames or any(kind.where.shape != (frames, len(names)) for kind in kinds):

@@ -46,7 +46,7 @@ class Camera:
         return np.stack([right, np.cross(backward, right), backward])
 
     def directions(self, pixels: FloatArray, *, width: int, height: int) -> Float32Array:
-        """Return unit rays through picture positions.
+        """Return unit rays through picture positions: (n, 3) float32.
 
         Parameters
         ----------
@@ -54,10 +54,6 @@ class Camera:
             Column and row; the first pixel's centre is at 0.5, 0.5.
         width, height : int
             Size of the picture [pixels].
-
-        Returns
-        -------
-        (n, 3) float32 array
         """
         right, up, backward = self.axes()
         if self.span_mm is not None:
@@ -85,7 +81,7 @@ class Camera:
         return x, 1 - 2 * pixels[:, 1] / height + self.shift[1]
 
     def project(self, points: ArrayLike, *, width: int, height: int) -> FloatArray:
-        """Return column, row [pixels] and distance along the view [mm] of each point.
+        """Return column, row [pixels] and distance along the view [mm] of each point: (n, 3).
 
         Parameters
         ----------
@@ -93,10 +89,6 @@ class Camera:
             [mm]
         width, height : int
             Size of the picture [pixels].
-
-        Returns
-        -------
-        (n, 3) float array
         """
         local = (np.asarray(points, np.float64) - self.eye) @ self.axes().T
         depth = -local[:, 2]
@@ -164,11 +156,6 @@ def frame_face(
         Vertical field of view [degrees]; narrow, as a portrait lens is.
     hair : bool
         Whether what stands above the face is in the picture too, up to half a face.
-
-    Raises
-    ------
-    ValueError
-        If there are no points, or the weights do not belong to them.
     """
     cloud = np.asarray(points, np.float64)
     if cloud.ndim != 2 or cloud.shape[1:] != (3,) or not len(cloud):

@@ -18,7 +18,7 @@ def denoise(
     shape: tuple[int, int],
     tolerance: float,
 ) -> Float32Array:
-    """Average values over blocks of pixels, never across an edge of the form.
+    """Average values over blocks of pixels, never across an edge of the form: (n, k) float32.
 
     Parameters
     ----------
@@ -31,10 +31,6 @@ def denoise(
         Height and width of the picture.
     tolerance : float
         How far off a pixel's tangent plane a neighbour may lie [mm].
-
-    Returns
-    -------
-    (n, k) float32 array
     """
     if not len(rays):
         return values

@@ -40,11 +40,6 @@ def frame_markers(
         Width of the tile over its height.
     margin : float
         Room about the cloud; 1 touches it.
-
-    Raises
-    ------
-    InputError
-        If there is no finite position.
     """
     cloud = np.asarray(positions, np.float64).reshape(-1, 3)
     cloud = cloud[np.isfinite(cloud).all(axis=1)]
@@ -68,7 +63,7 @@ def draw_markers(
     frame: MarkersFrame | None = None,
     visible: ArrayLike | None = None,
 ) -> ByteImage:
-    """Draw one frame of a marker cloud.
+    """Draw one frame of a marker cloud: (height, width, 3) uint8 array.
 
     Parameters
     ----------
@@ -80,15 +75,6 @@ def draw_markers(
         Without it the tile fits this one cloud.
     visible : (markers,) bool array, optional
         False is drawn hollow.
-
-    Returns
-    -------
-    (height, width, 3) uint8 array
-
-    Raises
-    ------
-    InputError
-        If arrays do not belong together or no position is finite.
     """
     cloud = np.asarray(positions, np.float64)
     if cloud.ndim != 2 or cloud.shape[1] != 3:

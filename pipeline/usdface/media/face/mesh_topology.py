@@ -15,13 +15,7 @@ Sparse = Any
 
 
 def check_topology(mesh: RigMesh) -> None:
-    """Refuse a mesh whose polygons do not fit its points.
-
-    Raises
-    ------
-    InputError
-        If counts and indices disagree, or an index has no point.
-    """
+    """Refuse a mesh whose polygons do not fit its points."""
     corners = int(np.sum(mesh.face_counts))
     if corners != len(mesh.face_indices) or np.any(mesh.face_counts < 0):
         raise InputError(
@@ -59,16 +53,12 @@ def polygon_edges(face_counts: IntArray, face_indices: IntArray) -> IntArray:
 
 
 def components(face_counts: IntArray, face_indices: IntArray, *, point_count: int) -> IntArray:
-    """Return the number of the connected piece that each point belongs to.
+    """Return the number of the connected piece that each point belongs to: (points,) int array.
 
     Parameters
     ----------
     face_counts : (faces,) int array
     face_indices : (corners,) int array
-
-    Returns
-    -------
-    (points,) int array
     """
     filled = face_counts > 0
     starts = (np.cumsum(face_counts) - face_counts)[filled]

@@ -32,11 +32,6 @@ class FaceRenderer:
     display : callable, optional
         Turns light into bytes, see `display_view`; plain sRGB by default. Heat maps are data and
         always plain.
-
-    Raises
-    ------
-    InputError
-        If there is nothing to draw or polygons do not fit their points.
     """
 
     def __init__(self, meshes: Sequence[RigMesh], *, display: DisplayView | None = None) -> None:
@@ -92,11 +87,6 @@ class FaceRenderer:
         -------
         (height, width, 3) uint8 array
             sRGB.
-
-        Raises
-        ------
-        InputError
-            If points or values do not fit the rig, are not finite, or the size is absurd.
         """
         _check_size(width, height)
         surface = self._surface

@@ -92,13 +92,7 @@ class Surface:
 
 
 def build_surface(meshes: Sequence[RigMesh]) -> Surface:
-    """Prepare the visible meshes of a rig for drawing.
-
-    Raises
-    ------
-    InputError
-        If no visible mesh has a polygon, or polygons do not fit their points.
-    """
+    """Prepare the visible meshes of a rig for drawing."""
     for mesh in meshes:
         check_topology(mesh)
     visible = [mesh for mesh in meshes if mesh.visible and len(mesh.face_counts)]

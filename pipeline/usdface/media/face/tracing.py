@@ -114,7 +114,7 @@ def light_seen(
     patterns: IntArray,
     ray_count: int,
 ) -> Float32Array:
-    """Return the share of a round distant light that each point sees [0-1].
+    """Return the share of a round distant light that each point sees [0-1]: (n,) float32.
 
     Parameters
     ----------
@@ -125,10 +125,6 @@ def light_seen(
         The light's radius over its distance.
     patterns, ray_count
         As in `sky_seen`.
-
-    Returns
-    -------
-    (n,) float32 array
     """
     side = np.cross(direction, [0.0, 1.0, 0.0] if abs(direction[1]) < 0.9 else [1.0, 0.0, 0.0])
     side /= np.linalg.norm(side)

@@ -26,13 +26,7 @@ _LENIENT: dict[str, Any] = (
 
 
 def open_media(path: Path) -> Any:
-    """Open a media file for reading.
-
-    Raises
-    ------
-    InputError
-        If there is no such file, it is empty, or it is not a whole movie or sound file.
-    """
+    """Open a media file for reading."""
     check_may_open(path)
     if not path.is_file():
         raise InputError(f"{path}: no such file; check the path")

@@ -38,11 +38,6 @@ class ImageSequence:
         When each appears [s].
     duration : float
         When the last goes [s].
-
-    Raises
-    ------
-    InputError
-        If the name has no number or the picture is not there.
     """
 
     def __init__(self, first: Path, rate: Fraction) -> None:

@@ -110,13 +110,7 @@ def write_movie(
 
 
 def movie_format(file: Path) -> str:
-    """Return the container of a movie's name.
-
-    Raises
-    ------
-    InputError
-        If no movie ends so.
-    """
+    """Return the container of a movie's name."""
     found = MOVIE_FORMATS.get(file.suffix.lower())
     if found is None:
         raise InputError(f"{file}: movies end in {', '.join(MOVIE_FORMATS)}; rename it")
@@ -124,13 +118,7 @@ def movie_format(file: Path) -> str:
 
 
 def read_movie_comment(file: Path) -> str:
-    """Return what `write_movie` was told to keep in a file; empty where there is nothing.
-
-    Raises
-    ------
-    InputError
-        If the file is no movie.
-    """
+    """Return what `write_movie` was told to keep in a file; empty where there is nothing."""
     with open_media(file) as container:
         return words_of(container).get("comment", "")
 

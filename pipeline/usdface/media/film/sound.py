@@ -34,11 +34,6 @@ def read_audio(path: Path | str, *, rate: int = 16000) -> Float32Array:
     (samples,) float32 array
         [-1 to 1]; all channels averaged. Sample zero is time zero of the file: silence is put in
         before sound that begins later than the picture, and where the recording has gaps.
-
-    Raises
-    ------
-    InputError
-        If the file holds no sound, cannot be read, or is longer than `MAX_HOURS`.
     """
     file = Path(path)
     if not 1000 <= rate <= 384000:

@@ -61,11 +61,6 @@ class VideoReader:
         The SMPTE start time the file carries; empty without one.
     focal_length : float or None
         Of the lens, as phones state it [mm of a 35 mm camera].
-
-    Raises
-    ------
-    InputError
-        If the file is missing, empty, cut short, not a movie, or too large to be one.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -149,23 +144,12 @@ class VideoReader:
         -------
         (height, width, 3) uint8 array or None
             sRGB, upright.
-
-        Raises
-        ------
-        InputError
-            If that frame cannot be decoded.
         """
         index = self.index_at(seconds)
         return None if index is None else self.frame(index)
 
     def frame(self, index: int) -> ByteImage:
-        """Return one frame by its index in `times`.
-
-        Raises
-        ------
-        InputError
-            If there is no such frame, or it cannot be decoded.
-        """
+        """Return one frame by its index in `times`."""
         if not 0 <= index < len(self.times):
             raise InputError(f"{self.path}: has {len(self.times)} frames, there is no {index}")
         if self._shown is None or self._shown[0] != index:

@@ -113,11 +113,6 @@ def pack_face(
         ``header["tracks"]`` list the keys in the order of
         ``Deformer(rig).shapes.key_offsets``, so that markers glued to the rig can use the same
         key weights.
-
-    Raises
-    ------
-    InputError
-        If the rig has no visible mesh with polygons.
     """
     surface = build_surface(rig.meshes)
     deformer = Deformer(rig)

@@ -184,13 +184,7 @@ class ReviewPage:
 
 
 def read_page_origin(path: Path) -> str:
-    """Return what a page says of its making, as JSON; empty where it says nothing.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or is no text.
-    """
+    """Return what a page says of its making, as JSON; empty where it says nothing."""
     try:
         with path.open(encoding="utf-8") as stream:
             found = _ORIGIN.search(stream.read(_HEAD_CHARACTERS))

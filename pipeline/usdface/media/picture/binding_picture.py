@@ -89,11 +89,6 @@ def draw_binding(
     -------
     (height, 1600, 3) uint8 array
         sRGB.
-
-    Raises
-    ------
-    InputError
-        If there is no marker.
     """
     if not markers.names:
         raise InputError(f"{title}: no marker to draw")

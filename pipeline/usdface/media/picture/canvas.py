@@ -78,7 +78,7 @@ def draw_line(
 def spread_rows(
     rows: FloatArray, *, spacing: float, height: float, margin: float = 0.0
 ) -> FloatArray:
-    """Move ascending rows of labels apart, as little as keeps them from touching.
+    """Move ascending rows of labels apart, as little as keeps them from touching: (n,).
 
     Parameters
     ----------
@@ -88,10 +88,6 @@ def spread_rows(
         Least distance of two rows [pixels].
     height, margin : float
         Of the picture, and what stays free at its ends [pixels].
-
-    Returns
-    -------
-    (n,) float array
     """
     if not len(rows):
         return rows

@@ -32,11 +32,6 @@ def display_view(name: str | None) -> DisplayView:
     -------
     callable
         From (height, width, 3) linear Rec.709 to sRGB bytes.
-
-    Raises
-    ------
-    InputError
-        If the configuration cannot be read, or has no such view.
     """
     if name is None:
         return lambda light: bytes_from_linear(np.asarray(light, np.float32))

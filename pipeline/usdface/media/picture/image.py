@@ -107,11 +107,6 @@ def read_image_metadata(path: Path | str) -> dict[str, Any]:
     -------
     dict
         Also ``timecode`` and ``rate`` where they were given.
-
-    Raises
-    ------
-    InputError
-        If there is no such picture or it cannot be read.
     """
     file = Path(path)
     check_may_open(file)
@@ -260,13 +255,7 @@ def encode_image(
 
 
 def read_picture(path: Path) -> ByteImage:
-    """Read a picture as (height, width, 3) bytes.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read, is damaged, or is too large to be shown.
-    """
+    """Read a picture as (height, width, 3) bytes."""
     check_may_open(path)
     buffer = oiio.ImageBuf(str(path))
     if buffer.has_error:
@@ -306,11 +295,6 @@ def pack_timecode(label: str) -> int:
     ----------
     label : str
         ``HH:MM:SS:FF``, or ``;`` before FF for drop-frame.
-
-    Raises
-    ------
-    InputError
-        If the label is malformed.
     """
     match = LABEL.match(label)
     if match is None or match[1] > "23" or match[2] > "59" or match[3] > "59" or match[5] > "39":

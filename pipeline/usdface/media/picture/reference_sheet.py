@@ -124,11 +124,6 @@ def compose_reference_sheet(
     -------
     (height, width, 3) uint8 array
         sRGB.
-
-    Raises
-    ------
-    InputError
-        If there is no pair, or the sheet would be too large.
     """
     if not rows:
         raise InputError("a sheet of references needs pairs; name some that there are")

@@ -77,11 +77,6 @@ def compose_sheet(spec: SheetPage) -> ByteImage:
     -------
     (height, width, 3) uint8 array
         sRGB.
-
-    Raises
-    ------
-    InputError
-        If there is no row, a row's tiles do not fit the columns, or the sheet would be too large.
     """
     check_sheet(spec)
     layout = lay_out(spec)

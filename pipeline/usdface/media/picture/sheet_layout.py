@@ -151,13 +151,7 @@ class Layout:
 
 
 def check_sheet(spec: SheetPage) -> None:
-    """Refuse a sheet that cannot be laid out.
-
-    Raises
-    ------
-    InputError
-        If there is no row or column, or a row's tiles do not fit the columns.
-    """
+    """Refuse a sheet that cannot be laid out."""
     if not spec.rows or not spec.columns:
         raise InputError("a sheet needs rows and columns; select at least one frame")
     for row in spec.rows:

@@ -56,13 +56,7 @@ class TextStyle:
 
 
 def font_file(weight: Weight) -> Path:
-    """Return the file of a font.
-
-    Raises
-    ------
-    InputError
-        If matplotlib's fonts are not there.
-    """
+    """Return the file of a font."""
     found = find_spec("matplotlib")  # found, not imported: that takes a second
     folder = Path((found and found.origin) or "").parent / "mpl-data" / "fonts" / "ttf"
     file = folder / _FONT_FILES[weight]

@@ -28,11 +28,6 @@ def fit_picture(
     Returns
     -------
     (height, width, 3) uint8 array
-
-    Raises
-    ------
-    InputError
-        If the picture is not made of bytes or is empty.
     """
     given = np.asarray(picture)
     if given.dtype != np.uint8 or given.ndim != 3 or given.shape[2] != 3 or not given.size:

@@ -31,11 +31,6 @@ def check_references(
     ----------
     ranges : (shapes, 2) float array
     gram : (shapes, shapes) float array or None
-
-    Raises
-    ------
-    InputError
-        With all faults found, one a line.
     """
     faults = _shape_faults(references, ranges, gram)
     if not faults:

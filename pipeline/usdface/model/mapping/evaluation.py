@@ -91,11 +91,6 @@ def evaluate_weights(
         Shapes that either side drives.
     observable : (shapes,) bool array
         Of those, the ones whose weights count: markers cannot show where the eyes look.
-
-    Raises
-    ------
-    InputError
-        If there is nothing to compare, or a value is not finite.
     """
     if not len(frames) or not compared.any():
         raise InputError("no frame or no shape to compare")

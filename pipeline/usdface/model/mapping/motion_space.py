@@ -30,11 +30,6 @@ def fit_motion_space(
         Components to keep; fewer where the takes have fewer.
     sample_count : int
         Frames, evenly spread over the takes, whose coordinates are kept.
-
-    Raises
-    ------
-    InputError
-        If no take has frames, markers differ in number, or positions are not finite.
     """
     clips = [clip for clip in clips if len(clip)]
     frames = sum(len(clip) for clip in clips)

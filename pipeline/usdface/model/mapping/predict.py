@@ -208,11 +208,6 @@ def predict_weights(
     visible : (frames, markers) bool array, optional
         False where a position is not to be used; it is then estimated from the others, and the
         uncertainty grows. By default all are used.
-
-    Raises
-    ------
-    InputError
-        If shapes do not fit the mapping, or a position to be used is not finite.
     """
     return WeightPredictor(mapping).predict(positions, visible=visible)
 

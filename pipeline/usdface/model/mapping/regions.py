@@ -93,12 +93,7 @@ def skin_points(offsets: FloatArray | sparse.sparray, *, count: int = SKIN_POINT
 
 
 def sample_skin(offsets: FloatArray | sparse.sparray, *, count: int = SKIN_POINTS) -> FloatArray:
-    """Return what shapes do to the points of `skin_points`.
-
-    Returns
-    -------
-    (shapes, kept, 3) float array
-    """
+    """Return what shapes do to the points of `skin_points`: (shapes, kept, 3)."""
     from scipy import sparse  # only when wanted: it takes half a second
 
     points, table = skin_points(offsets, count=count), sparse.csc_array(offsets)

@@ -67,11 +67,6 @@ def check_same_rig(mapping: TrainedMapping, rig: Rig) -> tuple[str, ...]:
     -------
     tuple of str
         A note for each kind of change; none where nothing changed.
-
-    Raises
-    ------
-    InputError
-        If the meshes that the mapping's shapes move have another number of points.
     """
     if POINTS not in mapping.arrays or SHAPES not in mapping.arrays:
         return ()

@@ -188,13 +188,7 @@ def compare_neutral(
 
 
 def _check_performer(neutral: FloatArray, offset: FloatArray, seen: BoolArray) -> None:
-    """Refuse a face whose proportions are not the performer's.
-
-    Raises
-    ------
-    InputError
-        If it is stretched, or its markers are farther off, than putting them on again explains.
-    """
+    """Refuse a face whose proportions are not the performer's."""
     if seen.sum() < _FEWEST_OF_A_FACE:
         return
     other = neutral + offset

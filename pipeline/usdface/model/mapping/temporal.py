@@ -107,11 +107,6 @@ def smooth_weights(
     -------
     (frames, shapes) float array
         Within the ranges.
-
-    Raises
-    ------
-    InputError
-        If the cut-off does not fit the rate or a value is not finite.
     """
     lower, upper = ranges[:, 0], ranges[:, 1]
     trust = np.maximum(1 / (1 + (uncertainty_mm / _HALF_TRUST_MM) ** 2), _LEAST_TRUST)

@@ -82,11 +82,6 @@ def train_mapping(
         A key of `usdface.model.regressions.MAPPING_METHODS`, or ``'auto'`` to try several.
     choices : Choices, optional
         Numbers of principal components, and widths, to compare in place of the method's own.
-
-    Raises
-    ------
-    InputError
-        If the references cannot be learned from; all faults are listed.
     """
     sound = check_references(references, ranges=ranges, gram=gram)
     check_skin(skin, shapes=len(references.shape_names) + len(references.combinations))

@@ -70,11 +70,6 @@ def marker_cloud(
         Frames that miss markers are avoided.
     rigid : sequence of int
         Markers that move with the skull alone.
-
-    Raises
-    ------
-    ValueError
-        If the arrays do not fit together, or are not finite.
     """
     y = np.asarray(neutral, float)
     if y.ndim != 2 or y.shape[1] != 3 or not np.isfinite(y).all():

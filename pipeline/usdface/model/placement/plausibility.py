@@ -153,11 +153,6 @@ def settle_findings(
         File, for the message.
     before_remedy : str
         Where options of `ingest` are not those of the command.
-
-    Raises
-    ------
-    InputError
-        With every finding that is impossible.
     """
     findings = list(findings)
     refused = [each for each in findings if each.impossible and each.aspect not in stated]

@@ -51,11 +51,6 @@ def check_rig_stands(rig: Rig) -> tuple[str, ...]:
     """Refuse a rig that lies or stands on its head; return a doubt about its sides as notes.
 
     Rigs whose shapes have foreign names are not judged.
-
-    Raises
-    ------
-    InputError
-        With the axis that seems to be up.
     """
     moved, centres = _motions(rig)
     across = _across(centres)

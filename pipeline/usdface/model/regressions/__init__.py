@@ -75,13 +75,7 @@ REMOVED_METHODS = frozenset(
 
 
 def find_method(name: str) -> Regression:
-    """Look a mapping's method up by name.
-
-    Raises
-    ------
-    InputError
-        If there is none; the message lists those there are.
-    """
+    """Look a mapping's method up by name."""
     if name in REMOVED_METHODS:
         raise InputError(f"{name} left the methods in this version; use auto or face_map")
     if name not in MAPPING_METHODS:
@@ -91,13 +85,7 @@ def find_method(name: str) -> Regression:
 
 
 def find_retarget_method(name: str) -> Regression:
-    """Look a retargeting's method up by name.
-
-    Raises
-    ------
-    InputError
-        If there is none; the message lists those there are.
-    """
+    """Look a retargeting's method up by name."""
     if name not in RETARGET_METHODS:
         known = ", ".join(("auto", *RETARGET_METHODS))
         raise InputError(f"no retargeting method {name!r}; choose one of {known}")

@@ -53,13 +53,7 @@ class ControlSpace:
         )
 
     def encode(self, controls: Controls) -> FloatArray:
-        """Return coordinates: (n, width) float array.
-
-        Raises
-        ------
-        ValueError
-            If the controls are others than the space's, or in another order.
-        """
+        """Return coordinates: (n, width) float array."""
         given = (controls.shapes, controls.joints, controls.attributes)
         if given != (self.shapes, self.joints, self.attributes):
             raise ValueError("these controls are not those of the space")
@@ -119,13 +113,7 @@ class PairConflict:
 
 
 def check_pairs(pairs: ExpressionPairs, where: str) -> None:
-    """Refuse pairs from which nothing can be learned.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than two, all sources or all targets are alike, or a value is not finite.
-    """
+    """Refuse pairs from which nothing can be learned."""
     if len(pairs) < 2:
         raise InputError(
             f"{where}: {len(pairs)} pair; at least two are needed, rest and one expression: "

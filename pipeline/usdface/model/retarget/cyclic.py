@@ -129,11 +129,6 @@ def evaluate_cyclic(
     target_rig : Rig, optional
         Needed for ``positions`` and the variant's truth.
     shape_ranges : (target shapes, 2) float array, optional
-
-    Raises
-    ------
-    InputError
-        If a method is not known, or needs a rig that is not given.
     """
     columns = [rig.shapes.index(name) for name in pairs.source_shapes]
     surface = spread_displacements(rig, pairs.source_shapes)

@@ -149,7 +149,7 @@ def performer_onto_rig(mapping: TrainedMapping, rig: Rig) -> FloatArray:
 
 
 def turn_about(turns: FloatArray, axes: FloatArray, pivot: Sequence[float]) -> FloatArray:
-    """Return rotations about a face's axes as transforms of a rig.
+    """Return rotations about a face's axes as transforms of a rig: (frames, 4, 4).
 
     Parameters
     ----------
@@ -158,10 +158,6 @@ def turn_about(turns: FloatArray, axes: FloatArray, pivot: Sequence[float]) -> F
         Columns: the rig's left, up and forward.
     pivot : (3,) sequence of float
         What stays in its place.
-
-    Returns
-    -------
-    (frames, 4, 4) float array
     """
     out = np.tile(np.eye(4), (len(turns), 1, 1))
     out[:, :3, :3] = axes @ turns @ axes.T

@@ -117,11 +117,6 @@ def match_deformations(
     """Return the shapes that move the faces most alike, each in one match at most, best first.
 
     Where names say which shapes mirror each other, both sides are matched alike, or neither.
-
-    Raises
-    ------
-    InputError
-        As `correspond`.
     """
     if not (source_shapes and target_shapes):
         return ()

@@ -109,11 +109,6 @@ def train_retargeting(
         Fixed share of the multiquadric in the hybrid [0-1].
     published : bool, optional
         Whether kernel CCA is as published, its lines plain least squares over few components.
-
-    Raises
-    ------
-    InputError
-        If the pairs cannot be learned from, or the method is not known.
     """
     check_pairs(pairs, "these pairs")
     examples = make_examples(pairs, shape_ranges=shape_ranges)

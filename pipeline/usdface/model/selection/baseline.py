@@ -171,7 +171,7 @@ class BlendshapeEquation:
         ).weights
 
     def propose(self, positions: Positions, *, visible: BoolArray | None = None) -> FloatArray:
-        """Return weights for an animator to start from.
+        """Return weights for an animator to start from: (frames, shapes).
 
         Least squares within the ranges, with in-betweens and a little shrinkage; shapes cost more
         where their markers are still, and blinks close where the markers show them.
@@ -181,10 +181,6 @@ class BlendshapeEquation:
         positions : (frames, markers, 3) float array
             Stabilised [mm].
         visible : (frames, markers) bool array, optional
-
-        Returns
-        -------
-        (frames, shapes) float array
         """
         solved = self._solve(positions, visible)
         return np.clip(solved.weights, self.ranges[:, 0], self.ranges[:, 1])
@@ -250,11 +246,6 @@ def set_up_equation(
         Of the markers; those that name a part of the face say where it is.
     pinned : dict of int to (3,) float array, optional
         Places on the rig that a person gave [mm].
-
-    Raises
-    ------
-    InputError
-        If the markers cannot be put on the rig's face.
     """
     picks = _picks(len(positions))
     offsets = deformer.shapes.target_offsets()

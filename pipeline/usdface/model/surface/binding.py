@@ -83,11 +83,6 @@ def propose_binding(
         Markers whose place a person gave [mm].
     sources : dict of int to str, optional
         How each pinned marker was placed: ``'landmark'`` or ``'corrected'``.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than four markers, or the face cannot be found.
     """
     pins = pinned or {}
     if len(neutral) < FEWEST_MARKERS:

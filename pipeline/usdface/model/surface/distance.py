@@ -133,12 +133,6 @@ def surface_distances(
         M places on the mesh.
     metric : {'dijkstra', 'dijkstra-diagonals', 'heat'}
         The paper's, on edges; the same over polygons' diagonals too; the heat method.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than four markers, no faces, points that are not finite, or markers that
-        are not on the mesh.
     """
     if len(markers.faces) < FEWEST_MARKERS:
         raise InputError(

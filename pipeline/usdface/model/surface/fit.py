@@ -84,11 +84,6 @@ class SurfaceModel(ABC):
             Of the markers from the neutral frame [mm].
         of_axes : bool
             Whether to predict `SurfaceMotion.sd_of_axes` too.
-
-        Raises
-        ------
-        InputError
-            If displacements do not fit the markers or are not finite.
         """
         parts = list(self.stream(displacements, of_axes=of_axes, progress=progress))
         return SurfaceMotion(
@@ -135,13 +130,7 @@ class SurfaceModel(ABC):
 def check_fit(
     distances: SurfaceDistances, displacements: FloatArray, blend: float | None
 ) -> FloatArray:
-    """Return the displacements of a take to fit a model to.
-
-    Raises
-    ------
-    InputError
-        If there is no frame, or displacements or the blend cannot be.
-    """
+    """Return the displacements of a take to fit a model to."""
     moved = check_displacements(displacements, len(distances.marker_positions))
     if not len(moved):
         raise InputError("no frame to fit the regression to; give the take's displacements")

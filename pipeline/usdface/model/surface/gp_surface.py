@@ -178,11 +178,6 @@ def fit_gp_surface(
     displacements : (frames, markers, 3) float array
         A take's, or frames spread over it, from the neutral frame [mm]. Settings are chosen on
         some of them; every frame is predicted by itself later.
-
-    Raises
-    ------
-    InputError
-        If displacements do not fit the markers or are not finite, or options are out of range.
     """
     frames = fitted_frames(check_fit(distances, displacements, options.blend))
     rows = _rows_of_axes(frames)

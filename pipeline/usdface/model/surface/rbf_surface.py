@@ -64,11 +64,6 @@ def fit_rbf_surface(
     displacements : (frames, markers, 3) float array
         A take's, or frames spread over it, from the neutral frame [mm]; only an open blend depends
         on them.
-
-    Raises
-    ------
-    InputError
-        If displacements do not fit the markers or are not finite, or two markers sit at one place.
     """
     frames = fitted_frames(check_fit(distances, displacements, options.blend))
     columns = frames.transpose(1, 0, 2).reshape(frames.shape[1], -1)

@@ -230,16 +230,12 @@ class SurfaceCovariance:
         return between
 
     def cross(self, distances: RealArray) -> Float32Array:
-        """Covariance of points with the markers.
+        """Covariance of points with the markers: (points, markers) float32.
 
         Parameters
         ----------
         distances : (markers, points) float array
             [mm]
-
-        Returns
-        -------
-        (points, markers) float32 array
         """
         out = np.empty((distances.shape[1], len(self.features)), np.float32)
         for start in range(0, len(out), _BLOCK_POINTS):
@@ -273,11 +269,6 @@ def fit_covariance(
     length_scale : float
         l [mm]; 1 in the paper's unit of length.
     shape : {'creased', 'published'}
-
-    Raises
-    ------
-    ValueError
-        If there is no such shape, the length scale is not positive or distances are not finite.
     """
     if shape not in get_args(CovarianceShape):
         raise ValueError(

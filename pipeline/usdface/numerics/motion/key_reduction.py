@@ -60,11 +60,6 @@ def fade_mask(frames: IntArray, first: int, last: int, *, fade: int = 0) -> Floa
         Inclusive.
     fade : int
         Frames on either side that are blended by half a cosine; at 0 the change is hard.
-
-    Raises
-    ------
-    ValueError
-        If the range is empty or the fade negative.
     """
     if last < first or fade < 0:
         raise ValueError(f"frames {first}-{last} with a fade of {fade} are no range")
@@ -134,11 +129,6 @@ def reduce_keys(
     -------
     (keys,) int array
         Rows of `weights`, ascending, the first and the last among them; none of none.
-
-    Raises
-    ------
-    ValueError
-        If the tolerance is not positive.
 
     References
     ----------

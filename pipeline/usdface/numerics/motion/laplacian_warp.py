@@ -111,7 +111,7 @@ def solve_warp(
     fixed_before: bool = False,
     fixed_after: bool = False,
 ) -> FloatArray:
-    """Return what eq. 12 adds to a motion.
+    """Return what eq. 12 adds to a motion: (frames, controls).
 
     Parameters
     ----------
@@ -120,10 +120,6 @@ def solve_warp(
         Of each frame's squared distance from its target.
     fixed_before, fixed_after : bool
         Whether the frame before the first, or after the last, stays as it is.
-
-    Returns
-    -------
-    (frames, controls) float array
 
     Raises
     ------
@@ -197,11 +193,6 @@ def stretch_motion(motion: FloatArray, frames: int) -> FloatArray:
     Parameters
     ----------
     motion : (n, controls) float array
-
-    Raises
-    ------
-    ValueError
-        If either length is below 2.
     """
     if len(motion) < 2 or frames < 2:
         raise ValueError(f"cannot stretch {len(motion)} frames to {frames}; both need at least 2")

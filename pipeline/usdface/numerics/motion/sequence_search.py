@@ -140,11 +140,6 @@ def find_published(motion: FloatArray, sequence: FloatArray, *, delta: float) ->
     sequence : (m, channels) float array
     delta : float
         Largest sum over the sequence's frames of distances over all channels.
-
-    Raises
-    ------
-    ValueError
-        As `starts_within`.
     """
     threshold = delta / (len(sequence) * np.sqrt(sequence.shape[1]))
     found = starts_within(motion, sequence, threshold=threshold)

@@ -100,11 +100,6 @@ def nearest_places(
     ----------
     points : (points, 3) float array
     wanted : (places, 3) float array
-
-    Raises
-    ------
-    ValueError
-        If the mesh has no face.
     """
     triangles, owners = triangulate(face_counts, face_indices)
     if not len(triangles):

@@ -80,13 +80,7 @@ def character_motion(
 
 
 def sparse_offsets(offsets: Offsets, *, point_count: int | None = None) -> sparse.csc_array:
-    """Return shapes over a surface as (shapes, 3 * points).
-
-    Raises
-    ------
-    ValueError
-        If they are not three numbers a point, or are of another surface.
-    """
+    """Return shapes over a surface as (shapes, 3 * points)."""
     if isinstance(offsets, sparse.sparray):
         matrix = sparse.csc_array(offsets)
     else:

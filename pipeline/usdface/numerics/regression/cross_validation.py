@@ -48,11 +48,6 @@ def blocked_folds(
         How many; at most the number of pairs.
     margin : int
         Frames within which two pairs count as neighbours.
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than two pairs or folds, or lengths differ.
     """
     numbers = np.asarray(frames, dtype=np.int64)
     if len(numbers) != len(takes):

@@ -89,7 +89,7 @@ def leave_one_out_errors(
     choices: Sequence[ProcessSettings],
     noises: FloatArray = NOISES,
 ) -> FloatArray:
-    """Mean squared leave-one-out error of every choice, noise and output.
+    """Mean squared leave-one-out error of every choice, noise and output: (choices, r, s).
 
     Parameters
     ----------
@@ -98,10 +98,6 @@ def leave_one_out_errors(
     variances : (D,) float array
         Of the features over all frames, pairs or not; positive, falling.
     noises : (r,) float array
-
-    Returns
-    -------
-    (choices, r, s) float array
     """
     _check(features, outputs, variances, choices)
     out = np.empty((len(choices), len(noises), outputs.shape[1]))

@@ -113,11 +113,6 @@ def fit_kernel_cca(
         Directions to keep; by default all that correlate.
     lines : {'penalised', 'published'}
         Whether eq. 6 and 7 carry the penalty of eq. 5, or are plain least squares.
-
-    Raises
-    ------
-    ValueError
-        If arrays do not pair up or hold values that are not finite, or an option is not positive.
     """
     S, T = np.asarray(sources, np.float64), np.asarray(targets, np.float64)
     if S.ndim != 2 or T.ndim != 2 or len(S) != len(T) or len(S) < 2:

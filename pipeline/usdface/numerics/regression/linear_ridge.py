@@ -52,11 +52,6 @@ def fit_linear_ridge(
         One ridge for all outputs instead of one each.
     importance : (s,) float array, optional
         Weight of each output's squared error when one ridge is shared.
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than two rows, shapes differ, or a value is not finite.
     """
     if features.ndim != 2 or outputs.ndim != 2 or len(features) != len(outputs):
         raise ValueError(f"{features.shape} features and {outputs.shape} outputs do not pair up")

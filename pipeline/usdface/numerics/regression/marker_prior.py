@@ -94,11 +94,6 @@ def expect_marker_motion(
     places : (markers, 3) float array, optional
         Where markers are known to sit on the rig's neutral, NaN where not [mm]; used with `rest`
         and `neutral`. By default the faces are laid on each other.
-
-    Raises
-    ------
-    ValueError
-        If the arrays do not fit together.
     """
     if skin.ndim != 3 or skin.shape[2] != 3 or skin.shape[0] != weights.shape[1]:
         raise ValueError(f"skin {skin.shape} and weights {weights.shape} do not fit together")

@@ -47,11 +47,6 @@ def sum_moments(blocks: Iterable[ArrayLike]) -> Moments:
     ----------
     blocks : iterable of (n, d) arrays
         Any float type; each is read in slices of `_BLOCK_ROWS` rows.
-
-    Raises
-    ------
-    ValueError
-        If the blocks are empty, differ in width, or hold a value that is not finite.
     """
     origin = total = scatter = None
     count = 0
@@ -92,11 +87,6 @@ def fit_pca(
         How many to keep; by default as many as the data have.
     variance : float, optional
         Keep the fewest that hold this share of the total variance, in (0, 1].
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than two rows, both options are given, or one is out of range.
     """
     rows = np.asarray(data)
     if rows.ndim != 2 or len(rows) < 2:

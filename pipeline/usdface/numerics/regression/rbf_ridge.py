@@ -48,13 +48,7 @@ class Rotated:
 
 
 def nearest_distances(points: FloatArray) -> FloatArray:
-    """Distance of each point to its nearest other point.
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than two points.
-    """
+    """Distance of each point to its nearest other point."""
     if len(points) < 2:
         raise ValueError(f"nearest distances need at least 2 points, got {len(points)}")
     from scipy.spatial.distance import cdist  # only when wanted: it takes half a second
@@ -253,11 +247,6 @@ def fit_rbf_ridge(
         The penalty on squared coefficients; by default chosen by `choose_ridge`.
     freedom_limit : float
         See `choose_ridge`; a given ridge is taken as it is.
-
-    Raises
-    ------
-    ValueError
-        If shapes differ, a width or ridge is not positive, or a value is not finite.
     """
     if centres.ndim != 2 or outputs.ndim != 2 or len(centres) != len(outputs):
         raise ValueError(f"{centres.shape} centres and {outputs.shape} outputs do not pair up")

@@ -69,11 +69,6 @@ def design_d_optimal(
         Rows that may be chosen; by default all.
     ridge : float
         Information assumed before the first frame; only breaks ties among the first few.
-
-    Raises
-    ------
-    ValueError
-        If `count` exceeds the rows that may be chosen, or an input is malformed.
     """
     free, start = _open_rows(features, count, already, candidates)
     rows = np.column_stack([features, np.ones(len(features))])

@@ -23,7 +23,7 @@ _SPREAD_WEIGHT = 0.1
 
 
 def expected_weights(seen: RealArray, deviation: RealArray, rows: RealArray) -> FloatArray:
-    """Return the posterior mean of weights.
+    """Return the posterior mean of weights: (frames, shapes).
 
     Parameters
     ----------
@@ -33,10 +33,6 @@ def expected_weights(seen: RealArray, deviation: RealArray, rows: RealArray) -> 
         Standard deviation of the error; 0 where a weight is exact.
     rows : (rows, shapes) float array
         Weights that show how each shape is used [0-1].
-
-    Returns
-    -------
-    (frames, shapes) float array
     """
     out = np.array(seen, np.float64)
     for column, used in enumerate(np.asarray(rows, np.float64).T):

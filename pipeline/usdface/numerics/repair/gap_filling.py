@@ -177,11 +177,6 @@ def fill_gaps(
         that of `choose_spline_limit`.
     open_start, open_stop : bool
         The take goes on there: gaps that reach that end are left, as their other end is unknown.
-
-    Raises
-    ------
-    ValueError
-        If `max_gap` is negative or the shapes differ.
     """
     points, seen = np.array(positions), np.asarray(visible, bool)
     expected = None if prediction is None else np.asarray(prediction)

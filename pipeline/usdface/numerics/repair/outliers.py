@@ -176,7 +176,7 @@ def _leap_sizes(track: RealArray) -> RealArray:
 
 
 def find_spikes(positions: RealArray, visible: BoolArray, *, noise: FloatArray) -> BoolArray:
-    """Find the samples between a leap and the next leap back.
+    """Find the samples between a leap and the next leap back: (frames, markers) bool array.
 
     Parameters
     ----------
@@ -186,10 +186,6 @@ def find_spikes(positions: RealArray, visible: BoolArray, *, noise: FloatArray) 
         A leap over a gap counts from the last sample before it.
     noise : (markers,) float array
         Standard deviation of the measurement noise per coordinate [mm].
-
-    Returns
-    -------
-    (frames, markers) bool array
     """
     spikes = np.zeros_like(visible)
     for marker, seen in enumerate(visible.T):

@@ -66,11 +66,6 @@ def unproject_head(
     -------
     (frames, landmarks, 3) float array
         [mm], Y up, the camera at the origin and looking along -Z; NaN in frames without a face.
-
-    Raises
-    ------
-    ValueError
-        If no frame has a face.
     """
     if not seen.any():
         raise ValueError("no frame has a face")

@@ -71,11 +71,6 @@ def align_rigid(
     reference : (points, 3) array_like
     weights : (frames, points) array_like, optional
         Not negative; bool for seen or not. All 1 by default.
-
-    Raises
-    ------
-    ValueError
-        If the shapes do not fit.
     """
     points = np.asarray(positions)
     y = np.asarray(reference, np.float64)
@@ -147,11 +142,6 @@ def align_frames(positions: ArrayLike, targets: ArrayLike, *, weights: ArrayLike
         Finite.
     weights : (frames, points) array_like
         Not negative.
-
-    Raises
-    ------
-    ValueError
-        If the shapes do not fit.
     """
     points, goals, w = np.asarray(positions), np.asarray(targets), np.asarray(weights, np.float64)
     if points.shape != goals.shape or w.shape != points.shape[:2]:

@@ -163,11 +163,6 @@ def stabilize_by_prior(
         How far each marker moves over the skull, as in `align_by_prior`.
     neutral : int
         Index of the frame whose head pose becomes the head's space.
-
-    Raises
-    ------
-    ValueError
-        As `stabilize` does, for the markers whose prior is finite.
     """
     points, seen = np.asarray(positions), np.asarray(visible, bool)
     prior = np.asarray(skin_motion_mm, float)
@@ -192,13 +187,7 @@ def stabilize_by_prior(
 
 
 def bridge_poses(alignment: RigidAlignment) -> RigidAlignment:
-    """Replace undetermined poses by ones between their neighbours, at the ends by the nearest.
-
-    Raises
-    ------
-    ValueError
-        If no pose is determined.
-    """
+    """Replace undetermined poses by ones between their neighbours, at the ends by the nearest."""
     known = np.flatnonzero(alignment.determined)
     if not known.size:
         raise ValueError("no frame determines the head's pose; name more rigid markers")

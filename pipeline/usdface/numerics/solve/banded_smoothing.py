@@ -44,11 +44,6 @@ def apply_filter_bank(values: ArrayLike, *, gains: Sequence[float]) -> FloatArra
     (frames, curves) float array
         Bands amplified or left out may take values beyond where they were: limit them last.
 
-    Raises
-    ------
-    ValueError
-        If a value or a gain is not finite.
-
     References
     ----------
     Bruderlin and Williams (1995), Motion signal processing, SIGGRAPH, section 2.1; Deng et al.
@@ -111,11 +106,6 @@ def cutoff_penalty(cutoff_hz: float, rate: float) -> float:
     ----------
     cutoff_hz : float
         From `LEAST_CUTOFF_SHARE` of the rate to half of it.
-
-    Raises
-    ------
-    ValueError
-        If the frequency cannot be in frames of this rate.
     """
     if not LEAST_CUTOFF_SHARE * rate <= cutoff_hz <= rate / 2:
         raise ValueError(
@@ -128,7 +118,7 @@ def cutoff_penalty(cutoff_hz: float, rate: float) -> float:
 def smooth_within_bounds(
     tracks: FloatArray, *, penalty: float, trust: FloatArray, lower: FloatArray, upper: FloatArray
 ) -> FloatArray:
-    """Smooth every column under its bounds.
+    """Smooth every column under its bounds: (frames, n).
 
     Parameters
     ----------
@@ -138,15 +128,6 @@ def smooth_within_bounds(
     trust : (frames,) float array
         Weight of each frame, positive: frames with little follow their neighbours.
     lower, upper : (n,) float arrays
-
-    Returns
-    -------
-    (frames, n) float array
-
-    Raises
-    ------
-    ValueError
-        If a value is not finite, a trust not positive or the penalty negative.
     """
     _check(tracks, penalty, trust)
     if len(tracks) < 3 or penalty == 0:

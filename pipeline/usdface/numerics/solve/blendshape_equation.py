@@ -101,11 +101,6 @@ def solve_weights(
         cost of shapes.
     tied : sequence of sequences of int, optional
         Shapes that share one weight, for ``'bounded'``.
-
-    Raises
-    ------
-    ValueError
-        If arrays do not fit together, or an option does not go with the method.
     """
     problem = _checked(deltas, motion, visible, marker_trust)
     if method not in ("lstsq", "bounded"):

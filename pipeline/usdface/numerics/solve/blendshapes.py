@@ -105,15 +105,11 @@ class BlendShapes:
         return np.array([each if each < self.channel_count else -1 for each in channels], np.int64)
 
     def key_weights(self, weights: ArrayLike) -> FloatArray:
-        """Turn channel weights into key weights.
+        """Turn channel weights into key weights: (frames, keys).
 
         Parameters
         ----------
         weights : (frames, channels) array_like
-
-        Returns
-        -------
-        (frames, keys) float array
         """
         weights = np.atleast_2d(np.asarray(weights, dtype=np.float64))
         if weights.shape[1] != self.channel_count:

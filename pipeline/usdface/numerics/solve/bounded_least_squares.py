@@ -64,11 +64,6 @@ def solve_bounded_least_squares(
         May be infinite.
     ridge : float, optional
         Penalty, not negative.
-
-    Raises
-    ------
-    ValueError
-        If shapes, bounds or the penalty cannot be used.
     """
     A, b = np.asarray(matrix, float), np.asarray(targets, float)
     if A.ndim != 2 or b.ndim != 2 or A.shape[0] != b.shape[1]:
@@ -98,11 +93,6 @@ def minimise_bounded_quadratic(
     linear : (frames, n) array
     lower, upper : (n,) arrays
         May be infinite; ``lower < upper`` or equal, which fixes a variable.
-
-    Raises
-    ------
-    ValueError
-        If shapes or bounds cannot be used, or a value is not finite.
 
     References
     ----------

@@ -133,11 +133,6 @@ def match_peaks(
     -------
     (markers,) float array
         Multiply the motion by it, before `solve_weights`.
-
-    Raises
-    ------
-    ValueError
-        If arrays do not fit together or a shape does not exist.
     """
     D, m = np.asarray(deltas, float), np.asarray(motion, float)
     wrong = [shape for shape in shapes if not 0 <= shape < len(D)]

@@ -70,11 +70,6 @@ def geodesic_distances(
     metric : {'dijkstra', 'dijkstra-diagonals', 'heat'}
         The heat method factorises the mesh first: half a million points take half a minute and
         2.4 GB, and then each corner of a place a third of a second.
-
-    Raises
-    ------
-    ValueError
-        If this is no polygon mesh, or a place is not on it.
     """
     if metric not in get_args(Metric):
         raise ValueError(f"no metric {metric!r}; there are {', '.join(get_args(Metric))}")

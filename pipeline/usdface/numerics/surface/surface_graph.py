@@ -128,11 +128,6 @@ def surface_graph(
     islands : (points,) int array
         Connected part of each point.
     faults : MeshFaults
-
-    Raises
-    ------
-    ValueError
-        If this is no polygon mesh; see `check_surface`.
     """
     check_surface(points, face_counts, face_indices)
     segments, faults = surface_segments(face_counts, face_indices, diagonals=diagonals)

@@ -63,13 +63,7 @@ def exchange_sides(take: Take, what: str, *, where: object) -> Take:
 
 
 def cut_frames(take: Take, limits: tuple[int, int], *, where: object) -> Take:
-    """Keep the frames from the first to the last of `limits`; timecode and video stay in time.
-
-    Raises
-    ------
-    InputError
-        If they are not all in the take.
-    """
+    """Keep the frames from the first to the last of `limits`; timecode and video stay in time."""
     first, last = limits
     end = take.first_frame + take.frame_count - 1
     if not take.first_frame <= first <= last <= end:

@@ -10,13 +10,7 @@ from usdface.usdio.validation import validate
 
 
 def validate_layers(layers: tuple[Path, ...]) -> StepResult:
-    """Run USD's validators and ours on layers; errors are failures, warnings are not.
-
-    Raises
-    ------
-    InputError
-        If a layer cannot be opened.
-    """
+    """Run USD's validators and ours on layers; errors are failures, warnings are not."""
     confine("validate", reads=layers)
     found = {str(layer): validate(layer) for layer in layers}
     findings = [finding for each in found.values() for finding in each]

@@ -21,13 +21,7 @@ from usdface.usdio.take.read import TakeReader, read_take
 
 
 def take_head_space(take: TakeReader, mapping: TrainedMapping) -> HeadSpace:
-    """Find how a take's markers become a mapping's, from frames spread over all of it.
-
-    Raises
-    ------
-    InputError
-        If the take is not stabilised, or has too few of the mapping's markers.
-    """
+    """Find how a take's markers become a mapping's, from frames spread over all of it."""
     count = take.last_frame - take.first_frame + 1
     picks = np.linspace(take.first_frame, take.last_frame, min(count, SAMPLE_FRAMES)).astype(int)
     if take.first_frame <= take.neutral_frame <= take.last_frame:
@@ -47,13 +41,7 @@ def take_head_space(take: TakeReader, mapping: TrainedMapping) -> HeadSpace:
 
 
 def read_markers(take: TakeReader, first: int, last: int) -> Markers:
-    """Read the markers of some frames.
-
-    Raises
-    ------
-    InputError
-        If the take has none.
-    """
+    """Read the markers of some frames."""
     return _require_markers(take, take.read(first, last, head_motion=False).markers)
 
 
@@ -135,11 +123,6 @@ def read_cleaned(path: Path, *, need_markers: bool = True) -> Take:
     ----------
     need_markers : bool
         False takes one of weights as well, such as a phone's.
-
-    Raises
-    ------
-    InputError
-        If it is another kind of take.
     """
     take = read_take(path, head_motion=False)
     if take.markers is None:
@@ -333,13 +316,7 @@ def plausibility_notes(takes: CleanedTakes, paths: tuple[Path, ...], rig: Rig) -
 
 
 def bound_take_notes(take: TakeReader) -> list[str]:
-    """Return what is odd about a take, by frames spread over it where ingest has not judged it.
-
-    Raises
-    ------
-    InputError
-        As `plausibility_notes`.
-    """
+    """Return what is odd about a take, by frames spread over it where ingest has not judged it."""
     if take.doubts is not None:
         return list(take.doubts)
     frames = np.unique(np.linspace(take.first_frame, take.last_frame, _SAMPLE_FRAMES).astype(int))

@@ -167,13 +167,7 @@ class MeasuredCoverage:
 
 
 def measure_pairs(spec: ReferencesCoverageSpec, *, progress: Progress) -> MeasuredCoverage:
-    """Measure what the pairs cover of the takes; nothing is written.
-
-    Raises
-    ------
-    InputError
-        If references and takes do not go together, or no pair counts.
-    """
+    """Measure what the pairs cover of the takes; nothing is written."""
     progress(0.0, "reading the takes")
     references = read_set_references(spec.references)
     pairs = _counted(spec, references)
@@ -213,13 +207,7 @@ class _Placed:
 
 
 def _counted(spec: ReferencesCoverageSpec, references: References) -> IntArray:
-    """Return which pairs count.
-
-    Raises
-    ------
-    InputError
-        If none does.
-    """
+    """Return which pairs count."""
     if not spec.tuned_only:
         return np.arange(len(references.frames), dtype=np.int64)
     pairs = np.flatnonzero(references.tuned)
@@ -234,13 +222,7 @@ def _counted(spec: ReferencesCoverageSpec, references: References) -> IntArray:
 def _with_markers_of(
     takes: CleanedTakes, references: References, spec: ReferencesCoverageSpec
 ) -> CleanedTakes:
-    """Return takes with the markers that the references have as well.
-
-    Raises
-    ------
-    InputError
-        If they are too few: the references are of another marker set.
-    """
+    """Return takes with the markers that the references have as well."""
     columns = [i for i, name in enumerate(takes.marker_names) if name in references.marker_names]
     names = tuple(takes.marker_names[i] for i in columns)
     rigid = tuple(name for name in takes.rigid if name in names)

@@ -50,11 +50,6 @@ class HeadSource:
         onto : (4, 4) float array, optional
             Similarity from the performer's space to the rig's. By default the performer is upright
             and looks along Z, as tracked and stabilised faces do.
-
-        Raises
-        ------
-        InputError
-            If the source does not have a part.
         """
         axes, made = face_axes(rig), dict[DriveTarget, FloatArray]()
         for target in targets:
@@ -77,13 +72,7 @@ class HeadSource:
 
 
 def named_targets(rig: Rig, drive: Sequence[str]) -> tuple[DriveTarget, ...]:
-    """Return what ``PART=NAME`` mean on a rig.
-
-    Raises
-    ------
-    InputError
-        If a name is not there, or means several.
-    """
+    """Return what ``PART=NAME`` mean on a rig."""
     named = (each.partition("=") for each in drive)
     return tuple(find_drive_target(rig, part, name) for part, _, name in named)
 

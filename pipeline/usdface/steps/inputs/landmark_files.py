@@ -33,12 +33,6 @@ def read_landmarks(path: Path, names: Sequence[str], rig: Rig) -> dict[str, Floa
         .csv with the columns ``marker`` and ``point``, or ``marker``, ``x``, ``y``, ``z``; .json
         with a point or [x, y, z] by marker; or USD, whose corrections are taken. A point is an
         index, ``MESH:INDEX`` where the rig has several meshes; x, y, z are in the rig's units.
-
-    Raises
-    ------
-    InputError
-        If the file names no place, a marker that the takes lack, or a place that is not on the
-        rig; every fault is named.
     """
     if path.suffix in LAYER_SUFFIXES:
         places = read_given_places(path, rig)
@@ -95,13 +89,7 @@ def _rows(path: Path) -> list[tuple[str, str, object]]:
 
 
 def _place(value: object, rig: Rig) -> FloatArray:
-    """Return a place on the rig [mm].
-
-    Raises
-    ------
-    ValueError
-        If the value names none.
-    """
+    """Return a place on the rig [mm]."""
     if isinstance(value, list):
         return _at_position(value, rig)
     mesh_name, _, number = str(value).strip().rpartition(":")

@@ -34,13 +34,7 @@ class PhoneLabels:
 
 
 def read_phone_labels(spec: SelectSpec, takes: CleanedTakes) -> PhoneLabels:
-    """Read the phones of every take and lay them on its frames.
-
-    Raises
-    ------
-    InputError
-        If a file of phones cannot be read or does not belong to its take.
-    """
+    """Read the phones of every take and lay them on its frames."""
     segments: list[Segment] = []
     visemes: list[str] = []
     emotions: list[str] = []
@@ -117,11 +111,6 @@ def labels_at(phones: Path | None, take: Take, frames: IntArray) -> tuple[str, .
     -------
     tuple of str
         Empty outside of the phones; with the emotion, where one is marked.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or lasts longer than the take.
     """
     if phones is None:
         return ("",) * len(frames)

@@ -60,13 +60,7 @@ class PlacedTakes:
 
 
 class PlacementScene:
-    """Takes and a rig, for placing and judging.
-
-    Raises
-    ------
-    InputError
-        If there are too few markers, or the rig has no face.
-    """
+    """Takes and a rig, for placing and judging."""
 
     def __init__(self, takes: CleanedTakes, rig: Rig) -> None:
         self._takes, self._rig = takes, rig
@@ -98,11 +92,6 @@ class PlacementScene:
             Where the placement will be written; corrections are read from there.
         landmarks : mapping of str to (3,) float array
             Places that are known [mm]; corrections take precedence.
-
-        Raises
-        ------
-        InputError
-            If the markers cannot be placed, or corrections are of another rig.
         """
         takes, rig, mesh = self._takes, self._rig, self._mesh
         given = read_given_places(out, rig) if has_binding(out) else GivenPlaces({}, {}, ())
@@ -183,13 +172,7 @@ def place_takes(
 
 
 def judge_stored(path: Path, takes: CleanedTakes, rig: Rig) -> PlacedTakes:
-    """Read a placement that is given, and judge it for takes.
-
-    Raises
-    ------
-    InputError
-        If it is of another rig or another marker set.
-    """
+    """Read a placement that is given, and judge it for takes."""
     placement = read_placement_of(path, rig, takes.marker_names, takes.neutral)
     return PlacementScene(takes, rig).judge(placement)
 

@@ -77,11 +77,6 @@ def set_up_scene(
     ----------
     placement : RigPlacement or None
         Where the markers are; without one they are placed.
-
-    Raises
-    ------
-    InputError
-        If no marker moves, or the markers cannot be placed on the rig.
     """
     progress(0.2, "measuring the motion")
     # Of an hour every eighth frame says as much of how a face moves as all of them.

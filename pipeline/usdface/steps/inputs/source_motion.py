@@ -126,11 +126,6 @@ def source_transfer(
     ----------
     names : Path, optional
         Table of pairs to follow instead.
-
-    Raises
-    ------
-    InputError
-        If no name matches, or none of what moves.
     """
     if names is None:
         transfer = transfer_by_names(motion.names, wanted)

@@ -37,11 +37,6 @@ def find_keyed_pairs(path: Path, references: References) -> list[int]:
     ----------
     references : References
         As it composes.
-
-    Raises
-    ------
-    InputError
-        If a layer beneath the asset cannot be read, or is of another selection.
     """
     check_tuned_layer(tuned_path(path), references)
     shown = read_proposals(proposed_path(path), references).copy()

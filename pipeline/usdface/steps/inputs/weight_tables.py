@@ -67,11 +67,6 @@ class WeightTable:
             That the table was read from.
         owner : str
             Of the other shapes, as the message says it: ``in the performance``.
-
-        Raises
-        ------
-        InputError
-            If there is none.
         """
         known = [name for name in self.names if name in names]
         if not known:
@@ -150,11 +145,6 @@ def read_weight_table(
         Of a table; told where left out, and refused where it cannot be.
     shapes : Path, optional
         Names of the columns of a .npy matrix; see `read_weight_samples`.
-
-    Raises
-    ------
-    InputError
-        If the file is no such table; the line and the column are named.
     """
     if path.suffix.lower() in (*LAYER_SUFFIXES, ".usdz"):
         if unit is not None or shapes is not None:
@@ -231,13 +221,7 @@ def _exported_table(exported: ExportedWeights, known: tuple[str, ...], *, cut: b
 
 
 def csv_rows(path: Path, columns: Sequence[str]) -> list[tuple[str, dict[str, object]]]:
-    """Read the rows of a table that has these columns, each with where it stands.
-
-    Raises
-    ------
-    InputError
-        If the file is no such table; the line and the column are named.
-    """
+    """Read the rows of a table that has these columns, each with where it stands."""
     lines = read_text(path, LARGEST_TABLE_BYTES).splitlines()
     reader = csv.DictReader(lines, delimiter=sniff_delimiter(next(iter(lines), "")) or ",")
     header = reader.fieldnames or []
@@ -337,11 +321,6 @@ def read_alpha(path: Path, frames: IntArray) -> FloatArray:
     path : Path
         .csv with the columns ``frame`` and ``alpha``, or USD; see `read_alpha_keys`.
     frames : (n,) int array
-
-    Raises
-    ------
-    InputError
-        If there are no keys, or one lies outside 0 to 1.
     """
     keys = read_alpha_keys(path) if path.suffix in LAYER_SUFFIXES else _read_keys(path)
     for frame, alpha in keys:

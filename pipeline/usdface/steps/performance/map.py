@@ -72,13 +72,7 @@ def predict_pipelined(mapping: TrainedMapping, blocks: Iterator[Block]) -> Itera
 
 
 def check_blend(path: Path, mapping: TrainedMapping) -> None:
-    """Refuse to blend what has only one part.
-
-    Raises
-    ------
-    InputError
-        If the mapping is no hybrid.
-    """
+    """Refuse to blend what has only one part."""
     if mapping.method != "hybrid":
         raise InputError(
             f"{path}: alpha blends the two parts of a hybrid, and this mapping is "

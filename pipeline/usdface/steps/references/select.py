@@ -189,13 +189,7 @@ def _check_something_moves(spec: SelectSpec, takes: CleanedTakes) -> None:
 
 
 def _check_tuning_is_as_read(spec: SelectSpec, kept: list[PlacedPair]) -> None:
-    """Refuse to write where pairs were tuned while frames were chosen.
-
-    Raises
-    ------
-    InputError
-        Nothing is changed.
-    """
+    """Refuse to write where pairs were tuned while frames were chosen."""
     now = {(each.pair, each.take, each.frame) for each in read_tuned_pairs(tuned_path(spec.out))}
     before = {(each.tuned.pair, each.tuned.take, each.tuned.frame) for each in kept}
     if now - before:
@@ -206,13 +200,7 @@ def _check_tuning_is_as_read(spec: SelectSpec, kept: list[PlacedPair]) -> None:
 
 
 def _mapping_for(spec: SelectSpec, rig: Rig) -> TrainedMapping:
-    """Read a mapping that is to say something of this rig.
-
-    Raises
-    ------
-    InputError
-        If it was trained for another rig.
-    """
+    """Read a mapping that is to say something of this rig."""
     if spec.mapping is None:
         raise InputError("no mapping is given")
     mapping = read_mapping(spec.mapping)

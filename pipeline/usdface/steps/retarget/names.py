@@ -40,11 +40,6 @@ def list_names(
         What is compared; deformation only between rigs.
     out : Path, optional
         Where the table goes, .csv or .json.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be read, or `out` is there and not to be replaced.
     """
     files = [each for each in (rig, source, names) if each is not None]
     confine("names", reads=files, writes=[] if out is None else [out])

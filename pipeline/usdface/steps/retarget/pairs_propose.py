@@ -89,11 +89,6 @@ def source_shapes(path: Path, *, prim: str | None = None) -> tuple[tuple[str, ..
         A rig, a take, a performance, or a capture or table of weights.
     prim : str, optional
         Face in the file, if it is a rig of several.
-
-    Raises
-    ------
-    InputError
-        If it is none of them.
     """
     if path.suffix.lower() not in (*LAYER_SUFFIXES, ".usdz"):
         if recognise_format(path).read is read_weight_take:  # names need no rate, unit or take

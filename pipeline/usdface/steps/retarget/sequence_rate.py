@@ -22,11 +22,6 @@ def read_sequence_at(path: Path, rate: Fraction) -> tuple[EmotionalSequence, str
     sequence : EmotionalSequence
     note : str
         What to tell of it; empty where it runs at the rate.
-
-    Raises
-    ------
-    InputError
-        If the file is no sequence.
     """
     sequence, own = read_sequence(path), sequence_rate(path)
     if abs(own - rate) < RATES_ALIKE:

@@ -163,11 +163,6 @@ def show_coverage(
     ----------
     notes : list of str
         Added to, where references are known and cannot be used.
-
-    Raises
-    ------
-    InputError
-        If references that were asked for cannot be used.
     """
     references = spec.references or find_references(shot.performance_file)
     if references is None:

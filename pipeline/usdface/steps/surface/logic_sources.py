@@ -37,11 +37,6 @@ def combinations_of_names(shapes: Sequence[str]) -> tuple[Combination, ...]:
 
     A side at the end belongs to every part that has it (``smile_jaw_L`` is ``smile_L`` and
     ``jaw``), and ``A50`` is the in-between of A at 0.5.
-
-    Raises
-    ------
-    InputError
-        If a name can be read in two ways, or a part of ``A__B`` is no shape.
     """
     prefix = _common_prefix(shapes)
     known = {name.removeprefix(prefix): name for name in shapes}
@@ -108,13 +103,7 @@ def _splits(name: str, known: dict[str, str]) -> Iterator[tuple[str, ...]]:
 
 
 def read_definition(path: Path) -> tuple[Combination, ...]:
-    """Read a table of combinations (.csv, .json), or a Simplex definition (.json).
-
-    Raises
-    ------
-    InputError
-        If it is neither; where and what is named.
-    """
+    """Read a table of combinations (.csv, .json), or a Simplex definition (.json)."""
     if path.suffix != ".json":
         return tuple(
             Combination(
@@ -235,13 +224,7 @@ def combinations_of_metadata(values: Iterable[tuple[str, object]]) -> tuple[Comb
 
 
 def merged(stated: Iterable[tuple[Combination, ...]]) -> tuple[Combination, ...]:
-    """Return combinations of several sources, each once.
-
-    Raises
-    ------
-    InputError
-        If two sources drive a shape differently.
-    """
+    """Return combinations of several sources, each once."""
     found = dict[str, Combination]()
     conflicts = []
     for each in (each for some in stated for each in some):

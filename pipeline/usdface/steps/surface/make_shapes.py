@@ -41,13 +41,7 @@ class ShapeFrame:
 
 
 def given_frames(spec: MakeShapesSpec, take: TakeReader) -> tuple[ShapeFrame, ...]:
-    """Return the frames that the spec names, in its order; none where it leaves the choice.
-
-    Raises
-    ------
-    InputError
-        If a frame is outside the take or named twice, or a file cannot be used.
-    """
+    """Return the frames that the spec names, in its order; none where it leaves the choice."""
     if spec.names is not None:
         chosen = _from_csv(spec.names)
     elif spec.references is not None:
@@ -80,11 +74,6 @@ def choose_shape_frames(
     displacements : (frames, markers, 3) float array
         From the neutral face [mm].
     usable : (frames, markers) bool array
-
-    Raises
-    ------
-    InputError
-        If the take shows fewer different faces than that.
     """
     allowed = np.flatnonzero(usable.mean(axis=1) >= _USABLE_SHARE)
     rows = allowed[pivoted_selection(displacements[allowed].reshape(len(allowed), -1), count)]

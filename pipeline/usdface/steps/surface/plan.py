@@ -59,13 +59,7 @@ class TakeSample:
 
 
 def sample_take(take: TakeReader) -> TakeSample:
-    """Read the neutral face and frames spread over a cleaned take.
-
-    Raises
-    ------
-    InputError
-        If the take has no markers, holds head motion, or its neutral frame lies outside it.
-    """
+    """Read the neutral face and frames spread over a cleaned take."""
     head = take.read(take.first_frame, take.first_frame).markers
     if head is None:
         raise InputError(f"{take.path}: has no markers; ingest a capture that has")
@@ -128,13 +122,7 @@ def add_shapes(face: FaceMesh) -> RigMesh:
 def landmark_places(
     landmarks: tuple[str, ...], names: tuple[str, ...], face: FaceMesh, take: Path
 ) -> dict[int, FloatArray]:
-    """Return where each named marker is on the mesh, from NAME=POINT.
-
-    Raises
-    ------
-    InputError
-        If a name is not the take's, or a point not the mesh's; every fault is named.
-    """
+    """Return where each named marker is on the mesh, from NAME=POINT."""
     faults, found = [], {}
     for landmark in landmarks:
         name, _, number = landmark.rpartition("=")
@@ -222,11 +210,6 @@ def plan_surface(
     ----------
     out : Path
         Distances are cached beside it.
-
-    Raises
-    ------
-    InputError
-        If take, mesh and binding do not go together.
     """
     progress(0.0, "reading")
     face = read_face_mesh(spec.mesh, prim=spec.mesh_prim)

@@ -64,11 +64,6 @@ def read_edits(animation: Usd.Prim, frames: IntArray) -> dict[str, ShapeEdit]:
         The animation that they change.
     frames : (n,) int array
         Ascending frame numbers at which they are wanted.
-
-    Raises
-    ------
-    InputError
-        If an edit is no float, or is not finite.
     """
     found: dict[str, dict[str, Usd.Attribute]] = {}
     for attribute in animation.GetAuthoredPropertiesInNamespace("face"):
@@ -153,13 +148,7 @@ def _where(attribute: Usd.Attribute) -> str:
 
 
 def edited_frames(animation: Usd.Prim) -> tuple[int, int] | None:
-    """Return the first and the last frame that any edit has a sample at; None without edits.
-
-    Raises
-    ------
-    InputError
-        If they are no range of frames.
-    """
+    """Return the first and the last frame that any edit has a sample at; None without edits."""
     times = [
         time
         for attribute in animation.GetAuthoredPropertiesInNamespace("face")
@@ -318,13 +307,7 @@ def _attribute_names(shapes: Iterable[str]) -> dict[str, str]:
 
 
 def _edited_elsewhere(animation: Usd.Prim, path: Path, name: str) -> frozenset[str]:
-    """Return which kinds of edits weaker layers than `path` have of a shape.
-
-    Raises
-    ------
-    InputError
-        If a stronger one has any.
-    """
+    """Return which kinds of edits weaker layers than `path` have of a shape."""
     local = animation.GetStage().GetLayerStack(includeSessionLayers=False)
     files = [Path(layer.realPath).resolve() for layer in local]
     own = path.resolve()

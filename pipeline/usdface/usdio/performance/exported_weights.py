@@ -81,13 +81,7 @@ def has_channels_per_mesh(path: Path) -> bool:
 
 @refusing_wrong_types
 def read_exported_weights(path: Path) -> ExportedWeights | None:
-    """Read weights by the shapes that channels drive; None where no mesh tells.
-
-    Raises
-    ------
-    InputError
-        If there is no animation, or more than one face.
-    """
+    """Read weights by the shapes that channels drive; None where no mesh tells."""
     stage = open_stage(path)
     readers = [PerformanceReader(path, animation=each) for each in _animations(stage, path)]
     first = readers[0]

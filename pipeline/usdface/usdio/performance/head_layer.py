@@ -48,11 +48,6 @@ def write_head_layer(
 
     controls : Sdf.Layer, optional
         With the joints of a retargeting, on which it turns.
-
-    Raises
-    ------
-    InputError
-        If a layer cannot be written.
     """
     if not transforms:
         return
@@ -79,13 +74,7 @@ def write_head_layer(
 
 
 def heads_of(parts: Sequence[Path]) -> list[Path]:
-    """Return the layers that turn the head in parts of a performance: of all, or of none.
-
-    Raises
-    ------
-    InputError
-        If a part has no such layer and another has.
-    """
+    """Return the layers that turn the head in parts of a performance: of all, or of none."""
     layers = [head_path(each) for each in parts if opens_head(each)]
     if layers and len(layers) < len(parts):
         lacking = next(each for each in parts if not opens_head(each))

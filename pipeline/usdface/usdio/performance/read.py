@@ -47,11 +47,6 @@ class PerformanceReader:
         The animation, where a file has several for one face.
     prim : str, optional
         The face, or a prim above it alone, where a file has several.
-
-    Raises
-    ------
-    InputError
-        If there is no such animation, or more than one.
     """
 
     @refusing_wrong_types
@@ -186,13 +181,7 @@ class PerformanceReader:
 
     @refusing_wrong_types
     def solved(self, first: int | None = None, last: int | None = None) -> Float32Array:
-        """Return the weights as they were solved, (frames, shapes) float32.
-
-        Raises
-        ------
-        InputError
-            If a sample does not fit the names, or is not finite.
-        """
+        """Return the weights as they were solved, (frames, shapes) float32."""
         first = self.first_frame if first is None else first
         last = self.last_frame if last is None else last
         values = np.empty((last - first + 1, len(self.names)), dtype=np.float32)
@@ -267,11 +256,6 @@ def find_animation(stage: Usd.Stage, path: Path, *, prim: str | None = None) -> 
         What messages call it.
     prim : str, optional
         Only skeletons at or below it count; by default all do.
-
-    Raises
-    ------
-    InputError
-        If there is none, or more than one.
     """
     top = Sdf.Path(prim or "/")
     found = animations_of_skeletons(stage, below=top)
@@ -308,25 +292,13 @@ def animations_of_skeletons(
 
 
 def read_weights(path: Path) -> WeightsClip:
-    """Read the animated weights, edits included, of any USD file that holds one face.
-
-    Raises
-    ------
-    InputError
-        If there is no such animation, or a sample does not fit the names.
-    """
+    """Read the animated weights, edits included, of any USD file that holds one face."""
     reader = PerformanceReader(path)
     return WeightsClip(reader.names, reader.edited(), reader.first_frame, reader.rate)
 
 
 def read_performance(path: Path) -> Performance:
-    """Read a performance, edits included, and what it says of its rig and its trust.
-
-    Raises
-    ------
-    InputError
-        If the file is no performance, or the rig it refers to is gone.
-    """
+    """Read a performance, edits included, and what it says of its rig and its trust."""
     reader = PerformanceReader(path)
     rig_file, rig_prim = reader.rig()
     first, last = reader.first_frame, reader.last_frame

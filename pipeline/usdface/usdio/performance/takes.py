@@ -33,11 +33,6 @@ def write_takes(
         Performances of one rig at one place and rate, by the name of the variant.
     shown : str
         The variant that is selected.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
     """
     first = next(iter(takes.values()))
     top = Sdf.Path(first.header.place).GetPrefixes()[0]

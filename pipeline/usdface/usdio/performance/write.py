@@ -61,11 +61,6 @@ def write_package(
         Layer that animates it; what is written besides is put into its folder.
     provenance : Provenance, optional
         Kept by the package's first layer.
-
-    Raises
-    ------
-    InputError
-        If something that the rig refers to cannot be found.
     """
     rig_file, rig_prim = reader.rig()
     source = Sdf.Path(rig_prim).GetPrefixes()[0]
@@ -156,11 +151,6 @@ def writing_performance(
         Write the weights as parts of this many frames, played as value clips; one layer by default.
     above : sequence of Path
         As `writing_top` takes it.
-
-    Raises
-    ------
-    InputError
-        If the files cannot be written; what was there is then left as it was.
     """
     weights_file = weights_path(path)
     with writing_top(path, header, rig, above=above, provenance=provenance):

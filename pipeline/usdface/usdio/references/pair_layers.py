@@ -34,11 +34,6 @@ def open_pair_stage(path: Path, root: Sdf.Path, *, api: str, kind: str, command:
         What it is, for people.
     command : str
         What makes one.
-
-    Raises
-    ------
-    InputError
-        If it is something else.
     """
     stage = open_stage(path)
     prim = stage.GetPrimAtPath(root)

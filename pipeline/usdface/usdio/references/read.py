@@ -82,13 +82,7 @@ def read_tuned_pairs(tuned_path: Path) -> list[TunedPair]:
 
 @refusing_wrong_types
 def read_references(path: Path) -> References:
-    """Read a references asset as it composes: tuned weights where there are any, else proposals.
-
-    Raises
-    ------
-    InputError
-        If the file is no references asset, or its parts do not fit together.
-    """
+    """Read a references asset as it composes: tuned weights where there are any, else proposals."""
     stage = open_pair_stage(
         path, ROOT, api="FaceReferencesAPI", kind="references", command="usdface select"
     )
@@ -248,11 +242,6 @@ def read_proposals(proposed_path: Path, references: References) -> FloatArray:
     Returns
     -------
     (pairs, shapes) float array
-
-    Raises
-    ------
-    InputError
-        If the layer does not belong to the asset.
     """
     layer = open_layer(proposed_path)
     prim = layer.GetPrimAtPath(WEIGHTS_PATH)
@@ -278,13 +267,7 @@ def read_proposals(proposed_path: Path, references: References) -> FloatArray:
 
 @refusing_wrong_types
 def check_tuned_layer(tuned_path: Path, references: References) -> None:
-    """Refuse a tuned layer that belongs to another selection or another rig.
-
-    Raises
-    ------
-    InputError
-        Naming the first pair that differs. Nothing is changed.
-    """
+    """Refuse a tuned layer that belongs to another selection or another rig."""
     if not tuned_path.is_file():
         return
     layer = open_layer(tuned_path)
@@ -320,13 +303,7 @@ def check_tuned_layer(tuned_path: Path, references: References) -> None:
 
 @refusing_wrong_types
 def read_pair_notes(path: Path) -> list[PairNotes]:
-    """Return what a references asset says of each pair but its markers and weights, in order.
-
-    Raises
-    ------
-    InputError
-        If the file is no references asset.
-    """
+    """Return what a references asset says of each pair but its markers and weights, in order."""
     stage = open_pair_stage(
         path, ROOT, api="FaceReferencesAPI", kind="references", command="usdface select"
     )

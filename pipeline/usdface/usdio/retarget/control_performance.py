@@ -114,11 +114,6 @@ def writing_control_performance(
         Of the weights that will be appended, as `writing_performance` takes it.
     above : sequence of Path
         What else is written, as `writing_top` takes it.
-
-    Raises
-    ------
-    InputError
-        If the files cannot be written, or an attribute is not on the rig.
     """
     controls_file = controls_path(path) if joints or attributes else None
     with contextlib.ExitStack() as stack:

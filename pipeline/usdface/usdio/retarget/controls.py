@@ -32,11 +32,6 @@ def find_control_attributes(rig: Rig, patterns: Sequence[str]) -> tuple[str, ...
     patterns : sequence of str
         ``PRIM.ATTRIBUTE``, the prim's path taken from the rig's top prim; ``*`` and ``?`` as in a
         shell.
-
-    Raises
-    ------
-    InputError
-        If a name means no attribute, or one that is not a single float.
     """
     stage = open_stage(rig.file)
     top = stage.GetPrimAtPath(Sdf.Path(rig.prim).GetPrefixes()[0])
@@ -62,13 +57,7 @@ def _match_attributes(top: Usd.Prim, patterns: Sequence[str], path: Path) -> tup
 
 
 def control_attribute(top: Usd.Prim, name: str, path: Path) -> Usd.Attribute:
-    """Return the attribute that a control's name means below a character's top prim.
-
-    Raises
-    ------
-    InputError
-        If there is none, or it is not a single float.
-    """
+    """Return the attribute that a control's name means below a character's top prim."""
     _, dot, attribute_name = name.rpartition(".")
     target = attribute_path(top.GetPath(), name) if dot else None
     if target is None:
@@ -133,11 +122,6 @@ def rest_controls(rig: Rig, *, attributes: Sequence[str] = (), joints: bool = Tr
         Names or patterns; see `find_control_attributes`.
     joints : bool
         Whether joints are controls; a skeleton of one joint only carries the head, and is none.
-
-    Raises
-    ------
-    InputError
-        If an attribute is not there or no float.
     """
     stage = open_stage(rig.file)
     names: tuple[str, ...] = ()
@@ -200,11 +184,6 @@ def read_control_clip(
         itself names, and all that move.
     frames : tuple of int, optional
         First and last, inclusive; all that the animation has by default.
-
-    Raises
-    ------
-    InputError
-        If there is no such animation, an attribute is not there or no float, or frames are missing.
     """
     reader = PerformanceReader(path)
     prim, first, last = reader.animation, reader.first_frame, reader.last_frame
@@ -275,13 +254,7 @@ def controls_at(
     times: Sequence[int],
     path: Path,
 ) -> Controls:
-    """Read controls at time codes.
-
-    Raises
-    ------
-    InputError
-        If a value is missing, of another length than its names, or not finite.
-    """
+    """Read controls at time codes."""
     skel = UsdSkel.Animation(animation)
     shapes = tuple(map(str, skel.GetBlendShapesAttr().Get() or ()))
     weights = read_array_samples(

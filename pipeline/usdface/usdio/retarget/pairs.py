@@ -93,13 +93,7 @@ def write_pairs(
 
 @refusing_wrong_types
 def read_pairs(path: Path) -> ExpressionPairs:
-    """Read pairs as they compose.
-
-    Raises
-    ------
-    InputError
-        If the file is no pairs asset, a pair lacks a side, or a control is not there.
-    """
+    """Read pairs as they compose."""
     stage = open_pair_stage(
         path, _ROOT, api="FacePairsAPI", kind="pairs", command="usdface pairs propose"
     )

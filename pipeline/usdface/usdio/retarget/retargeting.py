@@ -61,13 +61,7 @@ def is_retargeting(path: Path) -> bool:
 
 @refusing_wrong_types
 def read_retargeting(path: Path) -> Retargeting:
-    """Read a retargeting.
-
-    Raises
-    ------
-    InputError
-        If the file holds none, or its arrays do not have the shapes they claim.
-    """
+    """Read a retargeting."""
     stage = open_stage(path)
     prim = prim_in_scope(stage, TYPE)
     if prim is None:

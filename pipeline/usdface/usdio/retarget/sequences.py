@@ -78,13 +78,7 @@ def write_sequence(
 
 @refusing_wrong_types
 def read_sequence(path: Path) -> EmotionalSequence:
-    """Read a sequence.
-
-    Raises
-    ------
-    InputError
-        If the file is no sequence, or one of its sides is missing.
-    """
+    """Read a sequence."""
     stage = open_stage(path)
     root = stage.GetPrimAtPath(_ROOT)
     if not root or not root.HasAPI("FaceSequenceAPI"):
@@ -152,13 +146,7 @@ def write_matches(
 
 @refusing_wrong_types
 def read_matches(path: Path) -> tuple[SequenceMatch, ...]:
-    """Read the places that are active.
-
-    Raises
-    ------
-    InputError
-        If the file holds no list of matches, or a match lacks a value.
-    """
+    """Read the places that are active."""
     stage = open_stage(path)
     root = stage.GetPrimAtPath(MATCHES)
     if not root:

@@ -30,13 +30,7 @@ class DriveTarget:
 
 
 def find_drive_target(rig: Rig, part: str, name: str) -> DriveTarget:
-    """Return the one joint or Xform of a name: a path, or the end of one.
-
-    Raises
-    ------
-    InputError
-        If there is none, there are several, or USD would not move it.
-    """
+    """Return the one joint or Xform of a name: a path, or the end of one."""
     stage = open_stage(rig.file)
     joints, xforms = _joints(stage, rig), _xforms(stage, rig)
     for paths, is_joint in ((joints, True), (xforms, False)):

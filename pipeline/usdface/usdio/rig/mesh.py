@@ -225,12 +225,6 @@ def read_face_mesh(path: Path, *, prim: str | None = None) -> FaceMesh:
         Any USD file with a polygon mesh.
     prim : str, optional
         The mesh, or a prim with only one mesh below it, where the file holds several.
-
-    Raises
-    ------
-    InputError
-        If there is no such mesh or several, it has no faces, its faces name points that are not
-        there, a point is NaN, or its topology changes over time.
     """
     stage = open_stage(path)
     chosen, others = _find_mesh(stage, path, prim)

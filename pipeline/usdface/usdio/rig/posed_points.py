@@ -16,13 +16,7 @@ from usdface.usdio.units import column_matrix, stage_to_ours, transform_points
 
 
 class PosedRig:
-    """A performance's meshes, posed when asked for.
-
-    Raises
-    ------
-    InputError
-        If the file is no performance, or its rig is gone.
-    """
+    """A performance's meshes, posed when asked for."""
 
     @refusing_wrong_types
     def __init__(self, path: Path) -> None:

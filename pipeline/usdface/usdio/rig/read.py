@@ -38,11 +38,6 @@ def read_rig(path: Path, *, prim: str | None = None) -> Rig:
         A USD file with a SkelRoot, a Skeleton and meshes bound to BlendShapes.
     prim : str, optional
         Path of the SkelRoot, or of a prim above it, where the file holds several faces.
-
-    Raises
-    ------
-    InputError
-        If the file holds no such face, several, or one that is not consistent.
     """
     stage = open_stage(path)
     root = _find_skel_root(stage, path, prim)
@@ -94,13 +89,7 @@ def shape_metadata(path: Path, prim: str, name: str) -> list[tuple[str, object]]
 
 
 def read_combinations(root: Usd.Prim, path: Path) -> tuple[Combination, ...]:
-    """Read which shapes below a SkelRoot others drive; see `order_combinations`.
-
-    Raises
-    ------
-    InputError
-        If a combination cannot be used, or two meshes state it differently.
-    """
+    """Read which shapes below a SkelRoot others drive; see `order_combinations`."""
     found, names = dict[str, Combination](), set[str]()
     for name, prim in shape_prims(root):
         names.add(name)

@@ -187,11 +187,6 @@ def rig_of(stage: Usd.Stage, animation: Usd.Prim) -> tuple[Path, str]:
 
     The file is the one that is referenced where the animation meets the rig, not one of those that
     the rig is built from.
-
-    Raises
-    ------
-    InputError
-        If no skeleton follows the animation.
     """
     moved = os.environ.get(_MOVED_RIG)
     for prim in stage.Traverse():

@@ -80,13 +80,7 @@ class StageCamera:
 
     @refusing_wrong_types
     def at(self, frame: int) -> StageView:
-        """Return what the camera sees at a frame.
-
-        Raises
-        ------
-        InputError
-            If the camera, or the character's place, is degenerate there.
-        """
+        """Return what the camera sees at a frame."""
         time = Usd.TimeCode(frame * self._time_codes)
         camera = self._camera.GetCamera(time)
         placed = self._into_rig(camera.transform, time)

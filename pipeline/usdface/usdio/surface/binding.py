@@ -119,12 +119,6 @@ def read_binding(path: Path, face: BoundSurface) -> ReadBinding:
     ----------
     face : BoundSurface
         The mesh it is to be used on.
-
-    Raises
-    ------
-    InputError
-        If the file holds no binding, it was made on another surface, or a marker's place is not on
-        the mesh.
     """
     stage = open_stage(path)
     if read_surface_hash(path) != face.hash:
@@ -334,11 +328,6 @@ def correct_binding(
         Place of each marker [mm], which becomes that of its ball; None takes its correction back.
     made : Provenance
         Of the corrections.
-
-    Raises
-    ------
-    InputError
-        If the binding has no such marker.
     """
     prims = _marker_prims(path)
     unknown = [name for name in places if name not in prims]
@@ -368,13 +357,7 @@ def _marker_prims(path: Path) -> dict[str, Sdf.Path]:
 
 
 def read_surface_hash(path: Path) -> str:
-    """Return the hash of the surface that a binding was made on.
-
-    Raises
-    ------
-    InputError
-        If the file holds no binding.
-    """
+    """Return the hash of the surface that a binding was made on."""
     stage = open_stage(path)
     root = stage.GetDefaultPrim()
     if not root or not root.HasAPI("FaceBindingAPI"):

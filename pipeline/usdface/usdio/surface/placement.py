@@ -78,13 +78,7 @@ def write_placement(
 
 @refusing_wrong_types
 def read_placement(path: Path, rig: Rig) -> RigPlacement:
-    """Read a placement as it composes, corrections over what was proposed.
-
-    Raises
-    ------
-    InputError
-        If the file holds no placement, or one on another rig, or a correction is not on the rig.
-    """
+    """Read a placement as it composes, corrections over what was proposed."""
     surface = rig_surfaces(rig)[0]
     read = read_binding(path, surface)
     stage = open_stage(path)
@@ -130,13 +124,7 @@ class GivenPlaces:
 
 
 def read_given_places(path: Path, rig: Rig) -> GivenPlaces:
-    """Read what people said in a binding of the rig, or of one of its meshes.
-
-    Raises
-    ------
-    InputError
-        If the file is no binding, or its surface is none of the rig's.
-    """
+    """Read what people said in a binding of the rig, or of one of its meshes."""
     surface = _surface_of(path, rig_surfaces(rig))
     read = read_binding(path, surface)
     at = read.binding.places.positions(surface.mesh.points)

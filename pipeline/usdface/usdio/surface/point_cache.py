@@ -207,11 +207,6 @@ def writing_points(
         The layer to open. If it exists, other content in it stays.
     face : FaceMesh
         The mesh at rest.
-
-    Raises
-    ------
-    InputError
-        If the files cannot be written; existing ones are then unchanged.
     """
     asset = Rig(face.file, face.path, (), (), np.zeros((0, 2)))
     top = header.place or default_place(asset)

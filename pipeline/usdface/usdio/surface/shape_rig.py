@@ -84,11 +84,6 @@ def write_shape_rig(
         Of the SkelRoot, the new default prim.
     least_mm : float
         Smallest displacement of a point that is stored in a shape [mm].
-
-    Raises
-    ------
-    InputError
-        If there is no shape, or one moves no point.
     """
     if not shapes:
         raise InputError(f"{path}: there is no shape to write; choose at least one frame")

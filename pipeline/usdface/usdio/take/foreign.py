@@ -53,11 +53,6 @@ def read_foreign_take(path: Path, *, prim: str | None = None) -> ForeignTake:
     ----------
     prim : str, optional
         The prim that holds the markers, or one above it, where the file holds several sets.
-
-    Raises
-    ------
-    InputError
-        If there is neither, or several sets of markers, or the samples make no sense.
     """
     stage = open_stage(path)
     top = stage.GetPseudoRoot() if prim is None else stage.GetPrimAtPath(prim)

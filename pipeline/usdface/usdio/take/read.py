@@ -30,13 +30,7 @@ _LARGEST_DRIFT = 990_000.0
 
 
 class TakeReader:
-    """A take on disk: its header at once, its frames when asked for.
-
-    Raises
-    ------
-    InputError
-        If the file is no take, or its contract is broken.
-    """
+    """A take on disk: its header at once, its frames when asked for."""
 
     @refusing_wrong_types
     def __init__(self, path: Path) -> None:
@@ -127,11 +121,6 @@ class TakeReader:
 
         `head_motion` may stay on disk where it is not needed: a matrix a frame takes USD as long
         to hand over as all the markers.
-
-        Raises
-        ------
-        InputError
-            If the range holds no frame of the take, or a frame is broken.
         """
         first = self.first_frame if first is None else first
         last = self.last_frame if last is None else last
@@ -166,13 +155,7 @@ class TakeReader:
 
     @refusing_wrong_types
     def read_markers_at(self, frames: Sequence[int]) -> Markers | None:
-        """Read the markers of some frames of the take, in ascending order, and nothing else.
-
-        Raises
-        ------
-        InputError
-            If a frame is broken.
-        """
+        """Read the markers of some frames of the take, in ascending order, and nothing else."""
         return self._read_markers(frames)
 
     def _value(self, name: str) -> object:

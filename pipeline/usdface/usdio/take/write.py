@@ -43,11 +43,6 @@ def write_take(
         The layer to open; samples go beside it unless it is ``.usdc``.
     over : Path, optional
         A take this one is made from: it stays as it is, and the new layer, stronger, sits on it.
-
-    Raises
-    ------
-    InputError
-        If the files cannot be written; what was there is then left as it was.
     """
     samples = samples_path(path)
     beneath = [] if over is None else [relative_path(over, path)]
@@ -232,11 +227,6 @@ def write_video_sync(path: Path, sync: VideoSync) -> None:
 
     The layer is copied, changed and put in the place of the old one at once: whoever reads sees
     the one or the other. Its other opinions, its sublayers and what it says of its making stay.
-
-    Raises
-    ------
-    InputError
-        If the layer cannot be read or written, or names no default prim.
     """
     layer = open_layer(path)
     if not layer.defaultPrim:
