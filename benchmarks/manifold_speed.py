@@ -10,9 +10,9 @@ from benchmarks._surface_subjects import demo_subject
 from usdface.model.surface.distance import surface_distances
 from usdface.model.surface.gp_surface import GpOptions, GpSurface, fit_gp_surface
 from usdface.numerics.manifold.hybrid_monte_carlo import effective_sample_size, split_rhat
+from usdface.numerics.manifold.hyper_posterior import TabulatedEnergy
 from usdface.numerics.manifold.hyper_sampling import sample_hyperparameters
 from usdface.numerics.manifold.laplace import fit_laplace
-from usdface.numerics.manifold.tabulated_energy import TabulatedEnergy
 
 TURNS = 5
 """Runs of each sampler that is compared, the quickest of which counts."""

@@ -24,7 +24,7 @@ from tests.numerics.manifold.small_process import (
 )
 from usdface.model.retarget.shape_matching import RIDGE_SHARE, Correspondence, match_positions
 from usdface.model.surface.distance import BLEND_PUBLISHED
-from usdface.numerics.manifold.hyper_posterior import energy_of_moments
+from usdface.numerics.manifold.hyper_posterior import SharedTable, energy_of_moments
 from usdface.numerics.manifold.hyper_sampling import sample_hyperparameters
 from usdface.numerics.manifold.posterior_prediction import average_dual_weights
 from usdface.numerics.manifold.surface_fields import (
@@ -33,7 +33,6 @@ from usdface.numerics.manifold.surface_fields import (
     multiquadric_fields,
     nearest_stiffness,
 )
-from usdface.numerics.manifold.tabulated_energy import SharedTable
 from usdface.numerics.motion.laplacian_warp import Insertion, warp_motion
 from usdface.numerics.motion.sequence_search import find_published, starts_within
 from usdface.numerics.regression.kernel_cca import fit_kernel_cca, predict_kernel_cca

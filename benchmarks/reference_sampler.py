@@ -5,8 +5,8 @@ from importlib.util import find_spec
 import numpy as np
 
 from tests.numerics.manifold.small_process import dense_parts, draw_rows, small_spectrum
+from usdface.numerics.manifold.hyper_posterior import SharedTable
 from usdface.numerics.manifold.hyper_sampling import sample_hyperparameters
-from usdface.numerics.manifold.tabulated_energy import SharedTable
 
 ROWS = 4
 MARKERS = 20

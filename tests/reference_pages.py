@@ -12,7 +12,7 @@ from pxr import Sdf
 
 from usdface.cli.app import app
 from usdface.cli.command_list import EPILOG
-from usdface.cli.options import COMMON
+from usdface.cli.spec_options import COMMON
 from usdface.specs.base import Spec
 from usdface.specs.job import STEP_SPECS
 from usdface.specs.paths import Reads, Writes

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import typer
 
 from usdface.cli.console import echo, progress_listener, show_json, show_result
-from usdface.cli.options import Json, Overwrite, ShowProgress
+from usdface.cli.spec_options import Json, Overwrite, ShowProgress
 from usdface.core.confinement import ROOT_VARIABLE, check_confined
 from usdface.core.errors import InputError
 from usdface.specs.job import JobSpec

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 import typer
 
 from usdface.cli.console import show_json, show_result
-from usdface.cli.options import Json, Overwrite
+from usdface.cli.spec_options import Json, Overwrite
 
 
 def describe(

@@ -13,9 +13,47 @@ import typer
 from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
+from usdface.cli.console import ProgressStyle
 from usdface.core.errors import InputError
 from usdface.specs.base import Positional, Spec, field_help, warn_of_old_name
 from usdface.specs.reading import removed_message, validation_messages
+
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON, for scripts.")]
+ShowProgress = Annotated[
+    ProgressStyle,
+    typer.Option(
+        "--progress",
+        help="Progress output. Default: a bar on a terminal, elsewhere a line every ten seconds.",
+    ),
+]
+Overwrite = Annotated[
+    bool,
+    typer.Option(
+        "--overwrite", help="Replace existing outputs, including newer files and files of others."
+    ),
+]
+SaveSpec = Annotated[
+    Path | None,
+    typer.Option(
+        "--save-spec", help="Write the spec of this command to a new file, without running it."
+    ),
+]
+
+
+def _keyword(name: str, annotation: Any, default: Any) -> inspect.Parameter:
+    return inspect.Parameter(
+        name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation
+    )
+
+
+COMMON = [
+    _keyword("overwrite", Overwrite, False),
+    _keyword("save_spec", SaveSpec, None),
+    _keyword("progress", ShowProgress, "auto"),
+    _keyword("as_json", Json, False),
+]
+"""Options of every step's command."""
+
 
 SpecType = TypeVar("SpecType", bound=Spec)
 

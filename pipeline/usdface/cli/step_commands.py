@@ -1,5 +1,7 @@
 """Commands that are generated from the specs of steps."""
 
+import json
+import webbrowser
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -8,9 +10,7 @@ import typer
 
 from usdface.cli.command_list import CommandMaker, commands_on_demand
 from usdface.cli.console import ProgressStyle, echo, progress_listener, show_result
-from usdface.cli.options import COMMON
-from usdface.cli.spec_options import build_spec, command_of, help_of
-from usdface.cli.tune import tune_command
+from usdface.cli.spec_options import COMMON, build_spec, command_of, help_of
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress
 from usdface.core.replacing import creating
@@ -23,6 +23,7 @@ from usdface.specs.job import COMMAND_SPECS
 from usdface.specs.reading import spec_text
 from usdface.specs.retarget import RetargetSpec
 
+_TUNE_NEEDS = ("starlette", "uvicorn", "anyio", "h11")
 _SUBMIT_COMMON = ("overwrite", "as_json")
 
 
@@ -124,6 +125,54 @@ def _submit(
     show_result(report, as_json=as_json)
 
 
+def _tune(spec_type: type[Spec], values: dict[str, Any], *, as_json: bool) -> None:
+    spec = build_spec(TuneSpec, values)
+    from usdface.runner.outputs import check_inputs
+
+    check_inputs(spec)
+    try:
+        from usdface.tuning.serve import serve
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.split(".")[0] not in _TUNE_NEEDS:
+            raise
+        raise InputError(
+            f"the tuning page needs {error.name}, which is not installed: "
+            "pip install 'usdface[tune]'"
+        ) from error
+    links = list[str]()
+
+    def announce(link: str) -> None:
+        if as_json:
+            echo(json.dumps({"link": link}))
+        else:
+            echo(f"{'tune at' if not links else 'new link:'} {link}")
+            if not links:
+                echo("  Ctrl+C saves and exits; the link works once, for one browser")
+        if spec.browser and not links:
+            webbrowser.open(link)
+        links.append(link)
+
+    session = serve(spec, announce=announce)
+    state = session.state()
+    count = len(state.tuned)
+    figures: dict[str, object] = {
+        "pairs": count,
+        "tuned": int(state.tuned.sum()),
+        "done": int(state.done.sum()),
+        "recovered": session.recovered,
+    }
+    summary = f"{figures['tuned']} of {pluralize(count, 'pair')} tuned, {figures['done']} done"
+    notes = list[str]()
+    if session.recovered:
+        changes = pluralize(session.recovered, "change")
+        notes.append(f"recovered from a crashed session: {changes}")
+    if (before := session.lock.taken_from) is not None:
+        notes.append(
+            f"lock taken over from {before.user} on {before.host}, held since {before.since}"
+        )
+    show_result(StepResult((session.tuned_path,), summary, tuple(notes), figures), as_json=as_json)
+
+
 GROUPS = {
     "references": (
         "references",
@@ -168,7 +217,9 @@ def top_commands(groups: dict[str, typer.Typer]) -> dict[str, CommandMaker]:
     shared = [each for each in COMMON if each.name in _SUBMIT_COMMON]
     return makers | {
         "tune": CommandMaker(
-            partial(tune_command, COMMON[-1]), help_of(TuneSpec), TuneSpec.workflow()
+            partial(command_of, TuneSpec, _tune, COMMON[-1:]),
+            help_of(TuneSpec),
+            TuneSpec.workflow(),
         ),
         "submit": CommandMaker(
             partial(command_of, SubmitSpec, _submit, shared),

@@ -1,17 +1,20 @@
-"""Run the step that a spec describes."""
+"""Run the step that a spec describes, or one step for every file of a folder."""
 
 import contextlib
 import errno
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from importlib import import_module
+from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from usdface.core.errors import InputError
-from usdface.core.progress import Progress, silent
+from usdface.core.errors import CheckFailedError, InputError
+from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import not_written_since
+from usdface.core.text import pluralize
 from usdface.runner.origin import make_provenance
 from usdface.runner.outputs import check_inputs, check_outputs
 from usdface.runner.result import StepResult
@@ -91,3 +94,64 @@ def _may_be_done(spec: Spec) -> bool:
     outputs = spec.outputs()
     repeatable = isinstance(spec, STEP_SPECS) and not spec.in_place
     return repeatable and bool(outputs) and all(path.is_file() for path in outputs)
+
+
+def execute_each(
+    specs: Sequence[Spec],
+    *,
+    folder: Path,
+    out: Path,
+    done_as: str,
+    overwrite: bool = False,
+    progress: Progress = silent,
+) -> list[StepResult]:
+    """Run specs that write into one folder, which is made if it is not there.
+
+    What fails does not stop the others.
+
+    Parameters
+    ----------
+    folder : Path
+        What the specs read from, for messages.
+    done_as : str
+        The step as a participle: ``ingested``.
+
+    Raises
+    ------
+    InputError
+        If `out` cannot be made.
+    CheckFailedError
+        If some failed; each is named with its reason.
+    """
+    made = _make_folder(out)
+    done: list[StepResult] = []
+    failed: list[str] = []
+    for index, spec in enumerate(specs):
+        share = part(progress, index / len(specs), (index + 1) / len(specs))
+        try:
+            done.append(execute(spec, overwrite=overwrite, progress=share))
+        except InputError as error:
+            failed.append(str(error))
+    if failed and not done:
+        for empty in made:
+            with suppress(OSError):  # whatever lies in it stays
+                empty.rmdir()
+    if failed:
+        reasons = "\n".join(f"  {message}" for message in failed)
+        raise CheckFailedError(
+            f"{pluralize(len(done), 'take')} of {folder} {done_as}, "
+            f"{len(failed)} could not be:\n{reasons}"
+        )
+    return done
+
+
+def _make_folder(folder: Path) -> list[Path]:
+    """Make a folder with those above it, and return the new ones, the innermost first."""
+    new = [path for path in (folder, *folder.parents) if not path.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{folder}: cannot be made: {error.strerror}; choose another --out"
+        ) from error
+    return new

@@ -21,7 +21,12 @@ from usdface.numerics.manifold.hybrid_monte_carlo import (
     start_chains,
     take_hmc_step,
 )
-from usdface.numerics.manifold.hyper_posterior import HyperPrior, energy_of_moments
+from usdface.numerics.manifold.hyper_posterior import (
+    HyperPrior,
+    SharedTable,
+    TabulatedEnergy,
+    energy_of_moments,
+)
 from usdface.numerics.manifold.hyper_sampling import (
     find_modes,
     fit_shared_mode,
@@ -29,7 +34,6 @@ from usdface.numerics.manifold.hyper_sampling import (
     sample_shared,
 )
 from usdface.numerics.manifold.laplace import LaplaceFit, fit_laplace
-from usdface.numerics.manifold.tabulated_energy import SharedTable, TabulatedEnergy
 
 
 class Gaussian:

@@ -13,13 +13,14 @@ from usdface.numerics.manifold.hyper_posterior import (
     REJECTED_ENERGY,
     HyperPrior,
     PhiEnergy,
+    SharedTable,
+    TabulatedEnergy,
     energy_of_moments,
     noise_gain,
     to_phi,
     to_theta,
 )
 from usdface.numerics.manifold.laplace import fit_laplace
-from usdface.numerics.manifold.tabulated_energy import SharedTable, TabulatedEnergy
 
 GAIN = 3.0
 

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.numerics.small_face import small_face
 from usdface.numerics.registration.cloud_alignment import align_landmarks, align_pairs
-from usdface.numerics.registration.outer_surface import facing_direction, sample_outer_surface
+from usdface.numerics.registration.face_skin import facing_direction, sample_outer_surface
 from usdface.numerics.registration.virtual_markers import deltas_at, sparse_offsets
 
 

@@ -13,11 +13,11 @@ from usdface.media.face.complexion import LEAST_OPACITY, faces_painted, is_plain
 from usdface.media.face.mesh_topology import (
     Sparse,
     check_topology,
+    cut_polygons,
     normal_operator,
     vertex_normals,
 )
 from usdface.media.face.parts import FacePart, Pieces, find_pieces
-from usdface.media.face.quad_centre_split import cut_polygons
 from usdface.media.face.stand_in_eyes import fit_stand_in_eyes
 from usdface.media.face.subdivision import catmull_clark
 from usdface.media.face.tracing import PATTERN_COUNT, Tracer, sky_seen

@@ -12,8 +12,8 @@ from usdface.core.progress import Progress
 from usdface.model.mapping.corrected_pairs import CorrectedPairs, displacements, fit_pairs_forward
 from usdface.model.mapping.uncertainty import UncertaintyModel
 from usdface.model.regressions import AUTO, Choices, Pairs, Regression, Settings, find_method
+from usdface.model.regressions.base import bend, unbend
 from usdface.model.regressions.frame_solve import FrameSolver
-from usdface.model.regressions.target_curve import bend, unbend
 from usdface.numerics.regression.cross_validation import (
     blocked_folds,
     surface_rms_mm,

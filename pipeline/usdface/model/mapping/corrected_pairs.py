@@ -7,10 +7,10 @@ import numpy as np
 from usdface.core.arrays import FloatArray
 from usdface.model.mapping.regions import marker_motion
 from usdface.model.regressions import Pairs, Regression
+from usdface.model.regressions.base import bend, unbend
 from usdface.model.regressions.driven_motion import DrivenMotion, driven_weights
 from usdface.model.regressions.forward_model import ForwardModel, ForwardScales, fit_forward_model
 from usdface.model.regressions.frame_solve import correct_keys
-from usdface.model.regressions.target_curve import bend, unbend
 from usdface.numerics.regression.marker_prior import expect_marker_motion
 
 _KEY_ROUNDS = 2

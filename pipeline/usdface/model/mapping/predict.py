@@ -8,14 +8,13 @@ from numpy.typing import NDArray
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from usdface.core.assets import SolveBasis, TrainedMapping
 from usdface.core.errors import InputError
-from usdface.model.mapping.coordinates import Coordinates, marker_coordinates
 from usdface.model.mapping.coverage import CoverageModel
 from usdface.model.mapping.head_space import MINIMUM_SHARE
-from usdface.model.mapping.motion_space import motion_of
+from usdface.model.mapping.motion_space import Coordinates, marker_coordinates, motion_of
 from usdface.model.mapping.uncertainty import UncertaintyModel
 from usdface.model.regressions import REMOVED_METHODS, find_method
+from usdface.model.regressions.base import bend, unbend
 from usdface.model.regressions.frame_solve import FrameSolution, FrameSolver
-from usdface.model.regressions.target_curve import bend, unbend
 from usdface.numerics.regression.usage_prior import expected_weights
 
 _BLOCK_FRAMES = 1024

@@ -14,9 +14,8 @@ from usdface.model.mapping.candidates import (
     list_candidates,
 )
 from usdface.model.mapping.checks import check_dimensions, check_references, check_skin
-from usdface.model.mapping.coordinates import marker_coordinates
 from usdface.model.mapping.corrected_pairs import CorrectedPairs, correct_pairs
-from usdface.model.mapping.motion_space import motion_arrays, motion_of_pairs
+from usdface.model.mapping.motion_space import marker_coordinates, motion_arrays, motion_of_pairs
 from usdface.model.mapping.regions import (
     membership,
     region_grams,

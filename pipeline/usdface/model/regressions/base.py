@@ -1,7 +1,8 @@
 """What every regression offers: candidates to try, a fit, and a prediction from its arrays.
 
 A mapping learns weights from coordinates of markers, a retargeting a control vector from the
-source's weights. To a regression both are pairs of inputs and outputs.
+source's weights. To a regression both are pairs of inputs and outputs. Several of them bend the
+weights they train on, as skin moves more at first than at last.
 """
 
 from collections.abc import Callable
@@ -208,3 +209,33 @@ def scaled_inputs(arrays: Arrays, settings: Settings, inputs: FloatArray) -> Flo
     scale = arrays["scale"]
     features: FloatArray = inputs[:, : len(scale)] * scale
     return features
+
+
+def bend(weights: FloatArray, curve: float) -> FloatArray:
+    """Bend weights; beyond [0-1] the curve goes on along its ends.
+
+    A shape at half its weight has often moved the skin by more than half. Trained on
+    ``w + curve w (1 - w)``, lines fit better; `unbend` brings the prediction back.
+
+    Parameters
+    ----------
+    weights : (n, s) float array
+        Normalised: [0-1] over each shape's range.
+    curve : float
+        In [0, 1).
+    """
+    inside = np.clip(weights, 0.0, 1.0)
+    bent: FloatArray = inside + curve * inside * (1 - inside)
+    bent += (1 + curve) * np.minimum(weights, 0.0)
+    bent += (1 - curve) * np.maximum(weights - 1.0, 0.0)
+    return bent
+
+
+def unbend(bent: FloatArray, curve: float) -> FloatArray:
+    """Return the weights that `bend` bent so."""
+    inside = np.clip(bent, 0.0, 1.0)
+    root = np.sqrt((1 + curve) ** 2 - 4 * curve * inside)
+    weights: FloatArray = 2 * inside / (1 + curve + root)
+    weights += np.minimum(bent, 0.0) / (1 + curve)
+    weights += np.maximum(bent - 1.0, 0.0) / (1 - curve)
+    return weights

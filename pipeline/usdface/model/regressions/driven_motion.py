@@ -11,8 +11,7 @@ import numpy as np
 
 from usdface.core.arrays import Float32Array, FloatArray, IntArray, RealArray
 from usdface.core.rig_logic import COMBINATION_MODES, Combination, RigLogic
-from usdface.model.regressions.base import Arrays
-from usdface.model.regressions.target_curve import unbend
+from usdface.model.regressions.base import Arrays, unbend
 
 _SLOPE_STEP = 1e-4
 """Of a bent weight, for the slope of unbending."""

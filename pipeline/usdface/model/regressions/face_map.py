@@ -14,8 +14,15 @@ The answer is where `frame_solve` starts from; the leave-one-out error is how fa
 import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray, sample_frames
-from usdface.model.regressions.base import Arrays, Fitted, Pairs, Predictor, Regression, Settings
-from usdface.model.regressions.target_curve import unbend
+from usdface.model.regressions.base import (
+    Arrays,
+    Fitted,
+    Pairs,
+    Predictor,
+    Regression,
+    Settings,
+    unbend,
+)
 from usdface.numerics.regression.gaussian_process import (
     NOISES,
     ProcessSettings,

@@ -1,6 +1,6 @@
 """What weights do to a performer's markers: the rig's motion, corrected by the references.
 
-For marker k, displacement ``y_k`` from the neutral [mm], and bent weights ``t`` (`target_curve`)::
+For marker k, displacement ``y_k`` from the neutral [mm], and bent weights ``t`` (`bend`)::
 
     y_k = b_k + t'(E_k + D_k) + t'Q_k t + e_k
 
@@ -26,9 +26,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from usdface.core.arrays import Float32Array, FloatArray, RealArray, sample_frames
-from usdface.model.regressions.base import Arrays
+from usdface.model.regressions.base import Arrays, bend
 from usdface.model.regressions.driven_motion import DrivenMotion
-from usdface.model.regressions.target_curve import bend
 
 _NOISES_MM = (0.05, 0.1, 0.2, 0.35, 0.6, 1.0)
 """Noise of a marker's coordinate, tried for each marker: optical systems at their best, to skin

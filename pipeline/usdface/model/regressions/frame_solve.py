@@ -28,9 +28,8 @@ from functools import cached_property
 import numpy as np
 
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, RealArray
-from usdface.model.regressions.base import Arrays
+from usdface.model.regressions.base import Arrays, unbend
 from usdface.model.regressions.forward_model import ForwardModel
-from usdface.model.regressions.target_curve import unbend
 from usdface.numerics.solve.bounded_least_squares import descend_in_boxes
 
 CLEANED_NOISE_MM = 0.05

@@ -22,7 +22,7 @@ from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.model.retarget.shape_names import mirrored, read_meanings
 from usdface.numerics.registration.cloud_alignment import Alignment, align_cloud
-from usdface.numerics.registration.outer_surface import (
+from usdface.numerics.registration.face_skin import (
     SurfaceSamples,
     facing_direction,
     sample_outer_surface,

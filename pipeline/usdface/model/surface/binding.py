@@ -13,7 +13,11 @@ from usdface.core.errors import InputError
 from usdface.model.placement.marker_cloud import MarkerCloud, marker_cloud
 from usdface.model.placement.place import place_markers
 from usdface.numerics.registration.cloud_alignment import align_landmarks
-from usdface.numerics.registration.face_skin import sample_face_skin
+from usdface.numerics.registration.face_skin import (
+    SurfaceSamples,
+    sample_face_skin,
+    sample_outer_surface,
+)
 from usdface.numerics.registration.marker_binding import (
     FEWEST_MARKERS,
     MarkerBinding,
@@ -21,7 +25,6 @@ from usdface.numerics.registration.marker_binding import (
     motion_agreement,
 )
 from usdface.numerics.registration.motion_correspondence import place_by_motion
-from usdface.numerics.registration.outer_surface import SurfaceSamples, sample_outer_surface
 from usdface.numerics.registration.surface_places import (
     SurfacePlaces,
     nearest_places,

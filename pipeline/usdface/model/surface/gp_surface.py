@@ -24,7 +24,12 @@ from usdface.numerics.manifold.hybrid_monte_carlo import (
     effective_sample_size,
     split_rhat,
 )
-from usdface.numerics.manifold.hyper_posterior import HyperPrior, MarkerSpectrum, decompose
+from usdface.numerics.manifold.hyper_posterior import (
+    HyperPrior,
+    MarkerSpectrum,
+    SharedTable,
+    decompose,
+)
 from usdface.numerics.manifold.hyper_sampling import (
     draw_laplace,
     find_modes,
@@ -49,7 +54,6 @@ from usdface.numerics.manifold.surface_fields import (
     SurfaceCovariance,
     fit_covariance,
 )
-from usdface.numerics.manifold.tabulated_energy import SharedTable
 
 Sampler = Literal["hmc", "map", "shared"]
 

@@ -12,9 +12,15 @@ from usdface.numerics.manifold.hybrid_monte_carlo import (
     sample_chains,
     split_rhat,
 )
-from usdface.numerics.manifold.hyper_posterior import PhiEnergy, noise_gain, to_phi, to_theta
+from usdface.numerics.manifold.hyper_posterior import (
+    PhiEnergy,
+    SharedTable,
+    TabulatedEnergy,
+    noise_gain,
+    to_phi,
+    to_theta,
+)
 from usdface.numerics.manifold.laplace import LaplaceFit, choose_fits, fit_laplace
-from usdface.numerics.manifold.tabulated_energy import SharedTable, TabulatedEnergy
 
 _LEAST_DISTANCE = 2.5
 """Between two modes, in standard deviations of the Gaussian around either; nearer ones are one."""

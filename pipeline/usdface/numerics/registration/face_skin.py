@@ -1,17 +1,203 @@
 """The skin of a rig's face as samples in the face's own frame: what a placement searches.
 
-The frame's axes are left, up and forward of the character; its origin is that of the rig.
+The frame's axes are left, up and forward of the character; its origin is that of the rig. A marker
+can be glued to what some camera in front of the face would see: the inside of the mouth, eyeballs,
+teeth and the back of the head are left out, without any names.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy import sparse
 from scipy.spatial import KDTree
 
-from usdface.core.arrays import FloatArray, IntArray
-from usdface.numerics.registration.outer_surface import facing_direction, sample_outer_surface
+from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.numerics.registration.virtual_markers import Offsets, deltas_at, sparse_offsets
+
+_SAMPLE_COUNT = 12_000  # about 2 mm apart on a face
+_DEPTH_PIXELS = 200  # over the larger side: about 1.3 mm on a head
+_DEPTH_TOLERANCE = 0.012  # of the larger side: folds of lids and lips stay, the mouth's inside goes
+_VIEWS_DEGREES = ((0, 0), (-30, 0), (30, 0), (-55, 0), (55, 0), (0, 20), (0, -30))  # yaw, pitch
+_REACH_RADII = 3.2  # in root mean square radii of what moves: ear to ear and hairline to throat
+_SKIN_SHARE = 0.2  # of the largest visible piece: eyeballs, teeth and lashes are smaller
+
+
+@dataclass(frozen=True)
+class SurfaceSamples:
+    """Points spread over the skin, densest where it moves."""
+
+    corners: IntArray
+    """(samples, 3): the triangle's points."""
+    weights: FloatArray
+    """(samples, 3): barycentric, sum 1."""
+    positions: FloatArray
+    """(samples, 3) [mm]"""
+    areas: FloatArray
+    """(samples,): what each stands for [mm^2]; smaller where the face moves much."""
+
+
+def facing_direction(points: ArrayLike, triangles: ArrayLike, activity: ArrayLike) -> FloatArray:
+    """Return the horizontal unit vector that a face looks along.
+
+    What the shapes move lies in front of the rest of the head; on a bare mask, where there is no
+    rest, the winding of the triangles decides.
+
+    Parameters
+    ----------
+    points : (points, 3) array
+        Y up.
+    triangles : (triangles, 3) int array
+    activity : (points,) array
+        How far the shapes move each point.
+
+    Raises
+    ------
+    ValueError
+        If nothing moves, or the direction is undetermined.
+    """
+    P, T = np.asarray(points, float), np.asarray(triangles, np.int64)
+    a = np.asarray(activity, float)[T].mean(axis=1)
+    cross = np.cross(P[T[:, 1]] - P[T[:, 0]], P[T[:, 2]] - P[T[:, 0]])
+    area = np.linalg.norm(cross, axis=1) / 2
+    if not (a * area).sum() > 0:
+        raise ValueError("the shapes move no part of the surface; check that it is the face's mesh")
+    middle = P[T].mean(axis=1)
+    size = float(np.ptp(P, axis=0).max())
+    ahead = np.average(middle, axis=0, weights=a * area) - np.average(middle, axis=0, weights=area)
+    facing = np.array([ahead[0], 0, ahead[2]]) / (0.1 * size)
+    outward = np.einsum("ij,i->j", cross, a) / (2 * (a * area).sum())
+    facing += np.array([outward[0], 0, outward[2]])
+    length = float(np.linalg.norm(facing))
+    if length < 1e-3:
+        raise ValueError("the face's direction is not determined by its shapes; name landmarks")
+    return facing / length
+
+
+def sample_outer_surface(
+    points: ArrayLike,
+    triangles: ArrayLike,
+    *,
+    facing: ArrayLike,
+    activity: ArrayLike,
+    sample_count: int = _SAMPLE_COUNT,
+) -> SurfaceSamples:
+    """Spread samples over the skin of the face that is seen from in front.
+
+    Parameters
+    ----------
+    points : (points, 3) array
+        Y up.
+    triangles : (triangles, 3) int array
+        Either winding.
+    facing : (3,) array
+        Horizontal direction the face looks along.
+    activity : (points,) array
+        How far the shapes move each point: pieces that hardly move (eyeballs) are left out, and
+        what lies far from all movement (shoulders, the crown).
+    sample_count : int, optional
+        About how many.
+
+    Raises
+    ------
+    ValueError
+        If nothing of the surface is seen, or nothing moves.
+    """
+    P, T = np.asarray(points, float), np.asarray(triangles, np.int64)
+    moves = np.asarray(activity, float)
+    if not moves.max(initial=0.0) > 0:
+        raise ValueError("the shapes move no part of the surface; check that it is the face's mesh")
+    T = T[_within_reach(P, T, moves)]
+    density = 0.3 + moves[T].mean(axis=1) / moves.max()
+    dense, weights, owner = _spread(P, T, density, count=3 * sample_count)
+    forward = np.asarray(facing, float)
+    frame = np.stack([np.cross([0.0, 1.0, 0.0], forward), [0.0, 1.0, 0.0], forward])
+    seen = _seen_from_front((dense - P.mean(axis=0)) @ frame.T)
+    seen &= _on_skin(P, T, owner, seen, moves)
+    if not seen.any():
+        raise ValueError("no part of the surface is seen from in front; check its facing")
+    chosen = np.flatnonzero(seen)
+    chosen = chosen[:: max(1, round(len(chosen) / sample_count))]
+    share = 1 / density[owner[chosen]]
+    areas = share * (_areas(P, T).sum() * seen.mean() / share.sum())
+    return SurfaceSamples(T[owner[chosen]], weights[chosen], dense[chosen], areas)
+
+
+def _areas(P: FloatArray, T: IntArray) -> FloatArray:
+    cross = np.cross(P[T[:, 1]] - P[T[:, 0]], P[T[:, 2]] - P[T[:, 0]])
+    area: FloatArray = np.linalg.norm(cross, axis=1) / 2
+    return area
+
+
+def _within_reach(P: FloatArray, T: IntArray, activity: FloatArray) -> BoolArray:
+    middle, weight = P[T].mean(axis=1), activity[T].mean(axis=1) * _areas(P, T)
+    centre = np.average(middle, axis=0, weights=weight)
+    distance = np.linalg.norm(middle - centre, axis=1)
+    near: BoolArray = distance < _REACH_RADII * np.sqrt(np.average(distance**2, weights=weight))
+    return near
+
+
+def _spread(
+    P: FloatArray, T: IntArray, density: FloatArray, *, count: int
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Place points in proportion to area times density; in a fixed pattern, so that runs repeat.
+
+    The order is scattered: every n-th of the points is still spread evenly.
+    """
+    steps = np.arange(1, count + 1)
+    # additive recurrence on powers of the root of x^4 = x + 1: evenly spread in three numbers
+    u, v, along = (np.modf(0.5 + steps * g)[0] for g in (0.8191725134, 0.6710436067, 0.5497004779))
+    ends = np.cumsum(_areas(P, T) * density)
+    owner = np.minimum(np.searchsorted(ends, along * ends[-1], side="right"), len(T) - 1)
+    fold = u + v > 1
+    u, v = np.where(fold, 1 - u, u), np.where(fold, 1 - v, v)
+    weights = np.stack([1 - u - v, u, v], axis=1)
+    return np.einsum("nk,nkc->nc", weights, P[T[owner]]), weights, owner
+
+
+def _seen_from_front(q: FloatArray) -> BoolArray:
+    """Return which points are foremost in a depth buffer of some view; the face looks along +Z."""
+    size = float(np.ptp(q, axis=0).max())
+    seen = np.zeros(len(q), bool)
+    for yaw, pitch in np.deg2rad(_VIEWS_DEGREES):
+        toward = np.array([np.sin(yaw) * np.cos(pitch), np.sin(pitch), np.cos(yaw) * np.cos(pitch)])
+        across = np.array([np.cos(yaw), 0.0, -np.sin(yaw)])
+        plane = np.stack([q @ across, q @ np.cross(toward, across)], axis=1)
+        pixel = np.floor((plane - plane.min(axis=0)) / size * _DEPTH_PIXELS).astype(np.int64)
+        flat = pixel[:, 0] * (2 * _DEPTH_PIXELS) + pixel[:, 1]
+        depth = q @ toward
+        front = np.full(int(flat.max()) + 1, -np.inf)
+        np.maximum.at(front, flat, depth)
+        seen |= depth > front[flat] - _DEPTH_TOLERANCE * size
+    return seen
+
+
+def _on_skin(
+    P: FloatArray,
+    T: IntArray,
+    owner: IntArray,
+    seen: BoolArray,
+    activity: FloatArray,
+) -> BoolArray:
+    """Return which samples lie on a large connected part that moves; seams of UVs are welded."""
+    size = float(np.ptp(P, axis=0).max())
+    _, weld = np.unique(np.round(P / (1e-5 * size)), axis=0, return_inverse=True)
+    weld = weld.ravel()
+    edges = np.concatenate([T[:, [0, 1]], T[:, [1, 2]]])
+    graph = sparse.coo_array(
+        (np.ones(len(edges)), (weld[edges[:, 0]], weld[edges[:, 1]])),
+        shape=(int(weld.max()) + 1,) * 2,
+    )
+    count, label = sparse.csgraph.connected_components(graph, directed=False)
+    piece = label[weld]
+    visible = np.bincount(piece[T[owner[seen], 0]], minlength=count).astype(float)
+    moved = np.zeros(count)
+    np.maximum.at(moved, piece, activity)
+    visible[moved < 0.1 * moved.max()] = 0
+    large = visible >= _SKIN_SHARE * visible.max()
+    on_skin: BoolArray = large[piece[T[owner, 0]]]
+    return on_skin
+
 
 _ACTIVE_SHARE = 0.2
 """Of the largest displacement: skin that moves less is not used to find the plane of symmetry."""

@@ -9,7 +9,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.sidecars import LAYER_SUFFIXES
 from usdface.core.text import first_few, pluralize
-from usdface.runner.folder import execute_each
+from usdface.runner.execute import execute_each
 from usdface.runner.result import StepResult
 from usdface.specs.capture import IngestSpec
 

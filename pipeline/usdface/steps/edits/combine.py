@@ -10,7 +10,7 @@ from usdface.core.text import first_few, pluralize
 from usdface.runner.result import StepResult
 from usdface.specs.edits import CombineSpec
 from usdface.usdio.performance.read import PerformanceReader
-from usdface.usdio.performance.takes import VARIANT_SET, write_takes
+from usdface.usdio.performance.write import VARIANT_SET, write_takes
 
 
 def run(spec: CombineSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:

@@ -2,4 +2,4 @@
 
 _commands = ("describe",)
 
-_helpers = ("baseline", "eigenspace")
+_helpers = ("baseline",)

@@ -12,8 +12,7 @@ from usdface.model.retarget.train import describe_retargeting_figures
 from usdface.runner.origin import path_made_from
 from usdface.runner.outputs import confine
 from usdface.runner.result import StepResult
-from usdface.steps.performance.eigenspace import eigenspace_picture, variance_line
-from usdface.steps.performance.train import describe_figures
+from usdface.steps.performance.train import describe_figures, eigenspace_picture, variance_line
 from usdface.usdio.mapping import read_mapping
 from usdface.usdio.references.read import read_references
 from usdface.usdio.retarget.retargeting import is_retargeting, read_retargeting

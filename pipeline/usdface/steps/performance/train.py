@@ -4,29 +4,27 @@ from dataclasses import replace
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, IntArray, columns_by_name
+from usdface.core.arrays import ByteImage, FloatArray, IntArray, columns_by_name
 from usdface.core.assets import CandidateScore, References, TrainedMapping
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.text import first_few, pluralize
+from usdface.media.charts.eigenspace import Eigenspace, draw_eigenspace
 from usdface.media.picture.image import write_image
+from usdface.model.mapping.motion_space import marker_coordinates, motion_of
 from usdface.model.mapping.regions import sample_skin, skin_points
 from usdface.model.mapping.rig_match import rig_summary
 from usdface.model.mapping.train import train_mapping
 from usdface.model.placement.rig_orientation import check_rig_stands
 from usdface.model.regressions import Choices, RestPlaces
+from usdface.model.regressions.gaussian_rbf import PAPER_DIMENSIONS
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.performance import TrainSpec
 from usdface.steps.inputs.placement import registered_places
 from usdface.steps.inputs.tuned_pairs import read_set_references
-from usdface.steps.performance.eigenspace import (
-    eigenspace_picture,
-    variance_line,
-    variance_shares,
-)
 from usdface.usdio.mapping import write_mapping
 from usdface.usdio.rig.read import read_rig
 
@@ -187,4 +185,40 @@ def _subset(references: References, keep: np.ndarray) -> References:
         frames=references.frames[keep],
         takes=tuple(take for take, kept in zip(references.takes, keep, strict=True) if kept),
         tuned=references.tuned[keep],
+    )
+
+
+def variance_shares(mapping: TrainedMapping) -> FloatArray:
+    """Return the share of the markers' variance that each component holds: (dimensions,) [0-1]."""
+    motion = motion_of(mapping)
+    return np.asarray(motion.variances / motion.total_variance)
+
+
+def variance_line(mapping: TrainedMapping) -> str:
+    """Say how much of the motion the first components hold, and those that the mapping uses."""
+    shares = variance_shares(mapping)
+    first = shares[:PAPER_DIMENSIONS]
+    listed = ", ".join(f"{100 * share:.2f}" for share in first)
+    line = (
+        f"{pluralize(len(first), 'principal component')} hold {100 * first.sum():.2f} % of the "
+        f"markers' variance ({listed})"
+    )
+    used = mapping.settings.get("dimensions")
+    if isinstance(used, int) and used != len(first):
+        line += f"; the {used} in use hold {100 * shares[:used].sum():.2f} %"
+    return line
+
+
+def eigenspace_picture(mapping: TrainedMapping, references: References, title: str) -> ByteImage:
+    """Draw the takes and the references along the first components."""
+    motion = motion_of(mapping)
+    markers = references.markers.astype(np.float64)
+    return draw_eigenspace(
+        Eigenspace(
+            title=title,
+            facts=(variance_line(mapping),),
+            takes=mapping.arrays["takes_sample"],
+            references=marker_coordinates(motion, markers).values,
+            shares=variance_shares(mapping),
+        )
     )

@@ -6,7 +6,7 @@ from usdface.capture.sniff import recognise_format
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.text import pluralize
-from usdface.runner.folder import execute_each
+from usdface.runner.execute import execute_each
 from usdface.runner.result import StepResult
 from usdface.specs.retarget import RetargetSpec
 

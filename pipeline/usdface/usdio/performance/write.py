@@ -1,13 +1,13 @@
-"""Write performances: a layer to open, its sublayer of weights, and a .usdz with all of it."""
+"""Write performances: a layer to open over its weights, one .usdz of all, several as one asset."""
 
 import contextlib
 import struct
 import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from pxr import Sdf, Usd, UsdUtils
+from pxr import Kind, Sdf, Usd, UsdUtils
 
 from usdface.core.assets import Rig
 from usdface.core.errors import InputError
@@ -251,3 +251,48 @@ def _previous(path: Path) -> _Previous:
         return _Previous()
     folder, inputs = path.resolve().parent, () if made is None else made.inputs
     return _Previous(place, frozenset((folder / each).resolve() for each in inputs))
+
+
+VARIANT_SET = "take"
+
+
+def write_takes(
+    path: Path,
+    takes: Mapping[str, PerformanceReader],
+    *,
+    shown: str,
+    provenance: Provenance | None = None,
+) -> None:
+    """Write an asset of several takes on one character, with a variant for each.
+
+    Each variant references the performance as it is, so that edits and new solves of a take arrive
+    without combining again. The range of the layer spans all takes: variants cannot change it.
+
+    Parameters
+    ----------
+    takes : mapping of str to PerformanceReader
+        Performances of one rig at one place and rate, by the name of the variant.
+    shown : str
+        The variant that is selected.
+    """
+    first = next(iter(takes.values()))
+    top = Sdf.Path(first.header.place).GetPrefixes()[0]
+    with new_layer(path, provenance) as layer:
+        author_units(layer, like=first.path)
+        author_timing(
+            layer,
+            rate=first.rate,
+            first=min(each.first_frame for each in takes.values()),
+            last=max(each.last_frame for each in takes.values()),
+        )
+        layer.defaultPrim = top.name
+        prim = Sdf.CreatePrimInLayer(layer, top)
+        prim.specifier = Sdf.SpecifierDef
+        prim.SetInfo("kind", Kind.Tokens.component)
+        variants = Sdf.VariantSetSpec(prim, VARIANT_SET)
+        prim.variantSetNameList.prependedItems = [VARIANT_SET]
+        prim.variantSelections[VARIANT_SET] = shown
+        for name, reader in takes.items():
+            variant = Sdf.VariantSpec(variants, name)
+            reference = Sdf.Reference(relative_path(reader.path, path), top)
+            variant.primSpec.referenceList.prependedItems = [reference]

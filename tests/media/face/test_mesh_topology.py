@@ -7,7 +7,7 @@ from usdface.core.assets import RigMesh
 from usdface.core.deformer import Deformer
 from usdface.demo.rig import demo_rig
 from usdface.media.face.camera import Camera
-from usdface.media.face.quad_centre_split import cut_polygons
+from usdface.media.face.mesh_topology import cut_polygons
 from usdface.media.face.render import FaceRenderer
 from usdface.media.face.surface import build_surface
 
