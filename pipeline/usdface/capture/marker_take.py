@@ -9,7 +9,7 @@ import numpy as np
 
 from usdface.capture.axes import mm_per_unit, rotation_to_y_up
 from usdface.capture.marker_labels import match_labels, settle_labels
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, hold_last_seen
 from usdface.core.assets import Markers, Take
 from usdface.core.errors import InputError
 from usdface.core.rates import exact_rate
@@ -173,23 +173,6 @@ def _confidence(visible: BoolArray) -> Float32Array:
     if visible.all():
         return np.broadcast_to(np.float32(1), visible.shape)
     return visible.astype(np.float32)
-
-
-def hold_last_seen(positions: Float32Array, visible: BoolArray) -> None:
-    """Give unseen samples the last seen position, or before the first sighting that one; in place.
-
-    Parameters
-    ----------
-    positions : (frames, markers, 3) array
-    visible : (frames, markers) bool array
-        Every marker must be seen at least once.
-    """
-    frames = np.arange(len(visible))
-    for marker in np.flatnonzero(~visible.all(axis=0)):
-        seen = visible[:, marker]
-        latest = np.maximum.accumulate(np.where(seen, frames, -1))
-        latest[latest < 0] = int(np.argmax(seen))
-        positions[~seen, marker] = positions[latest[~seen], marker]
 
 
 def _hide_impossible(positions: Float32Array, visible: BoolArray) -> list[str]:

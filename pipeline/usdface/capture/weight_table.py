@@ -6,7 +6,6 @@ CSV: one row per frame, a column per shape, and a column of frames or times (``F
 others write. ``.npy``: a matrix, with names in a file beside it.
 """
 
-import json
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -40,9 +39,10 @@ from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.confinement import check_may_open
 from usdface.core.errors import InputError
 from usdface.core.rates import FARTHEST_FRAME, exact_rate
-from usdface.core.text import first_few, pluralize, read_text
+from usdface.core.text import first_few, pluralize, read_json, read_text
 
 LARGEST_JSON_BYTES = 1 << 30
+_LARGEST_NAMES_BYTES = 16 << 20
 LARGEST_FRACTION = 2.0
 """Weights pass 1 by a little where a shape is pushed; beyond this the unit has to be stated."""
 _PER_UNIT = {"one": 1.0, "percent": 0.01}
@@ -336,10 +336,7 @@ def _seconds(at: Mapping[str, int], values: FloatArray) -> FloatArray | None:
 
 
 def _read_json(path: Path) -> WeightSamples:
-    try:
-        data = json.loads(read_text(path, LARGEST_JSON_BYTES))
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: is no valid JSON: {error}") from error
+    data = read_json(path, LARGEST_JSON_BYTES)
     rate = None
     if isinstance(data, dict):
         stated = next((data[key] for key in _RATE_KEYS if key in data), None)
@@ -497,15 +494,12 @@ def _names_path(path: Path, end: str) -> Path:
 def _names(path: Path) -> list[str]:
     if path.suffix.lower() == ".npy":
         return [str(each) for each in _load(path).ravel().tolist()]
-    text = read_text(path, 16 << 20)
     if path.suffix.lower() == ".json":
-        try:
-            listed = json.loads(text)
-        except (ValueError, RecursionError) as error:
-            raise InputError(f"{path}: is no valid JSON: {error}") from error
+        listed = read_json(path, _LARGEST_NAMES_BYTES)
         if not isinstance(listed, list):
             raise InputError(f"{path}: must be a list of names")
         return [str(each) for each in listed]
+    text = read_text(path, _LARGEST_NAMES_BYTES)
     return [name.strip() for name in re.split(r"[\n,;]", text) if name.strip()]
 
 

@@ -66,6 +66,23 @@ def first_smallest(values: FloatArray) -> IntArray:
     return np.asarray((values <= least + ROUNDING_SHARE * np.abs(least)).argmax(axis=0), np.int64)
 
 
+def hold_last_seen(positions: NDArray[np.floating], seen: BoolArray) -> None:
+    """Give unseen samples the last seen position, or before the first sighting that one; in place.
+
+    Parameters
+    ----------
+    positions : (frames, markers, 3) array
+        Markers that are never seen stay as they are.
+    seen : (frames, markers) bool array
+    """
+    frames = np.arange(len(seen))
+    for marker in np.flatnonzero(~seen.all(axis=0) & seen.any(axis=0)):
+        known = seen[:, marker]
+        latest = np.maximum.accumulate(np.where(known, frames, -1))
+        latest[latest < 0] = int(np.argmax(known))
+        positions[~known, marker] = positions[latest[~known], marker]
+
+
 def runs(mask: BoolArray) -> list[tuple[int, int]]:
     """Return the stretches where `mask` is True as (start, stop), the stop left out."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))

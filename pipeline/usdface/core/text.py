@@ -1,7 +1,9 @@
 """Numbers and lists as messages write them; text files that people write."""
 
+import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 from usdface.core.confinement import check_may_open
 from usdface.core.errors import InputError
@@ -39,6 +41,23 @@ def read_text(path: Path, largest_bytes: int) -> str:
         return data.decode(encoding)
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: is not UTF-8 at byte {error.start}; save it as UTF-8") from error
+
+
+def read_json(path: Path, largest_bytes: int) -> Any:
+    """Read a JSON file of people or of other tools."""
+    try:
+        return json.loads(read_text(path, largest_bytes))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: is no valid JSON: {error}") from error
+
+
+def json_object(text: str) -> dict[str, Any]:
+    """Return the object that a text holds as JSON; empty where it holds none."""
+    try:
+        data = json.loads(text)
+    except (ValueError, RecursionError):
+        return {}
+    return data if isinstance(data, dict) else {}
 
 
 def aligned_rows(rows: Sequence[Sequence[str]]) -> list[str]:

@@ -7,9 +7,10 @@ from typing import Literal
 
 from usdface.core.errors import InputError
 from usdface.core.sidecars import parts_folder
+from usdface.runner.state import frames_made
 from usdface.specs.base import Spec
 from usdface.specs.job import JobSpec
-from usdface.specs.paths import Reads, frame_range
+from usdface.specs.paths import Reads
 from usdface.specs.performance import JoinSpec, MapSpec
 from usdface.specs.review import MovieJoinSpec, MovieSpec
 
@@ -30,15 +31,6 @@ class ChunkSizes:
     """None leaves a movie in one piece."""
     clips: Literal["auto", "always", "never"] = "auto"
     """Whether the parts of a performance stay where they are, as value clips."""
-
-
-def frames_made(step: Spec, frames_of: Callable[[Path], FrameRange | None]) -> FrameRange | None:
-    """Return the frames that a step will have worked on; None where only the worker will know."""
-    if isinstance(step, MapSpec):
-        return frame_range(step.frames) or frames_of(step.take)
-    if isinstance(step, MovieSpec):
-        return frame_range(step.frames) or frames_of(step.performance)
-    return None
 
 
 def in_chunks(step: Spec, sizes: ChunkSizes, frames: FrameRange | None) -> list[Spec]:

@@ -1,6 +1,5 @@
 """Find what there is to publish and what it was made from, and check that it is fit for it."""
 
-import json
 from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
@@ -8,6 +7,7 @@ from pathlib import Path
 
 from usdface.core.errors import InputError
 from usdface.core.sidecars import LAYER_SUFFIXES, weights_path
+from usdface.runner.origin import spec_of
 from usdface.usdio.layers import read_provenance
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.validation import Finding, validate
@@ -100,7 +100,7 @@ def take_of(performance: Path) -> Path | None:
         made = read_provenance(path) if path.is_file() else None
         if made is None:
             return None
-        spec = _spec(made.spec)
+        spec = spec_of(made)
         take, parts = spec.get("take"), spec.get("parts")
         if isinstance(take, str) and "source" not in spec:  # of a table it is a name
             return path.parent / take
@@ -125,14 +125,6 @@ def _is_performance(path: Path) -> bool:
         return not path.stem.endswith(".weights") and weights_path(path).is_file()
     except InputError:
         return False
-
-
-def _spec(text: str) -> dict[str, object]:
-    try:
-        data = json.loads(text)
-    except (ValueError, RecursionError):
-        return {}
-    return data if isinstance(data, dict) else {}
 
 
 def validate_performance(item: PublishItem) -> tuple[Finding, ...]:

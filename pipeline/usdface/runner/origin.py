@@ -1,6 +1,5 @@
 """Provenance of files: made from a spec, read back, and the files that it names found again."""
 
-import json
 import os
 from pathlib import Path
 from typing import Any
@@ -8,6 +7,7 @@ from typing import Any
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance, canonical_json, hash_files
 from usdface.core.sidecars import LAYER_SUFFIXES
+from usdface.core.text import json_object
 from usdface.specs.base import Spec
 from usdface.specs.paths import IMAGE_SUFFIXES, Reads, Writes
 from usdface.specs.review import MOVIE_SUFFIXES, PAGE_SUFFIXES
@@ -34,11 +34,11 @@ def provenance_of(path: Path) -> Provenance | None:
         if path.suffix.lower() in MOVIE_SUFFIXES:
             from usdface.media.film.movie import read_movie_comment
 
-            return _from_text(read_movie_comment(path))
+            return _from_metadata(json_object(read_movie_comment(path)))
         if path.suffix.lower() in PAGE_SUFFIXES:
             from usdface.media.page.report_page import read_page_origin
 
-            return _from_text(read_page_origin(path))
+            return _from_metadata(json_object(read_page_origin(path)))
         if path.suffix.lower() == ".json":
             return _from_json(path)
         if path.suffix.lower() == ".lab":
@@ -135,18 +135,8 @@ def _from_json(path: Path) -> Provenance | None:
     try:
         if path.stat().st_size > LARGEST_FIGURES_BYTES:
             return None
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return None
-    made = data.get("provenance") if isinstance(data, dict) else None
-    return _from_metadata(made) if isinstance(made, dict) else None
-
-
-def _from_text(text: str) -> Provenance | None:
-    """Read what a movie carries as its comment."""
-    try:
-        made = json.loads(text)
-    except (ValueError, RecursionError):
+        made = json_object(path.read_text(encoding="utf-8")).get("provenance")
+    except (OSError, ValueError):
         return None
     return _from_metadata(made) if isinstance(made, dict) else None
 
@@ -167,11 +157,7 @@ def _relative(path: Path, anchor: Path) -> str:
 
 def spec_of(provenance: Provenance | None) -> dict[str, Any]:
     """Return the spec that a file was made by; empty where there is none that can be read."""
-    try:
-        spec = json.loads(provenance.spec) if provenance is not None else None
-    except (ValueError, RecursionError):
-        return {}
-    return spec if isinstance(spec, dict) else {}
+    return {} if provenance is None else json_object(provenance.spec)
 
 
 def path_made_from(file: Path, field: str) -> Path | None:

@@ -1,7 +1,7 @@
 """Whether a step's outputs are there, and made from its inputs and options as they are now."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -74,7 +74,7 @@ def chunk_specs(spec: Spec, made: Provenance, path: Path) -> tuple[Spec, ...]:
         parts.append(spec.model_copy(update=changed))
     stretches.sort()
     follow = all(one[1] + 1 == other[0] for one, other in pairwise(stretches))
-    if not follow or (stretches[0][0], stretches[-1][1]) != _frames_wanted(spec):
+    if not follow or (stretches[0][0], stretches[-1][1]) != frames_made(spec):
         return ()
     return (join, *parts)
 
@@ -95,11 +95,14 @@ def _join_of(spec: Spec, made: Provenance) -> JoinSpec | MovieJoinSpec | None:
         return None
 
 
-def _frames_wanted(spec: Spec) -> tuple[int, int] | None:
-    if isinstance(spec, MapSpec):
-        return frame_range(spec.frames) or frame_range_of(spec.take)
-    if isinstance(spec, MovieSpec):
-        return frame_range(spec.frames) or frame_range_of(spec.performance)
+def frames_made(
+    step: Spec, frames_of: Callable[[Path], tuple[int, int] | None] = frame_range_of
+) -> tuple[int, int] | None:
+    """Return the frames that a step will have worked on; None where only the worker will know."""
+    if isinstance(step, MapSpec):
+        return frame_range(step.frames) or frames_of(step.take)
+    if isinstance(step, MovieSpec):
+        return frame_range(step.frames) or frames_of(step.performance)
     return None
 
 

@@ -1,13 +1,12 @@
 """Notes of a review: a file that the report writes, and what reads it back."""
 
-import json
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from usdface.core.errors import InputError
-from usdface.core.text import read_text
+from usdface.core.text import read_json
 from usdface.specs.base import Spec
 from usdface.specs.reading import validation_messages
 
@@ -92,10 +91,7 @@ class ReviewNotes(BaseModel):
 
 def read_notes(path: Path) -> ReviewNotes:
     """Read the notes that a report saved."""
-    try:
-        given = json.loads(read_text(path, LARGEST_NOTES_BYTES))
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: is no JSON: {error}; save the notes again") from error
+    given = read_json(path, LARGEST_NOTES_BYTES)
     if not isinstance(given, dict) or "usdface_notes" not in given:
         raise InputError(f"{path}: holds no notes; save them in a report of `usdface report`")
     try:

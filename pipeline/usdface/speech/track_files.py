@@ -11,7 +11,7 @@ from urllib.parse import quote, unquote
 
 from usdface.core.errors import InputError
 from usdface.core.replacing import replacing, replacing_together
-from usdface.core.text import read_text
+from usdface.core.text import json_object, read_text
 from usdface.speech.phones import PhoneTrack, Span, viseme_of
 
 if TYPE_CHECKING:
@@ -306,11 +306,7 @@ def _textgrid(track: PhoneTrack, origin: Mapping[str, object] | None) -> "Textgr
 def read_origin(path: Path) -> dict[str, object] | None:
     """Return what a TextGrid says of its making; None where it says nothing."""
     found = re.search(ORIGIN_MARK + r"([^\"\s]+)", read_text(path, LARGEST_TRACK_BYTES))
-    try:
-        data = json.loads(unquote(found.group(1))) if found else None
-    except (ValueError, RecursionError):
-        return None
-    return data if isinstance(data, dict) else None
+    return json_object(unquote(found.group(1))) if found else None
 
 
 def read_origin_beside(path: Path) -> dict[str, object] | None:

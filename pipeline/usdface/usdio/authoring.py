@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pxr import Sdf, Usd, UsdGeom, Vt
 
-from usdface.core.arrays import Float32Array, FloatArray
+from usdface.core.arrays import Float32Array, FloatArray, IntArray
 from usdface.core.errors import InputError
 
 
@@ -50,6 +50,16 @@ def author_uniform(prim: Sdf.PrimSpec, name: str, kind: Sdf.ValueTypeName, value
 def doubles(values: ArrayLike) -> Vt.DoubleArray:
     """Return an array of any shape as a flat array of doubles."""
     return Vt.DoubleArray.FromNumpy(np.ascontiguousarray(values, dtype=np.float64).ravel())
+
+
+def vector_array(values: FloatArray) -> Vt.Vec3fArray:
+    """Return points or directions, (n, 3), as USD keeps them."""
+    return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(values, dtype=np.float32))
+
+
+def index_array(values: IntArray) -> Vt.IntArray:
+    """Return indices or counts as USD keeps them."""
+    return Vt.IntArray.FromNumpy(np.ascontiguousarray(values, dtype=np.int32))
 
 
 def retime_layer(layer: Sdf.Layer, rate: float) -> None:

@@ -56,14 +56,6 @@ def test_exact_lines_are_recovered() -> None:
     np.testing.assert_allclose(predicted(model, features), outputs, atol=1e-5)
 
 
-def test_one_shared_ridge_follows_the_output_that_matters() -> None:
-    features, outputs = lines(noise=0.5)
-    alone = fit_linear_ridge(features, outputs[:, [2]])
-    importance = np.array([1e-9, 1e-9, 1.0, 1e-9])
-    shared = fit_linear_ridge(features, outputs, shared=True, importance=importance)
-    np.testing.assert_array_equal(shared.ridge, np.full(4, alone.ridge[0]))
-
-
 def test_more_columns_than_rows_are_welcome() -> None:
     features, outputs = lines(rows=6, columns=20)
     model = fit_linear_ridge(features, outputs)

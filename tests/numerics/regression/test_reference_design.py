@@ -42,15 +42,6 @@ def test_tuned_frames_stay_and_are_not_proposed_again(design: Callable) -> None:
 
 
 @every_design
-def test_only_candidates_are_chosen(design: Callable) -> None:
-    features = cloud()
-    allowed = np.zeros(len(features), dtype=bool)
-    allowed[100:150] = True
-    chosen = design(features, 20, candidates=allowed).chosen
-    assert ((chosen >= 100) & (chosen < 150)).all()
-
-
-@every_design
 def test_gain_never_grows_and_twice_gives_the_same(design: Callable) -> None:
     features = cloud()
     first, second = design(features, 40), design(features, 40)
@@ -65,8 +56,6 @@ def test_impossible_requests_say_why(design: Callable) -> None:
         design(features, 11)
     with pytest.raises(ValueError, match="already names rows 3 to 10 of 10"):
         design(features, 1, already=np.array([3, 10]))
-    with pytest.raises(ValueError, match="one entry per frame"):
-        design(features, 1, candidates=np.ones(9, dtype=bool))
     features[4, 1] = np.nan
     with pytest.raises(ValueError, match="row 4 are not finite"):
         design(features, 1)

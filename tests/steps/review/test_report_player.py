@@ -455,7 +455,7 @@ def test_the_data_of_a_report_are_its_own(reported: Shot) -> None:
     ("text", "message"),
     [
         ("[]", "holds no notes"),
-        ("{", "is no JSON"),
+        ("{", "is no valid JSON"),
         ('{"usdface_notes": 2, "notes": []}', "usdface_notes"),
         ('{"usdface_notes": 1, "notes": [{"id": "a", "frame": "x"}]}', "notes 1 -> frame"),
     ],

@@ -17,6 +17,9 @@ an open jaw drags it further than that.
 """
 
 
+_FACE_MARGIN = 1.12
+"""Room about a face; 1 touches it."""
+
 _HAIR_SHARE = 0.5
 """Of a face's height: hair and hats that reach higher are cut."""
 
@@ -29,7 +32,7 @@ class Camera:
     target: tuple[float, float, float]
     """`eye`, `target`: [mm]"""
     fov_degrees: float = 16.0
-    """Vertical field of view [degrees]."""
+    """Vertical field of view [degrees]; narrow, as a portrait lens is."""
     up: tuple[float, float, float] = (0.0, 1.0, 0.0)
     """Direction that is up in the picture."""
     shift: tuple[float, float] = (0.0, 0.0)
@@ -128,10 +131,7 @@ def frame_face(
     *,
     weights: ArrayLike | None = None,
     yaw_degrees: float = 0.0,
-    pitch_degrees: float = 0.0,
     aspect: float = 1.0,
-    margin: float = 1.12,
-    fov_degrees: float = 16.0,
     hair: bool = False,
 ) -> Camera:
     """Return a camera that frames the face; Y is up and the face looks along +Z.
@@ -145,15 +145,10 @@ def frame_face(
     weights : (n,) array, optional
         How much each point moves (`motion_weights`), or a mask of the points to frame.
         Without it, or where nothing moves, all points are framed.
-    yaw_degrees, pitch_degrees : float
-        The camera's place round the face: positive yaw goes to the character's left (+X),
-        positive pitch looks from above [degrees].
+    yaw_degrees : float
+        The camera's place round the face: positive goes to the character's left (+X) [degrees].
     aspect : float
         Width of the picture over its height.
-    margin : float
-        Room about the face; 1 touches it.
-    fov_degrees : float
-        Vertical field of view [degrees]; narrow, as a portrait lens is.
     hair : bool
         Whether what stands above the face is in the picture too, up to half a face.
     """
@@ -161,41 +156,28 @@ def frame_face(
     if cloud.ndim != 2 or cloud.shape[1:] != (3,) or not len(cloud):
         raise ValueError(f"points must be (n, 3) and not empty, got shape {cloud.shape}")
     face = cloud[_face_mask(len(cloud), weights)]
-    yaw, pitch = np.radians([yaw_degrees, pitch_degrees])
-    backward = np.array([np.sin(yaw) * np.cos(pitch), np.sin(pitch), np.cos(yaw) * np.cos(pitch)])
+    yaw = np.radians(yaw_degrees)
+    backward = np.array([np.sin(yaw), 0.0, np.cos(yaw)])
     axes = Camera(eye=_triple(backward), target=(0.0, 0.0, 0.0)).axes()
     low, high = (face @ axes.T).min(axis=0), (face @ axes.T).max(axis=0)
     if hair:
         top = float((cloud @ axes[1]).max())
         high[1] = min(max(top, high[1]), high[1] + _HAIR_SHARE * (high[1] - low[1]))
     width, height = np.maximum(high - low, 1e-6)[:2]
-    span = margin * max(height, width / aspect)
-    half = np.tan(np.radians(fov_degrees / 2))
+    span = _FACE_MARGIN * max(height, width / aspect)
+    half = np.tan(np.radians(Camera.fov_degrees / 2))
     # The plane of the widest part decides the scale: the middle of the depth is close to it.
     distance = span / 2 / half + (high[2] - low[2]) / 2
     # Chins want less room than foreheads.
     middle = (low + high) / 2 + [0.0, 0.03 * span, 0.0]
     target = middle @ axes
-    return Camera(
-        eye=_triple(target + distance * backward), target=_triple(target), fov_degrees=fov_degrees
-    )
+    return Camera(eye=_triple(target + distance * backward), target=_triple(target))
 
 
-def frame_rig(
-    meshes: Sequence[RigMesh],
-    *,
-    yaw_degrees: float = 0.0,
-    pitch_degrees: float = 0.0,
-    aspect: float = 1.0,
-    margin: float = 1.12,
-    hair: bool = False,
-) -> Camera:
+def frame_rig(meshes: Sequence[RigMesh], *, yaw_degrees: float = 0.0, hair: bool = False) -> Camera:
     """Return a camera that keeps a rig's face in the picture, an open jaw included.
 
-    Parameters
-    ----------
-    yaw_degrees, pitch_degrees, aspect, margin, hair
-        As in `frame_face`.
+    Options are those of `frame_face`.
     """
     rest = np.concatenate([mesh.points for mesh in meshes])
     weights = motion_weights(meshes)
@@ -212,9 +194,6 @@ def frame_rig(
         np.concatenate(posed),
         weights=np.concatenate(taken),
         yaw_degrees=yaw_degrees,
-        pitch_degrees=pitch_degrees,
-        aspect=aspect,
-        margin=margin,
         hair=hair,
     )
 

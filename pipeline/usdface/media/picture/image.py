@@ -18,6 +18,7 @@ from usdface.core.confinement import check_may_open
 from usdface.core.errors import InputError
 from usdface.core.rates import LABEL
 from usdface.core.replacing import replacing
+from usdface.core.text import json_object
 from usdface.core.version import __version__
 from usdface.media.picture.color import linear_from_srgb
 from usdface.media.picture.tiles import scale_picture
@@ -124,14 +125,8 @@ def read_image_metadata(path: Path | str) -> dict[str, Any]:
         description, packed = "", None
     finally:
         source.close()
-    found: dict[str, Any] = {}
-    if len(description) <= _MAX_METADATA:
-        try:
-            data = json.loads(description)
-        except (ValueError, RecursionError):
-            data = None  # a caption that someone typed
-        if isinstance(data, dict):
-            found = data
+    # A caption that someone typed is none.
+    found = json_object(description) if len(description) <= _MAX_METADATA else {}
     if "timecode" not in found and isinstance(packed, (tuple, list)):
         found["timecode"] = unpack_timecode(int(packed[0]))
     return found

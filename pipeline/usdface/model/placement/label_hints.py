@@ -21,6 +21,10 @@ _LEFT_RIGHT = re.compile(
       | (?:(?<=[_\-. ])|(?<=[a-z]))(?P<back>l|r|left|right)(?=\d*$|end$|[_\-. ])""",
     re.VERBOSE | re.IGNORECASE,
 )
+_INNER_WORD = re.compile(r"insid|inner|_in\b|_in_|inn")
+_OUTER_WORD = re.compile(r"outsid|outer|_out\b|_out_|out")
+_UPPER_WORD = re.compile(r"up|top")
+_LOWER_WORD = re.compile(r"down|low|bot")
 _NOT_A_SIDE = re.compile(r"^(lip|lid|low|lower|root|ridge|rim)", re.IGNORECASE)
 
 
@@ -101,7 +105,7 @@ def skin_motion_mm(labels: Sequence[str]) -> FloatArray:
     for label in labels:
         hint, text = label_hint(label), label.lower()
         motion = _SKIN_MOTION_MM[hint.region]
-        if hint.region in _OUTER_MOTION_MM and _is_outer(text):
+        if hint.region in _OUTER_MOTION_MM and _OUTER_WORD.search(text):
             motion = _OUTER_MOTION_MM[hint.region]
         elif hint.region == "nose" and hint.side:
             motion = _SIDE_OF_NOSE_MM
@@ -153,7 +157,9 @@ _Place = tuple[str, tuple[str, ...]]
 def _brow(text: str, side: Side) -> _Place:
     if not side or re.search(r"cent|mid(?!dle_)", text):
         return "brow", ("brow_centre",)
-    part = "inner" if _is_inner(text) else "outer" if _is_outer(text) else "middle"
+    part = (
+        "inner" if _INNER_WORD.search(text) else "outer" if _OUTER_WORD.search(text) else "middle"
+    )
     return "brow", (f"brow_{part}_{side}",)
 
 
@@ -168,18 +174,18 @@ def _nose(text: str, side: Side) -> _Place:
 def _eye(text: str, side: Side) -> _Place:
     if not side:
         return "eye", ()
-    if _is_inner(text):
+    if _INNER_WORD.search(text):
         return "eye corner", (f"eye_inner_{side}",)
-    if _is_outer(text):
+    if _OUTER_WORD.search(text):
         return "eye corner", (f"eye_outer_{side}",)
-    part = "crease" if _is_upper(text) else "lower" if _is_lower(text) else ""
+    part = "crease" if _UPPER_WORD.search(text) else "lower" if _LOWER_WORD.search(text) else ""
     return ("lid", (f"lid_{part}_{side}",)) if part else ("eye", ())
 
 
 def _mouth(text: str, side: Side) -> _Place:
     if re.search(r"above|below|under", text):  # on the skin beside the lips: no landmark
         return "mouth", ()
-    part = "upper" if _is_upper(text) else "lower" if _is_lower(text) else ""
+    part = "upper" if _UPPER_WORD.search(text) else "lower" if _LOWER_WORD.search(text) else ""
     if "end" in text or "corner" in text or (side and not part):
         return "mouth", (f"mouth_{side}",) if side else ()
     if not part:
@@ -207,19 +213,3 @@ _PARTS = (
     (r"ear|temple|head|skull|tragus|cap", _only("skull")),
 )
 """In this order: an eyebrow is no eye, and a forehead no head."""
-
-
-def _is_inner(text: str) -> bool:
-    return re.search(r"insid|inner|_in\b|_in_|inn", text) is not None
-
-
-def _is_outer(text: str) -> bool:
-    return re.search(r"outsid|outer|_out\b|_out_|out", text) is not None
-
-
-def _is_upper(text: str) -> bool:
-    return re.search(r"up|top", text) is not None
-
-
-def _is_lower(text: str) -> bool:
-    return re.search(r"down|low|bot", text) is not None

@@ -229,7 +229,6 @@ def set_up_equation(
     visible: BoolArray,
     rigid: tuple[int, ...],
     labels: tuple[str, ...],
-    pinned: dict[int, FloatArray] | None = None,
 ) -> BlendshapeEquation:
     """Find where a performer's markers sit on a character, and what its shapes do there.
 
@@ -244,15 +243,13 @@ def set_up_equation(
         Markers that move with the skull alone.
     labels : tuple of str
         Of the markers; those that name a part of the face say where it is.
-    pinned : dict of int to (3,) float array, optional
-        Places on the rig that a person gave [mm].
     """
     picks = _picks(len(positions))
     offsets = deformer.shapes.target_offsets()
     try:
         skin = sample_face_skin(deformer.neutral, deformer.triangles, offsets)
         cloud = marker_cloud(labels, neutral, positions[picks], visible=visible[picks], rigid=rigid)
-        placement = place_markers(cloud, skin, rig.shapes, ranges=rig.ranges, pinned=pinned)
+        placement = place_markers(cloud, skin, rig.shapes, ranges=rig.ranges)
     except ValueError as error:
         raise InputError(f"the markers cannot be placed on {rig.file}: {error}") from error
     made = equation_at(

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, FloatArray, IntArray
+from usdface.core.arrays import BoolArray, FloatArray, IntArray, sample_frames
 from usdface.core.assets import References
 from usdface.model.mapping.coverage import UNCOVERED_SHARE
 from usdface.model.mapping.motion_space import motion_from_pca
@@ -53,18 +53,11 @@ class ReferenceConflict:
     """How many times further apart the weights are than the markers, each against the usual."""
 
 
-def find_reference_conflicts(
-    references: References, *, gram: FloatArray | None = None
-) -> list[ReferenceConflict]:
+def find_reference_conflicts(references: References) -> list[ReferenceConflict]:
     """Find pairs whose weights differ far more than their markers do, the worst first.
 
     Each part of the face is compared by itself, so that a lid is not excused by a jaw. Alike and
     unlike are measured against the usual distance between pairs.
-
-    Parameters
-    ----------
-    gram : (shapes, shapes) float array, optional
-        Makes differences of weights count as they show on the rig [mm^2].
     """
     pairs, shapes = references.weights.shape
     if pairs < _FEWEST_PAIRS:
@@ -76,13 +69,12 @@ def find_reference_conflicts(
     sample = (motion.sample - line.mean) @ line.coefficients + line.intercept
     space = selection_space(motion, np.clip(sample, 0, 1), references.shape_names)
     features = space.features(coordinates)
-    metric = np.eye(shapes) if gram is None else gram
     by_region = shapes_by_region(references.shape_names)
     worst: dict[tuple[int, int], ReferenceConflict] = {}
     for region, (a, b) in zip(space.regions, space.columns, strict=True):
         columns = by_region.get(region, np.arange(shapes))
-        near = _distances(features[:, a:b], np.eye(b - a))
-        far = _distances(references.weights[:, columns], metric[np.ix_(columns, columns)])
+        near = _distances(features[:, a:b])
+        far = _distances(references.weights[:, columns])
         conflicting = (near < _NEAR_MARKERS_SHARE) & (far > FAR_WEIGHTS_SHARE)
         for i, j in np.argwhere(np.triu(conflicting, 1)).tolist():
             difference = np.abs(references.weights[i, columns] - references.weights[j, columns])
@@ -116,12 +108,12 @@ def conflict_text(references: References, conflict: ReferenceConflict) -> str:
     )
 
 
-def _distances(rows: FloatArray, metric: FloatArray) -> FloatArray:
-    """Return distances between all rows under a metric, over the usual one.
+def _distances(rows: FloatArray) -> FloatArray:
+    """Return distances between all rows, over the usual one.
 
     The usual one is the median between rows that differ: few pairs may use a region at all.
     """
-    product = rows @ metric @ rows.T
+    product = rows @ rows.T
     squares = np.diag(product)
     away = np.sqrt(np.maximum(squares[:, None] + squares - 2 * product, 0.0))
     between = away[np.triu_indices(len(rows), 1)]
@@ -187,7 +179,7 @@ def measure_coverage(
     count = len(features)
     step = -(-count // COVERED_FRAMES)  # neighbours of a long recording are one face
     thinned = np.asarray(features[::step], dtype=np.float64)
-    some = _spread(len(thinned))
+    some = sample_frames(len(thinned), CURVE_FRAMES)
     covered = np.empty(len(thinned))
     regions = np.empty((len(thinned), len(space.regions)))
     whole = DesignKernel.for_rows(thinned[some])
@@ -221,13 +213,13 @@ def measure_growth(
         Frames that could be tuned.
     """
     open_rows = np.flatnonzero(np.ones(len(features), bool) if candidates is None else candidates)
-    rows = open_rows[_spread(len(open_rows), 20 * CURVE_FRAMES)]
+    rows = open_rows[sample_frames(len(open_rows), 20 * CURVE_FRAMES)]
     together = np.concatenate([pair_features, features_at(features, rows)])
     known = np.arange(len(pair_features), dtype=np.int64)
     count = min(further, len(rows))
     design = design_gp_variance(together, count, already=known, noise=KEY_VARIANCE)
     chosen = design.chosen - len(known)
-    sample = features_at(features, _spread(len(features)))
+    sample = features_at(features, sample_frames(len(features), CURVE_FRAMES))
     kernel = DesignKernel.for_rows(sample)
     share = _shares(
         kernel, np.concatenate([pair_features, features_at(features, rows[chosen])]), sample
@@ -243,7 +235,3 @@ def _shares(kernel: DesignKernel, pairs: FloatArray, sample: FloatArray) -> Floa
     rows = np.linalg.solve(factor, kernel(pairs, sample))
     left = np.maximum(1 - np.cumsum(rows**2, axis=0) / kernel.diagonal(sample), 0.0)
     return np.concatenate([[0.0], 1 - np.sqrt(left).mean(axis=1)])
-
-
-def _spread(count: int, wanted: int = CURVE_FRAMES) -> IntArray:
-    return np.unique(np.linspace(0, count - 1, min(count, wanted)).astype(np.int64))

@@ -106,8 +106,6 @@ def align_cloud(
     activity: ArrayLike,
     areas: ArrayLike,
     amplitude: ArrayLike | None = None,
-    start: Alignment | None = None,
-    proportions: bool = True,
 ) -> Alignment:
     """Find the rotation, translation and per-axis scale that lay a marker cloud onto a face.
 
@@ -123,10 +121,6 @@ def align_cloud(
         What each sample stands for.
     amplitude : (markers,) array, optional
         How far each marker moves in the take; where none does, as if it were not known.
-    start : Alignment, optional
-        Refine this one instead of searching from every side.
-    proportions : bool, optional
-        False keeps one scale for the three axes.
 
     Raises
     ------
@@ -148,18 +142,15 @@ def align_cloud(
     skin4, cloud4 = np.column_stack([x, skin_motion]), np.column_stack([y, cloud_motion])
     need = area * (moving > 0.35)  # parts that a marker set always covers
     coarse = _Skin(skin4, need, _COARSE_SKIN)
-    if start is None:
-        ends = [_climb(cloud4, coarse, begin, _COARSE_STEPS) for begin in _starts(y, x, need)]
-        ends = [end for end in ends if end.rotation[1, 1] > _TILT_LIMIT]
-        if not ends:
-            raise ValueError(
-                "no alignment keeps the face upright; check that Y is up, or name landmarks"
-            )
-        best = sorted(ends, key=lambda end: end.residual_mm)[:3]
-    else:
-        best = [start]
+    ends = [_climb(cloud4, coarse, begin, _COARSE_STEPS) for begin in _starts(y, x, need)]
+    ends = [end for end in ends if end.rotation[1, 1] > _TILT_LIMIT]
+    if not ends:
+        raise ValueError(
+            "no alignment keeps the face upright; check that Y is up, or name landmarks"
+        )
+    best = sorted(ends, key=lambda end: end.residual_mm)[:3]
     fine = _Skin(skin4, need, _FINE_SKIN)
-    ends = [_climb(cloud4, fine, begin, _FINE_STEPS, proportions=proportions) for begin in best]
+    ends = [_climb(cloud4, fine, begin, _FINE_STEPS, proportions=True) for begin in best]
     return min(ends, key=lambda end: end.residual_mm)
 
 

@@ -9,6 +9,9 @@ from usdface.core.arrays import FloatArray
 KEY_VARIANCE = 1e-2
 """Variance of a tuned weight around the true one; the kernel's is of the order of 10."""
 
+_LINEAR_VARIANCE, _RADIAL_VARIANCE = 10.0, 3.0
+"""Mean variance of the kernel's two parts."""
+
 MEDIAN_ROWS = 512
 """Rows spread over the frames from whose distances the width is taken."""
 
@@ -26,20 +29,10 @@ class DesignKernel:
     exponent: float
 
     @classmethod
-    def for_rows(
-        cls, rows: FloatArray, *, linear: float = 10.0, radial: float = 3.0, width: float = 1.0
-    ) -> "DesignKernel":
-        """Scale the kernel to some frames.
+    def for_rows(cls, rows: FloatArray) -> "DesignKernel":
+        """Scale the kernel to some frames, (frames, d).
 
-        Parameters
-        ----------
-        rows : (frames, d) float array
-        linear : float
-            Mean variance of the linear part.
-        radial : float
-            Variance of the radial part.
-        width : float
-            Squared width of the radial part, as a share of the frames' median squared distance.
+        The squared width of the radial part is the frames' median squared distance.
         """
         mean_square = float(np.einsum("ij,ij->", rows, rows)) / len(rows)
         some = rows[np.linspace(0, len(rows) - 1, min(len(rows), MEDIAN_ROWS)).astype(int)]
@@ -47,14 +40,12 @@ class DesignKernel:
         away = squared[:, None] + squared - 2 * some @ some.T
         median = float(np.median(away[np.triu_indices(len(some), 1)])) if len(some) > 1 else 1.0
         median = max(median, 1e-12 * mean_square, 1e-300)
-        return cls(linear / max(mean_square, 1e-300), radial, -0.5 / (width * median))
+        return cls(_LINEAR_VARIANCE / max(mean_square, 1e-300), _RADIAL_VARIANCE, -0.5 / median)
 
     @classmethod
-    def for_size(
-        cls, square: float, *, linear: float = 10.0, radial: float = 3.0
-    ) -> "DesignKernel":
+    def for_size(cls, square: float) -> "DesignKernel":
         """Scale the kernel so that rows of one squared length are of usual size, as wide as far."""
-        return cls(linear / square, radial, -0.5 / square)
+        return cls(_LINEAR_VARIANCE / square, _RADIAL_VARIANCE, -0.5 / square)
 
     def __call__(self, left: FloatArray, right: FloatArray) -> FloatArray:
         """Return the covariance of every row of one with every row of the other."""

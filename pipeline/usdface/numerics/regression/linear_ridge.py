@@ -34,8 +34,6 @@ def fit_linear_ridge(
     outputs: FloatArray,
     *,
     ridges: FloatArray = _RIDGES,
-    shared: bool = False,
-    importance: FloatArray | None = None,
 ) -> LinearRidge:
     """Fit with an unpenalised intercept; choose the ridge by leave-one-out error.
 
@@ -48,10 +46,6 @@ def fit_linear_ridge(
     outputs : (n, s) float array
     ridges : (r,) float array
         Candidates, relative to the largest squared singular value of the centred features.
-    shared : bool
-        One ridge for all outputs instead of one each.
-    importance : (s,) float array, optional
-        Weight of each output's squared error when one ridge is shared.
     """
     if features.ndim != 2 or outputs.ndim != 2 or len(features) != len(outputs):
         raise ValueError(f"{features.shape} features and {outputs.shape} outputs do not pair up")
@@ -69,11 +63,7 @@ def fit_linear_ridge(
     errors = np.stack(
         [(_loo_residuals(left, singular, centred, rotated, r * scale) ** 2).mean(0) for r in ridges]
     )
-    if shared:
-        total = errors @ (np.ones(outputs.shape[1]) if importance is None else importance)
-        chosen = np.full(outputs.shape[1], ridges[first_smallest(total)])
-    else:
-        chosen = ridges[first_smallest(errors)]
+    chosen = ridges[first_smallest(errors)]
     residuals = np.empty_like(centred)
     for ridge in np.unique(chosen):
         same = chosen == ridge

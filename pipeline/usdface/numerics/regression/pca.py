@@ -75,9 +75,7 @@ def sum_moments(blocks: Iterable[ArrayLike]) -> Moments:
     return Moments(count, origin + offset, scatter - count * np.outer(offset, offset))
 
 
-def fit_pca(
-    data: ArrayLike, *, dimensions: int | None = None, variance: float | None = None
-) -> PCA:
+def fit_pca(data: ArrayLike, *, dimensions: int | None = None) -> PCA:
     """Fit principal components to the rows of one array.
 
     Parameters
@@ -85,14 +83,12 @@ def fit_pca(
     data : (n, d) float array
     dimensions : int, optional
         How many to keep; by default as many as the data have.
-    variance : float, optional
-        Keep the fewest that hold this share of the total variance, in (0, 1].
     """
     rows = np.asarray(data)
     if rows.ndim != 2 or len(rows) < 2:
         raise ValueError(f"principal components need at least 2 rows, got shape {rows.shape}")
     if len(rows) > rows.shape[1]:
-        return pca_from_moments(sum_moments([rows]), dimensions=dimensions, variance=variance)
+        return pca_from_moments(sum_moments([rows]), dimensions=dimensions)
     # Few rows: the thin SVD is exact where the covariance would square the condition number.
     points = rows.astype(np.float64)
     if not np.isfinite(points).all():
@@ -100,14 +96,10 @@ def fit_pca(
     mean = points.mean(axis=0)
     _, singular, components = np.linalg.svd(points - mean, full_matrices=False)
     variances = singular**2 / (len(points) - 1)
-    return _keep(
-        mean, components[:-1], variances[:-1], float(variances.sum()), dimensions, variance
-    )
+    return _keep(mean, components[:-1], variances[:-1], float(variances.sum()), dimensions)
 
 
-def pca_from_moments(
-    moments: Moments, *, dimensions: int | None = None, variance: float | None = None
-) -> PCA:
+def pca_from_moments(moments: Moments, *, dimensions: int | None = None) -> PCA:
     """Fit principal components from summed moments; see `fit_pca`."""
     if moments.count < 2:
         raise ValueError(f"principal components need at least 2 rows, got {moments.count}")
@@ -115,8 +107,7 @@ def pca_from_moments(
     rank = min(moments.count - 1, len(values))
     values = np.maximum(values[::-1], 0.0)
     components = vectors.T[::-1][:rank]
-    total = float(values.sum())
-    return _keep(moments.mean, components, values[:rank], total, dimensions, variance)
+    return _keep(moments.mean, components, values[:rank], float(values.sum()), dimensions)
 
 
 def project(pca: PCA, data: ArrayLike) -> FloatArray:
@@ -152,10 +143,7 @@ def _keep(
     variances: FloatArray,
     total: float,
     dimensions: int | None,
-    share: float | None,
 ) -> PCA:
-    if dimensions is not None and share is not None:
-        raise ValueError("give dimensions or variance, not both")
     kept = len(variances)
     if dimensions is not None:
         if not 1 <= dimensions <= kept:
@@ -163,11 +151,6 @@ def _keep(
                 f"dimensions must be from 1 to {kept} for these data, got {dimensions}"
             )
         kept = dimensions
-    if share is not None:
-        if not 0 < share <= 1:
-            raise ValueError(f"variance is a share in (0, 1], got {share}")
-        reached = np.cumsum(variances) >= share * total * (1 - 1e-12)
-        kept = int(np.argmax(reached)) + 1 if reached.any() else kept
     rows = components[:kept].copy()
     peak = rows[np.arange(kept), np.abs(rows).argmax(axis=1)]
     rows *= np.where(peak < 0, -1.0, 1.0)[:, None]

@@ -22,6 +22,9 @@ from usdface.numerics.regression.design_kernel import DesignKernel
 _BATCH_FRAMES = 512
 """Frames whose variance is computed at a time by `design_gp_variance`."""
 
+_FIRST_INFORMATION = 1e-3
+"""Assumed before the first frame; only breaks ties among the first few."""
+
 _LEAST_LENGTH_SHARE = 1e-3
 """Of the largest row's length: what is left of a row below this is no difference."""
 
@@ -49,8 +52,6 @@ def design_d_optimal(
     count: int,
     *,
     already: IntArray | None = None,
-    candidates: BoolArray | None = None,
-    ridge: float = 1e-3,
 ) -> Design:
     """Choose frames that make a linear fit best determined: greedy largest leverage.
 
@@ -65,15 +66,11 @@ def design_d_optimal(
         How many to choose beside those already there.
     already : (n,) int array, optional
         Rows that are in the design and stay in it.
-    candidates : (frames,) bool array, optional
-        Rows that may be chosen; by default all.
-    ridge : float
-        Information assumed before the first frame; only breaks ties among the first few.
     """
-    free, start = _open_rows(features, count, already, candidates)
+    free, start = _open_rows(features, count, already)
     rows = np.column_stack([features, np.ones(len(features))])
-    inverse = np.eye(rows.shape[1]) / ridge
-    leverage = np.einsum("ij,ij->i", rows, rows) / ridge
+    inverse = np.eye(rows.shape[1]) / _FIRST_INFORMATION
+    leverage = np.einsum("ij,ij->i", rows, rows) / _FIRST_INFORMATION
     chosen, gain = [], []
     for turn in range(-len(start), count):
         pick = int(start[turn]) if turn < 0 else _best(leverage, free)
@@ -93,7 +90,6 @@ def design_k_centre(
     count: int,
     *,
     already: IntArray | None = None,
-    candidates: BoolArray | None = None,
 ) -> Design:
     """Choose frames so that none is far from a chosen one: greedy farthest point.
 
@@ -102,14 +98,14 @@ def design_k_centre(
 
     Parameters
     ----------
-    features, count, already, candidates
+    features, count, already
         As for `design_d_optimal`.
 
     References
     ----------
     Gonzalez (1985), Theoretical Computer Science 38, 293-306.
     """
-    free, start = _open_rows(features, count, already, candidates)
+    free, start = _open_rows(features, count, already)
     squared = np.einsum("ij,ij->i", features, features)
 
     def distance_to(point: FloatArray) -> FloatArray:
@@ -141,32 +137,27 @@ def design_gp_variance(
     count: int,
     *,
     already: IntArray | None = None,
-    candidates: BoolArray | None = None,
-    linear: float = 10.0,
-    radial: float = 3.0,
-    width: float = 1.0,
     noise: float = 1e-3,
 ) -> Design:
     """Choose frames whose weights the others determine least: greedy largest GP variance.
 
-    The covariance is ``linear * <x, y> / mean|x|^2 + radial * exp(-|x - y|^2 / (2 width m))``
-    with m the median squared distance between frames. Variance never grows as frames are added,
-    so an old value bounds the new one from above: only frames whose bound could still win are
-    computed again. The result is that of the full pivoted Cholesky factorisation.
+    The covariance is `DesignKernel.for_rows`. Variance never grows as frames are added, so an old
+    value bounds the new one from above: only frames whose bound could still win are computed again.
+    The result is that of the full pivoted Cholesky factorisation.
 
     Parameters
     ----------
-    features, count, already, candidates
+    features, count, already
         As for `design_d_optimal`.
-    linear, radial, width, noise : float
-        See above; `noise` is the variance of a tuned weight around the truth.
+    noise : float
+        Variance of a tuned weight around the truth.
 
     References
     ----------
     Krause, Singh and Guestrin (2008), JMLR 9, 235-284; Minoux (1978) for the lazy evaluation.
     """
-    free, start = _open_rows(features, count, already, candidates)
-    kernel = DesignKernel.for_rows(features, linear=linear, radial=radial, width=width)
+    free, start = _open_rows(features, count, already)
+    kernel = DesignKernel.for_rows(features)
     bound = kernel.diagonal(features)
     rows = np.empty((len(start) + count, features.shape[1]))
     factor = np.zeros((len(rows), len(rows)))
@@ -260,7 +251,7 @@ def _best(score: FloatArray, free: BoolArray) -> int:
 
 
 def _open_rows(
-    features: FloatArray, count: int, already: IntArray | None, candidates: BoolArray | None
+    features: FloatArray, count: int, already: IntArray | None
 ) -> tuple[BoolArray, IntArray]:
     if features.ndim != 2 or not len(features):
         raise ValueError(f"features must be (frames, dimensions), got {features.shape}")
@@ -270,9 +261,7 @@ def _open_rows(
     start = np.zeros(0, dtype=np.int64) if already is None else np.unique(already)
     if len(start) and not (0 <= start[0] and start[-1] < len(features)):
         raise ValueError(f"already names rows {start[0]} to {start[-1]} of {len(features)}")
-    free = np.ones(len(features), dtype=bool) if candidates is None else candidates.copy()
-    if free.shape != (len(features),):
-        raise ValueError(f"candidates must have one entry per frame, got {free.shape}")
+    free = np.ones(len(features), dtype=bool)
     free[start] = False
     if not 0 <= count <= int(free.sum()):
         raise ValueError(f"cannot choose {count} of {int(free.sum())} frames that are free")

@@ -14,6 +14,9 @@ from usdface.core.arrays import FloatArray, IntArray, RealArray
 _RIDGE_SHARE = 0.02
 """Ridge per frame on standardised weights: shapes that act together share the motion."""
 
+LEAST_RELEVANCE = 0.05
+"""Of a marker for a shape: none is ignored wholly."""
+
 _SINGLE_NORM = 1.5
 """Norm of an output's duals up to which its kernels are evaluated in single precision: rounding
 moved sums by at most 2.6e-7 times that norm on mappings of 50 and 100 pairs, 4e-7 of a weight."""
@@ -34,14 +37,7 @@ class RegionalFeatures:
     """(D,)"""
 
 
-def marker_relevance(
-    sample: FloatArray,
-    weights: FloatArray,
-    components: FloatArray,
-    *,
-    sharpness: float = 1.0,
-    floor: float = 0.05,
-) -> FloatArray:
+def marker_relevance(sample: FloatArray, weights: FloatArray, components: FloatArray) -> FloatArray:
     """How much each marker has to do with each shape.
 
     Markers are regressed on weights; a marker's relevance is how far it moves with the shape,
@@ -54,15 +50,11 @@ def marker_relevance(
     weights : (frames, s) float array
         Of the same frames, from any mapping.
     components : (D, markers * 3) float array
-    sharpness : float
-        2 squares the fall-off.
-    floor : float
-        Least relevance: no marker is ignored wholly.
 
     Returns
     -------
     (s, markers) float array
-        In [floor, 1].
+        From `LEAST_RELEVANCE` to 1.
     """
     centred = weights - weights.mean(axis=0)
     standard = centred / (centred.std(axis=0) + 1e-4)
@@ -70,7 +62,7 @@ def marker_relevance(
     moves = np.linalg.solve(normal, standard.T @ (sample - sample.mean(axis=0))) @ components
     length = np.linalg.norm(moves.reshape(len(moves), -1, 3), axis=2)
     share = length / np.maximum(length.max(axis=1, keepdims=True), 1e-12)
-    relevance: FloatArray = np.maximum(share**sharpness, floor)
+    relevance: FloatArray = np.maximum(share, LEAST_RELEVANCE)
     return relevance
 
 

@@ -13,6 +13,7 @@ from usdface.core.arrays import (
     FloatArray,
     RealArray,
     frame_blocks,
+    hold_last_seen,
     sample_frames,
 )
 from usdface.core.progress import Progress, silent
@@ -153,7 +154,7 @@ def clean_markers(
         progress(0.8, "noise")
         smooth_take(still.positions, model, noise=noise)
     known = good | gaps.filled
-    _hold_last_positions(still.positions, known)
+    hold_last_seen(still.positions, known)
     progress(1.0, "clean")
     return CleanedMarkers(
         positions=still.positions,
@@ -265,16 +266,6 @@ def _predict(
     """Return frames without gaps, and what the others predict of each of their markers."""
     complete = fill_missing(model, positions, good)
     return complete, predict_from_others(model, complete)
-
-
-def _hold_last_positions(positions: RealArray, known: BoolArray) -> None:
-    """Give unknown samples the last known position, or before the first that one; in place."""
-    frames = np.arange(len(known))
-    for marker in np.flatnonzero(~known.all(axis=0) & known.any(axis=0)):
-        ok = known[:, marker]
-        latest = np.maximum.accumulate(np.where(ok, frames, -1))
-        latest[latest < 0] = int(np.argmax(ok))
-        positions[~ok, marker] = positions[latest[~ok], marker]
 
 
 def _scale_confidence(

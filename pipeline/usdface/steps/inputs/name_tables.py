@@ -12,7 +12,7 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray, index_of
 from usdface.core.errors import InputError
-from usdface.core.text import first_few, pluralize, read_text
+from usdface.core.text import first_few, pluralize, read_json, read_text
 from usdface.model.retarget.name_matching import NameMatching, name_matching, transfer_matrix
 
 LARGEST_NAMES_BYTES = 16 << 20
@@ -144,10 +144,10 @@ def write_name_table(path: Path, transfer: Transfer) -> None:
 
 
 def _read_rows(path: Path) -> list[tuple[str, str, str, float]]:
-    text = read_text(path, LARGEST_NAMES_BYTES)
     if path.suffix.lower() == ".json":
-        rows = _json_rows(path, text)
+        rows = _json_rows(path)
     else:
+        text = read_text(path, LARGEST_NAMES_BYTES)
         first = text.partition("\n")[0]
         delimiter = ";" if first.count(";") > first.count(",") else ","
         reader = csv.DictReader(io.StringIO(text), delimiter=delimiter)
@@ -163,11 +163,8 @@ def _read_rows(path: Path) -> list[tuple[str, str, str, float]]:
     return [_checked(path, where, row) for where, row in rows]
 
 
-def _json_rows(path: Path, text: str) -> list[tuple[str, dict[str, object]]]:
-    try:
-        data = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: is no valid JSON: {error}") from error
+def _json_rows(path: Path) -> list[tuple[str, dict[str, object]]]:
+    data = read_json(path, LARGEST_NAMES_BYTES)
     listed = data.get("pairs") if isinstance(data, dict) else data
     if not isinstance(listed, list) or not all(isinstance(row, dict) for row in listed):
         raise InputError(

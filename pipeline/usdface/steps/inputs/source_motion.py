@@ -160,10 +160,10 @@ def _check_no_name_twice(path: Path, motion: SourceMotion, transfer: Transfer) -
 
 
 def source_columns(
-    path: Path, motion: SourceMotion, wanted: tuple[str, ...], names: Path | None = None
+    path: Path, motion: SourceMotion, wanted: tuple[str, ...]
 ) -> tuple[FloatArray, tuple[str, ...]]:
     """Return a motion's weights in the order of other names, as `source_transfer` matches them."""
-    transfer, notes = source_transfer(path, motion, wanted, names)
+    transfer, notes = source_transfer(path, motion, wanted, None)
     return motion.weights @ transfer.matrix, notes
 
 

@@ -170,10 +170,6 @@ def _head_notes(performance: Path) -> list[str]:
     ]
 
 
-def _rate_notes(placements: list[_Placement]) -> list[str]:
-    return [note for note in dict.fromkeys(each.rate_note for each in placements) if note]
-
-
 def _check_controls(
     match: SequenceMatch, sequence: EmotionalSequence, controls: Controls, performance: Path
 ) -> None:

@@ -1,6 +1,5 @@
 """Where a rig's logic is read from: the names of its shapes, a table, a Simplex definition."""
 
-import json
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -8,7 +7,7 @@ from typing import Any, cast
 
 from usdface.core.errors import InputError
 from usdface.core.rig_logic import Combination, CombinationMode
-from usdface.core.text import first_few, pluralize, read_text
+from usdface.core.text import first_few, pluralize, read_json
 from usdface.steps.inputs.weight_tables import csv_rows
 
 _LARGEST_BYTES = 1 << 26
@@ -115,10 +114,7 @@ def read_definition(path: Path) -> tuple[Combination, ...]:
             )
             for where, row in csv_rows(path, ("shape", "parts"))
         )
-    try:
-        data = json.loads(read_text(path, _LARGEST_BYTES))
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: is no JSON: {error}") from error
+    data = read_json(path, _LARGEST_BYTES)
     try:
         if isinstance(data, dict) and "progressions" in data:
             return _simplex(data, path)

@@ -1,6 +1,5 @@
 """Read references: the pairs as they compose, and what people tuned in the tuned layer alone."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +10,7 @@ from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import MotionSpace, References
 from usdface.core.errors import InputError
 from usdface.core.rig_logic import Combination
-from usdface.core.text import first_few
+from usdface.core.text import first_few, json_object
 from usdface.usdio.authoring import read_array_samples
 from usdface.usdio.layers import open_layer, read_provenance, refusing_wrong_types
 from usdface.usdio.references.pair_layers import open_pair_stage
@@ -333,11 +332,7 @@ def read_pair_notes(path: Path) -> list[PairNotes]:
 def take_files(path: Path) -> tuple[Path, ...]:
     """Return the takes that a references asset was selected from, as it remembers them."""
     made = read_provenance(path)
-    try:
-        spec = json.loads(made.spec) if made is not None and made.spec else {}
-    except (ValueError, RecursionError):
-        spec = {}
-    takes = spec.get("takes", ()) if isinstance(spec, dict) else ()
+    takes = () if made is None else json_object(made.spec).get("takes", ())
     return tuple(path.parent / str(take) for take in takes)
 
 

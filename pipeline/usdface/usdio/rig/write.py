@@ -5,13 +5,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdSkel, Vt
+from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdSkel
 
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import Rig, RigMesh, ShapeKey
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.rig_logic import Combination
+from usdface.usdio.authoring import index_array, vector_array
 from usdface.usdio.layers import new_layer, open_stage, relative_path
 from usdface.usdio.rig.read import (
     COMBINATION,
@@ -94,17 +95,17 @@ def _define_mesh(stage: Usd.Stage, mesh: RigMesh, skeleton: UsdSkel.Skeleton, ri
         if not stage.GetPrimAtPath(prefix):
             UsdGeom.Scope.Define(stage, prefix)
     geometry = UsdGeom.Mesh.Define(stage, mesh.path)
-    points = _vectors(mesh.points / MM_PER_STAGE_UNIT)
+    points = vector_array(mesh.points / MM_PER_STAGE_UNIT)
     geometry.CreatePointsAttr(points)
     geometry.CreateExtentAttr(UsdGeom.PointBased.ComputeExtent(points))
-    geometry.CreateFaceVertexCountsAttr(_integers(mesh.face_counts))
-    geometry.CreateFaceVertexIndicesAttr(_integers(mesh.face_indices))
+    geometry.CreateFaceVertexCountsAttr(index_array(mesh.face_counts))
+    geometry.CreateFaceVertexIndicesAttr(index_array(mesh.face_indices))
     geometry.CreateSubdivisionSchemeAttr(mesh.subdivision)
     if mesh.colors is not None:
         color = geometry.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex)
-        color.Set(_vectors(mesh.colors))
+        color.Set(vector_array(mesh.colors))
     if mesh.normals is not None:
-        geometry.CreateNormalsAttr(_vectors(mesh.normals))
+        geometry.CreateNormalsAttr(vector_array(mesh.normals))
         geometry.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
     binding = UsdSkel.BindingAPI.Apply(geometry.GetPrim())
     binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
@@ -152,7 +153,7 @@ def _bind_joints(stage: Usd.Stage, mesh: RigMesh, controls: RigControls) -> None
     joints, shares = controls.influences[mesh.path]
     size = joints.shape[1]
     indices = binding.CreateJointIndicesPrimvar(constant=False, elementSize=size)
-    indices.Set(_integers(joints.ravel()))
+    indices.Set(index_array(joints.ravel()))
     weights = binding.CreateJointWeightsPrimvar(constant=False, elementSize=size)
     weights.Set(shares.ravel().tolist())
 
@@ -212,9 +213,9 @@ def author_combination(prim: Usd.Prim, combination: Combination) -> None:
 def _define_keys(target: UsdSkel.BlendShape, keys: tuple[ShapeKey, ...]) -> None:
     """Write a shape's keys over one list of points: USD shares it between in-betweens."""
     points = np.unique(np.concatenate([key.points for key in keys]))
-    target.CreatePointIndicesAttr(_integers(points))
+    target.CreatePointIndicesAttr(index_array(points))
     for key in keys:
-        offsets = _vectors(_spread(key.points, key.offsets, points) / MM_PER_STAGE_UNIT)
+        offsets = vector_array(_spread(key.points, key.offsets, points) / MM_PER_STAGE_UNIT)
         if key.weight == 1.0:
             target.CreateOffsetsAttr(offsets)
         else:
@@ -222,7 +223,7 @@ def _define_keys(target: UsdSkel.BlendShape, keys: tuple[ShapeKey, ...]) -> None
             between.SetWeight(key.weight)
             between.SetOffsets(offsets)
         if key.normal_offsets is not None:
-            normals = _vectors(_spread(key.points, key.normal_offsets, points))
+            normals = vector_array(_spread(key.points, key.normal_offsets, points))
             if key.weight == 1.0:
                 target.CreateNormalOffsetsAttr(normals)
             else:
@@ -233,11 +234,3 @@ def _spread(own: IntArray, values: FloatArray, points: IntArray) -> FloatArray:
     spread = np.zeros((len(points), 3))
     spread[np.searchsorted(points, own)] = values
     return spread
-
-
-def _vectors(values: FloatArray) -> Vt.Vec3fArray:
-    return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(values, dtype=np.float32))
-
-
-def _integers(values: IntArray) -> Vt.IntArray:
-    return Vt.IntArray.FromNumpy(np.ascontiguousarray(values, dtype=np.int32))

@@ -13,7 +13,13 @@ from pxr import Gf, Kind, Sdf, Tf, Usd, UsdGeom, UsdSkel, Vt
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
-from usdface.usdio.authoring import apply_api, author_uniform, define_prim
+from usdface.usdio.authoring import (
+    apply_api,
+    author_uniform,
+    define_prim,
+    index_array,
+    vector_array,
+)
 from usdface.usdio.layers import new_layer, open_stage, relative_path
 from usdface.usdio.rig.mesh import FaceMesh
 from usdface.usdio.units import stage_to_ours, transform_points
@@ -122,7 +128,7 @@ def write_shape_rig(
         relation = Sdf.RelationshipSpec(binding, "skel:blendShapeTargets", False)
         relation.targetPathList.explicitItems = targets
         everything = transform_points(face.world, np.concatenate(extremes))
-        extent = _vectors(np.stack([everything.min(axis=0), everything.max(axis=0)]))
+        extent = vector_array(np.stack([everything.min(axis=0), everything.max(axis=0)]))
         attribute = Sdf.AttributeSpec(
             layer.GetPrimAtPath(root), "extent", Sdf.ValueTypeNames.Float3Array
         )
@@ -198,7 +204,7 @@ def _bind_mesh(
     rest = transform_points(home, face.mesh.points @ np.linalg.inv(ours).T)
     if not np.allclose(rest, face.local, atol=1e-5 * max(float(np.ptp(face.local)), 1e-9)):
         # The asset's skeleton deforms the mesh at rest and the new one does not: its points do.
-        Sdf.AttributeSpec(prim, "points", kinds.Point3fArray).default = _vectors(rest)
+        Sdf.AttributeSpec(prim, "points", kinds.Point3fArray).default = vector_array(rest)
     return rest
 
 
@@ -207,11 +213,7 @@ def _define_shape(
 ) -> None:
     prim = define_prim(layer, path, "BlendShape")
     kinds = Sdf.ValueTypeNames
-    indices = Vt.IntArray.FromNumpy(np.ascontiguousarray(points, dtype=np.int32))
+    indices = index_array(points)
     author_uniform(prim, "pointIndices", kinds.IntArray, indices)
-    author_uniform(prim, "offsets", kinds.Vector3fArray, _vectors(offsets))
+    author_uniform(prim, "offsets", kinds.Vector3fArray, vector_array(offsets))
     prim.customData = {"usdface": {"take": shape.take, "frame": shape.frame, "name": shape.name}}
-
-
-def _vectors(values: FloatArray) -> Vt.Vec3fArray:
-    return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(values, dtype=np.float32))
