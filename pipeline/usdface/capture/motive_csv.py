@@ -68,7 +68,7 @@ def read_motive_csv(path: Path, options: CaptureOptions) -> Capture:
     expects a marker, not where one was seen.
     """
     lines = read_lines(path)
-    header = _read_header(path, lines)
+    header = _read_header(lines)
     starts = [
         at
         for at in range(len(header.axes) - 2)
@@ -127,7 +127,7 @@ def read_motive_csv(path: Path, options: CaptureOptions) -> Capture:
     )
 
 
-def _read_header(path: Path, lines: Iterator[TableLine]) -> _Header:
+def _read_header(lines: Iterator[TableLine]) -> _Header:
     first = next(lines)
     delimiter = sniff_delimiter(first.text) or ","
     stated = _stated(split_cells(first, delimiter))

@@ -274,7 +274,7 @@ def lay_mouth(half: HalfCage, style: Style, form: Form, grid: IntArray) -> None:
     half.faces.append((deepest[3], previous[5], previous[4], previous[3]))
 
 
-def lay_eye(half: HalfCage, style: Style, form: Form, grid: IntArray) -> None:
+def lay_eye(half: HalfCage, style: Style, grid: IntArray) -> None:
     """Rings from the socket's rim over the crease and the lid to behind the eyeball."""
     e = style.eye
     r0, r1, (c0, c1) = EYE_ROWS[0], EYE_ROWS[1], EYE_COLUMNS

@@ -290,7 +290,7 @@ def build_cage(style: Style, form: Form) -> Cage:
     grid = lay_grid(half, style, form)
     lay_grid_faces(half, grid)
     lay_mouth(half, style, form, grid)
-    lay_eye(half, style, form, grid)
+    lay_eye(half, style, grid)
     return _mirrored(half)
 
 

@@ -143,7 +143,7 @@ def test_a_mapping_whose_arrays_do_not_fit_is_refused_or_read(name: str) -> None
 def test_blocks_of_frames_equal_the_method_that_was_judged_cut_off_at_the_ranges(name: str) -> None:
     face = synthetic_face(bend=0.5)
     mapping = trained(face, name)
-    z = marker_coordinates(motion_of(mapping), face.positions).values
+    z = marker_coordinates(motion_of(mapping), face.positions)
     exact = find_method(name).predict(mapping.arrays, mapping.settings, z)
     exact = np.clip(exact, mapping.ranges[:, 0], mapping.ranges[:, 1])
     found = predict_weights(mapping, face.positions).weights
@@ -175,7 +175,7 @@ def test_unseen_markers_are_told_by_the_gaussian_of_the_motion_given_the_seen_on
     assert motion is not None
     visible = np.ones((20, MARKERS), bool)
     visible[:, 7:15] = False
-    found = marker_coordinates(motion, face.positions[:20], visible=visible).values
+    found = marker_coordinates(motion, face.positions[:20], visible=visible)
     # the textbook's conditional mean: cov(z, x) cov(x, x)^-1 (x - mean), x = components' z + noise
     seen = np.repeat(visible[0], 3)
     basis = motion.components[:, seen]

@@ -10,7 +10,7 @@ from usdface.core.assets import SolveBasis, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.model.mapping.coverage import CoverageModel
 from usdface.model.mapping.head_space import MINIMUM_SHARE
-from usdface.model.mapping.motion_space import Coordinates, marker_coordinates, motion_of
+from usdface.model.mapping.motion_space import marker_coordinates, motion_of
 from usdface.model.mapping.uncertainty import UncertaintyModel
 from usdface.model.regressions import REMOVED_METHODS, find_method
 from usdface.model.regressions.base import bend, unbend
@@ -107,9 +107,7 @@ class WeightPredictor:
             part = slice(start, start + _BLOCK_FRAMES)
             seen = None if visible is None else visible[part]
             found = marker_coordinates(self._motion, positions[part], visible=seen)
-            weights[part], uncertainty[part], left[part] = self._solve(
-                found.values, positions[part], seen
-            )
+            weights[part], uncertainty[part], left[part] = self._solve(found, positions[part], seen)
             residual[part] = self._excess(left[part], seen)
             coverage[part] = self._coverage.measure(self._moved(positions[part], seen, found))
         few_markers = _has_few_markers(frames, visible)
@@ -121,13 +119,13 @@ class WeightPredictor:
         self,
         positions: NDArray[np.float32] | NDArray[np.float64],
         visible: BoolArray | None,
-        found: Coordinates,
+        coordinates: FloatArray,
     ) -> FloatArray:
         """Return the displacement of all markers; unseen ones as the others let expect."""
         moved = np.asarray(positions - self._mapping.neutral, dtype=np.float64)
         if visible is not None and not visible.all():
             rows = np.flatnonzero(~visible.all(axis=1))
-            expected = self._motion.mean + found.values[rows] @ self._motion.components
+            expected = self._motion.mean + coordinates[rows] @ self._motion.components
             expected = expected.reshape(len(rows), -1, 3) - self._mapping.neutral
             moved[rows] = np.where(visible[rows, :, None], moved[rows], expected)
         return moved

@@ -135,7 +135,7 @@ def train_mapping(
 
 def _pairs(references: References, face: Face) -> Pairs:
     markers = references.markers.astype(np.float64)
-    return Pairs(marker_coordinates(face.motion, markers).values, references.weights, face, markers)
+    return Pairs(marker_coordinates(face.motion, markers), references.weights, face, markers)
 
 
 def _driven_skin(references: References, skin: FloatArray | None) -> DrivenSkin | None:

@@ -74,9 +74,6 @@ class MarkerPlacement:
     """The same as points of the rig, with the map from the performer's motion to the rig's."""
     explained: float
     """Share of the markers' motion that the shapes explain there [0-1]; NaN without motion."""
-    landmark_mm: dict[str, tuple[str, float]]
-    """dict of str to (str, float): for markers whose label names a landmark of the rig: which, and
-    how far it is [mm]."""
     by_labels: bool
     """Whether labels and landmarks placed the cloud, or motion alone."""
 
@@ -135,19 +132,7 @@ def place_markers(
     if cloud.motion is not None:
         moved = virtual.motion_scale * (cloud.motion @ virtual.rotation.T) @ skin.frame.T
         explained = explained_share(skin, samples, moved, limits)
-    return MarkerPlacement(
-        samples,
-        virtual,
-        explained,
-        {
-            cloud.labels[marker]: (
-                " and ".join(label_hint(cloud.labels[marker]).landmarks),
-                float(np.linalg.norm(skin.positions[samples[marker]] - place)),
-            )
-            for marker, (place, _) in known.items()
-        },
-        named,
-    )
+    return MarkerPlacement(samples, virtual, explained, named)
 
 
 def _above_lid_margins(

@@ -92,8 +92,6 @@ class Stabilization:
     """(frames,) [0-1] 1 where measured, `INTERPOLATED_CONFIDENCE` where interpolated."""
     reference: FloatArray
     """(rigid, 3) [mm] Shape of the rigid markers in the head's space."""
-    rigid_weights: FloatArray
-    """(frames, rigid) [0-1] Weight of each rigid marker in the fit; near 0 when swapped or off."""
 
 
 def stabilize(
@@ -140,7 +138,6 @@ def stabilize(
         head_motion=poses.matrices(),
         pose_confidence=confidence,
         reference=reference,
-        rigid_weights=alignment.weights,
     )
 
 
@@ -182,7 +179,6 @@ def stabilize_by_prior(
         head_motion=poses.matrices(),
         pose_confidence=np.where(alignment.determined, 1.0, INTERPOLATED_CONFIDENCE),
         reference=start,
-        rigid_weights=alignment.weights,
     )
 
 

@@ -141,7 +141,7 @@ def run(spec: AlignSpec, *, provenance: Provenance, progress: Progress = silent)
     evidence = _gather(take, take.video, part(progress, 0.05, 0.9))
     decision = decide(spec, evidence)
     progress(0.9, f"writing {picture.name}")
-    page = _page(spec, take, evidence, decision)
+    page = _page(take, evidence, decision)
     if decision.sync is None:
         refused = Provenance(step=f"{spec.step}{REFUSED}")
         write_image(picture, draw_alignment(page), metadata=provenance_metadata(refused))
@@ -243,7 +243,7 @@ def _compare(camera: Float32Array, capture: Float32Array, progress: Progress) ->
     )
 
 
-def _page(spec: AlignSpec, take: Take, evidence: Evidence, decision: Decision) -> AlignmentPage:
+def _page(take: Take, evidence: Evidence, decision: Decision) -> AlignmentPage:
     sync, sound, labels = decision.sync, evidence.sound, evidence.timecode
     facts = [f"{note[:1].upper()}{note[1:]}." for note in decision.notes]
     if sound is None and evidence.deaf not in decision.source:

@@ -59,10 +59,6 @@ class SelectionScene:
         """Return which markers were measured or repaired at rows of all takes."""
         return self.takes.usable_at(rows)
 
-    def coordinates(self, rows: IntArray) -> FloatArray:
-        """Return rows of all takes in the motion space."""
-        return self.coordinates_of(self.positions(rows))
-
     def coordinates_of(self, positions: FloatArray) -> FloatArray:
         """Return stabilised markers, (frames, markers, 3), in the motion space."""
         return _coordinates(self.motion, positions)

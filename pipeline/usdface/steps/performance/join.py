@@ -25,7 +25,7 @@ def run(spec: JoinSpec, *, provenance: Provenance, progress: Progress = silent) 
     """Merge the parts, or play them as value clips, whichever their size asks for."""
     readers = sorted(map(PerformanceReader, spec.parts), key=lambda each: each.first_frame)
     headers = [reader.header for reader in readers]
-    _check_parts(spec, readers, headers)
+    _check_parts(readers, headers)
     file, prim = readers[0].rig()
     rig = read_rig(file, prim=prim)
     whole = replace(headers[0], last_frame=headers[-1].last_frame)
@@ -68,9 +68,7 @@ def run(spec: JoinSpec, *, provenance: Provenance, progress: Progress = silent) 
     )
 
 
-def _check_parts(
-    spec: JoinSpec, readers: list[PerformanceReader], headers: list[WeightsHeader]
-) -> None:
+def _check_parts(readers: list[PerformanceReader], headers: list[WeightsHeader]) -> None:
     """Raise InputError naming every part that does not fit the first, or leaves a gap."""
     faults = []
     for reader, header in zip(readers[1:], headers[1:], strict=True):

@@ -196,7 +196,7 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress = silent) -
             progress((done - first + 1) / (last - first + 1), f"mapped to frame {done}")
         write_head_layer(spec.out, header, rig, driven, provenance=provenance)
     notes += [*_marker_notes(space), *space.neutral.notes(take.name)]
-    notes += _left_over_notes(mapping, written)
+    notes += _left_over_notes(written)
     notes += _few_marker_notes(first, np.concatenate(written.few_markers))
     notes += edit_notes(spec.out)
     return _report(spec, mapping, first, written, notes, space.neutral.figures())
@@ -327,7 +327,7 @@ def _marker_notes(space: HeadSpace) -> list[str]:
     return notes
 
 
-def _left_over_notes(mapping: TrainedMapping, written: _Written) -> list[str]:
+def _left_over_notes(written: _Written) -> list[str]:
     """Name what of the take the references cannot explain as a whole."""
     notes = []
     frames = sum(map(len, written.uncertainty_mm))

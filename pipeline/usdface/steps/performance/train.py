@@ -218,7 +218,7 @@ def eigenspace_picture(mapping: TrainedMapping, references: References, title: s
             title=title,
             facts=(variance_line(mapping),),
             takes=mapping.arrays["takes_sample"],
-            references=marker_coordinates(motion, markers).values,
+            references=marker_coordinates(motion, markers),
             shares=variance_shares(mapping),
         )
     )
