@@ -49,7 +49,7 @@ def run(spec: CyclicSpec, *, provenance: Provenance, progress: Progress = silent
     weights, said = source_columns(spec.source, motion, pairs.source_shapes)
     picks = np.arange(0, len(weights), spec.every)
     variant = CyclicVariant(
-        truth=None if spec.truth is None else _truth(spec.truth, motion, picks, pairs),
+        truth=None if spec.truth is None else _truth(spec, spec.truth, motion, picks, pairs),
         alpha=None if spec.alpha is None else read_alpha(spec.alpha, picks + motion.first_frame),
         published=spec.published,
     )
@@ -97,7 +97,7 @@ def _rig(spec: CyclicSpec, file: Path | None, prim: str, side: str) -> Rig:
 
 
 def _truth(
-    path: Path, motion: SourceMotion, picks: np.ndarray, pairs: ExpressionPairs
+    spec: CyclicSpec, path: Path, motion: SourceMotion, picks: np.ndarray, pairs: ExpressionPairs
 ) -> FloatArray:
     given = read_weight_table(path, known=pairs.target.shapes, unit=spec.weight_unit)
     given.check_rate(motion.rate, file=path, performance=spec.source)
