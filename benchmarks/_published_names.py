@@ -220,8 +220,9 @@ PUBLISHED = (
     ),
     Published(
         "FACEGOOD",
-        "https://github.com/FACEGOOD/FACEGOOD-Audio2Face; the mouth as its users' converter to "
-        "ARKit has it, the rest by the action units that it is named after",
+        "https://github.com/FACEGOOD/FACEGOOD-Audio2Face; mouth, blinks and looks down as its "
+        "makers' table to ARKit has them (Voice2Face_blendshape2ARkit.xlsx), the rest by the "
+        "action units that it is named after",
         False,
         """
         jawForward > jaw_thrust_c
@@ -253,10 +254,12 @@ PUBLISHED = (
         eyeLookOut<Left,Right> > eye_look<Left_l,Right_r>
         eyeLookIn<Left,Right> > eye_look<Right_l,Left_r>
         eyeLookUp<Left,Right> > eye_lookUp_<l,r>
-        eye_blink1_<l,r> eye_blink2_<l,r> eye_shutTight_<l,r> eye_downLidRaise_<l,r>
+        eyeBlink<Left,Right> > eye_blink2_<l,r>
+        eyeLookDown<Left,Right> > eye_lookDown2_<l,r>
+        eye_blink1_<l,r> eye_shutTight_<l,r> eye_downLidRaise_<l,r> eye_lookDown1_<l,r>
         cheek_suck_<l,r> mouth_lipCornerDepressFix_<l,r> mouth_lipCornerPullOpen_<l,r>
         mouth_lipStretchOpen_<l,r> mouth_lowerLipProtrude_c mouth_oh_c mouth_oo_c mouth_pressFix_c
-        mouth_screamFix_c eye_lookDown1_<l,r> eye_lookDown2_<l,r> tongue_u tongue_d nose_out_<l,r>
+        mouth_screamFix_c tongue_u tongue_d nose_out_<l,r>
         """,
     ),
     Published(

@@ -48,6 +48,21 @@ def test_shapes_that_could_be_either_are_named_not_guessed() -> None:
     assert any(each.startswith("eyeBlinkRight: its other side") for each in found.ambiguous)
 
 
+def test_of_numbered_shapes_the_second_counts_where_their_makers_say_so() -> None:
+    facegood = next(each for each in PUBLISHED if each.name == "FACEGOOD").names()
+    taken = {name for name in ("eye_blink2_l", "eye_lookDown2_r") if name in facegood}
+    assert taken < {name for _, name in matched(facegood)}
+    without = [name for name in facegood if "chew" not in name]
+    assert not taken & {name for _, name in matched(without)}
+
+
+def test_doubts_are_of_what_the_other_rig_has() -> None:
+    twice = ["tongue_Scale_X", "tongue_Scale__X", "jawOpen", "mouth_open"]
+    (note,) = name_matching(twice, ARKIT).ambiguous
+    assert note.startswith("mouth_open: ")
+    assert len(name_matching(twice, [*ARKIT, "tongue_scale_x"]).ambiguous) == 3
+
+
 def test_the_better_known_name_wins_and_the_other_is_named() -> None:
     found = name_matching(ARKIT, ["jawOpen", "mouth_open"])
     assert [(match.name, match.target) for match in found.matches] == [

@@ -5,11 +5,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.usdio.driven_rig import driven_rig
 from tests.usdio.small_creature import write_human
 from usdface.cli import main
 from usdface.publish.collect import take_of
+from usdface.steps.inputs.source_motion import (
+    read_source_motion,
+    source_transfer,
+    unmatched_moving,
+)
 from usdface.steps.review.shot import open_shot
 from usdface.usdio.performance.read import read_weights
+from usdface.usdio.rig.write import write_rig
 
 WEIGHTS = np.round(0.5 + 0.4 * np.sin(np.arange(1, 41) / 5), 4)
 
@@ -53,6 +60,7 @@ def test_rate_unit_and_take_are_stated_and_the_table_is_reviewed(folder: Path) -
     ("header", "row", "options", "words"),
     [
         ("time,JawOpen,jaw_open,smile", "{n},{w},.1,.1", (), "JawOpen and jaw_open are one name"),
+        ("time,jawOpen,jaw_open,smile", "{n},{w},.1,.1", (), "jawOpen and jaw_open are one name"),
         ("frame,jawOpen,smile", "{n},{w},.1", (), "frames per second with --rate"),
         ("frame,time,jawOpen,smile", "{n},{n},{w},.1", ("--rate", 24), "two frame rates"),
         ("time,jawOpen,smile", "{n},{w}x,.1", (), "where a number is expected"),
@@ -92,6 +100,27 @@ def test_what_a_recorder_left_out_is_told(folder: Path, capsys: pytest.CaptureFi
     line = ("retarget", "t.csv", "--rate", 24, "--rig", "human.usda", "--out", "p.usda")
     assert usdface(*line) == 0
     assert "t.csv: 2 of 40 frames were dropped" in capsys.readouterr().out
+
+
+def test_what_is_named_alike_and_is_not_on_the_rig_is_left_out(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """FACEGOOD's tongue: `Scale__X` is no second `Scale_X`, and the rig has neither."""
+    write("t.csv", "time,jawOpen,tongue_Scale_X,tongue_Scale__X,ear_up,earUp", "{n},{w},.1,.2,1,1")
+    assert usdface("retarget", "t.csv", "--rig", "human.usda", "--out", "p.usda") == 0
+    assert "no counterpart for 4 moving shapes" in capsys.readouterr().out
+
+
+def test_what_a_rig_drives_itself_is_not_missed_elsewhere(folder: Path) -> None:
+    write_rig(folder / "logic.usda", driven_rig())
+    write("t.csv", "time,jawOpen,smile", "{n},{w},{w}")
+    line = ("retarget", "t.csv", "--rig", "logic.usda", "--out", "driven.usda")
+    assert usdface(*line) == 0
+    motion = read_source_motion(folder / "driven.usda")
+    assert motion.weights[:, motion.names.index("jaw_smile")].max() > 0.1
+    assert set(motion.moving) == {"jawOpen", "smile"}
+    transfer, _ = source_transfer(folder / "driven.usda", motion, ("jawOpen", "smile"))
+    assert not unmatched_moving(transfer, motion)
 
 
 def test_what_a_take_says_itself_is_not_stated(

@@ -82,8 +82,17 @@ def name_matching(source: Sequence[str], target: Sequence[str]) -> NameMatching:
     alike = _alike([*exact, *found], left, right, doubts)
     ordered = sorted(alike, key=lambda match: place[match.name])
     by |= {match.name: "meaning" for match in found}
-    notes = tuple(f"{name}: {reason}" for name, reason in doubts.items())
+    notes = tuple(
+        f"{name}: {reason}"
+        for name, reason in doubts.items()
+        if _concerns(name, left, right) or _concerns(name, right, left)
+    )
     return NameMatching(tuple(ordered), notes, by)
+
+
+def _concerns(name: str, own: Mapping[str, Meaning], others: Mapping[str, Meaning]) -> bool:
+    """Whether the other rig has a part of what a shape does."""
+    return name in own and any(own[name].cells & each.cells for each in others.values())
 
 
 def transfer_matrix(

@@ -15,6 +15,8 @@ from itertools import pairwise, product
 from usdface.model.retarget.shape_vocabulary import (
     ACTION_UNITS,
     CENTRES,
+    FACEGOOD_MARKS,
+    FACEGOOD_SECOND,
     FILLERS,
     METAHUMAN_MARKS,
     ROWED,
@@ -82,6 +84,10 @@ def read_meanings(names: Sequence[str]) -> dict[str, Meaning]:
             later = _read(each[len(start) :], corners)
             meaning = replace(later, rank=later.rank + 0.25) if later.understood else meaning
         found[name] = meaning
+    if _marks_among(names, FACEGOOD_MARKS) == len(FACEGOOD_MARKS):
+        for name, meaning in found.items():
+            if meaning.motion in FACEGOOD_SECOND and "2" in words[name]:
+                found[name] = replace(meaning, rank=meaning.rank - 0.25)
     return found
 
 
@@ -93,11 +99,13 @@ def motion_and_side(name: str) -> tuple[str, str]:
 
 def has_metahuman_controls(names: Sequence[str]) -> bool:
     """Tell MetaHuman's raw controls, whatever stands before their names."""
-    found = set()
-    for name in names:
-        words = frozenset(WORDS.get(each, each) for each in _words(name))
-        found |= {mark for mark in METAHUMAN_MARKS if mark <= words}
-    return len(found) >= 2
+    return _marks_among(names, METAHUMAN_MARKS) >= 2
+
+
+def _marks_among(names: Sequence[str], marks: frozenset[frozenset[str]]) -> int:
+    """Return how many phrases of one vocabulary a list of names has."""
+    every = [frozenset(WORDS.get(each, each) for each in _words(name)) for name in names]
+    return sum(any(mark <= words for words in every) for mark in marks)
 
 
 def mirrored(cells: frozenset[Cell]) -> frozenset[Cell]:

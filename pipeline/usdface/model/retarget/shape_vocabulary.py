@@ -323,6 +323,13 @@ METAHUMAN_MARKS = frozenset(
 )
 """Phrases of MetaHuman's raw controls; two of them tell that a rig has these."""
 
+FACEGOOD_MARKS = frozenset({frozenset({"mouth", "chew"}), frozenset({"eye", "close", "tight"})})
+"""Phrases of FACEGOOD's rig; both tell that a rig has its shapes."""
+
+FACEGOOD_SECOND = ("eyeblink", "eyelookdown")
+"""Motions of which it has two shapes by number. The second is ARKit's, as its makers' table says:
+https://github.com/FACEGOOD/FACEGOOD-Audio2Face, `Voice2Face_blendshape2ARkit.xlsx`."""
+
 METAHUMAN_POSES = (
     ("browinnerup", "browlateral", 1.0),
     ("browouterup", "browinnerup", 1.0),

@@ -4,7 +4,8 @@ import csv
 import io
 import json
 import math
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -68,8 +69,29 @@ def meaning_notes(transfer: Transfer) -> list[str]:
             f"{meant[0]['source']} to {meant[0]['target']}; `usdface names` lists them"
         )
     if transfer.ambiguous:
-        notes.append(f"not matched, as it is not clear: {first_few(transfer.ambiguous, most=3)}")
+        notes.append(f"not matched: {first_few(transfer.ambiguous, most=3)}")
     return notes
+
+
+def check_no_name_twice(path: Path, names: Iterable[str], transfer: Transfer) -> None:
+    """Refuse names that differ in capitals and separators alone, where one keeps another out.
+
+    Raises
+    ------
+    InputError
+        With both names.
+    """
+    spelled: dict[str, str] = {}
+    doubtful = {each.partition(": ")[0] for each in transfer.ambiguous}
+    for name in names:
+        # A double one may be a sign: FACEGOOD's `Scale__X` is the way back of `Scale_X`.
+        letters = re.sub(r"(?<![\W_])[\W_](?![\W_])", "", name).lower()
+        other = spelled.setdefault(letters, name)
+        if other != name and {name, other} & doubtful:
+            raise InputError(
+                f"{path}: {other} and {name} are one name twice, and which of them is meant cannot "
+                "be told; take one out, or pair them with --names"
+            )
 
 
 def transfer_by_names(
@@ -121,7 +143,7 @@ def transfer_by_table(path: Path, source: Sequence[str], target: Sequence[str]) 
             f"{path}: none of its {pluralize(len(rows), 'row')} is of a shape of the source, which "
             f"has {first_few(source, most=3)}; is it the table of another source?"
         )
-    notes = (f"not in this source: {first_few(absent)}",) if absent else ()
+    notes = tuple(f"{name}, of {path.name}: is no shape of this source" for name in absent)
     by = dict.fromkeys((theirs for _, theirs, _, _ in rows), "table")
     return Transfer(tuple(source), tuple(target), matrix, by, notes)
 

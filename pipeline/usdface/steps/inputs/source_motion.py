@@ -17,6 +17,7 @@ from usdface.core.sidecars import LAYER_SUFFIXES
 from usdface.core.text import first_few, pluralize
 from usdface.steps.inputs.name_tables import (
     Transfer,
+    check_no_name_twice,
     meaning_notes,
     transfer_by_names,
     transfer_by_table,
@@ -47,6 +48,8 @@ class SourceMotion:
     """SMPTE timecode of the first frame, empty when unknown."""
     emotion: str = ""
     """Of the take, empty when unknown."""
+    driven: frozenset[str] = frozenset()
+    """Shapes that others drive on the source's rig: a target's logic makes its own of them."""
     notes: tuple[str, ...] = ()
     """What a capture's reader assumed or filled."""
 
@@ -57,10 +60,14 @@ class SourceMotion:
 
     @property
     def moving(self) -> tuple[str, ...]:
-        """Shapes that are used; rotations of the head and the eyes are none."""
+        """Shapes that are used; rotations of the head and the eyes, and driven shapes, are none."""
         used = np.abs(self.weights).max(axis=0, initial=0.0) > MOVING_WEIGHT
         named = zip(self.names, used, strict=True)
-        return tuple(name for name, each in named if each and not _ROTATION.search(name))
+        return tuple(
+            name
+            for name, each in named
+            if each and name not in self.driven and not _ROTATION.search(name)
+        )
 
 
 def read_source_motion(
@@ -111,6 +118,7 @@ def read_source_motion(
         first_frame=first,
         rate=performance.rate,
         timecode_start=performance.timecode_at(first),
+        driven=frozenset(each.shape for each in performance.combinations),
     )
 
 
@@ -129,7 +137,7 @@ def source_transfer(
     """
     if names is None:
         transfer = transfer_by_names(motion.names, wanted)
-        _check_no_name_twice(path, motion, transfer)
+        check_no_name_twice(path, motion.moving, transfer)
     else:
         transfer = transfer_by_table(names, motion.names, wanted)
     matched, moving = set(transfer.matched), motion.moving
@@ -144,19 +152,6 @@ def source_transfer(
             + "".join(f". {note}" for note in meaning_notes(transfer))
         )
     return transfer, _transfer_notes(path, transfer, motion)
-
-
-def _check_no_name_twice(path: Path, motion: SourceMotion, transfer: Transfer) -> None:
-    """Refuse shapes that move, drive nothing, and differ in capitals and separators alone."""
-    spelled: dict[str, str] = {}
-    for name in unmatched_moving(transfer, motion):
-        letters = re.sub(r"[\W_]", "", name).lower()
-        if letters in spelled:
-            raise InputError(
-                f"{path}: {spelled[letters]} and {name} are one name twice, and which of them is "
-                "meant cannot be told; take one out, or pair them with --names"
-            )
-        spelled[letters] = name
 
 
 def source_columns(

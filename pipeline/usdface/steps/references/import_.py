@@ -12,7 +12,7 @@ from usdface.core.text import first_few, pluralize
 from usdface.runner.origin import provenance_of, spec_of
 from usdface.runner.result import StepResult
 from usdface.specs.references import ReferencesImportSpec
-from usdface.steps.inputs.name_tables import meaning_notes, transfer_by_table
+from usdface.steps.inputs.name_tables import check_no_name_twice, meaning_notes, transfer_by_table
 from usdface.steps.inputs.tuned_pairs import tuned_conflicts
 from usdface.steps.inputs.weight_tables import WeightTable, read_weight_table, weights_meant
 from usdface.usdio.references.read import TunedPair, read_references
@@ -35,6 +35,7 @@ def run(
     combinations = {each.shape for each in references.combinations}
     if spec.names is None:
         table, transfer = given.by_meaning(references.shape_names, leave=combinations)
+        check_no_name_twice(spec.weights, transfer.source, transfer)
     else:
         transfer = transfer_by_table(spec.names, given.names, references.shape_names)
         table = given.renamed(transfer)

@@ -91,7 +91,7 @@ def _report(
         notes.append(
             f"{pluralize(len(still), 'shape')} of {rig.name} not driven: {first_few(still)}"
         )
-    notes += [f"not clear: {each}" for each in transfer.ambiguous]
+    notes += [f"not matched: {each}" for each in transfer.ambiguous]
     return StepResult(
         () if out is None else (out,),
         f"{len(matched)} of {pluralize(len(transfer.source), 'shape')} of {label} drive "

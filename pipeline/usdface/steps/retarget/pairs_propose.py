@@ -162,7 +162,7 @@ def _match(
         named = list(found.matches)
         if found.ambiguous:
             doubts = first_few(found.ambiguous, most=3)
-            notes.append(f"not matched by name, as it is not clear: {doubts}")
+            notes.append(f"not matched by name: {doubts}")
     used = {name for match in named for name, _ in match.source}
     unmatched = [name for name in shapes if name not in used]
     if unmatched:
