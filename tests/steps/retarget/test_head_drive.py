@@ -30,6 +30,7 @@ from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.steps.review.pictures import ShotPictures
 from usdface.steps.review.shot import open_shot
 from usdface.usdio.performance.head_layer import opens_head, turned_xforms
+from usdface.usdio.performance.read import read_weights
 from usdface.usdio.rig.posed_points import PosedRig
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.rig_motion import RigMotion
@@ -289,6 +290,86 @@ def test_wrong_names_are_refused(
     assert not [each for each in said if each not in message], message
     assert not out.exists()
     assert not head_path(out).exists()
+
+
+def add_eyeball(rig: Path, *, of_joint: bool) -> Rig:
+    """Give the left eye a ball, a look that turns it, and one that moves the skin alone."""
+    stage = Usd.Stage.Open(str(rig))
+    place = "/Hero/geo/ball" if of_joint else "/Hero/props/eyeball/ball"
+    ball = UsdGeom.Mesh.Define(stage, place)
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
+    ball.CreatePointsAttr([Gf.Vec3f(*each) for each in (corners + REST[2]).tolist()])
+    ball.CreateFaceVertexCountsAttr([4, 4])
+    ball.CreateFaceVertexIndicesAttr([0, 1, 3, 2, 4, 5, 7, 6])
+    binding = UsdSkel.BindingAPI.Apply(ball.GetPrim())
+    binding.CreateSkeletonRel().SetTargets(["/Hero/rig/skeleton"])
+    if of_joint:
+        binding.CreateJointIndicesPrimvar(True, 1).Set([JOINTS.index("spine/neck/eye_L")])
+        binding.CreateJointWeightsPrimvar(True, 1).Set([1.0])
+    skin = UsdSkel.BindingAPI(stage.GetPrimAtPath("/Hero/geo/skin"))
+    turned = Rotation.from_euler("y", 30, degrees=True).apply(corners) - corners
+    for mesh, name, offsets in (
+        (binding, "eyeLookOut_L", turned),
+        (skin, "eyeLookDown_L", np.ones((12, 3))),
+    ):
+        prim = UsdSkel.BlendShape.Define(stage, mesh.GetPath().AppendChild(name))
+        prim.CreateOffsetsAttr([Gf.Vec3f(*each) for each in offsets.tolist()])
+        names = list(mesh.GetBlendShapesAttr().Get() or ())
+        mesh.CreateBlendShapesAttr().Set([*names, name])
+        mesh.CreateBlendShapeTargetsRel().AddTarget(prim.GetPath())
+    stage.GetRootLayer().Save()
+    return read_rig(rig)
+
+
+@pytest.mark.parametrize("of_joint", [True, False])
+def test_a_look_that_turns_a_driven_eyeball_is_held(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], of_joint: bool
+) -> None:
+    """Gaze would be doubled. A look that moves lids alone goes on."""
+    write_character(tmp_path / "hero.usda")
+    rig = add_eyeball(tmp_path / "hero.usda", of_joint=of_joint)
+    source, out = write_source(tmp_path / "shot.csv"), tmp_path / "o.usda"
+    common = ("retarget", source, "--rate", 30, "--rig", rig.file, "--overwrite", "--out", out)
+    eye = "eye_L" if of_joint else "/Hero/props/eyeball"
+    moving = {}
+    for drive in ((), ("--drive", "head=neck"), ("--drive", f"left_eye={eye}")):
+        assert usdface(*common, *drive) == 0
+        clip = read_weights(out)
+        moving[drive[-1:]] = {n for n, w in zip(clip.names, clip.values.T, strict=True) if w.any()}
+        said = capsys.readouterr().out
+        assert ("held at 0, since --drive turns the same eyeballs: eyeLookOut_L" in said) == (
+            drive[-1:] == (f"left_eye={eye}",)
+        )
+    looks = {"jawOpen", "eyeLookOut_L", "eyeLookDown_L"}
+    assert list(moving.values()) == [looks, looks, looks - {"eyeLookOut_L"}]
+
+
+def test_small_angles_in_degrees_are_noticed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """All are below half a turn in radians as well, and look like it."""
+    rig = write_character(tmp_path / "hero.usda")
+    source, out = write_source(tmp_path / "shot.csv"), tmp_path / "o.usda"
+    header, *rows = source.read_text(encoding="utf-8").splitlines()
+    names, columns = header.split(","), np.array([row.split(",") for row in rows], float)
+    looks = [n for n, name in enumerate(names) if name.startswith("eyeLook")]
+    for part in ("Head", "LeftEye"):
+        turned = [n for n, name in enumerate(names) if name.startswith(part)]
+        degrees = np.degrees(columns[:, turned])
+        less = 3 / np.abs(degrees).max()
+        columns[:, turned] = less * degrees
+    common = ("retarget", source, "--rate", 30, "--weight-unit", "one", "--rig", rig.file)
+    common += ("--drive", "head=neck", "--drive", "left_eye=eye_L", "--overwrite", "--out", out)
+    columns[:, looks] *= less
+    np.savetxt(source, columns, "%.9f", ",", header=header, comments="")
+    assert usdface(*common) == 2
+    assert "times as far as the weights of its looks, so they are in degrees" in " ".join(
+        capsys.readouterr().err.split()
+    )
+    columns[:, looks] = 0
+    np.savetxt(source, columns, "%.9f", ",", header=header, comments="")
+    assert usdface(*common) == 0
+    assert "if that is too far, its angles are not in radians" in capsys.readouterr().out
 
 
 def test_degrees_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

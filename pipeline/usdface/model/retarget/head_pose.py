@@ -41,6 +41,10 @@ agrees with the weights of their looks by a correlation above 0.99, and its yaw 
 _TELLING_RADIANS = 0.02
 """Standard deviation of a look from which on it tells the sign of an angle."""
 
+_DEGREES_RATIO = 5.0
+"""Of the spread of an eye's angles to that of its looks, beyond which the angles are in degrees. In
+two recordings of Live Link Face it is 0.43 to 0.80 in radians, and so 24 to 46 in degrees."""
+
 _FEWEST_SHAPES = 3
 """That a similarity is told by."""
 
@@ -59,7 +63,7 @@ def recorded_angles(names: Sequence[str], weights: FloatArray) -> dict[str, Floa
     Raises
     ------
     ValueError
-        If an angle is beyond half a turn: then it is in degrees.
+        If an angle is in degrees: beyond half a turn, or eyes go much farther than their looks.
     """
     found: dict[str, FloatArray] = {}
     for column, name in enumerate(names):
@@ -72,8 +76,20 @@ def recorded_angles(names: Sequence[str], weights: FloatArray) -> dict[str, Floa
         part = match["part"].lower().replace("_", "").replace("eye", "_eye")
         at = _AXES[match["axis"].lower().removeprefix("rotation").lstrip("_")]
         found.setdefault(part, np.zeros((len(weights), 3)))[:, at] = weights[:, column]
-    signs = _recorded_signs(found, look_angles(names, weights))
+    looked = look_angles(names, weights)
+    _check_radians(found, looked)
+    signs = _recorded_signs(found, looked)
     return {part: signs * angles for part, angles in found.items()}
+
+
+def look_shapes(names: Sequence[str]) -> dict[str, set[str]]:
+    """Return the shapes that make eyes look somewhere, each with these eyes."""
+    cells = {name: each.cells for name, each in read_meanings(names).items()}
+    looks = {
+        name: {_EYE_OF[side] for motion, side, _ in each if motion.startswith("eyelook")}
+        for name, each in cells.items()
+    }
+    return {name: eyes for name, eyes in looks.items() if eyes}
 
 
 def look_angles(names: Sequence[str], weights: FloatArray) -> dict[str, FloatArray]:
@@ -91,6 +107,19 @@ def look_angles(names: Sequence[str], weights: FloatArray) -> dict[str, FloatArr
             turned = angles.setdefault(_EYE_OF[side], np.zeros((len(weights), 3)))
             turned[:, axis] += sign * FULL_LOOK_RADIANS * weights[:, column]
     return angles
+
+
+def _check_radians(recorded: dict[str, FloatArray], looked: dict[str, FloatArray]) -> None:
+    """Refuse small angles in degrees: 57 times what the weights of looks say."""
+    for eye in EYES:
+        if eye in recorded and eye in looked:
+            by_channel, by_look = recorded[eye][:, :2].std(), looked[eye][:, :2].std()
+            if by_look > _TELLING_RADIANS and by_channel > _DEGREES_RATIO * by_look:
+                raise ValueError(
+                    f"the angles of the {eye.replace('_', ' ')} go {by_channel / by_look:.0f} "
+                    "times as far as the weights of its looks, so they are in degrees, and are "
+                    "needed in radians: convert them, and those of the head"
+                )
 
 
 def _recorded_signs(recorded: dict[str, FloatArray], looked: dict[str, FloatArray]) -> FloatArray:

@@ -5,26 +5,39 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig
+from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
+from usdface.core.text import first_few
 from usdface.model.placement.rig_orientation import face_axes, face_centre
 from usdface.model.retarget.head_pose import (
     EYES,
     HEAD,
     look_angles,
+    look_shapes,
     recorded_angles,
     rotations_of,
     turn_about,
 )
-from usdface.usdio.rig.drive_targets import DriveTarget, find_drive_target
+from usdface.usdio.rig.drive_targets import DriveTarget, HeadDrive, find_drive_target
+from usdface.usdio.rig.rig_motion import points_following
 from usdface.usdio.take.read import TakeReader
 
 _REMEDY = {
     HEAD: "needs HeadMotion of a cleaned take, or channels such as HeadYaw that move",
     **dict.fromkeys(EYES, "needs channels such as LeftEyeYaw that move, or weights of eyeLook"),
 }
+
+
+_TURNED_SHARE = 0.05
+"""Of an eyeball's size: a look that moves it farther turns it. 30 degrees move its front by a
+quarter of it."""
+
+_FARTHEST_DEGREES = {HEAD: 60.0, **dict.fromkeys(EYES, 45.0)}
+"""Beyond which angles are rather in degrees than that far."""
 
 
 @dataclass(frozen=True)
@@ -65,10 +78,61 @@ class HeadSource:
                 )
         return made
 
+    def drive(
+        self, rig: Rig, targets: Sequence[DriveTarget], onto: FloatArray | None = None
+    ) -> HeadDrive:
+        """Return what moves the targets; see `transforms`."""
+        held = doubled_looks(rig, targets)
+        notes = []
+        for target in targets:
+            turns = self.turns.get(target.part)
+            if turns is not None:
+                degrees = float(np.degrees(Rotation.from_matrix(turns).magnitude().max()))
+                far = degrees > _FARTHEST_DEGREES[target.part]
+                notes.append(
+                    f"{target.part} turns by up to {degrees:.0f} degrees"
+                    + ("; if that is too far, its angles are not in radians: convert them" * far)
+                )
+        if held:
+            notes.append(
+                f"held at 0, since --drive turns the same eyeballs: {first_few(held)}; what else "
+                "they move, such as lids, is still"
+            )
+        return HeadDrive(self.transforms(rig, targets, onto), held, tuple(notes))
+
     def _upright_onto(self, rig: Rig, axes: FloatArray) -> FloatArray:
         onto = np.eye(4)
         onto[:3, :3], onto[:3, 3] = axes, face_centre(rig) - axes @ self.centre
         return onto
+
+
+def doubled_looks(rig: Rig, targets: Sequence[DriveTarget]) -> tuple[str, ...]:
+    """Return the shapes that turn eyeballs which a target turns as well: gaze would be doubled.
+
+    A look of both eyes counts where both are driven. Looks that move lids alone are none.
+    """
+    eyes = {each.part: each for each in targets if each.part in EYES}
+    looks = look_shapes(rig.shapes)
+    if not eyes or not looks:
+        return ()
+    deformer = Deformer(rig)
+    offsets = deformer.shapes.target_offsets()
+    balls = {
+        part: points_following(rig, each.path, is_joint=each.is_joint)
+        for part, each in eyes.items()
+    }
+    sizes = {
+        part: np.ptp(deformer.neutral[ball], axis=0).max() if ball.any() else np.inf
+        for part, ball in balls.items()
+    }
+    found = []
+    for name, sides in looks.items():
+        moved = offsets[[rig.shapes.index(name)]].toarray().reshape(-1, 3)
+        if sides <= eyes.keys() and any(
+            np.abs(moved[balls[eye]]).max(initial=0.0) > _TURNED_SHARE * sizes[eye] for eye in sides
+        ):
+            found.append(name)
+    return tuple(found)
 
 
 def named_targets(rig: Rig, drive: Sequence[str]) -> tuple[DriveTarget, ...]:

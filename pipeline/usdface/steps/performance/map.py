@@ -34,7 +34,7 @@ from usdface.usdio.mapping import read_mapping
 from usdface.usdio.performance.head_layer import write_head_layer
 from usdface.usdio.performance.weights_layer import every_shape, make_header
 from usdface.usdio.performance.write import writing_performance
-from usdface.usdio.rig.drive_targets import DriveTarget
+from usdface.usdio.rig.drive_targets import HeadDrive
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import TakeReader
 
@@ -164,13 +164,14 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress = silent) -
         ),
         neutral_frame=space.neutral.neutral_frame,
         basis=basis_of(mapping),
+        held=driven.held,
     )
     with writing_performance(
         spec.out,
         header,
         rig,
         part_frames=_part_frames(spec, last - first + 1, len(rig.shapes)),
-        above=[head_path(spec.out)] if driven else [],
+        above=[head_path(spec.out)] if spec.drive else [],
         provenance=provenance,
     ) as writer:
         predictions = _predict(spec, mapping, take, space, windows)
@@ -194,8 +195,8 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress = silent) -
             written.add(solved, rows)
             done = min(block.stop - 1, last)
             progress((done - first + 1) / (last - first + 1), f"mapped to frame {done}")
-        write_head_layer(spec.out, header, rig, driven, provenance=provenance)
-    notes += [*_marker_notes(space), *space.neutral.notes(take.name)]
+        write_head_layer(spec.out, header, rig, driven.transforms, provenance=provenance)
+    notes += [*driven.notes, *_marker_notes(space), *space.neutral.notes(take.name)]
     notes += _left_over_notes(written)
     notes += _few_marker_notes(first, np.concatenate(written.few_markers))
     notes += edit_notes(spec.out)
@@ -225,10 +226,10 @@ def _driven(
     space: HeadSpace,
     rig: Rig,
     frames: tuple[int, int],
-) -> dict[DriveTarget, FloatArray]:
-    """Return what the take's head and eyes move on the rig: a target's (frames, 4, 4) [mm]."""
+) -> HeadDrive:
+    """Return what the take's head and eyes do on the rig."""
     if not spec.drive:
-        return {}
+        return HeadDrive()
     from usdface.model.retarget.head_pose import performer_onto_rig  # mapping starts without these
     from usdface.steps.inputs.head_drive import named_targets, take_head_source
 
@@ -239,7 +240,7 @@ def _driven(
         onto = performer_onto_rig(mapping, rig) @ into_mapping
     except ValueError as error:
         raise InputError(f"{spec.mapping}: how the performer lies on the rig: {error}") from error
-    return take_head_source(take, *frames).transforms(rig, targets, onto)
+    return take_head_source(take, *frames).drive(rig, targets, onto)
 
 
 def _run_baseline(spec: MapSpec, provenance: Provenance, progress: Progress) -> StepResult:

@@ -33,7 +33,7 @@ from usdface.usdio.performance.head_layer import write_head_layer
 from usdface.usdio.performance.weights_layer import WeightsHeader, every_shape, make_header
 from usdface.usdio.retarget.control_performance import writing_control_performance
 from usdface.usdio.retarget.retargeting import read_retargeting
-from usdface.usdio.rig.drive_targets import DriveTarget
+from usdface.usdio.rig.drive_targets import HeadDrive
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import TakeReader, is_take
 
@@ -95,8 +95,10 @@ def run(spec: RetargetSpec, *, provenance: Provenance, progress: Progress = sile
         out = spec.out[index]
         share = part(progress, index / len(targets), (index + 1) / len(targets))
         header = _header(spec, motion, target)
+        header = replace(header, held=heads[index].held)
         _write(out, header, motion, target, heads[index], alpha, share, provenance)
-        notes += [f"{out.name}: {note}" for note in (*target.notes, *edit_notes(out))]
+        said = (*target.notes, *heads[index].notes, *edit_notes(out))
+        notes += [f"{out.name}: {note}" for note in said]
         outputs += [out, weights_path(out)]
         if target.trained and (target.trained.joints or target.trained.attributes):
             outputs.append(controls_path(out))
@@ -157,19 +159,17 @@ def _target(spec: RetargetSpec, index: int, motion: SourceMotion) -> _Target:
     return _Target(rig, trained, transfer, (*notes, *_dead(spec, trained, motion, transfer)))
 
 
-def _heads(
-    spec: RetargetSpec, motion: SourceMotion, targets: list[_Target]
-) -> list[dict[DriveTarget, FloatArray]]:
-    """Return for each target what the source's head and eyes move on it: (frames, 4, 4) [mm]."""
+def _heads(spec: RetargetSpec, motion: SourceMotion, targets: list[_Target]) -> list[HeadDrive]:
+    """Return for each target what the source's head and eyes do on it."""
     if not spec.drive:
-        return [{} for _ in targets]
+        return [HeadDrive() for _ in targets]
     found = [named_targets(each.rig, spec.drive) for each in targets]
     if spec.source.suffix.lower() in LAYER_SUFFIXES and is_take(spec.source):
         take = TakeReader(spec.source)
         head = take_head_source(take, motion.first_frame, motion.last_frame)
     else:
         head = weights_head_source(spec.source, motion.names, motion.weights)
-    return [head.transforms(each.rig, own) for each, own in zip(targets, found, strict=True)]
+    return [head.drive(each.rig, own) for each, own in zip(targets, found, strict=True)]
 
 
 def _header(spec: RetargetSpec, motion: SourceMotion, target: _Target) -> WeightsHeader:
@@ -190,7 +190,7 @@ def _write(
     header: WeightsHeader,
     motion: SourceMotion,
     target: _Target,
-    head: dict[DriveTarget, FloatArray],
+    head: HeadDrive,
     alpha: FloatArray | None,
     progress: Progress,
     provenance: Provenance,
@@ -202,7 +202,7 @@ def _write(
         target.rig,
         joints=trained.joints if trained else (),
         attributes=trained.attributes if trained else (),
-        above=[head_path(out)] if head else [],
+        above=[head_path(out)] if head.transforms else [],
         provenance=provenance,
     ) as writer:
         count = len(motion.weights)
@@ -214,7 +214,7 @@ def _write(
             done = min(start + _CHUNK_FRAMES, count)
             progress(done / count, f"{out.name}: frame {motion.first_frame + done - 1}")
         write_head_layer(
-            out, header, target.rig, head, controls=writer.layer, provenance=provenance
+            out, header, target.rig, head.transforms, controls=writer.layer, provenance=provenance
         )
 
 

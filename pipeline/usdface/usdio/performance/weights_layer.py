@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from pxr import Sdf, Usd, Vt
 
-from usdface.core.arrays import Float32Array, FloatArray, IntArray, RealArray
+from usdface.core.arrays import Float32Array, FloatArray, IntArray, RealArray, index_of
 from usdface.core.assets import Rig, SolveBasis
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
@@ -77,6 +77,8 @@ class WeightsHeader:
     """What the mapping learnt from."""
     unmatched: tuple[str, ...] = ()
     """Shapes that move in the source of a retargeting and drive nothing."""
+    held: tuple[str, ...] = ()
+    """Shapes that are written at 0, whatever is appended: joints do what they do."""
     combinations: tuple[Combination, ...] = ()
     """Written after the shapes, as these drive them."""
 
@@ -118,6 +120,8 @@ class WeightsWriter:
         )
         self._unsaved = 0
         self._header = header
+        names = index_of(header.shape_names)
+        self._held = [names[name] for name in header.held if name in names]
         self._logic = logic_of(header.shape_names, header.combinations)
         self.next_frame = header.first_frame
 
@@ -148,6 +152,7 @@ class WeightsWriter:
         for start in range(0, len(weights), self._save_frames):
             part = slice(start, start + self._save_frames)
             rows: RealArray = np.pad(weights[part], ((0, 0), (0, rest)))
+            rows[:, self._held] = 0.0
             if self._logic is not None:
                 rows = self._logic.complete(rows, self._header.shape_names)
             self._append_block(

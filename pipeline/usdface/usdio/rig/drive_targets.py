@@ -1,6 +1,7 @@
 """Joints and Xforms of a rig that a performer's head and eyes may drive."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
@@ -27,6 +28,17 @@ class DriveTarget:
     is_joint: bool
     pivot: tuple[float, float, float]
     """What it turns about, in the rig's world [mm]."""
+
+
+@dataclass(frozen=True)
+class HeadDrive:
+    """What a performer's head and eyes do on one rig."""
+
+    transforms: Mapping[DriveTarget, FloatArray] = field(default_factory=dict)
+    """(frames, 4, 4) by target, from rest, in the rig's world [mm]."""
+    held: tuple[str, ...] = ()
+    """Shapes that turn the same eyeballs, and are left at 0 for it."""
+    notes: tuple[str, ...] = ()
 
 
 def find_drive_target(rig: Rig, part: str, name: str) -> DriveTarget:

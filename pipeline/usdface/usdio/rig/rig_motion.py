@@ -12,7 +12,7 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 from scipy import sparse
 
-from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.core.assets import Rig
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.performance.read import PerformanceReader
@@ -125,6 +125,30 @@ class RigMotion:
         if not self._animation.GetRotationsAttr().GetNumTimeSamples():
             return []
         return list(map(str, self._animation.GetJointsAttr().Get() or ()))
+
+
+def points_following(rig: Rig, path: str, *, is_joint: bool) -> BoolArray:
+    """Return which points of all meshes follow a joint for more than half, or lie below a prim."""
+    if not is_joint:
+        own = [
+            np.full(len(each.points), Sdf.Path(each.path).HasPrefix(path)) for each in rig.meshes
+        ]
+        return np.concatenate(own)
+    rest = _Placement(open_stage(rig.file), Sdf.Path(rig.prim))
+    found = []
+    for mesh in rig.meshes:
+        share = np.zeros(len(mesh.points))
+        query, target = rest.binding(Sdf.Path(mesh.path).MakeRelativePath(rest.root))
+        if query is not None and target is not None and target.HasJointInfluences():
+            joints = target.GetJointOrder() or query.GetJointOrder()
+            below = [at for at, each in enumerate(joints) if f"{each}/".startswith(f"{path}/")]
+            indices, weights = (
+                np.array(each).reshape(len(share), -1)
+                for each in target.ComputeVaryingJointInfluences(len(share))
+            )
+            share = np.where(np.isin(indices, below), weights, 0.0).sum(axis=1)
+        found.append(share > 0.5)
+    return np.concatenate(found)
 
 
 def _with_rig(path: Path, rig: Rig, place: Sdf.Path) -> Usd.Stage:
