@@ -282,6 +282,34 @@ def test_a_shape_that_maya_exported_per_mesh_is_one_source(tmp_path: Path) -> No
     np.testing.assert_allclose(given.columns(SKIN), SOLVED, atol=1e-7)
 
 
+def test_a_rig_that_maya_exported_moves_a_shape_on_every_mesh(tmp_path: Path) -> None:
+    """Its skin's and teeth's `jawOpen` are two channels of one shape."""
+    write_rig(tmp_path / "rig.usda", small_rig())
+    stage = Usd.Stage.Open(str(tmp_path / "rig.usda"))
+    for mesh in ("skin", "teeth"):
+        binding = UsdSkel.BindingAPI(stage.GetPrimAtPath(f"/Hero/geo/{mesh}"))
+        names = [each.name for each in binding.GetBlendShapeTargetsRel().GetTargets()]
+        binding.GetBlendShapesAttr().Set([f"_{mesh}_Deformer_{name}" for name in names])
+    stage.Save()
+    rig = read_rig(tmp_path / "rig.usda")
+    assert rig.shapes == tuple(f"_skin_Deformer_{name}" for name in SKIN)
+    path = tmp_path / "shot.hero.usda"
+    header = make_header(rig, shape_names=rig.shapes, rate=Fraction(24), first_frame=FIRST,
+                         last_frame=LAST)  # fmt: skip
+    with writing_performance(path, header, rig) as writer:
+        writer.append(SOLVED)
+    reader = PerformanceReader(path)
+    assert reader.names[-1] == "_teeth_Deformer_jawOpen"
+    np.testing.assert_array_equal(reader.edited()[:, -1], SOLVED[:, 0])
+    assert set(read_source_motion(path).names) == set(SKIN)
+    given = read_weight_table(path, known=rig.shapes)
+    np.testing.assert_array_equal(given.columns(rig.shapes).astype(np.float32), SOLVED)
+    curves = curves_of()
+    for mesh in curves.values():
+        mesh["jawOpen"][3] = 0.9
+    assert bring_back(path, exported(tmp_path, curves, **MAYA)).figures["frames"] == 1
+
+
 def test_channels_of_a_single_mesh_keep_their_names(tmp_path: Path) -> None:
     changed = exported(tmp_path, {"skin": curves_of()["skin"]}, **MAYA)
     assert read_source_motion(changed).names[0] == "_skin_Deformer_jawOpen"

@@ -189,10 +189,12 @@ def _table_of(path: Path, unit: str | None, shapes: Path | None) -> WeightTable:
 
 def _renamed_by_a_tool(path: Path, known: tuple[str, ...]) -> ExportedWeights | None:
     """Return weights by what their channels drive, where these have names that nobody expects."""
+    reader = PerformanceReader(path)
+    if set(reader.names) & set(known):
+        return None
     if has_channels_per_mesh(path):
         return read_exported_weights(path)
-    reader = PerformanceReader(path)
-    if not known or set(reader.names) & set(known):
+    if not known:
         return None
     exported = read_exported_weights(path)
     if exported is None:

@@ -18,6 +18,7 @@ from usdface.core.arrays import FloatArray
 from usdface.core.errors import InputError
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.performance.read import PerformanceReader, animations_of_skeletons
+from usdface.usdio.rig.read import channels_per_mesh
 
 MAKER = "Blender"
 """The exporter's documentation of a layer starts with it: ``Blender v5.0.1``."""
@@ -59,24 +60,13 @@ def is_of_blender(path: Path) -> bool:
 
 @refusing_wrong_types
 def has_channels_per_mesh(path: Path) -> bool:
-    """Whether channels are named after mesh and shape, so that one shape has several.
-
-    Then every channel of a mesh is the name of the shape that it drives behind what stands for the
-    mesh, and another mesh has one of these shapes under another name.
-    """
+    """Whether channels are named after mesh and shape, so that one shape has several."""
     stage = open_stage(path)
     animations = list(animations_of_skeletons(stage).values())
     if len(animations) != 1:
         return False
-    starts: dict[str, set[str]] = {}
-    for mesh in _meshes(stage, animations[0].GetPath()):
-        channels = _shapes_of_channels(mesh)
-        own = {name.removesuffix(shape) for name, shape in channels.items()}
-        if len(own) != 1 or own & {"", *channels}:
-            return False
-        for shape in channels.values():
-            starts.setdefault(shape, set()).update(own)
-    return any(len(each) > 1 for each in starts.values())
+    found = channels_per_mesh(_meshes(stage, animations[0].GetPath()))
+    return any(len(each) > 1 for each in found.values())
 
 
 @refusing_wrong_types

@@ -1,6 +1,6 @@
 """Read a rig as it is found: meshes bound to BlendShapes, over any number of meshes."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import cast
@@ -88,8 +88,38 @@ def shape_metadata(path: Path, prim: str, name: str) -> list[tuple[str, object]]
     return list(found.items())
 
 
+def channels_per_mesh(meshes: Iterable[UsdSkel.BindingAPI]) -> dict[str, list[str]]:
+    """Return each shape's channels where these are named after mesh and shape, as Maya's are.
+
+    Then every channel of a mesh ends in the name of the BlendShape prim that it drives, and begins
+    with what stands for the mesh. Nothing is returned of meshes whose channels are not so.
+
+    Returns
+    -------
+    dict of str to list of str
+        By the prims' names; the channel of the mesh with the most shapes first.
+    """
+    by_mesh = []
+    for mesh in meshes:
+        channels = list(map(str, mesh.GetBlendShapesAttr().Get() or ()))
+        shapes = [each.name for each in mesh.GetBlendShapeTargetsRel().GetTargets()]
+        starts = {each.removesuffix(name) for each, name in zip(channels, shapes, strict=False)}
+        if len(starts) > 1 or starts & {"", *channels}:
+            return {}
+        by_mesh.append(dict(zip(shapes, channels, strict=False)))
+    found: dict[str, list[str]] = {}
+    for own in sorted(by_mesh, key=len, reverse=True):
+        for shape, channel in own.items():
+            if channel not in found.setdefault(shape, []):
+                found[shape].append(channel)
+    return found
+
+
 def read_combinations(root: Usd.Prim, path: Path) -> tuple[Combination, ...]:
-    """Read which shapes below a SkelRoot others drive; see `order_combinations`."""
+    """Read which shapes below a SkelRoot others drive; see `order_combinations`.
+
+    A shape that has a channel on every mesh is driven by that of the mesh with the most shapes.
+    """
     found, names = dict[str, Combination](), set[str]()
     for name, prim in shape_prims(root):
         names.add(name)
@@ -112,6 +142,9 @@ def read_combinations(root: Usd.Prim, path: Path) -> tuple[Combination, ...]:
                 f"{path} <{prim.GetPath()}>: states {combination}, another mesh {found[name]}; "
                 "make them equal"
             )
+    for first, *others in channels_per_mesh(map(UsdSkel.BindingAPI, _meshes_below(root))).values():
+        for name in others:
+            found.setdefault(name, Combination(name, (first,)))
     return order_combinations(found.values(), names, source=path)
 
 
