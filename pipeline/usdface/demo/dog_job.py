@@ -12,7 +12,7 @@ from usdface.core.controls import Controls
 from usdface.core.progress import Progress, part, silent
 from usdface.demo import DOG_JOB_NAME
 from usdface.demo.acting import performance
-from usdface.demo.dog import DOG_ATTRIBUTES, act, expressions, write_dog
+from usdface.demo.dog import act, expressions, write_dog
 from usdface.demo.job import make_folder
 from usdface.demo.rig import demo_rig
 from usdface.runner.job import JobEvents, run_job
@@ -161,7 +161,7 @@ def dog_job() -> JobSpec:
                 source=talk,
                 source_frames=f"{_SMILE.start}-{_SMILE.stop - 1}",
                 target=Path("dog_smile.usda"),
-                attributes=DOG_ATTRIBUTES,
+                attributes=("rig/lattice.*",),
                 label="happiness",
                 out=smile,
             ),
