@@ -15,6 +15,7 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.errors import InputError
+from usdface.core.text import read_text
 
 LARGEST_BYTES = 4 << 30
 """Ten hours of 100 markers at 120 frames per second are about this much text."""
@@ -260,3 +261,34 @@ def _number(cell: str, delimiter: str | None, place: str, gaps: bool) -> float:
     raise InputError(
         f"{place}: {found} where a number is expected; export the take again, or correct the cell"
     )
+
+
+_LARGEST_CSV_BYTES = 1 << 30
+
+
+def csv_rows(path: Path, columns: Sequence[str]) -> list[tuple[str, dict[str, object]]]:
+    """Read the rows of a table that has these columns, each with where it stands."""
+    lines = read_text(path, _LARGEST_CSV_BYTES).splitlines()
+    reader = csv.DictReader(lines, delimiter=sniff_delimiter(next(iter(lines), "")) or ",")
+    header = reader.fieldnames or []
+    missing = [name for name in columns if name not in header]
+    if missing:
+        raise InputError(
+            f"{path} line 1: has no `{missing[0]}` column; the first line must name the columns"
+        )
+    repeated = sorted({name for name in header if header.count(name) > 1})
+    if repeated:
+        raise InputError(f"{path} line 1: column {repeated[0]!r} is there twice; keep one")
+    rows: list[tuple[str, dict[str, object]]] = []
+    try:
+        for row in reader:
+            surplus = row.pop(None, None) or []
+            if any(value.strip() for value in surplus):  # all that stand before it are in doubt
+                raise InputError(
+                    f"{path} line {reader.line_num}: has {len(header) + len(surplus)} values for "
+                    f"{len(header)} columns; write decimals with a point, not a comma"
+                )
+            rows.append((f"line {reader.line_num}", dict(row)))
+        return rows
+    except csv.Error as error:
+        raise InputError(f"{path} line {reader.line_num}: {error}") from error

@@ -6,6 +6,11 @@ from pathlib import Path
 LAYER_SUFFIXES = (".usda", ".usdc", ".usd")
 
 
+def is_usd_name(path: Path) -> bool:
+    """Whether a file has the name of a USD layer or of a package."""
+    return path.suffix.lower() in (*LAYER_SUFFIXES, ".usdz")
+
+
 def weights_path(performance: Path) -> Path:
     """Return the layer with the solve of a performance: NAME.weights.usdc beside NAME.usda."""
     return performance.with_name(f"{performance.stem}.weights.usdc")

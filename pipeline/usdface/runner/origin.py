@@ -6,13 +6,14 @@ from typing import Any
 
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance, canonical_json, hash_files
-from usdface.core.sidecars import LAYER_SUFFIXES
+from usdface.core.sidecars import LAYER_SUFFIXES, is_usd_name
 from usdface.core.text import json_object
 from usdface.specs.base import Spec
 from usdface.specs.paths import IMAGE_SUFFIXES, Reads, Writes
 from usdface.specs.review import MOVIE_SUFFIXES, PAGE_SUFFIXES
 from usdface.usdio.layers import is_layer_name, read_provenance
 from usdface.usdio.referenced_files import dependencies, referenced_files
+from usdface.usdio.take.read import is_take
 
 LARGEST_FIGURES_BYTES = 64 << 20
 
@@ -173,3 +174,51 @@ def path_made_from(file: Path, field: str) -> Path | None:
         return None
     path = file.parent / named
     return path if path.is_file() else None
+
+
+def find_take(performance: Path, given: Path | None) -> Path:
+    """Return the take that a performance was mapped from.
+
+    Parameters
+    ----------
+    given : Path or None
+        What the command names; None leaves it to the provenance.
+
+    Raises
+    ------
+    InputError
+        If it is not known where the take is, or another is given.
+    """
+    made, own = provenance_of(performance), take_of_performance(performance)
+    if given is None:
+        if own is None:
+            raise InputError(f"{performance}: does not say which take it is of; give it by --take")
+        if not own.is_file():
+            raise InputError(f"{performance}: its take, {own}, is gone; say where by --take")
+        return own
+    same_name = own is None or own.name == given.name
+    if same_name or made is None or hash_input(given) in made.inputs.values():
+        return given
+    raise InputError(
+        f"{given}: not the take of {performance.name}, which was mapped from {own}; leave out "
+        "--take, or map this take first"
+    )
+
+
+def take_of_performance(performance: Path) -> Path | None:
+    """Return the take that a performance says it was made of; None where it says none.
+
+    Of one that was retargeted it is the source's.
+    """
+    file, seen = performance, set[Path]()
+    while file not in seen:
+        seen.add(file)
+        spec = spec_of(provenance_of(file))
+        mapped = "take" in spec and "source" not in spec  # a table's take is no file
+        named = spec.get("take") if mapped else spec.get("source")
+        if not isinstance(named, str) or not named:
+            return None
+        file = file.parent / named
+        if mapped or not file.is_file() or not is_usd_name(file) or is_take(file):
+            return file
+    return None

@@ -15,9 +15,8 @@ from usdface.core.sidecars import tuned_path
 from usdface.media.picture.image import read_image_metadata
 from usdface.runner.execute import execute
 from usdface.specs.references import ReferenceSheetSpec, ReferencesImportSpec, SelectSpec
-from usdface.steps.inputs.tuned_pairs import read_set_references
 from usdface.steps.references import select
-from usdface.usdio.references.read import read_references, read_tuned_pairs
+from usdface.usdio.references.read import read_references, read_set_references, read_tuned_pairs
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
 from usdface.usdio.take.read import read_take

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from usdface.core.arrays import FloatArray, index_of
+from usdface.core.text import first_few, pluralize
 from usdface.model.retarget.shape_names import (
     Cell,
     Meaning,
@@ -45,6 +46,42 @@ class NameMatching:
     """Shapes that are left out, each with the reason, for people."""
     by: Mapping[str, str] = field(default_factory=dict)
     """Of each match by its name: ``name``, if the names are the same, or ``meaning``."""
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """A linear map from the shapes of a source to those of a target."""
+
+    source: tuple[str, ...]
+    target: tuple[str, ...]
+    matrix: FloatArray
+    """(source shapes, target shapes)"""
+    by: dict[str, str] = field(default_factory=dict)
+    """What a source shape was matched by: ``name``, ``meaning``, ``deformation`` or ``table``."""
+    ambiguous: tuple[str, ...] = ()
+    """Shapes that could be either of two, each with the reason."""
+
+    @property
+    def matched(self) -> tuple[str, ...]:
+        """Source shapes that drive something."""
+        return tuple(np.array(self.source, object)[(self.matrix != 0).any(axis=1)].tolist())
+
+    @property
+    def driven(self) -> tuple[str, ...]:
+        """Target shapes that something drives."""
+        return tuple(np.array(self.target, object)[(self.matrix != 0).any(axis=0)].tolist())
+
+    def rows(self) -> list[dict[str, object]]:
+        """Return the map as rows of a table."""
+        return [
+            {
+                "source": self.source[i],
+                "target": self.target[j],
+                "weight": float(self.matrix[i, j]),
+                "by": self.by.get(self.source[i], "meaning"),
+            }
+            for i, j in np.argwhere(self.matrix != 0).tolist()
+        ]
 
 
 def match_names(source: Sequence[str], target: Sequence[str]) -> tuple[NameMatch, ...]:
@@ -119,6 +156,35 @@ def transfer_matrix(
         return np.asarray(left.T @ right)
     found = np.linalg.pinv(left) @ right
     return np.where(np.abs(found) < _SMALLEST_WEIGHT, 0.0, found)
+
+
+def transfer_by_names(
+    source: Sequence[str], target: Sequence[str], *, matching: NameMatching | None = None
+) -> Transfer:
+    """Match by what names mean."""
+    found = name_matching(source, target) if matching is None else matching
+    matrix = transfer_matrix(found.matches, source, target)
+    by = {
+        name: found.by.get(match.name, "meaning")
+        for match in found.matches
+        for name, _ in match.source
+    }
+    return Transfer(tuple(source), tuple(target), matrix, by, found.ambiguous)
+
+
+def meaning_notes(transfer: Transfer) -> list[str]:
+    """Return what to tell of shapes that were matched by meaning, or could be either of two."""
+    notes = []
+    meant = [row for row in transfer.rows() if row["by"] == "meaning"]
+    if meant:
+        shapes = dict.fromkeys(row["source"] for row in meant)
+        notes.append(
+            f"matched by the meaning of their names: {pluralize(len(shapes), 'shape')}, such as "
+            f"{meant[0]['source']} to {meant[0]['target']}; `usdface names` lists them"
+        )
+    if transfer.ambiguous:
+        notes.append(f"not matched: {first_few(transfer.ambiguous, most=3)}")
+    return notes
 
 
 def _settle(

@@ -14,7 +14,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.rates import exact_rate, frames_of
-from usdface.core.sidecars import LAYER_SUFFIXES, samples_path
+from usdface.core.sidecars import is_usd_name, samples_path
 from usdface.core.text import pluralize
 from usdface.media.film.image_sequence import open_video
 from usdface.model.placement.plausibility import judge_markers, settle_findings
@@ -91,7 +91,7 @@ def _labelled(takes: list[Take], spec: IngestSpec) -> list[Take]:
 
 
 def _read_source(source: Path, spec: IngestSpec) -> Capture:
-    if source.suffix.lower() in (*LAYER_SUFFIXES, ".usdz"):
+    if is_usd_name(source):
         return _read_usd(source, spec)
     capture = read_capture(
         source,

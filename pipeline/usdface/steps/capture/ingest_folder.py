@@ -7,7 +7,7 @@ from pathlib import Path
 from usdface.capture.sniff import VIDEO_SUFFIXES, read_capture, recognise_format
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
-from usdface.core.sidecars import LAYER_SUFFIXES
+from usdface.core.sidecars import is_usd_name
 from usdface.core.text import first_few, pluralize
 from usdface.runner.execute import execute_each
 from usdface.runner.result import StepResult
@@ -183,7 +183,7 @@ def _is_capture(path: Path) -> bool:
     suffix = path.suffix.lower()
     if suffix in CAPTURE_SUFFIXES:
         return True
-    if suffix in (*LAYER_SUFFIXES, ".usdz"):
+    if is_usd_name(path):
         return not path.name.endswith(_TAKES)
     try:
         if recognise_format(path).name.startswith("weights-"):

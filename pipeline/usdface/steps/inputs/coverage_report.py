@@ -22,7 +22,7 @@ from usdface.steps.inputs.scene import (
     set_up_scene,
     takes_head_space,
 )
-from usdface.steps.inputs.tuned_pairs import read_set_references
+from usdface.usdio.references.read import read_set_references
 from usdface.usdio.rig.read import read_rig
 
 FURTHER_FRAMES = 10

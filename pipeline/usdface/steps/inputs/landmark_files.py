@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
+from usdface.capture.text_table import csv_rows
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig, RigMesh
 from usdface.core.errors import InputError
 from usdface.core.sidecars import LAYER_SUFFIXES
 from usdface.core.text import first_few, read_text
 from usdface.numerics.registration.surface_places import nearest_places
-from usdface.steps.inputs.weight_tables import csv_rows
 from usdface.usdio.rig.mesh import rig_surfaces
 from usdface.usdio.surface.placement import read_given_places, rig_units_to_ours
 

@@ -6,71 +6,22 @@ import json
 import math
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, index_of
+from usdface.capture.text_table import csv_rows
+from usdface.core.arrays import index_of
 from usdface.core.errors import InputError
-from usdface.core.text import first_few, pluralize, read_json, read_text
-from usdface.model.retarget.name_matching import NameMatching, name_matching, transfer_matrix
+from usdface.core.text import first_few, pluralize, read_json
+from usdface.model.retarget.name_matching import (
+    Transfer,
+)
 
 LARGEST_NAMES_BYTES = 16 << 20
 COLUMNS = ("source", "target", "weight")
 LARGEST_SHARE = 10.0
 """Of a source's weight that a target takes; beyond it a table holds percent, or a slip."""
-
-
-@dataclass(frozen=True)
-class Transfer:
-    """A linear map from the shapes of a source to those of a target."""
-
-    source: tuple[str, ...]
-    target: tuple[str, ...]
-    matrix: FloatArray
-    """(source shapes, target shapes)"""
-    by: dict[str, str] = field(default_factory=dict)
-    """What a source shape was matched by: ``name``, ``meaning``, ``deformation`` or ``table``."""
-    ambiguous: tuple[str, ...] = ()
-    """Shapes that could be either of two, each with the reason."""
-
-    @property
-    def matched(self) -> tuple[str, ...]:
-        """Source shapes that drive something."""
-        return tuple(np.array(self.source, object)[(self.matrix != 0).any(axis=1)].tolist())
-
-    @property
-    def driven(self) -> tuple[str, ...]:
-        """Target shapes that something drives."""
-        return tuple(np.array(self.target, object)[(self.matrix != 0).any(axis=0)].tolist())
-
-    def rows(self) -> list[dict[str, object]]:
-        """Return the map as rows of a table."""
-        return [
-            {
-                "source": self.source[i],
-                "target": self.target[j],
-                "weight": float(self.matrix[i, j]),
-                "by": self.by.get(self.source[i], "meaning"),
-            }
-            for i, j in np.argwhere(self.matrix != 0).tolist()
-        ]
-
-
-def meaning_notes(transfer: Transfer) -> list[str]:
-    """Return what to tell of shapes that were matched by meaning, or could be either of two."""
-    notes = []
-    meant = [row for row in transfer.rows() if row["by"] == "meaning"]
-    if meant:
-        shapes = dict.fromkeys(row["source"] for row in meant)
-        notes.append(
-            f"matched by the meaning of their names: {pluralize(len(shapes), 'shape')}, such as "
-            f"{meant[0]['source']} to {meant[0]['target']}; `usdface names` lists them"
-        )
-    if transfer.ambiguous:
-        notes.append(f"not matched: {first_few(transfer.ambiguous, most=3)}")
-    return notes
 
 
 def check_no_name_twice(path: Path, names: Iterable[str], transfer: Transfer) -> None:
@@ -92,20 +43,6 @@ def check_no_name_twice(path: Path, names: Iterable[str], transfer: Transfer) ->
                 f"{path}: {other} and {name} are one name twice, and which of them is meant cannot "
                 "be told; take one out, or pair them with --names"
             )
-
-
-def transfer_by_names(
-    source: Sequence[str], target: Sequence[str], *, matching: NameMatching | None = None
-) -> Transfer:
-    """Match by what names mean."""
-    found = name_matching(source, target) if matching is None else matching
-    matrix = transfer_matrix(found.matches, source, target)
-    by = {
-        name: found.by.get(match.name, "meaning")
-        for match in found.matches
-        for name, _ in match.source
-    }
-    return Transfer(tuple(source), tuple(target), matrix, by, found.ambiguous)
 
 
 def transfer_by_table(path: Path, source: Sequence[str], target: Sequence[str]) -> Transfer:
@@ -166,20 +103,8 @@ def write_name_table(path: Path, transfer: Transfer) -> None:
 
 
 def _read_rows(path: Path) -> list[tuple[str, str, str, float]]:
-    if path.suffix.lower() == ".json":
-        rows = _json_rows(path)
-    else:
-        text = read_text(path, LARGEST_NAMES_BYTES)
-        first = text.partition("\n")[0]
-        delimiter = ";" if first.count(";") > first.count(",") else ","
-        reader = csv.DictReader(io.StringIO(text), delimiter=delimiter)
-        missing = [name for name in COLUMNS[:2] if name not in (reader.fieldnames or ())]
-        if missing:
-            raise InputError(
-                f"{path} line 1: has no `{missing[0]}` column; write `{','.join(COLUMNS)}`, as "
-                "`usdface names --out` does"
-            )
-        rows = [(f"line {reader.line_num}", dict(row)) for row in reader]
+    is_json = path.suffix.lower() == ".json"
+    rows = _json_rows(path) if is_json else csv_rows(path, COLUMNS[:2])
     if not rows:
         raise InputError(f"{path}: holds no pair of names")
     return [_checked(path, where, row) for where, row in rows]

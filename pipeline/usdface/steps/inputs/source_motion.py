@@ -13,15 +13,10 @@ from usdface.core.arrays import FloatArray
 from usdface.core.assets import Take
 from usdface.core.errors import InputError
 from usdface.core.rates import shift_timecode
-from usdface.core.sidecars import LAYER_SUFFIXES
+from usdface.core.sidecars import is_usd_name
 from usdface.core.text import first_few, pluralize
-from usdface.steps.inputs.name_tables import (
-    Transfer,
-    check_no_name_twice,
-    meaning_notes,
-    transfer_by_names,
-    transfer_by_table,
-)
+from usdface.model.retarget.name_matching import Transfer, meaning_notes, transfer_by_names
+from usdface.steps.inputs.name_tables import check_no_name_twice, transfer_by_table
 from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.usdio.performance.exported_weights import has_channels_per_mesh
 from usdface.usdio.performance.read import PerformanceReader
@@ -87,7 +82,7 @@ def read_source_motion(
         it itself.
     """
     stated = {name: value for name, value in stated.items() if value is not None}
-    is_layer = path.suffix.lower() in (*LAYER_SUFFIXES, ".usdz")
+    is_layer = is_usd_name(path)
     capture = None if is_layer else read_capture(path, **stated)
     if stated and (capture is None or capture.format != "weights"):
         option = next(iter(stated)).replace("_", "-")

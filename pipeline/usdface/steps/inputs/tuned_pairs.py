@@ -8,7 +8,7 @@ import numpy as np
 from usdface.core.arrays import IntArray
 from usdface.core.assets import References, Rig
 from usdface.core.errors import InputError
-from usdface.core.sidecars import proposed_path, tuned_path
+from usdface.core.sidecars import tuned_path
 from usdface.model.selection.coverage import (
     ReferenceConflict,
     conflict_text,
@@ -18,47 +18,13 @@ from usdface.specs.references import SelectSpec
 from usdface.steps.inputs.cleaned_takes import CleanedTakes
 from usdface.usdio.references.read import (
     TunedPair,
-    check_tuned_layer,
-    read_proposals,
+    find_keyed_pairs,
     read_references,
+    read_set_references,
     read_tuned_pairs,
 )
 
-SAME_WEIGHT = 1e-6
-"""Weights that differ by less are equal: layers hold single precision."""
-
 _LISTED_CONFLICTS = 5
-
-
-def find_keyed_pairs(path: Path, references: References) -> list[int]:
-    """Return the pairs whose weights are neither those proposed nor those marked as tuned.
-
-    Parameters
-    ----------
-    references : References
-        As it composes.
-    """
-    check_tuned_layer(tuned_path(path), references)
-    shown = read_proposals(proposed_path(path), references).copy()
-    for each in read_tuned_pairs(tuned_path(path)):
-        shown[each.pair] = [each.weights.get(name, 0.0) for name in references.shape_names]
-    away = np.abs(references.weights - shown).max(axis=1, initial=0.0) > SAME_WEIGHT
-    return list(np.flatnonzero(away).tolist())
-
-
-def read_set_references(path: Path) -> References:
-    """Read references of which those count as tuned that a person set, on the page or in a DCC.
-
-    Where the layers beneath the asset cannot be read, those that are marked.
-    """
-    references = read_references(path)
-    try:
-        keyed = find_keyed_pairs(path, references)
-    except InputError:
-        return references
-    tuned = references.tuned.copy()
-    tuned[keyed] = True
-    return replace(references, tuned=tuned)
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,5 @@
 """Weights by frame from files of any tool: CSV, JSON or USD."""
 
-import csv
 import math
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
@@ -10,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.capture.text_table import sniff_delimiter
+from usdface.capture.text_table import csv_rows
 from usdface.capture.weight_table import in_fractions, read_weight_samples, row_frames
 from usdface.core.arrays import FloatArray, IntArray, columns_by_name
 from usdface.core.errors import InputError
-from usdface.core.sidecars import LAYER_SUFFIXES
-from usdface.core.text import first_few, pluralize, read_text
-from usdface.steps.inputs.name_tables import Transfer, transfer_by_names
+from usdface.core.sidecars import LAYER_SUFFIXES, is_usd_name
+from usdface.core.text import first_few, pluralize
+from usdface.model.retarget.name_matching import Transfer, transfer_by_names
 from usdface.usdio.mapping import read_alpha_keys
 from usdface.usdio.performance.exported_weights import (
     ExportedWeights,
@@ -26,8 +25,6 @@ from usdface.usdio.performance.exported_weights import (
     read_exported_weights,
 )
 from usdface.usdio.performance.read import PerformanceReader
-
-LARGEST_TABLE_BYTES = 1 << 30
 
 
 @dataclass(frozen=True)
@@ -146,7 +143,7 @@ def read_weight_table(
     shapes : Path, optional
         Names of the columns of a .npy matrix; see `read_weight_samples`.
     """
-    if path.suffix.lower() in (*LAYER_SUFFIXES, ".usdz"):
+    if is_usd_name(path):
         if unit is not None or shapes is not None:
             option = "shapes" if unit is None else "weight-unit"
             raise InputError(
@@ -220,34 +217,6 @@ def _exported_table(exported: ExportedWeights, known: tuple[str, ...], *, cut: b
         },
         cut=cut,
     )
-
-
-def csv_rows(path: Path, columns: Sequence[str]) -> list[tuple[str, dict[str, object]]]:
-    """Read the rows of a table that has these columns, each with where it stands."""
-    lines = read_text(path, LARGEST_TABLE_BYTES).splitlines()
-    reader = csv.DictReader(lines, delimiter=sniff_delimiter(next(iter(lines), "")) or ",")
-    header = reader.fieldnames or []
-    missing = [name for name in columns if name not in header]
-    if missing:
-        raise InputError(
-            f"{path} line 1: has no `{missing[0]}` column; the first line must name the columns"
-        )
-    repeated = sorted({name for name in header if header.count(name) > 1})
-    if repeated:
-        raise InputError(f"{path} line 1: column {repeated[0]!r} is there twice; keep one")
-    rows: list[tuple[str, dict[str, object]]] = []
-    try:
-        for row in reader:
-            surplus = row.pop(None, None) or []
-            if any(value.strip() for value in surplus):  # all that stand before it are in doubt
-                raise InputError(
-                    f"{path} line {reader.line_num}: has {len(header) + len(surplus)} values for "
-                    f"{len(header)} columns; write decimals with a point, not a comma"
-                )
-            rows.append((f"line {reader.line_num}", dict(row)))
-        return rows
-    except csv.Error as error:
-        raise InputError(f"{path} line {reader.line_num}: {error}") from error
 
 
 def _number(path: Path, where: str, column: str, value: object) -> float:

@@ -24,8 +24,8 @@ from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.performance import TrainSpec
 from usdface.steps.inputs.placement import registered_places
-from usdface.steps.inputs.tuned_pairs import read_set_references
 from usdface.usdio.mapping import write_mapping
+from usdface.usdio.references.read import read_set_references
 from usdface.usdio.rig.read import read_rig
 
 

@@ -1,3 +1,3 @@
 """Reference frames: chosen, tuned, measured."""
 
-_helpers = ("images", "tuning_guard")
+_helpers = ("images",)

@@ -7,6 +7,7 @@ import numpy as np
 from usdface.core.arrays import IntArray
 from usdface.core.assets import References
 from usdface.core.errors import InputError
+from usdface.core.locks import nobody_tunes
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import reference_layers
@@ -16,7 +17,6 @@ from usdface.specs.notes import read_notes
 from usdface.specs.paths import frame_list, frame_range
 from usdface.specs.references import ReferencesAddSpec
 from usdface.steps.references.from_edits import left_out, made_from, markers_at, tuned_by_hand
-from usdface.steps.references.tuning_guard import nobody_tunes
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.references.read import read_pair_notes, read_references
 from usdface.usdio.references.write import write_references

@@ -10,6 +10,7 @@ import numpy as np
 from usdface.core.arrays import BoolArray, FloatArray, IntArray, columns_by_name, index_of, runs
 from usdface.core.assets import References, TrainedMapping
 from usdface.core.errors import InputError
+from usdface.core.locks import nobody_tunes
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import proposed_path, reference_layers, tuned_path
@@ -20,12 +21,11 @@ from usdface.runner.origin import spec_of
 from usdface.runner.result import StepResult
 from usdface.specs.references import ReferencesAddSpec, ReferencesFromEditsSpec
 from usdface.steps.inputs.cleaned_takes import read_markers, take_head_space
-from usdface.steps.inputs.tuned_pairs import SAME_WEIGHT
-from usdface.steps.references.tuning_guard import nobody_tunes
 from usdface.usdio.layers import read_provenance
 from usdface.usdio.mapping import read_mapping
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.references.read import (
+    SAME_WEIGHT,
     TunedPair,
     read_pair_notes,
     read_proposals,

@@ -9,10 +9,11 @@ from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import tuned_path
 from usdface.core.text import first_few, pluralize
+from usdface.model.retarget.name_matching import meaning_notes
 from usdface.runner.origin import provenance_of, spec_of
 from usdface.runner.result import StepResult
 from usdface.specs.references import ReferencesImportSpec
-from usdface.steps.inputs.name_tables import check_no_name_twice, meaning_notes, transfer_by_table
+from usdface.steps.inputs.name_tables import check_no_name_twice, transfer_by_table
 from usdface.steps.inputs.tuned_pairs import tuned_conflicts
 from usdface.steps.inputs.weight_tables import WeightTable, read_weight_table, weights_meant
 from usdface.usdio.references.read import TunedPair, read_references

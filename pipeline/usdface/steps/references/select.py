@@ -8,6 +8,7 @@ import numpy as np
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.core.assets import References, Rig, TrainedMapping
 from usdface.core.errors import InputError
+from usdface.core.locks import check_nobody_tunes, nobody_tunes
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import placement_path, reference_layers, tuned_path
@@ -56,7 +57,6 @@ from usdface.steps.references.images import (
     remove_unused_images,
     write_pair_images,
 )
-from usdface.steps.references.tuning_guard import check_nobody_tunes, nobody_tunes
 from usdface.usdio.mapping import read_mapping
 from usdface.usdio.references.read import read_tuned_pairs
 from usdface.usdio.references.write import write_references

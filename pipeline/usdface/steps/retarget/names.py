@@ -4,15 +4,11 @@ from pathlib import Path
 
 from usdface.core.errors import InputError
 from usdface.core.text import first_few, pluralize
+from usdface.model.retarget.name_matching import Transfer, transfer_by_names
 from usdface.model.retarget.shape_vocabulary import ARKIT
 from usdface.runner.outputs import confine
 from usdface.runner.result import StepResult
-from usdface.steps.inputs.name_tables import (
-    Transfer,
-    transfer_by_names,
-    transfer_by_table,
-    write_name_table,
-)
+from usdface.steps.inputs.name_tables import transfer_by_table, write_name_table
 from usdface.steps.retarget.pairs_propose import match_rigs, source_shapes
 from usdface.usdio.rig.read import read_rig
 

@@ -11,9 +11,9 @@ from usdface.core.provenance import Provenance
 from usdface.core.sidecars import LAYER_SUFFIXES, proposed_path
 from usdface.core.text import first_few, pluralize
 from usdface.model.retarget.control_space import check_pairs, unused_shapes
+from usdface.model.retarget.name_matching import meaning_notes
 from usdface.runner.result import StepResult
 from usdface.specs.retarget import PairsImportSpec
-from usdface.steps.inputs.name_tables import meaning_notes
 from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.usdio.retarget.controls import find_control_attributes, read_control_clip
 from usdface.usdio.retarget.pairs import keyed_above, write_pairs

@@ -12,14 +12,14 @@ from usdface.core.controls import Controls, ExpressionPairs, bare_controls
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.sidecars import LAYER_SUFFIXES, proposed_path
+from usdface.core.sidecars import is_usd_name, proposed_path
 from usdface.core.text import first_few, pluralize
 from usdface.model.retarget.control_space import dead_controls
-from usdface.model.retarget.name_matching import NameMatch, NameMatching, name_matching
+from usdface.model.retarget.name_matching import NameMatch, NameMatching, Transfer, name_matching
 from usdface.model.retarget.shape_matching import ShapeMatch, match_deformations
 from usdface.runner.result import StepResult
 from usdface.specs.retarget import PairsProposeSpec
-from usdface.steps.inputs.name_tables import Transfer, transfer_by_table
+from usdface.steps.inputs.name_tables import transfer_by_table
 from usdface.steps.inputs.source_motion import read_source_motion
 from usdface.usdio.retarget.controls import rest_controls
 from usdface.usdio.retarget.pairs import keyed_above, merge_pairs, read_pairs, write_pairs
@@ -90,7 +90,7 @@ def source_shapes(path: Path, *, prim: str | None = None) -> tuple[tuple[str, ..
     prim : str, optional
         Face in the file, if it is a rig of several.
     """
-    if path.suffix.lower() not in (*LAYER_SUFFIXES, ".usdz"):
+    if not is_usd_name(path):
         if recognise_format(path).read is read_weight_take:  # names need no rate, unit or take
             return read_weight_samples(path).names, None
         return read_source_motion(path).names, None

@@ -13,6 +13,7 @@ from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import LAYER_SUFFIXES, controls_path, head_path, weights_path
 from usdface.core.text import first_few, pluralize
+from usdface.model.retarget.name_matching import Transfer
 from usdface.model.retarget.shape_matching import Correspondence, correspond, match_positions
 from usdface.model.retarget.train import retarget
 from usdface.runner.result import StepResult
@@ -20,7 +21,6 @@ from usdface.specs.paths import frame_range
 from usdface.specs.retarget import RetargetSpec
 from usdface.steps.inputs.edit_ranges import edit_notes
 from usdface.steps.inputs.head_drive import named_targets, take_head_source, weights_head_source
-from usdface.steps.inputs.name_tables import Transfer
 from usdface.steps.inputs.source_motion import (
     MOVING_WEIGHT,
     SourceMotion,

@@ -15,11 +15,11 @@ from usdface.core.text import first_few, pluralize
 from usdface.media.charts.evaluation import draw_evaluation
 from usdface.media.picture.image import write_image
 from usdface.model.mapping.evaluation import Evaluation, evaluate_weights
+from usdface.model.retarget.name_matching import Transfer, meaning_notes
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.review import EvaluateSpec
-from usdface.steps.inputs.name_tables import Transfer, meaning_notes
 from usdface.steps.inputs.weight_tables import WeightTable, read_weight_table
 from usdface.steps.review.evaluation_tables import (
     evaluation_figures,

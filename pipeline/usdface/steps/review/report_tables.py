@@ -12,14 +12,14 @@ from usdface.core.provenance import Provenance
 from usdface.media.page.report_page import Listing, PagePicture
 from usdface.media.picture.image import encode_image
 from usdface.model.mapping.evaluation import Evaluation, evaluate_weights
-from usdface.runner.origin import path_made_from, provenance_of, spec_of
+from usdface.runner.origin import find_take, path_made_from, provenance_of, spec_of
 from usdface.runner.outputs import confine
 from usdface.specs.references import ReferencesCoverageSpec
 from usdface.specs.review import ReportSpec
 from usdface.steps.inputs.coverage_report import MeasuredCoverage, measure_pairs, next_frames
 from usdface.steps.inputs.edit_ranges import find_edited_ranges
 from usdface.steps.review.evaluation_tables import evaluation_figures, shapes_with_motion
-from usdface.steps.review.shot import Shot, find_take
+from usdface.steps.review.shot import Shot
 from usdface.usdio.performance.read import PerformanceReader
 
 _LISTED_MARKERS = 12

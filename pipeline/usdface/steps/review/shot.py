@@ -11,10 +11,10 @@ from usdface.core.assets import Performance, Rig, Take
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.rates import shift_timecode
-from usdface.core.sidecars import LAYER_SUFFIXES
+from usdface.core.sidecars import is_usd_name
 from usdface.media.face.camera import Camera, frame_rig, motion_weights
 from usdface.model.review.verdict import SolveEvidence
-from usdface.runner.origin import hash_input, provenance_of, spec_of
+from usdface.runner.origin import find_take, provenance_of, spec_of, take_of_performance
 from usdface.specs.paths import frame_range
 from usdface.specs.review import AUTO_CAMERA
 from usdface.steps.inputs.cleaned_takes import read_cleaned
@@ -22,7 +22,6 @@ from usdface.usdio.performance.read import PerformanceReader, read_performance
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.rig_motion import RigMotion
 from usdface.usdio.rig.stage_camera import StageCamera, StageView
-from usdface.usdio.take.read import is_take
 
 WIDEST_ASPECT = 3.0
 """Width over height at which a picture is cut: wider film would leave a face of few pixels."""
@@ -238,54 +237,6 @@ def solve_evidence(performance: Performance, rows: IntArray | slice) -> SolveEvi
     )
 
 
-def find_take(performance: Path, given: Path | None) -> Path:
-    """Return the take that a performance was mapped from.
-
-    Parameters
-    ----------
-    given : Path or None
-        What the command names; None leaves it to the provenance.
-
-    Raises
-    ------
-    InputError
-        If it is not known where the take is, or another is given.
-    """
-    made, own = provenance_of(performance), _take_of(performance)
-    if given is None:
-        if own is None:
-            raise InputError(f"{performance}: does not say which take it is of; give it by --take")
-        if not own.is_file():
-            raise InputError(f"{performance}: its take, {own}, is gone; say where by --take")
-        return own
-    same_name = own is None or own.name == given.name
-    if same_name or made is None or hash_input(given) in made.inputs.values():
-        return given
-    raise InputError(
-        f"{given}: not the take of {performance.name}, which was mapped from {own}; leave out "
-        "--take, or map this take first"
-    )
-
-
-def _take_of(performance: Path) -> Path | None:
-    """Return the take that a performance says it was made of; None where it says none.
-
-    Of one that was retargeted it is the source's.
-    """
-    file, seen = performance, set[Path]()
-    while file not in seen:
-        seen.add(file)
-        spec = spec_of(provenance_of(file))
-        mapped = "take" in spec and "source" not in spec  # a table's take is no file
-        named = spec.get("take") if mapped else spec.get("source")
-        if not isinstance(named, str) or not named:
-            return None
-        file = file.parent / named
-        if mapped or not file.is_file() or not _is_layer(file) or is_take(file):
-            return file
-    return None
-
-
 def open_shot(
     performance_file: Path,
     take_file: Path | None = None,
@@ -309,7 +260,7 @@ def open_shot(
     InputError
         If a file cannot be read, they share no frame, or the performance was moved in time.
     """
-    keyed = take_file is None and _take_of(performance_file) is None
+    keyed = take_file is None and take_of_performance(performance_file) is None
     take_file = performance_file if keyed else find_take(performance_file, take_file)
     moved = PerformanceReader(performance_file).moved
     if moved and not keyed:
@@ -352,13 +303,9 @@ def open_shot(
     )
 
 
-def _is_layer(file: Path) -> bool:
-    return file.suffix.lower() in (*LAYER_SUFFIXES, ".usdz")
-
-
 def _read_take(file: Path, performance: Path) -> Take:
     """Read a take, or the capture of weights that a performance was retargeted from."""
-    if _is_layer(file):
+    if is_usd_name(file):
         return read_cleaned(file, need_markers=False)
     spec = spec_of(provenance_of(performance))
     stated = {

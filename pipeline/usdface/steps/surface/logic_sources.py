@@ -5,10 +5,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, cast
 
+from usdface.capture.text_table import csv_rows
 from usdface.core.errors import InputError
 from usdface.core.rig_logic import Combination, CombinationMode
 from usdface.core.text import first_few, pluralize, read_json
-from usdface.steps.inputs.weight_tables import csv_rows
 
 _LARGEST_BYTES = 1 << 26
 """Of a definition: rigs of a thousand shapes take a few MB."""

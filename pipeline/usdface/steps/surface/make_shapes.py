@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from usdface.capture.text_table import csv_rows
 from usdface.core.arrays import BoolArray, FloatArray
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
@@ -13,7 +14,6 @@ from usdface.core.text import first_few
 from usdface.numerics.regression.reference_design import pivoted_selection
 from usdface.runner.result import StepResult
 from usdface.specs.surface import MakeShapesSpec
-from usdface.steps.inputs.weight_tables import csv_rows
 from usdface.steps.surface.picture import write_shapes_picture
 from usdface.steps.surface.plan import (
     SurfacePlan,

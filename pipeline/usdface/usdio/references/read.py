@@ -1,6 +1,6 @@
 """Read references: the pairs as they compose, and what people tuned in the tuned layer alone."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +10,7 @@ from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import MotionSpace, References
 from usdface.core.errors import InputError
 from usdface.core.rig_logic import Combination
+from usdface.core.sidecars import proposed_path, tuned_path
 from usdface.core.text import first_few, json_object
 from usdface.usdio.authoring import read_array_samples
 from usdface.usdio.layers import open_layer, read_provenance, refusing_wrong_types
@@ -32,6 +33,10 @@ EMOTION = ROOT.AppendProperty("face:reference:emotion")
 PLACEMENT = "face:reference:placement"
 
 
+SAME_WEIGHT = 1e-6
+"""Weights that differ by less are equal: layers hold single precision."""
+
+
 @dataclass(frozen=True)
 class TunedPair:
     """Weights that a person set for one frame of a take, by shape name.
@@ -47,32 +52,23 @@ class TunedPair:
 
 
 @refusing_wrong_types
-def read_tuned_pairs(tuned_path: Path) -> list[TunedPair]:
+def read_tuned_pairs(path: Path) -> list[TunedPair]:
     """Return what people tuned, as the tuned layer alone says it; empty without the layer."""
-    if not tuned_path.is_file():
+    if not path.is_file():
         return []
-    layer = open_layer(tuned_path)
-    prim = layer.GetPrimAtPath(WEIGHTS_PATH)
-    if prim is None or "blendShapes" not in prim.attributes:
-        return []
-    names = [str(name) for name in prim.attributes["blendShapes"].default or ()]
+    layer = open_layer(path)
+    names = _layer_shapes(layer) or []
     found = []
     for time in layer.ListTimeSamplesForPath(TUNED):
         if not layer.QueryTimeSample(TUNED, time):
             continue
-        weights = layer.QueryTimeSample(WEIGHTS_ATTRIBUTE, time)
-        if weights is None or len(weights) != len(names):
-            raise InputError(
-                f"{tuned_path} <{WEIGHTS_ATTRIBUTE}> time code {time:g}: "
-                f"{0 if weights is None else len(weights)} weights for {len(names)} shapes; "
-                "restore the layer from its last version"
-            )
+        weights = _weights_at(layer, path, time, names, "restore the layer from its last version")
         found.append(
             TunedPair(
                 pair=round(time) - 1,
                 take=str(layer.QueryTimeSample(TAKE, time)),
                 frame=int(layer.QueryTimeSample(FRAME_PATH, time)),
-                weights=dict(zip(names, np.array(weights, np.float64).tolist(), strict=True)),
+                weights=dict(zip(names, weights.tolist(), strict=True)),
                 done=layer.QueryTimeSample(DONE, time) is not False,
             )
         )
@@ -230,7 +226,7 @@ class PairNotes:
 
 
 @refusing_wrong_types
-def read_proposals(proposed_path: Path, references: References) -> FloatArray:
+def read_proposals(path: Path, references: References) -> FloatArray:
     """Return the proposed weights alone, in the order of a references asset's shapes.
 
     Parameters
@@ -242,44 +238,31 @@ def read_proposals(proposed_path: Path, references: References) -> FloatArray:
     -------
     (pairs, shapes) float array
     """
-    layer = open_layer(proposed_path)
-    prim = layer.GetPrimAtPath(WEIGHTS_PATH)
-    names = (
-        [str(name) for name in prim.attributes["blendShapes"].default or ()]
-        if prim is not None and "blendShapes" in prim.attributes
-        else []
-    )
-    _check_shapes(proposed_path, names, references)
+    layer = open_layer(path)
+    names = _layer_shapes(layer) or []
+    _check_shapes(path, names, references)
     order = [names.index(name) for name in references.shape_names]
     rows = np.zeros((len(references.frames), len(names)))
     for pair in range(len(rows)):
-        weights = layer.QueryTimeSample(WEIGHTS_ATTRIBUTE, pair + 1)
-        if weights is None or len(weights) != len(names):
-            raise InputError(
-                f"{proposed_path} <{WEIGHTS_ATTRIBUTE}> time code {pair + 1}: "
-                f"{0 if weights is None else len(weights)} weights for {len(names)} shapes; "
-                "select again"
-            )
-        rows[pair] = weights
+        rows[pair] = _weights_at(layer, path, pair + 1, names, "select again")
     return rows[:, order]
 
 
 @refusing_wrong_types
-def check_tuned_layer(tuned_path: Path, references: References) -> None:
+def check_tuned_layer(path: Path, references: References) -> None:
     """Refuse a tuned layer that belongs to another selection or another rig."""
-    if not tuned_path.is_file():
+    if not path.is_file():
         return
-    layer = open_layer(tuned_path)
-    prim = layer.GetPrimAtPath(WEIGHTS_PATH)
-    if prim is None or "blendShapes" not in prim.attributes:
+    layer = open_layer(path)
+    names = _layer_shapes(layer)
+    if names is None:
         return
-    names = [str(name) for name in prim.attributes["blendShapes"].default or ()]
-    _check_shapes(tuned_path, names, references)
+    _check_shapes(path, names, references)
     times = layer.ListTimeSamplesForPath(WEIGHTS_ATTRIBUTE)
     count = len(references.frames)
     if [round(time) for time in times] != list(range(1, count + 1)):
         raise InputError(
-            f"{tuned_path}: holds {len(times)} pairs and the references {count}: it belongs to "
+            f"{path}: holds {len(times)} pairs and the references {count}: it belongs to "
             "another selection. Nothing was changed; put back the layer that belongs here, or "
             "move this one away and bring its weights in with `usdface references import`"
         )
@@ -293,7 +276,7 @@ def check_tuned_layer(tuned_path: Path, references: References) -> None:
         expected = (int(references.frames[pair]), references.takes[pair])
         if (frame, str(take)) != expected:
             raise InputError(
-                f"{tuned_path}: pair {pair + 1} was tuned for frame {frame} of {take}, and the "
+                f"{path}: pair {pair + 1} was tuned for frame {frame} of {take}, and the "
                 f"references have frame {expected[0]} of {expected[1]} there: it belongs to "
                 "another selection. Nothing was changed; put back the layer that belongs here, or "
                 "move this one away and bring its weights in with `usdface references import`"
@@ -336,6 +319,26 @@ def take_files(path: Path) -> tuple[Path, ...]:
     return tuple(path.parent / str(take) for take in takes)
 
 
+def _layer_shapes(layer: Sdf.Layer) -> list[str] | None:
+    """Return the shapes whose weights a layer has; None where it has no weights."""
+    prim = layer.GetPrimAtPath(WEIGHTS_PATH)
+    if prim is None or "blendShapes" not in prim.attributes:
+        return None
+    return [str(name) for name in prim.attributes["blendShapes"].default or ()]
+
+
+def _weights_at(
+    layer: Sdf.Layer, path: Path, time: float, names: list[str], remedy: str
+) -> FloatArray:
+    weights = layer.QueryTimeSample(WEIGHTS_ATTRIBUTE, time)
+    if weights is None or len(weights) != len(names):
+        raise InputError(
+            f"{path} <{WEIGHTS_ATTRIBUTE}> time code {time:g}: "
+            f"{0 if weights is None else len(weights)} weights for {len(names)} shapes; {remedy}"
+        )
+    return np.array(weights, np.float64)
+
+
 def _check_shapes(path: Path, names: list[str], references: References) -> None:
     missing = [name for name in references.shape_names if name not in names]
     driven = {each.shape for each in references.combinations}
@@ -347,3 +350,34 @@ def _check_shapes(path: Path, names: list[str], references: References) -> None:
             + ": it belongs to another rig. Nothing was changed; put back the layer that belongs "
             "here, or select again"
         )
+
+
+def find_keyed_pairs(path: Path, references: References) -> list[int]:
+    """Return the pairs whose weights are neither those proposed nor those marked as tuned.
+
+    Parameters
+    ----------
+    references : References
+        As it composes.
+    """
+    check_tuned_layer(tuned_path(path), references)
+    shown = read_proposals(proposed_path(path), references).copy()
+    for each in read_tuned_pairs(tuned_path(path)):
+        shown[each.pair] = [each.weights.get(name, 0.0) for name in references.shape_names]
+    away = np.abs(references.weights - shown).max(axis=1, initial=0.0) > SAME_WEIGHT
+    return list(np.flatnonzero(away).tolist())
+
+
+def read_set_references(path: Path) -> References:
+    """Read references of which those count as tuned that a person set, on the page or in a DCC.
+
+    Where the layers beneath the asset cannot be read, those that are marked.
+    """
+    references = read_references(path)
+    try:
+        keyed = find_keyed_pairs(path, references)
+    except InputError:
+        return references
+    tuned = references.tuned.copy()
+    tuned[keyed] = True
+    return replace(references, tuned=tuned)
