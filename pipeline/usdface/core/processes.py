@@ -23,13 +23,16 @@ _ENDING_SECONDS = 0.5
 def process_count(wanted: int | None = None) -> int:
     """Return how many processes are to work: by default as many as there are cores for them.
 
-    On a farm these are fewer than the machine has. In a DCC it is one, as another would be a DCC.
+    In a DCC it is one, as another would be a DCC.
     """
     names = (sys.executable or "", *(sys.orig_argv[:1] or [""]))
     if not all(Path(name).stem.lower().startswith("python") for name in names):
         return 1
-    if wanted:
-        return wanted
+    return wanted or usable_cores()
+
+
+def usable_cores() -> int:
+    """Return how many cores this process may use, which on a farm are fewer than there are."""
     try:
         return len(os.sched_getaffinity(0))
     except AttributeError:  # not on macOS or Windows

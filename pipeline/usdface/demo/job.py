@@ -197,7 +197,7 @@ def _error_of_other_frames(inputs: DemoInputs, folder: Path) -> FloatArray:
     for column, name in enumerate(performance.weights.names):
         solved[:, rig.shapes.index(name)] = performance.weights.values[:, column]
     error = solved - truth
-    squared = np.einsum("fs,st,ft->f", error, Deformer(rig).shapes.gram(), error)
+    squared = ((error @ Deformer(rig).shapes.gram()) * error).sum(axis=1)
     keyed = read_references(folder / "demo.references.usda").frames - inputs.truth.first_frame
     held_out = np.ones(len(error), dtype=np.bool_)
     held_out[keyed] = False

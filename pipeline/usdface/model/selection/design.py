@@ -338,7 +338,7 @@ def stand_in_error_mm(features: Features, rows: IntArray, stand_ins: CandidateMa
         noise=KEY_VARIANCE,
     )
     error = predicted - stand_ins.weights
-    squared = np.einsum("fs,st,ft->f", error, stand_ins.gram, error)
+    squared = ((error @ stand_ins.gram) * error).sum(axis=1)
     return float(np.sqrt(np.maximum(squared, 0.0).mean()))
 
 

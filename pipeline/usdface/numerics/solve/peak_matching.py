@@ -19,6 +19,7 @@ _SHOWN_SHARE = 0.3  # [of the range] below, the take does not show the shape
 _GAINS = (0.5, 2.5)
 _MOST_ROUNDS = 3
 _CLOSE_SHARE = 0.02  # [of the range] of the top that counts as reached
+_NEAR_SHARE = 0.5  # [of a peak] frames below it do not become one when the gain grows
 _CARRIED_SHARE = 0.2  # [of a shape's largest displacement] markers below get no gain from it
 _STILL_SHARE = 0.02  # [of a shape's largest displacement] markers below do not follow it
 _MARKED_SHARE = 0.5  # [of the surface's displacement] half of it: the marker sits on what moves
@@ -142,14 +143,15 @@ def match_peaks(
     reach = np.linalg.norm(D, axis=2)
     share = (reach / np.maximum(reach.max(axis=0), 1e-9)) ** 2
     share[reach < _CARRIED_SHARE * reach.max(axis=1, keepdims=True)] = 0
-    gain = np.ones(D.shape[1])
+    gain, weights = np.ones(D.shape[1]), np.zeros((len(m), len(D)))
+    near = np.ones(len(m), bool)
     for _ in range(_MOST_ROUNDS if len(shapes) else 0):
-        weights = solve_weights(
+        weights[near] = solve_weights(
             D,
-            m * gain[:, None],
+            m[near] * gain[:, None],
             method="bounded",
             ranges=limits,
-            visible=visible,
+            visible=None if visible is None else np.asarray(visible)[near],
             marker_trust=marker_trust,
             ridge=ridge,
         ).weights
@@ -162,4 +164,5 @@ def match_peaks(
         for shape in short:
             gain *= 1 + (top[shape] / reached[shape] - 1) * share[shape]
         gain = np.clip(gain, *_GAINS)
+        near[:] = (weights[:, short] > _NEAR_SHARE * reached[short]).any(axis=1)
     return gain

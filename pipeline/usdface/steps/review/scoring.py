@@ -216,7 +216,7 @@ def score(label: str, shot: Shot, weights: FloatArray, truth: FloatArray | None)
 
 def surface_distance(shot: Shot, difference: FloatArray) -> FloatArray:
     """Return the RMS distance of the surface that differences of weights make, (frames,) [mm]."""
-    squared = np.einsum("fs,st,ft->f", difference, shot.deformer.shapes.gram(), difference)
+    squared = ((difference @ shot.deformer.shapes.gram()) * difference).sum(axis=1)
     return np.asarray(np.sqrt(np.maximum(squared, 0.0)))
 
 
