@@ -10,8 +10,8 @@ import pytest
 
 from tests.tuning.small_asset import write_asset
 from usdface.tuning.application import Scene, build_application
+from usdface.tuning.guard import LARGEST_BODY, Guard
 from usdface.tuning.pictures import PairPictures
-from usdface.tuning.serve import LARGEST_BODY, Guard
 from usdface.tuning.session import TuningSession
 from usdface.usdio.references.read import PairNotes
 from usdface.usdio.rig.read import read_rig

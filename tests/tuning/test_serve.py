@@ -12,7 +12,7 @@ from starlette.responses import PlainTextResponse
 
 from tests.tuning.small_asset import change, write_asset
 from usdface.specs.commands import TuneSpec
-from usdface.tuning import serve
+from usdface.tuning import guard, serve
 from usdface.tuning.serve import _listen
 from usdface.tuning.session import StaleRevisionError, TuningSession
 
@@ -55,9 +55,9 @@ def test_a_page_left_open_over_a_restart_is_told_to_read_again(
 
 def test_requests_that_are_never_made_hold_nobody_off(monkeypatch: pytest.MonkeyPatch) -> None:
     """Any process of the machine may connect, and say nothing more."""
-    monkeypatch.setattr(serve, "REQUEST_SECONDS", 1.0)
+    monkeypatch.setattr(guard, "REQUEST_SECONDS", 1.0)
     app = PlainTextResponse("here")
-    config = uvicorn.Config(app, http=serve._PromptProtocol, lifespan="off", log_level="error")
+    config = uvicorn.Config(app, http=guard.PromptProtocol, lifespan="off", log_level="error")
     server = uvicorn.Server(config)
     with socket.create_server(("127.0.0.1", 0), backlog=128) as listener, ExitStack() as sockets:
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
@@ -76,7 +76,7 @@ def test_requests_that_are_never_made_hold_nobody_off(monkeypatch: pytest.Monkey
             page.close()
             half_open[-1].settimeout(10)
             assert half_open[-1].recv(1) == b""  # closed, as it said nothing more
-            assert not serve._PromptProtocol._unasked
+            assert not guard.PromptProtocol._unasked
         finally:
             server.should_exit = True
             thread.join()

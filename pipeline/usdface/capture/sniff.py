@@ -16,12 +16,8 @@ from usdface.capture.motive_csv import is_motive_csv, read_motive_csv
 from usdface.capture.openface_csv import is_openface_csv, read_openface_csv
 from usdface.capture.trc import is_trc, read_trc
 from usdface.capture.vicon_csv import is_vicon_csv, read_vicon_csv
-from usdface.capture.weight_table import (
-    is_weight_csv,
-    is_weight_json,
-    is_weight_npy,
-    read_weight_take,
-)
+from usdface.capture.weight_samples import is_weight_csv, is_weight_json, is_weight_npy
+from usdface.capture.weight_table import read_weight_take
 from usdface.core.confinement import check_may_open
 from usdface.core.errors import InputError
 

@@ -1,240 +1,31 @@
-"""Run the tuning page: bind to this machine alone, save when the hand rests, leave in order.
-
-Any page the animator has open may send requests to a loopback address, and any process of the
-machine may connect. Each rule of the guard stops one of these ways in; `tests/tuning/test_guard.py`
-tries them.
-"""
+"""Run the tuning page: bind to this machine alone, save when the hand rests, leave in order."""
 
 import asyncio
 import contextlib
 import hashlib
-import hmac
 import logging
 import os
 import secrets
 import socket
 from collections.abc import Callable
-from dataclasses import dataclass
-from http.cookies import CookieError, SimpleCookie
 from pathlib import Path
-from typing import ClassVar
-from urllib.parse import parse_qs
 
 import numpy as np
 import uvicorn
-from starlette.datastructures import MutableHeaders
-from starlette.responses import PlainTextResponse, RedirectResponse, Response
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
-from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from usdface.core.confinement import check_confined, confinement_root
 from usdface.core.errors import CancelledError, InputError
 from usdface.specs.commands import TuneSpec
 from usdface.specs.notes import read_notes
 from usdface.tuning.application import Scene, build_application
+from usdface.tuning.guard import Guard, PromptProtocol
 from usdface.tuning.pictures import PairPictures
 from usdface.tuning.session import TuningSession
 from usdface.usdio.references.read import read_pair_notes, take_files
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.reference import moved_rig
 
-HEADER = "x-usdface-tune"
-"""Only a script of our own origin can set it without asking the server first."""
-
-LARGEST_BODY = 4 << 20
-"""Bytes: every weight of a pair with thousands of shapes is far below."""
-
-_SECURITY_HEADERS = {
-    "Content-Security-Policy": (
-        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; "
-        "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-    ),
-    "X-Content-Type-Options": "nosniff",
-    "X-Frame-Options": "DENY",
-    "Referrer-Policy": "no-referrer",
-    "Cross-Origin-Opener-Policy": "same-origin",
-    "Cross-Origin-Resource-Policy": "same-origin",
-    "Cache-Control": "no-store",
-}
-
-
-@dataclass(frozen=True)
-class Request:
-    """What the rules look at."""
-
-    method: str
-    path: str
-    query: str
-    headers: dict[str, str]
-
-    @classmethod
-    def of(cls, scope: Scope) -> "Request | None":
-        """Read a request; None where a header that decides is there twice."""
-        headers: dict[str, str] = {}
-        for raw_name, raw_value in scope["headers"]:
-            name = raw_name.decode("latin-1").lower()
-            if name in headers and name in ("host", "origin", "content-type", "cookie", HEADER):
-                return None
-            headers[name] = raw_value.decode("latin-1")
-        query = scope.get("query_string", b"").decode("latin-1")
-        return cls(scope["method"], scope["path"], query, headers)
-
-
-class Guard:
-    """Middleware that answers what may not pass, and adds security headers to all that does.
-
-    Parameters
-    ----------
-    port : int
-        That the server listens on.
-    announce : callable
-        Called with a new link each time one is made; a link opens the page once.
-    """
-
-    def __init__(self, app: ASGIApp, *, port: int, announce: Callable[[str], None]) -> None:
-        self._app = app
-        self._hosts = (f"127.0.0.1:{port}", f"localhost:{port}")
-        self._cookie_name = f"usdface_tune_{port}"  # cookies do not know ports
-        self._cookie = secrets.token_urlsafe(32)
-        self._announce = announce
-        self._token = ""
-        self.link = self._new_link()
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Let a request pass or answer it."""
-        if scope["type"] == "lifespan":
-            await self._app(scope, receive, send)
-            return
-        if scope["type"] != "http":  # there are no web sockets here
-            await send({"type": "websocket.close", "code": 1008})
-            return
-        request = Request.of(scope)
-        answer = (
-            _refusal(400, "a header is there twice") if request is None else self._answer(request)
-        )
-
-        async def send_hardened(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                headers = MutableHeaders(scope=message)
-                for name, value in _SECURITY_HEADERS.items():
-                    headers[name] = value
-            await send(message)
-
-        if answer is not None:
-            await answer(scope, receive, send_hardened)
-            return
-        await self._app(scope, _limited(receive), send_hardened)
-
-    def _answer(self, request: Request) -> Response | None:
-        """Return what to answer instead of the application; None lets the request pass."""
-        headers = request.headers
-        host, origin = headers.get("host", ""), headers.get("origin")
-        if host not in self._hosts:  # a name that someone pointed at this address
-            return _refusal(403, f"this server is not {host!r}; use the link it printed")
-        if origin is not None and origin != f"http://{host}":
-            return _refusal(403, "another page may not talk to this server")
-        if request.path == "/" and request.method == "GET" and "token=" in request.query:
-            return self._enter(request)
-        if headers.get("sec-fetch-site", "none") not in ("same-origin", "none"):
-            return _refusal(403, "another page may not talk to this server")
-        if not self._knows(headers):
-            return _refusal(403, "open the link that `usdface tune` printed in its terminal")
-        if request.method in ("GET", "HEAD"):
-            return None
-        if request.method != "POST":
-            return _refusal(405, "only GET and POST are understood")
-        if origin is None or headers.get(HEADER) != "1":
-            return _refusal(403, "only the tuning page may change weights")
-        if headers.get("content-type", "").split(";")[0].strip().lower() != "application/json":
-            return _refusal(415, "changes are sent as application/json")
-        length = headers.get("content-length", "")
-        if not length.isdigit() or int(length) > LARGEST_BODY:
-            return _refusal(413, f"a change may have {LARGEST_BODY} bytes, got {length or 'none'}")
-        return None
-
-    def _enter(self, request: Request) -> Response:
-        """Exchange a token for the cookie; a link that was used is worth nothing to a thief."""
-        given = parse_qs(request.query).get("token", [""])[0]
-        if hmac.compare_digest(given.encode(), self._token.encode()):
-            self.link = self._new_link()
-            response = RedirectResponse("/", status_code=303)
-            response.set_cookie(
-                self._cookie_name, self._cookie, httponly=True, samesite="strict", path="/"
-            )
-            return response
-        if self._knows(request.headers):  # the same browser, with the link from its history
-            return RedirectResponse("/", status_code=303)
-        self._announce(self.link)
-        return _refusal(403, "this link was used already; a new one is in the terminal")
-
-    def _knows(self, headers: dict[str, str]) -> bool:
-        try:
-            morsel = SimpleCookie(headers.get("cookie", "")).get(self._cookie_name)
-        except CookieError:
-            return False
-        given = morsel.value if morsel is not None else ""
-        return hmac.compare_digest(given.encode(), self._cookie.encode())
-
-    def _new_link(self) -> str:
-        self._token = secrets.token_urlsafe(24)
-        return f"http://{self._hosts[0]}/?token={self._token}"
-
-
-def _refusal(status: int, reason: str) -> Response:
-    return PlainTextResponse(f"{reason}\n", status_code=status, headers={"Connection": "close"})
-
-
-def _limited(receive: Receive) -> Receive:
-    """Stop a body that is longer than it said it would be."""
-    total = 0
-
-    async def wrapped() -> Message:
-        nonlocal total
-        message = await receive()
-        total += len(message.get("body", b""))
-        if total > LARGEST_BODY:
-            return {"type": "http.disconnect"}
-        return message
-
-    return wrapped
-
-
 log = logging.getLogger(__name__)
-
-REQUEST_SECONDS = 5.0
-"""From a connection to the end of its first request's header; a page sends it at once."""
-MOST_UNASKED = 32
-"""Connections that may stand open without a request."""
-
-
-class _PromptProtocol(H11Protocol):
-    """Closes connections on which no request is made: any process may open them, without cookie."""
-
-    _unasked: ClassVar[dict["_PromptProtocol", asyncio.TimerHandle]] = {}
-    """Oldest first."""
-
-    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        super().connection_made(transport)
-        self._unasked[self] = self.loop.call_later(REQUEST_SECONDS, transport.close)
-        if len(self._unasked) > MOST_UNASKED:
-            oldest = next(iter(self._unasked))
-            oldest.transport.close()
-            oldest._settle()
-
-    def data_received(self, data: bytes) -> None:
-        super().data_received(data)
-        if self.cycle is not None:
-            self._settle()
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        super().connection_lost(exc)
-        self._settle()
-
-    def _settle(self) -> None:
-        timer = self._unasked.pop(self, None)
-        if timer is not None:
-            timer.cancel()
-
 
 IDLE_SECONDS = 0.5
 """Without a change for this long, the layer is written."""
@@ -313,7 +104,7 @@ def _run(
         log_level="warning",
         access_log=False,
         server_header=False,
-        http=_PromptProtocol,
+        http=PromptProtocol,
         timeout_graceful_shutdown=2,
         lifespan="off",
     )

@@ -18,6 +18,7 @@ from usdface.media.picture.image import write_image
 from usdface.numerics.rigid.rigid_alignment import align_rigid
 from usdface.runner.execute import execute
 from usdface.specs.capture import CleanSpec, TrackSpec
+from usdface.steps.capture.track_notes import eye_columns
 from usdface.usdio.take.read import read_take
 
 FOCAL = 28.0
@@ -57,7 +58,7 @@ def test_a_head_is_where_it_was_and_cleaning_takes_its_motion_out(tracked, tmp_p
     assert (take.video.file, take.video.offset) == (tmp_path / "a.mp4", 0)
     assert (take.performer, take.name, take.markers.names) == ("Kim", "a", LANDMARKS.names)
     points = np.stack([turning_head(n) for n in range(40)])[:, LANDMARKS.indices]
-    right, left = step._eye_columns()
+    right, left = eye_columns()
     size = np.linalg.norm(points[0, left].mean(axis=0) - points[0, right].mean(axis=0)) / 63.0
     rest = head_points()[LANDMARKS.indices] / size
     pose = align_rigid(take.markers.positions, rest)

@@ -1,4 +1,4 @@
 """Captures to cleaned takes."""
 
 _commands = ("ingest_folder",)
-_helpers = ("merge_captures",)
+_helpers = ("merge_captures", "track_notes")

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from usdface.capture.text_table import csv_rows
-from usdface.capture.weight_table import in_fractions, read_weight_samples, row_frames
+from usdface.capture.weight_samples import read_weight_samples
+from usdface.capture.weight_table import in_fractions, row_frames
 from usdface.core.arrays import FloatArray, IntArray, columns_by_name
 from usdface.core.errors import InputError
 from usdface.core.sidecars import LAYER_SUFFIXES, is_usd_name

@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from usdface.capture.sniff import recognise_format
-from usdface.capture.weight_table import read_weight_samples, read_weight_take
+from usdface.capture.weight_samples import read_weight_samples
+from usdface.capture.weight_table import read_weight_take
 from usdface.core.arrays import FloatArray, index_of
 from usdface.core.assets import Rig
 from usdface.core.controls import Controls, ExpressionPairs, bare_controls

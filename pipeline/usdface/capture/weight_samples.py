@@ -1,0 +1,377 @@
+"""Tables of weights from any tool: CSV, JSON or NumPy arrays.
+
+CSV: one row per frame, a column per shape, and a column of frames or times (``Frame``, ``time_s``,
+``timestamp_ms``), between commas, semicolons or tabs. JSON: rows of the same; lists of MediaPipe's
+``{categoryName, score}``; or names and a matrix, as Audio2Face (``facsNames``, ``weightMat``) and
+others write. ``.npy``: a matrix, with names in a file beside it.
+"""
+
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+from tokenize import TokenError
+from typing import Any
+
+import numpy as np
+
+from usdface.capture.text_table import (
+    check_columns,
+    head_lines,
+    read_lines,
+    read_number_table,
+    sniff_delimiter,
+    split_cells,
+    without_empty_tail,
+)
+from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.confinement import check_may_open
+from usdface.core.errors import InputError
+from usdface.core.rates import FARTHEST_FRAME, exact_rate
+from usdface.core.text import first_few, read_json, read_text
+
+LARGEST_JSON_BYTES = 1 << 30
+_LARGEST_NAMES_BYTES = 16 << 20
+_INDEX = {
+    "frame": ("frame", "frame#", "frames", "frame_number", "frame number", "framenumber"),
+    "time": ("time", "time_s", "time (s)", "time (seconds)", "seconds", "timestamp", "t"),
+    "ms": ("time_ms", "timestamp_ms", "timestampms", "milliseconds", "ms"),
+    "take": ("take", "take_name", "clip"),
+    "timecode": ("timecode", "tc"),
+}
+_TEXTS = ("take", "timecode")
+_NAME_KEYS = (
+    "facsNames",
+    "names",
+    "blendShapeNames",
+    "blendshapeNames",
+    "blendshape_names",
+    "shapes",
+)
+_MATRIX_KEYS = ("weightMat", "weights", "frames", "data")
+_RATE_KEYS = ("exportFps", "fps", "frameRate", "frame_rate", "rate")
+_ROW_KEYS = (
+    "blendshapes",
+    "blendShapes",
+    "face_blendshapes",
+    "faceBlendshapes",
+    "weights",
+    "scores",
+)
+_JSON_KEYS = re.compile(
+    r'"(facsNames|weightMat|categoryName|category_name|(face_?)?blendshapes|weights|frame)"\s*:',
+    re.IGNORECASE,
+)
+_FEWEST_SHAPES = 2
+_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)(e[+-]?\d+)?", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class WeightSamples:
+    """Weights as a file has them."""
+
+    names: tuple[str, ...]
+    values: FloatArray
+    """(rows, shapes)"""
+    lines: IntArray
+    """(rows,): line or row of each in its file, for messages."""
+    frames: FloatArray | None = None
+    """(rows,): frame numbers, where the file has them."""
+    seconds: FloatArray | None = None
+    """(rows,) [s]"""
+    takes: tuple[str, ...] = ()
+    """Name of each row's take; empty where the file has no such column."""
+    rate: Fraction | None = None
+    """Frames per second that the file states."""
+
+    def rows(self, chosen: IntArray) -> "WeightSamples":
+        """Keep some of the rows."""
+        return replace(
+            self,
+            values=self.values[chosen],
+            lines=self.lines[chosen],
+            frames=None if self.frames is None else self.frames[chosen],
+            seconds=None if self.seconds is None else self.seconds[chosen],
+            takes=tuple(self.takes[index] for index in chosen.tolist()) if self.takes else (),
+        )
+
+
+def is_weight_csv(head: bytes) -> bool:
+    """Tell a table of numbers below names by its first bytes; try it last."""
+    lines = [line for line in head_lines(head, 3) if line.strip()]
+    if len(lines) < 2:
+        return False
+    delimiter = sniff_delimiter(lines[0])
+    if delimiter is None:
+        return False
+    titles = [cell.strip('" ') for cell in lines[0].split(delimiter)]
+    cells = [cell.strip('" ') for cell in lines[1].split(delimiter)]
+    kinds = [_kind(title) for title in titles]
+    shapes = [title for title, kind in zip(titles, kinds, strict=True) if title and not kind]
+    if len(shapes) < _FEWEST_SHAPES or any(map(_NUMBER.fullmatch, shapes)):
+        return False
+    numbers = [bool(_NUMBER.fullmatch(cell)) for cell in cells if cell]
+    return any(kinds) or (bool(numbers) and all(numbers))
+
+
+def is_weight_json(head: bytes) -> bool:
+    """Tell JSON of weights by its first character, and the keys that it is told by."""
+    text = "\n".join(head_lines(head, 1000)).lstrip()
+    return text[:1] in ("[", "{") and _JSON_KEYS.search(text) is not None
+
+
+def is_weight_npy(head: bytes) -> bool:
+    """Tell a NumPy array by its first bytes."""
+    return head.startswith(b"\x93NUMPY")
+
+
+def read_weight_samples(path: Path, *, shapes: Path | None = None) -> WeightSamples:
+    """Read a table of weights as it is.
+
+    Parameters
+    ----------
+    shapes : Path, optional
+        File with the names of a matrix's columns: one per line, or a JSON list, or ``.npy``.
+        Default: ``NAME.names.txt``, ``.json`` or ``.npy`` beside it.
+    """
+    check_may_open(path)
+    with path.open("rb") as file:
+        head = file.read(64)
+    if is_weight_npy(head) or path.suffix.lower() == ".npy":
+        return _read_npy(path, shapes)
+    start = "".join(head_lines(head, 4)).lstrip()[:1]
+    samples = _read_json(path) if start in ("[", "{") else _read_csv(path)
+    if not len(samples.values):
+        raise InputError(f"{path}: holds no rows of weights")
+    return samples
+
+
+def _kind(title: str) -> str:
+    lowered = title.strip().lower()
+    return next((kind for kind, names in _INDEX.items() if lowered in names), "")
+
+
+def _read_csv(path: Path) -> WeightSamples:
+    lines = read_lines(path)
+    header = next(lines)
+    delimiter = sniff_delimiter(header.text) or ","
+    titles = without_empty_tail(split_cells(header, delimiter))
+    check_columns(titles, header)
+    kinds = [_kind(title) for title in titles]
+    if not any(kind in ("frame", "time", "ms") for kind in kinds) and len(titles) < _FEWEST_SHAPES:
+        raise InputError(
+            f"{header.where}: has no `frame` column; the first line must name the columns"
+        )
+    twice = [kind for kind, count in Counter(filter(None, kinds)).items() if count > 1]
+    if twice:
+        raise InputError(f"{header.where}: {twice[0]} is there in two columns; keep one")
+    texts = [at for at, kind in enumerate(kinds) if kind in _TEXTS]
+    table = read_number_table(
+        lines, titles, path=path, delimiter=delimiter, gaps=False, texts=texts
+    )
+    at = {kind: place for place, kind in enumerate(kinds) if kind}
+    columns = [place for place, kind in enumerate(kinds) if not kind]
+    return WeightSamples(
+        tuple(titles[place] for place in columns),
+        table.values[:, columns],
+        table.lines,
+        table.values[:, at["frame"]] if "frame" in at else None,
+        _seconds(at, table.values),
+        tuple(table.texts[at["take"]]) if "take" in at else (),
+    )
+
+
+def _seconds(at: Mapping[str, int], values: FloatArray) -> FloatArray | None:
+    if "ms" in at:
+        return values[:, at["ms"]] * 1e-3
+    if "time" not in at:
+        return None
+    times = values[:, at["time"]]
+    # No face is captured once a second or slower: steps of one and more are milliseconds.
+    return times * 1e-3 if len(times) > 1 and np.median(np.diff(times)) >= 1.0 else times
+
+
+def _read_json(path: Path) -> WeightSamples:
+    data = read_json(path, LARGEST_JSON_BYTES)
+    rate = None
+    if isinstance(data, dict):
+        stated = next((data[key] for key in _RATE_KEYS if key in data), None)
+        if stated is not None:
+            rate = exact_rate(_number(path, "its rate", "fps", stated), where=str(path))
+        names = next((data[key] for key in _NAME_KEYS if isinstance(data.get(key), list)), None)
+        matrix = next((data[key] for key in _MATRIX_KEYS if isinstance(data.get(key), list)), None)
+        if names is not None and matrix is not None:
+            return replace(_matrix(path, names, matrix), rate=rate)
+        data = matrix if names is None else None
+    if not isinstance(data, list) or not all(isinstance(row, dict | list) for row in data):
+        raise InputError(
+            f'{path}: must be a list of rows like {{"frame": 12, "jawOpen": 0.4}}, or names and a '
+            "matrix of weights, as Audio2Face writes (facsNames, weightMat)"
+        )
+    return replace(_json_rows(path, data), rate=rate)
+
+
+def _matrix(path: Path, names: list[Any], matrix: list[Any]) -> WeightSamples:
+    rows = [
+        next((row[key] for key in _ROW_KEYS if key in row), row) if isinstance(row, dict) else row
+        for row in matrix
+    ]
+    for index, row in enumerate(rows):
+        if not isinstance(row, list) or len(row) != len(names):
+            count = len(row) if isinstance(row, list) else 0
+            raise InputError(
+                f"{path} row {index + 1}: {count} weights for {len(names)} names; export it again"
+            )
+    values = np.array(
+        [
+            [
+                _number(path, f"row {i + 1}", str(n), each)
+                for n, each in zip(names, row, strict=True)
+            ]
+            for i, row in enumerate(rows)
+        ]
+    ).reshape(len(rows), len(names))
+    _check_unique(path, names)
+    return WeightSamples(tuple(map(str, names)), values, np.arange(1, len(rows) + 1))
+
+
+def _json_rows(path: Path, data: list[Any]) -> WeightSamples:
+    rows = [_flat(path, index, row) for index, row in enumerate(data)]
+    keys = list(dict.fromkeys(name for row in rows for name in row))
+    at = {_kind(name): name for name in keys if _kind(name)}
+    names = [name for name in keys if not _kind(name)]
+    values = np.zeros((len(rows), len(names)))
+    for index, row in enumerate(rows):
+        for column, name in enumerate(names):
+            values[index, column] = _number(path, f"row {index + 1}", name, row.get(name, 0.0))
+
+    def series(kind: str) -> FloatArray | None:
+        if kind not in at:
+            return None
+        name = at[kind]
+        given = [_number(path, f"row {i + 1}", name, r.get(name)) for i, r in enumerate(rows)]
+        return np.array(given)
+
+    frames, indices = series("frame"), [i for i, kind in enumerate(("time", "ms")) if kind in at]
+    times = {kind: place for place, kind in enumerate(("time", "ms")) if kind in at}
+    seconds = None
+    if indices:
+        columns = [series(kind) for kind in ("time", "ms")]
+        stacked = np.stack([np.zeros(len(rows)) if c is None else c for c in columns], axis=1)
+        seconds = _seconds(times, stacked)
+    takes = tuple(str(row.get(at["take"], "")) for row in rows) if "take" in at else ()
+    lines = np.arange(1, len(rows) + 1)
+    faces = np.flatnonzero([any(not _kind(name) for name in row) for row in rows])
+    if 0 < len(faces) < len(rows) and frames is None and seconds is None:
+        frames = lines.astype(np.float64)
+    # A picture without a face is no face at rest: its row is left out, as a dropped frame is.
+    return WeightSamples(tuple(names), values, lines, frames, seconds, takes).rows(faces)
+
+
+def _flat(path: Path, index: int, row: Any) -> dict[str, Any]:
+    """Return a row as shapes by name: nested weights and lists of categories are laid open."""
+    if isinstance(row, list):
+        return _categories(path, index, row)
+    key = next((key for key in _ROW_KEYS if isinstance(row.get(key), dict | list)), None)
+    if key is None:
+        return dict(row)
+    inner = row[key]
+    faces = inner if isinstance(inner, list) else []
+    lists = [each.get("categories") if isinstance(each, dict) else each for each in faces]
+    if lists and all(isinstance(each, list) for each in lists):  # MediaPipe's faces of a picture
+        if len(lists) > 1:
+            raise InputError(
+                f"{path} row {index + 1}: holds {len(lists)} faces; export the scores of one"
+            )
+        inner = lists[0]
+    nested = inner if isinstance(inner, dict) else _categories(path, index, inner)
+    return {name: value for name, value in row.items() if _kind(name)} | nested
+
+
+def _categories(path: Path, index: int, row: list[Any]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for each in row:
+        name = (
+            each.get("categoryName", each.get("category_name")) if isinstance(each, dict) else None
+        )
+        if not isinstance(name, str) or "score" not in each:
+            raise InputError(
+                f"{path} row {index + 1}: holds {str(each)[:40]!r}; a list must be of "
+                "{categoryName, score}, as MediaPipe writes"
+            )
+        if name != "_neutral":  # MediaPipe's first category is no shape
+            found[name] = each["score"]
+    return found
+
+
+def _number(path: Path, where: str, column: str, value: object) -> float:
+    try:
+        number = float(str(value)) if not isinstance(value, bool) else float("nan")
+    except ValueError:
+        number = float("nan")
+    if not np.isfinite(number) or (_kind(column) == "frame" and abs(number) >= FARTHEST_FRAME):
+        raise InputError(f"{path} {where}, column {column!r}: {value!r} is no number; correct it")
+    return number
+
+
+def _read_npy(path: Path, shapes: Path | None) -> WeightSamples:
+    values = _load(path)
+    if values.ndim != 2 or values.dtype.kind not in "fiu":
+        raise InputError(
+            f"{path}: holds {values.dtype} of shape {values.shape}; a matrix of frames by shapes "
+            "is read"
+        )
+    names_file = shapes or next(
+        (each for end in ("txt", "json", "npy") if (each := _names_path(path, end)).is_file()), None
+    )
+    if names_file is None:
+        raise InputError(
+            f"{path}: says nothing of its {values.shape[1]} columns; put a file with their names, "
+            f"one per line, beside it as {_names_path(path, 'txt').name}, or give one with --shapes"
+        )
+    names = _names(names_file)
+    if len(names) != values.shape[1]:
+        raise InputError(
+            f"{names_file}: {len(names)} names for the {values.shape[1]} columns of {path}"
+        )
+    _check_unique(names_file, names)
+    bad = np.argwhere(~np.isfinite(values.astype(np.float64)))
+    if len(bad):
+        row, column = bad[0].tolist()
+        raise InputError(f"{path} row {row + 1}, {names[column]}: is not finite; export it again")
+    lines = np.arange(1, len(values) + 1)
+    return WeightSamples(tuple(names), values.astype(np.float64), lines)
+
+
+def _names_path(path: Path, end: str) -> Path:
+    return path.with_name(f"{path.stem}.names.{end}")
+
+
+def _names(path: Path) -> list[str]:
+    if path.suffix.lower() == ".npy":
+        return [str(each) for each in _load(path).ravel().tolist()]
+    if path.suffix.lower() == ".json":
+        listed = read_json(path, _LARGEST_NAMES_BYTES)
+        if not isinstance(listed, list):
+            raise InputError(f"{path}: must be a list of names")
+        return [str(each) for each in listed]
+    text = read_text(path, _LARGEST_NAMES_BYTES)
+    return [name.strip() for name in re.split(r"[\n,;]", text) if name.strip()]
+
+
+def _load(path: Path) -> Any:
+    check_may_open(path)
+    try:  # mapped: a damaged header must not ask for more memory than the file has
+        return np.load(path, mmap_mode="r", allow_pickle=False)
+    except (ValueError, OSError, EOFError, SyntaxError, TypeError, KeyError, TokenError) as error:
+        raise InputError(
+            f"{path}: cannot be read as a NumPy array without pickled objects: {error}"
+        ) from error
+
+
+def _check_unique(path: Path, names: Sequence[Any]) -> None:
+    twice = [name for name, count in Counter(names).items() if count > 1]
+    if twice:
+        raise InputError(f"{path}: {first_few(twice)} is named twice; keep one")
