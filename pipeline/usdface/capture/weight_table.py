@@ -65,12 +65,13 @@ def row_frames(path: Path, samples: WeightSamples) -> tuple[IntArray, Fraction |
     """
     if samples.frames is not None:
         whole = np.isfinite(samples.frames) & (np.abs(samples.frames) < FARTHEST_FRAME)
+        whole[whole] = samples.frames[whole] == np.rint(samples.frames[whole])
         if not whole.all():
             row = int(np.argmin(whole))
             raise InputError(
                 f"{path} line {samples.lines[row]}: {samples.frames[row]:g} is no frame; correct it"
             )
-        return np.rint(samples.frames).astype(np.int64), samples.rate
+        return samples.frames.astype(np.int64), samples.rate
     takes = np.array(samples.takes or [""] * len(samples.values), object)
     frames, rate = np.zeros(len(takes), np.int64), samples.rate
     for take in dict.fromkeys(takes.tolist()):

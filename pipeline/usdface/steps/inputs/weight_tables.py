@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from usdface.capture.sniff import read_capture, recognise_format
 from usdface.capture.text_table import csv_rows
 from usdface.capture.weight_samples import read_weight_samples
-from usdface.capture.weight_table import in_fractions, row_frames
+from usdface.capture.weight_table import in_fractions, read_weight_take, row_frames
 from usdface.core.arrays import FloatArray, IntArray, columns_by_name
 from usdface.core.errors import InputError
 from usdface.core.sidecars import LAYER_SUFFIXES, is_usd_name
@@ -161,7 +162,26 @@ def read_weight_table(
     return _table_of(path, unit, shapes)
 
 
+def _recorded_table(path: Path) -> WeightTable | None:
+    """Read what a recorder wrote, by the frames of its take; None of tables, which say less."""
+    try:
+        found = recognise_format(path)
+    except InputError:
+        return None  # the table's reader says what is wrong
+    take = None if found.read is read_weight_take else read_capture(path).take
+    if take is None or take.source is None:
+        return None
+    frames = tuple(range(take.first_frame, take.first_frame + take.frame_count))
+    values = take.source.values.astype(np.float64)
+    return WeightTable(
+        take.source.names, frames, values, take.rate, frozenset(frames), numbered=False
+    )
+
+
 def _table_of(path: Path, unit: str | None, shapes: Path | None) -> WeightTable:
+    recorded = _recorded_table(path) if unit is None and shapes is None else None
+    if recorded is not None:
+        return recorded
     try:
         samples = read_weight_samples(path, shapes=shapes)
     except OSError as error:
