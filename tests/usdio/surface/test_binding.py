@@ -101,6 +101,17 @@ def test_the_balls_lie_on_the_mesh_as_a_viewer_shows_it(
     np.testing.assert_allclose(np.array(ball)[3, :3], wanted, atol=1e-4)
 
 
+def test_the_mesh_is_in_the_hierarchy_of_models(
+    bound: tuple[Path, MarkerBinding], tmp_path: Path
+) -> None:
+    asset = Usd.Stage.Open(str(tmp_path / "scan.usdc"))
+    Usd.ModelAPI(asset.GetDefaultPrim()).SetKind("component")
+    asset.Save()
+    shown = Usd.Stage.Open(str(bound[0])).GetPrimAtPath("/Binding/Mesh/Asset")
+    assert Usd.ModelAPI(shown).GetKind() == "component"
+    assert shown.IsModel(), "a component below what is no group"
+
+
 def test_a_face_alone_means_its_middle(bound: tuple[Path, MarkerBinding], face: FaceMesh) -> None:
     correct(bound[0], "chin", "face:binding:face", Sdf.ValueTypeNames.Int, 77)
     read = read_binding(bound[0], face).binding

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from pxr import Gf, Sdf, Tf, Usd, Vt
+from pxr import Gf, Kind, Sdf, Tf, Usd, Vt
 
 from usdface.core.arrays import FloatArray
 from usdface.core.errors import InputError
@@ -103,6 +103,7 @@ def write_binding(
             relative_path(each, path) for each in (corrected_path, proposed_path)
         ]
         root = define_prim(layer, _ROOT, "Xform")
+        root.SetInfo("kind", Kind.Tokens.assembly)  # models, as rigs are, stand below no other
         apply_api(root, "FaceBindingAPI")
         asset = Sdf.AssetPath(relative_path(face.file, path))
         author_uniform(root, "face:binding:mesh", Sdf.ValueTypeNames.Asset, asset)
@@ -207,6 +208,7 @@ def _prim_name(name: str, taken: set[str]) -> str:
 def _show_mesh(layer: Sdf.Layer, face: BoundSurface, stage: Usd.Stage, path: Path) -> None:
     """Show the mesh among the balls by a reference, turned and sized into their space."""
     holder = define_prim(layer, MESH, "Xform")
+    holder.SetInfo("kind", Kind.Tokens.group)
     turn = np.eye(4)
     turn[:3, :3] = stage_to_ours(stage) / MM_PER_STAGE_UNIT
     matrix = Sdf.AttributeSpec(holder, "xformOp:transform", Sdf.ValueTypeNames.Matrix4d)
