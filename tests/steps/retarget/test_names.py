@@ -189,6 +189,21 @@ def test_a_take_of_a_folder_that_fails_does_not_stop_the_others(take: np.ndarray
     assert not Path("made/bad.hero.usda").exists()
 
 
+def test_what_is_stated_of_a_folder_counts_for_its_tables(take: np.ndarray, capsys) -> None:
+    """A recorder's file beside them says its rate itself."""
+    Path("day").mkdir()
+    phone_csv(Path("day/phone.csv"), take)
+    rows = [f"{n},{100 * each[0]:.6g},0" for n, each in enumerate(take, start=1)]
+    Path("day/table.csv").write_text("\n".join(["frame,JawOpen,smile", *rows]), encoding="utf-8")
+    line = ("retarget", "day", "--rig", "hero.usda", "--rate", 24, "--weight-unit", "percent")
+    assert usdface(*line, "--out", "made") == 0, capsys.readouterr().err
+    table, phone = (PerformanceReader(Path(f"made/{n}.hero.usda")) for n in ("table", "phone"))
+    assert (table.rate, phone.rate == table.rate) == (24, False)
+    Path("day/table.csv").unlink()
+    assert usdface(*line, "--out", "other") == 1
+    assert "says it itself; leave it out" in capsys.readouterr().err
+
+
 def test_no_target_and_uneven_targets_are_refused(take: np.ndarray, capsys) -> None:
     assert usdface("retarget", "phone.csv", "--out", "shot.usda") == 2
     assert "no target is given" in capsys.readouterr().err

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from usdface.capture.sniff import recognise_format
+from usdface.capture.weight_table import read_weight_take
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.text import pluralize
@@ -17,6 +18,9 @@ _OF_WEIGHTS = (
     *("weights-csv", "weights-json", "weights-npy"),
 )
 """Formats whose captures carry weights."""
+
+_OF_TABLES = ("rate", "weight_unit", "shapes", "take")
+"""Options that count for the tables of a folder; takes and recorders' files say it themselves."""
 
 
 def retarget_folder(
@@ -58,9 +62,11 @@ def retarget_folder(
             f"{folder}: performances are named after their targets, and {', '.join(targets)} are "
             "not different; retarget to one of them at a time"
         )
+    tables = {source for source in sources.values() if _is_table(source)}
     specs = [
         shared.model_copy(
-            update={
+            update=({} if source in tables or not tables else dict.fromkeys(_OF_TABLES))
+            | {
                 "source": source,
                 "out": tuple(out / f"{stem}.{target}.usda" for target in targets),
             }
@@ -81,6 +87,10 @@ def retarget_folder(
         tuple(line for report in done for line in (report.summary, *report.notes)),
         {"takes": [report.as_data() for report in done]},
     )
+
+
+def _is_table(source: Path) -> bool:
+    return not source.name.endswith(TAKE_END) and recognise_format(source).read is read_weight_take
 
 
 def _takes(folder: Path) -> dict[str, Path]:
