@@ -102,10 +102,11 @@ def test_the_balls_lie_on_the_mesh_as_a_viewer_shows_it(
 
 
 def test_the_mesh_is_in_the_hierarchy_of_models(
-    bound: tuple[Path, MarkerBinding], tmp_path: Path
+    bound: tuple[Path, MarkerBinding], face: FaceMesh
 ) -> None:
-    asset = Usd.Stage.Open(str(tmp_path / "scan.usdc"))
-    Usd.ModelAPI(asset.GetDefaultPrim()).SetKind("component")
+    asset = Usd.Stage.Open(str(face.file))
+    top = Sdf.Path(face.path).GetPrefixes()[0]
+    Usd.ModelAPI(asset.GetPrimAtPath(top)).SetKind("component")
     asset.Save()
     shown = Usd.Stage.Open(str(bound[0])).GetPrimAtPath("/Binding/Mesh/Asset")
     assert Usd.ModelAPI(shown).GetKind() == "component"
