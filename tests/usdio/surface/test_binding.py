@@ -108,7 +108,8 @@ def test_the_mesh_is_in_the_hierarchy_of_models(
     top = Sdf.Path(face.path).GetPrefixes()[0]
     Usd.ModelAPI(asset.GetPrimAtPath(top)).SetKind("component")
     asset.Save()
-    shown = Usd.Stage.Open(str(bound[0])).GetPrimAtPath("/Binding/Mesh/Asset")
+    stage = Usd.Stage.Open(str(bound[0]))
+    shown = stage.GetPrimAtPath("/Binding/Mesh/Asset")
     assert Usd.ModelAPI(shown).GetKind() == "component"
     assert shown.IsModel(), "a component below what is no group"
 
