@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from usdface.core.sidecars import edits_path
-from usdface.specs.base import MovedRigSpec, Name, Positional, Spec
+from usdface.specs.base import MovedRigSpec, Name, Positional, Spec, WeightTableSpec
 from usdface.specs.paths import (
     FilePath,
     Frames,
@@ -78,7 +78,7 @@ class EditSpec(Spec):
         return (edits_path(self.performance),)
 
 
-class EditsImportSpec(Spec):
+class EditsImportSpec(WeightTableSpec):
     """Import an animation changed in another tool as edits: its difference from the solve.
 
     Shapes are matched by name and frames by number. At the frames in the file the performance then

@@ -1,6 +1,7 @@
 """Edits, as an animator meets them: set, kept through another mapping, baked, learned from."""
 
 import csv
+import json
 import os
 import shutil
 from dataclasses import replace
@@ -378,6 +379,22 @@ def test_an_animation_changed_in_another_tool_comes_back_as_edits(shot: Shot) ->
     assert again.figures["frames"] == 0
     assert not again.outputs
     assert not any("mapped again" in note for note in report.notes)
+
+
+def test_changed_weights_in_percent_without_frame_numbers_come_back(shot: Shot) -> None:
+    path = shot / "shot.hero.usda"
+    clip = read_weights(path)
+    wanted = clip.values.astype(np.float64)
+    wanted[200:240, clip.names.index("jawOpen")] += 0.15
+    changed = shot / "dcc.json"
+    rows = (100 * wanted).tolist()
+    changed.write_text(json.dumps({"names": clip.names, "weights": rows}), encoding="utf-8")
+    with pytest.raises(InputError, match="--weight-unit percent"):
+        run(EditsImportSpec(performance=path, changed=changed))
+    report = run(EditsImportSpec(performance=path, changed=changed, weight_unit="percent"))
+    assert report.figures == {"frames": 40, "shapes": ["jawOpen"]}
+    assert "count from frame 1" in report.notes[0]
+    np.testing.assert_allclose(read_weights(path).values, wanted, atol=1e-6)
 
 
 def test_a_file_that_was_baked_from_another_solve_is_suspected_and_listed_in_short(

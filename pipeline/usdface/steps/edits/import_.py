@@ -37,7 +37,7 @@ def run(
     """
     stamp = edits_stamp(spec.performance)
     reader = PerformanceReader(spec.performance, prim=spec.prim)
-    table = read_weight_table(spec.changed, known=reader.names)
+    table = read_weight_table(spec.changed, known=reader.names, unit=spec.weight_unit)
     table.check_rate(reader.rate, file=spec.changed, performance=spec.performance)
     driven = {each.shape for each in reader.combinations}
     own = [name for name in reader.names if name not in driven]
@@ -79,7 +79,11 @@ def run(
         offset = np.where(np.abs(wanted) > spec.least, wanted, 0.0)[meant]
         curve = _replaced(old.curve, rows[meant], offset)
         changed[shape] = renewed(old, curve, beneath, touched)
-    notes = _notes(reader, table) + elsewhere_notes(table, elsewhere)
+    notes = (
+        *table.numbering_notes(spec.changed),
+        *_notes(reader, table),
+        *elsewhere_notes(table, elsewhere),
+    )
     if not changed:
         return StepResult(
             (),

@@ -54,7 +54,7 @@ def run(
         spec.out, pairs, source_rig=source_rig, target_rig=target_rig, provenance=provenance
     )
     progress(1.0, "done")
-    notes = meaning_notes(transfer)
+    notes = [*meaning_notes(transfer), *given.numbering_notes(spec.source)]
     if unknown:
         notes.append(
             f"left out {pluralize(len(unknown), 'column')}, of no shape of {spec.source_rig}: "
