@@ -141,6 +141,19 @@ def exact_rate(value: float, *, where: str) -> Fraction:
     return exact if exact > 0 else Fraction(value)
 
 
+def frames_within(
+    where: object, frames: tuple[int, int] | None, first: int, last: int
+) -> tuple[int, int]:
+    """Return the first and the last of the frames asked for, by default all; refuse others."""
+    if frames is None:
+        return first, last
+    if not first <= frames[0] <= frames[1] <= last:
+        raise InputError(
+            f"{where}: frames {frames[0]}-{frames[1]} are not all there; it has {first}-{last}"
+        )
+    return frames
+
+
 def check_frame_span(where: str, first: float, last: float, *, samples: int | None) -> None:
     """Refuse a range of frames that is not finite, or too long for the samples of its file.
 

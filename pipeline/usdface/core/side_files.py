@@ -26,7 +26,7 @@ _BY_FOLDER = os.open in os.supports_dir_fd
 """Whether the system opens a name in an open folder; Windows does not."""
 
 
-def open_side_file(path: Path, flags: int, mode: int = 0o666) -> int:
+def open_side_file(path: Path, flags: int) -> int:
     """Open a file beside another, and nothing that a link leads to.
 
     Parameters
@@ -50,7 +50,7 @@ def open_side_file(path: Path, flags: int, mode: int = 0o666) -> int:
     with _opened_folder(path.parent) as folder:
         try:
             name = path if folder is None else path.name
-            handle = os.open(name, flags | _NO_LINK | _NO_WAIT, mode, dir_fd=folder)
+            handle = os.open(name, flags | _NO_LINK | _NO_WAIT, 0o666, dir_fd=folder)
         except OSError as error:
             if error.errno in (errno.ELOOP, errno.EMLINK, errno.ENXIO):
                 raise _not_plain_error(path) from error

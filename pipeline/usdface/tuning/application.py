@@ -175,11 +175,11 @@ class Scene:
         }
 
 
-def build_application(scene: Scene, *, page: str = "tune.html") -> Starlette:
-    """Return the application; put `usdface.tuning.serve.Guard` around it."""
+def build_application(scene: Scene) -> Starlette:
+    """Return the application; put `usdface.tuning.guard.Guard` around it."""
 
     async def home(request: Request) -> Response:
-        return Response(read_web_file(page), media_type="text/html; charset=utf-8")
+        return Response(read_web_file("tune.html"), media_type="text/html; charset=utf-8")
 
     async def file(request: Request) -> Response:
         name = request.path_params["name"]

@@ -438,7 +438,7 @@ def test_an_island_without_a_marker_is_told(folder: Path, scan: Scan) -> None:
 @pytest.mark.parametrize(
     ("more", "message"),
     [
-        ({"frames": "1-20"}, "holds frames 101-140, not all of 1-20"),
+        ({"frames": "1-20"}, "frames 1-20 are not all there; it has 101-140"),
         ({"landmarks": ("a=1",)}, "--landmarks cannot be used with --binding"),
         ({"blend": 1.5}, "less than or equal to 1"),
         ({"device": "cuda"}, "device"),

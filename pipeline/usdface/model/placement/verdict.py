@@ -115,9 +115,7 @@ def judge_placement(
         reasons.append(_better_elsewhere(gains, shift_mm))
         reasons.append(_without_shapes(cloud.labels, moved, skin.deltas[:, samples], unit))
     if not by_labels and not placed:
-        reasons.append(
-            ("check", "placed by motion alone, as labels and shapes name too few landmarks")
-        )
+        reasons.append(_BY_MOTION)
     found = [each for each in reasons if each[0] != "good"]
     level = max((each[0] for each in found), key=list(_OPENINGS).index, default="good")
     found.sort(key=lambda each: -list(_OPENINGS).index(each[0]))

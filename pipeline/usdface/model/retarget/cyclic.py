@@ -83,12 +83,10 @@ class SurfaceMeter:
         return out
 
 
-def spread_displacements(
-    rig: Rig, names: tuple[str, ...], *, points: int = TRAINING_POINTS
-) -> FloatArray:
+def spread_displacements(rig: Rig, names: tuple[str, ...]) -> FloatArray:
     """Return what shapes at 1 do to points spread over a rig: (names, points, 3) float array."""
     shapes = Deformer(rig).shapes
-    columns = _columns(shapes.point_count, points)
+    columns = _columns(shapes.point_count, TRAINING_POINTS)
     chosen = [rig.shapes.index(name) for name in names]
     moved = shapes.target_offsets()[:, columns].toarray()[chosen]
     return np.asarray(moved).reshape(len(names), -1, 3)

@@ -195,6 +195,10 @@ def fit_shared_mode(table: SharedTable, displacements: FloatArray) -> LaplaceFit
         return fit_laplace(energy, start, iterations=30)
 
 
+_SHARED_CHAINS = 4
+"""Run in lockstep from the same Laplace fit."""
+
+
 def sample_shared(
     rng: np.random.Generator,
     table: SharedTable,
@@ -202,7 +206,6 @@ def sample_shared(
     *,
     burn: int = 40,
     keep: int = 200,
-    chains: int = 4,
 ) -> SharedSamples:
     """Sample the posterior of all rows together.
 
@@ -212,15 +215,12 @@ def sample_shared(
         [mm]
     burn, keep : int
         Samples of each chain in which it tunes its step; samples of all chains together.
-    chains : int
-        Run in lockstep from the same Laplace fit.
     """
     fit = fit_shared_mode(table, displacements)
-    energy = PooledEnergy(table, displacements, chains=chains)
+    energy = PooledEnergy(table, displacements, chains=_SHARED_CHAINS)
+    start = fit.take(np.zeros(_SHARED_CHAINS, np.int64))
     with np.errstate(all="ignore"):
-        samples = sample_chains(
-            rng, energy, fit.take(np.zeros(chains, np.int64)), burn=burn, keep=-(-keep // chains)
-        )
+        samples = sample_chains(rng, energy, start, burn=burn, keep=-(-keep // _SHARED_CHAINS))
     each = np.moveaxis(samples.theta, 1, 2).astype(np.float64)
     return SharedSamples(
         np.asarray(fit.mode[:, 0], np.float64),

@@ -237,9 +237,7 @@ class FaceSkin:
         return np.asarray(points * [-1.0, 1.0, 1.0] + [2 * self.sagittal_x, 0.0, 0.0])
 
 
-def sample_face_skin(
-    points: ArrayLike, triangles: ArrayLike, offsets: Offsets, *, sample_count: int = 12_000
-) -> FaceSkin:
+def sample_face_skin(points: ArrayLike, triangles: ArrayLike, offsets: Offsets) -> FaceSkin:
     """Sample the skin of a rig's face.
 
     Parameters
@@ -249,8 +247,6 @@ def sample_face_skin(
     triangles : (triangles, 3) int array
     offsets : (shapes, points, 3) array or (shapes, 3 * points) sparse array
         What each shape at 1 does to the points [mm].
-    sample_count : int
-        About how many samples.
 
     Raises
     ------
@@ -265,9 +261,7 @@ def sample_face_skin(
     facing = facing_direction(rest, faces, activity)
     left = np.cross([0.0, 1.0, 0.0], facing)
     frame = np.stack([left, [0.0, 1.0, 0.0], facing])
-    skin = sample_outer_surface(
-        rest, faces, facing=facing, activity=activity, sample_count=sample_count
-    )
+    skin = sample_outer_surface(rest, faces, facing=facing, activity=activity)
     corners, shares = skin.corners, skin.weights
     positions = skin.positions @ frame.T
     sides = rest[corners]

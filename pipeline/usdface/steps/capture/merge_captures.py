@@ -14,7 +14,7 @@ from usdface.capture.c3d import C3dFile, is_c3d, open_c3d
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray
 from usdface.core.assets import Markers, Take, WeightsClip
 from usdface.core.errors import InputError
-from usdface.core.rates import frames_of, shift_timecode, timecode_of
+from usdface.core.rates import frames_of, frames_within, shift_timecode, timecode_of
 from usdface.core.replacing import replacing
 from usdface.core.text import pluralize
 from usdface.model.placement.label_hints import mirrored_label
@@ -64,13 +64,8 @@ def exchange_sides(take: Take, what: str, *, where: object) -> Take:
 
 def cut_frames(take: Take, limits: tuple[int, int], *, where: object) -> Take:
     """Keep the frames from the first to the last of `limits`; timecode and video stay in time."""
-    first, last = limits
     end = take.first_frame + take.frame_count - 1
-    if not take.first_frame <= first <= last <= end:
-        raise InputError(
-            f"{where}: --frames {first}-{last} are not all in the take, which has "
-            f"{take.first_frame}-{end}"
-        )
+    first, last = frames_within(where, limits, take.first_frame, end)
     skipped = first - take.first_frame
     rows = slice(skipped, last - take.first_frame + 1)
     markers, source, video = take.markers, take.source, take.video

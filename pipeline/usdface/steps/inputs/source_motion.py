@@ -12,7 +12,7 @@ from usdface.capture.sniff import read_capture
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import Take
 from usdface.core.errors import InputError
-from usdface.core.rates import shift_timecode
+from usdface.core.rates import frames_within, shift_timecode
 from usdface.core.sidecars import is_usd_name
 from usdface.core.text import first_few, pluralize
 from usdface.model.retarget.name_matching import Transfer, meaning_notes, transfer_by_names
@@ -92,16 +92,16 @@ def read_source_motion(
     if capture is not None:
         take = capture.take
         end = take.first_frame + take.frame_count - 1
-        first, last = _limits(path, frames, take.first_frame, end)
+        first, last = frames_within(path, frames, take.first_frame, end)
         start = shift_timecode(take.timecode_start, first - take.first_frame, take.rate)
         motion = _of_take(path, replace(take, timecode_start=start), first, last)
         return replace(motion, notes=capture.notes)
     if is_take(path):
         reader = TakeReader(path)
-        first, last = _limits(path, frames, reader.first_frame, reader.last_frame)
+        first, last = frames_within(path, frames, reader.first_frame, reader.last_frame)
         return _of_take(path, reader.read(first, last), first, last)
     performance = PerformanceReader(path)
-    first, last = _limits(path, frames, performance.first_frame, performance.last_frame)
+    first, last = frames_within(path, frames, performance.first_frame, performance.last_frame)
     if has_channels_per_mesh(path):
         table = read_weight_table(path)
         rows = slice(first - performance.first_frame, last + 1 - performance.first_frame)
@@ -189,13 +189,3 @@ def _of_take(path: Path, take: Take, first: int, last: int) -> SourceMotion:
         timecode_start=take.timecode_start,
         emotion=take.emotion,
     )
-
-
-def _limits(path: Path, frames: tuple[int, int] | None, first: int, last: int) -> tuple[int, int]:
-    if frames is None:
-        return first, last
-    if frames[0] < first or frames[1] > last:
-        raise InputError(
-            f"{path}: frames {frames[0]}-{frames[1]} are not all there; it has {first}-{last}"
-        )
-    return frames

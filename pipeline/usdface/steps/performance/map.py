@@ -16,6 +16,7 @@ from usdface.core.assets import Rig, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
+from usdface.core.rates import frames_within
 from usdface.core.sidecars import head_path, weights_path
 from usdface.core.text import first_few, pluralize
 from usdface.model.mapping.head_space import MINIMUM_SHARE, HeadSpace, MappedMarkers
@@ -143,7 +144,9 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress = silent) -
     if spec.alpha is not None:
         check_blend(spec.mapping, mapping)
     take = TakeReader(spec.take)
-    first, last = _frames(spec, take)
+    first, last = frames_within(
+        spec.take, frame_range(spec.frames), take.first_frame, take.last_frame
+    )
     space = take_head_space(take, mapping)
     driven = _driven(spec, take, mapping, space, rig, (first, last))
     temporal = TemporalSolve(spec.temporal, spec.cutoff, spec.lag, spec.bands)
@@ -245,7 +248,9 @@ def _driven(
 
 def _run_baseline(spec: MapSpec, provenance: Provenance, progress: Progress) -> StepResult:
     rig, take = read_rig(spec.rig, prim=spec.rig_prim), TakeReader(spec.take)
-    first, last = _frames(spec, take)
+    first, last = frames_within(
+        spec.take, frame_range(spec.frames), take.first_frame, take.last_frame
+    )
     from usdface.steps.performance.baseline import write_baseline  # mapping starts without it
 
     return write_baseline(
@@ -258,17 +263,6 @@ def _run_baseline(spec: MapSpec, provenance: Provenance, progress: Progress) -> 
         provenance=provenance,
         progress=progress,
     )
-
-
-def _frames(spec: MapSpec, take: TakeReader) -> tuple[int, int]:
-    """Return the first and the last frame that are asked for."""
-    first, last = frame_range(spec.frames) or (take.first_frame, take.last_frame)
-    if first < take.first_frame or last > take.last_frame:
-        raise InputError(
-            f"{spec.take}: frames {first}-{last} are not all in the take, which has "
-            f"{take.first_frame}-{take.last_frame}"
-        )
-    return first, last
 
 
 def _blocks(take: TakeReader, first: int, last: int) -> Iterator[range]:

@@ -7,7 +7,6 @@ import numpy as np
 from usdface.core.arrays import IntArray
 from usdface.core.assets import References
 from usdface.core.errors import InputError
-from usdface.core.locks import nobody_tunes
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import reference_layers
@@ -16,11 +15,9 @@ from usdface.runner.result import StepResult
 from usdface.specs.notes import read_notes
 from usdface.specs.paths import frame_list, frame_range
 from usdface.specs.references import ReferencesAddSpec
-from usdface.steps.references.from_edits import left_out, made_from, markers_at, tuned_by_hand
+from usdface.steps.references.from_edits import made_from, markers_at, write_extended
 from usdface.usdio.performance.read import PerformanceReader
-from usdface.usdio.references.read import read_pair_notes, read_references
-from usdface.usdio.references.write import write_references
-from usdface.usdio.rig.read import read_rig
+from usdface.usdio.references.read import read_references
 
 MOST_FRAMES = 1000
 """Frames added at once: ten times what `select` chooses by default."""
@@ -45,15 +42,7 @@ def run(
         notes.append(f"left out, missing a marker: frames {first_few(frames[~seen].tolist())}")
     progress(0.8, f"looked at {pluralize(len(frames), 'frame')}")
     references = _with_pairs(old, reader, take.name, frames[seen], markers[seen])
-    rig = read_rig(references.rig_file, prim=references.rig_prim)
-    images = [note.image for note in read_pair_notes(spec.references)]
-    images += [None] * (len(references.frames) - len(images))
-    with nobody_tunes(spec.out):
-        notes += left_out(spec.out, references)
-        tuned = tuned_by_hand(spec, references, notes)
-        write_references(
-            spec.out, references, rig, tuned=tuned, images=images, provenance=provenance
-        )
+    write_extended(spec, references, notes, provenance)
     progress(1.0, "written")
     added = frames[seen].tolist()
     return StepResult(

@@ -69,20 +69,7 @@ def run(
             f"{', '.join(map(str, spec.performances))}: no frame was corrected by more than "
             f"{LEAST_CHANGE:g} with its markers seen; edit the performance first"
         )
-    rig = read_rig(references.rig_file, prim=references.rig_prim)
-    images = [note.image for note in read_pair_notes(spec.references)]
-    images += [None] * (len(references.frames) - len(images))
-    with nobody_tunes(spec.out):
-        notes += left_out(spec.out, references)
-        tuned = tuned_by_hand(spec, references, notes)
-        write_references(
-            spec.out,
-            references,
-            rig,
-            tuned=tuned,
-            images=images,
-            provenance=provenance,
-        )
+    write_extended(spec, references, notes, provenance)
     progress(1.0, "written")
     return StepResult(
         reference_layers(spec.out),
@@ -230,7 +217,25 @@ def markers_at(
     return positions, seen
 
 
-def tuned_by_hand(
+def write_extended(
+    spec: ReferencesFromEditsSpec | ReferencesAddSpec,
+    references: References,
+    notes: list[str],
+    provenance: Provenance,
+) -> None:
+    """Write references that have more pairs than before; what is tuned and drawn stays."""
+    rig = read_rig(references.rig_file, prim=references.rig_prim)
+    images = [note.image for note in read_pair_notes(spec.references)]
+    images += [None] * (len(references.frames) - len(images))
+    with nobody_tunes(spec.out):
+        notes += _left_out(spec.out, references)
+        tuned = _tuned_by_hand(spec, references, notes)
+        write_references(
+            spec.out, references, rig, tuned=tuned, images=images, provenance=provenance
+        )
+
+
+def _tuned_by_hand(
     spec: ReferencesFromEditsSpec | ReferencesAddSpec, references: References, notes: list[str]
 ) -> list[TunedPair]:
     """Return the pairs that are tuned, as somebody tuned them in the asset that is replaced."""
@@ -269,7 +274,7 @@ def _by_hand(out: Path) -> dict[tuple[str, int], dict[str, float]]:
     }
 
 
-def left_out(out: Path, references: References) -> list[str]:
+def _left_out(out: Path, references: References) -> list[str]:
     """Name what was tuned in the asset that is replaced and is no pair of the new one."""
     here = set(zip(references.takes, references.frames.tolist(), strict=True))
     gone = [

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from usdface.core.assets import References, Take
 from usdface.core.errors import InputError
-from usdface.core.progress import Progress, silent
 from usdface.core.side_files import check_side_folder, make_side_folder
 from usdface.core.sidecars import images_folder
 from usdface.core.text import first_few
@@ -33,7 +32,6 @@ def write_pair_images(
     sources: tuple[Take, ...],
     *,
     metadata: Mapping[str, object],
-    progress: Progress = silent,
 ) -> PairImages:
     """Write a picture for every pair whose take has a video that shows it.
 
@@ -53,8 +51,7 @@ def write_pair_images(
     notes = []
     folder = images_folder(path)
     check_side_folder(folder)
-    for number, take in enumerate(sources):
-        progress(number / len(sources), f"pictures of {take.name}")
+    for take in sources:
         pairs = [i for i, name in enumerate(references.takes) if name == take.name]
         if not pairs:
             continue

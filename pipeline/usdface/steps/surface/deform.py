@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
+from usdface.core.rates import frames_within
 from usdface.core.sidecars import points_path
 from usdface.core.text import pluralize
 from usdface.numerics.surface.triangulation import NormalTurner, turner_of
@@ -29,7 +29,9 @@ _CHUNK_FRAMES = 2048
 def run(spec: DeformSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Move every point of the mesh at every frame of the take, and write it as it goes."""
     take = TakeReader(spec.take)
-    first, last = _frames(spec, take)
+    first, last = frames_within(
+        spec.take, frame_range(spec.frames), take.first_frame, take.last_frame
+    )
     plan = plan_surface(spec, take, out=spec.out, progress=part(progress, 0.0, 0.2))
     face = plan.face
     turner = _normal_turner(face)
@@ -72,16 +74,6 @@ def run(spec: DeformSpec, *, provenance: Provenance, progress: Progress = silent
         )
     progress(1.0, "done")
     return _report(spec, plan, first, last, spread)
-
-
-def _frames(spec: DeformSpec, take: TakeReader) -> tuple[int, int]:
-    first, last = frame_range(spec.frames) or (take.first_frame, take.last_frame)
-    if first < take.first_frame or last > take.last_frame:
-        raise InputError(
-            f"{spec.take}: holds frames {take.first_frame}-{take.last_frame}, not all of "
-            f"{spec.frames}; ask for fewer with --frames"
-        )
-    return first, last
 
 
 def _normal_turner(face: FaceMesh) -> NormalTurner | None:

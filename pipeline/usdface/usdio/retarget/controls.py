@@ -1,6 +1,6 @@
 """Control vectors in USD: a SkelAnimation's weights and joints, and attributes, by name."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from fractions import Fraction
@@ -13,6 +13,7 @@ from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig
 from usdface.core.controls import ControlClip, Controls, bare_controls
 from usdface.core.errors import InputError
+from usdface.core.rates import frames_within
 from usdface.core.text import first_few
 from usdface.numerics.motion.rotation_space import normalize_quaternions
 from usdface.usdio.authoring import author_uniform, read_array_samples
@@ -94,16 +95,15 @@ def attribute_path(top: Sdf.Path, name: str) -> Sdf.Path | None:
 
 
 def _all_floats(top: Usd.Prim) -> list[str]:
-    names = []
-    for prim in Usd.PrimRange(top):
-        place = str(prim.GetPath().MakeRelativePath(top.GetPath()))
-        place = "" if place == "." else place
-        names += [
-            f"{place}.{attribute.GetName()}"
-            for attribute in prim.GetAuthoredAttributes()
-            if attribute.GetTypeName() in FLOATS
-        ]
-    return names
+    return [name for prim in Usd.PrimRange(top) for name, _ in _floats_of(prim, top)]
+
+
+def _floats_of(prim: Usd.Prim, top: Usd.Prim) -> Iterator[tuple[str, Usd.Attribute]]:
+    """Yield the float attributes of a prim with their names as controls below a top prim."""
+    place = str(prim.GetPath().MakeRelativePath(top.GetPath()))
+    for attribute in prim.GetAuthoredAttributes():
+        if attribute.GetTypeName() in FLOATS:
+            yield f"{'' if place == '.' else place}.{attribute.GetName()}", attribute
 
 
 def _examples(top: Usd.Prim) -> str:
@@ -186,13 +186,8 @@ def read_control_clip(
         First and last, inclusive; all that the animation has by default.
     """
     reader = PerformanceReader(path)
-    prim, first, last = reader.animation, reader.first_frame, reader.last_frame
-    if frames is not None:
-        if frames[0] < first or frames[1] > last:
-            raise InputError(
-                f"{path}: frames {frames[0]}-{frames[1]} are not all there; it has {first}-{last}"
-            )
-        first, last = frames
+    prim = reader.animation
+    first, last = frames_within(path, frames, reader.first_frame, reader.last_frame)
     if attributes is None:
         top = _top_or_none(reader.stage, prim)
         moving = () if top is None else moving_attributes(top)
@@ -218,17 +213,13 @@ def moving_attributes(top: Usd.Prim) -> tuple[str, ...]:
 
     Those of animations are theirs: edits of weights, and figures of solves.
     """
-    names = []
-    for prim in Usd.PrimRange(top):
-        if prim.IsA(UsdSkel.Animation):
-            continue
-        place = str(prim.GetPath().MakeRelativePath(top.GetPath()))
-        names += [
-            f"{'' if place == '.' else place}.{attribute.GetName()}"
-            for attribute in prim.GetAuthoredAttributes()
-            if attribute.GetTypeName() in FLOATS and attribute.ValueMightBeTimeVarying()
-        ]
-    return tuple(names)
+    return tuple(
+        name
+        for prim in Usd.PrimRange(top)
+        if not prim.IsA(UsdSkel.Animation)
+        for name, attribute in _floats_of(prim, top)
+        if attribute.ValueMightBeTimeVarying()
+    )
 
 
 def _top_or_none(stage: Usd.Stage, animation: Usd.Prim) -> Usd.Prim | None:

@@ -38,12 +38,10 @@ class CachedDistances:
     """By name."""
 
 
-def write_distances(
-    path: Path, cached: CachedDistances, *, key: str, provenance: Provenance | None = None
-) -> None:
+def write_distances(path: Path, cached: CachedDistances, *, key: str) -> None:
     """Write distances under a key of their surface and markers."""
     kinds = Sdf.ValueTypeNames
-    with new_layer(path, provenance or Provenance(step="distances")) as layer:
+    with new_layer(path, Provenance(step="distances")) as layer:
         author_units(layer)
         layer.defaultPrim = _ROOT.name
         prim = define_prim(layer, _ROOT, "Scope")

@@ -10,7 +10,7 @@ from pxr import Usd, UsdGeom, UsdSkel
 from usdface.core.arrays import Float32Array
 from usdface.core.assets import Event, Markers, Take, Video, WeightsClip
 from usdface.core.errors import InputError
-from usdface.core.rates import check_frame_span, exact_rate, shift_timecode
+from usdface.core.rates import check_frame_span, exact_rate, frames_within, shift_timecode
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.take.write import AUDIO, HEAD_MOTION, MARKER_CONFIDENCE, MARKERS, SOURCE, VISIBLE
 from usdface.usdio.units import column_matrix, stage_to_ours
@@ -124,11 +124,7 @@ class TakeReader:
         """
         first = self.first_frame if first is None else first
         last = self.last_frame if last is None else last
-        if not self.first_frame <= first <= last <= self.last_frame:
-            raise InputError(
-                f"{self.path}: frames {first}-{last} are not all in the take, which has "
-                f"{self.first_frame}-{self.last_frame}"
-            )
+        frames_within(self.path, (first, last), self.first_frame, self.last_frame)
         frames = range(first, last + 1)
         return Take(
             name=self.name,
