@@ -1,6 +1,7 @@
 """Shapes of two rigs by what their names mean, one to one, both sides alike."""
 
 import random
+import re
 
 import numpy as np
 import pytest
@@ -54,6 +55,14 @@ def test_of_numbered_shapes_the_second_counts_where_their_makers_say_so() -> Non
     assert taken < {name for _, name in matched(facegood)}
     without = [name for name in facegood if "chew" not in name]
     assert not taken & {name for _, name in matched(without)}
+
+
+def test_sides_stand_at_the_end_of_names_without_capitals() -> None:
+    """In `eyelookupr`, `upr` is no upper lip."""
+    glued = [
+        re.sub("(?<!^jaw)(Left|Right)$", lambda side: side[0][0], name).lower() for name in ARKIT
+    ]
+    assert matched(glued) == set(zip(ARKIT, glued, strict=True))
 
 
 def test_doubts_are_of_what_the_other_rig_has() -> None:

@@ -17,6 +17,7 @@ from usdface.steps.inputs.source_motion import (
 from usdface.steps.review.shot import open_shot
 from usdface.usdio.performance.read import read_weights
 from usdface.usdio.rig.write import write_rig
+from usdface.usdio.validation import validate
 
 WEIGHTS = np.round(0.5 + 0.4 * np.sin(np.arange(1, 41) / 5), 4)
 
@@ -121,6 +122,10 @@ def test_what_a_rig_drives_itself_is_not_missed_elsewhere(folder: Path) -> None:
     assert set(motion.moving) == {"jawOpen", "smile"}
     transfer, _ = source_transfer(folder / "driven.usda", motion, ("jawOpen", "smile"))
     assert not unmatched_moving(transfer, motion)
+    write("u.csv", "time,jawOpen,smile,jaw_smile,ear_up", "{n},{w},{w},{w},{w}")
+    assert usdface("retarget", "u.csv", "--rig", "logic.usda", "--out", "again.usda") == 0
+    faults = [each.message for each in validate(folder / "again.usda")]
+    assert any("1 shapes of the source move" in each and "ear_up" in each for each in faults)
 
 
 def test_what_a_take_says_itself_is_not_stated(

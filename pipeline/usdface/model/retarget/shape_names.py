@@ -166,6 +166,8 @@ def _unglued(word: str) -> tuple[str, ...]:
             before, piece = best[start], word[start:end]
             if before is None or piece not in _lexicon():
                 continue
+            if piece == "upr" and end == len(word):
+                continue  # `eyelookupr`: up, on the right
             if len(piece) < 2 and (end < len(word) - 1 or not before):
                 continue  # letters alone stand for sides and rows, at the end
             current = best[end]

@@ -44,7 +44,7 @@ class SourceMotion:
     emotion: str = ""
     """Of the take, empty when unknown."""
     driven: frozenset[str] = frozenset()
-    """Shapes that others drive on the source's rig: a target's logic makes its own of them."""
+    """Shapes that others drive, on the source's rig or the target's: they are not missed."""
     notes: tuple[str, ...] = ()
     """What a capture's reader assumed or filled."""
 

@@ -50,6 +50,8 @@ class _Target:
     transfer: Transfer
     """From the source's shapes to those that were trained on, or to the rig's."""
     notes: tuple[str, ...]
+    unmatched: tuple[str, ...]
+    """Shapes of the source that move and drive nothing."""
     surfaces: Correspondence | None = None
     """Of the source's rig and this one, where positions are matched."""
 
@@ -119,7 +121,7 @@ def run(spec: RetargetSpec, *, provenance: Provenance, progress: Progress = sile
                     "joints": len(target.trained.joints) if target.trained else 0,
                     "attributes": len(target.trained.attributes) if target.trained else 0,
                     "pairs": target.transfer.rows(),
-                    "unmatched": list(unmatched_moving(target.transfer, motion)),
+                    "unmatched": list(target.unmatched),
                 }
                 for out, target in zip(spec.out, targets, strict=True)
             ],
@@ -133,7 +135,8 @@ def _surface_target(
     """Return a target whose surface is matched with the source's."""
     source = read_rig(source_rig)
     transfer, notes = source_transfer(spec.source, motion, source.shapes, spec.names)
-    return _Target(rig, None, transfer, notes, correspond(source, rig))
+    unmatched = unmatched_moving(transfer, motion)
+    return _Target(rig, None, transfer, notes, unmatched, correspond(source, rig))
 
 
 def _target(spec: RetargetSpec, index: int, motion: SourceMotion) -> _Target:
@@ -141,8 +144,10 @@ def _target(spec: RetargetSpec, index: int, motion: SourceMotion) -> _Target:
         rig = read_rig(spec.rig[index])
         if spec.source_rig is not None:
             return _surface_target(spec, spec.source_rig, rig, motion)
+        motion = replace(motion, driven=motion.driven | rig.logic.driven)
         transfer, notes = source_transfer(spec.source, motion, rig.shapes, spec.names)
-        return _Target(rig, None, transfer, (*notes, *_beyond(rig, motion, transfer)))
+        notes = (*notes, *_beyond(rig, motion, transfer))
+        return _Target(rig, None, transfer, notes, unmatched_moving(transfer, motion))
     path = spec.retargeting[index]
     trained = read_retargeting(path)
     file = spec.rig[index] if spec.rig else trained.target_rig
@@ -156,7 +161,8 @@ def _target(spec: RetargetSpec, index: int, motion: SourceMotion) -> _Target:
             f"{trained.method}; train with --method hybrid"
         )
     transfer, notes = source_transfer(spec.source, motion, trained.source_shapes, spec.names)
-    return _Target(rig, trained, transfer, (*notes, *_dead(spec, trained, motion, transfer)))
+    notes = (*notes, *_dead(spec, trained, motion, transfer))
+    return _Target(rig, trained, transfer, notes, unmatched_moving(transfer, motion))
 
 
 def _heads(spec: RetargetSpec, motion: SourceMotion, targets: list[_Target]) -> list[HeadDrive]:
@@ -182,7 +188,7 @@ def _header(spec: RetargetSpec, motion: SourceMotion, target: _Target) -> Weight
         place=spec.prim,
         timecode_start=motion.timecode_start,
     )
-    return replace(header, unmatched=unmatched_moving(target.transfer, motion))
+    return replace(header, unmatched=target.unmatched)
 
 
 def _write(
