@@ -215,9 +215,11 @@ def test_the_page_prints_without_one_thing_over_another(shot: Shot) -> None:
             "return [...document.querySelectorAll('#worst a')].filter((a) => "
             "a.getBoundingClientRect().bottom <= box.bottom + 1).length; })()"
         )
+        cut = page.evaluate(CUT)
         page.close()
     for (_, bottom), (top, _) in pairwise(boxes):
         assert bottom <= top + 1
+    assert not cut, "pictures, timecodes or names are cut off"
     assert links == 12, "frames to look at first are cut off"
 
 
@@ -226,6 +228,13 @@ BOXES = """[...document.querySelectorAll("main > *")].map((part) => {
   const boxes = inner.map((each) => each.getBoundingClientRect()).filter((box) => box.height);
   return [Math.min(...boxes.map((b) => b.top)), Math.max(...boxes.map((b) => b.bottom))];
 }).filter(([top, bottom]) => Number.isFinite(top))"""
+
+
+CUT = """[...document.querySelectorAll("#still, #worst a *, .name")].filter((each) => {
+  const [own, around] = [each, each.parentElement].map((e) => e.getBoundingClientRect());
+  return each.scrollWidth > each.clientWidth + 1 && each.clientWidth || own.right > around.right + 1
+    || each.id === "still" && own.bottom > around.bottom + 1;
+}).map((each) => each.id || each.textContent)"""
 
 
 def test_the_page_tells_what_the_mappings_references_cover(shot: Shot) -> None:
