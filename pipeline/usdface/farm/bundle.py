@@ -196,17 +196,13 @@ def _equals(folder: Path, files: Files) -> bool:
     try:
         there = {
             str(path.relative_to(folder)).replace(os.sep, "/"): path
-            for path in _files_below(folder)
+            for path in filter(Path.is_file, folder.rglob("*"))
         }
         return set(there) == set(files) and all(
             path.read_text(encoding="utf-8") == files[place] for place, path in there.items()
         )
     except (OSError, UnicodeDecodeError):
         return False
-
-
-def _files_below(folder: Path) -> list[Path]:
-    return [path for path in folder.rglob("*") if path.is_file()]
 
 
 def _is_bundle(folder: Path) -> bool:

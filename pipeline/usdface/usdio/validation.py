@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from pxr import Usd, UsdSkel, UsdValidation
+from pxr import UsdSkel, UsdValidation
 
 from usdface.usdio.layers import open_stage, refusing_wrong_types, usd_errors_as_input_errors
 
@@ -39,7 +39,11 @@ def validate(path: Path) -> list[Finding]:
     stage = open_stage(path)
     registry = UsdValidation.ValidationRegistry()
     context = UsdValidation.ValidationContext(registry.GetOrLoadAllValidators())
-    loose = [prim for prim in stage.TraverseAll() if _is_loose_animation(prim)]
+    loose = [
+        prim
+        for prim in stage.TraverseAll()
+        if prim.IsA(UsdSkel.Animation) and prim.IsActive() and not prim.IsDefined()
+    ]
     with usd_errors_as_input_errors(path, "validating it"):
         errors = list(context.Validate(stage))
         if loose:  # USD itself passes over what is not defined
@@ -47,10 +51,6 @@ def validate(path: Path) -> list[Finding]:
             errors += UsdValidation.ValidationContext(own).Validate(loose)
     found = [_finding(error, path) for error in errors]
     return sorted((each for each in found if each), key=lambda each: each.severity)
-
-
-def _is_loose_animation(prim: Usd.Prim) -> bool:
-    return prim.IsA(UsdSkel.Animation) and prim.IsActive() and not prim.IsDefined()
 
 
 def _finding(error: UsdValidation.ValidationError, path: Path) -> Finding | None:

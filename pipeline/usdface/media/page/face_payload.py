@@ -10,7 +10,7 @@ import base64
 import json
 import re
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -65,11 +65,16 @@ class FacePayload:
 
     def header_json(self) -> str:
         """Return the header as JSON that may stand inside a ``<script>`` element."""
-        return json.dumps(self.header, separators=(",", ":")).replace("<", "\\u003c")
+        return json_in_script(self.header)
 
     def data_base64(self) -> str:
         """Return the blob as text, for pages that are opened as files and may not fetch."""
         return base64.b64encode(self.data).decode("ascii")
+
+
+def json_in_script(data: Mapping[str, Any]) -> str:
+    """Return data as JSON that may stand inside a ``<script>`` element."""
+    return json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
 
 
 def read_web_file(name: str) -> bytes:

@@ -22,7 +22,12 @@ from numpy.typing import NDArray
 
 from usdface.core.arrays import FloatArray, index_of
 from usdface.core.errors import InputError
-from usdface.media.page.face_payload import FacePayload, read_web_file, viewer_source
+from usdface.media.page.face_payload import (
+    FacePayload,
+    json_in_script,
+    read_web_file,
+    viewer_source,
+)
 from usdface.media.picture.color import bytes_from_linear, heat_ramp
 
 WEIGHT_STEPS = 5000
@@ -206,7 +211,7 @@ def build_page(page: ReviewPage) -> str:
         "@POLICY@": _policy(script, style),
         "@ORIGIN@": html.escape(json.dumps(page.origin, ensure_ascii=False) if page.origin else ""),
         "@STYLE@": style,
-        "@DATA@": _in_script(_data(page)),
+        "@DATA@": json_in_script(_data(page)),
         "@FACEHEADER@": page.face.header_json(),
         "@FACE@": page.face.data_base64(),
         "@CURVES@": "".join(_arrays(page)),
@@ -371,7 +376,3 @@ def _hash(text: str) -> str:
 
 def _base64(data: bytes) -> str:
     return base64.b64encode(data).decode("ascii")
-
-
-def _in_script(data: Mapping[str, Any]) -> str:
-    return json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")

@@ -48,9 +48,8 @@ def display_view(name: str | None) -> DisplayView:
         )
     views = config.getViewNames(display)
     if view not in views:
-        raise InputError(
-            f"{where}: display {display!r} has no view {view!r}; it has {_list(views)}"
-        )
+        listed = ", ".join(map(repr, views))
+        raise InputError(f"{where}: display {display!r} has no view {view!r}; it has {listed}")
 
     def show(light: ArrayLike) -> ByteImage:
         source = OpenImageIO.ImageBuf(np.ascontiguousarray(light, np.float32))
@@ -63,7 +62,3 @@ def display_view(name: str | None) -> DisplayView:
         return np.asarray(np.clip(pixels * 255 + 0.5, 0, 255), np.uint8)
 
     return show
-
-
-def _list(names: list[str]) -> str:
-    return ", ".join(map(repr, names))

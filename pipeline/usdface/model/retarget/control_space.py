@@ -135,7 +135,9 @@ def find_pair_conflicts(pairs: ExpressionPairs) -> tuple[PairConflict, ...]:
     """Return pairs that contradict each other, the worst first (S11, section 4.1)."""
     target = control_space(pairs.target).encode(pairs.target)
     source_distances = _relative_distances(pairs.source)
-    target_distances = _relative_distances(target / _spans(target))
+    target_distances = _relative_distances(
+        target / np.maximum(np.ptp(target, axis=0), LEAST_WEIGHT)
+    )
     first, second = np.triu_indices(len(pairs), 1)
     near, far = source_distances[first, second], target_distances[first, second]
     found = (near < _EQUAL_SHARE) & (
@@ -161,10 +163,6 @@ def dead_controls(pairs: ExpressionPairs) -> tuple[str, ...]:
     constant = np.ptp(target.values, axis=0) < LEAST_WEIGHT
     shapes = [name for name, each in zip(target.shapes, still, strict=True) if each]
     return (*shapes, *(n for n, each in zip(target.attributes, constant, strict=True) if each))
-
-
-def _spans(values: FloatArray) -> FloatArray:
-    return np.asarray(np.maximum(np.ptp(values, axis=0), LEAST_WEIGHT))
 
 
 def _relative_distances(values: FloatArray) -> FloatArray:

@@ -37,7 +37,7 @@ def mean_rotation(quaternions: FloatArray) -> FloatArray:
 
 def rotation_vectors(quaternions: FloatArray, mean: FloatArray) -> FloatArray:
     """Return what turns the mean into each rotation, as axis times angle: (..., 3) [rad]."""
-    turn = multiply_quaternions(_conjugate(mean), quaternions)
+    turn = multiply_quaternions(mean * [1.0, -1.0, -1.0, -1.0], quaternions)
     turn = np.where(turn[..., :1] < 0, -turn, turn)  # the shorter way round
     sine = np.linalg.norm(turn[..., 1:], axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(sine, turn[..., :1])
@@ -81,7 +81,3 @@ def normalize_quaternions(quaternions: FloatArray) -> FloatArray:
     if not (np.isfinite(length).all() and (length > 0).all()):
         raise ValueError("a quaternion is zero or not finite, so it is no rotation")
     return np.asarray(quaternions / length)
-
-
-def _conjugate(quaternions: FloatArray) -> FloatArray:
-    return np.asarray(quaternions * np.array([1.0, -1.0, -1.0, -1.0]))

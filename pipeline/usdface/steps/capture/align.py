@@ -78,12 +78,8 @@ def timecode_shift(
         return TimecodeShift(None, reason=str(error))
     day = _DAY_SECONDS * (Fraction(1001, 1000) if take_rate.denominator == 1001 else 1)
     apart = (video_time - take_time + day / 2) % day - day / 2  # across midnight too
-    tolerance = sum((_label_seconds(rate) for rate in (take_rate, video_rate)), Fraction(0))
+    tolerance = sum((label_rate(rate)[1] / rate for rate in (take_rate, video_rate)), Fraction(0))
     return TimecodeShift(float(apart) - first_picture, float(tolerance))
-
-
-def _label_seconds(rate: Fraction) -> Fraction:
-    return label_rate(rate)[1] / rate
 
 
 def _named(rate: Fraction, drop: bool) -> str:
@@ -174,7 +170,8 @@ def decide(spec: AlignSpec, evidence: Evidence) -> Decision:
     if spec.by == "sound" or labels.offset is None:
         if sound is None:
             return Decision(None, evidence.doubts)
-        return Decision(_sync_of(sound), "by sound", _difference(sound.offset, evidence))
+        sync = VideoSync(sound.offset, 1e6 * sound.drift, sound.confidence)
+        return Decision(sync, "by sound", _difference(sound.offset, evidence))
     if sound is None:
         sync = VideoSync(labels.offset, 0.0, UNCHECKED_CONFIDENCE)
         note = f"the timecode could not be checked against the sound: {evidence.doubts}"
@@ -195,10 +192,6 @@ def _confirmed(sound: SoundAlignment, apart: float, labels: TimecodeShift) -> fl
     if abs(apart) > labels.tolerance:
         return UNCHECKED_CONFIDENCE
     return UNCHECKED_CONFIDENCE + (1 - UNCHECKED_CONFIDENCE) * sound.confidence
-
-
-def _sync_of(sound: SoundAlignment) -> VideoSync:
-    return VideoSync(sound.offset, 1e6 * sound.drift, sound.confidence)
 
 
 def _difference(offset: float, evidence: Evidence) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from usdface.capture.text_table import csv_rows
 from usdface.core.arrays import FloatArray
-from usdface.core.assets import Rig, RigMesh
+from usdface.core.assets import Rig
 from usdface.core.errors import InputError
 from usdface.core.sidecars import LAYER_SUFFIXES
 from usdface.core.text import first_few, read_text
@@ -93,7 +93,9 @@ def _place(value: object, rig: Rig) -> FloatArray:
     if isinstance(value, list):
         return _at_position(value, rig)
     mesh_name, _, number = str(value).strip().rpartition(":")
-    meshes = [mesh for mesh in rig.meshes if _is_named(mesh, mesh_name)]
+    meshes = [
+        mesh for mesh in rig.meshes if mesh_name in ("", mesh.path, mesh.path.rpartition("/")[2])
+    ]
     if len(meshes) != 1:
         listed = first_few(mesh.path.rpartition("/")[2] for mesh in rig.meshes)
         raise ValueError(f"point {value!r} must be MESH:INDEX, with one of the meshes {listed}")
@@ -103,10 +105,6 @@ def _place(value: object, rig: Rig) -> FloatArray:
             f"{len(meshes[0].points) - 1}"
         )
     return np.asarray(meshes[0].points[int(number)], np.float64)
-
-
-def _is_named(mesh: RigMesh, name: str) -> bool:
-    return not name or name in (mesh.path, mesh.path.rpartition("/")[2])
 
 
 def _at_position(value: Sequence[object], rig: Rig) -> FloatArray:

@@ -91,7 +91,7 @@ def _read_target(spec: PairsImportSpec, rig: Rig) -> tuple[list[int], Controls]:
     if spec.target.suffix in LAYER_SUFFIXES:
         names = find_control_attributes(rig, spec.attributes)
         clip = _without_driven(read_control_clip(spec.target, attributes=names).clip, rig)
-        _check_target(spec.target, clip, rig)
+        rig.check_has(clip.controls.shapes, source=spec.target, remedy="give the rig it animates")
         return list(range(clip.first_frame, clip.last_frame + 1)), clip.controls
     if spec.attributes:
         raise InputError(
@@ -108,10 +108,6 @@ def _without_driven(clip: ControlClip, rig: Rig) -> ControlClip:
     shapes = tuple(held.shapes[index] for index in kept)
     controls = replace(held, shapes=shapes, weights=held.weights[:, kept])
     return replace(clip, controls=controls)
-
-
-def _check_target(path: Path, clip: ControlClip, rig: Rig) -> None:
-    rig.check_has(clip.controls.shapes, source=path, remedy="give the rig it animates")
 
 
 def _check_sides(spec: PairsImportSpec, source: tuple[int, ...], target: list[int]) -> None:

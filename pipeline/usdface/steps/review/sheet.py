@@ -245,7 +245,11 @@ def _page(
         curves = [replace(curves[0], label="uncertainty")]
     return SheetPage(
         title=f"{shot.take.name} on {', '.join(rigs)}",
-        verdict=(verdict.level, verdict.sentence, *_to_do(verdict.advice)),
+        verdict=(
+            verdict.level,
+            verdict.sentence,
+            *([f"To do: {verdict.advice}"] if verdict.advice else []),
+        ),
         facts=_facts(spec, shot),
         columns=tuple(column.head for column in columns),
         rows=(),
@@ -286,10 +290,6 @@ def _same_face(shot: Shot, other: Shot) -> bool:
     """Say whether weights of one mean the same on the other."""
     faces = [(each.rig.file.resolve(), each.rig.prim) for each in (shot, other)]
     return faces[0] == faces[1]
-
-
-def _to_do(advice: str) -> list[str]:
-    return [f"To do: {advice}"] if advice else []
 
 
 def _choose(spec: SheetSpec, shot: Shot, signals: ReviewSignals) -> list[ChosenFrame]:
