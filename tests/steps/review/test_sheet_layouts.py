@@ -21,6 +21,7 @@ from usdface.runner.execute import execute
 from usdface.specs.review import SheetSpec
 from usdface.speech.phones import viseme_label, viseme_of
 from usdface.steps.review import sheet as sheet_step
+from usdface.steps.review import sheet_columns
 from usdface.usdio.performance.read import read_performance
 
 
@@ -87,7 +88,7 @@ def test_every_performance_of_a_face_is_judged_by_the_truth_and_another_face_say
     means = told.figures["mean_error_mm"]
     assert means["other"] == pytest.approx(means["usdface"])
     assert "off the keys" in told.summary
-    monkeypatch.setattr(sheet_step, "_same_face", lambda *_: False)
+    monkeypatch.setattr(sheet_columns, "_same_face", lambda *_: False)
     told = execute(spec_of(shot, layout="characters", out=shot / "b.png", **given))
     assert told.figures["mean_error_mm"]["other"] != pytest.approx(means["usdface"])
     assert "mm uncertainty" in told.summary

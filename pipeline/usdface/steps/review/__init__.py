@@ -7,5 +7,6 @@ _helpers = (
     "report_parts",
     "report_tables",
     "scoring",
+    "sheet_columns",
     "shot",
 )

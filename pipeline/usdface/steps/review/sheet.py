@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray
-from usdface.core.errors import CancelledError, InputError, UsdfaceError
+from usdface.core.errors import CancelledError, UsdfaceError
 from usdface.core.processes import GiveWork, process_count, worker_processes
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
@@ -18,85 +17,42 @@ from usdface.core.text import pluralize
 from usdface.media.picture.display_view import display_view
 from usdface.media.picture.error_strip import ErrorCurve
 from usdface.media.picture.image import write_image
-from usdface.media.picture.sheet import SheetPage, SheetRow, Tile, compose_sheet
-from usdface.model.review.moments import ReviewSignals
-from usdface.model.selection.baseline import BlendshapeEquation
+from usdface.media.picture.sheet import SheetPage, SheetRow, compose_sheet
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
-from usdface.specs.paths import frame_list
-from usdface.specs.review import AUTO_CAMERA, FramePick, SheetLayout, SheetSpec
-from usdface.steps.inputs.phone_labels import labels_at
+from usdface.specs.review import AUTO_CAMERA, SheetSpec
 from usdface.steps.review.pictures import ShotPictures
 from usdface.steps.review.scoring import (
-    ChosenFrame,
-    Score,
-    ShotRuler,
-    choose_frames,
     coverage_curves,
     range_mm,
-    read_keys,
-    score,
-    set_up_shot_baseline,
-    solve_baseline,
-    surface_distance,
 )
-from usdface.steps.review.shot import Shot, ShotCamera, open_shot, version_labels
-
-PICKS: dict[SheetLayout, FramePick] = {
-    "comparison": "expression",
-    "worst": "review",
-    "strip": "even",
-    "characters": "expression",
-}
-STRIP_ROWS, STRIP_TILE = 48, 192
-OTHER_ROWS, OTHER_TILE = 12, 320
+from usdface.steps.review.sheet_columns import (
+    OTHER_TILE,
+    STRIP_TILE,
+    SheetColumn,
+    SheetComparison,
+    compare_shots,
+    row_count,
+    sheet_columns,
+)
+from usdface.steps.review.shot import Shot, ShotCamera
 
 MOST_PROCESSES = 4
 """That draw a sheet: more would read longer than they draw."""
 HELPED_PIXELS = 800_000
 """Of a column, for which a process more is worth its start."""
-
 FIGURE_KEYS = {"solve": "usdface", "baseline": "equation"}
 """Of the labels on a sheet: scripts read these keys from ``--json``, so they stay."""
-
-
-@dataclass(frozen=True)
-class _Comparison:
-    """What a sheet shows: shots, their weights with errors, and the frames chosen."""
-
-    shots: list[Shot]
-    """The performance first, then those beside it."""
-    ruler: ShotRuler
-    """Of the first."""
-    signals: ReviewSignals
-    """Of the first."""
-    equation: BlendshapeEquation | None
-    """None for a take without markers."""
-    truth: FloatArray | None
-    """(frames, shapes): the keys; NaN at frames that have none."""
-    scores: list[Score]
-    chosen: list[ChosenFrame]
-    """Rows of the sheet."""
-    labels: tuple[str, ...]
-    """Phone and viseme of each chosen frame; empty where unknown."""
-
-
-@dataclass(frozen=True)
-class Column:
-    """Something drawn for every row."""
-
-    head: str
-    draw: Callable[[int], Tile]
 
 
 @dataclass(frozen=True)
 class _Desk:
     """What rows are drawn with, in this process or in another."""
 
-    comparison: _Comparison
+    comparison: SheetComparison
     cameras: list[ShotCamera]
     pictures: list[ShotPictures]
-    columns: list[Column]
+    columns: list[SheetColumn]
 
     def draw(self, number: int) -> SheetRow:
         """Draw a row of the sheet."""
@@ -131,7 +87,7 @@ def run(spec: SheetSpec, *, provenance: Provenance, progress: Progress = silent)
 
 
 def _open_desk(spec: SheetSpec, open_files: ExitStack, progress: Progress) -> _Desk:
-    comparison = _compare(spec, progress)
+    comparison = compare_shots(spec, progress)
     shots = comparison.shots
     cameras = [each.camera(spec.camera, spec.camera_stage) for each in shots]
     pictures = _open_pictures(spec, shots, cameras, open_files)
@@ -140,7 +96,7 @@ def _open_desk(spec: SheetSpec, open_files: ExitStack, progress: Progress) -> _D
 
 def _helpers(spec: SheetSpec) -> int:
     """Return how many processes are to draw beside this one."""
-    pixels = _row_count(spec) * _tile_height(spec) ** 2
+    pixels = row_count(spec) * _tile_height(spec) ** 2
     return min(process_count(), MOST_PROCESSES, 1 + pixels // HELPED_PIXELS) - 1
 
 
@@ -178,31 +134,6 @@ def _rows(
         yield row or desk.draw(number)
 
 
-def _compare(spec: SheetSpec, progress: Progress) -> _Comparison:
-    """Read the shots, measure their weights and choose frames."""
-    progress(0.0, "reading")
-    shots = _open_shots(spec)
-    shot = shots[0]
-    progress(0.1, "placing the markers on the rig")
-    equation = None if shot.take.markers is None else set_up_shot_baseline(shot)
-    ruler = ShotRuler(shot)
-    truth = read_keys(spec.against, shot, spec.weight_unit)
-    signals = ruler.signals(truth, equation)
-    chosen = _choose(spec, shot, signals)
-    rows = [frame.row for frame in chosen]
-    scores = [score("solve", shot, shot.weights, truth)]
-    if equation is not None and spec.baseline and spec.layout in ("comparison", "worst"):
-        solved = solve_baseline(equation, shot, np.array(rows, np.int64))
-        scores.insert(0, score("baseline", shot, solved, truth))
-    others = [each.performance_file for each in shots[1:]]
-    labels = version_labels(others, taken={"baseline", "solve"})
-    for other, label in zip(shots[1:], labels, strict=True):
-        known = truth if _same_face(other, shot) else None
-        scores.append(score(label, other, other.weights, known))
-    spoken = labels_at(spec.phones, shot.take, shot.frames[rows])
-    return _Comparison(shots, ruler, signals, equation, truth, scores, chosen, spoken)
-
-
 def _open_pictures(
     spec: SheetSpec, shots: list[Shot], cameras: list[ShotCamera], open_files: ExitStack
 ) -> list[ShotPictures]:
@@ -216,19 +147,15 @@ def _open_pictures(
     return pictures
 
 
-def _row_count(spec: SheetSpec) -> int:
-    listed = frame_list(spec.frames)
-    if listed is not None:
-        return len(listed)
-    return spec.rows or (STRIP_ROWS if spec.layout == "strip" else OTHER_ROWS)
-
-
 def _tile_height(spec: SheetSpec) -> int:
     return spec.tile or (STRIP_TILE if spec.layout == "strip" else OTHER_TILE)
 
 
 def _page(
-    spec: SheetSpec, comparison: _Comparison, columns: list[Column], pictures: list[ShotPictures]
+    spec: SheetSpec,
+    comparison: SheetComparison,
+    columns: list[SheetColumn],
+    pictures: list[ShotPictures],
 ) -> SheetPage:
     shot = comparison.shots[0]
     rigs = dict.fromkeys(each.rig.file.stem for each in comparison.shots)
@@ -259,50 +186,6 @@ def _page(
         tile_height=_tile_height(spec),
         high=range_mm(keyed=keyed),
         comparable=keyed,
-    )
-
-
-def _open_shots(spec: SheetSpec) -> list[Shot]:
-    """Open every performance over the frames that all of them have."""
-    files = (spec.performance, *spec.also)
-    listed = frame_list(spec.frames)
-    limits = spec.frames if listed is None else None
-    shots = [open_shot(file, spec.take, frames=limits, video=spec.video) for file in files]
-    first = max(int(shot.frames[0]) for shot in shots)
-    last = min(int(shot.frames[-1]) for shot in shots)
-    if last < first:
-        raise InputError(f"{', '.join(map(str, files))}: share no frame of {shots[0].take.name}")
-    if listed is not None and (listed[0] < first or listed[-1] > last):
-        raise InputError(
-            f"{spec.performance}: frames {spec.frames} are not all in it; it has {first}-{last}"
-        )
-    return [
-        replace(
-            shot,
-            frames=shot.frames[(shot.frames >= first) & (shot.frames <= last)],
-            weights=shot.weights[(shot.frames >= first) & (shot.frames <= last)],
-        )
-        for shot in shots
-    ]
-
-
-def _same_face(shot: Shot, other: Shot) -> bool:
-    """Say whether weights of one mean the same on the other."""
-    faces = [(each.rig.file.resolve(), each.rig.prim) for each in (shot, other)]
-    return faces[0] == faces[1]
-
-
-def _choose(spec: SheetSpec, shot: Shot, signals: ReviewSignals) -> list[ChosenFrame]:
-    given = frame_list(spec.frames)
-    if given is not None:
-        rows = np.searchsorted(shot.frames, given)
-        return [ChosenFrame(int(row)) for row in np.unique(rows)]
-    return choose_frames(
-        spec.pick or PICKS[spec.layout],
-        _row_count(spec),
-        strength=surface_distance(shot, shot.weights),
-        signals=signals,
-        rate=float(shot.take.rate),
     )
 
 
@@ -349,7 +232,7 @@ def _facts(spec: SheetSpec, shot: Shot) -> tuple[str, ...]:
     return tuple(facts)
 
 
-def _notes(spec: SheetSpec, comparison: _Comparison, *, stand_in_eyes: bool) -> tuple[str, ...]:
+def _notes(spec: SheetSpec, comparison: SheetComparison, *, stand_in_eyes: bool) -> tuple[str, ...]:
     shots, shot, truth = comparison.shots, comparison.shots[0], comparison.truth
     notes = ["uncertainty: expected RMS distance of the skin from an animator's keys"]
     if truth is not None:
@@ -382,7 +265,7 @@ def _notes(spec: SheetSpec, comparison: _Comparison, *, stand_in_eyes: bool) -> 
 
 
 def _result(
-    written: tuple[Path, ...], comparison: _Comparison, notes: tuple[str, ...]
+    written: tuple[Path, ...], comparison: SheetComparison, notes: tuple[str, ...]
 ) -> StepResult:
     scores, chosen = comparison.scores, comparison.chosen
     verdict = comparison.ruler.verdict(comparison.signals)
@@ -403,72 +286,3 @@ def _result(
             "verdict": verdict.figures,
         },
     )
-
-
-def sheet_columns(
-    spec: SheetSpec, comparison: _Comparison, pictures: list[ShotPictures]
-) -> list[Column]:
-    """Return what the layout puts side by side."""
-    shot, drawn = comparison.shots[0], pictures[0]
-    columns: list[Column] = []
-    if shot.take.video is not None:
-        columns.append(Column("video", lambda row: drawn.video(int(shot.frames[row]))))
-    equation = comparison.equation
-    if spec.layout != "strip" and equation is not None:
-        columns.append(Column("markers", lambda row: Tile(drawn.markers_on_face(row, equation))))
-    others = iter(pictures[1:])
-    for each in comparison.scores:
-        face = drawn if each.label in ("baseline", "solve") else next(others)
-        columns.append(Column(each.label, _face(face, each)))
-    if spec.difference and spec.layout in ("comparison", "worst"):
-        if comparison.truth is not None:
-            columns.append(Column("error", _errors(drawn, comparison)))
-        elif comparison.signals.evidence.uncertainty_mm is not None:
-            columns.append(Column("uncertainty", _uncertainties(drawn, comparison)))
-    return columns
-
-
-def _face(pictures: ShotPictures, judged: Score) -> Callable[[int], Tile]:
-    def draw(row: int) -> Tile:
-        error = float(judged.error_mm[row])
-        value = None if np.isnan(error) else error
-        return Tile(pictures.face(row, judged.weights[row]), value=value)
-
-    return draw
-
-
-def _errors(pictures: ShotPictures, comparison: _Comparison) -> Callable[[int], Tile]:
-    """Return what paints how far the skin is from where the keys put it; the gaze is theirs."""
-    shot, truth = comparison.shots[0], comparison.truth
-
-    def draw(row: int) -> Tile:
-        if truth is None or np.isnan(truth[row]).any():
-            return Tile(None, caption="nothing keyed here")
-        seen = shot.weights[row].copy()
-        seen[comparison.ruler.gaze] = truth[row, comparison.ruler.gaze]
-        ours, theirs = (np.asarray(shot.deformer.points(w[None])[0]) for w in (seen, truth[row]))
-        away = np.linalg.norm(ours - theirs, axis=-1)
-        picture = pictures.painted(row, seen, away, high=range_mm(keyed=True))
-        return Tile(picture, caption=f"max {away.max():.1f} mm")
-
-    return draw
-
-
-def _uncertainties(pictures: ShotPictures, comparison: _Comparison) -> Callable[[int], Tile]:
-    """Return what paints the uncertainty of each part of the face."""
-    shot, evidence = comparison.shots[0], comparison.signals.evidence
-    points = {name: comparison.ruler.points.get(name) for name in evidence.regions[1:]}
-
-    def draw(row: int) -> Tile:
-        if evidence.uncertainty_mm is None:
-            return Tile(None)
-        said = evidence.uncertainty_mm[row]
-        values = np.zeros(len(shot.deformer.neutral))
-        for (_, own), value in zip(points.items(), said[1:], strict=False):
-            if own is not None:
-                values[own] = value
-        picture = pictures.painted(row, shot.weights[row], values, high=range_mm(keyed=False))
-        covered = "" if evidence.coverage is None else f"{evidence.coverage[row, 0]:.0%} covered"
-        return Tile(picture, caption=covered)
-
-    return draw

@@ -1,0 +1,216 @@
+"""What a sheet compares: shots over their shared frames, the frames chosen, and its columns."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from usdface.core.arrays import FloatArray
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress
+from usdface.media.picture.sheet import Tile
+from usdface.model.review.moments import ReviewSignals
+from usdface.model.selection.baseline import BlendshapeEquation
+from usdface.specs.paths import frame_list
+from usdface.specs.review import FramePick, SheetLayout, SheetSpec
+from usdface.steps.inputs.phone_labels import labels_at
+from usdface.steps.review.pictures import ShotPictures
+from usdface.steps.review.scoring import (
+    ChosenFrame,
+    Score,
+    ShotRuler,
+    choose_frames,
+    range_mm,
+    read_keys,
+    score,
+    set_up_shot_baseline,
+    solve_baseline,
+    surface_distance,
+)
+from usdface.steps.review.shot import Shot, open_shot, version_labels
+
+PICKS: dict[SheetLayout, FramePick] = {
+    "comparison": "expression",
+    "worst": "review",
+    "strip": "even",
+    "characters": "expression",
+}
+STRIP_ROWS, STRIP_TILE = 48, 192
+OTHER_ROWS, OTHER_TILE = 12, 320
+
+
+@dataclass(frozen=True)
+class SheetComparison:
+    """What a sheet shows: shots, their weights with errors, and the frames chosen."""
+
+    shots: list[Shot]
+    """The performance first, then those beside it."""
+    ruler: ShotRuler
+    """Of the first."""
+    signals: ReviewSignals
+    """Of the first."""
+    equation: BlendshapeEquation | None
+    """None for a take without markers."""
+    truth: FloatArray | None
+    """(frames, shapes): the keys; NaN at frames that have none."""
+    scores: list[Score]
+    chosen: list[ChosenFrame]
+    """Rows of the sheet."""
+    labels: tuple[str, ...]
+    """Phone and viseme of each chosen frame; empty where unknown."""
+
+
+@dataclass(frozen=True)
+class SheetColumn:
+    """Something drawn for every row."""
+
+    head: str
+    draw: Callable[[int], Tile]
+
+
+def compare_shots(spec: SheetSpec, progress: Progress) -> SheetComparison:
+    """Read the shots, measure their weights and choose frames."""
+    progress(0.0, "reading")
+    shots = _open_shots(spec)
+    shot = shots[0]
+    progress(0.1, "placing the markers on the rig")
+    equation = None if shot.take.markers is None else set_up_shot_baseline(shot)
+    ruler = ShotRuler(shot)
+    truth = read_keys(spec.against, shot, spec.weight_unit)
+    signals = ruler.signals(truth, equation)
+    chosen = _choose(spec, shot, signals)
+    rows = [frame.row for frame in chosen]
+    scores = [score("solve", shot, shot.weights, truth)]
+    if equation is not None and spec.baseline and spec.layout in ("comparison", "worst"):
+        solved = solve_baseline(equation, shot, np.array(rows, np.int64))
+        scores.insert(0, score("baseline", shot, solved, truth))
+    others = [each.performance_file for each in shots[1:]]
+    labels = version_labels(others, taken={"baseline", "solve"})
+    for other, label in zip(shots[1:], labels, strict=True):
+        known = truth if _same_face(other, shot) else None
+        scores.append(score(label, other, other.weights, known))
+    spoken = labels_at(spec.phones, shot.take, shot.frames[rows])
+    return SheetComparison(shots, ruler, signals, equation, truth, scores, chosen, spoken)
+
+
+def row_count(spec: SheetSpec) -> int:
+    """Return how many frames are shown."""
+    listed = frame_list(spec.frames)
+    if listed is not None:
+        return len(listed)
+    return spec.rows or (STRIP_ROWS if spec.layout == "strip" else OTHER_ROWS)
+
+
+def _open_shots(spec: SheetSpec) -> list[Shot]:
+    """Open every performance over the frames that all of them have."""
+    files = (spec.performance, *spec.also)
+    listed = frame_list(spec.frames)
+    limits = spec.frames if listed is None else None
+    shots = [open_shot(file, spec.take, frames=limits, video=spec.video) for file in files]
+    first = max(int(shot.frames[0]) for shot in shots)
+    last = min(int(shot.frames[-1]) for shot in shots)
+    if last < first:
+        raise InputError(f"{', '.join(map(str, files))}: share no frame of {shots[0].take.name}")
+    if listed is not None and (listed[0] < first or listed[-1] > last):
+        raise InputError(
+            f"{spec.performance}: frames {spec.frames} are not all in it; it has {first}-{last}"
+        )
+    return [
+        replace(
+            shot,
+            frames=shot.frames[(shot.frames >= first) & (shot.frames <= last)],
+            weights=shot.weights[(shot.frames >= first) & (shot.frames <= last)],
+        )
+        for shot in shots
+    ]
+
+
+def _same_face(shot: Shot, other: Shot) -> bool:
+    """Say whether weights of one mean the same on the other."""
+    faces = [(each.rig.file.resolve(), each.rig.prim) for each in (shot, other)]
+    return faces[0] == faces[1]
+
+
+def _choose(spec: SheetSpec, shot: Shot, signals: ReviewSignals) -> list[ChosenFrame]:
+    given = frame_list(spec.frames)
+    if given is not None:
+        rows = np.searchsorted(shot.frames, given)
+        return [ChosenFrame(int(row)) for row in np.unique(rows)]
+    return choose_frames(
+        spec.pick or PICKS[spec.layout],
+        row_count(spec),
+        strength=surface_distance(shot, shot.weights),
+        signals=signals,
+        rate=float(shot.take.rate),
+    )
+
+
+def sheet_columns(
+    spec: SheetSpec, comparison: SheetComparison, pictures: list[ShotPictures]
+) -> list[SheetColumn]:
+    """Return what the layout puts side by side."""
+    shot, drawn = comparison.shots[0], pictures[0]
+    columns: list[SheetColumn] = []
+    if shot.take.video is not None:
+        columns.append(SheetColumn("video", lambda row: drawn.video(int(shot.frames[row]))))
+    equation = comparison.equation
+    if spec.layout != "strip" and equation is not None:
+        columns.append(
+            SheetColumn("markers", lambda row: Tile(drawn.markers_on_face(row, equation)))
+        )
+    others = iter(pictures[1:])
+    for each in comparison.scores:
+        face = drawn if each.label in ("baseline", "solve") else next(others)
+        columns.append(SheetColumn(each.label, _face(face, each)))
+    if spec.difference and spec.layout in ("comparison", "worst"):
+        if comparison.truth is not None:
+            columns.append(SheetColumn("error", _errors(drawn, comparison)))
+        elif comparison.signals.evidence.uncertainty_mm is not None:
+            columns.append(SheetColumn("uncertainty", _uncertainties(drawn, comparison)))
+    return columns
+
+
+def _face(pictures: ShotPictures, judged: Score) -> Callable[[int], Tile]:
+    def draw(row: int) -> Tile:
+        error = float(judged.error_mm[row])
+        value = None if np.isnan(error) else error
+        return Tile(pictures.face(row, judged.weights[row]), value=value)
+
+    return draw
+
+
+def _errors(pictures: ShotPictures, comparison: SheetComparison) -> Callable[[int], Tile]:
+    """Return what paints how far the skin is from where the keys put it; the gaze is theirs."""
+    shot, truth = comparison.shots[0], comparison.truth
+
+    def draw(row: int) -> Tile:
+        if truth is None or np.isnan(truth[row]).any():
+            return Tile(None, caption="nothing keyed here")
+        seen = shot.weights[row].copy()
+        seen[comparison.ruler.gaze] = truth[row, comparison.ruler.gaze]
+        ours, theirs = (np.asarray(shot.deformer.points(w[None])[0]) for w in (seen, truth[row]))
+        away = np.linalg.norm(ours - theirs, axis=-1)
+        picture = pictures.painted(row, seen, away, high=range_mm(keyed=True))
+        return Tile(picture, caption=f"max {away.max():.1f} mm")
+
+    return draw
+
+
+def _uncertainties(pictures: ShotPictures, comparison: SheetComparison) -> Callable[[int], Tile]:
+    """Return what paints the uncertainty of each part of the face."""
+    shot, evidence = comparison.shots[0], comparison.signals.evidence
+    points = {name: comparison.ruler.points.get(name) for name in evidence.regions[1:]}
+
+    def draw(row: int) -> Tile:
+        if evidence.uncertainty_mm is None:
+            return Tile(None)
+        said = evidence.uncertainty_mm[row]
+        values = np.zeros(len(shot.deformer.neutral))
+        for (_, own), value in zip(points.items(), said[1:], strict=False):
+            if own is not None:
+                values[own] = value
+        picture = pictures.painted(row, shot.weights[row], values, high=range_mm(keyed=False))
+        covered = "" if evidence.coverage is None else f"{evidence.coverage[row, 0]:.0%} covered"
+        return Tile(picture, caption=covered)
+
+    return draw
