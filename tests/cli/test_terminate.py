@@ -87,17 +87,18 @@ def test_ctrl_c_ends_a_command_as_interrupted_and_says_so(
     assert stopped.value.code == 3
 
 
-def test_a_thread_that_nobody_ends_does_not_keep_a_stopped_command() -> None:
+def test_a_thread_that_nobody_ends_does_not_keep_a_stopped_command(tmp_path: Path) -> None:
     program = """
-import os, signal, threading, time
-from usdface.cli import console
-console.raise_on_signals()
-threading.Thread(target=threading.Event().wait).start()
-try:
+import os, signal, sys, threading, time
+from usdface.cli import main
+import usdface.demo.job
+def stopped(*given, **options):
+    threading.Thread(target=threading.Event().wait).start()
     os.kill(os.getpid(), signal.SIGTERM)
     time.sleep(30)
-except console.CancelledError:
-    raise SystemExit(3)
+usdface.demo.job.run_demo = stopped
+sys.argv = ["usdface", "demo", "--out", sys.argv[1]]
+main()
 """
-    done = subprocess.run([sys.executable, "-c", program], timeout=30, check=False)
+    done = subprocess.run([sys.executable, "-c", program, tmp_path], timeout=30, check=False)
     assert done.returncode == 3

@@ -12,6 +12,7 @@ import typer
 from usdface.cli.command_list import EPILOG, commands_on_demand
 from usdface.cli.console import (
     echo,
+    end_with_main_thread,
     exit_code_of,
     raise_on_signals,
     set_up_logging,
@@ -22,7 +23,7 @@ from usdface.cli.console import (
 from usdface.cli.job_commands import COMPLETE_VARIABLE, check, completion, demo, run
 from usdface.cli.reading_commands import describe, list_edits, names, validate
 from usdface.cli.step_commands import GROUPS, make_group, top_commands
-from usdface.core.errors import CheckFailedError, UsdfaceError
+from usdface.core.errors import CancelledError, CheckFailedError, UsdfaceError
 from usdface.core.version import __version__
 
 _FUNCTIONS = {
@@ -79,7 +80,15 @@ app = _make_app()
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with its code."""
     raise_on_signals()
-    given = sys.argv[1:] if arguments is None else arguments
+    try:
+        _run(sys.argv[1:] if arguments is None else arguments)
+    except SystemExit as ended:
+        if arguments is None and ended.code == CancelledError.exit_code:
+            end_with_main_thread(CancelledError.exit_code)
+        raise
+
+
+def _run(given: list[str]) -> NoReturn:
     if given[:1] == ["help"]:
         given = [*given[1:], "--help"]
     if COMPLETE_VARIABLE in os.environ:

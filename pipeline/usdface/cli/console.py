@@ -197,7 +197,6 @@ def raise_on_signals() -> None:
             again.daemon = True
             again.start()
             return
-        threading.Thread(target=_end_with_main_thread, daemon=True).start()
         raise KeyboardInterrupt if signum == signal.SIGINT else CancelledError(STOPPED)
 
     with contextlib.suppress(ValueError):  # only the main thread may set handlers
@@ -206,15 +205,19 @@ def raise_on_signals() -> None:
             signal.signal(signal.SIGINT, stop)
 
 
-def _end_with_main_thread() -> None:
-    """End the process soon after its main thread.
+def end_with_main_thread(code: int) -> None:
+    """Let the process end soon after its main thread, whatever other threads do.
 
     An exception within a thread pool's start, as MediaPipe's, leaves a worker that nobody stops;
     the interpreter would wait for it forever.
     """
-    threading.main_thread().join()
-    time.sleep(ENDING_SECONDS)
-    os._exit(CancelledError.exit_code)
+
+    def end() -> None:
+        threading.main_thread().join()
+        time.sleep(ENDING_SECONDS)
+        os._exit(code)
+
+    threading.Thread(target=end, daemon=True).start()
 
 
 def _is_importing(frame: FrameType | None) -> bool:
