@@ -187,6 +187,30 @@ def test_curves_are_one_stop_of_the_tab_key_and_are_read_out(page: Any) -> None:
     assert at(page) == 2
 
 
+def test_buttons_and_links_of_a_part_are_one_stop_of_the_tab_key(page: Any) -> None:
+    page.evaluate("document.activeElement.blur()")
+    parts = []
+    for _ in range(40):
+        page.keyboard.press("Tab")
+        inside = "document.activeElement.closest('#worst, #transport, #tables')?.id ?? ''"
+        if page.evaluate("document.activeElement.matches('button, a')"):
+            parts.append(page.evaluate(inside))
+        if page.evaluate("document.activeElement === document.body"):
+            break
+    assert [parts.count(part) for part in ("worst", "transport", "tables")] == [1, 1, 1]
+    page.locator("#play").focus()
+    page.keyboard.press("ArrowDown")
+    assert page.evaluate("document.activeElement.id") == "back"
+    page.keyboard.press("ArrowUp")
+    page.keyboard.press("ArrowUp")
+    assert page.evaluate("document.activeElement.id") == "loop"
+    page.keyboard.press("Shift+Tab")
+    page.keyboard.press("Shift+Tab")
+    page.keyboard.press("Tab")
+    page.keyboard.press("Tab")
+    assert page.evaluate("document.activeElement.id") == "loop", "it is gone back to"
+
+
 def test_two_versions_are_compared_on_the_face(page: Any) -> None:
     page.evaluate("report.show(100)")
     pixels = {}

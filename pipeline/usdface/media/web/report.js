@@ -1,6 +1,6 @@
 // The report's player: one clock for video, face, curves, strips and notes.
 
-import { NOTHING, announce, byId, count, data, inflate, node, pictureOf, tell } from "./report_page.js";
+import { NOTHING, announce, byId, count, data, inflate, node, oneTabStop, pictureOf, tell } from "./report_page.js";
 import { Curves } from "./report_curves.js";
 import { Stage } from "./report_face.js";
 import { Notes } from "./report_notes.js";
@@ -210,6 +210,7 @@ class Report {
     // A link to the frame in the address changes nothing there, and still goes to it.
     addEventListener("click", (event) => { if (event.target.closest?.("a[href^='#']")) setTimeout(() => this.fromAddress()); });
     addEventListener("keydown", (event) => this.#key(event));
+    document.querySelectorAll("#worst, #transport, #tools, #noteBook .bar, #notes, #time, #legend, #tables").forEach(oneTabStop);
     addEventListener("beforeprint", () => this.keepStill());
   }
 
