@@ -182,6 +182,18 @@ def test_a_job_that_failed_goes_on_where_it_stopped(shot: Shot, monkeypatch) -> 
     assert ran(shot, monkeypatch) == ["train", "map"]  # the same bytes: the sheet is up to date
 
 
+@pytest.mark.parametrize("name", ["hero.references.tuned.usda", "hero.mapping.usdc"])
+def test_a_job_never_replaces_what_another_step_makes(shot: Shot, name: str) -> None:
+    before = (shot / name).read_bytes()
+    bake = {"step": "bake", "performance": shot / "shot.hero.usda", "out": shot / name}
+    job = JobSpec.model_validate({"job": "typo", "steps": [bake]})
+    with pytest.raises(InputError, match=rf"bake: .*{name}: exists and was written by `"):
+        run_job(job)
+    assert (shot / name).read_bytes() == before
+    run_job(job, overwrite=True)
+    assert (shot / name).read_bytes() != before
+
+
 def test_a_job_never_replaces_a_file_of_someone_else(shot: Shot) -> None:
     (shot / "shot.sheet.jpg").write_bytes(b"my drawing")
     with pytest.raises(InputError, match=r"step 7 of 7, sheet:.*was not written by usdface"):

@@ -8,8 +8,8 @@ from usdface.core.errors import CancelledError, InputError, UsdfaceError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
 from usdface.runner.execute import execute
-from usdface.runner.origin import make_provenance, provenance_of
-from usdface.runner.outputs import check_inputs, foreign_sidecar, sibling_sharing_layers
+from usdface.runner.origin import make_provenance
+from usdface.runner.outputs import check_inputs, check_may_be_replaced
 from usdface.runner.result import StepResult
 from usdface.runner.state import step_state
 from usdface.specs.base import Spec
@@ -65,7 +65,7 @@ def run_job(
     Parameters
     ----------
     overwrite : bool
-        Replace outputs that this package did not write.
+        Replace outputs that this package did not write, or that are of another kind.
     events : JobEvents, optional
         Called when a step starts and when it ends.
 
@@ -93,7 +93,7 @@ def run_job(
                 log.info("%s: %s", step.label, state.reason)
                 events.started(step)
                 if not overwrite:
-                    _refuse_foreign_outputs(spec)
+                    check_may_be_replaced(spec)
                 report = execute(
                     spec,
                     overwrite=True,
@@ -117,21 +117,6 @@ def make_folders(job: JobSpec) -> None:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"{folder}: cannot be made: {error.strerror}") from error
-
-
-def _refuse_foreign_outputs(spec: Spec) -> None:
-    for path in spec.paths(Writes):
-        foreign = path if path.exists() and provenance_of(path) is None else None
-        if foreign := foreign or foreign_sidecar(spec, path):
-            raise InputError(
-                f"{foreign}: exists and was not written by usdface; move it away, or run "
-                "with --overwrite"
-            )
-        if sibling := sibling_sharing_layers(spec, path):
-            raise InputError(
-                f"{sibling}: has the same layers beneath as {path.name} would have; name "
-                "another output, or run with --overwrite"
-            )
 
 
 def _labelled(progress: Progress, label: str) -> Progress:

@@ -124,36 +124,47 @@ def check_outputs(spec: Spec, *, overwrite: bool) -> None:
         if path.is_dir():
             raise InputError(f"{path}: is a folder; name a file with --out")
         check_unprotected(path)
-        if overwrite:
-            continue
-        if foreign := foreign_sidecar(spec, path):
-            raise InputError(
-                f"{foreign}: exists and was not written by usdface, and {spec.step} writes what "
-                f"belongs to {path.name} there; choose another --out, or --overwrite it"
-            )
-        if sibling := sibling_sharing_layers(spec, path):
-            raise InputError(
-                f"{sibling}: has the same layers beneath as {path.name} would have, and would show "
-                f"what {spec.step} writes; choose another --out, or --overwrite it"
-            )
-        if not path.exists():
-            continue
-        made = provenance_of(path)
-        if made is None:
-            raise InputError(
-                f"{path}: exists and was not written by usdface; choose another --out, or "
-                "--overwrite it"
-            )
-        if not _same_kind(made.step, spec):
-            raise InputError(
-                f"{path}: exists and was written by `{made.step}`, which makes something else than "
-                f"{spec.step} does; choose another --out, or --overwrite it"
-            )
-        if path.stat().st_mtime_ns > newest_input:
+    if overwrite:
+        return
+    check_may_be_replaced(spec)
+    for path in spec.paths(Writes):
+        if path.exists() and path.stat().st_mtime_ns > newest_input:
             raise InputError(
                 f"{path}: exists and is newer than what it is made from; choose another --out, or "
                 "--overwrite it"
             )
+
+
+def check_may_be_replaced(spec: Spec) -> None:
+    """Raise InputError if an output would replace or change what somebody or another step made."""
+    for path in spec.paths(Writes):
+        _check_may_be_replaced(spec, path)
+
+
+def _check_may_be_replaced(spec: Spec, path: Path) -> None:
+    if foreign := foreign_sidecar(spec, path):
+        raise InputError(
+            f"{foreign}: exists and was not written by usdface, and {spec.step} writes what "
+            f"belongs to {path.name} there; choose another --out, or --overwrite it"
+        )
+    if sibling := sibling_sharing_layers(spec, path):
+        raise InputError(
+            f"{sibling}: has the same layers beneath as {path.name} would have, and would show "
+            f"what {spec.step} writes; choose another --out, or --overwrite it"
+        )
+    if not path.exists():
+        return
+    made = provenance_of(path)
+    if made is None:
+        raise InputError(
+            f"{path}: exists and was not written by usdface; choose another --out, or --overwrite "
+            "it"
+        )
+    if not _same_kind(made.step, spec):
+        raise InputError(
+            f"{path}: exists and was written by `{made.step}`, which makes something else than "
+            f"{spec.step} does; choose another --out, or --overwrite it"
+        )
 
 
 def _same_kind(step: str, spec: Spec) -> bool:
