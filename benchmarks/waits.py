@@ -50,10 +50,10 @@ WAITS = (
         8,
     ),
     Wait(
-        "`movie`, draft, 640 × 360, 100 pictures",
+        "`movie`, draft, 640 × 360, 361 pictures",
         "movie demo/demo.character.usda --take demo/demo.clean.take.usda --height 360 --rate 24 "
-        "--frames 1-496 --out m.mp4",
-        10,
+        "--out m.mp4",
+        36,
     ),
     Wait(
         f"`select`, {SHAPES} shapes, no in-betweens",
