@@ -37,10 +37,9 @@ from usdface.steps.review.sheet_columns import (
 )
 from usdface.steps.review.shot import Shot, ShotCamera
 
-MOST_PROCESSES = 4
-"""That draw a sheet: more would read longer than they draw."""
 HELPED_PIXELS = 800_000
 """Of a column, for which a process more is worth its start."""
+
 FIGURE_KEYS = {"solve": "usdface", "baseline": "equation"}
 """Of the labels on a sheet: scripts read these keys from ``--json``, so they stay."""
 
@@ -95,9 +94,9 @@ def _open_desk(spec: SheetSpec, open_files: ExitStack, progress: Progress) -> _D
 
 
 def _helpers(spec: SheetSpec) -> int:
-    """Return how many processes are to draw beside this one."""
+    """Return how many processes are to draw beside this one: no more than farms are told of."""
     pixels = row_count(spec) * _tile_height(spec) ** 2
-    return min(process_count(), MOST_PROCESSES, 1 + pixels // HELPED_PIXELS) - 1
+    return min(process_count(), spec.cores, 1 + pixels // HELPED_PIXELS) - 1
 
 
 _desk: _Desk | None = None
