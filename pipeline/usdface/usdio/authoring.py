@@ -66,8 +66,12 @@ def retime_layer(layer: Sdf.Layer, rate: float) -> None:
     """Give a layer another rate, and move its samples so that they stay where they are in time."""
     factor = rate / layer.timeCodesPerSecond
     layer.timeCodesPerSecond = rate
-    if factor == 1:
-        return
+    if factor != 1:
+        move_samples(layer, Sdf.LayerOffset(0, factor))
+
+
+def move_samples(layer: Sdf.Layer, moved: Sdf.LayerOffset) -> None:
+    """Put a layer's samples where a layer that opens it by an offset would see them."""
     sampled: list[Sdf.Path] = []
 
     def look(path: Sdf.Path) -> None:
@@ -81,7 +85,7 @@ def retime_layer(layer: Sdf.Layer, rate: float) -> None:
         for time in times:
             layer.EraseTimeSample(path, time)
         for time, value in zip(times, values, strict=True):
-            layer.SetTimeSample(path, time * factor, value)
+            layer.SetTimeSample(path, moved * time, value)
 
 
 def author_timing(layer: Sdf.Layer, *, rate: Fraction, first: float, last: float) -> None:

@@ -268,6 +268,55 @@ def test_without_the_option_it_is_taken_back(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("other", "said"),
+    [
+        ("left_eye=eye_L", "drives spine/neck/eye_L, and"),
+        ("left_eye=/Hero/props/eyeball", "drives /Hero/props/eyeball, and"),
+        ("", "drives no head, and"),
+    ],
+)
+def test_parts_that_drive_different_things_are_not_joined(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], other: str, said: str
+) -> None:
+    """The joint of the second part would be written as the first part's."""
+    rig, source = write_character(tmp_path / "hero.usda"), write_source(tmp_path / "shot.csv")
+    parts = []
+    for frames, drive in (("1-20", "head=neck"), ("21-40", other)):
+        common = ("retarget", source, "--rate", 30, "--rig", rig.file, "--frames", frames)
+        driven = ("--drive", drive) if drive else ()
+        parts.append(tmp_path / f"{frames}.usda")
+        assert usdface(*common, *driven, "--out", parts[-1]) == 0
+    out = tmp_path / "whole.usda"
+    assert usdface("join", *parts, "--out", out) == 2
+    message = " ".join(capsys.readouterr().err.replace("│", " ").split())
+    assert said in message
+    assert "1-20.usda spine/neck; map it again with the same --drive" in message
+    assert not out.exists()
+
+
+def test_a_package_has_the_head_where_it_was_moved_to(tmp_path: Path) -> None:
+    rig, source = write_character(tmp_path / "hero.usda"), write_source(tmp_path / "shot.csv")
+    out, package = tmp_path / "shot.hero.usda", tmp_path / "shot.usdz"
+    drive = ("--drive", "head=neck", "--drive", "left_eye=/Hero/props/eyeball")
+    assert usdface("retarget", source, "--rate", 30, "--rig", rig.file, *drive, "--out", out) == 0
+    layer = Sdf.Layer.FindOrOpen(str(out))
+    for at in range(len(layer.subLayerPaths)):
+        layer.subLayerOffsets[at] = Sdf.LayerOffset(100)
+    layer.startTimeCode, layer.endTimeCode = 101, 100 + FRAMES
+    layer.Save()
+    assert usdface("package", out, "--out", package) == 0
+    ours, packed = (Usd.Stage.Open(str(each)) for each in (out, package))
+    for name in (
+        "FaceSolve.blendShapeWeights",
+        "FaceSolve.rotations",
+        "props/eyeball.xformOp:transform:head",
+    ):
+        one, other = (each.GetAttributeAtPath(f"/Hero/{name}") for each in (ours, packed))
+        assert other.GetTimeSamples() == one.GetTimeSamples() == list(range(101, 101 + FRAMES))
+        assert other.Get(117) == one.Get(117)
+
+
+@pytest.mark.parametrize(
     ("drive", "said"),
     [
         ("head=nose", ("no joint and no Xform is called 'nose'", "spine/neck/eye_L", "eyeball")),

@@ -17,6 +17,7 @@ from usdface.core.controls import Controls
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import head_path
+from usdface.core.text import first_few
 from usdface.numerics.motion.rotation_space import multiply_quaternions
 from usdface.usdio.authoring import author_timing, author_uniform
 from usdface.usdio.layers import new_layer, open_layer, open_stage, relative_path
@@ -45,7 +46,6 @@ def write_head_layer(
         The performance, which is to open the new layer.
     transforms : mapping of DriveTarget to (frames, 4, 4) float array
         From rest, in the rig's world, for column vectors [mm]. Without any nothing is written.
-
     controls : Sdf.Layer, optional
         With the joints of a retargeting, on which it turns.
     """
@@ -74,14 +74,18 @@ def write_head_layer(
 
 
 def heads_of(parts: Sequence[Path]) -> list[Path]:
-    """Return the layers that turn the head in parts of a performance: of all, or of none."""
-    layers = [head_path(each) for each in parts if opens_head(each)]
-    if layers and len(layers) < len(parts):
-        lacking = next(each for each in parts if not opens_head(each))
-        raise InputError(
-            f"{lacking}: drives no head, and {layers[0]} does; map it again with the same --drive"
-        )
-    return layers
+    """Return the layers that turn the head in parts of a performance: all turn the same, or none.
+
+    Samples of joints are arrays in the order of their names, which a joined layer has once.
+    """
+    driven = [_driven(each) for each in parts]
+    for part, names in zip(parts, driven, strict=True):
+        if names != driven[0]:
+            raise InputError(
+                f"{part}: drives {first_few(names) or 'no head'}, and {parts[0]} "
+                f"{first_few(driven[0]) or 'none'}; map it again with the same --drive"
+            )
+    return [head_path(each) for each in parts] if driven and driven[0] else []
 
 
 def join_head_layers(
@@ -109,16 +113,23 @@ def opens_head(performance: Path) -> bool:
 
 def turned_xforms(performance: Path) -> tuple[str, ...]:
     """Return the paths of the Xforms that a performance's head layer turns."""
+    return tuple(each for each in _driven(performance) if each.startswith("/"))
+
+
+def _driven(performance: Path) -> list[str]:
+    """Return what a performance's head layer holds: names of joints, paths of Xforms."""
     if not opens_head(performance):
-        return ()
+        return []
     layer, found = open_layer(head_path(performance)), list[str]()
 
     def look(path: Sdf.Path) -> None:
         if path.IsPropertyPath() and path.name == TRANSFORM:
             found.append(str(path.GetPrimPath()))
+        elif path.IsPropertyPath() and path.name == "joints":
+            found.extend(map(str, layer.GetAttributeAtPath(path).default))
 
     layer.Traverse(Sdf.Path.absoluteRootPath, look)
-    return tuple(found)
+    return found
 
 
 def _copy_samples(source: Sdf.Layer, target: Sdf.Layer) -> None:

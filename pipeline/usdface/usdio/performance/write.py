@@ -16,7 +16,7 @@ from usdface.core.replacing import appearing_together, check_not_written_since
 from usdface.core.side_files import side_stream
 from usdface.core.sidecars import controls_path, edits_path, head_path, weights_path
 from usdface.core.text import first_few
-from usdface.usdio.authoring import author_timing
+from usdface.usdio.authoring import author_timing, move_samples
 from usdface.usdio.layers import (
     new_layer,
     open_layer,
@@ -76,7 +76,12 @@ def write_package(
         others = [each(reader.path) for each in (head_path, controls_path)]
         present = {relative_path(each, reader.path): each for each in others}
         opened = open_layer(reader.path)
-        below = [present[each].resolve() for each in opened.subLayerPaths if each in present]
+        layers = zip(opened.subLayerPaths, opened.subLayerOffsets, strict=True)
+        below = [
+            _moved_layer(present[each], moved, weights.parent)
+            for each, moved in layers
+            if each in present
+        ]
         top.subLayerPaths = [*map(str, below), f"./{weights.name}"]
         for above in place.GetParentPath().GetPrefixes():
             prim = Sdf.CreatePrimInLayer(top, above)
@@ -99,6 +104,17 @@ def write_package(
             "elsewhere"
         )
     _zero_times(target)
+
+
+def _moved_layer(file: Path, moved: Sdf.LayerOffset, folder: Path) -> Path:
+    """Return a layer whose samples are where an offset moves them: USD packs layers without it."""
+    if moved.IsIdentity():
+        return file.resolve()
+    copy = Sdf.Layer.CreateNew(str(folder / file.name))
+    copy.TransferContent(open_layer(file))
+    move_samples(copy, moved)
+    save_layer(copy, file)
+    return folder / file.name
 
 
 def _is_whole(target: Path) -> bool:
