@@ -29,8 +29,9 @@ from usdface.model.placement.rig_orientation import face_axes, face_centre
 from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.steps.review.pictures import ShotPictures
 from usdface.steps.review.shot import open_shot
-from usdface.usdio.performance.head_layer import opens_head, turned_xforms
+from usdface.usdio.performance.driving_layers import opens_layer, turned_xforms
 from usdface.usdio.performance.read import read_weights
+from usdface.usdio.retarget.controls import read_control_clip
 from usdface.usdio.rig.posed_points import PosedRig
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.rig_motion import RigMotion
@@ -261,18 +262,18 @@ def test_without_the_option_it_is_taken_back(tmp_path: Path) -> None:
     out, source = tmp_path / "shot.hero.usda", write_source(tmp_path / "shot.csv")
     common = ("retarget", source, "--rate", 30, "--rig", rig.file, "--out", out)
     assert usdface(*common, "--drive", "head=neck") == 0
-    assert opens_head(out)
+    assert opens_layer(out, head_path(out))
     assert usdface(*common, "--overwrite") == 0
-    assert not opens_head(out)
+    assert not opens_layer(out, head_path(out))
     assert not RigMotion(out, rig).shares.nnz
 
 
 @pytest.mark.parametrize(
     ("other", "said"),
     [
-        ("left_eye=eye_L", "drives spine/neck/eye_L, and"),
-        ("left_eye=/Hero/props/eyeball", "drives /Hero/props/eyeball, and"),
-        ("", "drives no head, and"),
+        ("left_eye=eye_L", "drives spine/neck/eye_L where"),
+        ("left_eye=/Hero/props/eyeball", "drives /Hero/props/eyeball.xformOp:transform:head where"),
+        ("", "drives nothing where"),
     ],
 )
 def test_parts_that_drive_different_things_are_not_joined(
@@ -290,8 +291,27 @@ def test_parts_that_drive_different_things_are_not_joined(
     assert usdface("join", *parts, "--out", out) == 2
     message = " ".join(capsys.readouterr().err.replace("│", " ").split())
     assert said in message
-    assert "1-20.usda spine/neck; map it again with the same --drive" in message
+    assert "1-20.usda drives spine/neck; make it again with the same options" in message
     assert not out.exists()
+
+
+@pytest.mark.parametrize("clips", ["never", "always"])
+def test_joined_parts_keep_joints_and_attributes(tmp_path: Path, clips: str) -> None:
+    rig, acts = write_creature(tmp_path / "beast.usda"), creature_acts(human_moves(12))
+    parts = []
+    for first in (1, 7):
+        rows = {
+            name: getattr(acts, name)[first - 1 : first + 5]
+            for name in ("weights", "translations", "rotations", "scales", "values")
+        }
+        parts.append(tmp_path / f"{first}.usda")
+        write_creature_performance(parts[-1], rig, replace(acts, **rows), first=first)
+    whole = tmp_path / "whole.usda"
+    assert usdface("join", *parts, "--clips", clips, "--out", whole) == 0
+    joined = read_control_clip(whole).clip.controls
+    assert (joined.joints, joined.attributes) == (acts.joints, acts.attributes)
+    for name in ("weights", "translations", "rotations", "values"):
+        np.testing.assert_allclose(getattr(joined, name), getattr(acts, name), atol=1e-6)
 
 
 def test_a_package_has_the_head_where_it_was_moved_to(tmp_path: Path) -> None:

@@ -7,14 +7,14 @@ from pathlib import Path
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.sidecars import head_path, weights_path
+from usdface.core.sidecars import controls_path, head_path, weights_path
 from usdface.core.text import first_few, pluralize
 from usdface.runner.result import StepResult
 from usdface.specs.performance import JoinSpec
 from usdface.steps.inputs.edit_ranges import edit_notes
 from usdface.steps.performance.map import LARGEST_LAYER_BYTES
 from usdface.usdio.performance.clips import ClipPart, write_clips
-from usdface.usdio.performance.head_layer import heads_of, join_head_layers
+from usdface.usdio.performance.driving_layers import driving_layers, join_driving_layers
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import WeightsHeader, writing_weights
 from usdface.usdio.performance.write import writing_top
@@ -36,8 +36,9 @@ def run(spec: JoinSpec, *, provenance: Provenance, progress: Progress = silent) 
     def report(last: int) -> None:
         progress((last - whole.first_frame + 1) / whole.frame_count, f"joined to frame {last}")
 
-    heads = heads_of([each.path for each in readers])
-    above = [head_path(spec.out)] if heads else []
+    files = [each.path for each in readers]
+    beside = {each(spec.out): driving_layers(files, each) for each in (head_path, controls_path)}
+    above = [layer for layer, of_parts in beside.items() if of_parts]
     with writing_top(spec.out, whole, rig, above=above, provenance=provenance):
         if clips:
             parts = [_part(reader) for reader in readers]
@@ -51,7 +52,8 @@ def run(spec: JoinSpec, *, provenance: Provenance, progress: Progress = silent) 
                         reader.last_frame,
                         copied_to=report,
                     )
-        join_head_layers(spec.out, heads, last_frame=whole.last_frame, provenance=provenance)
+        for layer, of_parts in beside.items():
+            join_driving_layers(layer, of_parts, last_frame=whole.last_frame, provenance=provenance)
     notes = edit_notes(spec.out)
     notes += [
         f"{reader.path}: its edits of {first_few(sorted(reader.edits))} stay there; edits "

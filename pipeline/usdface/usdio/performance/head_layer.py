@@ -5,7 +5,7 @@ overs that put one transform before those that the rig has. A joint below anothe
 not leave its place, since a neck holds it; one without a parent, and an Xform, go with the head.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -14,13 +14,11 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig
 from usdface.core.controls import Controls
-from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import head_path
-from usdface.core.text import first_few
 from usdface.numerics.motion.rotation_space import multiply_quaternions
 from usdface.usdio.authoring import author_timing, author_uniform
-from usdface.usdio.layers import new_layer, open_layer, open_stage, relative_path
+from usdface.usdio.layers import new_layer, open_stage
 from usdface.usdio.performance.weights_layer import WeightsHeader
 from usdface.usdio.retarget.controls import author_joints, controls_at, set_joint_samples
 from usdface.usdio.rig.drive_targets import DriveTarget, joint_rest, skeleton_with
@@ -71,74 +69,6 @@ def write_head_layer(
             prim = stage.GetPrimAtPath(target.path)
             over = Sdf.CreatePrimInLayer(layer, prim.GetPath().ReplacePrefix(source, header.place))
             _author_xform(over, prim, world[target], header.first_frame)
-
-
-def heads_of(parts: Sequence[Path]) -> list[Path]:
-    """Return the layers that turn the head in parts of a performance: all turn the same, or none.
-
-    Samples of joints are arrays in the order of their names, which a joined layer has once.
-    """
-    driven = [_driven(each) for each in parts]
-    for part, names in zip(parts, driven, strict=True):
-        if names != driven[0]:
-            raise InputError(
-                f"{part}: drives {first_few(names) or 'no head'}, and {parts[0]} "
-                f"{first_few(driven[0]) or 'none'}; map it again with the same --drive"
-            )
-    return [head_path(each) for each in parts] if driven and driven[0] else []
-
-
-def join_head_layers(
-    path: Path,
-    heads: Sequence[Path],
-    *,
-    last_frame: int,
-    provenance: Provenance | None = None,
-) -> None:
-    """Join what turns the head in parts of a performance, in the order of their frames."""
-    if not heads:
-        return
-    with new_layer(head_path(path), provenance) as layer:
-        layer.TransferContent(open_layer(heads[0]))
-        layer.endTimeCode = last_frame
-        for other in map(open_layer, heads[1:]):
-            _copy_samples(other, layer)
-
-
-def opens_head(performance: Path) -> bool:
-    """Whether a performance opens a layer that turns its head."""
-    layer = open_layer(performance)  # in a name: what a layer lends does not outlive it
-    return relative_path(head_path(performance), performance) in list(layer.subLayerPaths)
-
-
-def turned_xforms(performance: Path) -> tuple[str, ...]:
-    """Return the paths of the Xforms that a performance's head layer turns."""
-    return tuple(each for each in _driven(performance) if each.startswith("/"))
-
-
-def _driven(performance: Path) -> list[str]:
-    """Return what a performance's head layer holds: names of joints, paths of Xforms."""
-    if not opens_head(performance):
-        return []
-    layer, found = open_layer(head_path(performance)), list[str]()
-
-    def look(path: Sdf.Path) -> None:
-        if path.IsPropertyPath() and path.name == TRANSFORM:
-            found.append(str(path.GetPrimPath()))
-        elif path.IsPropertyPath() and path.name == "joints":
-            found.extend(map(str, layer.GetAttributeAtPath(path).default))
-
-    layer.Traverse(Sdf.Path.absoluteRootPath, look)
-    return found
-
-
-def _copy_samples(source: Sdf.Layer, target: Sdf.Layer) -> None:
-    def copy(path: Sdf.Path) -> None:
-        if path.IsPropertyPath():
-            for time in source.ListTimeSamplesForPath(path):
-                target.SetTimeSample(path, time, source.QueryTimeSample(path, time))
-
-    source.Traverse(Sdf.Path.absoluteRootPath, copy)
 
 
 def _joints_of(controls: Sdf.Layer | None, header: WeightsHeader, path: Path) -> Controls:
