@@ -21,6 +21,7 @@ import pytest
 from tests.browser import chromium
 from tests.tuning.small_asset import small_references, write_asset
 from usdface.core.sidecars import tuned_path
+from usdface.media.picture.image import encode_image
 from usdface.usdio.references.read import read_references
 
 PATIENCE_SECONDS = 40.0
@@ -279,6 +280,27 @@ def test_the_tools_of_a_pair_do_what_they_say(desk: Desk) -> None:
     desk.layer(2, [0.5, None, None])
     desk.layer(3, [1.0, None, None])
     assert read_references(desk.asset).tuned[2:4].all()
+
+
+def test_the_second_around_a_pair_is_asked_for_by_the_slider(desk: Desk) -> None:
+    page = desk.page().page
+    asked: list[str] = []
+    pixel = encode_image(np.zeros((8, 8, 3), np.uint8))
+
+    def answer(route: Any) -> None:
+        asked.append(route.request.url)
+        route.fulfill(body=pixel, content_type="image/jpeg")
+
+    page.route("**/picture/*", answer)
+    page.keyboard.press("PageDown")
+    page.locator("#videoAfter").evaluate(
+        "(slider) => { slider.value = 0.52; slider.dispatchEvent(new Event('input')); }"
+    )
+    note = page.locator("#videoNote")
+    note.filter(has_text="+0.52 s").wait_for(state="attached")  # this asset has no video
+    assert asked[-1].endswith(".jpg?after=0.52")
+    page.keyboard.press("PageDown")
+    assert page.locator("#videoAfter").input_value() == "0"
 
 
 def test_notes_of_a_report_stand_at_their_frame(asset: Path, context: Any, tmp_path: Path) -> None:

@@ -56,6 +56,16 @@ def test_each_pair_shows_the_video_frame_of_its_moment(folder: Path) -> None:
     shown.close()
 
 
+def test_the_second_before_and_after_is_shown_too(folder: Path) -> None:
+    shown = pictures(folder)
+    for after in (0.5, -0.25, 0.0):
+        seconds = ((FRAMES[2] - 101) / 120 + after - OFFSET) / (1 + DRIFT * 1e-6)
+        assert read_number(decoded(shown.jpeg(2, after))) == int(seconds * 24 + 1e-9)
+    with pytest.raises(InputError, match=r"does not show frame \d+ -1000\.00 s"):
+        shown.jpeg(2, -1000.0)
+    shown.close()
+
+
 def test_a_moment_the_camera_did_not_record_is_said(folder: Path) -> None:
     shown = PairPictures(
         replace(references(folder), frames=FRAMES + 2000),

@@ -3,6 +3,7 @@
 import base64
 import functools
 import json
+import math
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -28,6 +29,9 @@ from usdface.tuning.pictures import PairPictures
 from usdface.tuning.session import StaleRevisionError, TuningSession
 from usdface.tuning.targets import MarkerTargets, correct_place, targets_or_reason
 from usdface.usdio.references.read import PairNotes
+
+_FARTHEST_SECONDS = 1.0
+"""From a pair's frame to what is shown of its video."""
 
 _FILES = {
     ".js": "text/javascript; charset=utf-8",
@@ -199,7 +203,14 @@ def build_application(scene: Scene) -> Starlette:
         pair = request.path_params["pair"]
         if not 0 <= pair < len(scene.notes):
             return JSONResponse({"reason": f"no pair {pair}"}, status_code=404)
-        data = await run_in_threadpool(scene.pictures.jpeg, pair)
+        try:
+            after = float(request.query_params.get("after", 0))
+        except ValueError:
+            after = math.nan
+        if not abs(after) <= _FARTHEST_SECONDS:
+            reason = f"after is not a number from {-_FARTHEST_SECONDS:g} to {_FARTHEST_SECONDS:g}"
+            return JSONResponse({"reason": reason}, status_code=400)
+        data = await run_in_threadpool(scene.pictures.jpeg, pair, after)
         return Response(data, media_type="image/jpeg")
 
     async def changes(request: Request) -> Response:

@@ -37,14 +37,16 @@ class PairPictures:
         self._faults: dict[str, str] = {}
         self._takes = self._read_takes(takes)
         self._videos: dict[str, VideoReader | ImageSequence] = {}
-        self._cached: OrderedDict[int, bytes] = OrderedDict()
+        self._cached: OrderedDict[tuple[int, float], bytes] = OrderedDict()
         self._guard = threading.Lock()  # one decoder, one frame at a time
 
     def reason_without(self, pair: int) -> str:
         """Return why a pair has no picture; empty if it should have one."""
         if self._notes[pair].image is not None:
             return ""
-        name = self._references.takes[pair]
+        return self._reason_without_video(self._references.takes[pair])
+
+    def _reason_without_video(self, name: str) -> str:
         if name in self._faults:
             return self._faults[name]
         take = self._takes.get(name)
@@ -52,15 +54,16 @@ class PairPictures:
             return f"the take {name} was not found; name its file with --takes"
         return "" if take.video is not None else f"the take {name} has no video"
 
-    def jpeg(self, pair: int) -> bytes:
-        """Return a pair's picture."""
+    def jpeg(self, pair: int, after: float = 0.0) -> bytes:
+        """Return a pair's picture, or the video's some seconds after its frame."""
+        wanted = pair, after
         with self._guard:
-            if pair not in self._cached:
-                self._cached[pair] = encode_image(self._find(pair), max_height=1080)
+            if wanted not in self._cached:
+                self._cached[wanted] = encode_image(self._find(pair, after), max_height=1080)
                 while len(self._cached) > CACHED_PICTURES:
                     self._cached.popitem(last=False)
-            self._cached.move_to_end(pair)
-            return self._cached[pair]
+            self._cached.move_to_end(wanted)
+            return self._cached[wanted]
 
     def close(self) -> None:
         """Let go of the videos."""
@@ -70,24 +73,23 @@ class PairPictures:
                     video.close()
             self._videos.clear()
 
-    def _find(self, pair: int) -> ByteImage:
+    def _find(self, pair: int, after: float) -> ByteImage:
         image = self._notes[pair].image
-        if image is not None:
+        if image is not None and not after:
             return read_picture(image)
-        reason = self.reason_without(pair)
-        if reason:
-            raise InputError(reason)
         name, frame = self._references.takes[pair], int(self._references.frames[pair])
-        take = self._takes[name]
+        reason = self._reason_without_video(name)
+        take = self._takes.get(name)
+        if reason or take is None or take.video is None:
+            raise InputError(reason)
         video = take.video
-        if video is None:
-            raise InputError(f"the take {name} has no video")
         if name not in self._videos:
             self._videos[name] = open_video(video.file, video.rate)
-        seconds = (frame - take.first_frame) / float(take.rate)
+        seconds = (frame - take.first_frame) / float(take.rate) + after
         found = self._videos[name].frame_at(video.video_time(seconds))
         if found is None:
-            raise InputError(f"the video of {name} does not show frame {frame}")
+            when = f"frame {frame}" + (f" {after:+.2f} s" if after else "")
+            raise InputError(f"the video of {name} does not show {when}")
         return found
 
     def _read_takes(self, files: Sequence[Path]) -> dict[str, Take]:

@@ -64,7 +64,7 @@ class Page {
       (shapes, part) => this.choose(true, shapes, part),
     );
     this.film = new FilmStrip($("film"), state, (pair) => this.pick(pair));
-    this.video = new VideoPane($("picture"), $("noPicture"), $("videoNote"));
+    this.video = new VideoPane($("picture"), $("noPicture"), $("videoNote"), $("videoAfter"));
     if (known.pairs.every((pair) => pair.noPicture)) document.querySelector("main").classList.add("noVideo");
     state.addEventListener("weights", ({ detail: { pair } }) => {
       if (pair === state.current) this.pose();

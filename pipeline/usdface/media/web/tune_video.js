@@ -3,7 +3,9 @@
 const KEPT = 12;
 
 export class VideoPane {
-  constructor(image, placeholder, note) {
+  constructor(image, placeholder, note, after) {
+    this.after = after;
+    after.addEventListener("input", () => this.#scrub());
     this.image = image;
     this.placeholder = placeholder;
     this.note = note;
@@ -15,14 +17,34 @@ export class VideoPane {
   /** Show a pair's picture, or say why there is none; its neighbours are fetched ahead. */
   async show(pair, pairs) {
     this.pair = pair;
+    this.after.value = 0;
     const answer = await this.#fetch(pair, pairs);
     if (this.pair !== pair) return; // the animator is further on
     this.image.hidden = !answer.url;
     this.placeholder.hidden = Boolean(answer.url);
     if (answer.url) this.image.src = answer.url;
     else this.placeholder.textContent = `No picture: ${answer.reason}.`;
-    this.note.textContent = answer.url ? `${pairs[pair].take}, frame ${pairs[pair].frame}` : "";
+    this.name = answer.url ? `${pairs[pair].take}, frame ${pairs[pair].frame}` : "";
+    this.note.textContent = this.name;
+    this.after.hidden = !answer.url;
     for (const next of [pair + 1, pair - 1]) if (pairs[next]) this.#fetch(next, pairs);
+  }
+
+  /** Follow the slider; moments that it has left meanwhile are not asked for. */
+  async #scrub() {
+    if (this.scrubbing) return;
+    this.scrubbing = true;
+    for (let shown = null; shown !== this.after.valueAsNumber; ) {
+      shown = this.after.valueAsNumber;
+      const pair = this.pair;
+      const { url, reason } = await get(pair, shown);
+      if (this.pair !== pair) break;
+      if (url) this.image.src = url;
+      this.image.addEventListener("load", () => url && URL.revokeObjectURL(url), { once: true });
+      const when = shown ? ` ${shown > 0 ? "+" : "−"}${Math.abs(shown).toFixed(2)} s` : "";
+      this.note.textContent = url ? this.name + when : reason;
+    }
+    this.scrubbing = false;
   }
 
   fit() {
@@ -78,9 +100,9 @@ export class VideoPane {
   }
 }
 
-async function get(pair) {
+async function get(pair, after = 0) {
   try {
-    const response = await fetch(`/picture/${pair}.jpg`);
+    const response = await fetch(`/picture/${pair}.jpg${after ? `?after=${after}` : ""}`);
     if (response.ok) return { url: URL.createObjectURL(await response.blob()) };
     return { reason: (await response.json()).reason };
   } catch {
