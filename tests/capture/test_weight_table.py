@@ -45,6 +45,20 @@ WRITTEN = {
     "ict.json": json.dumps(
         {"fps": 30, "names": NAMES, "frames": [{"weights": row} for row in WEIGHTS.tolist()]}
     ),
+    "numbered.json": json.dumps(
+        {
+            "names": NAMES,
+            "frames": [
+                {"frame": 101 + n, "weights": row} for n, row in enumerate(WEIGHTS.tolist())
+            ],
+        }
+    ),
+    "timed.json": json.dumps(
+        {
+            "names": NAMES,
+            "data": [{"time": n / 30, "weights": row} for n, row in enumerate(WEIGHTS.tolist())],
+        }
+    ),
     "mediapipe.json": json.dumps([categories(row) for row in WEIGHTS]),
     "results.json": json.dumps(
         [
@@ -63,7 +77,8 @@ WRITTEN = {
         ]
     ),
 }
-NO_TIMES = ("frames.csv", "rows.json", "mediapipe.json")
+NO_TIMES = ("frames.csv", "rows.json", "numbered.json", "mediapipe.json")
+FROM_101 = ("frames.csv", "numbered.json")
 
 
 @pytest.mark.parametrize("name", WRITTEN)
@@ -75,7 +90,7 @@ def test_a_table_becomes_a_take_to_the_last_bit(tmp_path: Path, name: str) -> No
     assert take.source.names == NAMES
     assert np.array_equal(take.source.values, WEIGHTS)
     assert take.rate == 30
-    assert take.first_frame == (101 if name == "frames.csv" else 1)
+    assert take.first_frame == (101 if name in FROM_101 else 1)
     write_take(tmp_path / "x.take.usda", take)
     back = read_weight_table(tmp_path / "x.take.usda")
     assert np.array_equal(back.columns(NAMES).astype(np.float32), WEIGHTS)
@@ -95,7 +110,7 @@ def test_keys_have_the_frames_that_the_take_of_the_same_table_has(
     assert table.frames == tuple(range(first, first + take.frame_count))
     assert table.rate in (None, 30)
     (note,) = table.numbering_notes(path) or [""]
-    assert ("count from frame 1" in note) == ("frame" not in name and name != "rows.json")
+    assert ("count from frame 1" in note) == (name not in (*FROM_101, "rows.json"))
 
 
 def test_keys_at_uneven_times_are_no_frames(tmp_path: Path) -> None:
@@ -157,6 +172,15 @@ def test_a_matrix_takes_its_names_from_beside_it(tmp_path: Path) -> None:
         read_capture(tmp_path / "objects.npy", rate=25.0)
 
 
+def test_a_matrix_without_rows_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "x.npy"
+    np.save(path, np.zeros((0, 3)))
+    (tmp_path / "x.names.txt").write_text("\n".join(NAMES))
+    for read in (read_weight_table, lambda file: read_capture(file, rate=30.0)):
+        with pytest.raises(InputError, match="holds no rows of weights"):
+            read(path)
+
+
 def test_several_takes_in_one_table_are_told_apart(tmp_path: Path) -> None:
     path = tmp_path / "day.csv"
     rows = [f"{'kitchen' if n < 10 else 'stairs'},{n}" for n in range(25)]
@@ -189,6 +213,12 @@ def test_several_takes_in_one_table_are_told_apart(tmp_path: Path) -> None:
         ),
         ('{"fps": 30, "facsNames": ["a", "b"], "weightMat": [[1]]}', {}, "1 weights for 2 names"),
         ('{"fps": 30, "facsNames": ["a", "a"], "weightMat": [[1, 0]]}', {}, "a is named twice"),
+        ('{"fps": 30, "facsNames": [["a"]], "weightMat": [[1]]}', {}, "holds more than names"),
+        (
+            '[{"frame": 1, "Frame Number": 5, "a": 1}]',
+            {"rate": 30.0},
+            "frame and Frame Number both say frame",
+        ),
     ],
 )
 def test_what_cannot_be_believed_is_refused(tmp_path: Path, text, options, message) -> None:

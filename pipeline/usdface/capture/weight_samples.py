@@ -139,10 +139,11 @@ def read_weight_samples(path: Path, *, shapes: Path | None = None) -> WeightSamp
     check_may_open(path)
     with path.open("rb") as file:
         head = file.read(64)
-    if is_weight_npy(head) or path.suffix.lower() == ".npy":
-        return _read_npy(path, shapes)
     start = "".join(head_lines(head, 4)).lstrip()[:1]
-    samples = _read_json(path) if start in ("[", "{") else _read_csv(path)
+    if is_weight_npy(head) or path.suffix.lower() == ".npy":
+        samples = _read_npy(path, shapes)
+    else:
+        samples = _read_json(path) if start in ("[", "{") else _read_csv(path)
     if not len(samples.values):
         raise InputError(f"{path}: holds no rows of weights")
     return samples
@@ -202,9 +203,10 @@ def _read_json(path: Path) -> WeightSamples:
             rate = exact_rate(_number(path, "its rate", "fps", stated), where=str(path))
         names = next((data[key] for key in _NAME_KEYS if isinstance(data.get(key), list)), None)
         matrix = next((data[key] for key in _MATRIX_KEYS if isinstance(data.get(key), list)), None)
-        if names is not None and matrix is not None:
-            return replace(_matrix(path, names, matrix), rate=rate)
-        data = matrix if names is None else None
+        if names is None:
+            data = matrix
+        else:
+            data = None if matrix is None else _named_rows(path, names, matrix)
     if not isinstance(data, list) or not all(isinstance(row, dict | list) for row in data):
         raise InputError(
             f'{path}: must be a list of rows like {{"frame": 12, "jawOpen": 0.4}}, or names and a '
@@ -213,34 +215,36 @@ def _read_json(path: Path) -> WeightSamples:
     return replace(_json_rows(path, data), rate=rate)
 
 
-def _matrix(path: Path, names: list[Any], matrix: list[Any]) -> WeightSamples:
-    rows = [
-        next((row[key] for key in _ROW_KEYS if key in row), row) if isinstance(row, dict) else row
-        for row in matrix
-    ]
-    for index, row in enumerate(rows):
-        if not isinstance(row, list) or len(row) != len(names):
-            count = len(row) if isinstance(row, list) else 0
+def _named_rows(path: Path, names: list[Any], matrix: list[Any]) -> list[dict[str, Any]]:
+    """Return rows of weights by name, with the frame or time that each has beside its weights."""
+    if not all(isinstance(name, str) for name in names):
+        raise InputError(f"{path}: its list of names holds more than names; export it again")
+    _check_unique(path, names)
+    rows = []
+    for index, row in enumerate(matrix):
+        beside = {}
+        weights = row
+        if isinstance(row, dict):
+            beside = {name: value for name, value in row.items() if _kind(name)}
+            weights = next((row[key] for key in _ROW_KEYS if key in row), None)
+        if not isinstance(weights, list) or len(weights) != len(names):
+            count = len(weights) if isinstance(weights, list) else 0
             raise InputError(
                 f"{path} row {index + 1}: {count} weights for {len(names)} names; export it again"
             )
-    values = np.array(
-        [
-            [
-                _number(path, f"row {i + 1}", str(n), each)
-                for n, each in zip(names, row, strict=True)
-            ]
-            for i, row in enumerate(rows)
-        ]
-    ).reshape(len(rows), len(names))
-    _check_unique(path, names)
-    return WeightSamples(tuple(map(str, names)), values, np.arange(1, len(rows) + 1))
+        rows.append(beside | dict(zip(names, weights, strict=True)))
+    return rows
 
 
 def _json_rows(path: Path, data: list[Any]) -> WeightSamples:
     rows = [_flat(path, index, row) for index, row in enumerate(data)]
     keys = list(dict.fromkeys(name for row in rows for name in row))
     at = {_kind(name): name for name in keys if _kind(name)}
+    spare = [name for name in keys if at.get(_kind(name), name) != name]
+    if spare:
+        raise InputError(
+            f"{path}: {spare[0]} and {at[_kind(spare[0])]} both say {_kind(spare[0])}; keep one"
+        )
     names = [name for name in keys if not _kind(name)]
     values = np.zeros((len(rows), len(names)))
     for index, row in enumerate(rows):

@@ -103,6 +103,12 @@ def test_what_a_recorder_left_out_is_told(folder: Path, capsys: pytest.CaptureFi
     assert "t.csv: 2 of 40 frames were dropped" in capsys.readouterr().out
 
 
+def test_a_tongue_that_rolls_is_no_angle(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write("t.csv", "time,jawOpen,smile,TongueRoll,head_yaw,HeadRoll", "{n},{w},.1,{w},{w},.3")
+    assert usdface("retarget", "t.csv", "--rig", "human.usda", "--out", "p.usda") == 0
+    assert "no counterpart for 1 moving shape: TongueRoll;" in capsys.readouterr().out
+
+
 def test_what_is_named_alike_and_is_not_on_the_rig_is_left_out(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -54,6 +54,11 @@ _WAYS = {"down": (0, 1), "up": (0, -1), "out": (1, 1), "in": (1, -1)}
 _EYE_OF = {"L": "left_eye", "R": "right_eye"}
 
 
+def is_angle(name: str) -> bool:
+    """Whether a channel of a recorder is an angle of the head or of an eye, by its name."""
+    return _CHANNEL.fullmatch(name) is not None
+
+
 def recorded_angles(names: Sequence[str], weights: FloatArray) -> dict[str, FloatArray]:
     """Return the angles that channels of a recorder hold: (frames, 3) about x, y, z, by part [rad].
 

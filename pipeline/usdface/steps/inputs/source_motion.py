@@ -1,6 +1,5 @@
 """Source weights from a take, a performance or a capture, brought to shapes that are asked for."""
 
-import re
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -15,6 +14,7 @@ from usdface.core.errors import InputError
 from usdface.core.rates import frames_within, shift_timecode
 from usdface.core.sidecars import is_usd_name
 from usdface.core.text import first_few, pluralize
+from usdface.model.retarget.head_pose import is_angle
 from usdface.model.retarget.name_matching import Transfer, meaning_notes, transfer_by_names
 from usdface.steps.inputs.name_tables import check_no_name_twice, transfer_by_table
 from usdface.steps.inputs.weight_tables import read_weight_table
@@ -24,10 +24,6 @@ from usdface.usdio.take.read import TakeReader, is_take
 
 MOVING_WEIGHT = 0.02
 """Weight beyond which a shape counts as used by a performance."""
-
-
-_ROTATION = re.compile(r"(Yaw|Pitch|Roll|Rotation[XYZ])$")
-"""Channels of recorders that are angles, not weights."""
 
 
 @dataclass(frozen=True)
@@ -59,9 +55,7 @@ class SourceMotion:
         used = np.abs(self.weights).max(axis=0, initial=0.0) > MOVING_WEIGHT
         named = zip(self.names, used, strict=True)
         return tuple(
-            name
-            for name, each in named
-            if each and name not in self.driven and not _ROTATION.search(name)
+            name for name, each in named if each and name not in self.driven and not is_angle(name)
         )
 
 
