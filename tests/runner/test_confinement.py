@@ -56,6 +56,19 @@ def test_a_link_that_leads_out_is_refused(root: Path) -> None:
         bake(root / "a.usda", root / "folder" / "b.usda")
 
 
+@pytest.mark.parametrize("confined", [True, False])
+def test_a_link_to_itself_is_named(
+    root: Path, monkeypatch: pytest.MonkeyPatch, confined: bool
+) -> None:
+    if not confined:
+        monkeypatch.delenv(ROOT_VARIABLE)
+    for name in ("loop", "l.usda"):
+        (root / name).symlink_to(name)
+    for performance, out in (("l.usda", "b.usda"), ("a.usda", "l.usda"), ("a.usda", "loop/b.usda")):
+        with pytest.raises(InputError, match=r"/l\S*: is a link, or lies behind one, that leads"):
+            bake(root / performance, root / out)
+
+
 @pytest.mark.parametrize("named", ["../secret.usda", "ABSOLUTE"])
 def test_a_layer_that_refers_to_something_outside_is_refused(root: Path, named: str) -> None:
     target = str(root.parent / "secret.usda") if named == "ABSOLUTE" else named

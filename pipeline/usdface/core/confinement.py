@@ -1,5 +1,6 @@
 """The folder that all work is confined to, and whether a path leads out of it."""
 
+import errno
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -32,6 +33,7 @@ def check_confined(paths: Sequence[tuple[str, Path]], root: Path) -> None:
     top = root.resolve()
     faults = []
     for what, path in paths:
+        check_no_loop(path)
         real = path.resolve()
         if not real.is_relative_to(top):
             plainly = Path(os.path.normpath(path.absolute()))  # a folder up is no link
@@ -39,6 +41,17 @@ def check_confined(paths: Sequence[tuple[str, Path]], root: Path) -> None:
             faults.append(f"{what}: {path}: lies outside {root}{by}, at {real}")
     if faults:
         raise InputError("\n".join(faults) + "\nmove the files below it, or ask for another root")
+
+
+def check_no_loop(path: Path) -> None:
+    """Refuse a path by a link that leads back to itself: where the file is cannot be said."""
+    try:
+        path.stat()
+    except OSError as error:
+        if error.errno == errno.ELOOP:
+            raise InputError(
+                f"{path}: is a link, or lies behind one, that leads back to itself; remove the link"
+            ) from error
 
 
 def check_may_open(path: Path, *, what: str = "open") -> None:

@@ -5,7 +5,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from usdface.core.confinement import check_confined, confinement_root
+from usdface.core.confinement import check_confined, check_no_loop, confinement_root
 from usdface.core.errors import InputError
 from usdface.core.replacing import check_unprotected
 from usdface.core.sidecars import LAYER_SUFFIXES
@@ -78,6 +78,8 @@ def check_may_be_read(spec: Spec) -> None:
 
     Before anything is opened, to hash it or to use it.
     """
+    for path in (*spec.paths(Reads), *spec.paths(Writes)):
+        check_no_loop(path)
     root = confinement_root()
     if root is not None:
         check_confined_inputs(spec, root)

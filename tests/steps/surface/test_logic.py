@@ -103,6 +103,10 @@ def test_tables_and_simplex_say_the_same(rig: Path) -> None:
             {"name": "both", "prog": 2, "pairs": [[0, 1.0], [1, -1.0]], "solveType": "None"}
         ],
     }
+    text = [row | {"parts": " ".join(row["parts"])} for row in rows]  # as CSV has them
+    capitals = rig.with_name("text.JSON")
+    capitals.write_text(json.dumps(text))
+    assert stated(rig, definition=capitals) == stated(rig, definition=listed)
     listed.write_text(json.dumps(simplex))
     assert stated(rig, definition=listed) == {
         "jaw_smile_L": "jaw_smile_L = jaw * smile_L (minimum)"

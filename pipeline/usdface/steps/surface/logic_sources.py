@@ -103,7 +103,7 @@ def _splits(name: str, known: dict[str, str]) -> Iterator[tuple[str, ...]]:
 
 def read_definition(path: Path) -> tuple[Combination, ...]:
     """Read a table of combinations (.csv, .json), or a Simplex definition (.json)."""
-    if path.suffix != ".json":
+    if path.suffix.lower() != ".json":
         return tuple(
             Combination(
                 str(row["shape"]),
@@ -122,7 +122,7 @@ def read_definition(path: Path) -> tuple[Combination, ...]:
         return tuple(
             Combination(
                 str(row["shape"]),
-                tuple(map(str, row["parts"])),
+                _names(row["parts"]),
                 cast(CombinationMode, str(row.get("mode", "product"))),
                 tuple(map(float, row.get("weights", ()))),
                 tuple((float(low), float(high)) for low, high in row.get("spans", ())),
@@ -134,6 +134,10 @@ def read_definition(path: Path) -> tuple[Combination, ...]:
             f"{path}: is neither a table of combinations (shape, parts, mode, weights) nor a "
             f"Simplex definition: {type(error).__name__} {error}"
         ) from error
+
+
+def _names(value: str | list[object]) -> tuple[str, ...]:
+    return tuple(value.split() if isinstance(value, str) else map(str, value))
 
 
 def _words(value: object) -> list[str]:
