@@ -53,6 +53,18 @@ def test_several_faces_are_refused_or_one_is_followed() -> None:
     np.testing.assert_array_equal(middle["largest"], middle["right"])
 
 
+@pytest.mark.parametrize("choice", ["left", "right"])
+def test_the_other_face_is_never_measured_while_one_is_lost(choice: str) -> None:
+    def two(number: int):
+        near, far = turning_head(number, at=(90, 0, -600)), turning_head(number, at=(-150, 0, -800))
+        lost = choice if 3 <= number < 6 else ""
+        return [face for side, face in (("left", far), ("right", near)) if side != lost]
+
+    track = follow(SimulatedFinder(two, focal_pixels=600), 9, choice)
+    np.testing.assert_array_equal(np.flatnonzero(~track.seen), [3, 4, 5])
+    assert np.ptp(track.positions[track.seen, :, 0].mean(axis=1)) < 20
+
+
 def test_one_face_that_is_found_twice_is_one() -> None:
     finder = SimulatedFinder(lambda n: [turning_head(n), turning_head(n) + 2.0], focal_pixels=600)
     assert follow(finder, 2).seen.all()

@@ -135,6 +135,8 @@ class FaceFollower:
         self._choice = choice
         self._mirrored = mirrored
         self._last: FloatArray | None = None
+        self._others: list[FloatArray] = []
+        """Other faces, where each was last seen."""
         self._crowded_pictures = 0
         self._rows: list[tuple[FloatArray, FloatArray, FloatArray]] = []
 
@@ -148,10 +150,6 @@ class FaceFollower:
         """
         faces = _distinct(self._finder.find_faces(picture))
         marker_count = len(LANDMARKS.names)
-        if not faces:
-            nothing = np.full((marker_count, 3), np.nan)
-            self._rows.append((nothing, nothing[:, 0], np.array([np.nan])))
-            return False
         self._crowded_pictures = self._crowded_pictures + 1 if len(faces) > 1 else 0
         lasting = self._last is None or self._crowded_pictures >= _LASTING_PICTURES
         if len(faces) > 1 and lasting and self._choice is None:
@@ -160,6 +158,10 @@ class FaceFollower:
                 "or right (it is then followed), or crop the video"
             )
         face = self._pick(faces)
+        if face is None:
+            nothing = np.full((marker_count, 3), np.nan)
+            self._rows.append((nothing, nothing[:, 0], np.array([np.nan])))
+            return False
         self._last = face.landmarks
         positions = face.landmarks[LANDMARKS.indices]
         difference = np.zeros(marker_count)
@@ -184,13 +186,23 @@ class FaceFollower:
             np.array([np.broadcast_to(row[2], count) for row in self._rows], np.float32),
         )
 
-    def _pick(self, faces: list[FaceFinding]) -> FaceFinding:
+    def _pick(self, faces: list[FaceFinding]) -> FaceFinding | None:
+        """Return the face that is followed; None where only others are found."""
+        if not faces:
+            return None
         if self._last is not None:
-            return min(faces, key=lambda face: _distance(face.landmarks, self._last))
-        if self._choice == "largest" or self._choice is None:
-            return max(faces, key=lambda face: _breadth(face.landmarks))
-        side = 1 if self._choice == "left" else -1
-        return min(faces, key=lambda face: side * float(face.landmarks[:, 0].mean()))
+            face = min(faces, key=lambda face: _distance(face.landmarks, self._last))
+            way = _distance(face.landmarks, self._last)
+            if any(_distance(face.landmarks, other) < way for other in self._others):
+                self._others = [each.landmarks for each in faces]
+                return None
+        elif self._choice == "largest" or self._choice is None:
+            face = max(faces, key=lambda face: _breadth(face.landmarks))
+        else:
+            side = 1 if self._choice == "left" else -1
+            face = min(faces, key=lambda face: side * float(face.landmarks[:, 0].mean()))
+        self._others = [each.landmarks for each in faces if each is not face]
+        return face
 
     def _in_mirror(self, picture: ByteImage, landmarks: FloatArray) -> FaceFinding | None:
         """Return the same face as the mirror image shows it, back in the picture's place."""
