@@ -60,8 +60,8 @@ def track_notes(track: FaceTrack, *, rate: Fraction, frames: IntArray) -> list[s
     seen = track.seen
     if not seen.all():
         missing = (
-            f"no face in {pluralize(int((~seen).sum()), 'picture')} of {len(seen)}, or another than "
-            "the one that is followed: these are gaps"
+            f"no face in {pluralize(int((~seen).sum()), 'picture')} of {len(seen)}, or another "
+            "than the one that is followed: these are gaps"
         )
         if seen.mean() < _USUAL_SHARE:
             missing += (
