@@ -1,6 +1,7 @@
 """From a phone straight to a rig whose names are understood, and the table of names."""
 
 import json
+import os
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -210,3 +211,14 @@ def test_no_target_and_uneven_targets_are_refused(take: np.ndarray, capsys) -> N
     line = "retarget phone.csv --rig hero.usda --out a.usda --out b.usda"
     assert usdface(*line.split()) == 2
     assert "2 outputs and 1 rigs" in capsys.readouterr().err
+
+
+def test_a_table_that_is_replaced_is_whole_for_who_reads_it(tmp_path: Path) -> None:
+    rig = named_rig(tmp_path / "hero.usda", {each: each for each in small_rig().shapes})
+    table = tmp_path / "names.csv"
+    assert usdface("names", rig.file, "--out", table) == 0
+    with table.open(encoding="utf-8") as reading:
+        assert usdface("names", rig.file, "--out", table, "--overwrite") == 0
+        assert reading.read() == table.read_text(encoding="utf-8")
+        assert os.fstat(reading.fileno()).st_ino != table.stat().st_ino
+    assert usdface("names", rig.file, "--out", tmp_path / "missing" / "names.csv") == 2

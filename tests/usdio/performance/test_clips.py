@@ -8,6 +8,7 @@ import pytest
 from pxr import Sdf, Usd, UsdSkel
 
 from tests.usdio.small_rig import small_rig
+from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import weights_path
 from usdface.runner.execute import execute
@@ -72,6 +73,25 @@ def test_parts_play_as_one_layer_between_frames_too(tmp_path: Path, part_frames:
     if skeleton:
         query = UsdSkel.Cache().GetSkelQuery(skeleton).GetAnimQuery()
         np.testing.assert_array_equal(query.ComputeBlendShapeWeights(4.0), WEIGHTS[7])
+
+
+def test_parts_that_were_moved_are_merged_and_not_played(tmp_path: Path) -> None:
+    parts = (
+        write(tmp_path, "a.usda", None, rows=slice(0, 10)),
+        write(tmp_path, "b.usda", None, rows=slice(10, 23)),
+    )
+    for part in parts:
+        layer = Sdf.Layer.FindOrOpen(str(part))
+        layer.subLayerOffsets[0] = Sdf.LayerOffset(50)
+        layer.Save()
+    merged, played = tmp_path / "merged.usda", tmp_path / "played.usda"
+    execute(JoinSpec(parts=parts, out=merged, clips="never"))
+    back = read_performance(merged).weights
+    np.testing.assert_array_equal(back.values, WEIGHTS)
+    assert back.first_frame == 47
+    with pytest.raises(InputError, match=r"a\.usda: layer offsets move it by 50 frames"):
+        execute(JoinSpec(parts=parts, out=played, clips="always"))
+    assert not played.exists()
 
 
 def test_parts_that_are_clips_themselves_join_as_one(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 from usdface.capture.text_table import csv_rows
 from usdface.core.arrays import index_of
 from usdface.core.errors import InputError
+from usdface.core.replacing import replacing
 from usdface.core.text import first_few, pluralize, read_json
 from usdface.model.retarget.name_matching import (
     Transfer,
@@ -96,10 +97,11 @@ def write_name_table(path: Path, transfer: Transfer) -> None:
         writer.writeheader()
         writer.writerows(rows)
         text = lines.getvalue()
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+    with replacing(path) as temporary:
+        try:
+            temporary.write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise InputError(f"{path}: cannot be written: {error.strerror}") from error
 
 
 def _read_rows(path: Path) -> list[tuple[str, str, str, float]]:

@@ -39,6 +39,8 @@ def run(spec: JoinSpec, *, provenance: Provenance, progress: Progress = silent) 
     files = [each.path for each in readers]
     beside = {each(spec.out): driving_layers(files, each) for each in (head_path, controls_path)}
     above = [layer for layer, of_parts in beside.items() if of_parts]
+    if clips or above:
+        _check_not_moved(readers)
     with writing_top(spec.out, whole, rig, above=above, provenance=provenance):
         if clips:
             parts = [_part(reader) for reader in readers]
@@ -97,6 +99,17 @@ def _check_parts(readers: list[PerformanceReader], headers: list[WeightsHeader])
             )
     if faults:
         raise InputError("; ".join(faults) + "; map those parts again")
+
+
+def _check_not_moved(readers: list[PerformanceReader]) -> None:
+    """Refuse parts that layer offsets move: their layers have samples where these were mapped."""
+    moved = next((reader for reader in readers if reader.moved), None)
+    if moved is not None:
+        raise InputError(
+            f"{moved.path}: layer offsets move it by {moved.moved:g} frames, where what is played "
+            "as clips, or drives joints, cannot be joined; take the offsets out, and move what is "
+            "joined"
+        )
 
 
 def _part(reader: PerformanceReader) -> ClipPart:
