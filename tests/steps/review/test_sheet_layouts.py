@@ -143,6 +143,22 @@ def test_rows_that_do_not_fit_go_to_further_pages(shot: Shot) -> None:
         assert np.asarray(pixels).std() > 10
 
 
+def test_further_pages_replace_their_own_alone(shot: Shot) -> None:
+    sheet = spec_of(shot, layout="strip", rows=3, page_rows=1, quality="draft", tile=64)
+    theirs = shot / "new.2.png"
+    theirs.write_bytes(b"my drawing")
+    with pytest.raises(InputError, match=r"new\.2\.png: exists, and a further page of new\.png"):
+        execute(sheet)
+    assert theirs.read_bytes() == b"my drawing"
+    assert not (shot / "new.png").exists()
+    theirs.unlink()
+    execute(sheet)
+    execute(sheet.model_copy(update={"out": shot / "new.4.png", "rows": 1}))  # a sheet of its own
+    execute(sheet.model_copy(update={"page_rows": 2}), overwrite=True)
+    pages = sorted(path.name for path in shot.folder.glob("new.*"))
+    assert pages == ["new.2.png", "new.4.png", "new.png"]
+
+
 def test_a_view_of_the_built_in_configuration_changes_light_as_it_says(monkeypatch) -> None:
     monkeypatch.delenv("OCIO", raising=False)
     ramp = np.linspace(0, 1, 48, dtype=np.float32).reshape(4, 4, 3)

@@ -9,16 +9,17 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.core.errors import CancelledError, UsdfaceError
+from usdface.core.errors import CancelledError, InputError, UsdfaceError
 from usdface.core.processes import GiveWork, process_count, worker_processes
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
+from usdface.core.replacing import appearing_together
 from usdface.core.text import pluralize
 from usdface.media.picture.display_view import display_view
 from usdface.media.picture.error_strip import ErrorCurve
 from usdface.media.picture.image import write_image
 from usdface.media.picture.sheet import SheetPage, SheetRow, compose_sheet
-from usdface.runner.origin import provenance_metadata
+from usdface.runner.origin import provenance_metadata, provenance_of, spec_of
 from usdface.runner.result import StepResult
 from usdface.specs.review import AUTO_CAMERA, SheetSpec
 from usdface.steps.review.pictures import ShotPictures
@@ -198,28 +199,46 @@ def _write_pages(
 ) -> tuple[Path, ...]:
     """Draw and write page by page, so that thousands of tiles are not held at once.
 
-    The first page carries the name that was asked for.
+    The first page carries the name that was asked for. All appear together; those of an earlier
+    sheet of this name that had more go.
     """
     shot, count = desk.comparison.shots[0], len(desk.comparison.chosen)
     pages = -(-count // spec.page_rows)
-    written = []
-    for number in range(pages):
-        first = number * spec.page_rows
-        numbers = range(first, min(first + spec.page_rows, count))
-        rows = tuple(_rows(desk, numbers, give_work, progress))
-        title = page.title if pages == 1 else f"{page.title}, page {number + 1} of {pages}"
-        file = spec.out
-        if number:
-            file = spec.out.with_name(f"{spec.out.stem}.{number + 1}{spec.out.suffix}")
-        write_image(
-            file,
-            compose_sheet(replace(page, title=title, rows=rows)),
-            metadata=provenance_metadata(provenance),
-            timecode=shot.timecode(int(shot.frames[0])) or None,
-            rate=shot.take.rate,
-        )
-        written.append(file)
-    return tuple(written)
+    files = [_page_file(spec.out, number) for number in range(pages)]
+    for file in files[1:]:
+        if file.exists() and not _is_page_of(file, spec.out):
+            raise InputError(
+                f"{file}: exists, and a further page of {spec.out.name} would replace it; move it "
+                "away, or choose another --out"
+            )
+    with appearing_together(files):
+        for number, file in enumerate(files):
+            first = number * spec.page_rows
+            numbers = range(first, min(first + spec.page_rows, count))
+            rows = tuple(_rows(desk, numbers, give_work, progress))
+            title = page.title if pages == 1 else f"{page.title}, page {number + 1} of {pages}"
+            write_image(
+                file,
+                compose_sheet(replace(page, title=title, rows=rows)),
+                metadata=provenance_metadata(provenance),
+                timecode=shot.timecode(int(shot.frames[0])) or None,
+                rate=shot.take.rate,
+            )
+    further = max(pages, 1)
+    while _is_page_of(old := _page_file(spec.out, further), spec.out):
+        old.unlink()
+        further += 1
+    return tuple(files)
+
+
+def _page_file(out: Path, number: int) -> Path:
+    return out.with_name(f"{out.stem}.{number + 1}{out.suffix}") if number else out
+
+
+def _is_page_of(file: Path, out: Path) -> bool:
+    """Whether a file is a page of the sheet of a name, and not one of its own or of others."""
+    made = provenance_of(file) if file.is_file() else None
+    return made is not None and made.step == "sheet" and spec_of(made).get("out") == out.name
 
 
 def _facts(spec: SheetSpec, shot: Shot) -> tuple[str, ...]:
