@@ -2,6 +2,7 @@
 
 import shlex
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -22,10 +23,11 @@ from tests.usdio.small_creature import (
 )
 from tests.usdio.small_rig import small_rig
 from usdface.cli import main
-from usdface.core.assets import Rig, WeightsClip
+from usdface.core.assets import Markers, Rig, Take, WeightsClip
 from usdface.core.sidecars import head_path
 from usdface.media.face.surface import build_surface
 from usdface.model.placement.rig_orientation import face_axes, face_centre
+from usdface.steps.inputs.head_drive import take_head_source
 from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.steps.review.pictures import ShotPictures
 from usdface.steps.review.shot import open_shot
@@ -41,6 +43,7 @@ from usdface.usdio.take.write import write_take
 from usdface.usdio.validation import validate
 
 FRAMES = 40
+RATE = Fraction(30)
 JOINTS = ("spine", "spine/neck", "spine/neck/eye_L", "spine/neck/eye_R")
 REST = np.array([[0, 1, 0], [0, 2, 0], [1, 0.5, 0.5], [-1, 0.5, 0.5]], float)
 """Local translations of `JOINTS` [cm]."""
@@ -255,6 +258,35 @@ def test_sheet_movie_and_report_show_the_head_turn(tmp_path: Path) -> None:
         assert np.abs(held - expected).max() > 5
         page.close()
     assert not faults
+
+
+def test_a_neutral_frame_without_markers_has_the_head_where_it_was(tmp_path: Path) -> None:
+    rig = write_character(tmp_path / "hero.usda")
+    count, rng = 10, np.random.default_rng(0)
+    motion = np.tile(np.eye(4), (count, 1, 1))
+    turned = Rotation.from_euler("y", np.linspace(0, 0.3, count)[:, None])
+    motion[:, :3, :3] = turned.as_matrix()
+    visible = np.ones((count, 5), bool)
+    visible[3] = False
+    places = np.tile(rng.normal(size=(5, 3)), (count, 1, 1)).astype(np.float32)
+    markers = Markers(
+        names=("a", "b", "c", "d", "e"),
+        positions=places,
+        visible=visible,
+        confidence=visible.astype(np.float32),
+        neutral_frame=4,
+    )
+    weights = WeightsClip(("jawOpen", "smile"), np.full((count, 2), 0.5, np.float32), 1, RATE)
+    take = Take("t", RATE, 1, markers=markers, source=weights, head_motion=motion)
+    write_take(tmp_path / "t.take.usda", take)
+    out = tmp_path / "o.usda"
+    line = ("retarget", tmp_path / "t.take.usda", "--rig", rig.file, "--drive", "head=spine")
+    assert usdface(*line, "--out", out) == 0
+    layer = Sdf.Layer.FindOrOpen(str(head_path(out)))
+    rest = layer.QueryTimeSample("/Hero/FaceSolve.translations", 4)
+    np.testing.assert_allclose(np.array(rest), [REST[0]], atol=1e-6)
+    away = take_head_source(TakeReader(tmp_path / "t.take.usda"), 1, count).centre
+    np.testing.assert_allclose(away, places[0].mean(axis=0), atol=1e-4)
 
 
 def test_without_the_option_it_is_taken_back(tmp_path: Path) -> None:

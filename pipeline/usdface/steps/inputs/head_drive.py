@@ -178,5 +178,7 @@ def take_head_source(take: TakeReader, first: int, last: int) -> HeadSource:
     markers = take.read_markers_at([at])
     if markers is None:
         return HeadSource(take.path, turns, motion)
-    x, y, z = markers.positions[0][markers.visible[0]].mean(axis=0).tolist()
+    # Those that are not seen are kept where they last were: better than no place where none is.
+    seen = markers.visible[0] | ~markers.visible[0].any()
+    x, y, z = markers.positions[0][seen].mean(axis=0).tolist()
     return HeadSource(take.path, turns, motion, (x, y, z))
