@@ -102,7 +102,8 @@ def look_angles(names: Sequence[str], weights: FloatArray) -> dict[str, FloatArr
     angles: dict[str, FloatArray] = {}
     meanings = read_meanings(names)
     for column, name in enumerate(names):
-        for motion, side, _ in meanings[name].cells:
+        # A meaning has cells above and below the middle: one look is both of them.
+        for motion, side in sorted({cell[:2] for cell in meanings[name].cells}):
             way = motion.removeprefix("eyelook")
             if way == motion or way not in _WAYS or side not in _EYE_OF:
                 continue
