@@ -3,7 +3,6 @@
 import base64
 import functools
 import json
-import math
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -179,6 +178,15 @@ class Scene:
         }
 
 
+def _seconds_after(request: Request) -> float | None:
+    """Return how long after its frame a pair's video is asked for; None if that is nonsense."""
+    try:
+        after = float(request.query_params.get("after", 0))
+    except ValueError:
+        return None
+    return after if abs(after) <= _FARTHEST_SECONDS else None
+
+
 def build_application(scene: Scene) -> Starlette:
     """Return the application; put `usdface.tuning.guard.Guard` around it."""
 
@@ -203,13 +211,9 @@ def build_application(scene: Scene) -> Starlette:
         pair = request.path_params["pair"]
         if not 0 <= pair < len(scene.notes):
             return JSONResponse({"reason": f"no pair {pair}"}, status_code=404)
-        try:
-            after = float(request.query_params.get("after", 0))
-        except ValueError:
-            after = math.nan
-        if not abs(after) <= _FARTHEST_SECONDS:
-            reason = f"after is not a number from {-_FARTHEST_SECONDS:g} to {_FARTHEST_SECONDS:g}"
-            return JSONResponse({"reason": reason}, status_code=400)
+        after = _seconds_after(request)
+        if after is None:
+            return JSONResponse({"reason": "after is no number of seconds"}, status_code=400)
         data = await run_in_threadpool(scene.pictures.jpeg, pair, after)
         return Response(data, media_type="image/jpeg")
 
