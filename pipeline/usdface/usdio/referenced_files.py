@@ -1,8 +1,9 @@
 """What a USD file refers to, and the frames that it says it has."""
 
+from collections.abc import Iterable
 from pathlib import Path
 
-from pxr import UsdUtils
+from pxr import Ar, UsdUtils
 
 from usdface.core.rates import check_frame_span
 from usdface.core.sidecars import edits_path
@@ -36,9 +37,14 @@ def _dependencies(path: Path) -> tuple[list[Path], list[Path], list[Path]]:
         reached = check_reached(layer)
         layers, assets, missing = UsdUtils.ComputeAllDependencies(layer.identifier)
     # USD's own list evaluates expressions by the variables of each layer alone.
-    real = dict.fromkeys(each.realPath for each in (*layers, *reached) if each.realPath)
-    files = [Path(each) for each in real]
-    return files, [Path(each) for each in assets if each], [Path(each) for each in missing if each]
+    found = [each.realPath for each in (*layers, *reached)]
+    return _on_disk(found), _on_disk(assets), _on_disk(missing)
+
+
+def _on_disk(found: Iterable[str]) -> list[Path]:
+    """Return files once each; a package stands for what is in it."""
+    files = (Ar.SplitPackageRelativePathOuter(each)[0] for each in found)
+    return [Path(each) for each in dict.fromkeys(files) if each]
 
 
 def frame_range_of(path: Path) -> tuple[int, int] | None:

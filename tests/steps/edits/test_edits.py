@@ -18,12 +18,13 @@ from usdface.core.replacing import replacing
 from usdface.core.sidecars import edits_path
 from usdface.numerics.motion.key_reduction import no_edit
 from usdface.runner.execute import execute
-from usdface.runner.origin import make_provenance
+from usdface.runner.origin import make_provenance, provenance_of
 from usdface.runner.result import StepResult
 from usdface.specs.base import Spec
 from usdface.specs.edits import BakeSpec, EditsImportSpec, EditSpec, PackageSpec
 from usdface.specs.performance import MapSpec, TrainSpec
 from usdface.specs.references import ReferencesFromEditsSpec, ReferencesImportSpec
+from usdface.specs.retarget import RetargetSpec
 from usdface.steps.edits import bake
 from usdface.steps.edits import edit as edit_step
 from usdface.steps.edits.list_ import list_edit_ranges as list_edits
@@ -624,9 +625,25 @@ def test_a_package_needs_nothing_beside_it(shot: Shot, tmp_path: Path) -> None:
     alone.parent.mkdir()
     (shot / "review.usdz").rename(alone)
     np.testing.assert_array_equal(read_weights(alone).values, read_weights(path).values)
+
     stage = Usd.Stage.Open(str(alone))
     assert [each for each in stage.Traverse() if each.IsA(UsdSkel.Root)]
     assert not [f for f in validate(alone) if f.severity == "error"]
+
+
+def test_a_package_is_a_source_of_retargeting_and_is_traced(shot: Shot) -> None:
+    path, package, out = (shot / name for name in ("shot.hero.usda", "p.usdz", "again.usda"))
+    execute(PackageSpec(performance=path, out=package))
+    spec = RetargetSpec(source=package, rig=(shot / "hero.usdc",), out=(out,))
+    execute(spec)
+    np.testing.assert_allclose(read_weights(out).values, read_weights(path).values, atol=1e-6)
+    made = provenance_of(out)
+    assert made is not None
+    assert set(made.inputs) == {"p.usdz", "hero.usdc"}
+    assert execute(spec).up_to_date
+    edit(path, override=0.8, frames="100-102")
+    execute(PackageSpec(performance=path, out=package), overwrite=True)
+    assert not execute(spec).up_to_date
 
 
 def test_a_texture_that_changes_makes_a_package_out_of_date_and_no_solve(shot: Shot) -> None:
