@@ -51,6 +51,20 @@ ROUNDING_SHARE = 1e-9
 """Results that differ by less, as a share, are equal: sums of a million terms round to 2e-10."""
 
 
+_LEAST_SINGLE = np.float32(1e-9)
+
+
+def single_precision(values: NDArray[np.floating]) -> Float32Array:
+    """Return values as float32, those nearer to 0 than 1e-9 as 0.
+
+    In products they would end below what float32 holds in full (1e-38), on which processors work
+    ten times slower, and in millimetres or weights they mean nothing.
+    """
+    single = values.astype(np.float32)
+    single[np.abs(single) < _LEAST_SINGLE] = 0
+    return single
+
+
 def first_largest(values: FloatArray) -> int:
     """Return where the largest value is; of those that differ by rounding alone, the first.
 

@@ -9,7 +9,13 @@ from functools import cached_property
 
 import numpy as np
 
-from usdface.core.arrays import Float32Array, FloatArray, IntArray, RealArray
+from usdface.core.arrays import (
+    Float32Array,
+    FloatArray,
+    IntArray,
+    RealArray,
+    single_precision,
+)
 from usdface.core.rig_logic import COMBINATION_MODES, Combination, RigLogic
 from usdface.model.regressions.base import Arrays, unbend
 
@@ -46,17 +52,17 @@ class DrivenMotion:
         values = self.logic.evaluate(pad_columns(weights, len(self.logic.shapes)))
         if slope is not None:
             steep = (unbend(bent + _SLOPE_STEP, curve) - unbent) / _SLOPE_STEP * span
-            by_link = self.logic.link_slopes(values).astype(np.float32)
+            by_link = single_precision(self.logic.link_slopes(values))
             for shape, links in enumerate(self._links_of):
                 if len(links):
                     own = by_link[:, links] * steep[:, [shape]].astype(np.float32)
                     slope[:, shape] += own @ self._link_motion[links]
-        driven = values[:, len(self.logic.shapes) :].astype(np.float32)
+        driven = single_precision(values[:, len(self.logic.shapes) :])
         return np.asarray(driven @ self._single)
 
     @cached_property
     def _single(self) -> Float32Array:
-        return self.motion.astype(np.float32)
+        return single_precision(self.motion)
 
     @cached_property
     def _link_motion(self) -> Float32Array:

@@ -27,7 +27,7 @@ from functools import cached_property
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray, RealArray
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, RealArray, single_precision
 from usdface.model.regressions.base import Arrays, unbend
 from usdface.model.regressions.forward_model import ForwardModel
 from usdface.numerics.solve.bounded_least_squares import descend_in_boxes
@@ -191,7 +191,7 @@ class FrameSolver:
             None on rigs of many shapes, whose quadratic part is left out.
         """
         basis, offset, curvature = self._linear
-        t, driven = targets.astype(np.float32), self.forward.driven
+        t, driven = single_precision(targets), self.forward.driven
         predicted, slope = t @ basis + offset, None
         if curvature is not None:
             slope = (t @ curvature).reshape(len(t), *basis.shape)
@@ -222,10 +222,10 @@ class FrameSolver:
     def _linear(self) -> tuple[Float32Array, Float32Array, Float32Array | None]:
         """Return basis (shapes, 3 markers), offset (3 markers) and packed curvature."""
         model = self.forward
-        basis = model.basis.reshape(len(model.basis), -1).astype(np.float32)
-        curvature = (
-            model.curvature().reshape(len(basis), -1) if len(basis) <= _MOST_SHAPES else None
-        )
+        basis = single_precision(model.basis.reshape(len(model.basis), -1))
+        curvature = None
+        if len(basis) <= _MOST_SHAPES:
+            curvature = single_precision(model.curvature().reshape(len(basis), -1))
         return basis, model.offset.reshape(-1).astype(np.float32), curvature
 
     @cached_property
