@@ -393,6 +393,15 @@ def test_wrong_names_are_refused(
     assert not head_path(out).exists()
 
 
+def test_a_joint_is_driven_by_one_part(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig = write_character(tmp_path / "hero.usda")
+    out, source = tmp_path / "shot.hero.usda", write_source(tmp_path / "shot.csv")
+    both = ("--drive", "left_eye=eye_L", "--drive", "right_eye=eye_L")
+    assert usdface("retarget", source, "--rate", 30, "--rig", rig.file, *both, "--out", out) == 2
+    assert "eye_L by the left_eye and by the right_eye" in capsys.readouterr().err
+    assert not out.exists()
+
+
 def add_eyeball(rig: Path, *, of_joint: bool) -> Rig:
     """Give the left eye a ball, a look that turns it, and one that moves the skin alone."""
     stage = Usd.Stage.Open(str(rig))

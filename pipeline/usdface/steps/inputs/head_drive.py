@@ -138,7 +138,16 @@ def doubled_looks(rig: Rig, targets: Sequence[DriveTarget]) -> tuple[str, ...]:
 def named_targets(rig: Rig, drive: Sequence[str]) -> tuple[DriveTarget, ...]:
     """Return what ``PART=NAME`` mean on a rig."""
     named = (each.partition("=") for each in drive)
-    return tuple(find_drive_target(rig, part, name) for part, _, name in named)
+    targets = tuple(find_drive_target(rig, part, name) for part, _, name in named)
+    parts: dict[str, str] = {}
+    for each in targets:
+        other = parts.setdefault(each.path, each.part)
+        if other != each.part:
+            raise InputError(
+                f"{rig.file}: --drive turns {each.path} by the {other} and by the {each.part}; "
+                "name one of them for it"
+            )
+    return targets
 
 
 def weights_head_source(path: Path, names: Sequence[str], weights: FloatArray) -> HeadSource:
