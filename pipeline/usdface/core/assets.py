@@ -326,6 +326,10 @@ class References(_Asset):
     unknown."""
     placement: Path | None = None
     """Where the markers were placed on the rig."""
+    source_names: tuple[str, ...] = ()
+    source: FloatArray | None = None
+    """(pairs, source names): weights of the takes themselves, of takes that carry weights instead
+    of markers; None where there are markers."""
 
 
 @dataclass(frozen=True)

@@ -170,6 +170,8 @@ def path_made_from(file: Path, field: str) -> Path | None:
         What was made; paths in its provenance are relative to its folder.
     """
     named = spec_of(provenance_of(file)).get(field)
+    if isinstance(named, list) and len(named) == 1:
+        named = named[0]
     if not isinstance(named, str) or not named:
         return None
     path = file.parent / named

@@ -65,6 +65,10 @@ class SelectSpec(Spec):
     their gain in coverage. Tuned pairs of an earlier selection are kept at their time codes.
     Pictures show the coverage of the takes by the pairs, and where the markers are placed on the
     rig; look at the second before tuning.
+
+    Of takes that carry weights instead of markers, such as a phone's, frames far from each other
+    are chosen, and the proposals are these weights on the rig's shapes, by names. `train-retarget`
+    learns from the pairs that are tuned.
     """
 
     example: ClassVar[str] = (
@@ -113,6 +117,9 @@ class SelectSpec(Spec):
     """Markers whose place on the rig is known; see `usdface place`. Only without --placement."""
     picture: ImageOut | None = None
     """Picture of the coverage to write. Default: next to the references."""
+    names: ReadPath | None = None
+    """Table of pairs of shapes, as `usdface names` writes it, of takes that carry weights. Default:
+    by what the names mean."""
     frames: Frames | None = None
     """Choose from these frames only, as FIRST-LAST."""
     images: bool = True

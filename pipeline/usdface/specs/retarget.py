@@ -118,6 +118,9 @@ class TrainRetargetSpec(Spec):
     """The pairs asset."""
     out: LayerOut
     """The retargeting to write."""
+    references: ReadPath | None = None
+    """References of takes that carry weights, by `usdface select`: what was tuned there are further
+    pairs."""
     method: Name = "auto"
     """Regression method: `auto`, `rbf`, `kernel_cca`, `hybrid`, `additive` or `ridge`."""
     source: ReadPath | None = None

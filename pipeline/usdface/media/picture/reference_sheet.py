@@ -59,13 +59,14 @@ class ReferenceRow:
     """(h, w, 3)"""
     missing: str
     """Why there is no video."""
-    markers: ByteImage
+    markers: ByteImage | None
+    """(h, w, 3); None of a take that carries weights."""
     face: ByteImage
-    """`markers`, `face`: (h, w, 3): as they are drawn on dark ground."""
+    """(h, w, 3): `markers` and `face` are drawn on dark ground."""
     weights: tuple[tuple[str, float], ...]
     """The strongest shapes, strongest first."""
-    residual_mm: float
-    """Distance of the markers from the rig under these weights [mm]."""
+    residual_mm: float | None
+    """Distance of the markers from the rig under these weights [mm]; None without markers."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +131,9 @@ def compose_reference_sheet(
     palette = PAPER if paper else SCREEN
     shapes = [row.video.shape for row in rows if row.video is not None]
     aspect = max((shape[1] / shape[0] for shape in shapes), default=0.0)
-    widths = (round(tile * min(aspect, 16 / 9)), tile, tile) if aspect else (tile, tile)
+    widths = (tile,) * (2 if any(row.markers is not None for row in rows) else 1)
+    if aspect:
+        widths = (round(tile * min(aspect, 16 / 9)), *widths)
     block = sum(widths) + _TILE_GUTTER * (len(widths) - 1)
     room = _WRITING_LINES * _WRITING_LINE if paper else 0
     height = _HEAD_HEIGHT + tile + FOOT_HEIGHT + room + _ROW_GAP
@@ -203,9 +206,8 @@ def _draw_row(
     draw_text(page, label, x=end, y=y + 6, style=state)
     told = "   ".join(part for part in (row.said, row.place) if part)
     draw_text(page, told, x=at, y=y + 5, style=text, max_width=max(end - at - 10, 0))
-    pictures: list[ByteImage | None] = [row.markers, row.face]
-    if len(widths) == 3:
-        pictures.insert(0, row.video)
+    drawn = [row.face] if row.markers is None else [row.markers, row.face]
+    pictures = [row.video, *drawn][-len(widths) :]
     at, top = x, y + _HEAD_HEIGHT
     for picture, width in zip(pictures, widths, strict=True):
         if picture is None:
@@ -236,7 +238,7 @@ def _draw_weights(
     """Write the strongest weights on two lines, and the residual."""
     style = TextStyle(size=16, color=palette.text)
     dim = TextStyle(size=16, color=palette.dim)
-    off = f"residual {row.residual_mm:.1f} mm"
+    off = "" if row.residual_mm is None else f"residual {row.residual_mm:.1f} mm"
     right = x + width - text_width(off, dim)
     draw_text(page, off, x=right, y=y, style=dim)
     at, line = x, 0

@@ -121,6 +121,8 @@ def rows_in_place(count: int, kept: list[PlacedPair], chosen: IntArray) -> list[
 def tuned_conflicts(path: Path) -> tuple[list[str], list[dict[str, object]]]:
     """Return what contradicts itself among the tuned pairs of an asset: for people, and as data."""
     references = read_set_references(path)
+    if not references.marker_names:
+        return [], []
     places = np.flatnonzero(references.tuned)
     tuned = replace(
         references,

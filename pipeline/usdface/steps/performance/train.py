@@ -32,6 +32,11 @@ from usdface.usdio.rig.read import read_rig
 def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Learn the mapping that the references show."""
     references = read_set_references(spec.references)
+    if references.source is not None:
+        raise InputError(
+            f"{spec.references}: its takes carry weights and no markers; give it to `usdface "
+            "train-retarget` with --references"
+        )
     notes = []
     tuned = references.tuned
     if spec.tuned_only:

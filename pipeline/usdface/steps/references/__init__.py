@@ -1,3 +1,3 @@
 """Reference frames: chosen, tuned, measured."""
 
-_helpers = ("images",)
+_helpers = ("images", "weight_takes")

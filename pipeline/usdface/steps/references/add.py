@@ -1,10 +1,8 @@
 """Add frames that a review found wrong to the references, as pairs that are yet to be tuned."""
 
-from dataclasses import replace
-
 import numpy as np
 
-from usdface.core.arrays import IntArray
+from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import References
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
@@ -15,7 +13,7 @@ from usdface.runner.result import StepResult
 from usdface.specs.notes import read_notes
 from usdface.specs.paths import frame_list, frame_range
 from usdface.specs.references import ReferencesAddSpec
-from usdface.steps.references.from_edits import made_from, markers_at, write_extended
+from usdface.steps.references.from_edits import captured_at, made_from, with_pairs, write_extended
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.references.read import read_references
 
@@ -30,9 +28,9 @@ def run(
     old = read_references(spec.references)
     reader = PerformanceReader(spec.performance)
     notes: list[str] = []
-    take, mapping = made_from(spec.performance)
+    take, mapping = made_from(spec.performance, old)
     frames = _new_frames(spec, reader, old, take.name, notes)
-    markers, seen = markers_at(take, mapping, old, frames)
+    captured, seen = captured_at(take, mapping, old, frames)
     if not seen.any():
         raise InputError(
             f"{spec.performance}: frames {first_few(frames.tolist())} lack a marker, and a pair "
@@ -41,7 +39,7 @@ def run(
     if not seen.all():
         notes.append(f"left out, missing a marker: frames {first_few(frames[~seen].tolist())}")
     progress(0.8, f"looked at {pluralize(len(frames), 'frame')}")
-    references = _with_pairs(old, reader, take.name, frames[seen], markers[seen])
+    references = _with_pairs(old, reader, take.name, frames[seen], captured[seen])
     write_extended(spec, references, notes, provenance)
     progress(1.0, "written")
     added = frames[seen].tolist()
@@ -92,7 +90,7 @@ def _new_frames(
 
 
 def _with_pairs(
-    old: References, reader: PerformanceReader, take: str, frames: IntArray, markers: np.ndarray
+    old: References, reader: PerformanceReader, take: str, frames: IntArray, captured: FloatArray
 ) -> References:
     missing = [name for name in reader.names if name not in old.shape_names]
     if missing:
@@ -103,14 +101,4 @@ def _with_pairs(
     weights = np.zeros((len(frames), len(old.shape_names)))
     columns = [old.shape_names.index(name) for name in reader.names]
     weights[:, columns] = reader.edited()[frames - reader.first_frame]
-    unlabelled = ("",) * len(frames)
-    return replace(
-        old,
-        markers=np.concatenate([old.markers, markers]),
-        weights=np.concatenate([old.weights, weights]),
-        frames=np.concatenate([old.frames, frames]),
-        takes=(*old.takes, *((take,) * len(frames))),
-        tuned=np.concatenate([old.tuned, np.zeros(len(frames), dtype=bool)]),
-        visemes=(*old.visemes, *unlabelled) if old.visemes else (),
-        emotions=(*old.emotions, *unlabelled) if old.emotions else (),
-    )
+    return with_pairs(old, take, frames, captured, weights, tuned=False)

@@ -21,6 +21,7 @@ from usdface.runner.origin import spec_of
 from usdface.runner.result import StepResult
 from usdface.specs.references import ReferencesAddSpec, ReferencesFromEditsSpec
 from usdface.steps.inputs.cleaned_takes import read_markers, take_head_space
+from usdface.steps.inputs.source_motion import read_source_motion
 from usdface.usdio.layers import read_provenance
 from usdface.usdio.mapping import read_mapping
 from usdface.usdio.performance.read import PerformanceReader
@@ -90,11 +91,12 @@ class _Lessons:
 
     take: str
     frames: IntArray
-    markers: FloatArray
+    captured: FloatArray
+    """(frames, ...): markers of the frames, or the weights that the take carries."""
     weights: FloatArray
 
 
-_NO_LESSONS = _Lessons("", np.zeros(0, np.int64), np.zeros((0, 0, 3)), np.zeros((0, 0)))
+_NO_LESSONS = _Lessons("", np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 0)))
 
 
 def _learn(
@@ -116,9 +118,9 @@ def _learn(
     if not len(rows):
         notes.append(f"{performance}: no frame was corrected; nothing to learn from it")
         return _NO_LESSONS
-    take, mapping = made_from(performance)
-    markers, seen = markers_at(take, mapping, old, reader.frames[rows])
-    rows, markers = rows[seen], markers[seen]
+    take, mapping = made_from(performance, old)
+    captured, seen = captured_at(take, mapping, old, reader.frames[rows])
+    rows, captured = rows[seen], captured[seen]
     if not seen.all():
         notes.append(
             f"{performance}: left out, missing a marker: "
@@ -130,7 +132,7 @@ def _learn(
     if len(chosen) < len(rows):
         notes.append(f"{performance}: taken {len(chosen)} of {len(rows)} corrected frames")
     weights = columns_by_name(edited[rows[chosen]], reader.names, old.shape_names)
-    return _Lessons(take.name, reader.frames[rows[chosen]], markers[chosen], weights)
+    return _Lessons(take.name, reader.frames[rows[chosen]], captured[chosen], weights)
 
 
 def meant_frames(edits: Sequence[EditCurve], changes: FloatArray) -> BoolArray:
@@ -169,8 +171,19 @@ def spread_out(weights: FloatArray, change: FloatArray, count: int) -> IntArray:
     return np.sort(np.concatenate([[first], further]))
 
 
-def made_from(performance: Path) -> tuple[TakeReader, TrainedMapping]:
-    """Return the take and the mapping that a performance, or its parts, say they were made from."""
+def made_from(performance: Path, old: References) -> tuple[TakeReader, TrainedMapping | None]:
+    """Return the take and the mapping that a performance, or its parts, say they were made from.
+
+    References of takes that carry weights have no mapping.
+    """
+    if old.source is not None:
+        source = _spec_of(performance, "retarget").get("source")
+        if not isinstance(source, str):
+            raise InputError(
+                f"{performance}: does not say from which take it was retargeted; give a "
+                "performance that `usdface retarget` wrote of a take"
+            )
+        return TakeReader(performance.resolve().parent / source), None
     file, spec = performance, _spec_of(performance, "map")
     seen = set[Path]()
     while not spec and file not in seen:
@@ -196,10 +209,53 @@ def _spec_of(file: Path, step: str) -> dict[str, object]:
     return spec_of(made) if made is not None and made.step == step else {}
 
 
-def markers_at(
+def captured_at(
+    take: TakeReader, mapping: TrainedMapping | None, old: References, frames: IntArray
+) -> tuple[FloatArray, BoolArray]:
+    """Return what a take captured at frames, as references have it, and which frames can be used.
+
+    Returns
+    -------
+    (frames, markers, 3) or (frames, source names) float array, (frames,) bool array
+        Markers [mm]; without a mapping, the weights that the take carries.
+    """
+    if mapping is not None:
+        return _markers_at(take, mapping, old, frames)
+    motion = read_source_motion(take.path)
+    columns = columns_by_name(motion.weights, motion.names, old.source_names)
+    return columns[frames - motion.first_frame], np.ones(len(frames), dtype=np.bool_)
+
+
+def with_pairs(
+    old: References,
+    take: str,
+    frames: IntArray,
+    captured: FloatArray,
+    weights: FloatArray,
+    *,
+    tuned: bool,
+) -> References:
+    """Return references with further pairs of one take."""
+    unlabelled = ("",) * len(frames)
+    markers, source = captured, old.source
+    if source is not None:
+        markers, source = np.zeros((len(frames), 0, 3)), np.concatenate([source, captured])
+    return replace(
+        old,
+        markers=np.concatenate([old.markers, markers]),
+        source=source,
+        weights=np.concatenate([old.weights, weights]),
+        frames=np.concatenate([old.frames, frames]),
+        takes=(*old.takes, *((take,) * len(frames))),
+        tuned=np.concatenate([old.tuned, np.full(len(frames), tuned)]),
+        visemes=(*old.visemes, *unlabelled) if old.visemes else (),
+        emotions=(*old.emotions, *unlabelled) if old.emotions else (),
+    )
+
+
+def _markers_at(
     take: TakeReader, mapping: TrainedMapping, old: References, frames: IntArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Return the markers at frames as the references have them, and which frames can be used."""
     missing = [name for name in old.marker_names if name not in mapping.marker_names]
     if missing:
         raise InputError(
@@ -300,7 +356,7 @@ def _together(old: References, lessons: list[_Lessons], notes: list[str]) -> Ref
             key = (each.take, frame)
             pair = known.get(key)
             if pair is None:  # of a frame corrected in two performances, the later one counts
-                new[key] = (each.markers[row], each.weights[row])
+                new[key] = (each.captured[row], each.weights[row])
             else:
                 weights[pair], tuned[pair] = each.weights[row], True
                 renewed += 1
@@ -308,14 +364,8 @@ def _together(old: References, lessons: list[_Lessons], notes: list[str]) -> Ref
         notes.append(
             f"pairs already, with new weights now: {pluralize(renewed, 'corrected frame')}"
         )
-    unlabelled = ("",) * len(new)
-    return replace(
-        old,
-        markers=np.concatenate([old.markers, *(markers[None] for markers, _ in new.values())]),
-        weights=np.concatenate([weights, *(row[None] for _, row in new.values())]),
-        frames=np.concatenate([old.frames, np.array([f for _, f in new], dtype=np.int64)]),
-        takes=(*old.takes, *(take for take, _ in new)),
-        tuned=np.concatenate([tuned, np.ones(len(new), dtype=bool)]),
-        visemes=(*old.visemes, *unlabelled) if old.visemes else (),
-        emotions=(*old.emotions, *unlabelled) if old.emotions else (),
-    )
+    together = replace(old, weights=weights, tuned=tuned)
+    for (take, number), (captured, corrected) in new.items():
+        frames = np.array([number], dtype=np.int64)
+        together = with_pairs(together, take, frames, captured[None], corrected[None], tuned=True)
+    return together

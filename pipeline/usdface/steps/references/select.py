@@ -57,6 +57,7 @@ from usdface.steps.references.images import (
     remove_unused_images,
     write_pair_images,
 )
+from usdface.steps.references.weight_takes import carry_weights_alone, select_by_weights
 from usdface.usdio.mapping import read_mapping
 from usdface.usdio.references.read import read_tuned_pairs
 from usdface.usdio.references.write import write_references
@@ -89,6 +90,10 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
     """Choose pairs, propose weights to start from, write the asset and draw its coverage."""
     progress(0.0, "reading the takes")
     check_nobody_tunes(spec.out)
+    if carry_weights_alone(spec.takes):
+        return _run_on_weights(spec, provenance, progress)
+    if spec.names is not None:
+        raise InputError(f"{first_few(spec.takes)}: has markers, so --names has no effect")
     takes = read_cleaned_takes(spec.takes)
     _check_something_moves(spec, takes)
     rig = read_rig(spec.rig, prim=spec.prim)
@@ -171,6 +176,47 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
             },
             "placement": placement_figures(placed),
             **coverage_figures(covered, takes),
+        },
+    )
+
+
+def _run_on_weights(spec: SelectSpec, provenance: Provenance, progress: Progress) -> StepResult:
+    """Choose pairs of takes that carry weights, and write the asset."""
+    rig = read_rig(spec.rig, prim=spec.prim)
+    found = select_by_weights(spec, rig, progress)
+    references, images = found.references, PairImages((), ())
+    if spec.images:
+        progress(0.6, "keeping the video frames of the pairs")
+        metadata = provenance_metadata(provenance)
+        images = write_pair_images(spec.out, references, found.takes.sources, metadata=metadata)
+    progress(0.9, f"writing {spec.out.name}")
+    with nobody_tunes(spec.out):
+        _check_tuning_is_as_read(spec, found.kept)
+        write_references(
+            spec.out,
+            references,
+            rig,
+            tuned=[each.tuned for each in found.kept if each.is_keyed],
+            images=images.files,
+            provenance=provenance,
+        )
+    remove_unused_images(spec.out, images.files)
+    progress(1.0, "done")
+    count = len(references.frames)
+    return StepResult(
+        reference_layers(spec.out),
+        f"{count} pairs of {len(found.takes.frames)} frames, {len(found.kept)} of them tuned",
+        (
+            *found.notes,
+            *images.notes,
+            f"next: `usdface tune {spec.out}`; then `usdface train-retarget` with --references",
+        ),
+        {
+            "pairs": count,
+            "frames": references.frames.tolist(),
+            "takes": list(references.takes),
+            "kept": len(found.kept),
+            "images": sum(file is not None for file in images.files),
         },
     )
 

@@ -14,7 +14,7 @@ from usdface.core.provenance import Provenance
 from usdface.core.rates import shift_timecode
 from usdface.core.text import pluralize
 from usdface.media.face.camera import frame_rig
-from usdface.media.face.markers_view import draw_markers, frame_markers
+from usdface.media.face.markers_view import MarkersFrame, draw_markers, frame_markers
 from usdface.media.face.render import FaceRenderer
 from usdface.media.face.sculpted_normals import SculptedNormals
 from usdface.media.film.image_sequence import ImageSequence, open_video
@@ -108,10 +108,13 @@ class _PairPictures:
         self._deformer, self._renderer = Deformer(rig), FaceRenderer(rig.meshes)
         self._normals = SculptedNormals(rig, self._deformer)
         self._camera = frame_rig(rig.meshes, hair=True)
-        self._cloud = frame_markers(references.markers)
         columns = [rig.shapes.index(name) for name in references.shape_names]
         self._weights = np.zeros((len(references.weights), len(rig.shapes)))
         self._weights[:, columns] = references.weights
+        self._cloud: MarkersFrame | None = None
+        if not references.marker_names:
+            return
+        self._cloud = frame_markers(references.markers)
         equation = placed_equation(
             stored_placement(references, rig),
             rig,
@@ -136,7 +139,11 @@ class _PairPictures:
         picture, missing = _video_picture(self._takes.get(name), self._videos.get(name), frame)
         if picture is None:
             picture = _archived_picture(self._images[pair].image)
-        markers = draw_markers(references.markers[pair], width=tile, height=tile, frame=self._cloud)
+        markers, residual_mm = None, None
+        if self._cloud is not None:
+            size = {"width": tile, "height": tile}
+            markers = draw_markers(references.markers[pair], **size, frame=self._cloud)
+            residual_mm = float(self._residual_mm[pair])
         return ReferenceRow(
             number=pair + 1,
             place=_place(self._takes.get(name), name, frame),
@@ -147,7 +154,7 @@ class _PairPictures:
             markers=markers,
             face=self._face(pair),
             weights=_strongest(references, pair),
-            residual_mm=float(self._residual_mm[pair]),
+            residual_mm=residual_mm,
         )
 
     def _face(self, pair: int) -> ByteImage:

@@ -1,11 +1,13 @@
 """Expression pairs in, a retargeting out."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray
-from usdface.core.controls import ExpressionPairs, Retargeting
+from usdface.core.arrays import FloatArray, columns_by_name
+from usdface.core.controls import ExpressionPairs, Retargeting, bare_controls
+from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.text import first_few, pluralize
@@ -16,6 +18,7 @@ from usdface.model.retarget.control_space import (
     unused_shapes,
 )
 from usdface.model.retarget.cyclic import spread_displacements
+from usdface.model.retarget.name_matching import transfer_by_names
 from usdface.model.retarget.train import (
     describe_retargeting_figures,
     retargeting_table,
@@ -24,6 +27,7 @@ from usdface.model.retarget.train import (
 from usdface.runner.result import StepResult
 from usdface.specs.retarget import TrainRetargetSpec
 from usdface.steps.inputs.source_motion import read_source_motion, source_columns
+from usdface.usdio.references.read import read_set_references
 from usdface.usdio.retarget.pairs import read_pairs
 from usdface.usdio.retarget.retargeting import write_retargeting
 from usdface.usdio.rig.read import read_rig
@@ -37,6 +41,8 @@ def run(
 ) -> StepResult:
     """Learn what the pairs show."""
     pairs = read_pairs(spec.pairs)
+    if spec.references is not None:
+        pairs = _with_tuned(pairs, spec.references)
     check_pairs(pairs, str(spec.pairs))
     notes = pair_notes(pairs)
     performance = None
@@ -71,6 +77,46 @@ def run(
             "conflicts": [[each.first + 1, each.second + 1] for each in find_pair_conflicts(pairs)],
         },
         table=retargeting_table(trained),
+    )
+
+
+def _with_tuned(pairs: ExpressionPairs, path: Path) -> ExpressionPairs:
+    """Add what was tuned in references: the take's weights at a frame, and the target's there."""
+    references, target = read_set_references(path), pairs.target
+    tuned = np.flatnonzero(references.tuned)
+    if references.source is None:
+        raise InputError(
+            f"{path}: its takes have markers; `usdface train` learns from them. Give references of "
+            "takes that carry weights"
+        )
+    if not len(tuned):
+        raise InputError(f"{path}: no pair is tuned; tune some, or leave out --references")
+    if target.joints or target.attributes:
+        raise InputError(
+            f"{path}: holds weights alone, and the target's pairs key {target.summary}; key these "
+            "frames in the pairs"
+        )
+    missing = [name for name in target.shapes if name not in references.shape_names]
+    if missing:
+        raise InputError(
+            f"{path}: of another rig than the pairs: it has no {first_few(missing)}; select again "
+            "for the pairs' target"
+        )
+    # What is in no pair, as the turn of a head, explains no correction.
+    used = np.flatnonzero(pairs.source.any(axis=0))
+    shapes = tuple(pairs.source_shapes[index] for index in used.tolist())
+    transfer = transfer_by_names(references.source_names, shapes)
+    weights = columns_by_name(references.weights[tuned], references.shape_names, target.shapes)
+    together = bare_controls(target.shapes, np.concatenate([target.weights, weights]))
+    return replace(
+        pairs,
+        names=(
+            *pairs.names,
+            *(f"{references.takes[pair]} {references.frames[pair]}" for pair in tuned.tolist()),
+        ),
+        source_shapes=shapes,
+        source=np.concatenate([pairs.source[:, used], references.source[tuned] @ transfer.matrix]),
+        target=together,
     )
 
 

@@ -165,7 +165,7 @@ def show_coverage(
         Added to, where references are known and cannot be used.
     """
     references = spec.references or find_references(shot.performance_file)
-    if references is None:
+    if references is None or shot.take.markers is None:
         return None
     try:
         if spec.references is None:
@@ -195,8 +195,9 @@ def show_coverage(
 
 
 def find_references(performance: Path) -> Path | None:
-    """Return the references that a performance's mapping was trained on; None if not there."""
+    """Return the references that a performance was trained on; None if not there."""
     mapping = path_made_from(performance, "mapping")
+    mapping = mapping or path_made_from(performance, "retargeting")
     return None if mapping is None else path_made_from(mapping, "references")
 
 

@@ -60,7 +60,10 @@ def read_samples(prim: Usd.Prim) -> Samples | None:
 def is_recorded(prim: Usd.Prim) -> bool:
     """Whether an animation is a take's or a sequence's own: kept as it is, and driving nothing."""
     parent = prim.GetParent()
-    return bool(parent) and any(map(parent.HasAPI, ("FaceTakeAPI", "FaceSequenceAPI")))
+    if not parent:
+        return False
+    of_pairs = parent.HasAPI("FaceReferencesAPI") and prim.GetName() == "Source"
+    return of_pairs or any(map(parent.HasAPI, ("FaceTakeAPI", "FaceSequenceAPI")))
 
 
 def is_solved(prim: Usd.Prim) -> bool:

@@ -23,6 +23,7 @@ ROOT = Sdf.Path("/References")
 MARKERS_PATH = ROOT.AppendChild("Markers")
 RIG = ROOT.AppendChild("Rig")
 WEIGHTS_PATH = ROOT.AppendChild("Weights")
+SOURCE_PATH = ROOT.AppendChild("Source")
 WEIGHTS_ATTRIBUTE = WEIGHTS_PATH.AppendProperty("blendShapeWeights")
 FRAME_PATH = ROOT.AppendProperty("face:reference:frame")
 TAKE = ROOT.AppendProperty("face:reference:take")
@@ -107,6 +108,8 @@ def read_references(path: Path) -> References:
     combinations = _read_combinations(stage, path)
     driven = {each.shape for each in combinations}
     columns = [index for index, name in enumerate(shape_names) if name not in driven]
+    source = UsdSkel.Animation(stage.GetPrimAtPath(SOURCE_PATH))
+    source_names = tuple(map(str, source.GetBlendShapesAttr().Get())) if source else ()
     take_of = tuple(str(takes.Get(pair)) for pair in pairs)
     frame_of = np.array([frames.Get(pair) for pair in pairs], dtype=np.int64)
     _check_layers(stage, take_of, frame_of)
@@ -129,6 +132,10 @@ def read_references(path: Path) -> References:
         performer=_text(root, "face:performer"),
         session=_text(root, "face:session"),
         placement=_read_placement_path(root, path),
+        source_names=source_names,
+        source=_stack(path, source.GetBlendShapeWeightsAttr(), pairs, (len(source_names),))
+        if source
+        else None,
     )
 
 
@@ -313,10 +320,16 @@ def read_pair_notes(path: Path) -> list[PairNotes]:
 
 
 def take_files(path: Path) -> tuple[Path, ...]:
-    """Return the takes that a references asset was selected from, as it remembers them."""
+    """Return the takes of a references asset: selected from, or those of performances added."""
     made = read_provenance(path)
-    takes = () if made is None else json_object(made.spec).get("takes", ())
-    return tuple(path.parent / str(take) for take in takes)
+    spec = {} if made is None else json_object(made.spec)
+    files = [path.parent / str(take) for take in spec.get("takes", ())]
+    added = spec.get("performances", [spec["performance"]] if "performance" in spec else [])
+    for performance in (path.parent / str(each) for each in added):
+        made = read_provenance(performance) if performance.is_file() else None
+        of = {} if made is None else json_object(made.spec)
+        files += [performance.parent / str(of[name]) for name in ("take", "source") if name in of]
+    return tuple(files)
 
 
 def _layer_shapes(layer: Sdf.Layer) -> list[str] | None:

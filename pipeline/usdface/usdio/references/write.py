@@ -28,6 +28,7 @@ from usdface.usdio.references.read import (
     PLACEMENT,
     RIG,
     ROOT,
+    SOURCE_PATH,
     TAKE,
     TUNED,
     VISEME,
@@ -238,6 +239,19 @@ def _author_samples(layer: Sdf.Layer, references: References) -> None:
     extents.author(layer, range(1, len(references.frames) + 1), stage_points)
     for pair, row in enumerate(stage_points):
         layer.SetTimeSample(placed.path, pair + 1, Vt.Vec3fArray.FromNumpy(row))
+    _author_source(layer, references)
+
+
+def _author_source(layer: Sdf.Layer, references: References) -> None:
+    """Write the weights that the takes carry at each pair."""
+    if references.source is None:
+        return
+    animation = define_prim(layer, SOURCE_PATH, "SkelAnimation")
+    names = list(references.source_names)
+    author_uniform(animation, "blendShapes", Sdf.ValueTypeNames.TokenArray, names)
+    weights = Sdf.AttributeSpec(animation, "blendShapeWeights", Sdf.ValueTypeNames.FloatArray)
+    for pair, row in enumerate(np.ascontiguousarray(references.source, dtype=np.float32)):
+        layer.SetTimeSample(weights.path, pair + 1, Vt.FloatArray.FromNumpy(row))
 
 
 def _author_images(layer: Sdf.Layer, images: Sequence[Path | None], path: Path) -> None:

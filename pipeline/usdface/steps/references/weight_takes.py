@@ -1,0 +1,149 @@
+"""Choose pairs of takes that carry weights instead of markers, such as a phone's."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from usdface.core.arrays import FloatArray, IntArray, columns_by_name
+from usdface.core.assets import References, Rig
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress
+from usdface.core.text import first_few
+from usdface.numerics.regression.reference_design import design_k_centre
+from usdface.specs.references import SelectSpec
+from usdface.steps.inputs.cleaned_takes import CleanedTakes
+from usdface.steps.inputs.scene import candidate_frames
+from usdface.steps.inputs.source_motion import (
+    MOVING_WEIGHT,
+    SourceMotion,
+    read_source_motion,
+    source_transfer,
+)
+from usdface.steps.inputs.tuned_pairs import PlacedPair, find_placed_pairs, rows_in_place
+from usdface.usdio.take.read import TakeReader
+
+_OF_MARKERS = ("phones", "extremes", "mapping", "placement", "landmarks", "picture")
+"""Options of `select` that say something of markers, or of what is chosen by them."""
+
+
+@dataclass(frozen=True)
+class WeightSelection:
+    """Pairs of takes of weights, with the takes' weights on the rig as proposals."""
+
+    references: References
+    kept: list[PlacedPair]
+    takes: CleanedTakes
+    """Without markers."""
+    notes: tuple[str, ...]
+
+
+def carry_weights_alone(paths: tuple[Path, ...]) -> bool:
+    """Whether no take has markers and every one has weights; then pairs are chosen by these."""
+    readers = map(TakeReader, paths)
+    return all(
+        not each.marker_names and each.read_source(range(each.first_frame, each.first_frame + 1))
+        for each in readers
+    )
+
+
+def select_by_weights(spec: SelectSpec, rig: Rig, progress: Progress) -> WeightSelection:
+    """Choose frames far from each other in weights, by names on the rig: greedy k-centre."""
+    given = [name for name in _OF_MARKERS if spec.is_given(name)]
+    if given:
+        raise InputError(
+            f"{first_few(spec.takes)}: carries weights and no markers, so --{given[0]} has no "
+            "effect; leave it out"
+        )
+    motions = [read_source_motion(path) for path in spec.takes]
+    takes = _without_markers(spec, motions)
+    kept = find_placed_pairs(spec, takes, rig)
+    progress(0.3, "matching names")
+    proposed, notes = _on_rig(spec, motions, rig)
+    already = np.array([each.row for each in kept], dtype=np.int64)
+    free = np.flatnonzero(candidate_frames(takes, spec.frames))
+    chosen = _far_apart(spec, proposed, already, free)
+    rows = np.array(rows_in_place(spec.count, kept, chosen), dtype=np.int64)
+    names = motions[0].names
+    source = np.concatenate([columns_by_name(m.weights, m.names, names) for m in motions])
+    references = References(
+        marker_names=(),
+        shape_names=rig.shapes,
+        markers=np.zeros((len(rows), 0, 3)),
+        weights=proposed[rows],
+        frames=takes.frames[rows],
+        takes=tuple(takes.takes[row] for row in rows),
+        tuned=np.zeros(len(rows), dtype=np.bool_),
+        rigid=(),
+        neutral=np.zeros((0, 3)),
+        rig_file=rig.file,
+        rig_prim=rig.prim,
+        combinations=rig.combinations,
+        emotions=tuple(motions[take].emotion for take, _ in takes.places(rows)),
+        performer=takes.sources[0].performer,
+        session=takes.sources[0].session,
+        source_names=names,
+        source=source[rows],
+    )
+    return WeightSelection(references, kept, takes, notes)
+
+
+def _without_markers(spec: SelectSpec, motions: list[SourceMotion]) -> CleanedTakes:
+    """Return the takes as if of no markers: frames, names, videos."""
+    sources = []
+    for path in spec.takes:
+        reader = TakeReader(path)
+        take = reader.read(reader.first_frame, reader.first_frame, head_motion=False)
+        sources.append(replace(take, source=None))
+    names = [take.name for take in sources]
+    if len(set(names)) < len(names):
+        raise InputError(f"{first_few(spec.takes)}: two takes have one name; give each its own")
+    counts = [len(motion.weights) for motion in motions]
+    return CleanedTakes(
+        marker_names=(),
+        rigid=(),
+        neutral=np.zeros((0, 3)),
+        positions=tuple(np.zeros((count, 0, 3), np.float32) for count in counts),
+        usable=tuple(np.zeros((count, 0), np.bool_) for count in counts),
+        frames=np.concatenate([np.arange(m.first_frame, m.last_frame + 1) for m in motions]),
+        takes=tuple(name for name, count in zip(names, counts, strict=True) for _ in range(count)),
+        dropped=(),
+        sources=tuple(sources),
+        neutrals=(),
+    )
+
+
+def _on_rig(
+    spec: SelectSpec, motions: list[SourceMotion], rig: Rig
+) -> tuple[FloatArray, tuple[str, ...]]:
+    """Return the takes' weights on the rig's shapes, within their ranges, and what to tell."""
+    rows: list[FloatArray] = []
+    notes: list[str] = []
+    for path, motion in zip(spec.takes, motions, strict=True):
+        transfer, said = source_transfer(path, motion, rig.shapes, spec.names)
+        rows.append(motion.weights @ transfer.matrix)
+        notes += said
+    low, high = rig.ranges.T
+    return np.clip(np.concatenate(rows), np.minimum(low, 0.0), high), tuple(dict.fromkeys(notes))
+
+
+def _far_apart(
+    spec: SelectSpec, weights: FloatArray, already: IntArray, free: IntArray
+) -> IntArray:
+    """Return rows for the pairs that are not tuned yet, the most different first."""
+    wanted = spec.count - len(already)
+    free = free[~np.isin(free, already)]
+    rows = np.concatenate([already, free])
+    if not wanted:
+        return rows[:0]
+    if len(free) >= wanted:
+        places = np.arange(len(already), dtype=np.int64)
+        design = design_k_centre(weights[rows], wanted, already=places)
+        chosen = design.chosen[design.gain > MOVING_WEIGHT**2]
+        if len(chosen) == wanted:
+            return rows[chosen]
+        free = rows[chosen]
+    raise InputError(
+        f"{spec.count} pairs are asked for, and {len(free) + len(already)} differ; lower --count, "
+        "widen --frames or give more takes"
+    )
