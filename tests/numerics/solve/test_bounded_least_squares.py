@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear, nnls
 
-from usdface.numerics.solve.bounded_least_squares import (
-    minimise_bounded_quadratic,
-    solve_bounded_least_squares,
-)
+from usdface.numerics.solve import curvature
+from usdface.numerics.solve.bounded_least_squares import solve_bounded_least_squares
 
 
 @pytest.fixture
@@ -86,11 +84,46 @@ def test_equal_bounds_fix_a_variable(problem):
     ("change", "message"),
     [
         ({"lower": 1.0, "upper": 0.0}, "lower must not exceed upper; variable 0"),
-        ({"linear": np.full((1, 2), np.nan)}, "must be finite"),
-        ({"linear": np.zeros((1, 3))}, "expected H"),
+        ({"targets": np.full((1, 2), np.nan)}, "must be finite"),
+        ({"targets": np.zeros((1, 3))}, "must share rows"),
+        ({"ridge": -1.0}, "ridge must not be negative"),
     ],
 )
 def test_refuses_what_it_cannot_solve(change, message):
-    given = {"linear": np.zeros((1, 2)), "lower": 0.0, "upper": 1.0, **change}
+    given = {"targets": np.zeros((1, 2)), "lower": 0.0, "upper": 1.0, **change}
     with pytest.raises(ValueError, match=message):
-        minimise_bounded_quadratic(np.eye(2), **given)
+        solve_bounded_least_squares(np.eye(2), **given)
+
+
+def test_costs_and_ridges_of_single_variables(problem):
+    """By the identity, costs move targets: |x - b|^2 + 2 c x is |x - (b - c)|^2 but a constant."""
+    _, targets = problem
+    rng = np.random.default_rng(1)
+    cost, ridge = rng.random((40, 60)), rng.random(60)
+    ours = solve_bounded_least_squares(
+        np.eye(60), targets, lower=-1, upper=1, ridge=ridge, cost=cost
+    )
+    np.testing.assert_allclose(ours.x, np.clip((targets - cost) / (1 + ridge), -1, 1), atol=1e-12)
+
+
+def test_more_variables_than_coordinates_are_solved_alike(monkeypatch):
+    """By few coordinates or by all variables, frames that are alike or not, hidden rows or none."""
+    rng = np.random.default_rng(2)
+    matrix = rng.gamma(0.3, size=(30, 1)) * rng.normal(size=(30, 120))
+    matrix[7] = 0.0
+    poses = np.repeat(rng.random((6, 120)) < 0.2, 20, axis=0) * rng.random((120, 120))
+    targets = poses @ matrix.T + 0.1 * rng.normal(size=(120, 30))
+    given = {"lower": np.full(120, -0.1), "upper": np.linspace(0.2, 1, 120), "ridge": 0.05}
+    assert isinstance(curvature.curvature(matrix, np.full(120, 0.05)), curvature._LowRank)
+    few = solve_bounded_least_squares(matrix, targets, **given)
+    monkeypatch.setattr(curvature, "_LOW_RANK_SHARE", 0.0)
+    dense = solve_bounded_least_squares(matrix, targets, **given)
+    assert few.violation.max() < 1e-9
+    np.testing.assert_allclose(few.x, dense.x, atol=1e-9)
+    theirs = lsq_linear(
+        np.vstack([matrix, np.sqrt(0.05) * np.eye(120)]),
+        np.append(targets[0], np.zeros(120)),
+        (given["lower"], given["upper"]),
+        tol=1e-14,
+    ).x
+    np.testing.assert_allclose(few.x[0], theirs, atol=1e-6)

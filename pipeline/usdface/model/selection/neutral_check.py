@@ -12,6 +12,7 @@ _SOLVED_FRAMES = 60
 
 _CANDIDATE_FRAMES = 24
 _SEARCHED_FRAMES = 800
+_ELIMINATION_ROUNDS = 6
 
 BETTER_SHARE = 0.75
 """Residual of the take from another frame over that from the stated one, below which that frame is
@@ -51,16 +52,33 @@ def find_better_neutral(
     solved = positions[rows[sample_frames(len(rows), _SOLVED_FRAMES)]].astype(np.float64)
     candidates = _spread(positions[searched].astype(np.float64), equation.neutral)
 
-    neutrals = np.stack([equation.neutral, *positions[searched[candidates]].astype(np.float64)])
-    # Only displacements count: those from every candidate, as positions about the stated neutral.
-    shown = (equation.neutral - neutrals)[:, None] + solved
-    shown = shown.reshape(-1, *equation.neutral.shape)
-    away = equation.residual_mm(shown, equation.propose(shown))
-    stated, *found = np.sqrt((away.reshape(len(neutrals), -1) ** 2).mean(axis=1)).tolist()
-    best = int(np.argmin(found))
-    if not found[best] < BETTER_SHARE * stated:
+    def squares(neutrals: FloatArray, frames: FloatArray) -> FloatArray:
+        """Return what the shapes leave of frames, (neutrals, frames) [mm^2]."""
+        # Only displacements count: those from every candidate, as positions about the neutral.
+        shown = (equation.neutral - neutrals)[:, None] + frames
+        shown = shown.reshape(-1, *equation.neutral.shape)
+        away = equation.residual_mm(shown, equation.propose(shown))
+        return np.asarray(away.reshape(len(neutrals), -1) ** 2)
+
+    stated = squares(equation.neutral[None], solved)[0]
+    limit = BETTER_SHARE**2 * stated.sum()
+    left = np.zeros(len(candidates))
+    # A candidate is out as soon as some frames leave more than all may: the worst come first.
+    for part in np.array_split(np.argsort(-stated, kind="stable"), _ELIMINATION_ROUNDS):
+        alive = left < limit
+        if not alive.any():
+            return None
+        neutrals = positions[searched[candidates[alive]]].astype(np.float64)
+        left[alive] += squares(neutrals, solved[part]).sum(axis=1)
+    best = int(np.argmin(np.where(left < limit, left, np.inf)))
+    if not left[best] < limit:
         return None
-    return BetterNeutral(int(searched[candidates[best]]), found[best], stated)
+    count = len(solved)
+    return BetterNeutral(
+        int(searched[candidates[best]]),
+        float(np.sqrt(left[best] / count)),
+        float(np.sqrt(stated.sum() / count)),
+    )
 
 
 def _spread(frames: FloatArray, neutral: FloatArray) -> IntArray:

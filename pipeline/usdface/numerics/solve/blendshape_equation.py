@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
-from usdface.numerics.solve.bounded_least_squares import minimise_bounded_quadratic
+from usdface.numerics.solve.bounded_least_squares import solve_bounded_least_squares
 
 _Method = Literal["lstsq", "bounded"]
 
@@ -204,10 +204,14 @@ def _solve_bounded(
     spread, out = variables.spread, np.zeros((len(chosen), problem.shape_count))
     for group in _equal_rows(problem.trust[chosen]):
         A, b = _stacked(problem, chosen[group], deltas, motion)
-        hessian = A @ A.T + prior.ridge * np.eye(len(A))
-        linear = (b @ A.T) @ spread.T - prior.cost[chosen[group]] @ np.abs(spread).T
-        solved = minimise_bounded_quadratic(
-            spread @ hessian @ spread.T, linear, lower=variables.lower, upper=variables.upper
+        solved = solve_bounded_least_squares(
+            (spread @ A).T,
+            b,
+            lower=variables.lower,
+            upper=variables.upper,
+            # Of a shape that goes both ways one variable is 0 at best, so each has its own ridge.
+            ridge=prior.ridge * np.abs(spread).sum(axis=1),
+            cost=prior.cost[chosen[group]] @ np.abs(spread).T,
         )
         out[group] = solved.x @ spread
     return out

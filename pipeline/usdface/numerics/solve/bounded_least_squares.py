@@ -2,7 +2,7 @@
 
 Each frame is a small convex programme: minimise ``0.5 x'Hx - l'x`` with ``lower <= x <= upper``.
 Frames advance together by accelerated projected gradient steps. From there
-`minimise_bounded_quadratic` goes on to the exact solution: the steps find nearly the right set of
+`solve_bounded_least_squares` goes on to the exact solution: the steps find nearly the right set of
 bounds, block pivoting makes it exact, and an active-set walk finishes the few frames on which
 pivoting cycles. Every sixteenth frame begins at rest, the others between solved ones, as frames in
 a row are alike. `descend_in_boxes`, which every frame of a performance goes through, has a matrix
@@ -19,8 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from usdface.core.arrays import BoolArray, FloatArray, IntArray, RealArray
+from usdface.core.arrays import FloatArray, IntArray, RealArray
 from usdface.core.processes import usable_cores
+from usdface.numerics.solve.curvature import Curvature, curvature
 
 _GRADIENT_STEPS = 60
 """From rest: enough that a handful of exchanges then end it on face rigs."""
@@ -36,10 +37,6 @@ _PATIENCE_ROUNDS = 3
 _WALK_STEPS_PER_VARIABLE = 5
 _WALK_TOLERANCE = 1e-10
 """[of the largest linear term] Breach of optimality above which frames are walked."""
-_DEPENDENT_EIGENVALUE = 1e-8
-"""At unit diagonal: columns with a smaller one count as dependent."""
-_DEPENDENT_RIDGE = 1e-6
-"""Added to the unit diagonal of dependent columns: of many solutions, a small one."""
 _POWER_STEPS = 8
 _POWER_MARGIN = 1.1
 """Steps of the power method for a matrix's largest eigenvalue, and what they may fall short."""
@@ -62,47 +59,21 @@ def solve_bounded_least_squares(
     *,
     lower: ArrayLike,
     upper: ArrayLike,
-    ridge: float = 0.0,
+    ridge: ArrayLike = 0.0,
+    cost: ArrayLike = 0.0,
 ) -> BoundedSolution:
-    """Minimise ``|matrix @ x - target|^2 + ridge |x|^2`` within bounds, per target.
+    """Minimise ``|matrix @ x - target|^2 + ridge @ x^2 + 2 cost @ x`` within bounds, per target.
 
     Parameters
     ----------
     matrix : (rows, n) array
+        Where its columns are dependent and there is no ridge, one of the minimisers is returned.
     targets : (frames, rows) array
     lower, upper : (n,) arrays
-        May be infinite.
-    ridge : float, optional
-        Penalty, not negative.
-    """
-    A, b = np.asarray(matrix, float), np.asarray(targets, float)
-    if A.ndim != 2 or b.ndim != 2 or A.shape[0] != b.shape[1]:
-        raise ValueError(
-            f"matrix (rows, n) and targets (frames, rows) must share rows; got {A.shape}, {b.shape}"
-        )
-    if not ridge >= 0:
-        raise ValueError(f"ridge must not be negative, got {ridge}")
-    hessian = A.T @ A + ridge * np.eye(A.shape[1])
-    return minimise_bounded_quadratic(hessian, b @ A, lower=lower, upper=upper)
-
-
-def minimise_bounded_quadratic(
-    hessian: ArrayLike,
-    linear: ArrayLike,
-    *,
-    lower: ArrayLike,
-    upper: ArrayLike,
-) -> BoundedSolution:
-    """Minimise ``0.5 x'Hx - l'x`` with ``lower <= x <= upper`` for every row ``l``.
-
-    Parameters
-    ----------
-    hessian : (n, n) array
-        Symmetric and positive semidefinite; shared by all frames. Where columns are dependent,
-        one of the minimisers is returned.
-    linear : (frames, n) array
-    lower, upper : (n,) arrays
         May be infinite; ``lower < upper`` or equal, which fixes a variable.
+    ridge : float or (n,) array, optional
+        Penalties, not negative.
+    cost : float or (frames, n) array, optional
 
     References
     ----------
@@ -110,31 +81,48 @@ def minimise_bounded_quadratic(
     Stark and Parker (1995), Computational Statistics 10, 129-141: bounds one at a time.
     Beck and Teboulle (2009), SIAM J. Imaging Sciences 2(1), 183-202: accelerated steps.
     """
-    H, b = np.asarray(hessian, float), np.asarray(linear, float)
-    n = len(H)
+    A, b = np.asarray(matrix, float), np.asarray(targets, float)
+    if A.ndim != 2 or b.ndim != 2 or A.shape[0] != b.shape[1]:
+        raise ValueError(
+            f"matrix (rows, n) and targets (frames, rows) must share rows; got {A.shape}, {b.shape}"
+        )
+    n = A.shape[1]
+    penalty = np.broadcast_to(np.asarray(ridge, float), n)
+    if not (penalty >= 0).all():
+        raise ValueError(f"ridge must not be negative, got {penalty.min()}")
+    linear = b @ A - np.asarray(cost, float)
     lo, hi = (np.array(np.broadcast_to(np.asarray(v, float), n)) for v in (lower, upper))
-    _check(H, b, lo, hi)
-    diagonal = np.diagonal(H)
+    _check(A, linear, lo, hi)
+    diagonal = (A**2).sum(axis=0) + penalty
     floor = float(diagonal.mean()) * 1e-12 if diagonal.any() else 1.0  # all markers may be hidden
     unit = 1 / np.sqrt(np.maximum(diagonal, floor))  # x = unit * z gives z a unit diagonal
     with np.errstate(invalid="ignore"):
         lo_z, hi_z = lo / unit, hi / unit
-    scaled = H * np.outer(unit, unit)
-    values = np.linalg.eigvalsh(scaled)
-    if n and values[0] < _DEPENDENT_EIGENVALUE:
-        scaled += _DEPENDENT_RIDGE * np.eye(n)
-    step = 1 / max(float(values[-1]) + _DEPENDENT_RIDGE, np.finfo(float).tiny) if n else 1.0
-    b_z = b * unit
-
-    def solve(rows: IntArray, start: FloatArray, steps: int) -> FloatArray:
-        own = b_z[rows]
-        near = _accelerate(lambda z: z - step * (z @ scaled - own), start, lo_z, hi_z, steps=steps)
-        return _walk(scaled, own, lo_z, hi_z, _pivot(scaled, own, lo_z, hi_z, near))
-
-    z = _solve_in_turn(solve, np.clip(np.zeros_like(b_z), lo_z, hi_z))
-    violation = _violation(scaled, b_z, lo_z, hi_z, z)
+    z, violation = _solve_scaled(curvature(A * unit, penalty * unit**2), linear * unit, lo_z, hi_z)
     x = np.where(z <= lo_z, lo, np.where(z >= hi_z, hi, z * unit))  # bounds stay exact
     return BoundedSolution(x, violation)
+
+
+def _solve_scaled(
+    H: Curvature, b: FloatArray, lo: FloatArray, hi: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return minimisers of ``0.5 z'Hz - b'z`` within bounds, and their violations."""
+    step = H.dtype.type(1 / max(H.largest, np.finfo(float).tiny))
+    low, high, pull = lo.astype(H.dtype), hi.astype(H.dtype), b.astype(H.dtype)
+
+    def solve(rows: IntArray, start: FloatArray, steps: int) -> FloatArray:
+        near = _accelerate(
+            lambda z: z - step * (H.near(z) - pull[rows]),
+            start.astype(H.dtype),
+            low,
+            high,
+            steps=steps,
+        )
+        near = np.where(near <= low, lo, np.where(near >= high, hi, near))
+        return _walk(H, b[rows], lo, hi, _pivot(H, b[rows], lo, hi, near))
+
+    z = _solve_in_turn(solve, np.clip(np.zeros_like(b), lo, hi))
+    return z, _violation(H, b, lo, hi, z)
 
 
 def _solve_in_turn(
@@ -213,11 +201,8 @@ def descend_in_boxes(
     return np.asarray(np.clip(z * unit, lower, upper))
 
 
-def _check(H: FloatArray, b: FloatArray, lo: FloatArray, hi: FloatArray) -> None:
-    n = len(H)
-    if H.shape != (n, n) or b.ndim != 2 or b.shape[1] != n:
-        raise ValueError(f"expected H (n, n) and linear (frames, n), got {H.shape} and {b.shape}")
-    if not np.isfinite(H).all() or not np.isfinite(b).all():
+def _check(A: FloatArray, linear: FloatArray, lo: FloatArray, hi: FloatArray) -> None:
+    if not np.isfinite(A).all() or not np.isfinite(linear).all():
         raise ValueError("matrix and targets must be finite; mask or fill missing samples first")
     bad = np.flatnonzero(~(lo <= hi) | (lo == np.inf) | (hi == -np.inf))
     if len(bad):
@@ -249,18 +234,20 @@ def _accelerate(
 
 
 def _pivot(
-    H: FloatArray, b: FloatArray, lo: FloatArray, hi: FloatArray, z: FloatArray
+    H: Curvature, b: FloatArray, lo: FloatArray, hi: FloatArray, z: FloatArray
 ) -> FloatArray:
     """Exchange free and bound variables all at once: a few rounds, unless columns are alike."""
     out = z.copy()
     side = np.where(z <= lo, -1, np.where(z >= hi, 1, 0))
     todo = np.arange(len(b))
-    fewest, patience = np.full(len(b), H.shape[0] + 1), np.full(len(b), _PATIENCE_ROUNDS)
+    fewest, patience = np.full(len(b), b.shape[1] + 1), np.full(len(b), _PATIENCE_ROUNDS)
+    systems = H.systems()
     slack = 1e-11 * (1 + np.abs(b).max(axis=1, initial=0.0))
     for _ in range(_MOST_PIVOT_STEPS):
         at = side[todo]
-        value = _solve_free(H, b[todo], np.where(at < 0, lo, np.where(at > 0, hi, 0.0)), at == 0)
-        gradient = value @ H - b[todo]
+        bound = np.where(at < 0, lo, np.where(at > 0, hi, 0.0))
+        value = systems.solve(todo, b[todo], bound, at == 0)
+        gradient = H.times(value) - b[todo]
         room = slack[todo, None]
         low, high = (at == 0) & (value < lo - room), (at == 0) & (value > hi + room)
         free = ((at < 0) & (gradient < -room)) | ((at > 0) & (gradient > room))
@@ -282,9 +269,7 @@ def _pivot(
     return out
 
 
-def _walk(
-    H: FloatArray, b: FloatArray, lo: FloatArray, hi: FloatArray, z: FloatArray
-) -> FloatArray:
+def _walk(H: Curvature, b: FloatArray, lo: FloatArray, hi: FloatArray, z: FloatArray) -> FloatArray:
     """Walk along the bounds, one variable a step, from a feasible start: slow, but never cycles.
 
     A step goes to the minimum over the free variables, or to the first bound in its way, which
@@ -293,12 +278,13 @@ def _walk(
     out = z.copy()
     todo = np.flatnonzero(_violation(H, b, lo, hi, z) > _WALK_TOLERANCE)
     fixed = (z <= lo) | (z >= hi)
-    for _ in range(_WALK_STEPS_PER_VARIABLE * len(H)):
+    systems = H.systems()
+    for _ in range(_WALK_STEPS_PER_VARIABLE * b.shape[1]):
         if not len(todo):
             break
         rows = np.arange(len(todo))
         now, right, bound = out[todo], b[todo], fixed[todo]
-        step = _solve_free(H, right, np.where(bound, now, 0.0), ~bound) - now
+        step = systems.solve(todo, right, np.where(bound, now, 0.0), ~bound) - now
         with np.errstate(divide="ignore", invalid="ignore"):
             room = np.where(step < 0, (lo - now) / step, (hi - now) / step)
         room = np.where(bound | (step == 0), np.inf, room)
@@ -309,7 +295,7 @@ def _walk(
         first = rows[blocked], blocker[blocked]
         now[first] = np.where(step[first] < 0, lo[first[1]], hi[first[1]])
         bound[first] = True
-        gradient = now @ H - right
+        gradient = H.times(now) - right
         pull = np.where(now <= lo, -gradient, gradient) * (bound & (lo < hi))
         hardest = pull.argmax(axis=1)
         release = ~blocked & (pull[rows, hardest] > _WALK_TOLERANCE * np.abs(right).max(axis=1))
@@ -319,31 +305,13 @@ def _walk(
     return out
 
 
-def _solve_free(H: FloatArray, b: FloatArray, fixed: FloatArray, free: BoolArray) -> FloatArray:
-    """Solve each frame's free variables, the others staying at their bounds."""
-    from scipy.linalg.lapack import dposv  # frames of a performance are solved without
-
-    rest = b - fixed @ H
-    value = fixed.copy()
-    for row, chosen in enumerate(free):
-        index = np.flatnonzero(chosen)
-        if not len(index):
-            continue
-        system = H.take(index, 0).take(index, 1)
-        solved, failed = dposv(system.T, rest[row, index], overwrite_a=True)[1:]
-        if failed:  # rounding made a nearly singular system indefinite
-            solved = np.linalg.lstsq(H.take(index, 0).take(index, 1), rest[row, index])[0]
-        value[row, index] = solved
-    return value
-
-
 def _violation(
-    H: FloatArray, b: FloatArray, lo: FloatArray, hi: FloatArray, z: FloatArray
+    H: Curvature, b: FloatArray, lo: FloatArray, hi: FloatArray, z: FloatArray
 ) -> FloatArray:
     """Distance that one projected gradient step would move, relative to the linear term."""
     if not b.size:
         return np.zeros(len(b))
-    moved = np.clip(z - (z @ H - b), lo, hi) - z
+    moved = np.clip(z - (H.times(z) - b), lo, hi) - z
     scale = np.maximum(np.abs(b).max(axis=1), np.finfo(float).tiny)
     violation: FloatArray = np.abs(moved).max(axis=1) / scale
     return violation
