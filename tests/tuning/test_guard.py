@@ -258,6 +258,8 @@ def test_a_pair_without_a_picture_says_why(server: Server) -> None:
     assert answer.status_code == 422
     assert "kitchen was not found; name its file with --takes" in answer.json()["reason"]
     assert server.browser().get("/picture/99.jpg").status_code == 404
+    assert server.browser().get("/sound/0.wav").status_code == 204
+    assert server.browser().get("/sound/99.wav").status_code == 404
 
 
 def test_the_face_and_its_columns_belong_together(server: Server) -> None:
@@ -271,6 +273,7 @@ def test_the_face_and_its_columns_belong_together(server: Server) -> None:
         "viseme": "",
         "emotion": "",
         "noPicture": "",
+        "head": None,
         "notes": [],
     }
 
@@ -285,3 +288,7 @@ def test_markers_that_fit_no_face_leave_a_reason_in_place_of_a_residual(
     reason = server.browser().get("/markers.json").json()["reason"]
     assert "cannot be placed" in reason
     assert "all markers lie on a line" in reason
+    asked = {"pair": 0, "weights": {"smile": 0.5}, "free": ["jawOpen"]}
+    answer = server.browser().post("/solve", content=json.dumps(asked), headers=RIGHTS)
+    assert answer.status_code == 422
+    assert "all markers lie on a line" in answer.json()["reason"]

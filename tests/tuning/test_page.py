@@ -3,18 +3,21 @@
 The page's policy forbids `eval`, so conditions are polled rather than waited for in the page.
 """
 
+import io
 import json
 import signal
 import subprocess
 import sys
 import threading
 import time
+import wave
 from collections.abc import Iterator
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
+import av
 import numpy as np
 import pytest
 
@@ -301,6 +304,85 @@ def test_the_second_around_a_pair_is_asked_for_by_the_slider(desk: Desk) -> None
     assert asked[-1].endswith(".jpg?after=0.52")
     page.keyboard.press("PageDown")
     assert page.locator("#videoAfter").input_value() == "0"
+
+
+def tone() -> bytes:
+    """Two seconds of sound."""
+    out = io.BytesIO()
+    with wave.open(out, "wb") as stream:
+        stream.setnchannels(1)
+        stream.setsampwidth(2)
+        stream.setframerate(8000)
+        stream.writeframes(bytes(32000))
+    return out.getvalue()
+
+
+def test_the_second_around_a_pair_plays_with_its_sound(desk: Desk) -> None:
+    opened = desk.page()
+    page = opened.page
+    pixel = encode_image(np.zeros((8, 8, 3), np.uint8))
+    page.route("**/picture/*", lambda route: route.fulfill(body=pixel, content_type="image/jpeg"))
+    page.route("**/sound/*", lambda route: route.fulfill(body=tone(), content_type="audio/wav"))
+    page.evaluate("tune.state.pairs.forEach((pair) => { pair.noPicture = ''; })")
+    page.evaluate("tune.video.found.clear()")  # this asset has no video
+    page.evaluate("document.querySelector('main').classList.remove('noVideo')")
+    page.keyboard.press("PageDown")
+    page.locator("#videoAfter").evaluate(
+        "(slider) => { slider.value = 0.52; slider.dispatchEvent(new Event('input')); }"
+    )
+    opened.wait("tune.video.sound.heard.length === 1")
+    assert page.evaluate("tune.video.sound.heard[0]") == 0.52, "a moment, where the slider is"
+    page.locator("#videoAfter").evaluate("(slider) => { slider.value = 0; }")
+    page.locator("#video h2").click()
+    page.keyboard.press("Space")
+    opened.wait("tune.video.sound.heard.length === 2 && tune.video.after.value > 0.2")
+    assert page.evaluate("tune.video.sound.heard[1]") == -1
+    opened.wait("!tune.video.playing && tune.video.after.value == 0")
+    page.locator("#videoPlay").click()
+    opened.wait("!!tune.video.playing && tune.video.after.value > -0.9")
+    page.locator("#videoPlay").click()
+    assert page.evaluate("tune.video.playing") is None, "stopped where it was"
+    assert not opened.faults
+
+
+def test_the_video_is_wiped_over_a_face_that_is_turned_as_the_head(desk: Desk) -> None:
+    opened = desk.page()
+    page = opened.page
+    assert page.locator("#wipe").is_disabled(), "this asset has no video"
+    red = encode_image(np.full((90, 90, 3), (255, 0, 0), np.uint8))
+    page.route("**/picture/*", lambda route: route.fulfill(body=red, content_type="image/jpeg"))
+    page.evaluate("tune.state.pairs.forEach((p) => { p.noPicture = ''; p.head = [20, 5, 3]; })")
+    page.evaluate("tune.video.found.clear()")
+    page.evaluate("document.getElementById('wipe').disabled = false")
+    page.keyboard.press("PageDown")
+    page.keyboard.press("w")
+    camera = page.evaluate("(({yaw, pitch, roll}) => [yaw, pitch, roll])(tune.viewer.camera)")
+    np.testing.assert_allclose(np.degrees(camera), [-20, 5, -3], atol=1e-6)
+    line, stage = page.locator("#wipeLine"), page.locator("#face .stage")
+    box = stage.bounding_box()
+    assert box is not None
+    middle, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(middle, y)
+    page.mouse.down()
+    page.mouse.move(middle + box["width"] / 10, y)
+    page.mouse.up()
+    assert line.get_attribute("aria-valuenow") == "60"
+    line.press("ArrowRight")
+    assert line.get_attribute("aria-valuenow") == "62"
+    page.locator("#wipePicture img").evaluate("(image) => image.decode()")
+    with av.open(io.BytesIO(stage.screenshot())) as container:
+        seen = next(container.decode(video=0)).to_ndarray(format="rgb24")
+    is_red = (seen[len(seen) // 2] == (254, 0, 0)).all(axis=1) | (seen[len(seen) // 2, :, 0] > 250)
+    here = np.flatnonzero(is_red & (seen[len(seen) // 2, :, 1] < 20))
+    assert here.max() / seen.shape[1] == pytest.approx(0.62, abs=0.02)
+    page.mouse.move(box["x"] + 40, y)
+    page.mouse.wheel(0, -300)
+    zoomed = page.locator("#wipePicture img").evaluate("(image) => image.style.transform")
+    assert "scale(1.5" in zoomed
+    page.keyboard.press("w")
+    assert not page.locator("#wipePicture").is_visible()
+    assert page.evaluate("tune.viewer.camera.roll") == 0
+    assert not opened.faults
 
 
 def test_notes_of_a_report_stand_at_their_frame(asset: Path, context: Any, tmp_path: Path) -> None:

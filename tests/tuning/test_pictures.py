@@ -1,6 +1,7 @@
 """The picture beside the face is the one the camera took of it, and what is missing is said."""
 
 import io
+import wave
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -8,6 +9,7 @@ from pathlib import Path
 import av
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from tests.media.bar_code import draw_number, read_number, write_numbered
 from tests.tuning.small_asset import small_references, write_asset
@@ -116,3 +118,42 @@ def test_an_asset_made_by_hand_knows_no_takes_and_has_no_notes(tmp_path: Path) -
     assert take_files(path) == ()
     notes = read_pair_notes(path)
     assert [(each.viseme, each.emotion, each.image) for each in notes] == [("", "", None)] * 5
+
+
+def test_the_sound_around_a_pair_is_the_takes_at_its_moment(folder: Path, tmp_path: Path) -> None:
+    rate = 48000
+    moments = np.arange(4 * rate) / rate
+    with wave.open(str(tmp_path / "kitchen.wav"), "wb") as stream:
+        stream.setnchannels(1)
+        stream.setsampwidth(2)
+        stream.setframerate(rate)
+        loud = np.sin(2000 * np.pi * moments) * ((moments > 0.49) & (moments < 0.5))
+        stream.writeframes((32000 * loud).astype("<i2").tobytes())
+    take = replace(small_take(), audio=tmp_path / "kitchen.wav")
+    write_take(tmp_path / "kitchen.take.usda", take)
+    shown = pictures(tmp_path)
+    for pair in (3, 1):
+        data = shown.sound(pair)
+        assert data is not None
+        with wave.open(io.BytesIO(data)) as heard:
+            assert heard.getnframes() == 2 * heard.getframerate()
+            samples = np.frombuffer(heard.readframes(heard.getnframes()), "<i2")
+        at = np.flatnonzero(np.abs(samples) > 8000).mean() / heard.getframerate() - 1.0
+        assert at + (FRAMES[pair] - 101) / 120 == pytest.approx(0.495, abs=0.002)
+    assert pictures(folder).sound(0) is None, "its video has no sound"
+    assert pictures(folder, takes=[]).sound(0) is None
+
+
+def test_the_page_sees_the_head_as_it_was_turned(tmp_path: Path) -> None:
+    turn = Rotation.from_euler("YXZ", [20, -7, 4], degrees=True)
+    motion = np.tile(np.eye(4), (small_take().frame_count, 1, 1))
+    motion[7, :3, :3] = turn.as_matrix()
+    write_take(tmp_path / "kitchen.take.usda", replace(small_take(), head_motion=motion))
+    here = replace(references(tmp_path), frames=np.array([101, 108, 109, 110, 111]))
+    notes, takes = [PairNotes()] * 5, [tmp_path / "kitchen.take.usda"]
+    heads = PairPictures(here, notes, takes).head_degrees()
+    assert heads[0] == pytest.approx([0, 0, 0], abs=1e-9)
+    yaw, pitch, roll = heads[1] or ()
+    seen = Rotation.from_euler("ZXY", [roll, pitch, yaw], degrees=True)
+    assert (seen * turn.inv()).magnitude() < 1e-6
+    assert pictures(tmp_path, takes=[]).head_degrees() == [None] * 5

@@ -102,6 +102,40 @@ def test_a_marker_dragged_on_the_face_is_corrected_in_its_layer_and_taken_back(
     assert not opened.faults
 
 
+@pytest.mark.slow
+def test_a_part_is_solved_again_while_sliders_that_were_set_hold(
+    page: tuple[Command, Page, Any],
+) -> None:
+    _, opened, _ = page
+    title = opened.page.locator("summary", has_text="mouth")
+    names = opened.page.evaluate("tune.state.names")
+    mouth = [names.index(each) for each in title.locator("..").locator(".label").all_inner_texts()]
+    before = np.array(opened.page.evaluate("[...tune.state.row()]"))
+    for shape in mouth:
+        opened.type_weight(names[shape], 0.9)
+    opened.page.evaluate(f"tune.state.reset({mouth[1:]})")
+    for shape in mouth[2:]:
+        opened.page.evaluate(f"tune.state.putSolved(new Map([[{shape}, 0.9]]), 0)")
+    far = opened.page.evaluate("tune.millimetres")
+    title.locator("button", has_text="Solve").click()
+    message = opened.page.locator("#message")
+    message.filter(has_text="mouth is solved for the markers; held").wait_for()
+    row = np.array(opened.page.evaluate("[...tune.state.row()]"))
+    rest = [shape for shape in range(len(names)) if shape not in mouth]
+    assert row[mouth[0]] == pytest.approx(0.9, abs=1e-6), "set by hand"
+    np.testing.assert_array_equal(row[rest], before[rest])
+    assert opened.page.evaluate("tune.millimetres") < far - 0.1
+    opened.page.keyboard.press("Control+z")
+    again = opened.page.evaluate("[...tune.state.row()]")
+    assert again[mouth[2]] == pytest.approx(0.9, abs=1e-6), "one step back"
+    for shape in mouth:
+        opened.type_weight(names[shape], 0.8)
+    title.locator("button", has_text="Solve").click()
+    message.filter(has_text="Every slider of the mouth is set by hand").wait_for()
+    opened.saved()
+    assert not opened.faults
+
+
 def test_places_off_the_face_and_unknown_markers_are_refused_and_nothing_is_written(
     asset: Path,
 ) -> None:
@@ -147,5 +181,16 @@ def test_what_the_page_sends_is_checked(asset: Path) -> None:
         answer = client.post("/place", content=far, headers=RIGHTS)
         assert answer.status_code == 422
         assert "off the rig" in answer.json()["reason"]
+        for changed, status, said in (
+            ({"free": []}, 400, "free"),
+            ({"free": ["nobody"]}, 422, "nobody"),
+            ({"pair": 4000}, 422, "reload"),
+            ({"weights": {"nobody": 1.0}}, 422, "nobody"),
+            ({"weights": {references.shape_names[0]: "1"}}, 400, "number"),
+        ):
+            asked = {"pair": 0, "weights": {}, "free": [references.shape_names[0]]} | changed
+            answer = client.post("/solve", content=json.dumps(asked), headers=RIGHTS)
+            assert answer.status_code == status
+            assert said in answer.json()["reason"]
     finally:
         session.lock.release()

@@ -8,7 +8,8 @@ import pytest
 from tests.numerics.small_face import SmallActor, SmallFace, small_actor, small_face
 from usdface.core.assets import MeshShape, References, Rig, RigMesh, ShapeKey
 from usdface.core.deformer import Deformer
-from usdface.tuning.targets import MarkerTargets, find_targets, targets_or_reason
+from usdface.numerics.measure.face_regions import region_of_shape
+from usdface.tuning.targets import MarkerTargets, find_targets, solve_shapes, targets_or_reason
 
 
 def rig_of(face: SmallFace) -> Rig:
@@ -79,6 +80,33 @@ def test_every_marker_has_a_region_unless_it_is_rigid(made) -> None:
     assert len(targets.regions) == len(references.marker_names)
     assert "" not in targets.regions
     assert {"mouth", "brows", "lids"} <= set(targets.regions)
+
+
+def test_some_shapes_are_solved_while_the_others_hold(made) -> None:
+    rig, _, references, targets = made
+    names = list(references.shape_names)
+    mouth = np.array([region_of_shape(name) == "mouth" for name in names])
+    assert 1 < mouth.sum() < len(names)
+    pair = int(references.weights[:, mouth].sum(axis=1).argmax())
+    every = solve_shapes(references, targets, pair, np.zeros(len(names)), np.ones(len(names), bool))
+    proposed = targets.equation.propose(references.markers[pair : pair + 1])[0]
+    np.testing.assert_allclose(every, proposed, atol=1e-9)
+    away = np.where(mouth, 0.0, proposed)
+    found = solve_shapes(references, targets, pair, away, mouth)
+    np.testing.assert_array_equal(found[~mouth], away[~mouth])
+    np.testing.assert_allclose(found, proposed, atol=0.02)
+    held = mouth.copy()
+    held[np.flatnonzero(mouth)[0]] = False
+    away[np.flatnonzero(mouth)[0]] = -0.25  # beyond the range, and a person wants it so
+    found = solve_shapes(references, targets, pair, away, held)
+    np.testing.assert_array_equal(found[~held], away[~held])
+    at = targets.targets[pair]
+    keys = Deformer(rig).shapes.key_weights(np.array([away, found]))
+    bound = targets.rest + np.einsum("pk,kmc->pmc", keys, targets.key_deltas)
+    before, after = np.linalg.norm(bound - at, axis=2).mean(axis=1)
+    assert after < before
+    low, high = rig.ranges.T
+    assert ((found >= low) & (found <= high))[held].all()
 
 
 def test_references_without_markers_give_the_reason(made) -> None:

@@ -26,7 +26,12 @@ from usdface.specs.notes import ReviewNotes
 from usdface.tuning.journal import Change
 from usdface.tuning.pictures import PairPictures
 from usdface.tuning.session import StaleRevisionError, TuningSession
-from usdface.tuning.targets import MarkerTargets, correct_place, targets_or_reason
+from usdface.tuning.targets import (
+    MarkerTargets,
+    correct_place,
+    solve_shapes,
+    targets_or_reason,
+)
 from usdface.usdio.references.read import PairNotes
 
 _FARTHEST_SECONDS = 1.0
@@ -72,7 +77,17 @@ class SentPlace(BaseModel):
     at: tuple[float, float, float] | None = None
 
 
-_Sent = TypeVar("_Sent", SentChanges, SentPlace)
+class SentSolve(BaseModel):
+    """What the markers of a pair are to be solved for: the weights as shown, and those to find."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    pair: int = Field(ge=0)
+    weights: dict[str, StrictFloat] = Field(max_length=10_000)
+    free: list[str] = Field(min_length=1, max_length=10_000)
+
+
+_Sent = TypeVar("_Sent", SentChanges, SentPlace, SentSolve)
 
 
 class Scene:
@@ -106,6 +121,11 @@ class Scene:
         """Where markers should lie, or why that is not known."""
         return targets_or_reason(self.session.references, self.rig)
 
+    def change(self, sent: SentChanges) -> dict[str, Any]:
+        """Take changes over; return the revision they made."""
+        given = [Change(**each.model_dump()) for each in sent.changes]
+        return {"revision": self.session.apply(given, revision=sent.revision)}
+
     def place(self, sent: SentPlace) -> dict[str, Any]:
         """Correct the place of a marker, or take its correction back; return the markers anew."""
         with self._placing:
@@ -113,9 +133,24 @@ class Scene:
             self.__dict__.pop("targets", None)
             return self.markers()
 
+    def solve(self, sent: SentSolve) -> dict[str, Any]:
+        """Return weights of the shapes asked for, by the markers, while the others are held."""
+        references, targets = self.session.references, self.targets
+        if isinstance(targets, str):
+            raise InputError(targets)
+        if sent.pair >= len(references.frames):
+            raise InputError(f"there are {len(references.frames)} pairs; reload the page")
+        self.rig.check_has({*sent.weights, *sent.free}, source="the page", remedy="reload it")
+        held = [[sent.weights.get(name, 0.0) for name in self.rig.shapes]]
+        free = np.isin(self.rig.shapes, sent.free)
+        solved = solve_shapes(references, targets, sent.pair, np.array(held)[0], free)
+        weights = dict(zip(self.rig.shapes, solved.tolist(), strict=True))
+        return {"weights": {name: weights[name] for name in sent.free}}
+
     def face(self) -> dict[str, Any]:
         """Return the face's header, and what the page knows of the references."""
         references = self.session.references
+        heads = self.pictures.head_degrees()
         deformer = Deformer(self.rig)
         sided = sided_shapes(deformer.shapes.target_offsets(), deformer.neutral)
         pairs = [
@@ -125,6 +160,7 @@ class Scene:
                 "viseme": note.viseme,
                 "emotion": note.emotion,
                 "noPicture": self.pictures.reason_without(pair),
+                "head": heads[pair],
                 "notes": self._review_notes(pair),
             }
             for pair, note in enumerate(self.notes)
@@ -217,21 +253,12 @@ def build_application(scene: Scene) -> Starlette:
         data = await run_in_threadpool(scene.pictures.jpeg, pair, after)
         return Response(data, media_type="image/jpeg")
 
-    async def changes(request: Request) -> Response:
-        sent = await _sent(request, SentChanges)
-        if isinstance(sent, Response):
-            return sent
-        given = [Change(**each.model_dump()) for each in sent.changes]
-        revision = await run_in_threadpool(
-            functools.partial(scene.session.apply, given, revision=sent.revision)
-        )
-        return JSONResponse({"revision": revision})
-
-    async def place(request: Request) -> Response:
-        sent = await _sent(request, SentPlace)
-        if isinstance(sent, Response):
-            return sent
-        return JSONResponse(await run_in_threadpool(scene.place, sent))
+    async def sound(request: Request) -> Response:
+        pair = request.path_params["pair"]
+        if not 0 <= pair < len(scene.notes):
+            return JSONResponse({"reason": f"no pair {pair}"}, status_code=404)
+        data = await run_in_threadpool(scene.pictures.sound, pair)
+        return Response(data or b"", 200 if data else 204, media_type="audio/wav")
 
     routes = [
         Route("/", home),
@@ -241,8 +268,10 @@ def build_application(scene: Scene) -> Starlette:
         Route("/markers.json", _json(scene.markers)),
         Route("/state.json", _json(scene.state)),
         Route("/picture/{pair:int}.jpg", picture),
-        Route("/changes", changes, methods=["POST"]),
-        Route("/place", place, methods=["POST"]),
+        Route("/sound/{pair:int}.wav", sound),
+        Route("/changes", _answer(SentChanges, scene.change), methods=["POST"]),
+        Route("/place", _answer(SentPlace, scene.place), methods=["POST"]),
+        Route("/solve", _answer(SentSolve, scene.solve), methods=["POST"]),
     ]
     return Starlette(
         routes=routes,
@@ -260,6 +289,16 @@ async def _sent(request: Request, kind: type[_Sent]) -> _Sent | Response:
         fault = error.errors()[0]
         where = ".".join(map(str, fault["loc"]))
         return JSONResponse({"reason": f"{where}: {fault['msg']}"}, status_code=400)
+
+
+def _answer(kind: type[_Sent], make: Callable[[_Sent], dict[str, Any]]) -> Callable[[Request], Any]:
+    async def answer(request: Request) -> Response:
+        sent = await _sent(request, kind)
+        if isinstance(sent, Response):
+            return sent
+        return JSONResponse(await run_in_threadpool(make, sent))
+
+    return answer
 
 
 def _json(make: Callable[[], dict[str, Any]]) -> Callable[[Request], Any]:

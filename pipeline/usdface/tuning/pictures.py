@@ -1,19 +1,31 @@
-"""The picture of each pair: its own where the asset names one, else from the take's video."""
+"""The picture of each pair, from the asset or the take's video, its sound and its head's turn."""
 
+import io
 import threading
+import wave
 from collections import OrderedDict
 from collections.abc import Sequence
 from pathlib import Path
 
-from usdface.core.arrays import ByteImage
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from usdface.core.arrays import ByteImage, Float32Array
 from usdface.core.assets import References, Take
 from usdface.core.errors import InputError
 from usdface.media.film.image_sequence import ImageSequence, open_video
 from usdface.media.film.video import VideoReader
 from usdface.media.picture.image import encode_image, read_picture
+from usdface.model.retarget.head_pose import HEAD
+from usdface.steps.inputs.head_drive import take_head_source
+from usdface.steps.review.clock import recorded_sound, sound_between
 from usdface.usdio.references.read import PairNotes
 from usdface.usdio.take.read import TakeReader
 
+SOUND_RATE = 24000
+"""[Hz] Speech has little above half of it."""
+SOUND_SECONDS = 1.0
+"""Before and after a pair's frame."""
 CACHED_PICTURES = 64
 """Encoded pictures that are kept: going back and forth decodes nothing."""
 
@@ -35,10 +47,13 @@ class PairPictures:
         self._references = references
         self._notes = notes
         self._faults: dict[str, str] = {}
+        self._readers: dict[str, TakeReader] = {}
         self._takes = self._read_takes(takes)
         self._videos: dict[str, VideoReader | ImageSequence] = {}
         self._cached: OrderedDict[tuple[int, float], bytes] = OrderedDict()
         self._guard = threading.Lock()  # one decoder, one frame at a time
+        self._hearing = threading.Lock()
+        self._heard: tuple[str, Float32Array | None] = ("", None)
 
     def reason_without(self, pair: int) -> str:
         """Return why a pair has no picture; empty if it should have one."""
@@ -65,6 +80,45 @@ class PairPictures:
             self._cached.move_to_end(wanted)
             return self._cached[wanted]
 
+    def sound(self, pair: int) -> bytes | None:
+        """Return the sound around a pair's frame as WAV; None where the take has none.
+
+        The sound of one take is held: the next pair of it is heard at once.
+        """
+        name = self._references.takes[pair]
+        take = self._takes.get(name)
+        if take is None:
+            return None
+        with self._hearing:
+            if self._heard[0] != name:
+                self._heard = name, recorded_sound(take, [], SOUND_RATE)
+            recorded = self._heard[1]
+        if recorded is None:
+            return None
+        at = self._seconds(take, pair)
+        ends = at - SOUND_SECONDS, at + SOUND_SECONDS
+        samples = sound_between(take, recorded, *ends, SOUND_RATE)
+        out = io.BytesIO()
+        with wave.open(out, "wb") as stream:
+            stream.setnchannels(1)
+            stream.setsampwidth(2)
+            stream.setframerate(SOUND_RATE)
+            stream.writeframes((np.clip(samples, -1, 1) * 32767).astype("<i2").tobytes())
+        return out.getvalue()
+
+    def head_degrees(self) -> list[list[float] | None]:
+        """Return yaw to its left, pitch down and roll to its right of the head at each pair.
+
+        They are since the neutral frame; None where the take says nothing of it.
+        """
+        found: list[list[float] | None] = []
+        for name, frame in zip(
+            self._references.takes, self._references.frames.tolist(), strict=True
+        ):
+            reader = self._readers.get(name)
+            found.append(None if reader is None else _head_degrees(reader, frame))
+        return found
+
     def close(self) -> None:
         """Let go of the videos."""
         with self._guard:
@@ -85,12 +139,16 @@ class PairPictures:
         video = take.video
         if name not in self._videos:
             self._videos[name] = open_video(video.file, video.rate)
-        seconds = (frame - take.first_frame) / float(take.rate) + after
+        seconds = self._seconds(take, pair) + after
         found = self._videos[name].frame_at(video.video_time(seconds))
         if found is None:
             when = f"frame {frame}" + (f" {after:+.2f} s" if after else "")
             raise InputError(f"the video of {name} does not show {when}")
         return found
+
+    def _seconds(self, take: Take, pair: int) -> float:
+        """Return the moment of a pair's frame on its take's clock."""
+        return (int(self._references.frames[pair]) - take.first_frame) / float(take.rate)
 
     def _read_takes(self, files: Sequence[Path]) -> dict[str, Take]:
         wanted = set(self._references.takes)
@@ -101,7 +159,23 @@ class PairPictures:
                 if reader.name in wanted:
                     # Samples are not needed: one frame says all about video and rate.
                     found[reader.name] = reader.read(reader.first_frame, reader.first_frame)
+                    self._readers[reader.name] = reader
             except InputError as error:
                 name = path.name.split(".")[0]
                 self._faults[name] = str(error)
         return found
+
+
+def _head_degrees(take: TakeReader, frame: int) -> list[float] | None:
+    try:
+        source = take_head_source(take, frame, frame)
+    except InputError:
+        return None
+    turn = source.turns[HEAD][0] if HEAD in source.turns else None
+    if turn is None and source.motion is not None:
+        turn = source.motion[0, :3, :3]
+    if turn is None:
+        return None
+    # In the order in which the page's camera turns, which is not that of the head's own axes.
+    roll, pitch, yaw = Rotation.from_matrix(turn).as_euler("ZXY", degrees=True).tolist()
+    return [yaw, pitch, roll]

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import Float32Array, FloatArray
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray
 from usdface.core.assets import References, Rig
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
@@ -39,8 +39,10 @@ class MarkerTargets:
     regions: tuple[str, ...]
     """Part of the face of each marker; empty for those that move with the skull alone, which say
     nothing of the weights."""
-    corrected: tuple[bool, ...] = ()
+    corrected: tuple[bool, ...]
     """Whether a person placed the marker."""
+    equation: BlendshapeEquation
+    """Solves for the weights of shapes."""
 
 
 def find_targets(references: References, rig: Rig) -> MarkerTargets:
@@ -71,7 +73,34 @@ def find_targets(references: References, rig: Rig) -> MarkerTargets:
         targets=(rest + motion).astype(np.float32),
         regions=_regions(equation, rig, rigid),
         corrected=_corrected(placement, references.marker_names),
+        equation=equation,
     )
+
+
+def solve_shapes(
+    references: References,
+    targets: MarkerTargets,
+    pair: int,
+    weights: FloatArray,
+    free: BoolArray,
+) -> FloatArray:
+    """Solve the markers of a pair for some shapes, while all others are held.
+
+    Parameters
+    ----------
+    weights : (shapes,) float array
+        Of the rig's shapes.
+    free : (shapes,) bool array
+        Shapes to solve for.
+
+    Returns
+    -------
+    (shapes,) float array
+        Those that are held as they were.
+    """
+    ranges = np.where(free[:, None], targets.equation.ranges, weights[:, None])
+    solved = targets.equation.propose(references.markers[pair : pair + 1], ranges=ranges)[0]
+    return np.where(free, solved, weights)
 
 
 def _corrected(placement: RigPlacement | None, names: tuple[str, ...]) -> tuple[bool, ...]:

@@ -147,8 +147,8 @@ export class FaceViewer {
   }
 
   /** Frame the face from the front, or from elsewhere [degrees]. */
-  resetView(yaw = FRONT, pitch = 0) {
-    this.camera.reset((yaw * Math.PI) / 180, (pitch * Math.PI) / 180);
+  resetView(yaw = FRONT, pitch = 0, roll = 0) {
+    this.camera.reset(...[yaw, pitch, roll].map((degrees) => (degrees * Math.PI) / 180));
     this.invalidate();
   }
 

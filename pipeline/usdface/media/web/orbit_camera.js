@@ -7,6 +7,7 @@ export class OrbitCamera {
   /**
    * @param {{target: number[], distance: number, fov: number, yaw?: number, pitch?: number}} home
    *   frames the face.
+   * `roll` turns the picture [radians], clockwise.
    */
   constructor(home, size) {
     this.home = home;
@@ -15,9 +16,10 @@ export class OrbitCamera {
   }
 
   /** Frame the face from where it is first seen, or from elsewhere. */
-  reset(yaw = this.home.yaw ?? 0, pitch = this.home.pitch ?? 0) {
+  reset(yaw = this.home.yaw ?? 0, pitch = this.home.pitch ?? 0, roll = 0) {
     this.yaw = yaw;
     this.pitch = pitch;
+    this.roll = roll;
     this.frame();
   }
 
@@ -51,7 +53,13 @@ export class OrbitCamera {
     const [cy, sy] = [Math.cos(this.yaw), Math.sin(this.yaw)];
     const [cp, sp] = [Math.cos(this.pitch), Math.sin(this.pitch)];
     // Rows: right, up, backward. Positive yaw shows the character's left, positive pitch its crown.
-    const axes = [cy, 0, -sy, -sy * sp, cp, -cy * sp, sy * cp, sp, cy * cp];
+    const [cr, sr] = [Math.cos(this.roll), Math.sin(this.roll)];
+    const [right, up] = [[cy, 0, -sy], [-sy * sp, cp, -cy * sp]];
+    const axes = [
+      ...right.map((value, k) => cr * value + sr * up[k]),
+      ...right.map((value, k) => cr * up[k] - sr * value),
+      sy * cp, sp, cy * cp,
+    ];
     const columns = [0, 1, 2].map((k) => [axes[k], axes[3 + k], axes[6 + k]]);
     const at = [0, 1, 2].map((row) =>
       -columns.reduce((total, column, k) => total + column[row] * this.target[k], 0),

@@ -8,6 +8,7 @@ import { Residual, ResidualTable } from "./tune_residual.js";
 import { ShapePanel } from "./tune_shapes.js";
 import { TuneState } from "./tune_state.js";
 import { VideoPane } from "./tune_video.js";
+import { Wipe } from "./tune_wipe.js";
 
 const $ = (id) => document.getElementById(id);
 const floats = (text) => new Float32Array(bytesFromBase64(text).buffer);
@@ -16,6 +17,21 @@ async function ask(path) {
   const response = await fetch(path);
   if (!response.ok) throw new Error(`${path}: ${await response.text()}`);
   return response;
+}
+
+/** Send JSON as the guard wants it; the answer has a `reason` where it was refused. */
+async function post(path, body) {
+  try {
+    const response = await fetch(path, {
+      method: "POST",
+      headers: { "Content-Type": "application/json", "X-Usdface-Tune": "1" },
+      body: JSON.stringify(body),
+    });
+    const answer = await response.json();
+    return response.ok ? answer : { reason: answer.reason ?? `the server answered ${response.status}` };
+  } catch {
+    return { reason: "the server does not answer" };
+  }
 }
 
 async function readState() {
@@ -61,11 +77,24 @@ class Page {
       state,
       regions,
       (shape) => this.viewer?.highlight(shape === null ? null : known.columns[shape]),
-      (shapes, part) => this.choose(true, shapes, part),
+      {
+        Solve: {
+          title: "Solve this part for the markers again, while sliders that you set hold",
+          act: (shapes, part) => this.solve(shapes, part),
+        },
+        "Copy…": {
+          title: "Copy this part from another pair",
+          act: (shapes, part) => this.choose(true, shapes, part),
+        },
+      },
     );
+    this.panel.offer("Solve", false); // until the markers are there
     this.film = new FilmStrip($("film"), state, (pair) => this.pick(pair));
-    this.video = new VideoPane($("picture"), $("noPicture"), $("videoNote"), $("videoAfter"));
-    if (known.pairs.every((pair) => pair.noPicture)) document.querySelector("main").classList.add("noVideo");
+    this.wiping = new Wipe($("wipePicture"), $("wipeLine"));
+    const pictures = [$("picture"), $("wipePicture").firstChild];
+    this.video = new VideoPane(pictures, $("noPicture"), $("videoNote"), $("videoAfter"), $("videoPlay"));
+    $("wipe").disabled = known.pairs.every((pair) => pair.noPicture);
+    if ($("wipe").disabled) document.querySelector("main").classList.add("noVideo");
     state.addEventListener("weights", ({ detail: { pair } }) => {
       if (pair === state.current) this.pose();
       this.buttons();
@@ -105,6 +134,7 @@ class Page {
       return;
     }
     this.unpackMarkers(markers);
+    this.panel.offer("Solve", true);
     this.table = new ResidualTable($("regions"), this.residual.parts);
     $("placeMarkers").disabled = !markers.placement;
     if (markers.placement) {
@@ -121,28 +151,33 @@ class Page {
 
   /** Send where a marker was dropped; what comes back is where all of them are. */
   async place(dropped) {
-    let answer = { reason: "the server does not answer" };
-    try {
-      const response = await fetch("/place", {
-        method: "POST",
-        headers: { "Content-Type": "application/json", "X-Usdface-Tune": "1" },
-        body: JSON.stringify(dropped),
-      });
-      answer = await response.json();
-      if (response.ok && !answer.reason) {
-        this.unpackMarkers(answer);
-        this.placing.load(answer);
-        const what = dropped.at ? "corrected" : "back where it was proposed";
-        this.tell(`${dropped.marker} is ${what} (${answer.placement}). Select again to place the others by it and to propose anew`);
-        this.pose();
-        return;
-      }
-    } catch {
-      // said below
+    const answer = await post("/place", dropped);
+    if (answer.reason) {
+      this.placing.load(this.residual);
+      this.tell(`${dropped.marker} stays where it was: ${answer.reason}`);
+    } else {
+      this.unpackMarkers(answer);
+      this.placing.load(answer);
+      const what = dropped.at ? "corrected" : "back where it was proposed";
+      this.tell(`${dropped.marker} is ${what} (${answer.placement}). Select again to place the others by it and to propose anew`);
     }
-    this.placing.load(this.residual);
-    this.tell(`${dropped.marker} stays where it was: ${answer.reason}`);
     this.pose();
+  }
+
+  /** Solve a part's shapes for the markers; those that a person set hold, and all other parts. */
+  async solve(shapes, part) {
+    const { state } = this;
+    const { current: pair, names } = state;
+    const held = state.touched(shapes);
+    const free = shapes.filter((shape) => !held.includes(shape));
+    if (!free.length) return this.tell(`Every slider of the ${part} is set by hand; reset those that may move`);
+    this.tell(`Solving the ${part} …`, 0);
+    const weights = Object.fromEntries(names.map((name, shape) => [name, state.row(pair)[shape]]));
+    const answer = await post("/solve", { pair, weights, free: free.map((shape) => names[shape]) });
+    if (answer.reason) return this.tell(`The ${part} is not solved: ${answer.reason}`);
+    state.putSolved(new Map(free.map((shape) => [shape, answer.weights[names[shape]]])), pair);
+    const which = held.map((shape) => names[shape]);
+    this.tell(`The ${part} is solved for the markers${held.length ? `; held: ${which.join(", ")}` : ""}`);
   }
 
   togglePlacing() {
@@ -179,7 +214,7 @@ class Page {
       const now = residual.measure(this.onRig(shown), state.current);
       this.table.show(now, was);
       this.millimetres = now.get("");
-      $("residual").hidden = !this.showMarkers;
+      $("residual").hidden = !this.showMarkers || this.wiping.on;
       viewer.setMarkers(this.showMarkers ? residual.overlay(state.current, this.showLabels) : null);
     }
     viewer.setWeights(this.onRig(shown));
@@ -198,6 +233,7 @@ class Page {
       return item;
     }));
     this.video.show(state.current, state.pairs);
+    if (this.wiping.on) this.matchCamera();
     this.film.paint();
     this.pose();
     this.buttons();
@@ -292,6 +328,26 @@ class Page {
     document.querySelector("main").classList.toggle("noVideo");
   }
 
+  toggleWipe() {
+    if ($("wipe").disabled) return;
+    this.wiping.show(!this.wiping.on);
+    $("wipe").setAttribute("aria-pressed", this.wiping.on);
+    this.pose();
+    if (this.wiping.on) {
+      this.matchCamera();
+      this.tell("Wheel and drag over the video fit it to the face, for all pairs; double click as it was; W leaves");
+    } else {
+      this.view(0);
+      this.hush();
+    }
+  }
+
+  /** See the face as a camera before the neutral one sees the performer's; frontal if not known. */
+  matchCamera() {
+    const [yaw, pitch, roll] = this.state.pairs[this.state.current].head ?? [0, 0, 0];
+    this.viewer?.resetView(-yaw, pitch, -roll);
+  }
+
   view(yaw) {
     this.viewer?.resetView(yaw, yaw ? 4 : 0);
   }
@@ -313,6 +369,7 @@ class Page {
       link: () => this.link(),
       frame: () => this.viewer?.frameFace(),
       videoFit: () => this.video.fit(),
+      wipe: () => this.toggleWipe(),
       help: () => $("keys").showModal(),
     };
     for (const [id, action] of Object.entries(clicks)) $(id).addEventListener("click", action);
@@ -362,7 +419,8 @@ class Page {
       if (this.placing?.on) this.togglePlacing();
       return;
     }
-    if (into.matches?.('input:not([type="range"])')) return;
+    if (into.matches?.('input:not([type="range"]), select')) return;
+    if (key === " " && into.matches?.("button, summary")) return;
     const actions = {
       n: () => this.step(1),
       p: () => this.step(-1),
@@ -380,6 +438,8 @@ class Page {
       i: () => this.toggle("labels", "showLabels"),
       k: () => this.togglePlacing(),
       v: () => this.toggleVideo(),
+      w: () => this.toggleWipe(),
+      " ": () => this.video.play(),
       f: () => this.viewer?.frameFace(),
       1: () => this.view(0),
       2: () => this.view(35),

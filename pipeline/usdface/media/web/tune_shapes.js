@@ -33,11 +33,12 @@ export class ShapePanel {
    * @param {TuneState} state
    * @param {string[]} regions of each shape
    * @param {(shape: number | null) => void} onHover
-   * @param {(shapes: number[], part: string) => void} onCopy a part is to be copied from a pair
+   * @param {{[label: string]: {title: string, act: (shapes: number[], part: string) => void}}} tools
+   *   buttons of each part
    */
-  constructor(root, state, regions, onHover, onCopy) {
+  constructor(root, state, regions, onHover, tools) {
     this.root = root;
-    this.onCopy = onCopy;
+    this.tools = tools;
     this.state = state;
     this.rows = [];
     this.groups = [];
@@ -60,6 +61,11 @@ export class ShapePanel {
       if (pair === state.current) this.paint(shapes);
     });
     state.addEventListener("pair", () => this.paint());
+  }
+
+  /** Show or hide a tool of all parts. */
+  offer(label, on) {
+    for (const button of this.root.querySelectorAll(`[data-tool="${label}"]`)) button.hidden = !on;
   }
 
   show(filter) {
@@ -101,14 +107,18 @@ export class ShapePanel {
       event.preventDefault();
       this.state.reset(shapes.filter((shape) => this.state.differs(shape)));
     });
-    const copy = document.createElement("button");
-    copy.textContent = "Copy…";
-    copy.title = "Copy this part from another pair";
-    copy.addEventListener("click", (event) => {
-      event.preventDefault();
-      this.onCopy(shapes, title.textContent);
+    const buttons = Object.entries(this.tools).map(([label, { title: hint, act }]) => {
+      const button = document.createElement("button");
+      button.textContent = label;
+      button.title = hint;
+      button.dataset.tool = label;
+      button.addEventListener("click", (event) => {
+        event.preventDefault();
+        act(shapes, title.textContent);
+      });
+      return button;
     });
-    summary.append(title, count, copy, reset);
+    summary.append(title, count, ...buttons, reset);
     details.append(summary);
     const group = { details, shapes, count, reset };
     for (const shape of shapes) details.append(this.#row(shape, group));

@@ -18,6 +18,7 @@ export class TuneState extends EventTarget {
     this.past = [];
     this.future = [];
     this.gesture = null;
+    this.solved = new Map(); // pair → Map shape → value
   }
 
   /** Take over what the server has. */
@@ -52,6 +53,20 @@ export class TuneState extends EventTarget {
 
   isTuned(pair) {
     return this.done[pair] || this.names.some((_, shape) => this.#away(shape, pair) > SAME);
+  }
+
+  /** Shapes that a person set: they differ from the proposal, and not by what was solved. */
+  touched(shapes, pair = this.current) {
+    const row = this.row(pair), solved = this.solved.get(pair);
+    return shapes.filter((shape) => this.differs(shape, pair) && solved?.get(shape) !== row[shape]);
+  }
+
+  /** Set what was solved for the markers; it is free to be solved again. */
+  putSolved(values, pair) {
+    this.endGesture();
+    this.set(values, null, pair);
+    if (!this.solved.has(pair)) this.solved.set(pair, new Map());
+    for (const shape of values.keys()) this.solved.get(pair).set(shape, this.row(pair)[shape]);
   }
 
   go(pair) {

@@ -1,32 +1,39 @@
-// The pair's video frame: fetched as it is needed, zoomed and shifted to look at a mouth closely.
+// The pair's video frame: fetched as it is needed, zoomed and shifted to look at a mouth closely;
+// the second before and after it, with its sound.
+
+import { PairSound } from "./tune_sound.js";
 
 const KEPT = 12;
 
 export class VideoPane {
-  constructor(image, placeholder, note, after) {
-    this.after = after;
-    after.addEventListener("input", () => this.#scrub());
-    this.image = image;
-    this.placeholder = placeholder;
-    this.note = note;
+  /** @param {HTMLImageElement[]} images all that show the picture; the first is steered here */
+  constructor(images, placeholder, note, after, button) {
+    Object.assign(this, { images, placeholder, note, after, button });
+    this.sound = new PairSound();
+    after.addEventListener("input", async () => {
+      this.stop();
+      this.#scrub();
+      if (await this.sound.load(this.pair)) this.sound.play(after.valueAsNumber);
+    });
+    button.addEventListener("click", () => this.play());
     this.found = new Map(); // pair → promise of {url} or {reason}
-    this.fit();
-    this.#steer(image.parentElement);
+    this.fit = steerPicture(images[0].parentElement, images[0]);
   }
 
   /** Show a pair's picture, or say why there is none; its neighbours are fetched ahead. */
   async show(pair, pairs) {
+    this.stop();
     this.pair = pair;
     this.after.value = 0;
     const answer = await this.#fetch(pair, pairs);
     if (this.pair !== pair) return; // the animator is further on
-    this.image.hidden = !answer.url;
+    for (const image of this.images) image.hidden = !answer.url;
     this.placeholder.hidden = Boolean(answer.url);
-    if (answer.url) this.image.src = answer.url;
+    if (answer.url) this.#put(answer.url);
     else this.placeholder.textContent = `No picture: ${answer.reason}.`;
     this.name = answer.url ? `${pairs[pair].take}, frame ${pairs[pair].frame}` : "";
     this.note.textContent = this.name;
-    this.after.hidden = !answer.url;
+    this.after.hidden = this.button.hidden = !answer.url;
     for (const next of [pair + 1, pair - 1]) if (pairs[next]) this.#fetch(next, pairs);
   }
 
@@ -39,18 +46,48 @@ export class VideoPane {
       const pair = this.pair;
       const { url, reason } = await get(pair, shown);
       if (this.pair !== pair) break;
-      if (url) this.image.src = url;
-      this.image.addEventListener("load", () => url && URL.revokeObjectURL(url), { once: true });
+      if (url) {
+        this.#put(url);
+        await Promise.allSettled(this.images.map((image) => image.decode()));
+        URL.revokeObjectURL(url);
+      }
       const when = shown ? ` ${shown > 0 ? "+" : "−"}${Math.abs(shown).toFixed(2)} s` : "";
       this.note.textContent = url ? this.name + when : reason;
     }
     this.scrubbing = false;
   }
 
-  fit() {
-    this.zoom = 1;
-    this.shift = [0, 0];
-    this.#place();
+  #put(url) {
+    for (const image of this.images) image.src = url;
+  }
+
+  /** Play from where the slider is to its end, with sound, and return to the frame; or stop. */
+  async play() {
+    if (this.playing) return this.stop();
+    const { after } = this;
+    const [low, high] = [Number(after.min), Number(after.max)];
+    const from = after.valueAsNumber === 0 || after.valueAsNumber >= high ? low : after.valueAsNumber;
+    const mine = (this.playing = {});
+    this.button.setAttribute("aria-pressed", true);
+    const heard = await this.sound.load(this.pair);
+    if (this.playing !== mine) return;
+    if (heard) await this.sound.play(from, high - from);
+    const begun = performance.now();
+    const step = () => {
+      if (this.playing !== mine) return;
+      const now = from + (performance.now() - begun) / 1000;
+      after.value = now < high ? now : 0;
+      this.#scrub();
+      if (now < high) requestAnimationFrame(step);
+      else this.stop();
+    };
+    step();
+  }
+
+  stop() {
+    this.playing = null;
+    this.button.setAttribute("aria-pressed", false);
+    this.sound.stop();
   }
 
   #fetch(pair, pairs) {
@@ -66,38 +103,46 @@ export class VideoPane {
     }
     return this.found.get(pair);
   }
+}
 
-  #place() {
-    const [x, y] = this.shift;
-    this.image.style.transform = `translate(${x}px, ${y}px) scale(${this.zoom})`;
-  }
-
-  #steer(stage) {
-    stage.addEventListener(
-      "wheel",
-      (event) => {
-        event.preventDefault();
-        const box = stage.getBoundingClientRect();
-        const at = [event.clientX - box.left, event.clientY - box.top];
-        const zoom = Math.max(1, Math.min(12, this.zoom * Math.exp(-0.0015 * event.deltaY)));
-        const scale = zoom / this.zoom;
-        this.shift = zoom === 1 ? [0, 0] : at.map((a, k) => a - (a - this.shift[k]) * scale);
-        this.zoom = zoom;
-        this.#place();
-      },
-      { passive: false },
-    );
-    stage.addEventListener("pointerdown", (event) => {
-      event.preventDefault();
-      stage.setPointerCapture(event.pointerId);
-    });
-    stage.addEventListener("pointermove", (event) => {
-      if (!event.buttons || this.zoom === 1) return;
-      this.shift = [this.shift[0] + event.movementX, this.shift[1] + event.movementY];
-      this.#place();
-    });
-    stage.addEventListener("dblclick", () => this.fit());
-  }
+/**
+ * Let the wheel zoom a picture, a drag shift it, a double click fit it.
+ * @param {{loose?: boolean}} options `loose` shifts and shrinks it beyond its stage
+ * @returns {() => void} fits it
+ */
+export function steerPicture(stage, image, { loose = false } = {}) {
+  let zoom, shift;
+  const place = () => {
+    image.style.transform = `translate(${shift[0]}px, ${shift[1]}px) scale(${zoom})`;
+  };
+  const fit = () => {
+    zoom = 1;
+    shift = [0, 0];
+    place();
+  };
+  const wheel = (event) => {
+    event.preventDefault();
+    const box = stage.getBoundingClientRect();
+    const at = [event.clientX - box.left, event.clientY - box.top];
+    const next = Math.max(loose ? 0.2 : 1, Math.min(12, zoom * Math.exp(-0.0015 * event.deltaY)));
+    const fitted = next === 1 && !loose;
+    shift = fitted ? [0, 0] : at.map((a, k) => a - ((a - shift[k]) * next) / zoom);
+    zoom = next;
+    place();
+  };
+  stage.addEventListener("wheel", wheel, { passive: false });
+  stage.addEventListener("pointerdown", (event) => {
+    event.preventDefault();
+    stage.setPointerCapture(event.pointerId);
+  });
+  stage.addEventListener("pointermove", (event) => {
+    if (!event.buttons || (zoom === 1 && !loose)) return;
+    shift = [shift[0] + event.movementX, shift[1] + event.movementY];
+    place();
+  });
+  stage.addEventListener("dblclick", fit);
+  fit();
+  return fit;
 }
 
 async function get(pair, after = 0) {

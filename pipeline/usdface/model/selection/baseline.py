@@ -170,7 +170,13 @@ class BlendshapeEquation:
             self.deltas, motion, method="lstsq", visible=visible, marker_trust=placed
         ).weights
 
-    def propose(self, positions: Positions, *, visible: BoolArray | None = None) -> FloatArray:
+    def propose(
+        self,
+        positions: Positions,
+        *,
+        visible: BoolArray | None = None,
+        ranges: FloatArray | None = None,
+    ) -> FloatArray:
         """Return weights for an animator to start from: (frames, shapes).
 
         Least squares within the ranges, with in-betweens and a little shrinkage; shapes cost more
@@ -181,13 +187,17 @@ class BlendshapeEquation:
         positions : (frames, markers, 3) float array
             Stabilised [mm].
         visible : (frames, markers) bool array, optional
+        ranges : (shapes, 2) float array, optional
+            Instead of the rig's; a shape whose ends are equal is held there.
         """
-        solved = self._solve(positions, visible)
-        return np.clip(solved.weights, self.ranges[:, 0], self.ranges[:, 1])
+        limits = self.ranges if ranges is None else ranges
+        solved = self._solve(positions, visible, limits.copy())
+        return np.clip(solved.weights, limits[:, 0], limits[:, 1])
 
-    def _solve(self, positions: Positions, visible: BoolArray | None) -> EquationSolution:
+    def _solve(
+        self, positions: Positions, visible: BoolArray | None, limits: FloatArray
+    ) -> EquationSolution:
         motion = character_motion(self.virtual, positions, self.neutral)
-        limits = self.ranges.copy()
         fixed = [] if self.lids is None else list(self.lids.fixed)
         limits[fixed] = np.clip(0.0, limits[fixed, 0], limits[fixed, 1])[:, None]
         return solve_weights(
@@ -307,7 +317,9 @@ def equation_at(
 
 def _noise_mm(equation: BlendshapeEquation, positions: Positions, visible: BoolArray) -> float:
     """Return how far markers are from the plain solve, root mean square."""
-    away = equation._solve(positions, visible).residual_mm[:, equation.trust > 0]
+    away = equation._solve(positions, visible, equation.ranges.copy()).residual_mm[
+        :, equation.trust > 0
+    ]
     seen = np.isfinite(away)
     return float(np.sqrt((away[seen] ** 2).mean())) if seen.any() else 0.0
 

@@ -77,19 +77,31 @@ def take_sound(take: Take, clock: MovieClock, notes: list[str]) -> Float32Array 
     """
     start = (clock.first_frame - take.first_frame) / float(take.rate)
     count = round(float(clock.picture_count / clock.rate) * SAMPLE_RATE)
-    moments = start + np.arange(count) / SAMPLE_RATE
-    if take.audio is not None:
-        file = take.audio
-    elif take.video is not None and take.video.file.is_file():
-        file = take.video.file
-        moments = take.video.video_time(moments)
-    else:
+    recorded = recorded_sound(take, notes)
+    if recorded is None:
         return None
+    return sound_between(take, recorded, start, start + count / SAMPLE_RATE)
+
+
+def recorded_sound(take: Take, notes: list[str], rate: int = SAMPLE_RATE) -> Float32Array | None:
+    """Return the whole sound of a take, on its file's own clock; see `take_sound`."""
+    file = take.audio
+    if file is None and take.video is not None and take.video.file.is_file():
+        file = take.video.file
     try:
-        recorded = read_audio(file, rate=SAMPLE_RATE)
+        return None if file is None else read_audio(file, rate=rate)
     except InputError as error:
         notes.append(f"no sound: {error}")
         return None
-    at = moments * SAMPLE_RATE
+
+
+def sound_between(
+    take: Take, recorded: Float32Array, first: float, last: float, rate: int = SAMPLE_RATE
+) -> Float32Array:
+    """Return a take's sound between two moments [s] of the take, silent where there is none."""
+    moments = first + np.arange(round((last - first) * rate)) / rate
+    if take.audio is None and take.video is not None:
+        moments = take.video.video_time(moments)
+    at = moments * rate
     samples = np.interp(at, np.arange(len(recorded)), recorded, left=0.0, right=0.0)
     return samples.astype(np.float32)
