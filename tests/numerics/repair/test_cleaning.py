@@ -120,6 +120,24 @@ def test_peaks_of_blinks_are_kept():
     )
 
 
+@pytest.mark.parametrize("lost", [0, 3])
+def test_a_wink_that_no_other_marker_predicts_is_kept(lost):
+    face = simulate_face(frames=1200, noise=0.15)
+    lid, frames = 20, 18  # 0.3 s at 60 frames per second
+    closing = 8 * np.sin(np.linspace(0, np.pi, frames)) ** 2
+    down = np.array([0.0, -1.0, 0.0])
+    face.truth[600 : 600 + frames, lid] += closing[:, None] * down
+    turn = np.linalg.svd(  # the head's in the middle of it
+        (face.truth[609] - face.truth[609].mean(0)).T
+        @ (face.captured[609] - face.captured[609].mean(0))
+    )
+    face.captured[600 : 600 + frames, lid] += closing[:, None] * (down @ turn[0] @ turn[2])
+    face.visible[609 : 609 + lost, lid] = False  # covered by the brow while it is shut
+    cleaned = clean(face)
+    assert not cleaned.outliers[:, lid].any()
+    assert errors_mm(cleaned.positions, face.truth)[603:609, lid].max() < 2.0
+
+
 def test_frames_with_nothing_seen_are_bridged():
     face = simulate_face(frames=800, noise=0.05)
     face.visible[400:406] = False

@@ -28,7 +28,13 @@ _LEAST_LIMIT_MM = 1.0
 _JUMP_SHARE = 0.5
 """[of the limit] An outlier comes and goes by jumps of at least this size; skin does not."""
 _FAR_LIMITS = 2.0
-"""So many limits away, one jump or an adjacent gap is enough."""
+"""So many limits away, one jump is enough, or gaps on either side."""
+_SUDDEN_SHARE = 1 / 3
+"""[of the farthest distance] The largest jump of an outlier. Lids, which close in 70 ms and more,
+gain less of their way from one frame to the next at 60 frames per second, and may do so alone: no
+other marker predicts a wink."""
+_MOST_LIMITS = 1000.0
+"""More limits are no more an outlier, and what float16 holds."""
 _LONGEST_SHARE = 0.2
 """[of the take] A marker that is off for longer has moved on the skin."""
 _LIMIT_SAMPLE_FRAMES = 8192
@@ -76,7 +82,8 @@ def find_outliers(
     """
     count = len(positions)
     limits = _limits(positions, visible, model, noise)
-    distant, far, leaps = (np.zeros(visible.shape, bool) for _ in range(3))
+    distant = np.zeros(visible.shape, bool)
+    excess, leaps = (np.zeros(visible.shape, np.float16) for _ in range(2))  # in limits
     for block in frame_blocks(count):
         around = widened(block, _LEAP_REACH_FRAMES, count)
         inner = slice(block.start - around.start, block.stop - around.start)
@@ -89,15 +96,15 @@ def find_outliers(
         for marker in np.flatnonzero(beyond.any(axis=0)):
             limit = limits[marker]
             distance = np.linalg.norm(points[:, marker] - predicted[:, marker], axis=1)
-            far[block, marker] = distance[inner] > _FAR_LIMITS * limit
+            excess[block, marker] = np.minimum(distance[inner] / limit, _MOST_LIMITS)
             leap = np.minimum(_leap_sizes(points[:, marker]), _leap_sizes(offsets[:, marker]))
             steps = slice(inner.start, min(inner.stop, len(leap)))
-            large = leap[steps] > _JUMP_SHARE * limit
-            leaps[block.start : block.start + len(large), marker] = large
+            size = np.minimum(leap[steps] / limit, _MOST_LIMITS)
+            leaps[block.start : block.start + len(size), marker] = size
     outliers = np.zeros_like(distant)
     for marker in np.flatnonzero(distant.any(axis=0)):
         outliers[:, marker] = _between_leaps(
-            distant[:, marker], far[:, marker], leaps[:, marker], visible[:, marker]
+            distant[:, marker], excess[:, marker], leaps[:, marker], visible[:, marker]
         )
     return outliers
 
@@ -146,21 +153,29 @@ def _limits(
 
 
 def _between_leaps(
-    distant: BoolArray,
-    far: BoolArray,
-    leaps: BoolArray,
-    seen: BoolArray,
+    distant: BoolArray, excess: RealArray, leaps: RealArray, seen: BoolArray
 ) -> BoolArray:
-    """Keep a marker's distant stretches that begin and end with a leap: skin does not leap."""
+    """Keep a marker's distant stretches that come or go suddenly: skin does not leap.
+
+    Parameters
+    ----------
+    distant, seen : (frames,) bool arrays
+    excess, leaps : (frames,) arrays
+        Distance from the prediction, and leap to the next frame [limits].
+    """
     outliers = np.zeros_like(distant)
     tracked = seen[1:] & seen[:-1]
     for start, stop in runs(distant):
         if stop - start > _LONGEST_SHARE * len(seen):
             continue
+        farthest = excess[start:stop].max()
         ends = [edge - 1 for edge in (start, stop) if 0 < edge < len(seen)]
-        both_leap = len(ends) == 2 and all(leaps[edge] and tracked[edge] for edge in ends)
-        one_leaps = any(leaps[edge] or not tracked[edge] for edge in ends)
-        outliers[start:stop] = both_leap or (far[start:stop].any() and one_leaps)
+        sudden = leaps[max(start - 1, 0) : stop].max() > _SUDDEN_SHARE * farthest
+        leap = [bool(tracked[edge] and sudden and leaps[edge] > _JUMP_SHARE) for edge in ends]
+        one_comes = any(leap) or not tracked[ends].any()
+        outliers[start:stop] = (len(ends) == 2 and all(leap)) or (
+            farthest > _FAR_LIMITS and one_comes
+        )
     return outliers
 
 
