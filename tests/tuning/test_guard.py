@@ -292,3 +292,22 @@ def test_markers_that_fit_no_face_leave_a_reason_in_place_of_a_residual(
     answer = server.browser().post("/solve", content=json.dumps(asked), headers=RIGHTS)
     assert answer.status_code == 422
     assert "all markers lie on a line" in answer.json()["reason"]
+
+
+def test_poses_are_of_the_rigs_shapes_and_have_names(server: Server) -> None:
+    client = server.browser()
+    for sent, status in (
+        ({"name": " ", "weights": {"smile": 1.0}}, 400),
+        ({"name": "a" * 81, "weights": {"smile": 1.0}}, 400),
+        ({"name": "a", "weights": {"nobody": 1.0}}, 422),
+        ({"name": "a", "weights": {"smile": 1e9}}, 400),
+        ({"name": "a", "weights": {"smile": 1.0}}, 200),
+        ({"name": "b", "weights": {"smile": 0.5, "jawOpen": 0.0}}, 200),
+    ):
+        assert client.post("/poses", content=json.dumps(sent), headers=RIGHTS).status_code == status
+    poses = {"a": {"smile": 1.0}, "b": {"smile": 0.5}}
+    assert client.get("/poses.json").json()["poses"] == poses
+    server.session.lock.release()
+    answer = client.post("/poses", content=b'{"name": "a"}', headers=RIGHTS)
+    assert answer.status_code == 422, "another has the right to tune"
+    assert client.get("/poses.json").json()["poses"] == poses

@@ -23,7 +23,7 @@ import pytest
 
 from tests.browser import chromium
 from tests.tuning.small_asset import small_references, write_asset
-from usdface.core.sidecars import tuned_path
+from usdface.core.sidecars import poses_path, tuned_path
 from usdface.media.picture.image import encode_image
 from usdface.usdio.references.read import read_references
 
@@ -383,6 +383,54 @@ def test_the_video_is_wiped_over_a_face_that_is_turned_as_the_head(desk: Desk) -
     assert not page.locator("#wipePicture").is_visible()
     assert page.evaluate("tune.viewer.camera.roll") == 0
     assert not opened.faults
+
+
+def test_a_pose_is_saved_and_put_onto_a_pair_whole_or_in_part(asset: Path, context: Any) -> None:
+    command = Command(asset)
+    opened = Page(context, command.link)
+    page = opened.page
+    for shape, value in (("jawOpen", 0.25), ("eyeBlink", 0.5), ("smile", 0.75)):
+        opened.type_weight(shape, value)
+    page.keyboard.press("Escape")
+    opened.wait("!tune.poses.isOpen")
+    page.keyboard.press("s")
+    dialog = page.locator("#poseDialog")
+    dialog.get_by_text("None is saved yet").wait_for()
+    dialog.locator("input").fill(' <b>sly</b> "smile" ')
+    dialog.locator(".save").click()
+    name = '<b>sly</b> "smile"'
+    dialog.get_by_role("button", name=name, exact=True).wait_for()
+    dialog.locator("input").fill(name)
+    assert dialog.locator(".save").inner_text() == "Replace"
+    page.keyboard.press("Escape")
+    opened.wait("!tune.poses.isOpen")
+    page.keyboard.press("n")
+    before = page.evaluate("[...tune.state.row()]")
+    page.keyboard.press("s")
+    dialog.locator("select").select_option("mouth")
+    dialog.get_by_role("button", name=name, exact=True).click()
+    assert page.evaluate("[...tune.state.row()]") == [*before[:2], 0.75]
+    page.keyboard.press("Control+z")
+    assert page.evaluate("[...tune.state.row()]") == before
+    page.locator("#poses").click()
+    dialog.locator("select").select_option("the whole face")
+    dialog.get_by_role("button", name=name, exact=True).click()
+    assert page.evaluate("[...tune.state.row()]") == [0.25, 0.5, 0.75]
+    opened.saved()
+    page.reload()
+    opened.wait("!!globalThis.tune?.viewer")
+    page.keyboard.press("s")
+    dialog.get_by_role("button", name=f"Remove {name}").click()
+    dialog.get_by_text("None is saved yet").wait_for()
+    assert json.loads(poses_path(asset).read_text("utf-8")) == {"usdface_poses": 1, "poses": {}}
+    poses_path(asset).write_text("{", encoding="utf-8")
+    page.keyboard.press("Escape")
+    opened.wait("!tune.poses.isOpen")
+    assert not opened.faults
+    page.keyboard.press("s")
+    page.locator("#message").filter(has_text="No poses: ").wait_for()
+    assert poses_path(asset).read_text("utf-8") == "{", "what is damaged stays"
+    command.interrupt()
 
 
 def test_notes_of_a_report_stand_at_their_frame(asset: Path, context: Any, tmp_path: Path) -> None:

@@ -90,6 +90,11 @@ def journal_path(references: Path) -> Path:
     return references.with_name(f"{references.stem}.tuned.journal")
 
 
+def poses_path(references: Path) -> Path:
+    """Return the file of the poses that people saved while they tuned a references asset."""
+    return references.with_name(f"{references.stem}.poses.json")
+
+
 def images_folder(references: Path) -> Path:
     """Return the folder with the pictures of a references asset."""
     return references.with_name(f"{references.stem}.images")

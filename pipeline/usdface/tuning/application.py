@@ -19,12 +19,13 @@ from starlette.routing import Route
 from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
-from usdface.core.sidecars import corrected_path
+from usdface.core.sidecars import corrected_path, poses_path
 from usdface.media.page.face_payload import FacePayload, pack_face, read_web_file
 from usdface.numerics.measure.face_regions import mirrored_shapes, sided_shapes
 from usdface.specs.notes import ReviewNotes
 from usdface.tuning.journal import Change
 from usdface.tuning.pictures import PairPictures
+from usdface.tuning.poses import PoseName, PoseWeights, read_poses, save_pose
 from usdface.tuning.session import StaleRevisionError, TuningSession
 from usdface.tuning.targets import (
     MarkerTargets,
@@ -87,7 +88,16 @@ class SentSolve(BaseModel):
     free: list[str] = Field(min_length=1, max_length=10_000)
 
 
-_Sent = TypeVar("_Sent", SentChanges, SentPlace, SentSolve)
+class SentPose(BaseModel):
+    """A pose to save under a name; without weights it is removed."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    name: PoseName
+    weights: PoseWeights | None = None
+
+
+_Sent = TypeVar("_Sent", SentChanges, SentPlace, SentSolve, SentPose)
 
 
 class Scene:
@@ -109,7 +119,7 @@ class Scene:
         self.pictures = pictures
         self.review = review
         self.first_pair = first_pair
-        self._placing = threading.Lock()
+        self._writing = threading.Lock()
 
     @functools.cached_property
     def payload(self) -> FacePayload:
@@ -128,10 +138,22 @@ class Scene:
 
     def place(self, sent: SentPlace) -> dict[str, Any]:
         """Correct the place of a marker, or take its correction back; return the markers anew."""
-        with self._placing:
+        with self._writing:
             correct_place(self.session, self.rig, sent.marker, sent.at)
             self.__dict__.pop("targets", None)
             return self.markers()
+
+    def poses(self) -> dict[str, Any]:
+        """Return the poses that were saved."""
+        return read_poses(poses_path(self.session.path)).model_dump()
+
+    def save_pose(self, sent: SentPose) -> dict[str, Any]:
+        """Save a pose, or remove it; return all."""
+        self.rig.check_has(sent.weights or (), source="the page", remedy="reload it")
+        with self._writing:
+            self.session.lock.check()
+            path = poses_path(self.session.path)
+            return save_pose(path, sent.name, sent.weights).model_dump()
 
     def solve(self, sent: SentSolve) -> dict[str, Any]:
         """Return weights of the shapes asked for, by the markers, while the others are held."""
@@ -267,10 +289,12 @@ def build_application(scene: Scene) -> Starlette:
         Route("/face.bin", face_data),
         Route("/markers.json", _json(scene.markers)),
         Route("/state.json", _json(scene.state)),
+        Route("/poses.json", _json(scene.poses)),
         Route("/picture/{pair:int}.jpg", picture),
         Route("/sound/{pair:int}.wav", sound),
         Route("/changes", _answer(SentChanges, scene.change), methods=["POST"]),
         Route("/place", _answer(SentPlace, scene.place), methods=["POST"]),
+        Route("/poses", _answer(SentPose, scene.save_pose), methods=["POST"]),
         Route("/solve", _answer(SentSolve, scene.solve), methods=["POST"]),
     ]
     return Starlette(

@@ -3,6 +3,7 @@
 import { FaceViewer, bytesFromBase64, unpackFace } from "./face_viewer.js";
 import { FilmStrip } from "./tune_film.js";
 import { Outbox } from "./tune_outbox.js";
+import { PoseDialog } from "./tune_poses.js";
 import { PlacementTool } from "./tune_placement.js";
 import { Residual, ResidualTable } from "./tune_residual.js";
 import { ShapePanel } from "./tune_shapes.js";
@@ -88,6 +89,10 @@ class Page {
         },
       },
     );
+    this.poses = new PoseDialog($("poseDialog"), this.panel.groups.map((group) => group.region));
+    this.poses.addEventListener("save", ({ detail: { name } }) => this.keepPose(name, this.posed()));
+    this.poses.addEventListener("remove", ({ detail: { name } }) => this.keepPose(name, null));
+    this.poses.addEventListener("apply", ({ detail }) => this.applyPose(detail));
     this.panel.offer("Solve", false); // until the markers are there
     this.film = new FilmStrip($("film"), state, (pair) => this.pick(pair));
     this.wiping = new Wipe($("wipePicture"), $("wipeLine"));
@@ -172,7 +177,7 @@ class Page {
     const free = shapes.filter((shape) => !held.includes(shape));
     if (!free.length) return this.tell(`Every slider of the ${part} is set by hand; reset those that may move`);
     this.tell(`Solving the ${part} …`, 0);
-    const weights = Object.fromEntries(names.map((name, shape) => [name, state.row(pair)[shape]]));
+    const weights = this.posed();
     const answer = await post("/solve", { pair, weights, free: free.map((shape) => names[shape]) });
     if (answer.reason) return this.tell(`The ${part} is not solved: ${answer.reason}`);
     state.putSolved(new Map(free.map((shape) => [shape, answer.weights[names[shape]]])), pair);
@@ -284,6 +289,35 @@ class Page {
     $("link").setAttribute("aria-pressed", this.state.linked);
   }
 
+  /** The current pair's weights by name. */
+  posed() {
+    return Object.fromEntries(this.state.names.map((name, shape) => [name, this.state.row()[shape]]));
+  }
+
+  async openPoses() {
+    this.poses.open();
+    const answer = await fetch("/poses.json").then((sent) => sent.json(), () => ({ reason: "the server does not answer" }));
+    if (answer.poses) return this.poses.show(answer.poses);
+    this.poses.close();
+    this.tell(`No poses: ${answer.reason}`);
+  }
+
+  async keepPose(name, weights) {
+    const answer = await post("/poses", { name, weights });
+    if (answer.reason) this.tell(`The poses are as they were: ${answer.reason}`);
+    else this.poses.show(answer.poses);
+  }
+
+  applyPose({ name, part }) {
+    const { state } = this;
+    const pose = this.poses.poses[name];
+    const group = this.panel.groups.find((each) => each.region === part);
+    state.endGesture();
+    const shapes = group?.shapes ?? [...state.names.keys()];
+    state.set(new Map(shapes.map((shape) => [shape, pose[state.names[shape]] ?? 0])));
+    this.tell(`${name} is put onto ${group ? `the ${part || "other shapes"}` : "the whole face"}; Ctrl+Z takes it back`);
+  }
+
   /** Choose a pair to copy all shapes or a part's from, or stop choosing. */
   choose(on = !this.picking, shapes = undefined, part = "face") {
     this.picking = on;
@@ -362,6 +396,7 @@ class Page {
       mirror: () => state.mirrorPair(),
       copy: () => this.choose(),
       reset: () => state.reset(),
+      poses: () => this.openPoses(),
       done: () => this.toggleDone(false),
       markers: () => this.toggle("markers", "showMarkers"),
       labels: () => this.toggle("labels", "showLabels"),
@@ -408,7 +443,7 @@ class Page {
       return;
     }
     const into = event.target;
-    if (event.altKey || $("keys").open) return;
+    if (event.altKey || $("keys").open || this.poses.isOpen) return;
     if (key === "Escape") {
       if (into === $("search")) {
         $("search").value = "";
@@ -433,6 +468,7 @@ class Page {
       r: () => state.reset(),
       c: () => this.choose(),
       l: () => this.link(),
+      s: () => this.openPoses(),
       b: () => this.hold(true),
       o: () => this.toggle("markers", "showMarkers"),
       i: () => this.toggle("labels", "showLabels"),

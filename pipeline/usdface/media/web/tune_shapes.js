@@ -50,7 +50,7 @@ export class ShapePanel {
     }
     this.none = document.createElement("p");
     this.none.className = "none";
-    this.none.textContent = "no such shape";
+    this.none.hidden = true;
     root.append(this.none);
     root.addEventListener("pointerover", (event) => {
       const row = event.target.closest?.(".label")?.closest(".shape");
@@ -120,7 +120,7 @@ export class ShapePanel {
     });
     summary.append(title, count, ...buttons, reset);
     details.append(summary);
-    const group = { details, shapes, count, reset };
+    const group = { region, details, shapes, count, reset };
     for (const shape of shapes) details.append(this.#row(shape, group));
     this.groups.push(group);
     this.root.append(details);

@@ -1,0 +1,71 @@
+// Poses saved under a name: put onto a pair, whole or of one part of the face.
+
+/** Emits `save` (detail: name) , `remove` (detail: name) and `apply` (detail: name, part). */
+export class PoseDialog extends EventTarget {
+  /** @param {HTMLDialogElement} dialog @param {string[]} parts of the face that have shapes */
+  constructor(dialog, parts) {
+    super();
+    this.dialog = dialog;
+    [this.part, this.name] = ["select", "input"].map((kind) => dialog.querySelector(kind));
+    [this.list, this.save] = ["ul", ".save"].map((kind) => dialog.querySelector(kind));
+    this.part.append(...parts.map((part) => new Option(part || "other", part)));
+    this.name.addEventListener("input", () => this.#label());
+    dialog.querySelector("form").addEventListener("submit", (event) => {
+      const name = this.name.value.trim();
+      if (event.submitter !== this.save || !name) return; // closed
+      event.preventDefault();
+      this.#tell("save", { name });
+      this.name.value = "";
+    });
+  }
+
+  get isOpen() {
+    return this.dialog.open;
+  }
+
+  open() {
+    this.dialog.showModal();
+    this.name.focus();
+  }
+
+  close() {
+    this.dialog.close();
+  }
+
+  /** @param {{[name: string]: {[shape: string]: number}}} poses */
+  show(poses) {
+    this.poses = poses;
+    this.list.replaceChildren(...Object.keys(poses).map((name) => this.#item(name)));
+    this.dialog.querySelector(".none").hidden = Boolean(this.list.children.length);
+    this.#label();
+  }
+
+  #item(name) {
+    const item = document.createElement("li");
+    const [apply, remove] = [name, "Remove"].map((text) => {
+      const button = document.createElement("button");
+      button.type = "button";
+      button.textContent = text;
+      item.append(button);
+      return button;
+    });
+    apply.title = "Put this pose onto the pair";
+    apply.addEventListener("click", () => {
+      this.dialog.close();
+      this.#tell("apply", { name, part: this.part.value });
+    });
+    remove.setAttribute("aria-label", `Remove ${name}`);
+    remove.addEventListener("click", () => this.#tell("remove", { name }));
+    return item;
+  }
+
+  #label() {
+    const name = this.name.value.trim();
+    this.save.disabled = !name;
+    this.save.textContent = Object.hasOwn(this.poses ?? {}, name) ? "Replace" : "Save";
+  }
+
+  #tell(kind, detail) {
+    this.dispatchEvent(new CustomEvent(kind, { detail }));
+  }
+}
