@@ -75,4 +75,4 @@ def test_what_the_fonts_lack_is_drawn_by_a_font_of_this_machine(monkeypatch) -> 
 def test_a_missing_font_says_what_to_install(monkeypatch) -> None:
     monkeypatch.setattr(text, "_FONT_FILES", dict.fromkeys(text._FONT_FILES, "NoSuchFont.ttf"))
     with pytest.raises(text.InputError, match=r"NoSuchFont.*install the matplotlib wheel"):
-        text.font_file("bold")
+        text.font_file.__wrapped__("bold")  # not the one it remembers

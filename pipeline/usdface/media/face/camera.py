@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, row_lengths
 from usdface.core.assets import RigMesh
 
 FACE_REACH = 0.45
@@ -64,7 +64,7 @@ class Camera:
         x, y = self._off_axis(pixels, width, height)
         half = np.tan(np.radians(self.fov_degrees / 2))
         rays = half * (x[:, None] * right + y[:, None] * up) - backward
-        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        rays /= row_lengths(rays)
         return np.asarray(rays, np.float32)
 
     def origins(self, pixels: FloatArray, *, width: int, height: int) -> Float32Array:

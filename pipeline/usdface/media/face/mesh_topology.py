@@ -7,7 +7,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from usdface.core.arrays import BoolArray, FloatArray, IntArray
+from usdface.core.arrays import BoolArray, FloatArray, IntArray, row_lengths
 from usdface.core.assets import RigMesh
 from usdface.core.errors import InputError
 from usdface.numerics.surface.triangulation import triangulate
@@ -97,7 +97,7 @@ def vertex_normals(points: FloatArray, triangles: IntArray, operator: Sparse) ->
     """
     a, b, c = (points[triangles[:, k]] for k in range(3))
     summed = np.asarray(operator @ np.cross(b - a, c - a))
-    length = np.linalg.norm(summed, axis=1, keepdims=True)
+    length = row_lengths(summed)
     return np.asarray(np.divide(summed, length, out=np.zeros_like(summed), where=length > 0))
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, row_lengths
 from usdface.media.face import shading
 from usdface.media.face.camera import Camera
 from usdface.media.face.denoise import denoise
@@ -145,7 +145,7 @@ def _sample(view: View, pixels: FloatArray) -> _Samples:
     found = view.tracer.find(origins, directions)
     corners = view.surface.triangles[found.triangles]
     normals = _mix(view.normals, corners, found.barycentric)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.float32(1e-9))
+    normals /= np.maximum(row_lengths(normals), np.float32(1e-9))
     views = -directions[found.rays]
     facing = view.surface.outward * np.einsum("ij,ij->i", normals, views)
     normals[view.surface.outward * facing < 0] *= -1
@@ -246,13 +246,18 @@ def _edges(picture: Float32Array) -> BoolArray:
     """Return where light steps between neighbours, in display terms."""
     shown = np.sqrt(np.clip(picture, 0, 1))
     mask = np.zeros(picture.shape[:2], bool)
-    down = np.abs(np.diff(shown, axis=0)).max(axis=2) > _CONTRAST_STEP
+    down = _largest_channel(np.abs(np.diff(shown, axis=0))) > _CONTRAST_STEP
     mask[1:] |= down
     mask[:-1] |= down
-    across = np.abs(np.diff(shown, axis=1)).max(axis=2) > _CONTRAST_STEP
+    across = _largest_channel(np.abs(np.diff(shown, axis=1))) > _CONTRAST_STEP
     mask[:, 1:] |= across
     mask[:, :-1] |= across
     return mask
+
+
+def _largest_channel(colors: Float32Array) -> Float32Array:
+    red, green, blue = np.moveaxis(colors, -1, 0)  # max() takes pixels one by one
+    return np.asarray(np.maximum(np.maximum(red, green), blue))
 
 
 @dataclass(frozen=True)

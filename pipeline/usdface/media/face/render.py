@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from usdface.core.arrays import ByteImage, FloatArray
+from usdface.core.arrays import ByteImage, FloatArray, row_lengths
 from usdface.core.assets import RigMesh
 from usdface.core.errors import InputError
 from usdface.media.face.camera import Camera
@@ -101,7 +101,7 @@ class FaceRenderer:
         normals = surface.normals_at(fine.astype(np.float32))
         if sculpted is not None:
             normals = normals + surface.matrix @ sculpted
-            normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+            normals /= np.maximum(row_lengths(normals), 1e-9)
         view = View(
             surface=surface,
             camera=camera,

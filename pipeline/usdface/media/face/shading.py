@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import Float32Array, IntArray
+from usdface.core.arrays import Float32Array, IntArray, row_lengths
 from usdface.media.face.parts import FacePart
 
 SKIN = np.array([0.50, 0.31, 0.235], np.float32)
@@ -102,7 +102,7 @@ def shade(hits: Hits, *, plain: bool = False) -> Float32Array:
         total += hits.albedo * diffuse * color * reach[:, None]
         if number == 0:  # one light in each eye, as in a portrait
             half = views + direction
-            half /= np.linalg.norm(half, axis=1, keepdims=True)
+            half /= row_lengths(half)
             lobe = np.clip(np.einsum("ij,ij->i", normals, half), 0, 1) ** shine
             strength = gloss * (shine + 2) / 28 * lobe * np.clip(facing * 4, 0, 1) * reach
             total += strength[:, None] * color

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, index_of
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, index_of, row_lengths
 from usdface.core.assets import RigMesh
 from usdface.core.errors import InputError
 from usdface.media.face.complexion import LEAST_OPACITY, faces_painted, is_plain_eye, paint
@@ -86,7 +86,7 @@ class Surface:
         """
         normals = vertex_normals(fine, self.triangles, self.normals)
         summed = normals[self.middles.corners].sum(axis=1)
-        length = np.linalg.norm(summed, axis=1, keepdims=True)
+        length = row_lengths(summed)
         normals[self.middles.points] = summed / np.maximum(length, 1e-12)
         return normals
 

@@ -10,7 +10,7 @@ import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
-from usdface.core.arrays import BoolArray, Float32Array, IntArray
+from usdface.core.arrays import BoolArray, Float32Array, IntArray, row_lengths
 
 PATTERN_COUNT = 16
 """Neighbouring pixels of a 4 by 4 block take different directions; a filter shares them."""
@@ -100,7 +100,7 @@ def sky_seen(
     for rays in table.transpose(1, 0, 2):
         # Normal plus a point of the unit sphere is cosine-weighted; 0.99 keeps it off zero.
         directions = normals + np.float32(0.99) * rays[patterns]
-        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        directions /= row_lengths(directions)
         free += ~tracer.blocked(positions, directions, reach=reach)
     return free / np.float32(ray_count)
 

@@ -55,6 +55,7 @@ class TextStyle:
         return replace(self, size=round(scale * self.size))
 
 
+@lru_cache(maxsize=3)
 def font_file(weight: Weight) -> Path:
     """Return the file of a font."""
     found = find_spec("matplotlib")  # found, not imported: that takes a second
@@ -205,14 +206,16 @@ def _font(file: Path, size: int) -> ImageFont.FreeTypeFont:
 def _runs(line: str, size: int, weight: Weight) -> list[tuple[str, ImageFont.FreeTypeFont]]:
     """Split a line where letters need another font."""
     main, other = font_file(weight), east_asian_font_file()
+    pixels = max(round(size * _EM_SHARE), 1)
+    if other is None or line.isascii():
+        return [(line, _font(main, pixels))]
     runs: list[tuple[str, Path]] = []
     for letter in line:
-        file = other if other is not None and _is_missing(letter, main) else main
+        file = other if _is_missing(letter, main) else main
         if runs and file == runs[-1][1]:
             runs[-1] = runs[-1][0] + letter, file
         else:
             runs.append((letter, file))
-    pixels = max(round(size * _EM_SHARE), 1)
     return [(run, _font(file, pixels)) for run, file in runs]
 
 
