@@ -12,7 +12,7 @@ from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.model.selection.baseline import BlendshapeEquation, set_up_equation
-from usdface.numerics.measure.face_regions import points_by_region, region_gram, shapes_by_region
+from usdface.numerics.measure.face_regions import points_by_region, region_gram
 from usdface.numerics.registration.virtual_markers import character_motion
 from usdface.numerics.solve.peak_matching import match_peaks
 
@@ -77,7 +77,7 @@ def _plain(equation: BlendshapeEquation, positions: FloatArray) -> BlendshapeEqu
 
 def _outside(weights: FloatArray, rig: Rig, deformer: Deformer, moving: Moving) -> float:
     offsets = deformer.shapes.key_offsets
-    regions = points_by_region(deformer.shapes.target_offsets(), shapes_by_region(rig.shapes))
+    regions = points_by_region(deformer.shapes.target_offsets(), rig.shapes)
     keys = deformer.shapes.key_weights(weights)
 
     def moved(points: np.ndarray) -> float:

@@ -30,7 +30,7 @@ from usdface.model.mapping.regions import skin_points
 from usdface.model.mapping.uncertainty import LIMIT_DEVIATIONS
 from usdface.model.regressions import RestPlaces
 from usdface.model.selection.baseline import set_up_equation
-from usdface.numerics.measure.face_regions import points_by_region, region_gram, shapes_by_region
+from usdface.numerics.measure.face_regions import points_by_region, region_gram
 from usdface.runner.execute import execute
 from usdface.specs.capture import CleanSpec, IngestSpec
 from usdface.specs.references import SelectSpec
@@ -87,7 +87,7 @@ class Ruler:
         rig = read_rig(file)
         deformer = Deformer(rig)
         offsets = sparse.csr_array(deformer.shapes.target_offsets())
-        points = points_by_region(offsets, shapes_by_region(rig.shapes))
+        points = points_by_region(offsets, rig.shapes)
         regions = {name: region_gram(offsets, each) for name, each in points.items()}
         gram = deformer.shapes.gram()
         rest = deformer.neutral[skin_points(offsets)]

@@ -62,8 +62,12 @@ def test_a_take_of_brows_by_references_of_cheeks_is_red_and_says_why_and_what_to
 
 
 def test_proposals_are_never_good_since_their_error_is_that_of_proposals() -> None:
-    assert judge_solve(replace(evidence(), basis=PROPOSED)).level == "check"
-    assert judge_solve(replace(evidence(), basis=SolveBasis(30, 15))).level == "good"
+    proposed = judge_solve(replace(evidence(), basis=PROPOSED))
+    assert proposed.level == "check"
+    assert "beyond that of the proposals, which is not known" in proposed.sentence
+    tuned = judge_solve(replace(evidence(), basis=SolveBasis(30, 15)))
+    assert tuned.level == "good"
+    assert "not known" not in tuned.sentence
 
 
 def test_keys_decide_where_they_are_known() -> None:

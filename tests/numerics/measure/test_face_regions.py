@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy import sparse
 
 from usdface.core.deformer import Deformer
 from usdface.demo.rig import demo_rig
@@ -9,7 +10,6 @@ from usdface.numerics.measure.face_regions import (
     points_by_region,
     region_gram,
     region_of_shape,
-    shapes_by_region,
 )
 
 
@@ -47,7 +47,7 @@ def test_a_shape_belongs_where_its_name_says(name: str, region: str) -> None:
 
 def test_points_belong_to_what_moves_them(face, names) -> None:
     offsets = face.shapes.target_offsets()
-    points = points_by_region(offsets, shapes_by_region(names))
+    points = points_by_region(offsets, names)
     assert set(points) == {"brows", "lids", "cheeks and nose", "mouth", "jaw"}
     together = np.concatenate(list(points.values()))
     assert len(together) == len(set(together.tolist())) < len(face.neutral)
@@ -57,6 +57,15 @@ def test_points_belong_to_what_moves_them(face, names) -> None:
     pucker = offsets[[names.index("mouthPucker")]].toarray().reshape(-1, 3)
     lips = np.argsort(-np.linalg.norm(pucker, axis=1))[:100]
     assert np.isin(lips, points["mouth"]).all()  # the lower lip too, though the jaw carries it
+
+
+def test_the_tongue_that_the_jaw_carries_is_none_of_its_points() -> None:
+    jaw, tongue = np.zeros((2, 10, 3))
+    jaw[:6] = [0.0, -12.0, 2.0]
+    tongue[4:6] = [0.0, 0.0, 30.0]
+    offsets = sparse.csr_array(np.stack([jaw, tongue]).reshape(2, -1))
+    points = points_by_region(offsets, ("jawOpen", "tongueOut"))
+    assert points["jaw"].tolist() == [0, 1, 2, 3]
 
 
 def test_a_regions_gram_is_its_points_motion(face, names) -> None:

@@ -68,3 +68,22 @@ def test_weights_beyond_the_range_and_pairs_that_repeat_are_told(
     assert any(note.startswith("1 weight of the pairs beyond") for note in notes)
     assert any(note.startswith("left out 1 pair that others repeat") for note in notes)
     assert read_mapping(out).settings["limited_weights"] == 1
+
+
+def test_the_tongue_is_said_not_to_be_shown_by_markers(
+    finished_shot: Shot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = finished_shot / "hero.references.usda"
+    pairs = read_references(given)
+    weights = pairs.weights.copy()
+    weights[:, pairs.shape_names.index("tongueOut")] = 0.0
+    for keyed in (0.0, 0.8):
+        weights[2, pairs.shape_names.index("tongueOut")] = keyed
+        changed = replace(pairs, weights=weights)
+        monkeypatch.setattr(
+            "usdface.steps.performance.train.read_set_references", lambda path, got=changed: got
+        )
+        out = tmp_path / f"{keyed}.mapping.usdc"
+        made = execute(TrainSpec(references=given, out=out, method="ridge"))
+        noted = any("do not show the tongue: tongueOut" in note for note in made.notes)
+        assert noted == (keyed > 0)

@@ -116,7 +116,7 @@ def evaluate_weights(
             ),
             surface=measure_surface(key_errors, region_gram(offsets, points)),
         )
-        for name, points in points_by_region(targets, by_region).items()
+        for name, points in points_by_region(targets, rig.shapes).items()
     ]
     lips = None
     opener = jaw_opener(rig.shapes)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
-from usdface.numerics.measure.face_regions import points_by_region, shapes_by_region
+from usdface.numerics.measure.face_regions import points_by_region
 
 FACE = "face"
 """The first region: everything."""
@@ -34,9 +34,7 @@ def region_points(names: tuple[str, ...], motion: FloatArray) -> dict[str, IntAr
     from scipy import sparse  # only when wanted: it takes half a second
 
     everywhere = np.arange(motion.shape[1])
-    found = points_by_region(
-        sparse.csr_array(motion.reshape(len(motion), -1)), shapes_by_region(names)
-    )
+    found = points_by_region(sparse.csr_array(motion.reshape(len(motion), -1)), names)
     return {FACE: everywhere} | found
 
 

@@ -163,6 +163,8 @@ def _error(evidence: SolveEvidence) -> str:
         most = 1 + int(mean[1:].argmax())
         if mean[most] > mean[0]:
             words += f", {evidence.regions[most]} {mean[most]:.2f} mm"
+    if _learnt_from_proposals(evidence):
+        words += ", beyond that of the proposals, which is not known"
     return words
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -98,10 +98,11 @@ def _swapped(name: str, match: re.Match[str]) -> str:
 REGIONS = ("brows", "lids", "cheeks and nose", "mouth", "jaw")
 
 _GAZE = ("look", "gaze", "pupil", "eyeball")
+_TONGUE = "tongue"
 
 # Tried in this order: a cheek's squint is not the lids', a lip is not the chin's, a gaze no lid.
 _WORDS: tuple[tuple[str, tuple[str, ...]], ...] = (
-    ("", (*_GAZE, "tongue")),
+    ("", (*_GAZE, _TONGUE)),
     ("brows", ("brow",)),
     ("cheeks and nose", ("cheek", "nose", "nostril", "sneer")),
     ("lids", ("blink", "lid", "squint", "eyewide", "eye_wide", "eyeopen", "eyeclose")),
@@ -137,6 +138,11 @@ def gaze_shapes(names: Sequence[str]) -> IntArray:
     return np.flatnonzero([any(word in name.lower() for word in _GAZE) for name in names])
 
 
+def tongue_shapes(names: Sequence[str]) -> IntArray:
+    """Return the columns of the shapes of the tongue, which markers do not show."""
+    return np.flatnonzero([_TONGUE in name.lower() for name in names])
+
+
 def blinks(names: Sequence[str]) -> IntArray:
     """Return the columns of the shapes that shut an eye."""
     words = ("blink", "eyeclose", "eye_close", "lidclose", "lid_close")
@@ -152,36 +158,36 @@ def jaw_opener(names: Sequence[str]) -> int | None:
     return None
 
 
-def points_by_region(
-    offsets: sparse.csr_array, shapes: Mapping[str, ArrayLike]
-) -> dict[str, IntArray]:
+def points_by_region(offsets: sparse.csr_array, names: Sequence[str]) -> dict[str, IntArray]:
     """Give each point to the part of the face whose shapes move it most.
 
     Shapes are compared by the share of their own largest motion, so that the jaw, which moves
-    points by centimetres, does not take the lips from the mouth.
+    points by centimetres, does not take the lips from the mouth. It carries the tongue, which
+    markers do not show: that is in no part, so that what it does by itself is no error of the jaw.
 
     Parameters
     ----------
     offsets : (shapes, 3 * points) sparse array
         What each shape at 1 does.
-    shapes : mapping of str to int array
-        The shapes of each part; see `shapes_by_region`.
+    names : sequence of str
+        Of the shapes; see `region_of_shape`.
 
     Returns
     -------
     dict of str to int array
-        Points of each part that has any; points that hardly move are in none.
+        Points of each part that has any; points that hardly move are in none, nor is the tongue.
     """
+    shapes = shapes_by_region(names)
     regions = list(shapes)
     points = offsets.shape[1] // 3
     claims = np.zeros((len(regions) + 1, points))
     claims[-1] = _LEAST_MOTION
-    for row, region in enumerate(regions):
-        for shape in np.asarray(shapes[region], np.int64):
+    for row, columns in enumerate((*shapes.values(), tongue_shapes(names))):
+        carried = _CARRIED.get(regions[row], 1.0) if row < len(regions) else 1.0
+        for shape in columns:
             moved = np.linalg.norm(offsets[[shape]].toarray().reshape(points, 3), axis=1)
             if moved.max() > 0:
-                share = _CARRIED.get(region, 1.0) * moved / moved.max()
-                np.maximum(claims[row], share, out=claims[row])
+                np.maximum(claims[row], carried * moved / moved.max(), out=claims[row])
     owner = claims.argmax(axis=0)
     owned = {region: np.flatnonzero(owner == row) for row, region in enumerate(regions)}
     return {region: points for region, points in owned.items() if len(points)}

@@ -20,6 +20,7 @@ from usdface.model.mapping.train import train_mapping
 from usdface.model.placement.rig_orientation import check_rig_stands
 from usdface.model.regressions import Choices, RestPlaces
 from usdface.model.regressions.gaussian_rbf import PAPER_DIMENSIONS
+from usdface.numerics.measure.face_regions import tongue_shapes
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.performance import TrainSpec
@@ -127,6 +128,17 @@ def _correction_notes(mapping: TrainedMapping, references: References) -> list[s
         notes.append(
             f"no reference moves the {still.replace(',', ', ')}: there the rig's geometry alone "
             "says what markers mean; tune frames in which they move"
+        )
+    tongue = [
+        references.shape_names[column]
+        for column in tongue_shapes(references.shape_names)
+        if references.weights[:, column].any()
+    ]
+    if tongue:
+        notes.append(
+            f"markers do not show the tongue: {first_few(tongue)} is guessed from what the face "
+            "did beside it in the references, and no region's uncertainty tells; key it with "
+            "`usdface edit`"
         )
     off = float(mapping.settings.get("key_error", 0.0))
     if off:

@@ -25,7 +25,6 @@ from usdface.numerics.measure.face_regions import (
     gaze_shapes,
     points_by_region,
     region_gram,
-    shapes_by_region,
 )
 from usdface.numerics.registration.virtual_markers import character_motion
 from usdface.specs.review import FramePick
@@ -56,9 +55,7 @@ class ShotRuler:
         """Points of the rig by region, the whole face first; see `points_by_region`."""
         offsets = self.shot.deformer.shapes.target_offsets()
         count = offsets.shape[1] // 3
-        return {FACE: np.arange(count)} | points_by_region(
-            offsets, shapes_by_region(self.shot.rig.shapes)
-        )
+        return {FACE: np.arange(count)} | points_by_region(offsets, self.shot.rig.shapes)
 
     @cached_property
     def grams(self) -> FloatArray:
