@@ -8,6 +8,7 @@ from scipy import sparse
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import RigMesh
 from usdface.media.face import shading
+from usdface.media.face.features import paint_features
 from usdface.media.face.mesh_topology import Sparse, polygon_edges
 from usdface.media.face.parts import FacePart, Pieces
 
@@ -69,6 +70,11 @@ def paint(meshes: Sequence[RigMesh], pieces: Pieces, *, exposure: FloatArray) ->
     smooth = _spread(exposure, links, times=2)
     inside = np.where(skin, _step((_OPEN - smooth) / (_OPEN - _CLOSED)), 0.0)
     colors = palette[parts]
+    bare = [mesh.colors is None and mesh.face_colors is None for mesh in meshes]
+    if any(bare) and not np.any(parts == FacePart.HAIR):
+        counts = [len(mesh.points) for mesh in meshes]
+        plain = skin & np.repeat(bare, counts)
+        paint_features(colors, meshes, pieces.eyeballs.values(), plain)
     colors += (shading.INNER_MOUTH - colors) * inside[:, None]
     first = 0
     for mesh in meshes:

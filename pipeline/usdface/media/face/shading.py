@@ -12,6 +12,8 @@ from usdface.core.arrays import Float32Array, IntArray, row_lengths
 from usdface.media.face.parts import FacePart
 
 SKIN = np.array([0.50, 0.31, 0.235], np.float32)
+LIPS = np.array([0.40, 0.165, 0.14], np.float32)
+BROWS = np.array([0.13, 0.075, 0.055], np.float32)
 INNER_MOUTH = np.array([0.16, 0.045, 0.04], np.float32)
 TONGUE = np.array([0.34, 0.12, 0.105], np.float32)
 TEETH = np.array([0.62, 0.58, 0.50], np.float32)

@@ -28,6 +28,9 @@ other."""
 _TOUCHING_SHARE = 0.03
 """[of what the jaw opens] Pairs nearer than this at rest are lips upon each other."""
 
+_CORNER_SHARE = 0.2
+"""[of the same] Towards the corners lips open less than between them, and are as near."""
+
 _MIDDLE_SHARE = 0.75
 """[of the widest opening] Pairs that open less lie towards the corners."""
 
@@ -46,7 +49,12 @@ class LipPairs:
 
 
 def find_lip_pairs(
-    points: ArrayLike, offsets: sparse.csr_array, *, jaw_open: int, mouth: ArrayLike
+    points: ArrayLike,
+    offsets: sparse.csr_array,
+    *,
+    jaw_open: int,
+    mouth: ArrayLike,
+    to_corners: bool = False,
 ) -> LipPairs | None:
     """Find where the lips meet.
 
@@ -63,6 +71,8 @@ def find_lip_pairs(
         The shape that opens the jaw.
     mouth : (n,) int array
         The shapes of the mouth, of which some move the lips.
+    to_corners : bool, optional
+        Keep pairs beside the middle as well, which the jaw parts less.
 
     Returns
     -------
@@ -92,11 +102,13 @@ def find_lip_pairs(
     parted = opened[partner] - opened[lower]
     width = np.linalg.norm(parted, axis=1)
     ratio = distance / width
-    touching = ratio <= max(_TOUCHING_SHARE, 2.0 * float(ratio.min()))
+    share = _CORNER_SHARE if to_corners else _TOUCHING_SHARE
+    touching = ratio <= max(share, 2.0 * float(ratio.min()))
     middle = touching & (width >= _MIDDLE_SHARE * width[touching].max())
     direction = parted[middle].mean(axis=0)
     direction /= np.linalg.norm(direction)
-    low, high = lower[middle], partner[middle]
+    kept = touching if to_corners else middle
+    low, high = lower[kept], partner[kept]
     return LipPairs(
         lower=low,
         upper=high,
