@@ -1,6 +1,7 @@
 """A performer's markers on a rig: by labels where they speak, else by symmetry and motion."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -39,6 +40,26 @@ def test_landmarks_of_a_face_stand_in_the_order_of_a_face(demo) -> None:
         left, right = found[f"{name}_L"], found[f"{name}_R"]
         assert left[0] > skin.sagittal_x > right[0]
         np.testing.assert_allclose(skin.mirrored(right[None])[0], left, atol=1e-9)
+
+
+def test_shapes_named_by_the_viewer_show_the_same_landmarks(demo) -> None:
+    rig, skin = demo
+    other = {"Left": "Right", "Right": "Left"}
+    named = find_landmarks(skin, rig.shapes)
+    exchanged = tuple(
+        re.sub(r"(?<=[a-z])(Left|Right)$", lambda side: other[side[0]], name)
+        if not name.startswith(("jaw", "mouthLeft", "mouthRight"))
+        else name
+        for name in rig.shapes
+    )
+    assert exchanged != rig.shapes
+    found = find_landmarks(skin, exchanged)
+    assert found.keys() == named.keys()
+    for name, place in named.items():
+        np.testing.assert_allclose(found[name], place, atol=1e-9)
+    blinks = {"eyeBlinkLeft": "eyeBlinkRight", "eyeBlinkRight": "eyeBlinkLeft"}
+    one_eye = find_landmarks(skin, tuple(blinks.get(name, name) for name in rig.shapes))
+    assert "eye_inner_L" not in one_eye  # blinks alone are exchanged: no landmark, not a wrong one
 
 
 def test_shapes_with_foreign_names_are_known_by_what_they_do(demo) -> None:

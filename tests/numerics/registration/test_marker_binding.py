@@ -63,3 +63,11 @@ def test_two_exchanged_markers_stand_out_by_their_motion() -> None:
     assert set(np.argsort(-odd)[:2].tolist()) == {first, second}
     assert odd[[first, second]].min() > 3
     assert motion_agreement(paths, cdist(at, at)).max() < 3
+
+
+def test_distances_that_give_no_covariance_give_no_nan() -> None:
+    distances = np.full((40, 40), 100.0)  # one marker is near all, and they are far from each other
+    distances[0] = distances[:, 0] = 5.0
+    np.fill_diagonal(distances, 0.0)
+    moved = np.random.default_rng(0).normal(0, 3, (60, 40, 3))
+    assert np.isfinite(motion_agreement(moved, distances)).all()

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Gf, Sdf, Usd
+from pxr import Gf, Sdf, Usd, UsdGeom
 
 from tests.steps.small_shot import Shot
 from usdface.core.assets import Rig
@@ -212,3 +212,15 @@ def test_a_ball_far_off_the_rig_is_refused(shot: Shot) -> None:
     with pytest.raises(InputError, match=r"its ball is .* mm off it"):
         execute(spec(shot), overwrite=True)
     assert out.read_bytes() == before
+
+
+def test_a_rig_that_stands_on_its_head_is_refused_and_nothing_is_written(shot: Shot) -> None:
+    stage = Usd.Stage.Open(str(shot / "hero.usdc"))
+    stage.SetEditTarget(stage.GetSessionLayer())
+    xform = UsdGeom.Xformable(stage.GetDefaultPrim())
+    xform.ClearXformOpOrder()
+    xform.AddRotateZOp().Set(180.0)
+    stage.Export(str(shot / "fallen.usdc"))
+    with pytest.raises(InputError, match="the head lies"):
+        execute(spec(shot, rig=shot / "fallen.usdc", out=shot / "fallen.placement.usda"))
+    assert not (shot / "fallen.placement.usda").exists()

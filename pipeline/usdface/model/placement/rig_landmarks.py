@@ -17,6 +17,9 @@ from usdface.numerics.registration.face_skin import FaceSkin
 _SIDES = (("L", 1.0), ("R", -1.0))
 """The character's left lies towards +X of the face's frame."""
 
+_SIGNS = dict(_SIDES)
+_OTHER = {"L": "R", "R": "L"}
+
 _CENTROIDS = (
     ("browinnerup", "brow_inner", 1.0),
     ("browouterup", "brow_outer", 1.0),
@@ -91,7 +94,7 @@ def find_landmarks(skin: FaceSkin, shapes: Sequence[str]) -> dict[str, FloatArra
             if delta is not None:
                 away = sign * (skin.positions[:, 0] - skin.sagittal_x)
                 found[f"{name}_{side}"] = _centroid(skin, delta, away > least)
-        if blink is not None:
+        if f"lid_upper_{side}" in found:
             found[f"lid_crease_{side}"] = _crease(skin, found, side)
     jaw = moved.get(("jawopen", ""))
     if jaw is not None:
@@ -108,7 +111,18 @@ def _displacements(skin: FaceSkin, shapes: Sequence[str]) -> dict[tuple[str, str
         if np.abs(skin.deltas[index]).max(initial=0.0) > _LEAST_MOTION_MM:
             meant = meanings[shapes[index]]
             found.setdefault((meant.motion, meant.side), skin.deltas[index])
+    if _named_by_viewer(skin, found):
+        return {(motion, _OTHER.get(side, side)): delta for (motion, side), delta in found.items()}
     return found
+
+
+def _named_by_viewer(skin: FaceSkin, moved: dict[tuple[str, str], FloatArray]) -> bool:
+    """Whether most shapes named left move the right side: the viewer's left."""
+    votes = 0.0
+    for (_, side), delta in moved.items():
+        across = np.linalg.norm(delta, axis=1) @ (skin.positions[:, 0] - skin.sagittal_x)
+        votes += _SIGNS.get(side, 0.0) * np.sign(across)
+    return votes < 0
 
 
 def _centroid(skin: FaceSkin, delta: FloatArray, mask: BoolArray) -> FloatArray:
@@ -135,6 +149,8 @@ def _eye(skin: FaceSkin, blink: FloatArray, side: str, sign: float) -> dict[str,
     gap = max(abs(float(blink[lid].mean(axis=0)[1])), 4.0)
     out = sign * (at[:, 0] - skin.sagittal_x)
     beside = (out > 3) & (size > 0.22 * size.max()) & (abs(at[:, 1] - middle[1]) < 0.9 * gap)
+    if not beside.any():  # a blink of the other eye
+        return {}
     found = {f"lid_upper_{side}": upper, f"lid_lower_{side}": lower}
     for name, quantile in (("eye_inner", 0.02), ("eye_outer", 0.98)):
         edge = float(np.quantile(out[beside], quantile))

@@ -114,10 +114,10 @@ def motion_agreement(displacements: FloatArray, distances: FloatArray) -> FloatA
     moved = displacements.transpose(1, 0, 2).reshape(markers, -1)
     energy = float((moved**2).sum() / markers) or 1.0
     noise = 3 * frames * _NOISE_MM**2 / energy
-    kernel = np.exp(-np.asarray(distances, float) / _CORRELATION_LENGTH_MM) + noise * np.eye(
-        markers
-    )
-    inverse = np.linalg.inv((kernel + kernel.T) / 2)
+    kernel = np.exp(-np.asarray(distances, float) / _CORRELATION_LENGTH_MM)
+    # Distances along a surface need not give a covariance: what of it is negative is left out.
+    variances, directions = np.linalg.eigh((kernel + kernel.T) / 2)
+    inverse = (directions / (np.maximum(variances, 0.0) + noise)) @ directions.T
     left = (inverse @ moved) / np.diag(inverse)[:, None]
     surprise = np.sqrt((left**2).sum(axis=1) * np.diag(inverse))
     return np.asarray(surprise / max(float(np.median(surprise)), 1e-9))

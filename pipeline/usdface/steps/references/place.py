@@ -8,7 +8,7 @@ from usdface.media.picture.image import write_image
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.references import PlaceSpec
-from usdface.steps.inputs.cleaned_takes import read_cleaned_takes
+from usdface.steps.inputs.cleaned_takes import plausibility_notes, read_cleaned_takes
 from usdface.steps.inputs.landmark_files import read_landmarks
 from usdface.steps.inputs.placement import (
     draw_placement,
@@ -25,6 +25,7 @@ def run(spec: PlaceSpec, *, provenance: Provenance, progress: Progress = silent)
     progress(0.0, "reading the takes")
     takes = read_cleaned_takes(spec.takes)
     rig = read_rig(spec.rig, prim=spec.prim)
+    notes = plausibility_notes(takes, spec.takes, rig)
     landmarks = {}
     if spec.landmarks is not None:
         landmarks = read_landmarks(spec.landmarks, takes.marker_names, rig)
@@ -43,6 +44,6 @@ def run(spec: PlaceSpec, *, provenance: Provenance, progress: Progress = silent)
         tuple(outputs),
         f"{pluralize(len(takes.marker_names), 'marker')} on {rig.file.name}. "
         f"{placed.verdict.sentence}",
-        placement_notes(placed),
+        (*notes, *placement_notes(placed)),
         placement_figures(placed),
     )
