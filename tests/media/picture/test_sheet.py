@@ -246,3 +246,12 @@ def test_tile_of_floats_is_refused() -> None:
     rows = (SheetRow(1, "", (Tile(np.zeros((8, 8, 3))),)),)
     with pytest.raises(InputError, match="uint8"):
         compose_sheet(SheetPage("x", ("a",), rows))
+
+
+def test_there_is_no_ramp_where_nothing_has_a_colour_on_it() -> None:
+    pages = []
+    for high in ("", "3 mm"):
+        page = np.zeros((60, 800, 3), np.uint8)
+        draw_legend(page, ("a note",), x=36, y=10, width=700, high=high)
+        pages.append(page.max(axis=2).astype(int) - page.min(axis=2))  # of colours, not greys
+    assert pages[0].max() < 40 < pages[1].max()

@@ -81,3 +81,14 @@ def test_a_steady_motion_does_not_jump_and_distances_are_those_of_the_gram() -> 
     off = rng.normal(size=(7, 5))
     moved = np.linalg.norm(off @ half, axis=1)
     np.testing.assert_allclose(region_distances(off, (half @ half.T)[None])[:, 0], moved)
+
+
+def test_jumps_that_nobody_sees_are_no_moments() -> None:
+    jumps = np.zeros((600, 3))
+    jumps[[100, 300, 500], 0] = [0.3, 0.04, 0.2]
+    known = signals()
+    evidence = replace(known.evidence, uncertainty_mm=None, error_mm=None, coverage=None)
+    found = replace(known, evidence=evidence, jump_mm=jumps, gap_mm=None)
+    assert [each.row for each in review_moments(found, 12, rate=60.0)] == [100, 500]
+    still = replace(found, jump_mm=np.zeros((600, 3)))
+    assert len(review_moments(still, 12, rate=60.0)) == 1, "something to look at"

@@ -97,7 +97,7 @@ def compose_sheet(spec: SheetPage) -> ByteImage:
         y += strip_height(len(spec.curves), scale)
     if has_legend(spec):
         notes = legend_lines(spec.notes, layout.width, scale)
-        unit = f"{high:g} {spec.unit}"
+        unit = f"{high:g} {spec.unit}" if spec.high is not None or len(all_errors(spec)) else ""
         draw_legend(page, notes, x=PAGE_MARGIN, y=y, width=inner, high=unit, scale=scale)
     for group in range(layout.groups):
         first = group * layout.rows_per_group
@@ -170,13 +170,17 @@ def draw_legend(
     high: str,
     scale: float = 1.0,
 ) -> None:
-    """Draw the ramp with its ends, and notes beside it, each on a line of its own."""
-    bar, style = legend_bar(width), _TEXT_STYLE.scaled(scale)
-    ramp = bytes_from_linear(heat_ramp(np.linspace(0, 1, bar)))
-    start = x + draw_text(page, "0", x=x, y=y, style=style) + 8
-    page[y + round(5 * scale) : y + round(20 * scale), start : start + bar] = ramp
-    end = start + bar + 8
-    end += draw_text(page, high, x=end, y=y, style=style) + round(28 * scale)
+    """Draw the ramp with its ends, and notes beside it, each on a line of its own.
+
+    Nothing has a colour on the ramp where `high` is empty: the notes stand alone.
+    """
+    bar, style, end = legend_bar(width), _TEXT_STYLE.scaled(scale), x
+    if high:
+        ramp = bytes_from_linear(heat_ramp(np.linspace(0, 1, bar)))
+        start = x + draw_text(page, "0", x=x, y=y, style=style) + 8
+        page[y + round(5 * scale) : y + round(20 * scale), start : start + bar] = ramp
+        end = start + bar + 8
+        end += draw_text(page, high, x=end, y=y, style=style) + round(28 * scale)
     for number, line in enumerate(notes):
         below = y + round(scale * number * LEGEND_LINE)
         room = x + width - end

@@ -22,6 +22,9 @@ from usdface.model.review.verdict import SolveEvidence
 MOMENT_SECONDS = 0.25
 """Frames nearer than this are one moment: a blink, or a plosive, takes about as long."""
 
+LEAST_JUMP_MM = 0.05
+"""Nobody sees less; where jumps are all that is known, only the largest is listed below it."""
+
 _LEAST_COVERAGE = 0.1
 """The quotient is limited: below, references say nothing at all."""
 
@@ -122,9 +125,10 @@ def review_moments(signals: ReviewSignals, count: int, *, rate: float) -> list[M
     score = np.nan_to_num(signals.score_mm, nan=-1.0)
     near = max(round(MOMENT_SECONDS * rate), 1)
     free = score >= 0
-    rows: list[int] = []
+    evidence, rows = signals.evidence, list[int]()
+    jumps_alone = evidence.error_mm is None and evidence.uncertainty_mm is None
     for row in np.argsort(-score, kind="stable").tolist():
-        if len(rows) >= count:
+        if len(rows) >= count or (rows and jumps_alone and score[row] < LEAST_JUMP_MM):
             break
         if free[row]:
             rows.append(row)
