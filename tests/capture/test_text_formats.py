@@ -238,6 +238,17 @@ def test_a_timecode_column_of_motive_starts_the_take(put):
     np.testing.assert_allclose(marker_positions(capture), samples.positions(), atol=1e-3)
 
 
+def test_words_in_a_column_that_holds_no_marker_are_left_out(put):
+    plain = samples.marker_csv()
+    head, *rows = plain.splitlines()
+    noted = "\n".join([f"{head},Stimulus", *(f"{row},posed_neutral" for row in rows)])
+    capture = read_capture(put(noted))
+    assert any("other than markers left out: Stimulus" in note for note in capture.notes)
+    np.testing.assert_array_equal(
+        capture.take.markers.positions, read_capture(put(plain)).take.markers.positions
+    )
+
+
 def test_a_plain_table_takes_its_unit_from_the_user(put):
     capture = read_capture(put(samples.marker_csv()), units="cm")
     np.testing.assert_allclose(marker_positions(capture), samples.positions(), atol=1e-4)

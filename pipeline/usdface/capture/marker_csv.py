@@ -25,6 +25,7 @@ from usdface.capture.text_table import (
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.errors import InputError
 from usdface.core.rates import exact_rate
+from usdface.core.text import first_few, pluralize
 
 _X = re.compile(r"(.+)[._: ]x", re.IGNORECASE)
 _FRAME = ("frame", "frame#")
@@ -57,14 +58,18 @@ def read_marker_csv(path: Path, options: CaptureOptions) -> Capture:
             f"NAME.y, NAME.z for each marker (found {', '.join(titles[:4])[:60]}, …); add what is "
             "missing, or state the frames per second with --rate"
         )
-    table = read_number_table(lines, titles, path=path, delimiter=delimiter, gaps=True)
+    read = {frame_at, time_at} | {at + axis for at in triples.values() for axis in range(3)}
+    others = [at for at in range(len(titles)) if at not in read]
+    table = read_number_table(
+        lines, titles, path=path, delimiter=delimiter, gaps=True, texts=others
+    )
     first_frame, frames = settle_frame_numbers(
         table.values[:, frame_at], table.lines, where=str(path)
     )
     notes: list[str] = []
-    others = len(titles) - 1 - (time_at is not None) - 3 * len(triples)
     if others:
-        notes.append(f"{others} columns other than markers left out")
+        named = first_few([titles[at] for at in others])
+        notes.append(f"{pluralize(len(others), 'column')} other than markers left out: {named}")
     to_mm = settle_space(
         "",
         "y",
