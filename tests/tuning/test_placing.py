@@ -125,6 +125,13 @@ def test_a_part_is_solved_again_while_sliders_that_were_set_hold(
     assert row[mouth[0]] == pytest.approx(0.9, abs=1e-6), "set by hand"
     np.testing.assert_array_equal(row[rest], before[rest])
     assert opened.page.evaluate("tune.millimetres") < far - 0.1
+    opened.page.select_option("#sieve", "off mouth")
+    shown = opened.page.locator(".tile:visible").count()
+    pairs = range(opened.page.evaluate("tune.state.pairs.length"))
+    off = [opened.page.evaluate(f"tune.film.residual({pair}).get('mouth')") for pair in pairs]
+    assert shown == sum(mm > 1 for mm in off)
+    opened.page.select_option("#sieve", "all")
+    assert opened.page.locator(".tile:visible").count() > shown
     opened.page.keyboard.press("Control+z")
     again = opened.page.evaluate("[...tune.state.row()]")
     assert again[mouth[2]] == pytest.approx(0.9, abs=1e-6), "one step back"

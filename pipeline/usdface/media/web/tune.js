@@ -141,6 +141,8 @@ class Page {
     this.unpackMarkers(markers);
     this.panel.offer("Solve", true);
     this.table = new ResidualTable($("regions"), this.residual.parts);
+    const off = (pair) => this.residual.measure(this.onRig(this.state.row(pair)), pair);
+    this.film.measure(off, this.residual.parts, $("sieve"));
     $("placeMarkers").disabled = !markers.placement;
     if (markers.placement) {
       this.placing = new PlacementTool(this.viewer, markers);
@@ -421,7 +423,11 @@ class Page {
     }
     $("search").addEventListener("input", () => this.panel.find($("search").value));
     $("search").addEventListener("keydown", (event) => { if (event.key === "Enter") this.panel.enter(); });
-    $("sieve").addEventListener("change", ({ target }) => { this.film.sieve(target.value); target.blur(); });
+    $("sieve").addEventListener("change", ({ target }) => {
+      this.film.sieve(target.value);
+      this.pose(); // residuals of other pairs were measured with the same colours
+      target.blur();
+    });
     $("before").addEventListener("pointerdown", () => this.hold(true));
     for (const name of ["pointerup", "pointercancel", "blur"]) {
       addEventListener(name, () => this.hold(false));

@@ -2,6 +2,7 @@
 
 const [WIDTH, HEIGHT] = [76, 78];
 const SETTLE_MS = 350;
+export const OFF_MM = 1;
 
 export class FilmStrip {
   /**
@@ -49,6 +50,13 @@ export class FilmStrip {
     state.addEventListener("pair", () => this.#mark());
   }
 
+  /** Offer to show pairs by residual; `residual(pair)` returns distances by part [mm]. */
+  measure(residual, parts, menu) {
+    this.residual = residual;
+    const words = (part) => `${part || "residual"} over ${OFF_MM} mm`;
+    menu.append(...["", ...parts].map((part) => new Option(words(part), `off ${part}`)));
+  }
+
   /** Begin drawing faces; `draw(pair, width, height)` returns ImageData. */
   start(draw) {
     this.draw = draw;
@@ -74,7 +82,10 @@ export class FilmStrip {
     }
   }
 
-  /** Show all pairs, or those `todo`, `done` or `noted`. */
+  /**
+   * Show all pairs, or those `todo`, `done` or `noted`; or `off PART`, where a part of the face, or
+   * without one the whole, is off by more than `OFF_MM`.
+   */
   sieve(which) {
     this.which = which;
     this.paint();
@@ -82,6 +93,8 @@ export class FilmStrip {
 
   #wanted(pair) {
     const done = this.state.done[pair], noted = this.state.pairs[pair].notes.length > 0;
+    const part = /^off (.*)/.exec(this.which)?.[1];
+    if (part !== undefined) return this.residual(pair).get(part) > OFF_MM;
     return { todo: !done, done, noted }[this.which] ?? true;
   }
 
