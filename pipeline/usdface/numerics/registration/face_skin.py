@@ -267,7 +267,8 @@ def sample_face_skin(points: ArrayLike, triangles: ArrayLike, offsets: Offsets) 
     sides = rest[corners]
     normals = np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0]) @ frame.T
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    deltas = deltas_at(matrix, corners, shares) @ frame.T
+    # Each axis of a shape lies in one piece, as placements multiply them axis by axis.
+    deltas = np.moveaxis(frame @ np.moveaxis(deltas_at(matrix, corners, shares), 2, 1), 1, 2)
     moved = np.sqrt((deltas**2).sum(axis=(0, 2)))
     weight = moved / moved.sum()
     radius = np.sqrt(weight @ ((positions - weight @ positions) ** 2).sum(axis=1))

@@ -322,10 +322,13 @@ def _path_misfit(
     weights = solve_weights_at(skin, samples, paths, ranges)
     # Orthonormal times root: no longer than weights, with no more rows than shapes.
     basis, root = np.linalg.qr(weights)
-    moves = (root @ skin.deltas.reshape(len(skin.deltas), -1)).reshape(len(root), -1, 3)
-    common = np.einsum("rmc,rsc->ms", np.tensordot(basis.T, paths, 1), moves, optimize=True)
-    own = np.einsum("rsc,rsc->s", moves, moves)
     energy = (paths**2).sum(axis=(0, 2))
+    count = len(skin.positions)
+    common, own = np.zeros((paths.shape[1], count)), np.zeros(count)
+    for axis in range(3):
+        moves = root @ skin.deltas[:, :, axis]
+        common += (paths[:, :, axis].T @ basis) @ moves
+        own += np.einsum("rs,rs->s", moves, moves)
     gain = np.clip(common / np.maximum(own, 1e-9), *_GAIN_LIMITS)
     left = np.maximum(energy[:, None] - 2 * gain * common + gain**2 * own, 0)
     noise = 3 * len(paths) * _NOISE_MM**2
