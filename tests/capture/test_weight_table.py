@@ -1,6 +1,7 @@
 """Tables of weights as tools write them, and what must not be believed of them."""
 
 import json
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -118,6 +119,18 @@ def test_keys_at_uneven_times_are_no_frames(tmp_path: Path) -> None:
     path.write_text("time,jawOpen,smile\n0,0,0\n0.31,1,0\n0.4,0,1\n1.77,0,0\n")
     with pytest.raises(InputError, match=r"uneven times, which tell no frames.*`frame` column"):
         read_weight_table(path)
+
+
+def test_times_beside_frames_tell_the_rate_they_are_at(tmp_path: Path) -> None:
+    path = tmp_path / "keys.csv"
+    path.write_text("frame,time,jawOpen\n1,0.000,0\n31,1.000,1\n91,3.000,0\n")
+    keys = read_weight_table(path)
+    assert (keys.frames, keys.rate) == ((1, 31, 91), 30)
+    with pytest.raises(InputError, match=r"runs at 30 frames per second, shot\.usda at 60"):
+        keys.check_rate(Fraction(60), file=path, performance=Path("shot.usda"))
+    keys.check_rate(Fraction(30_000, 1001), file=path, performance=Path("shot.usda"))
+    path.write_text("frame,time,jawOpen\n1,0.5,0\n31,0.5,1\n")
+    assert read_weight_table(path).rate is None
 
 
 def test_each_take_of_a_table_without_numbers_counts_its_own_rows(tmp_path: Path) -> None:

@@ -23,8 +23,10 @@ KINDS: dict[signal.Signals, type[BaseException]] = {
 def terminable():
     before = {each: signal.getsignal(each) for each in KINDS}
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    hook = sys.unraisablehook
     console.raise_on_signals()
     yield
+    sys.unraisablehook = hook
     for each, handler in before.items():
         signal.signal(each, handler)
 
@@ -62,6 +64,24 @@ def test_inside_an_import_it_waits_for_the_import_to_end(
     with pytest.raises(KINDS[kind]):
         import_and_wait()
     assert sys.modules.pop("slow_to_import").whole == 1
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_where_a_library_drops_the_exception_the_signal_comes_again(
+    terminable, capsys, kind: signal.Signals
+) -> None:
+    class Dropping:  # an exception in a finalizer reaches nobody
+        def __del__(self) -> None:
+            stop_and_wait(kind)
+
+    def drop_and_wait() -> None:
+        dropping = Dropping()
+        del dropping
+        wait()
+
+    with pytest.raises(KINDS[kind]):
+        drop_and_wait()
+    assert capsys.readouterr().err == ""
 
 
 def test_a_process_that_ignores_ctrl_c_goes_on_doing_so(terminable) -> None:

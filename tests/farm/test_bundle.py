@@ -117,6 +117,29 @@ def test_another_jobs_bundle_is_replaced_only_on_request(tmp_path: Path) -> None
     assert [path.name for path in tmp_path.iterdir()] == ["b"]
 
 
+def test_what_a_killed_process_left_beside_a_bundle_goes(tmp_path: Path) -> None:
+    (tmp_path / ".b.bundle" / "new").mkdir(parents=True)
+    write_bundle(tmp_path / "b", compose_bundle("j", plan("x")))
+    assert [path.name for path in tmp_path.iterdir()] == ["b"]
+
+
+def test_a_bundle_that_cannot_be_replaced_is_kept(tmp_path: Path, monkeypatch) -> None:
+    folder = tmp_path / "b"
+    write_bundle(folder, compose_bundle("j", plan("x")))
+    rename = Path.rename
+
+    def fail(path: Path, target: Path) -> Path:
+        if path.name == "new":
+            raise OSError(28, "No space left on device")
+        return rename(path, target)
+
+    monkeypatch.setattr(Path, "rename", fail)
+    with pytest.raises(InputError, match="cannot be written: No space left"):
+        write_bundle(folder, compose_bundle("j", plan("y")), overwrite=True)
+    assert "/s/x" in (folder / "tasks/clean/1.yaml").read_text()
+    assert [path.name for path in tmp_path.iterdir()] == ["b"]
+
+
 def test_a_folder_with_something_else_is_never_replaced(tmp_path: Path) -> None:
     (tmp_path / "thesis.txt").write_text("years of work")
     with pytest.raises(InputError, match="exists and is no bundle"):

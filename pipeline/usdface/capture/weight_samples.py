@@ -41,6 +41,7 @@ _INDEX = {
     "take": ("take", "take_name", "clip"),
     "timecode": ("timecode", "tc"),
 }
+_COUNTED = ("frame", "time", "ms")
 _TEXTS = ("take", "timecode")
 _NAME_KEYS = (
     "facsNames",
@@ -190,8 +191,13 @@ def _seconds(at: Mapping[str, int], values: FloatArray) -> FloatArray | None:
     if "time" not in at:
         return None
     times = values[:, at["time"]]
+    if len(times) < 2:
+        return times
     # No face is captured once a second or slower: steps of one and more are milliseconds.
-    return times * 1e-3 if len(times) > 1 and np.median(np.diff(times)) >= 1.0 else times
+    steps = np.diff(times)
+    if "frame" in at:  # keys are farther apart than frames
+        steps = steps / np.maximum(np.diff(values[:, at["frame"]]), 1.0)
+    return times * 1e-3 if np.median(steps) >= 1.0 else times
 
 
 def _read_json(path: Path) -> WeightSamples:
@@ -258,13 +264,9 @@ def _json_rows(path: Path, data: list[Any]) -> WeightSamples:
         given = [_number(path, f"row {i + 1}", name, r.get(name)) for i, r in enumerate(rows)]
         return np.array(given)
 
-    frames, indices = series("frame"), [i for i, kind in enumerate(("time", "ms")) if kind in at]
-    times = {kind: place for place, kind in enumerate(("time", "ms")) if kind in at}
-    seconds = None
-    if indices:
-        columns = [series(kind) for kind in ("time", "ms")]
-        stacked = np.stack([np.zeros(len(rows)) if c is None else c for c in columns], axis=1)
-        seconds = _seconds(times, stacked)
+    counted = {kind: found for kind in _COUNTED if (found := series(kind)) is not None}
+    frames, places = counted.get("frame"), {kind: place for place, kind in enumerate(counted)}
+    seconds = _seconds(places, np.stack([*counted.values()], axis=1)) if counted else None
     takes = tuple(str(row.get(at["take"], "")) for row in rows) if "take" in at else ()
     lines = np.arange(1, len(rows) + 1)
     faces = np.flatnonzero([any(not _kind(name) for name in row) for row in rows])

@@ -71,7 +71,8 @@ def row_frames(path: Path, samples: WeightSamples) -> tuple[IntArray, Fraction |
             raise InputError(
                 f"{path} line {samples.lines[row]}: {samples.frames[row]:g} is no frame; correct it"
             )
-        return samples.frames.astype(np.int64), samples.rate
+        frames = samples.frames.astype(np.int64)
+        return frames, samples.rate or _rate_beside(path, samples, frames)
     takes = np.array(samples.takes or [""] * len(samples.values), object)
     frames, rate = np.zeros(len(takes), np.int64), samples.rate
     for take in dict.fromkeys(takes.tolist()):
@@ -87,6 +88,14 @@ def row_frames(path: Path, samples: WeightSamples) -> tuple[IntArray, Fraction |
             )
         frames[rows], rate = first + np.rint(times.frames).astype(np.int64), times.rate
     return frames, rate
+
+
+def _rate_beside(path: Path, samples: WeightSamples, frames: IntArray) -> Fraction | None:
+    """Return the rate of numbered rows that have times too; None where either does not ascend."""
+    times = samples.seconds
+    if times is None or len(frames) < 2 or not (np.diff(frames) > 0).all():
+        return None
+    return rate_of_times(times, frames, where=str(path)) if (np.diff(times) > 0).all() else None
 
 
 def in_fractions(

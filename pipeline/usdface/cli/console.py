@@ -188,17 +188,29 @@ def raise_on_signals() -> None:
     """Turn SIGTERM, which farms send once, into an exception, so that temporary files are removed.
 
     Both SIGTERM and Ctrl+C are delayed during imports: USD's loader would ignore the exception and
-    continue partly loaded.
+    continue partly loaded. Where a library calls Python and cannot pass an exception on, the signal
+    is sent again.
     """
+
+    def send_again(signum: int) -> None:
+        again = threading.Timer(RETRY_SECONDS, os.kill, (os.getpid(), signum))
+        again.daemon = True
+        again.start()
 
     def stop(signum: int, frame: FrameType | None) -> None:
         if _is_importing(frame):
-            again = threading.Timer(RETRY_SECONDS, os.kill, (os.getpid(), signum))
-            again.daemon = True
-            again.start()
+            send_again(signum)
             return
         raise KeyboardInterrupt if signum == signal.SIGINT else CancelledError(STOPPED)
 
+    def lost(unraisable: "sys.UnraisableHookArgs") -> None:
+        kind = unraisable.exc_type
+        if kind in (KeyboardInterrupt, CancelledError):
+            send_again(signal.SIGINT if kind is KeyboardInterrupt else signal.SIGTERM)
+        else:
+            sys.__unraisablehook__(unraisable)
+
+    sys.unraisablehook = lost
     with contextlib.suppress(ValueError):  # only the main thread may set handlers
         signal.signal(signal.SIGTERM, stop)
         if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else it is ignored

@@ -9,7 +9,6 @@ parameter's value, which is not read either.
 import hashlib
 import os
 import shutil
-import uuid
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from typing import Any
 import yaml
 
 from usdface.core.errors import InputError
+from usdface.core.write_lock import write_lock
 from usdface.farm.plan import FarmStep
 from usdface.specs.base import Spec
 from usdface.specs.job import SPEC_BY_STEP
@@ -176,20 +176,33 @@ def write_bundle(folder: Path, files: Files, *, overwrite: bool = False) -> None
             )
     if not folder.parent.is_dir():
         raise InputError(f"{folder}: the folder {folder.parent} does not exist; make it first")
-    temporary = folder.with_name(f".{folder.name}.{uuid.uuid4().hex[:8]}")
+    with write_lock(folder):
+        _put(folder, files)
+
+
+def _put(folder: Path, files: Files) -> None:
+    """Write a bundle beside its folder, then let the two change places."""
+    made = folder.with_name(f".{folder.name}.bundle")
+    shutil.rmtree(made, ignore_errors=True)  # of a process that was killed
+    old, new = made / "old", made / "new"
     try:
+        made.mkdir()
         for place, text in files.items():
-            file = temporary / place
+            file = new / place
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_text(text, encoding="utf-8", newline="\n")
         if folder.exists():
-            shutil.rmtree(folder)
-        temporary.rename(folder)
+            folder.rename(old)
+        try:
+            new.rename(folder)
+        except BaseException:
+            if not folder.exists():
+                old.rename(folder)
+            raise
     except OSError as error:
-        if not _equals(folder, files):  # else: the same job was submitted twice at the same moment
-            raise InputError(f"{folder}: cannot be written: {error.strerror}") from error
+        raise InputError(f"{folder}: cannot be written: {error.strerror}") from error
     finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+        shutil.rmtree(made, ignore_errors=True)
 
 
 def _equals(folder: Path, files: Files) -> bool:

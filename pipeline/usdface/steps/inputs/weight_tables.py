@@ -120,7 +120,8 @@ class WeightTable:
 
     def check_rate(self, rate: Fraction, *, file: Path, performance: Path) -> None:
         """Raise InputError if the file says another rate than the performance's."""
-        if self.rate is not None and self.rate != rate:
+        # Rounded times tell 120 of 119.88, and frames of either have the same numbers.
+        if self.rate is not None and abs(self.rate / rate - 1) > Fraction(1, 500):
             raise InputError(
                 f"{file}: runs at {float(self.rate):g} frames per second, {performance} at "
                 f"{float(rate):g}; export it at the performance's rate, so that frames match"
