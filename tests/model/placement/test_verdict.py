@@ -154,6 +154,16 @@ def test_markers_of_one_side_are_told(bench: Bench) -> None:
     assert "on its left side only" in verdict.sentence
 
 
+@pytest.mark.parametrize(("count", "level"), [(0, "good"), (3, "bad")])
+def test_markers_on_the_neck_look_wrong(bench: Bench, count: int, level: str) -> None:
+    moved = bench.local.copy()
+    moved[:count, 1] = bench.local[:, 1].min() - 60
+    cloud = replace(bench.cloud, labels=tuple(f"m{i}" for i in range(len(moved))), motion=None)
+    verdict = bench.judge(moved, cloud=cloud)
+    assert ("far below the chin (m0, m1, m2)" in verdict.sentence) == (count > 0)
+    assert verdict.level == level
+
+
 def test_motion_alone_asks_for_a_look(bench: Bench) -> None:
     verdict = bench.judge(bench.local, by_labels=False)
     assert verdict.level == "check"

@@ -43,6 +43,12 @@ _LEAST_MOBILITY = 1 / 3
 _ONE_SIDE_SHARE = 0.05
 """Of the markers: with fewer on one side of the face, that side is not captured."""
 
+_NECK_SHARE = 0.5
+"""Of the way from the eyes down to the chin: as far below the chin a marker is on the neck."""
+
+_NECK_MARKERS = 0.05
+"""Of the markers: with more on the neck it is not the face that was placed."""
+
 _OPENINGS = {"good": "Looks right", "check": "Look at it", "bad": "Looks wrong"}
 
 _PLURALS = {"brow": "brows", "lid": "lids", "cheek": "cheeks", "eye": "eyes"}
@@ -99,10 +105,12 @@ def judge_placement(
     local = at @ skin.frame.T
     nearest = KDTree(skin.positions)
     samples = np.asarray(nearest.query(local)[1], np.int64)
-    known = named_places(cloud.labels, find_landmarks(skin, shapes), unit)
+    landmarks = find_landmarks(skin, shapes)
+    known = named_places(cloud.labels, landmarks, unit)
     far = _far_markers(cloud.labels, local, known, placed)
     roll = _roll_degrees(replace(cloud, neutral=local))
     reasons = [_tilt(roll), _missed(far, cloud.labels, known), _one_sided(local, skin)]
+    reasons.append(_on_neck(cloud.labels, local, landmarks))
     explained = float("nan")
     if cloud.motion is not None:
         moved = virtual.motion_scale * (cloud.motion @ virtual.rotation.T) @ skin.frame.T
@@ -203,6 +211,20 @@ def _one_sided(local: FloatArray, skin: FaceSkin) -> _Reason:
         return _FINE
     side = "left" if left > 0.5 else "right"
     return "check", f"the markers are on its {side} side only"
+
+
+def _on_neck(
+    labels: tuple[str, ...], local: FloatArray, landmarks: dict[str, FloatArray]
+) -> _Reason:
+    if not {"chin", "lid_lower_L"} <= landmarks.keys():
+        return _FINE
+    chin, eye = float(landmarks["chin"][1]), float(landmarks["lid_lower_L"][1])
+    below = np.flatnonzero(local[:, 1] < chin - _NECK_SHARE * (eye - chin))
+    if not len(below):
+        return _FINE
+    level = "bad" if len(below) > _NECK_MARKERS * len(local) else "check"
+    named = first_few([labels[marker] for marker in below], most=3)
+    return level, f"{pluralize(len(below), 'marker')} far below the chin ({named})"
 
 
 def _better_elsewhere(gains: dict[str, float], shift_mm: float) -> _Reason:
