@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from usdface.cli import app, console
-from usdface.core.errors import CancelledError
+from usdface.core.errors import CancelledError, InputError
 
 KINDS: dict[signal.Signals, type[BaseException]] = {
     signal.SIGTERM: CancelledError,
@@ -105,6 +105,24 @@ def test_ctrl_c_ends_a_command_as_interrupted_and_says_so(
     with pytest.raises(SystemExit) as stopped:  # a command of a group, too
         app.main(["edits", "list", "shot.usda"])
     assert stopped.value.code == 3
+
+
+@pytest.mark.parametrize("error", [ValueError("invalid bounding box"), InputError("no such prim")])
+def test_an_error_that_a_library_makes_of_a_stop_is_a_stop(
+    tmp_path: Path, monkeypatch, capsys, error: Exception
+) -> None:
+    def replaced(*given: object, **options: object) -> None:
+        try:
+            stop_and_wait(signal.SIGTERM)
+        except CancelledError:
+            raise error from None
+
+    monkeypatch.setattr("usdface.demo.job.run_demo", replaced)
+    with pytest.raises(SystemExit) as stopped:
+        app.main(["demo", "--out", str(tmp_path)])
+    assert stopped.value.code == 3
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[1:] == ["usdface: interrupted; no partly written files remain"]
 
 
 def test_a_thread_that_nobody_ends_does_not_keep_a_stopped_command(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import typer
 
 from usdface.cli.command_list import EPILOG, commands_on_demand
 from usdface.cli.console import (
+    STOPPED,
     echo,
     end_with_main_thread,
     exit_code_of,
@@ -19,6 +20,7 @@ from usdface.cli.console import (
     show_error,
     show_json,
     unwritable_output,
+    was_stopped,
 )
 from usdface.cli.job_commands import COMPLETE_VARIABLE, check, completion, demo, run
 from usdface.cli.reading_commands import describe, list_edits, names, validate
@@ -98,24 +100,31 @@ def _run(given: list[str]) -> NoReturn:
     as_json = "--json" in given
     try:
         code = app(args=given, standalone_mode=False)
-    except (UsdfaceError, KeyboardInterrupt) as error:
+    except (Exception, KeyboardInterrupt) as error:
+        if was_stopped() and not isinstance(error, CancelledError | KeyboardInterrupt):
+            error = CancelledError(STOPPED)
+        _fail_by(error, verbose="--verbose" in given, as_json=as_json)
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _fail_by(error: BaseException, *, verbose: bool, as_json: bool) -> NoReturn:
+    """Print what an error says, and exit with its code."""
+    if isinstance(error, UsdfaceError | KeyboardInterrupt):
         shown = isinstance(error, CheckFailedError)  # as the failures of a result
         _fail(str(error) or "interrupted", exit_code_of(error), as_json=as_json and not shown)
-    except Exception as error:
-        if isinstance(error, OSError) and error.errno == errno.ENOSPC and error.filename is None:
-            _fail(str(unwritable_output(error)), 2, as_json=False)  # help, that typer prints
-        if hasattr(error, "format_message"):
-            _fail_usage(error, as_json=as_json)
-        if "--verbose" in given:
-            traceback.print_exc()
-        _fail(
-            f"internal error: {type(error).__name__}: {error}\n"
-            "No partly written files remain. Please report it with the output of "
-            "`usdface --verbose` and the same arguments.",
-            exit_code_of(error),
-            as_json=as_json,
-        )
-    sys.exit(code if isinstance(code, int) else 0)
+    if isinstance(error, OSError) and error.errno == errno.ENOSPC and error.filename is None:
+        _fail(str(unwritable_output(error)), 2, as_json=False)  # help, that typer prints
+    if hasattr(error, "format_message"):
+        _fail_usage(error, as_json=as_json)
+    if verbose:
+        traceback.print_exception(error)
+    _fail(
+        f"internal error: {type(error).__name__}: {error}\n"
+        "No partly written files remain. Please report it with the output of "
+        "`usdface --verbose` and the same arguments.",
+        exit_code_of(error),
+        as_json=as_json,
+    )
 
 
 def _fail_usage(error: Any, *, as_json: bool) -> NoReturn:

@@ -184,6 +184,14 @@ def set_up_logging(*, verbose: bool) -> None:
     )
 
 
+_stopped = threading.Event()
+
+
+def was_stopped() -> bool:
+    """Return whether a signal was to end the command, whatever error a library made of it."""
+    return _stopped.is_set()
+
+
 def raise_on_signals() -> None:
     """Turn SIGTERM, which farms send once, into an exception, so that temporary files are removed.
 
@@ -201,6 +209,7 @@ def raise_on_signals() -> None:
         if _is_importing(frame):
             send_again(signum)
             return
+        _stopped.set()
         raise KeyboardInterrupt if signum == signal.SIGINT else CancelledError(STOPPED)
 
     def lost(unraisable: "sys.UnraisableHookArgs") -> None:
@@ -210,6 +219,7 @@ def raise_on_signals() -> None:
         else:
             sys.__unraisablehook__(unraisable)
 
+    _stopped.clear()
     sys.unraisablehook = lost
     with contextlib.suppress(ValueError):  # only the main thread may set handlers
         signal.signal(signal.SIGTERM, stop)
