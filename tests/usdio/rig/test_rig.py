@@ -11,6 +11,7 @@ from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
+from usdface.numerics.solve.blendshapes import BlendShapes, Key, Track
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
 from usdface.usdio.units import column_matrix, stage_to_ours, transform_points
@@ -202,3 +203,15 @@ def test_gram_is_what_an_error_does_to_the_surface() -> None:
     moved = (error @ deformer.shapes.target_offsets()).reshape(-1, 3)
     expected = np.sqrt((moved**2).sum() / len(deformer.neutral))
     assert np.sqrt(error @ deformer.shapes.gram() @ error) == pytest.approx(expected)
+
+
+def test_a_body_does_not_make_an_error_of_the_face_small() -> None:
+    head, body = 40, 2000
+    offsets = np.random.default_rng(7).normal(0, 5, (2, head // 2, 3))
+    points = np.arange(head // 2)
+    tracks = [Track(channel, [Key(1.0, points, offsets[channel])]) for channel in range(2)]
+    alone = BlendShapes(head, 2, tracks)
+    whole = BlendShapes(head + body, 2, tracks)
+    assert len(alone.face_points) == len(whole.face_points) == head
+    np.testing.assert_allclose(whole.gram(), alone.gram())
+    np.testing.assert_allclose(whole.gram()[0, 0], (offsets[0] ** 2).sum() / head)

@@ -105,7 +105,6 @@ def evaluate_weights(
     key_errors = solved_keys - truth_keys
     errors = solved - truth
     by_region = shapes_by_region(rig.shapes)
-    everywhere = np.arange(deformer.shapes.point_count)
     regions = [
         RegionError(
             name=name,
@@ -132,7 +131,7 @@ def evaluate_weights(
         shape_names=tuple(name for name, used in zip(rig.shapes, compared, strict=True) if used),
         observable=observable[compared],
         weight_rmse=measure_weights(errors, observable=compared & observable),
-        surface=measure_surface(key_errors, region_gram(offsets, everywhere)),
+        surface=measure_surface(key_errors, region_gram(offsets, deformer.shapes.face_points)),
         regions=tuple(regions),
         shapes=shapes,
         shape_mm=shapes.rmse * size_mm,

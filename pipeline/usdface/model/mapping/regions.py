@@ -67,9 +67,6 @@ if TYPE_CHECKING:
 SKIN_POINTS = 1500
 """Most points of the surface that stand for it."""
 
-_LEAST_SHARE = 0.02
-"""Of the largest movement: points that no shape moves this far are not face."""
-
 
 def skin_points(offsets: FloatArray | sparse.sparray, *, count: int = SKIN_POINTS) -> IntArray:
     """Choose points that stand for a surface: evenly spaced ones of those that shapes move.
@@ -81,11 +78,9 @@ def skin_points(offsets: FloatArray | sparse.sparray, *, count: int = SKIN_POINT
     count : int
         Most points to keep.
     """
-    from scipy import sparse  # only when wanted: it takes half a second
+    from usdface.numerics.solve.blendshapes import moving_points  # with SciPy: half a second
 
-    energy = np.asarray(sparse.csc_array(offsets).power(2).sum(axis=0)).reshape(-1, 3).sum(axis=1)
-    reach = np.sqrt(energy)
-    moving = np.flatnonzero(reach > _LEAST_SHARE * reach.max(initial=0.0))
+    moving = moving_points(offsets)
     chosen = np.linspace(0, len(moving) - 1, min(count, len(moving))).astype(np.int64)
     return np.asarray(moving[chosen], dtype=np.int64)
 

@@ -5,6 +5,7 @@ The one place where a rig's weights become offsets: what drives what is evaluate
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -13,6 +14,9 @@ from scipy import sparse
 
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.rig_logic import RigLogic
+
+_LEAST_SHARE = 0.02
+"""Of the largest movement: points that no shape moves this far are not face."""
 
 
 @dataclass(frozen=True)
@@ -124,6 +128,19 @@ class BlendShapes:
                 _share_between(weights[:, channel], knots, shares)
         return shares
 
+    @cached_property
+    def face_points(self) -> IntArray:
+        """Points over which an error of the face is averaged: (n,) int array.
+
+        Those that shapes move, and of the others no more than as many: on a head about half of the
+        points move, and a body below it would make every error of the face a small one.
+        """
+        moving = moving_points(self.key_offsets)
+        still = np.setdiff1d(np.arange(self.point_count), moving)
+        if len(still) > len(moving):
+            still = still[np.linspace(0, len(still) - 1, len(moving)).astype(np.int64)]
+        return np.union1d(moving, still)
+
     def offsets(self, weights: ArrayLike) -> FloatArray:
         """Return how far the weights move the points: (frames, points, 3) float array."""
         moved = self.key_weights(weights) @ self.key_offsets
@@ -157,16 +174,17 @@ class BlendShapes:
         Returns
         -------
         (channels, channels) float array
-            ``G`` such that ``sqrt(e @ G @ e)`` is the root mean square distance of the points.
+            ``G`` such that ``sqrt(e @ G @ e)`` is the root mean square distance of `face_points`.
         """
-        targets = self.target_offsets()
+        columns = (3 * self.face_points[:, None] + np.arange(3)).ravel()
+        targets = sparse.csr_array(self.target_offsets()[:, columns])
         if self.logic is None or poses is None:
-            return np.asarray((targets @ targets.T).toarray()) / max(self.point_count, 1)
-        driven = self.combination_offsets()
+            return np.asarray((targets @ targets.T).toarray()) / max(len(self.face_points), 1)
+        driven = sparse.csr_array(self.combination_offsets()[:, columns])
         slopes = self.logic.slopes(poses)  # a combination that one shape drives is in `targets`
         slopes -= self.logic.evaluate(np.eye(self.channel_count))[:, self.channel_count :].T
         every = sparse.vstack([targets, driven], format="csr")
-        whole = np.asarray((every @ every.T).toarray()) / max(self.point_count, 1)
+        whole = np.asarray((every @ every.T).toarray()) / max(len(self.face_points), 1)
         mixed, own = (
             whole[: self.channel_count, self.channel_count :],
             whole[self.channel_count :, self.channel_count :],
@@ -176,6 +194,13 @@ class BlendShapes:
         return np.asarray(
             whole[: self.channel_count, : self.channel_count] + mean + mean.T + quadratic
         )
+
+
+def moving_points(offsets: FloatArray | sparse.sparray) -> IntArray:
+    """Return the points that some row of offsets, (rows, 3 * points), moves: (n,) int array."""
+    energy = np.asarray(sparse.csc_array(offsets).power(2).sum(axis=0)).reshape(-1, 3).sum(axis=1)
+    reach = np.sqrt(energy)
+    return np.flatnonzero(reach > _LEAST_SHARE * reach.max(initial=0.0))
 
 
 def _share_between(weights: FloatArray, knots: list[tuple[float, int]], shares: FloatArray) -> None:

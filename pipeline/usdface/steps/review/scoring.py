@@ -53,9 +53,9 @@ class ShotRuler:
     @cached_property
     def points(self) -> dict[str, IntArray]:
         """Points of the rig by region, the whole face first; see `points_by_region`."""
-        offsets = self.shot.deformer.shapes.target_offsets()
-        count = offsets.shape[1] // 3
-        return {FACE: np.arange(count)} | points_by_region(offsets, self.shot.rig.shapes)
+        shapes = self.shot.deformer.shapes
+        regions = points_by_region(shapes.target_offsets(), self.shot.rig.shapes)
+        return {FACE: shapes.face_points} | regions
 
     @cached_property
     def grams(self) -> FloatArray:
