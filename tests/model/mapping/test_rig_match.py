@@ -9,7 +9,7 @@ import pytest
 from tests.usdio.small_rig import small_rig
 from usdface.core.assets import MeshShape, Rig, RigMesh, ShapeKey, TrainedMapping
 from usdface.core.errors import InputError
-from usdface.model.mapping.rig_match import check_same_rig, rig_summary
+from usdface.model.mapping.rig_match import changed_shapes, check_same_rig, rig_summary
 
 
 def mapping_for(rig: Rig, **arrays: np.ndarray) -> TrainedMapping:
@@ -63,7 +63,10 @@ def test_a_sculpt_that_changed_is_noted_with_its_name(
     change: Callable[[ShapeKey], ShapeKey],
 ) -> None:
     rig = small_rig()
-    notes = check_same_rig(mapping_for(rig), with_shape(rig, "eyeBlink", change))
+    changed = with_shape(rig, "eyeBlink", change)
+    assert changed_shapes(mapping_for(rig), changed) == ("eyeBlink",)
+    assert changed_shapes(mapping_for(rig), rig) == ()
+    notes = check_same_rig(mapping_for(rig), changed)
     assert len(notes) == 1
     assert "1 of the mapping's 3 shapes have been sculpted or moved" in notes[0]
     assert "eyeBlink (moves" in notes[0]

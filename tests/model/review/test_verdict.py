@@ -70,6 +70,14 @@ def test_proposals_are_never_good_since_their_error_is_that_of_proposals() -> No
     assert "not known" not in tuned.sentence
 
 
+def test_a_solve_onto_other_shapes_than_those_of_the_training_is_not_good() -> None:
+    basis = SolveBasis(50, 50, changed_shapes=("jawOpen", "mouthClose", "browDown"))
+    verdict = judge_solve(replace(evidence(), basis=basis))
+    assert verdict.level == "check"
+    assert "other shapes than in training: jawOpen, mouthClose and 1 more" in verdict.sentence
+    assert verdict.advice == "train and map again"
+
+
 def test_keys_decide_where_they_are_known() -> None:
     found = evidence(uncertainty_mm=9.0, coverage=0.1)
     for error_mm, level in ((0.2, "good"), (0.6, "check"), (1.2, "bad")):

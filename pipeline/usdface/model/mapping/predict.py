@@ -6,11 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
-from usdface.core.assets import SolveBasis, TrainedMapping
+from usdface.core.assets import Rig, SolveBasis, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.model.mapping.coverage import CoverageModel
 from usdface.model.mapping.head_space import MINIMUM_SHARE
 from usdface.model.mapping.motion_space import marker_coordinates, motion_of
+from usdface.model.mapping.rig_match import changed_shapes
 from usdface.model.mapping.uncertainty import UncertaintyModel
 from usdface.model.regressions import REMOVED_METHODS, find_method
 from usdface.model.regressions.base import bend, unbend
@@ -235,8 +236,8 @@ def regions_of(mapping: TrainedMapping) -> tuple[str, ...]:
     return tuple(str(mapping.settings["regions"]).split(","))
 
 
-def basis_of(mapping: TrainedMapping) -> SolveBasis | None:
-    """Return what a mapping learnt from; None where an earlier version trained it."""
+def basis_of(mapping: TrainedMapping, rig: Rig) -> SolveBasis | None:
+    """Return what a mapping learnt of a rig; None where an earlier version trained it."""
     settings = mapping.settings
     if "tuned" not in settings or "pairs" not in settings:
         return None
@@ -245,6 +246,7 @@ def basis_of(mapping: TrainedMapping) -> SolveBasis | None:
         pairs=int(settings["pairs"]),
         tuned=int(settings["tuned"]),
         still_regions=tuple(filter(None, still.split(","))),
+        changed_shapes=changed_shapes(mapping, rig),
     )
 
 

@@ -50,6 +50,14 @@ def rig_summary(rig: Rig, shape_names: tuple[str, ...]) -> dict[str, FloatArray]
     return {POINTS: points, SHAPES: np.array(rows).reshape(-1, 8)}
 
 
+def changed_shapes(mapping: TrainedMapping, rig: Rig) -> tuple[str, ...]:
+    """Return the shapes that have been sculpted or moved since the mapping was trained."""
+    if SHAPES not in mapping.arrays:
+        return ()
+    now = rig_summary(rig, mapping.shape_names)[SHAPES]
+    return tuple(mapping.shape_names[at] for at in _changed(mapping.arrays[SHAPES], now))
+
+
 def check_same_rig(mapping: TrainedMapping, rig: Rig) -> tuple[str, ...]:
     """Compare a rig with the one a mapping was trained on.
 

@@ -104,13 +104,14 @@ def judge_solve(evidence: SolveEvidence) -> SolveVerdict:
     proposals = _learnt_from_proposals(evidence)
     if bad_share > _BAD_SHARE:
         level = "bad"
-    elif doubtful_share > _CHANCE_SHARE or proposals:
+    elif doubtful_share > _CHANCE_SHARE or proposals or _changed(evidence):
         level = "check"
     else:
         level = "good"
     shares = (bad if level == "bad" else doubtful).mean(axis=0)
     where = _worst_regions(evidence.regions, shares)
-    parts = [_coverage(evidence), _tuned(evidence), _error(evidence), _residual(evidence)]
+    parts = [_coverage(evidence), _tuned(evidence), _changed(evidence)]
+    parts += [_error(evidence), _residual(evidence)]
     if level != "good" and where:
         parts.append(f"see the {_list_regions(where)}")
     return SolveVerdict(
@@ -148,6 +149,15 @@ def _worst_regions(regions: Sequence[str], shares: FloatArray) -> dict[str, floa
 def _list_regions(where: dict[str, float]) -> str:
     words = [f"{region} ({share:.0%})" for region, share in where.items()]
     return first_few(words, most=2)
+
+
+def _changed(evidence: SolveEvidence) -> str:
+    """Say which shapes are no more those that weights and uncertainty were learnt for."""
+    basis = evidence.basis
+    if basis is None or not basis.changed_shapes or evidence.error_mm is not None:
+        return ""
+    shapes = first_few(basis.changed_shapes, most=2)
+    return f"the rig has other shapes than in training: {shapes}"
 
 
 def _error(evidence: SolveEvidence) -> str:
@@ -209,6 +219,8 @@ def _advice(evidence: SolveEvidence, level: str, where: dict[str, float], propos
         )
     if proposals and basis is not None:
         steps.append(f"tune the references ({basis.pairs - basis.tuned} are proposals)")
+    if not steps and level != "bad" and _changed(evidence):
+        return "train and map again"
     if steps:
         return f"{' and '.join(steps)}, then train and map again"
     return "" if level == "good" else "look at the moments to review first"

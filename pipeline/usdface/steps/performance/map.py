@@ -33,7 +33,7 @@ from usdface.steps.inputs.edit_ranges import edit_notes
 from usdface.steps.inputs.weight_tables import read_alpha
 from usdface.usdio.mapping import read_mapping
 from usdface.usdio.performance.head_layer import write_head_layer
-from usdface.usdio.performance.weights_layer import every_shape, make_header
+from usdface.usdio.performance.weights_layer import WeightsHeader, every_shape, make_header
 from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.rig.drive_targets import HeadDrive
 from usdface.usdio.rig.read import read_rig
@@ -166,7 +166,7 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress = silent) -
             timecode_start=take.timecode_at(first),
         ),
         neutral_frame=space.neutral.neutral_frame,
-        basis=basis_of(mapping),
+        basis=basis_of(mapping, rig),
         held=driven.held,
     )
     with writing_performance(
@@ -203,7 +203,7 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress = silent) -
     notes += _left_over_notes(written)
     notes += _few_marker_notes(first, np.concatenate(written.few_markers))
     notes += edit_notes(spec.out)
-    return _report(spec, mapping, first, written, notes, space.neutral.figures())
+    return _report(spec, header, written, notes, space.neutral.figures())
 
 
 def _predict(
@@ -351,8 +351,7 @@ def _few_marker_notes(first: int, few_markers: BoolArray) -> list[str]:
 
 def _report(
     spec: MapSpec,
-    mapping: TrainedMapping,
-    first: int,
+    header: WeightsHeader,
     written: _Written,
     notes: list[str],
     neutral: dict[str, object],
@@ -361,11 +360,11 @@ def _report(
     residual_mm = np.concatenate(written.residual_mm)
     verdict = judge_solve(
         SolveEvidence(
-            regions_of(mapping),
+            header.regions,
             uncertainty_mm=uncertainty,
             coverage=np.concatenate(written.coverage),
             residual_mm=residual_mm,
-            basis=basis_of(mapping),
+            basis=header.basis,
         )
     )
     if verdict.advice:
@@ -378,7 +377,7 @@ def _report(
         {
             "frames": count,
             "mean_uncertainty_mm": float(uncertainty[:, 0].mean()),
-            "uncertain_frames": (first + np.flatnonzero(uncertainty[:, 0] > SEEN_MM))[
+            "uncertain_frames": (header.first_frame + np.flatnonzero(uncertainty[:, 0] > SEEN_MM))[
                 :_LISTED_FRAMES
             ].tolist(),
             "residual_mm": float(np.sqrt((residual_mm[:, 0] ** 2).mean())),

@@ -19,6 +19,7 @@ from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.performance.edits import ShapeEdit, edited_weights, read_edits
 from usdface.usdio.performance.weights_layer import (
     ANIMATION,
+    CHANGED_SHAPES,
     NEUTRAL_FRAME,
     PAIR_COUNTS,
     STILL_REGIONS,
@@ -117,7 +118,8 @@ class PerformanceReader:
         if counts is None or len(counts) != 2:
             return None
         still = tuple(map(str, self._get(STILL_REGIONS) or ()))
-        return SolveBasis(pairs=int(counts[1]), tuned=int(counts[0]), still_regions=still)
+        changed = tuple(map(str, self._get(CHANGED_SHAPES) or ()))
+        return SolveBasis(int(counts[1]), int(counts[0]), still, changed)
 
     @cached_property
     def version(self) -> str:
