@@ -111,7 +111,7 @@ def take_of(performance: Path) -> Path | None:
 
 
 def _in_folder(folder: Path) -> list[Path]:
-    layers = sorted(path for path in folder.iterdir() if path.suffix in LAYER_SUFFIXES)
+    layers = sorted(path for path in folder.iterdir() if path.suffix.lower() in LAYER_SUFFIXES)
     return [path for path in layers if _is_performance(path)]
 
 

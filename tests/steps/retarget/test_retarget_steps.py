@@ -392,8 +392,9 @@ def test_alpha_is_keyed_over_time(trained: Stall) -> None:
     layer.SetTimeSample("/blend.face:mapping:alpha", 101, 0.0)
     layer.SetTimeSample("/blend.face:mapping:alpha", 150, 1.0)
     layer.Save()
+    Path("alpha.usda").rename("alpha.USDA")  # as some systems write it
     made = []
-    for number, extra in enumerate(("", "--alpha alpha.csv", "--alpha alpha.usda")):
+    for number, extra in enumerate(("", "--alpha alpha.csv", "--alpha alpha.USDA")):
         line = f"retarget shot.usda --retargeting h.usda --out a{number}.usda {extra}"
         assert usdface(*line.split()) == 0
         made.append(read_control_clip(Path(f"a{number}.usda")).clip.controls.weights)

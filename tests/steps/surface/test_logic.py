@@ -111,6 +111,11 @@ def test_tables_and_simplex_say_the_same(rig: Path) -> None:
     assert stated(rig, definition=listed) == {
         "jaw_smile_L": "jaw_smile_L = jaw * smile_L (minimum)"
     }
+    simplex["combos"][0]["enabled"] = False  # type: ignore[index]
+    listed.write_text(json.dumps(simplex))
+    with pytest.raises(InputError, match="none of its 8 shapes is a combination"):
+        logic(rig, definition=listed)
+    del simplex["combos"][0]["enabled"]  # type: ignore[attr-defined]
     simplex["combos"][0]["pairs"][0][1] = 0.5  # type: ignore[index]
     listed.write_text(json.dumps(simplex))
     with pytest.raises(InputError, match=r"combo both has a slider at 0\.5"):

@@ -4,7 +4,7 @@ from usdface.core.assets import Take, Video
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
-from usdface.core.sidecars import LAYER_SUFFIXES
+from usdface.core.sidecars import is_usd_name
 from usdface.core.text import first_few, pluralize, read_text
 from usdface.media.film.sound import read_audio
 from usdface.runner.origin import provenance_metadata
@@ -36,7 +36,7 @@ def run(spec: PhonesSpec, *, provenance: Provenance, progress: Progress = silent
     words = _words(spec, text or "")
     own = {} if spec.dictionary is None else read_dictionary(spec.dictionary)
     progress(0.0, "reading the sound")
-    take = read_take(spec.audio) if spec.audio.suffix in (*LAYER_SUFFIXES, ".usdz") else None
+    take = read_take(spec.audio) if is_usd_name(spec.audio) else None
     if take is None:
         samples, video = read_audio(spec.audio, rate=SPEECH_SAMPLE_RATE), None
     elif take.audio is not None:

@@ -11,7 +11,7 @@ from usdface.capture.text_table import csv_rows
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig
 from usdface.core.errors import InputError
-from usdface.core.sidecars import LAYER_SUFFIXES
+from usdface.core.sidecars import is_usd_name
 from usdface.core.text import first_few, read_text
 from usdface.numerics.registration.surface_places import nearest_places
 from usdface.usdio.rig.mesh import rig_surfaces
@@ -34,7 +34,7 @@ def read_landmarks(path: Path, names: Sequence[str], rig: Rig) -> dict[str, Floa
         with a point or [x, y, z] by marker; or USD, whose corrections are taken. A point is an
         index, ``MESH:INDEX`` where the rig has several meshes; x, y, z are in the rig's units.
     """
-    if path.suffix in LAYER_SUFFIXES:
+    if is_usd_name(path):
         places = read_given_places(path, rig)
         every = {**places.landmarks, **places.corrected}
         given = {name: at for name, at in every.items() if name in names}

@@ -15,7 +15,7 @@ from usdface.capture.weight_samples import read_weight_samples
 from usdface.capture.weight_table import in_fractions, read_weight_take, row_frames
 from usdface.core.arrays import FloatArray, IntArray, columns_by_name
 from usdface.core.errors import InputError
-from usdface.core.sidecars import LAYER_SUFFIXES, is_usd_name
+from usdface.core.sidecars import is_usd_name
 from usdface.core.text import first_few, pluralize
 from usdface.model.retarget.name_matching import Transfer, transfer_by_names
 from usdface.usdio.mapping import read_alpha_keys
@@ -315,7 +315,7 @@ def read_alpha(path: Path, frames: IntArray) -> FloatArray:
         .csv with the columns ``frame`` and ``alpha``, or USD; see `read_alpha_keys`.
     frames : (n,) int array
     """
-    keys = read_alpha_keys(path) if path.suffix in LAYER_SUFFIXES else _read_keys(path)
+    keys = read_alpha_keys(path) if is_usd_name(path) else _read_keys(path)
     for frame, alpha in keys:
         if not 0.0 <= alpha <= 1.0:
             raise InputError(f"{path} frame {frame:g}: alpha is {alpha:g}; it must lie in 0 to 1")

@@ -8,7 +8,7 @@ from usdface.core.controls import ControlClip, Controls, ExpressionPairs, bare_c
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.sidecars import LAYER_SUFFIXES, proposed_path
+from usdface.core.sidecars import is_usd_name, proposed_path
 from usdface.core.text import first_few, pluralize
 from usdface.model.retarget.control_space import check_pairs, unused_shapes
 from usdface.model.retarget.name_matching import meaning_notes
@@ -88,7 +88,7 @@ def _check_nothing_hides(out: Path) -> None:
 
 
 def _read_target(spec: PairsImportSpec, rig: Rig) -> tuple[list[int], Controls]:
-    if spec.target.suffix in LAYER_SUFFIXES:
+    if is_usd_name(spec.target):
         names = find_control_attributes(rig, spec.attributes)
         clip = _without_driven(read_control_clip(spec.target, attributes=names).clip, rig)
         rig.check_has(clip.controls.shapes, source=spec.target, remedy="give the rig it animates")

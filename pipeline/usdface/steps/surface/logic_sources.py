@@ -183,6 +183,8 @@ def _simplex(data: dict[str, Any], path: Path) -> tuple[Combination, ...]:
     found = []
     for combo in data["combos"]:
         named = dict(zip(("name", "prog", "pairs"), combo, strict=False)) if first else combo
+        if not named.get("enabled", True):  # Simplex leaves it at 0
+            continue
         name, pairs, solve = str(named["name"]), named["pairs"], str(named.get("solveType"))
         others = [value for _, value in pairs if abs(float(value)) != 1.0]
         if others:
