@@ -125,6 +125,15 @@ class IngestSpec(WeightTableSpec):
         return self
 
 
+def _distortion_terms(terms: tuple[float, ...]) -> tuple[float, ...]:
+    if len(terms) not in (0, 2, 4, 5):
+        raise ValueError(
+            f"{len(terms)} numbers are given; OpenCV's model has k1,k2, then p1,p2, then k3: give "
+            "2, 4 or 5 (models of 8 and more, and of fisheye lenses, are not known)"
+        )
+    return terms
+
+
 class TrackSpec(Spec):
     """Track a face in a video; the landmarks become the markers of a take.
 
@@ -160,6 +169,12 @@ class TrackSpec(Spec):
     focal_length: Annotated[float, Field(ge=8, le=2000)] | None = None
     """Focal length of the lens in mm of a 35 mm camera, as phones state it (26 for the main camera
     of most). Default: what the file states, else 28."""
+    distortion: Annotated[
+        tuple[Annotated[float, Field(ge=-100, le=100)], ...], AfterValidator(_distortion_terms)
+    ] = ()
+    """Distortion of the lens as OpenCV writes it, `k1,k2`, `k1,k2,p1,p2` or `k1,k2,p1,p2,k3`:
+    landmarks are undistorted before perspective is undone. Of a calibration of the same lens at
+    the same zoom, whose focal length goes with it. Default: none."""
     eye_distance: Annotated[float, Field(ge=30, le=90)] = 63.0
     """Distance between the performer's pupils in mm, which sets the scale. The default is an
     adult's mean; nine of ten adults have 57 to 70."""

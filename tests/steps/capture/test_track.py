@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
 import usdface.steps.capture.track as step
@@ -77,6 +78,32 @@ def test_a_head_is_where_it_was_and_cleaning_takes_its_motion_out(tracked, tmp_p
     assert still.head_motion is not None
     np.testing.assert_array_equal(still.markers.confidence, take.markers.confidence)
     assert result.figures["face_share"] == 1.0
+
+
+def test_a_lens_that_distorts_is_undone(tracked, tmp_path, monkeypatch) -> None:
+    """Barrel distortion: what is seen at d of the focal length lies at r, with r + k r³ = d."""
+    video, k = clip(tmp_path / "a.mp4", 6), -0.2
+    _, straight = tracked(video, one_head)
+    find = SimulatedFinder.find_faces
+
+    def bent(self, picture):
+        faces = find(self, picture)
+        for face in faces:
+            place = (face.landmarks[:, :2] - (WIDTH / 2, HEIGHT / 2)) / FOCAL_PIXELS
+            factor = 1 + k * (place**2).sum(axis=1, keepdims=True)
+            face.landmarks[:, :2] = place * factor * FOCAL_PIXELS + (WIDTH / 2, HEIGHT / 2)
+        return faces
+
+    monkeypatch.setattr(SimulatedFinder, "find_faces", bent)
+    _, wrong = tracked(video, one_head)
+    _, right = tracked(video, one_head, distortion=(k, 0.0))
+    off = [np.abs(each.markers.positions - straight.markers.positions) for each in (wrong, right)]
+    assert off[0].max() > 0.5
+    assert off[1].max() < 0.01
+    with pytest.raises(InputError, match=r"--distortion -9,0 and a focal length of \d+ pixels no"):
+        tracked(video, one_head, distortion=(-9.0, 0.0))
+    with pytest.raises(ValidationError, match=r"3 numbers are given; OpenCV's model has k1,k2"):
+        tracked(video, one_head, distortion=(0.1, 0.0, 0.1))
 
 
 def test_uneven_pictures_lie_at_their_times(tracked, tmp_path) -> None:

@@ -1,4 +1,4 @@
-"""Points of a head in pictures, brought back to space: perspective undone, scale set.
+"""Points of a head in pictures, brought back to space: lens and perspective undone, scale set.
 
 A landmark model tells where points appear, and how much nearer each is than the head's middle in
 the unit of the picture (weak perspective). The camera makes what is near larger: a nose that comes
@@ -8,6 +8,7 @@ the distance of the head follows from its size, and each point from its own dept
 References
 ----------
 Hartley and Zisserman (2004), Multiple View Geometry in Computer Vision, section 6.1: the pinhole.
+Brown (1966), Decentering distortion of lenses, Photogrammetric Engineering 32(3), 444-462.
 Umeyama (1991), Least-squares estimation of transformation parameters between two point patterns,
 IEEE PAMI 13(4), equation 42: the scale.
 Gower (1975), Generalized Procrustes analysis, Psychometrika 40, 33-51.
@@ -27,14 +28,72 @@ _NEAREST_SHARE = 0.1
 """Of the head's distance: no landmark is nearer to a camera whose picture holds the whole face."""
 
 
+_NEWTON_STEPS = 50
+_UNDISTORTED_PIXELS = 1e-3
+"""What is left between a point and where the lens shows its undistorted place."""
+
+
 @dataclass(frozen=True)
 class PinholeCamera:
-    """A camera without distortion."""
+    """A camera whose lens may distort, by the model of Brown and Conrady."""
 
     focal_pixels: float
     """Focal length in pixels of the picture."""
     center: tuple[float, float]
     """Where the optical axis meets the picture: from the left and from the top [pixels]."""
+    distortion: tuple[float, ...] = ()
+    """k1, k2, p1, p2, k3 as OpenCV calls them, those that follow 0: of x and y over the focal
+    length, r² = x² + y², a point is seen at
+    x (1 + k1 r² + k2 r⁴ + k3 r⁶) + 2 p1 x y + p2 (r² + 2 x²), and likewise for y."""
+
+    def undistort(self, points: FloatArray) -> FloatArray:
+        """Return where a lens without distortion would show points: (..., 2) [pixels].
+
+        NaN where the lens shows no place: beyond where its distortion folds the picture.
+
+        Parameters
+        ----------
+        points : (..., 2) float array
+            x to the right, y down [pixels].
+        """
+        if not any(self.distortion):
+            return points
+        seen = (points - self.center) / self.focal_pixels
+        place, unfolded = seen.copy(), np.ones(seen.shape[:-1], bool)
+        for _ in range(_NEWTON_STEPS):
+            shown, (xx, xy, yy) = self._distorted(place)
+            left = seen - shown
+            # The Jacobian is symmetric; where its determinant falls to 0 the picture folds.
+            determinant = xx * yy - xy**2
+            unfolded &= (determinant > 0) & (xx > 0)
+            x = (yy * left[..., 0] - xy * left[..., 1]) / np.where(unfolded, determinant, 1.0)
+            y = (xx * left[..., 1] - xy * left[..., 0]) / np.where(unfolded, determinant, 1.0)
+            step = np.where(unfolded[..., None], np.stack([x, y], axis=-1), 0.0)
+            place += step
+            if not np.abs(step).max(initial=0.0) * self.focal_pixels > _UNDISTORTED_PIXELS / 1e3:
+                break
+        left = np.abs(self._distorted(place)[0] - seen).max(axis=-1) * self.focal_pixels
+        found = unfolded & (left < _UNDISTORTED_PIXELS)
+        return np.where(found[..., None], place * self.focal_pixels + self.center, np.nan)
+
+    def _distorted(self, place: FloatArray) -> tuple[FloatArray, tuple[FloatArray, ...]]:
+        """Return where points over the focal length are seen, and xx, xy, yy of the Jacobian."""
+        k1, k2, p1, p2, k3 = (*self.distortion, 0.0, 0.0, 0.0, 0.0, 0.0)[:5]
+        x, y = place[..., 0], place[..., 1]
+        square = x**2 + y**2
+        radial = 1 + square * (k1 + square * (k2 + square * k3))
+        slope = 2 * k1 + square * (4 * k2 + square * 6 * k3)
+        shown = np.stack(
+            [
+                x * radial + 2 * p1 * x * y + p2 * (square + 2 * x**2),
+                y * radial + p1 * (square + 2 * y**2) + 2 * p2 * x * y,
+            ],
+            axis=-1,
+        )
+        xx = radial + x**2 * slope + 2 * p1 * y + 6 * p2 * x
+        xy = x * y * slope + 2 * p1 * x + 2 * p2 * y
+        yy = radial + y**2 * slope + 6 * p1 * y + 2 * p2 * x
+        return shown, (xx, xy, yy)
 
 
 def unproject_head(
@@ -69,7 +128,11 @@ def unproject_head(
     """
     if not seen.any():
         raise ValueError("no frame has a face")
-    image = landmarks[seen] * (1.0, -1.0, -1.0) / camera.focal_pixels
+    pictured = landmarks[seen].copy()
+    straight = camera.undistort(pictured[..., :2])
+    # Landmarks guessed outside the picture may lie where the lens shows nothing.
+    pictured[..., :2] = np.where(np.isnan(straight), pictured[..., :2], straight)
+    image = pictured * (1.0, -1.0, -1.0) / camera.focal_pixels
     middle = np.array([camera.center[0], -camera.center[1]]) / camera.focal_pixels
     # Of the head's distance: a landmark's depth, and by similar triangles where it is across.
     depth = 1.0 - (image[..., 2] - image[:, rigid, 2].mean(axis=1, keepdims=True))

@@ -186,7 +186,24 @@ def _camera(spec: TrackSpec, video: VideoReader | ImageSequence) -> tuple[Pinhol
     else:
         note = f"perspective undone for a focal length of {focal:g} mm of a 35 mm camera"
     pixels = focal / _FILM_DIAGONAL * float(np.hypot(width, height))
-    return PinholeCamera(pixels, (width / 2, height / 2)), note
+    camera = PinholeCamera(pixels, (width / 2, height / 2), spec.distortion)
+    _check_unfolded(spec, camera, width, height)
+    return camera, note
+
+
+def _check_unfolded(spec: TrackSpec, camera: PinholeCamera, width: int, height: int) -> None:
+    """Refuse a distortion by which some of the picture would show no place."""
+    across, down = np.meshgrid(np.linspace(0, width, 33), np.linspace(0, height, 33))
+    grid = np.stack([across.ravel(), down.ravel()], axis=1)
+    folded = np.isnan(camera.undistort(grid)).any(axis=1)
+    if folded.any():
+        nearest = grid[folded][np.linalg.norm(grid[folded] - camera.center, axis=1).argmin()]
+        raise InputError(
+            f"{spec.video}: by --distortion {','.join(f'{term:g}' for term in spec.distortion)} "
+            f"and a focal length of {camera.focal_pixels:.0f} pixels no place is seen at "
+            f"{nearest[0]:.0f}, {nearest[1]:.0f}, where the distortion folds the picture; give the "
+            "terms in OpenCV's order, k1,k2,p1,p2,k3, with the focal length of the same calibration"
+        )
 
 
 def _build_take(
