@@ -21,10 +21,12 @@ from usdface.core.deformer import Deformer
 from usdface.model.mapping.predict import predict_weights
 from usdface.model.mapping.regions import sample_skin
 from usdface.model.mapping.train import train_mapping
+from usdface.model.regressions.forward_model import ForwardScales, fit_forward_model
 from usdface.numerics.measure.face_regions import blinks
 from usdface.runner.execute import execute
 from usdface.specs.references import SelectSpec
 from usdface.steps.inputs.cleaned_takes import read_cleaned_takes
+from usdface.tuning.targets import find_targets
 from usdface.usdio.references.read import read_references
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import read_take
@@ -35,6 +37,7 @@ HALVES = ("1-4030", "4031-8059")
 PHONES = "pau b p m k g ae aa f v ch sh iy ay ow oy n d t l eh er th dh s z r w uw hh".split()
 EMOTIONS = ("neutral", "joy", "anger", "sadness")
 LONG = 432_000
+_LINEAR = ForwardScales(alpha=0.6, floor=0.4, eta=0.0, tau=0.1, curve=0.0)
 
 
 @dataclass(frozen=True)
@@ -67,6 +70,7 @@ def run(*, quick: bool = False) -> None:
         else:
             _print_errors(stage)
         _print_starts(stage)
+        _print_keys(stage)
     with tempfile.TemporaryDirectory() as name:
         _print_speed(Path(name))
 
@@ -231,6 +235,49 @@ def _start_row(
         f"| {tuned} | {label} | {np.sqrt(squared.mean()):.3f} | {rmse:.3f} | {off:.1f} |",
         flush=True,
     )
+
+
+def _print_keys(stage: Stage) -> None:
+    """Residual of true keys and of proposals, less what tuned pairs say of the performer's skin.
+
+    That difference is linear in the weights, for each marker, as the forward model of mappings
+    with its quadratic part left out. Keys that err are off by a random share of each weight.
+    """
+    path = _select(stage.folder, stage.rig_file, "keys", 50, HALVES[0], "design")
+    proposals, rig = read_references(path), read_rig(stage.rig_file)
+    targets = find_targets(proposals, rig)
+    of_face = np.array([region != "" for region in targets.regions])
+    shapes = Deformer(rig).shapes
+
+    def moved(weights: np.ndarray) -> np.ndarray:
+        keys = shapes.key_weights(weights)
+        return np.asarray(np.einsum("pk,kmc->pmc", keys, targets.key_deltas))
+
+    basis, true = moved(np.eye(len(rig.shapes))), stage.truth[proposals.frames - 1]
+    goal, rng = targets.targets - targets.rest, np.random.default_rng(0)
+    print("Residual of 50 pairs of the first half [mm RMS], true keys and their proposals\n")
+    print(
+        "| keys err by | tuned | keys | proposals | keys that read worse |\n|---|---|---|---|---|"
+    )
+    for error in (0.0, 0.15):
+        keys = np.clip(true * (1 + error * rng.normal(size=true.shape)), 0, 1)
+        for tuned in (0, 5, 10, 25, 49):
+            read = np.zeros((2, 50))
+            for pair in range(50):
+                others = np.delete(np.arange(50), pair)[:tuned]
+                both = np.stack([keys[pair], proposals.weights[pair]])
+                left = goal[pair] - moved(both)
+                if tuned:
+                    seen = (goal - moved(keys))[others] + np.tensordot(keys[others], basis, 1)
+                    model = fit_forward_model(
+                        keys[others], seen, expected=basis, neutral=targets.rest, scales=_LINEAR
+                    )
+                    left -= np.tensordot(both, model.basis - basis, 1) + model.offset
+                read[:, pair] = np.sqrt((left[:, of_face] ** 2).sum(axis=2).mean(axis=1))
+            cells = " | ".join(f"{each:.2f}" for each in read.mean(axis=1))
+            worse = np.mean(read[0] > read[1])
+            print(f"| {error:.0%} | {tuned} | {cells} | {worse:.0%} |", flush=True)
+    print()
 
 
 def _print_speed(folder: Path) -> None:

@@ -104,7 +104,10 @@ class Page {
       if (pair === state.current) this.pose();
       this.buttons();
     });
-    state.addEventListener("done", () => this.buttons());
+    state.addEventListener("done", () => {
+      this.pose();
+      this.buttons();
+    });
     state.addEventListener("pair", () => this.arrive());
     outbox.addEventListener("status", ({ detail: { kind, text } }) => {
       $("saved").className = kind;
@@ -140,7 +143,7 @@ class Page {
     }
     this.unpackMarkers(markers);
     this.panel.offer("Solve", true);
-    this.table = new ResidualTable($("regions"), this.residual.parts);
+    this.table = new ResidualTable($("residual").firstElementChild, this.residual.parts);
     const off = (pair) => this.residual.measure(this.onRig(this.state.row(pair)), pair);
     this.film.measure(off, this.residual.parts, $("sieve"));
     $("placeMarkers").disabled = !markers.placement;
@@ -217,10 +220,10 @@ class Page {
     }
     const shown = this.showProposal ? state.proposal() : state.row();
     if (residual) {
-      const was = residual.measure(this.onRig(state.proposal()), state.current);
-      const now = residual.measure(this.onRig(shown), state.current);
-      this.table.show(now, was);
-      this.millimetres = now.get("");
+      const isKey = !this.showProposal && state.isTuned(state.current);
+      const distances = residual.measure(this.onRig(shown), state.current, isKey);
+      this.table.show(distances, isKey);
+      this.millimetres = distances.get("");
       $("residual").hidden = !this.showMarkers || this.wiping.on;
       viewer.setMarkers(this.showMarkers ? residual.overlay(state.current, this.showLabels) : null);
     }

@@ -50,10 +50,10 @@ export class FilmStrip {
     state.addEventListener("pair", () => this.#mark());
   }
 
-  /** Offer to show pairs by residual; `residual(pair)` returns distances by part [mm]. */
+  /** Offer to show proposals by residual; `residual(pair)` returns distances by part [mm]. */
   measure(residual, parts, menu) {
     this.residual = residual;
-    const words = (part) => `${part || "residual"} over ${OFF_MM} mm`;
+    const words = (part) => `proposals, ${part || "residual"} over ${OFF_MM} mm`;
     menu.append(...["", ...parts].map((part) => new Option(words(part), `off ${part}`)));
   }
 
@@ -83,8 +83,8 @@ export class FilmStrip {
   }
 
   /**
-   * Show all pairs, or those `todo`, `done` or `noted`; or `off PART`, where a part of the face, or
-   * without one the whole, is off by more than `OFF_MM`.
+   * Show all pairs, or those `todo`, `done` or `noted`; or `off PART`, proposals that nobody changed
+   * where a part of the face, or without one the whole, is off by more than `OFF_MM`.
    */
   sieve(which) {
     this.which = which;
@@ -94,7 +94,7 @@ export class FilmStrip {
   #wanted(pair) {
     const done = this.state.done[pair], noted = this.state.pairs[pair].notes.length > 0;
     const part = /^off (.*)/.exec(this.which)?.[1];
-    if (part !== undefined) return this.residual(pair).get(part) > OFF_MM;
+    if (part !== undefined) return !this.state.isTuned(pair) && this.residual(pair).get(part) > OFF_MM;
     return { todo: !done, done, noted }[this.which] ?? true;
   }
 

@@ -1,4 +1,6 @@
-// How far the rig's markers are from the captured ones, live, by part of the face.
+// How far the rig's markers are from the captured ones, live, by part of the face. A proposal is
+// judged by it. A key is not: it follows the performer's face, whose skin does not move as the
+// character's, and a right one is often farther from the markers than what was solved for them.
 
 const GOOD_MM = 0.5;
 const BAD_MM = 3;
@@ -9,10 +11,16 @@ const KNOTS = [
   [0.93, 0.78, 0.34],
   [0.93, 0.38, 0.28],
 ];
+const KEY_KNOTS = [
+  [0.86, 0.88, 0.9],
+  [0.6, 0.74, 0.9],
+  [0.36, 0.58, 0.93],
+];
 
-function tone(mm) {
+function tone(mm, isKey) {
+  const [near, middle, far] = isKey ? KEY_KNOTS : KNOTS;
   const at = 2 * Math.max(0, Math.min(1, (mm - GOOD_MM) / (BAD_MM - GOOD_MM)));
-  const [a, b] = at < 1 ? [KNOTS[0], KNOTS[1]] : [KNOTS[1], KNOTS[2]];
+  const [a, b] = at < 1 ? [near, middle] : [middle, far];
   const share = at < 1 ? at : at - 1;
   return a.map((value, k) => value + (b[k] - value) * share);
 }
@@ -36,8 +44,11 @@ export class Residual {
     return this.targets.subarray(3 * this.count * pair, 3 * this.count * (pair + 1));
   }
 
-  /** Where weights put the markers, in `bound`; and distances by region [mm], the whole under ''. */
-  measure(weights, pair) {
+  /**
+   * Where weights put the markers, in `bound`; and distances by region [mm], the whole under ''.
+   * `isKey`: a person set the weights; colours then say how far, not how good.
+   */
+  measure(weights, pair, isKey = false) {
     const { bound, keyDeltas, face } = this;
     const size = 3 * this.count;
     bound.set(this.rest);
@@ -53,7 +64,7 @@ export class Residual {
         bound[m] - target[m], bound[m + 1] - target[m + 1], bound[m + 2] - target[m + 2],
       );
       const part = this.regions[i];
-      this.colors.set(part ? tone(away) : [0.55, 0.55, 0.55], m);
+      this.colors.set(part ? tone(away, isKey) : [0.55, 0.55, 0.55], m);
       if (!part) continue;
       for (const key of [part, ""]) {
         const sum = sums.get(key);
@@ -71,12 +82,13 @@ export class Residual {
   }
 }
 
-/** The table over the face: a row a region, now and as proposed. */
+/** The table over the face: a row a region. */
 export class ResidualTable {
-  constructor(body, parts) {
+  constructor(table, parts) {
+    this.table = table;
     this.rows = new Map();
     for (const part of [...parts, ""]) {
-      const row = body.insertRow();
+      const row = table.tBodies[0].insertRow();
       if (!part) row.className = "all";
       const name = document.createElement("th");
       name.textContent = part || "whole face";
@@ -85,23 +97,20 @@ export class ResidualTable {
       bar.className = "bar";
       const fill = document.createElement("i");
       bar.append(fill);
-      const now = document.createElement("td");
-      const was = document.createElement("td");
-      was.className = "was";
-      was.title = "as proposed";
-      row.append(name, bar, now, was);
-      this.rows.set(part, { fill, now, was });
+      const distance = document.createElement("td");
+      row.append(name, bar, distance);
+      this.rows.set(part, { fill, distance });
     }
   }
 
-  show(now, was) {
-    const width = (mm) => `${Math.min(100, (100 * mm) / FULL_BAR_MM).toFixed(1)}%`;
-    for (const [part, row] of this.rows) {
-      row.now.textContent = now.get(part).toFixed(2);
-      row.was.textContent = was.get(part).toFixed(2);
-      row.fill.style.setProperty("--now", width(now.get(part)));
-      row.fill.style.setProperty("--was", width(was.get(part)));
-      row.fill.style.setProperty("--tone", css(tone(now.get(part))));
+  show(distances, isKey) {
+    this.table.caption.firstChild.data = isKey ? "Distance of markers, mm RMS" : "Residual of the proposal, mm RMS";
+    this.table.tFoot.hidden = !isKey;
+    for (const [part, { fill, distance }] of this.rows) {
+      const mm = distances.get(part);
+      distance.textContent = mm.toFixed(2);
+      fill.style.setProperty("--share", `${Math.min(100, (100 * mm) / FULL_BAR_MM).toFixed(1)}%`);
+      fill.style.setProperty("--tone", css(tone(mm, isKey)));
     }
   }
 }
