@@ -7,7 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.regenerate import REPOSITORY
+from tests.steps.retarget.test_names import SHAPES, phone_csv
 from tests.steps.small_shot import Shot
+from tests.test_docs import commands, run
 from tests.usdio.small_rig import small_rig
 from usdface.core.assets import Take, WeightsClip
 from usdface.core.errors import InputError
@@ -115,6 +118,30 @@ def test_a_retargeting_passes_through_the_tuned_pairs(folder: Path) -> None:
     page = folder / "phone.html"
     execute(ReportSpec(performance=out, out=page, frames="11-14", height=120))
     assert "references add phone.hero.usda --references phone.references" in page.read_text("utf-8")
+
+
+def test_the_block_of_the_page_on_tuning_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    weights = np.random.default_rng(5).random((440, len(SHAPES)))
+    phone_csv(Path("phone.csv"), weights.astype(np.float32))
+    write_rig(Path("hero.usdc"), small_rig())
+    path = Path("phone.references.usda")
+    lines = [line for line in commands(REPOSITORY / "docs" / "tuning.md") if "phone" in line]
+    steps = [line.split()[1] for line in lines]
+    assert steps == "ingest select tune pairs train-retarget retarget references".split()
+    for line in lines:
+        if line.split()[1] == "tune":  # a server; what a person does there
+            assert line == f"usdface tune {path}"
+            tune(path, 3, smile=1.5)
+        else:
+            assert run(line) == 0, f"{line}\n{capsys.readouterr()}"
+    references = read_references(path)
+    assert references.frames[-1] == 434
+    assert references.tuned.tolist() == [pair == 3 for pair in range(25)]
+    solved = PerformanceReader(Path("phone.hero.usda")).solved()[references.frames[3] - 1]
+    assert solved[2] > 1.0, "what was tuned: proposals are half a smile at most"
 
 
 def test_frames_of_a_retargeted_performance_are_added(folder: Path) -> None:
