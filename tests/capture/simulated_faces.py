@@ -51,9 +51,10 @@ class SimulatedFinder:
         focal_pixels: float,
         looks: int = 1,
         bias: float = 0.0,
+        first: int = 0,
     ) -> None:
         self._faces, self._focal, self._looks, self._bias = faces, focal_pixels, looks, bias
-        self._count = 0
+        self._count = first * looks
 
     def __enter__(self) -> "SimulatedFinder":
         return self

@@ -11,7 +11,7 @@ from usdface.core.errors import InputError
 from usdface.core.sidecars import parts_folder
 from usdface.farm.plan import ChunkSizes, FarmStep, Plan, in_chunks, plan_job
 from usdface.specs.base import Spec
-from usdface.specs.capture import AlignSpec, CleanSpec, IngestSpec
+from usdface.specs.capture import AlignSpec, CleanSpec, IngestSpec, TrackSpec
 from usdface.specs.job import JobSpec
 from usdface.specs.paths import Reads, frame_range
 from usdface.specs.performance import JoinSpec, MapSpec, TrainSpec
@@ -139,6 +139,16 @@ def test_a_performance_that_shall_lie_in_parts_is_joined_in_parts() -> None:
     *parts, join = in_chunks(mapped(chunk=700), SIZES, (1, 2500))
     assert join.clips == "always"
     assert {part.chunk for part in parts} == {None}
+
+
+def test_a_video_is_looked_at_in_parts_and_the_take_is_made_of_them() -> None:
+    step = TrackSpec(video=Path("/s/x.mp4"), out=Path("/s/x.take.usda"), performer="Kim")
+    *parts, take = in_chunks(step, ChunkSizes(map=1000, track=500), (1, 1200))
+    assert [part.frames for part in parts] == ["1-500", "501-1000", "1001-1200"]
+    assert all(part.part and not part.performer for part in parts)
+    assert take == step.model_copy(update={"parts": tuple(part.out for part in parts)})
+    assert in_chunks(step, ChunkSizes(map=1000), (1, 1200)) == [step]
+    assert in_chunks(step, ChunkSizes(map=1000, track=500), (1, 500)) == [step]
 
 
 def test_a_movie_is_drawn_in_pieces_of_the_frames_that_will_be_mapped() -> None:

@@ -1,14 +1,23 @@
 """What a farm made in parts is done for a job that names it whole, as long as each part is."""
 
+from pathlib import Path
+
+import numpy as np
 import pytest
 
+from tests.capture.simulated_faces import SimulatedFinder, turning_head
 from tests.steps.small_shot import FRAMES, Shot
+from usdface.core.sidecars import parts_folder
+from usdface.farm.plan import ChunkSizes, in_chunks
+from usdface.media.film.movie import write_movie
 from usdface.runner.execute import execute
-from usdface.runner.state import job_states
+from usdface.runner.state import frames_made, job_states
 from usdface.specs.base import Spec
+from usdface.specs.capture import TrackSpec
 from usdface.specs.job import JobSpec
 from usdface.specs.performance import JoinSpec, MapSpec, TrainSpec
 from usdface.specs.review import MovieJoinSpec, MovieSpec
+from usdface.steps.capture import track_pictures
 
 
 def state(spec: Spec) -> tuple[str, str]:
@@ -85,4 +94,23 @@ def test_a_movie_drawn_in_parts_is_done_too(shot: Shot) -> None:
         execute(spec.model_copy(update={"frames": frames, "out": parts[-1], "sound": False}))
     execute(MovieJoinSpec(parts=tuple(parts), take=spec.take, out=spec.out))
     assert state(spec) == ("done", "up to date, made in parts")
+    assert state(spec.model_copy(update={"quality": "final"}))[0] == "stale"
+
+
+def test_a_video_tracked_in_parts_is_done_too(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(track_pictures, "check_model", lambda path: "0" * 64)
+    finder = SimulatedFinder(lambda number: [turning_head(number)], focal_pixels=400)
+    monkeypatch.setattr(track_pictures, "FaceLandmarker", lambda path: finder)
+    video, model = tmp_path / "x.mp4", tmp_path / "face_landmarker.task"
+    write_movie(video, [np.zeros((96, 96, 3), np.uint8)] * 30, rate=24)
+    model.write_bytes(b"")
+    spec = TrackSpec(video=video, model=model, out=tmp_path / "x.take.usda", quality="draft")
+    for task in in_chunks(spec, ChunkSizes(map=1000, track=12), frames_made(spec)):
+        if task.part:
+            parts_folder(spec.out).mkdir(exist_ok=True)
+        execute(task)
+    assert len(list(parts_folder(spec.out).glob("*.usda"))) == 3
+    assert state(spec) == ("done", "up to date, made in parts")
+    assert state(spec.model_copy(update={"frames": "1-30"}))[0] == "stale"
+    assert state(spec.model_copy(update={"eye_distance": 60.0}))[0] == "stale"
     assert state(spec.model_copy(update={"quality": "final"}))[0] == "stale"

@@ -47,6 +47,37 @@ class FaceFinder(Protocol):
 
 
 @dataclass(frozen=True)
+class PictureFaces:
+    """The faces in a picture: of each the landmarks of `LANDMARKS`, in single precision."""
+
+    direct: list[FaceFinding]
+    mirrored: list[FaceFinding]
+    """Those in its mirror image, back in the picture's place."""
+
+
+def detect_faces(finder: FaceFinder, picture: ByteImage, *, mirrored: bool) -> PictureFaces:
+    """Return the faces in a picture, and with `mirrored` those in its mirror image."""
+    direct = [_markers(face) for face in finder.find_faces(picture)]
+    if not (mirrored and direct):
+        return PictureFaces(direct, [])
+    again = []
+    for face in finder.find_faces(picture[:, ::-1]):
+        back = face.landmarks * (-1, 1, 1) + (picture.shape[1], 0, 0)
+        found = _markers(FaceFinding(back, face.scores))
+        again.append(FaceFinding(found.landmarks[LANDMARKS.mirror], found.scores))
+    return PictureFaces(direct, again)
+
+
+def _markers(face: FaceFinding) -> FaceFinding:
+    """Return a face's landmarks that are markers, as precise as they are kept."""
+    landmarks, scores = face.landmarks[LANDMARKS.indices], face.scores
+    return FaceFinding(
+        landmarks.astype(np.float32).astype(np.float64),
+        scores.astype(np.float32).astype(np.float64),
+    )
+
+
+@dataclass(frozen=True)
 class FaceTrack:
     """The landmarks of `LANDMARKS` over pictures."""
 
@@ -130,8 +161,7 @@ class FaceFollower:
         noise, and what differs is doubtful.
     """
 
-    def __init__(self, finder: FaceFinder, choice: FaceChoice | None, *, mirrored: bool) -> None:
-        self._finder = finder
+    def __init__(self, choice: FaceChoice | None, *, mirrored: bool) -> None:
         self._choice = choice
         self._mirrored = mirrored
         self._last: FloatArray | None = None
@@ -140,7 +170,7 @@ class FaceFollower:
         self._crowded_pictures = 0
         self._rows: list[tuple[FloatArray, FloatArray, FloatArray]] = []
 
-    def look(self, picture: ByteImage, *, where: str) -> bool:
+    def look(self, found: PictureFaces, *, where: str) -> bool:
         """Measure the face in the next picture; return whether there is one.
 
         Raises
@@ -148,7 +178,7 @@ class FaceFollower:
         InputError
             If there are several faces, at first or for half a second, and none was chosen.
         """
-        faces = _distinct(self._finder.find_faces(picture))
+        faces = _distinct(found.direct)
         marker_count = len(LANDMARKS.names)
         self._crowded_pictures = self._crowded_pictures + 1 if len(faces) > 1 else 0
         lasting = self._last is None or self._crowded_pictures >= _LASTING_PICTURES
@@ -163,17 +193,19 @@ class FaceFollower:
             self._rows.append((nothing, nothing[:, 0], np.array([np.nan])))
             return False
         self._last = face.landmarks
-        positions = face.landmarks[LANDMARKS.indices]
+        positions = face.landmarks
         difference = np.zeros(marker_count)
         scores = face.scores
         if self._mirrored:
-            other = self._in_mirror(picture, face.landmarks)
-            if other is None:
-                difference[:] = np.nan
+            reach = _SAME_FACE * _breadth(positions)
+            again = [
+                each for each in found.mirrored if _distance(each.landmarks, positions) < reach
+            ]
+            if again:
+                difference = np.linalg.norm((positions - again[-1].landmarks)[:, :2], axis=1)
+                positions = (positions + again[-1].landmarks) / 2
             else:
-                again = other.landmarks[LANDMARKS.indices][LANDMARKS.mirror]
-                difference = np.linalg.norm((positions - again)[:, :2], axis=1)
-                positions = (positions + again) / 2
+                difference[:] = np.nan
         self._rows.append((positions, difference, scores))
         return True
 
@@ -203,15 +235,6 @@ class FaceFollower:
             face = min(faces, key=lambda face: side * float(face.landmarks[:, 0].mean()))
         self._others = [each.landmarks for each in faces if each is not face]
         return face
-
-    def _in_mirror(self, picture: ByteImage, landmarks: FloatArray) -> FaceFinding | None:
-        """Return the same face as the mirror image shows it, back in the picture's place."""
-        found = None
-        for face in self._finder.find_faces(picture[:, ::-1]):
-            back = face.landmarks * (-1, 1, 1) + (picture.shape[1], 0, 0)
-            if _distance(back, landmarks) < _SAME_FACE * _breadth(landmarks):
-                found = FaceFinding(back, face.scores)
-        return found
 
 
 def _distinct(faces: list[FaceFinding]) -> list[FaceFinding]:

@@ -190,3 +190,22 @@ def _rate_limits(
     count = float(frames[-1] - frames[0])
     rounding = min(10.0**-decimals, span / 2)  # half a unit at either end
     return count / (span + rounding), count / span, count / (span - rounding)
+
+
+def picture_frames(times: FloatArray, rate: Fraction | None) -> tuple[Fraction, FloatArray]:
+    """Return the rate of a video, and where each picture lies in frames from the first.
+
+    Parameters
+    ----------
+    times : (pictures,) float array
+        [s]
+    rate : Fraction or None
+        None where pictures come unevenly: then a device's rate near their median.
+    """
+    if rate is None:
+        step = float(np.median(np.diff(times)))
+        rate = Fraction(min(DEVICE_RATES, key=lambda each: abs(each * step - 1)))
+    frames = (times - times[0]) * float(rate)
+    whole = np.rint(frames)
+    # A tenth of a frame: times are rounded.
+    return rate, whole if np.abs(frames - whole).max() < 0.1 else frames

@@ -9,6 +9,7 @@ from usdface.core.errors import InputError
 from usdface.core.sidecars import parts_folder
 from usdface.runner.state import frames_made
 from usdface.specs.base import Spec
+from usdface.specs.capture import TrackSpec
 from usdface.specs.job import JobSpec
 from usdface.specs.paths import Reads
 from usdface.specs.performance import JoinSpec, MapSpec
@@ -29,6 +30,8 @@ class ChunkSizes:
     map: int
     movie: int | None = None
     """None leaves a movie in one piece."""
+    track: int | None = None
+    """None leaves a video in one piece."""
     clips: Literal["auto", "always", "never"] = "auto"
     """Whether the parts of a performance stay where they are, as value clips."""
 
@@ -68,6 +71,13 @@ def in_chunks(step: Spec, sizes: ChunkSizes, frames: FrameRange | None) -> list[
         ]
         take = step.take if step.sound else None
         return [*shown, MovieJoinSpec(parts=names, take=take, out=step.out)]
+    if isinstance(step, TrackSpec) and sizes.track is not None and not (step.part or step.parts):
+        chunks = _chunks(frames, sizes.track)
+        if len(chunks) == 1:
+            return [step]
+        names = _part_names(step.out, len(chunks))
+        seen = [step.part_spec(text, name) for text, name in zip(chunks, names, strict=True)]
+        return [*seen, step.model_copy(update={"parts": names})]
     return [step]
 
 

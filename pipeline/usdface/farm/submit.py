@@ -291,7 +291,9 @@ def _write(spec: SubmitSpec, *, overwrite: bool) -> Submission:
     if root is not None:
         check_confined(job.named_paths(), root)
     _check_inputs(job)
-    sizes = ChunkSizes(map=spec.chunk, movie=spec.movie_chunk, clips=spec.clips)
+    sizes = ChunkSizes(
+        map=spec.chunk, movie=spec.movie_chunk, track=spec.track_chunk, clips=spec.clips
+    )
     plan = plan_job(job, sizes=sizes, frames_of=_frames_of)
     carried = _carried(job)
     if root is not None:  # farms without shared storage upload these

@@ -11,11 +11,13 @@ from pydantic import ValidationError
 
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
+from usdface.core.rates import exact_rate
 from usdface.core.sidecars import LAYER_SUFFIXES
 from usdface.core.text import first_few, pluralize
 from usdface.runner.origin import make_provenance, provenance_of, spec_of
 from usdface.runner.outputs import check_may_be_read, missing_in_job, missing_inputs, sidecars_of
 from usdface.specs.base import Spec
+from usdface.specs.capture import TrackSpec
 from usdface.specs.job import JobSpec
 from usdface.specs.paths import Reads, Writes, frame_range
 from usdface.specs.performance import JoinSpec, MapSpec
@@ -60,10 +62,8 @@ def chunk_specs(spec: Spec, made: Provenance, path: Path) -> tuple[Spec, ...]:
     folder = path.resolve().parent
     join = join.with_paths(lambda part: folder / part)
     parts, stretches = list[Spec](), list[tuple[int, int]]()
-    for path_of_part in join.parts:
+    for path_of_part in join.parts or ():
         frames = spec_of(provenance_of(path_of_part)).get("frames")
-        changed = {"frames": frames, "out": path_of_part}
-        changed |= {"chunk": None} if isinstance(spec, MapSpec) else {"sound": False}
         try:
             stretch = frame_range(frames)
         except (AttributeError, ValueError):
@@ -71,20 +71,28 @@ def chunk_specs(spec: Spec, made: Provenance, path: Path) -> tuple[Spec, ...]:
         if stretch is None:
             return ()
         stretches.append(stretch)
-        parts.append(spec.model_copy(update=changed))
+        if isinstance(spec, TrackSpec):
+            parts.append(spec.part_spec(frames, path_of_part))
+            continue
+        changed = {"chunk": None} if isinstance(spec, MapSpec) else {"sound": False}
+        parts.append(spec.model_copy(update={"frames": frames, "out": path_of_part, **changed}))
     stretches.sort()
     follow = all(one[1] + 1 == other[0] for one, other in pairwise(stretches))
     if not follow or (stretches[0][0], stretches[-1][1]) != frames_made(spec):
         return ()
+    if isinstance(spec, TrackSpec):
+        join = spec.model_copy(update={"parts": join.parts})
     return (join, *parts)
 
 
-def _join_of(spec: Spec, made: Provenance) -> JoinSpec | MovieJoinSpec | None:
-    kind: type[JoinSpec] | type[MovieJoinSpec]
+def _join_of(spec: Spec, made: Provenance) -> JoinSpec | MovieJoinSpec | TrackSpec | None:
+    kind: type[JoinSpec] | type[MovieJoinSpec] | type[TrackSpec]
     if isinstance(spec, MapSpec):
         kind = JoinSpec
     elif isinstance(spec, MovieSpec):
         kind = MovieJoinSpec
+    elif isinstance(spec, TrackSpec) and not spec.parts and spec_of(made).get("parts"):
+        kind = TrackSpec
     else:
         return None
     if made.step != kind.step_name():
@@ -103,7 +111,20 @@ def frames_made(
         return frame_range(step.frames) or frames_of(step.take)
     if isinstance(step, MovieSpec):
         return frame_range(step.frames) or frames_of(step.performance)
+    if isinstance(step, TrackSpec) and step.video.is_file():
+        return _video_frames(step)
     return None
+
+
+def _video_frames(step: TrackSpec) -> tuple[int, int]:
+    from usdface.capture.sample_times import picture_frames  # media only when there are any
+    from usdface.media.film.image_sequence import open_video
+
+    asked = None if step.video_rate is None else exact_rate(step.video_rate, where="--video-rate")
+    with open_video(step.video, asked) as video:
+        _, frames = picture_frames(video.times, asked or video.rate)
+    first, last = frame_range(step.frames) or (1, 1 + int(frames[-1]))
+    return max(first, 1), min(last, 1 + int(frames[-1]))
 
 
 def job_states(job: JobSpec) -> list[StepState]:

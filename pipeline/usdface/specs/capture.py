@@ -1,5 +1,6 @@
 """Specs of capture: ingest, track, align, clean, phones."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
@@ -134,6 +135,13 @@ def _distortion_terms(terms: tuple[float, ...]) -> tuple[float, ...]:
     return terms
 
 
+_ONLY_OF_TAKES = (
+    *("parts", "face", "focal_length", "distortion", "eye_distance", "neutral"),
+    *("take", "performer", "session", "emotion"),
+)
+"""Options of a take, of which a part of a video knows nothing."""
+
+
 class TrackSpec(Spec):
     """Track a face in a video; the landmarks become the markers of a take.
 
@@ -149,6 +157,7 @@ class TrackSpec(Spec):
     )
     module: ClassVar[str] = "capture.track"
     sidecars: ClassVar[tuple[Sidecar, ...]] = (samples_path,)
+    never_with: ClassVar[Mapping[str, Sequence[str]]] = dict.fromkeys(_ONLY_OF_TAKES, ("part",))
 
     step: Literal["track"] = "track"
     video: Annotated[FilePath, Reads(), Positional()]
@@ -160,6 +169,12 @@ class TrackSpec(Spec):
     environment variable USDFACE_FACE_MODEL names."""
     frames: Frames | None = None
     """Frames of the video to track, first and last, counted from 1 at the take's rate."""
+    part: bool = False
+    """Write what the model detects in the pictures of --frames, for `track --parts` to make the
+    take of, such as on a farm; the output is no take yet."""
+    parts: Annotated[tuple[FilePath, ...], Field(min_length=1), Reads()] | None = None
+    """Parts of this video, written with --part: their pictures are not looked at again, and the
+    take is the same as without. The model is needed for pictures that no part holds."""
     face: Literal["largest", "left", "right"] | None = None
     """Which face to follow where a picture shows several, left and right as one sees them. Default:
     several faces are refused."""
@@ -192,6 +207,11 @@ class TrackSpec(Spec):
     """Name of the recording session, such as a date."""
     emotion: str = ""
     """Emotion of the whole take, if it has one."""
+
+    def part_spec(self, frames: str | None, out: Path) -> "TrackSpec":
+        """Return the spec of a part with some of the frames."""
+        others = {name: getattr(self, name) for name in ("video", "model", "quality", "video_rate")}
+        return TrackSpec(**others, frames=frames, out=out, part=True)
 
 
 LONGEST_SHIFT = 86400.0

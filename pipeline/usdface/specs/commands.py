@@ -66,6 +66,8 @@ class SubmitSpec(Spec):
     `auto` merges up to 1 GB."""
     movie_chunk: Annotated[int, Field(ge=24)] | None = None
     """Frames of the take per movie task. Default: the whole movie."""
+    track_chunk: Annotated[int, Field(ge=24)] | None = None
+    """Frames of a video per task that looks at its pictures. Default: the whole video."""
     priority: Annotated[int, Field(ge=0, le=100)] | None = None
     """Priority of the job. Default: the farm's."""
     write_only: bool = False

@@ -8,12 +8,13 @@ import pytest
 from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
-import usdface.steps.capture.track as step
+import usdface.steps.capture.track_pictures as step
 from tests.capture.simulated_faces import SCORES, SimulatedFinder, head_points, turning_head
 from tests.media.bar_code import HEIGHT, WIDTH, write_numbered
 from usdface.capture.face_gaze import LOOK_SHAPES
 from usdface.capture.face_landmarks import LANDMARKS
 from usdface.core.errors import InputError
+from usdface.core.sidecars import work_folder
 from usdface.media.film.movie import write_movie
 from usdface.media.picture.image import write_image
 from usdface.numerics.rigid.rigid_alignment import align_rigid
@@ -33,13 +34,14 @@ def tracked(tmp_path: Path, monkeypatch):
     model = tmp_path / "face_landmarker.task"
     model.write_bytes(b"")
 
-    def run(video: Path, faces, *, looks: int = 1, **options):
-        finder = SimulatedFinder(faces, focal_pixels=FOCAL_PIXELS, looks=looks)
+    def run(video: Path, faces, *, looks: int = 1, first: int = 0, **options):
+        finder = SimulatedFinder(faces, focal_pixels=FOCAL_PIXELS, looks=looks, first=first)
         monkeypatch.setattr(step, "FaceLandmarker", lambda path: finder)
-        out = tmp_path / "x.take.usda"
-        asked = {"model": model, "quality": "draft", "focal_length": FOCAL} | options
-        result = execute(TrackSpec(video=video, out=out, **asked), overwrite=True)
-        return result, read_take(out)
+        asked = {"model": model, "quality": "draft", "out": tmp_path / "x.take.usda"}
+        asked |= {} if "part" in options else {"focal_length": FOCAL}
+        asked |= options
+        result = execute(TrackSpec(video=video, **asked), overwrite=True)
+        return result, None if "part" in options else read_take(asked["out"])
 
     return run
 
@@ -203,6 +205,107 @@ def test_pictures_are_a_video_too(tracked, tmp_path) -> None:
     _, take = tracked(tmp_path / "shot.1001.png", one_head, video_rate=25)
     assert (take.rate, take.frame_count) == (25, 5)
     assert take.markers.visible.all()  # one missing picture is bridged
+
+
+def nobody(number: int):
+    raise AssertionError(f"picture {number} is looked at again")
+
+
+def two_heads(number: int):
+    """One of two faces is lost for a while; the other is not to be taken for it."""
+    near, far = turning_head(number, at=(60, 0, -600)), turning_head(number, at=(-90, 0, -700))
+    return [far] if 15 <= number < 25 else [near, far]
+
+
+def assert_same_take(one, other) -> None:
+    assert one.markers.names == other.markers.names
+    assert (one.rate, one.first_frame, one.video) == (other.rate, other.first_frame, other.video)
+    for name in ("positions", "visible", "confidence"):
+        np.testing.assert_array_equal(getattr(one.markers, name), getattr(other.markers, name))
+    assert one.source.names == other.source.names
+    np.testing.assert_array_equal(one.source.values, other.source.values)
+
+
+@pytest.mark.parametrize("stamps", [[], [0, 33, 67, 100, 145, 200, 240, 267, 300, 500, 533, 567]])
+def test_parts_make_the_same_take_as_the_whole(tracked, tmp_path, stamps) -> None:
+    video = tmp_path / "a.mp4"
+    if stamps:  # pictures between two frames belong to one part
+        write_numbered(video, stamps, base=Fraction(1, 1000), rate=Fraction(30))
+        cuts = ((1, 4), (5, 9), (10, 18))
+        starts = (0, 4, 8)
+    else:
+        clip(video, 40)
+        cuts, starts = ((1, 20), (21, 40)), (0, 20)
+    asked = {"face": "right", "quality": "final", "looks": 2}
+    _, whole = tracked(video, two_heads, **asked)
+    parts = []
+    for (first, last), start in zip(cuts, starts, strict=True):
+        parts.append(tmp_path / f"part.{first}.usdc")
+        tracked(
+            video,
+            two_heads,
+            first=start,
+            **{"part": True, "frames": f"{first}-{last}", "out": parts[-1]},
+            quality="final",
+            looks=2,
+        )
+    _, joined = tracked(video, nobody, parts=tuple(parts), **asked)
+    assert_same_take(joined, whole)
+    # what no part holds is looked at
+    _, rest = tracked(video, two_heads, parts=tuple(parts[1:]), **asked)
+    assert_same_take(rest, whole)
+
+
+def test_a_part_of_something_else_is_refused(tracked, tmp_path) -> None:
+    video, other = clip(tmp_path / "a.mp4", 12), clip(tmp_path / "b.mp4", 13)
+    part = tmp_path / "part.usdc"
+    tracked(video, one_head, part=True, frames="1-6", out=part)
+    with pytest.raises(InputError, match=r"part\.usdc: was made with another video than this take"):
+        tracked(other, one_head, parts=(part,))
+    with pytest.raises(InputError, match=r"part\.usdc: was made with another --quality than"):
+        tracked(video, one_head, parts=(part,), quality="final")
+    tracked(video, one_head)
+    with pytest.raises(InputError, match=r"x\.take\.usda: is no part of a tracked video; make it"):
+        tracked(video, one_head, parts=(tmp_path / "x.take.usda",), out=tmp_path / "y.take.usda")
+    with pytest.raises(ValidationError, match="neutral has no effect with part"):
+        tracked(video, one_head, part=True, neutral=3)
+
+
+def test_a_killed_run_goes_on_where_it_was(tracked, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(step, "_STRETCH_PICTURES", 8)
+    video = clip(tmp_path / "a.mp4", 40)
+    _, whole = tracked(video, one_head)
+    kept = work_folder(tmp_path / "x.take.usda", "detections")
+    assert not kept.exists()
+
+    def killed(number: int):
+        if number == 20:
+            raise KeyboardInterrupt
+        return one_head(number)
+
+    with pytest.raises(KeyboardInterrupt):
+        tracked(video, killed)
+    assert len(list(kept.iterdir())) == 2
+    looked: list[int] = []
+
+    def rest(number: int):
+        looked.append(number)
+        return one_head(number)
+
+    _, again = tracked(video, rest, first=16, neutral=whole.markers.neutral_frame)
+    assert_same_take(again, whole)
+    assert len(looked) == 24
+    assert not kept.exists()
+    with pytest.raises(KeyboardInterrupt):
+        tracked(video, killed)
+    video.write_bytes(clip(tmp_path / "b.mp4", 39).read_bytes())  # another video: all anew
+    looked.clear()
+    _, other = tracked(video, lambda n: looked.append(n) or one_head(n))
+    assert (len(looked), other.frame_count) == (39, 39)
+    assert not kept.exists()
+    with pytest.raises(InputError, match="2 faces"):  # nothing is left behind
+        tracked(video, lambda n: one_head(n) if n < 20 else two_heads(n - 20))
+    assert not kept.exists()
 
 
 @pytest.mark.fixtures("models", "video_pyfeat")

@@ -1,4 +1,4 @@
 """Captures to cleaned takes."""
 
 _commands = ("ingest_folder",)
-_helpers = ("merge_captures", "track_notes")
+_helpers = ("merge_captures", "track_notes", "track_pictures")

@@ -1,22 +1,16 @@
 """A video in, a take of the face's landmarks out."""
 
-from dataclasses import dataclass, replace
-from fractions import Fraction
+from contextlib import ExitStack
+from dataclasses import replace
 
 import numpy as np
 
 from usdface.capture.channel_take import fill_frames
 from usdface.capture.face_gaze import LOOK_SHAPES, GazeAngles, closed_eyes, gaze_angles
-from usdface.capture.face_landmarker import (
-    KNOWN_MODELS,
-    FaceLandmarker,
-    check_model,
-    named_model,
-)
+from usdface.capture.face_landmarker import KNOWN_MODELS
 from usdface.capture.face_landmarks import LANDMARKS
 from usdface.capture.face_tracking import FaceFollower, FaceTrack
 from usdface.capture.marker_take import CaptureHeader, CaptureOptions, build_marker_take
-from usdface.capture.sample_times import DEVICE_RATES
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from usdface.core.assets import Take, Video, WeightsClip
 from usdface.core.errors import InputError
@@ -33,11 +27,15 @@ from usdface.numerics.rigid.perspective import PinholeCamera, unproject_head
 from usdface.numerics.rigid.stabilization import align_by_prior
 from usdface.runner.result import StepResult
 from usdface.specs.capture import TrackSpec
-from usdface.specs.paths import frame_range
 from usdface.steps.capture.track_notes import check_faces, eye_columns, track_notes
+from usdface.steps.capture.track_pictures import (
+    FIRST_VIDEO_FRAME,
+    PictureDetector,
+    PictureTiming,
+    detections_folder,
+    settle_timing,
+)
 from usdface.usdio.take.write import write_take
-
-_FIRST_VIDEO_FRAME = 1
 
 DEFAULT_FOCAL_LENGTH = 28.0
 """[mm] of a 35 mm camera: phones film with 23 to 31 mm, more with the picture stabilised."""
@@ -51,122 +49,64 @@ _PROFILE_SINE = 0.17
 
 
 def run(spec: TrackSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
-    """Track the face in a video and write a take."""
-    model = named_model(spec.model)
-    digest = check_model(model)
+    """Track the face in a video and write a take, or what the model detects for one."""
     rate = None if spec.video_rate is None else exact_rate(spec.video_rate, where="--video-rate")
-    with open_video(spec.video, rate) as video, FaceLandmarker(model) as landmarker:
-        timing = _settle_timing(spec, video, rate)
-        follower = FaceFollower(landmarker, spec.face, mirrored=spec.quality == "final")
-        _look_at_pictures(spec, video, timing, follower, part(progress, 0.0, 0.95))
-        track = follower.track()
-        camera, focal_note = _camera(spec, video)
-        score_names = landmarker.score_names
-        timecode = video.timecode
+    with (
+        detections_folder(spec.out) as folder,
+        ExitStack() as open_files,
+        open_video(spec.video, rate) as video,
+    ):
+        timing = settle_timing(spec, video, rate)
+        detector = PictureDetector(spec, provenance, folder, open_files)
+        looking = detector.look(video, timing, part(progress, 0.0, 0.95))
+        if spec.part:
+            faces = list(looking)
+            detector.write(spec.out, timing.pictures, faces, provenance=provenance)
+            seen = sum(bool(each.direct) for each in faces)
+            count = pluralize(len(faces), "picture")
+            summary = f"{spec.out.name}: {count}, a face in {100 * seen / len(faces):.1f} %"
+            return StepResult((spec.out,), summary, timing.notes, {"pictures": len(faces)})
+        follower = FaceFollower(spec.face, mirrored=spec.quality == "final")
+        for index, found in zip(timing.pictures.tolist(), looking, strict=True):
+            follower.look(found, where=f"{spec.video} at {video.times[index]:.2f} s")
+        return _write(spec, follower.track(), timing, video, detector, provenance, progress)
+
+
+def _write(
+    spec: TrackSpec,
+    track: FaceTrack,
+    timing: PictureTiming,
+    video: VideoReader | ImageSequence,
+    detector: PictureDetector,
+    provenance: Provenance,
+    progress: Progress,
+) -> StepResult:
+    """Make the take of what was tracked, and write it."""
     check_faces(spec, track)
+    camera, focal_note = _camera(spec, video)
     frames = np.rint(timing.frames).astype(np.int64) + timing.first_frame
     doubtful = track_notes(track, rate=timing.rate, frames=frames)
     notes = [*timing.notes, focal_note, *doubtful]
-    if digest not in KNOWN_MODELS:
-        notes.append(f"{model.name} is not the version that was measured (SHA-256 {digest[:16]}…)")
-    take, built = _build_take(spec, track, timing, camera, score_names)
+    if detector.digest not in KNOWN_MODELS:
+        notes.append(
+            f"the model is not the version that was measured (SHA-256 {detector.digest[:16]}…)"
+        )
+    take, built = _build_take(spec, track, timing, camera, detector.score_names)
     # The rate is the video's own: no option corrects it.
     found = judge_markers(take.markers, None) if take.markers else ()
     doubts = settle_findings(found, where=spec.video)
-    take = replace(take, doubts=doubts, timecode_start=_timecode(timecode, timing))
+    take = replace(take, doubts=doubts, timecode_start=_timecode(video.timecode, timing))
     progress(0.95, f"writing {spec.out.name}")
     write_take(spec.out, take, provenance=provenance)
     progress(1.0, f"wrote {spec.out.name}")
     outputs = tuple(dict.fromkeys((spec.out, samples_path(spec.out))))
-    figures = _figures(take, track, camera) | {"model_sha256": digest}
+    figures = _figures(take, track, camera) | {"model_sha256": detector.digest}
     summary = (
         f"{take.name}: {pluralize(take.frame_count, 'frame')} at {float(take.rate):g} per second, "
         f"{pluralize(len(LANDMARKS.names), 'landmark')}, face in {100 * track.seen.mean():.1f} % "
         "of the pictures"
     )
     return StepResult(outputs, summary, (*notes, *built, *doubts), figures)
-
-
-@dataclass(frozen=True)
-class _Timing:
-    """Which pictures are looked at, and where each lies on the take's even frames."""
-
-    rate: Fraction
-    """Frames per second of the take."""
-    pictures: IntArray
-    """(pictures,): index in the video."""
-    frames: FloatArray
-    """(pictures,): frame of each picture from `first_frame`, whole where pictures are even."""
-    first_frame: int
-    start_seconds: float
-    """Time of the frame `first_frame` on the video's clock [s]."""
-    notes: tuple[str, ...]
-
-
-def _settle_timing(
-    spec: TrackSpec, video: VideoReader | ImageSequence, wanted: Fraction | None
-) -> _Timing:
-    """Lay pictures on even frames by their own times, never by counting."""
-    notes = []
-    times = video.times
-    rate = wanted or video.rate
-    if rate is None:
-        step = float(np.median(np.diff(times)))
-        nearest = min(DEVICE_RATES, key=lambda each: abs(each * step - 1))
-        rate = Fraction(nearest)
-        notes.append(
-            f"pictures come unevenly, {1 / step:.3g} per second at the median: brought to "
-            f"{nearest} frames per second by their times; another with --video-rate"
-        )
-    frames = (times - times[0]) * float(rate)
-    whole = np.rint(frames)
-    if np.abs(frames - whole).max() < 0.1:  # a tenth of a frame: times are rounded
-        frames = whole
-    limits = frame_range(spec.frames)
-    pictures = np.arange(len(times))
-    if limits is not None:
-        inside = (frames + _FIRST_VIDEO_FRAME >= limits[0]) & (
-            frames + _FIRST_VIDEO_FRAME <= limits[1]
-        )
-        pictures = pictures[inside]
-        if not len(pictures):
-            last = _FIRST_VIDEO_FRAME + int(frames[-1])
-            raise InputError(
-                f"{spec.video}: --frames {spec.frames} holds none of its frames, "
-                f"{_FIRST_VIDEO_FRAME} to {last}"
-            )
-    first = int(np.ceil(frames[pictures[0]]))
-    first_frame, last = _FIRST_VIDEO_FRAME + first, _FIRST_VIDEO_FRAME + int(frames[pictures[-1]])
-    if spec.neutral is not None and not first_frame <= spec.neutral <= last:
-        raise InputError(
-            f"{spec.video}: --neutral {spec.neutral} is none of the frames to track, {first_frame} "
-            f"to {last}"
-        )
-    return _Timing(
-        rate=rate,
-        pictures=pictures,
-        frames=frames[pictures] - first,
-        first_frame=first_frame,
-        start_seconds=float(times[0] + first / float(rate)),
-        notes=tuple(notes),
-    )
-
-
-def _look_at_pictures(
-    spec: TrackSpec,
-    video: VideoReader | ImageSequence,
-    timing: _Timing,
-    follower: FaceFollower,
-    progress: Progress,
-) -> None:
-    for number, index in enumerate(timing.pictures.tolist()):
-        seconds = float(video.times[index])
-        picture = video.frame_at(seconds)
-        if picture is None:  # times come from the video itself
-            raise InputError(f"{spec.video}: no picture at {seconds:.3f} s; export it again")
-        follower.look(picture, where=f"{spec.video} at {seconds:.2f} s")
-        if number % 8 == 0:
-            progress(number / len(timing.pictures), f"tracking {spec.video.name}")
 
 
 def _camera(spec: TrackSpec, video: VideoReader | ImageSequence) -> tuple[PinholeCamera, str]:
@@ -209,7 +149,7 @@ def _check_unfolded(spec: TrackSpec, camera: PinholeCamera, width: int, height: 
 def _build_take(
     spec: TrackSpec,
     track: FaceTrack,
-    timing: _Timing,
+    timing: PictureTiming,
     camera: PinholeCamera,
     score_names: tuple[str, ...],
 ) -> tuple[Take, tuple[str, ...]]:
@@ -266,7 +206,7 @@ def _build_take(
 
 def _neutral_frame(
     spec: TrackSpec,
-    timing: _Timing,
+    timing: PictureTiming,
     present: BoolArray,
     scores: Float32Array,
     names: tuple[str, ...],
@@ -343,9 +283,9 @@ def _least_expression(scores: Float32Array, present: BoolArray, names: tuple[str
     return int(np.argmin(np.where(present, expression, np.inf)))
 
 
-def _timecode(start: str, timing: _Timing) -> str:
+def _timecode(start: str, timing: PictureTiming) -> str:
     """Return the timecode of the first tracked frame; empty where the video's is none."""
-    if not start or timing.first_frame != _FIRST_VIDEO_FRAME:
+    if not start or timing.first_frame != FIRST_VIDEO_FRAME:
         return ""
     try:
         frames_of(start, timing.rate)

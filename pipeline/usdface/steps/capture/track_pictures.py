@@ -1,0 +1,288 @@
+"""The pictures of a video, looked at now, by a run that was stopped, or in parts on a farm."""
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path, PurePath
+
+import numpy as np
+
+from usdface.capture.face_landmarker import FaceFinding, FaceLandmarker, check_model, named_model
+from usdface.capture.face_tracking import PictureFaces, detect_faces
+from usdface.capture.sample_times import picture_frames
+from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.errors import InputError
+from usdface.core.progress import Progress, part
+from usdface.core.provenance import Provenance, hash_text
+from usdface.core.side_files import clear_side_folder, make_side_folder
+from usdface.core.sidecars import work_folder
+from usdface.media.film.image_sequence import ImageSequence
+from usdface.media.film.video import VideoReader
+from usdface.specs.capture import TrackSpec
+from usdface.specs.paths import frame_range
+from usdface.usdio.take.detections import read_detections, write_detections
+
+FIRST_VIDEO_FRAME = 1
+
+_STRETCH_PICTURES = 240
+"""Looked at between two files that a later run goes on from: a few seconds are lost at most."""
+_STRETCH_FILES = r"\.?[0-9a-f]{16}\..*"
+"""Names in the folder of these files, those that are being written included."""
+_ARRAYS = ("pictures", "counts", "landmarks", "scores")
+_NAMES = ("madeFrom", "scoreNames")
+
+
+@dataclass(frozen=True)
+class PictureTiming:
+    """Which pictures are looked at, and where each lies on the take's even frames."""
+
+    rate: Fraction
+    """Frames per second of the take."""
+    pictures: IntArray
+    """(pictures,): index in the video."""
+    frames: FloatArray
+    """(pictures,): frame of each picture from `first_frame`, whole where pictures are even."""
+    first_frame: int
+    start_seconds: float
+    """Time of the frame `first_frame` on the video's clock [s]."""
+    notes: tuple[str, ...]
+
+
+def settle_timing(
+    spec: TrackSpec, video: VideoReader | ImageSequence, wanted: Fraction | None
+) -> PictureTiming:
+    """Lay pictures on even frames by their own times, never by counting."""
+    notes = []
+    times = video.times
+    rate, frames = picture_frames(times, wanted or video.rate)
+    if not (wanted or video.rate):
+        notes.append(
+            f"pictures come unevenly, {1 / float(np.median(np.diff(times))):.3g} per second at the "
+            f"median: brought to {rate} frames per second by their times; another with --video-rate"
+        )
+    limits = frame_range(spec.frames)
+    pictures = np.arange(len(times))
+    if limits is not None:
+        # Parts follow each other: what lies between the frames of two is the earlier one's.
+        counted = FIRST_VIDEO_FRAME + (np.floor(frames) if spec.part else frames)
+        pictures = pictures[(counted >= limits[0]) & (counted <= limits[1])]
+        if not len(pictures):
+            last = FIRST_VIDEO_FRAME + int(frames[-1])
+            raise InputError(
+                f"{spec.video}: --frames {spec.frames} holds none of its frames, "
+                f"{FIRST_VIDEO_FRAME} to {last}"
+            )
+    first = int(np.ceil(frames[pictures[0]]))
+    first_frame, last = FIRST_VIDEO_FRAME + first, FIRST_VIDEO_FRAME + int(frames[pictures[-1]])
+    if spec.neutral is not None and not first_frame <= spec.neutral <= last:
+        raise InputError(
+            f"{spec.video}: --neutral {spec.neutral} is none of the frames to track, {first_frame} "
+            f"to {last}"
+        )
+    return PictureTiming(
+        rate=rate,
+        pictures=pictures,
+        frames=frames[pictures] - first,
+        first_frame=first_frame,
+        start_seconds=float(times[0] + first / float(rate)),
+        notes=tuple(notes),
+    )
+
+
+@contextlib.contextmanager
+def detections_folder(out: Path) -> Iterator[Path]:
+    """Give a folder beside an output for what was detected; a run that is killed leaves it.
+
+    The next run goes on from there. It is removed at the end, and where input is refused.
+    """
+    folder = work_folder(out, "detections")
+    try:
+        yield folder
+    except InputError:
+        _remove(folder)
+        raise
+    _remove(folder)
+
+
+def _remove(folder: Path) -> None:
+    with contextlib.suppress(OSError):  # somebody put something there, or there is none
+        clear_side_folder(folder, _STRETCH_FILES)
+        folder.rmdir()
+
+
+@dataclass(frozen=True)
+class _Stretch:
+    """Pictures that follow each other, and the file that holds what is detected in them."""
+
+    pictures: IntArray
+    file: Path | None
+    is_part: bool = False
+
+
+class PictureDetector:
+    """Looks at the pictures of a video, but for those that parts or a stopped run hold.
+
+    Parameters
+    ----------
+    folder : Path
+        Of `detections_folder`.
+    open_files : ExitStack
+        Closes the model, which is loaded when the first picture has to be looked at.
+
+    Attributes
+    ----------
+    digest : str
+        SHA-256 of the model.
+    score_names : tuple of str
+        Empty until a face was found.
+    """
+
+    def __init__(
+        self,
+        spec: TrackSpec,
+        provenance: Provenance,
+        folder: Path,
+        open_files: contextlib.ExitStack,
+    ) -> None:
+        self._spec, self._folder, self._open_files = spec, folder, open_files
+        self._parts = spec.parts or ()
+        self._video_hash = next(
+            (
+                digest
+                for path, digest in provenance.inputs.items()
+                if PurePath(path).name == spec.video.name
+            ),
+            "",
+        )
+        self._model: Path | None = None
+        self._finder: FaceLandmarker | None = None
+        self.digest = ""
+        self.score_names: tuple[str, ...] = ()
+
+    def look(
+        self, video: VideoReader | ImageSequence, timing: PictureTiming, progress: Progress
+    ) -> Iterator[PictureFaces]:
+        """Yield the faces of one picture after the other."""
+        parts = [self._part_pictures(path) for path in self._parts]
+        owner = np.full(len(timing.pictures), -1)
+        for number, pictures in enumerate(parts):
+            owner[np.isin(timing.pictures, pictures)] = number
+        if (owner < 0).any():
+            self._check_model()
+        stretches = list(self._stretches(timing.pictures, owner))
+        if isinstance(video, ImageSequence) or len(stretches) == 1:
+            # Of a sequence one picture is hashed: whether others changed is not known.
+            stretches = [
+                each if each.is_part else _Stretch(each.pictures, None) for each in stretches
+            ]
+        names = {each.file.name for each in stretches if each.file and not each.is_part}
+        if names:
+            make_side_folder(self._folder)
+            clear_side_folder(self._folder, _STRETCH_FILES, keep=frozenset(names))
+        done = 0
+        for stretch in stretches:
+            ahead = part(
+                progress,
+                done / len(timing.pictures),
+                (done + len(stretch.pictures)) / len(timing.pictures),
+            )
+            done += len(stretch.pictures)
+            yield from self._faces(stretch, video, ahead)
+
+    def write(
+        self, out: Path, pictures: IntArray, faces: list[PictureFaces], **about: Provenance
+    ) -> None:
+        """Write what was detected in some pictures."""
+        every = [face for each in faces for face in (*each.direct, *each.mirrored)]
+        arrays = {
+            "pictures": pictures,
+            "counts": np.array([(len(each.direct), len(each.mirrored)) for each in faces]),
+            "landmarks": np.array([face.landmarks for face in every]),
+            "scores": np.array([face.scores for face in every]),
+        }
+        names = {"madeFrom": self._made_from(), "scoreNames": self.score_names}
+        write_detections(out, arrays, names, **about)
+
+    def _made_from(self) -> tuple[str, ...]:
+        return (self._video_hash, self._spec.quality, self.digest)
+
+    def _check_model(self) -> None:
+        self._model = named_model(self._spec.model)
+        digest = check_model(self._model)
+        if self.digest not in ("", digest):
+            raise InputError(f"{self._model}: the parts were made with another model; name that")
+        self.digest = digest
+
+    def _part_pictures(self, path: Path) -> IntArray:
+        """Return which pictures a part holds, and check that it is one of this video."""
+        arrays, names = read_detections(path, _ARRAYS[:1], _NAMES)
+        made = names["madeFrom"]
+        known = (self._video_hash, self._spec.quality, self.digest or made[-1])
+        if made != known:
+            what = ("video", "--quality", "model")
+            other = next(name for name, a, b in zip(what, made, known, strict=True) if a != b)
+            raise InputError(
+                f"{path}: was made with another {other} than this take, or it has changed since; "
+                "make the part again"
+            )
+        self.digest = made[-1]
+        return arrays["pictures"].astype(np.int64)
+
+    def _stretches(self, pictures: IntArray, owner: IntArray) -> Iterator[_Stretch]:
+        key = hash_text("\n".join(self._made_from()))[:16]
+        edges = np.flatnonzero(np.diff(owner)) + 1
+        for rows in np.split(np.arange(len(pictures)), edges):
+            if owner[rows[0]] >= 0:
+                yield _Stretch(pictures[rows], self._parts[owner[rows[0]]], is_part=True)
+                continue
+            for start in range(0, len(rows), _STRETCH_PICTURES):
+                stretch = pictures[rows[start : start + _STRETCH_PICTURES]]
+                name = f"{key}.{stretch[0]:07d}-{stretch[-1]:07d}.usdc"
+                yield _Stretch(stretch, self._folder / name)
+
+    def _faces(
+        self, stretch: _Stretch, video: VideoReader | ImageSequence, progress: Progress
+    ) -> list[PictureFaces]:
+        """Return the faces in the pictures of a stretch, from its file if it is there."""
+        if stretch.is_part:
+            assert stretch.file is not None
+            return self._read(stretch.file, stretch.pictures)
+        if stretch.file is not None and stretch.file.is_file():
+            with contextlib.suppress(InputError):  # damaged: looked at again
+                return self._read(stretch.file, stretch.pictures)
+        faces = []
+        for number, index in enumerate(stretch.pictures.tolist()):
+            seconds = float(video.times[index])
+            picture = video.frame_at(seconds)
+            if picture is None:  # times come from the video itself
+                raise InputError(
+                    f"{self._spec.video}: no picture at {seconds:.3f} s; export it again"
+                )
+            if self._finder is None:
+                assert self._model is not None
+                self._finder = self._open_files.enter_context(FaceLandmarker(self._model))
+            faces.append(
+                detect_faces(self._finder, picture, mirrored=self._spec.quality == "final")
+            )
+            if number % 8 == 0:
+                progress(number / len(stretch.pictures), f"tracking {self._spec.video.name}")
+        if self._finder is not None:
+            self.score_names = self._finder.score_names
+        if stretch.file is not None:
+            self.write(stretch.file, stretch.pictures, faces)
+        return faces
+
+    def _read(self, path: Path, wanted: IntArray) -> list[PictureFaces]:
+        arrays, names = read_detections(path, _ARRAYS, _NAMES)
+        pictures, counts = (arrays[name].astype(np.int64) for name in _ARRAYS[:2])
+        landmarks, scores = (arrays[name].astype(np.float64) for name in _ARRAYS[2:])
+        ends = counts.ravel().cumsum()
+        fitting = counts.shape == (len(pictures), 2) and ends[-1] == len(landmarks) == len(scores)
+        if not fitting or not np.isin(wanted, pictures).all():
+            raise InputError(f"{path}: its arrays do not fit each other; make the part again")
+        self.score_names = names["scoreNames"] or self.score_names
+        faces = [FaceFinding(*each) for each in zip(landmarks, scores, strict=True)]
+        split = [faces[end - count : end] for end, count in zip(ends, counts.ravel(), strict=True)]
+        rows = np.flatnonzero(np.isin(pictures, wanted))
+        return [PictureFaces(split[2 * row], split[2 * row + 1]) for row in rows]

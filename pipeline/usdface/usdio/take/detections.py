@@ -1,0 +1,69 @@
+"""What a model detects in pictures, kept in a layer until a take is made of it."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from pxr import Sdf, Vt
+
+from usdface.core.arrays import Float32Array
+from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
+from usdface.usdio.authoring import author_uniform, define_prim
+from usdface.usdio.layers import new_layer, open_stage, refusing_wrong_types
+
+_ROOT = "Detections"
+_PREFIX = "face:detections:"
+_REMEDY = "make it again with `usdface track VIDEO --part --frames A-B --out PART`"
+
+
+def write_detections(
+    path: Path,
+    arrays: Mapping[str, Float32Array],
+    names: Mapping[str, tuple[str, ...]],
+    *,
+    provenance: Provenance | None = None,
+) -> None:
+    """Write arrays and lists of names; read back, they are the same to the last bit."""
+    kinds = Sdf.ValueTypeNames
+    with new_layer(path, provenance) as layer:
+        prim = define_prim(layer, Sdf.Path(f"/{_ROOT}"), "Scope")
+        layer.defaultPrim = _ROOT
+        for name, array in arrays.items():
+            flat = Vt.FloatArray.FromNumpy(np.ascontiguousarray(array, np.float32).ravel())
+            author_uniform(prim, f"{_PREFIX}{name}", kinds.FloatArray, flat)
+            shape = Vt.IntArray(list(map(int, array.shape)))
+            author_uniform(prim, f"{_PREFIX}{name}:shape", kinds.IntArray, shape)
+        for name, listed in names.items():
+            author_uniform(prim, f"{_PREFIX}{name}", kinds.TokenArray, list(listed))
+
+
+@refusing_wrong_types
+def read_detections(
+    path: Path, arrays: tuple[str, ...], names: tuple[str, ...]
+) -> tuple[dict[str, Float32Array], dict[str, tuple[str, ...]]]:
+    """Return the arrays and the lists of names of these names.
+
+    Raises
+    ------
+    InputError
+        If one is missing, or an array does not have the shape that is stated.
+    """
+    stage = open_stage(path)
+    prim = stage.GetDefaultPrim()
+    if not prim or prim.GetName() != _ROOT:
+        raise InputError(f"{path}: is no part of a tracked video; {_REMEDY}")
+
+    def value(name: str) -> object:
+        found = prim.GetAttribute(f"{_PREFIX}{name}").Get()
+        if found is None:
+            raise InputError(f"{path} <{prim.GetPath()}>: {_PREFIX}{name} is missing; {_REMEDY}")
+        return found
+
+    found = {}
+    for name in arrays:
+        flat, shape = np.array(value(name), np.float32), np.array(value(f"{name}:shape"), int)
+        if shape.min(initial=0) < 0 or flat.size != np.prod(shape) or np.isnan(flat).any():
+            raise InputError(f"{path} <{prim.GetPath()}>: {_PREFIX}{name} is damaged; {_REMEDY}")
+        found[name] = flat.reshape(shape)
+    return found, {name: tuple(map(str, np.array(value(name), str))) for name in names}
