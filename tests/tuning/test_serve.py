@@ -1,11 +1,16 @@
 """Where the page is served from."""
 
+import json
+import signal
 import socket
+import subprocess
+import sys
 import threading
 from contextlib import ExitStack
 from http.client import HTTPConnection
 from pathlib import Path
 
+import httpx
 import pytest
 import uvicorn
 from starlette.responses import PlainTextResponse
@@ -15,6 +20,7 @@ from usdface.specs.commands import TuneSpec
 from usdface.tuning import guard, serve
 from usdface.tuning.serve import _listen
 from usdface.tuning.session import StaleRevisionError, TuningSession
+from usdface.usdio.references.read import read_references
 
 
 def test_it_listens_on_this_machine_alone_and_answers_without_delay(tmp_path: Path) -> None:
@@ -51,6 +57,49 @@ def test_a_page_left_open_over_a_restart_is_told_to_read_again(
         serve.serve(spec, announce=print)
     assert len(set(shown)) == 3
     assert max(shown) < 2**53, "a browser's numbers"
+
+
+def test_ctrl_c_does_not_wait_for_markers_that_are_being_placed(tmp_path: Path) -> None:
+    asset = write_asset(tmp_path)
+    program = """
+import sys, time
+from usdface.cli import main
+from usdface.tuning import application
+def place(*given):
+    print("placing", flush=True)
+    time.sleep(600)
+application.targets_or_reason = place
+sys.argv = ["usdface", "tune", sys.argv[1], "--no-browser", "--json"]
+main()
+"""
+    command = [sys.executable, "-c", program, str(asset)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        link = json.loads(process.stdout.readline())["link"]
+        with httpx.Client(base_url=link.split("/?")[0], timeout=60) as client:
+            client.get(link)
+            asked: list[int] = []
+
+            def ask() -> None:
+                asked.append(client.get("/markers.json").status_code)
+
+            thread = threading.Thread(target=ask)
+            thread.start()
+            assert process.stdout.readline() == b"placing\n"
+            rights = {"origin": link.split("/?")[0], "x-usdface-tune": "1"}
+            state = client.get("/state.json").json()
+            change = {"pair": 1, "take": "kitchen", "frame": 107, "weights": {"jawOpen": 0.5}}
+            sent = {"revision": state["revision"], "changes": [change]}
+            assert client.post("/changes", json=sent, headers=rights).status_code == 200
+            process.send_signal(signal.SIGINT)
+            out, err = process.communicate(timeout=60)
+            thread.join()
+    assert process.returncode == 0
+    assert json.loads(out)["figures"]["tuned"] == 1
+    assert err == b""
+    assert asked == [503]
+    assert read_references(asset).weights[1, 0] == 0.5
+    assert not list(tmp_path.glob("*.lock")) + list(tmp_path.glob("*.journal"))
 
 
 def test_requests_that_are_never_made_hold_nobody_off(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -85,8 +85,8 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         _run(sys.argv[1:] if arguments is None else arguments)
     except SystemExit as ended:
-        if arguments is None and ended.code == CancelledError.exit_code:
-            end_with_main_thread(CancelledError.exit_code)
+        if arguments is None and (was_stopped() or ended.code == CancelledError.exit_code):
+            end_with_main_thread(int(ended.code or 0))
         raise
 
 

@@ -4,7 +4,7 @@ import base64
 import functools
 import json
 import threading
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -33,6 +33,7 @@ from usdface.tuning.targets import (
     solve_shapes,
     targets_or_reason,
 )
+from usdface.tuning.waits import StoppedError, Waits
 from usdface.usdio.references.read import PairNotes
 
 _FARTHEST_SECONDS = 1.0
@@ -98,6 +99,7 @@ class SentPose(BaseModel):
 
 
 _Sent = TypeVar("_Sent", SentChanges, SentPlace, SentSolve, SentPose)
+_Answer = Awaitable[dict[str, Any]]
 
 
 class Scene:
@@ -119,6 +121,7 @@ class Scene:
         self.pictures = pictures
         self.review = review
         self.first_pair = first_pair
+        self.waits = Waits()
         self._writing = threading.Lock()
 
     @functools.cached_property
@@ -136,12 +139,20 @@ class Scene:
         given = [Change(**each.model_dump()) for each in sent.changes]
         return {"revision": self.session.apply(given, revision=sent.revision)}
 
-    def place(self, sent: SentPlace) -> dict[str, Any]:
-        """Correct the place of a marker, or take its correction back; return the markers anew."""
+    def place(self, sent: SentPlace) -> None:
+        """Correct the place of a marker, or take its correction back; `markers` are others then."""
         with self._writing:
             correct_place(self.session, self.rig, sent.marker, sent.at)
             self.__dict__.pop("targets", None)
-            return self.markers()
+
+    async def place_and_measure(self, sent: SentPlace) -> dict[str, Any]:
+        """Correct the place of a marker and return the markers anew."""
+        await run_in_threadpool(self.place, sent)
+        return await self.waits.result_of(self.markers)
+
+    async def solve_markers(self, sent: SentSolve) -> dict[str, Any]:
+        """Solve in a thread."""
+        return await self.waits.result_of(lambda: self.solve(sent))
 
     def poses(self) -> dict[str, Any]:
         """Return the poses that were saved."""
@@ -245,11 +256,12 @@ def _seconds_after(request: Request) -> float | None:
     return after if abs(after) <= _FARTHEST_SECONDS else None
 
 
+async def _home(request: Request) -> Response:
+    return Response(read_web_file("tune.html"), media_type="text/html; charset=utf-8")
+
+
 def build_application(scene: Scene) -> Starlette:
     """Return the application; put `usdface.tuning.guard.Guard` around it."""
-
-    async def home(request: Request) -> Response:
-        return Response(read_web_file("tune.html"), media_type="text/html; charset=utf-8")
 
     async def file(request: Request) -> Response:
         name = request.path_params["name"]
@@ -262,7 +274,7 @@ def build_application(scene: Scene) -> Starlette:
             return JSONResponse({"reason": f"no file {name}"}, status_code=404)
 
     async def face_data(request: Request) -> Response:
-        payload = await run_in_threadpool(lambda: scene.payload)
+        payload = await scene.waits.result_of(lambda: scene.payload)
         return Response(payload.data, media_type="application/octet-stream")
 
     async def picture(request: Request) -> Response:
@@ -272,34 +284,40 @@ def build_application(scene: Scene) -> Starlette:
         after = _seconds_after(request)
         if after is None:
             return JSONResponse({"reason": "after is no number of seconds"}, status_code=400)
-        data = await run_in_threadpool(scene.pictures.jpeg, pair, after)
+        data = await scene.waits.result_of(lambda: scene.pictures.jpeg(pair, after))
         return Response(data, media_type="image/jpeg")
 
     async def sound(request: Request) -> Response:
         pair = request.path_params["pair"]
         if not 0 <= pair < len(scene.notes):
             return JSONResponse({"reason": f"no pair {pair}"}, status_code=404)
-        data = await run_in_threadpool(scene.pictures.sound, pair)
+        data = await scene.waits.result_of(lambda: scene.pictures.sound(pair))
         return Response(data or b"", 200 if data else 204, media_type="audio/wav")
 
+    def change(sent: SentChanges) -> _Answer:
+        return run_in_threadpool(scene.change, sent)
+
+    def save_pose(sent: SentPose) -> _Answer:
+        return run_in_threadpool(scene.save_pose, sent)
+
     routes = [
-        Route("/", home),
+        Route("/", _home),
         Route("/web/{name}", file),
-        Route("/face.json", _json(scene.face)),
+        Route("/face.json", _json(scene.face, scene.waits)),
         Route("/face.bin", face_data),
-        Route("/markers.json", _json(scene.markers)),
-        Route("/state.json", _json(scene.state)),
-        Route("/poses.json", _json(scene.poses)),
+        Route("/markers.json", _json(scene.markers, scene.waits)),
+        Route("/state.json", _json(scene.state, scene.waits)),
+        Route("/poses.json", _json(scene.poses, scene.waits)),
         Route("/picture/{pair:int}.jpg", picture),
         Route("/sound/{pair:int}.wav", sound),
-        Route("/changes", _answer(SentChanges, scene.change), methods=["POST"]),
-        Route("/place", _answer(SentPlace, scene.place), methods=["POST"]),
-        Route("/poses", _answer(SentPose, scene.save_pose), methods=["POST"]),
-        Route("/solve", _answer(SentSolve, scene.solve), methods=["POST"]),
+        Route("/changes", _answer(SentChanges, change), methods=["POST"]),
+        Route("/place", _answer(SentPlace, scene.place_and_measure), methods=["POST"]),
+        Route("/poses", _answer(SentPose, save_pose), methods=["POST"]),
+        Route("/solve", _answer(SentSolve, scene.solve_markers), methods=["POST"]),
     ]
     return Starlette(
         routes=routes,
-        exception_handlers={StaleRevisionError: _stale, InputError: _refused},
+        exception_handlers=_refusals(),
     )
 
 
@@ -315,23 +333,22 @@ async def _sent(request: Request, kind: type[_Sent]) -> _Sent | Response:
         return JSONResponse({"reason": f"{where}: {fault['msg']}"}, status_code=400)
 
 
-def _answer(kind: type[_Sent], make: Callable[[_Sent], dict[str, Any]]) -> Callable[[Request], Any]:
+def _answer(
+    kind: type[_Sent], make: Callable[[_Sent], _Answer]
+) -> Callable[[Request], Awaitable[Response]]:
     async def answer(request: Request) -> Response:
         sent = await _sent(request, kind)
-        if isinstance(sent, Response):
-            return sent
-        return JSONResponse(await run_in_threadpool(make, sent))
+        return sent if isinstance(sent, Response) else JSONResponse(await make(sent))
 
     return answer
 
 
-def _json(make: Callable[[], dict[str, Any]]) -> Callable[[Request], Any]:
+def _json(
+    make: Callable[[], dict[str, Any]], waits: Waits
+) -> Callable[[Request], Awaitable[Response]]:
     async def answer(request: Request) -> Response:
-        data = await run_in_threadpool(make)
-        return Response(
-            await run_in_threadpool(json.dumps, data, allow_nan=False),
-            media_type="application/json",
-        )
+        data = await waits.result_of(lambda: json.dumps(make(), allow_nan=False))
+        return Response(data, media_type="application/json")
 
     return answer
 
@@ -342,6 +359,14 @@ async def _stale(request: Request, error: Exception) -> Response:
 
 async def _refused(request: Request, error: Exception) -> Response:
     return JSONResponse({"reason": str(error)}, status_code=422)
+
+
+def _refusals() -> dict[Any, Any]:
+    return {StaleRevisionError: _stale, InputError: _refused, StoppedError: _stopping}
+
+
+async def _stopping(request: Request, error: Exception) -> Response:
+    return JSONResponse({"reason": "`usdface tune` has been stopped"}, status_code=503)
 
 
 def _floats(values: np.ndarray) -> str:

@@ -21,6 +21,7 @@ from usdface.tuning.application import Scene, build_application
 from usdface.tuning.guard import Guard, PromptProtocol
 from usdface.tuning.pictures import PairPictures
 from usdface.tuning.session import TuningSession
+from usdface.tuning.waits import Waits
 from usdface.usdio.references.read import read_pair_notes, take_files
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.reference import moved_rig
@@ -105,15 +106,30 @@ def _run(
         access_log=False,
         server_header=False,
         http=PromptProtocol,
-        timeout_graceful_shutdown=2,
+        timeout_graceful_shutdown=1,
         lifespan="off",
     )
     try:
-        asyncio.run(_serve_and_save(uvicorn.Server(config), session, guard, listener, announce))
+        asyncio.run(
+            _serve_and_save(_Server(config, scene.waits), session, guard, listener, announce)
+        )
     except (KeyboardInterrupt, CancelledError):
         log.info("interrupted; saving")
     finally:
         pictures.close()
+
+
+class _Server(uvicorn.Server):
+    """Stops without waiting for markers that are being placed."""
+
+    def __init__(self, config: uvicorn.Config, waits: Waits) -> None:
+        super().__init__(config)
+        self._waits = waits
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Answer who waits, then shut down."""
+        self._waits.stop()
+        await super().shutdown(sockets)
 
 
 def _first_pair(spec: TuneSpec, session: TuningSession) -> int:
