@@ -112,9 +112,9 @@ def run() -> None:
         target = "≤ 1.6" if name == "CheeksMoCap" else "≤ 0.45"
         claims.append((f"pose at the mouth [mm], {name}", f"{error:.2f}", target))
     heads = {
-        "facecap_head": _head(read_rig(SHARED_DATA / "rigs" / "facecap_head.usdc")),
-        "ict_face": _head(read_rig(SHARED_DATA / "rigs" / "ict_face.usdc")),
-        "demo_character": _head(demo_rig()),
+        "facecap_head": head_of(read_rig(SHARED_DATA / "rigs" / "facecap_head.usdc")),
+        "ict_face": head_of(read_rig(SHARED_DATA / "rigs" / "ict_face.usdc")),
+        "demo_character": head_of(demo_rig()),
     }
     equations = _placements(heads, cleaned, labels, claims)
     _motion_outside(equations, cleaned, labels, claims)
@@ -129,7 +129,7 @@ def run() -> None:
         print(f"| {measure} | {value} | {target} |")
 
 
-def _head(rig: Rig) -> Head:
+def head_of(rig: Rig) -> Head:
     deformer = Deformer(rig)
     offsets = deformer.shapes.target_offsets()
     return Head(rig, deformer, sample_face_skin(deformer.neutral, deformer.triangles, offsets))
@@ -187,7 +187,7 @@ def _placements(
         for take, positions in cleaned.items():
             for kind, given in (("named", labels), ("silent", silent)):
                 begun = time.process_time()
-                equation = _equation(head, positions, positions[0], (), given)
+                equation = find_equation(head, positions, positions[0], (), given)
                 seconds = time.process_time() - begun
                 row = _row(equation, head, picked[rig_name], labels)
                 print(f"| {rig_name}, {take}, {kind} | {_cells([*row, seconds])} |", flush=True)
@@ -212,7 +212,7 @@ def _cells(values: list[float] | tuple[float, ...]) -> str:
     return " | ".join(f"{each:.2f}" for each in values)
 
 
-def _equation(
+def find_equation(
     head: Head,
     positions: FloatArray,
     neutral: FloatArray,
@@ -313,7 +313,7 @@ def _starting_weights(heads: dict[str, Head], claims: Claims) -> None:
 
 def _simulated(head: Head, seed: int) -> tuple[float, float, float]:
     take = simulate_take(head.skin, head.rig.shapes, seed=seed)
-    equation = _equation(head, take.positions, take.neutral, take.rigid, take.labels)
+    equation = find_equation(head, take.positions, take.neutral, take.rigid, take.labels)
     error = equation.propose(take.positions) - take.weights
     offsets = head.deformer.shapes.target_offsets()
     gram = (offsets @ offsets.T).toarray() / len(head.deformer.neutral)

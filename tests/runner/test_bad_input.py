@@ -271,7 +271,7 @@ def test_bad_input_is_refused_and_nothing_is_lost(
 def test_the_installed_command_refuses_without_a_traceback(shot: Shot) -> None:
     done = usdface(*truncated(shot), folder=shot.folder)
     assert done.returncode == 2
-    assert done.stderr.startswith("usdface: bad.c3d")
+    assert done.stderr.splitlines()[-1].startswith("usdface: bad.c3d")  # progress, if slow, before
     assert "Traceback" not in done.stderr
 
 

@@ -16,7 +16,11 @@ from tests.model.synthetic import (
 from usdface.core.assets import TrainedMapping
 from usdface.core.errors import InputError
 from usdface.model import Prediction, predict_weights, sample_skin, train_mapping
-from usdface.model.mapping.uncertainty import LIMIT_DEVIATIONS, calibrate_uncertainty
+from usdface.model.mapping.uncertainty import (
+    LIMIT_DEVIATIONS,
+    calibrate_uncertainty,
+    proposal_error,
+)
 
 CHOSEN = np.arange(0, 1200, 30)
 NAMES = ("browUp", "browDown", "eyeBlink", "eyeSquint", "mouthSmile", "mouthOpen")
@@ -155,3 +159,29 @@ def test_constants_of_few_errors_hold_with_confidence(count: int) -> None:
         constant = calibrate_uncertainty(gram, errors, ones, nothing)[0]
         held.append((everybody < LIMIT_DEVIATIONS * constant).mean() >= 0.9)
     assert 0.68 < np.mean(held) < 0.82
+
+
+def test_proposals_err_by_a_share_of_the_motion_less_as_tuned_pairs_say() -> None:
+    grams = np.stack([np.diag([9.0, 16.0]), np.diag([9.0, 0.0])])
+    weights = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 0.0], [0.0, 1.0]])
+    none, some = np.zeros(4, bool), np.array([True, True, False, False])
+    np.testing.assert_allclose(proposal_error(grams, weights, none, weights), [0.25**2, 12.5])
+    proposed = 0.9 * weights  # tuning changed a tenth
+    share2, usual2 = proposal_error(grams, weights, some, proposed)
+    assert share2 == pytest.approx(0.5**2 * (5 * 0.25**2 + 2 * 0.1**2) / 7)
+    assert usual2 == 12.5
+    assert proposal_error(grams, weights, ~none, proposed)[0] == 0
+    assert proposal_error(grams, weights, some, None)[0] == pytest.approx(0.5**2 * 0.25**2)
+
+
+def test_a_solve_learnt_from_proposals_is_as_uncertain_as_they_are() -> None:
+    face = face_in_parts()
+    mapping = trained(face)
+    own = np.array([0.04, 2.0])
+    told = replace(mapping, arrays=mapping.arrays | {"uncertainty_proposals": own})
+    before, after = (predict_weights(each, face.positions) for each in (mapping, told))
+    np.testing.assert_array_equal(before.weights, after.weights)
+    added = after.uncertainty**2 - before.uncertainty**2
+    moved2 = np.einsum("fs,st,ft->f", after.weights, face.gram, after.weights)
+    np.testing.assert_allclose(added[:, 0], 0.04 * (moved2 + 2.0), rtol=0.02)
+    assert (added[:, 1:] >= 0.04 * 2.0 - 1e-6).all()

@@ -61,13 +61,20 @@ def test_a_take_of_brows_by_references_of_cheeks_is_red_and_says_why_and_what_to
         assert words in verdict.advice
 
 
-def test_proposals_are_never_good_since_their_error_is_that_of_proposals() -> None:
+def test_proposals_are_never_good() -> None:
     proposed = judge_solve(replace(evidence(), basis=PROPOSED))
     assert proposed.level == "check"
-    assert "beyond that of the proposals, which is not known" in proposed.sentence
     tuned = judge_solve(replace(evidence(), basis=SolveBasis(30, 15)))
     assert tuned.level == "good"
-    assert "not known" not in tuned.sentence
+
+
+def test_a_take_that_its_proposals_cover_is_tuned_before_more_frames_are_added() -> None:
+    found = replace(evidence(uncertainty_mm=1.3), basis=PROPOSED)
+    verdict = judge_solve(found)
+    assert verdict.level == "bad"
+    assert verdict.advice == "tune the references (30 are proposals), then train and map again"
+    far = judge_solve(replace(found, residual_mm=np.full_like(found.uncertainty_mm, 1.6)))
+    assert far.advice.startswith("add frames of this take")
 
 
 def test_a_solve_onto_other_shapes_than_those_of_the_training_is_not_good() -> None:

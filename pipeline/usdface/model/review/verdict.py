@@ -11,11 +11,11 @@ references); where keys are known, by the error against them instead::
 A take is bad if most frames are bad somewhere in the face, and good if at most `_CHANCE_SHARE` of
 them need a check anywhere and its references are tuned. Coverage and uncertainty stand beside each
 other because neither knows all: a solve far from its references errs in ways that no reference
-showed, and the uncertainty of a mapping trained on proposals is that of the proposals.
+showed.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -131,9 +131,15 @@ def judge_solve(evidence: SolveEvidence) -> SolveVerdict:
 
 
 def _learnt_from_proposals(evidence: SolveEvidence) -> bool:
-    """Whether fewer references are tuned than not, so that uncertainty is that of proposals."""
+    """Whether fewer references are tuned than not."""
     basis = evidence.basis
     return evidence.error_mm is None and basis is not None and 2 * basis.tuned < basis.pairs
+
+
+def _shown(evidence: SolveEvidence) -> bool:
+    """Whether the references show most frames, so that only their weights may be wrong."""
+    beyond = replace(evidence, uncertainty_mm=None).exceeds(SEEN_MM, _GUESSED_SHARE)
+    return beyond is not None and bool(beyond.any(axis=1).mean() <= _BAD_SHARE)
 
 
 def _worst_regions(regions: Sequence[str], shares: FloatArray) -> dict[str, float]:
@@ -173,8 +179,6 @@ def _error(evidence: SolveEvidence) -> str:
         most = 1 + int(mean[1:].argmax())
         if mean[most] > mean[0]:
             words += f", {evidence.regions[most]} {mean[most]:.2f} mm"
-    if _learnt_from_proposals(evidence):
-        words += ", beyond that of the proposals, which is not known"
     return words
 
 
@@ -211,7 +215,7 @@ def _advice(evidence: SolveEvidence, level: str, where: dict[str, float], propos
     basis = evidence.basis
     still = () if basis is None else basis.still_regions
     steps = []
-    if level == "bad" and evidence.error_mm is None:
+    if level == "bad" and evidence.error_mm is None and not (proposals and _shown(evidence)):
         parts = " and the ".join(list(where)[:2] or still[:2])
         steps.append(
             "add frames of this take to the references"

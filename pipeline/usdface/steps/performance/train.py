@@ -10,6 +10,7 @@ from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
+from usdface.core.sidecars import proposed_path
 from usdface.core.text import first_few, pluralize
 from usdface.media.charts.eigenspace import Eigenspace, draw_eigenspace
 from usdface.media.picture.image import write_image
@@ -17,6 +18,7 @@ from usdface.model.mapping.motion_space import marker_coordinates, motion_of
 from usdface.model.mapping.regions import sample_skin, skin_points
 from usdface.model.mapping.rig_match import rig_summary
 from usdface.model.mapping.train import train_mapping
+from usdface.model.mapping.uncertainty import proposal_error
 from usdface.model.placement.rig_orientation import check_rig_stands
 from usdface.model.regressions import Choices, RestPlaces
 from usdface.model.regressions.gaussian_rbf import PAPER_DIMENSIONS
@@ -26,7 +28,7 @@ from usdface.runner.result import StepResult
 from usdface.specs.performance import TrainSpec
 from usdface.steps.inputs.placement import registered_places
 from usdface.usdio.mapping import write_mapping
-from usdface.usdio.references.read import read_set_references
+from usdface.usdio.references.read import read_proposals, read_set_references
 from usdface.usdio.rig.read import read_rig
 
 
@@ -71,7 +73,9 @@ def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress = silent)
     mapping = replace(
         mapping,
         references=spec.references.name,
-        arrays=mapping.arrays | rig_summary(rig, mapping.shape_names),
+        arrays=mapping.arrays
+        | rig_summary(rig, mapping.shape_names)
+        | {"uncertainty_proposals": _proposal_error(spec, mapping, references)},
         settings=mapping.settings | {"tuned": int(references.tuned.sum())},
     )
     write_mapping(spec.out, mapping, provenance=provenance)
@@ -84,6 +88,17 @@ def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress = silent)
     return StepResult(
         tuple(outputs), _summary(mapping, references), tuple(notes), describe_figures(mapping)
     )
+
+
+def _proposal_error(spec: TrainSpec, mapping: TrainedMapping, references: References) -> FloatArray:
+    """Return what tells the error of weights learnt from proposals; see `proposal_error`."""
+    low, high = mapping.ranges.T
+    shown = np.clip((references.weights - low) / (high - low), 0.0, 1.0)
+    proposals = None
+    layer = proposed_path(spec.references)
+    if 0 < references.tuned.sum() < len(references.tuned) and layer.is_file():
+        proposals = np.clip((read_proposals(layer, references) - low) / (high - low), 0.0, 1.0)
+    return proposal_error(mapping.arrays["uncertainty_grams"], shown, references.tuned, proposals)
 
 
 def _driven_skin(deformer: Deformer, points: IntArray) -> FloatArray:
@@ -165,9 +180,9 @@ def _untuned_note(spec: TrainSpec, tuned: int, pairs: int) -> str:
     if not tuned:
         return (
             f"an untuned start: all {pairs} pairs are proposals, so this mapping repeats what the "
-            "rig's geometry makes of the markers, faults included, and its error is the distance "
-            f"from proposals. Tune a dozen or two (`usdface tune {spec.references}`), then train "
-            "with --tuned-only"
+            "rig's geometry makes of the markers, faults included, and its cross-validated error "
+            "is the distance from proposals. Tune a dozen or two (`usdface tune "
+            f"{spec.references}`), then train with --tuned-only"
         )
     return (
         f"{pairs - tuned} of {pairs} pairs are proposals that nobody has tuned; with --tuned-only "
