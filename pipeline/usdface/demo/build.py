@@ -51,9 +51,10 @@ FOCAL_LENGTH = float(
 
 
 class Studio:
-    """The actor in front of the camera; kept by each process that draws."""
+    """The actor in front of a camera; kept by each process that draws."""
 
-    def __init__(self, head: DemoHead) -> None:
+    def __init__(self, head: DemoHead, camera: Camera = CAMERA) -> None:
+        self._camera = camera
         kept, light = _lighter(head)
         self._face = ActorFace(head, kept)
         self._renderer = FaceRenderer(rig_from_head(light).meshes)
@@ -65,7 +66,7 @@ class Studio:
         """Draw one picture: (4, 4) pose in the room, weights in `ActorFace`'s order."""
         points = self._face.pose(weights)[self._order] @ pose[:3, :3].T + pose[:3, 3]
         return self._renderer.render(
-            points, camera=CAMERA, width=size[0], height=size[1], quality="draft"
+            points, camera=self._camera, width=size[0], height=size[1], quality="draft"
         )
 
 
@@ -99,6 +100,7 @@ def write_clip(
     acted: ActedPerformance,
     *,
     size: tuple[int, int] = SIZE,
+    camera: Camera = CAMERA,
     workers: int = 1,
     progress: Progress = silent,
 ) -> None:
@@ -126,7 +128,7 @@ def write_clip(
     sound = np.concatenate([lead, voice, tail]) + 6e-4 * room.astype(np.float32)
     write_movie(
         path,
-        _drawn(head, poses, ordered, size=size, workers=workers, progress=progress),
+        _drawn(head, camera, poses, ordered, size=size, workers=workers, progress=progress),
         rate=VIDEO_RATE,
         audio=sound.astype(np.float32),
         sample_rate=_SAMPLE_RATE,
@@ -135,6 +137,7 @@ def write_clip(
 
 def _drawn(
     head: DemoHead,
+    camera: Camera,
     poses: FloatArray,
     weights: FloatArray,
     *,
@@ -144,13 +147,15 @@ def _drawn(
 ) -> Iterator[ByteImage]:
     """Draw all pictures in order."""
     if workers > 1:
-        with ProcessPoolExecutor(workers, initializer=_open_studio, initargs=(head,)) as pool:
+        with ProcessPoolExecutor(
+            workers, initializer=_open_studio, initargs=(head, camera)
+        ) as pool:
             yield from _track(
                 pool.map(_film, poses, weights, repeat(size), chunksize=8), len(poses), progress
             )
     else:
         yield from _track(
-            map(Studio(head).film, poses, weights, repeat(size)), len(poses), progress
+            map(Studio(head, camera).film, poses, weights, repeat(size)), len(poses), progress
         )
 
 
@@ -164,9 +169,9 @@ def _track(pictures: Iterator[ByteImage], count: int, progress: Progress) -> Ite
 _studio: Studio | None = None  # of this process, where it is one of several that draw
 
 
-def _open_studio(head: DemoHead) -> None:
+def _open_studio(head: DemoHead, camera: Camera) -> None:
     global _studio
-    _studio = Studio(head)
+    _studio = Studio(head, camera)
 
 
 def _film(pose: FloatArray, weights: FloatArray, size: tuple[int, int]) -> ByteImage:

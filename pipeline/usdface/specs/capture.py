@@ -136,8 +136,8 @@ def _distortion_terms(terms: tuple[float, ...]) -> tuple[float, ...]:
 
 
 _ONLY_OF_TAKES = (
-    *("parts", "face", "focal_length", "distortion", "eye_distance", "neutral"),
-    *("take", "performer", "session", "emotion"),
+    *("parts", "calibration", "cameras", "face", "eye_distance", "neutral", "take"),
+    *("performer", "session", "emotion"),
 )
 """Options of a take, of which a part of a video knows nothing."""
 
@@ -157,7 +157,16 @@ class TrackSpec(Spec):
     )
     module: ClassVar[str] = "capture.track"
     sidecars: ClassVar[tuple[Sidecar, ...]] = (samples_path,)
-    never_with: ClassVar[Mapping[str, Sequence[str]]] = dict.fromkeys(_ONLY_OF_TAKES, ("part",))
+    never_with: ClassVar[Mapping[str, Sequence[str]]] = {
+        **dict.fromkeys(_ONLY_OF_TAKES, ("part",)),
+        "views": ("part", "parts"),
+        "focal_length": ("part", "calibration"),
+        "distortion": ("part", "calibration"),
+    }
+    only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
+        "views": ("calibration", ()),
+        "cameras": ("calibration", ()),
+    }
 
     step: Literal["track"] = "track"
     video: Annotated[FilePath, Reads(), Positional()]
@@ -190,6 +199,15 @@ class TrackSpec(Spec):
     """Distortion of the lens as OpenCV writes it, `k1,k2`, `k1,k2,p1,p2` or `k1,k2,p1,p2,k3`:
     landmarks are undistorted before perspective is undone. Of a calibration of the same lens at
     the same zoom, whose focal length goes with it. Default: none."""
+    views: Annotated[tuple[FilePath, ...], Field(min_length=1), Reads()] | None = None
+    """Videos of the same performance by further cameras, which start at the same time as the first:
+    their landmarks are triangulated, by the confidence of each view. With --calibration."""
+    calibration: ReadPath | None = None
+    """What the lenses are and where the cameras stand: TOML of caliscope (camera_array.toml) or
+    anipose, or the same as JSON."""
+    cameras: tuple[Name, ...] = ()
+    """Names of the cameras in --calibration, in the order of the videos, this one first. Default:
+    the order of the file."""
     eye_distance: Annotated[float, Field(ge=30, le=90)] = 63.0
     """Distance between the performer's pupils in mm, which sets the scale. The default is an
     adult's mean; nine of ten adults have 57 to 70."""

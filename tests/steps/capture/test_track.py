@@ -38,7 +38,8 @@ def tracked(tmp_path: Path, monkeypatch):
         finder = SimulatedFinder(faces, focal_pixels=FOCAL_PIXELS, looks=looks, first=first)
         monkeypatch.setattr(step, "FaceLandmarker", lambda path: finder)
         asked = {"model": model, "quality": "draft", "out": tmp_path / "x.take.usda"}
-        asked |= {} if "part" in options else {"focal_length": FOCAL}
+        if not {"part", "calibration"} & options.keys():
+            asked["focal_length"] = FOCAL
         asked |= options
         result = execute(TrackSpec(video=video, **asked), overwrite=True)
         return result, None if "part" in options else read_take(asked["out"])
@@ -102,7 +103,7 @@ def test_a_lens_that_distorts_is_undone(tracked, tmp_path, monkeypatch) -> None:
     off = [np.abs(each.markers.positions - straight.markers.positions) for each in (wrong, right)]
     assert off[0].max() > 0.5
     assert off[1].max() < 0.01
-    with pytest.raises(InputError, match=r"--distortion -9,0 and a focal length of \d+ pixels no"):
+    with pytest.raises(InputError, match=r"-9,0 with a focal length of \d+ pixels shows no"):
         tracked(video, one_head, distortion=(-9.0, 0.0))
     with pytest.raises(ValidationError, match=r"3 numbers are given; OpenCV's model has k1,k2"):
         tracked(video, one_head, distortion=(0.1, 0.0, 0.1))
@@ -197,6 +198,120 @@ def test_of_a_profile_the_hidden_side_is_a_gap(tracked, tmp_path) -> None:
     assert "temple_R1" not in hidden or "temple_L1" not in hidden
     assert hidden & {"temple_R1", "temple_L1"}
     assert not hidden & {"nose_tip_1", "lip_upper_1", "chin_1"}
+
+
+PAIR = """[front]
+matrix = [[{focal}, 0, {x}], [0, {focal}, {y}], [0, 0, 1]]
+size = [{width}, {height}]
+rotation = [0, 0, 0]
+translation = [0, 0, 0]
+
+[side]
+matrix = [[{focal}, 0, {x}], [0, {focal}, {y}], [0, 0, 1]]
+rotation = [0, {turn}, 0]
+translation = [{shift[0]}, 0, {shift[2]}]
+"""
+TURN = Rotation.from_euler("y", 30, degrees=True)
+"""Of the side camera about the middle of where heads are, as OpenCV's axes go."""
+MIDDLE = np.array([0, 0, 600.0])
+
+
+@pytest.fixture
+def pair(tmp_path: Path) -> Path:
+    path = tmp_path / "camera_array.toml"
+    numbers = {"focal": FOCAL_PIXELS, "x": WIDTH / 2, "y": HEIGHT / 2, "turn": np.radians(30)}
+    shift = (MIDDLE - TURN.apply(MIDDLE)).tolist()
+    path.write_text(PAIR.format(**numbers, width=WIDTH, height=HEIGHT, shift=shift))
+    return path
+
+
+def from_the_side(points: np.ndarray) -> np.ndarray:
+    """The head in the side camera's space, Y up."""
+    flip = np.array([1.0, -1.0, -1.0])
+    return (TURN.apply(points * flip - MIDDLE) + MIDDLE) * flip
+
+
+def by_two(count: int):
+    """A face that nods, which the model of one picture makes flat; the second video's follow."""
+
+    def faces(number: int):
+        if number < count:
+            return one_head(number)
+        return [from_the_side(turning_head(number - count))]
+
+    return faces
+
+
+def test_two_cameras_are_joined(tracked, pair, tmp_path) -> None:
+    front, side = clip(tmp_path / "front.mp4", 24), clip(tmp_path / "side.mp4", 24)
+    _, one = tracked(front, one_head, calibration=pair, cameras=("front",))
+    result, take = tracked(front, by_two(24), views=(side,), calibration=pair)
+    assert take.video.file == front
+    assert result.figures["cameras"] == 2
+    assert any("front.mp4 by front, side.mp4 by side" in note for note in result.notes)
+    np.testing.assert_allclose(take.markers.positions, one.markers.positions, atol=0.05)
+    # what a hand hides from one camera is seen by the other
+    rng = np.random.default_rng(1)
+    mouth = LANDMARKS.indices[LANDMARKS.columns("lip_upper", "lip_lower")]
+
+    def hidden(number: int, look=[0]):  # noqa: B006  # counts looks
+        (points,) = by_two(24)(number)
+        look[0] += 1
+        if 8 <= number < 16 and look[0] % 2:
+            points = points.copy()
+            points[mouth, :2] += rng.normal(size=(len(mouth), 2)) * 20
+        return [points]
+
+    _, other = tracked(front, hidden, looks=2, quality="final", views=(side,), calibration=pair)
+    lips = LANDMARKS.columns("lip_upper", "lip_lower")
+    off = np.linalg.norm((other.markers.positions - take.markers.positions)[8:16, lips], axis=2)
+    _, alone = tracked(front, hidden, looks=2, quality="final")
+    bad = np.linalg.norm((alone.markers.positions - one.markers.positions)[8:16, lips], axis=2)
+    assert off.mean() < 0.3 * bad.mean()
+
+
+def test_cameras_that_do_not_fit_are_refused(tracked, pair, tmp_path) -> None:
+    front, side = clip(tmp_path / "front.mp4", 12), clip(tmp_path / "side.mp4", 12)
+    asked = {"views": (side,), "calibration": pair}
+    with pytest.raises(InputError, match=r"cameras disagree about the face, by \d+ % of its"):
+        tracked(front, by_two(12), **asked, cameras=("side", "front"))
+    with pytest.raises(InputError, match=r"2 cameras, front, side, for 1 video; name"):
+        tracked(front, one_head, calibration=pair)
+    with pytest.raises(InputError, match=r"has no camera 'back'; there are front, side"):
+        tracked(front, one_head, calibration=pair, cameras=("back",))
+    with pytest.raises(InputError, match="no frame in which two cameras see a face"):
+        tracked(front, lambda n: [] if (n < 12) == (n % 12 < 6) else by_two(12)(n), **asked)
+    fast = clip(tmp_path / "fast.mp4", 12, rate=30)
+    with pytest.raises(InputError, match="the videos have 24 and 30 frames per second"):
+        tracked(front, by_two(12), views=(fast,), calibration=pair)
+    fitting = pair.read_text()
+    pair.write_text(fitting.replace(f"size = [{WIDTH}", f"size = [{2 * WIDTH}"))
+    with pytest.raises(InputError, match=r"front was calibrated at .*neither cropped nor turned"):
+        tracked(front, one_head, calibration=pair, cameras=("front",))
+    pair.write_text(fitting.replace("rotation = [0, 0.", "turned = [0, 0."))
+    with pytest.raises(InputError, match=r"side says nothing of where it stands; calibrate the"):
+        tracked(front, by_two(12), **asked)
+    with pytest.raises(ValidationError, match="views has no effect without calibration"):
+        tracked(front, by_two(12), views=(side,))
+
+
+def test_frames_that_one_camera_sees_are_gaps_and_profiles_lose_markers(
+    tracked, pair, tmp_path
+) -> None:
+    front, side = clip(tmp_path / "front.mp4", 12), clip(tmp_path / "side.mp4", 10)
+    result, take = tracked(
+        front,
+        lambda n: [] if n in (3, 4) else by_two(12)(n),
+        **{"views": (side,), "calibration": pair},
+    )
+    assert take.frame_count == 10
+    np.testing.assert_array_equal(np.flatnonzero(~take.markers.visible.any(axis=1)), [3, 4])
+    assert any("only one camera sees a face in 2 of 10 frames: gaps" in n for n in result.notes)
+    turn = Rotation.from_euler("y", -60, degrees=True).as_matrix()
+    result, take = tracked(front, lambda n: [head_points() @ turn.T + (0, 0, -600)])
+    assert len(take.markers.names) < len(LANDMARKS.names)
+    assert take.markers.confidence.shape == take.markers.visible.shape
+    assert any("never seen, left out" in note for note in result.notes)
 
 
 def test_pictures_are_a_video_too(tracked, tmp_path) -> None:

@@ -45,9 +45,11 @@ class PinholeCamera:
     """k1, k2, p1, p2, k3 as OpenCV calls them, those that follow 0: of x and y over the focal
     length, r² = x² + y², a point is seen at
     x (1 + k1 r² + k2 r⁴ + k3 r⁶) + 2 p1 x y + p2 (r² + 2 x²), and likewise for y."""
+    aspect: float = 1.0
+    """Focal length down over that across."""
 
     def undistort(self, points: FloatArray) -> FloatArray:
-        """Return where a lens without distortion would show points: (..., 2) [pixels].
+        """Return where a lens without distortion, of `aspect` 1, would show points: (..., 2).
 
         NaN where the lens shows no place: beyond where its distortion folds the picture.
 
@@ -56,9 +58,9 @@ class PinholeCamera:
         points : (..., 2) float array
             x to the right, y down [pixels].
         """
-        if not any(self.distortion):
+        if not any(self.distortion) and self.aspect == 1:
             return points
-        seen = (points - self.center) / self.focal_pixels
+        seen = (points - self.center) / (self.focal_pixels, self.focal_pixels * self.aspect)
         place, unfolded = seen.copy(), np.ones(seen.shape[:-1], bool)
         for _ in range(_NEWTON_STEPS):
             shown, (xx, xy, yy) = self._distorted(place)

@@ -1,4 +1,4 @@
 """Captures to cleaned takes."""
 
 _commands = ("ingest_folder",)
-_helpers = ("merge_captures", "track_notes", "track_pictures")
+_helpers = ("merge_captures", "track_cameras", "track_notes", "track_pictures", "track_views")

@@ -1,6 +1,7 @@
 """What is wrong or doubtful about a tracked face: none there, on its side, small, cut, covered."""
 
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 
@@ -9,7 +10,6 @@ from usdface.capture.face_tracking import FaceTrack
 from usdface.core.arrays import IntArray
 from usdface.core.errors import InputError
 from usdface.core.text import first_few, pluralize
-from usdface.specs.capture import TrackSpec
 
 _SMALLEST_EYE_PIXELS = 30.0
 """Between the eyes: the model sees the face at 192 or 256 pixels, where it is some 70."""
@@ -23,11 +23,11 @@ _BLINK_RATE = 15.0
 """[1/s] Of pictures: blinks last 0.1 to 0.2 s."""
 
 
-def check_faces(spec: TrackSpec, track: FaceTrack) -> None:
+def check_faces(video: Path, track: FaceTrack) -> None:
     """Refuse a video without a face, or one that lies on its side."""
     if not track.seen.any():
         raise InputError(
-            f"{spec.video}: no face in any of {len(track.seen)} pictures; film it from the front, "
+            f"{video}: no face in any of {len(track.seen)} pictures; film it from the front, "
             "lit, and larger than a fifth of the picture's height; a video that lies on its side "
             "has to be turned first (ffmpeg -display_rotation 90 -i IN -c copy OUT)"
         )
@@ -38,7 +38,7 @@ def check_faces(spec: TrackSpec, track: FaceTrack) -> None:
     roll = np.degrees(np.arctan2(np.median(across[:, 1]), np.median(across[:, 0])))
     if abs(roll) > _LYING_DEGREES:
         raise InputError(
-            f"{spec.video}: the face lies by {roll:.0f} degrees in the picture; turn the video "
+            f"{video}: the face lies by {roll:.0f} degrees in the picture; turn the video "
             "first (ffmpeg -display_rotation 90 -i IN -c copy OUT, or -90)"
         )
 

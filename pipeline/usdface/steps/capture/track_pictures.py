@@ -1,10 +1,11 @@
 """The pictures of a video, looked at now, by a run that was stopped, or in parts on a farm."""
 
 import contextlib
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
-from pathlib import Path, PurePath
+from pathlib import Path
 
 import numpy as np
 
@@ -147,23 +148,22 @@ class PictureDetector:
     ) -> None:
         self._spec, self._folder, self._open_files = spec, folder, open_files
         self._parts = spec.parts or ()
-        self._video_hash = next(
-            (
-                digest
-                for path, digest in provenance.inputs.items()
-                if PurePath(path).name == spec.video.name
-            ),
-            "",
-        )
+        self._inputs = provenance.inputs
+        self._video = spec.video
         self._model: Path | None = None
         self._finder: FaceLandmarker | None = None
         self.digest = ""
         self.score_names: tuple[str, ...] = ()
 
     def look(
-        self, video: VideoReader | ImageSequence, timing: PictureTiming, progress: Progress
+        self,
+        path: Path,
+        video: VideoReader | ImageSequence,
+        timing: PictureTiming,
+        progress: Progress,
     ) -> Iterator[PictureFaces]:
-        """Yield the faces of one picture after the other."""
+        """Yield the faces of one picture of a video after the other."""
+        self._video = path
         parts = [self._part_pictures(path) for path in self._parts]
         owner = np.full(len(timing.pictures), -1)
         for number, pictures in enumerate(parts):
@@ -176,10 +176,8 @@ class PictureDetector:
             stretches = [
                 each if each.is_part else _Stretch(each.pictures, None) for each in stretches
             ]
-        names = {each.file.name for each in stretches if each.file and not each.is_part}
-        if names:
+        if any(each.file is not None and not each.is_part for each in stretches):
             make_side_folder(self._folder)
-            clear_side_folder(self._folder, _STRETCH_FILES, keep=frozenset(names))
         done = 0
         for stretch in stretches:
             ahead = part(
@@ -205,7 +203,12 @@ class PictureDetector:
         write_detections(out, arrays, names, **about)
 
     def _made_from(self) -> tuple[str, ...]:
-        return (self._video_hash, self._spec.quality, self.digest)
+        return (self._video_hash(), self._spec.quality, self.digest)
+
+    def _video_hash(self) -> str:
+        anchor = self._spec.out.resolve().parent  # as provenance names inputs
+        name = os.path.relpath(self._video.resolve(), anchor).replace(os.sep, "/")
+        return self._inputs.get(name, "")
 
     def _check_model(self) -> None:
         self._model = named_model(self._spec.model)
@@ -218,7 +221,11 @@ class PictureDetector:
         """Return which pictures a part holds, and check that it is one of this video."""
         arrays, names = read_detections(path, _ARRAYS[:1], _NAMES)
         made = names["madeFrom"]
-        known = (self._video_hash, self._spec.quality, self.digest or made[-1])
+        known = (
+            self._video_hash(),
+            self._spec.quality,
+            self.digest or made[-1],
+        )
         if made != known:
             what = ("video", "--quality", "model")
             other = next(name for name, a, b in zip(what, made, known, strict=True) if a != b)
@@ -256,9 +263,7 @@ class PictureDetector:
             seconds = float(video.times[index])
             picture = video.frame_at(seconds)
             if picture is None:  # times come from the video itself
-                raise InputError(
-                    f"{self._spec.video}: no picture at {seconds:.3f} s; export it again"
-                )
+                raise InputError(f"{self._video}: no picture at {seconds:.3f} s; export it again")
             if self._finder is None:
                 assert self._model is not None
                 self._finder = self._open_files.enter_context(FaceLandmarker(self._model))
@@ -266,7 +271,7 @@ class PictureDetector:
                 detect_faces(self._finder, picture, mirrored=self._spec.quality == "final")
             )
             if number % 8 == 0:
-                progress(number / len(stretch.pictures), f"tracking {self._spec.video.name}")
+                progress(number / len(stretch.pictures), f"tracking {self._video.name}")
         if self._finder is not None:
             self.score_names = self._finder.score_names
         if stretch.file is not None:
