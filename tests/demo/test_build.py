@@ -3,12 +3,14 @@
 import csv
 from fractions import Fraction
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from usdface.capture.c3d import read_c3d_take
 from usdface.capture.marker_take import CaptureOptions
+from usdface.cli import main
 from usdface.core.assets import WeightsClip
 from usdface.demo.acting import ActedPerformance
 from usdface.demo.build import (
@@ -50,6 +52,42 @@ def test_the_camera_sees_a_face_that_moves(actor: DemoHead, acted: ActedPerforma
     assert rest.shape == (SIZE[1], SIZE[0], 3)
     assert rest.std() > 20.0
     assert np.abs(rest.astype(int) - angry.astype(int)).mean() > 3.0
+
+
+def test_the_clip_is_filmed_at_the_lines_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    filmed = []
+    monkeypatch.setattr("usdface.demo.build.simulate_capture", _nothing_captured)
+    monkeypatch.setattr("usdface.demo.build.write_c3d", lambda *args, **options: None)
+    monkeypatch.setattr(
+        "usdface.demo.build.write_clip", lambda *args, size, **options: filmed.append(size)
+    )
+    for lines in (240, 720):
+        write_demo_inputs(tmp_path, video_lines=lines)
+    assert filmed == [SIZE, (648, 720)]
+
+
+def _nothing_captured(*args: object) -> SimpleNamespace:
+    return SimpleNamespace(positions=None, visible=None)
+
+
+@pytest.mark.parametrize(
+    ("options", "refused"),
+    [
+        ("--dog --from video", "--dog retargets a performance"),
+        ("--dog --video-lines 720", "--dog films no actor"),
+        ("--model x.task", "--model is of --from video"),
+    ],
+)
+def test_options_without_effect_on_the_demo_are_refused(
+    options: str, refused: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(["demo", "--out", str(tmp_path / "x"), *options.split()])
+    assert stopped.value.code == 2
+    assert refused in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.fixture(scope="module")

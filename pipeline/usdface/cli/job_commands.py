@@ -110,6 +110,13 @@ def demo(
             show_default=False,
         ),
     ] = None,
+    video_lines: Annotated[
+        Literal["240", "480", "720"],
+        typer.Option(
+            help="Height of the actor's clip in pixels; at 720, as phones film, drawing it takes "
+            "minutes."
+        ),
+    ] = "240",
     progress: ShowProgress = "auto",
     as_json: Json = False,
 ) -> None:
@@ -124,14 +131,7 @@ def demo(
     from usdface.cli.run import showing_events
     from usdface.demo import DOG_JOB_NAME, JOB_NAME
 
-    if dog and (source == "video" or model is not None):
-        raise InputError("--dog retargets a performance, and tracks nothing; leave --from out")
-    if source == "markers" and model is not None:
-        raise InputError("--model is of --from video; leave it out")
-    if source == "video":
-        from usdface.capture.face_landmarker import named_model
-
-        model = named_model(model)
+    model = _demo_model(dog, source, model, video_lines)
     # On stderr, as stdout may be JSON; before the imports, which take a second or two.
     typer.echo(f"making a demo in {out_folder}; it takes a minute or so", err=True)
     with progress_listener(progress) as listener:
@@ -144,7 +144,13 @@ def demo(
         else:
             from usdface.demo.job import run_demo
 
-            report = run_demo(out_folder, model=model, progress=listener, events=events)
+            report = run_demo(
+                out_folder,
+                model=model,
+                video_lines=int(video_lines),
+                progress=listener,
+                events=events,
+            )
     show_result(report, as_json=as_json)
 
 
@@ -172,3 +178,18 @@ def _confine(job: JobSpec, root: Path | None) -> None:
     if root is not None:
         os.environ[ROOT_VARIABLE] = str(root.resolve())
         check_confined(job.named_paths(), root)
+
+
+def _demo_model(dog: bool, source: str, model: Path | None, video_lines: str) -> Path | None:
+    """Return the model of the demo's tracking, None without; refuse options without effect."""
+    if dog and (source == "video" or model is not None):
+        raise InputError("--dog retargets a performance, and tracks nothing; leave --from out")
+    if dog and video_lines != "240":
+        raise InputError("--dog films no actor; leave --video-lines out")
+    if source == "video":
+        from usdface.capture.face_landmarker import named_model
+
+        return named_model(model)
+    if model is not None:
+        raise InputError("--model is of --from video; leave it out")
+    return None

@@ -204,13 +204,21 @@ class DemoInputs:
     """The animator's weights on every frame, of the shapes that the performance uses."""
 
 
-def write_demo_inputs(folder: Path, *, workers: int = 2, progress: Progress = silent) -> DemoInputs:
+def write_demo_inputs(
+    folder: Path,
+    *,
+    video_lines: int = SIZE[1],
+    workers: int = 2,
+    progress: Progress = silent,
+) -> DemoInputs:
     """Generate the demo's inputs.
 
     Parameters
     ----------
     folder : Path
         Created if missing; files of the same names are replaced.
+    video_lines : int
+        Height of the clip [pixels], even.
     """
     folder.mkdir(parents=True, exist_ok=True)
     progress(0.0, "sculpting the character")
@@ -237,7 +245,9 @@ def write_demo_inputs(folder: Path, *, workers: int = 2, progress: Progress = si
     phones_file = folder / "actor.phones.json"
     write_phone_track(phones_file, spoken_phones())
     video_file = folder / "actor.mp4"
-    write_clip(video_file, actor, acted, workers=workers, progress=part(progress, 0.2, 1.0))
+    size = (2 * round(video_lines * SIZE[0] / SIZE[1] / 2), video_lines)
+    filming = part(progress, 0.2, 1.0)
+    write_clip(video_file, actor, acted, size=size, workers=workers, progress=filming)
     return DemoInputs(
         rig=rig_file,
         capture=capture_file,

@@ -13,6 +13,7 @@ from usdface.core.progress import Progress, part, silent
 from usdface.demo import JOB_NAME
 from usdface.demo.build import (
     FOCAL_LENGTH,
+    SIZE,
     DemoInputs,
     weights_on_video,
     write_demo_inputs,
@@ -43,6 +44,7 @@ def run_demo(
     folder: Path,
     *,
     model: Path | None = None,
+    video_lines: int = SIZE[1],
     progress: Progress = silent,
     events: JobEvents | None = None,
 ) -> StepResult:
@@ -55,6 +57,8 @@ def run_demo(
     model : Path, optional
         Face landmark model of `track`: the face is then tracked in the clip, and the markers of
         the capture are not used.
+    video_lines : int
+        Height of the actor's clip [pixels], even.
     events : JobEvents, optional
         Called as the steps of the job start and end.
     """
@@ -65,7 +69,9 @@ def run_demo(
             pass
     job_file = folder / JOB_NAME
     make_folder(folder, job_file)
-    inputs = write_demo_inputs(folder, progress=part(progress, 0.0, INPUTS_SHARE))
+    inputs = write_demo_inputs(
+        folder, video_lines=video_lines, progress=part(progress, 0.0, INPUTS_SHARE)
+    )
     if model is not None:
         truth = weights_on_video(inputs.truth)
         keys = folder / "video_weights.csv"
