@@ -216,11 +216,25 @@ def test_the_page_prints_without_one_thing_over_another(shot: Shot) -> None:
             "a.getBoundingClientRect().bottom <= box.bottom + 1).length; })()"
         )
         cut = page.evaluate(CUT)
+        drawn = page.evaluate(
+            "[...document.querySelectorAll('.curve')].map((each) => "
+            "getComputedStyle(each).contentVisibility)"
+        )
+        page.emulate_media(media="screen")
+        small = page.evaluate(SMALL)
         page.close()
+    assert set(drawn) == {"visible"}, "curves below the window are blank on paper"
+    assert not small, "letters of less than 12 pixels"
     for (_, bottom), (top, _) in pairwise(boxes):
         assert bottom <= top + 1
     assert not cut, "pictures, timecodes or names are cut off"
     assert links == 12, "frames to look at first are cut off"
+
+
+SMALL = """[...document.querySelectorAll("body *")].filter((each) =>
+  [...each.childNodes].some((node) => node.nodeType === 3 && node.data.trim()) &&
+  each.getBoundingClientRect().width && parseFloat(getComputedStyle(each).fontSize) < 12
+).map((each) => each.textContent)"""
 
 
 BOXES = """[...document.querySelectorAll("main > *")].map((part) => {
