@@ -22,7 +22,7 @@ PATTERN_WORDS = {
     r"^-?\d+(=.+)?$": "give a frame, or a frame and a name, such as 120=smile",
     r"^[^=]+=\d+$": "give a marker and a point of the mesh, such as nose_tip=1203",
     f"^{PRIM_PATTERN}$": "give the path of a prim, such as /shot/cast/hero",
-    f"^(auto|{PRIM_PATTERN})$": "give auto or a camera's path, such as /Shot/main",
+    f"^(auto|front|{PRIM_PATTERN})$": "give auto, front or a camera's path, such as /Shot/main",
     r"^(\d\d:\d\d:\d\d[:;]\d\d)?$": "give hours, minutes, seconds and frames, such as 01:00:00:00",
 }
 """Patterns of the specs, each with the advice for a value that does not match."""

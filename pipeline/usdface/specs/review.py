@@ -24,17 +24,18 @@ from usdface.specs.paths import (
 )
 
 AUTO_CAMERA = "auto"
+FRONT_CAMERA = "front"
 
 CameraName = Annotated[
     str,
     Field(
-        pattern=f"^(auto|{PRIM_PATTERN})$",
+        pattern=f"^(auto|front|{PRIM_PATTERN})$",
         max_length=1000,
-        examples=["auto", "/Shot/Cameras/main"],
+        examples=["auto", "front", "/Shot/Cameras/main"],
     ),
     AfterValidator(prim_path),
 ]
-"""``auto``, which frames the face, or the path of a camera."""
+"""``auto`` and ``front``, which frame the face, or the path of a camera."""
 
 
 SheetLayout = Literal["comparison", "worst", "strip", "characters"]
@@ -102,7 +103,8 @@ class SheetSpec(MovedRigSpec, WeightTableSpec):
     difference: bool = True
     """Draw the error against the keys, or the uncertainty, in layouts that have it."""
     camera: CameraName = "auto"
-    """Camera of the renders: `auto` frames the face; a prim path is a camera of the stage."""
+    """Camera of the renders: `auto` frames the face, turned as the performer's head where the take
+    has a video; `front` does not turn it; a prim path is a camera of the stage."""
     camera_stage: ReadPath | None = None
     """Stage that holds the camera, such as a shot. Default: the performance."""
     view: Annotated[str, Field(min_length=1, max_length=200)] | None = None
@@ -168,7 +170,8 @@ class MovieSpec(MovedRigSpec):
     workers: Annotated[int, Field(ge=0, le=256)] = 0
     """Number of rendering processes. Default: the number of cores."""
     camera: CameraName = "auto"
-    """Camera of the renders: `auto` frames the face; a prim path is a camera of the stage."""
+    """Camera of the renders: `auto` frames the face, turned as the performer's head where the take
+    has a video; `front` does not turn it; a prim path is a camera of the stage."""
     camera_stage: ReadPath | None = None
     """Stage that holds the camera, such as a shot. Default: the performance."""
     sound: bool = True
@@ -246,7 +249,8 @@ class ReportSpec(MovedRigSpec, WeightTableSpec):
     baseline: bool = True
     """Draw the curves of the baseline as well."""
     camera: CameraName = "auto"
-    """Initial camera of the face: `auto` frames it; a prim path is a camera of the stage."""
+    """Initial camera of the face: `auto` frames it, turned as the performer's head where the take
+    has a video; `front` does not turn it; a prim path is a camera of the stage."""
     camera_stage: ReadPath | None = None
     """Stage that holds the camera, such as a shot. Default: the performance."""
     height: Annotated[int, Field(ge=120, le=1080)] = 360

@@ -195,7 +195,7 @@ def read_placement_of(
             f"{len(names)} markers, and not {first_few(missing)}; run `usdface place` "
             "with these takes"
         )
-    if not _knows(placement, names, neutral):
+    if not knows_markers(placement, names, neutral):
         raise InputError(
             f"{path}: places the markers of another face; run `usdface place` with these takes"
         )
@@ -207,7 +207,7 @@ def _missing(placement: RigPlacement, names: tuple[str, ...]) -> list[str]:
     return [name for name in names if name not in known]
 
 
-def _knows(placement: RigPlacement, names: tuple[str, ...], neutral: FloatArray) -> bool:
+def knows_markers(placement: RigPlacement, names: tuple[str, ...], neutral: FloatArray) -> bool:
     """Whether a placement is of these markers, on this performer's face."""
     row_of = _bound(placement)
     bound = [marker for marker, name in enumerate(names) if name in row_of]
@@ -271,7 +271,7 @@ def placed_equation(
     Parameters are those of `set_up_equation`. Markers that the placement leaves out are trusted as
     little as those of the skull.
     """
-    if placement is None or not _knows(placement, labels, neutral):
+    if placement is None or not knows_markers(placement, labels, neutral):
         return set_up_equation(
             rig,
             deformer,
@@ -312,7 +312,9 @@ def registered_places(references: References, rig: Rig) -> FloatArray | None:
         On the rig's neutral, NaN where it cannot [mm].
     """
     placement = stored_placement(references, rig)
-    if placement is None or not _knows(placement, references.marker_names, references.neutral):
+    if placement is None or not knows_markers(
+        placement, references.marker_names, references.neutral
+    ):
         return None
     binding, row_of = placement.binding, _bound(placement)
     at = binding.places.positions(rig_surfaces(rig)[0].mesh.points)

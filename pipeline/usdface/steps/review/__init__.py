@@ -3,6 +3,7 @@
 _helpers = (
     "clock",
     "evaluation_tables",
+    "head_turn",
     "pictures",
     "report_parts",
     "report_tables",

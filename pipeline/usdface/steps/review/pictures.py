@@ -149,17 +149,21 @@ class ShotPictures:
         A line runs from where the solve takes a marker's place on the skin to the marker. Markers
         that were repaired are orange and hollow.
         """
-        shot = self._shot
-        repaired = repaired_markers(shot.take, int(shot.frames[row]))
-        picture = self._draw(row, shot.weights[row], still=True)  # so are the markers
+        shot, frame = self._shot, int(self._shot.frames[row])
+        repaired = repaired_markers(shot.take, frame)
+        still = shot.motion is None or not shot.motion.moves_as_one  # of a jaw they know nothing
+        picture = self._draw(row, shot.weights[row], still=still)
         posed = shot.deformer.points(shot.weights[row][None])[0]
         motion = character_motion(equation.virtual, shot.positions[row][None], equation.neutral)[0]
         seen = equation.virtual.places(shot.deformer.neutral) + motion
-        view = self._camera.at(int(shot.frames[row]), still=True)
+        both = np.stack([equation.virtual.places(posed), seen])
+        if not still and shot.motion is not None:
+            (carried,) = shot.motion.transforms(frame)
+            both = both @ carried[:3, :3].T + carried[:3, 3]
+        view = self._camera.at(frame, still=still)
         size = self._height / 320
         ends = [
-            view.project(points, width=self._width, height=self._height)[:, :2]
-            for points in (equation.virtual.places(posed), seen)
+            view.project(points, width=self._width, height=self._height)[:, :2] for points in both
         ]
         for solved, captured, hollow in zip(*ends, repaired.tolist(), strict=True):
             if np.isfinite(solved).all() and np.isfinite(captured).all():

@@ -29,6 +29,7 @@ from usdface.runner.result import StepResult
 from usdface.specs.review import ReportSpec
 from usdface.steps.inputs.phone_labels import labels_at
 from usdface.steps.review.clock import SAMPLE_RATE, MovieClock, movie_rate, take_sound
+from usdface.steps.review.head_turn import turned_as_video
 from usdface.steps.review.report_parts import (
     page_commands,
     page_curves,
@@ -63,6 +64,7 @@ def run(spec: ReportSpec, *, provenance: Provenance, progress: Progress = silent
     """Gather everything and write the page."""
     progress(0.0, "reading")
     shot = open_shot(spec.performance, spec.take, frames=spec.frames, video=spec.video)
+    shot = turned_as_video(shot, spec.camera)
     clock = _clock(spec, shot)
     notes: list[str] = []
     page = _page(spec, shot, clock, notes, provenance, progress)

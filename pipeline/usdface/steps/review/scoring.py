@@ -147,15 +147,11 @@ def set_up_shot_baseline(shot: Shot) -> BlendshapeEquation:
     take, markers = shot.take, shot.take.markers
     if markers is None:
         raise InputError(f"{take.name}: has no markers")
-    frame = shot.performance.neutral_frame  # where the take's own is not neutral, another
-    if frame is None:
-        frame = markers.neutral_frame
-    row = min(max(frame - take.first_frame, 0), take.frame_count - 1)
     return placed_equation(
         placement_of_performance(shot.performance_file, shot.rig),
         shot.rig,
         shot.deformer,
-        neutral=markers.positions[row].astype(np.float64),
+        neutral=markers.positions[shot.neutral_row].astype(np.float64),
         positions=markers.positions,
         visible=markers.visible | (markers.confidence > 0),
         rigid=tuple(markers.names.index(name) for name in markers.rigid),

@@ -14,6 +14,7 @@ from usdface.model.selection.baseline import BlendshapeEquation
 from usdface.specs.paths import frame_list
 from usdface.specs.review import FramePick, SheetLayout, SheetSpec
 from usdface.steps.inputs.phone_labels import labels_at
+from usdface.steps.review.head_turn import turned_as_video
 from usdface.steps.review.pictures import ShotPictures
 from usdface.steps.review.scoring import (
     ChosenFrame,
@@ -106,7 +107,10 @@ def _open_shots(spec: SheetSpec) -> list[Shot]:
     files = (spec.performance, *spec.also)
     listed = frame_list(spec.frames)
     limits = spec.frames if listed is None else None
-    shots = [open_shot(file, spec.take, frames=limits, video=spec.video) for file in files]
+    shots = [
+        turned_as_video(open_shot(file, spec.take, frames=limits, video=spec.video), spec.camera)
+        for file in files
+    ]
     first = max(int(shot.frames[0]) for shot in shots)
     last = min(int(shot.frames[-1]) for shot in shots)
     if last < first:

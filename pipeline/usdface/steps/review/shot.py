@@ -16,11 +16,11 @@ from usdface.media.face.camera import Camera, frame_rig, motion_weights
 from usdface.model.review.verdict import SolveEvidence
 from usdface.runner.origin import find_take, provenance_of, spec_of, take_of_performance
 from usdface.specs.paths import frame_range
-from usdface.specs.review import AUTO_CAMERA
+from usdface.specs.review import AUTO_CAMERA, FRONT_CAMERA
 from usdface.steps.inputs.cleaned_takes import read_cleaned
 from usdface.usdio.performance.read import PerformanceReader, read_performance
 from usdface.usdio.rig.read import read_rig
-from usdface.usdio.rig.rig_motion import RigMotion
+from usdface.usdio.rig.rig_motion import PointMotion, RigMotion
 from usdface.usdio.rig.stage_camera import StageCamera, StageView
 
 WIDEST_ASPECT = 3.0
@@ -36,10 +36,10 @@ class ShotCamera:
     Parameters
     ----------
     name : str
-        ``'auto'``, or the path of a camera.
+        ``'auto'``, ``'front'`` or the path of a camera.
     stage : Path, optional
         The stage that holds it; the performance by default.
-    motion : RigMotion, optional
+    motion : PointMotion, optional
         What the automatic camera follows.
     """
 
@@ -51,7 +51,7 @@ class ShotCamera:
         *,
         name: str = AUTO_CAMERA,
         stage: Path | None = None,
-        motion: RigMotion | None = None,
+        motion: PointMotion | None = None,
     ) -> None:
         self._rig = rig
         self._motion = motion
@@ -60,7 +60,7 @@ class ShotCamera:
         self._framed = frame_rig(rig.meshes, hair=True)
         self._name = name
         self._stage: StageCamera | None = None
-        if name != AUTO_CAMERA:
+        if name not in (AUTO_CAMERA, FRONT_CAMERA):
             self._stage = StageCamera(
                 stage or performance_file,
                 name,
@@ -77,7 +77,7 @@ class ShotCamera:
             return self._followed(self._motion, frame)
         return _as_camera(self._stage.at(frame), self._framed)
 
-    def _followed(self, motion: RigMotion, frame: int) -> Camera:
+    def _followed(self, motion: PointMotion, frame: int) -> Camera:
         """Keep a face that goes somewhere in the picture; how it turns is seen."""
         points = np.concatenate([mesh.points for mesh in self._rig.meshes])
         step = (motion.carry(points, frame) - points)[self._face].mean(axis=0)
@@ -155,8 +155,11 @@ class Shot:
     """(frames,): frame numbers."""
     weights: FloatArray
     """(frames, shapes): in the rig's order."""
-    motion: RigMotion | None = None
-    """What carries the points beside the shapes: joints and Xforms; None where none moves."""
+    motion: PointMotion | None = None
+    """What carries the points beside the shapes: joints and Xforms, or the performer's head; None
+    where none moves."""
+    take_file: Path | None = None
+    """None where the take is no USD."""
 
     def pose(self, row: int, weights: FloatArray, *, still: bool = False) -> FloatArray:
         """Return the rig's points at weights, (shapes,), where a row's joints and Xforms are.
@@ -190,6 +193,14 @@ class Shot:
         if markers is None:
             raise InputError(f"{self.take.name}: has no markers")
         return markers.positions[self.frames - self.take.first_frame].astype(np.float64)
+
+    @property
+    def neutral_row(self) -> int:
+        """Row of the take's neutral; where its own frame is not neutral, of another."""
+        frame, take = self.performance.neutral_frame, self.take
+        if frame is None and take.markers is not None:
+            frame = take.markers.neutral_frame
+        return min(max((frame or 0) - take.first_frame, 0), take.frame_count - 1)
 
     def face_uncertainty_mm(self) -> FloatArray | None:
         """Return the face's uncertainty at the shared frames, (frames,) [mm]; None if unknown."""
@@ -300,6 +311,7 @@ def open_shot(
         numbers,
         weights,
         motion if motion.shares.nnz else None,
+        take_file if is_usd_name(take_file) and not keyed else None,
     )
 
 

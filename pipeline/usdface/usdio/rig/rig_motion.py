@@ -20,14 +20,34 @@ from usdface.usdio.rig.reference import place_of
 from usdface.usdio.units import column_matrix, stage_to_ours
 
 
-class RigMotion:
-    """The parts of a rig that move, and where they are in a frame.
+class PointMotion:
+    """What carries points beside the shapes: parts, and where they are in a frame."""
 
-    Attributes
-    ----------
-    shares : (points, parts) sparse array
-        How far each point of all meshes follows a part [0-1].
-    """
+    shares: sparse.csc_array
+    """(points, parts): how far each point of all meshes follows a part [0-1]."""
+    moves_as_one = False
+    """Whether one part carries all points."""
+
+    def transforms(self, frame: int) -> FloatArray:
+        """Return each part's way from rest at a frame: (parts, 4, 4), for column vectors [mm]."""
+        raise NotImplementedError
+
+    def carry(self, points: FloatArray, frame: int, *, vectors: bool = False) -> FloatArray:
+        """Return points of all meshes, (points, 3) [mm], where joints and Xforms take them.
+
+        Vectors at the points are only turned.
+        """
+        out = np.array(points, np.float64)
+        for part, transform in enumerate(self.transforms(frame)):
+            part_of = slice(*self.shares.indptr[part : part + 2].tolist())
+            rows, share = self.shares.indices[part_of], self.shares.data[part_of]
+            moved = points[rows] @ transform[:3, :3].T - points[rows]
+            out[rows] += share[:, None] * (moved if vectors else moved + transform[:3, 3])
+        return out
+
+
+class RigMotion(PointMotion):
+    """The joints and Xforms of a rig that move."""
 
     @refusing_wrong_types
     def __init__(self, path: Path, rig: Rig) -> None:
@@ -47,7 +67,7 @@ class RigMotion:
         self._posed = _Placement(stage, posed)
         self._parts: list[tuple[Sdf.Path, int]] = []
         """Path below the SkelRoot, and joint in its skeleton, or -1 for the prim itself."""
-        self.shares: sparse.csc_array = self._read_shares(rig)
+        self.shares = self._read_shares(rig)
         at_rest = self._rest.placed(self._parts, Usd.TimeCode.Default())
         self._inverse = [np.linalg.inv(each) for each in at_rest]
 
@@ -58,19 +78,6 @@ class RigMotion:
         back = np.linalg.inv(self._ours)
         moved = [a @ b for a, b in zip(placed, self._inverse, strict=True)]
         return np.array([self._ours @ each @ back for each in moved]).reshape(-1, 4, 4)
-
-    def carry(self, points: FloatArray, frame: int, *, vectors: bool = False) -> FloatArray:
-        """Return points of all meshes, (points, 3) [mm], where joints and Xforms take them.
-
-        Vectors at the points are only turned.
-        """
-        out = np.array(points, np.float64)
-        for part, transform in enumerate(self.transforms(frame)):
-            part_of = slice(*self.shares.indptr[part : part + 2].tolist())
-            rows, share = self.shares.indices[part_of], self.shares.data[part_of]
-            moved = points[rows] @ transform[:3, :3].T - points[rows]
-            out[rows] += share[:, None] * (moved if vectors else moved + transform[:3, 3])
-        return out
 
     def _read_shares(self, rig: Rig) -> sparse.csc_array:
         rows, columns, values, start = list[IntArray](), list[IntArray](), list[FloatArray](), 0
