@@ -459,6 +459,25 @@ def test_notes_of_a_report_stand_at_their_frame(asset: Path, context: Any, tmp_p
     command.interrupt()
 
 
+def test_a_row_of_buttons_is_one_stop_of_the_tab_key(desk: Desk) -> None:
+    page = desk.page().page
+    page.evaluate("document.activeElement.blur()")
+    focused = "document.activeElement.id || document.activeElement.getAttribute('aria-label')"
+    visited = list[str | None]()
+    while "eyeBlink" not in visited:
+        page.keyboard.press("Tab")
+        visited.append(page.evaluate(focused))
+        assert page.evaluate("document.activeElement.matches(':focus-visible')")
+        assert len(visited) < 9, visited
+    assert {"next", "view", "search"} <= set(visited)
+    page.locator("#mirror").focus()
+    page.keyboard.press("ArrowDown")
+    assert page.evaluate(focused) == "copy"
+    page.keyboard.press("ArrowUp")
+    page.keyboard.press("ArrowUp")
+    assert page.evaluate(focused) == "next", "undo and redo can do nothing yet"
+
+
 def test_sides_move_together_and_change_places(desk: Desk) -> None:
     found = desk.page().page.evaluate(
         """() => {

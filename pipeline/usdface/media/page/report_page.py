@@ -36,7 +36,14 @@ WEIGHT_STEPS = 5000
 _MARKER_STEPS = 100
 """Of a millimetre: a tenth of what a capture resolves, up to 327 mm from rest."""
 
-_SCRIPTS = ("report_page.js", "report_curves.js", "report_face.js", "report_notes.js", "report.js")
+_SCRIPTS = (
+    "report_page.js",
+    "tab_stops.js",
+    "report_curves.js",
+    "report_face.js",
+    "report_notes.js",
+    "report.js",
+)
 _PLACE = re.compile("@[A-Z]+@")
 
 _ORIGIN = re.compile('<meta name="usdface" content="([^"]*)">')

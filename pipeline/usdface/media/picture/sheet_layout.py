@@ -31,7 +31,7 @@ _SMALLEST_STYLE = 16
 VERDICT_STYLE = TextStyle(size=23, color=BRIGHT, weight="bold")
 VERDICT_LINE = 30
 
-LEGEND_LETTERS = 90  # of one line of notes; more go to lines of their own
+LEGEND_LETTERS = 110  # of one line of notes; more go to lines of their own
 LEGEND_LETTER = 8  # [pixels] the width of one, about
 LEAST_WIDTH = 800  # for the title and the strip above a few small tiles
 TITLE_HEIGHT = 60

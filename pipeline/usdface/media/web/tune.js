@@ -5,6 +5,7 @@ import { FilmStrip } from "./tune_film.js";
 import { Outbox } from "./tune_outbox.js";
 import { PoseDialog } from "./tune_poses.js";
 import { PlacementTool } from "./tune_placement.js";
+import { oneTabStop } from "./tab_stops.js";
 import { Residual, ResidualTable } from "./tune_residual.js";
 import { ShapePanel } from "./tune_shapes.js";
 import { TuneState } from "./tune_state.js";
@@ -119,6 +120,7 @@ class Page {
       if (!outbox.isEmpty) event.preventDefault();
     });
     this.wire();
+    document.querySelectorAll("#bar, .strip, #shapes summary").forEach(oneTabStop);
     if (outbox.isEmpty) $("saved").textContent = "saved";
   }
 
