@@ -6,10 +6,12 @@ references are left out, and in a second row those within a quarter of a second 
 seconds with 50 references few are left, so the number of frames stands beside.
 """
 
+import json
 import tempfile
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -27,6 +29,7 @@ from usdface.demo.build import (
     FOCAL_LENGTH,
     OFFSET_SECONDS,
     SIZE,
+    DemoInputs,
     weights_on_video,
     write_clip,
     write_demo_inputs,
@@ -42,7 +45,7 @@ from usdface.model.mapping.uncertainty import LIMIT_DEVIATIONS
 from usdface.numerics.measure.face_regions import gaze_shapes
 from usdface.numerics.rigid.rigid_alignment import align_rigid
 from usdface.runner.execute import execute
-from usdface.specs.capture import CleanSpec, TrackSpec
+from usdface.specs.capture import CleanSpec, IngestSpec, TrackSpec
 from usdface.specs.performance import MapSpec, TrainSpec
 from usdface.specs.references import ReferencesImportSpec, SelectSpec
 from usdface.usdio.performance.read import read_performance
@@ -54,6 +57,18 @@ MODEL = SHARED_DATA / "models" / "face_landmarker.task"
 COUNT = 50
 LARGE = (648, 720)
 APART_SECONDS = 0.25
+SIDE = replace(
+    CAMERA,
+    eye=tuple(
+        (
+            Rotation.from_euler("y", -25, degrees=True).apply(
+                np.subtract(CAMERA.eye, CAMERA.target)
+            )
+            + CAMERA.target
+        ).tolist()
+    ),
+)
+"""A second camera: the first, turned about the face."""
 _MOUTH = ("mouth", "jaw", "tongue")
 _BLINKING = 0.7
 """Weight of a closed eye."""
@@ -102,6 +117,10 @@ def run(*, quick: bool = False) -> None:
         _print_pose(shot)
         _print_errors(shot)
         _print_gaze(shot)
+        _print_both(shot, inputs, video)
+        side = folder / "side.mp4"
+        write_clip(side, make_head(ACTOR), performance(), size=size, camera=SIDE, workers=2)
+        _print_two_cameras(shot, video, side, size)
 
 
 def _print_speed(video: Path) -> None:
@@ -126,6 +145,10 @@ def _print_speed(video: Path) -> None:
 
 
 def _track(shot: _Shot, video: Path) -> None:
+    _track_with(shot, video, focal_length=FOCAL_LENGTH)
+
+
+def _track_with(shot: _Shot, video: Path, **cameras: Any) -> None:
     first, count = shot.keys.first_frame, len(shot.keys.values)
     take = shot.folder / "video.take.usda"
     execute(
@@ -135,17 +158,22 @@ def _track(shot: _Shot, video: Path) -> None:
             model=MODEL,
             face="largest",
             frames=f"{first}-{first + count - 1}",
-            focal_length=FOCAL_LENGTH,
             neutral=first + int(NEUTRAL_TIME * shot.keys.rate),
+            **cameras,
         )
     )
     execute(CleanSpec(take=take, out=shot.folder / "video.clean.take.usda"))
 
 
 def _solve(
-    shot: _Shot, name: str, *, learn: str | None = None, solve: str | None = None
+    shot: _Shot,
+    name: str,
+    *,
+    learn: str | None = None,
+    solve: str | None = None,
+    keys: Path | None = None,
 ) -> tuple[FloatArray, Performance, str]:
-    """Learn from some frames and solve others.
+    """Learn from some frames and solve others; keys are an animator's, or a solve of `keys`.
 
     Returns
     -------
@@ -155,12 +183,15 @@ def _solve(
         With its own doubts.
     verdict : str
     """
-    folder, rig = shot.folder, shot.folder / "character.usdc"
+    folder, rig = shot.folder, shot.rig.file
     clean = folder / "video.clean.take.usda"
     references, mapping = folder / f"{name}.references.usda", folder / f"{name}.mapping.usdc"
     out = folder / f"{name}.usda"
     execute(SelectSpec(takes=(clean,), rig=rig, out=references, count=COUNT, frames=learn))
-    execute(ReferencesImportSpec(references=references, weights=folder / "keys.csv"))
+    if keys is None:
+        execute(ReferencesImportSpec(references=references, weights=folder / "keys.csv"))
+    else:
+        execute(ReferencesImportSpec(references=references, weights=keys, at="video"))
     execute(TrainSpec(references=references, out=mapping))
     result = execute(MapSpec(take=clean, mapping=mapping, rig=rig, out=out, frames=solve))
     solved = read_performance(out)
@@ -169,10 +200,92 @@ def _solve(
     return values, solved, result.summary
 
 
-def _print_errors(shot: _Shot) -> None:
-    print(f"{COUNT} references; mean surface error of the frames that count, gaze left out\n")
+def _print_head(what: str) -> None:
+    print(f"{what}; mean surface error of the frames that count, gaze left out\n")
     print("| solve | frames | face [mm] | p95 [mm] | mouth [mm] | blink bias | jitter |")
     print("|---|---|---|---|---|---|---|")
+
+
+def _print_two_cameras(shot: _Shot, front: Path, side: Path, size: tuple[int, int]) -> None:
+    """Print the same errors of the actor as two calibrated cameras see him."""
+    folder = shot.folder / "pair"
+    folder.mkdir()
+    cameras = {"front": CAMERA, "side": SIDE}
+    focal = size[1] / 2 / np.tan(np.radians(CAMERA.fov_degrees / 2))
+    lens = [[focal, 0, size[0] / 2], [0, focal, size[1] / 2], [0, 0, 1]]
+    tables = {}
+    for name, camera in cameras.items():
+        turn = camera.axes() * [[1], [-1], [-1]]  # OpenCV's axes: right, down, along the view
+        shift = -turn @ np.array(camera.eye)
+        tables[name] = {"matrix": lens, "size": size} | {
+            "rotation": turn.tolist(),
+            "translation": shift.tolist(),
+        }
+    calibration = folder / "cameras.json"
+    calibration.write_text(json.dumps(tables), encoding="utf-8")
+    (folder / "keys.csv").write_bytes((shot.folder / "keys.csv").read_bytes())
+    pair = replace(shot, folder=folder)
+    _track_with(pair, front, views=(side,), calibration=calibration)
+    print("\nTwo cameras, 25 degrees from each other, joined by `track --views`:\n")
+    _print_pose(pair)
+    _print_errors(pair)
+    _print_gaze(pair)
+
+
+def _print_both(shot: _Shot, inputs: DemoInputs, video: Path) -> None:
+    """Print what the solve of one marker set is worth as keys of references of the other."""
+    folder = shot.folder / "optical"
+    folder.mkdir()
+    raw, clean = folder / "raw.take.usda", folder / "video.clean.take.usda"
+    ingest = IngestSpec(
+        sources=(inputs.capture,),
+        out=raw,
+        video=video,
+        video_offset=inputs.video_offset_seconds,
+        rigid=inputs.rigid_markers,
+        neutral=inputs.neutral_frame,
+    )
+    execute(ingest)
+    execute(CleanSpec(take=raw, out=clean))
+    truth = columns_by_name(inputs.truth.values, inputs.truth.names, shot.rig.shapes)
+    optical = _Shot(folder, shot.rig, inputs.truth, truth.astype(np.float64))
+    (folder / "keys.csv").write_bytes(inputs.animator_weights.read_bytes())
+    _print_head(f"One actor, optical markers and video; {COUNT} references of each")
+    solved, _, _ = _solve(optical, "whole")
+    _print_unkeyed(optical, "optical markers, an animator's keys", "whole", solved)
+    filmed = read_performance(shot.folder / "whole.usda").weights
+    values = columns_by_name(filmed.values, filmed.names, shot.rig.shapes).astype(np.float64)
+    _print_unkeyed(shot, "video, an animator's keys", "whole", values)
+    for learner, teacher, label in (
+        (shot, optical, "video, keys are the solve of the optical markers"),
+        (optical, shot, "optical markers, keys are the solve of the video"),
+    ):
+        values, _, _ = _solve(learner, "other", keys=teacher.folder / "whole.usda")
+        _print_unkeyed(learner, label, "other", values)
+    refused = MapSpec(
+        take=shot.folder / "video.clean.take.usda",
+        mapping=folder / "whole.mapping.usdc",
+        rig=shot.rig.file,
+        out=folder / "never.usda",
+    )
+    try:
+        execute(refused)
+        print("\nThe mapping of the optical markers maps the video's landmarks: it should not.\n")
+    except InputError as error:
+        words = str(error).removeprefix(f"{refused.take}: ")
+        print(f"\nThe mapping of the optical markers on the video's take: «{words}»\n", flush=True)
+
+
+def _print_unkeyed(shot: _Shot, label: str, name: str, solved: FloatArray) -> None:
+    """Print a row of the frames that are no references."""
+    keyed = np.zeros(len(shot.truth), bool)
+    frames = read_references(shot.folder / f"{name}.references.usda").frames
+    keyed[frames - shot.keys.first_frame] = True
+    _print_row(shot, label, solved, ~keyed)
+
+
+def _print_errors(shot: _Shot) -> None:
+    _print_head(f"{COUNT} references")
     count, first = len(shot.truth), shot.keys.first_frame
     every = np.ones(count, bool)
     solved, _, verdict = _solve(shot, "whole")

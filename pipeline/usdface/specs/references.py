@@ -191,8 +191,10 @@ class ReferencesImportSpec(MovedRigSpec, WeightTableSpec):
     """Names of the columns of a .npy matrix of weights, as `ingest` takes them."""
     names: ReadPath | None = None
     """Table of pairs of shapes, as `usdface names` writes it. Default: by what the names mean."""
-    at: Literal["frames", "pairs"] = "frames"
-    """Meaning of the frame numbers: `frames` of the takes, or time codes of the `pairs`."""
+    at: Literal["frames", "pairs", "video"] = "frames"
+    """Meaning of the frame numbers: `frames` of the takes, time codes of the `pairs`, or frames of
+    another take of the same performance, which names the same `video`: then --weights is its solve,
+    such as of optical markers, for references of the video's landmarks."""
 
     def outputs(self) -> tuple[Path, ...]:
         """Return the layer that holds what people tuned."""

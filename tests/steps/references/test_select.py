@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +11,15 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
 from pydantic import ValidationError
 
 from tests.steps.small_shot import PAIRS, Shot
+from usdface.core.arrays import columns_by_name
+from usdface.core.assets import Video
 from usdface.core.errors import InputError
 from usdface.core.sidecars import tuned_path
 from usdface.media.picture.image import read_image_metadata
 from usdface.runner.execute import execute
 from usdface.specs.references import ReferenceSheetSpec, ReferencesImportSpec, SelectSpec
 from usdface.steps.references import select
+from usdface.usdio.performance.read import read_performance
 from usdface.usdio.references.read import read_references, read_set_references, read_tuned_pairs
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
@@ -128,6 +132,55 @@ def test_proposals_of_a_mapping_are_nearer_the_truth_than_the_geometrys(shot: Sh
     np.testing.assert_array_equal(solved.frames, mapped.frames)
     error = [np.sqrt(np.mean((each.weights - truth.weights) ** 2)) for each in (solved, mapped)]
     assert error[1] < 0.7 * error[0]
+
+
+def test_the_solve_of_one_take_keys_references_of_another_of_the_same_performance(
+    shot: Shot,
+) -> None:
+    """Half the rate, other markers, a second later by its own clock: one video tells the time."""
+    take, video = read_take(shot / "shot.clean.take.usda"), shot / "camera.mp4"
+    video.write_bytes(b"")
+    timed = replace(take, video=Video(video, Fraction(24), offset=-0.25, drift=100.0))
+    write_take(shot / "shot.clean.take.usda", timed, provenance=None)
+    rows, markers = slice(60, None, 2), take.markers
+    other = replace(
+        take,
+        name="filmed",
+        rate=take.rate / 2,
+        first_frame=901,
+        markers=replace(
+            markers,
+            names=tuple(f"spot_{name}" for name in markers.names),
+            rigid=tuple(f"spot_{name}" for name in markers.rigid),
+            positions=markers.positions[rows],
+            visible=markers.visible[rows],
+            confidence=markers.confidence[rows],
+            neutral_frame=901,
+        ),
+        source=None,
+        head_motion=take.head_motion[rows],
+        video=Video(video, Fraction(24), offset=-0.25 - 60 / float(take.rate), drift=100.0),
+    )
+    filmed, out = shot / "filmed.take.usda", shot / "filmed.references.usda"
+    write_take(filmed, other, provenance=None)
+    execute(spec(shot, takes=(filmed,), out=out, method="design", count=8, landmarks=None))
+    asked = ReferencesImportSpec(references=out, weights=shot / "shot.hero.usda", at="video")
+    execute(asked)
+    found = read_references(out)
+    solve = read_performance(shot / "shot.hero.usda").weights
+    frames = 60 + 2 * (found.frames - 901)
+    expected = columns_by_name(solve.values[frames], solve.names, found.shape_names)
+    assert found.tuned.all()
+    np.testing.assert_allclose(found.weights, expected, atol=1e-5)
+    elsewhere = Video(shot / "shot.c3d", Fraction(24))
+    write_take(filmed, replace(other, video=elsewhere), provenance=None)
+    with pytest.raises(InputError, match=r"its take names the video .*camera\.mp4, and the"):
+        execute(asked, overwrite=True)
+    write_take(filmed, replace(other, video=None), provenance=None)
+    with pytest.raises(InputError, match=r"filmed\.take\.usda: names no video, so that nothing"):
+        execute(asked, overwrite=True)
+    with pytest.raises(InputError, match=r"keys\.csv: does not say which one take it is of"):
+        execute(asked.model_copy(update={"weights": shot / "keys.csv"}), overwrite=True)
 
 
 def test_phones_and_emotions_go_with_takes(shot: Shot) -> None:

@@ -132,7 +132,9 @@ def find_head_space(
             f"the take has {len(common)} of the mapping's {len(known)} markers, at least "
             f"{int(np.ceil(MINIMUM_SHARE * len(known)))} are needed; missing: "
             f"{first_few(missing)}. "
-            "Rename the take's markers, or train a mapping for this marker set"
+            "Rename the take's markers, or train a mapping for this marker set; where one "
+            "performance was captured with both sets and one video, the solve of one set keys "
+            "references of the other (`usdface references import --at video`)"
         )
     slots = np.array([i for i, name in enumerate(face.marker_names) if name in place])
     columns = np.array([place[face.marker_names[i]] for i in slots])

@@ -1,16 +1,19 @@
 """Bring tuned weights into a references asset, by frame and shape name."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 
 from usdface.core.arrays import index_of
-from usdface.core.assets import References
+from usdface.core.assets import References, Video
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import tuned_path
 from usdface.core.text import first_few, pluralize
 from usdface.model.retarget.name_matching import meaning_notes
-from usdface.runner.origin import provenance_of, spec_of
+from usdface.runner.origin import provenance_of, spec_of, take_of_performance
 from usdface.runner.result import StepResult
 from usdface.specs.references import ReferencesImportSpec
 from usdface.steps.inputs.name_tables import check_no_name_twice, transfer_by_table
@@ -33,6 +36,8 @@ def run(
         spec.weights, known=references.shape_names, unit=spec.weight_unit, shapes=spec.shapes
     )
     _check_rate(spec, given)
+    if spec.at == "video":
+        given = _at_moments_of_pairs(spec, references, given)
     combinations = {each.shape for each in references.combinations}
     if spec.names is None:
         table, transfer = given.by_meaning(references.shape_names, leave=combinations)
@@ -109,6 +114,54 @@ def _check_rate(spec: ReferencesImportSpec, table: WeightTable) -> None:
             table.check_rate(TakeReader(take).rate, file=spec.weights, performance=take)
 
 
+def _at_moments_of_pairs(
+    spec: ReferencesImportSpec, references: References, table: WeightTable
+) -> WeightTable:
+    """Return the weights at the moments of the pairs, by the video that both takes name."""
+    takes = spec_of(provenance_of(spec.references)).get("takes", [])
+    solved = take_of_performance(spec.weights)
+    if solved is None or len(takes) != 1:
+        what = spec.references if solved is not None else spec.weights
+        raise InputError(
+            f"{what}: does not say which one take it is of, so that --at video knows no video; "
+            "give --weights that `usdface map` made, and references of one take"
+        )
+    own, other = (_timed_take(path) for path in (spec.references.parent / str(takes[0]), solved))
+    if own[1].file.resolve() != other[1].file.resolve():
+        raise InputError(
+            f"{spec.weights}: its take names the video {other[1].file}, and the pairs' take "
+            f"{own[1].file}; track or ingest the same performance with the same video"
+        )
+    seconds = (references.frames - own[0].first_frame) / float(own[0].rate)
+    at = other[1].take_time(own[1].video_time(seconds)) * float(other[0].rate)
+    at = at + other[0].first_frame
+    numbers = np.array(table.frames, np.float64)
+    inside = (at >= numbers[0]) & (at <= numbers[-1])
+    if not inside.any():
+        raise InputError(
+            f"{spec.weights}: none of the {len(at)} pairs lies in its frames "
+            f"{table.frames[0]}-{table.frames[-1]} by the video; is the take aligned with it?"
+        )
+    weights = np.stack(
+        [np.interp(at[inside], numbers, column) for column in table.weights.T], axis=1
+    )
+    pairs = tuple((1 + np.flatnonzero(inside)).tolist())
+    return replace(table, frames=pairs, weights=weights, keyed=frozenset(pairs), takes=())
+
+
+def _timed_take(path: Path) -> tuple[TakeReader, Video]:
+    if not path.is_file():
+        raise InputError(f"{path}: no such take; --at video needs the takes of both sides")
+    take = TakeReader(path)
+    video = take.read(take.first_frame, take.first_frame, head_motion=False).video
+    if video is None:
+        raise InputError(
+            f"{path}: names no video, so that nothing tells its moments; ingest it with --video "
+            "and align it"
+        )
+    return take, video
+
+
 def _key(spec: ReferencesImportSpec, pair: TunedPair) -> int:
     return pair.frame if spec.at == "frames" else pair.pair + 1
 
@@ -142,7 +195,7 @@ def _pairs(
         key = (references.takes[pair], number) if by_take else number
         if key not in row_of:
             continue
-        if spec.at == "pairs" and key not in table.keyed:
+        if spec.at != "frames" and key not in table.keyed:
             continue  # between two pairs lies nothing that anybody meant
         # A shape the file does not name keeps what composes now.
         weights = dict(zip(references.shape_names, references.weights[pair].tolist(), strict=True))
