@@ -64,6 +64,11 @@ def corrected_path(binding: Path) -> Path:
     return binding.with_name(f"{binding.stem}.corrected.usda")
 
 
+def binding_layers(binding: Path) -> tuple[Path, Path, Path]:
+    """Return the files of a binding or a placement: the one to open, and the layers beneath it."""
+    return binding, proposed_path(binding), corrected_path(binding)
+
+
 def tuned_path(references: Path) -> Path:
     """Return the layer with what people tuned of a references asset."""
     return references.with_name(f"{references.stem}.tuned.usda")

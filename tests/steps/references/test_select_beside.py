@@ -188,7 +188,25 @@ def test_a_video_that_is_gone_costs_its_pictures_and_nothing_else(shot: Shot) ->
 
 
 def asset_bytes(out: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in out.parent.glob("hero.references*")}
+    beside = out.parent.glob(f"{out.name.split('.')[0]}.references*")
+    return {path.name: path.read_bytes() for path in beside}
+
+
+def test_placement_and_pairs_are_those_of_one_run(
+    shot: Shot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    execute(spec(shot))
+    out = shot / "new.references.usda"
+    before = asset_bytes(out)
+    assert any(name.endswith(".placement.usda") for name in before)
+
+    def stopped(*args: object, **options: object) -> None:
+        raise InputError("the disk is full")
+
+    monkeypatch.setattr(select, "write_references", stopped)
+    with pytest.raises(InputError, match="the disk is full"):
+        execute(spec(shot, count=PAIRS - 1), overwrite=True)
+    assert asset_bytes(out) == before
 
 
 def test_nothing_is_selected_under_the_hand_that_tunes(shot: Shot) -> None:

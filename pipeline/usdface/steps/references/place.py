@@ -2,7 +2,7 @@
 
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.sidecars import corrected_path, proposed_path
+from usdface.core.sidecars import binding_layers
 from usdface.core.text import pluralize
 from usdface.media.picture.image import write_image
 from usdface.runner.origin import provenance_metadata
@@ -32,7 +32,7 @@ def run(spec: PlaceSpec, *, provenance: Provenance, progress: Progress = silent)
     progress(0.2, "placing the markers on the rig")
     placed = place_takes(takes, rig, out=spec.out, landmarks=landmarks)
     write_placement(spec.out, placed.placement, rig, provenance=provenance)
-    outputs = [spec.out, proposed_path(spec.out), corrected_path(spec.out)]
+    outputs = [*binding_layers(spec.out)]
     if spec.picture is not None:
         progress(0.7, f"drawing {spec.picture.name}")
         title = f"{', '.join(source.name for source in takes.sources[:3])} on {spec.rig.stem}"

@@ -11,7 +11,13 @@ from usdface.core.errors import InputError
 from usdface.core.locks import check_nobody_tunes, nobody_tunes
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.sidecars import placement_path, reference_layers, tuned_path
+from usdface.core.replacing import appearing_together
+from usdface.core.sidecars import (
+    binding_layers,
+    placement_path,
+    reference_layers,
+    tuned_path,
+)
 from usdface.core.text import first_few, pluralize
 from usdface.media.picture.image import write_image
 from usdface.model.selection.design import (
@@ -120,7 +126,8 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
         progress(0.75, "keeping the video frames of the pairs")
         images = write_pair_images(spec.out, references, takes.sources, metadata=metadata)
     progress(0.85, f"writing {spec.out.name}")
-    with nobody_tunes(spec.out):
+    written = (*binding_layers(placement_path(spec.out)), *reference_layers(spec.out))
+    with nobody_tunes(spec.out), appearing_together(written):
         _check_tuning_is_as_read(spec, kept)
         if spec.placement is None:
             write_placement(placement_path(spec.out), placed.placement, rig, provenance=provenance)

@@ -7,7 +7,7 @@ import numpy as np
 from usdface.core.arrays import FloatArray
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.sidecars import corrected_path, proposed_path
+from usdface.core.sidecars import binding_layers, corrected_path, proposed_path
 from usdface.core.text import first_few, pluralize
 from usdface.media.picture.binding_picture import BoundMarkers, draw_binding
 from usdface.media.picture.image import write_image
@@ -130,7 +130,7 @@ def _report(
         notes.append(f"still left out: {pluralize(len(left_out), 'marker')}, {first_few(left_out)}")
     if face.others:
         notes.append(f"{len(face.others)} other meshes of {spec.mesh.name} carry no marker")
-    outputs = (spec.out, proposed_path(spec.out), corrected_path(spec.out))
+    outputs = binding_layers(spec.out)
     return StepResult(
         outputs if spec.picture is None else (*outputs, spec.picture),
         f"{len(binding.names)} markers on {len(face.mesh.points)} points, {len(doubtful)} doubtful",
