@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 from itertools import count
 from pathlib import Path
 
@@ -32,7 +33,8 @@ def run_forked(folder: str, arguments: list[str], killed_at: int | None = None) 
         _kill_before_rename(killed_at)
     from usdface.cli import main
 
-    main(arguments)
+    sys.argv = ["usdface", *arguments]
+    main()
 
 
 def _kill_before_rename(number: int) -> None:
