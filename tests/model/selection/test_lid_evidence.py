@@ -24,6 +24,7 @@ def lids(marked: tuple[bool, bool], peaks: tuple[float, float]) -> LidEvidence:
     [
         (lids((True, True), (0.6, 0.5)), (1, 2), (), (), ""),
         (lids((True, True), (0.2, 0.1)), (), (1, 2), (), "show no blinks: of a full blink, 15%"),
+        (lids((True, True), (0.396, 0.4)), (), (1, 2), (), "of a full blink, 39% is in"),
         (lids((True, False), (0.6, 0.1)), (1,), (), ((1, 2),), "on the lid of eyeBlink_R:"),
         (lids((False, False), (0.9, 0.9)), (), (), ((1, 2),), "both eyes alike"),
     ],

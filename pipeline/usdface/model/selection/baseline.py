@@ -81,9 +81,9 @@ class LidEvidence:
                 f"markers around the eyes{alike}; check blinks by the video"
             )
         if self.fixed:
-            own = float(self.seen.own_peaks[marked].mean())
+            own = max(int(100 * self.seen.own_peaks[marked].mean()), 0)  # never the limit itself
             return (
-                f"the markers show no blinks: of a full blink, {max(own, 0.0):.0%} is in the lids' "
+                f"the markers show no blinks: of a full blink, {own}% is in the lids' "
                 f"markers beyond what goes with brows and cheeks (from {FULL_SHARE:.0%} on it "
                 f"would count). {' and '.join(shapes)} start at 0: key blinks by the video"
             )
