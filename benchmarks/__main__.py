@@ -50,7 +50,10 @@ def main() -> int:
         print()
         if asked.out is not None:
             seconds = time.perf_counter() - start
-            write_report(asked.out, [Measured(name, kept.text, seconds, load)])
+            flags = "".join(
+                f" --{flag}" for flag in ("quick", "full") if wanted[flag] and flag in known
+            )
+            write_report(asked.out, [Measured(name, kept.text, seconds, load, flags)])
     if failed:
         print(f"failed: {', '.join(failed)}", file=sys.stderr)
     return 1 if failed else 0

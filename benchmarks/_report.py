@@ -52,6 +52,8 @@ class Measured:
     text: str
     seconds: float
     load: float
+    options: str = ""
+    """Of the command, beside the name."""
 
 
 def machine() -> dict[str, str]:
@@ -92,8 +94,8 @@ def write_report(folder: Path, results: list[Measured]) -> None:
         (folder / f"{each.name}.json").write_text(text, encoding="utf-8")
         page = (
             f"# {each.name}\n\n{each.text.strip()}\n\n"
-            f"`python -m benchmarks {each.name}`, {day}, {each.seconds:.0f} s, load before "
-            f"{each.load:.1f}; {about['processor']}, {about['cores']} cores, Python "
+            f"`python -m benchmarks {each.name}{each.options}`, {day}, {each.seconds:.0f} s, load "
+            f"before {each.load:.1f}; {about['processor']}, {about['cores']} cores, Python "
             f"{about['python']}, NumPy {about['numpy']}, USD {about['usd-core']}.\n"
         )
         (folder / f"{each.name}.md").write_text(page, encoding="utf-8")

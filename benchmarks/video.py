@@ -85,6 +85,15 @@ class _Shot:
     """(frames, shapes): in the rig's order."""
 
 
+@dataclass(frozen=True)
+class _Errors:
+    """Of some frames of a solve."""
+
+    face_mm: float
+    mouth_mm: float
+    jitter: float
+
+
 def run(*, quick: bool = False) -> None:
     """Print errors of the solve, of the model's own scores and of the gaze, and the speed.
 
@@ -115,12 +124,12 @@ def run(*, quick: bool = False) -> None:
         _print_speed(video)
         _track(shot, video)
         _print_pose(shot)
-        _print_errors(shot)
-        _print_gaze(shot)
+        one = _print_errors(shot)
+        gaze = _print_gaze(shot)
         _print_both(shot, inputs, video)
         side = folder / "side.mp4"
         write_clip(side, make_head(ACTOR), performance(), size=size, camera=SIDE, workers=2)
-        _print_two_cameras(shot, video, side, size)
+        _print_claims(one, _print_two_cameras(shot, video, side, size), gaze)
 
 
 def _print_speed(video: Path) -> None:
@@ -206,7 +215,30 @@ def _print_head(what: str) -> None:
     print("|---|---|---|---|---|---|---|")
 
 
-def _print_two_cameras(shot: _Shot, front: Path, side: Path, size: tuple[int, int]) -> None:
+def _print_claims(
+    one: dict[str, _Errors], two: dict[str, _Errors], gaze_degrees: tuple[float, float]
+) -> None:
+    apart = one["apart"]
+    print("\n| one camera, but for the last | wanted | measured |\n|---|---|---|")
+    for claim, wanted, value in (
+        ("face, frames without a reference within ¼ s [mm]", "≤ 0.45", apart.face_mm),
+        ("mouth, the same frames [mm]", "≤ 0.6", apart.mouth_mm),
+        (
+            "the model's own scores over the solve, the same",
+            "≥ 3",
+            one["scores"].face_mm / apart.face_mm,
+        ),
+        ("jitter over the true", "≤ 1.5", one["all"].jitter),
+        ("gaze sideways [degrees]", "≤ 3", gaze_degrees[0]),
+        ("gaze up and down [degrees]", "≤ 3", gaze_degrees[1]),
+        ("face, two cameras over one", "< 1", two["all"].face_mm / one["all"].face_mm),
+    ):
+        print(f"| {claim} | {wanted} | {value:.2f} |", flush=True)
+
+
+def _print_two_cameras(
+    shot: _Shot, front: Path, side: Path, size: tuple[int, int]
+) -> dict[str, _Errors]:
     """Print the same errors of the actor as two calibrated cameras see him."""
     folder = shot.folder / "pair"
     folder.mkdir()
@@ -228,8 +260,9 @@ def _print_two_cameras(shot: _Shot, front: Path, side: Path, size: tuple[int, in
     _track_with(pair, front, views=(side,), calibration=calibration)
     print("\nTwo cameras, 25 degrees from each other, joined by `track --views`:\n")
     _print_pose(pair)
-    _print_errors(pair)
+    found = _print_errors(pair)
     _print_gaze(pair)
+    return found
 
 
 def _print_both(shot: _Shot, inputs: DemoInputs, video: Path) -> None:
@@ -250,7 +283,7 @@ def _print_both(shot: _Shot, inputs: DemoInputs, video: Path) -> None:
     truth = columns_by_name(inputs.truth.values, inputs.truth.names, shot.rig.shapes)
     optical = _Shot(folder, shot.rig, inputs.truth, truth.astype(np.float64))
     (folder / "keys.csv").write_bytes(inputs.animator_weights.read_bytes())
-    _print_head(f"One actor, optical markers and video; {COUNT} references of each")
+    _print_head(f"\nOne actor, optical markers and video; {COUNT} references of each")
     solved, _, _ = _solve(optical, "whole")
     _print_unkeyed(optical, "optical markers, an animator's keys", "whole", solved)
     filmed = read_performance(shot.folder / "whole.usda").weights
@@ -284,7 +317,9 @@ def _print_unkeyed(shot: _Shot, label: str, name: str, solved: FloatArray) -> No
     _print_row(shot, label, solved, ~keyed)
 
 
-def _print_errors(shot: _Shot) -> None:
+def _print_errors(shot: _Shot) -> dict[str, _Errors]:
+    """Print errors by which frames count; return those of the whole take."""
+    found = {}
     _print_head(f"{COUNT} references")
     count, first = len(shot.truth), shot.keys.first_frame
     every = np.ones(count, bool)
@@ -293,8 +328,8 @@ def _print_errors(shot: _Shot) -> None:
     keyed[read_references(shot.folder / "whole.references.usda").frames - first] = True
     reach = int(APART_SECONDS * shot.keys.rate)
     near = np.convolve(keyed, np.ones(2 * reach + 1), mode="same") > 0
-    _print_row(shot, "frames that are no references", solved, ~keyed)
-    _print_row(shot, "none within ¼ s", solved, ~near)
+    found["all"] = _print_row(shot, "frames that are no references", solved, ~keyed)
+    found["apart"] = _print_row(shot, "none within ¼ s", solved, ~near)
     verdicts = [f"- references of the whole take: {verdict}"]
     half = count // 2
     halves = {"first": slice(0, half), "second": slice(half, count)}
@@ -317,9 +352,10 @@ def _print_errors(shot: _Shot) -> None:
         column = take.source.values[:, take.source.names.index(name)]
         scores[:, shot.rig.shapes.index(name)] = column
     _print_row(shot, f"the model's own scores, {len(shared)} shapes", scores, ~keyed)
-    _print_row(shot, "the same, none within ¼ s", scores, ~near)
+    found["scores"] = _print_row(shot, "the same, none within ¼ s", scores, ~near)
     _print_row(shot, "a face at rest", np.zeros_like(shot.truth), ~keyed)
     print("\nWhat `map` says of them:\n\n" + "\n".join(verdicts) + "\n", flush=True)
+    return found
 
 
 def _measure_doubt(shot: _Shot, values: FloatArray, solve: Performance) -> str:
@@ -365,7 +401,8 @@ def _print_pose(shot: _Shot) -> None:
     print(flush=True)
 
 
-def _print_row(shot: _Shot, label: str, solved: FloatArray, counted: BoolArray) -> None:
+def _print_row(shot: _Shot, label: str, solved: FloatArray, counted: BoolArray) -> _Errors:
+    """Print a row, and return what claims are made of."""
     shapes = shot.rig.shapes
     error = solved - shot.truth
     whole = _surface(shot, error[counted])
@@ -376,16 +413,19 @@ def _print_row(shot: _Shot, label: str, solved: FloatArray, counted: BoolArray) 
     moved = shot.truth.std(axis=0) > 0.02
     moved[gaze_shapes(shapes)] = False
     rough, smooth = (np.diff(each[:, moved], 3, axis=0).std() for each in (solved, shot.truth))
+    found = _Errors(
+        float(whole.mean()), float(_surface(shot, mouth[counted]).mean()), float(rough / smooth)
+    )
     print(
-        f"| {label} | {counted.sum()} | {whole.mean():.2f} | {np.percentile(whole, 95):.2f} | "
-        f"{_surface(shot, mouth[counted]).mean():.2f} | {bias} of {closed.sum()} frames | "
-        f"{rough / smooth:.2f} |",
+        f"| {label} | {counted.sum()} | {found.face_mm:.2f} | {np.percentile(whole, 95):.2f} | "
+        f"{found.mouth_mm:.2f} | {bias} of {closed.sum()} frames | {found.jitter:.2f} |",
         flush=True,
     )
+    return found
 
 
-def _print_gaze(shot: _Shot) -> None:
-    """Print how far the measured looks are from how the eyeballs turn."""
+def _print_gaze(shot: _Shot) -> tuple[float, float]:
+    """Print how far the measured looks are from how the eyeballs turn; return both means."""
     source = read_take(shot.folder / "video.take.usda").source
     assert source is not None
     looks = source.values[:, [source.names.index(name) for name in LOOK_SHAPES]].astype(np.float64)
@@ -404,6 +444,8 @@ def _print_gaze(shot: _Shot) -> None:
             f"| {still[..., axis].mean():.1f} |",
             flush=True,
         )
+    sideways, up = error.mean(axis=(0, 1))
+    return float(sideways), float(up)
 
 
 def _eye_turns(shot: _Shot) -> FloatArray:

@@ -106,7 +106,7 @@ def _solve(normal: FloatArray, right: FloatArray, usable: BoolArray) -> FloatArr
 
 
 def average_heads(
-    points: FloatArray, heads: FloatArray, weights: FloatArray, rigid: FloatArray
+    points: FloatArray, heads: FloatArray, weights: FloatArray, steadiness: FloatArray
 ) -> FloatArray:
     """Return the mean of what each camera by itself measures of a head, where points are.
 
@@ -122,12 +122,14 @@ def average_heads(
         In each camera's space; finite, anything where nothing weighs.
     weights : (views, frames, points) float array
         What each counts.
-    rigid : (points,) float array
-        What each point counts for where the head is.
+    steadiness : (points,) float array
+        What each point counts for how a head lies on the points: much where it moves with the
+        skull.
     """
     total, mean = np.zeros(points.shape[:2]), np.zeros(points.shape)
     for head, weight in zip(heads, weights, strict=True):
-        counted = weight * rigid
+        # Not by what is hidden: that follows the head's turn, and would bend the pose with it.
+        counted = (weight > 0) * steadiness
         pose = align_frames(points, head, weights=counted)
         turned = head @ np.swapaxes(pose.rotations, 1, 2)
         share = counted / np.maximum(counted.sum(axis=1, keepdims=True), 1e-12)

@@ -12,6 +12,7 @@ from usdface.capture.face_landmarks import LANDMARKS
 from usdface.capture.face_tracking import FaceTrack
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from usdface.core.errors import InputError
+from usdface.model.placement.label_hints import skin_motion_mm
 from usdface.numerics.rigid.camera_views import (
     CameraPose,
     average_heads,
@@ -109,9 +110,7 @@ def join_views(
     right, left = eye_columns()
     apart = points[:, left].mean(axis=1) - points[:, right].mean(axis=1)
     points *= eye_distance_mm / np.median(np.linalg.norm(apart, axis=1))
-    rigid = np.zeros(heads.shape[2])
-    rigid[_RIGID] = 1.0
-    mean = average_heads(points, heads, weights, rigid)
+    mean = average_heads(points, heads, weights, skin_motion_mm(LANDMARKS.names) ** -2.0)
     _check_agreement(points, mean)
     upright = (mean * (1.0, -1.0, -1.0)).reshape(len(mean), -1)
     rows = np.arange(len(joined))
