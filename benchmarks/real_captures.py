@@ -30,7 +30,7 @@ from usdface.model.placement.label_hints import label_hint, skin_motion_mm
 from usdface.model.selection.baseline import BlendshapeEquation, set_up_equation
 from usdface.numerics.registration.face_skin import FaceSkin, sample_face_skin
 from usdface.numerics.regression.cross_validation import surface_rms_mm
-from usdface.numerics.repair.cleaning import PosePrior, clean_markers
+from usdface.numerics.repair.cleaning import clean_markers
 from usdface.numerics.rigid.rigid_alignment import align_rigid_robust
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import read_take
@@ -150,9 +150,7 @@ def _clean(
     seen = np.ones(positions.shape[:2], bool)
     prior = skin_motion_mm(labels)
     rigid = [i for i, motion in enumerate(prior) if motion <= 1.0]
-    cleaned = clean_markers(
-        positions, seen, rigid=rigid, neutral=0, pose_prior=PosePrior(prior, 60.0)
-    )
+    cleaned = clean_markers(positions, seen, rigid=rigid, neutral=0, skin_motion_mm=prior)
     columns = [i for i, region in enumerate(regions) if region in still]
     true = align_rigid_robust(
         positions[:, columns], positions[0, columns], visible=seen[:, columns]

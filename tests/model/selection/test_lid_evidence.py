@@ -8,7 +8,7 @@ from usdface.capture.sniff import read_capture
 from usdface.core.deformer import Deformer
 from usdface.model.placement.label_hints import skin_motion_mm
 from usdface.model.selection.baseline import BlendshapeEquation, LidEvidence, set_up_equation
-from usdface.numerics.repair.cleaning import PosePrior, clean_markers
+from usdface.numerics.repair.cleaning import clean_markers
 from usdface.numerics.solve.peak_matching import ShapeEvidence
 from usdface.usdio.rig.read import read_rig
 
@@ -65,7 +65,7 @@ def test_a_recorded_brow_take_shows_no_blinks(shared_data) -> None:
     positions, prior = markers.positions.astype(float), skin_motion_mm(markers.names)
     seen, still = np.ones(positions.shape[:2], bool), np.flatnonzero(np.array(prior) <= 1.0)
     cleaned = clean_markers(
-        positions, seen, rigid=still.tolist(), neutral=0, pose_prior=PosePrior(prior, 60.0)
+        positions, seen, rigid=still.tolist(), neutral=0, skin_motion_mm=prior
     ).positions.astype(float)
     rig = read_rig(shared_data / "rigs" / "facecap_head.usdc")
     equation = set_up_equation(

@@ -120,22 +120,32 @@ def test_peaks_of_blinks_are_kept():
     )
 
 
-@pytest.mark.parametrize("lost", [0, 3])
-def test_a_wink_that_no_other_marker_predicts_is_kept(lost):
+@pytest.mark.parametrize(("rate", "lost"), [(24, 0), (30, 0), (60, 0), (60, 3)])
+def test_a_wink_that_no_other_marker_predicts_is_kept(rate, lost):
     face = simulate_face(frames=1200, noise=0.15)
-    lid, frames = 20, 18  # 0.3 s at 60 frames per second
-    closing = 8 * np.sin(np.linspace(0, np.pi, frames)) ** 2
+    lid, seconds = 20, np.arange(0, 0.25, 1 / rate)  # shut in 80 ms
+    closing = 8 * np.sin(np.pi / 2 * np.interp(seconds, [0, 0.08, 0.25], [0, 1, 2])) ** 2
+    frames, shut = len(seconds), int(np.argmax(closing))
     down = np.array([0.0, -1.0, 0.0])
     face.truth[600 : 600 + frames, lid] += closing[:, None] * down
     turn = np.linalg.svd(  # the head's in the middle of it
-        (face.truth[609] - face.truth[609].mean(0)).T
-        @ (face.captured[609] - face.captured[609].mean(0))
+        (face.truth[602] - face.truth[602].mean(0)).T
+        @ (face.captured[602] - face.captured[602].mean(0))
     )
     face.captured[600 : 600 + frames, lid] += closing[:, None] * (down @ turn[0] @ turn[2])
-    face.visible[609 : 609 + lost, lid] = False  # covered by the brow while it is shut
-    cleaned = clean(face)
+    face.visible[600 + shut : 600 + shut + lost, lid] = False  # covered by the brow
+    cleaned = clean(face, rate=rate)
     assert not cleaned.outliers[:, lid].any()
-    assert errors_mm(cleaned.positions, face.truth)[603:609, lid].max() < 2.0
+    kept = np.setdiff1d(np.arange(600, 600 + frames), 600 + shut + np.arange(lost))
+    assert errors_mm(cleaned.positions, face.truth)[kept, lid].max() < 2.5
+
+
+@pytest.mark.parametrize("rate", [24, 30])
+def test_strays_are_found_at_low_rates(rate):
+    face = simulate_face(frames=2400, rate=rate, noise=0.15, stray_count=30)
+    cleaned = clean(face, rate=rate)
+    assert cleaned.outliers[face.strays].mean() > 0.9
+    assert cleaned.outliers[face.visible & ~face.strays].mean() < 0.001
 
 
 def test_frames_with_nothing_seen_are_bridged():

@@ -21,7 +21,7 @@ from usdface.numerics.motion.noise import marker_noise
 from usdface.numerics.repair.fit_low_rank import choose_rank, fit_low_rank
 from usdface.numerics.repair.gap_filling import complete_take
 from usdface.numerics.repair.low_rank import LowRankModel, fill_missing, predict_from_others
-from usdface.numerics.repair.outliers import find_outliers
+from usdface.numerics.repair.outliers import USUAL_RATE, find_outliers
 from usdface.numerics.repair.relabeling import Swap, apply_swaps, find_swaps
 from usdface.numerics.repair.smoothing import smooth_poses, smooth_take
 from usdface.numerics.rigid.rigid_alignment import align_frames, alignment_of, remove_motion
@@ -33,16 +33,6 @@ _POSE_ROUNDS = 2
 _POSE_INLIER_DEVIATIONS = 3.0
 """Distance from its prediction at which a marker counts half (Cauchy weights)."""
 _POSE_SAMPLE_FRAMES = 8192
-
-
-@dataclass(frozen=True)
-class PosePrior:
-    """What stands in for rigid markers: how far each marker moves over the skull by itself."""
-
-    skin_motion_mm: FloatArray
-    """(markers,): standard deviation [mm]; infinite for markers that say nothing."""
-    rate: float
-    """Frames per second."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +77,8 @@ def clean_markers(
     *,
     rigid: Sequence[int],
     neutral: int,
-    pose_prior: PosePrior | None = None,
+    rate: float = USUAL_RATE,
+    skin_motion_mm: FloatArray | None = None,
     max_gap: int = 120,
     smooth: bool = True,
     relabel: bool = True,
@@ -108,8 +99,12 @@ def clean_markers(
         Columns of the markers that move with the skull alone; see `rigid_markers`.
     neutral : int
         Index of the frame whose head pose becomes the head's space.
-    pose_prior : PosePrior, optional
-        Takes the place of the rigid markers where none are proven to be rigid.
+    rate : float
+        Frames per second.
+    skin_motion_mm : (markers,) float array, optional
+        How far each marker moves over the skull by itself: standard deviation [mm]; infinite for
+        markers that say nothing. Takes the place of the rigid markers where none are proven to be
+        rigid.
     max_gap : int
         Longest gap to fill [frames].
     smooth, relabel : bool
@@ -125,7 +120,7 @@ def clean_markers(
     seen = np.array(visible, bool)
     _check(captured, seen, neutral, max_gap)
     progress(0.0, "head motion")
-    still = _stabilize(captured, seen, rigid, neutral, pose_prior)
+    still = _stabilize(captured, seen, rigid, neutral, rate, skin_motion_mm)
     noise = marker_noise(still.positions, seen)
     progress(0.05, "how markers move together")
     model = fit_low_rank(still.positions, seen, noise=noise)
@@ -138,10 +133,10 @@ def clean_markers(
             del still  # before its successor: on long takes one more copy is much
             captured = np.array(captured)
             apply_swaps(captured, swaps)
-            still = _stabilize(captured, seen, rigid, neutral, pose_prior, out=captured)
+            still = _stabilize(captured, seen, rigid, neutral, rate, skin_motion_mm, out=captured)
             model = fit_low_rank(still.positions, seen, rank_limit=rank, start=model, noise=noise)
     progress(0.45, "outliers")
-    outliers = find_outliers(still.positions, seen, model=model, noise=noise)
+    outliers = find_outliers(still.positions, seen, model=model, noise=noise, rate=rate)
     good = seen & ~outliers
     progress(0.6, "head motion, from all markers")
     _refine_pose(still, good, model)
@@ -189,7 +184,8 @@ def _stabilize(
     seen: BoolArray,
     rigid: Sequence[int],
     neutral: int,
-    pose_prior: PosePrior | None,
+    rate: float,
+    skin_motion_mm: FloatArray | None,
     *,
     out: Float32Array | None = None,
 ) -> _StabilizedTake:
@@ -199,7 +195,7 @@ def _stabilize(
     motion; quick head motion comes back when the pose is refined.
     """
     columns = list(rigid)
-    if pose_prior is None:
+    if skin_motion_mm is None:
         body = stabilize(
             captured[:, columns], seen[:, columns], rigid=range(len(columns)), neutral=neutral
         )
@@ -207,8 +203,8 @@ def _stabilize(
         body = stabilize_by_prior(
             captured,
             seen,
-            skin_motion_mm=pose_prior.skin_motion_mm,
-            rate=pose_prior.rate,
+            skin_motion_mm=skin_motion_mm,
+            rate=rate,
             neutral=neutral,
         )
     motion = smooth_poses(body.head_motion, center=body.reference.mean(axis=0))

@@ -29,10 +29,14 @@ _JUMP_SHARE = 0.5
 """[of the limit] An outlier comes and goes by jumps of at least this size; skin does not."""
 _FAR_LIMITS = 2.0
 """So many limits away, one jump is enough, or gaps on either side."""
+USUAL_RATE = 60.0
+"""Frames per second."""
+
+_LID_CLOSES_SECONDS = 0.078
 _SUDDEN_SHARE = 1 / 3
-"""[of the farthest distance] The largest jump of an outlier. Lids, which close in 70 ms and more,
-gain less of their way from one frame to the next at 60 frames per second, and may do so alone: no
-other marker predicts a wink."""
+"""[of the farthest distance] The largest jump of an outlier is at least this, and more than a lid
+gains from one frame to the next as it closes, along a half period of a cosine. Lids may do so
+alone: no other marker predicts a wink."""
 _MOST_LIMITS = 1000.0
 """More limits are no more an outlier, and what float16 holds."""
 _LONGEST_SHARE = 0.2
@@ -60,6 +64,7 @@ def find_outliers(
     *,
     model: LowRankModel,
     noise: FloatArray,
+    rate: float = USUAL_RATE,
 ) -> BoolArray:
     """Find samples that all other markers contradict and that came or went by a jump.
 
@@ -75,11 +80,15 @@ def find_outliers(
         Fitted to the same take.
     noise : (markers,) float array
         Standard deviation of the measurement noise per coordinate [mm].
+    rate : float
+        Frames per second.
 
     Returns
     -------
     (frames, markers) bool array
     """
+    closing = np.sin(np.pi / 2 * min(1 / (_LID_CLOSES_SECONDS * rate), 1.0))
+    sudden_share = max(_SUDDEN_SHARE, float(closing))
     count = len(positions)
     limits = _limits(positions, visible, model, noise)
     distant = np.zeros(visible.shape, bool)
@@ -104,7 +113,11 @@ def find_outliers(
     outliers = np.zeros_like(distant)
     for marker in np.flatnonzero(distant.any(axis=0)):
         outliers[:, marker] = _between_leaps(
-            distant[:, marker], excess[:, marker], leaps[:, marker], visible[:, marker]
+            distant[:, marker],
+            excess[:, marker],
+            leaps[:, marker],
+            visible[:, marker],
+            sudden_share,
         )
     return outliers
 
@@ -153,7 +166,11 @@ def _limits(
 
 
 def _between_leaps(
-    distant: BoolArray, excess: RealArray, leaps: RealArray, seen: BoolArray
+    distant: BoolArray,
+    excess: RealArray,
+    leaps: RealArray,
+    seen: BoolArray,
+    sudden_share: float,
 ) -> BoolArray:
     """Keep a marker's distant stretches that come or go suddenly: skin does not leap.
 
@@ -162,6 +179,8 @@ def _between_leaps(
     distant, seen : (frames,) bool arrays
     excess, leaps : (frames,) arrays
         Distance from the prediction, and leap to the next frame [limits].
+    sudden_share : float
+        Of the farthest distance: the least of the largest leap.
     """
     outliers = np.zeros_like(distant)
     tracked = seen[1:] & seen[:-1]
@@ -170,7 +189,7 @@ def _between_leaps(
             continue
         farthest = excess[start:stop].max()
         ends = [edge - 1 for edge in (start, stop) if 0 < edge < len(seen)]
-        sudden = leaps[max(start - 1, 0) : stop].max() > _SUDDEN_SHARE * farthest
+        sudden = leaps[max(start - 1, 0) : stop].max() > sudden_share * farthest
         leap = [bool(tracked[edge] and sudden and leaps[edge] > _JUMP_SHARE) for edge in ends]
         one_comes = any(leap) or not tracked[ends].any()
         outliers[start:stop] = (len(ends) == 2 and all(leap)) or (

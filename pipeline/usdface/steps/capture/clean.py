@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from usdface.core.arrays import ByteImage
+from usdface.core.arrays import ByteImage, FloatArray
 from usdface.core.assets import Markers, Take
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
@@ -13,7 +13,7 @@ from usdface.media.charts.repair import RepairKind, draw_repairs
 from usdface.media.picture.image import write_image
 from usdface.model.placement.label_hints import label_hint, skin_motion_mm
 from usdface.numerics.motion.noise import still_range_mm
-from usdface.numerics.repair.cleaning import CleanedMarkers, PosePrior, clean_markers
+from usdface.numerics.repair.cleaning import CleanedMarkers, clean_markers
 from usdface.numerics.rigid.rigid_markers import find_rigid_markers
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
@@ -63,7 +63,8 @@ def run(spec: CleanSpec, *, provenance: Provenance, progress: Progress = silent)
             markers.visible,
             rigid=[markers.names.index(name) for name in rigid],
             neutral=neutral - take.first_frame,
-            pose_prior=prior,
+            rate=float(take.rate),
+            skin_motion_mm=prior,
             max_gap=max_gap,
             smooth=spec.smooth,
             relabel=spec.relabel,
@@ -137,7 +138,7 @@ def _check_neutral(
 
 def _head_markers(
     spec: CleanSpec, take: Take, markers: Markers, notes: list[str]
-) -> tuple[tuple[str, ...], PosePrior | None]:
+) -> tuple[tuple[str, ...], FloatArray | None]:
     """Return the markers of the skull, and what takes their place where none are named.
 
     Named markers are used as they are. Otherwise labels that name parts of the face say how far
@@ -164,7 +165,7 @@ def _head_markers(
             "no rigid markers were named; the head's pose is estimated from all markers, each "
             f"weighted by how far its part of the face moves ({first_few(still)} count most)"
         )
-        return still, PosePrior(motion, float(take.rate))
+        return still, motion
     try:
         # A padded take is judged by the frames in which something was recorded.
         recorded = np.flatnonzero(markers.visible.any(axis=1))
