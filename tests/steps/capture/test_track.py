@@ -423,6 +423,36 @@ def test_a_killed_run_goes_on_where_it_was(tracked, tmp_path, monkeypatch) -> No
     assert not kept.exists()
 
 
+def test_a_link_in_the_place_of_what_is_kept_is_not_followed(
+    tracked, tmp_path, monkeypatch
+) -> None:
+    monkeypatch.setattr(step, "_STRETCH_PICTURES", 8)
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    work_folder(tmp_path / "x.take.usda", "detections").symlink_to(elsewhere)
+    with pytest.raises(InputError, match=r"is a link where usdface keeps a folder"):
+        tracked(clip(tmp_path / "a.mp4", 24), one_head)
+    assert list(elsewhere.iterdir()) == []
+
+
+def test_a_damaged_part_is_refused(tracked, tmp_path) -> None:
+    video, part = clip(tmp_path / "a.mp4", 12), tmp_path / "part.usda"
+    tracked(video, one_head, part=True, frames="1-12", out=part)
+    whole = part.read_text()
+    for old, new, message in (
+        ("counts:shape = [12, 2]", "counts:shape = [2, 12]", "its arrays do not fit each other"),
+        ("landmarks:shape = [12, 205, 3]", "landmarks:shape = [12, 3, 205]", "do not fit each"),
+        ("scores:shape = [12, 4]", "scores:shape = [12, 5]", "face:detections:scores is damaged"),
+        ("float[] face:detections:landmarks =", "float[] other =", "landmarks is missing; make it"),
+        ("uniform token[] face:detections:madeFrom =", "uniform token[] made =", "is missing"),
+    ):
+        assert old in whole
+        part.write_text(whole.replace(old, new))
+        with pytest.raises(InputError, match=message):
+            tracked(video, nobody, parts=(part,), out=tmp_path / "y.take.usda")
+    assert not (tmp_path / "y.take.usda").exists()
+
+
 @pytest.mark.fixtures("models", "video_pyfeat")
 def test_a_recorded_face_is_tracked_by_the_model_itself(shared_data: Path, tmp_path: Path) -> None:
     pytest.importorskip("mediapipe", reason="the extra usdface[track] is not installed")

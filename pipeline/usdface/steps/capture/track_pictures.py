@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from usdface.capture.face_landmarker import FaceFinding, FaceLandmarker, check_model, named_model
+from usdface.capture.face_landmarks import LANDMARKS
 from usdface.capture.face_tracking import PictureFaces, detect_faces
 from usdface.capture.sample_times import picture_frames
 from usdface.core.arrays import FloatArray, IntArray
@@ -283,7 +284,12 @@ class PictureDetector:
         pictures, counts = (arrays[name].astype(np.int64) for name in _ARRAYS[:2])
         landmarks, scores = (arrays[name].astype(np.float64) for name in _ARRAYS[2:])
         ends = counts.ravel().cumsum()
-        fitting = counts.shape == (len(pictures), 2) and ends[-1] == len(landmarks) == len(scores)
+        fitting = (
+            counts.shape == (len(pictures), 2)
+            and counts.min(initial=0) >= 0
+            and counts.sum() == len(landmarks) == len(scores)
+            and (not len(landmarks) or landmarks.shape[1:] == (len(LANDMARKS.names), 3))
+        )
         if not fitting or not np.isin(wanted, pictures).all():
             raise InputError(f"{path}: its arrays do not fit each other; make the part again")
         self.score_names = names["scoreNames"] or self.score_names
