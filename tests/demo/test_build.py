@@ -55,9 +55,11 @@ def test_the_camera_sees_a_face_that_moves(actor: DemoHead, acted: ActedPerforma
 
 
 def test_the_clip_is_filmed_at_the_lines_asked_for(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    character: DemoHead, actor: DemoHead, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     filmed = []
+    monkeypatch.setattr("usdface.demo.build.demo_rig", lambda: rig_from_head(character))
+    monkeypatch.setattr("usdface.demo.build.make_head", lambda sculpture: actor)
     monkeypatch.setattr("usdface.demo.build.simulate_capture", _nothing_captured)
     monkeypatch.setattr("usdface.demo.build.write_c3d", lambda *args, **options: None)
     monkeypatch.setattr(
