@@ -16,6 +16,7 @@ from usdface.core.assets import Video
 from usdface.core.errors import InputError
 from usdface.core.sidecars import tuned_path
 from usdface.media.picture.image import read_image_metadata
+from usdface.media.picture.reference_sheet import ReferenceRow, compose_reference_sheet
 from usdface.runner.execute import execute
 from usdface.specs.references import ReferenceSheetSpec, ReferencesImportSpec, SelectSpec
 from usdface.steps.references import select
@@ -305,7 +306,21 @@ def test_references_hold_what_blender_needs(shot: Shot) -> None:
     assert samples == [float(i) for i in range(1, 13)]
 
 
-def test_the_sheet_shows_pairs_as_they_are_now(shot: Shot) -> None:
+def test_the_sheet_shows_pairs_as_they_are_now(shot: Shot, monkeypatch: pytest.MonkeyPatch) -> None:
+    rows: list[ReferenceRow] = []
+
+    def kept(page: tuple[ReferenceRow, ...], **options: object) -> np.ndarray:
+        rows[:] = page
+        return compose_reference_sheet(page, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("usdface.steps.references.sheet.compose_reference_sheet", kept)
+    execute(spec(shot))
+    execute(
+        ReferenceSheetSpec(
+            references=spec(shot).out, out=shot / "new.png", pairs="1-2", tile=64, quality="draft"
+        )
+    )
+    assert all(row.residual_mm is not None and not row.tuned for row in rows)
     for paper, name in ((False, "screen.png"), (True, "paper.png")):
         report = execute(
             ReferenceSheetSpec(
@@ -320,6 +335,7 @@ def test_the_sheet_shows_pairs_as_they_are_now(shot: Shot) -> None:
         )
         assert report.figures["pairs"] == [2, 3, 4, 5]
         assert report.summary == "4 pairs drawn, 4 of them tuned"
+        assert [row.residual_mm for row in rows] == [None] * 4, "no measure of a key"
         assert any("no video frame" in note for note in report.notes)
         assert read_image_metadata(shot / name)["step"] == "references-sheet"
 

@@ -66,7 +66,8 @@ class ReferenceRow:
     weights: tuple[tuple[str, float], ...]
     """The strongest shapes, strongest first."""
     residual_mm: float | None
-    """Distance of the markers from the rig under these weights [mm]; None without markers."""
+    """Distance of the markers from the rig under proposed weights [mm]; None of keys, which it does
+    not judge, and without markers."""
 
 
 @dataclass(frozen=True)

@@ -143,7 +143,8 @@ class _PairPictures:
         if self._cloud is not None:
             size = {"width": tile, "height": tile}
             markers = draw_markers(references.markers[pair], **size, frame=self._cloud)
-            residual_mm = float(self._residual_mm[pair])
+            if not references.tuned[pair]:  # a right key may be farther from the markers
+                residual_mm = float(self._residual_mm[pair])
         return ReferenceRow(
             number=pair + 1,
             place=_place(self._takes.get(name), name, frame),
