@@ -13,7 +13,12 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 from tests.usdio.small_rig import small_rig
 from usdface.core.assets import MotionSpace, References
 from usdface.core.errors import InputError
-from usdface.usdio.references.read import TunedPair, read_references, read_tuned_pairs
+from usdface.usdio.references.read import (
+    PLACEMENT,
+    TunedPair,
+    read_references,
+    read_tuned_pairs,
+)
 from usdface.usdio.references.write import write_references, write_tuned_weights
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
@@ -283,6 +288,19 @@ def test_a_layer_of_references_given_alone_is_refused_with_what_to_give(tmp_path
     tune(tmp_path, references, {1: 0.25})
     with pytest.raises(InputError, match=f"only a layer .* give the asset itself: {path}"):
         read_references(tmp_path / "hero.references.tuned.usda")
+
+
+def test_a_placement_that_is_no_path_is_refused(tmp_path: Path) -> None:
+    placed = replace(small_references(tmp_path), placement=tmp_path / "hero.placement.usda")
+    path = write(tmp_path, placed)
+    layer = Sdf.Layer.FindOrOpen(str(path))
+    del layer.GetPrimAtPath("/References").properties[PLACEMENT]
+    prim = layer.GetPrimAtPath("/References")
+    names = Sdf.AttributeSpec(prim, PLACEMENT, Sdf.ValueTypeNames.TokenArray)
+    names.default = ["a"]
+    layer.Save()
+    with pytest.raises(InputError, match="no path of a file"):
+        read_references(path)
 
 
 def test_an_end_beyond_the_pairs_is_refused_at_once(tmp_path: Path) -> None:

@@ -156,6 +156,8 @@ def _read_placement_path(root: Usd.Prim, path: Path) -> Path | None:
     """Return the placement that the asset names, if the file is there."""
     attribute = root.GetAttribute(PLACEMENT)
     named = attribute.Get() if attribute else None
+    if named is not None and not isinstance(named, Sdf.AssetPath):
+        raise TypeError(f"{PLACEMENT} is {named!r}, no path of a file")
     if named is None or not named.path:
         return None
     file = Path(named.resolvedPath or path.parent / named.path)
