@@ -46,8 +46,10 @@ def read_calibration(path: Path) -> dict[str, CalibratedCamera]:
         If a camera cannot be read, or there is none.
     """
     try:
-        text = read_text(path, _LARGEST_BYTES)
-        data = read_json(path, _LARGEST_BYTES) if path.suffix == ".json" else tomllib.loads(text)
+        if path.suffix.lower() == ".json":
+            data = read_json(path, _LARGEST_BYTES)
+        else:
+            data = tomllib.loads(read_text(path, _LARGEST_BYTES))
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise InputError(f"{path}: is neither TOML nor named .json: {error}") from error
     tables = data if isinstance(data, dict) else {}

@@ -21,7 +21,7 @@ errors has the face's constant.
 
 All this is measured against the references, and proposals that nobody tuned are wrong as a take is
 wrong that is solved by the rig's geometry: together, so that no fold shows it. Their error grows
-with motion (rank correlation .53 to .94 over the face), and a still face is not spared::
+with motion (`poe bench untuned`), and a still face is not spared::
 
     sigma_g^2 + u^2 rho^2 (w' G_g w + M^2)
 
@@ -56,8 +56,8 @@ _CALIBRATION_RANGE = (0.5, 4.0)
 """Of ``c``: folds of few references say no more."""
 
 _PROPOSAL_ERROR = 0.25
-"""Of the motion: what proposals are off, so that nine in ten frames are within the limit in every
-region of the performers of `poe bench real_captures` but the brows of the demo's character."""
+"""Of the motion: what proposals are off. Chosen on the performers of `poe bench real_captures`,
+crosstake and the take with one side late; `poe bench untuned` judges it on others."""
 
 _PROPOSAL_PRIOR_PAIRS = 5.0
 """Tuned pairs that `_PROPOSAL_ERROR` counts for beside what tuning changed."""

@@ -77,12 +77,6 @@ def triangulate_points(
     return points
 
 
-def reprojection(points: FloatArray, pose: CameraPose) -> FloatArray:
-    """Return x / z and y / z of points in a camera's space: (..., 2)."""
-    local = _into(pose, points)
-    return np.asarray(local[..., :2] / local[..., 2:])
-
-
 def _into(pose: CameraPose, points: FloatArray) -> FloatArray:
     return np.asarray(points @ pose.rotation.T + pose.translation)
 
