@@ -176,8 +176,8 @@ class Report {
     if (!data.worst.length) byId("worst").append(node("li", {}, "nothing stands out"));
   }
 
-  fromAddress() {
-    const frame = Number.parseInt(location.hash.slice(1), 10);
+  fromAddress(hash = location.hash) {
+    const frame = Number.parseInt(hash.slice(1), 10);
     if (!Number.isFinite(frame)) return;
     this.play(false);
     const at = pictureOf(frame);
@@ -207,9 +207,13 @@ class Report {
       const zoom = image.parentElement;
       zoom.addEventListener("click", () => zoom.setAttribute("aria-expanded", String(zoom.parentElement.classList.toggle("full"))));
     }
-    addEventListener("hashchange", () => this.fromAddress());
+    // Not the address as it is now: resting on a frame may have named that one in between.
+    addEventListener("hashchange", ({ newURL }) => this.fromAddress(new URL(newURL).hash));
     // A link to the frame in the address changes nothing there, and still goes to it.
-    addEventListener("click", (event) => { if (event.target.closest?.("a[href^='#']")) setTimeout(() => this.fromAddress()); });
+    addEventListener("click", ({ target, ctrlKey, metaKey, shiftKey }) => {
+      const link = target.closest?.("a[href^='#']");
+      if (link && !(ctrlKey || metaKey || shiftKey)) this.fromAddress(link.hash);
+    });
     addEventListener("keydown", (event) => this.#key(event));
     document.querySelectorAll("#worst, #transport, #tools, #noteBook .bar, #notes, #time, #legend, #tables").forEach(oneTabStop);
     addEventListener("beforeprint", () => this.keepStill());
