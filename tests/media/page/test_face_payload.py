@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tests.browser import chromium
+from tests.media.forms import sphere
 from tests.usdio.driven_rig import driven_rig
 from tests.usdio.small_rig import small_rig
 from usdface.core.assets import MeshShape, Rig, RigMesh, ShapeKey
@@ -212,6 +213,35 @@ def test_a_page_first_sees_the_face_from_where_the_camera_stands(tmp_path: Path)
     np.testing.assert_allclose(eye, camera.eye, atol=0.05)
     assert (column, row) == pytest.approx((150, 150), abs=0.1)
     assert away == pytest.approx(np.linalg.norm(np.subtract(camera.eye, camera.target)), abs=0.05)
+
+
+def test_what_lies_behind_the_skin_does_not_show_through_as_specks(tmp_path: Path) -> None:
+    # Triangles at the rim of a ball are seen edge on: their depth changes by millimetres within
+    # a pixel, and where it is taken beyond a triangle's edge it may come out before the skin.
+    rig = small_rig()
+    skin = replace(rig.meshes[0], points=3 * rig.meshes[0].points, colors=np.ones((12, 3)))
+    balls = []
+    for x in (32.0, 45.0, 58.0):
+        for y in (17.0, 30.0, 43.0):
+            ball = sphere(6.0, rows=24, path=f"/Hero/ball_{len(balls)}")
+            points = ball.points[:, [0, 2, 1]] * [1, -1, 1] + [x, y, -9.0]  # a pole looks at us
+            balls.append(replace(ball, points=points, colors=np.zeros_like(points)))
+    camera = Camera(eye=(45.0, 30.0, 300.0), target=(45.0, 30.0, 0.0), fov_degrees=9.0)
+    with chromium() as browser:
+        page = browser.new_page()
+        page.goto(embed(tmp_path, replace(rig, meshes=(skin, *balls)), camera=camera).as_uri())
+        page.wait_for_function("window.viewer")
+        levels = np.array(
+            page.evaluate(
+                "(() => { viewer.draw(); const { gl, canvas } = viewer;"
+                " const levels = new Uint8Array(4 * canvas.width * canvas.height);"
+                " gl.readPixels(0, 0, canvas.width, canvas.height, gl.RGBA, 5121, levels);"
+                " return [...levels]; })()"
+            )
+        ).reshape(300, 300, 4)
+    assert np.all(levels[..., 3] == 255), "the skin does not fill the picture"
+    around = np.median(levels[..., 1])
+    assert np.abs(levels[..., 1] - around).max() < 12
 
 
 @pytest.fixture(params=["small", "recorded"])

@@ -39,6 +39,7 @@ centroid in float vOpen;
 centroid in vec3 vGaze;
 centroid in float vReach;
 flat in int vPart;
+uniform mat4 projection;
 uniform float tint;
 uniform int heat;
 uniform vec3 ramp[5];
@@ -105,6 +106,9 @@ void main() {
   vec3 shown = mix(12.92 * light, 1.055 * pow(light, vec3(1.0 / 2.4)) - 0.055,
                    step(0.0031308, light));
   color = vec4(shown, 1.0);
+  // Not the depth that the triangle's slope gives each sample: a triangle that is nearly edge on
+  // has so steep a one that the rim of an eye came out before the skin over it, as specks.
+  gl_FragDepth = 0.5 - 0.5 * (projection[2].z * vPosition.z + projection[3].z) / vPosition.z;
 }`;
 
 export const MARK_VERTEX = `#version 300 es
