@@ -137,7 +137,9 @@ def test_the_page_is_worked_by_keyboard_and_by_address(shot: Shot) -> None:
             page.keyboard.press("Home")
             assert polled(page, frame) == 1
         # The address may come to name the frame before the link just as the link is followed.
-        page.evaluate("document.querySelector('#worst a').click(); history.replaceState(0, '', '#1')")
+        page.evaluate(
+            "document.querySelector('#worst a').click(); history.replaceState(0, '', '#1')"
+        )
         assert polled(page, frame) == worst[0]
         page.keyboard.press("Home")
         for each in sorted(worst):
