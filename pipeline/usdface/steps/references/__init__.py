@@ -1,3 +1,3 @@
 """Reference frames: chosen, tuned, measured."""
 
-_helpers = ("images", "weight_takes")
+_helpers = ("images", "select_notes", "weight_takes")

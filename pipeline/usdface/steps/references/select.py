@@ -27,12 +27,11 @@ from usdface.model.selection.design import (
     in_order_of_worth,
 )
 from usdface.model.selection.lip_contact import find_lips, keep_lip_contact
-from usdface.model.selection.neutral_check import find_better_neutral
 from usdface.numerics.motion.noise import measurement_noise, still_range_mm
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.references import SelectSpec
-from usdface.speech.phones import VISEMES, viseme_label
+from usdface.speech.phones import VISEMES
 from usdface.steps.inputs.cleaned_takes import CleanedTakes, plausibility_notes, read_cleaned_takes
 from usdface.steps.inputs.coverage_report import cover, coverage_figures, coverage_picture
 from usdface.steps.inputs.landmark_files import read_landmarks
@@ -63,6 +62,7 @@ from usdface.steps.references.images import (
     remove_unused_images,
     write_pair_images,
 )
+from usdface.steps.references.select_notes import next_step, selection_notes
 from usdface.steps.references.weight_takes import carry_weights_alone, select_by_weights
 from usdface.usdio.mapping import read_mapping
 from usdface.usdio.references.read import read_tuned_pairs
@@ -161,10 +161,10 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
             *doubts,
             f"placement: {placed.verdict.sentence}; see {_placement_picture(spec).name}",
             *placement_notes(placed),
-            *_notes(selection, choice, mapping),
+            *selection_notes(spec, scene, spoken, kept, choice),
             *images.notes,
             *contradictions,
-            *_next(spec, kept),
+            *next_step(spec.out, spec.count, len(kept)),
         ),
         {
             "pairs": len(rows),
@@ -377,93 +377,3 @@ def _references(
         performer=takes.sources[0].performer,
         session=takes.sources[0].session,
     )
-
-
-def _neutral_notes(scene: SelectionScene) -> list[str]:
-    """Say if the first take's neutral frame, which is the performer's, is not neutral."""
-    takes = scene.takes
-    rows = np.flatnonzero(takes.usable[0].all(axis=1))
-    found = find_better_neutral(scene.equation, takes.positions[0], rows)
-    if found is None:
-        return []
-    name, frame = takes.sources[0].name, int(takes.frames[found.row])
-    return [
-        f"{name}: its neutral frame is not neutral: from frame {frame} the rig's shapes explain "
-        f"the take to {found.residual_mm:.1f} mm, from the neutral frame to "
-        f"{found.stated_mm:.1f} mm. Clean the take with --neutral {frame}, "
-        "or a frame in which the face is at rest"
-    ]
-
-
-def _notes(
-    selection: _Selection, choice: ReferenceChoice, mapping: TrainedMapping | None
-) -> list[str]:
-    notes, dropped = list(selection.spoken.notes), selection.scene.takes.dropped
-    if dropped:
-        notes.append(
-            f"left out {pluralize(len(dropped), 'marker')}, not in every take: {first_few(dropped)}"
-        )
-    takes = selection.scene.takes
-    notes += _neutral_notes(selection.scene)
-    for take, neutral in zip(takes.sources, takes.neutrals, strict=True):
-        notes += neutral.notes(take.name)
-    if selection.kept:
-        notes.append(f"kept in place: {pluralize(len(selection.kept), 'tuned pair')}")
-    keyed = sum(each.is_keyed for each in selection.kept)
-    if keyed:
-        notes.append(
-            f"keyed in the asset itself, and tuned from now on: {pluralize(keyed, 'pair')}"
-        )
-    if selection.spoken.segments and selection.spec.method in ("viseme", "both"):
-        notes += _viseme_notes(selection, choice)
-    if selection.spec.method == "both" and not selection.spec.phones:
-        notes.append(
-            "no phones are given, so frames were chosen by design alone; that costs nothing in "
-            "accuracy, but pairs carry no viseme"
-        )
-    if mapping is None:
-        notes += selection.scene.notes
-    else:
-        notes.append("weights to start from are the mapping's own predictions")
-    return notes
-
-
-def _viseme_notes(selection: _Selection, choice: ReferenceChoice) -> list[str]:
-    """Count what was chosen as what, and name the visemes that are not spoken."""
-    visemes, extremes = len(choice.visemes), len(choice.extremes)
-    rest = len(choice.rows) - visemes - extremes
-    notes = [
-        f"chosen: {pluralize(visemes, 'frame')} of visemes, {pluralize(extremes, 'extreme')} of "
-        f"emotions, {rest} by design"
-    ]
-    spoken = {segment.viseme for segment in selection.spoken.segments}
-    silent = [viseme_label(viseme) for viseme in VISEMES if viseme not in spoken]
-    if silent:
-        notes.append(
-            f"nobody speaks {pluralize(len(silent), 'viseme')} of {len(VISEMES)}: "
-            f"{first_few(silent, most=len(VISEMES))}"
-        )
-    some = [f"{v} {e}".strip() for e, v in choice.missing if v in spoken]
-    if some:
-        notes.append(
-            f"spoken, but not in every emotion: {pluralize(len(some), 'viseme')}, "
-            f"{first_few(some, most=8)}"
-        )
-    return notes
-
-
-def _next(spec: SelectSpec, kept: list[PlacedPair]) -> list[str]:
-    """Say what to do where weights are proposals that nobody has seen."""
-    rest = spec.count - len(kept)
-    if not rest:
-        return []
-    if kept:
-        return [
-            f"next: tune some of the {pluralize(rest, 'proposal')}, then `usdface train` with "
-            "--tuned-only"
-        ]
-    return [
-        "an untuned start: all weights are proposals of the rig's geometry, which knows nothing of "
-        f"this performer. Next: `usdface tune {spec.out}`; tune the first dozen or two (they are "
-        "in order of worth), then `usdface train` with --tuned-only"
-    ]

@@ -1,0 +1,116 @@
+"""What `select` has to say of its choice."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from usdface.core.text import first_few, pluralize
+from usdface.model.selection.design import ReferenceChoice
+from usdface.model.selection.neutral_check import find_better_neutral
+from usdface.specs.references import SelectSpec
+from usdface.speech.phones import VISEMES, viseme_label
+from usdface.steps.inputs.phone_labels import PhoneLabels
+from usdface.steps.inputs.scene import SelectionScene
+from usdface.steps.inputs.tuned_pairs import PlacedPair
+
+
+def _neutral_notes(scene: SelectionScene) -> list[str]:
+    """Say if the first take's neutral frame, which is the performer's, is not neutral."""
+    takes = scene.takes
+    rows = np.flatnonzero(takes.usable[0].all(axis=1))
+    found = find_better_neutral(scene.equation, takes.positions[0], rows)
+    if found is None:
+        return []
+    name, frame = takes.sources[0].name, int(takes.frames[found.row])
+    return [
+        f"{name}: its neutral frame is not neutral: from frame {frame} the rig's shapes explain "
+        f"the take to {found.residual_mm:.1f} mm, from the neutral frame to "
+        f"{found.stated_mm:.1f} mm. Clean the take with --neutral {frame}, "
+        "or a frame in which the face is at rest"
+    ]
+
+
+def selection_notes(
+    spec: SelectSpec,
+    scene: SelectionScene,
+    spoken: PhoneLabels,
+    kept: Sequence[PlacedPair],
+    choice: ReferenceChoice,
+) -> list[str]:
+    """Say what was left out, kept and chosen, and what of it is doubtful."""
+    takes = scene.takes
+    notes, dropped = list(spoken.notes), takes.dropped
+    if dropped:
+        notes.append(
+            f"left out {pluralize(len(dropped), 'marker')}, not in every take: {first_few(dropped)}"
+        )
+    notes += _neutral_notes(scene)
+    for take, neutral in zip(takes.sources, takes.neutrals, strict=True):
+        notes += neutral.notes(take.name)
+    if kept:
+        notes.append(f"kept in place: {pluralize(len(kept), 'tuned pair')}")
+    keyed = sum(each.is_keyed for each in kept)
+    if keyed:
+        notes.append(
+            f"keyed in the asset itself, and tuned from now on: {pluralize(keyed, 'pair')}"
+        )
+    if spoken.segments and spec.method in ("viseme", "both"):
+        notes += _viseme_notes(spoken, choice)
+    if spec.method == "both" and not spec.phones:
+        notes.append(
+            "no phones are given, so frames were chosen by design alone; that costs nothing in "
+            "accuracy, but pairs carry no viseme"
+        )
+    if spec.mapping is None:
+        notes += scene.notes
+    else:
+        notes.append("weights to start from are the mapping's own predictions")
+    return notes
+
+
+def _viseme_notes(labels: PhoneLabels, choice: ReferenceChoice) -> list[str]:
+    """Count what was chosen as what, and name the visemes that are not spoken."""
+    visemes, extremes = len(choice.visemes), len(choice.extremes)
+    rest = len(choice.rows) - visemes - extremes
+    notes = [
+        f"chosen: {pluralize(visemes, 'frame')} of visemes, {pluralize(extremes, 'extreme')} of "
+        f"emotions, {rest} by design"
+    ]
+    spoken = {segment.viseme for segment in labels.segments}
+    silent = [viseme_label(viseme) for viseme in VISEMES if viseme not in spoken]
+    if silent:
+        notes.append(
+            f"nobody speaks {pluralize(len(silent), 'viseme')} of {len(VISEMES)}: "
+            f"{first_few(silent, most=len(VISEMES))}"
+        )
+    some = [f"{v} {e}".strip() for e, v in choice.missing if v in spoken]
+    if some:
+        notes.append(
+            f"spoken, but not in every emotion: {pluralize(len(some), 'viseme')}, "
+            f"{first_few(some, most=8)}"
+        )
+    return notes
+
+
+def next_step(out: Path, count: int, kept: int) -> list[str]:
+    """Say what to do where weights are proposals that nobody has seen.
+
+    Parameters
+    ----------
+    count, kept : int
+        Of pairs: all, and those that are tuned.
+    """
+    rest = count - kept
+    if not rest:
+        return []
+    if kept:
+        return [
+            f"next: tune some of the {pluralize(rest, 'proposal')}, then `usdface train` with "
+            "--tuned-only"
+        ]
+    return [
+        "an untuned start: all weights are proposals of the rig's geometry, which knows nothing of "
+        f"this performer. Next: `usdface tune {out}`; tune the first dozen or two (they are "
+        "in order of worth), then `usdface train` with --tuned-only"
+    ]
