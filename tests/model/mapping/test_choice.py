@@ -1,8 +1,14 @@
 """The choice of a method: the default, unless another is better by more than chance."""
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 from scipy.stats import ttest_rel
 
+from tests.model.synthetic import MARKERS, RIGID, references_of, synthetic_face
+from usdface.model import predict_weights, train_mapping
+from usdface.model.mapping import candidates
 from usdface.model.mapping.candidates import paired_t, time_blocks
 
 
@@ -20,3 +26,33 @@ def test_t_is_that_of_scipy_over_means_of_blocks() -> None:
     wanted = ttest_rel(*means).statistic
     np.testing.assert_allclose(paired_t(usual, other, np.eye(4), blocks), wanted)
     assert paired_t(usual, usual, np.eye(4), blocks) == 0.0
+
+
+def test_landmarks_that_err_together_are_believed_less(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Eight landmarks each where the face has a marker, with its error and hardly any of their own.
+    near, frames = 8, 4800
+    rng = np.random.default_rng(0)
+    face = synthetic_face(frames=frames, noise=4.0)
+    own = 0.05 * rng.normal(size=(frames, near * MARKERS, 3))
+    names = tuple(f"m{k}" for k in range(near * MARKERS))
+    dense = replace(
+        face,
+        neutral=np.repeat(face.neutral, near, axis=0) + rng.normal(size=(near * MARKERS, 3)),
+        positions=np.repeat(face.positions, near, axis=1) + own,
+        names=names,
+        rigid=names[: near * RIGID],
+    )
+    keyed, between = np.arange(0, frames, 60), np.arange(30, frames, 60)
+
+    def learn() -> tuple[float, float]:
+        mapping = train_mapping(
+            references_of(dense, keyed), ranges=face.ranges, gram=face.gram, method="face_map"
+        )
+        error = predict_weights(mapping, dense.positions[between]).weights - face.weights[between]
+        return float(mapping.arrays["common_error"][0]), float(np.sqrt((error**2).mean()))
+
+    chosen, error = learn()
+    monkeypatch.setattr(candidates, "COMMON_ERRORS", candidates.COMMON_ERRORS[:1])
+    fixed, usual = learn()
+    assert chosen > fixed == 3.0
+    assert error < 0.95 * usual

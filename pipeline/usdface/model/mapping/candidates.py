@@ -9,11 +9,16 @@ from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.core.assets import CandidateScore, References
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress
-from usdface.model.mapping.corrected_pairs import CorrectedPairs, displacements, fit_pairs_forward
+from usdface.model.mapping.corrected_pairs import (
+    CorrectedPairs,
+    correct_pairs,
+    displacements,
+    fit_pairs_forward,
+)
 from usdface.model.mapping.uncertainty import UncertaintyModel
 from usdface.model.regressions import AUTO, Choices, Pairs, Regression, Settings, find_method
 from usdface.model.regressions.base import bend, unbend
-from usdface.model.regressions.frame_solve import FrameSolver
+from usdface.model.regressions.frame_solve import COMMON_ERRORS, FrameSolver
 from usdface.numerics.regression.cross_validation import (
     blocked_folds,
     surface_rms_mm,
@@ -85,9 +90,8 @@ class PairFolds:
 
     def predict(self, candidate: Candidate) -> UnseenPairs:
         """Predict every pair by a fit that has not seen it."""
-        pairs, face, method = self.pairs, self.pairs.face, candidate.method
-        low, span = face.ranges[:, 0], np.ptp(face.ranges, axis=1)
-        errors, start, usual = (np.full_like(pairs.outputs, np.nan) for _ in range(3))
+        face, method = self.pairs.face, candidate.method
+        errors, start, usual = (np.full_like(self.pairs.outputs, np.nan) for _ in range(3))
         for fold, forward in zip(self.folds, self.forwards, strict=True):
             settings = dict(candidate.settings)
             if "dimensions" in settings:  # a fold may have too few pairs for what all of them carry
@@ -95,18 +99,25 @@ class PairFolds:
                 settings["dimensions"] = min(int(settings["dimensions"]), most)
             known = self.corrected.known_to(method).rows(fold.train)
             fitted = method.fit(replace(known, forward=forward), settings)
-            found = method.predict(fitted.arrays, fitted.settings, pairs.inputs[fold.test])
-            t = bend(face.normalise(found), self.curve)
-            start[fold.test] = t
-            found = np.clip(found, *face.ranges.T)
+            found = method.predict(fitted.arrays, fitted.settings, self.pairs.inputs[fold.test])
+            start[fold.test] = bend(face.normalise(found), self.curve)
+            errors[fold.test] = np.clip(found, *face.ranges.T) - self.corrected.given[fold.test]
             if method.solves_frames:
                 usual[fold.test] = fitted.arrays["start_error"]
-            solver = FrameSolver(forward, fitted.arrays.get("start_error", np.ones(0)))
-            if method.solves_frames:
-                t = solver.solve(*self.displacements(fold.test), t).targets
-                found = low + span * np.clip(unbend(t, self.curve), 0.0, 1.0)
+        if method.solves_frames:
+            return self.solve(start, usual, self.corrected.common)
+        return UnseenPairs(errors, start, None)
+
+    def solve(self, start: FloatArray, usual: FloatArray, common: float) -> UnseenPairs:
+        """Solve every pair as a frame; see `UnseenPairs` and `FrameSolver.common`."""
+        low, span = self.pairs.face.ranges[:, 0], np.ptp(self.pairs.face.ranges, axis=1)
+        errors = np.empty_like(start)
+        for fold, forward in zip(self.folds, self.forwards, strict=True):
+            solver = FrameSolver(forward, usual[fold.test[0]], common)
+            t = solver.solve(*self.displacements(fold.test), start[fold.test]).targets
+            found = low + span * np.clip(unbend(t, self.curve), 0.0, 1.0)
             errors[fold.test] = found - self.corrected.given[fold.test]
-        return UnseenPairs(errors, start, usual if method.solves_frames else None)
+        return UnseenPairs(errors, start, usual)
 
     def deviations(
         self, candidate: Candidate, unseen: UnseenPairs, model: UncertaintyModel, error: FloatArray
@@ -115,7 +126,8 @@ class PairFolds:
         out = np.empty((len(unseen.start), len(model.grams)))
         for fold, forward in zip(self.folds, self.forwards, strict=True):
             own = error if unseen.usual is None else unseen.usual[fold.test[0]]
-            solver, (moved, visible) = FrameSolver(forward, own), self.displacements(fold.test)
+            solver = FrameSolver(forward, own, self.corrected.common)
+            moved, visible = self.displacements(fold.test)
             bounded = candidate.method.solves_frames
             solution = solver.solve(moved, visible, unseen.start[fold.test], bounded=bounded)
             out[fold.test] = model.deviations(solver, solution, visible)
@@ -164,11 +176,42 @@ def compare_candidates(
     if scored:
         winner = scored[0]
         usual = next((each for each in scored if each[1].method.name == AUTO[0]), winner)
-        weight = np.eye(pairs.outputs.shape[1]) if gram is None else gram
-        if paired_t(usual[2].errors, winner[2].errors, weight, folds.blocks) <= _LEAST_T:
+        if not is_better(winner[2], usual[2], folds):
             winner = usual
         best, unseen = winner[1], winner[2]
     return Comparison(best, unseen, observable, tuple(score for score, _, _ in scored))
+
+
+def choose_common_error(
+    folds: PairFolds, compared: Comparison, references: References
+) -> tuple[PairFolds, Comparison]:
+    """Let more markers count as one for as long as pairs not seen are predicted better by it.
+
+    Keys are corrected anew, since they too are moved as far as markers are believed.
+    """
+    best, unseen, common = compared.best, compared.unseen, folds.corrected.common
+    if unseen is None or unseen.usual is None:
+        return folds, compared
+    for more in COMMON_ERRORS[1:]:
+        found = folds.solve(unseen.start, unseen.usual, more)
+        if not is_better(found, unseen, folds):
+            break
+        common, unseen = more, found
+    if common == folds.corrected.common:
+        return folds, compared
+    folds = PairFolds(correct_pairs(folds.corrected.as_given(), common=common), references)
+    unseen = folds.predict(best)
+    named = Candidate(best.method, best.settings | {"common_error": common})
+    gram = None if np.isnan(compared.scores[0].vertex_rms_mm) else folds.pairs.face.gram
+    score = _score(named, unseen.errors, compared.observable, gram)
+    scores = tuple(sorted((score, *compared.scores), key=_order))
+    return folds, replace(compared, unseen=unseen, scores=scores)
+
+
+def is_better(other: UnseenPairs, usual: UnseenPairs, folds: PairFolds) -> bool:
+    """Whether one prediction of the pairs errs less than the usual one, beyond chance."""
+    gram = folds.pairs.face.gram
+    return paired_t(usual.errors, other.errors, gram, folds.blocks) > _LEAST_T
 
 
 def time_blocks(frames: IntArray, takes: Sequence[str]) -> IntArray:

@@ -10,7 +10,7 @@ from usdface.model.regressions import Pairs, Regression
 from usdface.model.regressions.base import bend, unbend
 from usdface.model.regressions.driven_motion import DrivenMotion, driven_weights
 from usdface.model.regressions.forward_model import ForwardModel, ForwardScales, fit_forward_model
-from usdface.model.regressions.frame_solve import correct_keys
+from usdface.model.regressions.frame_solve import COMMON_ERRORS, correct_keys
 from usdface.numerics.regression.marker_prior import expect_marker_motion
 
 _KEY_ROUNDS = 2
@@ -40,13 +40,19 @@ class CorrectedPairs:
     contradicted: dict[int, float]
     """Pairs whose markers are far from where a model of the others puts them under the keys as they
     came: root mean square distance [mm]."""
+    common: float
+    """Markers whose squared residuals count as one; see `FrameSolver`."""
+
+    def as_given(self) -> Pairs:
+        """Return the pairs before any was corrected."""
+        return replace(self.pairs, outputs=self.given, forward=None)
 
     def known_to(self, method: Regression) -> Pairs:
         """Return the pairs that a method learns: methods of the literature, the keys as given."""
         return self.pairs if method.solves_frames else replace(self.pairs, outputs=self.given)
 
 
-def correct_pairs(pairs: Pairs) -> CorrectedPairs:
+def correct_pairs(pairs: Pairs, *, common: float = COMMON_ERRORS[0]) -> CorrectedPairs:
     """Fit the forward model, and correct the keys by it where its evidence says that they err."""
     given, face = pairs.outputs, pairs.face
     forward = fit_pairs_forward(pairs)
@@ -54,7 +60,7 @@ def correct_pairs(pairs: Pairs) -> CorrectedPairs:
     contradicted = _find_contradicted(forward)
     low, span = face.ranges[:, 0], np.ptp(face.ranges, axis=1)
     for _ in range(_KEY_ROUNDS if scales.tau > 0 else 0):
-        posterior = correct_keys(forward, keys, scales.tau)
+        posterior = correct_keys(forward, keys, scales.tau, common=common)
         if posterior.targets is forward.targets:
             break
         moved = low + span * unbend(posterior.targets, scales.curve)
@@ -63,7 +69,7 @@ def correct_pairs(pairs: Pairs) -> CorrectedPairs:
         forward = fit_pairs_forward(pairs, replace(scales, tau=scales.tau * float(np.sqrt(left))))
     variance = span**2 * scales.key_variance(keys)
     return CorrectedPairs(
-        replace(pairs, forward=forward), forward, given, variance, scales.tau, contradicted
+        replace(pairs, forward=forward), forward, given, variance, scales.tau, contradicted, common
     )
 
 

@@ -10,6 +10,7 @@ from usdface.model.mapping.candidates import (
     Comparison,
     PairFolds,
     UnseenPairs,
+    choose_common_error,
     compare_candidates,
     list_candidates,
 )
@@ -97,15 +98,15 @@ def train_mapping(
         neutral=checked.neutral.astype(np.float64),
     )
     progress(0.0, "fitting the forward model")
-    corrected = correct_pairs(_pairs(checked, face))
-    folds = PairFolds(corrected, checked)
-    candidates = list_candidates(corrected.pairs, method, choices)
+    folds = PairFolds(correct_pairs(_pairs(checked, face)), checked)
+    candidates = list_candidates(folds.pairs, method, choices)
     compared = compare_candidates(candidates, folds, in_mm=gram is not None, progress=progress)
-    best = compared.best
+    folds, compared = choose_common_error(folds, compared, checked)
+    corrected, best = folds.corrected, compared.best
     progress(0.9, f"fitting {best.method.name}")
     fitted = best.method.fit(corrected.known_to(best.method), best.settings)
     progress(1.0, f"trained {best.method.name}")
-    solver = FrameSolver(corrected.forward, _usual_error(fitted, compared.unseen, face))
+    solver = _frame_solver(corrected, fitted, compared.unseen)
     regions, error_arrays = _uncertainty(compared, folds, checked.shape_names, solver)
     return TrainedMapping(
         method=best.method.name,
@@ -158,13 +159,18 @@ def _as_stored(arrays: Arrays) -> Arrays:
     return {name: np.ascontiguousarray(each, dtype=np.float64) for name, each in arrays.items()}
 
 
-def _usual_error(fitted: Fitted, unseen: UnseenPairs | None, face: Face) -> FloatArray:
-    """Return the usual error of a method's normalised weights: (shapes,)."""
+def _frame_solver(
+    corrected: CorrectedPairs, fitted: Fitted, unseen: UnseenPairs | None
+) -> FrameSolver:
+    """Return the solver, with the usual error of the method's normalised weights."""
+    ranges = corrected.pairs.face.ranges
     if "start_error" in fitted.arrays:
-        return fitted.arrays["start_error"]
-    if unseen is None:
-        return np.full(len(face.ranges), _UNKNOWN_ERROR)
-    return np.asarray(np.sqrt((unseen.errors**2).mean(axis=0)) / np.ptp(face.ranges, axis=1))
+        usual = fitted.arrays["start_error"]
+    elif unseen is None:
+        usual = np.full(len(ranges), _UNKNOWN_ERROR)
+    else:
+        usual = np.sqrt((unseen.errors**2).mean(axis=0)) / np.ptp(ranges, axis=1)
+    return FrameSolver(corrected.forward, usual, corrected.common)
 
 
 def _uncertainty(

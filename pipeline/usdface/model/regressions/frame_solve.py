@@ -35,8 +35,10 @@ from usdface.numerics.solve.bounded_least_squares import descend_in_boxes
 CLEANED_NOISE_MM = 0.05
 """Noise of a coordinate that cleaning leaves."""
 
-_COMMON_ERROR = 3.0
-"""Squared residuals of so many markers count as one: a forward model errs on neighbours alike."""
+COMMON_ERRORS = (3.0, 9.0, 27.0)
+"""Squared residuals of so many markers count as one: a forward model errs on neighbours alike. The
+first holds for optical markers; landmarks that a model finds in pictures err as a face does, all
+together."""
 
 _FAMILIAR_CHI2, _STRANGE_CHI2 = 0.3, 10.0
 """Where the examples alone decide, and where they say no more than how far weights spread."""
@@ -111,15 +113,19 @@ class FrameSolver:
     forward: ForwardModel
     error: FloatArray
     """(shapes,): usual error of t0: standard deviation."""
+    common: float = COMMON_ERRORS[0]
+    """Markers whose squared residuals count as one."""
 
     @classmethod
     def from_arrays(cls, arrays: Arrays) -> "FrameSolver":
         """Put a mapping's solver together."""
-        return cls(ForwardModel.from_arrays(arrays), arrays["start_error"])
+        common = arrays.get("common_error", np.array(COMMON_ERRORS[:1]))
+        return cls(ForwardModel.from_arrays(arrays), arrays["start_error"], float(common[0]))
 
     def to_arrays(self) -> Arrays:
         """Return what `from_arrays` reads."""
-        return self.forward.to_arrays() | {"start_error": self.error}
+        own = {"start_error": self.error, "common_error": np.array([self.common])}
+        return self.forward.to_arrays() | own
 
     def solve(
         self,
@@ -150,7 +156,7 @@ class FrameSolver:
         unknown = self.forward.residual2 if slope is None else self.forward.variance(t0)
         precision = self._prior_precision(left, visible, unknown)
         noise = CLEANED_NOISE_MM**2 + 0.5 * self.forward.residual2 + unknown
-        weight = np.repeat(visible / (_COMMON_ERROR * noise), 3, axis=1).astype(np.float32)
+        weight = np.repeat(visible / (self.common * noise), 3, axis=1).astype(np.float32)
         data = (
             _SharedSlope(self._linear[0], weight) if slope is None else _FrameSlopes(slope, weight)
         )
@@ -238,7 +244,7 @@ class FrameSolver:
         spread2, wide : (shapes,) and (shapes, shapes) float arrays
         """
         noise = CLEANED_NOISE_MM**2 + 1.5 * self.forward.residual2
-        weighted = self.forward.basis / (_COMMON_ERROR * noise)[:, None]
+        weighted = self.forward.basis / (self.common * noise)[:, None]
         markers = np.einsum("skc,tkc->st", weighted, self.forward.basis, optimize=True)
         error2 = np.maximum(self.error, _LEAST_ERROR) ** 2
         spread2 = np.maximum(self._spread**2, error2)
@@ -324,7 +330,9 @@ class KeyPosterior:
     """(pairs, shapes): of the error that is left."""
 
 
-def correct_keys(forward: ForwardModel, keys: FloatArray, tau: float) -> KeyPosterior:
+def correct_keys(
+    forward: ForwardModel, keys: FloatArray, tau: float, *, common: float = COMMON_ERRORS[0]
+) -> KeyPosterior:
     """Move keys to where their markers put them, as far as keys err.
 
     A key t is off by tau of itself, and by a fifth of tau where it is small (`forward_model`); half
@@ -341,6 +349,8 @@ def correct_keys(forward: ForwardModel, keys: FloatArray, tau: float) -> KeyPost
         Conditioned on these pairs, at the keys found so far.
     keys : (pairs, shapes) float array
         As given, bent.
+    common : float
+        As of `FrameSolver`.
     """
     solver, now = FrameSolver(forward, np.full(keys.shape[1], tau)), forward.targets
     _, slope = solver.linearise(now)
@@ -348,7 +358,7 @@ def correct_keys(forward: ForwardModel, keys: FloatArray, tau: float) -> KeyPost
         return KeyPosterior(now, replace(forward.scales, tau=tau).key_variance(keys))
     if tau == 0:
         return KeyPosterior(now, np.zeros_like(now))
-    weighted = slope / np.repeat(_COMMON_ERROR * forward.unseen_variance, 3, axis=1)[:, None]
+    weighted = slope / np.repeat(common * forward.unseen_variance, 3, axis=1)[:, None]
     prior = replace(forward.scales, tau=tau).key_variance(keys)[:, None] * np.eye(keys.shape[1])
     precision = np.linalg.inv(0.5 * (prior + tau**2 * keys[:, :, None] * keys[:, None]))
     hessian = weighted @ slope.transpose(0, 2, 1) + precision

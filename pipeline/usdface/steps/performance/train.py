@@ -158,8 +158,9 @@ def _correction_notes(mapping: TrainedMapping, references: References) -> list[s
     off = float(mapping.settings.get("key_error", 0.0))
     if off:
         notes.append(
-            f"the markers say that keys are off by about {off:.0%} of themselves; face_map moves "
-            "them to where the markers put them, other methods take them as they are"
+            f"the markers say that keys are off by about {off:.0%} of themselves, or err as much "
+            "themselves, as landmarks of a video do; face_map moves keys towards the markers, "
+            "other methods take them as they are"
         )
     contradicted = str(mapping.settings.get("contradicted", ""))
     if contradicted:
