@@ -16,8 +16,10 @@ from tests.usdio.small_rig import small_rig
 from usdface.cli import command_list, main
 from usdface.cli.app import app
 from usdface.cli.command_list import HEADINGS
+from usdface.cli.console import show_result
 from usdface.core.errors import InputError
 from usdface.core.version import __version__
+from usdface.runner.result import StepResult
 from usdface.usdio.rig.write import write_rig
 
 
@@ -145,6 +147,19 @@ def test_a_farms_worker_makes_the_folders_it_writes_to(tmp_path: Path, capsys) -
     assert run("run", str(job), "--make-folders") == 2  # there is no take
     assert (tmp_path / "parts" / "deep").is_dir()
     assert "x.usda: no such file" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("level", "color"), [("good", 32), ("check", 33), ("bad", 31)])
+def test_a_verdict_is_the_last_line_and_coloured_on_a_terminal(
+    level: str, color: int, monkeypatch, capsys
+) -> None:
+    result = StepResult((Path("x.usda"),), "Check: as it is", ("a note",), level=level)
+    show_result(result, as_json=False)
+    assert capsys.readouterr().out.splitlines()[-1] == "Check: as it is"
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    show_result(result, as_json=False)
+    assert f"\x1b[{color}m" in capsys.readouterr().out.splitlines()[-1]
 
 
 def test_a_log_gets_a_line_of_progress_now_and_then(monkeypatch, capsys) -> None:

@@ -304,7 +304,9 @@ def test_mapping_a_part_equals_that_part_of_the_whole(shot: Shot) -> None:
     )
     verdict = judge_solve(evidence)  # by what the layer keeps of it
     assert report.figures["verdict"]["level"] == verdict.level
-    assert report.summary.startswith(f"40 frames. {verdict.sentence.split(':')[0]}: ")
+    assert report.level == verdict.level
+    assert report.summary.startswith(f"{verdict.sentence.split(':')[0]}: ")
+    assert report.summary.endswith("(40 frames)")
     assert Sdf.Layer.FindOrOpen(str(weights_path(shot / "part.usda"))).defaultPrim == "shot"
 
 

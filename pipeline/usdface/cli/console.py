@@ -32,6 +32,12 @@ ENDING_SECONDS = 0.5
 LONGEST_FARM_MESSAGE = 1000
 """Characters; farms truncate or refuse longer lines."""
 
+_LEVEL_COLORS = {
+    "good": typer.colors.GREEN,
+    "check": typer.colors.YELLOW,
+    "bad": typer.colors.RED,
+}
+
 LEAST_FARM_PROGRESS = 0.01
 LEAST_FARM_SECONDS = 1.0
 """Progress is printed if either has passed since the last line."""
@@ -126,8 +132,19 @@ def show_result(report: StepResult, *, as_json: bool) -> None:
     if as_json:
         show_json(report.as_data())
         return
-    echo(report.summary)
-    show_details(report)
+    if report.level:  # a verdict is what is left to read at the end
+        show_details(report)
+    echo(styled_summary(report))
+    if not report.level:
+        show_details(report)
+
+
+def styled_summary(report: StepResult) -> str:
+    """Return the summary, in the colour of its verdict on a terminal."""
+    plain = report.level not in _LEVEL_COLORS or not sys.stdout.isatty()
+    if plain or "NO_COLOR" in os.environ:  # a convention
+        return report.summary
+    return typer.style(report.summary, fg=_LEVEL_COLORS[report.level], bold=True)
 
 
 def show_details(report: StepResult) -> None:

@@ -20,6 +20,7 @@ from usdface.cli.console import (
     show_details,
     show_error,
     show_json,
+    styled_summary,
 )
 from usdface.core.errors import CancelledError, InputError, UsdfaceError
 from usdface.core.side_files import open_side_file
@@ -75,7 +76,7 @@ def _as_data(job: JobSpec, shown: list[StepResult]) -> dict[str, object]:
 
 def show_step(step: JobStep, report: StepResult) -> None:
     """Print the result of a job's step under its number, name and file."""
-    echo(f"{step.label}: {'up to date' if report.up_to_date else report.summary}")
+    echo(f"{step.label}: {'up to date' if report.up_to_date else styled_summary(report)}")
     show_details(report)
 
 

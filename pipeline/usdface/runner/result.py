@@ -23,6 +23,8 @@ class StepResult:
     """Lines for people; scripts find the same in `figures`."""
     failures: tuple[str, ...] = ()
     """What was checked and is not in order."""
+    level: str = ""
+    """``'good'``, ``'check'`` or ``'bad'`` where the summary begins with the verdict on a solve."""
     fresh: bool = True
     """False where the outputs were up to date, and nothing was written."""
 

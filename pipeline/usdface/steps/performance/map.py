@@ -372,7 +372,7 @@ def _report(
     count = len(uncertainty)
     return StepResult(
         (spec.out, weights_path(spec.out), *([head_path(spec.out)] if spec.drive else [])),
-        f"{pluralize(count, 'frame')}. {verdict.sentence}",
+        f"{verdict.sentence} ({pluralize(count, 'frame')})",
         tuple(notes),
         {
             "frames": count,
@@ -384,4 +384,5 @@ def _report(
             "verdict": verdict.figures,
             "neutral": neutral,
         },
+        level=verdict.level,
     )

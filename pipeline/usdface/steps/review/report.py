@@ -75,8 +75,9 @@ def run(spec: ReportSpec, *, provenance: Provenance, progress: Progress = silent
     progress(1.0, "done")
     return StepResult(
         (spec.out,),
-        f"{pluralize(len(page.frames), 'frame')}, {pluralize(len(shot.rig.shapes), 'shape')}, "
-        f"{len(text) / 1e6:.1f} MB; open it in a browser. {page.verdict[1]}",
+        f"{page.verdict[1]} ({pluralize(len(page.frames), 'frame')}, "
+        f"{pluralize(len(shot.rig.shapes), 'shape')}, {len(text) / 1e6:.1f} MB: open it in a "
+        "browser)",
         tuple(notes),
         {
             "pictures": len(page.frames),
@@ -84,6 +85,7 @@ def run(spec: ReportSpec, *, provenance: Provenance, progress: Progress = silent
             "worst_frames": [int(page.frames[picture]) for picture, *_ in page.worst],
             "verdict": page.verdict[0],
         },
+        level=page.verdict[0],
     )
 
 

@@ -297,7 +297,7 @@ def _result(
     )
     return StepResult(
         written,
-        f"{pluralize(len(chosen), 'row')}; {f'{listed}; ' if listed else ''}{verdict.sentence}",
+        f"{verdict.sentence} ({pluralize(len(chosen), 'row')}{f'; {listed}' if listed else ''})",
         notes,
         {
             "frames": [int(comparison.shots[0].frames[frame.row]) for frame in chosen],
@@ -305,4 +305,5 @@ def _result(
             "against_truth": comparison.truth is not None,
             "verdict": verdict.figures,
         },
+        level=verdict.level,
     )
