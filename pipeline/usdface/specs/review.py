@@ -283,7 +283,7 @@ class FacesSpec(Spec):
     """Choose from these frames only, as FIRST-LAST."""
     tile: Annotated[int, Field(ge=64, le=2048)] = 320
     """Height of an image in pixels."""
-    yaw: Annotated[float, Field(ge=-90.0, le=90.0)] = 20.0
+    yaw: Annotated[float, Field(ge=-90.0, le=90.0)] = 0.0
     """Angle of the view from the side, in degrees."""
     quality: Literal["final", "draft"] = "final"
     """`draft` omits soft shadows and ambient occlusion."""

@@ -20,8 +20,16 @@ def kind(label: str, color: tuple[int, int, int], *cells: tuple[int, int]) -> Re
     return RepairKind(label, color, where)
 
 
-def draw(*kinds: RepairKind) -> np.ndarray:
-    return draw_repairs(["a", "b", "c"], kinds, title="t", facts=("f",), first_frame=1)
+def draw(*kinds: RepairKind, **more) -> np.ndarray:
+    return draw_repairs(
+        ["a", "b", "c"],
+        kinds,
+        title="t",
+        verdict=("good", "v"),
+        facts=("f",),
+        first_frame=1,
+        **more,
+    )
 
 
 def test_a_single_repaired_sample_of_a_long_take_shows() -> None:
@@ -44,9 +52,26 @@ def test_only_repaired_markers_have_a_lane_and_the_worst_comes_first() -> None:
 
 
 def test_nothing_repaired_is_said() -> None:
-    assert draw(kind("x", (1, 2, 3))).shape[0] > HEAD_HEIGHT
+    assert draw(kind("x", (1, 2, 3))).shape[0] == HEAD_HEIGHT  # and there is no empty axis
+
+
+def test_markers_of_short_repairs_share_a_lane() -> None:
+    cells = [(0, 0), (5, 2), *((frame, 1) for frame in range(20, 30))]
+    apart = draw(kind("x", (1, 2, 3), *cells))
+    together = draw(kind("x", (1, 2, 3), *cells), least_frames=5)
+    lanes = [
+        (each[HEAD_HEIGHT:] == (1, 2, 3)).all(axis=2).any(axis=1) for each in (apart, together)
+    ]
+    assert [np.count_nonzero(np.diff(each.astype(int)) == 1) for each in lanes] == [3, 2]
 
 
 def test_kinds_that_do_not_fit_are_refused() -> None:
     with pytest.raises(InputError, match=r"must be \(frames, 2\) arrays"):
-        draw_repairs(["a", "b"], [kind("x", (1, 2, 3))], title="", facts=(), first_frame=1)
+        draw_repairs(
+            ["a", "b"],
+            [kind("x", (1, 2, 3))],
+            title="",
+            verdict=("good", ""),
+            facts=(),
+            first_frame=1,
+        )

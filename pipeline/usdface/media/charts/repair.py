@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, ByteImage
+from usdface.core.arrays import BoolArray, ByteImage, longest_run
 from usdface.core.errors import InputError
 from usdface.core.text import pluralize
 from usdface.media.picture.canvas import fill_box, new_picture
-from usdface.media.picture.color import DIM, LANE, PAGE, SOFT, Color
+from usdface.media.picture.color import DIM, LANE, PAGE, SOFT, VERDICT_COLORS, Color
 from usdface.media.picture.error_strip import draw_frame_axis
 from usdface.media.picture.sheet import draw_header
 from usdface.media.picture.text import TextStyle, draw_text, text_width
@@ -18,11 +18,9 @@ _PAGE_WIDTH = 1600
 REPAIR_MARGIN = 28
 MARKER_LABEL_WIDTH = 190
 _ROW_HEIGHT = 17
-HEAD_HEIGHT = 156
-"""Title, facts and the key of colours."""
-MOST_ROWS = 120
-"""The markers with most repairs; the rest are counted."""
-
+HEAD_HEIGHT = 190
+"""Title, facts, the verdict and the key of colours."""
+_VERDICT_HEIGHT = 34
 _LABEL_STYLE = TextStyle(size=14, color=SOFT)
 _NOTE_STYLE = TextStyle(size=16, color=DIM)
 
@@ -44,12 +42,15 @@ def draw_repairs(
     kinds: Sequence[RepairKind],
     *,
     title: str,
+    verdict: tuple[str, str],
     facts: Sequence[str],
     first_frame: int,
+    least_frames: int = 1,
 ) -> ByteImage:
-    """Draw a lane for each marker that was repaired, most repairs first.
+    """Draw a lane for each marker that was repaired for long, most repairs first.
 
-    A column is coloured if any of its frames was repaired, so that single samples show.
+    The others share the last lane. A column is coloured if any of its frames was repaired, so that
+    single samples show.
 
     Parameters
     ----------
@@ -59,8 +60,12 @@ def draw_repairs(
         Later ones are drawn over earlier ones.
     title, facts
         Written above.
+    verdict : tuple of str
+        ``'good'``, ``'check'`` or ``'bad'``, and the sentence.
     first_frame : int
         Frame number of the first row of each kind.
+    least_frames : int
+        Repairs in a row, from which on a marker has a lane of its own.
 
     Returns
     -------
@@ -70,47 +75,52 @@ def draw_repairs(
     frames = len(kinds[0].where) if kinds else 0
     if not frames or any(kind.where.shape != (frames, len(names)) for kind in kinds):
         raise InputError(f"repairs to draw must be (frames, {len(names)}) arrays with frames")
-    counts = np.sum([kind.where.sum(axis=0) for kind in kinds], axis=0)
-    order = [int(i) for i in np.argsort(-counts, kind="stable") if counts[i]][:MOST_ROWS]
-    head = HEAD_HEIGHT
-    height = head + max(len(order), 1) * _ROW_HEIGHT + 64
+    lanes = _lanes(names, kinds, least_frames)
+    height = HEAD_HEIGHT + (len(lanes) * _ROW_HEIGHT + 44 if lanes else 0)
     page = new_picture(_PAGE_WIDTH, height, PAGE)
-    inner = _PAGE_WIDTH - 2 * REPAIR_MARGIN
     y = draw_header(page, title, facts, margin=REPAIR_MARGIN)
-    _draw_key(page, kinds, y=y)
+    level, sentence = verdict
+    color = VERDICT_COLORS[level]
+    fill_box(page, 0, 0, 8, height, color)
+    style = TextStyle(size=18, color=color, weight="bold")
+    inner = _PAGE_WIDTH - 2 * REPAIR_MARGIN
+    draw_text(page, sentence, x=REPAIR_MARGIN, y=y - 4, style=style, max_width=inner)
+    if not lanes:
+        return page
+    _draw_key(page, kinds, y=y + _VERDICT_HEIGHT)
     left, width = REPAIR_MARGIN + MARKER_LABEL_WIDTH, inner - MARKER_LABEL_WIDTH
-    if not order:
-        draw_text(page, "nothing was repaired", x=REPAIR_MARGIN, y=head, style=_NOTE_STYLE)
     edges = np.unique(np.minimum(np.arange(width) * frames // width, frames - 1))
     columns = np.searchsorted(edges, np.arange(width) * frames // width, side="right") - 1
-    for row, marker in enumerate(order):
-        top = head + row * _ROW_HEIGHT
-        label = f"{names[marker]}  {int(counts[marker])}"
-        draw_text(
-            page,
-            label,
-            x=REPAIR_MARGIN,
-            y=top,
-            style=_LABEL_STYLE,
-            max_width=MARKER_LABEL_WIDTH - 8,
-        )
+    room = MARKER_LABEL_WIDTH - 8
+    for row, (label, markers) in enumerate(lanes):
+        top = HEAD_HEIGHT + row * _ROW_HEIGHT
+        draw_text(page, label, x=REPAIR_MARGIN, y=top, style=_LABEL_STYLE, max_width=room)
         fill_box(page, left, top + 1, width, _ROW_HEIGHT - 3, LANE)
         lane = page[top + 1 : top + _ROW_HEIGHT - 2, left : left + width]
         for kind in kinds:
-            touched = np.logical_or.reduceat(kind.where[:, marker], edges)[columns]
-            lane[:, touched] = kind.color
-    bottom = head + max(len(order), 1) * _ROW_HEIGHT + 4
+            where = kind.where[:, markers].any(axis=1)
+            lane[:, np.logical_or.reduceat(where, edges)[columns]] = kind.color
+    bottom = HEAD_HEIGHT + len(lanes) * _ROW_HEIGHT + 4
     draw_frame_axis(page, left, bottom, width, first_frame=first_frame, count=frames)
-    hidden = int((counts > 0).sum()) - len(order)
-    if hidden:
-        draw_text(
-            page,
-            f"and {pluralize(hidden, 'marker')} with fewer",
-            x=REPAIR_MARGIN,
-            y=bottom + 22,
-            style=_NOTE_STYLE,
-        )
     return page
+
+
+def _lanes(
+    names: Sequence[str], kinds: Sequence[RepairKind], least_frames: int
+) -> list[tuple[str, list[int]]]:
+    """Return the label and the markers of each lane."""
+    counts = np.sum([kind.where.sum(axis=0) for kind in kinds], axis=0)
+    order = [int(marker) for marker in np.argsort(-counts, kind="stable") if counts[marker]]
+    own = [
+        marker
+        for marker in order
+        if any(longest_run(kind.where[:, marker]) >= least_frames for kind in kinds)
+    ]
+    rest = [marker for marker in order if marker not in own]
+    lanes = [(f"{names[marker]}  {int(counts[marker])}", [marker]) for marker in own]
+    if rest:
+        lanes.append((f"{len(rest)} others  {int(counts[rest].sum())}", rest))
+    return lanes
 
 
 def _draw_key(page: ByteImage, kinds: Sequence[RepairKind], *, y: int) -> None:

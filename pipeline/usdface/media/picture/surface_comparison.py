@@ -13,6 +13,7 @@ from usdface.core.arrays import FloatArray
 from usdface.core.assets import RigMesh
 from usdface.media.face.camera import frame_face
 from usdface.media.face.render import FaceRenderer, Quality
+from usdface.media.picture.color import UNKEYED_RANGE_MM
 from usdface.media.picture.sheet import SheetRow, Tile
 
 
@@ -37,7 +38,7 @@ def draw_compared(
     near: FloatArray,
     yaw_degrees: float,
     size: int = 320,
-    high_mm: float = 1.0,
+    high_mm: float = UNKEYED_RANGE_MM,
     quality: Quality = "final",
 ) -> Iterator[SheetRow]:
     """Draw rows: a face for each way, and the last one's uncertainty as a heat map.
@@ -65,7 +66,12 @@ def draw_compared(
     room = 0.10 * float(np.ptp(near, axis=0).max())
     low, high = near.min(axis=0) - room, near.max(axis=0) + room
     shown = ((mesh.points >= low) & (mesh.points <= high)).all(axis=1).astype(np.float64)
-    camera = frame_face(mesh.points, weights=shown, yaw_degrees=yaw_degrees)
+    camera = frame_face(
+        np.concatenate([mesh.points, others]),
+        weights=np.concatenate([shown, np.zeros(len(others))]),
+        yaw_degrees=yaw_degrees,
+        hair=True,
+    )
     for each in frames:
         tiles = [
             Tile(

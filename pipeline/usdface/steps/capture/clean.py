@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from usdface.core.arrays import ByteImage, FloatArray
+from usdface.core.arrays import ByteImage, FloatArray, longest_run
 from usdface.core.assets import Markers, Take
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
@@ -12,6 +12,7 @@ from usdface.core.text import first_few, pluralize
 from usdface.media.charts.repair import RepairKind, draw_repairs
 from usdface.media.picture.image import write_image
 from usdface.model.placement.label_hints import label_hint, skin_motion_mm
+from usdface.model.review.verdict import OPENINGS
 from usdface.numerics.motion.noise import still_range_mm
 from usdface.numerics.repair.cleaning import CleanedMarkers, clean_markers
 from usdface.numerics.rigid.rigid_markers import find_rigid_markers
@@ -20,6 +21,12 @@ from usdface.runner.result import StepResult
 from usdface.specs.capture import CleanSpec
 from usdface.usdio.take.read import read_take
 from usdface.usdio.take.write import write_take
+
+_LANE_SECONDS = 0.05
+"""In the picture: markers of shorter repairs share a lane."""
+
+_GUESSED_SECONDS, _GUESSED_SHARE = 0.5, 0.25
+"""A gap as long as a word, and a share of the samples, from which on a take is part guess."""
 
 LONGEST_GAP_SECONDS = 2.0
 """What is filled by default: beyond, the other markers hardly tell what one did."""
@@ -260,6 +267,7 @@ def _picture(cleaned: CleanedMarkers, markers: Markers, take: Take) -> ByteImage
         markers.names,
         kinds,
         title=f"{take.name}: what was repaired",
+        verdict=_repair_verdict(cleaned, markers, take),
         facts=(
             f"frames {take.first_frame}-{take.first_frame + take.frame_count - 1}",
             f"{float(take.rate):g} fps",
@@ -267,7 +275,30 @@ def _picture(cleaned: CleanedMarkers, markers: Markers, take: Take) -> ByteImage
             f"noise {cleaned.noise_mm:.2f} mm",
         ),
         first_frame=take.first_frame,
+        least_frames=max(int(_LANE_SECONDS * take.rate), 2),
     )
+
+
+def _repair_verdict(cleaned: CleanedMarkers, markers: Markers, take: Take) -> tuple[str, str]:
+    """Return the level and the sentence: how much of the take is not as it was captured."""
+    filled, left = cleaned.filled | cleaned.outliers, ~cleaned.visible
+    made = float((filled | left).mean())
+    if not made and not cleaned.swaps:
+        return "good", f"{OPENINGS['good']}: nothing had to be repaired"
+    gaps = [longest_run(column) for column in (filled | left).T]
+    widest = int(np.argmax(gaps))
+    seconds = gaps[widest] / float(take.rate)
+    words = [f"{made:.1%} of the samples were missing or wrong"]
+    if seconds:
+        words.append(f"the longest gap is {seconds:.2g} s, of {markers.names[widest]}")
+    if cleaned.swaps:
+        words.append(f"{pluralize(len(cleaned.swaps), 'swap')} of labels undone")
+    if left.any():
+        words.append(f"{left.mean():.1%} left missing")
+    level = "good" if seconds <= _GUESSED_SECONDS and not left.any() else "check"
+    if made > _GUESSED_SHARE:
+        level = "bad"
+    return level, f"{OPENINGS[level]}: {'; '.join(words)}"
 
 
 def _summary(cleaned: CleanedMarkers, take: Take) -> str:

@@ -11,12 +11,14 @@ from usdface.core.sidecars import binding_layers, corrected_path, proposed_path
 from usdface.core.text import first_few, pluralize
 from usdface.media.picture.binding_picture import BoundMarkers, draw_binding
 from usdface.media.picture.image import write_image
+from usdface.model.review.verdict import OPENINGS
 from usdface.model.surface.binding import DOUBTFUL_CONFIDENCE, facing_yaw
 from usdface.numerics.registration.marker_binding import MarkerBinding
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.surface import BindSpec
 from usdface.steps.inputs.cleaned_takes import bound_take_notes
+from usdface.steps.surface.picture import still_meshes
 from usdface.steps.surface.plan import TakeSample, bind_take, landmark_places, sample_take
 from usdface.usdio.rig.mesh import FaceMesh, read_face_mesh
 from usdface.usdio.surface.binding import has_binding, read_binding, write_binding
@@ -55,7 +57,7 @@ def run(spec: BindSpec, *, provenance: Provenance, progress: Progress = silent) 
         write_image(
             spec.picture,
             draw_binding(
-                [face.mesh],
+                [face.mesh, *still_meshes(face)],
                 BoundMarkers(
                     binding.names,
                     at,
@@ -63,6 +65,7 @@ def run(spec: BindSpec, *, provenance: Provenance, progress: Progress = silent) 
                     np.array([source != "proposed" for source in binding.sources]),
                 ),
                 title=f"{TakeReader(spec.take).name} on {spec.mesh.stem}",
+                verdict=_verdict(binding),
                 facts=_facts(binding),
                 yaw_degrees=facing_yaw(face.mesh, at),
                 quality=spec.quality,
@@ -93,16 +96,33 @@ def _corrections(
 
 
 def _doubts(binding: MarkerBinding) -> tuple[str, ...]:
-    return tuple(f"{c:.2f}" if c < DOUBTFUL_CONFIDENCE else "" for c in binding.confidence)
+    return tuple(f"{c:.0%}" if c < DOUBTFUL_CONFIDENCE else "" for c in binding.confidence)
+
+
+def _verdict(binding: MarkerBinding) -> tuple[str, str]:
+    """Return the level and the sentence: which markers somebody should look at."""
+    doubtful = [binding.names[index] for index in _doubtful(binding)]
+    count = len(binding.names)
+    if not doubtful:
+        return "good", f"{OPENINGS['good']}: all {count} markers lie where their neighbours say"
+    level = "bad" if len(doubtful) > _SUSPECT_SHARE * count else "check"
+    return level, (
+        f"{OPENINGS[level]}: {len(doubtful)} of {count} markers may lie elsewhere (beside them: "
+        f"how sure): {first_few(doubtful)}"
+    )
+
+
+def _doubtful(binding: MarkerBinding) -> list[int]:
+    """Return the markers in doubt, the most doubtful first."""
+    order = np.argsort(binding.confidence).tolist()
+    return [index for index in order if binding.confidence[index] < DOUBTFUL_CONFIDENCE]
 
 
 def _facts(binding: MarkerBinding) -> tuple[str, ...]:
-    doubtful = int((binding.confidence < DOUBTFUL_CONFIDENCE).sum())
     placed = sum(source != "proposed" for source in binding.sources)
     return (
         f"{len(binding.names)} markers",
         f"{placed} placed by a person",
-        f"{doubtful} doubtful",
         f"median {np.median(binding.distance_mm):.1f} mm from the performer's proportions",
     )
 
@@ -110,11 +130,7 @@ def _facts(binding: MarkerBinding) -> tuple[str, ...]:
 def _report(
     spec: BindSpec, binding: MarkerBinding, face: FaceMesh, left_out: tuple[str, ...]
 ) -> StepResult:
-    doubtful = [
-        binding.names[index]
-        for index in np.argsort(binding.confidence).tolist()
-        if binding.confidence[index] < DOUBTFUL_CONFIDENCE
-    ]
+    doubtful = [binding.names[index] for index in _doubtful(binding)]
     notes = []
     if doubtful:
         notes.append(

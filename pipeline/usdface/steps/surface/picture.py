@@ -14,6 +14,7 @@ from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.rates import shift_timecode
 from usdface.media.face.render import Quality
+from usdface.media.picture.color import UNKEYED_RANGE_MM
 from usdface.media.picture.image import write_image
 from usdface.media.picture.sheet import SheetPage, compose_sheet
 from usdface.media.picture.surface_comparison import ComparedFrame, draw_compared
@@ -25,7 +26,7 @@ from usdface.numerics.regression.reference_design import pivoted_selection
 from usdface.runner.origin import provenance_metadata
 from usdface.specs.surface import DeformSpec, MakeShapesSpec
 from usdface.steps.surface.plan import SurfacePlan, fit_surface, surface_options
-from usdface.usdio.rig.mesh import read_face_mesh
+from usdface.usdio.rig.mesh import FaceMesh, read_face_mesh
 from usdface.usdio.surface.shape_rig import NewShape
 from usdface.usdio.take.read import TakeReader
 
@@ -35,9 +36,7 @@ _NO_NOISE = HyperPrior(medians=(9.0, 1e-6, 4.0, 1.0), spread=(1.5, 0.05, 1.5, 1.
 _MOVING_SHARE = 0.15
 """Of the largest motion [0-1]: markers that move less need not be in the picture."""
 
-_YAW_DEGREES = 18.0
-"""A little from the side, where lips and lids show their depth."""
-
+_RESULT = "this result"
 _SD_NOTE = "standard deviation of each point, and its root mean square"
 _FOLD_NOTES = {
     True: "points inside of lips and lids follow their own side, in all but the Euclidean column",
@@ -87,7 +86,11 @@ def write_comparison(
             f"left-out markers {plan.model.diagnostics.left_out_rms_mm:.2f} mm",
             *((f"markers shaken by {spec.picture_noise:g} mm",) if spec.picture_noise else ()),
         ),
-        notes=(*(() if sds is None else (_SD_NOTE,)), _FOLD_NOTES[spec.folds]),
+        notes=(
+            f"{', '.join(columns[2:])}: both distances blended, geodesic {plan.model.blend:.0%}",
+            *(() if sds is None else (_SD_NOTE,)),
+            _FOLD_NOTES[spec.folds],
+        ),
     )
     _write(spec.picture, plan, compared, page, quality=spec.quality, provenance=provenance)
 
@@ -102,13 +105,12 @@ def _compared_models(
         return fit_surface(spec, plan.distances, moved, of)
 
     alone = fit(replace(options, blend=0.0)), fit(replace(options, blend=1.0))
-    label = f"blended {plan.model.blend:.2f}"
     if spec.method == "rbf":
-        return ("Euclidean", "geodesic", f"{label}: this result"), (*alone, plan.model)
+        return ("Euclidean", "geodesic", _RESULT), (*alone, plan.model)
     result = plan.model
     if spec.picture_noise:  # the model must be fitted to the noise to smooth it
         result = fit(replace(options, sampler=spec.sampler))
-    columns = ("Euclidean", "geodesic", f"{label}, noise kept", "smoothed: this result")
+    columns = ("Euclidean", "geodesic", "unsmoothed", _RESULT)
     return columns, (*alone, fit(replace(options, prior=_NO_NOISE)), result)
 
 
@@ -150,27 +152,25 @@ def _write(
     provenance: Provenance,
 ) -> None:
     at = plan.places.positions(plan.face.mesh.points)
-    sds = [each.uncertainty_mm for each in compared if each.uncertainty_mm is not None]
-    high = _round_up(float(np.percentile(np.stack(sds), 95))) if sds else 1.0
     rows = draw_compared(
         plan.face.mesh,
         compared,
-        still=_still_meshes(plan),
+        still=still_meshes(plan.face),
         near=at[_moving(plan)],
-        yaw_degrees=facing_yaw(plan.face.mesh, at) + _YAW_DEGREES,
-        high_mm=high,
+        yaw_degrees=facing_yaw(plan.face.mesh, at),
         quality=quality,
     )
     metadata = provenance_metadata(provenance)
-    write_image(path, compose_sheet(replace(page, rows=tuple(rows), high=high)), metadata=metadata)
+    page = replace(page, rows=tuple(rows), high=UNKEYED_RANGE_MM)
+    write_image(path, compose_sheet(page), metadata=metadata)
 
 
-def _still_meshes(plan: SurfacePlan) -> list[RigMesh]:
+def still_meshes(face: FaceMesh) -> list[RigMesh]:
     """Read the file's other meshes; a picture does without one that cannot be drawn."""
     found = []
-    for path in plan.face.others:
+    for path in face.others:
         with contextlib.suppress(InputError):
-            found.append(read_face_mesh(plan.face.file, prim=path).mesh)
+            found.append(read_face_mesh(face.file, prim=path).mesh)
     return found
 
 
@@ -179,11 +179,6 @@ def _moving(plan: SurfacePlan) -> BoolArray:
     moved = plan.displacements(plan.sample.positions)
     far = np.linalg.norm(moved, axis=2).max(axis=0)
     return np.asarray(far >= _MOVING_SHARE * far.max(), np.bool_)
-
-
-def _round_up(value: float) -> float:
-    power = 10.0 ** np.floor(np.log10(max(value, 1e-3)))
-    return float(next(step * power for step in (1, 2, 3, 5, 10) if step * power >= value))
 
 
 def _timecode(take: TakeReader, frame: int) -> str:
