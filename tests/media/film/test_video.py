@@ -268,3 +268,16 @@ def test_movie_that_cannot_be_written_says_why(tmp_path: Path, change: dict, mes
     with pytest.raises(InputError, match=message):
         write_movie(path, arguments.pop("frames"), **arguments)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_proxy_encodes_a_picture_that_stays_once_and_lasts_to_its_end(tmp_path: Path) -> None:
+    numbered = [draw_number(number) for number in range(4)]
+    shown = [0] * 5 + [1] * 4 + [2] + [3] * 6
+    path = tmp_path / "proxy.mp4"
+    rate = Fraction(120000, 1001)
+    write_movie(path, (numbered[number] for number in shown), rate=rate, proxy=True)
+    with VideoReader(path) as video:
+        assert len(video.times) == 5  # and the last once more, for its end
+        assert video.duration == pytest.approx(len(shown) / float(rate), abs=1e-4)
+        seen = [read_number(video.frame_at((at + 0.5) / float(rate))) for at in range(len(shown))]
+    assert seen == shown

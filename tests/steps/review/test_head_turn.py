@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.steps.review.test_report import give_video
+from tests.browser import chromium
+from tests.steps.review.test_report import give_video, open_page
 from tests.steps.small_shot import Shot
 from usdface.core.assets import Take, WeightsClip
 from usdface.demo.acting import performance
@@ -122,3 +123,53 @@ def test_a_phones_channels_turn_it_without_markers(shot: Shot, channel: str) -> 
     assert motion is not None
     forward = motion.transforms(60)[0, :3, :3] @ np.array([0.0, 0.0, 1.0])
     assert np.arctan2(abs(forward[0]), forward[2]) == pytest.approx(0.5, abs=1e-5)
+
+
+def test_markers_of_the_report_turn_with_the_head(shot: Shot) -> None:
+    give_video(shot)
+    frames = f"{TURNED - 5}-{TURNED + 5}"
+    out = shot / "turned.html"
+    given = {"performance": shot / "shot.hero.usda", "frames": frames, "baseline": False}
+    execute(ReportSpec(**given, out=out, height=120))
+    opened = turned_as_video(open_shot(shot / "shot.hero.usda"), "auto")
+    assert opened.motion is not None
+    turn = opened.motion.transforms(TURNED)[0]
+    faults: list[str] = []
+    with chromium() as browser:
+        page = open_page(browser, out, faults)
+        page.evaluate("report.show(5)")
+        seen = {}
+        page.click("#markers")
+        for head in (True, False):
+            page.set_checked("#head", head)
+            marks = {
+                name: page.evaluate(f"Array.from(report.viewer.marks.{name})")
+                for name in ("points", "targets")
+            }
+            skin = page.evaluate("(report.viewer.draw(), Array.from(report.viewer.face.positions))")
+            seen[head] = {
+                name: np.array(values, np.float64).reshape(-1, 3)
+                for name, values in {**marks, "skin": skin}.items()
+            }
+        page.close()
+    assert not faults
+    for name, still in seen[False].items():
+        turned = still @ turn[:3, :3].T + turn[:3, 3]
+        np.testing.assert_allclose(seen[True][name], turned, atol=0.02)
+        assert np.nanmax(np.abs(turned - still)) > 5
+
+
+def test_a_page_with_moving_joints_says_that_markers_hold_the_head_still(shot: Shot) -> None:
+    give_video(shot)
+    out = shot / "turned.html"
+    execute(ReportSpec(performance=shot / "shot.hero.usda", out=out, frames="1-9", baseline=False))
+    text = out.read_text(encoding="utf-8")
+    assert '"movesAsOne":true' in text
+    out.write_text(text.replace('"movesAsOne":true', '"movesAsOne":false'), encoding="utf-8")
+    with chromium() as browser:
+        page = open_page(browser, out, [])
+        assert page.is_enabled("#head")
+        page.click("#markers")
+        assert page.is_disabled("#head")
+        assert page.evaluate("report.viewer.face.carried") is None
+        page.close()

@@ -2,6 +2,7 @@
 
 import html
 import json
+import math
 import re
 from fractions import Fraction
 from itertools import pairwise
@@ -27,6 +28,8 @@ from usdface.model.review.verdict import OPENINGS
 from usdface.runner.execute import execute
 from usdface.specs.review import EvaluateSpec, ReportSpec
 from usdface.steps.review import report as review_page
+from usdface.steps.review.pictures import ShotPictures
+from usdface.steps.review.shot import open_shot
 from usdface.usdio.performance.read import PerformanceReader
 
 EARLY_PICTURES = 5
@@ -40,17 +43,24 @@ def spec_of(shot: Shot, **options: object) -> ReportSpec:
     )
 
 
-def give_video(shot: Shot, *, pictures: int = 120) -> None:
+def give_video(
+    shot: Shot,
+    *,
+    pictures: int = 120,
+    rate: Fraction = Fraction(25),
+    offset: float = -EARLY_PICTURES / 25,
+    drift: float = 0.0,
+) -> None:
     """Give the take a movie whose pictures carry their numbers, begun a little before it."""
-    rate = Fraction(25)
     write_numbered(shot / "camera.mp4", list(range(pictures)), base=1 / rate, rate=rate)
     layer = Sdf.Layer.FindOrOpen(str(shot / "shot.clean.take.usda"))
     prim = layer.GetPrimAtPath("/Take")
     video = Sdf.AttributeSpec(prim, "face:video:file", Sdf.ValueTypeNames.Asset)
     video.default = Sdf.AssetPath("./camera.mp4")
-    Sdf.AttributeSpec(prim, "face:video:rate", Sdf.ValueTypeNames.Double).default = 25.0
-    offset = Sdf.AttributeSpec(prim, "face:video:offset", Sdf.ValueTypeNames.Double)
-    offset.default = -EARLY_PICTURES / 25
+    Sdf.AttributeSpec(prim, "face:video:rate", Sdf.ValueTypeNames.Double).default = float(rate)
+    for name, value in (("offset", offset), ("drift", drift)):
+        kind = Sdf.ValueTypeNames.Double
+        Sdf.AttributeSpec(prim, f"face:video:{name}", kind).default = value
     layer.Save()
 
 
@@ -72,13 +82,20 @@ def check_request(url: str, faults: list[str]) -> None:
         faults.append(f"asked for {url}")
 
 
-def test_each_of_fifty_seeks_shows_the_pictures_and_weights_of_its_frame(shot: Shot) -> None:
-    give_video(shot)
+@pytest.mark.parametrize(
+    ("rate", "offset", "drift"),
+    [(Fraction(25), -EARLY_PICTURES / 25, 0.0), (Fraction(30000, 1001), -0.411, 900.0)],
+)
+def test_each_of_fifty_seeks_shows_the_sheets_picture_and_the_weights_of_its_frame(
+    shot: Shot, rate: Fraction, offset: float, drift: float
+) -> None:
+    give_video(shot, rate=rate, offset=offset, drift=drift, pictures=150)
     execute(spec_of(shot))
     reader = PerformanceReader(shot / "shot.hero.usda")
     weights = reader.edited()
     faults: list[str] = []
-    with chromium() as browser:
+    whole = open_shot(shot / "shot.hero.usda", shot / "shot.clean.take.usda")
+    with chromium() as browser, ShotPictures(whole, height=180, quality="draft") as sheet:
         page = open_page(browser, shot / "shot.html", faults)
         names = page.evaluate("report.viewer.face.names")
         order = [reader.names.index(name) for name in names]
@@ -86,9 +103,9 @@ def test_each_of_fifty_seeks_shows_the_pictures_and_weights_of_its_frame(shot: S
         for frame in rng.permutation(470)[:50].tolist():
             got = page.evaluate(SEEK, frame)
             # Every frame of the take, each with the video's picture of its time.
-            assert read_number(np.array(got["pixels"]).reshape(1, -1, 4)[[0] * 41]) == (
-                int((frame + 0.5) / 120 * 25) + EARLY_PICTURES
-            )
+            seen = read_number(np.array(got["pixels"]).reshape(1, -1, 4)[[0] * 41])
+            assert seen == math.floor(((frame / 120 - offset) / (1 + drift * 1e-6)) * rate + 1e-6)
+            assert seen == read_number(sheet.video(reader.first_frame + frame).pixels)
             assert got["frame"] == reader.first_frame + frame
             np.testing.assert_allclose(
                 got["weights"], weights[frame][order], atol=0.51 / WEIGHT_STEPS

@@ -72,12 +72,21 @@ class ImageSequence:
     ) -> None:
         """Pictures are opened one by one: nothing is held."""
 
-    def frame_at(self, seconds: float) -> ByteImage | None:
-        """Return the picture on screen at a time, None before and after the sequence."""
+    def index_at(self, seconds: float) -> int | None:
+        """Return which picture is on screen at a time, None before and after the sequence."""
         moment = seconds + 1e-6
         if not self.times[0] <= moment < self.duration:
             return None
-        return self._read(self._files[int(np.searchsorted(self.times, moment, side="right")) - 1])
+        return int(np.searchsorted(self.times, moment, side="right")) - 1
+
+    def frame_at(self, seconds: float) -> ByteImage | None:
+        """Return the picture on screen at a time, None before and after the sequence."""
+        index = self.index_at(seconds)
+        return None if index is None else self.frame(index)
+
+    def frame(self, index: int) -> ByteImage:
+        """Return one picture by its index."""
+        return self._read(self._files[index])
 
     def _read(self, path: Path) -> ByteImage:
         check_may_open(path)

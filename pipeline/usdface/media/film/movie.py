@@ -71,7 +71,8 @@ def write_movie(
     comment : str
         Kept in the file; see `read_movie_comment`.
     proxy : bool
-        A third of the size, for a page: every fifteenth picture is a key frame.
+        A third of the size, for a page: every fifteenth picture is a key frame, and a picture that
+        is given again, the same array, stays on screen instead of being encoded again.
 
     Raises
     ------
@@ -103,7 +104,7 @@ def write_movie(
                     rate=Fraction(rate),
                     audio=audio,
                     sample_rate=sample_rate,
-                    options=_PROXY_OPTIONS if proxy else _OPTIONS,
+                    proxy=proxy,
                 )
         except (av.error.FFmpegError, OSError) as error:
             raise InputError(f"{file}: the movie cannot be encoded ({error})") from error
@@ -146,9 +147,10 @@ def _encode(
     rate: Fraction,
     audio: Float32Array | None,
     sample_rate: int,
-    options: Mapping[str, dict[str, str]],
+    proxy: bool,
 ) -> None:
     encoder = video_encoder(container.format.name)
+    options: Mapping[str, dict[str, str]] = _PROXY_OPTIONS if proxy else _OPTIONS
     video = container.add_stream(encoder, rate=rate, options=options.get(encoder, options["other"]))
     video.height, video.width = size
     video.pix_fmt = "yuv420p"
@@ -159,7 +161,7 @@ def _encode(
     context.color_primaries = context.color_trc = context.colorspace = _BT709_CODE
     context.color_range = 1  # limited, as broadcast and every player expect
     sound = None if audio is None else SoundTrack(container, audio, sample_rate)
-    for number, picture in enumerate(pictures):
+    for number, picture in _changes(pictures) if proxy else enumerate(pictures):
         padded = _padded(picture, size)
         frame = av.VideoFrame.from_ndarray(padded, format="rgb24")
         frame = frame.reformat(format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG")
@@ -170,6 +172,19 @@ def _encode(
     container.mux(video.encode())
     if sound is not None:
         sound.finish()
+
+
+def _changes(pictures: Iterator[ByteImage]) -> Iterator[tuple[int, ByteImage]]:
+    """Return the pictures that differ from the one before, numbered; and the last, for its end."""
+    shown: ByteImage | None = None
+    number, held = -1, False
+    for number, picture in enumerate(pictures):
+        held = picture is shown
+        if not held:
+            shown = picture
+            yield number, picture
+    if held and shown is not None:
+        yield number, shown
 
 
 def _even_size(picture: ByteImage) -> tuple[int, int]:

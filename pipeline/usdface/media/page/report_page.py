@@ -187,6 +187,8 @@ class ReviewPage:
     carried: FloatArray | None = None
     """(pictures, parts, 3, 4): where joints and Xforms take the face, by the parts of `face` [mm];
     None where none moves."""
+    moves_as_one: bool = False
+    """Whether one part carries the whole face, and so the markers on it."""
     heat: PageHeat | None = None
     """Without it nothing is painted."""
     gaze: tuple[str, ...] = ()
@@ -251,6 +253,7 @@ def _data(page: ReviewPage) -> Mapping[str, Any]:
         "gaze": list(page.gaze),
         "markers": _markers(page.markers),
         "carried": page.carried is not None,
+        "movesAsOne": page.moves_as_one,
         "performance": page.notes.performance,
         "take": page.notes.take,
         "version": page.notes.version,

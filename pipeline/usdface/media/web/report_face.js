@@ -17,7 +17,8 @@ class PlacedMarkers {
     this.colors = new Float32Array(this.size).map((_, i) => SEEN[i % 3]);
   }
 
-  overlay(weights, picture) {
+  /** What FaceViewer.setMarkers takes; `carried` is where the head is, three rows of four numbers. */
+  overlay(weights, picture, carried) {
     const { points, targets, motion, keyDeltas, size } = this;
     targets.set(this.rest);
     this.face.weigh(weights, this.shares).forEach((share, key) => {
@@ -28,7 +29,16 @@ class PlacedMarkers {
       points[i] = step === MISSING ? NaN : this.rest[i] + step / this.steps;
       if (step === MISSING) targets[i] = NaN; // a line to nowhere
     }
+    if (carried) for (const each of [points, targets]) carry(each, carried);
     return { points, targets, colors: this.colors, names: this.names, diameter: 6 };
+  }
+}
+
+/** Take points, x y z each, along with a part that moves, in place. */
+function carry(points, [a, b, c, x, d, e, f, y, g, h, i, z]) {
+  for (let p = 0; p < points.length; p += 3) {
+    const [u, v, w] = points.subarray(p, p + 3);
+    points.set([a * u + b * v + c * w + x, d * u + e * v + f * w + y, g * u + h * v + i * w + z], p);
   }
 }
 
@@ -61,18 +71,24 @@ export class Stage {
     this.picture = picture;
     const { viewer } = this;
     const weights = this.weightsAt(this.curve, picture);
-    viewer.face.carry(this.#carriedAt(picture));
+    const carried = this.#carriedAt(picture);
+    viewer.face.carry(carried);
     viewer.setWeights(weights);
     const other = this.other === null ? null : this.weightsAt(this.other, picture);
     const how = byId("how").value;
     viewer.compare(other && how !== "difference" ? { weights: other, how, share: byId("share").valueAsNumber } : null);
-    viewer.setMarkers(byId("markers").checked && this.markers ? this.markers.overlay(weights, picture) : null);
+    viewer.setMarkers(this.#marked ? this.markers.overlay(weights, picture, carried) : null);
     this.#paint(weights, other, how);
   }
 
-  /** Where the head is; markers are without its motion, so it is held still beside them. */
+  get #marked() {
+    return this.markers !== null && byId("markers").checked;
+  }
+
+  /** Where the head is. Markers go with a head that moves as one; beside joints it is held still. */
   #carriedAt(picture) {
-    if (!this.carried || !byId("head").checked || (this.markers && byId("markers").checked)) return null;
+    byId("head").disabled = this.#marked && !data.movesAsOne;
+    if (!this.carried || !byId("head").checked || byId("head").disabled) return null;
     const size = this.carried.length / count;
     return this.carried.subarray(picture * size, (picture + 1) * size);
   }

@@ -1,7 +1,6 @@
 """The report: one page with the face, the video, curves and what to know of a performance."""
 
 from collections.abc import Iterator
-from contextlib import ExitStack
 
 import numpy as np
 
@@ -28,7 +27,7 @@ from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.review import ReportSpec
 from usdface.steps.inputs.phone_labels import labels_at
-from usdface.steps.review.clock import SAMPLE_RATE, MovieClock, movie_rate, take_sound
+from usdface.steps.review.clock import SAMPLE_RATE, MovieClock, take_sound
 from usdface.steps.review.head_turn import turned_as_video
 from usdface.steps.review.report_parts import (
     page_commands,
@@ -90,8 +89,9 @@ def run(spec: ReportSpec, *, provenance: Provenance, progress: Progress = silent
 
 
 def _clock(spec: ReportSpec, shot: Shot) -> MovieClock:
+    # A picture for each frame of the take: the page's video then changes where the sheet's does.
     clock = MovieClock(
-        rate=movie_rate(shot.take),
+        rate=shot.take.rate,
         take_rate=shot.take.rate,
         first_frame=int(shot.frames[0]),
         frame_count=len(shot.frames),
@@ -153,6 +153,7 @@ def _page(
             shares=None if shot.motion is None else shot.motion.shares,
         ),
         carried=page_motion(shot),
+        moves_as_one=shot.motion is not None and shot.motion.moves_as_one,
         movie=movie,
         movie_type=_movie_kind()[1],
         pictures=pictures,
@@ -211,31 +212,32 @@ def _movie(
 def _camera_pictures(
     spec: ReportSpec, shot: Shot, clock: MovieClock, progress: Progress
 ) -> Iterator[ByteImage]:
+    """Yield the video's picture at each frame of the take: the same array while it stays."""
     take = shot.take
     if take.video is None:
         raise InputError(f"{take.name}: has no video")
-    start = (clock.first_frame - take.first_frame) / float(take.rate)
-    with ExitStack() as open_files:
-        video = open_video(take.video.file, take.video.rate)
-        open_files.enter_context(video)
-        width = 0
-        for picture in range(clock.picture_count):
+    width = shown = tile = None
+    with open_video(take.video.file, take.video.rate) as video:
+        for picture, frame in enumerate(shot.frames.tolist()):
             if picture % 60 == 0:
                 progress(picture / clock.picture_count, f"video picture {picture}")
-            seconds = start + picture / float(clock.rate)
-            at = take.video.video_time(seconds)
-            missing = "no video here"
-            try:
-                pixels = video.frame_at(at)
-            except InputError:
-                pixels, missing = None, "cannot be decoded"
-            if not width:
+            seconds = (frame - take.first_frame) / float(take.rate)
+            index = video.index_at(take.video.video_time(seconds))
+            if tile is None or index != shown:
+                pixels, missing = None, "no video here"
+                try:
+                    pixels = None if index is None else video.frame(index)
+                except InputError:
+                    missing = "cannot be decoded"
                 aspect = 16 / 9 if pixels is None else pixels.shape[1] / pixels.shape[0]
-                width = round(spec.height * aspect / 2) * 2
-            if pixels is None:
-                yield empty_tile(width, spec.height, missing)
-            else:
-                yield fit_picture(pixels, width=width, height=spec.height)
+                width = width or round(spec.height * aspect / 2) * 2
+                shown = index
+                tile = (
+                    empty_tile(width, spec.height, missing)
+                    if pixels is None
+                    else fit_picture(pixels, width=width, height=spec.height)
+                )
+            yield tile
 
 
 def _sheet(spec: ReportSpec) -> tuple[PagePicture, ...]:
