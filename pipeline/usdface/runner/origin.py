@@ -1,6 +1,7 @@
 """Provenance of files: made from a spec, read back, and the files that it names found again."""
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,9 @@ from usdface.specs.base import Spec
 from usdface.specs.paths import IMAGE_SUFFIXES, Reads, Writes
 from usdface.specs.review import MOVIE_SUFFIXES, PAGE_SUFFIXES
 from usdface.usdio.layers import is_layer_name, read_provenance
+from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.referenced_files import dependencies, referenced_files
-from usdface.usdio.take.read import is_take
+from usdface.usdio.take.read import TakeReader, is_take
 
 LARGEST_FIGURES_BYTES = 64 << 20
 
@@ -191,20 +193,58 @@ def find_take(performance: Path, given: Path | None) -> Path:
     InputError
         If it is not known where the take is, or another is given.
     """
-    made, own = provenance_of(performance), take_of_performance(performance)
+    own = take_of_performance(performance)
     if given is None:
         if own is None:
             raise InputError(f"{performance}: does not say which take it is of; give it by --take")
         if not own.is_file():
             raise InputError(f"{performance}: its take, {own}, is gone; say where by --take")
         return own
-    same_name = own is None or own.name == given.name
-    if same_name or made is None or hash_input(given) in made.inputs.values():
+    if own is None or _was_read(own, given, performance):
         return given
     raise InputError(
         f"{given}: not the take of {performance.name}, which was mapped from {own}; leave out "
         "--take, or map this take first"
     )
+
+
+def _was_read(own: Path, given: Path, performance: Path) -> bool:
+    """Whether a take is the one of a performance, `own`, by name or by content."""
+    made = provenance_of(performance)
+    return own.name == given.name or made is None or hash_input(given) in made.inputs.values()
+
+
+def check_same_take(performance: Path, take: Path | None, others: Sequence[Path]) -> None:
+    """Refuse performances to show beside one that are of another take than it.
+
+    Takes are compared by the names they carry; one whose file is gone, or is no USD, as by
+    `find_take`. A performance that names none may be of any take at its rate.
+
+    Parameters
+    ----------
+    take : Path or None
+        Of the performance; None leaves it to the provenance.
+    """
+    rate, own = PerformanceReader(performance).rate, take or take_of_performance(performance)
+    for other in others:
+        theirs, at = take_of_performance(other), PerformanceReader(other).rate
+        of_them = f"{other}: is of another take than {performance.name}"
+        if at != rate:
+            raise InputError(
+                f"{of_them}: it has {float(at):g} frames per second, not {float(rate):g}; leave "
+                "it out of --also"
+            )
+        if own is not None and theirs is not None and not _one_take(own, theirs, other):
+            raise InputError(
+                f"{of_them}: of {theirs}, not of {own}; leave it out of --also, which takes "
+                "performances of one take"
+            )
+
+
+def _one_take(own: Path, theirs: Path, other: Path) -> bool:
+    if all(take.is_file() and is_usd_name(take) and is_take(take) for take in (own, theirs)):
+        return TakeReader(own).name == TakeReader(theirs).name
+    return own.name == theirs.name or (own.is_file() and _was_read(theirs, own, other))
 
 
 def take_of_performance(performance: Path) -> Path | None:

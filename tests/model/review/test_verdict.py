@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from usdface.core.assets import SolveBasis
-from usdface.model.review.verdict import SEEN_MM, SolveEvidence, judge_solve
+from usdface.model.review.verdict import SEEN_MM, SolveEvidence, judge_solve, worst_verdict
 
 REGIONS = ("face", "brows", "mouth")
 TUNED, PROPOSED = SolveBasis(50, 50), SolveBasis(30, 0, ("brows",))
@@ -103,3 +103,12 @@ def test_nothing_known_is_not_good() -> None:
 def test_an_earlier_version_knew_the_face_alone() -> None:
     found = SolveEvidence(REGIONS, uncertainty_mm=np.full((100, 1), 2.0))
     assert judge_solve(found).level == "bad"
+
+
+def test_of_several_solves_the_worst_is_the_verdict_and_names_whose() -> None:
+    good, bad = judge_solve(evidence()), judge_solve(evidence(coverage=0.1))
+    worst = worst_verdict({"solve": good, "dog": bad, "cat": good})
+    assert worst.level == "bad"
+    assert worst.sentence.startswith("Do not use (dog): references cover 0% of the frames")
+    assert (worst.advice, worst.figures["of"]) == (bad.advice, "dog")
+    assert worst_verdict({"solve": good}) == good

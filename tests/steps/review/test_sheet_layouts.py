@@ -18,7 +18,8 @@ from usdface.media.picture.image import read_image_metadata
 from usdface.media.picture.sheet import Tile
 from usdface.model.review.verdict import OPENINGS
 from usdface.runner.execute import execute
-from usdface.specs.review import SheetSpec
+from usdface.specs.edits import EditSpec
+from usdface.specs.review import ReportSpec, SheetSpec
 from usdface.speech.phones import viseme_label, viseme_of
 from usdface.steps.review import sheet as sheet_step
 from usdface.steps.review import sheet_columns
@@ -78,6 +79,48 @@ def test_several_characters_stand_side_by_side(shot: Shot, monkeypatch) -> None:
     also = (second_performance(shot),)
     columns = columns_of(shot, monkeypatch, layout="characters", also=also)
     assert columns == ("markers", "solve", "other")
+
+
+def test_the_verdict_is_that_of_the_worst_character(shot: Shot, monkeypatch) -> None:
+    other = second_performance(shot)
+    execute(EditSpec(performance=other, shape=("jawOpen",), add=0.9))
+    pages = []
+    compose = sheet_step.compose_sheet
+    monkeypatch.setattr(
+        sheet_step, "compose_sheet", lambda page: (pages.append(page), compose(page))[1]
+    )
+    given = {"also": (other,), "against": shot / "keys.csv", "layout": "characters"}
+    told = execute(spec_of(shot, **given))
+    assert pages[0].verdict[0] == told.level == "bad"
+    assert told.summary.startswith(pages[0].verdict[1])
+    assert pages[0].verdict[1].startswith("Do not use (other): ")
+    assert pages[0].verdict[-1].startswith("solve: Good")
+    assert told.figures["verdicts"] == {"usdface": "good", "other": "bad"}
+
+
+def test_a_performance_of_another_take_is_not_shown_beside_one(shot: Shot) -> None:
+    other, take = second_performance(shot), (shot / "shot.clean.take.usda")
+    both = {"performance": shot / "shot.hero.usda", "also": (other,)}
+    sheet = SheetSpec(**both, out=shot / "x.png", layout="characters", tile=64, rows=1)
+    report = ReportSpec(**both, out=shot / "x.html", frames="1-24")
+    text = other.read_text(encoding="utf-8")
+    another = take.read_text(encoding="utf-8").replace('face:take = "shot', 'face:take = "nose')
+    assert another.count("nose") == 1
+    for name, content in (
+        ("again.take.usda", take.read_text(encoding="utf-8")),  # the same take, cleaned again
+        ("nose.take.usda", another),
+    ):
+        (shot / name).write_text(content, encoding="utf-8")
+        other.write_text(text.replace(take.name, name), encoding="utf-8")
+        for spec in (sheet, report):
+            if name == "again.take.usda":
+                execute(spec, overwrite=True)
+                continue
+            with pytest.raises(InputError, match=r"other.usda: is of another take than shot.hero"):
+                execute(spec, overwrite=True)
+    other.write_text(text.replace("timeCodesPerSecond = 120", "timeCodesPerSecond = 60"))
+    with pytest.raises(InputError, match="it has 60 frames per second, not 120"):
+        execute(sheet, overwrite=True)
 
 
 def test_every_performance_of_a_face_is_judged_by_the_truth_and_another_face_says_how(

@@ -14,7 +14,7 @@ other because neither knows all: a solve far from its references errs in ways th
 showed.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -38,6 +38,7 @@ _BAD_SHARE = 0.5
 """Of the frames: with more, a take is more work to mend than to map again."""
 
 OPENINGS = {"good": "Good", "check": "Check", "bad": "Do not use"}
+"""The best level first."""
 
 
 @dataclass(frozen=True)
@@ -128,6 +129,17 @@ def judge_solve(evidence: SolveEvidence) -> SolveVerdict:
             },
         },
     )
+
+
+def worst_verdict(verdicts: Mapping[str, SolveVerdict]) -> SolveVerdict:
+    """Return the worst of several solves' verdicts, which names the solve; of one its own."""
+    levels = list(OPENINGS)
+    name, worst = max(verdicts.items(), key=lambda each: levels.index(each[1].level))
+    if len(verdicts) == 1:
+        return worst
+    opening = OPENINGS[worst.level]
+    sentence = worst.sentence.replace(opening, f"{opening} ({name})", 1)
+    return replace(worst, sentence=sentence, figures=worst.figures | {"of": name})
 
 
 def _learnt_from_proposals(evidence: SolveEvidence) -> bool:

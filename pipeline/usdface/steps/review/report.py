@@ -23,7 +23,7 @@ from usdface.media.page.report_page import (
 from usdface.media.picture.tiles import empty_tile, fit_picture
 from usdface.model.review.moments import review_moments
 from usdface.numerics.measure.face_regions import region_of_shape
-from usdface.runner.origin import provenance_metadata
+from usdface.runner.origin import check_same_take, provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.review import ReportSpec
 from usdface.steps.inputs.phone_labels import labels_at
@@ -62,6 +62,7 @@ SHEET_TYPES = {".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".png": "image/png"}
 def run(spec: ReportSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Gather everything and write the page."""
     progress(0.0, "reading")
+    check_same_take(spec.performance, spec.take, spec.also)
     shot = open_shot(spec.performance, spec.take, frames=spec.frames, video=spec.video)
     shot = turned_as_video(shot, spec.camera)
     clock = _clock(spec, shot)

@@ -18,7 +18,7 @@ from usdface.model.review.moments import (
     review_moments,
     surface_jumps,
 )
-from usdface.model.review.verdict import SolveVerdict, judge_solve
+from usdface.model.review.verdict import SolveEvidence, SolveVerdict, judge_solve
 from usdface.model.selection.baseline import BlendshapeEquation
 from usdface.model.selection.lip_contact import CONTACT_MM, Lips, find_lips, lip_gap_mm
 from usdface.numerics.measure.face_regions import (
@@ -81,6 +81,12 @@ class ShotRuler:
         off[:, self.gaze] = (self.shot.weights - truth)[:, self.gaze]
         return float(np.nanmean(surface_distance(self.shot, off)))
 
+    def evidence(self, truth: FloatArray | None) -> SolveEvidence:
+        """Return what the shot is judged by: see `signals`."""
+        if truth is None:
+            return self.shot.evidence()
+        return self.shot.evidence(self.regions, self.distances(self.shot.weights - truth))
+
     def signals(
         self, truth: FloatArray | None, equation: BlendshapeEquation | None = None
     ) -> ReviewSignals:
@@ -94,13 +100,12 @@ class ShotRuler:
             To see where the performer's lips are closed.
         """
         shot = self.shot
-        error = None if truth is None else self.distances(shot.weights - truth)
-        evidence = shot.evidence(self.regions if error is not None else None, error)
+        evidence = self.evidence(truth)
         jumps = surface_jumps(shot.weights, self.grams)
         if evidence.regions != self.regions:  # the mapping's regions, where its markers tell fewer
             columns = [self.regions.index(r) if r in self.regions else 0 for r in evidence.regions]
             jumps = jumps[:, columns or [0]]
-        if equation is None or error is not None:
+        if equation is None or truth is not None:
             return ReviewSignals(evidence, jumps)
         lips = find_lips(equation, shot.deformer, shot.rig.shapes)
         if lips is None:

@@ -19,6 +19,7 @@ from usdface.media.picture.display_view import display_view
 from usdface.media.picture.error_strip import ErrorCurve
 from usdface.media.picture.image import write_image
 from usdface.media.picture.sheet import SheetPage, SheetRow, compose_sheet
+from usdface.model.review.verdict import SolveVerdict, worst_verdict
 from usdface.runner.origin import provenance_metadata, provenance_of, spec_of
 from usdface.runner.result import StepResult
 from usdface.specs.review import AUTO_CAMERA, SheetSpec
@@ -159,7 +160,6 @@ def _page(
 ) -> SheetPage:
     shot = comparison.shots[0]
     rigs = dict.fromkeys(each.rig.file.stem for each in comparison.shots)
-    verdict = comparison.ruler.verdict(comparison.signals)
     keyed = comparison.truth is not None
     known = [each for each in comparison.scores if np.isfinite(each.error_mm).any()]
     curves = [
@@ -172,11 +172,7 @@ def _page(
         curves = [replace(curves[0], label="uncertainty")]
     return SheetPage(
         title=f"{shot.take.name} on {', '.join(rigs)}",
-        verdict=(
-            verdict.level,
-            verdict.sentence,
-            *([f"To do: {verdict.advice}"] if verdict.advice else []),
-        ),
+        verdict=_verdict_lines(comparison.verdicts),
         facts=_facts(spec, shot),
         columns=tuple(column.head for column in columns),
         rows=(),
@@ -189,6 +185,18 @@ def _page(
         else None,
         comparable=keyed,
     )
+
+
+def _verdict_lines(verdicts: dict[str, SolveVerdict]) -> tuple[str, ...]:
+    """Return a page's level and sentences: of the worst solve, with what to do, then the others."""
+    worst = worst_verdict(verdicts)
+    advice = [f"To do: {worst.advice}"] if worst.advice else []
+    rest = [
+        f"{name}: {each.sentence}"
+        for name, each in verdicts.items()
+        if name != worst.figures.get("of", name)
+    ]
+    return (worst.level, worst.sentence, *advice, *rest)
 
 
 def _write_pages(
@@ -288,7 +296,7 @@ def _result(
     written: tuple[Path, ...], comparison: SheetComparison, notes: tuple[str, ...]
 ) -> StepResult:
     scores, chosen = comparison.scores, comparison.chosen
-    verdict = comparison.ruler.verdict(comparison.signals)
+    verdict = worst_verdict(comparison.verdicts)
     known = [each for each in scores if np.isfinite(each.error_mm).any()]
     means = {each.label: float(np.nanmean(each.error_mm)) for each in known}
     what = {True: "off the keys", False: "uncertainty"}
@@ -304,6 +312,7 @@ def _result(
             "mean_error_mm": {FIGURE_KEYS.get(label, label): mean for label, mean in means.items()},
             "against_truth": comparison.truth is not None,
             "verdict": verdict.figures,
+            "verdicts": {FIGURE_KEYS.get(k, k): v.level for k, v in comparison.verdicts.items()},
         },
         level=verdict.level,
     )

@@ -10,7 +10,9 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress
 from usdface.media.picture.sheet import Tile
 from usdface.model.review.moments import ReviewSignals
+from usdface.model.review.verdict import SolveVerdict, judge_solve
 from usdface.model.selection.baseline import BlendshapeEquation
+from usdface.runner.origin import check_same_take
 from usdface.specs.paths import frame_list
 from usdface.specs.review import FramePick, SheetLayout, SheetSpec
 from usdface.steps.inputs.phone_labels import labels_at
@@ -59,6 +61,8 @@ class SheetComparison:
     """Rows of the sheet."""
     labels: tuple[str, ...]
     """Phone and viseme of each chosen frame; empty where unknown."""
+    verdicts: dict[str, SolveVerdict]
+    """Of every performance, by its label."""
 
 
 @dataclass(frozen=True)
@@ -87,11 +91,13 @@ def compare_shots(spec: SheetSpec, progress: Progress) -> SheetComparison:
         scores.insert(0, score("baseline", shot, solved, truth))
     others = [each.performance_file for each in shots[1:]]
     labels = version_labels(others, taken={"baseline", "solve"})
+    verdicts = {"solve": ruler.verdict(signals)}
     for other, label in zip(shots[1:], labels, strict=True):
         known = truth if _same_face(other, shot) else None
         scores.append(score(label, other, other.weights, known))
+        verdicts[label] = judge_solve(ShotRuler(other).evidence(known))
     spoken = labels_at(spec.phones, shot.take, shot.frames[rows])
-    return SheetComparison(shots, ruler, signals, equation, truth, scores, chosen, spoken)
+    return SheetComparison(shots, ruler, signals, equation, truth, scores, chosen, spoken, verdicts)
 
 
 def row_count(spec: SheetSpec) -> int:
@@ -104,6 +110,7 @@ def row_count(spec: SheetSpec) -> int:
 
 def _open_shots(spec: SheetSpec) -> list[Shot]:
     """Open every performance over the frames that all of them have."""
+    check_same_take(spec.performance, spec.take, spec.also)
     files = (spec.performance, *spec.also)
     listed = frame_list(spec.frames)
     limits = spec.frames if listed is None else None
