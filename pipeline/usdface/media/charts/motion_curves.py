@@ -188,7 +188,7 @@ def _draw_panel(
     high = max(float(values.max()), low + 1e-6)
     room = 0.06 * (high - low)
     axes.set_xlim(window[0] - 0.5, window[1] + 0.5)
-    axes.set_ylim(low - (0.0 if from_zero else room), high + room)
+    axes.set_ylim(low - room, high + room)  # a curve at 0 is not the frame's edge
     for curve in panel.curves:
         plot_curve(axes, frames, curve.values, curve.color)
 
