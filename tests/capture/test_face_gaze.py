@@ -1,5 +1,7 @@
 """Known turns of the eyes come back; a blink is no look down."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -15,6 +17,7 @@ from usdface.capture.face_gaze import (
 from usdface.capture.face_landmarks import LANDMARKS
 from usdface.numerics.rigid.rigid_alignment import RigidAlignment, align_rigid
 
+NAMES = LANDMARKS.names
 FRAMES = 60
 RADIUS = IRIS_TURN_RATIO * IRIS_DIAMETER
 """About which eyes turn [mm]."""
@@ -68,6 +71,20 @@ def test_turns_of_the_eyes_come_back() -> None:
     assert weights["eyeLookOutLeft"][left] == pytest.approx(yaw[left] / FULL_LOOK_DEGREES, abs=0.04)
     assert weights["eyeLookInRight"][left] == pytest.approx(yaw[left] / FULL_LOOK_DEGREES, abs=0.04)
     assert weights["eyeLookInLeft"][left] == weights["eyeLookOutRight"][left] == 0
+
+
+def test_outer_corners_that_follow_the_lids_and_a_head_off_its_place_are_no_look() -> None:
+    pitch = np.where(np.arange(FRAMES) < 10, 0, -8.0)
+    positions = moving_eyes(np.zeros(FRAMES), pitch, np.zeros(FRAMES))
+    head = head_of(positions)
+    outer = [
+        at for side in "RL" for at in LANDMARKS.columns("eye_outer") if f"_{side}" in NAMES[at]
+    ]
+    squint = np.where(np.arange(FRAMES) < 10, 0, -2.0)[:, None, None]
+    positions[:, outer] += squint * np.einsum("fij,j->fi", head.rotations, [0, 1, 0])[:, None]
+    head = replace(head, translations=head.translations - squint[:, 0])
+    closed = np.zeros((FRAMES, 2), bool)
+    assert np.abs(gaze_angles(positions, head, closed, neutral=3).pitch - pitch).max() < 1.0
 
 
 def test_a_blink_is_no_look_down() -> None:

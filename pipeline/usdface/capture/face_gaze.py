@@ -1,9 +1,10 @@
 """Where the eyes look, from the irises; closed eyes look where they looked before.
 
 An iris turns about the eye's centre: its way across the skull is the sine of the angle times the
-radius, which follows from the diameter of the iris, as that differs little between people. Sideways
-the way is measured from the corners of the same eye, which owes nothing to the head's pose; up and
-down from the skull, as corners of the eye follow the lids. Both eyes get the mean of both: how far
+radius, which follows from the diameter of the iris, as that differs little between people. The way
+is measured from the corners of the same eye, which owes nothing to the head's pose: sideways from
+both; up and down from the inner one, which a ligament holds to the skull, as the outer one goes
+with the lids. Both eyes get the mean of both: how far
 they converge, 3.6 degrees at 1 m, is less than the noise of one. Behind a closed lid a landmark
 model guesses the iris, and guesses it low: such samples are gaps, so that a blink is never read as
 a look down, and of a wink the open eye says where both look.
@@ -121,8 +122,9 @@ def gaze_angles(
         iris = positions[:, eye["iris"]].astype(np.float64)
         across = np.linalg.norm(iris[:, :, None] - iris[:, None], axis=3).max(axis=(1, 2))
         radius = IRIS_TURN_RATIO * max(float(np.median(across[usable])), _LEAST_IRIS_MM)
-        corners = positions[:, np.concatenate([eye["eye_inner"], eye["eye_outer"]])].mean(axis=1)
-        for axis, origin in enumerate((corners, head.translations)):
+        inner, outer = (positions[:, eye[part]] for part in ("eye_inner", "eye_outer"))
+        corners = np.concatenate([inner, outer], axis=1)
+        for axis, origin in enumerate((corners.mean(axis=1), inner.mean(axis=1))):
             still = np.einsum("fji,fj->fi", head.rotations, iris.mean(axis=1) - origin) @ axes[axis]
             ahead = still[usable & near] if (usable & near).any() else still[usable]
             sines[axis] += np.where(usable, (still - ahead.mean()) / radius, 0.0)
