@@ -74,6 +74,11 @@ def tuned_path(references: Path) -> Path:
     return references.with_name(f"{references.stem}.tuned.usda")
 
 
+def coverage_path(references: Path) -> Path:
+    """Return the picture of what a selection of references covers: NAME.coverage.png."""
+    return references.with_name(f"{references.stem}.coverage.png")
+
+
 def reference_layers(references: Path) -> tuple[Path, ...]:
     """Return the files of a references asset: the one to open, and the layers beneath it."""
     beneath = (tuned_path(references), proposed_path(references), samples_path(references))

@@ -6,7 +6,13 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from usdface.core.sidecars import placement_path, proposed_path, samples_path, tuned_path
+from usdface.core.sidecars import (
+    coverage_path,
+    placement_path,
+    proposed_path,
+    samples_path,
+    tuned_path,
+)
 from usdface.specs.base import MovedRigSpec, Name, Positional, Sidecar, Spec, WeightTableSpec
 from usdface.specs.paths import (
     ChosenFrames,
@@ -165,7 +171,7 @@ class SelectSpec(Spec):
 
     def picture_path(self) -> Path:
         """Return where the coverage is drawn."""
-        return self.picture or self.out.with_name(f"{self.out.stem}.coverage.png")
+        return self.picture or coverage_path(self.out)
 
 
 class ReferencesImportSpec(MovedRigSpec, WeightTableSpec):
@@ -173,7 +179,8 @@ class ReferencesImportSpec(MovedRigSpec, WeightTableSpec):
 
     Weights are matched to the rig by what the shapes' names mean and to the pairs by frame. Shapes
     that are not in the file keep their weights. Proposals are never changed, and tuned weights are
-    replaced only at frames that are in the file.
+    replaced only at frames that are in the file. The picture of the coverage that `select` drew is
+    drawn again.
     """
 
     example: ClassVar[str] = "usdface references import hero.references.usda --weights tuned.csv"
@@ -270,7 +277,7 @@ class ReferencesAddSpec(MovedRigSpec):
         return self
 
 
-class ReferencesCoverageSpec(Spec):
+class ReferencesCoverageSpec(MovedRigSpec):
     """Measure the coverage of takes by references.
 
     Prints the share of the motion that the pairs span, per region of the face, the frames with the

@@ -54,6 +54,45 @@ def test_coverage_as_a_command_is_what_select_said(shot: Shot) -> None:
     assert read_image_metadata(shot / "covered.png")["step"] == "references-coverage"
 
 
+def import_keys(shot: Shot) -> tuple[str, ...]:
+    given = {"references": shot / "hero.references.usda", "weights": shot / "keys.csv"}
+    return execute(ReferencesImportSpec(**given), overwrite=True).notes
+
+
+def test_an_import_draws_the_coverage_beside_the_references_as_tuned_as_it_is(shot: Shot) -> None:
+    picture = shot / "hero.references.coverage.png"
+    now = shot / "now.png"
+    coverage = coverage_spec(shot, "shot.clean.take.usda", out=now)
+    (shot / "hero.references.tuned.usda").unlink()
+    execute(spec(shot, out=shot / "hero.references.usda", count=PAIRS), overwrite=True)
+    before = read_picture(picture)
+    assert not import_keys(shot)
+    shown = read_picture(picture)
+    assert (shown != before).any(), "the count of tuned pairs at least"
+    execute(coverage)
+    np.testing.assert_array_equal(shown, read_picture(now))
+    # It stays what `select` made: neither of the two steps makes the other stale.
+    assert read_image_metadata(picture)["step"] == "select"
+
+
+def test_an_import_leaves_other_pictures_and_says_why_one_is_old(shot: Shot) -> None:
+    picture = shot / "hero.references.coverage.png"
+    write_image(picture, np.zeros((8, 8, 3), np.uint8))
+    import_keys(shot)
+    assert read_picture(picture).shape == (8, 8, 3), "somebody's own"
+    picture.unlink()
+    import_keys(shot)
+    assert not picture.exists()
+    (shot / "hero.references.tuned.usda").unlink()
+    execute(spec(shot, out=shot / "hero.references.usda", count=PAIRS), overwrite=True)
+    (shot / "shot.clean.take.usda").rename(shot / "moved.take.usda")
+    drawn = picture.read_bytes()
+    (note,) = [each for each in import_keys(shot) if "coverage" in each]
+    assert note.startswith("hero.references.coverage.png does not show what is tuned now: ")
+    assert "shot.clean.take.usda" in note
+    assert picture.read_bytes() == drawn
+
+
 def test_pairs_cover_another_take_wherever_its_head_stands(shot: Shot) -> None:
     own = execute(coverage_spec(shot, "shot.clean.take.usda")).figures
     take = read_take(shot / "shot.clean.take.usda")

@@ -1,9 +1,14 @@
 """References and takes in, a picture of what they cover out."""
 
+from pathlib import Path
+
+from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
+from usdface.core.sidecars import coverage_path
 from usdface.media.picture.image import write_image
-from usdface.runner.origin import provenance_metadata
+from usdface.runner.origin import provenance_metadata, provenance_of, spec_of
+from usdface.runner.outputs import confine
 from usdface.runner.result import StepResult
 from usdface.specs.references import ReferencesCoverageSpec
 from usdface.steps.inputs.coverage_report import coverage_figures, measure_pairs, next_frames
@@ -49,3 +54,32 @@ def run(
             **coverage_figures(covered, takes),
         },
     )
+
+
+def redraw_coverage(references: Path, progress: Progress) -> tuple[tuple[Path, ...], list[str]]:
+    """Draw the picture that `select` left beside references again, as tuned as they are now.
+
+    It stays the output of `select`, whose provenance it keeps.
+
+    Returns
+    -------
+    files : tuple of Path
+        The picture; empty where there is none, or it cannot be drawn.
+    notes : list of str
+        Why it cannot.
+    """
+    chosen = spec_of(provenance_of(references))
+    picture = references.parent / str(chosen.get("picture") or coverage_path(references).name)
+    takes = tuple(references.parent / str(name) for name in chosen.get("takes", ()))
+    origin = provenance_of(picture) if picture.is_file() else None
+    if origin is None or origin.step != "select" or not takes:
+        return (), []
+    confine("references import", reads=takes, writes=[picture])
+    spec = ReferencesCoverageSpec(references=references, takes=takes, out=picture)
+    try:
+        measured = measure_pairs(spec, progress=progress)
+    except InputError as error:
+        return (), [f"{picture.name} does not show what is tuned now: {error}"]
+    image = measured.picture(references.stem)
+    write_image(picture, image, metadata=provenance_metadata(origin))
+    return (picture,), []

@@ -8,7 +8,7 @@ import numpy as np
 from usdface.core.arrays import index_of
 from usdface.core.assets import References, Video
 from usdface.core.errors import InputError
-from usdface.core.progress import Progress, silent
+from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import tuned_path
 from usdface.core.text import first_few, pluralize
@@ -19,6 +19,7 @@ from usdface.specs.references import ReferencesImportSpec
 from usdface.steps.inputs.name_tables import check_no_name_twice, transfer_by_table
 from usdface.steps.inputs.tuned_pairs import tuned_conflicts
 from usdface.steps.inputs.weight_tables import WeightTable, read_weight_table, weights_meant
+from usdface.steps.references.coverage import redraw_coverage
 from usdface.usdio.references.read import TunedPair, read_references
 from usdface.usdio.references.write import write_tuned_weights
 from usdface.usdio.take.read import TakeReader
@@ -56,8 +57,9 @@ def run(
     write_tuned_weights(
         references, pairs, layer_path=tuned_path(spec.references), provenance=provenance
     )
+    pictures, undrawn = redraw_coverage(spec.references, part(progress, 0.1, 1.0))
     progress(1.0, "imported")
-    notes = [*meaning_notes(transfer), *given.numbering_notes(spec.weights)]
+    notes = [*undrawn, *meaning_notes(transfer), *given.numbering_notes(spec.weights)]
     matched = set(transfer.matched)
     driven = [name for name in given.names if name in combinations]
     if driven:
@@ -92,7 +94,7 @@ def run(
     texts, conflicts = tuned_conflicts(spec.references)
     notes += texts
     return StepResult(
-        (tuned_path(spec.references),),
+        (tuned_path(spec.references), *pictures),
         f"{pluralize(len(pairs), 'pair')} imported, {pluralize(len(known), 'shape')} each; "
         f"{len(tuned)} of {count} pairs are tuned",
         tuple(notes),
