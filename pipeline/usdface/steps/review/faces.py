@@ -19,8 +19,9 @@ from usdface.specs.paths import frame_range
 from usdface.specs.review import FacesSpec
 from usdface.usdio.rig.posed_points import PosedRig
 
-MOVES_MM = 2.0
-"""Points that go further than this between the frames belong in the picture."""
+MOVES_MM, MOVES_SHARE = 2.0, 0.2
+"""Points that go further than both between the frames belong in the picture, [mm] and of the
+furthest: an open jaw pulls the neck after it."""
 
 _MARGIN_FACTOR = 1.06
 """Between what moves and the picture's edge."""
@@ -72,8 +73,12 @@ class _Column:
         self._spec = spec
         self._posed = {frame: actor.points(frame) for frame in frames.tolist()}
         self._renderer = FaceRenderer(actor.rig.meshes)
-        self._camera = frame_rig(actor.rig.meshes, yaw_degrees=spec.yaw)
+        face = frame_rig(actor.rig.meshes, yaw_degrees=spec.yaw)
         self._with_hair = frame_rig(actor.rig.meshes, yaw_degrees=spec.yaw, hair=True)
+        # As far away as fits the face, so that faces are of one size; aimed at face and hair.
+        away = np.subtract(face.eye, face.target)
+        x, y, z = (self._with_hair.target + away).tolist()
+        self._camera = replace(face, eye=(x, y, z), target=self._with_hair.target)
 
     def needed_share(self) -> float:
         """Return how many times further away hair and all that moves are in the picture.
@@ -81,7 +86,8 @@ class _Column:
         Ears turn by joints, which no frame of the rig at rest shows.
         """
         posed = np.stack(list(self._posed.values()))
-        moving = np.ptp(posed, axis=0).max(axis=1) > MOVES_MM
+        moved = np.ptp(posed, axis=0).max(axis=1)
+        moving = moved > max(MOVES_MM, MOVES_SHARE * float(moved.max(initial=0.0)))
         camera = self._camera
         right, up, back = camera.axes()
         wide = np.tan(np.deg2rad(camera.fov_degrees / 2))
