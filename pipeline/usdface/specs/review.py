@@ -295,9 +295,11 @@ Limit = Annotated[float, Field(ge=0.0)]
 class EvaluateSpec(MovedRigSpec, WeightTableSpec):
     """Measure the error of a performance against keys or another performance.
 
-    Measures the error of the weights over the shapes that markers can show, of the surface and the
-    lip distance in mm, of blinks at their peaks, and jitter: for the whole face, per region and per
-    shape. Exit code 1 if a limit is exceeded, so that a farm can block a publish.
+    Measures the error of the surface in mm, without gaze and tongue, which markers do not show and
+    which have figures of their own; of the weights over the shapes that markers can show, of the
+    lip distance, of blinks at their peaks, and jitter: for the whole face, per region and per
+    shape. The JSON's `vertex_*` are of the surface with gaze and tongue. Exit code 1 if a limit is
+    exceeded, so that a farm can block a publish.
     """
 
     example: ClassVar[str] = (
@@ -322,9 +324,9 @@ class EvaluateSpec(MovedRigSpec, WeightTableSpec):
     max_weight_rmse: Limit | None = None
     """Limit of the root mean square error of the weights."""
     max_vertex_rms: Limit | None = None
-    """Limit of the root mean square error of the surface, in mm."""
+    """Limit of the root mean square error of the surface, without gaze and tongue, in mm."""
     max_vertex_p95: Limit | None = None
-    """Limit of the 95th percentile over frames of the surface error, in mm."""
+    """Limit of the 95th percentile over frames of that error, in mm."""
     max_lip_error: Limit | None = None
     """Limit of the root mean square error of the lip distance, in mm."""
     max_blink_bias: Limit | None = None

@@ -57,6 +57,24 @@ def test_the_surface_error_is_the_distance_of_the_deformed_points(rig: Rig, bent
     assert found.rms_mm == pytest.approx(np.sqrt((distance**2).mean()), rel=1e-9)
 
 
+def test_gaze_and_tongue_are_no_error_of_the_skin_and_have_figures_of_their_own(rig: Rig) -> None:
+    truth, solved = performance(rig), performance(rig, seed=1)
+    columns = [i for i, name in enumerate(rig.shapes) if "Look" in name or "tongue" in name]
+    assert len(columns) == 9
+    seen = solved.copy()
+    seen[:, columns] = truth[:, columns]
+    found, expected = evaluate(rig, solved, truth), evaluate(rig, seen, truth)
+    np.testing.assert_allclose(found.skin.frames_mm, expected.surface.frames_mm, rtol=1e-9)
+    for one, other in zip(found.regions, expected.regions, strict=True):
+        np.testing.assert_allclose(one.skin.frames_mm, other.surface.frames_mm, atol=1e-9)
+    tongue = truth.copy()
+    tongue[:, rig.shapes.index("tongueOut")] += 0.5
+    alone = evaluate(rig, tongue, truth)
+    assert alone.skin.max_mm == 0.0
+    assert alone.unseen_mm == {"gaze": 0.0, "tongue": pytest.approx(alone.surface.mean_mm)}
+    assert alone.unseen_mm["tongue"] > 0.0
+
+
 def test_the_truth_itself_has_no_error(rig: Rig) -> None:
     truth = performance(rig)
     found = evaluate(rig, truth, truth)

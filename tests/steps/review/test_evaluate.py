@@ -15,8 +15,9 @@ from usdface.media.picture.image import read_image_metadata
 from usdface.runner.execute import execute
 from usdface.runner.job import run_job
 from usdface.runner.state import job_states
+from usdface.specs.edits import EditSpec
 from usdface.specs.reading import read_job
-from usdface.specs.review import EvaluateSpec
+from usdface.specs.review import EvaluateSpec, ReportSpec, SheetSpec
 from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.steps.review.evaluation_tables import shapes_with_motion
 from usdface.steps.review.scoring import read_keys
@@ -82,6 +83,30 @@ def test_the_figures_are_those_of_the_shared_ruler(shared_data: Path, tmp_path: 
     )
     for name, value in expected.items():
         assert figures[name] == pytest.approx(value, abs=1e-9), name
+
+
+def test_evaluate_sheet_and_report_lead_with_one_figure_without_gaze_and_tongue(shot: Shot) -> None:
+    for name in ("eyeLookUpLeft", "tongueOut"):
+        execute(EditSpec(performance=shot / "shot.hero.usda", shape=(name,), add=0.4))
+    given = {"performance": shot / "shot.hero.usda", "against": shot / "keys.csv"}
+    evaluated = execute(EvaluateSpec(**given, out=(shot / "e.json",)))
+    figures = json.loads((shot / "e.json").read_text(encoding="utf-8"))
+    mean = figures["skin_mean_mm"]
+    assert figures["vertex_rms_mm"] > 2 * figures["skin_rms_mm"]
+    assert evaluated.summary.startswith(f"{FRAMES} frames: {mean:.3f} mm off the keys without gaze")
+    sheet = execute(SheetSpec(**given, out=shot / "x.png", tile=64, rows=1, quality="draft"))
+    assert sheet.figures["mean_error_mm"]["usdface"] == pytest.approx(mean)
+    execute(ReportSpec(**given, out=shot / "x.html", height=120))
+    page = (shot / "x.html").read_text(encoding="utf-8")
+    assert f"{mean:.3f} mm" in page
+    assert f"{mean:.2f} mm off the keys" in page
+    for name in ("gaze", "tongue"):
+        value = figures[f"{name}_mean_mm"]
+        assert value > 0
+        assert sheet.figures[f"{name}_mean_mm"] == pytest.approx(value)
+        assert f"{name} alone {value:.3f} mm" in evaluated.summary
+        assert f"{name} alone, mean" in page
+        assert f"{value:.3f} mm" in page
 
 
 def test_the_table_goes_by_region_and_by_shape(finished_shot: Shot) -> None:
@@ -253,7 +278,7 @@ def test_the_command_fails_with_1_and_still_tells_the_figures(shot: Shot, capsys
     assert json.loads(out)["failures"]
     code, out, err = told([*arguments, "--max-vertex-rms", "100"], capsys)
     assert (code, err) == (0, "")
-    assert "RMS mm" in out
+    assert "mean mm" in out
 
 
 def test_a_job_stops_at_a_limit_each_time_and_goes_on_once_it_is_kept(shot: Shot) -> None:

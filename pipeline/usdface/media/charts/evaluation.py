@@ -115,7 +115,10 @@ def draw_evaluation(page: EvaluationPage) -> ByteImage:
     strip = ErrorStrip(page.curves, page.first_frame, high, marks)
     draw_error_strip(picture, strip, x=_PAGE_MARGIN, y=y, width=inner)
     y += strip_height(len(page.curves))
-    note = "RMS distance of the surface from the keyed one; numbers mark the worst frames"
+    note = (
+        "RMS distance of the skin from the keys, without gaze and tongue; numbers mark the worst "
+        "frames"
+    )
     draw_legend(picture, (note,), x=_PAGE_MARGIN, y=y, width=inner, high=f"{high:g} mm")
     if shapes:
         _write_shape_caption(picture, y=shapes_top, hidden=len(page.shapes) - len(shapes))

@@ -191,8 +191,8 @@ class ReviewPage:
     """Whether one part carries the whole face, and so the markers on it."""
     heat: PageHeat | None = None
     """Without it nothing is painted."""
-    gaze: tuple[str, ...] = ()
-    """Shapes that turn the eyes: no matter of the skin."""
+    left_out: tuple[str, ...] = ()
+    """Shapes that turn the eyes or move the tongue: no matter of the skin."""
     notes: PageNotes = PageNotes()
     commands: PageCommands = PageCommands()
 
@@ -250,7 +250,7 @@ def _data(page: ReviewPage) -> Mapping[str, Any]:
         "compared": _compared(page.curves),
         "ramp": np.round(heat_ramp(np.linspace(0, 1, 5)), 4).tolist(),
         "heat": _heat(page.heat),
-        "gaze": list(page.gaze),
+        "leftOut": list(page.left_out),
         "markers": _markers(page.markers),
         "carried": page.carried is not None,
         "movesAsOne": page.moves_as_one,

@@ -157,9 +157,9 @@ export class Stage {
   #distances(weights, against) {
     const { face } = this.viewer;
     this.values ??= new Float32Array(face.pointCount);
-    this.gaze ??= data.gaze.map((name) => face.names.indexOf(name)).filter((at) => at >= 0);
-    const skin = Float32Array.from(against); // the gaze is no matter of the skin
-    for (const at of this.gaze) skin[at] = weights[at];
+    this.leftOut ??= data.leftOut.map((name) => face.names.indexOf(name)).filter((at) => at >= 0);
+    const skin = Float32Array.from(against); // gaze and tongue are no matter of the skin
+    for (const at of this.leftOut) skin[at] = weights[at];
     face.pose(skin);
     this.held ??= new Float32Array(face.positions.length);
     this.held.set(face.positions);

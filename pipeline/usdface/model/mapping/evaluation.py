@@ -1,6 +1,7 @@
 """Weights against what they should have been, on a rig."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -8,12 +9,15 @@ from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
+from usdface.model.mapping.regions import FACE
 from usdface.numerics.measure.face_regions import (
     blinks,
+    gaze_shapes,
     jaw_opener,
     points_by_region,
     region_gram,
     shapes_by_region,
+    tongue_shapes,
 )
 from usdface.numerics.measure.performance_error import (
     LipError,
@@ -31,6 +35,69 @@ from usdface.numerics.measure.performance_error import (
 
 
 @dataclass(frozen=True)
+class SkinRuler:
+    """What weights do to the skin of a rig, without gaze and tongue, which markers do not show."""
+
+    rig: Rig
+    deformer: Deformer
+
+    @cached_property
+    def unseen(self) -> dict[str, IntArray]:
+        """Columns of the shapes that are left out, which have figures of their own."""
+        found = {"gaze": gaze_shapes(self.rig.shapes), "tongue": tongue_shapes(self.rig.shapes)}
+        return {name: columns for name, columns in found.items() if len(columns)}
+
+    @cached_property
+    def left_out(self) -> IntArray:
+        """Columns of all of them."""
+        return np.concatenate([np.zeros(0, np.int64), *self.unseen.values()])
+
+    @cached_property
+    def points(self) -> dict[str, IntArray]:
+        """Points of the rig by region, the whole face first; see `points_by_region`."""
+        shapes = self.deformer.shapes
+        return {FACE: shapes.face_points} | points_by_region(
+            shapes.target_offsets(), self.rig.shapes
+        )
+
+    @cached_property
+    def grams(self) -> FloatArray:
+        """Of each region: (regions, keys, keys) [mm^2]."""
+        shapes = self.deformer.shapes
+        return np.stack([region_gram(shapes.key_offsets, each) for each in self.points.values()])
+
+    def differences(self, weights: FloatArray, others: FloatArray) -> FloatArray:
+        """Return how keys differ, but for what is left out: (frames, keys).
+
+        Parameters
+        ----------
+        weights, others : (frames, shapes) float arrays
+            NaN where they are not known.
+        """
+        seen = weights.copy()
+        seen[:, self.left_out] = others[:, self.left_out]
+        return self._key_differences(seen, others)
+
+    def _key_differences(self, weights: FloatArray, others: FloatArray) -> FloatArray:
+        shapes = self.deformer.shapes
+        off = np.full((len(weights), shapes.key_offsets.shape[0]), np.nan)
+        known = np.isfinite(weights).all(axis=1) & np.isfinite(others).all(axis=1)
+        off[known] = shapes.key_weights(weights[known]) - shapes.key_weights(others[known])
+        return off
+
+    def unseen_mm(self, weights: FloatArray, others: FloatArray) -> dict[str, float]:
+        """Return what each part that is left out does by itself: mean over the frames [mm]."""
+        found = {}
+        for name, columns in self.unseen.items():
+            seen = others.copy()
+            seen[:, columns] = weights[:, columns]
+            off = self._key_differences(seen, others)
+            off = off[np.isfinite(off).all(axis=1)]
+            found[name] = measure_surface(off, self.grams[0]).mean_mm
+        return found
+
+
+@dataclass(frozen=True)
 class RegionError:
     """Errors of one part of the face."""
 
@@ -39,8 +106,10 @@ class RegionError:
     """Shapes whose name names it."""
     weight_rmse: float
     """Of those that count; NaN where none does."""
+    skin: SurfaceError
     surface: SurfaceError
-    """Of the points that those shapes move most."""
+    """`skin`, `surface`: Of the points that those shapes move most, without gaze and tongue and
+    with them."""
 
 
 @dataclass(frozen=True)
@@ -55,8 +124,13 @@ class Evaluation:
     """(shapes,): those whose weights count."""
     weight_rmse: float
     """Over frames and the shapes that count."""
+    skin: SurfaceError
+    """Of the whole rig, without gaze and tongue: what sheets and reports show."""
     surface: SurfaceError
-    """Of the whole rig."""
+    """Of the whole rig, with them."""
+    unseen_mm: dict[str, float]
+    """What ``'gaze'`` and ``'tongue'`` do by themselves, mean over the frames [mm]; without those
+    that the rig does not have."""
     regions: tuple[RegionError, ...]
     """Empty where no shape's name names a part of the face."""
     shapes: ShapeErrors
@@ -97,14 +171,13 @@ def evaluate_weights(
     if not (np.isfinite(solved).all() and np.isfinite(truth).all()):
         raise InputError("weights to compare must be finite")
     deformer = Deformer(rig)
-    bent = deformer.shapes.is_bent
-    targets = deformer.shapes.target_offsets()
-    offsets = deformer.shapes.key_offsets if bent else targets
-    solved_keys = deformer.shapes.key_weights(solved) if bent else solved
-    truth_keys = deformer.shapes.key_weights(truth) if bent else truth
-    key_errors = solved_keys - truth_keys
+    skin = SkinRuler(rig, deformer)
+    offsets, targets = deformer.shapes.key_offsets, deformer.shapes.target_offsets()
+    solved_keys, truth_keys = map(deformer.shapes.key_weights, (solved, truth))
+    key_errors, skin_errors = solved_keys - truth_keys, skin.differences(solved, truth)
     errors = solved - truth
     by_region = shapes_by_region(rig.shapes)
+    grams = dict(zip(skin.points, skin.grams, strict=True))
     regions = [
         RegionError(
             name=name,
@@ -113,9 +186,11 @@ def evaluate_weights(
                 errors[:, by_region[name]],
                 observable=(compared & observable)[by_region[name]],
             ),
-            surface=measure_surface(key_errors, region_gram(offsets, points)),
+            skin=measure_surface(skin_errors, gram),
+            surface=measure_surface(key_errors, gram),
         )
-        for name, points in points_by_region(targets, rig.shapes).items()
+        for name, gram in grams.items()
+        if name != FACE
     ]
     lips = None
     opener = jaw_opener(rig.shapes)
@@ -131,7 +206,9 @@ def evaluate_weights(
         shape_names=tuple(name for name, used in zip(rig.shapes, compared, strict=True) if used),
         observable=observable[compared],
         weight_rmse=measure_weights(errors, observable=compared & observable),
-        surface=measure_surface(key_errors, region_gram(offsets, deformer.shapes.face_points)),
+        skin=measure_surface(skin_errors, grams[FACE]),
+        surface=measure_surface(key_errors, grams[FACE]),
+        unseen_mm=skin.unseen_mm(solved, truth),
         regions=tuple(regions),
         shapes=shapes,
         shape_mm=shapes.rmse * size_mm,

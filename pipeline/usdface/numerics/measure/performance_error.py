@@ -14,7 +14,6 @@ from scipy.spatial import cKDTree
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.numerics.regression.cross_validation import (
     surface_errors_mm,
-    surface_rms_mm,
     weight_rmse,
 )
 
@@ -150,10 +149,26 @@ class SurfaceError:
 
     frames_mm: FloatArray
     """(frames,): root mean square distance of the region's points [mm]."""
-    rms_mm: float
-    p95_mm: float
-    max_mm: float
-    """`rms_mm`, `p95_mm`, `max_mm`: Over the frames [mm]."""
+
+    @property
+    def mean_mm(self) -> float:
+        """Mean over the frames [mm]."""
+        return float(self.frames_mm.mean())
+
+    @property
+    def rms_mm(self) -> float:
+        """Root mean square over the frames [mm]."""
+        return float(np.sqrt(np.square(self.frames_mm).mean()))
+
+    @property
+    def p95_mm(self) -> float:
+        """95th percentile over the frames [mm]."""
+        return float(np.quantile(self.frames_mm, _QUANTILE_95))
+
+    @property
+    def max_mm(self) -> float:
+        """Largest of all frames [mm]."""
+        return float(self.frames_mm.max())
 
 
 @dataclass(frozen=True)
@@ -212,13 +227,7 @@ def measure_surface(key_errors: FloatArray, gram: FloatArray) -> SurfaceError:
         Differences of key weights; those of channel weights where no shape has in-betweens.
     gram : (keys, keys) float array
     """
-    frames_mm = surface_errors_mm(key_errors, gram)
-    return SurfaceError(
-        frames_mm=frames_mm,
-        rms_mm=surface_rms_mm(key_errors, gram),
-        p95_mm=float(np.quantile(frames_mm, _QUANTILE_95)),
-        max_mm=float(frames_mm.max()),
-    )
+    return SurfaceError(surface_errors_mm(key_errors, gram))
 
 
 def measure_lips(

@@ -41,26 +41,34 @@ def shapes_with_motion(
 
 def evaluation_summary(evaluation: Evaluation) -> str:
     """Return one line that says how good the performance is."""
-    return (
-        f"{pluralize(len(evaluation.frames), 'frame')}: "
-        f"{evaluation.surface.rms_mm:.3f} mm on the surface "
-        f"({evaluation.surface.p95_mm:.3f} mm at the 95th percentile), "
-        f"{_number(evaluation.weight_rmse)} in the weights"
-    )
+    unseen = evaluation.unseen_mm
+    without = f" without {' and '.join(unseen)}" if unseen else ""
+    facts = [
+        f"{evaluation.skin.mean_mm:.3f} mm off the keys{without}",
+        f"95th percentile {evaluation.skin.p95_mm:.3f} mm",
+        *_unseen_facts(evaluation),
+        f"{_number(evaluation.weight_rmse)} in the weights",
+    ]
+    return f"{pluralize(len(evaluation.frames), 'frame')}: {', '.join(facts)}"
+
+
+def _unseen_facts(evaluation: Evaluation) -> list[str]:
+    return [f"{name} alone {mm:.3f} mm" for name, mm in evaluation.unseen_mm.items() if mm]
 
 
 def evaluation_table(evaluation: Evaluation) -> tuple[str, ...]:
     """Return the figures as lines of a table: by region, then what eyes see, then by shape."""
-    lines = [f"{'region':<17}{'weights':>9}{'RMS mm':>9}{'p95 mm':>9}{'largest mm':>11}"]
+    lines = [f"{'region':<17}{'weights':>9}{'mean mm':>9}{'p95 mm':>9}{'largest mm':>11}"]
     parts: list[tuple[str, float, SurfaceError]] = [
-        ("face", evaluation.weight_rmse, evaluation.surface)
+        ("face", evaluation.weight_rmse, evaluation.skin)
     ]
-    parts += [(region.name, region.weight_rmse, region.surface) for region in evaluation.regions]
-    for name, weights, surface in parts:
+    parts += [(region.name, region.weight_rmse, region.skin) for region in evaluation.regions]
+    for name, weights, skin in parts:
         lines.append(
-            f"{name:<17}{_number(weights):>9}{surface.rms_mm:>9.3f}{surface.p95_mm:>9.3f}"
-            f"{surface.max_mm:>11.3f}"
+            f"{name:<17}{_number(weights):>9}{skin.mean_mm:>9.3f}{skin.p95_mm:>9.3f}"
+            f"{skin.max_mm:>11.3f}"
         )
+    lines += [f"{f'{name} alone':<26}{mm:>9.3f}" for name, mm in evaluation.unseen_mm.items()]
     lines.append("")
     if evaluation.lips is not None:
         closed = evaluation.lips.closed_bias_mm
@@ -92,6 +100,8 @@ def evaluation_figures(evaluation: Evaluation) -> dict[str, object]:
             "first": int(evaluation.frames[0]),
             "last": int(evaluation.frames[-1]),
         },
+        **_skin_figures(evaluation.skin),
+        **{f"{name}_mean_mm": mm for name, mm in evaluation.unseen_mm.items()},
         "weight_rmse": _known(evaluation.weight_rmse),
         "vertex_rms_mm": evaluation.surface.rms_mm,
         "vertex_p95_mm": evaluation.surface.p95_mm,
@@ -110,6 +120,7 @@ def evaluation_figures(evaluation: Evaluation) -> dict[str, object]:
             {
                 "region": region.name,
                 "shapes": region.shape_count,
+                **_skin_figures(region.skin),
                 "weight_rmse": _known(region.weight_rmse),
                 "vertex_rms_mm": region.surface.rms_mm,
                 "vertex_p95_mm": region.surface.p95_mm,
@@ -130,12 +141,21 @@ def evaluation_figures(evaluation: Evaluation) -> dict[str, object]:
     }
 
 
+def _skin_figures(skin: SurfaceError) -> dict[str, float]:
+    return {
+        "skin_mean_mm": skin.mean_mm,
+        "skin_rms_mm": skin.rms_mm,
+        "skin_p95_mm": skin.p95_mm,
+        "skin_max_mm": skin.max_mm,
+    }
+
+
 def evaluation_page(evaluation: Evaluation, *, title: str) -> EvaluationPage:
     """Return the page that shows the errors over time and by shape."""
     frames = evaluation.frames
-    curves = [ErrorCurve("face", _over_time(frames, evaluation.surface.frames_mm))]
+    curves = [ErrorCurve("face", _over_time(frames, evaluation.skin.frames_mm))]
     curves += [
-        ErrorCurve(region.name.split(" and ")[0], _over_time(frames, region.surface.frames_mm))
+        ErrorCurve(region.name.split(" and ")[0], _over_time(frames, region.skin.frames_mm))
         for region in evaluation.regions
     ]
     facts = [f"frames {frames[0]}-{frames[-1]}", f"{_number(evaluation.weight_rmse)} in weights"]
@@ -147,8 +167,9 @@ def evaluation_page(evaluation: Evaluation, *, title: str) -> EvaluationPage:
     return EvaluationPage(
         title=title,
         facts=(
-            f"{evaluation.surface.rms_mm:.3f} mm RMS",
-            f"95th percentile {evaluation.surface.p95_mm:.3f} mm",
+            f"{evaluation.skin.mean_mm:.3f} mm off the keys",
+            f"95th percentile {evaluation.skin.p95_mm:.3f} mm",
+            *_unseen_facts(evaluation),
             *facts,
         ),
         curves=tuple(curves),
@@ -172,8 +193,8 @@ def failures(spec: EvaluateSpec, figures: Mapping[str, object]) -> tuple[str, ..
     """Return which of a spec's limits are passed; a figure that is not known passes none."""
     limits = (
         ("weight_rmse", "error of the weights", spec.max_weight_rmse, ""),
-        ("vertex_rms_mm", "error of the surface", spec.max_vertex_rms, " mm"),
-        ("vertex_p95_mm", "95th percentile of the surface's error", spec.max_vertex_p95, " mm"),
+        ("skin_rms_mm", "error of the surface", spec.max_vertex_rms, " mm"),
+        ("skin_p95_mm", "95th percentile of the surface's error", spec.max_vertex_p95, " mm"),
         ("lip_error_mm", "error of the distance of the lips", spec.max_lip_error, " mm"),
         ("blink_bias", "error of blinks at their peaks", spec.max_blink_bias, ""),
         ("jitter", "jitter", spec.max_jitter, ""),
@@ -191,8 +212,8 @@ def failures(spec: EvaluateSpec, figures: Mapping[str, object]) -> tuple[str, ..
 
 
 def worst_frames(evaluation: Evaluation) -> tuple[int, ...]:
-    """Return the frames that err most, none a neighbour of another."""
-    error = evaluation.surface.frames_mm
+    """Return the frames whose skin errs most, none a neighbour of another."""
+    error = evaluation.skin.frames_mm
     apart = max(len(error) // (3 * WORST_FRAMES), 1)
     chosen: list[int] = []
     for row in np.argsort(-error, kind="stable").tolist():

@@ -134,7 +134,6 @@ def _page(
         pictures = (*pictures, coverage.picture)
     moments = review_moments(signals, spec.worst, rate=float(take.rate))
     curves = page_curves(spec, shot, keys, baseline)
-    gaze = [rig.shapes[column] for column in ruler.gaze.tolist()]
     return ReviewPage(
         title=f"{take.name} on {rig.file.stem}",
         verdict=(verdict.level, verdict.sentence, verdict.advice),
@@ -162,7 +161,7 @@ def _page(
         origin=provenance_metadata(provenance),
         markers=None if equation is None else page_markers(shot, equation),
         heat=page_heat(signals, curves),
-        gaze=tuple(gaze),
+        left_out=tuple(rig.shapes[column] for column in ruler.skin.left_out.tolist()),
         notes=page_notes(spec, shot),
         commands=page_commands(spec, shot, spec.references or find_references(spec.performance)),
     )

@@ -55,8 +55,10 @@ def listings(
 def _figures(evaluation: Evaluation) -> Listing:
     figures = evaluation_figures(evaluation)
     names = {
-        "vertex_rms_mm": ("surface error, gaze included, RMS", "mm"),
-        "vertex_p95_mm": ("surface error, gaze included, 95th percentile", "mm"),
+        "skin_mean_mm": ("error of the skin, without gaze and tongue, mean", "mm"),
+        "skin_p95_mm": ("error of the skin, 95th percentile", "mm"),
+        "gaze_mean_mm": ("gaze alone, mean", "mm"),
+        "tongue_mean_mm": ("tongue alone, mean", "mm"),
         "weight_rmse": ("weight error, RMS", ""),
         "lip_error_mm": ("lip opening error, RMS", "mm"),
         "blink_bias": ("blink bias", ""),
@@ -75,13 +77,13 @@ def _regions(evaluation: Evaluation) -> Listing:
         (
             region.name,
             f"{region.shape_count}",
-            f"{region.surface.rms_mm:.3f} mm",
-            f"{region.surface.p95_mm:.3f} mm",
-            f"{region.surface.max_mm:.2f} mm",
+            f"{region.skin.mean_mm:.3f} mm",
+            f"{region.skin.p95_mm:.3f} mm",
+            f"{region.skin.max_mm:.2f} mm",
         )
         for region in evaluation.regions
     )
-    return Listing("By region", ("region", "shapes", "RMS", "95th percentile", "largest"), rows)
+    return Listing("By region", ("region", "shapes", "mean", "95th percentile", "largest"), rows)
 
 
 def _edits(shot: Shot) -> Listing:

@@ -10,7 +10,7 @@ from usdface.core.arrays import FloatArray, IntArray, index_of
 from usdface.core.errors import InputError
 from usdface.media.picture.color import KEYS_RANGE_MM, UNKEYED_RANGE_MM
 from usdface.media.picture.error_strip import ErrorCurve
-from usdface.model.mapping.regions import FACE
+from usdface.model.mapping.evaluation import SkinRuler
 from usdface.model.review.moments import (
     Moment,
     ReviewSignals,
@@ -21,11 +21,6 @@ from usdface.model.review.moments import (
 from usdface.model.review.verdict import SolveEvidence, SolveVerdict, judge_solve
 from usdface.model.selection.baseline import BlendshapeEquation
 from usdface.model.selection.lip_contact import CONTACT_MM, Lips, find_lips, lip_gap_mm
-from usdface.numerics.measure.face_regions import (
-    gaze_shapes,
-    points_by_region,
-    region_gram,
-)
 from usdface.numerics.registration.virtual_markers import character_motion
 from usdface.specs.review import FramePick
 from usdface.steps.inputs.placement import placed_equation, placement_of_performance
@@ -41,51 +36,29 @@ _MEASURED_GAPS = 200
 
 @dataclass(frozen=True)
 class ShotRuler:
-    """What differences of weights do to the skin of a shot's rig; the gaze is left out."""
+    """What differences of weights do to the skin of a shot's rig."""
 
     shot: Shot
 
     @cached_property
-    def gaze(self) -> IntArray:
-        """Columns of the shapes that turn the eyes."""
-        return gaze_shapes(self.shot.rig.shapes)
-
-    @cached_property
-    def points(self) -> dict[str, IntArray]:
-        """Points of the rig by region, the whole face first; see `points_by_region`."""
-        shapes = self.shot.deformer.shapes
-        regions = points_by_region(shapes.target_offsets(), self.shot.rig.shapes)
-        return {FACE: shapes.face_points} | regions
-
-    @cached_property
-    def grams(self) -> FloatArray:
-        """Of each region: (regions, shapes, shapes) [mm^2]."""
-        offsets = self.shot.deformer.shapes.target_offsets()
-        grams = np.stack([region_gram(offsets, points) for points in self.points.values()])
-        grams[:, self.gaze] = 0.0
-        grams[:, :, self.gaze] = 0.0
-        return grams
+    def skin(self) -> SkinRuler:
+        """What errors and jumps are measured by: gaze and tongue are left out."""
+        return SkinRuler(self.shot.rig, self.shot.deformer)
 
     @property
     def regions(self) -> tuple[str, ...]:
         """Names of the regions that are measured."""
-        return tuple(self.points)
+        return tuple(self.skin.points)
 
-    def distances(self, off: FloatArray) -> FloatArray:
-        """Return what differences of weights do to the skin: (frames, regions) [mm]."""
-        return region_distances(off, self.grams)
-
-    def gaze_error_mm(self, truth: FloatArray) -> float:
-        """Return the mean error of the eyes alone, over all points of the rig [mm]."""
-        off = np.zeros_like(truth)
-        off[:, self.gaze] = (self.shot.weights - truth)[:, self.gaze]
-        return float(np.nanmean(surface_distance(self.shot, off)))
+    def distances(self, weights: FloatArray, truth: FloatArray) -> FloatArray:
+        """Return how far the skin is from the keys': (frames, regions) [mm]."""
+        return region_distances(self.skin.differences(weights, truth), self.skin.grams)
 
     def evidence(self, truth: FloatArray | None) -> SolveEvidence:
         """Return what the shot is judged by: see `signals`."""
         if truth is None:
             return self.shot.evidence()
-        return self.shot.evidence(self.regions, self.distances(self.shot.weights - truth))
+        return self.shot.evidence(self.regions, self.distances(self.shot.weights, truth))
 
     def signals(
         self, truth: FloatArray | None, equation: BlendshapeEquation | None = None
@@ -101,7 +74,8 @@ class ShotRuler:
         """
         shot = self.shot
         evidence = self.evidence(truth)
-        jumps = surface_jumps(shot.weights, self.grams)
+        keys = self.skin.differences(shot.weights, np.zeros_like(shot.weights))
+        jumps = surface_jumps(keys, self.skin.grams)
         if evidence.regions != self.regions:  # the mapping's regions, where its markers tell fewer
             columns = [self.regions.index(r) if r in self.regions else 0 for r in evidence.regions]
             jumps = jumps[:, columns or [0]]
@@ -204,7 +178,7 @@ def read_keys(file: Path | None, shot: Shot, unit: str | None = None) -> FloatAr
 def score(label: str, shot: Shot, weights: FloatArray, truth: FloatArray | None) -> Score:
     """Measure weights against the keys; without them only the shot's own have an uncertainty."""
     if truth is not None:
-        error = ShotRuler(shot).distances(weights - truth)[:, 0]
+        error = ShotRuler(shot).distances(weights, truth)[:, 0]
         return Score(label, weights, error, against_truth=True)
     uncertainty = shot.face_uncertainty_mm()
     if uncertainty is None or weights is not shot.weights:

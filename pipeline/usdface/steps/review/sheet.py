@@ -265,8 +265,8 @@ def _notes(spec: SheetSpec, comparison: SheetComparison, *, stand_in_eyes: bool)
     notes = ["uncertainty: expected RMS distance of the skin from an animator's keys"]
     if truth is not None:
         notes = [
-            "error: RMS distance of the skin from the keys, without the gaze",
-            f"gaze alone {comparison.ruler.gaze_error_mm(truth):.2f} mm",
+            "error: RMS distance of the skin from the keys, without gaze and tongue",
+            *(f"{name} alone {mm:.3f} mm" for name, mm in _unseen_mm(comparison).items() if mm),
         ]
         means = (
             f"{each.label} {np.nanmean(each.error_mm):.2f} mm"
@@ -292,6 +292,14 @@ def _notes(spec: SheetSpec, comparison: SheetComparison, *, stand_in_eyes: bool)
     return tuple(notes)
 
 
+def _unseen_mm(comparison: SheetComparison) -> dict[str, float]:
+    """Return how far gaze and tongue are off the keys by themselves; nothing without keys."""
+    if comparison.truth is None:
+        return {}
+    weights = comparison.shots[0].weights
+    return comparison.ruler.skin.unseen_mm(weights, comparison.truth)
+
+
 def _result(
     written: tuple[Path, ...], comparison: SheetComparison, notes: tuple[str, ...]
 ) -> StepResult:
@@ -311,6 +319,7 @@ def _result(
             "frames": [int(comparison.shots[0].frames[frame.row]) for frame in chosen],
             "mean_error_mm": {FIGURE_KEYS.get(label, label): mean for label, mean in means.items()},
             "against_truth": comparison.truth is not None,
+            **{f"{name}_mean_mm": mm for name, mm in _unseen_mm(comparison).items()},
             "verdict": verdict.figures,
             "verdicts": {FIGURE_KEYS.get(k, k): v.level for k, v in comparison.verdicts.items()},
         },

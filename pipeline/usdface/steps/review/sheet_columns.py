@@ -191,14 +191,15 @@ def _face(pictures: ShotPictures, judged: Score) -> Callable[[int], Tile]:
 
 
 def _errors(pictures: ShotPictures, comparison: SheetComparison) -> Callable[[int], Tile]:
-    """Return what paints how far the skin is from where the keys put it; the gaze is theirs."""
+    """Return what paints how far the skin is from the keys'; gaze and tongue are the keys'."""
     shot, truth = comparison.shots[0], comparison.truth
 
     def draw(row: int) -> Tile:
         if truth is None or np.isnan(truth[row]).any():
             return Tile(None, caption="nothing keyed here")
         seen = shot.weights[row].copy()
-        seen[comparison.ruler.gaze] = truth[row, comparison.ruler.gaze]
+        left_out = comparison.ruler.skin.left_out
+        seen[left_out] = truth[row, left_out]
         ours, theirs = (np.asarray(shot.deformer.points(w[None])[0]) for w in (seen, truth[row]))
         away = np.linalg.norm(ours - theirs, axis=-1)
         picture = pictures.painted(row, seen, away, high=range_mm(keyed=True))
@@ -210,7 +211,7 @@ def _errors(pictures: ShotPictures, comparison: SheetComparison) -> Callable[[in
 def _uncertainties(pictures: ShotPictures, comparison: SheetComparison) -> Callable[[int], Tile]:
     """Return what paints the uncertainty of each part of the face."""
     shot, evidence = comparison.shots[0], comparison.signals.evidence
-    points = {name: comparison.ruler.points.get(name) for name in evidence.regions[1:]}
+    points = {name: comparison.ruler.skin.points.get(name) for name in evidence.regions[1:]}
 
     def draw(row: int) -> Tile:
         if evidence.uncertainty_mm is None:
