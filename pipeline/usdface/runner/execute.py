@@ -4,7 +4,7 @@ import contextlib
 import errno
 import os
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from importlib import import_module
 from pathlib import Path
 
@@ -77,8 +77,8 @@ def execute(
             check_outputs(spec, overwrite=overwrite)
             step = find_step(type(spec))
             made = provenance or make_provenance(spec)
-            moved = spec.rig if isinstance(spec, MovedRigSpec) else None
-            with _one_blas_thread(), moved_rig(moved):
+            moved = moved_rig(spec.rig) if isinstance(spec, MovedRigSpec) else nullcontext()
+            with _one_blas_thread(), moved:
                 return step(spec, provenance=made, progress=progress)
     except OSError as error:
         if error.errno != errno.ENAMETOOLONG:

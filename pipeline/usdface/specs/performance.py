@@ -137,7 +137,7 @@ class MapSpec(Spec):
         return self
 
 
-class JoinSpec(Spec):
+class JoinSpec(MovedRigSpec):
     """Join performances of consecutive frame ranges into one.
 
     The parts must follow on one another and have the same take, rig and mapping; they may be given

@@ -232,6 +232,11 @@ class ReferencesFromEditsSpec(MovedRigSpec):
     step: Literal["references-from-edits"] = "references-from-edits"
     performances: Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]
     """Edited performances. Each stores the take and the mapping it was made from."""
+    take: Annotated[tuple[Path, ...], Reads()] = ()
+    """The takes they were made from, if their files have moved: one for each, in order, or one for
+    all."""
+    mapping: ReadPath | None = None
+    """The mapping they were made by, if its file has moved."""
     references: ReadPath
     """The references to add to."""
     out: LayerOut
@@ -261,6 +266,10 @@ class ReferencesAddSpec(MovedRigSpec):
     step: Literal["references-add"] = "references-add"
     performance: Annotated[FilePath, Reads(), Positional()]
     """The performance. It stores the take and the mapping it was made from."""
+    take: ReadPath | None = None
+    """The take it was made from, if its file has moved."""
+    mapping: ReadPath | None = None
+    """The mapping it was made by, if its file has moved."""
     references: ReadPath
     """The references to add to."""
     out: LayerOut

@@ -275,6 +275,8 @@ class FacesSpec(Spec):
     step: Literal["faces"] = "faces"
     performances: Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]
     """Performances: one column each."""
+    rig: Annotated[tuple[Path, ...], Reads()] = ()
+    """The rigs, if their files have moved: one for each performance, in order, or one for all."""
     out: ImageOut
     """Picture to write: .jpg, .png or .exr."""
     rows: Annotated[int, Field(ge=1, le=100)] = 6

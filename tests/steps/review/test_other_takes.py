@@ -12,10 +12,18 @@ from tests.steps.small_shot import Shot
 from usdface.core.assets import WeightsClip
 from usdface.core.errors import InputError
 from usdface.media.film.video import VideoReader
+from usdface.media.picture.image import read_picture
 from usdface.runner.execute import execute
-from usdface.specs.edits import BakeSpec
-from usdface.specs.review import EvaluateSpec, MovieSpec, ReportSpec, SheetSpec
+from usdface.specs.edits import BakeSpec, CombineSpec, EditSpec
+from usdface.specs.performance import JoinSpec
+from usdface.specs.references import (
+    ReferencesAddSpec,
+    ReferencesCoverageSpec,
+    ReferencesFromEditsSpec,
+)
+from usdface.specs.review import EvaluateSpec, FacesSpec, MovieSpec, ReportSpec, SheetSpec
 from usdface.usdio.performance.read import PerformanceReader
+from usdface.usdio.references.read import read_references
 from usdface.usdio.take.read import read_take
 from usdface.usdio.take.write import write_take
 
@@ -89,3 +97,75 @@ def test_a_video_that_moved_is_named_and_found_where_it_is_said_to_be(shot: Shot
         execute(spec_of(shot, frames="1-24"))
     execute(spec_of(shot, frames="1-24", video=moved))
     assert '"movie":"video' in (shot / "shot.html").read_text(encoding="utf-8")
+
+
+def test_every_command_whose_rig_moved_finds_it_or_names_one_that_does(
+    shot: Shot, capfd: pytest.CaptureFixture[str]
+) -> None:
+    hero, out = shot / "shot.hero.usda", shot / "out"
+    out.mkdir()
+    faces = {"performances": (hero,), "rows": 1, "tile": 64, "quality": "draft"}
+    joined = {"parts": (hero,), "out": out / "joined.usda"}
+    covered = {
+        "references": shot / "hero.references.usda",
+        "takes": (shot / "shot.clean.take.usda",),
+    }
+    execute(FacesSpec(**faces, out=out / "before.png"))
+    moved = Path(shutil.move(shot / "hero.usdc", out / "hero.usdc"))
+    for spec in (
+        FacesSpec(**faces, out=out / "x.png"),
+        JoinSpec(**joined),
+        ReferencesCoverageSpec(**covered, out=out / "x.png"),
+    ):
+        with pytest.raises(InputError, match=r"hero\.usdc.* say where it is by --rig"):
+            execute(spec)
+    with pytest.raises(InputError, match=r"hero\.usdc.*put it back, or .*usdface join .*--rig"):
+        execute(CombineSpec(performances=(hero,), out=out / "takes.usda"))
+    with pytest.raises(InputError, match="--rig names 2 rigs for 1 performances"):
+        execute(FacesSpec(**faces, out=out / "x.png", rig=(moved,) * 2))
+    execute(FacesSpec(**faces, out=out / "after.png", rig=(moved,)))
+    np.testing.assert_array_equal(read_picture(out / "after.png"), read_picture(out / "before.png"))
+    execute(ReferencesCoverageSpec(**covered, out=out / "x.png", rig=moved))
+    execute(JoinSpec(**joined, rig=moved))
+    assert PerformanceReader(out / "joined.usda").rig()[0].resolve() == moved.resolve()
+    execute(CombineSpec(performances=(out / "joined.usda",), out=out / "takes.usda"))
+    capfd.readouterr()
+    execute(SheetSpec(performance=hero, out=shot / "x.jpg", rig=moved, **DRAFT))
+    execute(EditSpec(performance=hero, shape=("jawOpen",), frames="10-20", add=0.2))
+    assert capfd.readouterr().err == "", "USD's own warnings are no words of ours"
+
+
+def test_a_take_or_mapping_that_moved_is_named_and_found_where_it_is_said_to_be(
+    shot: Shot,
+) -> None:
+    hero, references = shot / "shot.hero.usda", shot / "hero.references.usda"
+    execute(EditSpec(performance=hero, shape=("jawOpen",), frames="100-130", add=0.3))
+    steps = {
+        ReferencesAddSpec: {"performance": hero, "references": references, "frames": "301"},
+        ReferencesFromEditsSpec: {"performances": (hero,), "references": references},
+    }
+    before = {}
+    for number, (spec, given) in enumerate(steps.items()):
+        execute(spec(**given, out=shot / f"before{number}.references.usda"))
+        before[spec] = read_references(shot / f"before{number}.references.usda")
+    moved: dict[str, Path] = {}
+    for what, name in (("take", "shot.clean.take.usda"), ("mapping", "hero.mapping.usdc")):
+        known = dict(moved)
+        moved[what] = Path(shutil.move(shot / name, shot / f"moved.{name}"))
+        for number, (spec, given) in enumerate(steps.items()):
+            out = shot / f"{what}{number}.references.usda"
+            gone, found = (
+                {
+                    field: (path,) if number and field == "take" else path
+                    for field, path in each.items()
+                }
+                for each in (known, moved)
+            )
+            with pytest.raises(InputError, match=rf"its {what}, .*{name}, is gone;.* by --{what}"):
+                execute(spec(**given, **gone, out=out))
+            execute(spec(**given, **found, out=out))
+            np.testing.assert_array_equal(read_references(out).markers, before[spec].markers)
+    twice = {"take": (moved["take"],) * 2, "mapping": moved["mapping"]}
+    learned = steps[ReferencesFromEditsSpec] | twice
+    with pytest.raises(InputError, match="--take names 2 takes for 1 performances"):
+        execute(ReferencesFromEditsSpec(**learned, out=shot / "x.references.usda"))

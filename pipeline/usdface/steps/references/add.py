@@ -13,7 +13,12 @@ from usdface.runner.result import StepResult
 from usdface.specs.notes import read_notes
 from usdface.specs.paths import frame_list, frame_range
 from usdface.specs.references import ReferencesAddSpec
-from usdface.steps.references.from_edits import captured_at, made_from, with_pairs, write_extended
+from usdface.steps.references.from_edits import (
+    captured_at,
+    with_pairs,
+    write_extended,
+)
+from usdface.steps.references.performance_inputs import MovedInputs, made_from
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.references.read import read_references
 
@@ -28,7 +33,8 @@ def run(
     old = read_references(spec.references)
     reader = PerformanceReader(spec.performance)
     notes: list[str] = []
-    take, mapping = made_from(spec.performance, old)
+    moved = MovedInputs(spec.take, spec.mapping)
+    take, mapping = made_from(spec.performance, old, moved)
     frames = _new_frames(spec, reader, old, take.name, notes)
     captured, seen = captured_at(take, mapping, old, frames)
     if not seen.any():

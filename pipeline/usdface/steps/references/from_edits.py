@@ -17,13 +17,11 @@ from usdface.core.sidecars import proposed_path, reference_layers, tuned_path
 from usdface.core.text import first_few, pluralize
 from usdface.numerics.motion.key_reduction import EditCurve
 from usdface.numerics.regression.reference_design import design_k_centre
-from usdface.runner.origin import spec_of
 from usdface.runner.result import StepResult
 from usdface.specs.references import ReferencesAddSpec, ReferencesFromEditsSpec
 from usdface.steps.inputs.cleaned_takes import read_markers, take_head_space
 from usdface.steps.inputs.source_motion import read_source_motion
-from usdface.usdio.layers import read_provenance
-from usdface.usdio.mapping import read_mapping
+from usdface.steps.references.performance_inputs import MovedInputs, made_from
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.references.read import (
     SAME_WEIGHT,
@@ -60,8 +58,9 @@ def run(
     old = read_references(spec.references)
     notes: list[str] = []
     lessons: list[_Lessons] = []
-    for index, performance in enumerate(spec.performances):
-        lessons.append(_learn(spec, performance, old, notes))
+    for index, (performance, take) in enumerate(_with_takes(spec)):
+        moved = MovedInputs(take, spec.mapping)
+        lessons.append(_learn(spec, performance, old, moved, notes))
         progress(0.8 * (index + 1) / len(spec.performances), f"looked at {performance.name}")
     references = _together(old, lessons, notes)
     added = len(references.frames) - len(old.frames)
@@ -99,8 +98,20 @@ class _Lessons:
 _NO_LESSONS = _Lessons("", np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 0)))
 
 
+def _with_takes(spec: ReferencesFromEditsSpec) -> list[tuple[Path, Path | None]]:
+    """Return each performance with where its take is, if that has moved."""
+    count, takes = len(spec.performances), spec.take or (None,)
+    if len(takes) not in (1, count):
+        raise InputError(f"--take names {len(takes)} takes for {count} performances; give one each")
+    return list(zip(spec.performances, takes * (count // len(takes)), strict=True))
+
+
 def _learn(
-    spec: ReferencesFromEditsSpec, performance: Path, old: References, notes: list[str]
+    spec: ReferencesFromEditsSpec,
+    performance: Path,
+    old: References,
+    moved: MovedInputs,
+    notes: list[str],
 ) -> _Lessons:
     reader = PerformanceReader(performance)
     driven = {each.shape for each in old.combinations}
@@ -118,7 +129,7 @@ def _learn(
     if not len(rows):
         notes.append(f"{performance}: no frame was corrected; nothing to learn from it")
         return _NO_LESSONS
-    take, mapping = made_from(performance, old)
+    take, mapping = made_from(performance, old, moved)
     captured, seen = captured_at(take, mapping, old, reader.frames[rows])
     rows, captured = rows[seen], captured[seen]
     if not seen.all():
@@ -169,44 +180,6 @@ def spread_out(weights: FloatArray, change: FloatArray, count: int) -> IntArray:
         return np.array([first], dtype=np.int64)
     further = design_k_centre(weights, wanted, already=np.array([first])).chosen
     return np.sort(np.concatenate([[first], further]))
-
-
-def made_from(performance: Path, old: References) -> tuple[TakeReader, TrainedMapping | None]:
-    """Return the take and the mapping that a performance, or its parts, say they were made from.
-
-    References of takes that carry weights have no mapping.
-    """
-    if old.source is not None:
-        source = _spec_of(performance, "retarget").get("source")
-        if not isinstance(source, str):
-            raise InputError(
-                f"{performance}: does not say from which take it was retargeted; give a "
-                "performance that `usdface retarget` wrote of a take"
-            )
-        return TakeReader(performance.resolve().parent / source), None
-    file, spec = performance, _spec_of(performance, "map")
-    seen = set[Path]()
-    while not spec and file not in seen:
-        seen.add(file)
-        parts = _spec_of(file, "join").get("parts")
-        if isinstance(parts, list) and parts:
-            part = file.resolve().parent / str(parts[0])
-            if part.is_file():
-                file, spec = part, _spec_of(part, "map")
-    if "take" not in spec or "mapping" not in spec:
-        raise InputError(
-            f"{performance}: does not say from which take and mapping it was made; give a "
-            "performance that `usdface map` wrote, or one joined of such parts, with the parts "
-            "still there"
-        )
-    folder = file.resolve().parent
-    return TakeReader(folder / str(spec["take"])), read_mapping(folder / str(spec["mapping"]))
-
-
-def _spec_of(file: Path, step: str) -> dict[str, object]:
-    """Return the spec that a file was made by; empty where it was made by another step."""
-    made = read_provenance(file)
-    return spec_of(made) if made is not None and made.step == step else {}
 
 
 def captured_at(

@@ -18,6 +18,7 @@ from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.review import FacesSpec
 from usdface.usdio.rig.posed_points import PosedRig
+from usdface.usdio.rig.reference import moved_rig
 
 MOVES_MM, MOVES_SHARE = 2.0, 0.2
 """Points that go further than both between the frames belong in the picture, [mm] and of the
@@ -32,7 +33,7 @@ MOST_POSES = 4000
 
 def run(spec: FacesSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Choose frames, draw every face at each of them, and write the sheet."""
-    actors = [PosedRig(path) for path in spec.performances]
+    actors = _actors(spec)
     frames = _shared(spec, actors)
     chosen = _most_different(actors[0], frames, spec.rows)
     rows = []
@@ -64,6 +65,18 @@ def run(spec: FacesSpec, *, provenance: Provenance, progress: Progress = silent)
         (),
         {"frames": chosen.tolist(), "performances": [str(path) for path in spec.performances]},
     )
+
+
+def _actors(spec: FacesSpec) -> list[PosedRig]:
+    """Open every performance, with its rig from where that is now."""
+    count, rigs = len(spec.performances), spec.rig or (None,)
+    if len(rigs) not in (1, count):
+        raise InputError(f"--rig names {len(rigs)} rigs for {count} performances; give one each")
+    actors = []
+    for path, rig in zip(spec.performances, rigs * (count // len(rigs)), strict=True):
+        with moved_rig(rig):
+            actors.append(PosedRig(path))
+    return actors
 
 
 class _Column:

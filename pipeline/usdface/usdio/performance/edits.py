@@ -27,7 +27,12 @@ from usdface.numerics.motion.key_reduction import (
     reduce_keys,
 )
 from usdface.usdio.authoring import author_timing, retime_layer
-from usdface.usdio.layers import new_layers, open_layer, relative_path
+from usdface.usdio.layers import (
+    new_layers,
+    open_layer,
+    relative_path,
+    usd_errors_as_input_errors,
+)
 from usdface.usdio.units import author_units
 
 _OFFSET = "face:edit:"
@@ -256,7 +261,10 @@ def write_edits(
         made[performance] = (
             None  # both or none: a change that was made and is refused is made twice
         )
-    with new_layers(made) as (layer, *above):
+    with (
+        usd_errors_as_input_errors(path, "writing it"),  # a stage of it composes again
+        new_layers(made) as (layer, *above),
+    ):
         if stamp is not None and edits_stamp(performance) != stamp:
             raise InputError(
                 f"{path}: another process changed it since it was read; nothing was written: give "

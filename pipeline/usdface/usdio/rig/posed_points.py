@@ -10,8 +10,8 @@ from usdface.core.assets import Rig
 from usdface.core.errors import InputError
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.performance.read import PerformanceReader
-from usdface.usdio.rig.read import find_face, read_rig
-from usdface.usdio.rig.reference import place_of
+from usdface.usdio.rig.read import faces_below, find_face, read_rig
+from usdface.usdio.rig.reference import place_of, stage_with_rig
 from usdface.usdio.units import column_matrix, stage_to_ours, transform_points
 
 
@@ -28,6 +28,10 @@ class PosedRig:
         # A file of several faces is shown whole; the one that moves is meant.
         place = place_of(self._stage, self._stage.GetPrimAtPath(self.reader.animation.GetPath()))
         face = Sdf.Path(prim).ReplacePrefix(Sdf.Path(prim).GetPrefixes()[0], Sdf.Path(place))
+        if not UsdSkel.Root(self._stage.GetPrimAtPath(face)) and not faces_below(
+            self._stage.GetPseudoRoot()
+        ):  # overs alone: the rig has moved
+            self._stage = stage_with_rig(path, self.rig, Sdf.Path(place))
         face_path = str(face) if self._stage.GetPrimAtPath(face) else None
         root = UsdSkel.Root(find_face(self._stage, path, face_path))
         predicate = Usd.TraverseInstanceProxies()

@@ -12,7 +12,7 @@ from pxr import Ar, Gf, Sdf, Usd, UsdGeom, UsdSkel
 from usdface.core.assets import Rig
 from usdface.core.errors import InputError
 from usdface.usdio.authoring import apply_api, author_uniform, define_prim
-from usdface.usdio.layers import open_stage, relative_path
+from usdface.usdio.layers import open_stage, relative_path, usd_errors_as_input_errors
 from usdface.usdio.rig.read import skeletons_of
 from usdface.usdio.units import MM_PER_STAGE_UNIT, stage_to_ours
 
@@ -201,11 +201,15 @@ def rig_of(stage: Usd.Stage, animation: Usd.Prim) -> tuple[Path, str]:
     file, top = missing
     if moved:
         return Path(moved), top
-    raise InputError(f"{where}: its rig, {file}, is gone; put it back, or say where it is by --rig")
+    remedy = "say where it is by --rig"
+    if moved is None:
+        remedy = "write the performance on it where it is by `usdface join PERFORMANCE --rig RIG`"
+    raise InputError(f"{where}: its rig, {file}, is gone; put it back, or {remedy}")
 
 
 _MOVED_RIG = "USDFACE_MOVED_RIG"
-"""Of the environment, which the processes that draw a movie share."""
+"""Of the environment, which the processes that draw a movie share; empty where --rig is not given,
+and not there where a command has no --rig."""
 
 
 @contextlib.contextmanager
@@ -214,11 +218,8 @@ def moved_rig(rig: Path | None) -> Iterator[None]:
 
     The prim is the one they refer to.
     """
-    if rig is None:
-        yield
-        return
     before = os.environ.get(_MOVED_RIG)
-    os.environ[_MOVED_RIG] = str(rig.resolve())
+    os.environ[_MOVED_RIG] = "" if rig is None else str(rig.resolve())
     try:
         yield
     finally:
@@ -226,6 +227,17 @@ def moved_rig(rig: Path | None) -> Iterator[None]:
             del os.environ[_MOVED_RIG]
         else:
             os.environ[_MOVED_RIG] = before
+
+
+def stage_with_rig(path: Path, rig: Rig, place: Sdf.Path) -> Usd.Stage:
+    """Open a performance with its rig from where that is now."""
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    layer.subLayerPaths = [str(path.resolve())]
+    prim = Sdf.CreatePrimInLayer(layer, place)
+    reference = Sdf.Reference(str(rig.file.resolve()), Sdf.Path(rig.prim).GetPrefixes()[0])
+    prim.referenceList.prependedItems = [reference]
+    with usd_errors_as_input_errors(path, "composing it"):
+        return Usd.Stage.Open(layer)
 
 
 def _missing_reference(stage: Usd.Stage) -> tuple[str, str] | None:

@@ -16,7 +16,7 @@ from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.core.assets import Rig
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.performance.read import PerformanceReader
-from usdface.usdio.rig.reference import place_of
+from usdface.usdio.rig.reference import place_of, stage_with_rig
 from usdface.usdio.units import column_matrix, stage_to_ours
 
 
@@ -63,7 +63,7 @@ class RigMotion(PointMotion):
         posed = root.ReplacePrefix(source, place)
         stage = reader.stage
         if not UsdSkel.Root(stage.GetPrimAtPath(posed)):  # overs alone: the rig has moved
-            stage = _with_rig(path, rig, place)
+            stage = stage_with_rig(path, rig, Sdf.Path(place))
         self._posed = _Placement(stage, posed)
         self._parts: list[tuple[Sdf.Path, int]] = []
         """Path below the SkelRoot, and joint in its skeleton, or -1 for the prim itself."""
@@ -156,16 +156,6 @@ def points_following(rig: Rig, path: str, *, is_joint: bool) -> BoolArray:
             share = np.where(np.isin(indices, below), weights, 0.0).sum(axis=1)
         found.append(share > 0.5)
     return np.concatenate(found)
-
-
-def _with_rig(path: Path, rig: Rig, place: Sdf.Path) -> Usd.Stage:
-    """Open a performance with its rig from where that is now."""
-    layer = Sdf.Layer.CreateAnonymous(".usda")
-    layer.subLayerPaths = [str(path.resolve())]
-    prim = Sdf.CreatePrimInLayer(layer, place)
-    reference = Sdf.Reference(str(rig.file.resolve()), Sdf.Path(rig.prim).GetPrefixes()[0])
-    prim.referenceList.prependedItems = [reference]
-    return Usd.Stage.Open(layer)
 
 
 class _Placement:

@@ -1,0 +1,71 @@
+"""The take and the mapping that a performance was made from, also where these have moved."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from usdface.core.assets import References, TrainedMapping
+from usdface.core.errors import InputError
+from usdface.runner.origin import spec_of
+from usdface.usdio.layers import read_provenance
+from usdface.usdio.mapping import read_mapping
+from usdface.usdio.take.read import TakeReader
+
+
+@dataclass(frozen=True)
+class MovedInputs:
+    """Where a performance's take and mapping are now; None where it says so itself."""
+
+    take: Path | None = None
+    mapping: Path | None = None
+
+
+def made_from(
+    performance: Path, old: References, moved: MovedInputs
+) -> tuple[TakeReader, TrainedMapping | None]:
+    """Return the take and the mapping that a performance, or its parts, say they were made from.
+
+    References of takes that carry weights have no mapping.
+    """
+    if old.source is not None:
+        source = _spec_of(performance, "retarget").get("source")
+        if moved.take is None and not isinstance(source, str):
+            raise InputError(
+                f"{performance}: does not say from which take it was retargeted; give a "
+                "performance that `usdface retarget` wrote of a take"
+            )
+        named = performance.resolve().parent / str(source)
+        return TakeReader(moved.take or _present(performance, "take", named)), None
+    file, spec = performance, _spec_of(performance, "map")
+    seen = set[Path]()
+    while not spec and file not in seen:
+        seen.add(file)
+        parts = _spec_of(file, "join").get("parts")
+        if isinstance(parts, list) and parts:
+            part = file.resolve().parent / str(parts[0])
+            if part.is_file():
+                file, spec = part, _spec_of(part, "map")
+    paths: dict[str, Path] = {}
+    for name, given in (("take", moved.take), ("mapping", moved.mapping)):
+        if given is None and name not in spec:
+            raise InputError(
+                f"{performance}: does not say from which {name} it was made; say it by --{name}, "
+                "or give a performance that `usdface map` wrote, or one joined of such parts, "
+                "with the parts still there"
+            )
+        named = file.resolve().parent / str(spec.get(name))
+        paths[name] = given or _present(performance, name, named)
+    return TakeReader(paths["take"]), read_mapping(paths["mapping"])
+
+
+def _present(performance: Path, what: str, file: Path) -> Path:
+    if file.is_file():
+        return file
+    raise InputError(
+        f"{performance}: its {what}, {file}, is gone; put it back, or say where it is by --{what}"
+    )
+
+
+def _spec_of(file: Path, step: str) -> dict[str, object]:
+    """Return the spec that a file was made by; empty where it was made by another step."""
+    made = read_provenance(file)
+    return spec_of(made) if made is not None and made.step == step else {}
