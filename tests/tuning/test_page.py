@@ -459,6 +459,20 @@ def test_notes_of_a_report_stand_at_their_frame(asset: Path, context: Any, tmp_p
     command.interrupt()
 
 
+def test_a_long_message_is_one_line_beside_the_count_of_pairs(desk: Desk) -> None:
+    page = desk.page().page
+    page.set_viewport_size({"width": 1000, "height": 700})
+    page.evaluate("tune.tell('ready')")
+    before = [page.locator(each).bounding_box() for each in ("#progress", "#status", "#film")]
+    text = "The mouth is solved for the markers; held: " + ", ".join(["mouthSmileLeft"] * 40)
+    page.evaluate("(text) => tune.tell(text)", text)
+    after = [page.locator(each).bounding_box() for each in ("#progress", "#status", "#film")]
+    assert after == before
+    box = page.locator("#message").bounding_box()
+    assert box["height"] < 1.2 * before[0]["height"]
+    assert page.locator("#message").get_attribute("title") == text
+
+
 def test_a_row_of_buttons_is_one_stop_of_the_tab_key(desk: Desk) -> None:
     page = desk.page().page
     page.evaluate("document.activeElement.blur()")

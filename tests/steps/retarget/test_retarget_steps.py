@@ -245,6 +245,21 @@ def test_cyclic_errors_are_figures_and_curves(trained: Stall, capsys) -> None:
     assert read_image_metadata(Path("c.png"))["step"] == "cyclic"
 
 
+def test_cyclic_names_the_rig_that_its_pairs_lack(trained: Stall, capsys) -> None:
+    (trained / "human.usda").rename(trained / "moved.usda")
+    assert usdface("cyclic", "x.pairs.usda", "--source", "shot.usda", "--out", "c.json") == 2
+    told = capsys.readouterr().err
+    assert "x.pairs.usda: its source rig, " in told
+    assert "human.usda, is gone" in told
+    (trained / "weights.csv").write_text("frame,jawOpen,eyeBlink\n1,0,0\n2,1,0\n3,0,1\n")
+    line = "pairs propose --source weights.csv --target beast.usda --match name --out w.pairs.usda"
+    assert usdface(*line.split()) == 0
+    capsys.readouterr()
+    assert usdface("cyclic", "w.pairs.usda", "--source", "weights.csv", "--out", "c.json") == 2
+    told = capsys.readouterr().err
+    assert "w.pairs.usda: has no source rig, and errors in mm need one; propose pairs" in told
+
+
 def sequence_and_matches(stall: Stall, target_frames: int = 61) -> None:
     """A smile of the creature's own, found in the shot."""
     time = np.linspace(0, 1, target_frames)[:, None]

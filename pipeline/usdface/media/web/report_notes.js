@@ -20,12 +20,23 @@ function merged(one, other) {
   return [...byName.values()].sort((a, b) => a.frame - b.frame);
 }
 
+/** What can be shown of a newer format, as specs/notes.py has it: frames and texts. */
+function textsOfNewer(notes, newer) {
+  return notes.filter((note) => typeof note === "object" && note !== null).map((note, index) => {
+    const shown = { id: `newer-${index}`, frame: Number.isInteger(note.frame) ? note.frame : 0, newer, original: note };
+    for (const key of ["id", "text", "author", "made", "version"]) if (typeof note[key] === "string") shown[key] = note[key];
+    return shown;
+  });
+}
+
 /** Notes as a file holds them; throws where it is no such file. */
 function readNotes(text) {
   const file = JSON.parse(text);
-  if (file?.usdface_notes !== FORMAT_OF_NOTES || !Array.isArray(file.notes)) {
+  const format = file?.usdface_notes;
+  if (!(Number.isInteger(format) && format >= FORMAT_OF_NOTES) || !Array.isArray(file.notes)) {
     throw new Error("it holds no notes of a usdface report");
   }
+  if (format > FORMAT_OF_NOTES) return textsOfNewer(file.notes, format);
   const fits = ({ id, frame, text: words }) => typeof id === "string" && Number.isInteger(frame) && typeof (words ?? "") === "string";
   if (!file.notes.every(fits)) throw new Error("a note lacks its id, frame or text");
   return file.notes;
@@ -266,13 +277,14 @@ export class Notes extends EventTarget {
     const from = [note.author, (note.made ?? "").slice(0, 16).replace("T", " ")].filter(Boolean).join(", ");
     const facts = node("small", {}, from);
     const old = note.version !== data.version;
-    if (old) facts.append(" ", node("em", {}, "on another version"));
+    if (old && !note.newer) facts.append(" ", node("em", {}, "on another version"));
+    if (note.newer) facts.append(" ", node("em", {}, "of a newer version of usdface, shown without what that adds"));
     if (!inside) facts.append(" ", node("em", {}, "not in these frames"));
     const done = node("input", { type: "checkbox", "aria-label": `Done: ${note.text ?? ""}` });
     done.checked = Boolean(note.done);
     done.addEventListener("change", () => this.#change(note, { done: done.checked }));
-    const actions = [node("label", {}, done, " done"), button("Edit", "Edit this note", () => this.#edit(note))];
-    if (old) actions.push(button("Still stands", "Make it a note on this version", () => this.#change(note, { version: data.version })));
+    const actions = note.newer ? [] : [node("label", {}, done, " done"), button("Edit", "Edit this note", () => this.#edit(note))];
+    if (old && !note.newer) actions.push(button("Still stands", "Make it a note on this version", () => this.#change(note, { version: data.version })));
     actions.push(button("Delete", "Delete this note", () => {
       this.notes = this.notes.filter(({ id }) => id !== note.id);
       this.#changed();

@@ -362,7 +362,7 @@ class Page {
 
   hush() {
     clearTimeout(this.noteTimer);
-    $("message").textContent = "";
+    $("message").textContent = $("message").title = "";
   }
 
   toggleVideo() {

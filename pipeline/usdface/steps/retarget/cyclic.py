@@ -91,10 +91,14 @@ def run(spec: CyclicSpec, *, provenance: Provenance, progress: Progress = silent
 
 
 def _rig(spec: CyclicSpec, file: Path | None, prim: str, side: str) -> Rig:
-    if file is None or not file.is_file():
+    if file is None:
         raise InputError(
-            f"{spec.pairs}: its {side} rig {file or ''} is not there, and errors in mm need it; "
-            "put it back"
+            f"{spec.pairs}: has no {side} rig, and errors in mm need one; propose pairs from a rig "
+            "instead of weights (`usdface pairs propose --source RIG --target RIG`)"
+        )
+    if not file.is_file():
+        raise InputError(
+            f"{spec.pairs}: its {side} rig, {file}, is gone, and errors in mm need it; put it back"
         )
     return read_rig(file, prim=prim)
 

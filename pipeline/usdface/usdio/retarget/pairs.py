@@ -37,6 +37,7 @@ from usdface.usdio.retarget.controls import (
 )
 from usdface.usdio.rig.reference import (
     define_reference,
+    missing_reference,
     point_skeletons_at,
     rig_of,
     turn_to_our_units,
@@ -107,8 +108,8 @@ def read_pairs(path: Path) -> ExpressionPairs:
     times = _times(stage, source, target, attributes, path)
     left = controls_at(source, None, (), times, path)
     right = controls_at(target, top, attributes, times, path)
-    source_rig, source_prim = _rig(stage, source)
-    target_rig, target_prim = _rig(stage, target)
+    source_rig, source_prim = _rig(stage, source, _SOURCE)
+    target_rig, target_prim = _rig(stage, target, _TARGET)
     names = root.GetAttribute(_NAME.name)
     return ExpressionPairs(
         names=tuple(str((names.Get(time) if names else None) or "") for time in times),
@@ -233,11 +234,14 @@ def _sampled(animation: Usd.Prim) -> set[int]:
     return found
 
 
-def _rig(stage: Usd.Stage, animation: Usd.Prim) -> tuple[Path | None, str]:
+def _rig(stage: Usd.Stage, animation: Usd.Prim, place: Sdf.Path) -> tuple[Path | None, str]:
+    """Return the rig that stands at a place, also if its file is gone; None where there is none."""
     try:
         return rig_of(stage, animation)
     except InputError:
-        return None, ""
+        top = stage.GetPrimAtPath(place)
+        missing = missing_reference(top) if top else None
+        return (None, "") if missing is None else (Path(missing[0]), missing[1])
 
 
 def merge_pairs(old: ExpressionPairs, new: ExpressionPairs) -> ExpressionPairs:

@@ -195,7 +195,7 @@ def rig_of(stage: Usd.Stage, animation: Usd.Prim) -> tuple[Path, str]:
             if source is not None:
                 return Path(moved) if moved else source.file, source.root
     where = f"{stage.GetRootLayer().realPath} <{animation.GetPath()}>"
-    missing = _missing_reference(stage)
+    missing = missing_reference(stage.GetPseudoRoot())
     if missing is None:
         raise InputError(f"{where}: no rig follows this animation; reference the rig it is for")
     file, top = missing
@@ -240,9 +240,10 @@ def stage_with_rig(path: Path, rig: Rig, place: Sdf.Path) -> Usd.Stage:
         return Usd.Stage.Open(layer)
 
 
-def _missing_reference(stage: Usd.Stage) -> tuple[str, str] | None:
+def missing_reference(top: Usd.Prim) -> tuple[str, str] | None:
     """Return the first file that a prim refers to and that is gone, and the prim in it."""
-    specs = (spec for prim in stage.TraverseAll() for spec in prim.GetPrimStack())
+    below = Usd.PrimRange.AllPrims(top)
+    specs = (spec for prim in below for spec in prim.GetPrimStack())
     for spec in specs:
         arcs = (spec.referenceList, spec.payloadList)
         for each in (arc for arcs_of in arcs for arc in arcs_of.GetAddedOrExplicitItems()):
