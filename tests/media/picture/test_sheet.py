@@ -169,7 +169,7 @@ def test_sheet_without_curves_values_and_facts_is_still_made() -> None:
 def test_strip_keeps_the_peak_of_a_single_frame() -> None:
     values = np.zeros(100_000)
     values[61_803] = 2.0
-    page = np.zeros((120, 720, 3), np.uint8)
+    page = np.zeros((120, LABEL_WIDTH + 600, 3), np.uint8)
     strip = ErrorStrip((ErrorCurve("", values),), first_frame=0, high=2.0)
     draw_error_strip(page, strip, x=0, y=0, width=LABEL_WIDTH + 584)
     hot = bytes_from_linear(heat_ramp(np.array([2.0]), high=2.0))[0]
@@ -179,7 +179,7 @@ def test_strip_keeps_the_peak_of_a_single_frame() -> None:
 
 
 def test_strip_marks_the_frames_of_the_rows() -> None:
-    page = np.zeros((120, 720, 3), np.uint8)
+    page = np.zeros((120, LABEL_WIDTH + 600, 3), np.uint8)
     marked = page.copy()
     curve = ErrorCurve("", np.ones(600))
     for picture, marks in ((page, ()), (marked, ((1300, "1"),))):
@@ -192,7 +192,7 @@ def test_strip_marks_the_frames_of_the_rows() -> None:
 def test_unknown_errors_leave_a_gap() -> None:
     values = np.ones(600)
     values[200:400] = np.nan
-    page = np.zeros((120, 720, 3), np.uint8)
+    page = np.zeros((120, LABEL_WIDTH + 600, 3), np.uint8)
     strip = ErrorStrip((ErrorCurve("", values),), first_frame=0, high=1.0)
     draw_error_strip(page, strip, x=0, y=0, width=LABEL_WIDTH + 584)
     lane = page[60, LABEL_WIDTH:]

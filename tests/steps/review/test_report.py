@@ -287,9 +287,10 @@ def test_the_page_tells_what_the_mappings_references_cover(shot: Shot) -> None:
     report = execute(spec_of(shot, worst=6))
     text = (shot / "shot.html").read_text(encoding="utf-8")
     data = json.loads(re.search(r'id="data">(.*?)</script>', text)[1])
-    strip = next(each for each in data["strips"] if each["name"] == "coverage")
+    strip = next(each for each in data["strips"] if each["name"] == "motion covered")
     values = np.array(strip["values"])
-    assert ((values >= 0) & (values <= 1)).all()
+    assert ((values >= 0) & (values <= 100)).all()
+    assert values.max() > 1
     assert "<h2>Coverage by hero.references.usda</h2>" in text
     table = text.split("<h2>Tune next</h2>")[1].split("</table>")[0]
     frames = [int(frame) for frame in re.findall(r'href="#(\d+)"', table)]

@@ -1,6 +1,7 @@
 """Every layout of a sheet, on a shot that has been solved."""
 
 import json
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -145,7 +146,7 @@ def test_uncertainty_is_drawn_below_the_errors(shot: Shot, monkeypatch) -> None:
     )
     execute(spec_of(shot))
     curve, covered = pages[0].curves
-    assert (curve.label, covered.label) == ("uncertainty", "not covered")
+    assert (curve.label, covered.label) == ("uncertainty", "motion not covered")
     assert (pages[0].high, pages[0].comparable) == (3.0, False)
     assert pages[0].verdict[0] in OPENINGS
     np.testing.assert_array_equal(
@@ -153,6 +154,7 @@ def test_uncertainty_is_drawn_below_the_errors(shot: Shot, monkeypatch) -> None:
     )
     execute(spec_of(shot, against=shot / "keys.csv", out=shot / "b.png"))
     assert (pages[1].high, pages[1].comparable) == (1.0, True)
+    assert all(re.search(r"references cover \d+% of the frames", p.verdict[1]) for p in pages)
     assert "gaze alone" in " ".join(pages[1].notes)
 
 

@@ -39,7 +39,7 @@ _LEGEND_HEIGHT = 46
 _TAKES_HEIGHT = 30
 _PLOT_HEIGHT = 300
 _TABLE_WIDTH = 560
-_TABLE_COLUMNS = (("take", 0), ("frame", 250), ("coverage", 340), ("of all, once tuned", 430))
+_TABLE_COLUMNS = (("take", 0), ("frame", 200), ("motion covered", 275), ("of all, once tuned", 415))
 _ROW_HEIGHT = 26
 WORST_PERCENT = 50.0
 """Of the motion, at the top of a lane: half of it is then not determined."""
@@ -104,7 +104,7 @@ def draw_coverage(page: CoveragePage) -> ByteImage:
     y = draw_header(picture, page.title, page.facts, margin=_PAGE_MARGIN)
     inner = _PAGE_WIDTH - 2 * _PAGE_MARGIN
     note = "motion of the face that the references do not determine   ·   white marks: references"
-    draw_legend(picture, (note,), x=_PAGE_MARGIN, y=y, width=inner, high=f"{WORST_PERCENT:g} %")
+    draw_legend(picture, (note,), x=_PAGE_MARGIN, y=y, width=inner, high=f"{WORST_PERCENT:g}%")
     y += _LEGEND_HEIGHT
     first = page.first_frame if len(page.takes) == 1 else 0
     marks = tuple((first + mark, "") for mark in page.marks)
@@ -175,7 +175,7 @@ def _draw_table(picture: ByteImage, frames: Sequence[NextFrame], *, x: int, y: i
     fill_box(picture, x, y + 53, _TABLE_WIDTH, 1, RULE)
     for number, each in enumerate(frames):
         top = y + 58 + _ROW_HEIGHT * number
-        draw_text(picture, each.take, x=x, y=top, style=_TEXT_STYLE, max_width=235)
+        draw_text(picture, each.take, x=x, y=top, style=_TEXT_STYLE, max_width=190)
         cells = (str(each.frame), f"{each.covered:.0%}", f"{each.share:.1%}")
         for cell, (_, at) in zip(cells, _TABLE_COLUMNS[1:], strict=True):
             draw_text(picture, cell, x=x + at, y=top, style=_NUMBER_STYLE)

@@ -10,7 +10,7 @@ from usdface.media.picture.color import BRIGHT, DIM, LANE, SOFT, bytes_from_line
 from usdface.media.picture.text import TextStyle, draw_text, text_width
 
 LANE_HEIGHT = 52
-LABEL_WIDTH = 118
+LABEL_WIDTH = 180
 _LANE_GAP = 6
 _MARK_HEIGHT = 26
 _AXIS_HEIGHT = 30
@@ -76,7 +76,7 @@ def draw_error_strip(page: ByteImage, strip: ErrorStrip, *, x: int, y: int, widt
         draw_text(page, curve.label, x=x, y=lane + 2, style=label_style, max_width=room)
         finite = curve.values[np.isfinite(curve.values)]
         if len(finite):
-            mean = f"{finite.mean():.2f} {curve.unit or strip.unit}"
+            mean = _mean_label(float(finite.mean()), curve.unit or strip.unit)
             below = lane + round(size * 26)
             draw_text(page, mean, x=x, y=below, style=axis_style, max_width=room)
         area = page[lane : lane + round(size * LANE_HEIGHT), left : left + inner]
@@ -95,6 +95,10 @@ def draw_error_strip(page: ByteImage, strip: ErrorStrip, *, x: int, y: int, widt
     draw_frame_axis(
         page, left, bottom + 4, inner, first_frame=strip.first_frame, count=count, scale=size
     )
+
+
+def _mean_label(mean: float, unit: str) -> str:
+    return f"{mean:.0f}%" if unit == "%" else f"{mean:.2f} {unit}"
 
 
 def _draw_lane(area: ByteImage, values: FloatArray, count: int, high: float) -> None:

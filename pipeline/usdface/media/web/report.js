@@ -2,7 +2,7 @@
 
 import { NOTHING, announce, byId, count, data, inflate, node, pictureOf, tell } from "./report_page.js";
 import { oneTabStop } from "./tab_stops.js";
-import { Curves } from "./report_curves.js";
+import { Curves, stripValue } from "./report_curves.js";
 import { Stage } from "./report_face.js";
 import { Notes } from "./report_notes.js";
 
@@ -293,7 +293,7 @@ class Report {
     history.replaceState(null, "", `#${frame}`);
     if (this.playing) return;
     const moment = data.worst.find(({ picture }) => picture === this.picture);
-    const figures = data.strips.map(({ name, unit, values }) => `${name} ${values[this.picture]?.toFixed(2) ?? "unknown"} ${unit}`);
+    const figures = data.strips.map((strip) => `${strip.name} ${stripValue(strip, this.picture, "unknown")}${strip.unit === "%" ? "" : ` ${strip.unit}`}`);
     announce([`frame ${frame}`, moment && `${moment.region} ${moment.reason}`, ...figures].filter(Boolean).join(", "));
   }
 

@@ -7,6 +7,12 @@ const LEAST_SPAN = 12; // pictures of the closest look
 const TICK_PX = 90;
 const LEAST_MOTION = 0.01; // of a shape that counts as moving
 
+/** A strip's value at a picture, as it is read. */
+export function stripValue({ unit, values }, picture, unknown) {
+  const value = values[picture];
+  return value === null ? unknown : unit === "%" ? `${Math.round(value)}%` : value.toFixed(2);
+}
+
 /** A line through values, its ups and downs kept where there are more values than columns. */
 function line(value, low, high, [from, to], fill = false) {
   const [begin, end] = [Math.max(0, Math.floor(from) - 1), Math.min(count, Math.ceil(to) + 2)];
@@ -268,12 +274,12 @@ export class Curves extends EventTarget {
   #fillStrips() {
     for (const strip of data.strips) {
       const value = (i) => strip.values[i];
-      const lines = [true, false].map((fill) => ({ fill, value, path: node("path", { class: `${fill ? "fill " : ""}strip-${strip.name}` }) }));
+      const lines = [true, false].map((fill) => ({ fill, value, path: node("path", { class: `${fill ? "fill " : ""}strip-${strip.name.replace(" ", "-")}` }) }));
       const plot = this.#plot(lines, strip.low, strip.high);
       const into = node("span", { class: "value" });
-      const scale = `${strip.low.toFixed(0)}–${strip.high.toPrecision(2)} ${strip.unit}`;
+      const scale = strip.unit === "%" ? "0–100%" : `${strip.low.toFixed(0)}–${strip.high.toPrecision(2)} ${strip.unit}`;
       byId("strips").append(node("div", { class: "strip" }, node("span", { class: "name" }, `${strip.name} `, node("small", {}, scale)), plot.box, into));
-      this.figures.push({ into, values: (i) => (strip.values[i] === null ? "–" : strip.values[i].toFixed(2)) });
+      this.figures.push({ into, values: (i) => stripValue(strip, i, "–") });
     }
   }
 

@@ -114,7 +114,7 @@ def judge_solve(evidence: SolveEvidence) -> SolveVerdict:
     parts = [_coverage(evidence), _tuned(evidence), _changed(evidence)]
     parts += [_error(evidence), _residual(evidence)]
     if level != "good" and where:
-        parts.append(f"see the {_list_regions(where)}")
+        parts.append(f"see {_list_regions(where)}")
     return SolveVerdict(
         level,
         f"{OPENINGS[level]}: {'; '.join(filter(None, parts))}",
@@ -165,8 +165,8 @@ def _worst_regions(regions: Sequence[str], shares: FloatArray) -> dict[str, floa
 
 
 def _list_regions(where: dict[str, float]) -> str:
-    words = [f"{region} ({share:.0%})" for region, share in where.items()]
-    return first_few(words, most=2)
+    words = [f"the {region} in {share:.0%}" for region, share in where.items()]
+    return first_few([f"{words[0]} of the frames", *words[1:]], most=2)
 
 
 def _changed(evidence: SolveEvidence) -> str:
@@ -232,6 +232,7 @@ def _advice(evidence: SolveEvidence, level: str, where: dict[str, float], propos
         steps.append(
             "add frames of this take to the references"
             + (f", chosen for the {parts}" if parts else "")
+            + ("," if parts and proposals else "")
         )
     if proposals and basis is not None:
         steps.append(f"tune the references ({basis.pairs - basis.tuned} are proposals)")

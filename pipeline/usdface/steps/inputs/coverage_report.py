@@ -92,8 +92,8 @@ def coverage_picture(
         ]
     facts = (
         f"{len(rows) if pairs is None else pairs} references, {len(tuned)} tuned",
-        f"{coverage.share:.1%} of the motion covered",
-        f"{coverage.hole_share:.1%} of the frames not covered",
+        f"{1 - coverage.hole_share:.0%} of the frames covered",
+        f"{coverage.share:.0%} of the motion covered",
         f"{len(takes.frames)} frames of {len(takes.sources)} "
         + ("take" if len(takes.sources) == 1 else "takes"),
     )

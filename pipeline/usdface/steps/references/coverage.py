@@ -38,15 +38,15 @@ def run(
             "count by their markers"
         )
     notes += [
-        f"frame {each.frame} of {each.take} next: {each.share:.1%} would be covered"
+        f"frame {each.frame} of {each.take} next: {each.share:.0%} of the motion would be covered"
         for each in next_frames(covered, takes)[:_NAMED_FRAMES]
     ]
     notes += measured.notes
     return StepResult(
         (spec.out,),
-        f"{len(pairs)} pairs, {measured.tuned_count} of them tuned, cover {coverage.share:.1%} of "
-        f"the motion of {len(takes.frames)} frames; {coverage.hole_share:.1%} of the frames are "
-        "not covered",
+        f"{len(pairs)} pairs, {measured.tuned_count} of them tuned, cover "
+        f"{1 - coverage.hole_share:.0%} of {len(takes.frames)} frames and {coverage.share:.0%} of "
+        "their motion",
         tuple(notes),
         {
             "pairs": [pair + 1 for pair in pairs.tolist()],

@@ -117,8 +117,8 @@ def _repairs(shot: Shot) -> Listing:
             (
                 str(at),
                 markers.names[marker],
-                f"{100 * repaired[:, marker].mean():.1f} %",
-                f"{100 * missing[:, marker].mean():.1f} %",
+                f"{repaired[:, marker].mean():.1%}",
+                f"{missing[:, marker].mean():.1%}",
                 f"{confidence[:, marker].mean():.2f}",
             )
             for at, marker in zip(first, listed, strict=True)
@@ -208,13 +208,13 @@ def _shares(measured: MeasuredCoverage, references: Path) -> Listing:
     rows = [
         ("pairs", f"{len(measured.pairs)}"),
         ("of them frames of this take, tuned", f"{len(measured.tuned)}"),
-        ("coverage of the take's motion", f"{100 * coverage.share:.1f} %"),
-        ("frames not covered", f"{100 * coverage.hole_share:.1f} %"),
+        ("frames covered", f"{1 - coverage.hole_share:.0%}"),
+        ("motion covered", f"{coverage.share:.0%}"),
     ]
     if len(coverage.regions) > 1:
         means = coverage.region_covered.mean(axis=0).tolist()
         rows += [
-            (f"coverage of {region}", f"{100 * mean:.1f} %")
+            (f"motion covered, {region}", f"{mean:.0%}")
             for region, mean in zip(coverage.regions, means, strict=True)
         ]
     return Listing(f"Coverage by {references.name}", ("figure", "value"), tuple(rows))
@@ -224,10 +224,7 @@ def _next(measured: MeasuredCoverage) -> Listing:
     frames = next_frames(measured.covered, measured.takes)
     return Listing(
         "Tune next",
-        ("frame", "coverage", "of the take, once tuned"),
-        tuple(
-            (str(each.frame), f"{100 * each.covered:.1f} %", f"{100 * each.share:.1f} %")
-            for each in frames
-        ),
+        ("frame", "motion covered", "of the take's, once tuned"),
+        tuple((str(each.frame), f"{each.covered:.0%}", f"{each.share:.1%}") for each in frames),
         tuple(each.frame for each in frames),
     )

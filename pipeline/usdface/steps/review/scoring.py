@@ -198,11 +198,11 @@ def range_mm(*, keyed: bool) -> float:
 
 
 def coverage_curves(shot: Shot) -> tuple[ErrorCurve, ...]:
-    """Return how much of each frame the references do not show; nothing where it is unknown."""
+    """Return how much of each frame's motion references do not cover; none where it is unknown."""
     coverage = shot.evidence().coverage
     if coverage is None:
         return ()
-    return (ErrorCurve("not covered", 100 * (1 - coverage[:, 0]), high=100.0, unit="%"),)
+    return (ErrorCurve("motion not covered", 100 * (1 - coverage[:, 0]), high=100.0, unit="%"),)
 
 
 WORST_SHARE = 6

@@ -222,7 +222,8 @@ def _uncertainties(pictures: ShotPictures, comparison: SheetComparison) -> Calla
             if own is not None:
                 values[own] = value
         picture = pictures.painted(row, shot.weights[row], values, high=range_mm(keyed=False))
-        covered = "" if evidence.coverage is None else f"{evidence.coverage[row, 0]:.0%} covered"
+        coverage = evidence.coverage
+        covered = "" if coverage is None else f"motion covered {coverage[row, 0]:.0%}"
         return Tile(picture, caption=covered)
 
     return draw

@@ -111,7 +111,7 @@ class ShotCamera:
         elif np.ptp(seen[:, 1]) < SMALL_SHARE * height:
             share = 100 * np.ptp(seen[:, 1]) / height
             found.append(
-                f"the face is {share:.0f} % of the height of what {self._name} sees at frame "
+                f"the face is {share:.0f}% of the height of what {self._name} sees at frame "
                 f"{frame}: judge lips and lids with --camera auto"
             )
         return tuple(found)
@@ -222,10 +222,11 @@ class Shot:
         error_mm : (frames, regions) float array, optional
             [mm]
         """
-        if error_mm is not None and regions is not None:
-            return SolveEvidence(regions, error_mm=error_mm, basis=self.performance.basis)
         rows = self.frames - self.performance.weights.first_frame
         evidence = solve_evidence(self.performance, rows)
+        if error_mm is not None and regions is not None:
+            covered = None if evidence.coverage is None else evidence.coverage[:, :1]
+            return SolveEvidence(regions, error_mm=error_mm, coverage=covered, basis=evidence.basis)
         return replace(evidence, by_markers=self.take.markers is not None)
 
     def timecode(self, frame: int) -> str:
