@@ -15,7 +15,6 @@ from usdface.media.picture.error_strip import (
     draw_error_strip,
 )
 from usdface.media.picture.sheet import (
-    _CODE_STYLE,
     SheetPage,
     SheetRow,
     Tile,
@@ -24,13 +23,17 @@ from usdface.media.picture.sheet import (
     round_range,
 )
 from usdface.media.picture.sheet_layout import (
+    CODE_STYLE,
+    DIM_STYLE,
     READ_LETTER,
     READ_WIDTH,
     VERDICT_LINE,
     lay_out,
     legend_lines,
     verdict_lines,
+    wrapped_note,
 )
+from usdface.media.picture.text import text_width
 from usdface.media.picture.tiles import empty_tile, fit_picture
 
 COLUMNS = ("video", "markers", "baseline", "solve")
@@ -136,7 +139,7 @@ def test_the_smallest_letters_are_twelve_pixels_on_a_screen(columns: int, tile: 
     page = SheetPage("sheet", ("a",) * columns, rows, tile_height=tile)
     layout = lay_out(page)
     shown = min(READ_WIDTH / layout.width, 1.0)
-    smallest = min(_CODE_STYLE.size, _AXIS_STYLE.size)
+    smallest = min(CODE_STYLE.size, _AXIS_STYLE.size)
     assert smallest * layout.scale * shown >= READ_LETTER - 1e-9
     sheet = compose_sheet(page)
     assert sheet.shape[:2] == (layout.height, layout.width)
@@ -152,6 +155,20 @@ def test_a_verdict_is_written_whole_in_its_colour_which_runs_down_the_page(level
     lines = verdict_lines((level, sentence, "To do: tune"), sheet.shape[1], 1.0)
     assert " ".join(lines[:-1]) == sentence.strip()
     assert len(sheet) == len(compose_sheet(plain)) + len(lines) * VERDICT_LINE
+
+
+def test_a_note_too_long_for_its_row_stands_whole_on_lines_of_its_own() -> None:
+    note = "mouth: uncertainty 1.23 mm, 22% of the motion covered, lips 2.1 mm open"
+    rows = tuple(SheetRow(n, "01:00:00:00", (Tile(None),), note=note) for n in (7, 8))
+    page = SheetPage("bare", ("a",), rows, tile_height=200)
+    layout = lay_out(page)
+    lines = wrapped_note(rows[0], 1, layout)
+    assert " ".join(lines) == note
+    assert all(text_width(line, DIM_STYLE.scaled(layout.scale)) <= 200 for line in lines)
+    assert layout.head_lines == 1 + len(lines) > 2
+    wide = replace(page, tile_height=1600)
+    assert (wrapped_note(rows[0], 1, lay_out(wide)), lay_out(wide).head_lines) == ([], 1)
+    assert compose_sheet(page).shape[:2] == (layout.height, layout.width)
 
 
 def test_without_keys_no_value_is_the_best() -> None:

@@ -104,6 +104,18 @@ def test_nothing_known_is_not_good() -> None:
     assert (verdict.level, "nothing is known" in verdict.sentence) == ("check", True)
 
 
+def test_weights_of_others_say_what_they_are_and_name_a_video_only_where_there_is_one() -> None:
+    phone = SolveEvidence((), by_markers=False)
+    verdict = judge_solve(phone)
+    assert "weights of another solver" in verdict.sentence
+    assert verdict.advice == "measure against keys (--against)"
+    seen = judge_solve(replace(phone, has_video=True))
+    assert seen.advice.startswith("compare with the video, or measure")
+    ours = judge_solve(SolveEvidence((), retarget="a retarget of 50 pairs, none of them tuned"))
+    assert ours.sentence.startswith("Check: a retarget of 50 pairs, none of them tuned; ")
+    assert "another solver" not in ours.sentence
+
+
 def test_an_earlier_version_knew_the_face_alone() -> None:
     found = SolveEvidence(REGIONS, uncertainty_mm=np.full((100, 1), 2.0))
     assert judge_solve(found).level == "bad"

@@ -23,7 +23,7 @@ from usdface.cli import main
 from usdface.core.assets import Rig
 from usdface.core.sidecars import proposed_path
 from usdface.media.picture.image import read_image_metadata
-from usdface.steps.inputs.source_motion import read_source_motion
+from usdface.steps.inputs.source_motion import describe_retarget, read_source_motion
 from usdface.usdio.layers import read_provenance
 from usdface.usdio.retarget.controls import read_control_clip
 from usdface.usdio.retarget.pairs import read_pairs
@@ -135,6 +135,22 @@ def test_every_control_of_the_target_is_driven(performed: Stall, capsys) -> None
     np.testing.assert_allclose(np.linalg.norm(controls.rotations, axis=2), 1, atol=1e-6)
     assert read_provenance(performed / "beast.shot.controls.usdc").step == "retarget"
     assert not [e for e in validate(performed / "beast.shot.usda") if e.severity == "error"]
+
+
+def test_a_sheet_says_what_a_performance_was_retargeted_by(performed: Stall, capsys) -> None:
+    sheet = "sheet beast.shot.usda --out x.png --rows 1 --tile 64 --quality draft --overwrite"
+    assert usdface(*sheet.split()) == 0
+    assert "Check: a retarget of 30 pairs, keyed by hand; " in capsys.readouterr().out
+    propose = "pairs propose --source human.usda --target human.usda --out own.pairs.usda"
+    train = "train-retarget own.pairs.usda --out own.retarget.usdc"
+    act = "retarget shot.usda --retargeting own.retarget.usdc --out own.shot.usda"
+    for line in (propose, train, act, sheet.replace("beast", "own")):
+        assert usdface(*line.split()) == 0
+    count = len(read_pairs(Path("own.pairs.usda")))
+    assert f"a retarget of {count} pairs, none of them tuned; " in capsys.readouterr().out
+    Path("own.pairs.usda").unlink()
+    assert describe_retarget(Path("own.shot.usda")) == "a retarget of pairs"
+    assert describe_retarget(Path("shot.usda")) == ""
 
 
 def test_edits_are_told_of_when_a_target_is_retargeted_or_warped_again(
@@ -525,6 +541,8 @@ def test_a_source_shape_that_no_pair_uses_is_told_at_training_and_at_work(
     line = "retarget shot.usda --retargeting x.retarget.usdc --out b.usda"
     assert usdface(*line.split()) == 0
     assert "no pair uses them, so the target does not follow: eyeBlink" in capsys.readouterr().out
+    words = describe_retarget(Path("b.usda"))
+    assert words == "a retarget of 30 pairs, keyed by hand; eyeBlink moves and is not followed"
 
 
 def test_conflicting_pairs_are_reported(stall: Stall, capsys) -> None:

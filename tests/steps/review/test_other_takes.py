@@ -13,6 +13,7 @@ from usdface.core.assets import WeightsClip
 from usdface.core.errors import InputError
 from usdface.media.film.video import VideoReader
 from usdface.media.picture.image import read_picture
+from usdface.model.review.verdict import judge_solve
 from usdface.runner.execute import execute
 from usdface.specs.edits import BakeSpec, CombineSpec, EditSpec
 from usdface.specs.performance import JoinSpec
@@ -22,6 +23,8 @@ from usdface.specs.references import (
     ReferencesFromEditsSpec,
 )
 from usdface.specs.review import EvaluateSpec, FacesSpec, MovieSpec, ReportSpec, SheetSpec
+from usdface.steps.review.scoring import ShotRuler
+from usdface.steps.review.shot import open_shot
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.references.read import read_references
 from usdface.usdio.take.read import read_take
@@ -48,8 +51,18 @@ def make_phone_take(shot: Shot, *, video: bool) -> None:
 def test_takes_of_weights_are_reviewed(shot: Shot, video: bool) -> None:
     make_phone_take(shot, video=video)
     hero = shot / "shot.hero.usda"
+    reader = PerformanceReader(hero)
+    jump = {"shape": ("mouthSmileLeft",), "add": 1.0, "frames": "200-200"}
+    execute(EditSpec(performance=hero, **jump))
     sheet = execute(SheetSpec(performance=hero, out=shot / "phone.jpg", **DRAFT))
     assert sheet.figures["frames"]
+    opened = open_shot(hero)
+    nothing = {"uncertainty_mm": None, "coverage": None, "residual_mm": None, "regions": ()}
+    opened = replace(opened, performance=replace(opened.performance, **nothing))
+    moment = ShotRuler(opened).signals(None).moment(200 - reader.first_frame)
+    assert moment.region == "mouth"
+    assert moment.reason.startswith("jumps by")
+    assert ("video" in judge_solve(opened.evidence()).advice) == video
     report = execute(
         ReportSpec(performance=hero, out=shot / "phone.html", frames="1-60", height=120)
     )

@@ -31,10 +31,15 @@ from usdface.media.picture.error_strip import (
     strip_height,
 )
 from usdface.media.picture.sheet_layout import (
+    BADGE_GAP,
+    CODE_STYLE,
+    DIM_STYLE,
     FACTS_HEIGHT,
     GROUP_GAP,
+    LABEL_GAP,
     LEGEND_LINE,
     PAGE_MARGIN,
+    TEXT_STYLE,
     TILE_GUTTER,
     TITLE_HEIGHT,
     VERDICT_LINE,
@@ -44,13 +49,16 @@ from usdface.media.picture.sheet_layout import (
     SheetRow,
     Tile,
     all_errors,
+    badge_width,
     check_sheet,
     has_legend,
     header_height,
     lay_out,
     legend_bar,
     legend_lines,
+    row_labels,
     verdict_lines,
+    wrapped_note,
 )
 from usdface.media.picture.text import TextStyle, draw_text, text_width
 from usdface.media.picture.tiles import empty_tile, fit_picture
@@ -63,9 +71,6 @@ HEADER_HEIGHT = header_height()
 _TITLE_STYLE = TextStyle(size=40, color=BRIGHT, weight="bold")
 _FACTS_STYLE = TextStyle(size=20, color=DIM)
 _COLUMN_STYLE = TextStyle(size=21, color=SOFT, weight="bold")
-_TEXT_STYLE = TextStyle(size=17, color=SOFT)
-_DIM_STYLE = TextStyle(size=17, color=DIM)
-_CODE_STYLE = TextStyle(size=17, color=TEXT, weight="mono")
 _VALUE_STYLE = TextStyle(size=21, color=TEXT)
 _BEST_STYLE = TextStyle(size=21, color=(255, 255, 255), weight="bold")
 
@@ -174,7 +179,7 @@ def draw_legend(
 
     Nothing has a colour on the ramp where `high` is empty: the notes stand alone.
     """
-    bar, style, end = legend_bar(width), _TEXT_STYLE.scaled(scale), x
+    bar, style, end = legend_bar(width), TEXT_STYLE.scaled(scale), x
     if high:
         ramp = bytes_from_linear(heat_ramp(np.linspace(0, 1, bar)))
         start = x + draw_text(page, "0", x=x, y=y, style=style) + 8
@@ -184,7 +189,7 @@ def draw_legend(
     for number, line in enumerate(notes):
         below = y + round(scale * number * LEGEND_LINE)
         room = x + width - end
-        draw_text(page, line, x=end, y=below, style=_DIM_STYLE.scaled(scale), max_width=room)
+        draw_text(page, line, x=end, y=below, style=DIM_STYLE.scaled(scale), max_width=room)
 
 
 def _draw_group(
@@ -222,26 +227,11 @@ def _draw_row(
     high: float,
 ) -> None:
     scale = layout.scale
-    code, text, dim, best_style, value_style = (
-        style.scaled(scale)
-        for style in (_CODE_STYLE, _TEXT_STYLE, _DIM_STYLE, _BEST_STYLE, _VALUE_STYLE)
+    dim, best_style, value_style = (
+        style.scaled(scale) for style in (DIM_STYLE, _BEST_STYLE, _VALUE_STYLE)
     )
-    badge = str(number)
-    wide = max(text_width(badge, code) + 12, round(26 * scale))
-    fill_box(page, x, y + 2, wide, round(24 * scale), RULE)
-    draw_text(page, badge, x=x + wide // 2, y=y + 3, style=code, anchor="middle")
-    at, right = x + wide + 12, x + layout.group_width
-    labels = (
-        (f"frame {row.frame}", code),
-        (row.timecode, code),
-        (row.said, text),
-        (row.note, dim),
-    )
-    for label, style in labels:
-        if label:
-            room = max(right - at, 0)
-            at += draw_text(page, label, x=at, y=y + 3, style=style, max_width=room) + 20
-    top = y + layout.caption_height
+    _draw_row_head(page, layout, row, number, x=x, y=y)
+    top = y + layout.head_lines * layout.caption_height
     known = [t.value for t in row.tiles if t.value is not None and np.isfinite(t.value)]
     best = min(known) if len(known) > 1 and spec.comparable else None
     at = x
@@ -267,6 +257,26 @@ def _draw_row(
             room = max(width - used, 0)
             draw_text(page, tile.caption, x=at + used, y=below + 1, style=dim, max_width=room)
         at += width + TILE_GUTTER
+
+
+def _draw_row_head(
+    page: ByteImage, layout: Layout, row: SheetRow, number: int, *, x: int, y: int
+) -> None:
+    """Write a row's number, frame and note; a note too long stands whole on lines of its own."""
+    scale, wide = layout.scale, badge_width(number, layout.scale)
+    fill_box(page, x, y + 2, wide, round(24 * scale), RULE)
+    code, dim = CODE_STYLE.scaled(scale), DIM_STYLE.scaled(scale)
+    draw_text(page, str(number), x=x + wide // 2, y=y + 3, style=code, anchor="middle")
+    at, right = x + wide + BADGE_GAP, x + layout.group_width
+    lines = wrapped_note(row, number, layout)
+    beside = [] if lines else [(row.note, DIM_STYLE)]
+    for label, style in (*row_labels(row), *beside):
+        room = max(right - at, 0)
+        at += draw_text(page, label, x=at, y=y + 3, style=style.scaled(scale), max_width=room)
+        at += LABEL_GAP
+    for index, line in enumerate(lines, start=1):
+        below = y + 3 + index * layout.caption_height
+        draw_text(page, line, x=x, y=below, style=dim, max_width=layout.group_width)
 
 
 def _value_label(value: float, unit: str, style: TextStyle, *, room: int) -> tuple[str, TextStyle]:

@@ -8,9 +8,9 @@ import numpy as np
 
 from usdface.core.arrays import ByteImage, FloatArray
 from usdface.core.errors import InputError
-from usdface.media.picture.color import BRIGHT
+from usdface.media.picture.color import BRIGHT, DIM, SOFT, TEXT
 from usdface.media.picture.error_strip import ErrorCurve, strip_height
-from usdface.media.picture.text import TextStyle, wrap_text
+from usdface.media.picture.text import TextStyle, text_width, wrap_text
 
 BEST_ASPECT = 1.5
 """Width over height that fills a screen and a landscape page alike."""
@@ -30,6 +30,10 @@ READ_LETTER = 12
 _SMALLEST_STYLE = 16
 VERDICT_STYLE = TextStyle(size=23, color=BRIGHT, weight="bold")
 VERDICT_LINE = 30
+CODE_STYLE = TextStyle(size=17, color=TEXT, weight="mono")
+TEXT_STYLE = TextStyle(size=17, color=SOFT)
+DIM_STYLE = TextStyle(size=17, color=DIM)
+BADGE_GAP, LABEL_GAP = 12, 20
 
 LEGEND_LETTERS = 110  # of one line of notes; more go to lines of their own
 LEGEND_LETTER = 8  # [pixels] the width of one, about
@@ -107,6 +111,8 @@ class Layout:
     groups: int
     rows_per_group: int
     head_height: int
+    head_lines: int = 1
+    """Above the tiles of a row."""
 
     @property
     def scale(self) -> float:
@@ -131,7 +137,7 @@ class Layout:
     @property
     def row_height(self) -> int:
         """From one row's head to the next one's."""
-        return 2 * self.caption_height + self.tile_height + _ROW_GAP
+        return (self.head_lines + 1) * self.caption_height + self.tile_height + _ROW_GAP
 
     @property
     def width(self) -> int:
@@ -211,9 +217,42 @@ def lay_out(spec: SheetPage) -> Layout:
     count = len(spec.rows)
     choices = [spec.groups] if spec.groups else range(1, count + 1)
     bare = [Layout(widths, spec.tile_height, g, -(-count // g), 0) for g in choices]
-    layouts = [replace(one, head_height=_head_height(spec, one)) for one in bare]
+    layouts = [
+        replace(one, head_height=_head_height(spec, one), head_lines=_head_lines(spec, one))
+        for one in bare
+    ]
     # Of two equal shapes the one with fewer groups reads better; min keeps the first.
     return min(layouts, key=lambda one: abs(np.log(one.width / one.height / BEST_ASPECT)))
+
+
+def badge_width(number: int, scale: float) -> int:
+    """Return how wide the box of a row's number is."""
+    return max(text_width(str(number), CODE_STYLE.scaled(scale)) + 12, round(26 * scale))
+
+
+def row_labels(row: SheetRow) -> list[tuple[str, TextStyle]]:
+    """Return what stands beside a row's number, but for its note."""
+    labels = (
+        (f"frame {row.frame}", CODE_STYLE),
+        (row.timecode, CODE_STYLE),
+        (row.said, TEXT_STYLE),
+    )
+    return [(label, style) for label, style in labels if label]
+
+
+def wrapped_note(row: SheetRow, number: int, layout: Layout) -> list[str]:
+    """Return the lines of a note that has no room beside the row's labels; none where it has."""
+    scale, style = layout.scale, DIM_STYLE.scaled(layout.scale)
+    used = badge_width(number, scale) + BADGE_GAP + text_width(row.note, style)
+    used += sum(text_width(text, one.scaled(scale)) + LABEL_GAP for text, one in row_labels(row))
+    if not row.note or used <= layout.group_width:
+        return []
+    return wrap_text(row.note, style, max_width=layout.group_width)
+
+
+def _head_lines(spec: SheetPage, one: Layout) -> int:
+    wrapped = (wrapped_note(row, number, one) for number, row in enumerate(spec.rows, start=1))
+    return 1 + max(map(len, wrapped), default=0)
 
 
 def _head_height(spec: SheetPage, one: Layout) -> int:

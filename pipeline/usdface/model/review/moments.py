@@ -53,6 +53,8 @@ class ReviewSignals:
     """(frames,): of lips that should be closed; 0 where they need not be."""
     lip_share: float = 1.0
     """Of the rig's points, those of the lips."""
+    jump_regions: tuple[str, ...] = ()
+    """Of the jumps, where others than the evidence's: weights tell them without a mapping too."""
 
     @property
     def score_mm(self) -> FloatArray:
@@ -86,7 +88,7 @@ class ReviewSignals:
         if gap / 2 * self.lip_share**0.5 > max(jump, expected):
             return Moment(row, score, "mouth", lips)
         if jump > expected:
-            region = _largest_region(evidence.regions, self.jump_mm[row])
+            region = _largest_region(self.jump_regions or evidence.regions, self.jump_mm[row])
             reason = f"jumps by {jump:.2f} mm"
         else:
             region = _largest_region(evidence.regions, self.expected_mm[row])

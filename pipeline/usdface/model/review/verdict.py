@@ -68,6 +68,10 @@ class SolveEvidence:
     basis: SolveBasis | None = None
     by_markers: bool = True
     """False for weights that came as weights, such as a phone's."""
+    retarget: str = ""
+    """Of weights that came from other weights: by what."""
+    has_video: bool = False
+    """Whether there is a video to compare with."""
 
     def exceeds(self, seen_mm: float, uncovered: float) -> BoolArray | None:
         """Return where a figure is beyond its limit: (frames, regions); None if none is known."""
@@ -90,11 +94,13 @@ def judge_solve(evidence: SolveEvidence) -> SolveVerdict:
     bad = evidence.exceeds(SEEN_MM, _GUESSED_SHARE)
     doubtful = evidence.exceeds(SEEN_MM / 2, UNCOVERED_SHARE)
     if bad is None or doubtful is None:
-        if not evidence.by_markers:
+        if evidence.retarget or not evidence.by_markers:
+            what = evidence.retarget or "weights of another solver"
             return SolveVerdict(
                 "check",
-                f"{OPENINGS['check']}: weights of another solver, whose error nothing here tells",
-                "compare them with the video, or measure them against keys (--against)",
+                f"{OPENINGS['check']}: {what}; the error is not known without keys",
+                ("compare with the video, or " if evidence.has_video else "")
+                + "measure against keys (--against)",
             )
         return SolveVerdict(
             "check",

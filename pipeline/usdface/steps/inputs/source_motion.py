@@ -16,10 +16,14 @@ from usdface.core.sidecars import is_usd_name
 from usdface.core.text import first_few, pluralize
 from usdface.model.retarget.head_pose import is_angle
 from usdface.model.retarget.name_matching import Transfer, meaning_notes, transfer_by_names
+from usdface.runner.origin import path_made_from, provenance_of, spec_of
+from usdface.runner.outputs import confine
 from usdface.steps.inputs.name_tables import check_no_name_twice, transfer_by_table
 from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.usdio.performance.exported_weights import has_channels_per_mesh
 from usdface.usdio.performance.read import PerformanceReader
+from usdface.usdio.references.read import read_set_references
+from usdface.usdio.retarget.pairs import keyed_above, read_pairs
 from usdface.usdio.take.read import TakeReader, is_take
 
 MOVING_WEIGHT = 0.02
@@ -149,6 +153,47 @@ def source_columns(
     """Return a motion's weights in the order of other names, as `source_transfer` matches them."""
     transfer, notes = source_transfer(path, motion, wanted, None)
     return motion.weights @ transfer.matrix, notes
+
+
+def describe_retarget(performance: Path) -> str:
+    """Say what a performance was retargeted by; empty where it was not retargeted.
+
+    Retargeting and pairs are found by provenance; how many pairs there are is left out where they
+    cannot be read.
+    """
+    made = provenance_of(performance)
+    if made is None or made.step != "retarget":
+        return ""
+    spec = spec_of(made)
+    words = f"a retarget by {'positions' if spec.get('source_rig') else 'names'}"
+    if spec.get("retargeting"):
+        outs = [Path(each).name for each in spec["out"]]
+        index = outs.index(performance.name) if performance.name in outs else 0
+        words = f"a retarget of {_pair_words(performance.parent / spec['retargeting'][index])}"
+    lost = PerformanceReader(performance).header.unmatched
+    if lost:
+        moves = "moves and is" if len(lost) == 1 else "move and are"
+        words += f"; {first_few(lost, most=3)} {moves} not followed"
+    return words
+
+
+def _pair_words(trained: Path) -> str:
+    """Say how many pairs a retargeting learnt from, and how many of them a person tuned."""
+    named = [path_made_from(trained, name) for name in ("pairs", "references")]
+    pairs, references = named
+    try:
+        confine("retarget", reads=[path for path in named if path is not None])
+        count = 0 if pairs is None else len(read_pairs(pairs))
+        tuned = 0 if references is None else int(read_set_references(references).tuned.sum())
+        proposed = pairs is not None and not keyed_above(pairs)
+    except InputError:
+        return "pairs"
+    made = None if pairs is None else provenance_of(pairs)
+    if made is None:
+        return "pairs"
+    if not proposed or made.step != "pairs-propose":  # samples above hide all that are beneath
+        return f"{count + tuned} pairs, keyed by hand"
+    return f"{count + tuned} pairs, {tuned or 'none'} of them tuned"
 
 
 def unmatched_moving(transfer: Transfer, motion: SourceMotion) -> tuple[str, ...]:

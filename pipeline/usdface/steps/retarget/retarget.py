@@ -52,6 +52,8 @@ class _Target:
     notes: tuple[str, ...]
     unmatched: tuple[str, ...]
     """Shapes of the source that move and drive nothing."""
+    unpaired: tuple[str, ...] = ()
+    """Shapes of the source that move and that no pair uses."""
     surfaces: Correspondence | None = None
     """Of the source's rig and this one, where positions are matched."""
 
@@ -136,7 +138,7 @@ def _surface_target(
     source = read_rig(source_rig)
     transfer, notes = source_transfer(spec.source, motion, source.shapes, spec.names)
     unmatched = unmatched_moving(transfer, motion)
-    return _Target(rig, None, transfer, notes, unmatched, correspond(source, rig))
+    return _Target(rig, None, transfer, notes, unmatched, surfaces=correspond(source, rig))
 
 
 def _target(spec: RetargetSpec, index: int, motion: SourceMotion) -> _Target:
@@ -161,8 +163,15 @@ def _target(spec: RetargetSpec, index: int, motion: SourceMotion) -> _Target:
             f"{trained.method}; train with --method hybrid"
         )
     transfer, notes = source_transfer(spec.source, motion, trained.source_shapes, spec.names)
-    notes = (*notes, *_dead(spec, trained, motion, transfer))
-    return _Target(rig, trained, transfer, notes, unmatched_moving(transfer, motion))
+    dead = _dead(spec, trained, motion, transfer)
+    if dead:
+        notes = (
+            *notes,
+            f"{len(dead)} source shapes move in this performance and no pair uses them, so the "
+            f"target does not follow: {first_few(dead)}",
+        )
+    unmatched = unmatched_moving(transfer, motion)
+    return _Target(rig, trained, transfer, notes, unmatched, unpaired=dead)
 
 
 def _heads(spec: RetargetSpec, motion: SourceMotion, targets: list[_Target]) -> list[HeadDrive]:
@@ -188,7 +197,7 @@ def _header(spec: RetargetSpec, motion: SourceMotion, target: _Target) -> Weight
         place=spec.prim,
         timecode_start=motion.timecode_start,
     )
-    return replace(header, unmatched=target.unmatched)
+    return replace(header, unmatched=(*target.unmatched, *target.unpaired))
 
 
 def _write(
@@ -226,27 +235,22 @@ def _write(
 
 def _dead(
     spec: RetargetSpec, trained: Retargeting, motion: SourceMotion, transfer: Transfer
-) -> list[str]:
-    """Name source shapes that move here though no pair used them; refuse where all are."""
+) -> tuple[str, ...]:
+    """Return source shapes that move here though no pair used them; refuse where all are."""
     columns = motion.weights @ transfer.matrix
     moving = np.abs(columns).max(axis=0, initial=0.0) > MOVING_WEIGHT
     unused = trained.arrays.get("unused", np.zeros(len(trained.source_shapes))) > 0
-    names = [
+    names = tuple(
         name
         for name, moves, dead in zip(trained.source_shapes, moving, unused, strict=True)
         if moves and dead
-    ]
-    if not names:
-        return []
-    if not (moving & ~unused).any():
+    )
+    if names and not (moving & ~unused).any():
         raise InputError(
             f"{spec.source}: moves {first_few(names, most=3)} alone, which no pair of the "
             "retargeting uses, so nothing would move; key pairs for them and train again"
         )
-    return [
-        f"{len(names)} source shapes move in this performance and no pair uses them, so the target "
-        f"does not follow: {first_few(names)}"
-    ]
+    return names
 
 
 def _beyond(rig: Rig, motion: SourceMotion, transfer: Transfer) -> list[str]:

@@ -28,7 +28,7 @@ from usdface.specs.review import MovieSpec, PanelKind
 from usdface.steps.review.clock import SAMPLE_RATE, MovieClock, movie_rate, take_sound
 from usdface.steps.review.head_turn import turned_as_video
 from usdface.steps.review.pictures import ShotPictures
-from usdface.steps.review.shot import Shot, open_shot, solve_evidence
+from usdface.steps.review.shot import Shot, open_shot
 
 STRETCH_PICTURES = 48
 """Drawn and encoded by one process at a time, and lost at most when a run is stopped; fewer where
@@ -241,9 +241,7 @@ def _pictures(studio: _Studio, stretch: _Stretch) -> Iterator[ByteImage]:
         widths["performance"] = pictures.face_width
     title = f"{shot.take.name}  ·  {shot.rig.file.stem}"
     uncertainty = shot.face_uncertainty_mm()
-    evidence = solve_evidence(shot.performance, slice(None))  # whatever part is drawn
-    evidence = replace(evidence, by_markers=shot.take.markers is not None)
-    verdict = judge_solve(evidence)
+    verdict = judge_solve(shot.evidence_at(slice(None)))  # whatever part is drawn
     slate_end = shot.performance.weights.first_frame + _SLATE_SECONDS * shot.take.rate
     for number in range(stretch.start, stretch.stop):
         if studio.stopped():

@@ -76,17 +76,14 @@ class ShotRuler:
         evidence = self.evidence(truth)
         keys = self.skin.differences(shot.weights, np.zeros_like(shot.weights))
         jumps = surface_jumps(keys, self.skin.grams)
-        if evidence.regions != self.regions:  # the mapping's regions, where its markers tell fewer
-            columns = [self.regions.index(r) if r in self.regions else 0 for r in evidence.regions]
-            jumps = jumps[:, columns or [0]]
         if equation is None or truth is not None:
-            return ReviewSignals(evidence, jumps)
+            return ReviewSignals(evidence, jumps, jump_regions=self.regions)
         lips = find_lips(equation, shot.deformer, shot.rig.shapes)
         if lips is None:
-            return ReviewSignals(evidence, jumps)
+            return ReviewSignals(evidence, jumps, jump_regions=self.regions)
         on_lips = len(np.union1d(lips.pairs.upper, lips.pairs.lower))
         share = on_lips / len(shot.deformer.neutral)
-        return ReviewSignals(evidence, jumps, lip_gaps(shot, equation, lips), share)
+        return ReviewSignals(evidence, jumps, lip_gaps(shot, equation, lips), share, self.regions)
 
     def verdict(self, signals: ReviewSignals) -> SolveVerdict:
         """Judge the shot."""

@@ -275,7 +275,8 @@ def _notes(spec: SheetSpec, comparison: SheetComparison, *, stand_in_eyes: bool)
         )
         notes.append(f"mean: {', '.join(means)}")
     elif shot.take.markers is None:
-        notes = ["the take is one of weights: compare with the video, or give keys (--against)"]
+        with_video = "" if shot.take.video is None else "compare with the video, or "
+        notes = [f"the take is one of weights: {with_video}give keys (--against)"]
     elif shot.performance.uncertainty_mm is None:
         notes = ["the uncertainty is not known: the performance was not mapped by this version"]
     if spec.layout != "strip" and comparison.equation is not None:

@@ -18,6 +18,7 @@ from usdface.runner.origin import find_take, provenance_of, spec_of, take_of_per
 from usdface.specs.paths import frame_range
 from usdface.specs.review import AUTO_CAMERA, FRONT_CAMERA
 from usdface.steps.inputs.cleaned_takes import read_cleaned
+from usdface.steps.inputs.source_motion import describe_retarget
 from usdface.usdio.performance.read import PerformanceReader, read_performance
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.rig_motion import PointMotion, RigMotion
@@ -223,11 +224,20 @@ class Shot:
             [mm]
         """
         rows = self.frames - self.performance.weights.first_frame
-        evidence = solve_evidence(self.performance, rows)
+        evidence = self.evidence_at(rows)
         if error_mm is not None and regions is not None:
             covered = None if evidence.coverage is None else evidence.coverage[:, :1]
             return SolveEvidence(regions, error_mm=error_mm, coverage=covered, basis=evidence.basis)
-        return replace(evidence, by_markers=self.take.markers is not None)
+        return evidence
+
+    def evidence_at(self, rows: IntArray | slice) -> SolveEvidence:
+        """Return what the performance and its files say of some of its frames, by row."""
+        return replace(
+            solve_evidence(self.performance, rows),
+            by_markers=self.take.markers is not None,
+            retarget=describe_retarget(self.performance_file),
+            has_video=self.take.video is not None,
+        )
 
     def timecode(self, frame: int) -> str:
         """Return the SMPTE label of a frame; empty when the take has none."""
