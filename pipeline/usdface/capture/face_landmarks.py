@@ -164,3 +164,24 @@ def _landmark_set() -> LandmarkSet:
 
 
 LANDMARKS = _landmark_set()
+
+_ROWS = (
+    (61, 185, 40, 39, 37, 0, 267, 269, 270, 409, 291),
+    (61, 146, 91, 181, 84, 17, 314, 405, 321, 375, 291),
+    (78, 191, 80, 81, 82, 13, 312, 311, 310, 415, 308),
+    (78, 95, 88, 178, 87, 14, 317, 402, 318, 324, 308),
+    (33, 246, 161, 160, 159, 158, 157, 173, 133),
+    (33, 7, 163, 144, 145, 153, 154, 155, 133),
+    (362, 398, 384, 385, 386, 387, 388, 466, 263),
+    (362, 382, 381, 380, 374, 373, 390, 249, 263),
+    (70, 63, 105, 66, 107),
+    (46, 53, 52, 65, 55),
+    (336, 296, 334, 293, 300),
+    (285, 295, 282, 283, 276),
+)
+"""Edges of the lips, outer and inner, of the lids and of the brows, as the mesh numbers them."""
+
+LANDMARK_ROWS = tuple(
+    tuple(LANDMARKS.names[LANDMARKS.column(index)] for index in row) for row in _ROWS
+)
+"""Names of the landmarks along each edge, from the performer's right to the left."""

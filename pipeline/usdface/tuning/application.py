@@ -233,6 +233,7 @@ class Scene:
             "keyDeltas": _floats(targets.key_deltas),
             "targets": _floats(targets.targets),
             "corrected": list(targets.corrected),
+            "lines": targets.lines.ravel().tolist(),
             "placement": "" if placement is None else corrected_path(placement).name,
         }
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from usdface.core.assets import References, Rig
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
@@ -15,6 +15,7 @@ from usdface.numerics.measure.face_regions import shapes_by_region
 from usdface.numerics.registration.surface_places import nearest_places
 from usdface.numerics.registration.virtual_markers import character_motion
 from usdface.runner.outputs import confine
+from usdface.steps.inputs.marker_lines import marker_lines
 from usdface.steps.inputs.placement import placed_equation, stored_placement
 from usdface.tuning.session import TuningSession
 from usdface.usdio.rig.mesh import rig_surfaces
@@ -41,6 +42,8 @@ class MarkerTargets:
     nothing of the weights."""
     corrected: tuple[bool, ...]
     """Whether a person placed the marker."""
+    lines: IntArray
+    """(lines, 2): markers that lines join."""
     equation: BlendshapeEquation
     """Solves for the weights of shapes."""
 
@@ -73,6 +76,7 @@ def find_targets(references: References, rig: Rig) -> MarkerTargets:
         targets=(rest + motion).astype(np.float32),
         regions=_regions(equation, rig, rigid),
         corrected=_corrected(placement, references.marker_names),
+        lines=marker_lines(references.marker_names, rest),
         equation=equation,
     )
 

@@ -57,3 +57,12 @@ def test_a_stray_sample_does_not_shrink_the_face() -> None:
 def test_markers_that_cannot_be_drawn_say_why(arguments: dict, message: str) -> None:
     with pytest.raises(InputError, match=message):
         draw_markers(arguments.pop("positions"), width=50, height=50, **arguments)
+
+
+def test_dots_of_a_dense_cloud_leave_room_between_them() -> None:
+    at = np.zeros((30, 3))
+    at[:, 0] = np.arange(30)
+    at[0, 1], at[-1, 1] = 20.0, -20.0
+    picture = draw_markers(at, width=240, height=240).astype(int)
+    inner = np.abs(picture - picture[100, 0]).max(axis=2)[120] > 60
+    assert np.count_nonzero(np.diff(inner.astype(int)) == 1) == 28, "each dot by itself"

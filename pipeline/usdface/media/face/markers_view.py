@@ -1,18 +1,23 @@
-"""A marker cloud from the front, as dots: near ones bright and large, unseen ones hollow."""
+"""A marker cloud from the front: near dots bright and large, unseen ones hollow, rows joined."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from usdface.core.arrays import ByteImage, FloatArray
+from usdface.core.arrays import BoolArray, ByteImage, FloatArray
 from usdface.core.errors import InputError
 from usdface.media.face.raycast import background
-from usdface.media.picture.canvas import draw_dot
-from usdface.media.picture.color import bytes_from_linear
+from usdface.media.picture.canvas import draw_dot, draw_line
+from usdface.media.picture.color import Color, bytes_from_linear
 
 _FAR, _NEAR = np.array([74, 92, 112]), np.array([150, 208, 255])
 _UNSEEN = (214, 122, 84)
+_LARGEST_DOT = 4.2
+_DOT_SHARE = 0.28
+"""Radius of the largest dot: at most so much of the distance between neighbours, so that the lines
+between landmarks of a video are seen."""
+_LINE = (104, 140, 176)
 
 
 @dataclass(frozen=True)
@@ -25,6 +30,8 @@ class MarkersFrame:
     """From the tile's lower to its upper edge [mm]."""
     depth: float
     """From the furthest to the nearest marker [mm]."""
+    spacing: float = np.inf
+    """Between neighbouring markers, seen from the front, median [mm]."""
 
 
 def frame_markers(
@@ -52,7 +59,21 @@ def frame_markers(
         center=(low + high) / 2,
         height=float(margin * max(span[1], span[0] / aspect)),
         depth=float(span[2]),
+        spacing=_spacing(np.asarray(positions, np.float64)),
     )
+
+
+def _spacing(positions: FloatArray) -> float:
+    """Return the median distance to the nearest marker, in the frame that shows most."""
+    frames = positions.reshape(-1, *positions.shape[-2:])[..., :2]
+    seen: BoolArray = np.asarray(np.isfinite(frames).all(axis=2), bool)
+    best = int(seen.sum(axis=1).argmax())
+    at = frames[best][seen[best]]
+    if len(at) < 2:
+        return np.inf
+    away = np.linalg.norm(at[:, None] - at, axis=2)
+    np.fill_diagonal(away, np.inf)
+    return float(np.median(away.min(axis=1)))
 
 
 def draw_markers(
@@ -62,6 +83,7 @@ def draw_markers(
     height: int,
     frame: MarkersFrame | None = None,
     visible: ArrayLike | None = None,
+    lines: ArrayLike = (),
 ) -> ByteImage:
     """Draw one frame of a marker cloud: (height, width, 3) uint8 array.
 
@@ -75,6 +97,8 @@ def draw_markers(
         Without it the tile fits this one cloud.
     visible : (markers,) bool array, optional
         False is drawn hollow.
+    lines : (lines, 2) int array, optional
+        Markers to join, such as those along a lip.
     """
     cloud = np.asarray(positions, np.float64)
     if cloud.ndim != 2 or cloud.shape[1] != 3:
@@ -97,11 +121,13 @@ def draw_markers(
     near = np.clip((cloud[:, 2] - view.center[2]) / max(view.depth, 1e-6) + 0.5, 0, 1)
     finite = np.asarray(np.isfinite(at).all(axis=1), bool)
     size = min(width, height) / 320
+    dot = min(size, _DOT_SHARE * view.spacing * scale / _LARGEST_DOT)
+    draw_marker_lines(picture, at, lines, size=size)
     for marker in np.argsort(near, kind="stable"):
         if not finite[marker]:
             continue
         x, y = at[marker]
-        radius = size * (2.6 + 1.6 * near[marker])
+        radius = dot * (2.6 + 1.6 * near[marker])
         shade = _FAR + (_NEAR - _FAR) * near[marker]
         color = (int(shade[0]), int(shade[1]), int(shade[2]))
         if seen[marker]:
@@ -109,3 +135,21 @@ def draw_markers(
         else:
             draw_dot(picture, x, y, radius + 0.8 * size, _UNSEEN, hollow=True)
     return picture
+
+
+def draw_marker_lines(
+    picture: ByteImage, at: FloatArray, lines: ArrayLike, *, size: float, color: Color = _LINE
+) -> None:
+    """Join markers that are shown, to be drawn over.
+
+    Parameters
+    ----------
+    at : (markers, 2) array
+        Where markers are [pixels]; NaN where one is not known.
+    lines : (lines, 2) int array
+    size : float
+        Of a picture 320 high 1.
+    """
+    for one, other in np.asarray(lines, np.int64).reshape(-1, 2).tolist():
+        if np.isfinite(at[[one, other]]).all():
+            draw_line(picture, at[one], at[other], color, thickness=1.2 * size)

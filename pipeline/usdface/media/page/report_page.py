@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from usdface.core.arrays import FloatArray, index_of
+from usdface.core.arrays import FloatArray, IntArray, index_of
 from usdface.core.errors import InputError
 from usdface.media.page.face_payload import (
     FacePayload,
@@ -85,6 +85,8 @@ class PageMarkers:
     """(pictures, markers, 3): from there; NaN where a marker is not known [mm]."""
     key_deltas: FloatArray
     """(keys, markers, 3): what each key of ``Deformer(rig).shapes`` does to the places [mm]."""
+    lines: IntArray
+    """(lines, 2): markers that lines join."""
 
 
 @dataclass(frozen=True)
@@ -308,6 +310,7 @@ def _markers(markers: PageMarkers | None) -> Mapping[str, Any] | None:
     return {
         "names": list(markers.names),
         "rest": np.round(markers.rest, 3).ravel().tolist(),
+        "lines": markers.lines.ravel().tolist(),
         "steps": _MARKER_STEPS,
     }
 

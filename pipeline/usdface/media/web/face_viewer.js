@@ -94,6 +94,7 @@ export class FaceViewer {
    * @param {null | {
    *   points: Float32Array,      x y z of each marker [mm], in the rig's space
    *   targets?: Float32Array,    where each should be; a line is drawn to it
+   *   lines?: ArrayLike<number>, pairs of markers that a thin line joins, such as those of a lip
    *   names?: string[],          drawn beside the markers while `labels` is true
    *   colors?: Float32Array,     r g b of each, 0 to 1
    *   labels?: boolean,
@@ -401,9 +402,11 @@ export class FaceViewer {
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     gl.depthMask(false);
     const lines = marks.targets ? between(marks.points, marks.targets, colors) : null;
+    const rows = marks.lines?.length ? joined(marks.points, marks.lines) : null;
     for (const [test, opacity] of [[gl.GREATER, 0.12], [gl.LEQUAL, 1]]) {
       gl.depthFunc(test);
       gl.uniform1f(uniforms.opacity, opacity);
+      if (rows) this.#drawSet(gl.LINES, rows.points, rows.colors, uniforms, false);
       if (lines) this.#drawSet(gl.LINES, lines.points, lines.colors, uniforms, false);
       this.#drawSet(gl.POINTS, marks.points, colors, uniforms, true);
     }
@@ -422,6 +425,18 @@ export class FaceViewer {
     }
     gl.drawArrays(mode, 0, points.length / 3);
   }
+}
+
+const ROW = [0.08, 0.32, 0.62, 0.9]; // r g b, and how opaque: to be seen on skin
+
+/** Lines between markers, by their numbers. */
+function joined(points, lines) {
+  const out = { points: new Float32Array(3 * lines.length), colors: new Float32Array(4 * lines.length) };
+  for (let i = 0; i < lines.length; i++) {
+    out.points.set(points.subarray(3 * lines[i], 3 * lines[i] + 3), 3 * i);
+    out.colors.set(ROW, 4 * i);
+  }
+  return out;
 }
 
 /** Interleave starts and ends for lines. */

@@ -30,7 +30,7 @@ class PlacedMarkers {
       if (step === MISSING) targets[i] = NaN; // a line to nowhere
     }
     if (carried) for (const each of [points, targets]) carry(each, carried);
-    return { points, targets, colors: this.colors, names: this.names, diameter: 6 };
+    return { points, targets, colors: this.colors, names: this.names, lines: this.lines, diameter: 6 };
   }
 }
 

@@ -23,8 +23,9 @@ export class PlacementTool extends EventTarget {
   }
 
   /** Take over where the server has the markers. */
-  load({ names, rest, corrected }) {
+  load({ names, rest, corrected, lines }) {
     this.names = names;
+    this.lines = lines;
     this.points = Float32Array.from(rest);
     this.corrected = corrected;
     this.colors = new Float32Array(corrected.flatMap((is) => (is ? CORRECTED : PROPOSED)));
@@ -32,8 +33,8 @@ export class PlacementTool extends EventTarget {
 
   /** What FaceViewer.setMarkers takes. */
   overlay() {
-    const { points, names, colors } = this;
-    return { points, names, colors, labels: true, diameter: 10 };
+    const { points, names, colors, lines } = this;
+    return { points, names, colors, lines, labels: true, diameter: 10 };
   }
 
   #at(event) {

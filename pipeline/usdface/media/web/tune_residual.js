@@ -29,7 +29,7 @@ const css = (color) => `rgb(${color.map((value) => Math.round(255 * value)).join
 
 /** Markers glued to the rig, by the same keys as the face. */
 export class Residual {
-  /** @param {{names, regions, rest: Float32Array, keyDeltas: Float32Array, targets: Float32Array}} markers */
+  /** @param {{names, regions, lines: number[], rest: Float32Array, keyDeltas: Float32Array, targets: Float32Array}} markers */
   constructor(face, markers) {
     this.face = face;
     Object.assign(this, markers);
@@ -77,8 +77,8 @@ export class Residual {
 
   /** What FaceViewer.setMarkers takes, after `measure`. */
   overlay(pair, labels) {
-    const { names, colors, bound } = this;
-    return { points: this.target(pair), targets: bound, names, colors, labels };
+    const { names, colors, bound, lines } = this;
+    return { points: this.target(pair), targets: bound, names, colors, lines, labels };
   }
 }
 

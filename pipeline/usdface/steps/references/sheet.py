@@ -30,6 +30,7 @@ from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.references import ReferenceSheetSpec
 from usdface.speech.phones import viseme_label
+from usdface.steps.inputs.marker_lines import marker_lines
 from usdface.steps.inputs.placement import placed_equation, stored_placement
 from usdface.usdio.references.read import read_pair_notes, read_set_references
 from usdface.usdio.rig.read import read_rig
@@ -115,6 +116,7 @@ class _PairPictures:
         if not references.marker_names:
             return
         self._cloud = frame_markers(references.markers)
+        self._lines = marker_lines(references.marker_names, references.neutral)
         equation = placed_equation(
             stored_placement(references, rig),
             rig,
@@ -142,7 +144,9 @@ class _PairPictures:
         markers, residual_mm = None, None
         if self._cloud is not None:
             size = {"width": tile, "height": tile}
-            markers = draw_markers(references.markers[pair], **size, frame=self._cloud)
+            markers = draw_markers(
+                references.markers[pair], **size, frame=self._cloud, lines=self._lines
+            )
             if not references.tuned[pair]:  # a right key may be farther from the markers
                 residual_mm = float(self._residual_mm[pair])
         return ReferenceRow(

@@ -6,11 +6,16 @@ from typing import Literal, Self
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, ByteImage, FloatArray
+from usdface.core.arrays import BoolArray, ByteImage, FloatArray, IntArray
 from usdface.core.assets import Take
 from usdface.core.errors import InputError
 from usdface.media.face.camera import Camera
-from usdface.media.face.markers_view import MarkersFrame, draw_markers, frame_markers
+from usdface.media.face.markers_view import (
+    MarkersFrame,
+    draw_marker_lines,
+    draw_markers,
+    frame_markers,
+)
 from usdface.media.face.render import FaceRenderer
 from usdface.media.face.sculpted_normals import SculptedNormals
 from usdface.media.film.image_sequence import ImageSequence, open_video
@@ -21,6 +26,7 @@ from usdface.media.picture.display_view import DisplayView
 from usdface.media.picture.sheet import Tile
 from usdface.model.selection.baseline import BlendshapeEquation
 from usdface.numerics.registration.virtual_markers import character_motion
+from usdface.steps.inputs.marker_lines import marker_lines
 from usdface.steps.review.shot import Shot, ShotCamera
 
 _LAST_PICTURES = 2
@@ -30,12 +36,15 @@ FRAMED_BY = 2000
 """Frames of a take that its markers are framed by."""
 
 
-def _frame_of(take: Take) -> MarkersFrame | None:
-    """Return what part of space a take's markers are in: one for all of its parts."""
+def _frame_of(take: Take) -> tuple[MarkersFrame | None, IntArray]:
+    """Return what part of space a take's markers are in, for all of its parts, and their lines."""
     if take.markers is None:
-        return None
+        return None, np.zeros((0, 2), np.int64)
     step = max(take.frame_count // FRAMED_BY, 1)
-    return frame_markers(take.markers.positions[::step].astype(np.float64))
+    positions = take.markers.positions[::step].astype(np.float64)
+    seen_first = np.isfinite(positions).all(axis=2).argmax(axis=0)
+    at = positions[seen_first, np.arange(len(seen_first))]
+    return frame_markers(positions), marker_lines(take.markers.names, at)
 
 
 def repaired_markers(take: Take, frame: int) -> BoolArray:
@@ -78,7 +87,7 @@ class ShotPictures:
         self._camera = camera or shot.camera()
         self._width = self._camera.width(height, int(shot.frames[0]))
         self._last: dict[tuple[Camera, bytes, int | None], ByteImage] = {}
-        self._cloud = _frame_of(shot.take)
+        self._cloud, self._lines = _frame_of(shot.take)
         self._open = ExitStack()
         self._video: VideoReader | ImageSequence | None = None
 
@@ -141,6 +150,7 @@ class ShotPictures:
             height=self._height,
             frame=self._cloud,
             visible=markers.visible[at],
+            lines=self._lines,
         )
 
     def markers_on_face(self, row: int, equation: BlendshapeEquation) -> ByteImage:
@@ -165,6 +175,7 @@ class ShotPictures:
         ends = [
             view.project(points, width=self._width, height=self._height)[:, :2] for points in both
         ]
+        draw_marker_lines(picture, ends[1], self._lines, size=size, color=BLUE)
         for solved, captured, hollow in zip(*ends, repaired.tolist(), strict=True):
             if np.isfinite(solved).all() and np.isfinite(captured).all():
                 draw_line(picture, solved, captured, BRIGHT, thickness=1.4 * size)

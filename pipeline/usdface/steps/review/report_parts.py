@@ -26,6 +26,7 @@ from usdface.numerics.registration.virtual_markers import character_motion
 from usdface.runner.outputs import confine
 from usdface.specs.notes import read_notes
 from usdface.specs.review import ReportSpec
+from usdface.steps.inputs.marker_lines import marker_lines
 from usdface.steps.review.shot import Shot, version_labels, weights_in_rig_order
 from usdface.usdio.performance.read import PerformanceReader, read_performance
 from usdface.usdio.references.read import read_references
@@ -102,11 +103,14 @@ def page_markers(shot: Shot, equation: BlendshapeEquation) -> PageMarkers | None
     motion = character_motion(equation.virtual, shot.positions, equation.neutral)[:, shown]
     known = markers.visible[rows] | (markers.confidence[rows] > 0)
     motion = np.where(known[:, shown, None], motion, np.nan)
+    names = tuple(markers.names[i] for i in shown.tolist())
+    rest = equation.virtual.places(shot.deformer.neutral)[shown]
     return PageMarkers(
-        tuple(markers.names[i] for i in shown.tolist()),
-        equation.virtual.places(shot.deformer.neutral)[shown],
+        names,
+        rest,
         motion,
         np.asarray(equation.keys.deltas)[:, shown],
+        marker_lines(names, rest),
     )
 
 

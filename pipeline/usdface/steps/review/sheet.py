@@ -282,7 +282,7 @@ def _notes(spec: SheetSpec, comparison: SheetComparison, *, stand_in_eyes: bool)
     if spec.layout != "strip" and comparison.equation is not None:
         notes.append(
             "dots: the markers on the character, hollow where they were repaired; lines: from the "
-            "solve to them"
+            "solve to them, in blue along lips, lids and brows"
         )
     if any(comparison.labels):
         notes.append("beside frames: phone and viseme")

@@ -1,0 +1,31 @@
+"""Lines between neighbouring markers of lips, lids and brows, for pictures and pages."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from usdface.capture.face_landmarks import LANDMARK_ROWS
+from usdface.core.arrays import IntArray, index_of
+from usdface.model.placement.marker_rows import rows_by_label
+
+_LEAST_KNOWN = 0.8
+"""Share of the landmarks in rows that a take must have for its labels to be those of `track`."""
+
+
+def marker_lines(labels: Sequence[str], positions: ArrayLike) -> IntArray:
+    """Return the markers that lines join: (lines, 2); none where labels do not tell any.
+
+    Parameters
+    ----------
+    positions : (markers, 3) array
+        At rest; see `rows_by_label`. Landmarks of `track` are joined as the mesh has them.
+    """
+    place = index_of(labels)
+    named = [name for row in LANDMARK_ROWS for name in row]
+    if sum(name in place for name in named) >= _LEAST_KNOWN * len(named):
+        rows = [np.array([place[name] for name in row if name in place]) for row in LANDMARK_ROWS]
+    else:
+        rows = rows_by_label(labels, positions)
+    lines = [np.stack([row[:-1], row[1:]], axis=1) for row in rows if len(row) > 1]
+    return np.concatenate(lines or [np.zeros((0, 2), np.int64)]).astype(np.int64)
