@@ -15,7 +15,7 @@ from usdface.numerics.measure.face_regions import shapes_by_region
 from usdface.numerics.registration.surface_places import nearest_places
 from usdface.numerics.registration.virtual_markers import character_motion
 from usdface.runner.outputs import confine
-from usdface.steps.inputs.marker_lines import marker_lines
+from usdface.steps.inputs.marker_lines import lines_on_rig
 from usdface.steps.inputs.placement import placed_equation, stored_placement
 from usdface.tuning.session import TuningSession
 from usdface.usdio.rig.mesh import rig_surfaces
@@ -76,7 +76,7 @@ def find_targets(references: References, rig: Rig) -> MarkerTargets:
         targets=(rest + motion).astype(np.float32),
         regions=_regions(equation, rig, rigid),
         corrected=_corrected(placement, references.marker_names),
-        lines=marker_lines(references.marker_names, rest),
+        lines=lines_on_rig(references.marker_names, equation, Deformer(rig), rig.shapes),
         equation=equation,
     )
 

@@ -11,9 +11,10 @@ from tests.steps.small_shot import Shot
 from usdface.capture.face_landmarks import LANDMARK_ROWS, LANDMARKS
 from usdface.core.errors import InputError
 from usdface.media.face.markers_view import draw_markers
+from usdface.model.placement.marker_rows import rows_by_place
 from usdface.runner.execute import execute
 from usdface.specs.review import ReportSpec
-from usdface.steps.inputs.marker_lines import marker_lines
+from usdface.steps.inputs.marker_lines import lines_on_rig, marker_lines
 from usdface.steps.review.pictures import ShotPictures
 from usdface.steps.review.scoring import set_up_shot_baseline
 from usdface.steps.review.shot import open_shot
@@ -118,7 +119,7 @@ def test_sheet_and_report_join_the_same_markers(shot: Shot) -> None:
     with ShotPictures(opened, height=160, quality="draft") as pictures:
         lines = pictures._lines
         shown = {"cloud": pictures.markers(0), "face": pictures.markers_on_face(0, equation)}
-        pictures._lines = np.zeros((0, 2), np.int64)
+        pictures._lines = pictures._placed_lines = np.zeros((0, 2), np.int64)
         assert (pictures.markers(0) != shown["cloud"]).any()
         assert (pictures.markers_on_face(0, equation) != shown["face"]).any()
     execute(
@@ -133,3 +134,41 @@ def test_sheet_and_report_join_the_same_markers(shot: Shot) -> None:
     assert {frozenset(markers["names"][end] for end in line) for line in there.tolist()} == {
         frozenset(names[end] for end in line) for line in lines.tolist()
     }
+
+
+def test_markers_without_labels_are_joined_by_where_they_lie_on_the_rig(shot: Shot) -> None:
+    opened = open_shot(shot / "shot.hero.usda", shot / "shot.clean.take.usda")
+    equation = set_up_shot_baseline(opened)
+    assert opened.take.markers is not None
+    names = opened.take.markers.names
+    silent = [f"M{index}" for index in range(len(names))]
+    assert not len(marker_lines(silent, equation.neutral))
+    rig = opened.deformer, opened.rig.shapes
+    by_label, by_place = (
+        {frozenset(names[end] for end in line) for line in lines.tolist()}
+        for lines in (lines_on_rig(names, equation, *rig), lines_on_rig(silent, equation, *rig))
+    )
+    rows = ("lip_upper", "lip_lower", "lid_upper", "lid_lower", "mouth_corner")
+    told = {line for line in by_label if all(name.startswith(rows) for name in line)}
+    assert len(by_place & told) > 0.6 * len(told)
+    for line in by_place:
+        assert all(name.startswith(rows) for name in line), line
+        kinds = {next(row for row in rows if name.startswith(row)) for name in line}
+        assert len(kinds - {"mouth_corner"}) <= 1, "no line from one row to another"
+
+
+def test_rows_are_found_whichever_way_the_face_looks() -> None:
+    turn = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
+    turned = {name: tuple((turn @ np.array(at)).tolist()) for name, at in FACE.items()}
+    assert joined(turned) == joined(FACE)
+
+
+def test_two_markers_by_themselves_are_no_row() -> None:
+    landmarks = {"mouth_R": (-25, 0, 0), "lip_upper": (0, 5, 9), "mouth_L": (25, 0, 0)}
+    known = {name: np.array(at, float) for name, at in landmarks.items()}
+    places = np.array([(-25.0, 0, 0), (25, 0, 0), (0, 30, 0)])
+    assert rows_by_place(places, known, unit=1.0) == []
+    places[2] = (0, 7, 9)
+    (row,) = rows_by_place(places, known, unit=1.0)
+    assert row.tolist() in ([0, 2, 1], [1, 2, 0])
+    assert rows_by_place(places, {}, unit=1.0) == []

@@ -1,6 +1,7 @@
-"""Rows of markers along lips, lids and brows, found by what the labels say."""
+"""Rows of markers along lips, lids and brows, by what labels say or by where they lie on a rig."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,8 +11,15 @@ from usdface.core.errors import InputError
 from usdface.model.placement.label_hints import LabelHint, label_hint
 
 MOST_WINDING = 1.6
-"""Length of a row over the distance of its ends, seen from the front. Lips and lids reach 1.4; what
-winds further holds two rows, such as both edges of a brow, and is not drawn."""
+"""Length of a row over its extent. Lips and lids reach 1.4; what winds further holds two rows, such
+as both edges of a brow, and is not drawn."""
+
+ROW_REACH_MM = 6.0
+"""Distance from a row on an adult's face below which a marker without a label belongs to it:
+markers are glued beside the edges of lips and lids, and placed to a few millimetres."""
+
+_SHARED_MM = 1.0
+"""A marker this much farther from another row than from its own is the corner that both share."""
 
 _CORNERS = {
     "lip_upper": ("mouth_L", "mouth_R"),
@@ -23,6 +31,18 @@ _CORNERS = {
 }
 """Rows, each with the landmarks that end it and that it shares with others."""
 
+_PATHS = (
+    ("mouth_R", "lip_upper", "mouth_L"),
+    ("mouth_R", "lip_lower", "mouth_L"),
+    *((f"eye_inner_{side}", f"lid_crease_{side}", f"eye_outer_{side}") for side in "LR"),
+    *((f"eye_inner_{side}", f"lid_lower_{side}", f"eye_outer_{side}") for side in "LR"),
+)
+"""Landmarks along each row. Those of a brow are middles of what moves, not its line."""
+
+_PATH_LENGTH = 3
+_LEAST_PLACED = 3
+"""Markers that show a row where no label does: two are as well the corners of a mouth."""
+
 
 def rows_by_label(labels: Sequence[str], positions: ArrayLike) -> list[IntArray]:
     """Return the markers of each row, in the order in which they lie across the face.
@@ -30,7 +50,7 @@ def rows_by_label(labels: Sequence[str], positions: ArrayLike) -> list[IntArray]
     Parameters
     ----------
     positions : (markers, 3) array
-        At rest, the face looking along +Z, Y up [mm]; a marker without one is in no row.
+        At rest [mm]; a marker without one is in no row.
 
     Returns
     -------
@@ -47,11 +67,56 @@ def rows_by_label(labels: Sequence[str], positions: ArrayLike) -> list[IntArray]
         ends = [i for i, hint in enumerate(hints) if hint.landmarks in {(c,) for c in corners}]
         if not own:
             continue
-        members = np.array([i for i in (*own, *ends) if np.isfinite(at[i]).all()], np.int64)
-        ordered = members[np.argsort(at[members, 0], kind="stable")]
-        if len(ordered) > 1 and _winding(at[ordered, :2]) < MOST_WINDING:
-            rows.append(ordered)
+        rows += _in_order(at, [*own, *ends])
     return rows
+
+
+def rows_by_place(
+    places: ArrayLike, landmarks: Mapping[str, FloatArray], *, unit: float
+) -> list[IntArray]:
+    """Return the markers of each row as `rows_by_label` does, by the landmarks that they lie near.
+
+    Parameters
+    ----------
+    places : (markers, 3) array
+        On the rig at rest, in the frame of the landmarks [mm].
+    landmarks : mapping of str to (3,) array
+        As `find_landmarks` names them; rows that lack one are left out.
+    unit : float
+        Size of the face, of an adult's 1.
+    """
+    at = np.asarray(places, np.float64)
+    paths = [[landmarks[name] for name in path if name in landmarks] for path in _PATHS]
+    paths = [path for path in paths if len(path) == _PATH_LENGTH]
+    if not paths:
+        return []
+    away = np.stack([_distance(at[:, :2], np.array(path)[:, :2]) for path in paths])
+    nearest = np.nan_to_num(away, nan=np.inf).min(axis=0)
+    is_of = (away <= nearest + _SHARED_MM * unit) & (away < ROW_REACH_MM * unit)
+    members = [np.flatnonzero(each) for each in is_of if each.sum() >= _LEAST_PLACED]
+    return [row for each in members for row in _in_order(at, each.tolist())]
+
+
+def _distance(points: FloatArray, path: FloatArray) -> FloatArray:
+    """Return how far points are from a line of straight pieces."""
+    pieces = []
+    for start, end in pairwise(path):
+        along = end - start
+        share = np.clip((points - start) @ along / (along @ along), 0, 1)
+        pieces.append(np.linalg.norm(points - start - share[:, None] * along, axis=1))
+    return np.asarray(np.min(pieces, axis=0))
+
+
+def _in_order(at: FloatArray, members: Sequence[int]) -> list[IntArray]:
+    """Return a row in the order of its longest axis; nothing if it is no row."""
+    row = np.array([each for each in members if np.isfinite(at[each]).all()], np.int64)
+    if len(row) < 2:
+        return []
+    centred = at[row] - at[row].mean(axis=0)
+    along = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]
+    order = np.argsort(along, kind="stable")
+    length = np.linalg.norm(np.diff(at[row[order]], axis=0), axis=1).sum()
+    return [row[order]] if length < MOST_WINDING * np.ptp(along) else []
 
 
 def _is_of(hint: LabelHint, row: str) -> bool:
@@ -59,8 +124,3 @@ def _is_of(hint: LabelHint, row: str) -> bool:
     if row.startswith("brow_"):
         return hint.region == "brow" and hint.side == row[-1]
     return bool(hint.landmarks) and hint.landmarks[0] == row
-
-
-def _winding(points: FloatArray) -> float:
-    length = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
-    return float(length / max(np.linalg.norm(points[-1] - points[0]), 1e-9))

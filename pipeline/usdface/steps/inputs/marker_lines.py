@@ -7,7 +7,12 @@ from numpy.typing import ArrayLike
 
 from usdface.capture.face_landmarks import LANDMARK_ROWS
 from usdface.core.arrays import IntArray, index_of
-from usdface.model.placement.marker_rows import rows_by_label
+from usdface.core.deformer import Deformer
+from usdface.model.placement.marker_rows import rows_by_label, rows_by_place
+from usdface.model.placement.rig_landmarks import find_landmarks
+from usdface.model.selection.baseline import BlendshapeEquation
+from usdface.numerics.registration.face_skin import sample_face_skin
+from usdface.numerics.registration.skin_placement import TYPICAL_SIZE_MM
 
 _LEAST_KNOWN = 0.8
 """Share of the landmarks in rows that a take must have for its labels to be those of `track`."""
@@ -27,5 +32,32 @@ def marker_lines(labels: Sequence[str], positions: ArrayLike) -> IntArray:
         rows = [np.array([place[name] for name in row if name in place]) for row in LANDMARK_ROWS]
     else:
         rows = rows_by_label(labels, positions)
+    return _lines(rows)
+
+
+def lines_on_rig(
+    labels: Sequence[str], equation: BlendshapeEquation, deformer: Deformer, shapes: Sequence[str]
+) -> IntArray:
+    """Return lines as `marker_lines` does; where labels are silent, by where markers are placed.
+
+    Parameters
+    ----------
+    shapes : sequence of str
+        Names of the rig's shapes.
+    """
+    told = marker_lines(labels, equation.neutral)
+    if len(told):
+        return told
+    try:
+        offsets = deformer.shapes.target_offsets()
+        skin = sample_face_skin(deformer.neutral, deformer.triangles, offsets)
+    except ValueError:  # no face that shapes move
+        return told
+    places = equation.virtual.places(deformer.neutral) @ skin.frame.T
+    unit = skin.size_mm / TYPICAL_SIZE_MM
+    return _lines(rows_by_place(places, find_landmarks(skin, shapes), unit=unit))
+
+
+def _lines(rows: Sequence[IntArray]) -> IntArray:
     lines = [np.stack([row[:-1], row[1:]], axis=1) for row in rows if len(row) > 1]
     return np.concatenate(lines or [np.zeros((0, 2), np.int64)]).astype(np.int64)

@@ -30,7 +30,7 @@ from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.references import ReferenceSheetSpec
 from usdface.speech.phones import viseme_label
-from usdface.steps.inputs.marker_lines import marker_lines
+from usdface.steps.inputs.marker_lines import lines_on_rig
 from usdface.steps.inputs.placement import placed_equation, stored_placement
 from usdface.usdio.references.read import read_pair_notes, read_set_references
 from usdface.usdio.rig.read import read_rig
@@ -116,7 +116,6 @@ class _PairPictures:
         if not references.marker_names:
             return
         self._cloud = frame_markers(references.markers)
-        self._lines = marker_lines(references.marker_names, references.neutral)
         equation = placed_equation(
             stored_placement(references, rig),
             rig,
@@ -127,6 +126,7 @@ class _PairPictures:
             rigid=tuple(references.marker_names.index(name) for name in references.rigid),
             labels=references.marker_names,
         )
+        self._lines = lines_on_rig(references.marker_names, equation, self._deformer, rig.shapes)
         self._residual_mm = equation.residual_mm(references.markers, self._weights)
 
     @property

@@ -26,7 +26,7 @@ from usdface.media.picture.display_view import DisplayView
 from usdface.media.picture.sheet import Tile
 from usdface.model.selection.baseline import BlendshapeEquation
 from usdface.numerics.registration.virtual_markers import character_motion
-from usdface.steps.inputs.marker_lines import marker_lines
+from usdface.steps.inputs.marker_lines import lines_on_rig, marker_lines
 from usdface.steps.review.shot import Shot, ShotCamera
 
 _LAST_PICTURES = 2
@@ -88,6 +88,7 @@ class ShotPictures:
         self._width = self._camera.width(height, int(shot.frames[0]))
         self._last: dict[tuple[Camera, bytes, int | None], ByteImage] = {}
         self._cloud, self._lines = _frame_of(shot.take)
+        self._placed_lines: IntArray | None = None
         self._open = ExitStack()
         self._video: VideoReader | ImageSequence | None = None
 
@@ -175,7 +176,10 @@ class ShotPictures:
         ends = [
             view.project(points, width=self._width, height=self._height)[:, :2] for points in both
         ]
-        draw_marker_lines(picture, ends[1], self._lines, size=size, color=BLUE)
+        if self._placed_lines is None:
+            names = () if shot.take.markers is None else shot.take.markers.names
+            self._placed_lines = lines_on_rig(names, equation, shot.deformer, shot.rig.shapes)
+        draw_marker_lines(picture, ends[1], self._placed_lines, size=size, color=BLUE)
         for solved, captured, hollow in zip(*ends, repaired.tolist(), strict=True):
             if np.isfinite(solved).all() and np.isfinite(captured).all():
                 draw_line(picture, solved, captured, BRIGHT, thickness=1.4 * size)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, columns_by_name
+from usdface.core.arrays import FloatArray, IntArray, columns_by_name
 from usdface.core.errors import InputError
 from usdface.core.sidecars import notes_path
 from usdface.core.text import first_few
@@ -26,7 +26,7 @@ from usdface.numerics.registration.virtual_markers import character_motion
 from usdface.runner.outputs import confine
 from usdface.specs.notes import read_notes
 from usdface.specs.review import ReportSpec
-from usdface.steps.inputs.marker_lines import marker_lines
+from usdface.steps.inputs.marker_lines import lines_on_rig
 from usdface.steps.review.shot import Shot, version_labels, weights_in_rig_order
 from usdface.usdio.performance.read import PerformanceReader, read_performance
 from usdface.usdio.references.read import read_references
@@ -110,8 +110,14 @@ def page_markers(shot: Shot, equation: BlendshapeEquation) -> PageMarkers | None
         rest,
         motion,
         np.asarray(equation.keys.deltas)[:, shown],
-        marker_lines(names, rest),
+        _among(shown, lines_on_rig(markers.names, equation, shot.deformer, shot.rig.shapes)),
     )
+
+
+def _among(shown: IntArray, lines: IntArray) -> IntArray:
+    """Return lines between some of the markers, by their numbers among these."""
+    inside = np.isin(lines, shown).all(axis=1)
+    return np.searchsorted(shown, lines[inside])
 
 
 def page_motion(shot: Shot) -> FloatArray | None:
