@@ -21,6 +21,7 @@ def page(**changes: object) -> EvaluationPage:
         "title": "hero against keys",
         "facts": ("0.3 mm RMS",),
         "curves": (ErrorCurve("face", np.abs(np.sin(time))),),
+        "verdict": ("good", "Good: 0.04 mm off the keys"),
         "first_frame": 101,
         "worst": (200, 444),
         "lips_keys": 5 + 4 * np.sin(time),

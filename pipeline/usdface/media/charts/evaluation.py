@@ -36,7 +36,8 @@ from usdface.media.picture.error_strip import (
     draw_error_strip,
     strip_height,
 )
-from usdface.media.picture.sheet import HEADER_HEIGHT, draw_header, draw_legend
+from usdface.media.picture.sheet import HEADER_HEIGHT, draw_header, draw_legend, draw_verdict
+from usdface.media.picture.sheet_layout import VERDICT_SCALE
 from usdface.media.picture.text import TextStyle, draw_text, shortened
 
 if TYPE_CHECKING:
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
 PAGE_WIDTH = 1800
 _PAGE_MARGIN = 36
 _LEGEND_HEIGHT = 44
+VERDICT_HEIGHT = 34
 LIPS_HEIGHT = 180
 _ROW_HEIGHT = 24
 COLUMN_COUNT = 3
@@ -75,6 +77,8 @@ class EvaluationPage:
     """What the picture shows."""
 
     title: str
+    verdict: tuple[str, str]
+    """``'good'``, ``'check'`` or ``'bad'``, and the sentence."""
     facts: tuple[str, ...]
     curves: tuple[ErrorCurve, ...]
     """The whole face first, then its regions [mm]."""
@@ -96,7 +100,8 @@ def draw_evaluation(page: EvaluationPage) -> ByteImage:
         raise InputError(f"{page.title}: no error curve to draw")
     shapes = page.shapes[:MOST_SHAPES]
     rows = -(-len(shapes) // COLUMN_COUNT)
-    lips_top = _PAGE_MARGIN + HEADER_HEIGHT + strip_height(len(page.curves)) + _LEGEND_HEIGHT
+    strips = strip_height(len(page.curves))
+    lips_top = _PAGE_MARGIN + HEADER_HEIGHT + VERDICT_HEIGHT + strips + _LEGEND_HEIGHT
     shapes_top = lips_top
     if page.lips_keys is not None and page.lips_solve is not None:
         shapes_top += LIPS_HEIGHT + 100
@@ -111,10 +116,12 @@ def draw_evaluation(page: EvaluationPage) -> ByteImage:
     inner = PAGE_WIDTH - 2 * _PAGE_MARGIN
     high = KEYS_RANGE_MM
     y = draw_header(picture, page.title, page.facts, margin=_PAGE_MARGIN)
+    draw_verdict(picture, page.verdict, x=_PAGE_MARGIN, y=y - 4, scale=VERDICT_SCALE)
+    y += VERDICT_HEIGHT
     marks = tuple((frame, str(frame)) for frame in page.worst)
     strip = ErrorStrip(page.curves, page.first_frame, high, marks)
     draw_error_strip(picture, strip, x=_PAGE_MARGIN, y=y, width=inner)
-    y += strip_height(len(page.curves))
+    y += strips
     note = (
         "RMS distance of the skin from the keys, without gaze and tongue; numbers mark the worst "
         "frames"
@@ -158,7 +165,6 @@ def _draw_shapes(figure: Figure, shapes: Sequence[ShapeBar], *, y: int) -> None:
     rows = -(-len(shapes) // COLUMN_COUNT)
     pitch = (PAGE_WIDTH - 2 * _PAGE_MARGIN) // COLUMN_COUNT
     longest = max(max(shape.rmse for shape in shapes), 1e-9)
-    high = max(max(shape.surface_mm for shape in shapes), 1e-9)
     for column in range(COLUMN_COUNT):
         listed = shapes[column * rows : (column + 1) * rows]
         x = _PAGE_MARGIN + column * pitch + NAME_WIDTH
@@ -168,7 +174,8 @@ def _draw_shapes(figure: Figure, shapes: Sequence[ShapeBar], *, y: int) -> None:
         axes.set_xlim(0, longest)
         axes.set_ylim(rows - 0.5, -0.5)
         places = np.arange(len(listed))
-        colors = bytes_from_linear(heat_ramp([bar.surface_mm for bar in listed], high=high)) / 255
+        heat = heat_ramp([bar.surface_mm for bar in listed], high=KEYS_RANGE_MM)
+        colors = bytes_from_linear(heat) / 255
         thick = 14 / _ROW_HEIGHT
         axes.barh(places, longest, thick, color=display_color(LANE))
         axes.barh(places, [bar.rmse for bar in listed], thick, color=colors)

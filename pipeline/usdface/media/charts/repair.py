@@ -9,9 +9,10 @@ from usdface.core.arrays import BoolArray, ByteImage, longest_run
 from usdface.core.errors import InputError
 from usdface.core.text import pluralize
 from usdface.media.picture.canvas import fill_box, new_picture
-from usdface.media.picture.color import DIM, LANE, PAGE, SOFT, VERDICT_COLORS, Color
+from usdface.media.picture.color import DIM, LANE, PAGE, SOFT, Color
 from usdface.media.picture.error_strip import draw_frame_axis
-from usdface.media.picture.sheet import draw_header
+from usdface.media.picture.sheet import draw_header, draw_verdict
+from usdface.media.picture.sheet_layout import VERDICT_SCALE
 from usdface.media.picture.text import TextStyle, draw_text, text_width
 
 _PAGE_WIDTH = 1600
@@ -79,12 +80,8 @@ def draw_repairs(
     height = HEAD_HEIGHT + (len(lanes) * _ROW_HEIGHT + 44 if lanes else 0)
     page = new_picture(_PAGE_WIDTH, height, PAGE)
     y = draw_header(page, title, facts, margin=REPAIR_MARGIN)
-    level, sentence = verdict
-    color = VERDICT_COLORS[level]
-    fill_box(page, 0, 0, 8, height, color)
-    style = TextStyle(size=18, color=color, weight="bold")
+    draw_verdict(page, verdict, x=REPAIR_MARGIN, y=y - 4, scale=VERDICT_SCALE)
     inner = _PAGE_WIDTH - 2 * REPAIR_MARGIN
-    draw_text(page, sentence, x=REPAIR_MARGIN, y=y - 4, style=style, max_width=inner)
     if not lanes:
         return page
     _draw_key(page, kinds, y=y + _VERDICT_HEIGHT)

@@ -20,8 +20,9 @@ from usdface.media.picture.canvas import (
     new_picture,
     spread_rows,
 )
-from usdface.media.picture.color import BLUE, GREEN, PAGE, SOFT, VERDICT_COLORS, Color
-from usdface.media.picture.sheet import draw_header
+from usdface.media.picture.color import BLUE, GREEN, PAGE, SOFT, Color
+from usdface.media.picture.sheet import draw_header, draw_verdict
+from usdface.media.picture.sheet_layout import VERDICT_SCALE, verdict_lines
 from usdface.media.picture.text import TextStyle, draw_text, text_width
 
 _PAGE_MARGIN = 30
@@ -103,16 +104,12 @@ def draw_binding(
     views[1] = replace(views[1], named=views[1].named | hidden)
     panels = [_draw_view(points, renderer, markers, view, quality) for view in views]
     width = sum(panel.shape[1] for panel in panels) + 2 * _PAGE_MARGIN
-    level, sentence = verdict
-    head = _HEAD_HEIGHT + (_VERDICT_HEIGHT if sentence else 0)
+    lines = verdict_lines(verdict, width, VERDICT_SCALE) if verdict[1] else ()
+    head = _HEAD_HEIGHT + len(lines) * _VERDICT_HEIGHT
     page = new_picture(width, head + _VIEW_HEIGHT + _PAGE_MARGIN, PAGE)
     y = draw_header(page, title, facts, margin=_PAGE_MARGIN)
-    if sentence:
-        color = VERDICT_COLORS[level]
-        fill_box(page, 0, 0, 8, page.shape[0], color)
-        style = TextStyle(size=18, color=color, weight="bold")
-        room = width - 2 * _PAGE_MARGIN
-        draw_text(page, sentence, x=_PAGE_MARGIN, y=y - 4, style=style, max_width=room)
+    if verdict[1]:
+        draw_verdict(page, verdict, x=_PAGE_MARGIN, y=y - 4, scale=VERDICT_SCALE)
     x = _PAGE_MARGIN
     for panel in panels:
         page[head : head + _VIEW_HEIGHT, x : x + panel.shape[1]] = panel

@@ -140,7 +140,14 @@ def draw_header(
     return y + 18
 
 
-def draw_verdict(page: ByteImage, verdict: Sequence[str], *, y: int, scale: float = 1.0) -> int:
+def draw_verdict(
+    page: ByteImage,
+    verdict: Sequence[str],
+    *,
+    y: int,
+    scale: float = 1.0,
+    x: int = PAGE_MARGIN,
+) -> int:
     """Write a verdict in its colour, which also runs down the page's left edge.
 
     Parameters
@@ -160,7 +167,7 @@ def draw_verdict(page: ByteImage, verdict: Sequence[str], *, y: int, scale: floa
     first = len(verdict_lines(verdict[:2], page.shape[1], scale))
     for number, line in enumerate(verdict_lines(verdict, page.shape[1], scale)):
         style = replace(VERDICT_STYLE.scaled(scale), color=color if number < first else BRIGHT)
-        draw_text(page, line, x=PAGE_MARGIN, y=y, style=style)
+        draw_text(page, line, x=x, y=y, style=style)
         y += round(scale * VERDICT_LINE)
     return y
 

@@ -30,6 +30,8 @@ READ_LETTER = 12
 _SMALLEST_STYLE = 16
 VERDICT_STYLE = TextStyle(size=23, color=BRIGHT, weight="bold")
 VERDICT_LINE = 30
+VERDICT_SCALE = 0.78
+"""Of charts, where a verdict has one line."""
 CODE_STYLE = TextStyle(size=17, color=TEXT, weight="mono")
 TEXT_STYLE = TextStyle(size=17, color=SOFT)
 DIM_STYLE = TextStyle(size=17, color=DIM)

@@ -11,7 +11,9 @@ from usdface.core.text import pluralize
 from usdface.media.charts.evaluation import EvaluationPage, ShapeBar
 from usdface.media.picture.error_strip import ErrorCurve
 from usdface.model.mapping.evaluation import Evaluation
+from usdface.model.mapping.regions import FACE
 from usdface.model.retarget.shape_names import read_meanings
+from usdface.model.review.verdict import SolveEvidence, judge_solve
 from usdface.numerics.measure.performance_error import SurfaceError
 from usdface.specs.review import EvaluateSpec
 
@@ -160,18 +162,20 @@ def evaluation_page(evaluation: Evaluation, *, title: str) -> EvaluationPage:
     ]
     facts = [f"frames {frames[0]}-{frames[-1]}", f"{_number(evaluation.weight_rmse)} in weights"]
     if not math.isnan(evaluation.blink_bias):
-        facts.append(f"blinks {evaluation.blink_bias:+.3f}")
+        facts.append(f"blinks {evaluation.blink_bias:+.3f} at their peaks")
     if not math.isnan(evaluation.jitter):
-        facts.append(f"jitter {evaluation.jitter:.2f}")
+        facts.append(f"jitter {evaluation.jitter:.2f} of the keys'")
     lips = evaluation.lips
+    errors = [evaluation.skin, *(region.skin for region in evaluation.regions)]
+    evidence = SolveEvidence(
+        (FACE, *(region.name for region in evaluation.regions)),
+        error_mm=np.column_stack([each.frames_mm for each in errors]),
+    )
+    verdict = judge_solve(evidence)
     return EvaluationPage(
         title=title,
-        facts=(
-            f"{evaluation.skin.mean_mm:.3f} mm off the keys",
-            f"95th percentile {evaluation.skin.p95_mm:.3f} mm",
-            *_unseen_facts(evaluation),
-            *facts,
-        ),
+        verdict=(verdict.level, verdict.sentence),
+        facts=(*facts, *_unseen_facts(evaluation)),
         curves=tuple(curves),
         first_frame=int(frames[0]),
         worst=worst_frames(evaluation),
