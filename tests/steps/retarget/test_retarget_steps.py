@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from pxr import Sdf, Usd
 
 from tests.steps.small_shot import Shot
@@ -259,6 +260,11 @@ def test_cyclic_errors_are_figures_and_curves(trained: Stall, capsys) -> None:
         assert figures[default]["mean_mm"] <= figure["mean_mm"] + 2e-3, name
         assert figure["direct_mm"] < 1.0
     assert read_image_metadata(Path("c.png"))["step"] == "cyclic"
+    with Image.open("c.png") as image:
+        below = np.asarray(image)[-200:, :, :3].astype(int)
+    drawn = np.ptp(below.reshape(200, -1), axis=0).reshape(-1, 3).max(axis=1) > 20
+    faces = np.count_nonzero(np.diff(drawn.astype(int)) == 1)
+    assert faces >= 6, "the source, and what each of five methods makes of it"
 
 
 def test_cyclic_names_the_rig_that_its_pairs_lack(trained: Stall, capsys) -> None:

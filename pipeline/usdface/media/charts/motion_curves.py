@@ -27,7 +27,7 @@ from usdface.media.picture.text import TextStyle, shortened, text_width
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_PAGE_WIDTH = 1800
+FIGURE_WIDTH = 1800
 _PAGE_MARGIN = 36
 _PANELS_TOP = _PAGE_MARGIN + HEADER_HEIGHT + 6
 PANEL_HEIGHT = 170
@@ -155,10 +155,10 @@ def draw_motion_curves(
     frames = first_frame + step * np.arange(count, dtype=np.float64)
     shown = tuple(windows) or ((first_frame, int(frames[-1])),)
     height = _PANELS_TOP + len(panels) * (PANEL_HEIGHT + _PANEL_GAP) + _PAGE_MARGIN
-    figure = new_figure(_PAGE_WIDTH, height)
+    figure = new_figure(FIGURE_WIDTH, height)
     names = {curve.label for panel in panels for curve in panel.curves}
     end = max(text_width(name, _LABEL_STYLE) for name in names) + 12
-    pitch = (_PAGE_WIDTH - 2 * _PAGE_MARGIN - end) // len(shown)
+    pitch = (FIGURE_WIDTH - 2 * _PAGE_MARGIN - end) // len(shown)
     for row, panel in enumerate(panels):
         for column, window in enumerate(shown):
             x = _PAGE_MARGIN + _AXIS_WIDTH + column * pitch

@@ -41,6 +41,8 @@ class CyclicError:
     settings: str
     mean_vertex_mm: FloatArray
     """(frames,): mean distance of the source's points from where they were [mm]."""
+    returned: FloatArray
+    """(frames, shapes of the source's rig): the weights that came back."""
     direct_mm: FloatArray | None = None
     """(frames,): mean distance of the target's points from where they should be [mm], where that is
     known."""
@@ -165,7 +167,9 @@ def evaluate_cyclic(
             direct = far.mean_vertex_mm(
                 _in_rig_order(there, pairs, target_rig), _in_rig_order(truth, pairs, target_rig)
             )
-        found.append(CyclicError(label, settings, near.mean_vertex_mm(returned, asked), direct))
+        found.append(
+            CyclicError(label, settings, near.mean_vertex_mm(returned, asked), returned, direct)
+        )
     return tuple(found)
 
 

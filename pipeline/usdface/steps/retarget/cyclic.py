@@ -6,16 +6,21 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, index_of
+from usdface.core.arrays import ByteImage, FloatArray, index_of
 from usdface.core.assets import Rig
 from usdface.core.controls import ExpressionPairs
+from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import replacing
-from usdface.media.charts.motion_curves import Curve, Panel, draw_motion_curves
-from usdface.media.picture.color import SERIES_COLORS
+from usdface.media.charts.motion_curves import FIGURE_WIDTH, Curve, Panel, draw_motion_curves
+from usdface.media.face.camera import frame_rig
+from usdface.media.face.render import FaceRenderer
+from usdface.media.picture.canvas import new_picture
+from usdface.media.picture.color import BRIGHT, PAGE, SERIES_COLORS, SOFT
 from usdface.media.picture.image import write_image
+from usdface.media.picture.text import TextStyle, draw_text
 from usdface.model.regressions import find_retarget_method
 from usdface.model.retarget.control_space import check_pairs
 from usdface.model.retarget.cyclic import (
@@ -34,6 +39,11 @@ from usdface.steps.inputs.weight_tables import read_alpha, read_weight_table
 from usdface.steps.retarget.train import pair_notes, target_ranges
 from usdface.usdio.retarget.pairs import read_pairs
 from usdface.usdio.rig.read import read_rig
+
+_FACES_MARGIN, _FACES_TEXT, _LARGEST_FACE = 36, 30, 320
+"""Of the row of faces below the curves [pixels]."""
+_FACES_HEAD = TextStyle(size=18, color=BRIGHT, weight="bold")
+_FACES_LABEL = TextStyle(size=16, color=SOFT)
 
 _NO_ERROR_MM = 0.005
 """Of a round trip: what two decimals show as nothing."""
@@ -78,7 +88,9 @@ def run(spec: CyclicSpec, *, provenance: Provenance, progress: Progress = silent
                 raise
             notes.append(f"positions were not matched: {error}")
     figures = _figures(spec, found, picks + motion.first_frame)
-    _write(spec, found, figures, motion, provenance)
+    asked = np.zeros((len(picks), len(source_rig.shapes)))
+    asked[:, [source_rig.shapes.index(name) for name in pairs.source_shapes]] = weights[picks]
+    _write(spec, found, figures, motion, (source_rig, asked), provenance)
     best = _least(found)
     return StepResult(
         spec.out,
@@ -159,8 +171,10 @@ def _write(
     found: tuple[CyclicError, ...],
     figures: dict[str, object],
     motion: SourceMotion,
+    source: tuple[Rig, FloatArray],
     provenance: Provenance,
 ) -> None:
+    """Write the files asked for; `source`: its rig, and its weights in the rig's order."""
     made = provenance_metadata(provenance)
     for path in spec.out:
         if path.suffix.lower() == ".json":
@@ -186,7 +200,33 @@ def _write(
                 step=spec.every,
                 from_zero=True,
             )
-            write_image(path, picture, metadata=made)
+            faces = _draw_returned(found, *source, motion.first_frame, spec.every)
+            write_image(path, np.concatenate([picture, faces]), metadata=made)
+
+
+def _draw_returned(
+    found: tuple[CyclicError, ...], rig: Rig, asked: FloatArray, first_frame: int, step: int
+) -> ByteImage:
+    """Draw the source's face and what comes back of it, at the frame where most is lost."""
+    at = int(np.mean([each.mean_vertex_mm for each in found], axis=0).argmax())
+    faces = [("source", asked[at])]
+    faces += [
+        (f"{each.method} {each.mean_vertex_mm[at]:.2f} mm", each.returned[at]) for each in found
+    ]
+    gap, margin = 12, _FACES_MARGIN
+    tile = min((FIGURE_WIDTH - 2 * margin) // len(faces) - gap, _LARGEST_FACE)
+    page = new_picture(FIGURE_WIDTH, tile + 2 * _FACES_TEXT + margin, PAGE)
+    frame = first_frame + step * at
+    draw_text(page, f"frame {frame}: most is lost", x=margin, y=0, style=_FACES_HEAD)
+    renderer, camera = FaceRenderer(rig.meshes), frame_rig(rig.meshes, hair=True)
+    deformer = Deformer(rig)
+    for number, (label, weights) in enumerate(faces):
+        x = margin + number * (tile + gap)
+        draw_text(page, label, x=x, y=_FACES_TEXT, style=_FACES_LABEL, max_width=tile)
+        points = deformer.points(weights[None])[0]
+        face = renderer.render(points, camera=camera, width=tile, height=tile)
+        page[2 * _FACES_TEXT : 2 * _FACES_TEXT + tile, x : x + tile] = face
+    return page
 
 
 def _panels(found: tuple[CyclicError, ...]) -> tuple[Panel, ...]:
