@@ -247,6 +247,27 @@ def _one_take(own: Path, theirs: Path, other: Path) -> bool:
     return own.name == theirs.name or (own.is_file() and _was_read(theirs, own, other))
 
 
+def with_moved(
+    performances: Sequence[Path], given: Sequence[Path], option: str
+) -> list[tuple[Path, Path | None]]:
+    """Return each performance with where a file of it is now; None where it says so itself.
+
+    Parameters
+    ----------
+    given : sequence of Path
+        One for each performance, one for all, or none.
+    option : str
+        That they were given by.
+    """
+    count, places = len(performances), tuple(given) or (None,)
+    if len(places) not in (1, count):
+        raise InputError(
+            f"{option} names {len(places)} files for {count} performances; give one each, or one "
+            "for all"
+        )
+    return list(zip(performances, places * (count // len(places)), strict=True))
+
+
 def take_of_performance(performance: Path) -> Path | None:
     """Return the take that a performance says it was made of; None where it says none.
 

@@ -7,6 +7,7 @@ from usdface.core.errors import InputError
 from usdface.media.charts.repair import (
     HEAD_HEIGHT,
     MARKER_LABEL_WIDTH,
+    MOST_LANES,
     REPAIR_MARGIN,
     RepairKind,
     draw_repairs,
@@ -63,6 +64,19 @@ def test_markers_of_short_repairs_share_a_lane() -> None:
         (each[HEAD_HEIGHT:] == (1, 2, 3)).all(axis=2).any(axis=1) for each in (apart, together)
     ]
     assert [np.count_nonzero(np.diff(each.astype(int)) == 1) for each in lanes] == [3, 2]
+
+
+def test_a_picture_of_many_markers_stays_a_picture() -> None:
+    where = np.ones((50, 400), dtype=np.bool_)
+    picture = draw_repairs(
+        [f"m{k}" for k in range(400)],
+        [RepairKind("x", (1, 2, 3), where)],
+        title="t",
+        verdict=("bad", "v"),
+        facts=(),
+        first_frame=1,
+    )
+    assert picture.shape[0] < HEAD_HEIGHT + (MOST_LANES + 4) * 20
 
 
 def test_kinds_that_do_not_fit_are_refused() -> None:

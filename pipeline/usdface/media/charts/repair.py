@@ -22,6 +22,8 @@ _ROW_HEIGHT = 17
 HEAD_HEIGHT = 190
 """Title, facts, the verdict and the key of colours."""
 _VERDICT_HEIGHT = 34
+MOST_LANES = 120
+"""Of markers on their own: those with most repairs."""
 _LABEL_STYLE = TextStyle(size=14, color=SOFT)
 _NOTE_STYLE = TextStyle(size=16, color=DIM)
 
@@ -50,8 +52,8 @@ def draw_repairs(
 ) -> ByteImage:
     """Draw a lane for each marker that was repaired for long, most repairs first.
 
-    The others share the last lane. A column is coloured if any of its frames was repaired, so that
-    single samples show.
+    The others, and those beyond `MOST_LANES`, share the last. A column is coloured if any of its
+    frames was repaired, so that single samples show.
 
     Parameters
     ----------
@@ -112,7 +114,7 @@ def _lanes(
         marker
         for marker in order
         if any(longest_run(kind.where[:, marker]) >= least_frames for kind in kinds)
-    ]
+    ][:MOST_LANES]
     rest = [marker for marker in order if marker not in own]
     lanes = [(f"{names[marker]}  {int(counts[marker])}", [marker]) for marker in own]
     if rest:

@@ -189,23 +189,26 @@ def choose_common_error(
 
     Keys are corrected anew, since they too are moved as far as markers are believed.
     """
-    best, unseen, common = compared.best, compared.unseen, folds.corrected.common
-    if unseen is None or unseen.usual is None:
+    best, usual, common = compared.best, compared.unseen, folds.corrected.common
+    if usual is None or usual.usual is None:
         return folds, compared
+    unseen = usual
     for more in COMMON_ERRORS[1:]:
-        found = folds.solve(unseen.start, unseen.usual, more)
+        found = folds.solve(usual.start, usual.usual, more)
         if not is_better(found, unseen, folds):
             break
         common, unseen = more, found
     if common == folds.corrected.common:
         return folds, compared
-    folds = PairFolds(correct_pairs(folds.corrected.as_given(), common=common), references)
-    unseen = folds.predict(best)
+    chosen = PairFolds(correct_pairs(folds.corrected.as_given(), common=common), references)
+    unseen = chosen.predict(best)
+    if not is_better(unseen, usual, folds):
+        return folds, compared
     named = Candidate(best.method, best.settings | {"common_error": common})
     gram = None if np.isnan(compared.scores[0].vertex_rms_mm) else folds.pairs.face.gram
     score = _score(named, unseen.errors, compared.observable, gram)
     scores = tuple(sorted((score, *compared.scores), key=_order))
-    return folds, replace(compared, unseen=unseen, scores=scores)
+    return chosen, replace(compared, unseen=unseen, scores=scores)
 
 
 def is_better(other: UnseenPairs, usual: UnseenPairs, folds: PairFolds) -> bool:

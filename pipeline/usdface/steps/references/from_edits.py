@@ -17,6 +17,7 @@ from usdface.core.sidecars import proposed_path, reference_layers, tuned_path
 from usdface.core.text import first_few, pluralize
 from usdface.numerics.motion.key_reduction import EditCurve
 from usdface.numerics.regression.reference_design import design_k_centre
+from usdface.runner.origin import with_moved
 from usdface.runner.result import StepResult
 from usdface.specs.references import ReferencesAddSpec, ReferencesFromEditsSpec
 from usdface.steps.inputs.cleaned_takes import read_markers, take_head_space
@@ -58,7 +59,8 @@ def run(
     old = read_references(spec.references)
     notes: list[str] = []
     lessons: list[_Lessons] = []
-    for index, (performance, take) in enumerate(_with_takes(spec)):
+    takes = with_moved(spec.performances, spec.take, "--take")
+    for index, (performance, take) in enumerate(takes):
         moved = MovedInputs(take, spec.mapping)
         lessons.append(_learn(spec, performance, old, moved, notes))
         progress(0.8 * (index + 1) / len(spec.performances), f"looked at {performance.name}")
@@ -96,14 +98,6 @@ class _Lessons:
 
 
 _NO_LESSONS = _Lessons("", np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 0)))
-
-
-def _with_takes(spec: ReferencesFromEditsSpec) -> list[tuple[Path, Path | None]]:
-    """Return each performance with where its take is, if that has moved."""
-    count, takes = len(spec.performances), spec.take or (None,)
-    if len(takes) not in (1, count):
-        raise InputError(f"--take names {len(takes)} takes for {count} performances; give one each")
-    return list(zip(spec.performances, takes * (count // len(takes)), strict=True))
 
 
 def _learn(

@@ -13,7 +13,7 @@ from usdface.media.face.camera import frame_rig
 from usdface.media.face.render import FaceRenderer
 from usdface.media.picture.image import write_image
 from usdface.media.picture.sheet import SheetPage, SheetRow, Tile, compose_sheet
-from usdface.runner.origin import provenance_metadata
+from usdface.runner.origin import provenance_metadata, with_moved
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.review import FacesSpec
@@ -69,11 +69,8 @@ def run(spec: FacesSpec, *, provenance: Provenance, progress: Progress = silent)
 
 def _actors(spec: FacesSpec) -> list[PosedRig]:
     """Open every performance, with its rig from where that is now."""
-    count, rigs = len(spec.performances), spec.rig or (None,)
-    if len(rigs) not in (1, count):
-        raise InputError(f"--rig names {len(rigs)} rigs for {count} performances; give one each")
     actors = []
-    for path, rig in zip(spec.performances, rigs * (count // len(rigs)), strict=True):
+    for path, rig in with_moved(spec.performances, spec.rig, "--rig"):
         with moved_rig(rig):
             actors.append(PosedRig(path))
     return actors
