@@ -8,7 +8,7 @@ from typing import Any
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance, canonical_json, hash_files
 from usdface.core.sidecars import LAYER_SUFFIXES, is_usd_name
-from usdface.core.text import json_object
+from usdface.core.text import json_object, pluralize
 from usdface.specs.base import Spec
 from usdface.specs.paths import IMAGE_SUFFIXES, Reads, Writes
 from usdface.specs.review import MOVIE_SUFFIXES, PAGE_SUFFIXES
@@ -248,7 +248,7 @@ def _one_take(own: Path, theirs: Path, other: Path) -> bool:
 
 
 def with_moved(
-    performances: Sequence[Path], given: Sequence[Path], option: str
+    performances: Sequence[Path], given: Sequence[Path], what: str
 ) -> list[tuple[Path, Path | None]]:
     """Return each performance with where a file of it is now; None where it says so itself.
 
@@ -256,14 +256,14 @@ def with_moved(
     ----------
     given : sequence of Path
         One for each performance, one for all, or none.
-    option : str
-        That they were given by.
+    what : str
+        They are, as the option names them: ``'take'`` or ``'rig'``.
     """
     count, places = len(performances), tuple(given) or (None,)
     if len(places) not in (1, count):
         raise InputError(
-            f"{option} names {len(places)} files for {count} performances; give one each, or one "
-            "for all"
+            f"--{what} names {pluralize(len(places), what)} for {count} performances; give one "
+            "each, or one for all"
         )
     return list(zip(performances, places * (count // len(places)), strict=True))
 

@@ -59,7 +59,7 @@ def run(
     old = read_references(spec.references)
     notes: list[str] = []
     lessons: list[_Lessons] = []
-    takes = with_moved(spec.performances, spec.take, "--take")
+    takes = with_moved(spec.performances, spec.take, "take")
     for index, (performance, take) in enumerate(takes):
         moved = MovedInputs(take, spec.mapping)
         lessons.append(_learn(spec, performance, old, moved, notes))

@@ -70,7 +70,7 @@ def run(spec: FacesSpec, *, provenance: Provenance, progress: Progress = silent)
 def _actors(spec: FacesSpec) -> list[PosedRig]:
     """Open every performance, with its rig from where that is now."""
     actors = []
-    for path, rig in with_moved(spec.performances, spec.rig, "--rig"):
+    for path, rig in with_moved(spec.performances, spec.rig, "rig"):
         with moved_rig(rig):
             actors.append(PosedRig(path))
     return actors
