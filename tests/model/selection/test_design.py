@@ -4,8 +4,15 @@ import numpy as np
 import pytest
 
 from usdface.core.assets import MotionSpace
+from usdface.model.mapping.coverage import CoverageModel
 from usdface.model.mapping.motion_space import motion_from_pca
-from usdface.model.selection.coverage import Coverage, measure_coverage, measure_growth
+from usdface.model.mapping.regions import membership, region_points
+from usdface.model.selection.coverage import (
+    Coverage,
+    choose_further,
+    measure_coverage,
+    measure_growth,
+)
 from usdface.model.selection.design import (
     CandidateMarkers,
     Segment,
@@ -13,7 +20,6 @@ from usdface.model.selection.design import (
     choose_by_design,
     choose_visemes,
     extreme_frames,
-    in_order_of_worth,
     pool_of,
     selection_space,
     stand_in_error_mm,
@@ -219,33 +225,44 @@ def test_visemes_that_nobody_speaks_are_named() -> None:
     assert choice.missing == (("joy", "ch"), ("joy", "s"), ("anger", "b"), ("anger", "ch"))
 
 
+def model_of(shapes: np.ndarray, shown: np.ndarray) -> tuple[CoverageModel, tuple[str, ...]]:
+    points = region_points(SHAPES, shapes)
+    return CoverageModel(shapes, shown, membership(points, shapes.shape[1])), tuple(points)
+
+
 def test_coverage_grows_with_every_pair_and_ends_at_the_whole() -> None:
-    weights, packed, _ = small_face(150)
-    motion, space = space_of(weights, packed)
-    features = space.features(motion.sample)
-    rows = in_order_of_worth(features, np.arange(0, 150, 5), NONE)
-    growth = measure_growth(features, features[rows], further=5)
+    _, packed, shapes = small_face(150)
+    moved = packed.reshape(150, 12, 3)
+    rows = np.arange(0, 150, 5)
+    model, _ = model_of(shapes, moved[rows])
+    growth = measure_growth(model, np.array([7, 8, 9]), moved.__getitem__, 150)
     assert growth.share[0] == 0.0
     assert (np.diff(growth.share) >= -1e-12).all()
     assert growth.further_share[0] >= growth.share[-1] - 1e-12
-    for count in (1, 10, 30):
-        coverage = measure_coverage(space, features, features[rows[:count]])
+    assert len(growth.further_share) == 3
+    for count in (0, 1, 10, 30):
+        model, regions = model_of(shapes, moved[rows[:count]])
+        coverage = measure_coverage(model, regions, moved.__getitem__, 150)
         assert coverage.share == pytest.approx(growth.share[count], abs=1e-9)
+        assert coverage.regions == ("brows", "lids", "mouth", "jaw")
         assert coverage.region_covered.shape == (150, 4)
         assert ((coverage.covered >= 0) & (coverage.covered <= 1)).all()
-    assert measure_coverage(space, features, features).share > 0.97
-    assert measure_coverage(space, features, features[:0]).share == 0.0
+    model, regions = model_of(shapes, moved)
+    assert measure_coverage(model, regions, moved.__getitem__, 150).share > 0.97
 
 
 def test_the_deepest_hole_is_named_first() -> None:
-    weights, packed, _ = small_face(300)
+    weights, packed, shapes = small_face(300)
     motion, space = space_of(weights, packed)
     features = space.features(motion.sample)
     ordinary = np.flatnonzero(weights[:, 1] < 0.5)[::20]
-    growth = measure_growth(features, features[ordinary])
-    assert weights[growth.further_rows[0], 1] > 0.5
-    coverage = measure_coverage(space, features, features[ordinary])
-    lids = coverage.region_covered[:, space.regions.index("lids")]
+    everything = np.ones(300, dtype=np.bool_)
+    further = choose_further(features, features[ordinary], count=3, candidates=everything)
+    assert weights[further[0], 1] > 0.5
+    moved = packed.reshape(300, 12, 3)
+    model, regions = model_of(shapes, moved[ordinary])
+    coverage = measure_coverage(model, regions, moved.__getitem__, 300)
+    lids = coverage.region_covered[:, coverage.regions.index("lids")]
     shut = weights[:, 1] > 0.5
     assert lids[shut].mean() < lids[~shut].mean() - 0.1
 

@@ -74,7 +74,7 @@ class WeightPredictor:
             self._solver = FrameSolver.from_arrays(mapping.arrays)
             self._uncertainty = UncertaintyModel.from_arrays(mapping.arrays)
             self._members = mapping.arrays["region_markers"]
-            self._coverage = CoverageModel(self._solver, self._members)
+            self._coverage = _coverage_of(self._solver, self._members)
             self._method = find_method(mapping.method)
             self._driving = self._find_driving()
             with np.errstate(all="ignore"):  # what is not finite is refused below
@@ -208,6 +208,13 @@ def predict_weights(
         uncertainty grows. By default all are used.
     """
     return WeightPredictor(mapping).predict(positions, visible=visible)
+
+
+def _coverage_of(solver: FrameSolver, membership: FloatArray) -> CoverageModel:
+    """Return what the references show: where the forward model puts their markers."""
+    packed, _ = solver.linearise(solver.forward.targets.astype(np.float32))
+    shown = packed.reshape(len(packed), -1, 3).astype(np.float64)
+    return CoverageModel(solver.forward.basis, shown, membership)
 
 
 def _has_few_markers(frames: int, visible: BoolArray | None) -> BoolArray:

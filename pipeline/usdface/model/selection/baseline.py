@@ -156,6 +156,10 @@ class BlendshapeEquation:
     left_out: tuple[int, ...] = ()
     """Markers without a place on the character: they have no residual."""
 
+    def motion(self, positions: Positions) -> FloatArray:
+        """Return displacements from the neutral in the character's space and size [mm]."""
+        return character_motion(self.virtual, positions, self.neutral)
+
     def solve_published(
         self, positions: Positions, *, visible: BoolArray | None = None
     ) -> FloatArray:
@@ -163,7 +167,7 @@ class BlendshapeEquation:
 
         Deng et al. 2006, eq. 7: the comparison of the paper. Parameters are those of `propose`.
         """
-        motion = character_motion(self.virtual, positions, self.neutral)
+        motion = self.motion(positions)
         placed = np.ones(len(self.neutral))
         placed[list(self.left_out)] = 0.0
         return solve_weights(
@@ -197,7 +201,7 @@ class BlendshapeEquation:
     def _solve(
         self, positions: Positions, visible: BoolArray | None, limits: FloatArray
     ) -> EquationSolution:
-        motion = character_motion(self.virtual, positions, self.neutral)
+        motion = self.motion(positions)
         fixed = [] if self.lids is None else list(self.lids.fixed)
         limits[fixed] = np.clip(0.0, limits[fixed, 0], limits[fixed, 1])[:, None]
         return solve_weights(
@@ -220,7 +224,7 @@ class BlendshapeEquation:
 
     def residual_mm(self, positions: Positions, weights: FloatArray) -> FloatArray:
         """Return the root mean square distance of markers and what weights explain: (frames,)."""
-        motion = character_motion(self.virtual, positions, self.neutral)
+        motion = self.motion(positions)
         away = np.delete(motion - self._moved(weights), list(self.left_out), axis=1)
         return np.asarray(np.sqrt((away**2).sum(axis=2).mean(axis=1)))
 

@@ -5,17 +5,18 @@ meet them half-way and be wrong twice. Most are slips: a pair tuned by another f
 behind from the pair before.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from usdface.core.arrays import BoolArray, FloatArray, IntArray, sample_frames
 from usdface.core.assets import References
-from usdface.model.mapping.coverage import UNCOVERED_SHARE
+from usdface.model.mapping.coverage import UNCOVERED_SHARE, CoverageModel
 from usdface.model.mapping.motion_space import motion_from_pca
-from usdface.model.selection.design import Features, SelectionSpace, features_at, selection_space
+from usdface.model.selection.design import Features, features_at, selection_space
 from usdface.numerics.measure.face_regions import shapes_by_region
-from usdface.numerics.regression.design_kernel import KEY_VARIANCE, DesignKernel, left_over
+from usdface.numerics.regression.design_kernel import KEY_VARIANCE
 from usdface.numerics.regression.linear_ridge import fit_linear_ridge
 from usdface.numerics.regression.pca import fit_pca
 from usdface.numerics.regression.reference_design import design_gp_variance
@@ -132,11 +133,10 @@ CURVE_FRAMES = 1500
 
 @dataclass(frozen=True)
 class Coverage:
-    """How well pairs determine every frame."""
+    """How far pairs show what every frame does; see `model.mapping.coverage`."""
 
     covered: FloatArray
-    """(frames,): share of each frame's motion that the pairs determine: one less the standard
-    deviation that they leave of what there was [0-1]."""
+    """(frames,): of the whole face [0-1]."""
     regions: tuple[str, ...]
     region_covered: FloatArray
     """(frames, regions): the same, of each part of the face alone."""
@@ -165,73 +165,66 @@ class Growth:
     """(count,): coverage with one, two ... of them as well."""
 
 
+Displacements = Callable[[IntArray], FloatArray]
+"""Markers' displacements from the neutral at rows of all takes: (rows, markers, 3) [mm]."""
+
+
 def measure_coverage(
-    space: SelectionSpace, features: Features, pair_features: FloatArray
+    model: CoverageModel, regions: tuple[str, ...], displacements: Displacements, count: int
 ) -> Coverage:
-    """Measure how far pairs determine every frame.
+    """Measure how far pairs show what each of `count` frames does.
+
+    Parameters
+    ----------
+    regions : tuple of str
+        Those of the model, the whole face first.
+    """
+    step = -(-count // COVERED_FRAMES)  # neighbours of a long recording are one face
+    rows = np.arange(0, count, step, dtype=np.int64)
+    found = np.concatenate(
+        [
+            model.measure(displacements(rows[start : start + _BLOCK_FRAMES]))
+            for start in range(0, len(rows), _BLOCK_FRAMES)
+        ]
+    )
+    every = np.repeat(found, step, axis=0)[:count]
+    return Coverage(every[:, 0], regions[1:], every[:, 1:])
+
+
+def choose_further(
+    features: Features, pair_features: FloatArray, *, count: int, candidates: BoolArray
+) -> IntArray:
+    """Return rows of the frames that would be chosen next.
 
     Parameters
     ----------
     features : (frames, d) float array
-        Of all frames of the takes.
+        Of all frames of the takes, in which every region counts alike.
     pair_features : (pairs, d) float array
+    candidates : (frames,) bool array
+        Frames that could be tuned.
     """
-    count = len(features)
-    step = -(-count // COVERED_FRAMES)  # neighbours of a long recording are one face
-    thinned = np.asarray(features[::step], dtype=np.float64)
-    some = sample_frames(len(thinned), CURVE_FRAMES)
-    covered = np.empty(len(thinned))
-    regions = np.empty((len(thinned), len(space.regions)))
-    whole = DesignKernel.for_rows(thinned[some])
-    parts = [DesignKernel.for_rows(thinned[some, a:b]) for a, b in space.columns]
-    for start in range(0, len(thinned), _BLOCK_FRAMES):
-        rows = slice(start, start + _BLOCK_FRAMES)
-        left = left_over(whole, pair_features, thinned[rows], noise=KEY_VARIANCE)
-        covered[rows] = 1 - np.sqrt(left)
-        for index, ((a, b), kernel) in enumerate(zip(space.columns, parts, strict=True)):
-            left = left_over(kernel, pair_features[:, a:b], thinned[rows, a:b], noise=KEY_VARIANCE)
-            regions[rows, index] = 1 - np.sqrt(left)
-    return Coverage(
-        np.repeat(covered, step)[:count], space.regions, np.repeat(regions, step, axis=0)[:count]
-    )
+    open_rows = np.flatnonzero(candidates)
+    rows = open_rows[sample_frames(len(open_rows), 20 * CURVE_FRAMES)]
+    together = np.concatenate([pair_features, features_at(features, rows)])
+    known = np.arange(len(pair_features), dtype=np.int64)
+    design = design_gp_variance(together, min(count, len(rows)), already=known, noise=KEY_VARIANCE)
+    return np.asarray(rows[design.chosen - len(known)])
 
 
 def measure_growth(
-    features: Features,
-    pair_features: FloatArray,
-    *,
-    further: int = 10,
-    candidates: BoolArray | None = None,
+    model: CoverageModel, further_rows: IntArray, displacements: Displacements, count: int
 ) -> Growth:
     """Measure coverage pair by pair, and with the frames that would be chosen next.
 
     Parameters
     ----------
-    further : int
-        How many frames to look ahead.
-    candidates : (frames,) bool array, optional
-        Frames that could be tuned.
+    further_rows : (n,) int array
+        See `choose_further`.
+    count : int
+        Frames of the takes; some spread over them are looked at.
     """
-    open_rows = np.flatnonzero(np.ones(len(features), bool) if candidates is None else candidates)
-    rows = open_rows[sample_frames(len(open_rows), 20 * CURVE_FRAMES)]
-    together = np.concatenate([pair_features, features_at(features, rows)])
-    known = np.arange(len(pair_features), dtype=np.int64)
-    count = min(further, len(rows))
-    design = design_gp_variance(together, count, already=known, noise=KEY_VARIANCE)
-    chosen = design.chosen - len(known)
-    sample = features_at(features, sample_frames(len(features), CURVE_FRAMES))
-    kernel = DesignKernel.for_rows(sample)
-    share = _shares(
-        kernel, np.concatenate([pair_features, features_at(features, rows[chosen])]), sample
-    )
-    return Growth(share[: len(known) + 1], rows[chosen], share[len(known) + 1 :])
-
-
-def _shares(kernel: DesignKernel, pairs: FloatArray, sample: FloatArray) -> FloatArray:
-    """Return the mean coverage with the first 0, 1, 2 ... pairs: one factorisation for all."""
-    if not len(pairs):
-        return np.zeros(1)
-    factor = np.linalg.cholesky(kernel(pairs, pairs) + KEY_VARIANCE * np.eye(len(pairs)))
-    rows = np.linalg.solve(factor, kernel(pairs, sample))
-    left = np.maximum(1 - np.cumsum(rows**2, axis=0) / kernel.diagonal(sample), 0.0)
-    return np.concatenate([[0.0], 1 - np.sqrt(left).mean(axis=1)])
+    sample = displacements(sample_frames(count, CURVE_FRAMES))
+    share = model.growth(displacements(further_rows), sample)
+    pairs = len(share) - len(further_rows)
+    return Growth(share[:pairs], further_rows, share[pairs:])

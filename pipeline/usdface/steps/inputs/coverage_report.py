@@ -10,9 +10,17 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress
 from usdface.media.charts.coverage import CoveragePage, NextFrame, draw_coverage
 from usdface.media.picture.error_strip import ErrorCurve
+from usdface.model.mapping.coverage import CoverageModel
 from usdface.model.mapping.performer_face import face_of_references
-from usdface.model.selection.coverage import Coverage, Growth, measure_coverage, measure_growth
-from usdface.model.selection.design import Features, SelectionSpace, features_at
+from usdface.model.mapping.regions import membership, region_points
+from usdface.model.selection.coverage import (
+    Coverage,
+    Growth,
+    choose_further,
+    measure_coverage,
+    measure_growth,
+)
+from usdface.model.selection.design import features_at
 from usdface.specs.references import ReferencesCoverageSpec
 from usdface.steps.inputs.cleaned_takes import FEWEST_RIGID, CleanedTakes, read_cleaned_takes
 from usdface.steps.inputs.placement import stored_placement
@@ -40,21 +48,34 @@ class Covered:
     growth: Growth
 
 
+@dataclass(frozen=True)
+class PairFaces:
+    """Faces of pairs: those of frames of the takes, or of other takes."""
+
+    features: FloatArray
+    """(pairs, d)"""
+    displacements: FloatArray
+    """(pairs, markers, 3): from the neutral, at the rig's size [mm]."""
+
+    @classmethod
+    def at(cls, scene: SelectionScene, rows: IntArray) -> "PairFaces":
+        """Return those of frames of the takes."""
+        return cls(features_at(scene.features, rows), scene.displacements(rows))
+
+
 def cover(
-    space: SelectionSpace,
-    features: Features,
-    rows: IntArray,
-    *,
-    candidates: BoolArray,
-    pair_features: FloatArray | None = None,
+    scene: SelectionScene, pairs: PairFaces, rows: IntArray, *, candidates: BoolArray
 ) -> Covered:
-    """Measure coverage of all frames by pairs at some rows, or with features of their own."""
-    pairs = features_at(features, rows) if pair_features is None else pair_features
+    """Measure the coverage of all frames by pairs; `rows` are those that are frames themselves."""
     free = candidates.copy()
     free[rows] = False
+    points = region_points(scene.rig.shapes, scene.equation.deltas)
+    markers, count = scene.equation.deltas.shape[1], len(scene.features)
+    model = CoverageModel(scene.equation.deltas, pairs.displacements, membership(points, markers))
+    further = choose_further(scene.features, pairs.features, count=FURTHER_FRAMES, candidates=free)
     return Covered(
-        measure_coverage(space, features, pairs),
-        measure_growth(features, pairs, further=FURTHER_FRAMES, candidates=free),
+        measure_coverage(model, tuple(points), scene.displacements, count),
+        measure_growth(model, further, scene.displacements, count),
     )
 
 
@@ -176,20 +197,15 @@ def measure_pairs(spec: ReferencesCoverageSpec, *, progress: Progress) -> Measur
     scene = set_up_scene(takes, rig, placement=stored_placement(references, rig), progress=progress)
     progress(0.7, "measuring the coverage")
     placed = _place(scene, references, pairs)
-    covered = cover(
-        scene.space,
-        scene.features,
-        placed.rows,
-        candidates=candidate_frames(takes, None),
-        pair_features=placed.features,
-    )
+    candidates = candidate_frames(takes, None)
+    covered = cover(scene, placed.faces, placed.rows, candidates=candidates)
     is_tuned = references.tuned[pairs]
     tuned, count = placed.rows[is_tuned[placed.is_here]], int(is_tuned.sum())
     notes = tuple(scene.notes)
     if not count:
         notes += (
-            "no pair is tuned: coverage says that motion is like a pair's, not that the pair's "
-            "weights are right; tune them first",
+            "no pair is tuned: each counts by its markers, as if its weights followed them; a "
+            "mapping learns the weights, so its verdict may say less. Tune them first",
         )
     return MeasuredCoverage(covered, takes, pairs, placed.rows, tuned, count, notes)
 
@@ -198,8 +214,7 @@ def measure_pairs(spec: ReferencesCoverageSpec, *, progress: Progress) -> Measur
 class _Placed:
     """Pairs among the frames of takes."""
 
-    features: FloatArray
-    """(pairs, d)"""
+    faces: PairFaces
     is_here: np.ndarray
     """(pairs,): whether the pair is a frame of the takes."""
     rows: IntArray
@@ -258,12 +273,15 @@ def _place(scene: SelectionScene, references: References, pairs: IntArray) -> _P
     found = scene.takes.find_rows(places)
     is_here = np.array([row is not None for row in found], dtype=np.bool_)
     rows = np.array([row for row in found if row is not None], dtype=np.int64)
+    faces = PairFaces.at(scene, rows)
     features = np.empty((len(pairs), scene.features.shape[1]))
-    features[is_here] = scene.features[rows]
+    displacements = np.empty((len(pairs), *scene.takes.neutral.shape))
+    features[is_here], displacements[is_here] = faces.features, faces.displacements
     if not is_here.all():
         markers = _in_head_space(scene.takes, references)[pairs[~is_here]]
         features[~is_here] = scene.space.features(scene.coordinates_of(markers))
-    return _Placed(features, is_here, rows)
+        displacements[~is_here] = scene.equation.motion(markers)
+    return _Placed(PairFaces(features, displacements), is_here, rows)
 
 
 def _in_head_space(takes: CleanedTakes, references: References) -> FloatArray:

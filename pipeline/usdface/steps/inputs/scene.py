@@ -59,6 +59,10 @@ class SelectionScene:
         """Return which markers were measured or repaired at rows of all takes."""
         return self.takes.usable_at(rows)
 
+    def displacements(self, rows: IntArray) -> FloatArray:
+        """Return how far markers are from the neutral at rows of all takes, at the rig's size."""
+        return self.equation.motion(self.takes.positions_at(rows))
+
     def coordinates_of(self, positions: FloatArray) -> FloatArray:
         """Return stabilised markers, (frames, markers, 3), in the motion space."""
         return _coordinates(self.motion, positions)

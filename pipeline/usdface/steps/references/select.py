@@ -33,7 +33,12 @@ from usdface.runner.result import StepResult
 from usdface.specs.references import SelectSpec
 from usdface.speech.phones import VISEMES
 from usdface.steps.inputs.cleaned_takes import CleanedTakes, plausibility_notes, read_cleaned_takes
-from usdface.steps.inputs.coverage_report import cover, coverage_figures, coverage_picture
+from usdface.steps.inputs.coverage_report import (
+    PairFaces,
+    cover,
+    coverage_figures,
+    coverage_picture,
+)
 from usdface.steps.inputs.landmark_files import read_landmarks
 from usdface.steps.inputs.phone_labels import PhoneLabels, read_phone_labels
 from usdface.steps.inputs.placement import (
@@ -143,7 +148,8 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
     _draw_placement(spec, placed, rig, provenance)
     progress(0.9, "measuring the coverage")
     scene = selection.scene
-    covered = cover(scene.space, scene.features, rows, candidates=selection.candidates)
+    faces = PairFaces.at(scene, rows)
+    covered = cover(scene, faces, rows, candidates=selection.candidates)
     picture = coverage_picture(covered, takes, rows, tuned=selection.already, title=spec.out.stem)
     write_image(spec.picture_path(), picture, metadata=metadata)
     progress(1.0, "done")
