@@ -16,7 +16,8 @@ from tests.usdio.small_rig import small_rig
 from usdface.core.assets import MeshShape, Rig, RigMesh, ShapeKey
 from usdface.core.deformer import Deformer
 from usdface.core.rig_logic import Combination, order_combinations
-from usdface.media.face.camera import Camera
+from usdface.media.face.camera import Camera, frame_rig
+from usdface.media.face.render import FaceRenderer
 from usdface.media.face.surface import build_surface
 from usdface.media.page.face_payload import FacePayload, pack_face, viewer_source
 from usdface.usdio.rig.read import read_rig
@@ -161,6 +162,35 @@ def test_a_browser_poses_the_face_as_the_deformer_does(tmp_path: Path, shared_ri
     assert np.abs(away).max() < 0.02  # rounding of every key in play, and single precision
     assert shown
     assert again
+
+
+def test_a_browser_draws_lips_and_brows_where_pictures_have_them(
+    tmp_path: Path, shared_data: Path
+) -> None:
+    rig = read_rig(shared_data / "rigs" / "facecap_head.usdc")
+    weights = np.zeros((1, len(rig.shapes)))
+    weights[0, rig.shapes.index("browInnerUp")] = 1.0
+    renderer, camera, size = FaceRenderer(rig.meshes), frame_rig(rig.meshes), 160
+    points, whole = Deformer(rig).points(weights)[0], renderer.surface
+    pictures = []
+    for bands in (whole.bands, ()):
+        renderer._surface = replace(whole, bands=bands)
+        pictures.append(renderer.render(points, camera=camera, width=size, height=size))
+    expected = np.abs(np.subtract(*pictures, dtype=float)).max(axis=2) > 25
+    with chromium() as browser:
+        page = browser.new_page()
+        page.goto(embed(tmp_path, rig).as_uri())
+        page.wait_for_function("window.viewer")
+        draw = f"w => Array.from(viewer.thumbnail(Float32Array.from(w), {size}, {size}).data)"
+        shown = [np.reshape(page.evaluate(draw, weights[0].tolist()), (size, size, 4))]
+        page.evaluate("viewer.face.bands = []")
+        shown.append(np.reshape(page.evaluate(draw, weights[0].tolist()), (size, size, 4)))
+    drawn_there = np.abs(np.subtract(*shown, dtype=float)).max(axis=2) > 25
+    assert expected[:60].sum() > 50, "brows"
+    assert expected[60:].sum() > 50, "lips"
+    for half in (slice(0, 60), slice(60, None)):
+        both = (drawn_there & expected)[half].sum()
+        assert both > 0.8 * (drawn_there | expected)[half].sum()
 
 
 def test_a_browser_evaluates_combinations_as_the_rig_does(tmp_path: Path) -> None:

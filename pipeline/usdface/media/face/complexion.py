@@ -1,6 +1,7 @@
 """Colours for a rig that has none: skin, eyes, teeth, and a dark inside of the mouth."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
@@ -8,7 +9,7 @@ from scipy import sparse
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import RigMesh
 from usdface.media.face import shading
-from usdface.media.face.features import paint_features
+from usdface.media.face.features import ColorBand, find_bands
 from usdface.media.face.mesh_topology import Sparse, polygon_edges
 from usdface.media.face.parts import FacePart, Pieces
 
@@ -47,18 +48,25 @@ def is_plain_eye(colors: FloatArray) -> bool:
     return bool(one and colors[0, 1] > _PALE_LUMINANCE)
 
 
-def paint(meshes: Sequence[RigMesh], pieces: Pieces, *, exposure: FloatArray) -> FloatArray:
-    """Return a colour for every point: the rig's own where it has them.
+@dataclass(frozen=True)
+class Complexion:
+    """The colours of a rig at rest."""
+
+    colors: FloatArray
+    """(points, 3): linear."""
+    bands: tuple[ColorBand, ...]
+    """Lips and brows, where the rig has no colours of its own."""
+    bare: FloatArray
+    """(points,): how much of the bands' colour each point takes [0-1]."""
+
+
+def paint(meshes: Sequence[RigMesh], pieces: Pieces, *, exposure: FloatArray) -> Complexion:
+    """Colour every point: as the rig does where it has colours.
 
     Parameters
     ----------
     exposure : (points,) float array
         How much of the sky each point sees, mouth shut [0-1].
-
-    Returns
-    -------
-    (points, 3) float array
-        Linear.
     """
     palette = np.zeros((len(FacePart), 3))
     palette[FacePart.SKIN], palette[FacePart.EYE] = shading.SKIN, shading.SCLERA
@@ -71,10 +79,10 @@ def paint(meshes: Sequence[RigMesh], pieces: Pieces, *, exposure: FloatArray) ->
     inside = np.where(skin, _step((_OPEN - smooth) / (_OPEN - _CLOSED)), 0.0)
     colors = palette[parts]
     bare = [mesh.colors is None and mesh.face_colors is None for mesh in meshes]
-    if any(bare) and not np.any(parts == FacePart.HAIR):
-        counts = [len(mesh.points) for mesh in meshes]
-        plain = skin & np.repeat(bare, counts)
-        paint_features(colors, meshes, pieces.eyeballs.values(), plain)
+    plain = skin & np.repeat(bare, [len(mesh.points) for mesh in meshes])
+    bands: tuple[ColorBand, ...] = ()
+    if plain.any() and not np.any(parts == FacePart.HAIR):
+        bands = find_bands(meshes, pieces.eyeballs.values(), plain)
     colors += (shading.INNER_MOUTH - colors) * inside[:, None]
     first = 0
     for mesh in meshes:
@@ -89,7 +97,7 @@ def paint(meshes: Sequence[RigMesh], pieces: Pieces, *, exposure: FloatArray) ->
         elif mesh.colors is not None:
             colors[own] = mesh.colors
         first += len(mesh.points)
-    return colors
+    return Complexion(colors, bands, np.where(plain, 1 - inside, 0.0))
 
 
 def _step(value: FloatArray) -> FloatArray:

@@ -4,15 +4,19 @@ A mouth is a line in plain skin, and a raised brow a shade on it: neither can be
 along the line at which the opening jaw parts the skin, brows along the ridge of what the shapes of
 the brows move, above the eyes. How thick they are is a share of the mouth and of the eyes'
 distance, as in most adults.
+
+Both are bands of colour on the resting face. Pictures and pages look up where on it each pixel
+lies, so that a band is as sharp on few points as on many, and moves with the skin.
 """
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import sparse
-from scipy.spatial import cKDTree
 
-from usdface.core.arrays import BoolArray, FloatArray
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray
 from usdface.core.assets import RigMesh
 from usdface.media.face import shading
 from usdface.media.face.parts import Eyeball
@@ -31,32 +35,81 @@ _BROW_HALF = 0.045
 """[of the same] Half of a brow's height, at its thickest."""
 _BROW_EDGE = 0.06
 """[of the same] Over which it becomes skin."""
-_RIDGE_POWER = 4
+_RIDGE_POWER = 8
 """Of the share of a shape's largest motion: the ridge counts, not its slopes."""
 _LEAST_LINE = 6
 """Points of a line of the mouth, or of a brow's ridge, that tell where it runs."""
+BAND_ROWS = 17
+"""Samples of a band from end to end; the pages' shader has as many."""
 
 
-def paint_features(
-    colors: FloatArray, meshes: Sequence[RigMesh], eyeballs: Iterable[Eyeball], skin: BoolArray
-) -> None:
-    """Paint lips and brows, where they are found, over plain skin.
+@dataclass(frozen=True)
+class ColorBand:
+    """A band of colour along a curve on the resting face."""
+
+    ends: tuple[float, float]
+    """The least and the largest x [mm]."""
+    rows: Float32Array
+    """(BAND_ROWS, 4) [mm]: at equal steps of x, y of the curve, how far the colour reaches above
+    and below it, and z that it lies before."""
+    edge: float
+    """[mm] Over which the colour fades, half of it beyond the reach."""
+    color: Float32Array
+    """(3,): linear."""
+
+    def meets(self, corners: FloatArray) -> BoolArray:
+        """Return which triangles the band may lie on, from (n, 3, 3) corners at rest [mm]."""
+        curve, above, below, least = self.rows.T
+        room = self.edge / 2
+        low = (self.ends[0], float((curve - below).min()) - room, float(least.min()))
+        high = (self.ends[1], float((curve + above).max()) + room, np.inf)
+        reaches = (corners.max(axis=1) > low) & (corners.min(axis=1) < high)
+        return np.asarray(reaches.all(axis=1))
+
+    def share(self, rest: Float32Array) -> Float32Array:
+        """Return how much of the colour there is at points of the resting face [0-1].
+
+        Parameters
+        ----------
+        rest : (n, 3) float32 array
+            [mm]
+        """
+        x, y, z = rest.T
+        along = (x - self.ends[0]) / (self.ends[1] - self.ends[0])
+        at = np.clip(along, 0, 1) * (BAND_ROWS - 1)
+        low = np.minimum(at.astype(np.int64), BAND_ROWS - 2)
+        toward = (at - low)[:, None]
+        curve, above, below, least = ((1 - toward) * self.rows[low] + toward * self.rows[low + 1]).T
+        beyond = np.abs(y - curve) - np.where(y > curve, above, below)
+        faded = np.clip(0.5 - beyond / self.edge, 0, 1)
+        here = (along > 0) & (along < 1) & (z > least)
+        return np.asarray(np.where(here, faded**2 * (3 - 2 * faded), 0), np.float32)
+
+
+def find_bands(
+    meshes: Sequence[RigMesh], eyeballs: Iterable[Eyeball], skin: BoolArray
+) -> tuple[ColorBand, ...]:
+    """Return the lips and the brows that are found.
 
     Parameters
     ----------
-    colors : (points, 3) float array
-        Of the points of all meshes in a row, linear; changed in place.
     skin : (points,) bool array
-        Where it may be painted.
+        Where they may lie, of the points of all meshes in a row.
     """
     points = np.concatenate([mesh.points for mesh in meshes])
     names, offsets = _offsets(meshes)
-    shades = (
-        (_lips(points, names, offsets), shading.LIPS),
-        (_brows(points, names, offsets, list(eyeballs), skin), shading.BROWS),
-    )
-    for share, color in shades:
-        colors += np.where(skin, share, 0.0)[:, None] * (color - colors)
+    lips = _lips(points, names, offsets)
+    return (*lips, *_brows(points, names, offsets, list(eyeballs), skin))
+
+
+def _band(x: FloatArray, rows: Sequence[ArrayLike], edge: float, color: Float32Array) -> ColorBand:
+    """Make a band of samples from one end to the other, either way; nothing is left at its ends."""
+    order = np.argsort(x)
+    curve, above, below, least = (np.broadcast_to(row, x.shape) for row in rows)
+    inner = (np.arange(len(x)) > 0) & (np.arange(len(x)) < len(x) - 1)
+    above, below = (np.where(inner, row, -edge / 2) for row in (above, below))
+    table = np.stack([curve, above, below, least], axis=1)[order].astype(np.float32)
+    return ColorBand((float(x.min()), float(x.max())), table, edge, color)
 
 
 def _offsets(meshes: Sequence[RigMesh]) -> tuple[tuple[str, ...], sparse.csr_array]:
@@ -82,35 +135,38 @@ def _motion(offsets: sparse.csr_array, shape: int) -> FloatArray:
     return np.asarray(np.linalg.norm(moved, axis=1))
 
 
-def _lips(points: FloatArray, names: tuple[str, ...], offsets: sparse.csr_array) -> FloatArray:
-    """Return the share of lip in each point's colour."""
-    none, jaw = np.zeros(len(points)), jaw_opener(names)
+def _lips(
+    points: FloatArray, names: tuple[str, ...], offsets: sparse.csr_array
+) -> tuple[ColorBand, ...]:
+    jaw = jaw_opener(names)
     mouth = shapes_by_region(names).get("mouth")
     if jaw is None or mouth is None:
-        return none
+        return ()
     pairs = find_lip_pairs(points, offsets, jaw_open=jaw, mouth=mouth, to_corners=True)
     if pairs is None or len(pairs.lower) < _LEAST_LINE:
-        return none
+        return ()
     line = (points[pairs.lower] + points[pairs.upper]) / 2
     if not np.ptp(line[:, 0]) > 0:
-        return none
+        return ()
     gap = np.abs(points[pairs.upper, 1] - points[pairs.lower, 1])
     middle = (line[:, 0].min() + line[:, 0].max()) / 2
     opened = np.asarray(offsets[[jaw]].toarray(), float).reshape(-1, 3)
     opening = np.linalg.norm(opened[pairs.upper] - opened[pairs.lower], axis=1)
     fall, widest = np.polyfit((line[:, 0] - middle) ** 2, opening, 1).tolist()
     if not fall < 0 < widest:
-        return none
+        return ()
     half = float(np.sqrt(-widest / fall))  # where the opening falls to zero
     across = (line[:, 0] - middle) / half
-    along = (points[:, 0] - middle) / half
     height, depth = (np.polyfit(across, line[:, axis], 2) for axis in (1, 2))
-    away = points[:, 1] - np.polyval(height, np.clip(along, -1, 1))
-    before = points[:, 2] > np.polyval(depth, np.clip(along, -1, 1)) - half / 2
-    taper = np.maximum(1 - along**2, 0.0) ** 0.8
-    reach = half * np.where(away > 0, _UPPER_LIP, _LOWER_LIP) * taper + np.median(gap) / 2
-    red = _falling(np.abs(away) - reach, half * _LIP_EDGE)
-    return np.asarray(np.where(before & (taper > 0), red, 0.0))
+    along = np.linspace(-1, 1, BAND_ROWS)
+    taper = half * (1 - along**2) ** 0.8
+    rows = (
+        np.polyval(height, along),
+        _UPPER_LIP * taper + np.median(gap) / 2,
+        _LOWER_LIP * taper + np.median(gap) / 2,
+        np.polyval(depth, along) - half / 2,
+    )
+    return (_band(middle + half * along, rows, half * _LIP_EDGE, shading.LIPS),)
 
 
 def _brows(
@@ -119,40 +175,29 @@ def _brows(
     offsets: sparse.csr_array,
     eyeballs: list[Eyeball],
     skin: BoolArray,
-) -> FloatArray:
-    """Return the share of brow in each point's colour."""
-    share = np.zeros(len(points))
+) -> list[ColorBand]:
     shapes = shapes_by_region(names).get("brows")
     if shapes is None or len(eyeballs) != 2:
-        return share
+        return []
     motion = np.array([_motion(offsets, int(shape)) for shape in shapes])
     largest = motion.max(axis=1, keepdims=True)
     moved = (motion / np.maximum(largest, 1e-9)).max(axis=0) ** _RIDGE_POWER
     centers = np.array([ball.center for ball in eyeballs])
     apart = float(np.linalg.norm(centers[1] - centers[0]))
+    along = np.linspace(0, 1, BAND_ROWS)
+    across = _BROW_INNER + (_BROW_OUTER - _BROW_INNER) * along
+    half = apart * _BROW_HALF * np.minimum(1.4 * (1 - along), np.minimum(0.3 + 6 * along, 1.0))
+    bands = []
     for center, other in (centers, centers[::-1]):
-        out = (points[:, 0] - center[0]) * np.sign(center[0] - other[0]) / apart
+        side = float(np.sign(center[0] - other[0]))
+        out = (points[:, 0] - center[0]) * side / apart
         up = (points[:, 1] - center[1]) / apart
         here = skin & (out > _BROW_INNER) & (out < _BROW_OUTER) & (points[:, 2] > center[2])
-        band = np.flatnonzero(here & (up > _BROW_BAND[0]) & (up < _BROW_BAND[1]))
-        band = band[moved[band] > 0]
+        band = np.flatnonzero(here & (up > _BROW_BAND[0]) & (up < _BROW_BAND[1]) & (moved > 0))
         if len(band) < _LEAST_LINE or not np.ptp(out[band]) > 0:
             continue
-        nearest = np.asarray(cKDTree(points[band]).query(points[band], k=2)[0])
-        if np.median(nearest[:, 1]) > 2 * _BROW_HALF * apart:
-            continue  # the colours of points would make a blot of it
         arch = np.polyfit(out[band], up[band], 2, w=np.sqrt(moved[band]))
-        along = (out - _BROW_INNER) / (_BROW_OUTER - _BROW_INNER)
-        half = _BROW_HALF * np.clip(1.4 * (1 - along), 0.25, 1.0)
-        share = np.maximum(
-            share,
-            np.where(here, _falling(np.abs(up - np.polyval(arch, out)) - half, _BROW_EDGE), 0.0)
-            * _falling(np.abs(along - 0.5) - 0.4, 0.2),
-        )
-    return share
-
-
-def _falling(beyond: FloatArray, edge: float) -> FloatArray:
-    """Fall smoothly from 1 to 0 about 0, over an edge."""
-    limited = np.clip(0.5 - beyond / edge, 0, 1)
-    return np.asarray(limited**2 * (3 - 2 * limited))
+        rows = (center[1] + apart * np.polyval(arch, across), half, half, center[2])
+        x = center[0] + side * apart * across
+        bands.append(_band(x, rows, apart * _BROW_EDGE, shading.BROWS))
+    return bands

@@ -159,6 +159,7 @@ def _sample(view: View, pixels: FloatArray) -> _Samples:
     albedo[away] *= _BACK_ALBEDO
     if not view.heat:
         _paint_irises(view.surface, found, corners, albedo)
+        _paint_bands(view.surface, found, corners, albedo)
     return _Samples(found, normals, views, albedo, view.surface.parts[found.triangles])
 
 
@@ -187,6 +188,18 @@ def _paint_irises(
     color = np.where((angle < IRIS_ANGLE)[:, None], iris, color)
     color = np.where((angle < PUPIL_ANGLE)[:, None], shading.PUPIL, color)
     albedo[rows] = color
+
+
+def _paint_bands(surface: Surface, found: RayHits, corners: IntArray, albedo: Float32Array) -> None:
+    """Colour lips and brows by where on the resting face they lie."""
+    if not surface.bands:
+        return
+    rows = np.flatnonzero(surface.bare[corners].any(axis=1))
+    corners, shares = corners[rows], found.barycentric[rows]
+    rest = _mix(surface.rest, corners, shares)
+    bare = _mix(surface.bare[:, None], corners, shares)
+    for band in surface.bands:
+        albedo[rows] += bare * band.share(rest)[:, None] * (band.color - albedo[rows])
 
 
 def _occlusion(

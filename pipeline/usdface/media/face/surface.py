@@ -10,6 +10,7 @@ from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, i
 from usdface.core.assets import RigMesh
 from usdface.core.errors import InputError
 from usdface.media.face.complexion import LEAST_OPACITY, faces_painted, is_plain_eye, paint
+from usdface.media.face.features import ColorBand
 from usdface.media.face.mesh_topology import (
     Sparse,
     check_topology,
@@ -63,6 +64,10 @@ class Surface:
     painted: Float32Array
     """(triangles, 3): the colour that a material gives this very triangle; NaN where `albedo`
     holds."""
+    bands: tuple[ColorBand, ...]
+    """Lips and brows, over `albedo`."""
+    bare: Float32Array
+    """(drawn points,): how much of the bands' colour each takes [0-1]; 0 where none is near."""
     rest: Float32Array
     """(drawn points, 3) [mm]"""
     eyes: IntArray
@@ -125,16 +130,17 @@ def build_surface(meshes: Sequence[RigMesh]) -> Surface:
     exposure = _rest_exposure(visible, shown, rays=_EXPOSURE_RAYS)
     cage = np.concatenate([mesh.points for mesh in visible])
     rest = np.asarray(drawn.matrix @ cage)
+    complexion = paint(visible, pieces, exposure=exposure.seen)
     return Surface(
         matrix=drawn.matrix @ selection,
         triangles=triangles,
         normals=normal_operator(triangles, point_count=len(rest)),
         middles=drawn.middles,
         parts=parts[kept],
-        albedo=_of_points_too(
-            drawn.matrix @ paint(visible, pieces, exposure=exposure.seen), triangles, painted
-        ),
+        albedo=_of_points_too(drawn.matrix @ complexion.colors, triangles, painted),
         painted=painted.astype(np.float32),
+        bands=complexion.bands,
+        bare=_near_bands(drawn.matrix @ complexion.bare, complexion.bands, rest, triangles),
         rest=rest.astype(np.float32),
         eyes=eyes[piece_of_triangle[kept]],
         eye_centers=np.array(
@@ -204,6 +210,16 @@ def _of_points_too(albedo: FloatArray, triangles: IntArray, painted: FloatArray)
             summed = np.bincount(corners, np.repeat(painted[known, axis], 3), minlength=len(albedo))
             albedo[:, axis] = np.where(uses > 0, summed / np.maximum(uses, 1), albedo[:, axis])
     return np.asarray(albedo, np.float32)
+
+
+def _near_bands(
+    bare: FloatArray, bands: Sequence[ColorBand], rest: FloatArray, triangles: IntArray
+) -> Float32Array:
+    """Keep values at the corners of triangles that a band may lie on; elsewhere 0."""
+    near = np.zeros(len(bare), bool)
+    for band in bands:
+        near[triangles[band.meets(rest[triangles])]] = True
+    return np.asarray(np.where(near, bare, 0.0), np.float32)
 
 
 def _refine(mesh: RigMesh, *, least_edge: float) -> _Drawn:

@@ -24,13 +24,14 @@ from usdface.core.arrays import Float32Array, FloatArray, IntArray, index_of
 from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.media.face.camera import Camera, frame_rig
+from usdface.media.face.features import ColorBand
 from usdface.media.face.mesh_topology import normal_operator
 from usdface.media.face.surface import Surface, build_surface
 from usdface.media.face.tracing import PATTERN_COUNT, Tracer, sky_seen
 from usdface.media.picture.color import bytes_from_linear
 from usdface.numerics.measure.face_regions import blinks, jaw_opener, region_of_shape
 
-PAYLOAD_FORMAT = 3
+PAYLOAD_FORMAT = 4
 """Version of the blob; the viewer refuses others."""
 
 STEPS_PER_MM = 1000.0
@@ -134,6 +135,7 @@ def pack_face(
         "colors": _colors(rig, deformer, surface)[used].T,
         "parts": _of_points(surface.parts, surface, fill=0)[used].astype(np.uint8),
         "eyes": _of_points(surface.eyes, surface, fill=-1)[used].astype(np.int8),
+        "bare": np.round(255 * surface.bare[used]).astype(np.uint8),
         "keyPoints": keys.points,
         "offsets16": keys.narrow,
         "offsets32": keys.wide,
@@ -149,6 +151,7 @@ def pack_face(
         "tracks": _tracks(rig, keys),
         "combinations": rig.logic.tables(),
         "eyeCenters": np.round(surface.eye_centers, 4).tolist(),
+        "bands": [_band(band) for band in surface.bands],
         "camera": _camera(camera or frame_rig(rig.meshes)),
         "size": round(surface.size, 3),
         "eyesPutIn": surface.eyes_put_in,
@@ -291,6 +294,15 @@ def _of_points(of_triangles: IntArray, surface: Surface, *, fill: int) -> IntArr
     values = np.full(len(surface.rest), fill, np.int64)
     values[surface.triangles] = of_triangles[:, None]
     return values
+
+
+def _band(band: ColorBand) -> dict[str, Any]:
+    return {
+        "ends": [round(x, 3) for x in band.ends],
+        "rows": np.round(band.rows.ravel().astype(float), 3).tolist(),
+        "edge": round(band.edge, 3),
+        "color": np.round(band.color.astype(float), 4).tolist(),
+    }
 
 
 def _camera(camera: Camera) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 // A packed face (media/face_payload.py) as arrays, and the pose that weights give it.
 // Lengths are millimetres. No dependency, no build step.
 
-const FORMAT = 3;
+const FORMAT = 4;
 const SKIN = 0; // of FacePart in media/face/parts.py
 const SHARE = 1 / 32000; // of a part that carries a point
 const MM = 1e-3; // the payload counts micrometres
@@ -79,7 +79,9 @@ export class FaceModel {
       for (let k = 0; k < 4; k++) this.colors[4 * i + k] = planes[k * count + i];
     }
     this.parts = array("parts").slice();
-    this.gaze = this.#gaze(array("eyes"), header.eyeCenters);
+    this.rest = this.#rest(array("eyes"), header.eyeCenters);
+    this.bands = header.bands;
+    this.bare = array("bare").slice();
     this.carriers = header.carriers ? array("carriers").slice() : null; // part by part
     this.carried = null;
     this.combinations = header.combinations;
@@ -93,15 +95,15 @@ export class FaceModel {
     this.pose(new Float32Array(this.shapes.length));
   }
 
-  /** Direction of each point of an eye from its middle at rest; zero elsewhere. */
-  #gaze(eyes, centers) {
-    const gaze = new Float32Array(3 * this.pointCount);
+  /** Where points are painted by: on skin, where they rest; on an eye, from its middle. */
+  #rest(eyes, centers) {
+    const rest = new Float32Array(3 * this.pointCount);
     for (let i = 0; i < this.pointCount; i++) {
-      if (eyes[i] < 0) continue;
-      const center = centers[eyes[i]];
-      for (let k = 0; k < 3; k++) gaze[3 * i + k] = this.neutral[3 * i + k] - center[k];
+      if (eyes[i] < 0 && this.parts[i] !== SKIN) continue;
+      const center = eyes[i] < 0 ? [0, 0, 0] : centers[eyes[i]];
+      for (let k = 0; k < 3; k++) rest[3 * i + k] = this.neutral[3 * i + k] - center[k];
     }
-    return gaze;
+    return rest;
   }
 
   #readTracks(tracks, array) {

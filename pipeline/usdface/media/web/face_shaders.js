@@ -7,16 +7,18 @@ layout(location=0) in vec3 position;
 layout(location=1) in vec3 normal;
 layout(location=2) in vec4 paint;   // sRGB, openness
 layout(location=3) in float part;
-layout(location=4) in vec3 gaze;
+layout(location=4) in vec3 rest;    // on an eye: from its middle
 layout(location=5) in float reach;
+layout(location=6) in float bare;
 uniform mat4 view;
 uniform mat4 projection;
 centroid out vec3 vNormal;
 centroid out vec3 vPosition;
 centroid out vec3 vColor;
 centroid out float vOpen;
-centroid out vec3 vGaze;
+centroid out vec3 vRest;
 centroid out float vReach;
+centroid out float vBare;
 flat out int vPart;
 void main() {
   vec4 seen = view * vec4(position, 1.0);
@@ -24,8 +26,9 @@ void main() {
   vPosition = seen.xyz;
   vColor = pow(paint.rgb, vec3(2.2));
   vOpen = paint.a;
-  vGaze = gaze;
+  vRest = rest;
   vReach = reach;
+  vBare = bare;
   vPart = int(part + 0.5);
   gl_Position = projection * seen;
 }`;
@@ -36,13 +39,19 @@ centroid in vec3 vNormal;
 centroid in vec3 vPosition;
 centroid in vec3 vColor;
 centroid in float vOpen;
-centroid in vec3 vGaze;
+centroid in vec3 vRest;
 centroid in float vReach;
+centroid in float vBare;
 flat in int vPart;
 uniform mat4 projection;
 uniform float tint;
 uniform int heat;
 uniform vec3 ramp[5];
+const int ROWS = 17; // of a band, as media/face/features.py has them
+uniform int bandCount;
+uniform vec3 bandSpans[3];  // least and largest x, edge [mm]
+uniform vec3 bandColors[3];
+uniform vec4 bandRows[3 * ROWS]; // y, reach above and below, least z [mm]
 out vec4 color;
 
 const int SKIN = 0;
@@ -53,7 +62,7 @@ const vec3 GROUND = vec3(0.15, 0.13, 0.12);
 const vec3 TINT = vec3(1.0, 0.42, 0.06);
 
 vec3 iris(vec3 base) {
-  vec3 d = normalize(vGaze);
+  vec3 d = normalize(vRest);
   float angle = atan(length(d.xy), d.z);
   float around = atan(d.y, d.x);
   float soft = max(fwidth(angle), 1e-4);
@@ -64,6 +73,23 @@ vec3 iris(vec3 base) {
   return mix(vec3(0.006), out_, smoothstep(0.20 - soft, 0.20 + soft, angle));
 }
 
+// Lips and brows of a face without colours.
+vec3 banded(vec3 base) {
+  for (int k = 0; k < bandCount; k++) {
+    vec3 span = bandSpans[k];
+    float along = (vRest.x - span.x) / (span.y - span.x);
+    if (along <= 0.0 || along >= 1.0) continue;
+    float at = along * float(ROWS - 1);
+    int low = min(int(at), ROWS - 2) + k * ROWS;
+    vec4 row = mix(bandRows[low], bandRows[low + 1], at - float(low - k * ROWS));
+    float away = vRest.y - row.x;
+    float beyond = abs(away) - (away > 0.0 ? row.y : row.z);
+    float share = smoothstep(0.0, 1.0, 0.5 - beyond / span.z);
+    if (vRest.z > row.w) base = mix(base, bandColors[k], clamp(vBare, 0.0, 1.0) * share);
+  }
+  return base;
+}
+
 vec3 lamp(vec3 n, vec3 albedo, vec3 wrap, vec3 direction, vec3 light, float reach) {
   vec3 diffuse = max((vec3(dot(n, normalize(direction))) + wrap) / (1.0 + wrap), 0.0);
   return albedo * diffuse * light * reach;
@@ -72,12 +98,14 @@ vec3 lamp(vec3 n, vec3 albedo, vec3 wrap, vec3 direction, vec3 light, float reac
 void main() {
   vec3 v = normalize(-vPosition);
   vec3 n = normalize(vNormal);
-  // Seen from behind, as the inside of a mouth may be. Not gl_FrontFacing: it is a guess for
-  // triangles smaller than a pixel, and leaves specks.
-  if (dot(n, v) < -0.25) n = -n;
+  // Seen from behind, as the back of the head through a mouth without an inside: dark. Not
+  // gl_FrontFacing: it is a guess for triangles smaller than a pixel, and leaves specks.
+  bool behind = dot(n, v) < -0.25;
+  if (behind) n = -n;
   float open = clamp(vOpen, 0.0, 1.0); // at a triangle's edge it may be sampled beyond its corners
-  vec3 albedo = clamp(dot(vGaze, vGaze) > 0.0 ? iris(vColor) : vColor, 0.0, 1.0);
   bool skin = vPart == SKIN;
+  vec3 albedo = skin ? banded(vColor) : dot(vRest, vRest) > 0.0 ? iris(vColor) : vColor;
+  albedo = clamp(albedo, 0.0, 1.0) * (behind ? 0.04 : 1.0);
   vec3 opened = skin ? pow(vec3(open), vec3(0.80, 1.08, 1.18)) : vec3(open);
   vec3 wrap = skin ? vec3(0.34, 0.17, 0.10) : vec3(0.05);
   vec3 light = albedo * opened * mix(GROUND, SKY, 0.5 + 0.5 * n.y);

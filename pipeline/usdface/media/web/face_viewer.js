@@ -299,7 +299,8 @@ export class FaceViewer {
     this.normals = attribute(1, face.normals, 3, gl.FLOAT, false, gl.DYNAMIC_DRAW);
     attribute(2, face.colors, 4, gl.UNSIGNED_BYTE, true);
     attribute(3, face.parts, 1, gl.UNSIGNED_BYTE, false);
-    attribute(4, face.gaze, 3, gl.FLOAT, false);
+    attribute(4, face.rest, 3, gl.FLOAT, false);
+    attribute(6, face.bare, 1, gl.UNSIGNED_BYTE, true);
     const still = this.reach ?? new Uint8Array(face.pointCount);
     this.reaches = attribute(5, still, 1, gl.UNSIGNED_BYTE, true, gl.DYNAMIC_DRAW);
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
@@ -346,6 +347,13 @@ export class FaceViewer {
     gl.uniform1f(uniforms.tint, tint);
     gl.uniform1i(uniforms.heat, this.heat && tint ? 1 : 0);
     if (this.heat) gl.uniform3fv(uniforms["ramp[0]"], this.heat.ramp.flat());
+    const { bands } = this.face;
+    gl.uniform1i(uniforms.bandCount, bands.length);
+    if (bands.length) {
+      gl.uniform3fv(uniforms["bandSpans[0]"], bands.flatMap(({ ends, edge }) => [...ends, edge]));
+      gl.uniform3fv(uniforms["bandColors[0]"], bands.flatMap(({ color }) => color));
+      gl.uniform4fv(uniforms["bandRows[0]"], bands.flatMap(({ rows }) => rows));
+    }
     gl.bindVertexArray(this.array);
     gl.drawElements(gl.TRIANGLES, this.face.triangles.length, gl.UNSIGNED_INT, 0);
   }
