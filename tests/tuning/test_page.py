@@ -12,6 +12,7 @@ import threading
 import time
 import wave
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -23,9 +24,11 @@ import pytest
 
 from tests.browser import chromium
 from tests.tuning.small_asset import small_references, write_asset
+from tests.usdio.small_rig import small_rig
 from usdface.core.sidecars import poses_path, tuned_path
 from usdface.media.picture.image import encode_image
 from usdface.usdio.references.read import read_references
+from usdface.usdio.rig.write import write_rig
 
 PATIENCE_SECONDS = 40.0
 
@@ -490,6 +493,64 @@ def test_a_row_of_buttons_is_one_stop_of_the_tab_key(desk: Desk) -> None:
     page.keyboard.press("ArrowUp")
     page.keyboard.press("ArrowUp")
     assert page.evaluate(focused) == "next", "undo and redo can do nothing yet"
+
+
+def test_sliders_of_a_part_are_one_stop_of_the_tab_key(tmp_path: Path, context: Any) -> None:
+    rig, wider = small_rig(), ("mouthFunnel", "mouthPucker")
+    skin = rig.meshes[0]
+    more = tuple(replace(skin.shapes[2], name=name) for name in wider)
+    rig = replace(
+        rig,
+        shapes=(*rig.shapes, *wider),
+        ranges=np.concatenate([rig.ranges, [[0.0, 1.0]] * 2]),
+        meshes=(replace(skin, shapes=(*skin.shapes, *more)), *rig.meshes[1:]),
+    )
+    write_rig(tmp_path / "rig.usda", rig)
+    pairs = small_references(tmp_path)
+    weights = np.pad(pairs.weights, ((0, 0), (0, 2)))
+    pairs = replace(pairs, shape_names=rig.shapes, weights=weights)
+    command = Command(write_asset(tmp_path, pairs))
+    opened = Page(context, command.link)
+    opened.wait("document.querySelectorAll('.tile').length > 0")
+    page, press = opened.page, opened.page.keyboard.press
+    focused = (
+        "(({ type, dataset, ariaLabel, firstChild }) => ariaLabel ? `${type} ${ariaLabel}` :"
+        " dataset.pair ?? firstChild.textContent)(document.activeElement)"
+    )
+
+    def visit(key: str) -> str:
+        press(key)
+        return str(page.evaluate(focused))
+
+    page.locator("#search").focus()
+    visited = [visit("Tab") for _ in range(9)]
+    parts = ["lids", "range eyeBlink", "mouth", "range smile", "jaw", "range jawOpen"]
+    assert visited[1:7] == parts
+    assert visited[-1] == "0", "the pair that is shown"
+    page.locator("input[type=range][aria-label=eyeBlink]").focus()
+    assert visit("ArrowDown") == "range smile"
+    assert visit("ArrowDown") == "range mouthFunnel"
+    before = opened.weight(3)
+    assert visit("Enter") == "number mouthFunnel"
+    page.keyboard.type("0.25")
+    assert visit("Enter") == "range mouthFunnel"
+    assert opened.weight(3) == 0.25 != before
+    press("ArrowRight")
+    assert opened.weight(3) == pytest.approx(0.26)
+    assert visit("Tab") == "jaw"
+    assert visit("Shift+Tab") == "range mouthFunnel", "it is gone back to"
+    assert visit("Shift+Tab") == "mouth"
+    press("Enter")  # closes the part
+    page.locator("input[type=range][aria-label=eyeBlink]").focus()
+    assert visit("ArrowDown") == "range jawOpen"
+    press("n")
+    page.locator("#sieve").focus()
+    assert visit("Tab") == "1", "the pair that is shown"
+    assert visit("ArrowDown") == "2"
+    press("Enter")
+    assert page.locator("#number").inner_text() == "3"
+    assert not opened.faults
+    command.interrupt()
 
 
 def test_sides_move_together_and_change_places(desk: Desk) -> None:

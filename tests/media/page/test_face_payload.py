@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.browser import chromium
-from tests.media.forms import sphere
+from tests.media.forms import head, sphere
 from tests.usdio.driven_rig import driven_rig
 from tests.usdio.small_rig import small_rig
 from usdface.core.assets import MeshShape, Rig, RigMesh, ShapeKey
@@ -23,6 +23,7 @@ from usdface.media.page.face_payload import FacePayload, pack_face, viewer_sourc
 from usdface.usdio.rig.read import read_rig
 
 ROUNDING_MM = 0.6e-3
+RANGES = np.array([[0.0, 1.0], [0.0, 1.0]])
 
 
 def far_rig() -> Rig:
@@ -179,7 +180,7 @@ def test_a_browser_draws_lips_and_brows_where_pictures_have_them(
     expected = np.abs(np.subtract(*pictures, dtype=float)).max(axis=2) > 25
     with chromium() as browser:
         page = browser.new_page()
-        page.goto(embed(tmp_path, rig).as_uri())
+        page.goto(embed(tmp_path, rig, camera=camera).as_uri())
         page.wait_for_function("window.viewer")
         draw = f"w => Array.from(viewer.thumbnail(Float32Array.from(w), {size}, {size}).data)"
         shown = [np.reshape(page.evaluate(draw, weights[0].tolist()), (size, size, 4))]
@@ -243,6 +244,33 @@ def test_a_page_first_sees_the_face_from_where_the_camera_stands(tmp_path: Path)
     np.testing.assert_allclose(eye, camera.eye, atol=0.05)
     assert (column, row) == pytest.approx((150, 150), abs=0.1)
     assert away == pytest.approx(np.linalg.norm(np.subtract(camera.eye, camera.target)), abs=0.05)
+
+
+def test_a_page_of_any_form_first_shows_the_whole_head(tmp_path: Path) -> None:
+    face = head()
+    hair = sphere(60.0, path="/Hair")
+    hair = replace(hair, points=hair.points + np.array([0.0, 80.0, -30.0]))
+    rig = replace(small_rig(), meshes=(face, hair), shapes=("jawOpen", "browUp"), ranges=RANGES)
+    corners = np.concatenate([face.points, hair.points])
+    heights = []
+    with chromium() as browser:
+        page = browser.new_page()
+        page.goto(embed(tmp_path, rig).as_uri())
+        page.wait_for_function("window.viewer")
+        for width, height in ((200, 500), (300, 375), (500, 300)):
+            shown = page.evaluate(
+                "([width, height, corners]) => {"
+                " viewer.canvas.style.cssText = `width: ${width}px; height: ${height}px`;"
+                " viewer.draw(); return corners.map((corner) => viewer.project(...corner)); }",
+                [width, height, corners.tolist()],
+            )
+            columns, rows, _ = np.transpose(shown)
+            assert 0 < columns.min() < columns.max() < width
+            assert 0 < rows.min()
+            heights.append((np.ptp(columns), np.ptp(rows), width, height))
+    narrow, tall, wide = heights
+    assert narrow[0] > 0.8 * narrow[2], "as near as its width allows"
+    assert tall[1] / tall[3] == pytest.approx(wide[1] / wide[3], rel=0.01), "by its height"
 
 
 def test_what_lies_behind_the_skin_does_not_show_through_as_specks(tmp_path: Path) -> None:

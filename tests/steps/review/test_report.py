@@ -184,7 +184,8 @@ def test_the_page_is_worked_by_keyboard_and_by_address(shot: Shot) -> None:
         rows = page.locator(".curve:visible")
         assert rows.count() == 1
         page.wait_for_selector(".curve:visible path.k-solve")
-        assert page.locator("h2", has_text="Measured against the keys").count() == 1
+        assert page.locator("caption h2", has_text="Measured against the keys").count() == 1
+        assert page.locator("table:not(:has(caption))").count() == 0
         unnamed = page.locator(
             "button:not([aria-label], :has(img))", has_not_text=re.compile("[a-z]")
         )

@@ -187,6 +187,18 @@ def test_curves_are_one_stop_of_the_tab_key_and_are_read_out(page: Any) -> None:
     assert at(page) == 2
 
 
+def test_the_keys_are_listed(page: Any) -> None:
+    keys = page.locator("#keys")
+    assert not keys.is_visible()
+    page.keyboard.press("?")
+    assert keys.is_visible()
+    assert "one frame; first, last" in keys.inner_text()
+    assert page.locator("#help").get_attribute("aria-expanded") == "true"
+    page.locator("#help").click()
+    assert not keys.is_visible()
+    assert page.locator("#help").get_attribute("aria-expanded") == "false"
+
+
 def test_buttons_and_links_of_a_part_are_one_stop_of_the_tab_key(page: Any) -> None:
     page.evaluate("document.activeElement.blur()")
     parts = []

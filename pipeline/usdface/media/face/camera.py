@@ -39,6 +39,8 @@ class Camera:
     """Where the picture's middle lies off the axis, right and up [half heights]; a lens shift."""
     span_mm: float | None = None
     """Height of what an orthographic camera sees [mm]; None for perspective."""
+    framed_width: float = 1.0
+    """Width of what was framed over the picture's height: pages as narrow still hold it."""
 
     def axes(self) -> FloatArray:
         """Return the rows right, up and backward (from the target to the eye), orthonormal."""
@@ -160,9 +162,12 @@ def frame_face(
     backward = np.array([np.sin(yaw), 0.0, np.cos(yaw)])
     axes = Camera(eye=_triple(backward), target=(0.0, 0.0, 0.0)).axes()
     low, high = (face @ axes.T).min(axis=0), (face @ axes.T).max(axis=0)
+    sides = np.array([low[0], high[0]])
     if hair:
-        top = float((cloud @ axes[1]).max())
-        high[1] = min(max(top, high[1]), high[1] + _HAIR_SHARE * (high[1] - low[1]))
+        head = cloud @ axes.T
+        head = head[head[:, 1] >= low[1]]
+        high[1] = min(head[:, 1].max(), high[1] + _HAIR_SHARE * (high[1] - low[1]))
+        sides = np.array([head[:, 0].min(), head[:, 0].max()])
     width, height = np.maximum(high - low, 1e-6)[:2]
     span = _FACE_MARGIN * max(height, width / aspect)
     half = np.tan(np.radians(Camera.fov_degrees / 2))
@@ -171,7 +176,12 @@ def frame_face(
     # Chins want less room than foreheads.
     middle = (low + high) / 2 + [0.0, 0.03 * span, 0.0]
     target = middle @ axes
-    return Camera(eye=_triple(target + distance * backward), target=_triple(target))
+    across = float(2 * _FACE_MARGIN * np.abs(sides - middle[0]).max() / span)
+    return Camera(
+        eye=_triple(target + distance * backward),
+        target=_triple(target),
+        framed_width=min(across, 1.0),
+    )
 
 
 def frame_rig(meshes: Sequence[RigMesh], *, yaw_degrees: float = 0.0, hair: bool = False) -> Camera:

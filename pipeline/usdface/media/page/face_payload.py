@@ -110,8 +110,8 @@ def pack_face(
     Parameters
     ----------
     camera : Camera, optional
-        Where the face is first seen from; framed on it from the front by default. Its place, aim
-        and field of view are kept; roll and lens shift are not.
+        Where the face is first seen from; by default it frames the head, hair included, from the
+        front. Its place, aim and field of view are kept; roll and lens shift are not.
 
     Returns
     -------
@@ -152,7 +152,7 @@ def pack_face(
         "combinations": rig.logic.tables(),
         "eyeCenters": np.round(surface.eye_centers, 4).tolist(),
         "bands": [_band(band) for band in surface.bands],
-        "camera": _camera(camera or frame_rig(rig.meshes)),
+        "camera": _camera(camera or frame_rig(rig.meshes, hair=True)),
         "size": round(surface.size, 3),
         "eyesPutIn": surface.eyes_put_in,
         "carriers": 0 if shares is None else shares.shape[1],
@@ -318,6 +318,7 @@ def _camera(camera: Camera) -> dict[str, Any]:
         "fov": fov,
         "yaw": round(float(np.arctan2(back[0], back[2])), 6),
         "pitch": round(float(np.arcsin(np.clip(back[1], -1, 1))), 6),
+        "framedWidth": round(camera.framed_width, 4),
     }
 
 

@@ -371,7 +371,7 @@ def _listing(listing: Listing) -> str:
         )
     title = html.escape(listing.title)
     return (
-        f'<section><h2>{title}</h2><table aria-label="{title}"><thead><tr>{head}</tr></thead>'
+        f"<section><table><caption><h2>{title}</h2></caption><thead><tr>{head}</tr></thead>"
         f"<tbody>{''.join(body)}</tbody></table></section>"
     )
 

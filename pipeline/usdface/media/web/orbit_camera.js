@@ -5,8 +5,8 @@ const STEP = Math.PI / 36;
 /** Where a face is seen from: angles, distance, and the point looked at [mm, radians]. */
 export class OrbitCamera {
   /**
-   * @param {{target: number[], distance: number, fov: number, yaw?: number, pitch?: number}} home
-   *   frames the face.
+   * @param {{target: number[], distance: number, fov: number, framedWidth: number, yaw?: number,
+   *   pitch?: number}} home frames the face.
    * `roll` turns the picture [radians], clockwise.
    */
   constructor(home, size) {
@@ -68,9 +68,9 @@ export class OrbitCamera {
     return new Float32Array([...columns.flatMap((column) => [...column, 0]), ...at, 1]);
   }
 
-  /** Camera to picture; a tall picture steps back so that the face stays in it. */
+  /** Camera to picture; a picture too narrow for what was framed sees more of the height. */
   projection(aspect) {
-    const half = Math.tan((this.home.fov * Math.PI) / 360) / Math.min(aspect, 1);
+    const half = Math.tan((this.home.fov * Math.PI) / 360) / Math.min(aspect / this.home.framedWidth, 1);
     const near = Math.max(this.distance - 4 * this.size, 0.05 * this.distance);
     const far = this.distance + 4 * this.size;
     const out = new Float32Array(16);

@@ -199,6 +199,7 @@ class Report {
     on("toRange", "click", () => this.#zoomToRange());
     on("which", "posed", () => this.plots.show(this.picture, this.stage.curve));
     on("copy", "click", () => this.#copy());
+    on("help", "click", () => byId("help").setAttribute("aria-expanded", String(!byId("keys").toggleAttribute("hidden"))));
     this.plots.addEventListener("seek", ({ detail }) => { this.play(false); this.show(detail); });
     this.plots.addEventListener("range", ({ detail }) => this.setRange(detail.map((at) => Math.min(Math.max(at, 0), count - 1))));
     this.notes.addEventListener("seek", ({ detail }) => { this.play(false); this.show(detail); });
@@ -215,7 +216,7 @@ class Report {
       if (link && !(ctrlKey || metaKey || shiftKey)) this.fromAddress(link.hash);
     });
     addEventListener("keydown", (event) => this.#key(event));
-    document.querySelectorAll("#worst, #transport, #tools, #noteBook .bar, #notes, #time, #legend, #tables").forEach(oneTabStop);
+    document.querySelectorAll("#worst, #transport, #tools, #noteBook .bar, #notes, #time, #legend, #tables").forEach((part) => oneTabStop(part));
     addEventListener("beforeprint", () => this.keepStill());
   }
 

@@ -1,16 +1,21 @@
-// Rows of buttons that are one stop of the Tab key, of reports and of the tuning page.
+// Parts of a page that are one stop of the Tab key, of reports and of the tuning page.
 
-const STOPS = "button, a[href], input[type=checkbox]";
+const STOPS = "button, a[href], input[type=checkbox], summary";
 
-/** Make the buttons and links of a part one stop of the Tab key; ↑ and ↓ lead to the others. */
-export function oneTabStop(part) {
-  const all = () => [...part.querySelectorAll(STOPS)];
-  const shown = () => all().filter((each) => each.offsetParent !== null && !each.disabled);
+/**
+ * Make the buttons and links of a part one stop of the Tab key; ↑ and ↓ lead to the others.
+ * @param {Element} part
+ * @param {string} [stops] selects other elements than buttons and links
+ * @param {Element} [among] where ↑ and ↓ lead, beyond the part
+ */
+export function oneTabStop(part, stops = STOPS, among = part) {
+  const all = (within = part) => [...within.querySelectorAll(stops)];
+  const shown = (within) => all(within).filter((each) => each.checkVisibility() && !each.disabled);
   const stopAt = (chosen) => all().forEach((each) => { each.tabIndex = each === chosen ? 0 : -1; });
-  part.addEventListener("focusin", (event) => { if (event.target.matches(STOPS)) stopAt(event.target); });
+  part.addEventListener("focusin", (event) => { if (event.target.matches(stops)) stopAt(event.target); });
   part.addEventListener("keydown", (event) => {
     const way = { ArrowDown: 1, ArrowUp: -1 }[event.key];
-    const present = shown();
+    const present = shown(among);
     const at = present.indexOf(event.target);
     if (!way || at < 0) return;
     event.preventDefault();
@@ -18,8 +23,10 @@ export function oneTabStop(part) {
   });
   // What was the stop may have gone, and others may have come, when somebody tabs.
   addEventListener("keydown", (event) => {
-    if (event.key !== "Tab") return;
-    const stops = shown();
-    if (stops.filter((each) => each.tabIndex === 0).length !== 1) stopAt(stops[0]);
+    const present = shown();
+    if (event.key !== "Tab" || present.includes(document.activeElement)) return;
+    const current = present.find((each) => each.getAttribute("aria-current") === "true");
+    const stop = present.filter((each) => each.tabIndex === 0);
+    if (current || stop.length !== 1) stopAt(current ?? present[0]);
   }, { capture: true });
 }

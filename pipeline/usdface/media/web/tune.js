@@ -120,7 +120,7 @@ class Page {
       if (!outbox.isEmpty) event.preventDefault();
     });
     this.wire();
-    document.querySelectorAll("#bar, .strip, #shapes summary").forEach(oneTabStop);
+    document.querySelectorAll("#bar, .strip, #shapes details, #film").forEach((part) => oneTabStop(part));
     if (outbox.isEmpty) $("saved").textContent = "saved";
   }
 

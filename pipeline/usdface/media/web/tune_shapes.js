@@ -1,5 +1,7 @@
 // A slider and a number per shape, grouped by part of the face, left beside right.
 
+import { oneTabStop } from "./tab_stops.js";
+
 const ORDER = ["brows", "lids", "cheeks and nose", "mouth", "jaw", ""];
 const TITLES = { "": "other" };
 const ACTIVE = 5e-4;
@@ -124,6 +126,7 @@ export class ShapePanel {
     for (const shape of shapes) details.append(this.#row(shape, group));
     this.groups.push(group);
     this.root.append(details);
+    oneTabStop(details, "input[type=range]", this.root);
   }
 
   #row(shape, group) {
@@ -151,6 +154,8 @@ export class ShapePanel {
     }
     range.step = 0.001;
     number.step = 0.01;
+    number.tabIndex = -1; // Enter on the slider leads here, and back
+    let back = null;
     range.addEventListener("input", () => state.slide(shape, range.valueAsNumber));
     range.addEventListener("change", () => state.endGesture());
     range.addEventListener("keydown", (event) => this.#keys(event, shape));
@@ -159,10 +164,16 @@ export class ShapePanel {
       state.endGesture();
       this.#paintRow(this.rows[shape]);
     });
-    number.addEventListener("focus", () => number.select());
+    number.addEventListener("focus", ({ relatedTarget }) => {
+      back = relatedTarget === range ? range : null;
+      number.select();
+    });
     number.addEventListener("blur", () => this.#paintRow(this.rows[shape]));
     number.addEventListener("keydown", (event) => {
-      if (event.key === "Enter" || event.key === "Escape") number.blur();
+      if (event.key !== "Enter" && event.key !== "Escape") return;
+      const slider = back;
+      number.blur();
+      slider?.focus();
     });
     element.addEventListener("dblclick", (event) => {
       if (event.target !== number) state.resetShape(shape);
@@ -174,8 +185,9 @@ export class ShapePanel {
   }
 
   #keys(event, shape) {
-    const steps = { ArrowLeft: -1, ArrowDown: -1, ArrowRight: 1, ArrowUp: 1 };
+    const steps = { ArrowLeft: -1, ArrowRight: 1 };
     if (event.key === "Delete" || event.key === "Backspace") this.state.resetShape(shape);
+    else if (event.key === "Enter") this.rows[shape].number.focus();
     else if (event.key in steps && !event.ctrlKey && !event.metaKey && !event.altKey) {
       const step = steps[event.key] * (event.shiftKey ? 0.1 : 0.01);
       this.state.slide(shape, this.state.row()[shape] + step);
