@@ -1,21 +1,34 @@
 """`usdface tune` as a user meets it when it cannot start."""
 
+import importlib
 import json
 import os
 import shlex
 import socket
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.regenerate import REPOSITORY
+from tests.steps.references.test_select import placement_not_drawn
+from tests.steps.references.test_select import spec as select_spec
+from tests.steps.small_shot import PAIRS, Shot
 from tests.test_docs import commands
 from tests.tuning.small_asset import write_asset
 from usdface.cli import main
 from usdface.core.locks import TuningLock
+from usdface.media.picture.image import read_picture
+from usdface.runner.execute import execute
 from usdface.specs.commands import TuneSpec
+from usdface.specs.references import ReferencesCoverageSpec
+from usdface.tuning.journal import Change
+from usdface.tuning.session import TuningSession
+
+__all__ = ["placement_not_drawn"]  # a fixture of the selection's tests
 
 
 def run(*arguments: str) -> int:
@@ -95,3 +108,44 @@ def test_a_rig_that_lost_shapes_is_named(tmp_path: Path, capsys) -> None:
 def test_a_port_beyond_the_limit_is_refused(tmp_path: Path, capsys) -> None:
     assert run(str(tmp_path / "x.usda"), "--port", "70000") == 2
     assert "port" in capsys.readouterr().err
+
+
+def test_what_was_tuned_is_in_the_coverage_once_the_page_is_closed(
+    shot: Shot, monkeypatch, capsys
+) -> None:
+    references, picture = shot / "hero.references.usda", shot / "hero.references.coverage.png"
+    (shot / "hero.references.tuned.usda").unlink()
+    execute(select_spec(shot, out=references, count=PAIRS), overwrite=True)
+    before = picture.read_bytes()
+    pairs: list[int] = []
+
+    def serve(spec: TuneSpec, *, announce: Callable[[str], None]) -> TuningSession:
+        session = TuningSession(spec.references)
+        found = session.references
+        changes = [Change(k, found.takes[k], int(found.frames[k]), {}, done=True) for k in pairs]
+        session.apply(changes, revision=session.revision)
+        session.close()
+        return session
+
+    monkeypatch.setattr(importlib.import_module("usdface.tuning.serve"), "serve", serve)
+    assert run(str(references), "--no-browser", "--json") == 0
+    assert picture.name not in capsys.readouterr().out
+    assert picture.read_bytes() == before, "nothing was tuned"
+    pairs.extend([0, 2])
+    assert run(str(references), "--no-browser", "--json") == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["figures"]["tuned"] == 2
+    assert str(picture) in said["outputs"]
+    given = {"references": references, "takes": (shot / "shot.clean.take.usda",)}
+    execute(ReferencesCoverageSpec(**given, out=shot / "now.png"))
+    np.testing.assert_array_equal(read_picture(picture), read_picture(shot / "now.png"))
+    pairs.append(1)
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("usdface.steps.references.coverage.redraw_coverage", interrupted)
+    assert run(str(references), "--no-browser", "--json") == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["figures"]["tuned"] == 3
+    assert any("that of before" in note for note in said["notes"])

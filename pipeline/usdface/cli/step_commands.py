@@ -11,7 +11,7 @@ import typer
 from usdface.cli.command_list import CommandMaker, commands_on_demand
 from usdface.cli.console import ProgressStyle, echo, progress_listener, show_result
 from usdface.cli.spec_options import COMMON, build_spec, command_of, help_of
-from usdface.core.errors import InputError
+from usdface.core.errors import CancelledError, InputError
 from usdface.core.progress import Progress
 from usdface.core.replacing import creating
 from usdface.core.text import first_few, pluralize
@@ -170,7 +170,24 @@ def _tune(spec_type: type[Spec], values: dict[str, Any], *, as_json: bool) -> No
         notes.append(
             f"lock taken over from {before.user} on {before.host}, held since {before.since}"
         )
-    show_result(StepResult((session.tuned_path,), summary, tuple(notes), figures), as_json=as_json)
+    pictures: tuple[Path, ...] = ()
+    if figures["tuned"] != int(session.references.tuned.sum()):
+        pictures, undrawn = _coverage_redrawn(spec, as_json=as_json)
+        notes += undrawn
+    files = (session.tuned_path, *pictures)
+    show_result(StepResult(files, summary, tuple(notes), figures), as_json=as_json)
+
+
+def _coverage_redrawn(spec: TuneSpec, *, as_json: bool) -> tuple[tuple[Path, ...], list[str]]:
+    """Draw the coverage beside references again when nobody waits for the page any more."""
+    from usdface.steps.references.coverage import redraw_coverage
+    from usdface.usdio.rig.reference import moved_rig
+
+    try:
+        with moved_rig(spec.rig), progress_listener("none" if as_json else "auto") as listener:
+            return redraw_coverage(spec.references, listener)
+    except (KeyboardInterrupt, CancelledError):
+        return (), ["the coverage beside the references is that of before: it was left out"]
 
 
 GROUPS = {

@@ -19,6 +19,7 @@ from usdface.core.text import pluralize
 from usdface.media.picture.image import read_image_metadata, read_picture, write_image
 from usdface.runner.execute import execute
 from usdface.specs.references import (
+    ReferencesAddSpec,
     ReferencesCoverageSpec,
     ReferenceSheetSpec,
     ReferencesImportSpec,
@@ -88,9 +89,31 @@ def test_an_import_leaves_other_pictures_and_says_why_one_is_old(shot: Shot) -> 
     (shot / "shot.clean.take.usda").rename(shot / "moved.take.usda")
     drawn = picture.read_bytes()
     (note,) = [each for each in import_keys(shot) if "coverage" in each]
-    assert note.startswith("hero.references.coverage.png does not show what is tuned now: ")
+    assert note.startswith("hero.references.coverage.png does not show the pairs as they are now: ")
     assert "shot.clean.take.usda" in note
     assert picture.read_bytes() == drawn
+
+
+def test_pairs_that_are_added_are_in_the_coverage_beside_the_references(shot: Shot) -> None:
+    references, picture = shot / "hero.references.usda", shot / "hero.references.coverage.png"
+    (shot / "hero.references.tuned.usda").unlink()
+    execute(spec(shot, out=references, count=PAIRS), overwrite=True)
+    before = read_picture(picture)
+    hero = shot / "shot.hero.usda"
+    given = {"performance": hero, "references": references, "out": references}
+    added = execute(ReferencesAddSpec(**given, frames="101,202"), overwrite=True)
+    assert picture in added.outputs
+    shown = read_picture(picture)
+    assert (shown != before).any()
+    execute(coverage_spec(shot, "shot.clean.take.usda", out=shot / "now.png"))
+    np.testing.assert_array_equal(shown, read_picture(shot / "now.png"))
+    assert read_image_metadata(picture)["step"] == "select"
+    import_keys(shot)  # the references no longer say what they were selected from: the picture does
+    assert (read_picture(picture) != shown).any()
+    other = execute(
+        ReferencesAddSpec(**given | {"out": shot / "other.references.usda"}, frames="150")
+    )
+    assert not [path for path in other.outputs if path.suffix == ".png"], "there was none"
 
 
 def test_pairs_cover_another_take_wherever_its_head_stands(shot: Shot) -> None:

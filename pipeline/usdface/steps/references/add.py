@@ -5,9 +5,8 @@ import numpy as np
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import References
 from usdface.core.errors import InputError
-from usdface.core.progress import Progress, silent
+from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
-from usdface.core.sidecars import reference_layers
 from usdface.core.text import first_few, pluralize
 from usdface.runner.result import StepResult
 from usdface.specs.notes import read_notes
@@ -46,11 +45,10 @@ def run(
         notes.append(f"left out, missing a marker: frames {first_few(frames[~seen].tolist())}")
     progress(0.8, f"looked at {pluralize(len(frames), 'frame')}")
     references = _with_pairs(old, reader, take.name, frames[seen], captured[seen])
-    write_extended(spec, references, notes, provenance)
-    progress(1.0, "written")
+    files = write_extended(spec, references, notes, provenance, part(progress, 0.8, 1.0))
     added = frames[seen].tolist()
     return StepResult(
-        reference_layers(spec.out),
+        files,
         f"{pluralize(len(added), 'frame')} added to {pluralize(len(old.frames), 'pair')}; tune "
         f"{'it' if len(added) == 1 else 'them'} with `usdface tune {spec.out} --frame {added[0]}`",
         tuple(notes),

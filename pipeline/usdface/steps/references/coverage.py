@@ -57,9 +57,9 @@ def run(
 
 
 def redraw_coverage(references: Path, progress: Progress) -> tuple[tuple[Path, ...], list[str]]:
-    """Draw the picture that `select` left beside references again, as tuned as they are now.
+    """Draw the picture that `select` left beside references again, of the pairs as they are now.
 
-    It stays the output of `select`, whose provenance it keeps.
+    It stays the output of `select`, whose provenance it keeps, also where pairs were added since.
 
     Returns
     -------
@@ -68,18 +68,18 @@ def redraw_coverage(references: Path, progress: Progress) -> tuple[tuple[Path, .
     notes : list of str
         Why it cannot.
     """
-    chosen = spec_of(provenance_of(references))
-    picture = references.parent / str(chosen.get("picture") or coverage_path(references).name)
-    takes = tuple(references.parent / str(name) for name in chosen.get("takes", ()))
+    own = spec_of(provenance_of(references))
+    picture = references.parent / str(own.get("picture") or coverage_path(references).name)
     origin = provenance_of(picture) if picture.is_file() else None
-    if origin is None or origin.step != "select" or not takes:
+    if origin is None or origin.step != "select":
         return (), []
-    confine("references import", reads=takes, writes=[picture])
+    takes = tuple(references.parent / str(name) for name in spec_of(origin).get("takes", ()))
+    confine("references coverage", reads=takes, writes=[picture])
     spec = ReferencesCoverageSpec(references=references, takes=takes, out=picture)
     try:
         measured = measure_pairs(spec, progress=progress)
     except InputError as error:
-        return (), [f"{picture.name} does not show what is tuned now: {error}"]
+        return (), [f"{picture.name} does not show the pairs as they are now: {error}"]
     image = measured.picture(references.stem)
     write_image(picture, image, metadata=provenance_metadata(origin))
     return (picture,), []

@@ -11,7 +11,7 @@ from usdface.core.arrays import BoolArray, FloatArray, IntArray, columns_by_name
 from usdface.core.assets import References, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.core.locks import nobody_tunes
-from usdface.core.progress import Progress, silent
+from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import proposed_path, reference_layers, tuned_path
 from usdface.core.text import first_few, pluralize
@@ -22,6 +22,7 @@ from usdface.runner.result import StepResult
 from usdface.specs.references import ReferencesAddSpec, ReferencesFromEditsSpec
 from usdface.steps.inputs.cleaned_takes import read_markers, take_head_space
 from usdface.steps.inputs.source_motion import read_source_motion
+from usdface.steps.references.coverage import redraw_coverage
 from usdface.steps.references.performance_inputs import MovedInputs, made_from
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.references.read import (
@@ -71,10 +72,9 @@ def run(
             f"{', '.join(map(str, spec.performances))}: no frame was corrected by more than "
             f"{LEAST_CHANGE:g} with its markers seen; edit the performance first"
         )
-    write_extended(spec, references, notes, provenance)
-    progress(1.0, "written")
+    files = write_extended(spec, references, notes, provenance, part(progress, 0.8, 1.0))
     return StepResult(
-        reference_layers(spec.out),
+        files,
         f"{pluralize(added, 'corrected frame')} added to {pluralize(len(old.frames), 'pair')}",
         tuple(notes),
         {
@@ -155,8 +155,8 @@ def meant_frames(edits: Sequence[EditCurve], changes: FloatArray) -> BoolArray:
     share = np.ones_like(changes)
     for row, edit in enumerate(edits):
         strength = np.maximum(np.abs(edit.offset), edit.mask)
-        for part in starmap(slice, runs(edit.active)):
-            share[row, part] = strength[part] / strength[part].max()
+        for stretch in starmap(slice, runs(edit.active)):
+            share[row, stretch] = strength[stretch] / strength[stretch].max()
     largest = changes.max(axis=0, initial=0.0)
     counts = changes > MINOR_SHARE * largest
     meant: BoolArray = ((share >= FULL_STRENGTH) | ~counts).all(axis=0) & (largest > LEAST_CHANGE)
@@ -245,8 +245,17 @@ def write_extended(
     references: References,
     notes: list[str],
     provenance: Provenance,
-) -> None:
-    """Write references that have more pairs than before; what is tuned and drawn stays."""
+    progress: Progress,
+) -> tuple[Path, ...]:
+    """Write references that have more pairs than before; what is tuned stays.
+
+    The coverage beside them is drawn again.
+
+    Returns
+    -------
+    tuple of Path
+        All that was written.
+    """
     rig = read_rig(references.rig_file, prim=references.rig_prim)
     images = [note.image for note in read_pair_notes(spec.references)]
     images += [None] * (len(references.frames) - len(images))
@@ -256,6 +265,10 @@ def write_extended(
         write_references(
             spec.out, references, rig, tuned=tuned, images=images, provenance=provenance
         )
+    pictures, undrawn = redraw_coverage(spec.out, progress)
+    notes += undrawn
+    progress(1.0, "written")
+    return (*reference_layers(spec.out), *pictures)
 
 
 def _tuned_by_hand(
