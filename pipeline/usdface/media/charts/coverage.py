@@ -147,10 +147,9 @@ def _draw_growth(figure: Figure, page: CoveragePage, *, y: int) -> None:
         up="% of the motion, mean over the takes",
         whole=True,
     )
-    low = float(np.floor(min(page.growth[min(1, pairs)], 0.9) * 10) * 10)
     right = float(pairs + len(page.next_frames) + 1)
     axes.set_xlim(0.0, right)
-    axes.set_ylim(low, 101.0)
+    axes.set_ylim(0.0, 101.0)
     plot_curve(axes, np.arange(pairs + 1.0), 100 * page.growth, BLUE)
     if page.next_frames:
         numbers = pairs + np.arange(len(further), dtype=float)
@@ -158,7 +157,7 @@ def _draw_growth(figure: Figure, page: CoveragePage, *, y: int) -> None:
         plot_points(axes, numbers[1:], 100 * further[1:], ORANGE, hollow=True)
     plot_points(axes, np.array([float(pairs)]), 100 * page.growth[-1:], BLUE)
     now = f"{page.growth[-1]:.1%} with {pairs}"
-    at = (pairs / right, (100 * float(page.growth[-1]) - low) / (101.0 - low))
+    at = (pairs / right, float(page.growth[-1]) / 1.01)
     anchor = "right" if at[0] > 0.3 else "left"
     add_label(axes, now, at, shift=(-8, -24), color=BLUE, anchor=anchor, bold=True)
 
