@@ -8,6 +8,7 @@ import pytest
 
 from tests.steps.small_shot import Shot
 from usdface.media.picture.image import read_picture
+from usdface.numerics.measure.face_regions import unseen_shapes
 from usdface.runner.execute import execute
 from usdface.specs.performance import TrainSpec
 from usdface.steps.performance.describe import describe_mapping
@@ -70,13 +71,13 @@ def test_weights_beyond_the_range_and_pairs_that_repeat_are_told(
     assert read_mapping(out).settings["limited_weights"] == 1
 
 
-def test_the_tongue_is_said_not_to_be_shown_by_markers(
+def test_shapes_that_markers_do_not_show_are_named_and_no_error_of_the_skin(
     finished_shot: Shot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     given = finished_shot / "hero.references.usda"
     pairs = read_references(given)
-    weights = pairs.weights.copy()
-    weights[:, pairs.shape_names.index("tongueOut")] = 0.0
+    weights, unseen = pairs.weights.copy(), unseen_shapes(pairs.shape_names)
+    weights[:, unseen] = 0.0
     for keyed in (0.0, 0.8):
         weights[2, pairs.shape_names.index("tongueOut")] = keyed
         changed = replace(pairs, weights=weights)
@@ -85,5 +86,8 @@ def test_the_tongue_is_said_not_to_be_shown_by_markers(
         )
         out = tmp_path / f"{keyed}.mapping.usdc"
         made = execute(TrainSpec(references=given, out=out, method="ridge"))
-        noted = any("do not show the tongue: tongueOut" in note for note in made.notes)
+        noted = any("do not show gaze and tongue: tongueOut is" in note for note in made.notes)
         assert noted == (keyed > 0)
+        counted = read_mapping(out).arrays["uncertainty_grams"].any(axis=(0, 2))
+        assert not counted[unseen].any()
+        assert np.delete(counted, unseen).any()

@@ -18,6 +18,7 @@ from usdface.numerics.measure.face_regions import (
     region_gram,
     shapes_by_region,
     tongue_shapes,
+    unseen_shapes,
 )
 from usdface.numerics.measure.performance_error import (
     LipError,
@@ -50,7 +51,7 @@ class SkinRuler:
     @cached_property
     def left_out(self) -> IntArray:
         """Columns of all of them."""
-        return np.concatenate([np.zeros(0, np.int64), *self.unseen.values()])
+        return unseen_shapes(self.rig.shapes)
 
     @cached_property
     def points(self) -> dict[str, IntArray]:

@@ -33,7 +33,7 @@ from usdface.model.regressions import (
 )
 from usdface.model.regressions.base import DrivenSkin, Fitted
 from usdface.model.regressions.frame_solve import FrameSolver
-from usdface.numerics.measure.face_regions import shapes_by_region
+from usdface.numerics.measure.face_regions import shapes_by_region, unseen_shapes
 
 _STILL_SHARE = 0.1
 """Of its range: a region whose shapes all stay within it is one that no reference moves."""
@@ -181,7 +181,9 @@ def _uncertainty(
     span = np.ptp(face.ranges, axis=1)
     points = region_points(names, solver.forward.basis)
     regions = tuple(points)
-    grams = region_grams(face.gram, face.skin, names, regions) * np.outer(span, span)
+    counted = span.copy()
+    counted[unseen_shapes(names)] = 0.0  # gaze and tongue have figures of their own
+    grams = region_grams(face.gram, face.skin, names, regions) * np.outer(counted, counted)
     model = UncertaintyModel(grams, np.ones(len(regions)))
     calibration = np.full(len(regions), _UNKNOWN_CALIBRATION)
     unseen = compared.unseen

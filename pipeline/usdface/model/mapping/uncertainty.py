@@ -6,6 +6,7 @@ Near the solve the posterior of a frame's bent weights is normal, with covarianc
 
 so that the surface of region g, whose displacements have the Gram matrix ``G_g`` (mean dot products
 over its points), is off by ``tr(G_g D C D)`` squared on average, D being the slope of unbending.
+Shapes of gaze and tongue have no share in G: no marker shows them, and they would hide the skin.
 That knows how well the markers seen determine each shape, how far the frame is from the references
 (P, R), and what only the rig says. It does not know what no weights explain: markers left over at
 the solve, in variances that were expected of them, averaged over the markers that the region's

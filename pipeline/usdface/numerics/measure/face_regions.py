@@ -143,6 +143,11 @@ def tongue_shapes(names: Sequence[str]) -> IntArray:
     return np.flatnonzero([_TONGUE in name.lower() for name in names])
 
 
+def unseen_shapes(names: Sequence[str]) -> IntArray:
+    """Return the columns of the shapes that markers do not show: gaze and tongue."""
+    return np.concatenate([gaze_shapes(names), tongue_shapes(names)]).astype(np.int64)
+
+
 def blinks(names: Sequence[str]) -> IntArray:
     """Return the columns of the shapes that shut an eye."""
     words = ("blink", "eyeclose", "eye_close", "lidclose", "lid_close")

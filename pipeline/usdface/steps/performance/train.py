@@ -22,7 +22,7 @@ from usdface.model.mapping.uncertainty import proposal_error
 from usdface.model.placement.rig_orientation import check_rig_stands
 from usdface.model.regressions import Choices, RestPlaces
 from usdface.model.regressions.gaussian_rbf import PAPER_DIMENSIONS
-from usdface.numerics.measure.face_regions import tongue_shapes
+from usdface.numerics.measure.face_regions import unseen_shapes
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.performance import TrainSpec
@@ -144,16 +144,16 @@ def _correction_notes(mapping: TrainedMapping, references: References) -> list[s
             f"no reference moves the {still.replace(',', ', ')}: there the rig's geometry alone "
             "says what markers mean; tune frames in which they move"
         )
-    tongue = [
+    unseen = [
         references.shape_names[column]
-        for column in tongue_shapes(references.shape_names)
+        for column in unseen_shapes(references.shape_names)
         if references.weights[:, column].any()
     ]
-    if tongue:
+    if unseen:
         notes.append(
-            f"markers do not show the tongue: {first_few(tongue)} is guessed from what the face "
-            "did beside it in the references, and no region's uncertainty tells; key it with "
-            "`usdface edit`"
+            f"markers do not show gaze and tongue: {first_few(unseen, most=2)} "
+            f"{'is' if len(unseen) == 1 else 'are'} guessed from what the face did beside in the "
+            "references, and no uncertainty tells; key them with `usdface edit`"
         )
     off = float(mapping.settings.get("key_error", 0.0))
     if off:
