@@ -11,7 +11,7 @@ import usdface
 from tests.regenerate import JSON_SCHEMAS, json_schemas
 from usdface.core.errors import InputError
 from usdface.core.sidecars import tuned_path
-from usdface.specs.base import field_help
+from usdface.specs.base import _class_bodies, field_help
 from usdface.specs.job import STEP_SPECS, JobSpec
 from usdface.specs.paths import Reads, Writes, frame_range
 from usdface.specs.performance import MapSpec
@@ -183,12 +183,12 @@ def test_specs_work_without_their_source(monkeypatch) -> None:
         raise OSError("could not get source code")
 
     monkeypatch.setattr(inspect, "getsource", no_source)
-    field_help.cache_clear()
+    _class_bodies.cache_clear()
     try:
         assert field_help(MapSpec) == {}
         assert "take" in MapSpec.model_json_schema()["properties"]
     finally:
-        field_help.cache_clear()
+        _class_bodies.cache_clear()
 
 
 def test_committed_json_schemas_are_those_of_the_models() -> None:

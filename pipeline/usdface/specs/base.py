@@ -6,7 +6,7 @@ import inspect
 import itertools
 import logging
 import os
-import textwrap
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -63,7 +63,6 @@ class Positional:
     """Marks a field that is an argument of the command line, not an option."""
 
 
-@functools.cache
 def field_help(spec: type) -> dict[str, str]:
     """Return the text below each field of a class, including inherited ones.
 
@@ -78,20 +77,26 @@ def field_help(spec: type) -> dict[str, str]:
 
 
 def _class_help(spec: type) -> dict[str, str]:
-    try:
-        source = inspect.getsource(spec)
-    except OSError:
-        return {}
-    (tree,) = ast.parse(textwrap.dedent(source)).body
-    assert isinstance(tree, ast.ClassDef)
     return {
         field.target.id: inspect.cleandoc(text.value.value)
-        for field, text in itertools.pairwise(tree.body)
+        for field, text in itertools.pairwise(_class_bodies(spec.__module__).get(spec.__name__, ()))
         if isinstance(field, ast.AnnAssign)
         and isinstance(field.target, ast.Name)
         and isinstance(text, ast.Expr)
         and isinstance(text.value, ast.Constant)
         and isinstance(text.value.value, str)
+    }
+
+
+@functools.cache
+def _class_bodies(module: str) -> dict[str, list[ast.stmt]]:
+    """Return the statements of each class of a module, which is parsed once."""
+    try:
+        source = inspect.getsource(sys.modules[module])
+    except OSError:
+        return {}
+    return {
+        each.name: each.body for each in ast.parse(source).body if isinstance(each, ast.ClassDef)
     }
 
 

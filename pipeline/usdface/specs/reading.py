@@ -4,9 +4,8 @@ import difflib
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import yaml
 from pydantic import ValidationError
 
 from usdface.core.errors import InputError
@@ -14,6 +13,9 @@ from usdface.specs.base import Spec
 from usdface.specs.job import SPEC_BY_STEP, JobSpec
 from usdface.specs.paths import PRIM_PATTERN, PathRules, map_path
 from usdface.specs.takes import step_places
+
+if TYPE_CHECKING:
+    import yaml
 
 PATTERN_WORDS = {
     r"^-?\d+--?\d+$": "give the first and the last frame, such as 101-240",
@@ -203,6 +205,8 @@ def spec_text(spec: Spec, path: Path) -> str:
     data = _as_written(spec)
     if path.suffix == ".json":
         return json.dumps(data, indent=2, ensure_ascii=False) + "\n"
+    import yaml  # help starts without it
+
     return str(yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=100))
 
 
@@ -214,6 +218,8 @@ def _as_written(spec: Spec) -> dict[str, Any]:
 
 
 def _read_data(path: Path) -> Any:
+    import yaml
+
     try:
         if path.stat().st_size > LARGEST_SPEC_BYTES:
             raise InputError(f"{path}: {path.stat().st_size} bytes are too large for a spec")
@@ -234,7 +240,7 @@ def _read_data(path: Path) -> Any:
         raise InputError(f"{path}: holds a value that cannot be read: {error}") from error
 
 
-def _yaml_reason(error: yaml.YAMLError) -> str:
+def _yaml_reason(error: "yaml.YAMLError") -> str:
     """Return what is wrong in a text, with line and column from 1."""
     mark, problem = getattr(error, "problem_mark", None), getattr(error, "problem", None)
     if mark is None or not problem:
