@@ -63,11 +63,14 @@ def _store(file: Path, value: object) -> None:
 def _remembered(run_folder: Path) -> Iterator[None]:
     """Compute once in a run what most steps ask of the same shot and character.
 
-    That is where its markers are placed, the picture of it, and how much light falls on each of
-    the face's points. What is remembered goes by the content of all arguments. Tests of one of
-    these call it under its own name.
+    That is the demo's heads, where the shot's markers are placed and how far they move there, the
+    picture of it, what is drawn of a rig, and how much light falls on each of the face's points.
+    What is remembered goes by the content of all arguments. Tests of one of these call it under its
+    own name.
     """
-    from usdface.media.face import surface
+    from usdface.demo import rig
+    from usdface.media.face import render, surface
+    from usdface.media.page import face_payload
     from usdface.model.selection import baseline
     from usdface.steps.inputs import coverage_report, placement
 
@@ -75,12 +78,18 @@ def _remembered(run_folder: Path) -> Iterator[None]:
     folder.mkdir(exist_ok=True)
     with pytest.MonkeyPatch.context() as patch:
         for module, name in (
+            (rig, "bare_head"),
             (baseline, "place_markers"),
+            (baseline, "match_peaks"),
+            (baseline, "_noise_mm"),
             (placement, "place_markers"),
             (placement, "bind_at"),
             (placement, "draw_binding"),
             (coverage_report, "draw_coverage"),
             (surface, "_rest_exposure"),
+            (render, "build_surface"),
+            (face_payload, "build_surface"),
+            (face_payload, "_sky_of"),
         ):
             patch.setattr(module, name, _remember(getattr(module, name), folder))
         yield

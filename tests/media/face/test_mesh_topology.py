@@ -46,6 +46,7 @@ def test_there_is_no_comb_between_jaw_and_neck(monkeypatch) -> None:
         return picture[110:170, 80:160]
 
     mended = comb(draw())
+    monkeypatch.setattr("usdface.media.face.render.build_surface", build_surface)
     monkeypatch.setattr("usdface.media.face.surface.LONG_EDGE", np.inf)
     assert mended < 0.6 * comb(draw())
 
