@@ -90,7 +90,7 @@ def train_mapping(
     check_dimensions(choices.dimensions, pairs=len(checked.weights), motion=motion)
     face = Face(
         ranges=ranges.astype(np.float64),
-        gram=np.eye(len(ranges)) if gram is None else gram.astype(np.float64),
+        gram=np.eye(len(ranges)) if gram is None else _skin_gram(gram, checked.shape_names),
         motion=motion,
         skin=None if skin is None else skin[: len(ranges)],
         driven=_driven_skin(references, skin),
@@ -173,6 +173,14 @@ def _frame_solver(
     return FrameSolver(corrected.forward, usual, corrected.common)
 
 
+def _skin_gram(gram: FloatArray, names: tuple[str, ...]) -> FloatArray:
+    """Return a Gram matrix in which shapes count that markers show: gaze and tongue apart."""
+    counted = gram.astype(np.float64)
+    columns = unseen_shapes(names)
+    counted[columns] = counted[:, columns] = 0.0
+    return counted
+
+
 def _uncertainty(
     compared: Comparison, folds: PairFolds, names: tuple[str, ...], solver: FrameSolver
 ) -> tuple[tuple[str, ...], Arrays]:
@@ -181,9 +189,8 @@ def _uncertainty(
     span = np.ptp(face.ranges, axis=1)
     points = region_points(names, solver.forward.basis)
     regions = tuple(points)
-    counted = span.copy()
-    counted[unseen_shapes(names)] = 0.0  # gaze and tongue have figures of their own
-    grams = region_grams(face.gram, face.skin, names, regions) * np.outer(counted, counted)
+    grams = region_grams(face.gram, face.skin, names, regions)
+    grams = np.stack([_skin_gram(each, names) for each in grams]) * np.outer(span, span)
     model = UncertaintyModel(grams, np.ones(len(regions)))
     calibration = np.full(len(regions), _UNKNOWN_CALIBRATION)
     unseen = compared.unseen
