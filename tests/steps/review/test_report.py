@@ -4,6 +4,8 @@ import html
 import json
 import math
 import re
+import shutil
+from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
@@ -26,6 +28,7 @@ from usdface.media.page.report_page import (
 )
 from usdface.model.review.verdict import OPENINGS
 from usdface.runner.execute import execute
+from usdface.runner.result import StepResult
 from usdface.specs.review import EvaluateSpec, ReportSpec
 from usdface.steps.review import report as review_page
 from usdface.steps.review.pictures import ShotPictures
@@ -62,6 +65,15 @@ def give_video(
         kind = Sdf.ValueTypeNames.Double
         Sdf.AttributeSpec(prim, f"face:video:{name}", kind).default = value
     layer.Save()
+
+
+@pytest.fixture(scope="module")
+def keyed(finished_shot: Shot, tmp_path_factory: pytest.TempPathFactory) -> tuple[Shot, StepResult]:
+    """A shot, which tests do not change, and its report against keys."""
+    folder = tmp_path_factory.mktemp("keyed") / "shot"
+    shutil.copytree(finished_shot.folder, folder)
+    shot = replace(finished_shot, folder=folder)
+    return shot, execute(spec_of(shot, against=shot / "keys.csv", baseline=True, worst=4))
 
 
 def open_page(browser: Any, file: Path, faults: list[str]) -> Any:
@@ -132,8 +144,8 @@ SEEK = """async (picture) => {
 }"""
 
 
-def test_the_page_is_worked_by_keyboard_and_by_address(shot: Shot) -> None:
-    report = execute(spec_of(shot, against=shot / "keys.csv", baseline=True, worst=4))
+def test_the_page_is_worked_by_keyboard_and_by_address(keyed: tuple[Shot, StepResult]) -> None:
+    shot, report = keyed
     assert len(report.figures["worst_frames"]) == 4
     faults: list[str] = []
     with chromium() as browser:
@@ -203,8 +215,10 @@ def test_the_page_is_worked_by_keyboard_and_by_address(shot: Shot) -> None:
 
 
 @pytest.mark.parametrize("width", [390, 480, 760])
-def test_nothing_of_the_page_is_outside_a_narrow_window(shot: Shot, width: int) -> None:
-    execute(spec_of(shot, against=shot / "keys.csv", baseline=True))
+def test_nothing_of_the_page_is_outside_a_narrow_window(
+    keyed: tuple[Shot, StepResult], width: int
+) -> None:
+    shot, _ = keyed
     with chromium() as browser:
         page = browser.new_page(viewport={"width": width, "height": 900})
         page.goto((shot / "shot.html").as_uri())

@@ -496,9 +496,10 @@ def test_the_data_of_a_report_are_its_own(reported: Shot) -> None:
         ('{"usdface_notes": 1, "notes": [{"id": "a", "frame": "x"}]}', "notes 1 -> frame"),
     ],
 )
-def test_what_is_no_file_of_notes_is_named(
-    reported: Shot, tmp_path: Path, text: str, message: str
+def test_what_is_no_file_of_notes_is_named_before_any_work(
+    reported: Shot, tmp_path: Path, monkeypatch, text: str, message: str
 ) -> None:
+    monkeypatch.setattr("usdface.steps.review.report.set_up_shot_baseline", None)
     file = tmp_path / "notes.json"
     file.write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=message):

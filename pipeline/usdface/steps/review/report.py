@@ -116,13 +116,14 @@ def _page(
     """Measure, pack and draw what the page shows; what could not be had is added to the notes."""
     take, rig, ruler = shot.take, shot.rig, ShotRuler(shot)
     keys = read_keys(spec.against, shot, spec.weight_unit)
+    pictures, review_notes = _sheet(spec), page_notes(spec, shot)  # refused before long work
+    said = labels_at(spec.phones, take, shot.frames) if spec.phones else ()
     progress(0.05, "placing the markers on the rig")
     equation = set_up_shot_baseline(shot) if take.markers is not None else None
     signals = ruler.signals(keys, equation)
     verdict = ruler.verdict(signals)
     rows = np.arange(len(shot.frames))
     baseline = solve_baseline(equation, shot, rows) if spec.baseline and equation else None
-    pictures = _sheet(spec)
     tables = listings(shot, evaluate_shown(shot, keys), provenance)
     progress(0.2, "packing the face")
     view = shot.camera(spec.camera, spec.camera_stage)
@@ -157,12 +158,12 @@ def _page(
         movie=movie,
         movie_type=_movie_kind()[1],
         pictures=pictures,
-        said=labels_at(spec.phones, take, shot.frames) if spec.phones else (),
+        said=said,
         origin=provenance_metadata(provenance),
         markers=None if equation is None else page_markers(shot, equation),
         heat=page_heat(signals, curves),
         left_out=tuple(rig.shapes[column] for column in ruler.skin.left_out.tolist()),
-        notes=page_notes(spec, shot),
+        notes=review_notes,
         commands=page_commands(spec, shot, spec.references or find_references(spec.performance)),
     )
 
