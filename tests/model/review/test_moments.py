@@ -58,12 +58,16 @@ def test_each_cause_is_found_and_named() -> None:
     grams = np.zeros((3, 4, 4))
     grams[0, 3, 3], grams[2, 3, 3] = 9.0, 25.0  # 3 mm on the face, 5 on the mouth
     gap = np.zeros(600)
-    gap[500] = 2.5
+    gap[500], gap[100], gap[300] = 2.5, 0.04, 0.2
     found = replace(found, jump_mm=surface_jumps(weights, grams), gap_mm=gap)
     moments = {m.row: m for m in review_moments(found, 3, rate=60.0)}
     assert set(moments) == {100, 300, 500}
     assert (moments[100].region, moments[100].reason[:11]) == ("brows", "uncertainty")
-    assert (moments[300].region, moments[300].reason) == ("mouth", "jumps by 3.00 mm")
+    assert "lips" not in moments[100].reason  # nobody sees a gap of .04 mm
+    assert (moments[300].region, moments[300].reason) == (
+        "mouth",
+        "jumps by 3.00 mm, lips 0.2 mm open, the performer's closed",
+    )
     assert (moments[500].region, moments[500].reason[:16]) == ("mouth", "lips 2.5 mm open")
 
 

@@ -16,7 +16,7 @@ from usdface.specs.performance import JoinSpec, MapSpec
 from usdface.specs.references import ReferencesFromEditsSpec
 from usdface.steps.performance import map as map_step
 from usdface.usdio.performance.read import PerformanceReader
-from usdface.usdio.performance.weights_layer import SAMPLE_TOLERANCE_MM
+from usdface.usdio.performance.weights_layer import COVERAGE_TOLERANCE, SAMPLE_TOLERANCE_MM
 from usdface.usdio.validation import validate
 
 
@@ -50,7 +50,8 @@ def all_values(path: Path) -> dict[str, np.ndarray]:
 
 def assert_same(one: Path, other: Path, *, cut_anywhere: bool = False) -> None:
     """All is equal; figures near where cuts make other samples of them be kept."""
-    within = dict.fromkeys(("uncertainty", "coverage", "residual"), SAMPLE_TOLERANCE_MM)
+    within = dict.fromkeys(("uncertainty", "residual"), SAMPLE_TOLERANCE_MM)
+    within["coverage"] = COVERAGE_TOLERANCE
     found, wanted = all_values(one), all_values(other)
     for name, values in wanted.items():
         if cut_anywhere and name in within:

@@ -84,7 +84,7 @@ class ReviewSignals:
             return Moment(row, score, region, f"{score:.2f} mm off the keys")
         gap = 0.0 if self.gap_mm is None else float(self.gap_mm[row])
         jump, expected = float(self.jump_mm[row, 0]), float(self.expected_mm[row, 0])
-        lips = f"lips {gap:.1f} mm open, the performer's closed" if gap > 0 else ""
+        lips = f"lips {gap:.1f} mm open, the performer's closed" if gap > LEAST_JUMP_MM else ""
         if gap / 2 * self.lip_share**0.5 > max(jump, expected):
             return Moment(row, score, "mouth", lips)
         if jump > expected:

@@ -52,6 +52,9 @@ SAMPLE_TOLERANCE_MM = 0.01
 nobody sees the difference, and a sample costs as much as a frame of weights. Weights are all
 written."""
 
+COVERAGE_TOLERANCE = 0.002
+"""The same of coverage, which has no unit: a verdict counts the frames above a share."""
+
 
 @dataclass(frozen=True)
 class WeightsHeader:
@@ -159,7 +162,11 @@ class WeightsWriter:
             self._append_block(
                 np.ascontiguousarray(rows, dtype=np.float32),
                 [
-                    (path, np.ascontiguousarray(values[part], dtype=np.float32))
+                    (
+                        path,
+                        np.ascontiguousarray(values[part], dtype=np.float32),
+                        COVERAGE_TOLERANCE if path.name == COVERAGE else SAMPLE_TOLERANCE_MM,
+                    )
                     for path, values in zip(
                         self._figures, (uncertainty_mm, coverage, residual_mm), strict=True
                     )
@@ -171,7 +178,7 @@ class WeightsWriter:
     def _append_block(
         self,
         rows: Float32Array,
-        beside: list[tuple[Sdf.Path, Float32Array]],
+        beside: list[tuple[Sdf.Path, Float32Array, float]],
         keys: IntArray,
     ) -> None:
         # One attribute after the other, and names looked up once: this loop is what mapping waits
@@ -180,8 +187,8 @@ class WeightsWriter:
         with Sdf.ChangeBlock():
             for index in keys.tolist():
                 write(self._weights, first + index, array(rows[index]))
-            for path, values in beside:
-                for index in sparse_rows(values, SAMPLE_TOLERANCE_MM).tolist():
+            for path, values, tolerance in beside:
+                for index in sparse_rows(values, tolerance).tolist():
                     write(path, first + index, array(values[index]))
         self._count(len(rows))
 
