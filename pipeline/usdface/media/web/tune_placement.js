@@ -1,6 +1,7 @@
 // Correcting where markers sit: the face at rest, and markers that are dragged over its skin.
 
 const GRAB_PX = 14;
+const BEHIND_MM = 40; // farther from the eye than another under the pointer: hidden by the face
 const PROPOSED = [0.47, 0.78, 1];
 const CORRECTED = [0.51, 0.82, 0.52];
 
@@ -42,18 +43,16 @@ export class PlacementTool extends EventTarget {
     return [event.clientX - box.left, event.clientY - box.top];
   }
 
-  /** The marker under the pointer: of those near enough, the one nearest to the eye. */
+  /** The marker under the pointer: the nearest to it that is not behind the head. */
   #under(event) {
     const [x, y] = this.#at(event);
-    let best = -1;
-    let nearest = Infinity;
-    for (let i = 0; i < this.names.length; i++) {
-      const [px, py, depth] = this.viewer.project(...this.points.subarray(3 * i, 3 * i + 3));
-      if (Math.hypot(px - x, py - y) > GRAB_PX || depth > nearest) continue;
-      best = i;
-      nearest = depth;
-    }
-    return best;
+    const near = this.names.map((_, marker) => {
+      const [px, py, depth] = this.viewer.project(...this.points.subarray(3 * marker, 3 * marker + 3));
+      return { marker, depth, away: Math.hypot(px - x, py - y) };
+    }).filter(({ away }) => away <= GRAB_PX);
+    const front = Math.min(...near.map(({ depth }) => depth)) + BEHIND_MM;
+    const seen = near.filter(({ depth }) => depth < front).sort((a, b) => a.away - b.away);
+    return seen[0]?.marker ?? -1;
   }
 
   #grab(event) {
