@@ -462,6 +462,21 @@ def test_notes_of_a_report_stand_at_their_frame(asset: Path, context: Any, tmp_p
     command.interrupt()
 
 
+def test_without_markers_nothing_is_offered_that_needs_them(tmp_path: Path, context: Any) -> None:
+    none = np.zeros((5, 0, 3))
+    bare = replace(
+        small_references(tmp_path), markers=none, marker_names=(), rigid=(), neutral=none[0]
+    )
+    command = Command(write_asset(tmp_path, bare))
+    page = Page(context, command.link)
+    page.wait("document.querySelector('#markers').title.startsWith('No markers')")
+    for tool in ("markers", "labels", "placeMarkers"):
+        assert page.page.locator(f"#{tool}").is_disabled()
+    assert page.page.locator("#markers").get_attribute("aria-pressed") == "false"
+    assert not page.faults
+    command.interrupt()
+
+
 def test_a_long_message_is_one_line_beside_the_count_of_pairs(desk: Desk) -> None:
     page = desk.page().page
     page.set_viewport_size({"width": 1000, "height": 700})

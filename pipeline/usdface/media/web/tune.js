@@ -138,7 +138,9 @@ class Page {
     const markers = await response.json();
     $("markers").removeAttribute("aria-busy");
     $("markers").disabled = $("labels").disabled = Boolean(markers.reason);
+    $("placeMarkers").disabled = !markers.placement;
     if (markers.reason) {
+      $("markers").setAttribute("aria-pressed", false);
       $("markers").title = `No markers: ${markers.reason}`;
       this.tell(`No residual: ${markers.reason}`);
       return;
@@ -148,7 +150,6 @@ class Page {
     this.table = new ResidualTable($("residual").firstElementChild, this.residual.parts);
     const off = (pair) => this.residual.measure(this.onRig(this.state.row(pair)), pair);
     this.film.measure(off, this.residual.parts, $("sieve"));
-    $("placeMarkers").disabled = !markers.placement;
     if (markers.placement) {
       this.placing = new PlacementTool(this.viewer, markers);
       this.placing.addEventListener("placed", ({ detail }) => this.place(detail));
