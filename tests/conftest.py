@@ -8,9 +8,9 @@ import pickle
 import shutil
 import time
 from collections.abc import Callable, Iterator
+from hashlib import sha256
 from pathlib import Path
 
-import joblib
 import pytest
 from hypothesis import settings
 
@@ -44,7 +44,8 @@ def _remember(function: Callable[..., object], folder: Path) -> Callable[..., ob
     """Return a function that computes once, for all workers, what follows from its arguments."""
 
     def remembering(*given: object, **named: object) -> object:
-        file = folder / f"{function.__name__}.{joblib.hash((given, named))}"
+        content = pickle.dumps((given, named))
+        file = folder / f"{function.__name__}.{sha256(content).hexdigest()}"
         if not file.is_file():
             _store(file, function(*given, **named))
         return pickle.loads(file.read_bytes())
@@ -83,6 +84,8 @@ def _remembered(run_folder: Path) -> Iterator[None]:
             (baseline, "match_peaks"),
             (baseline, "_noise_mm"),
             (placement, "place_markers"),
+            (placement, "sample_face_skin"),
+            (placement, "judge_placement"),
             (placement, "bind_at"),
             (placement, "draw_binding"),
             (coverage_report, "draw_coverage"),
