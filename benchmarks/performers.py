@@ -143,6 +143,7 @@ def act(performer: tuple[str, int, int, float], count: int) -> Acted:
         markers=takes[0][chosen],
         weights=weights[chosen],
         frames=chosen,
+        rate=60.0,
         takes=("take",) * count,
         tuned=np.ones(count, dtype=bool),
         rigid=(),

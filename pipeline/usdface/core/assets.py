@@ -324,6 +324,8 @@ class References(_Asset):
     session: str = ""
     """`performer`, `session`: Of the take whose head space and neutral face these are; empty where
     unknown."""
+    rate: float = 0.0
+    """Frames per second of the takes, the first's where they differ; 0 where it is not known."""
     placement: Path | None = None
     """Where the markers were placed on the rig."""
     source_names: tuple[str, ...] = ()

@@ -13,7 +13,7 @@ from usdface.model.mapping.candidates import paired_t, time_blocks
 
 
 def test_blocks_are_of_a_take_and_of_time() -> None:
-    blocks = time_blocks(np.array([1, 100, 130, 500, 100]), ("a", "a", "a", "a", "b"))
+    blocks = time_blocks(np.array([1, 100, 130, 500, 100]), ("a", "a", "a", "a", "b"), length=120)
     assert blocks[0] == blocks[1]
     assert len(set(blocks.tolist())) == 4
 

@@ -34,8 +34,18 @@ OBSERVABLE_ERROR_SHARE = 0.9
 _LEAST_T = 2.0
 """Student's t beyond which another method than the default is no chance: one in twenty."""
 
-_BLOCK_FRAMES = 120
-"""A second or two: faces and their errors last about as long."""
+_STANDARD_ERROR_T = 1.0
+"""The same of a method's own setting: the usual one is kept within a standard error of the best
+(Breiman et al. 1984, the one-standard-error rule)."""
+
+_NEIGHBOUR_SECONDS = 0.25
+"""Pairs nearer are one moment, as in review: neither tells how the other would be predicted."""
+
+_BLOCK_SECONDS = 1.0
+"""Faces and their errors last about as long."""
+
+_USUAL_RATE = 120.0
+"""Frames per second, where references do not say theirs."""
 
 
 @dataclass(frozen=True)
@@ -77,8 +87,9 @@ class PairFolds:
     def __init__(self, corrected: CorrectedPairs, references: References) -> None:
         pairs, scales = corrected.pairs, corrected.forward.scales
         self.pairs, self.corrected = pairs, corrected
-        self.folds = blocked_folds(references.frames, references.takes)
-        self.blocks = time_blocks(references.frames, references.takes)
+        frames, takes, rate = references.frames, references.takes, references.rate or _USUAL_RATE
+        self.folds = blocked_folds(frames, takes, margin=round(_NEIGHBOUR_SECONDS * rate))
+        self.blocks = time_blocks(frames, takes, length=max(round(_BLOCK_SECONDS * rate), 1))
         self.forwards = [fit_pairs_forward(pairs.rows(fold.train), scales) for fold in self.folds]
         self.targets = bend(pairs.face.normalise(pairs.outputs), scales.curve)
         self.curve = scales.curve
@@ -195,14 +206,14 @@ def choose_common_error(
     unseen = usual
     for more in COMMON_ERRORS[1:]:
         found = folds.solve(usual.start, usual.usual, more)
-        if not is_better(found, unseen, folds):
+        if not is_better(found, unseen, folds, by=_STANDARD_ERROR_T):
             break
         common, unseen = more, found
     if common == folds.corrected.common:
         return folds, compared
     chosen = PairFolds(correct_pairs(folds.corrected.as_given(), common=common), references)
     unseen = chosen.predict(best)
-    if not is_better(unseen, usual, folds):
+    if not is_better(unseen, usual, folds, by=_STANDARD_ERROR_T):
         return folds, compared
     named = Candidate(best.method, best.settings | {"common_error": common})
     gram = None if np.isnan(compared.scores[0].vertex_rms_mm) else folds.pairs.face.gram
@@ -211,16 +222,18 @@ def choose_common_error(
     return chosen, replace(compared, unseen=unseen, scores=scores)
 
 
-def is_better(other: UnseenPairs, usual: UnseenPairs, folds: PairFolds) -> bool:
-    """Whether one prediction of the pairs errs less than the usual one, beyond chance."""
+def is_better(
+    other: UnseenPairs, usual: UnseenPairs, folds: PairFolds, *, by: float = _LEAST_T
+) -> bool:
+    """Whether one prediction of the pairs errs less than the usual one, by so many errors of it."""
     gram = folds.pairs.face.gram
-    return paired_t(usual.errors, other.errors, gram, folds.blocks) > _LEAST_T
+    return paired_t(usual.errors, other.errors, gram, folds.blocks) > by
 
 
-def time_blocks(frames: IntArray, takes: Sequence[str]) -> IntArray:
-    """Return the number of the block of `_BLOCK_FRAMES` that each pair is in: (pairs,)."""
+def time_blocks(frames: IntArray, takes: Sequence[str], *, length: int) -> IntArray:
+    """Return the number of the block of `length` frames that each pair is in: (pairs,)."""
     codes = np.unique(np.asarray(takes, dtype=str), return_inverse=True)[1]
-    rows = np.column_stack([codes, np.asarray(frames) // _BLOCK_FRAMES])
+    rows = np.column_stack([codes, np.asarray(frames) // length])
     return np.asarray(np.unique(rows, axis=0, return_inverse=True)[1]).ravel()
 
 

@@ -382,4 +382,5 @@ def _references(
         emotions=tuple(spoken.emotion_of[row] for row in rows.tolist()),
         performer=takes.sources[0].performer,
         session=takes.sources[0].session,
+        rate=float(takes.sources[0].rate),
     )

@@ -82,6 +82,7 @@ def select_by_weights(spec: SelectSpec, rig: Rig, progress: Progress) -> WeightS
         emotions=tuple(motions[take].emotion for take, _ in takes.places(rows)),
         performer=takes.sources[0].performer,
         session=takes.sources[0].session,
+        rate=float(takes.sources[0].rate),
         source_names=names,
         source=source[rows],
     )

@@ -32,6 +32,7 @@ DONE = ROOT.AppendProperty("face:reference:done")
 VISEME = ROOT.AppendProperty("face:reference:viseme")
 EMOTION = ROOT.AppendProperty("face:reference:emotion")
 PLACEMENT = "face:reference:placement"
+RATE = "face:reference:rate"
 
 
 SAME_WEIGHT = 1e-6
@@ -131,6 +132,7 @@ def read_references(path: Path) -> References:
         emotions=_labels(root, EMOTION, pairs),
         performer=_text(root, "face:performer"),
         session=_text(root, "face:session"),
+        rate=_read_rate(root, path),
         placement=_read_placement_path(root, path),
         source_names=source_names,
         source=_stack(path, source.GetBlendShapeWeightsAttr(), pairs, (len(source_names),))
@@ -150,6 +152,15 @@ def _read_combinations(stage: Usd.Stage, path: Path) -> tuple[Combination, ...]:
 def _text(root: Usd.Prim, name: str) -> str:
     attribute = root.GetAttribute(name)
     return str(attribute.Get() or "") if attribute else ""
+
+
+def _read_rate(root: Usd.Prim, path: Path) -> float:
+    """Return the takes' rate; 0 where it is not said."""
+    attribute = root.GetAttribute(RATE)
+    rate = float(attribute.Get() or 0.0) if attribute else 0.0
+    if not (np.isfinite(rate) and rate >= 0):
+        raise InputError(f"{path}: {RATE} is {rate}, no frames per second; select again")
+    return rate
 
 
 def _read_placement_path(root: Usd.Prim, path: Path) -> Path | None:

@@ -26,6 +26,7 @@ from usdface.usdio.references.read import (
     FRAME_PATH,
     MARKERS_PATH,
     PLACEMENT,
+    RATE,
     RIG,
     ROOT,
     SOURCE_PATH,
@@ -209,6 +210,8 @@ def _author_pairs(layer: Sdf.Layer, references: References) -> None:
     ):
         if text:
             author_uniform(root, name, Sdf.ValueTypeNames.String, text)
+    if references.rate:
+        author_uniform(root, RATE, Sdf.ValueTypeNames.Double, references.rate)
     points = define_prim(layer, MARKERS_PATH, "Points")
     apply_api(points, "FaceMarkersAPI")
     for name, kind, value in (
