@@ -1,6 +1,7 @@
 """The choice of a method: the default, unless another is better by more than chance."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from scipy.stats import ttest_rel
 
 from tests.model.synthetic import MARKERS, RIGID, references_of, synthetic_face
 from usdface.model import predict_weights, train_mapping
-from usdface.model.mapping import candidates
+from usdface.model.mapping import candidates, train
 from usdface.model.mapping.candidates import paired_t, time_blocks
 
 
@@ -16,6 +17,28 @@ def test_blocks_are_of_a_take_and_of_time() -> None:
     blocks = time_blocks(np.array([1, 100, 130, 500, 100]), ("a", "a", "a", "a", "b"), length=120)
     assert blocks[0] == blocks[1]
     assert len(set(blocks.tolist())) == 4
+
+
+@pytest.mark.parametrize("rate", [24.0, 60.0])
+def test_folds_and_blocks_are_of_seconds_at_any_rate(
+    rate: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[candidates.PairFolds] = []
+
+    class Recorded(candidates.PairFolds):
+        def __init__(self, *given: Any) -> None:
+            super().__init__(*given)
+            made.append(self)
+
+    monkeypatch.setattr(train, "PairFolds", Recorded)
+    face = synthetic_face(frames=round(20 * rate))
+    keyed = np.arange(0, 20 * rate, rate / 2).astype(int)  # two a second
+    references = replace(references_of(face, keyed), rate=rate)
+    train_mapping(references, ranges=face.ranges, gram=face.gram, method="ridge")
+    (folds,) = made
+    assert len(set(folds.blocks.tolist())) == 20
+    for fold in folds.folds:  # neighbours half a second away are no neighbours
+        assert len(fold.train) + len(fold.test) == len(keyed)
 
 
 def test_t_is_that_of_scipy_over_means_of_blocks() -> None:

@@ -40,6 +40,7 @@ def small_references(folder: Path, pairs: int = 5, seed: int = 0) -> References:
         neutral=rng.normal(0, 50, (4, 3)),
         rig_file=folder / "rig.usda",
         rig_prim="/Hero",
+        rate=30000 / 1001,
         motion=MotionSpace(
             mean=rng.normal(0, 50, 12),
             components=components,
@@ -78,7 +79,7 @@ def tune(folder: Path, references: References, pairs: dict[int, float]) -> None:
 def test_references_read_back_the_same(tmp_path: Path) -> None:
     references = small_references(tmp_path)
     back = read_references(write(tmp_path, references))
-    for field in ("marker_names", "shape_names", "takes", "rigid", "rig_prim"):
+    for field in ("marker_names", "shape_names", "takes", "rigid", "rig_prim", "rate"):
         assert getattr(back, field) == getattr(references, field)
     for field in ("weights", "frames", "tuned"):
         np.testing.assert_array_equal(getattr(back, field), getattr(references, field))
@@ -89,6 +90,16 @@ def test_references_read_back_the_same(tmp_path: Path) -> None:
         np.testing.assert_allclose(
             getattr(back.motion, field), getattr(references.motion, field), rtol=1e-12
         )
+
+
+@pytest.mark.parametrize("rate", [-24.0, float("nan"), float("inf")])
+def test_a_rate_that_is_none_is_refused(tmp_path: Path, rate: float) -> None:
+    path = write(tmp_path, small_references(tmp_path))
+    layer = Sdf.Layer.FindOrOpen(str(path))
+    layer.GetAttributeAtPath("/References.face:reference:rate").default = rate
+    layer.Save()
+    with pytest.raises(InputError, match=r"face:reference:rate is .*, no frames per second"):
+        read_references(path)
 
 
 def test_arrays_are_in_a_binary_layer_and_assets_that_hold_them_as_text_are_read(
