@@ -32,12 +32,12 @@ def test_folds_and_blocks_are_of_seconds_at_any_rate(
 
     monkeypatch.setattr(train, "PairFolds", Recorded)
     face = synthetic_face(frames=round(20 * rate))
-    keyed = np.arange(0, 20 * rate, rate / 2).astype(int)  # two a second
+    keyed = np.arange(0, 20 * rate, rate).astype(int)  # one a second
     references = replace(references_of(face, keyed), rate=rate)
     train_mapping(references, ranges=face.ranges, gram=face.gram, method="ridge")
     (folds,) = made
-    assert len(set(folds.blocks.tolist())) == 20
-    for fold in folds.folds:  # neighbours half a second away are no neighbours
+    assert len(set(folds.blocks.tolist())) == 10  # of two seconds
+    for fold in folds.folds:  # none is within half a second of another
         assert len(fold.train) + len(fold.test) == len(keyed)
 
 

@@ -38,13 +38,13 @@ _STANDARD_ERROR_T = 1.0
 """The same of a method's own setting: the usual one is kept within a standard error of the best
 (Breiman et al. 1984, the one-standard-error rule)."""
 
-_NEIGHBOUR_SECONDS = 0.25
-"""Pairs nearer are one moment, as in review: neither tells how the other would be predicted."""
+_NEIGHBOUR_SECONDS = 0.5
+"""Pairs nearer are one moment: neither tells how the other would be predicted without it."""
 
-_BLOCK_SECONDS = 1.0
+_BLOCK_SECONDS = 2.0
 """Faces and their errors last about as long."""
 
-_USUAL_RATE = 120.0
+_USUAL_RATE = 60.0
 """Frames per second, where references do not say theirs."""
 
 
