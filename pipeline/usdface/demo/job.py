@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from usdface.capture.face_landmarker import FaceLandmarker, check_model
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, columns_by_name
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
@@ -20,6 +20,8 @@ from usdface.demo.build import (
     write_weights,
 )
 from usdface.demo.script import NEUTRAL_TIME
+from usdface.model.mapping.evaluation import SkinRuler
+from usdface.model.review.moments import region_distances
 from usdface.runner.job import JobEvents, run_job
 from usdface.runner.outputs import confine
 from usdface.runner.result import StepResult
@@ -84,7 +86,7 @@ def run_demo(
     outputs = tuple(dict.fromkeys(path for report in reports for path in report.outputs))
     return StepResult(
         (job_file, *outputs),
-        f"{len(error)} frames that were not keyed: surface error {np.mean(error):.2f} mm on "
+        f"{len(error)} frames that were not keyed: error of the skin {np.mean(error):.2f} mm on "
         f"average, {np.percentile(error, 95):.2f} mm at the 95th percentile",
         (
             f"look at {folder / 'demo.sheet.jpg'}, open {folder / 'demo.report.html'} in a browser "
@@ -193,18 +195,14 @@ def _job(inputs: DemoInputs, folder: Path, model: Path | None) -> JobSpec:
 
 
 def _error_of_other_frames(inputs: DemoInputs, folder: Path) -> FloatArray:
-    """Return the surface error of every frame that is no reference [mm]."""
-    performance = read_performance(folder / "demo.character.usda")
-    rig = read_rig(inputs.rig)
-    truth = np.zeros((len(inputs.truth.values), len(rig.shapes)))
-    for column, name in enumerate(inputs.truth.names):
-        truth[:, rig.shapes.index(name)] = inputs.truth.values[:, column]
-    solved = np.zeros_like(truth)
-    for column, name in enumerate(performance.weights.names):
-        solved[:, rig.shapes.index(name)] = performance.weights.values[:, column]
-    error = solved - truth
-    squared = ((error @ Deformer(rig).shapes.gram()) * error).sum(axis=1)
-    keyed = read_references(folder / "demo.references.usda").frames - inputs.truth.first_frame
-    held_out = np.ones(len(error), dtype=np.bool_)
-    held_out[keyed] = False
-    return np.asarray(np.sqrt(np.maximum(squared[held_out], 0.0)))
+    """Return the error of the skin in every frame that is no reference [mm]; see `SkinRuler`."""
+    rig, truth = read_rig(inputs.rig), inputs.truth
+    solved = read_performance(folder / "demo.character.usda").weights
+    weights, wanted = (
+        columns_by_name(each.values, each.names, rig.shapes).astype(np.float64)
+        for each in (solved, truth)
+    )
+    ruler = SkinRuler(rig, Deformer(rig))
+    error = region_distances(ruler.differences(weights, wanted), ruler.grams[:1])[:, 0]
+    keyed = read_references(folder / "demo.references.usda").frames - truth.first_frame
+    return np.asarray(np.delete(error, keyed))
