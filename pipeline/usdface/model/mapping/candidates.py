@@ -194,11 +194,17 @@ def compare_candidates(
 
 
 def choose_common_error(
-    folds: PairFolds, compared: Comparison, references: References
+    folds: PairFolds, compared: Comparison, references: References, gram: FloatArray
 ) -> tuple[PairFolds, Comparison]:
     """Let more markers count as one for as long as pairs not seen are predicted better by it.
 
-    Keys are corrected anew, since they too are moved as far as markers are believed.
+    Gaze counts as well: landmarks that a model finds show it, and err together there too. Keys are
+    corrected anew, since they too are moved as far as markers are believed.
+
+    Parameters
+    ----------
+    gram : (shapes, shapes) float array
+        Of all shapes [mm^2].
     """
     best, usual, common = compared.best, compared.unseen, folds.corrected.common
     if usual is None or usual.usual is None:
@@ -206,28 +212,26 @@ def choose_common_error(
     unseen = usual
     for more in COMMON_ERRORS[1:]:
         found = folds.solve(usual.start, usual.usual, more)
-        if not is_better(found, unseen, folds, by=_STANDARD_ERROR_T):
+        if paired_t(unseen.errors, found.errors, gram, folds.blocks) <= _STANDARD_ERROR_T:
             break
         common, unseen = more, found
     if common == folds.corrected.common:
         return folds, compared
     chosen = PairFolds(correct_pairs(folds.corrected.as_given(), common=common), references)
     unseen = chosen.predict(best)
-    if not is_better(unseen, usual, folds, by=_STANDARD_ERROR_T):
+    if paired_t(usual.errors, unseen.errors, gram, folds.blocks) <= _STANDARD_ERROR_T:
         return folds, compared
     named = Candidate(best.method, best.settings | {"common_error": common})
-    gram = None if np.isnan(compared.scores[0].vertex_rms_mm) else folds.pairs.face.gram
-    score = _score(named, unseen.errors, compared.observable, gram)
+    skin = None if np.isnan(compared.scores[0].vertex_rms_mm) else folds.pairs.face.gram
+    score = _score(named, unseen.errors, compared.observable, skin)
     scores = tuple(sorted((score, *compared.scores), key=_order))
     return chosen, replace(compared, unseen=unseen, scores=scores)
 
 
-def is_better(
-    other: UnseenPairs, usual: UnseenPairs, folds: PairFolds, *, by: float = _LEAST_T
-) -> bool:
-    """Whether one prediction of the pairs errs less than the usual one, by so many errors of it."""
+def is_better(other: UnseenPairs, usual: UnseenPairs, folds: PairFolds) -> bool:
+    """Whether one prediction of the pairs errs less than the usual one, beyond chance."""
     gram = folds.pairs.face.gram
-    return paired_t(usual.errors, other.errors, gram, folds.blocks) > by
+    return paired_t(usual.errors, other.errors, gram, folds.blocks) > _LEAST_T
 
 
 def time_blocks(frames: IntArray, takes: Sequence[str], *, length: int) -> IntArray:
