@@ -137,11 +137,12 @@ def _write(folder: Path, rig: Rig, weights: FloatArray) -> Path:
             rate=RATE,
             first_frame=1,
             last_frame=len(weights),
+            regions=("face",),
             timecode_start="01:00:00:00",
         ),
         rig,
     ) as writer:
-        writer.append(weights, confidence=np.full(len(weights), 0.9))
+        writer.append(weights, uncertainty_mm=np.full((len(weights), 1), 0.2))
     spec = ReportSpec(
         performance=folder / "minute.usda",
         take=folder / "minute.take.usda",
