@@ -194,7 +194,7 @@ def compare_candidates(
 
 
 def choose_common_error(
-    folds: PairFolds, compared: Comparison, references: References, gram: FloatArray
+    folds: PairFolds, compared: Comparison, references: References, gram: FloatArray | None
 ) -> tuple[PairFolds, Comparison]:
     """Let more markers count as one for as long as pairs not seen are predicted better by it.
 
@@ -203,23 +203,24 @@ def choose_common_error(
 
     Parameters
     ----------
-    gram : (shapes, shapes) float array
-        Of all shapes [mm^2].
+    gram : (shapes, shapes) float array or None
+        Of all shapes [mm^2]; None counts every weight alike.
     """
+    every = folds.pairs.face.gram if gram is None else gram.astype(np.float64)
     best, usual, common = compared.best, compared.unseen, folds.corrected.common
     if usual is None or usual.usual is None:
         return folds, compared
     unseen = usual
     for more in COMMON_ERRORS[1:]:
         found = folds.solve(usual.start, usual.usual, more)
-        if paired_t(unseen.errors, found.errors, gram, folds.blocks) <= _STANDARD_ERROR_T:
+        if paired_t(unseen.errors, found.errors, every, folds.blocks) <= _STANDARD_ERROR_T:
             break
         common, unseen = more, found
     if common == folds.corrected.common:
         return folds, compared
     chosen = PairFolds(correct_pairs(folds.corrected.as_given(), common=common), references)
     unseen = chosen.predict(best)
-    if paired_t(usual.errors, unseen.errors, gram, folds.blocks) <= _STANDARD_ERROR_T:
+    if paired_t(usual.errors, unseen.errors, every, folds.blocks) <= _STANDARD_ERROR_T:
         return folds, compared
     named = Candidate(best.method, best.settings | {"common_error": common})
     skin = None if np.isnan(compared.scores[0].vertex_rms_mm) else folds.pairs.face.gram

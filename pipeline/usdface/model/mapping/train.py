@@ -101,8 +101,7 @@ def train_mapping(
     folds = PairFolds(correct_pairs(_pairs(checked, face)), checked)
     candidates = list_candidates(folds.pairs, method, choices)
     compared = compare_candidates(candidates, folds, in_mm=gram is not None, progress=progress)
-    whole = face.gram if gram is None else gram.astype(np.float64)
-    folds, compared = choose_common_error(folds, compared, checked, whole)
+    folds, compared = choose_common_error(folds, compared, checked, gram)
     corrected, best = folds.corrected, compared.best
     progress(0.9, f"fitting {best.method.name}")
     fitted = best.method.fit(corrected.known_to(best.method), best.settings)
