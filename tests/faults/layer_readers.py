@@ -15,12 +15,8 @@ from usdface.usdio.layers import read_provenance
 from usdface.usdio.mapping import read_alpha_keys, read_mapping
 from usdface.usdio.performance.read import PerformanceReader, read_performance
 from usdface.usdio.referenced_files import frame_range_of, referenced_files
-from usdface.usdio.references.read import (
-    read_pair_notes,
-    read_proposals,
-    read_references,
-    read_tuned_pairs,
-)
+from usdface.usdio.references.read import read_pair_notes, read_references
+from usdface.usdio.references.weight_layers import read_proposals, read_tuned_pairs
 from usdface.usdio.retarget.controls import read_control_clip
 from usdface.usdio.retarget.pairs import read_pairs
 from usdface.usdio.retarget.retargeting import read_retargeting

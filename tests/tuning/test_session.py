@@ -13,7 +13,8 @@ from usdface.core.sidecars import tuned_path
 from usdface.tuning import session as session_module
 from usdface.tuning.journal import Change
 from usdface.tuning.session import StaleRevisionError, TuningSession
-from usdface.usdio.references.read import TunedPair, read_references, read_tuned_pairs
+from usdface.usdio.references.read import read_references
+from usdface.usdio.references.weight_layers import TunedPair, read_tuned_pairs
 from usdface.usdio.references.write import write_tuned_weights
 
 

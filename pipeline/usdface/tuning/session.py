@@ -15,11 +15,11 @@ from usdface.core.provenance import Provenance, canonical_json, hash_files
 from usdface.core.sidecars import journal_path, lock_path, proposed_path, tuned_path
 from usdface.tuning.journal import Change, Journal, flush_folder
 from usdface.usdio.layers import read_provenance
-from usdface.usdio.references.read import (
+from usdface.usdio.references.read import read_references
+from usdface.usdio.references.weight_layers import (
     TunedPair,
     check_tuned_layer,
     read_proposals,
-    read_references,
     read_tuned_pairs,
 )
 from usdface.usdio.references.write import write_tuned_layer

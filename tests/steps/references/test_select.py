@@ -21,7 +21,8 @@ from usdface.runner.execute import execute
 from usdface.specs.references import ReferenceSheetSpec, ReferencesImportSpec, SelectSpec
 from usdface.steps.references import select
 from usdface.usdio.performance.read import read_performance
-from usdface.usdio.references.read import read_references, read_set_references, read_tuned_pairs
+from usdface.usdio.references.read import read_references
+from usdface.usdio.references.weight_layers import read_set_references, read_tuned_pairs
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
 from usdface.usdio.take.read import read_take

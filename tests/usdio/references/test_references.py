@@ -13,12 +13,8 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 from tests.usdio.small_rig import small_rig
 from usdface.core.assets import MotionSpace, References
 from usdface.core.errors import InputError
-from usdface.usdio.references.read import (
-    PLACEMENT,
-    TunedPair,
-    read_references,
-    read_tuned_pairs,
-)
+from usdface.usdio.references.read import PLACEMENT, read_references
+from usdface.usdio.references.weight_layers import TunedPair, read_tuned_pairs
 from usdface.usdio.references.write import write_references, write_tuned_weights
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig

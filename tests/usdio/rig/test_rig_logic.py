@@ -19,7 +19,8 @@ from usdface.usdio.performance.edits import ShapeEdit, write_edits
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import make_header
 from usdface.usdio.performance.write import writing_performance
-from usdface.usdio.references.read import TunedPair, read_references, read_tuned_pairs
+from usdface.usdio.references.read import read_references
+from usdface.usdio.references.weight_layers import TunedPair, read_tuned_pairs
 from usdface.usdio.references.write import write_references, write_tuned_weights
 from usdface.usdio.rig.posed_points import PosedRig
 from usdface.usdio.rig.read import read_rig

@@ -187,7 +187,8 @@ def compare_candidates(
     if scored:
         winner = scored[0]
         usual = next((each for each in scored if each[1].method.name == AUTO[0]), winner)
-        if not is_better(winner[2], usual[2], folds):
+        errors = usual[2].errors, winner[2].errors
+        if paired_t(*errors, pairs.face.gram, folds.blocks) <= _LEAST_T:
             winner = usual
         best, unseen = winner[1], winner[2]
     return Comparison(best, unseen, observable, tuple(score for score, _, _ in scored))
@@ -227,12 +228,6 @@ def choose_common_error(
     score = _score(named, unseen.errors, compared.observable, skin)
     scores = tuple(sorted((score, *compared.scores), key=_order))
     return chosen, replace(compared, unseen=unseen, scores=scores)
-
-
-def is_better(other: UnseenPairs, usual: UnseenPairs, folds: PairFolds) -> bool:
-    """Whether one prediction of the pairs errs less than the usual one, beyond chance."""
-    gram = folds.pairs.face.gram
-    return paired_t(usual.errors, other.errors, gram, folds.blocks) > _LEAST_T
 
 
 def time_blocks(frames: IntArray, takes: Sequence[str], *, length: int) -> IntArray:

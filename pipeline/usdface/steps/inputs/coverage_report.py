@@ -30,7 +30,7 @@ from usdface.steps.inputs.scene import (
     set_up_scene,
     takes_head_space,
 )
-from usdface.usdio.references.read import read_set_references
+from usdface.usdio.references.weight_layers import read_set_references
 from usdface.usdio.rig.read import read_rig
 
 FURTHER_FRAMES = 10

@@ -22,7 +22,7 @@ from usdface.steps.inputs.name_tables import check_no_name_twice, transfer_by_ta
 from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.usdio.performance.exported_weights import has_channels_per_mesh
 from usdface.usdio.performance.read import PerformanceReader
-from usdface.usdio.references.read import read_set_references
+from usdface.usdio.references.weight_layers import read_set_references
 from usdface.usdio.retarget.pairs import keyed_above, read_pairs
 from usdface.usdio.take.read import TakeReader, is_take
 

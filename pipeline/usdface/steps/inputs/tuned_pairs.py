@@ -16,10 +16,10 @@ from usdface.model.selection.coverage import (
 )
 from usdface.specs.references import SelectSpec
 from usdface.steps.inputs.cleaned_takes import CleanedTakes
-from usdface.usdio.references.read import (
+from usdface.usdio.references.read import read_references
+from usdface.usdio.references.weight_layers import (
     TunedPair,
     find_keyed_pairs,
-    read_references,
     read_set_references,
     read_tuned_pairs,
 )

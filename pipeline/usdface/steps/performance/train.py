@@ -28,7 +28,7 @@ from usdface.runner.result import StepResult
 from usdface.specs.performance import TrainSpec
 from usdface.steps.inputs.placement import registered_places
 from usdface.usdio.mapping import write_mapping
-from usdface.usdio.references.read import read_proposals, read_set_references
+from usdface.usdio.references.weight_layers import read_proposals, read_set_references
 from usdface.usdio.rig.read import read_rig
 
 

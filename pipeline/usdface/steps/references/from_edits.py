@@ -25,12 +25,11 @@ from usdface.steps.inputs.source_motion import read_source_motion
 from usdface.steps.references.coverage import redraw_coverage
 from usdface.steps.references.performance_inputs import MovedInputs, made_from
 from usdface.usdio.performance.read import PerformanceReader
-from usdface.usdio.references.read import (
+from usdface.usdio.references.read import read_pair_notes, read_references
+from usdface.usdio.references.weight_layers import (
     SAME_WEIGHT,
     TunedPair,
-    read_pair_notes,
     read_proposals,
-    read_references,
     read_tuned_pairs,
 )
 from usdface.usdio.references.write import write_references

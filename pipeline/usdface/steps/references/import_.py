@@ -20,7 +20,8 @@ from usdface.steps.inputs.name_tables import check_no_name_twice, transfer_by_ta
 from usdface.steps.inputs.tuned_pairs import tuned_conflicts
 from usdface.steps.inputs.weight_tables import WeightTable, read_weight_table, weights_meant
 from usdface.steps.references.coverage import redraw_coverage
-from usdface.usdio.references.read import TunedPair, read_references
+from usdface.usdio.references.read import read_references
+from usdface.usdio.references.weight_layers import TunedPair
 from usdface.usdio.references.write import write_tuned_weights
 from usdface.usdio.take.read import TakeReader
 

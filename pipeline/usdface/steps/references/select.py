@@ -70,7 +70,7 @@ from usdface.steps.references.images import (
 from usdface.steps.references.select_notes import next_step, selection_notes
 from usdface.steps.references.weight_takes import carry_weights_alone, select_by_weights
 from usdface.usdio.mapping import read_mapping
-from usdface.usdio.references.read import read_tuned_pairs
+from usdface.usdio.references.weight_layers import read_tuned_pairs
 from usdface.usdio.references.write import write_references
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.surface.placement import RigPlacement, write_placement

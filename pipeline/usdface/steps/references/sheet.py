@@ -32,7 +32,8 @@ from usdface.specs.references import ReferenceSheetSpec
 from usdface.speech.phones import viseme_label
 from usdface.steps.inputs.marker_lines import lines_on_rig
 from usdface.steps.inputs.placement import placed_equation, stored_placement
-from usdface.usdio.references.read import read_pair_notes, read_set_references
+from usdface.usdio.references.read import read_pair_notes
+from usdface.usdio.references.weight_layers import read_set_references
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import read_take
 

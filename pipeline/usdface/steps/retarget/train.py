@@ -27,7 +27,7 @@ from usdface.model.retarget.train import (
 from usdface.runner.result import StepResult
 from usdface.specs.retarget import TrainRetargetSpec
 from usdface.steps.inputs.source_motion import read_source_motion, source_columns
-from usdface.usdio.references.read import read_set_references
+from usdface.usdio.references.weight_layers import read_set_references
 from usdface.usdio.retarget.pairs import read_pairs
 from usdface.usdio.retarget.retargeting import write_retargeting
 from usdface.usdio.rig.read import read_rig

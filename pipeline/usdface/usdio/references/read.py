@@ -1,6 +1,6 @@
 """Read references: the pairs as they compose, and what people tuned in the tuned layer alone."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +10,9 @@ from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import MotionSpace, References
 from usdface.core.errors import InputError
 from usdface.core.rig_logic import Combination
-from usdface.core.sidecars import proposed_path, tuned_path
-from usdface.core.text import first_few, json_object
+from usdface.core.text import json_object
 from usdface.usdio.authoring import read_array_samples
-from usdface.usdio.layers import open_layer, read_provenance, refusing_wrong_types
+from usdface.usdio.layers import read_provenance, refusing_wrong_types
 from usdface.usdio.references.pair_layers import open_pair_stage
 from usdface.usdio.rig.read import faces_below, read_combinations
 from usdface.usdio.rig.reference import rig_of
@@ -33,48 +32,6 @@ VISEME = ROOT.AppendProperty("face:reference:viseme")
 EMOTION = ROOT.AppendProperty("face:reference:emotion")
 PLACEMENT = "face:reference:placement"
 RATE = "face:reference:rate"
-
-
-SAME_WEIGHT = 1e-6
-"""Weights that differ by less are equal: layers hold single precision."""
-
-
-@dataclass(frozen=True)
-class TunedPair:
-    """Weights that a person set for one frame of a take, by shape name.
-
-    `done` says that the person has finished with the pair, not only touched it.
-    """
-
-    pair: int
-    take: str
-    frame: int
-    weights: dict[str, float]
-    done: bool = True
-
-
-@refusing_wrong_types
-def read_tuned_pairs(path: Path) -> list[TunedPair]:
-    """Return what people tuned, as the tuned layer alone says it; empty without the layer."""
-    if not path.is_file():
-        return []
-    layer = open_layer(path)
-    names = _layer_shapes(layer) or []
-    found = []
-    for time in layer.ListTimeSamplesForPath(TUNED):
-        if not layer.QueryTimeSample(TUNED, time):
-            continue
-        weights = _weights_at(layer, path, time, names, "restore the layer from its last version")
-        found.append(
-            TunedPair(
-                pair=round(time) - 1,
-                take=str(layer.QueryTimeSample(TAKE, time)),
-                frame=int(layer.QueryTimeSample(FRAME_PATH, time)),
-                weights=dict(zip(names, weights.tolist(), strict=True)),
-                done=layer.QueryTimeSample(DONE, time) is not False,
-            )
-        )
-    return found
 
 
 @refusing_wrong_types
@@ -246,64 +203,6 @@ class PairNotes:
 
 
 @refusing_wrong_types
-def read_proposals(path: Path, references: References) -> FloatArray:
-    """Return the proposed weights alone, in the order of a references asset's shapes.
-
-    Parameters
-    ----------
-    references : References
-        The asset the layer belongs to.
-
-    Returns
-    -------
-    (pairs, shapes) float array
-    """
-    layer = open_layer(path)
-    names = _layer_shapes(layer) or []
-    _check_shapes(path, names, references)
-    order = [names.index(name) for name in references.shape_names]
-    rows = np.zeros((len(references.frames), len(names)))
-    for pair in range(len(rows)):
-        rows[pair] = _weights_at(layer, path, pair + 1, names, "select again")
-    return rows[:, order]
-
-
-@refusing_wrong_types
-def check_tuned_layer(path: Path, references: References) -> None:
-    """Refuse a tuned layer that belongs to another selection or another rig."""
-    if not path.is_file():
-        return
-    layer = open_layer(path)
-    names = _layer_shapes(layer)
-    if names is None:
-        return
-    _check_shapes(path, names, references)
-    times = layer.ListTimeSamplesForPath(WEIGHTS_ATTRIBUTE)
-    count = len(references.frames)
-    if [round(time) for time in times] != list(range(1, count + 1)):
-        raise InputError(
-            f"{path}: holds {len(times)} pairs and the references {count}: it belongs to "
-            "another selection. Nothing was changed; put back the layer that belongs here, or "
-            "move this one away and bring its weights in with `usdface references import`"
-        )
-    for pair in range(count):
-        frame, take = (
-            layer.QueryTimeSample(FRAME_PATH, pair + 1),
-            layer.QueryTimeSample(TAKE, pair + 1),
-        )
-        if frame is None and take is None:
-            continue  # keyed in a DCC, which knows nothing of our flags
-        expected = (int(references.frames[pair]), references.takes[pair])
-        if (frame, str(take)) != expected:
-            raise InputError(
-                f"{path}: pair {pair + 1} was tuned for frame {frame} of {take}, and the "
-                f"references have frame {expected[0]} of {expected[1]} there: it belongs to "
-                "another selection. Nothing was changed; put back the layer that belongs here, or "
-                "move this one away and bring its weights in with `usdface references import`"
-            )
-
-
-@refusing_wrong_types
 def read_pair_notes(path: Path) -> list[PairNotes]:
     """Return what a references asset says of each pair but its markers and weights, in order."""
     stage = open_pair_stage(
@@ -343,67 +242,3 @@ def take_files(path: Path) -> tuple[Path, ...]:
         of = {} if made is None else json_object(made.spec)
         files += [performance.parent / str(of[name]) for name in ("take", "source") if name in of]
     return tuple(files)
-
-
-def _layer_shapes(layer: Sdf.Layer) -> list[str] | None:
-    """Return the shapes whose weights a layer has; None where it has no weights."""
-    prim = layer.GetPrimAtPath(WEIGHTS_PATH)
-    if prim is None or "blendShapes" not in prim.attributes:
-        return None
-    return [str(name) for name in prim.attributes["blendShapes"].default or ()]
-
-
-def _weights_at(
-    layer: Sdf.Layer, path: Path, time: float, names: list[str], remedy: str
-) -> FloatArray:
-    weights = layer.QueryTimeSample(WEIGHTS_ATTRIBUTE, time)
-    if weights is None or len(weights) != len(names):
-        raise InputError(
-            f"{path} <{WEIGHTS_ATTRIBUTE}> time code {time:g}: "
-            f"{0 if weights is None else len(weights)} weights for {len(names)} shapes; {remedy}"
-        )
-    return np.array(weights, np.float64)
-
-
-def _check_shapes(path: Path, names: list[str], references: References) -> None:
-    missing = [name for name in references.shape_names if name not in names]
-    driven = {each.shape for each in references.combinations}
-    names = [name for name in names if name not in driven]
-    if missing or len(names) != len(references.shape_names):
-        raise InputError(
-            f"{path}: holds {len(names)} shapes and the references {len(references.shape_names)}"
-            + (f", without {first_few(missing)}" if missing else "")
-            + ": it belongs to another rig. Nothing was changed; put back the layer that belongs "
-            "here, or select again"
-        )
-
-
-def find_keyed_pairs(path: Path, references: References) -> list[int]:
-    """Return the pairs whose weights are neither those proposed nor those marked as tuned.
-
-    Parameters
-    ----------
-    references : References
-        As it composes.
-    """
-    check_tuned_layer(tuned_path(path), references)
-    shown = read_proposals(proposed_path(path), references).copy()
-    for each in read_tuned_pairs(tuned_path(path)):
-        shown[each.pair] = [each.weights.get(name, 0.0) for name in references.shape_names]
-    away = np.abs(references.weights - shown).max(axis=1, initial=0.0) > SAME_WEIGHT
-    return list(np.flatnonzero(away).tolist())
-
-
-def read_set_references(path: Path) -> References:
-    """Read references of which those count as tuned that a person set, on the page or in a DCC.
-
-    Where the layers beneath the asset cannot be read, those that are marked.
-    """
-    references = read_references(path)
-    try:
-        keyed = find_keyed_pairs(path, references)
-    except InputError:
-        return references
-    tuned = references.tuned.copy()
-    tuned[keyed] = True
-    return replace(references, tuned=tuned)

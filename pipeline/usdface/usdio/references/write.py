@@ -35,9 +35,8 @@ from usdface.usdio.references.read import (
     VISEME,
     WEIGHTS_ATTRIBUTE,
     WEIGHTS_PATH,
-    TunedPair,
-    read_tuned_pairs,
 )
+from usdface.usdio.references.weight_layers import TunedPair, read_tuned_pairs
 from usdface.usdio.rig.reference import (
     define_reference,
     point_skeletons_at,
