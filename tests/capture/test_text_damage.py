@@ -73,7 +73,7 @@ FAULTS = {
     "vicon: two takes": ("vicon-csv", VICON + "\n" + VICON, "a second block of trajectories"),
     "vicon: only devices": ("vicon-csv", VICON[: VICON.index("\nTraj")], r"no block .*Devices"),
     "vicon: two units": ("vicon-csv", VICON.replace("mm,mm,mm", "m,mm,mm", 1), "several units"),
-    "vicon: no rate": ("vicon-csv", VICON.replace("\n120\n", "\nfast\n"), "'fast' where the rate"),
+    "vicon: no rate": ("vicon-csv", VICON.replace("\n120\n", "\nfast\n"), "the rate is 'fast'"),
     "vicon: a word for a number": (
         "vicon-csv", replaced(VICON, 18, 3, "x"), r"line 18, column 3 \(Kim:brow_L X\): 'x'"),
     "motive: no markers": (

@@ -18,13 +18,11 @@ from typing import Any
 import numpy as np
 
 from usdface.capture.text_table import (
-    check_columns,
     head_lines,
+    read_header,
     read_lines,
     read_number_table,
     sniff_delimiter,
-    split_cells,
-    without_empty_tail,
 )
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.confinement import check_may_open
@@ -157,10 +155,7 @@ def _kind(title: str) -> str:
 
 def _read_csv(path: Path) -> WeightSamples:
     lines = read_lines(path)
-    header = next(lines)
-    delimiter = sniff_delimiter(header.text) or ","
-    titles = without_empty_tail(split_cells(header, delimiter))
-    check_columns(titles, header)
+    header, delimiter, titles = read_header(lines)
     kinds = [_kind(title) for title in titles]
     if not any(kind in ("frame", "time", "ms") for kind in kinds) and len(titles) < _FEWEST_SHAPES:
         raise InputError(
