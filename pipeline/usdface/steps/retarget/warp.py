@@ -225,8 +225,7 @@ def _limit(
 ) -> None:
     """Keep weights within what the rig, the performance and the sequences have: no overshoot."""
     count = len(space.shapes)
-    ranges = dict(zip(rig.shapes, rig.ranges, strict=True))
-    own = np.array([ranges.get(name, (0.0, 1.0)) for name in space.shapes]).reshape(-1, 2)
+    own = rig.ranges_of(space.shapes)
     parts = [before[:, :count], *(each.keys[:, :count] for each in insertions)]
     low = np.min([own[:, 0], *(part.min(axis=0) for part in parts)], axis=0)
     high = np.max([own[:, 1], *(part.max(axis=0) for part in parts)], axis=0)
