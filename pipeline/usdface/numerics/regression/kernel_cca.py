@@ -68,13 +68,7 @@ class _Spectrum:
 
 
 def median_width(points: FloatArray, *, multiple: float = 1.0) -> float:
-    """Return a multiple of the median distance between points.
-
-    Raises
-    ------
-    ValueError
-        If the points coincide.
-    """
+    """Return a multiple of the median distance between points."""
     from scipy.spatial.distance import pdist  # only when wanted: it takes half a second
 
     distances = pdist(points)

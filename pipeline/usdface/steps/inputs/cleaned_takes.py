@@ -152,14 +152,7 @@ def check_neutral_frame(path: Path, markers: Markers, first: int, last: int) -> 
 
 
 def read_cleaned_takes(paths: tuple[Path, ...]) -> CleanedTakes:
-    """Read cleaned takes and bring them together.
-
-    Raises
-    ------
-    InputError
-        If a take is not cleaned, two have one name, they share too few markers, or they are of
-        several performers.
-    """
+    """Read cleaned takes and bring them together."""
     takes = [read_cleaned(path) for path in paths]
     _check_names(paths, takes)
     _check_performers(paths, takes)

@@ -23,13 +23,7 @@ LARGEST_SHARE = 10.0
 
 
 def check_no_name_twice(path: Path, names: Iterable[str], transfer: Transfer) -> None:
-    """Refuse names that differ in capitals and separators alone, where one keeps another out.
-
-    Raises
-    ------
-    InputError
-        With both names.
-    """
+    """Refuse names that differ in capitals and separators alone, where one keeps another out."""
     spelled: dict[str, str] = {}
     doubtful = {each.partition(": ")[0] for each in transfer.ambiguous}
     for name in names:
@@ -44,14 +38,7 @@ def check_no_name_twice(path: Path, names: Iterable[str], transfer: Transfer) ->
 
 
 def transfer_by_table(path: Path, source: Sequence[str], target: Sequence[str]) -> Transfer:
-    """Match as a table says that `usdface names` wrote and somebody edited.
-
-    Raises
-    ------
-    InputError
-        If the file is no such table, names a shape that the target lacks or none that the source
-        has, or says two weights of one pair.
-    """
+    """Match as a table says that `usdface names` wrote and somebody edited."""
     rows = _read_rows(path)
     row_of, column_of = index_of(source), index_of(target)
     matrix = np.zeros((len(source), len(target)))

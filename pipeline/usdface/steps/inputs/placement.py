@@ -179,13 +179,7 @@ def judge_stored(path: Path, takes: CleanedTakes, rig: Rig) -> PlacedTakes:
 def read_placement_of(
     path: Path, rig: Rig, names: tuple[str, ...], neutral: FloatArray
 ) -> RigPlacement:
-    """Read a placement that is given for a performer's markers on a rig.
-
-    Raises
-    ------
-    InputError
-        If it is of another rig, marker set or face.
-    """
+    """Read a placement that is given for a performer's markers on a rig."""
     placement = read_placement(path, rig)
     missing = _missing(placement, names)
     if missing:

@@ -206,13 +206,6 @@ class WeightsWriter:
         ----------
         copied_to : callable
             Called with the last frame of every block.
-
-        Raises
-        ------
-        ValueError
-            If they are not the next frames.
-        InputError
-            If a frame has no weights, or others than the shapes ask for.
         """
         if first != self.next_frame:
             raise ValueError(f"frame {self.next_frame} comes next, not {first}")
