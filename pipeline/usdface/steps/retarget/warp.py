@@ -1,7 +1,7 @@
 """A target's performance and where its sequences go in, the warped performance out."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
@@ -240,14 +240,7 @@ def _replace_changed(old: Controls, new: Controls, changed: np.ndarray) -> Contr
     def pick(one: FloatArray, other: FloatArray) -> FloatArray:
         return np.where(rows.reshape(-1, *(1,) * (one.ndim - 1)), other, one)
 
-    return replace(
-        old,
-        weights=pick(old.weights, new.weights),
-        translations=pick(old.translations, new.translations),
-        rotations=pick(old.rotations, new.rotations),
-        scales=pick(old.scales, new.scales),
-        values=pick(old.values, new.values),
-    )
+    return old.mapped(pick, new)
 
 
 def _write(
