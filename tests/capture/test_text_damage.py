@@ -83,7 +83,7 @@ FAULTS = {
     "motive: two rates": (
         "motive-csv", MOTIVE.replace("240.0", "120.0"), "the first line says 120, .* 240"),
     "motive: a rate that is none": (
-        "motive-csv", MOTIVE.replace("240.0", "fast"), "Export Frame Rate 'fast00000'"),
+        "motive-csv", MOTIVE.replace("240.0", "fast"), "Export Frame Rate is 'fast00000'"),
     "live link: not a timecode": (
         "live-link-csv", replaced(LINK, 4, 1, "13:99:00:01"), r"line 4, column 1 .*'13:99:00:01'"),
     "live link: NaN": (
