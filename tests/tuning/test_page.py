@@ -379,7 +379,7 @@ def test_the_video_is_wiped_over_a_face_that_is_turned_as_the_head(desk: Desk) -
     here = np.flatnonzero(is_red & (seen[len(seen) // 2, :, 1] < 20))
     assert here.max() / seen.shape[1] == pytest.approx(0.62, abs=0.02)
     page.mouse.move(box["x"] + 40, y)
-    page.mouse.wheel(0, -300)
+    page.mouse.wheel(0, -300 * page.evaluate("devicePixelRatio"))  # Chromium divides by it
     zoomed = page.locator("#wipePicture img").evaluate("(image) => image.style.transform")
     assert "scale(1.5" in zoomed
     page.keyboard.press("w")

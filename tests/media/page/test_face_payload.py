@@ -286,7 +286,7 @@ def test_what_lies_behind_the_skin_does_not_show_through_as_specks(tmp_path: Pat
             balls.append(replace(ball, points=points, colors=np.zeros_like(points)))
     camera = Camera(eye=(45.0, 30.0, 300.0), target=(45.0, 30.0, 0.0), fov_degrees=9.0)
     with chromium() as browser:
-        page = browser.new_page()
+        page = browser.new_page(device_scale_factor=1)
         page.goto(embed(tmp_path, replace(rig, meshes=(skin, *balls)), camera=camera).as_uri())
         page.wait_for_function("window.viewer")
         levels = np.array(
