@@ -33,8 +33,8 @@ class Effort:
 
 
 EFFORT = {
-    "draft": Effort(3, 2, 4, 3, 2),
-    "final": Effort(8, 4, 12, 6, 4),
+    "draft": Effort(2, 1, 4, 2, 1),
+    "final": Effort(4, 2, 8, 3, 2),
 }
 _CONTRAST_STEP = 0.05  # step of linear light between neighbours from which a pixel is sampled again
 _TOP, _BOTTOM = 0.060, 0.022  # background, linear
