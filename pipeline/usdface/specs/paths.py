@@ -61,10 +61,6 @@ def _one_or_several(given: Any) -> Any:
     return (given,) if isinstance(given, str | Path) else given
 
 
-Several = BeforeValidator(_one_or_several)
-"""Marks a list that may be given as its only item."""
-
-
 def _figures_or_curves(paths: tuple[Path, ...]) -> tuple[Path, ...]:
     for path in paths:
         if path.suffix.lower() not in (".json", *IMAGE_SUFFIXES):
@@ -76,7 +72,7 @@ def _figures_or_curves(paths: tuple[Path, ...]) -> tuple[Path, ...]:
 
 MeasuredOut = Annotated[
     tuple[FilePath, ...],
-    Several,
+    BeforeValidator(_one_or_several),
     AfterValidator(_figures_or_curves),
     Writes(),
 ]

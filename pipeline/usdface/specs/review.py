@@ -254,7 +254,7 @@ class ReportSpec(MovedRigSpec, WeightTableSpec):
     camera_stage: ReadPath | None = None
     """Stage that holds the camera, such as a shot. Default: the performance."""
     height: Annotated[int, Field(ge=120, le=1080)] = 360
-    """Height of the video in the report, in pixels."""
+    """Height of the video in the report, in pixels; a smaller video stays as it is."""
     worst: Annotated[int, Field(ge=1, le=100)] = 12
     """Length of the list of frames to check first."""
 

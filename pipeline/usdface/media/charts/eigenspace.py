@@ -46,7 +46,13 @@ class Eigenspace:
 
 
 def draw_eigenspace(space: Eigenspace) -> ByteImage:
-    """Draw the first three components, two by two, and the variance of all."""
+    """Draw the first three components, two by two, and the variance of all.
+
+    Returns
+    -------
+    (height, width, 3) uint8 array
+        sRGB.
+    """
     top = _PAGE_MARGIN + HEADER_HEIGHT + 30
     figure = new_figure(_PAGE_WIDTH, top + 2 * _ROW_HEIGHT + _PAGE_MARGIN)
     second = _PAGE_WIDTH // 2

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import json
 import math
 import re
 from collections.abc import Iterable, Sequence
@@ -12,9 +13,11 @@ import numpy as np
 from usdface.capture.text_table import csv_rows
 from usdface.core.arrays import index_of
 from usdface.core.errors import InputError
-from usdface.core.replacing import write_text
-from usdface.core.text import first_few, json_text, pluralize, read_json
-from usdface.model.retarget.name_matching import Transfer
+from usdface.core.replacing import replacing
+from usdface.core.text import first_few, pluralize, read_json
+from usdface.model.retarget.name_matching import (
+    Transfer,
+)
 
 LARGEST_NAMES_BYTES = 16 << 20
 COLUMNS = ("source", "target", "weight")
@@ -23,7 +26,13 @@ LARGEST_SHARE = 10.0
 
 
 def check_no_name_twice(path: Path, names: Iterable[str], transfer: Transfer) -> None:
-    """Refuse names that differ in capitals and separators alone, where one keeps another out."""
+    """Refuse names that differ in capitals and separators alone, where one keeps another out.
+
+    Raises
+    ------
+    InputError
+        With both names.
+    """
     spelled: dict[str, str] = {}
     doubtful = {each.partition(": ")[0] for each in transfer.ambiguous}
     for name in names:
@@ -38,7 +47,14 @@ def check_no_name_twice(path: Path, names: Iterable[str], transfer: Transfer) ->
 
 
 def transfer_by_table(path: Path, source: Sequence[str], target: Sequence[str]) -> Transfer:
-    """Match as a table says that `usdface names` wrote and somebody edited."""
+    """Match as a table says that `usdface names` wrote and somebody edited.
+
+    Raises
+    ------
+    InputError
+        If the file is no such table, names a shape that the target lacks or none that the source
+        has, or says two weights of one pair.
+    """
     rows = _read_rows(path)
     row_of, column_of = index_of(source), index_of(target)
     matrix = np.zeros((len(source), len(target)))
@@ -74,14 +90,18 @@ def write_name_table(path: Path, transfer: Transfer) -> None:
     """Write a map as CSV or JSON, to be edited and given back."""
     rows = transfer.rows()
     if path.suffix.lower() == ".json":
-        text = json_text({"pairs": rows})
+        text = json.dumps({"pairs": rows}, indent=2, ensure_ascii=False) + "\n"
     else:
         lines = io.StringIO()
         writer = csv.DictWriter(lines, (*COLUMNS, "by"), lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
         text = lines.getvalue()
-    write_text(path, text)
+    with replacing(path) as temporary:
+        try:
+            temporary.write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise InputError(f"{path}: cannot be written: {error.strerror}") from error
 
 
 def _read_rows(path: Path) -> list[tuple[str, str, str, float]]:

@@ -1,6 +1,7 @@
 """The report: one page with the face, the video, curves and what to know of a performance."""
 
 from collections.abc import Iterator
+from contextlib import suppress
 
 import numpy as np
 
@@ -8,7 +9,7 @@ from usdface.core.arrays import ByteImage
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
-from usdface.core.replacing import write_text
+from usdface.core.replacing import replacing
 from usdface.core.side_files import emptied_side_folder
 from usdface.core.sidecars import work_folder
 from usdface.core.text import pluralize
@@ -70,7 +71,8 @@ def run(spec: ReportSpec, *, provenance: Provenance, progress: Progress = silent
     page = _page(spec, shot, clock, notes, provenance, progress)
     progress(0.97, f"writing {spec.out.name}")
     text = build_page(page)
-    write_text(spec.out, text)
+    with replacing(spec.out) as temporary:
+        temporary.write_text(text, encoding="utf-8")
     progress(1.0, "done")
     return StepResult(
         (spec.out,),
@@ -216,8 +218,13 @@ def _camera_pictures(
     take = shot.take
     if take.video is None:
         raise InputError(f"{take.name}: has no video")
-    width = shown = tile = None
+    shown = tile = None
     with open_video(take.video.file, take.video.rate) as video:
+        lines, columns = spec.height, spec.height * 16 // 9
+        with suppress(InputError):  # of a sequence whose first picture is damaged
+            lines, columns = video.frame(0).shape[:2]
+        height = min(spec.height, lines)  # pages enlarge what is smaller
+        width = 2 * round(height * columns / lines / 2)
         for picture, frame in enumerate(shot.frames.tolist()):
             if picture % 60 == 0:
                 progress(picture / clock.picture_count, f"video picture {picture}")
@@ -229,13 +236,11 @@ def _camera_pictures(
                     pixels = None if index is None else video.frame(index)
                 except InputError:
                     missing = "cannot be decoded"
-                aspect = 16 / 9 if pixels is None else pixels.shape[1] / pixels.shape[0]
-                width = width or round(spec.height * aspect / 2) * 2
                 shown = index
                 tile = (
-                    empty_tile(width, spec.height, missing)
+                    empty_tile(width, height, missing)
                     if pixels is None
-                    else fit_picture(pixels, width=width, height=spec.height)
+                    else fit_picture(pixels, width=width, height=height)
                 )
             yield tile
 

@@ -165,7 +165,13 @@ def write_logic(
     *,
     provenance: Provenance | None = None,
 ) -> None:
-    """Write a layer that opens a rig's file and states its combinations."""
+    """Write a layer that opens a rig's file and states its combinations.
+
+    Raises
+    ------
+    InputError
+        If a shape lies in an instance, where USD ignores what is stated.
+    """
     source, driven = open_stage(rig.file), {each.shape: each for each in combinations}
     with new_layer(path, provenance) as layer:
         author_units(layer, like=rig.file)

@@ -42,7 +42,13 @@ def write_detections(
 def read_detections(
     path: Path, arrays: tuple[str, ...], names: tuple[str, ...]
 ) -> tuple[dict[str, Float32Array], dict[str, tuple[str, ...]]]:
-    """Return the arrays and the lists of names of these names."""
+    """Return the arrays and the lists of names of these names.
+
+    Raises
+    ------
+    InputError
+        If one is missing, or an array does not have the shape that is stated.
+    """
     stage = open_stage(path)
     prim = stage.GetDefaultPrim()
     if not prim or prim.GetName() != _ROOT:

@@ -11,7 +11,6 @@ from usdface.core.arrays import Float32Array
 from usdface.core.assets import Event, Markers, Take, Video, WeightsClip
 from usdface.core.errors import InputError
 from usdface.core.rates import check_frame_span, exact_rate, frames_within, shift_timecode
-from usdface.usdio.authoring import names_in, text_of, value_of
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.take.write import AUDIO, HEAD_MOTION, MARKER_CONFIDENCE, MARKERS, SOURCE, VISIBLE
 from usdface.usdio.units import column_matrix, stage_to_ours
@@ -96,14 +95,15 @@ class TakeReader:
     def neutral_frame(self) -> int:
         """Frame number of the neutral face; the first frame where the take names none."""
         prim = self._prims[MARKERS.name]
-        frame = value_of(prim, "face:markers:neutralFrame") if prim else None
+        frame = prim.GetAttribute("face:markers:neutralFrame").Get() if prim else None
         return self.first_frame if frame is None else int(frame)
 
     @functools.cached_property
     def marker_names(self) -> tuple[str, ...]:
         """Names of the markers; empty where the take has none."""
         prim = self._prims[MARKERS.name]
-        return names_in(prim.GetAttribute("face:markers:names")) if prim else ()
+        names = prim.GetAttribute("face:markers:names").Get() if prim else None
+        return tuple(map(str, names or ()))
 
     def timecode_at(self, frame: int) -> str:
         """Return the SMPTE timecode of a frame; empty where the take has none."""
@@ -155,7 +155,8 @@ class TakeReader:
         return self._read_markers(frames)
 
     def _value(self, name: str) -> object:
-        return value_of(self._root, name)
+        attribute = self._root.GetAttribute(name)
+        return attribute.Get() if attribute else None
 
     def _read_markers(self, frames: Sequence[int]) -> Markers | None:
         prim = self._prims[MARKERS.name]
@@ -174,15 +175,17 @@ class TakeReader:
         confidence = self._read_primvar(
             prim, MARKER_CONFIDENCE, frames, shape, np.dtype(np.float32)
         )
-        space = text_of(prim, "face:markers:space")
+        rigid = prim.GetAttribute("face:markers:rigid").Get() or ()
+        anchor = prim.GetAttribute("face:markers:anchor").Get() or ""
+        space = str(prim.GetAttribute("face:markers:space").Get())
         return Markers(
             names=names,
             positions=positions,
             visible=visible,
             confidence=confidence,
-            rigid=names_in(prim.GetAttribute("face:markers:rigid")),
+            rigid=tuple(map(str, rigid)),
             neutral_frame=self.neutral_frame,
-            anchor=text_of(prim, "face:markers:anchor"),
+            anchor=str(anchor),
             space="stabilized" if space == "stabilized" else "captured",
         )
 
@@ -275,7 +278,7 @@ class TakeReader:
         if not prim:
             return None
         animation = UsdSkel.Animation(prim)
-        names = names_in(animation.GetBlendShapesAttr())
+        names = tuple(map(str, animation.GetBlendShapesAttr().Get() or ()))
         attribute = animation.GetBlendShapeWeightsAttr()
         values = np.zeros((len(frames), len(names)), dtype=np.float32)
         query = self._query(attribute)
@@ -354,7 +357,7 @@ class TakeReader:
 
     def _read_audio(self) -> Path | None:
         prim = self._prims[AUDIO.name]
-        asset = value_of(prim, "filePath") if prim else None
+        asset = prim.GetAttribute("filePath").Get() if prim else None
         return None if asset is None else self._resolve(asset)
 
     def _resolve(self, asset: object) -> Path:
