@@ -13,10 +13,10 @@ from usdface.demo.script import (
     LINES,
     VISEME_OF_PHONE,
     VISEME_SHAPES,
-    speak,
     spoken_phones,
     timed_phones,
 )
+from usdface.demo.voice import speak
 from usdface.speech.track_files import read_phone_track, write_phone_track
 
 

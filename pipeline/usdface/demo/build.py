@@ -18,8 +18,9 @@ from usdface.demo.acting import FIRST_FRAME, ActedPerformance, performance
 from usdface.demo.capture import ActorFace, demo_markers, head_poses, simulate_capture
 from usdface.demo.head import DemoHead, HeadPart
 from usdface.demo.rig import demo_rig, make_head, mesh_points, rig_from_head
-from usdface.demo.script import DURATION_SECONDS, speak, spoken_phones
+from usdface.demo.script import DURATION_SECONDS, spoken_phones
 from usdface.demo.sculpt import ACTOR
+from usdface.demo.voice import speak
 from usdface.media.face.camera import Camera
 from usdface.media.face.render import FaceRenderer
 from usdface.media.film.movie import write_movie
