@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 from scipy.stats import ttest_rel
 
-from tests.model.synthetic import MARKERS, RIGID, references_of, synthetic_face
+from tests.model.synthetic import (
+    MARKERS,
+    RIGID,
+    SyntheticFace,
+    references_of,
+    synthetic_face,
+)
 from usdface.model import predict_weights, train_mapping
 from usdface.model.mapping import candidates, train
 from usdface.model.mapping.candidates import paired_t, time_blocks
@@ -51,31 +57,54 @@ def test_t_is_that_of_scipy_over_means_of_blocks() -> None:
     assert paired_t(usual, usual, np.eye(4), blocks) == 0.0
 
 
-def test_landmarks_that_err_together_are_believed_less(monkeypatch: pytest.MonkeyPatch) -> None:
-    # Eight landmarks each where the face has a marker, with its error and hardly any of their own.
+def _dense_face(name: str) -> SyntheticFace:
+    """Eight landmarks each where the face has a marker, with its error and hardly any of their own.
+
+    Parameters
+    ----------
+    name : str
+        What the names begin with.
+    """
     near, frames = 8, 4800
     rng = np.random.default_rng(0)
     face = synthetic_face(frames=frames, noise=4.0)
     own = 0.05 * rng.normal(size=(frames, near * MARKERS, 3))
-    names = tuple(f"m{k}" for k in range(near * MARKERS))
-    dense = replace(
+    names = tuple(f"{name}{k}" for k in range(near * MARKERS))
+    return replace(
         face,
         neutral=np.repeat(face.neutral, near, axis=0) + rng.normal(size=(near * MARKERS, 3)),
         positions=np.repeat(face.positions, near, axis=1) + own,
         names=names,
         rigid=names[: near * RIGID],
     )
-    keyed, between = np.arange(0, frames, 60), np.arange(30, frames, 60)
 
-    def learn() -> tuple[float, float]:
-        mapping = train_mapping(
-            references_of(dense, keyed), ranges=face.ranges, gram=face.gram, method="face_map"
-        )
-        error = predict_weights(mapping, dense.positions[between]).weights - face.weights[between]
-        return float(mapping.arrays["common_error"][0]), float(np.sqrt((error**2).mean()))
 
-    chosen, error = learn()
+def _learn_between(face: SyntheticFace, apart: int) -> tuple[float, float]:
+    """Return how many markers count as one, and the error of frames between the references."""
+    frames = len(face.positions)
+    keyed, between = np.arange(0, frames, apart), np.arange(apart // 2, frames, apart)
+    mapping = train_mapping(
+        references_of(face, keyed), ranges=face.ranges, gram=face.gram, method="face_map"
+    )
+    error = predict_weights(mapping, face.positions[between]).weights - face.weights[between]
+    return float(mapping.arrays["common_error"][0]), float(np.sqrt((error**2).mean()))
+
+
+def test_landmarks_that_err_together_are_believed_less(monkeypatch: pytest.MonkeyPatch) -> None:
+    dense = _dense_face("m")
+    chosen, error = _learn_between(dense, 60)
     monkeypatch.setattr(candidates, "COMMON_ERRORS", candidates.COMMON_ERRORS[:1])
-    fixed, usual = learn()
+    fixed, usual = _learn_between(dense, 60)
     assert chosen > fixed == 3.0
     assert error < 0.95 * usual
+
+
+def test_landmarks_of_a_model_are_believed_least_unless_references_say_otherwise() -> None:
+    # Few references say nothing; of many, markers with errors of their own, fewer count as one.
+    chosen, error = _learn_between(_dense_face("iris_"), 480)
+    markers, usual = _learn_between(_dense_face("m"), 480)
+    assert chosen == 243.0 > markers
+    assert error < usual
+    face = synthetic_face(frames=4800, noise=2.0)
+    fewer, _ = _learn_between(replace(face, names=tuple(f"iris_{n}" for n in face.names)), 60)
+    assert fewer < 243.0

@@ -199,6 +199,8 @@ def choose_common_error(
 ) -> tuple[PairFolds, Comparison]:
     """Let more markers count as one for as long as pairs not seen are predicted better by it.
 
+    From the largest number of `COMMON_ERRORS`, that of landmarks, let fewer.
+
     Gaze counts as well: landmarks that a model finds show it, and err together there too. Keys are
     corrected anew, since they too are moved as far as markers are believed.
 
@@ -212,11 +214,12 @@ def choose_common_error(
     if usual is None or usual.usual is None:
         return folds, compared
     unseen = usual
-    for more in COMMON_ERRORS[1:]:
-        found = folds.solve(usual.start, usual.usual, more)
+    numbers = COMMON_ERRORS if common == COMMON_ERRORS[0] else COMMON_ERRORS[::-1]
+    for other in numbers[1:]:
+        found = folds.solve(usual.start, usual.usual, other)
         if paired_t(unseen.errors, found.errors, every, folds.blocks) <= _STANDARD_ERROR_T:
             break
-        common, unseen = more, found
+        common, unseen = other, found
     if common == folds.corrected.common:
         return folds, compared
     chosen = PairFolds(correct_pairs(folds.corrected.as_given(), common=common), references)

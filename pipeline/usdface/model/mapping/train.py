@@ -32,7 +32,7 @@ from usdface.model.regressions import (
     RestPlaces,
 )
 from usdface.model.regressions.base import DrivenSkin, Fitted
-from usdface.model.regressions.frame_solve import FrameSolver
+from usdface.model.regressions.frame_solve import COMMON_ERRORS, FrameSolver
 from usdface.numerics.measure.face_regions import shapes_by_region, unseen_shapes
 
 _STILL_SHARE = 0.1
@@ -98,7 +98,7 @@ def train_mapping(
         neutral=checked.neutral.astype(np.float64),
     )
     progress(0.0, "fitting the forward model")
-    folds = PairFolds(correct_pairs(_pairs(checked, face)), checked)
+    folds = PairFolds(_corrected_pairs(checked, face), checked)
     candidates = list_candidates(folds.pairs, method, choices)
     compared = compare_candidates(candidates, folds, in_mm=gram is not None, progress=progress)
     folds, compared = choose_common_error(folds, compared, checked, gram)
@@ -137,6 +137,15 @@ def train_mapping(
 def _pairs(references: References, face: Face) -> Pairs:
     markers = references.markers.astype(np.float64)
     return Pairs(marker_coordinates(face.motion, markers), references.weights, face, markers)
+
+
+def _corrected_pairs(references: References, face: Face) -> CorrectedPairs:
+    """Correct the pairs, with as many markers to count as one as usual of their kind.
+
+    What a model finds in pictures, `track` on irises and OpenFace all over, errs together.
+    """
+    landmarks = any(each.startswith(("iris_", "landmark_")) for each in references.marker_names)
+    return correct_pairs(_pairs(references, face), common=COMMON_ERRORS[-1 if landmarks else 0])
 
 
 def _driven_skin(references: References, skin: FloatArray | None) -> DrivenSkin | None:

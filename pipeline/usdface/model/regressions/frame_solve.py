@@ -35,10 +35,10 @@ from usdface.numerics.solve.bounded_least_squares import descend_in_boxes
 CLEANED_NOISE_MM = 0.05
 """Noise of a coordinate that cleaning leaves."""
 
-COMMON_ERRORS = (3.0, 9.0, 27.0)
+COMMON_ERRORS = (3.0, 9.0, 27.0, 81.0, 243.0)
 """Squared residuals of so many markers count as one: a forward model errs on neighbours alike. The
 first holds for optical markers; landmarks that a model finds in pictures err as a face does, all
-together."""
+together: for them the last."""
 
 _FAMILIAR_CHI2, _STRANGE_CHI2 = 0.3, 10.0
 """Where the examples alone decide, and where they say no more than how far weights spread."""
