@@ -3,9 +3,11 @@
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
@@ -18,7 +20,7 @@ _LABEL_PIXELS = 19
 COLORS = ("#0072b2", "#d55e00", "#009e73", "#9b4f96", "#b8860b", "#4d4d4d", "#c2185b", "#2e8bc0")
 """Told apart by most who see colours otherwise; labels name every line all the same."""
 
-_SVG_OPTIONS = {
+_SVG_OPTIONS: Any = {
     "svg.fonttype": "none",
     "svg.hashsalt": "usdface",
     "font.size": 14,
@@ -65,7 +67,7 @@ def log_plot(title: str, across: str, lines: Sequence[Line]) -> str:
     return stream.getvalue()
 
 
-def _draw_slope_one(axes) -> None:
+def _draw_slope_one(axes: Axes) -> None:
     """Draw what linear looks like, from the lower left."""
     (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
     rise = min(right / left, high / low)
@@ -76,7 +78,7 @@ def _draw_slope_one(axes) -> None:
     axes.set_ylim(low, high)
 
 
-def _label_ends(axes, lines: Sequence[Line]) -> None:
+def _label_ends(axes: Axes, lines: Sequence[Line]) -> None:
     """Name lines at the right, each joined to its end."""
     tall = axes.bbox.height
     low, high = axes.get_ylim()

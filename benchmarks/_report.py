@@ -40,7 +40,7 @@ class Tee(io.TextIOBase):
 def kept_output() -> Iterator[Tee]:
     """Let what is printed be seen, and keep it."""
     tee = Tee(sys.stdout)  # type: ignore[arg-type]
-    with contextlib.redirect_stdout(tee):  # type: ignore[type-var]
+    with contextlib.redirect_stdout(tee):
         yield tee
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from scipy import sparse
 
+from benchmarks._takes import weights_of
 from tests.conftest import SHARED_DATA
 from usdface.capture.sniff import read_capture
 from usdface.core.assets import RigMesh
@@ -30,7 +31,7 @@ class Subject:
     places: SurfacePlaces
     motion: np.ndarray
     """(frames, points, 3) [mm]"""
-    offsets: sparse.sparray
+    offsets: sparse.csc_array
     """(shapes, 3 * points): what each shape does, for finding the lips."""
     jaw: int
     mouth: np.ndarray
@@ -58,7 +59,7 @@ def recorded_subject(frames: int, *, markers: int = 42) -> Subject | None:
     if not (SHARED_DATA / "rigs").is_dir():
         return None
     rig = read_rig(SHARED_DATA / "rigs" / "ict_face.usdc")
-    clip = read_capture(SHARED_DATA / Path("livelink_alex/alex_rom_3.csv")).take.source
+    clip = weights_of(read_capture(SHARED_DATA / Path("livelink_alex/alex_rom_3.csv")).take)
     recorded = {name.lower(): clip.values[:, i] for i, name in enumerate(clip.names)}
     weights = np.zeros((len(clip.values), len(rig.shapes)))
     for column, name in enumerate(rig.shapes):

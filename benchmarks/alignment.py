@@ -126,7 +126,8 @@ def unusable_pairs(speech: list[Sound]) -> dict[str, Callable[[np.random.Generat
     def same_hum(rng: np.random.Generator) -> Pair:
         first, second = other_words(rng)
         times = np.arange(40 * RATE) / RATE
-        hum = sum(np.sin(2 * np.pi * 50 * k * times + k * k) / k for k in range(1, 30)) * 0.05
+        tones = (np.sin(2 * np.pi * 50 * k * times + k * k) / k for k in range(1, 30))
+        hum = sum(tones, np.zeros(len(times))) * 0.05
         return first + hum[: len(first)], second + hum[5000 : 5000 + len(second)]
 
     def loop(period: float) -> Callable[[np.random.Generator], Pair]:

@@ -47,7 +47,8 @@ def _stabilisation() -> None:
         cloud[part] += rng.normal(0, 0.15, cloud[part].shape)
     rigid = np.ascontiguousarray(cloud[:, :RIGID])
     begin = cloud[:LOOPED].copy()
-    found = {}
+    found: dict[str, np.ndarray] = {}
+    looped: list[np.ndarray] = []
 
     def ours() -> None:
         alignment = align_rigid(rigid, shape[:RIGID])
@@ -60,11 +61,11 @@ def _stabilisation() -> None:
             points = rigid[frame].astype(np.float64)
             centred = points - points.mean(axis=0)
             rotation, _ = Rotation.align_vectors(centred, reference)
-            found.setdefault("loop", []).append(rotation.as_matrix())
+            looped.append(rotation.as_matrix())
             begin[frame] = (begin[frame] - points.mean(axis=0)) @ rotation.as_matrix()
 
     mine, theirs = _seconds(ours), _seconds(loop) * FRAMES / LOOPED
-    away = np.abs(found["rotations"][:LOOPED] - np.array(found["loop"])).max()
+    away = np.abs(found["rotations"][:LOOPED] - np.array(looped)).max()
     print(
         f"| stabilisation, {FRAMES:,} × {MARKERS} | {mine:.1f} s | align_vectors, looped "
         f"{theirs:.0f} s | {theirs / mine:.0f}× faster, equal to {away:.0e} |"

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks._takes import markers_of
 from benchmarks.scale import HOUR, NOISE_MM, _cost
 from tests.conftest import SHARED_DATA
 from usdface.capture.sniff import read_capture
@@ -33,7 +34,7 @@ def _damaged() -> None:
         return
     said = json.loads((source / "take.json").read_text())
     take = read_capture(source / "take.c3d").take
-    markers = take.markers
+    markers = markers_of(take)
     rigid = [markers.names.index(name) for name in said["rigid"]]
     truth = np.load(source / "truth.npz")
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks._damage import DAMAGES, damage
+from benchmarks._takes import markers_of
 from tests.conftest import SHARED_DATA
 from usdface.capture.c3d_write import write_c3d
 from usdface.capture.sniff import read_capture
@@ -112,7 +113,7 @@ def prepare(folder: Path, kind: str, truth: Any, name: str = "crosstake") -> Non
     capture = source / "take.c3d"
     if kind != DAMAGES[0]:
         take = read_capture(capture).take
-        markers = take.markers
+        markers = markers_of(take)
         spoiled = damage(kind, markers.positions, markers.visible, np.random.default_rng(SEED))
         capture = folder / "take.c3d"
         write_c3d(capture, *spoiled, markers.names, rate=take.rate, first_frame=take.first_frame)
@@ -134,7 +135,7 @@ def prepare(folder: Path, kind: str, truth: Any, name: str = "crosstake") -> Non
 def _equation(folder: Path, rig_file: Path) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
     """Solve the blendshape equation, which needs no references."""
     take, rig = read_take(folder / "x.clean.take.usda"), read_rig(rig_file)
-    markers = take.markers
+    markers = markers_of(take)
     equation = set_up_equation(
         rig,
         Deformer(rig),

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks._damage import DAMAGES
 from benchmarks.crosstake import (
     COLUMNS,
-    DAMAGES,
     HALF,
     choose_references,
     prepare,

@@ -12,6 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import crosstake
+from benchmarks._damage import DAMAGES
+from benchmarks._takes import markers_of
 from tests.conftest import SHARED_DATA
 from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
@@ -46,7 +48,7 @@ def run(counts: tuple[int, ...] = COUNTS) -> None:
     kept = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        crosstake.prepare(folder, crosstake.DAMAGES[0], truth)
+        crosstake.prepare(folder, DAMAGES[0], truth)
         for count in counts:
             references = crosstake.choose_references(folder, rig_file, count)
             solved = _in_rig_order(rig, *crosstake.map_take(references, rig_file, "auto"))
@@ -60,9 +62,9 @@ def run(counts: tuple[int, ...] = COUNTS) -> None:
                 kept.append((count, still, int(closed.sum())))
     print("\n| measure | value | wanted |")
     print("|---|---|---|")
-    for count, still, closed in kept:
+    for count, still, total in kept:
         target = "≥ 95 %" if count == max(counts) else ""
-        print(f"| frames kept closed, {count} references | {still} of {closed} | {target} |")
+        print(f"| frames kept closed, {count} references | {still} of {total} | {target} |")
 
 
 def _in_rig_order(rig: Rig, names: Sequence[str], weights: np.ndarray) -> np.ndarray:
@@ -80,7 +82,7 @@ def _evaluate(rig: Rig, solved: np.ndarray, wanted: np.ndarray) -> Evaluation:
 def _close(take_file: Path, rig: Rig, solved: np.ndarray) -> np.ndarray:
     """Close the character's lips wherever the markers of the performer's are near rest."""
     take, deformer = read_take(take_file), Deformer(rig)
-    markers = take.markers
+    markers = markers_of(take)
     equation = set_up_equation(
         rig,
         deformer,

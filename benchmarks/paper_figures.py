@@ -90,8 +90,9 @@ def run(*, pictures: Path | None = None) -> None:
                     _call(f"{line} --progress none --overwrite")
                     if figure:
                         print(f"| {paper} {figure} | `usdface {line}` |", flush=True)
-                    for file in Path().glob(f"{figure}*.jpg") if figure and keep else ():
-                        shutil.copy(file, keep / f"{paper}_{file.name}")
+                    if figure and keep is not None:
+                        for file in Path().glob(f"{figure}*.jpg"):
+                            shutil.copy(file, keep / f"{paper}_{file.name}")
         finally:
             os.chdir(before)
 

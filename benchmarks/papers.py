@@ -6,6 +6,7 @@ largest of all entries, as a share of the largest entry. Rows above 1e-6 say why
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, eigh
@@ -204,7 +205,12 @@ def _s11() -> Iterator[Row]:
     network = predict_multiquadric(fit_multiquadric(S, T), points)
     yield Row("S11 eq. 3–4", "numpy, dense", network, by_hand)
     widths, kappa = (2.0, 1.7), 1e-3
-    few = {"source_width": widths[0], "target_width": widths[1], "kappa": kappa, "components": 8}
+    few: dict[str, Any] = {
+        "source_width": widths[0],
+        "target_width": widths[1],
+        "kappa": kappa,
+        "components": 8,
+    }
     model = fit_kernel_cca(S, T, **few, lines="published")
     correlations, basis, reduced = _dense_kcca(S, T, widths, kappa, 8)
     yield Row(

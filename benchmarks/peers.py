@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks._damage import DAMAGES
+from benchmarks._takes import markers_of
 from benchmarks.crosstake import (
     COLUMNS,
     choose_references,
@@ -49,7 +50,7 @@ def run() -> None:
         file = choose_references(folder, rig_file, COUNT)
         references = read_references(file)
         take = read_take(folder / "x.clean.take.usda")
-        positions = take.markers.positions.reshape(len(take.markers.positions), -1).astype(float)
+        positions = markers_of(take).positions.reshape(take.frame_count, -1).astype(float)
         pairs = references.frames - take.first_frame
         centre = positions.mean(0)
         _, _, axes = np.linalg.svd(positions[::4] - centre, full_matrices=False)

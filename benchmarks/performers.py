@@ -12,10 +12,12 @@ Tuned on other performers than crosstake's, the default mapping is checked here 
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from benchmarks._takes import weights_of
 from tests.conftest import SHARED_DATA
 from usdface.capture.sniff import read_capture
 from usdface.core.assets import References, TrainedMapping
@@ -81,7 +83,9 @@ def run(
         print(f"{count} references: vertex RMS [mm] and blink bias, mean over performers\n")
         print("| method | second half | other performance | other combinations |")
         print("|---|---|---|---|")
-        rows = {method: [] for method in methods or ("auto", *MAPPING_METHODS)}
+        rows: dict[str, list[Any]] = {
+            method: [] for method in methods or ("auto", *MAPPING_METHODS)
+        }
         for performer in PERFORMERS:
             for method, figures in _score_performer(performer, count, tuple(rows)).items():
                 rows[method].append(figures)
@@ -174,7 +178,7 @@ def _figures(
 
 def _performance(file: str, rate: int) -> tuple[np.ndarray, tuple[str, ...]]:
     """Read a recording's weights at 60 frames per second, channels that every rig has."""
-    source = read_capture(SHARED_DATA / file).take.source
+    source = weights_of(read_capture(SHARED_DATA / file).take)
     rows = np.linspace(0, len(source.values) - 1, len(source.values) * 60 // rate)
     columns = [i for i, name in enumerate(source.names[:61]) if _is_shape(name)]
     values = np.clip(source.values[:, columns].astype(float), 0, 1)

@@ -8,6 +8,7 @@ import time
 
 import numpy as np
 
+from benchmarks._takes import weights_of
 from tests.conftest import SHARED_DATA
 from usdface.capture.sniff import read_capture
 from usdface.core.arrays import FloatArray
@@ -61,7 +62,7 @@ def _performance() -> tuple[Rig, FloatArray, bool]:
     recording = SHARED_DATA / "livelink_alex"
     if recording.is_dir():
         rig = read_rig(SHARED_DATA / "rigs" / "ict_head.usdc")
-        clip = read_capture(next(recording.glob("*.csv"))).take.source
+        clip = weights_of(read_capture(next(recording.glob("*.csv"))).take)
     else:
         rig, clip = demo_rig(ACTOR), performance().weights
     weights = np.zeros((len(clip.values), len(rig.shapes)))

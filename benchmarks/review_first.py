@@ -70,7 +70,8 @@ def rank(shot: Shot, signals: ReviewSignals, keyed: ReviewSignals) -> Ranked:
     rate = float(shot.take.rate)
     near = MOMENT_SECONDS * rate
     error = keyed.score_mm
-    worst, free = [], np.ones(len(error), bool)  # found here without `review_moments`
+    worst: list[int] = []
+    free = np.ones(len(error), bool)  # found here without `review_moments`
     for row in np.argsort(-error, kind="stable").tolist():
         if free[row] and len(worst) < MOMENTS:
             worst.append(row)

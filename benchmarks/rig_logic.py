@@ -22,6 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import crosstake
+from benchmarks._damage import DAMAGES
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import MeshShape, References, Rig, ShapeKey
 from usdface.core.deformer import Deformer
@@ -131,7 +132,7 @@ def _print_mapped() -> None:
     print("|---|---|---|")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        crosstake.prepare(folder, crosstake.DAMAGES[0], truth)
+        crosstake.prepare(folder, DAMAGES[0], truth)
         write_rig(folder / "driven.usdc", driven)
         for label, each in (("as solved", file), ("estimated", folder / "driven.usdc")):
             references = crosstake.choose_references(folder, each, ROWS)

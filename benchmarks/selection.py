@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import crosstake
+from benchmarks._damage import DAMAGES
 from tests.conftest import SHARED_DATA
 from usdface.core.assets import Markers, References, Take, TrainedMapping
 from usdface.core.deformer import Deformer
@@ -76,8 +77,8 @@ def run(*, quick: bool = False) -> None:
 
 
 def _prepare(folder: Path) -> np.lib.npyio.NpzFile:
-    truth = np.load(SHARED_DATA / "crosstake" / "truth.npz")
-    crosstake.prepare(folder, crosstake.DAMAGES[0], truth)
+    truth: np.lib.npyio.NpzFile = np.load(SHARED_DATA / "crosstake" / "truth.npz")
+    crosstake.prepare(folder, DAMAGES[0], truth)
     return truth
 
 
@@ -263,6 +264,7 @@ def _print_keys(stage: Stage) -> None:
         keys = np.clip(true * (1 + error * rng.normal(size=true.shape)), 0, 1)
         for tuned in (0, 5, 10, 25, 49):
             read = np.zeros((2, 50))
+            rest = targets.rest.astype(np.float64)
             for pair in range(50):
                 others = np.delete(np.arange(50), pair)[:tuned]
                 both = np.stack([keys[pair], proposals.weights[pair]])
@@ -270,7 +272,7 @@ def _print_keys(stage: Stage) -> None:
                 if tuned:
                     seen = (goal - moved(keys))[others] + np.tensordot(keys[others], basis, 1)
                     model = fit_forward_model(
-                        keys[others], seen, expected=basis, neutral=targets.rest, scales=_LINEAR
+                        keys[others], seen, expected=basis, neutral=rest, scales=_LINEAR
                     )
                     left -= np.tensordot(both, model.basis - basis, 1) + model.offset
                 read[:, pair] = np.sqrt((left[:, of_face] ** 2).sum(axis=2).mean(axis=1))

@@ -154,7 +154,7 @@ def _asset(folder: Path, rig: Rig) -> Path:
     rng = np.random.default_rng(0)
     deformer = Deformer(rig)
     weights = rng.random((PAIRS, len(rig.shapes))) * (rng.random((PAIRS, len(rig.shapes))) < 0.2)
-    moved = np.abs(deformer.shapes.target_offsets()).sum(axis=0).reshape(-1, 3).sum(axis=1)
+    moved = abs(deformer.shapes.target_offsets()).sum(axis=0).reshape(-1, 3).sum(axis=1)
     carriers = rng.choice(np.argsort(-moved)[:4000], MARKERS, replace=False)
     posed = np.array([deformer.points(row[None])[0][carriers] for row in weights])
     references = References(

@@ -96,9 +96,9 @@ def run(*, quick: bool = False) -> None:
             costs: list[list[Cost]] = [[] for _ in sources]
             for number in range(1 if quick else RUNS):
                 for index, (source, found) in enumerate(zip(sources, costs, strict=True)):
-                    words = wait.words.format(run=f"{number}.{index}")
-                    more = [] if "help" in words or words.startswith("demo") else ["--overwrite"]
-                    found.append(_usdface(folder, source, words.split() + more))
+                    line = wait.words.format(run=f"{number}.{index}")
+                    more = [] if "help" in line or line.startswith("demo") else ["--overwrite"]
+                    found.append(_usdface(folder, source, line.split() + more))
             shown = [[median(getattr(c, key) for c in found) for found in costs] for key in _SHOWN]
             cells = (
                 " → ".join(f"{value:.{2 if value < 10 else 0}f}" for value in row) for row in shown

@@ -25,8 +25,8 @@ def run() -> None:
     time_line = np.linspace(0, 1, SEQUENCE)[:, None]
     sequence = np.sin(np.pi * time_line) * rng.random(CONTROLS)
     starts = np.arange(3000, FRAMES - SEQUENCE, EVERY)
-    for start in starts:
-        motion[start : start + SEQUENCE] = sequence * rng.uniform(0.9, 1.1)
+    for at in starts.tolist():
+        motion[at : at + SEQUENCE] = sequence * rng.uniform(0.9, 1.1)
     keys = [Insertion(int(s), 1.2 * sequence, np.full(SEQUENCE, 20.0)) for s in starts]
     copied = _seconds(motion.copy)
     warped = _seconds(lambda: warp_motion(motion, keys))

@@ -16,8 +16,12 @@ import tempfile
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:  # each process that is measured imports what it needs
+    from usdface.core.assets import Rig, WeightsClip
 
 HOUR = 432_000
 FRAMES = 12_000
@@ -43,7 +47,9 @@ class Cost:
 
 def run(frames: int = FRAMES, *, full: bool = False, quick: bool = False) -> None:
     """Print each stage as seconds, and as a ratio to the bare write."""
-    lengths = (HOUR,) if full else (frames // 12, frames // 3) if quick else (frames // 4, frames)
+    lengths: tuple[int, ...] = (
+        (HOUR,) if full else (frames // 12, frames // 3) if quick else (frames // 4, frames)
+    )
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         _prepare(folder, lengths)
@@ -230,7 +236,7 @@ def _train(folder: Path, shapes: int, markers: object, clip: object) -> None:
     write_mapping(folder / f"{shapes}.mapping.usdc", mapping)
 
 
-def _rig(shapes: int, clip: object) -> tuple[object, np.ndarray]:
+def _rig(shapes: int, clip: "WeightsClip") -> tuple["Rig", np.ndarray]:
     """Return the demo's rig with so many shapes, and their weights in every frame of the demo.
 
     What goes beyond the demo's own are correctives: a twentieth of a shape, driven by it and by

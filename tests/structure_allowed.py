@@ -7,6 +7,7 @@ ALLOWED: dict[str, dict[str, str]] = {
         "demo/capture:demo_markers": "a list of places on the face, one after the other",
     },
     "small file": {
+        "tuning/poses": "a file of poses; the server beside it is as long as a file may be",
         "model/regressions/additive": "every regression is a file of its own, as its neighbours",
     },
 }

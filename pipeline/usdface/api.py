@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from usdface.core.assets import Performance, References, Rig, Take, TrainedMapping
 from usdface.core.errors import InputError, UsdfaceError
 from usdface.core.progress import Progress, silent
-from usdface.core.replacing import replacing
+from usdface.core.replacing import write_text
 from usdface.runner import job as jobs
 from usdface.runner.execute import execute
 from usdface.runner.outputs import confine
@@ -149,8 +149,7 @@ def _written_table(table: Any, references: Path) -> Path:
     path = references.with_name(f"{references.stem}.weights-{digest}.csv")
     confine("references-import", writes=[path])
     if not path.exists():
-        with replacing(path) as temporary:
-            temporary.write_text(text.getvalue(), encoding="utf-8")
+        write_text(path, text.getvalue())
     return path
 
 

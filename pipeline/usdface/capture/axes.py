@@ -63,13 +63,7 @@ def rotation_to_y_up(*, up: str, where: str) -> FloatArray:
 
 
 def rotation_from_screen(x_screen: str, y_screen: str, *, where: str) -> FloatArray:
-    """Return the rotation to Y up from the axes that point right and up: ``'+X'``, ``'-Z'``.
-
-    Raises
-    ------
-    InputError
-        If the two are not different axes.
-    """
+    """Return the rotation to Y up from the axes that point right and up: ``'+X'``, ``'-Z'``."""
     right, up = _signed_axis(x_screen), _signed_axis(y_screen)
     if right is None or up is None or not np.isclose(right @ up, 0):
         raise InputError(

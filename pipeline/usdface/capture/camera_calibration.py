@@ -39,11 +39,6 @@ def read_calibration(path: Path) -> dict[str, CalibratedCamera]:
     ``size`` width and height; ``rotation`` (3 × 3, or an axis times an angle in radians) and
     ``translation`` bring the world to the camera's space, x to the right, y down, z along the
     view. A camera is called by its ``name``, else as its table is.
-
-    Raises
-    ------
-    InputError
-        If a camera cannot be read, or there is none.
     """
     try:
         if path.suffix.lower() == ".json":

@@ -103,11 +103,6 @@ class FaceLandmarker:
     ----------
     score_names : tuple of str
         ARKit's names of the shapes that the model scores; known once a face was found.
-
-    Raises
-    ------
-    InputError
-        If MediaPipe is not installed, or does not load the model.
     """
 
     def __init__(self, model: Path) -> None:

@@ -17,13 +17,11 @@ from usdface.capture.marker_take import Capture, CaptureOptions
 from usdface.capture.sample_times import SampleTimes, settle_device_times
 from usdface.capture.text_table import (
     TableLine,
-    check_columns,
     head_lines,
     parse_cells,
+    read_header,
     read_lines,
-    sniff_delimiter,
     split_cells,
-    without_empty_tail,
 )
 from usdface.core.arrays import FloatArray
 from usdface.core.errors import InputError
@@ -65,10 +63,7 @@ def is_live_link_csv(head: bytes) -> bool:
 def read_live_link_csv(path: Path, options: CaptureOptions) -> Capture:
     """Read weights and rotations as channels, by the names in the header."""
     lines = read_lines(path)
-    header = next(lines)
-    delimiter = sniff_delimiter(header.text) or ","
-    titles = without_empty_tail(split_cells(header, delimiter))
-    check_columns(titles, header)
+    header, delimiter, titles = read_header(lines)
     if tuple(title.lower() for title in titles[:2]) != _TITLES or len(titles) < 3:
         raise InputError(
             f"{header.where}: begins {header.text[:24]!r}; it must begin with Timecode and "

@@ -14,13 +14,11 @@ from usdface.capture.marker_take import (
 )
 from usdface.capture.sample_times import rate_of_times, settle_frame_numbers
 from usdface.capture.text_table import (
-    check_columns,
     head_lines,
+    read_header,
     read_lines,
     read_number_table,
     sniff_delimiter,
-    split_cells,
-    without_empty_tail,
 )
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.errors import InputError
@@ -44,10 +42,7 @@ def is_marker_csv(head: bytes) -> bool:
 def read_marker_csv(path: Path, options: CaptureOptions) -> Capture:
     """Read every NAME.x, NAME.y, NAME.z as a marker; the dot may be ``_``, ``:`` or a space."""
     lines = read_lines(path)
-    header = next(lines)
-    delimiter = sniff_delimiter(header.text) or ","
-    titles = without_empty_tail(split_cells(header, delimiter))
-    check_columns(titles, header)
+    header, delimiter, titles = read_header(lines)
     triples = _triples(titles)
     lowered = [title.lower() for title in titles]
     frame_at = next((at for at, title in enumerate(lowered) if title in _FRAME), None)

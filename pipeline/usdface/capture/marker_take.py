@@ -112,11 +112,6 @@ def build_marker_take(
     visible : (frames, markers) bool array
         Changed in place: samples that are not finite, at the origin or beyond `FARTHEST_MM` are
         not seen whatever the file says.
-
-    Raises
-    ------
-    InputError
-        If no marker is ever seen, a rigid marker is unknown or the neutral frame is outside.
     """
     path, first_frame = header.path, header.first_frame
     found = [*header.notes]

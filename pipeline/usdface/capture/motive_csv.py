@@ -27,12 +27,13 @@ from usdface.capture.text_table import (
     head_lines,
     read_lines,
     read_number_table,
+    read_rate,
     sniff_delimiter,
     split_cells,
     without_empty_tail,
 )
 from usdface.core.errors import InputError
-from usdface.core.rates import exact_rate, frames_of
+from usdface.core.rates import frames_of
 from usdface.core.text import first_few
 
 _MOST_HEADER_ROWS = 12
@@ -51,6 +52,7 @@ def is_motive_csv(head: bytes) -> bool:
 class _Header:
     """What the header rows say of each column; all of one length."""
 
+    first_line: TableLine
     stated: dict[str, str]
     kinds: list[str]
     names: list[str]
@@ -91,7 +93,7 @@ def read_motive_csv(path: Path, options: CaptureOptions) -> Capture:
         lines, columns, path=path, delimiter=header.delimiter, gaps=True, texts=stamps
     )
     first_frame, frames = settle_frame_numbers(table.values[:, 0], table.lines, where=str(path))
-    rate = _rate(header.stated, path)
+    rate = _rate(header.stated, header.first_line)
     if rate is None:
         rate = rate_of_times(table.values[:, 1], frames, where=str(path))
         notes.append(f"the first line states no rate; {float(rate):g} taken from the times")
@@ -167,6 +169,7 @@ def _read_header(lines: Iterator[TableLine]) -> _Header:
         return [*above[at][1], *[""] * width][:width]
 
     return _Header(
+        first,
         stated,
         padded(kinds_at),
         padded(kinds_at + 1),
@@ -187,19 +190,10 @@ def _holds(cells: list[str], *wanted: str) -> bool:
     return any(cell in wanted for cell in cells)
 
 
-def _rate(stated: dict[str, str], path: Path) -> Fraction | None:
+def _rate(stated: dict[str, str], line: TableLine) -> Fraction | None:
     """Return the rate that rows were exported at; else the capture's."""
-    for key in _RATES:
-        if stated.get(key):
-            try:
-                rate = float(stated[key].replace(",", "."))
-                return exact_rate(rate, where=f"{path} line 1 {key}")
-            except ValueError as error:
-                raise InputError(
-                    f"{path} line 1: {key} {stated[key][:24]!r} is not a number; export the take "
-                    "again"
-                ) from error
-    return None
+    key = next((key for key in _RATES if stated.get(key)), None)
+    return None if key is None else read_rate(stated[key], line, key)
 
 
 def _timecode(stamp: str, rate: Fraction, notes: list[str]) -> str:

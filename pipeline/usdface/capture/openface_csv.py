@@ -25,13 +25,10 @@ from usdface.capture.sample_times import rate_of_times, settle_frame_numbers
 from usdface.capture.text_table import (
     NumberTable,
     TableLine,
-    check_columns,
     head_lines,
+    read_header,
     read_lines,
     read_number_table,
-    sniff_delimiter,
-    split_cells,
-    without_empty_tail,
 )
 from usdface.core.arrays import BoolArray, FloatArray, IntArray, index_of
 from usdface.core.assets import Take, WeightsClip
@@ -71,9 +68,8 @@ class _Columns:
 def read_openface_csv(path: Path, options: CaptureOptions) -> Capture:
     """Read landmarks as markers, and intensities divided by 5 as channels."""
     lines = read_lines(path)
-    header = next(lines)
-    delimiter = sniff_delimiter(header.text) or ","
-    columns = _read_header(header, delimiter)
+    header, delimiter, titles = read_header(lines)
+    columns = _find_columns(titles, header)
     table = read_number_table(lines, columns.titles, path=path, delimiter=delimiter, gaps=True)
     notes = []
     if columns.others:
@@ -117,9 +113,7 @@ def read_openface_csv(path: Path, options: CaptureOptions) -> Capture:
     return _add(capture, source, confidence)
 
 
-def _read_header(header: TableLine, delimiter: str) -> _Columns:
-    titles = without_empty_tail(split_cells(header, delimiter))
-    check_columns(titles, header)
+def _find_columns(titles: list[str], header: TableLine) -> _Columns:
     at = index_of(titles)
     landmarks = [
         match[1]

@@ -79,13 +79,7 @@ def settle_device_times(seconds: FloatArray, lines: IntArray, *, where: str) -> 
 def settle_frame_numbers(
     numbers: FloatArray, lines: IntArray, *, where: str
 ) -> tuple[int, IntArray]:
-    """Return the first frame number, and the frame of each row from 0.
-
-    Raises
-    ------
-    InputError
-        If a frame number is not whole, does not ascend, or lies far from the others.
-    """
+    """Return the first frame number, and the frame of each row from 0."""
     whole = np.isfinite(numbers) & (np.abs(numbers) < 2**31)
     whole[whole] = numbers[whole] == np.rint(numbers[whole])
     if not whole.all():

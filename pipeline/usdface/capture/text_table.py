@@ -9,12 +9,14 @@ import re
 from array import array
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.errors import InputError
+from usdface.core.rates import exact_rate
 from usdface.core.text import read_text
 
 LARGEST_BYTES = 4 << 30
@@ -111,6 +113,27 @@ def sniff_delimiter(text: str) -> str | None:
     """Return the delimiter that a header uses most; None where it uses white space alone."""
     best = max(DELIMITERS, key=text.count)
     return best if best in text else None
+
+
+def read_header(lines: Iterator[TableLine]) -> tuple[TableLine, str, list[str]]:
+    """Read the first line of a table: the line, the delimiter and the columns' titles."""
+    header = next(lines)
+    delimiter = sniff_delimiter(header.text) or ","
+    titles = without_empty_tail(split_cells(header, delimiter))
+    check_columns(titles, header)
+    return header, delimiter, titles
+
+
+def read_rate(text: str, line: TableLine, title: str) -> Fraction:
+    """Read frames per second from a header, which a decimal comma may write."""
+    try:
+        rate = float(text.replace(",", "."))
+    except ValueError as error:
+        raise InputError(
+            f"{line.where}: {title} is {text[:24]!r}; it must be frames per second: export the "
+            "take again"
+        ) from error
+    return exact_rate(rate, where=f"{line.where} {title}")
 
 
 def check_columns(columns: Sequence[str], line: TableLine) -> None:

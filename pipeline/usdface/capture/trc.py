@@ -6,7 +6,6 @@ third column, and the columns' axes. The delimiter is told from the second line.
 
 import re
 from collections.abc import Iterator
-from fractions import Fraction
 from pathlib import Path
 
 from usdface.capture.marker_take import (
@@ -23,12 +22,12 @@ from usdface.capture.text_table import (
     head_lines,
     read_lines,
     read_number_table,
+    read_rate,
     sniff_delimiter,
     split_cells,
     without_empty_tail,
 )
 from usdface.core.errors import InputError
-from usdface.core.rates import exact_rate
 from usdface.core.text import pluralize
 
 _AXIS = re.compile(r"[XYZ]\d*", re.IGNORECASE)
@@ -59,7 +58,7 @@ def read_trc(path: Path, options: CaptureOptions) -> Capture:
 
     notes = _check_counts(header, len(labels), unnamed.most, len(table.values))
     first_frame, frames = settle_frame_numbers(table.values[:, 0], table.lines, where=str(path))
-    rate = _data_rate(header, stated)
+    rate = read_rate(header.get("DataRate", ""), stated, "DataRate")
     if options.rate is None:
         check_rate(rate, "DataRate", table.values[:, 1], frames, where=str(path))
     to_mm = settle_space(
@@ -166,19 +165,6 @@ def _states_count(text: str, count: int) -> bool:
         return not text or float(text) == count
     except ValueError:
         return False
-
-
-def _data_rate(header: dict[str, str], line: TableLine) -> Fraction:
-    """Return the rate that the header states."""
-    text = header.get("DataRate", "")
-    try:
-        rate = float(text.replace(",", "."))
-    except ValueError as error:
-        raise InputError(
-            f"{line.where}: DataRate is {text[:24]!r}; it must be frames per second: export the "
-            "take again"
-        ) from error
-    return exact_rate(rate, where=f"{line.where} DataRate")
 
 
 def _next(lines: Iterator[TableLine], path: Path, expected: str) -> TableLine:

@@ -27,12 +27,12 @@ from usdface.capture.text_table import (
     head_lines,
     read_lines,
     read_number_table,
+    read_rate,
     sniff_delimiter,
     split_cells,
     without_empty_tail,
 )
 from usdface.core.errors import InputError
-from usdface.core.rates import exact_rate
 from usdface.core.text import first_few
 
 _COLUMNS = re.compile(r'"?Frame"?\s*[,;\t]\s*"?Sub Frame"?', re.IGNORECASE)
@@ -165,7 +165,7 @@ def _read_block_header(path: Path, lines: Iterator[TableLine]) -> _BlockHeader:
             "Sub Frame: export the take again"
         )
     delimiter = sniff_delimiter(titles.text)
-    rate = _read_rate(rate_line, delimiter)
+    rate = read_rate(split_cells(rate_line, delimiter)[0], rate_line, "the rate")
     axes = without_empty_tail(split_cells(titles, delimiter))
     starts = [at for at in range(2, len(axes) - 2) if axes[at : at + 3] == ["X", "Y", "Z"]]
     if not starts:
@@ -187,17 +187,6 @@ def _read_block_header(path: Path, lines: Iterator[TableLine]) -> _BlockHeader:
         unit_line=unit_line,
         first_row=None if has_units else unit_line,
     )
-
-
-def _read_rate(line: TableLine, delimiter: str | None) -> Fraction:
-    text = split_cells(line, delimiter)[0]
-    try:
-        return exact_rate(float(text.replace(",", ".")), where=f"{line.where} (the rate)")
-    except ValueError as error:
-        raise InputError(
-            f"{line.where}: {text[:24]!r} where the rate of the trajectories is "
-            "expected; export the take again"
-        ) from error
 
 
 def _one_unit(line: TableLine, cells: list[str], starts: list[int]) -> str:

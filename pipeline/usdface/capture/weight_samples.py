@@ -18,13 +18,11 @@ from typing import Any
 import numpy as np
 
 from usdface.capture.text_table import (
-    check_columns,
     head_lines,
+    read_header,
     read_lines,
     read_number_table,
     sniff_delimiter,
-    split_cells,
-    without_empty_tail,
 )
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.confinement import check_may_open
@@ -157,10 +155,7 @@ def _kind(title: str) -> str:
 
 def _read_csv(path: Path) -> WeightSamples:
     lines = read_lines(path)
-    header = next(lines)
-    delimiter = sniff_delimiter(header.text) or ","
-    titles = without_empty_tail(split_cells(header, delimiter))
-    check_columns(titles, header)
+    header, delimiter, titles = read_header(lines)
     kinds = [_kind(title) for title in titles]
     if not any(kind in ("frame", "time", "ms") for kind in kinds) and len(titles) < _FEWEST_SHAPES:
         raise InputError(
@@ -206,7 +201,7 @@ def _read_json(path: Path) -> WeightSamples:
     if isinstance(data, dict):
         stated = next((data[key] for key in _RATE_KEYS if key in data), None)
         if stated is not None:
-            rate = exact_rate(_number(path, "its rate", "fps", stated), where=str(path))
+            rate = exact_rate(read_cell(path, "its rate", "fps", stated), where=str(path))
         names = next((data[key] for key in _NAME_KEYS if isinstance(data.get(key), list)), None)
         matrix = next((data[key] for key in _MATRIX_KEYS if isinstance(data.get(key), list)), None)
         if names is None:
@@ -255,13 +250,13 @@ def _json_rows(path: Path, data: list[Any]) -> WeightSamples:
     values = np.zeros((len(rows), len(names)))
     for index, row in enumerate(rows):
         for column, name in enumerate(names):
-            values[index, column] = _number(path, f"row {index + 1}", name, row.get(name, 0.0))
+            values[index, column] = read_cell(path, f"row {index + 1}", name, row.get(name, 0.0))
 
     def series(kind: str) -> FloatArray | None:
         if kind not in at:
             return None
         name = at[kind]
-        given = [_number(path, f"row {i + 1}", name, r.get(name)) for i, r in enumerate(rows)]
+        given = [read_cell(path, f"row {i + 1}", name, r.get(name)) for i, r in enumerate(rows)]
         return np.array(given)
 
     counted = {kind: found for kind in _COUNTED if (found := series(kind)) is not None}
@@ -312,7 +307,8 @@ def _categories(path: Path, index: int, row: list[Any]) -> dict[str, Any]:
     return found
 
 
-def _number(path: Path, where: str, column: str, value: object) -> float:
+def read_cell(path: Path, where: str, column: str, value: object) -> float:
+    """Return the number that a cell of a table holds; refuse one that is not finite."""
     try:
         number = float(str(value)) if not isinstance(value, bool) else float("nan")
     except ValueError:

@@ -29,14 +29,7 @@ _PER_UNIT = {"one": 1.0, "percent": 0.01}
 
 
 def read_weight_take(path: Path, options: CaptureOptions) -> Capture:
-    """Read a table of weights as a take.
-
-    Raises
-    ------
-    InputError
-        If the table is damaged, holds several takes and none is named, states no rate or two, or
-        its weights may be percent and nobody says so.
-    """
+    """Read a table of weights as a take."""
     samples = _one_take(path, read_weight_samples(path, shapes=options.shapes), options.take)
     notes: list[str] = []
     values = in_fractions(path, samples.values, options.weight_unit, samples.names, notes)
@@ -57,11 +50,6 @@ def row_frames(path: Path, samples: WeightSamples) -> tuple[IntArray, Fraction |
     """Return the frame of each row as `ingest` numbers it, and the rate where the file tells it.
 
     Without numbers a take begins at frame 1; rows follow each other, or lie at their times.
-
-    Raises
-    ------
-    InputError
-        If a number is no frame, or times are uneven, so that they tell none.
     """
     if samples.frames is not None:
         whole = np.isfinite(samples.frames) & (np.abs(samples.frames) < FARTHEST_FRAME)
@@ -101,13 +89,7 @@ def _rate_beside(path: Path, samples: WeightSamples, frames: IntArray) -> Fracti
 def in_fractions(
     path: Path, values: FloatArray, unit: str | None, names: Sequence[str], notes: list[str]
 ) -> FloatArray:
-    """Return weights as fractions of 1; percent is asked about, not believed.
-
-    Raises
-    ------
-    InputError
-        If weights are so large that they may be percent, and the unit is not stated.
-    """
+    """Return weights as fractions of 1; percent is asked about, not believed."""
     if unit is not None:
         if unit == "percent":
             notes.append("weights read as percent, as stated")

@@ -8,7 +8,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from usdface.cli.console import STOPPED
-from usdface.cli.spec_options import current_options
+from usdface.cli.spec_options import refuse_removed_options
 from usdface.core.errors import CancelledError
 
 EPILOG = "Exit codes: 0 done, 1 a check failed, 2 bad input, 3 interrupted."
@@ -57,10 +57,12 @@ class CommandList(TyperGroup):
         self.commands = commands
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Find the command, and bring options that have been renamed up to date."""
+        """Find the command; refuse options that it had once, with advice."""
         name, command, rest = super().resolve_command(ctx, args)
         spec = getattr(getattr(command, "callback", None), "spec", None)
-        return name, command, rest if spec is None else current_options(spec, rest)
+        if spec is not None:
+            refuse_removed_options(spec, rest)
+        return name, command, rest
 
     def invoke(self, ctx: Any) -> Any:
         """Run a command; Ctrl+C ends it like SIGTERM.

@@ -15,7 +15,7 @@ from pydantic.fields import FieldInfo
 
 from usdface.cli.console import ProgressStyle
 from usdface.core.errors import InputError
-from usdface.specs.base import Positional, Spec, field_help, warn_of_old_name
+from usdface.specs.base import Positional, Spec, field_help
 from usdface.specs.reading import removed_message, validation_messages
 
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON, for scripts.")]
@@ -115,21 +115,15 @@ def command_of(spec: type[Spec], run: Callable[..., None], common: list[inspect.
     return command
 
 
-def current_options(spec: type[Spec], arguments: list[str]) -> list[str]:
-    """Return a command's arguments, old names of options replaced by the new with a warning."""
+def refuse_removed_options(spec: type[Spec], arguments: list[str]) -> None:
+    """Raise InputError, with advice, if arguments name an option that a command once had."""
     end = arguments.index("--") if "--" in arguments else len(arguments)
-    current = []
     for argument in arguments[:end]:
-        option, equals, value = argument.partition("=")
+        option = argument.partition("=")[0]
         flag = "--no-" if option.startswith("--no-") else "--"
         name = option.removeprefix(flag).replace("-", "_") if option.startswith(flag) else ""
         if name in spec.removed:
             raise InputError(removed_message(name, spec))
-        if new := spec.renamed.get(name):
-            warn_of_old_name(spec.step_name(), name, new)
-            argument = f"{flag}{new.replace('_', '-')}{equals}{value}"
-        current.append(argument)
-    return current + arguments[end:]
 
 
 def help_of(spec: type[Spec]) -> str:

@@ -81,6 +81,11 @@ class Markers(_Asset):
     space: MarkerSpace = "captured"
     """Whether head motion is still in."""
 
+    @property
+    def usable(self) -> BoolArray:
+        """(frames, markers): where a position was measured or repaired."""
+        return np.asarray(self.visible | (self.confidence > 0))
+
     def __getitem__(self, name: str) -> Float32Array:
         """Return the positions of one marker, (frames, 3) [mm]."""
         return self.positions[:, _column(name, self.names, "marker")]
@@ -249,6 +254,11 @@ class Rig(_Asset):
     def logic(self) -> RigLogic:
         """What the animated shapes make of the combinations."""
         return RigLogic(self.shapes, self.combinations)
+
+    def ranges_of(self, shapes: Iterable[str]) -> FloatArray:
+        """Return the ranges of shapes, (shapes, 2); 0 to 1 of those that the rig lacks."""
+        own = dict(zip(self.shapes, self.ranges, strict=True))
+        return np.array([own.get(name, (0.0, 1.0)) for name in shapes]).reshape(-1, 2)
 
     def check_has(self, shapes: Iterable[str], *, source: object, remedy: str) -> None:
         """Raise InputError where the rig lacks shapes."""

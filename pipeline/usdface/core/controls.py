@@ -4,6 +4,7 @@ A control vector is what S11 (Song et al. 2011, section 3) calls **cv**: BlendSh
 transforms and any float attribute (deformer controls), side by side and each as what it is.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -42,14 +43,14 @@ class Controls:
 
     def rows(self, chosen: slice | IntArray | list[int]) -> "Controls":
         """Keep some of the frames or pairs."""
-        return replace(
-            self,
-            weights=self.weights[chosen],
-            translations=self.translations[chosen],
-            rotations=self.rotations[chosen],
-            scales=self.scales[chosen],
-            values=self.values[chosen],
-        )
+        return self.mapped(lambda array: array[chosen])
+
+    def mapped(self, change: Callable[..., FloatArray], *others: "Controls") -> "Controls":
+        """Return the controls with each array changed, as it is and as others have it."""
+        names = ("weights", "translations", "rotations", "scales", "values")
+        every = (self, *others)
+        arrays = {name: change(*(getattr(each, name) for each in every)) for name in names}
+        return replace(self, **arrays)  # type: ignore[arg-type]
 
     @property
     def summary(self) -> str:

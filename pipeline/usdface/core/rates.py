@@ -36,13 +36,7 @@ def label_rate(rate: Fraction) -> tuple[int, int]:
 
 
 def frames_of(timecode: str, rate: Fraction) -> int:
-    """Return how many capture frames lie between midnight and the frame a label names.
-
-    Raises
-    ------
-    InputError
-        If the label does not exist at this rate.
-    """
+    """Return how many capture frames lie between midnight and the frame a label names."""
     base, per_label = label_rate(rate)
     match = LABEL.match(timecode)
     if match is None:

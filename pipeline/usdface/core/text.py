@@ -1,7 +1,7 @@
 """Numbers and lists as messages write them; text files that people write."""
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +49,11 @@ def read_json(path: Path, largest_bytes: int) -> Any:
         return json.loads(read_text(path, largest_bytes))
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: is no valid JSON: {error}") from error
+
+
+def json_text(data: Mapping[str, Any]) -> str:
+    """Return data as the text of a JSON file that people read."""
+    return json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def json_object(text: str) -> dict[str, Any]:

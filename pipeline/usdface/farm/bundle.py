@@ -47,11 +47,6 @@ def job_template(name: str, steps: Sequence[FarmStep]) -> dict[str, Any]:
     ----------
     name : str
         The job's; shown on the farm, character by character as it is.
-
-    Raises
-    ------
-    InputError
-        If farms would refuse the name.
     """
     check_job_name(name)
     return {

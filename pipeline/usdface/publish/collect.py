@@ -67,13 +67,7 @@ def collect_performances(paths: Iterable[Path]) -> tuple[PublishItem, ...]:
 
 
 def collect_performance(path: Path) -> PublishItem:
-    """Return one performance as an item to publish.
-
-    Raises
-    ------
-    InputError
-        If the file is no performance, or the rig it refers to is gone.
-    """
+    """Return one performance as an item to publish."""
     if not path.is_file():
         raise InputError(f"{path}: no such file; check the path")
     reader = PerformanceReader(path)
@@ -128,13 +122,7 @@ def _is_performance(path: Path) -> bool:
 
 
 def validate_performance(item: PublishItem) -> tuple[Finding, ...]:
-    """Return what is not in order in a performance, errors first; empty where nothing is.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be opened.
-    """
+    """Return what is not in order in a performance, errors first; empty where nothing is."""
     found = list(validate(item.performance))
     if item.take is None:
         found.append(

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from usdface.core.errors import InputError
+from usdface.core.text import json_text
 from usdface.core.version import __version__
 from usdface.publish.extract import Extracted
 
@@ -116,7 +117,7 @@ def _write_manifest(
         "rig": _relative(item.rig, folder),
         "files": files,
     }
-    text = json.dumps(manifest, indent=2, ensure_ascii=False) + "\n"
+    text = json_text(manifest)
     try:
         (folder / MANIFEST).write_text(text, encoding="utf-8", newline="\n")
     except OSError as error:

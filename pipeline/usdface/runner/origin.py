@@ -187,11 +187,6 @@ def find_take(performance: Path, given: Path | None) -> Path:
     ----------
     given : Path or None
         What the command names; None leaves it to the provenance.
-
-    Raises
-    ------
-    InputError
-        If it is not known where the take is, or another is given.
     """
     own = take_of_performance(performance)
     if given is None:

@@ -4,7 +4,6 @@ import ast
 import functools
 import inspect
 import itertools
-import logging
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -15,7 +14,6 @@ from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 from pydantic import (
     AfterValidator,
     BaseModel,
-    BeforeValidator,
     ConfigDict,
     Field,
     GetJsonSchemaHandler,
@@ -24,19 +22,13 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import core_schema
 
-from usdface.specs.paths import ReadPath, Reads, Writes
-
-log = logging.getLogger(__name__)
+from usdface.specs.paths import ReadPath, Reads, Several, Writes
 
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 Axis = Literal["y", "z", "x", "-x", "-y", "-z"]
 Units = Literal["mm", "cm", "m", "in"]
 
 DRIVEN_PARTS = ("head", "left_eye", "right_eye")
-
-
-def _one_or_several(given: Any) -> Any:
-    return (given,) if isinstance(given, str) else given
 
 
 def _parts_once(drive: tuple[str, ...]) -> tuple[str, ...]:
@@ -52,7 +44,7 @@ def _parts_once(drive: tuple[str, ...]) -> tuple[str, ...]:
     return drive
 
 
-Drive = Annotated[tuple[Name, ...], BeforeValidator(_one_or_several), AfterValidator(_parts_once)]
+Drive = Annotated[tuple[Name, ...], Several, AfterValidator(_parts_once)]
 
 Sidecar = Callable[[Path], Path]
 """Function from the path of a file to that of a layer it needs; see `core.sidecars`."""
@@ -145,9 +137,6 @@ class Spec(BaseModel):
     in_place: ClassVar[bool] = False
     """Whether an output may replace an input."""
 
-    renamed: ClassVar[Mapping[str, str]] = {}
-    """Old and new names of fields; old ones are accepted for one version, with a warning."""
-
     removed: ClassVar[Mapping[str, str]] = {}
     """Removed fields, each with its replacement; refused with this advice."""
 
@@ -160,18 +149,6 @@ class Spec(BaseModel):
     """Options that others, which follow, make void. Both together are refused."""
 
     step: str
-
-    @model_validator(mode="before")
-    @classmethod
-    def _old_names_are_accepted(cls, data: Any) -> Any:
-        if not isinstance(data, Mapping) or not cls.renamed.keys() & data.keys():
-            return data
-        for old in cls.renamed.keys() & data.keys():
-            new = cls.renamed[old]
-            if new in data:
-                raise ValueError(f"{old} is now called {new}, and both are given; keep {new}")
-            warn_of_old_name(cls.step_name(), old, new)
-        return {cls.renamed.get(name, name): value for name, value in data.items()}
 
     @model_validator(mode="after")
     def _no_option_is_ignored(self) -> Self:
@@ -300,14 +277,6 @@ class Spec(BaseModel):
                 elif value is not None:
                     changed[name] = tuple(change(each) for each in value)
         return self.model_copy(update=changed)
-
-
-@functools.cache
-def warn_of_old_name(step: str, old: str, new: str) -> None:
-    """Log once per process that a field has a new name."""
-    log.warning(
-        "%s: %s is now called %s; the old name is accepted in this version alone", step, old, new
-    )
 
 
 class WeightTableSpec(Spec):

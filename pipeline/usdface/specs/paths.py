@@ -61,6 +61,10 @@ def _one_or_several(given: Any) -> Any:
     return (given,) if isinstance(given, str | Path) else given
 
 
+Several = BeforeValidator(_one_or_several)
+"""Marks a list that may be given as its only item."""
+
+
 def _figures_or_curves(paths: tuple[Path, ...]) -> tuple[Path, ...]:
     for path in paths:
         if path.suffix.lower() not in (".json", *IMAGE_SUFFIXES):
@@ -72,7 +76,7 @@ def _figures_or_curves(paths: tuple[Path, ...]) -> tuple[Path, ...]:
 
 MeasuredOut = Annotated[
     tuple[FilePath, ...],
-    BeforeValidator(_one_or_several),
+    Several,
     AfterValidator(_figures_or_curves),
     Writes(),
 ]

@@ -1,7 +1,6 @@
 """Read specs from YAML or JSON, and write them."""
 
 import difflib
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import ValidationError
 
 from usdface.core.errors import InputError
+from usdface.core.text import json_text
 from usdface.specs.base import Spec
 from usdface.specs.job import SPEC_BY_STEP, JobSpec
 from usdface.specs.paths import PRIM_PATTERN, PathRules, map_path
@@ -204,7 +204,7 @@ def spec_text(spec: Spec, path: Path) -> str:
     """Return a spec as the text of a file: JSON if the path ends so, otherwise YAML."""
     data = _as_written(spec)
     if path.suffix == ".json":
-        return json.dumps(data, indent=2, ensure_ascii=False) + "\n"
+        return json_text(data)
     import yaml  # help starts without it
 
     return str(yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=100))

@@ -1,10 +1,9 @@
 """Specs of retargeting: pairs, train-retarget, retarget, cyclic, sequences, warp."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from usdface.core.sidecars import proposed_path, weights_path
 from usdface.specs.base import Drive, Name, Positional, Sidecar, Spec, WeightTableSpec
@@ -17,6 +16,7 @@ from usdface.specs.paths import (
     PrimPath,
     ReadPath,
     Reads,
+    Several,
 )
 
 
@@ -167,11 +167,11 @@ class RetargetSpec(WeightTableSpec):
     source: Annotated[FilePath, Reads(), Positional()]
     """Source weights: a take that carries them, a performance, or a capture file or table of
     weights, such as the CSV of Live Link Face."""
-    retargeting: Annotated[tuple[FilePath, ...], Reads()] = ()
+    retargeting: Annotated[tuple[FilePath, ...], Reads(), Several] = ()
     """Files written by `usdface train-retarget`, one per target."""
-    out: Annotated[tuple[LayerOut, ...], Field(min_length=1)]
+    out: Annotated[tuple[LayerOut, ...], Field(min_length=1), Several]
     """The performances to write, one per target."""
-    rig: Annotated[tuple[FilePath, ...], Reads()] = ()
+    rig: Annotated[tuple[FilePath, ...], Reads(), Several] = ()
     """Rigs of the targets; with --retargeting, only if they have moved since training."""
     names: ReadPath | None = None
     """Table of pairs of shapes to follow instead of the names, as `usdface names` writes it (.csv
@@ -196,11 +196,6 @@ class RetargetSpec(WeightTableSpec):
     """Names of the columns of a .npy matrix of weights, as `ingest` takes them."""
     take: Name | None = None
     """Which take of a table that holds several."""
-
-    @field_validator("retargeting", "out", "rig", mode="before")
-    @classmethod
-    def _one_or_several(cls, given: Any) -> Any:
-        return (given,) if isinstance(given, str | Path) else given
 
     @model_validator(mode="after")
     def _one_of_each(self) -> Self:
@@ -321,7 +316,7 @@ class FindSequencesSpec(Spec):
     step: Literal["find-sequences"] = "find-sequences"
     source: Annotated[FilePath, Reads(), Positional()]
     """A take with source weights, or a performance of the source."""
-    sequence: Annotated[tuple[FilePath, ...], Field(min_length=1), Reads()]
+    sequence: Annotated[tuple[FilePath, ...], Field(min_length=1), Reads(), Several]
     """Sequence to search for. May be given several times."""
     out: LayerOut
     """The list of matches to write."""
@@ -339,11 +334,6 @@ class FindSequencesSpec(Spec):
     """Source shapes to compare. Default: all. * matches any characters."""
     frames: Frames | None = None
     """Frames to search, as FIRST-LAST. Default: all."""
-
-    @field_validator("sequence", mode="before")
-    @classmethod
-    def _one_or_several(cls, given: Any) -> Any:
-        return (given,) if isinstance(given, str | Path) else given
 
     @model_validator(mode="after")
     def _threshold_where_it_counts(self) -> Self:

@@ -1,6 +1,5 @@
 """Poses saved under a name: one file beside the references, which other assets can use."""
 
-import json
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -8,8 +7,8 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints, Validation
 
 from usdface.core.confinement import check_may_open
 from usdface.core.errors import InputError
-from usdface.core.replacing import replacing
-from usdface.core.text import read_json
+from usdface.core.replacing import write_text
+from usdface.core.text import json_text, read_json
 from usdface.specs.base import Spec
 from usdface.specs.reading import validation_messages
 
@@ -55,7 +54,5 @@ def save_pose(path: Path, name: str, weights: dict[str, float] | None) -> SavedP
     if weights is not None:
         poses[name] = {shape: value for shape, value in weights.items() if value}
     saved = SavedPoses(poses=dict(sorted(poses.items())))
-    with replacing(path) as temporary:
-        text = json.dumps(saved.model_dump(), ensure_ascii=False, indent=1)
-        temporary.write_text(text + "\n", encoding="utf-8")
+    write_text(path, json_text(saved.model_dump()))
     return saved

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -42,6 +43,24 @@ def apply_api(prim: Sdf.PrimSpec, name: str) -> None:
     prim.SetInfo("apiSchemas", Sdf.TokenListOp.Create(prependedItems=[name]))
 
 
+def value_of(prim: Usd.Prim, name: str) -> Any:
+    """Return an attribute's value that does not change; None where there is none."""
+    attribute = prim.GetAttribute(name)
+    return attribute.Get() if attribute else None
+
+
+def text_of(prim: Usd.Prim, name: str, time: float | None = None) -> str:
+    """Return a text or token of a prim, at a time code where one is given; empty without any."""
+    attribute = prim.GetAttribute(name)
+    when = Usd.TimeCode.Default() if time is None else time
+    return str(attribute.Get(when) or "") if attribute else ""
+
+
+def names_in(attribute: Usd.Attribute) -> tuple[str, ...]:
+    """Return the texts that an attribute lists; none where it has no value or is not there."""
+    return tuple(map(str, attribute.Get() or ())) if attribute else ()
+
+
 def author_uniform(prim: Sdf.PrimSpec, name: str, kind: Sdf.ValueTypeName, value: object) -> None:
     """Write an attribute that does not change over time."""
     Sdf.AttributeSpec(prim, name, kind, Sdf.VariabilityUniform).default = value
@@ -62,6 +81,22 @@ def index_array(values: IntArray) -> Vt.IntArray:
     return Vt.IntArray.FromNumpy(np.ascontiguousarray(values, dtype=np.int32))
 
 
+def paths_in(layer: Sdf.Layer) -> list[Sdf.Path]:
+    """Return the paths of all prims and properties that a layer speaks of."""
+    found: list[Sdf.Path] = []
+    layer.Traverse(Sdf.Path.absoluteRootPath, found.append)
+    return found
+
+
+def sampled_properties(layer: Sdf.Layer) -> list[Sdf.Path]:
+    """Return the paths of the properties that have time samples in a layer."""
+    return [
+        path
+        for path in paths_in(layer)
+        if path.IsPropertyPath() and layer.GetNumTimeSamplesForPath(path)
+    ]
+
+
 def retime_layer(layer: Sdf.Layer, rate: float) -> None:
     """Give a layer another rate, and move its samples so that they stay where they are in time."""
     factor = rate / layer.timeCodesPerSecond
@@ -72,14 +107,7 @@ def retime_layer(layer: Sdf.Layer, rate: float) -> None:
 
 def move_samples(layer: Sdf.Layer, moved: Sdf.LayerOffset) -> None:
     """Put a layer's samples where a layer that opens it by an offset would see them."""
-    sampled: list[Sdf.Path] = []
-
-    def look(path: Sdf.Path) -> None:
-        if path.IsPropertyPath() and layer.GetNumTimeSamplesForPath(path):
-            sampled.append(path)
-
-    layer.Traverse(Sdf.Path.absoluteRootPath, look)
-    for path in sampled:
+    for path in sampled_properties(layer):
         times = layer.ListTimeSamplesForPath(path)
         values = [layer.QueryTimeSample(path, time) for time in times]
         for time in times:

@@ -19,6 +19,7 @@ from usdface.usdio.authoring import (
     prim_in_scope,
     read_arrays,
     shaped,
+    value_of,
 )
 from usdface.usdio.layers import new_layer, open_stage, refusing_wrong_types
 from usdface.usdio.units import author_units
@@ -95,8 +96,7 @@ def _score(entry: dict[str, Any]) -> CandidateScore:
 
 
 def _value(path: Path, prim: Usd.Prim, name: str) -> Any:
-    attribute = prim.GetAttribute(f"face:mapping:{name}")
-    value = attribute.Get() if attribute else None
+    value = value_of(prim, f"face:mapping:{name}")
     if value is None and name in ("method", "markers", "channels", "neutral", "ranges", "rigid"):
         raise InputError(f"{path} <{prim.GetPath()}>: face:mapping:{name} is missing; train again")
     return value

@@ -15,6 +15,7 @@ from pxr import Ar, Sdf, Tf, Usd, UsdUtils
 
 from usdface.core.confinement import confinement_root
 from usdface.core.errors import InputError
+from usdface.usdio.authoring import paths_in
 from usdface.usdio.crate import check_crate
 
 _MOST_REACHED = 20_000
@@ -160,9 +161,7 @@ def _check_tree(layer: Sdf.Layer) -> None:
     """
     if layer.GetFileFormat().formatId == "usda":
         return
-    listed: list[Sdf.Path] = []
-    layer.Traverse(Sdf.Path.absoluteRootPath, listed.append)
-    for path in listed:
+    for path in paths_in(layer):
         if path.IsPrimPath():
             there = bool(layer.GetPrimAtPath(path))
         elif path.IsPrimPropertyPath():

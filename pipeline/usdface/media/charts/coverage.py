@@ -85,13 +85,7 @@ class CoveragePage:
 
 
 def draw_coverage(page: CoveragePage) -> ByteImage:
-    """Draw what references do not cover, how coverage grew, and the frames to tune next.
-
-    Returns
-    -------
-    (height, width, 3) uint8 array
-        sRGB.
-    """
+    """Draw what references do not cover, how coverage grew, and the frames to tune next."""
     if not page.lanes or not len(page.growth):
         raise InputError("coverage to draw needs at least one lane and a curve")
     strips = strip_height(len(page.lanes))

@@ -46,13 +46,7 @@ class Eigenspace:
 
 
 def draw_eigenspace(space: Eigenspace) -> ByteImage:
-    """Draw the first three components, two by two, and the variance of all.
-
-    Returns
-    -------
-    (height, width, 3) uint8 array
-        sRGB.
-    """
+    """Draw the first three components, two by two, and the variance of all."""
     top = _PAGE_MARGIN + HEADER_HEIGHT + 30
     figure = new_figure(_PAGE_WIDTH, top + 2 * _ROW_HEIGHT + _PAGE_MARGIN)
     second = _PAGE_WIDTH // 2

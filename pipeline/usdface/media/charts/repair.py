@@ -69,11 +69,6 @@ def draw_repairs(
         Frame number of the first row of each kind.
     least_frames : int
         Repairs in a row, from which on a marker has a lane of its own.
-
-    Returns
-    -------
-    (height, width, 3) uint8 array
-        sRGB.
     """
     frames = len(kinds[0].where) if kinds else 0
     if not frames or any(kind.where.shape != (frames, len(names)) for kind in kinds):

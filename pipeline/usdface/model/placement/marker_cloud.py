@@ -38,13 +38,7 @@ class MarkerCloud:
     any."""
 
     def levelled(self) -> tuple[FloatArray, FloatArray]:
-        """Return the rotation that levels the cloud, and the cloud with its plane at x = 0.
-
-        Raises
-        ------
-        ValueError
-            If labels name too few sides, and the cloud shows no symmetry.
-        """
+        """Return the rotation that levels the cloud, and the cloud with its plane at x = 0."""
         plane = _plane(self.neutral, self.labels)
         frame = plane.levelled_frame()
         return frame, self.neutral @ frame.T - [plane.offset, 0.0, 0.0]

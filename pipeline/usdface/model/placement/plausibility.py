@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, FloatArray
+from usdface.core.arrays import BoolArray, FloatArray, sample_frames
 from usdface.core.assets import Markers
 from usdface.core.errors import InputError
 from usdface.model.placement.face_template import FaceFit, face_template, fit_face
@@ -112,12 +112,12 @@ def judge_markers(
     axes : (3, 3) float array, optional
         Rotation that brought the file's axes to Y up; names the axis in the remedy.
     """
-    usable = np.asarray(markers.visible | (markers.confidence > 0))
+    usable = markers.usable
     counts = usable.sum(axis=1)
     rows = np.flatnonzero(counts >= max(3, counts.max(initial=0) / 2))
     if not len(rows):
         return ()
-    chosen = rows[np.unique(np.linspace(0, len(rows) - 1, _SAMPLE_FRAMES).astype(np.int64))]
+    chosen = rows[sample_frames(len(rows), _SAMPLE_FRAMES)]
     positions, seen = markers.positions[chosen].astype(np.float64), usable[chosen]
     fits = _fits(markers.names, positions, seen)
     found = list(_part(markers.names, seen))

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, sample_frames
 from usdface.numerics.rigid.rigid_alignment import align_rigid_robust, remove_motion
 
 _FLAT_RATIO = 0.75
@@ -43,7 +43,7 @@ class SkinMotion:
         starts = np.intersect1d(rows, rows - lag)
         if not len(starts):
             starts, lag = rows, 0
-        starts = starts[np.unique(np.linspace(0, len(starts) - 1, _SPEED_FRAMES).astype(np.int64))]
+        starts = starts[sample_frames(len(starts), _SPEED_FRAMES)]
         both = np.concatenate([starts, starts + lag])
         sample, seen = positions[both].astype(np.float64), usable[both]
         reference = sample[int(seen.sum(axis=1).argmax())]

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.arrays import FloatArray, IntArray, columns_by_name
 from usdface.core.assets import Rig
 from usdface.core.controls import ExpressionPairs
 from usdface.core.deformer import Deformer
@@ -130,13 +130,11 @@ def evaluate_cyclic(
         Needed for ``positions`` and the variant's truth.
     shape_ranges : (target shapes, 2) float array, optional
     """
-    columns = [rig.shapes.index(name) for name in pairs.source_shapes]
     surface = spread_displacements(rig, pairs.source_shapes)
     near = SurfaceMeter(rig)
     truth = variant.truth
     far = None if truth is None or target_rig is None else SurfaceMeter(target_rig)
-    asked = np.zeros((len(performance), len(rig.shapes)))
-    asked[:, columns] = performance
+    asked = columns_by_name(performance, pairs.source_shapes, rig.shapes)
     found = []
     for number, method in enumerate(methods):
         share = part(progress, number / len(methods), (number + 1) / len(methods))
@@ -160,12 +158,12 @@ def evaluate_cyclic(
             alpha = variant.alpha if method == KEYED else None
             there = retarget(trained, performance, alpha=alpha).weights
             back = round_trip(examples, trained.method, trained.settings, performance, alpha=alpha)
-        returned = np.zeros_like(asked)
-        returned[:, columns] = back
+        returned = columns_by_name(back, pairs.source_shapes, rig.shapes)
         direct = None
         if far is not None and truth is not None and target_rig is not None:
             direct = far.mean_vertex_mm(
-                _in_rig_order(there, pairs, target_rig), _in_rig_order(truth, pairs, target_rig)
+                columns_by_name(there, pairs.target.shapes, target_rig.shapes),
+                columns_by_name(truth, pairs.target.shapes, target_rig.shapes),
             )
         found.append(
             CyclicError(label, settings, near.mean_vertex_mm(returned, asked), returned, direct)
@@ -179,16 +177,10 @@ def _by_positions(
     """Match positions both ways: weights of the target's shapes, and of the source's."""
     if target_rig is None:
         raise InputError("matching positions needs the target's rig; put it back")
-    columns = [rig.shapes.index(name) for name in pairs.source_shapes]
-    asked = np.zeros((len(performance), len(rig.shapes)))
-    asked[:, columns] = performance
+    asked = columns_by_name(performance, pairs.source_shapes, rig.shapes)
     there = match_positions(correspond(rig, target_rig), asked)
     back = match_positions(correspond(target_rig, rig), there)
-    place = [target_rig.shapes.index(name) for name in pairs.target.shapes]
-    return there[:, place], back[:, columns]
-
-
-def _in_rig_order(weights: FloatArray, pairs: ExpressionPairs, rig: Rig) -> FloatArray:
-    out = np.zeros((len(weights), len(rig.shapes)))
-    out[:, [rig.shapes.index(name) for name in pairs.target.shapes]] = weights
-    return out
+    return (
+        columns_by_name(there, target_rig.shapes, pairs.target.shapes),
+        columns_by_name(back, rig.shapes, pairs.source_shapes),
+    )

@@ -154,11 +154,6 @@ def performer_onto_rig(mapping: TrainedMapping, rig: Rig) -> FloatArray:
     a little everywhere, which draws plain middles together and makes the performer small. Shapes
     count by how far they move the performer. The scale is Horn's symmetric one (1987, J. Opt. Soc.
     Am. A 4, 629-642).
-
-    Raises
-    ------
-    ValueError
-        If fewer than three shapes move both.
     """
     on_face = (mapping.arrays["forward_basis"] ** 2).sum(axis=2)
     offsets = Deformer(rig).shapes.target_offsets().toarray().reshape(len(rig.shapes), -1, 3)

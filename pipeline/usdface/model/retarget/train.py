@@ -155,12 +155,6 @@ def retarget(
         In the order of ``trained.source_shapes``.
     alpha : (frames,) float array, optional
         Share of the multiquadric at each frame [0-1]; only a hybrid has one.
-
-    Raises
-    ------
-    InputError
-        If `alpha` is given and the method is no hybrid, or the retargeting's arrays are missing or
-        do not fit each other.
     """
     if alpha is not None and trained.method != "hybrid":
         raise InputError(

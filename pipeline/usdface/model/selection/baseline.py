@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, sample_frames
 from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
@@ -258,7 +258,7 @@ def set_up_equation(
     labels : tuple of str
         Of the markers; those that name a part of the face say where it is.
     """
-    picks = _picks(len(positions))
+    picks = sample_frames(len(positions), MOTION_FRAMES)
     offsets = deformer.shapes.target_offsets()
     try:
         skin = sample_face_skin(deformer.neutral, deformer.triangles, offsets)
@@ -292,7 +292,7 @@ def equation_at(
 
     Parameters are those of `set_up_equation`; `virtual` is where the markers sit.
     """
-    picks = _picks(len(positions))
+    picks = sample_frames(len(positions), MOTION_FRAMES)
     offsets = deformer.shapes.target_offsets()
     deltas = marker_deltas(virtual, offsets)
     keys = MarkerKeys(
@@ -326,7 +326,3 @@ def _noise_mm(equation: BlendshapeEquation, positions: Positions, visible: BoolA
     ]
     seen = np.isfinite(away)
     return float(np.sqrt((away[seen] ** 2).mean())) if seen.any() else 0.0
-
-
-def _picks(count: int) -> IntArray:
-    return np.unique(np.linspace(0, count - 1, MOTION_FRAMES).astype(np.int64))

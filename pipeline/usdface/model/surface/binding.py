@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import KDTree
 
-from usdface.core.arrays import BoolArray, FloatArray, IntArray
+from usdface.core.arrays import BoolArray, FloatArray, IntArray, sample_frames
 from usdface.core.assets import Rig, RigMesh
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
@@ -93,7 +93,7 @@ def propose_binding(
             f"the take has {len(neutral)} markers; at least {FEWEST_MARKERS} are needed to lay a "
             "face on a mesh"
         )
-    picks = np.unique(np.linspace(0, len(positions) - 1, _SAMPLE_FRAMES).astype(np.int64))
+    picks = sample_frames(len(positions), _SAMPLE_FRAMES)
     sample, seen = positions[picks].astype(np.float64), visible[picks]
     try:
         if mesh.shapes:

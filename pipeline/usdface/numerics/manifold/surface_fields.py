@@ -150,11 +150,6 @@ def fit_distance_multiquadric(between: FloatArray, stiffness: FloatArray) -> Dis
         [mm]
     stiffness : (markers,) float array
         s_i [mm], by default of `nearest_stiffness`.
-
-    Raises
-    ------
-    ValueError
-        If two markers sit at one place.
     """
     left, singular, right = np.linalg.svd(_values(between, stiffness))
     if singular[-1] < _LEAST_CONDITION * singular[0]:

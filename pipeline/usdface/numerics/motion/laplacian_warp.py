@@ -69,12 +69,6 @@ def warp_motion(
     Returns
     -------
     (frames, controls) float array
-
-    Raises
-    ------
-    ValueError
-        If an insertion does not lie within the motion, overlaps another, or holds weights or keys
-        that cannot be used.
     """
     if motion.ndim != 2:
         raise ValueError(f"a motion is (frames, controls), got {motion.shape}")

@@ -70,13 +70,7 @@ def multiply_quaternions(left: FloatArray, right: FloatArray) -> FloatArray:
 
 
 def normalize_quaternions(quaternions: FloatArray) -> FloatArray:
-    """Return quaternions at unit length.
-
-    Raises
-    ------
-    ValueError
-        If one is zero or not finite: that is no rotation.
-    """
+    """Return quaternions at unit length."""
     length = np.linalg.norm(quaternions, axis=-1, keepdims=True)
     if not (np.isfinite(length).all() and (length > 0).all()):
         raise ValueError("a quaternion is zero or not finite, so it is no rotation")

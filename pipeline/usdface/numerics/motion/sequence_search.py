@@ -74,12 +74,6 @@ def starts_within(motion: FloatArray, sequence: FloatArray, *, threshold: float)
     sequence : (m, channels) float array
     threshold : float
         Mean distance per frame and root channel.
-
-    Raises
-    ------
-    ValueError
-        If channels differ, the sequence is longer than the motion, or the threshold is not a
-        number of at least 0.
     """
     if motion.ndim != 2 or sequence.ndim != 2 or motion.shape[1] != sequence.shape[1]:
         raise ValueError(f"{motion.shape} motion and {sequence.shape} sequence differ in channels")

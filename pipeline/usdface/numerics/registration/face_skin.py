@@ -50,11 +50,6 @@ def facing_direction(points: ArrayLike, triangles: ArrayLike, activity: ArrayLik
     triangles : (triangles, 3) int array
     activity : (points,) array
         How far the shapes move each point.
-
-    Raises
-    ------
-    ValueError
-        If nothing moves, or the direction is undetermined.
     """
     P, T = np.asarray(points, float), np.asarray(triangles, np.int64)
     a = np.asarray(activity, float)[T].mean(axis=1)
@@ -97,11 +92,6 @@ def sample_outer_surface(
         what lies far from all movement (shoulders, the crown).
     sample_count : int, optional
         About how many.
-
-    Raises
-    ------
-    ValueError
-        If nothing of the surface is seen, or nothing moves.
     """
     P, T = np.asarray(points, float), np.asarray(triangles, np.int64)
     moves = np.asarray(activity, float)
@@ -247,12 +237,6 @@ def sample_face_skin(points: ArrayLike, triangles: ArrayLike, offsets: Offsets) 
     triangles : (triangles, 3) int array
     offsets : (shapes, points, 3) array or (shapes, 3 * points) sparse array
         What each shape at 1 does to the points [mm].
-
-    Raises
-    ------
-    ValueError
-        If the arrays do not fit together, no shape moves anything, or the direction of the face is
-        undetermined.
     """
     rest, faces = np.asarray(points, float), np.asarray(triangles, np.int64)
     matrix = sparse_offsets(offsets, point_count=len(rest))

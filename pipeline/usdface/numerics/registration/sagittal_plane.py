@@ -71,11 +71,6 @@ def plane_of_pairs(
         Points on the plane.
     rounds : int
         Of reweighting.
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than three pairs.
     """
     if len(pairs) < _FEWEST_PAIRS:
         raise ValueError(f"{len(pairs)} mirrored pairs; a plane needs {_FEWEST_PAIRS}")
@@ -110,11 +105,6 @@ def plane_by_reflection(points: FloatArray) -> SagittalPlane:
     ----------
     points : (points, 3) float array
         At rest, Y roughly up [mm].
-
-    Raises
-    ------
-    ValueError
-        If no plane pairs at least three points.
     """
     centre = points.mean(axis=0)
     tolerance = _TOLERANCE_SHARE * float(np.sqrt(((points - centre) ** 2).sum(axis=1).mean()))

@@ -41,11 +41,6 @@ def places_at_points(
     face_indices : (corners,) int array
     chosen : (places,) int array
         Indices of points.
-
-    Raises
-    ------
-    ValueError
-        If a point belongs to no face.
     """
     triangles, owners = triangulate(face_counts, face_indices)
     used, first = np.unique(triangles.ravel(), return_index=True)
@@ -67,11 +62,6 @@ def places_of_corners(
     ----------
     corners : (places, 3) int array
     weights : (places, 3) float array
-
-    Raises
-    ------
-    ValueError
-        If three points share no face.
     """
     triangles, owners = triangulate(face_counts, face_indices)
     near = np.flatnonzero(np.isin(triangles, corners).all(axis=1))
@@ -146,11 +136,6 @@ def place_on_polygon(
     """Return the one place that weights over a polygon's corners name.
 
     Weights over more than three corners are brought onto the polygon's triangles.
-
-    Raises
-    ------
-    ValueError
-        If the face does not exist, or the weights do not fit its corners.
     """
     if not 0 <= face < len(face_counts):
         raise ValueError(f"there is no face {face}; the mesh has {len(face_counts)}")

@@ -44,16 +44,12 @@ class VirtualMarkers:
 
 
 def marker_deltas(virtual: VirtualMarkers, offsets: Offsets) -> FloatArray:
-    """Return what each shape, or key of a shape, does to the virtual markers.
+    """Return what each shape, or key of a shape, does to the virtual markers: (shapes, markers, 3).
 
     Parameters
     ----------
     offsets : (shapes, points, 3) array or (shapes, 3 * points) sparse array
         Of the surface that the markers were placed on.
-
-    Returns
-    -------
-    (shapes, markers, 3) float array
     """
     return deltas_at(sparse_offsets(offsets), virtual.points, virtual.weights)
 

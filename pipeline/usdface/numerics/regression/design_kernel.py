@@ -92,7 +92,7 @@ def left_over(
 def predict_from(
     kernel: DesignKernel, known: FloatArray, values: FloatArray, rows: FloatArray, *, noise: float
 ) -> FloatArray:
-    """Return values at other frames by the tuned ones: the Gaussian process's mean.
+    """Return values at other frames by the tuned ones: the Gaussian process's mean, (frames, s).
 
     Parameters
     ----------
@@ -100,10 +100,6 @@ def predict_from(
         As for `left_over`.
     values : (n, s) float array
         Of the tuned frames.
-
-    Returns
-    -------
-    (frames, s) float array
     """
     mean = values.mean(axis=0)
     precise = kernel(known, known) + noise * np.eye(len(known))

@@ -68,13 +68,7 @@ class _Spectrum:
 
 
 def median_width(points: FloatArray, *, multiple: float = 1.0) -> float:
-    """Return a multiple of the median distance between points.
-
-    Raises
-    ------
-    ValueError
-        If the points coincide.
-    """
+    """Return a multiple of the median distance between points."""
     from scipy.spatial.distance import pdist  # only when wanted: it takes half a second
 
     distances = pdist(points)
@@ -165,15 +159,11 @@ def fit_kernel_cca(
 
 
 def predict_kernel_cca(model: KernelCCA, points: FloatArray) -> FloatArray:
-    """Evaluate the regression (eq. 8).
+    """Evaluate the regression (eq. 8): (f, s).
 
     Parameters
     ----------
     points : (f, d) float array
-
-    Returns
-    -------
-    (f, s) float array
     """
     return predict_expansion(points, model.centres, model.width, model.operator, model.intercept)
 

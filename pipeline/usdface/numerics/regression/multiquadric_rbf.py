@@ -37,13 +37,7 @@ class Multiquadric:
 
 
 def nearest_softness(centres: FloatArray) -> FloatArray:
-    """Return each centre's distance to the nearest other centre that is not at the same place.
-
-    Raises
-    ------
-    ValueError
-        If fewer than two centres differ.
-    """
+    """Return each centre's distance to the nearest other centre that is not at the same place."""
     from scipy.spatial.distance import cdist  # only when wanted: it takes half a second
 
     nearest = nearest_distances(centres)
@@ -86,12 +80,6 @@ def fit_multiquadric(
     smooth : bool
         Penalise squared coefficients, the penalty of each output chosen by generalised
         cross-validation, instead of meeting every pair exactly: for pairs with noise.
-
-    Raises
-    ------
-    ValueError
-        If arrays do not pair up or hold values that are not finite, a softness is not positive,
-        or the pairs cannot be met exactly because two centres coincide.
     """
     C, Y = np.asarray(centres, np.float64), np.asarray(outputs, np.float64)
     if C.ndim != 2 or Y.ndim != 2 or len(C) != len(Y):

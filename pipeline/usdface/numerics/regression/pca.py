@@ -111,16 +111,12 @@ def pca_from_moments(moments: Moments, *, dimensions: int | None = None) -> PCA:
 
 
 def project(pca: PCA, data: ArrayLike) -> FloatArray:
-    """Coordinates of rows along the components (Deng et al. 2006, eq. 3).
+    """Coordinates of rows along the components (Deng et al. 2006, eq. 3): (n, k).
 
     Parameters
     ----------
     data : (n, d) float array
         Any float type; converted in slices.
-
-    Returns
-    -------
-    (n, k) float array
     """
     rows = np.asarray(data)
     out = np.empty((len(rows), len(pca.components)))

@@ -183,7 +183,7 @@ def choose_ridge(rotated: Rotated, *, freedom_limit: float = FREEDOM_LIMIT) -> F
 def reestimate_ridge(
     rotated: Rotated, *, start: float, tolerance: float = 1e-6, max_iterations: int = 500
 ) -> FloatArray:
-    """Find the ridge as the paper does: solve dGCV/dridge = 0 by iteration from a start.
+    """Find the ridge as the paper does: solve dGCV/dridge = 0 by iteration: (s,).
 
     Where GCV has several minima, which one is found depends on the start: `choose_ridge` looks at
     them all. Kept to compare with the paper.
@@ -194,10 +194,6 @@ def reestimate_ridge(
         First ridge, as a share of the largest squared singular value.
     tolerance : float
         Stop an output when its GCV score changes by less than this share.
-
-    Returns
-    -------
-    (s,) float array
 
     References
     ----------
@@ -293,7 +289,7 @@ def evaluate_network(
     *,
     block_rows: int = BLOCK_ROWS,
 ) -> FloatArray:
-    """Evaluate a network of any basis functions in blocks: memory is bounded.
+    """Evaluate a network of any basis functions, (f, s), in blocks: memory is bounded.
 
     Parameters
     ----------
@@ -301,10 +297,6 @@ def evaluate_network(
         Points (m, d) to every basis function at them, (m, n).
     coefficients : (n, s) float array
     points : (f, d) float array
-
-    Returns
-    -------
-    (f, s) float array
     """
     out = np.empty((len(points), coefficients.shape[1]))
     for start in range(0, len(points), block_rows):

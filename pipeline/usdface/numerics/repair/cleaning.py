@@ -109,12 +109,6 @@ def clean_markers(
         Longest gap to fill [frames].
     smooth, relabel : bool
         False leaves that step out.
-
-    Raises
-    ------
-    ValueError
-        If the shapes differ, the rigid markers do not determine a pose, a marker is never seen, or
-        `max_gap` is negative.
     """
     captured = np.asarray(positions, np.float32)
     seen = np.array(visible, bool)

@@ -67,11 +67,6 @@ def fit_low_rank(
         Fitted to nearly the same samples: where to start instead of at medians.
     noise : (markers,) float array, optional
         The samples' `marker_noise`, where it is known.
-
-    Raises
-    ------
-    ValueError
-        If a marker has no good sample at all.
     """
     rows = sample_frames(len(positions), _FIT_FRAMES)
     sample, usable = positions[rows], good[rows]

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, FloatArray, IntArray
+from usdface.core.arrays import BoolArray, FloatArray, IntArray, sample_frames
 from usdface.numerics.rigid.rigid_alignment import align_rigid
 
 _PROCRUSTES_ROUNDS = 5
@@ -151,7 +151,7 @@ def unproject_head(
 
 def _mean_shape(points: FloatArray) -> FloatArray:
     """Return the mean of shapes after each is moved, turned and scaled onto it."""
-    rows = np.unique(np.linspace(0, len(points) - 1, _PROCRUSTES_FRAMES).astype(np.int64))
+    rows = sample_frames(len(points), _PROCRUSTES_FRAMES)
     shapes = points[rows] - points[rows].mean(axis=1, keepdims=True)
     # The picture that the face fills most is sharpest, and any is a good start.
     mean = shapes[int(np.argmax((shapes**2).sum(axis=(1, 2))))]

@@ -53,11 +53,6 @@ class BlendShapes:
         Number of channels, those that move nothing included.
     logic : RigLogic, optional
         Drives the channels beyond `channel_count`.
-
-    Raises
-    ------
-    ValueError
-        If two keys of a track are reached at the same weight.
     """
 
     def __init__(

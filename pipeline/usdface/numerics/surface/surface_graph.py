@@ -27,13 +27,7 @@ class MeshFaults:
 
 
 def check_surface(points: FloatArray, face_counts: IntArray, face_indices: IntArray) -> None:
-    """Check that arrays are a polygon mesh.
-
-    Raises
-    ------
-    ValueError
-        If there are no faces, arrays do not fit together, or points are not finite.
-    """
+    """Check that arrays are a polygon mesh."""
     if points.ndim != 2 or points.shape[1] != 3:
         raise ValueError(f"points must be (points, 3), got {points.shape}; one rest pose, not many")
     if not len(face_counts):

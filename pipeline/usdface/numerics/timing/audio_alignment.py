@@ -107,11 +107,6 @@ def align_sounds(
     SoundAlignment
         With `doubts` where the recordings are silent, unrelated, repeat themselves or are too
         short.
-
-    Raises
-    ------
-    ValueError
-        If an array is not one row of finite samples, or the rate is too low.
     """
     first, second = _checked(first, names[0]), _checked(second, names[1])
     if rate < _LOWEST_RATE_HZ:

@@ -67,11 +67,6 @@ def fit_robust_line(
         make up a steep line.
     noise : float
         Standard deviation that a point has at least, in the unit of `y`.
-
-    Raises
-    ------
-    ValueError
-        If there is no point.
     """
     if not len(x):
         raise ValueError("a line needs at least one point, got none")

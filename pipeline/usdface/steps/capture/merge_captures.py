@@ -30,11 +30,6 @@ def exchange_sides(take: Take, what: str, *, where: object) -> Take:
     ----------
     what : {'labels', 'axes'}
         `labels` exchanges the names of partners; `axes` reflects positions across the YZ plane.
-
-    Raises
-    ------
-    InputError
-        If there are no markers, or no label has a partner on the other side.
     """
     markers = take.markers
     if markers is None:

@@ -1,5 +1,6 @@
 """Cleaned takes of one performer: one order of markers, one head space; their fit to a rig."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -26,7 +27,7 @@ def take_head_space(take: TakeReader, mapping: TrainedMapping) -> HeadSpace:
     picks = np.linspace(take.first_frame, take.last_frame, min(count, SAMPLE_FRAMES)).astype(int)
     if take.first_frame <= take.neutral_frame <= take.last_frame:
         picks = np.union1d(picks, take.neutral_frame)
-    sample = _require_markers(take, take.read_markers_at(picks.tolist()))
+    sample = read_markers_at(take, picks.tolist())
     try:
         return find_head_space(
             face_of_mapping(mapping),
@@ -41,11 +42,13 @@ def take_head_space(take: TakeReader, mapping: TrainedMapping) -> HeadSpace:
 
 
 def read_markers(take: TakeReader, first: int, last: int) -> Markers:
-    """Read the markers of some frames."""
-    return _require_markers(take, take.read(first, last, head_motion=False).markers)
+    """Read the markers of frames that follow each other."""
+    return read_markers_at(take, range(first, last + 1))
 
 
-def _require_markers(take: TakeReader, markers: Markers | None) -> Markers:
+def read_markers_at(take: TakeReader, frames: Sequence[int]) -> Markers:
+    """Read the markers of some frames, in ascending order; refuse a take that has none."""
+    markers = take.read_markers_at(frames)
     if markers is None:
         raise InputError(f"{take.path}: has no markers; ingest a capture that has")
     return markers
@@ -129,20 +132,27 @@ def read_cleaned(path: Path, *, need_markers: bool = True) -> Take:
         if not need_markers and take.source is not None:
             return take
         raise InputError(f"{path}: has no markers; ingest a capture that has")
-    if take.markers.space != "stabilized":
-        raise InputError(f"{path}: still holds head motion; run `usdface clean {path}` first")
+    check_stabilized(path, take.markers)
     return take
 
 
-def read_cleaned_takes(paths: tuple[Path, ...]) -> CleanedTakes:
-    """Read cleaned takes and bring them together.
+def check_stabilized(path: Path, markers: Markers) -> None:
+    """Refuse markers that still hold the head's motion."""
+    if markers.space != "stabilized":
+        raise InputError(f"{path}: still holds head motion; run `usdface clean {path}` first")
 
-    Raises
-    ------
-    InputError
-        If a take is not cleaned, two have one name, they share too few markers, or they are of
-        several performers.
-    """
+
+def check_neutral_frame(path: Path, markers: Markers, first: int, last: int) -> None:
+    """Refuse markers whose neutral frame is not one of a take's, `first` to `last`."""
+    if not first <= markers.neutral_frame <= last:
+        raise InputError(
+            f"{path}: neutral frame {markers.neutral_frame} is outside the take, {first}-{last}; "
+            "clean it with --neutral"
+        )
+
+
+def read_cleaned_takes(paths: tuple[Path, ...]) -> CleanedTakes:
+    """Read cleaned takes and bring them together."""
     takes = [read_cleaned(path) for path in paths]
     _check_names(paths, takes)
     _check_performers(paths, takes)
@@ -154,7 +164,7 @@ def read_cleaned_takes(paths: tuple[Path, ...]) -> CleanedTakes:
     _check_marker_sets(paths, clouds, names, rigid)
     positions, usable = [], []
     for cloud in clouds:
-        known = cloud.visible | (cloud.confidence > 0)
+        known = cloud.usable
         if cloud.names == names:  # nothing to pick: an hour of markers is not copied
             positions.append(cloud.positions)
             usable.append(known)
@@ -162,14 +172,9 @@ def read_cleaned_takes(paths: tuple[Path, ...]) -> CleanedTakes:
             columns = [cloud.names.index(name) for name in names]
             positions.append(cloud.positions[:, columns])
             usable.append(known[:, columns])
-    row = clouds[0].neutral_frame - takes[0].first_frame
-    if not 0 <= row < takes[0].frame_count:
-        raise InputError(
-            f"{paths[0]}: neutral frame {clouds[0].neutral_frame} is outside the take, "
-            f"{takes[0].first_frame}-{takes[0].first_frame + takes[0].frame_count - 1}; clean it "
-            "with --neutral"
-        )
-    neutral = positions[0][row].astype(np.float64)
+    first = takes[0].first_frame
+    check_neutral_frame(paths[0], clouds[0], first, first + takes[0].frame_count - 1)
+    neutral = positions[0][clouds[0].neutral_frame - first].astype(np.float64)
     neutrals = _onto_first(paths, takes, (names, rigid), neutral, positions, usable)
     return CleanedTakes(
         marker_names=names,

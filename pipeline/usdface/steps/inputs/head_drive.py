@@ -151,13 +151,7 @@ def named_targets(rig: Rig, drive: Sequence[str]) -> tuple[DriveTarget, ...]:
 
 
 def weights_head_source(path: Path, names: Sequence[str], weights: FloatArray) -> HeadSource:
-    """Return the head and eyes of channels, (frames, channels).
-
-    Raises
-    ------
-    InputError
-        If channels are in degrees.
-    """
+    """Return the head and eyes of channels, (frames, channels)."""
     try:
         angles = look_angles(names, weights) | recorded_angles(names, weights)
     except ValueError as error:
@@ -166,13 +160,7 @@ def weights_head_source(path: Path, names: Sequence[str], weights: FloatArray) -
 
 
 def take_head_source(take: TakeReader, first: int, last: int) -> HeadSource:
-    """Return the head and eyes of a take's frames; channels of the head go before HeadMotion.
-
-    Raises
-    ------
-    InputError
-        If channels are in degrees, or a frame is broken.
-    """
+    """Return the head and eyes of a take's frames; channels of the head go before HeadMotion."""
     # The signs of angles are those of the whole take, whatever part is asked for.
     channels = take.read_source(range(take.first_frame, take.last_frame + 1))
     turns: Mapping[str, FloatArray] = {}

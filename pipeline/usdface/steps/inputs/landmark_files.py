@@ -1,6 +1,5 @@
 """Places of markers on a rig that people give: a table, or the corrections of a binding."""
 
-import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,7 +11,7 @@ from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig
 from usdface.core.errors import InputError
 from usdface.core.sidecars import is_usd_name
-from usdface.core.text import first_few, read_text
+from usdface.core.text import first_few, read_json
 from usdface.numerics.registration.surface_places import nearest_places
 from usdface.usdio.rig.mesh import rig_surfaces
 from usdface.usdio.surface.placement import read_given_places, rig_units_to_ours
@@ -69,13 +68,7 @@ def read_landmarks(path: Path, names: Sequence[str], rig: Rig) -> dict[str, Floa
 def _rows(path: Path) -> list[tuple[str, str, object]]:
     """Return where each row is, its marker and its value."""
     if path.suffix.lower() == ".json":
-        text = read_text(path, _LARGEST_BYTES)
-        try:
-            data = json.loads(text)
-        except (ValueError, RecursionError) as error:
-            raise InputError(
-                f"{path}: is no table of landmarks ({error}); write {_FORM}"
-            ) from error
+        data = read_json(path, _LARGEST_BYTES)
         if not isinstance(data, dict):
             raise InputError(f"{path}: names no marker; write {_FORM}")
         return [("entry", str(name), value) for name, value in data.items()]

@@ -2,7 +2,6 @@
 
 import csv
 import io
-import json
 import math
 import re
 from collections.abc import Iterable, Sequence
@@ -13,11 +12,9 @@ import numpy as np
 from usdface.capture.text_table import csv_rows
 from usdface.core.arrays import index_of
 from usdface.core.errors import InputError
-from usdface.core.replacing import replacing
-from usdface.core.text import first_few, pluralize, read_json
-from usdface.model.retarget.name_matching import (
-    Transfer,
-)
+from usdface.core.replacing import write_text
+from usdface.core.text import first_few, json_text, pluralize, read_json
+from usdface.model.retarget.name_matching import Transfer
 
 LARGEST_NAMES_BYTES = 16 << 20
 COLUMNS = ("source", "target", "weight")
@@ -26,13 +23,7 @@ LARGEST_SHARE = 10.0
 
 
 def check_no_name_twice(path: Path, names: Iterable[str], transfer: Transfer) -> None:
-    """Refuse names that differ in capitals and separators alone, where one keeps another out.
-
-    Raises
-    ------
-    InputError
-        With both names.
-    """
+    """Refuse names that differ in capitals and separators alone, where one keeps another out."""
     spelled: dict[str, str] = {}
     doubtful = {each.partition(": ")[0] for each in transfer.ambiguous}
     for name in names:
@@ -47,14 +38,7 @@ def check_no_name_twice(path: Path, names: Iterable[str], transfer: Transfer) ->
 
 
 def transfer_by_table(path: Path, source: Sequence[str], target: Sequence[str]) -> Transfer:
-    """Match as a table says that `usdface names` wrote and somebody edited.
-
-    Raises
-    ------
-    InputError
-        If the file is no such table, names a shape that the target lacks or none that the source
-        has, or says two weights of one pair.
-    """
+    """Match as a table says that `usdface names` wrote and somebody edited."""
     rows = _read_rows(path)
     row_of, column_of = index_of(source), index_of(target)
     matrix = np.zeros((len(source), len(target)))
@@ -90,18 +74,14 @@ def write_name_table(path: Path, transfer: Transfer) -> None:
     """Write a map as CSV or JSON, to be edited and given back."""
     rows = transfer.rows()
     if path.suffix.lower() == ".json":
-        text = json.dumps({"pairs": rows}, indent=2, ensure_ascii=False) + "\n"
+        text = json_text({"pairs": rows})
     else:
         lines = io.StringIO()
         writer = csv.DictWriter(lines, (*COLUMNS, "by"), lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
         text = lines.getvalue()
-    with replacing(path) as temporary:
-        try:
-            temporary.write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+    write_text(path, text)
 
 
 def _read_rows(path: Path) -> list[tuple[str, str, str, float]]:

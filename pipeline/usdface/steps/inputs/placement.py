@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, ByteImage, FloatArray
+from usdface.core.arrays import BoolArray, ByteImage, FloatArray, sample_frames
 from usdface.core.assets import References, Rig
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
@@ -65,8 +65,7 @@ class PlacementScene:
     def __init__(self, takes: CleanedTakes, rig: Rig) -> None:
         self._takes, self._rig = takes, rig
         deformer = Deformer(rig)
-        count = len(takes.frames)
-        rows = np.unique(np.linspace(0, count - 1, _SAMPLE_FRAMES).astype(np.int64))
+        rows = sample_frames(len(takes.frames), _SAMPLE_FRAMES)
         self._sample = takes.positions_at(rows).astype(np.float64)
         self._mesh = rig_surfaces(rig)[0].mesh
         try:
@@ -180,13 +179,7 @@ def judge_stored(path: Path, takes: CleanedTakes, rig: Rig) -> PlacedTakes:
 def read_placement_of(
     path: Path, rig: Rig, names: tuple[str, ...], neutral: FloatArray
 ) -> RigPlacement:
-    """Read a placement that is given for a performer's markers on a rig.
-
-    Raises
-    ------
-    InputError
-        If it is of another rig, marker set or face.
-    """
+    """Read a placement that is given for a performer's markers on a rig."""
     placement = read_placement(path, rig)
     missing = _missing(placement, names)
     if missing:

@@ -72,12 +72,6 @@ def read_source_motion(
     ----------
     **stated
         What the user says about a capture file, or None: fields of `CaptureOptions`.
-
-    Raises
-    ------
-    InputError
-        If there are none, the frames are not all there, or something is stated of a file that says
-        it itself.
     """
     stated = {name: value for name, value in stated.items() if value is not None}
     is_layer = is_usd_name(path)

@@ -1,6 +1,5 @@
 """Weights by frame from files of any tool: CSV, JSON or USD."""
 
-import math
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -11,7 +10,7 @@ import numpy as np
 
 from usdface.capture.sniff import read_capture, recognise_format
 from usdface.capture.text_table import csv_rows
-from usdface.capture.weight_samples import read_weight_samples
+from usdface.capture.weight_samples import read_cell, read_weight_samples
 from usdface.capture.weight_table import in_fractions, read_weight_take, row_frames
 from usdface.core.arrays import FloatArray, IntArray, columns_by_name
 from usdface.core.errors import InputError
@@ -241,16 +240,6 @@ def _exported_table(exported: ExportedWeights, known: tuple[str, ...], *, cut: b
     )
 
 
-def _number(path: Path, where: str, column: str, value: object) -> float:
-    try:
-        number = float(str(value))
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
-        raise InputError(f"{path} {where}, column {column!r}: {value!r} is no number; correct it")
-    return number
-
-
 CUT_TO = (0.0, 1.0)
 """Blender's sliders after an import: weights beyond come back as these."""
 CUT_WITHIN = 1e-5
@@ -331,6 +320,9 @@ def _read_keys(path: Path) -> list[tuple[float, float]]:
     if not rows:
         raise InputError(f"{path}: holds no keys; write a line `frame,alpha` and one for each key")
     return [
-        (_number(path, where, "frame", row["frame"]), _number(path, where, "alpha", row["alpha"]))
+        (
+            read_cell(path, where, "frame", row["frame"]),
+            read_cell(path, where, "alpha", row["alpha"]),
+        )
         for where, row in rows
     ]

@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, FloatArray
+from usdface.core.arrays import FloatArray, sample_frames
 from usdface.core.assets import Markers, Rig
 from usdface.core.deformer import Deformer
-from usdface.core.errors import InputError
 from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import weights_path
@@ -16,7 +15,7 @@ from usdface.model.placement.rig_orientation import check_rig_stands
 from usdface.model.selection.baseline import MOTION_FRAMES, BlendshapeEquation
 from usdface.runner.result import StepResult
 from usdface.specs.performance import MapSpec
-from usdface.steps.inputs.cleaned_takes import read_markers
+from usdface.steps.inputs.cleaned_takes import check_stabilized, read_markers, read_markers_at
 from usdface.steps.inputs.edit_ranges import edit_notes
 from usdface.steps.inputs.placement import placed_equation, read_placement_of
 from usdface.usdio.performance.weights_layer import make_header
@@ -93,12 +92,9 @@ def _equation(spec: MapSpec, take: TakeReader, rig: Rig) -> BlendshapeEquation:
     Chunks of a take are then solved alike, and as sheets solve it.
     """
     count = take.last_frame - take.first_frame + 1
-    picks = np.unique(np.linspace(0, count - 1, MOTION_FRAMES).astype(np.int64))
-    sample = take.read_markers_at((take.first_frame + picks).tolist())
-    if sample is None:
-        raise InputError(f"{take.path}: has no markers; ingest a capture that has")
-    if sample.space != "stabilized":
-        raise InputError(f"{take.path}: still holds head motion; clean it first")
+    picks = take.first_frame + sample_frames(count, MOTION_FRAMES)
+    sample = read_markers_at(take, picks.tolist())
+    check_stabilized(take.path, sample)
     at = min(max(take.neutral_frame, take.first_frame), take.last_frame)
     neutral = read_markers(take, at, at).positions[0].astype(np.float64)
     placement = None
@@ -110,19 +106,15 @@ def _equation(spec: MapSpec, take: TakeReader, rig: Rig) -> BlendshapeEquation:
         Deformer(rig),
         neutral=neutral,
         positions=sample.positions,
-        visible=_usable(sample),
+        visible=sample.usable,
         rigid=tuple(sample.names.index(name) for name in sample.rigid),
         labels=sample.names,
     )
 
 
-def _usable(markers: Markers) -> BoolArray:
-    return np.asarray(markers.visible | (markers.confidence > 0))
-
-
 def _solve(equation: BlendshapeEquation, markers: Markers, *, unlimited: bool) -> FloatArray:
     solve = equation.solve_published if unlimited else equation.propose
-    return solve(markers.positions, visible=_usable(markers))
+    return solve(markers.positions, visible=markers.usable)
 
 
 def _notes(spec: MapSpec, equation: BlendshapeEquation, rig: Rig, outside: float) -> list[str]:

@@ -1,19 +1,19 @@
 """Pairs and a performance in; the round-trip error of each method out."""
 
-import json
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import ByteImage, FloatArray, index_of
+from usdface.core.arrays import ByteImage, FloatArray, columns_by_name, index_of
 from usdface.core.assets import Rig
 from usdface.core.controls import ExpressionPairs
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.replacing import replacing
+from usdface.core.replacing import write_text
+from usdface.core.text import json_text
 from usdface.media.charts.motion_curves import FIGURE_WIDTH, Curve, Panel, draw_motion_curves
 from usdface.media.face.camera import frame_rig
 from usdface.media.face.render import FaceRenderer
@@ -88,8 +88,7 @@ def run(spec: CyclicSpec, *, provenance: Provenance, progress: Progress = silent
                 raise
             notes.append(f"positions were not matched: {error}")
     figures = _figures(spec, found, picks + motion.first_frame)
-    asked = np.zeros((len(picks), len(source_rig.shapes)))
-    asked[:, [source_rig.shapes.index(name) for name in pairs.source_shapes]] = weights[picks]
+    asked = columns_by_name(weights[picks], pairs.source_shapes, source_rig.shapes)
     _write(spec, found, figures, motion, (source_rig, asked), provenance)
     best = _least(found)
     return StepResult(
@@ -179,9 +178,7 @@ def _write(
     for path in spec.out:
         if path.suffix.lower() == ".json":
             data = {"pairs": str(spec.pairs), **figures, "provenance": made}
-            with replacing(path) as temporary:
-                text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
-                temporary.write_text(text + "\n", encoding="utf-8")
+            write_text(path, json_text(data))
         else:
             title = f"{spec.source.stem}: round trip by {spec.pairs.stem}"
             best = _least(found)

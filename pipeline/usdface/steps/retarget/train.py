@@ -135,8 +135,7 @@ def target_ranges(pairs: ExpressionPairs) -> FloatArray | None:
     if pairs.target_rig is None or not pairs.target_rig.is_file():
         return None
     rig = read_rig(pairs.target_rig, prim=pairs.target_prim)
-    own = dict(zip(rig.shapes, rig.ranges, strict=True))
-    ranges = np.array([own.get(name, (0.0, 1.0)) for name in pairs.target.shapes]).reshape(-1, 2)
+    ranges = rig.ranges_of(pairs.target.shapes)
     low, high = pairs.target.weights.min(axis=0), pairs.target.weights.max(axis=0)
     return np.stack([np.minimum(ranges[:, 0], low), np.maximum(ranges[:, 1], high)], axis=1)
 

@@ -1,7 +1,7 @@
 """A target's performance and where its sequences go in, the warped performance out."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
@@ -225,8 +225,7 @@ def _limit(
 ) -> None:
     """Keep weights within what the rig, the performance and the sequences have: no overshoot."""
     count = len(space.shapes)
-    ranges = dict(zip(rig.shapes, rig.ranges, strict=True))
-    own = np.array([ranges.get(name, (0.0, 1.0)) for name in space.shapes]).reshape(-1, 2)
+    own = rig.ranges_of(space.shapes)
     parts = [before[:, :count], *(each.keys[:, :count] for each in insertions)]
     low = np.min([own[:, 0], *(part.min(axis=0) for part in parts)], axis=0)
     high = np.max([own[:, 1], *(part.max(axis=0) for part in parts)], axis=0)
@@ -241,14 +240,7 @@ def _replace_changed(old: Controls, new: Controls, changed: np.ndarray) -> Contr
     def pick(one: FloatArray, other: FloatArray) -> FloatArray:
         return np.where(rows.reshape(-1, *(1,) * (one.ndim - 1)), other, one)
 
-    return replace(
-        old,
-        weights=pick(old.weights, new.weights),
-        translations=pick(old.translations, new.translations),
-        rotations=pick(old.rotations, new.rotations),
-        scales=pick(old.scales, new.scales),
-        values=pick(old.values, new.values),
-    )
+    return old.mapped(pick, new)
 
 
 def _write(

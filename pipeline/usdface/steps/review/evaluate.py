@@ -1,6 +1,5 @@
 """A performance and what it should have been in; figures, curves and a verdict out."""
 
-import json
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,8 +9,8 @@ from usdface.core.assets import Performance, Rig
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.replacing import replacing
-from usdface.core.text import first_few, pluralize
+from usdface.core.replacing import write_text
+from usdface.core.text import first_few, json_text, pluralize
 from usdface.media.charts.evaluation import draw_evaluation
 from usdface.media.picture.image import write_image
 from usdface.model.mapping.evaluation import Evaluation, evaluate_weights
@@ -174,9 +173,7 @@ def _write(
                 "failures": list(failed),
                 "provenance": made,
             }
-            with replacing(path) as temporary:
-                text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
-                temporary.write_text(text + "\n", encoding="utf-8")
+            write_text(path, json_text(data))
         else:
             title = f"{spec.performance.stem} against {spec.against.stem}"
             page = evaluation_page(evaluation, title=title)

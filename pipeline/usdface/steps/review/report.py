@@ -9,7 +9,7 @@ from usdface.core.arrays import ByteImage
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
-from usdface.core.replacing import replacing
+from usdface.core.replacing import write_text
 from usdface.core.side_files import emptied_side_folder
 from usdface.core.sidecars import work_folder
 from usdface.core.text import pluralize
@@ -71,8 +71,7 @@ def run(spec: ReportSpec, *, provenance: Provenance, progress: Progress = silent
     page = _page(spec, shot, clock, notes, provenance, progress)
     progress(0.97, f"writing {spec.out.name}")
     text = build_page(page)
-    with replacing(spec.out) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_text(spec.out, text)
     progress(1.0, "done")
     return StepResult(
         (spec.out,),

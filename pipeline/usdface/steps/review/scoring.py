@@ -129,7 +129,7 @@ def set_up_shot_baseline(shot: Shot) -> BlendshapeEquation:
         shot.deformer,
         neutral=markers.positions[shot.neutral_row].astype(np.float64),
         positions=markers.positions,
-        visible=markers.visible | (markers.confidence > 0),
+        visible=markers.usable,
         rigid=tuple(markers.names.index(name) for name in markers.rigid),
         labels=markers.names,
     )

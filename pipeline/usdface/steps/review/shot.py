@@ -276,11 +276,6 @@ def open_shot(
         FIRST-LAST, to use no others.
     video : Path, optional
         Where the take's video is now.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be read, they share no frame, or the performance was moved in time.
     """
     keyed = take_file is None and take_of_performance(performance_file) is None
     take_file = performance_file if keyed else find_take(performance_file, take_file)

@@ -14,12 +14,14 @@ from usdface.core.text import first_few
 from usdface.numerics.regression.reference_design import pivoted_selection
 from usdface.runner.result import StepResult
 from usdface.specs.surface import MakeShapesSpec
+from usdface.steps.inputs.cleaned_takes import read_markers_at
 from usdface.steps.surface.picture import write_shapes_picture
 from usdface.steps.surface.plan import (
     SurfacePlan,
     plan_surface,
     sampler_figures,
     sampler_notes,
+    spread_frames,
 )
 from usdface.usdio.references.read import read_pair_notes
 from usdface.usdio.surface.shape_rig import NewShape, WrittenShape, write_shape_rig
@@ -152,22 +154,13 @@ def run(spec: MakeShapesSpec, *, provenance: Provenance, progress: Progress = si
 def _choose_frames(
     spec: MakeShapesSpec, plan: SurfacePlan, take: TakeReader
 ) -> tuple[ShapeFrame, ...]:
-    count = take.last_frame - take.first_frame + 1
-    picks = np.unique(
-        np.linspace(take.first_frame, take.last_frame, min(count, CANDIDATE_FRAMES)).astype(int)
-    )
-    rows, usable = [], []
-    for start in range(0, len(picks), 512):
-        span = picks[start : start + 512]
-        markers = take.read(int(span[0]), int(span[-1])).markers
-        if markers is None:
-            raise InputError(f"{spec.take}: has no markers; ingest a capture that has")
-        inside = span - span[0]
-        rows.append(plan.displacements(markers.positions[inside]))
-        known = markers.visible[inside] | (markers.confidence[inside] > 0)
-        usable.append(known[:, plan.columns])
+    frames = spread_frames(take, CANDIDATE_FRAMES)
+    markers = read_markers_at(take, frames)
     return choose_shape_frames(
-        picks.tolist(), np.concatenate(rows), np.concatenate(usable), count=spec.count
+        frames,
+        plan.displacements(markers.positions),
+        markers.usable[:, plan.columns],
+        count=spec.count,
     )
 
 

@@ -27,6 +27,12 @@ from usdface.numerics.registration.marker_binding import (
 )
 from usdface.numerics.registration.surface_places import SurfacePlaces, places_at_points
 from usdface.specs.surface import SurfaceSpec
+from usdface.steps.inputs.cleaned_takes import (
+    check_neutral_frame,
+    check_stabilized,
+    read_markers,
+    read_markers_at,
+)
 from usdface.usdio.rig.mesh import FaceMesh, read_face_mesh
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.surface.binding import read_binding
@@ -60,33 +66,26 @@ class TakeSample:
 
 def sample_take(take: TakeReader) -> TakeSample:
     """Read the neutral face and frames spread over a cleaned take."""
-    head = take.read(take.first_frame, take.first_frame).markers
-    if head is None:
-        raise InputError(f"{take.path}: has no markers; ingest a capture that has")
-    if head.space != "stabilized":
-        raise InputError(
-            f"{take.path}: still holds head motion; run `usdface clean {take.path}` first"
-        )
-    if not take.first_frame <= head.neutral_frame <= take.last_frame:
-        raise InputError(
-            f"{take.path}: neutral frame {head.neutral_frame} is outside the take, "
-            f"{take.first_frame}-{take.last_frame}; clean it with --neutral"
-        )
-    count = take.last_frame - take.first_frame + 1
-    picks = np.unique(np.linspace(take.first_frame, take.last_frame, min(count, _SAMPLE_FRAMES)))
-    parts = []
-    for frame in [head.neutral_frame, *picks.astype(int).tolist()]:
-        markers = take.read(frame, frame).markers
-        if markers is not None:
-            parts.append(markers)
+    frames = spread_frames(take, _SAMPLE_FRAMES)
+    markers = read_markers_at(take, frames)
+    check_stabilized(take.path, markers)
+    check_neutral_frame(take.path, markers, take.first_frame, take.last_frame)
+    neutral = read_markers_at(take, [markers.neutral_frame]).positions[0]
     return TakeSample(
-        names=head.names,
-        rigid=tuple(head.names.index(name) for name in head.rigid),
-        neutral=parts[0].positions[0].astype(np.float64),
-        frames=tuple(picks.astype(int).tolist()),
-        positions=np.concatenate([each.positions for each in parts[1:]]).astype(np.float64),
-        visible=np.concatenate([each.visible | (each.confidence > 0) for each in parts[1:]]),
+        names=markers.names,
+        rigid=tuple(markers.names.index(name) for name in markers.rigid),
+        neutral=neutral.astype(np.float64),
+        frames=tuple(frames),
+        positions=markers.positions.astype(np.float64),
+        visible=markers.usable,
     )
+
+
+def spread_frames(take: TakeReader, most: int) -> list[int]:
+    """Return at most so many frames, spread evenly over a take."""
+    count = take.last_frame - take.first_frame + 1
+    picks = np.linspace(take.first_frame, take.last_frame, min(count, most))
+    return list(map(int, np.unique(picks.astype(int))))
 
 
 def bind_take(
@@ -185,10 +184,7 @@ class SurfacePlan:
 
     def frames(self, take: TakeReader, first: int, last: int) -> FloatArray:
         """Return the displacements of frames of the take; see `displacements`."""
-        markers = take.read(first, last).markers
-        if markers is None:
-            raise InputError(f"{take.path}: has no markers; ingest a capture that has")
-        return self.displacements(markers.positions)
+        return self.displacements(read_markers(take, first, last).positions)
 
     def deform(self, displacements: FloatArray) -> SurfaceMotion:
         """Move the whole mesh at a few frames."""

@@ -7,6 +7,7 @@ import numpy as np
 from pxr import Usd, UsdSkel
 
 from usdface.core.arrays import Float32Array, FloatArray
+from usdface.usdio.authoring import names_in
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class Samples:
 def read_samples(prim: Usd.Prim) -> Samples | None:
     """Return an animation's samples; None where there are none, or they do not fit the names."""
     animation = UsdSkel.Animation(prim)
-    names = tuple(map(str, animation.GetBlendShapesAttr().Get() or ()))
+    names = names_in(animation.GetBlendShapesAttr())
     attribute = animation.GetBlendShapeWeightsAttr()
     times = attribute.GetTimeSamples() if attribute else []
     if not len(times) or not names:

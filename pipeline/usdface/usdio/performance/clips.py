@@ -22,6 +22,7 @@ from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance, hash_text
 from usdface.core.rates import shift_timecode
 from usdface.core.replacing import replacing
+from usdface.usdio.authoring import paths_in
 from usdface.usdio.layers import new_layer, open_layer, open_stage, relative_path
 from usdface.usdio.performance.weights_layer import (
     FIGURES,
@@ -160,16 +161,14 @@ def clear_parts(path: Path) -> None:
 
 
 def _clip_assets(layer: Sdf.Layer) -> list[str]:
-    found: list[str] = []
-
-    def look(path: Sdf.Path) -> None:
-        prim = layer.GetPrimAtPath(path) if path.IsPrimPath() else None
-        if prim is not None and prim.HasInfo("clips"):
-            for clip_set in prim.GetInfo("clips").values():
-                found.extend(asset.path for asset in clip_set.get("assetPaths", ()))
-
-    layer.Traverse(Sdf.Path.absoluteRootPath, look)
-    return found
+    prims = (layer.GetPrimAtPath(path) for path in paths_in(layer) if path.IsPrimPath())
+    return [
+        asset.path
+        for prim in prims
+        if prim.HasInfo("clips")
+        for clip_set in prim.GetInfo("clips").values()
+        for asset in clip_set.get("assetPaths", ())
+    ]
 
 
 def write_clips(

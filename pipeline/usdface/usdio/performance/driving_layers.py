@@ -12,6 +12,7 @@ from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import head_path
 from usdface.core.text import first_few
+from usdface.usdio.authoring import paths_in, sampled_properties
 from usdface.usdio.layers import new_layer, open_layer, relative_path
 from usdface.usdio.performance.head_layer import TRANSFORM
 
@@ -68,12 +69,9 @@ def join_driving_layers(
 
 
 def _copy_samples(source: Sdf.Layer, target: Sdf.Layer) -> None:
-    def copy(path: Sdf.Path) -> None:
-        if path.IsPropertyPath():
-            for time in source.ListTimeSamplesForPath(path):
-                target.SetTimeSample(path, time, source.QueryTimeSample(path, time))
-
-    source.Traverse(Sdf.Path.absoluteRootPath, copy)
+    for path in sampled_properties(source):
+        for time in source.ListTimeSamplesForPath(path):
+            target.SetTimeSample(path, time, source.QueryTimeSample(path, time))
 
 
 def _driven(performance: Path, file: Path) -> list[str]:
@@ -81,13 +79,10 @@ def _driven(performance: Path, file: Path) -> list[str]:
     if not opens_layer(performance, file):
         return []
     layer, found = open_layer(file), list[str]()
-
-    def look(path: Sdf.Path) -> None:
+    for path in paths_in(layer):
         if path.IsPropertyPath() and path.name == "joints":
-            found.extend(map(str, layer.GetAttributeAtPath(path).default or ()))
+            found += map(str, layer.GetAttributeAtPath(path).default or ())
         elif path.IsPropertyPath() and path.name not in _OF_JOINTS:
             if layer.GetNumTimeSamplesForPath(path):
                 found.append(str(path))
-
-    layer.Traverse(Sdf.Path.absoluteRootPath, look)
     return found

@@ -26,7 +26,7 @@ from usdface.numerics.motion.key_reduction import (
     no_edit,
     reduce_keys,
 )
-from usdface.usdio.authoring import author_timing, retime_layer
+from usdface.usdio.authoring import author_timing, paths_in, retime_layer
 from usdface.usdio.layers import (
     new_layers,
     open_layer,
@@ -169,16 +169,15 @@ def edited_frames(animation: Usd.Prim) -> tuple[int, int] | None:
 def edits_elsewhere(performance: Path, animation: Usd.Prim) -> list[str]:
     """Return the prims of a performance's edits that are not the animation, so that none shows."""
     layer = open_layer(edits_path(performance))
-    found = []
-
-    def look(path: Sdf.Path) -> None:
-        prim = layer.GetPrimAtPath(path) if path.IsPrimPath() else None
-        if prim is not None and path != animation.GetPath():
-            if any(name.startswith((_OFFSET, OVERRIDE)) for name in prim.attributes.keys()):
-                found.append(str(path))
-
-    layer.Traverse(Sdf.Path.absoluteRootPath, look)
-    return found
+    others = [path for path in paths_in(layer) if path.IsPrimPath() and path != animation.GetPath()]
+    return [
+        str(path)
+        for path in others
+        if any(
+            name.startswith((_OFFSET, OVERRIDE))
+            for name in layer.GetPrimAtPath(path).attributes.keys()
+        )
+    ]
 
 
 def edited_weights(

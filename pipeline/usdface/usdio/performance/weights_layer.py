@@ -15,7 +15,13 @@ from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.rig_logic import Combination, logic_of
 from usdface.numerics.motion.key_reduction import sparse_rows
-from usdface.usdio.authoring import apply_api, author_timing, author_uniform, define_prim
+from usdface.usdio.authoring import (
+    apply_api,
+    author_timing,
+    author_uniform,
+    define_prim,
+    paths_in,
+)
 from usdface.usdio.layers import (
     FRAMES_IN_MEMORY,
     VALUES_IN_MEMORY,
@@ -206,13 +212,6 @@ class WeightsWriter:
         ----------
         copied_to : callable
             Called with the last frame of every block.
-
-        Raises
-        ------
-        ValueError
-            If they are not the next frames.
-        InputError
-            If a frame has no weights, or others than the shapes ask for.
         """
         if first != self.next_frame:
             raise ValueError(f"frame {self.next_frame} comes next, not {first}")
@@ -348,13 +347,11 @@ def every_shape(names: Iterable[str], rig: Rig) -> tuple[str, ...]:
 
 def place_in(layer: Sdf.Layer) -> str:
     """Return where the rig stands that a weights layer moves; empty where it says nothing of it."""
-    places: list[str] = []
-
-    def look(path: Sdf.Path) -> None:
-        if path.IsPrimPath() and path.name.startswith(ANIMATION):
-            places.append(str(path.GetParentPath()))
-
-    layer.Traverse(Sdf.Path.absoluteRootPath, look)
+    places = [
+        str(path.GetParentPath())
+        for path in paths_in(layer)
+        if path.IsPrimPath() and path.name.startswith(ANIMATION)
+    ]
     return places[0] if len(places) == 1 else ""
 
 

@@ -11,7 +11,7 @@ from usdface.core.assets import MotionSpace, References
 from usdface.core.errors import InputError
 from usdface.core.rig_logic import Combination
 from usdface.core.text import json_object
-from usdface.usdio.authoring import read_array_samples
+from usdface.usdio.authoring import names_in, read_array_samples, text_of, value_of
 from usdface.usdio.layers import read_provenance, refusing_wrong_types
 from usdface.usdio.references.pair_layers import open_pair_stage
 from usdface.usdio.rig.read import faces_below, read_combinations
@@ -79,7 +79,7 @@ def read_references(path: Path) -> References:
         frames=frame_of,
         takes=take_of,
         tuned=np.array([bool(tuned.Get(pair)) for pair in pairs]),
-        rigid=tuple(map(str, points.GetPrim().GetAttribute("face:markers:rigid").Get() or ())),
+        rigid=names_in(points.GetPrim().GetAttribute("face:markers:rigid")),
         neutral=neutral.reshape(-1, 3) * MM_PER_STAGE_UNIT,
         rig_file=rig_file,
         rig_prim=rig_prim,
@@ -87,8 +87,8 @@ def read_references(path: Path) -> References:
         motion=_read_motion(root),
         visemes=_labels(root, VISEME, pairs),
         emotions=_labels(root, EMOTION, pairs),
-        performer=_text(root, "face:performer"),
-        session=_text(root, "face:session"),
+        performer=text_of(root, "face:performer"),
+        session=text_of(root, "face:session"),
         rate=_read_rate(root, path),
         placement=_read_placement_path(root, path),
         source_names=source_names,
@@ -106,15 +106,9 @@ def _read_combinations(stage: Usd.Stage, path: Path) -> tuple[Combination, ...]:
     )
 
 
-def _text(root: Usd.Prim, name: str) -> str:
-    attribute = root.GetAttribute(name)
-    return str(attribute.Get() or "") if attribute else ""
-
-
 def _read_rate(root: Usd.Prim, path: Path) -> float:
     """Return the takes' rate; 0 where it is not said."""
-    attribute = root.GetAttribute(RATE)
-    rate = float(attribute.Get() or 0.0) if attribute else 0.0
+    rate = float(value_of(root, RATE) or 0.0)
     if not (np.isfinite(rate) and rate >= 0):
         raise InputError(f"{path}: {RATE} is {rate}, no frames per second; select again")
     return rate
@@ -122,8 +116,7 @@ def _read_rate(root: Usd.Prim, path: Path) -> float:
 
 def _read_placement_path(root: Usd.Prim, path: Path) -> Path | None:
     """Return the placement that the asset names, if the file is there."""
-    attribute = root.GetAttribute(PLACEMENT)
-    named = attribute.Get() if attribute else None
+    named = value_of(root, PLACEMENT)
     if named is not None and not isinstance(named, Sdf.AssetPath):
         raise TypeError(f"{PLACEMENT} is {named!r}, no path of a file")
     if named is None or not named.path:
@@ -210,11 +203,6 @@ def read_pair_notes(path: Path) -> list[PairNotes]:
     )
     root = stage.GetPrimAtPath(ROOT)
     frames = root.GetAttribute(FRAME_PATH.name)
-
-    def text(name: str, time: float) -> str:
-        attribute = root.GetAttribute(f"face:reference:{name}")
-        return str(attribute.Get(time) or "") if attribute else ""
-
     notes = []
     for time in frames.GetTimeSamples():
         image = root.GetAttribute("face:reference:image")
@@ -222,9 +210,9 @@ def read_pair_notes(path: Path) -> list[PairNotes]:
         notes.append(
             PairNotes(
                 frame=int(frames.Get(time)),
-                take=text("take", time),
-                viseme=text("viseme", time),
-                emotion=text("emotion", time),
+                take=text_of(root, TAKE.name, time),
+                viseme=text_of(root, VISEME.name, time),
+                emotion=text_of(root, EMOTION.name, time),
                 image=Path(resolved) if resolved else None,
             )
         )

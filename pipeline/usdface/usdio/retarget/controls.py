@@ -16,7 +16,7 @@ from usdface.core.errors import InputError
 from usdface.core.rates import frames_within
 from usdface.core.text import first_few
 from usdface.numerics.motion.rotation_space import normalize_quaternions
-from usdface.usdio.authoring import author_uniform, read_array_samples
+from usdface.usdio.authoring import author_uniform, define_prim, names_in, read_array_samples
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import ANIMATION
@@ -204,8 +204,7 @@ def read_control_clip(
 
 def attribute_names(animation: Usd.Prim) -> tuple[str, ...]:
     """Return the attributes that an animation says are driven beside it."""
-    attribute = animation.GetAttribute(NAMES)
-    return tuple(map(str, attribute.Get() or ())) if attribute else ()
+    return names_in(animation.GetAttribute(NAMES))
 
 
 def moving_attributes(top: Usd.Prim) -> tuple[str, ...]:
@@ -247,42 +246,32 @@ def controls_at(
 ) -> Controls:
     """Read controls at time codes."""
     skel = UsdSkel.Animation(animation)
-    shapes = tuple(map(str, skel.GetBlendShapesAttr().Get() or ()))
-    weights = read_array_samples(
-        path, skel.GetBlendShapeWeightsAttr(), times, (len(shapes),), remedy="key it again"
-    )
-    controls = bare_controls(shapes, weights)
-    joints = tuple(map(str, skel.GetJointsAttr().Get() or ()))
-    translations = rotations = scales = None
+
+    def read(attribute: Usd.Attribute, *shape: int) -> FloatArray:
+        return read_array_samples(path, attribute, times, shape, remedy="key it again")
+
+    shapes = names_in(skel.GetBlendShapesAttr())
+    controls = bare_controls(shapes, read(skel.GetBlendShapeWeightsAttr(), len(shapes)))
+    joints = names_in(skel.GetJointsAttr())
     if joints:
-        translations = read_array_samples(
-            path, skel.GetTranslationsAttr(), times, (len(joints), 3), remedy="key it again"
-        )
         # numpy sees a quaternion as it lies in memory: x, y, z, w
-        rotations = read_array_samples(
-            path, skel.GetRotationsAttr(), times, (len(joints), 4), remedy="key it again"
-        )[..., [3, 0, 1, 2]]
-        scales = read_array_samples(
-            path, skel.GetScalesAttr(), times, (len(joints), 3), remedy="key it again"
-        )
+        turned = read(skel.GetRotationsAttr(), len(joints), 4)[..., [3, 0, 1, 2]]
         try:
-            rotations = normalize_quaternions(rotations)
+            rotations = normalize_quaternions(turned)
         except ValueError as error:
             raise InputError(f"{path} <{animation.GetPath()}.rotations>: {error}") from error
-    values = controls.values
+        controls = replace(
+            controls,
+            joints=joints,
+            translations=read(skel.GetTranslationsAttr(), len(joints), 3),
+            rotations=rotations,
+            scales=read(skel.GetScalesAttr(), len(joints), 3),
+        )
     if attributes and top is not None:
         found = [control_attribute(top, name, path) for name in attributes]
         values = np.column_stack([_series(path, each, times) for each in found])
-    return Controls(
-        shapes=shapes,
-        weights=weights,
-        joints=joints,
-        translations=controls.translations if translations is None else translations,
-        rotations=controls.rotations if rotations is None else rotations,
-        scales=controls.scales if scales is None else scales,
-        attributes=tuple(attributes),
-        values=values,
-    )
+        controls = replace(controls, attributes=tuple(attributes), values=values)
+    return controls
 
 
 def author_joints(prim: Sdf.PrimSpec, joints: tuple[str, ...]) -> None:
@@ -311,12 +300,15 @@ def set_joint_samples(
         write(places[2], time, Vt.Vec3hArray.FromNumpy(row))
 
 
-def set_weight_samples(
-    layer: Sdf.Layer, animation: Sdf.Path, weights: FloatArray, first: int
+def author_weights(
+    layer: Sdf.Layer, animation: Sdf.Path, shapes: Sequence[str], weights: FloatArray
 ) -> None:
-    """Write BlendShape weights over time."""
+    """Define an animation with BlendShape weights, from time code 1 on."""
+    prim = define_prim(layer, animation, "SkelAnimation")
+    author_uniform(prim, "blendShapes", Sdf.ValueTypeNames.TokenArray, list(shapes))
+    Sdf.AttributeSpec(prim, "blendShapeWeights", Sdf.ValueTypeNames.FloatArray)
     place = animation.AppendProperty("blendShapeWeights")
-    for time, row in enumerate(np.ascontiguousarray(weights, np.float32), start=first):
+    for time, row in enumerate(np.ascontiguousarray(weights, np.float32), start=1):
         layer.SetTimeSample(place, time, Vt.FloatArray.FromNumpy(row))
 
 

@@ -6,6 +6,7 @@ target's own prims. What this package proposes lies in a layer of its own beneat
 so that what people key above it stays when pairs are proposed again.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,13 @@ from usdface.core.controls import ExpressionPairs
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import proposed_path
-from usdface.usdio.authoring import apply_api, author_uniform, define_prim
+from usdface.usdio.authoring import (
+    apply_api,
+    author_uniform,
+    define_prim,
+    sampled_properties,
+    text_of,
+)
 from usdface.usdio.layers import (
     new_layers,
     open_layer,
@@ -30,10 +37,10 @@ from usdface.usdio.retarget.controls import (
     attribute_names,
     attribute_path,
     author_joints,
+    author_weights,
     control_attribute,
     controls_at,
     set_joint_samples,
-    set_weight_samples,
 )
 from usdface.usdio.rig.reference import (
     define_reference,
@@ -110,9 +117,8 @@ def read_pairs(path: Path) -> ExpressionPairs:
     right = controls_at(target, top, attributes, times, path)
     source_rig, source_prim = _rig(stage, source, _SOURCE)
     target_rig, target_prim = _rig(stage, target, _TARGET)
-    names = root.GetAttribute(_NAME.name)
     return ExpressionPairs(
-        names=tuple(str((names.Get(time) if names else None) or "") for time in times),
+        names=tuple(text_of(root, _NAME.name, time) for time in times),
         source_shapes=left.shapes,
         source=left.weights,
         target=right,
@@ -132,21 +138,14 @@ def keyed_above(path: Path) -> tuple[str, ...]:
     samples = proposed_path(path).resolve()
     found: list[str] = []
     for layer in open_stage(path).GetLayerStack(includeSessionLayers=False):
-        if Path(layer.realPath).resolve() == samples:
-            continue
-
-        def look(place: Sdf.Path, layer: Sdf.Layer = layer) -> None:
-            if place.IsPropertyPath() and layer.GetNumTimeSamplesForPath(place):
-                found.append(str(place))
-
-        layer.Traverse(Sdf.Path.absoluteRootPath, look)
+        if Path(layer.realPath).resolve() != samples:
+            found += map(str, sampled_properties(layer))
     return tuple(dict.fromkeys(found))
 
 
 def _author_samples(
     layer: Sdf.Layer, path: Path, pairs: ExpressionPairs, source_rig: Rig | None, target_rig: Rig
 ) -> None:
-    tokens = Sdf.ValueTypeNames.TokenArray
     target = pairs.target
     author_pair_header(layer, _ROOT, len(pairs))
     root = Sdf.CreatePrimInLayer(layer, _ROOT)
@@ -166,10 +165,7 @@ def _author_samples(
         (SOURCE_WEIGHTS, pairs.source_shapes, pairs.source),
         (TARGET_CONTROLS, target.shapes, target.weights),
     ):
-        prim = define_prim(layer, place, "SkelAnimation")
-        author_uniform(prim, "blendShapes", tokens, list(shapes))
-        Sdf.AttributeSpec(prim, "blendShapeWeights", Sdf.ValueTypeNames.FloatArray)
-        set_weight_samples(layer, place, weights, 1)
+        author_weights(layer, place, shapes, weights)
     if target.joints:
         author_joints(layer.GetPrimAtPath(TARGET_CONTROLS), target.joints)
         set_joint_samples(layer, TARGET_CONTROLS, target, 1)
@@ -258,23 +254,9 @@ def merge_pairs(old: ExpressionPairs, new: ExpressionPairs) -> ExpressionPairs:
             "another --out"
         )
     more = new.rows(np.array(added, dtype=np.int64))
-    both = (old.target, more.target)
-    return ExpressionPairs(
+    return replace(
+        new,
         names=(*old.names, *more.names),
-        source_shapes=old.source_shapes,
         source=np.concatenate([old.source, more.source]),
-        target=type(old.target)(
-            shapes=old.target.shapes,
-            weights=np.concatenate([each.weights for each in both]),
-            joints=old.target.joints,
-            translations=np.concatenate([each.translations for each in both]),
-            rotations=np.concatenate([each.rotations for each in both]),
-            scales=np.concatenate([each.scales for each in both]),
-            attributes=old.target.attributes,
-            values=np.concatenate([each.values for each in both]),
-        ),
-        source_rig=new.source_rig,
-        source_prim=new.source_prim,
-        target_rig=new.target_rig,
-        target_prim=new.target_prim,
+        target=old.target.mapped(lambda *both: np.concatenate(both), more.target),
     )

@@ -3,7 +3,6 @@
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from pxr import Sdf, Usd
 
@@ -14,8 +13,11 @@ from usdface.usdio.authoring import (
     author_arrays,
     author_uniform,
     define_in_scope,
+    names_in,
     prim_in_scope,
     read_arrays,
+    text_of,
+    value_of,
 )
 from usdface.usdio.layers import new_layer, open_stage, refusing_wrong_types, relative_path
 from usdface.usdio.units import author_units
@@ -74,17 +76,16 @@ def read_retargeting(path: Path) -> Retargeting:
     if missing:
         raise InputError(f"{path} <{prim.GetPath()}>: array {missing[0]} is missing; train again")
     try:
-        settings = json.loads(str(_value(prim, "settings") or "{}"))
-        scores = tuple(RetargetScore(**e) for e in json.loads(str(_value(prim, "scores") or "[]")))
+        settings = json.loads(_text(prim, "settings") or "{}")
+        scores = tuple(RetargetScore(**e) for e in json.loads(_text(prim, "scores") or "[]"))
     except (ValueError, TypeError, RecursionError) as error:
         raise InputError(
             f"{path} <{prim.GetPath()}>: its settings or scores are no valid JSON: {error}; "
             "train again"
         ) from error
-    rig = _value(prim, "rig")
-    asset = str(getattr(rig, "path", ""))
+    asset = str(getattr(value_of(prim, "face:retargeting:rig"), "path", ""))
     return Retargeting(
-        method=str(_value(prim, "method")),
+        method=_text(prim, "method"),
         source_shapes=_names(prim, "source"),
         shapes=_names(prim, "channels"),
         joints=_names(prim, "joints"),
@@ -95,16 +96,15 @@ def read_retargeting(path: Path) -> Retargeting:
         arrays={name.removeprefix("fit_"): array for name, array in arrays.items()},
         settings=settings,
         scores=scores,
-        pairs=str(_value(prim, "pairs") or ""),
+        pairs=_text(prim, "pairs"),
         target_rig=(path.parent / asset) if asset else None,
-        target_prim=str(_value(prim, "rigPrim") or ""),
+        target_prim=_text(prim, "rigPrim"),
     )
 
 
 def _names(prim: Usd.Prim, name: str) -> tuple[str, ...]:
-    return tuple(map(str, _value(prim, name) or ()))
+    return names_in(prim.GetAttribute(f"face:retargeting:{name}"))
 
 
-def _value(prim: Usd.Prim, name: str) -> Any:
-    attribute = prim.GetAttribute(f"face:retargeting:{name}")
-    return attribute.Get() if attribute else None
+def _text(prim: Usd.Prim, name: str) -> str:
+    return text_of(prim, f"face:retargeting:{name}")

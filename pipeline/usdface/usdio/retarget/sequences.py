@@ -1,5 +1,6 @@
 """Emotional sequences, and the places of a take that hold them."""
 
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -10,7 +11,14 @@ from usdface.core.controls import Controls, EmotionalSequence, SequenceMatch
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.rates import exact_rate, span_of_samples
-from usdface.usdio.authoring import apply_api, author_timing, author_uniform, define_prim
+from usdface.usdio.authoring import (
+    apply_api,
+    author_timing,
+    author_uniform,
+    define_prim,
+    names_in,
+    text_of,
+)
 from usdface.usdio.layers import (
     new_layer,
     open_layer,
@@ -20,9 +28,9 @@ from usdface.usdio.layers import (
 )
 from usdface.usdio.retarget.controls import (
     author_joints,
+    author_weights,
     controls_at,
     set_joint_samples,
-    set_weight_samples,
 )
 from usdface.usdio.units import author_units
 
@@ -59,10 +67,7 @@ def write_sequence(
             (_SOURCE, sequence.source_shapes, sequence.source),
             (_TARGET, target.shapes, target.weights),
         ):
-            prim = define_prim(layer, place, "SkelAnimation")
-            author_uniform(prim, "blendShapes", kinds.TokenArray, list(shapes))
-            Sdf.AttributeSpec(prim, "blendShapeWeights", kinds.FloatArray)
-            set_weight_samples(layer, place, weights, 1)
+            author_weights(layer, place, shapes, weights)
         if target.joints:
             author_joints(layer.GetPrimAtPath(_TARGET), target.joints)
             set_joint_samples(layer, _TARGET, target, 1)
@@ -88,16 +93,16 @@ def read_sequence(path: Path) -> EmotionalSequence:
         )
     source, _ = _read_side(stage, _SOURCE, path)
     target, times = _read_side(stage, _TARGET, path)
-    names = tuple(map(str, root.GetAttribute(ATTRIBUTES).Get() or ()))
+    names = names_in(root.GetAttribute(ATTRIBUTES))
     if names:
         rows = [root.GetAttribute(VALUES.name).Get(time) for time in times]
         if any(row is None or len(row) != len(names) for row in rows):
             raise InputError(f"{path} <{VALUES}>: needs {len(names)} values at every time code")
-        target = Controls(**{**vars(target), "attributes": names, "values": np.array(rows, float)})
+        target = replace(target, attributes=names, values=np.array(rows, float))
     weight = root.GetAttribute(KEY_WEIGHT.name)
     weights = [weight.Get(time) if weight else None for time in times]
     return EmotionalSequence(
-        label=str(root.GetAttribute(_LABEL).Get() or ""),
+        label=text_of(root, _LABEL),
         source_shapes=source.shapes,
         source=source.weights,
         target=target,
@@ -171,7 +176,7 @@ def read_matches(path: Path) -> tuple[SequenceMatch, ...]:
         found.append(
             SequenceMatch(
                 sequence=path.parent / asset.path,
-                label=str(prim.GetAttribute("face:match:label").Get() or ""),
+                label=text_of(prim, "face:match:label"),
                 first_frame=first,
                 last_frame=last,
                 distance=float(prim.GetAttribute("face:match:distance").Get() or 0.0),

@@ -53,11 +53,6 @@ class StageCamera:
     ----------
     holds_character : bool
         False where the stage has no such character: it stands at the stage's origin then.
-
-    Raises
-    ------
-    InputError
-        If there is no such camera, or the character is there more than once.
     """
 
     @refusing_wrong_types

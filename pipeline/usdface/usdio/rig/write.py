@@ -165,13 +165,7 @@ def write_logic(
     *,
     provenance: Provenance | None = None,
 ) -> None:
-    """Write a layer that opens a rig's file and states its combinations.
-
-    Raises
-    ------
-    InputError
-        If a shape lies in an instance, where USD ignores what is stated.
-    """
+    """Write a layer that opens a rig's file and states its combinations."""
     source, driven = open_stage(rig.file), {each.shape: each for each in combinations}
     with new_layer(path, provenance) as layer:
         author_units(layer, like=rig.file)

@@ -42,13 +42,7 @@ def write_detections(
 def read_detections(
     path: Path, arrays: tuple[str, ...], names: tuple[str, ...]
 ) -> tuple[dict[str, Float32Array], dict[str, tuple[str, ...]]]:
-    """Return the arrays and the lists of names of these names.
-
-    Raises
-    ------
-    InputError
-        If one is missing, or an array does not have the shape that is stated.
-    """
+    """Return the arrays and the lists of names of these names."""
     stage = open_stage(path)
     prim = stage.GetDefaultPrim()
     if not prim or prim.GetName() != _ROOT:

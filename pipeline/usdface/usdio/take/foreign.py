@@ -13,6 +13,7 @@ from usdface.core.arrays import BoolArray, Float32Array, FloatArray
 from usdface.core.assets import WeightsClip
 from usdface.core.errors import InputError
 from usdface.core.rates import check_frame_span, exact_rate
+from usdface.usdio.authoring import names_in
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.units import column_matrix, stage_to_ours, transform_points
 
@@ -92,7 +93,7 @@ def read_foreign_take(path: Path, *, prim: str | None = None) -> ForeignTake:
     source = None
     if weights is not None:
         animation = UsdSkel.Animation(weights)
-        channels = tuple(map(str, animation.GetBlendShapesAttr().Get() or ()))
+        channels = names_in(animation.GetBlendShapesAttr())
         attribute = animation.GetBlendShapeWeightsAttr()
         values = [np.array(attribute.Get(t) or [], np.float32) for t in grid.stage_times]
         if any(len(row) != len(channels) for row in values):

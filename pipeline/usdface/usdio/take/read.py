@@ -11,6 +11,7 @@ from usdface.core.arrays import Float32Array
 from usdface.core.assets import Event, Markers, Take, Video, WeightsClip
 from usdface.core.errors import InputError
 from usdface.core.rates import check_frame_span, exact_rate, frames_within, shift_timecode
+from usdface.usdio.authoring import names_in, text_of, value_of
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.take.write import AUDIO, HEAD_MOTION, MARKER_CONFIDENCE, MARKERS, SOURCE, VISIBLE
 from usdface.usdio.units import column_matrix, stage_to_ours
@@ -95,15 +96,14 @@ class TakeReader:
     def neutral_frame(self) -> int:
         """Frame number of the neutral face; the first frame where the take names none."""
         prim = self._prims[MARKERS.name]
-        frame = prim.GetAttribute("face:markers:neutralFrame").Get() if prim else None
+        frame = value_of(prim, "face:markers:neutralFrame") if prim else None
         return self.first_frame if frame is None else int(frame)
 
     @functools.cached_property
     def marker_names(self) -> tuple[str, ...]:
         """Names of the markers; empty where the take has none."""
         prim = self._prims[MARKERS.name]
-        names = prim.GetAttribute("face:markers:names").Get() if prim else None
-        return tuple(map(str, names or ()))
+        return names_in(prim.GetAttribute("face:markers:names")) if prim else ()
 
     def timecode_at(self, frame: int) -> str:
         """Return the SMPTE timecode of a frame; empty where the take has none."""
@@ -155,8 +155,7 @@ class TakeReader:
         return self._read_markers(frames)
 
     def _value(self, name: str) -> object:
-        attribute = self._root.GetAttribute(name)
-        return attribute.Get() if attribute else None
+        return value_of(self._root, name)
 
     def _read_markers(self, frames: Sequence[int]) -> Markers | None:
         prim = self._prims[MARKERS.name]
@@ -175,17 +174,15 @@ class TakeReader:
         confidence = self._read_primvar(
             prim, MARKER_CONFIDENCE, frames, shape, np.dtype(np.float32)
         )
-        rigid = prim.GetAttribute("face:markers:rigid").Get() or ()
-        anchor = prim.GetAttribute("face:markers:anchor").Get() or ""
-        space = str(prim.GetAttribute("face:markers:space").Get())
+        space = text_of(prim, "face:markers:space")
         return Markers(
             names=names,
             positions=positions,
             visible=visible,
             confidence=confidence,
-            rigid=tuple(map(str, rigid)),
+            rigid=names_in(prim.GetAttribute("face:markers:rigid")),
             neutral_frame=self.neutral_frame,
-            anchor=str(anchor),
+            anchor=text_of(prim, "face:markers:anchor"),
             space="stabilized" if space == "stabilized" else "captured",
         )
 
@@ -278,7 +275,7 @@ class TakeReader:
         if not prim:
             return None
         animation = UsdSkel.Animation(prim)
-        names = tuple(map(str, animation.GetBlendShapesAttr().Get() or ()))
+        names = names_in(animation.GetBlendShapesAttr())
         attribute = animation.GetBlendShapeWeightsAttr()
         values = np.zeros((len(frames), len(names)), dtype=np.float32)
         query = self._query(attribute)
@@ -357,7 +354,7 @@ class TakeReader:
 
     def _read_audio(self) -> Path | None:
         prim = self._prims[AUDIO.name]
-        asset = prim.GetAttribute("filePath").Get() if prim else None
+        asset = value_of(prim, "filePath") if prim else None
         return None if asset is None else self._resolve(asset)
 
     def _resolve(self, asset: object) -> Path:
