@@ -132,7 +132,10 @@ def read_motive_csv(path: Path, options: CaptureOptions) -> Capture:
 def _read_header(lines: Iterator[TableLine]) -> _Header:
     first = next(lines)
     delimiter = sniff_delimiter(first.text) or ","
-    stated = _stated(split_cells(first, delimiter))
+    # Keys are looked for, as a take's name may hold commas.
+    stated = {
+        key: value for key, value in pairwise(split_cells(first, delimiter)) if key in _STATED
+    }
     rows: list[tuple[TableLine, list[str]]] = []
     for line in lines:
         cells = split_cells(line, delimiter)
@@ -179,11 +182,6 @@ def _read_header(lines: Iterator[TableLine]) -> _Header:
         line,
         delimiter,
     )
-
-
-def _stated(cells: list[str]) -> dict[str, str]:
-    """Return what the first line states; keys are looked for, as a take's name may hold commas."""
-    return {key: value for key, value in pairwise(cells) if key in _STATED}
 
 
 def _holds(cells: list[str], *wanted: str) -> bool:

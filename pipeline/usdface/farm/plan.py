@@ -47,38 +47,28 @@ def in_chunks(step: Spec, sizes: ChunkSizes, frames: FrameRange | None) -> list[
     frames : (first, last), optional
         None where they are not known yet: then the step stays whole.
     """
-    if frames is None:
-        return [step]
+    size = None
     if isinstance(step, MapSpec):
-        chunks = _chunks(frames, sizes.map)
-        if len(chunks) == 1:
-            return [step]
-        names = _part_names(step.out, len(chunks))
-        parts = [
-            step.model_copy(update={"frames": text, "out": name, "chunk": None})
-            for text, name in zip(chunks, names, strict=True)
-        ]
+        size = sizes.map
+    elif isinstance(step, MovieSpec):
+        size = sizes.movie
+    elif isinstance(step, TrackSpec) and not (step.part or step.parts):
+        size = sizes.track
+    chunks = [] if frames is None or size is None else _chunks(frames, size)
+    if len(chunks) < 2 or not isinstance(step, MapSpec | MovieSpec | TrackSpec):
+        return [step]
+    names = _part_names(step.out, len(chunks))
+    parts = [{"frames": text, "out": name} for text, name in zip(chunks, names, strict=True)]
+    if isinstance(step, MapSpec):
         clips = sizes.clips if step.chunk is None else "always"
-        return [*parts, JoinSpec(parts=names, out=step.out, clips=clips)]
-    if isinstance(step, MovieSpec) and sizes.movie is not None:
-        chunks = _chunks(frames, sizes.movie)
-        if len(chunks) == 1:
-            return [step]
-        names = _part_names(step.out, len(chunks))
-        shown = [
-            step.model_copy(update={"frames": text, "out": name, "sound": False})
-            for text, name in zip(chunks, names, strict=True)
-        ]
+        mapped = [step.model_copy(update={**part, "chunk": None}) for part in parts]
+        return [*mapped, JoinSpec(parts=names, out=step.out, clips=clips)]
+    if isinstance(step, MovieSpec):
         take = step.take if step.sound else None
+        shown = [step.model_copy(update={**part, "sound": False}) for part in parts]
         return [*shown, MovieJoinSpec(parts=names, take=take, out=step.out)]
-    if isinstance(step, TrackSpec) and sizes.track is not None and not (step.part or step.parts):
-        chunks = _chunks(frames, sizes.track)
-        if len(chunks) == 1:
-            return [step]
-        names = _part_names(step.out, len(chunks))
-        seen = [step.part_spec(text, name) for text, name in zip(chunks, names, strict=True)]
-        return [*seen, step.model_copy(update={"parts": names})]
-    return [step]
+    seen = [step.part_spec(text, name) for text, name in zip(chunks, names, strict=True)]
+    return [*seen, step.model_copy(update={"parts": names})]
 
 
 def _chunks(frames: FrameRange, size: int) -> list[str]:

@@ -29,7 +29,7 @@ from usdface.farm.bundle import (
     task_command,
     write_bundle,
 )
-from usdface.farm.plan import ChunkSizes, FarmStep, FrameRange, Plan, plan_job
+from usdface.farm.plan import ChunkSizes, FarmStep, Plan, plan_job
 from usdface.runner.outputs import missing_in_job
 from usdface.specs.base import Spec
 from usdface.specs.commands import SubmitSpec
@@ -294,7 +294,11 @@ def _write(spec: SubmitSpec, *, overwrite: bool) -> Submission:
     sizes = ChunkSizes(
         map=spec.chunk, movie=spec.movie_chunk, track=spec.track_chunk, clips=spec.clips
     )
-    plan = plan_job(job, sizes=sizes, frames_of=_frames_of)
+    plan = plan_job(
+        job,
+        sizes=sizes,
+        frames_of=lambda path: frame_range_of(path) if path.exists() else None,
+    )
     carried = _carried(job)
     if root is not None:  # farms without shared storage upload these
         check_confined([("submit, what a layer refers to", path) for path in carried], root)
@@ -318,10 +322,6 @@ def _check_inputs(job: JobSpec) -> None:
     """Find here, in a second, what a worker would find after an hour in the queue."""
     if faults := missing_in_job(job):
         raise InputError("\n".join(faults))
-
-
-def _frames_of(path: Path) -> FrameRange | None:
-    return frame_range_of(path) if path.exists() else None
 
 
 def _carried(job: JobSpec) -> list[Path]:

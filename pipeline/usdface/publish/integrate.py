@@ -49,7 +49,10 @@ def integrate_performance(extracted: Extracted, *, comment: str = "") -> Publish
         If the version cannot be made; the extracted files are still there then.
     """
     parent = extracted.folder.parent
-    hashes = {role: _hash(extracted.folder / name) for role, name in extracted.files.items()}
+    hashes = {
+        role: hashlib.sha256((extracted.folder / name).read_bytes()).hexdigest()
+        for role, name in extracted.files.items()
+    }
     newest = latest_version(parent)
     if newest and _hashes_of(parent / _folder_name(newest)) == hashes:
         extracted.discard()
@@ -132,10 +135,6 @@ def _hashes_of(folder: Path) -> dict[str, str] | None:
     if not isinstance(files, dict):
         return None
     return {str(role): each.get("sha256", "") for role, each in files.items()}
-
-
-def _hash(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _relative(path: Path, folder: Path) -> str:

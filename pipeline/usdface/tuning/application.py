@@ -1,6 +1,7 @@
 """What the page asks for: its files, the face, the pairs, their pictures; and what it sends."""
 
 import base64
+import contextlib
 import functools
 import json
 import threading
@@ -46,10 +47,14 @@ _FILES = {
 }
 
 
-class SentChange(BaseModel):
-    """One change as the page sends it."""
+class _Message(BaseModel):
+    """What a page may send: nothing unknown, nothing infinite."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+class SentChange(_Message):
+    """One change as the page sends it."""
 
     pair: int = Field(ge=0)
     take: str
@@ -58,41 +63,33 @@ class SentChange(BaseModel):
     done: bool | None = None
 
 
-class SentChanges(BaseModel):
+class SentChanges(_Message):
     """What one POST holds."""
-
-    model_config = ConfigDict(extra="forbid")
 
     revision: int
     changes: list[SentChange] = Field(max_length=10_000)
 
 
-class SentPlace(BaseModel):
+class SentPlace(_Message):
     """A marker that was dragged over the face at rest; without `at` its correction is taken back.
 
     `at` is in the rig's space [mm].
     """
 
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-
     marker: str = Field(max_length=1000)
     at: tuple[float, float, float] | None = None
 
 
-class SentSolve(BaseModel):
+class SentSolve(_Message):
     """What the markers of a pair are to be solved for: the weights as shown, and those to find."""
-
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     pair: int = Field(ge=0)
     weights: dict[str, StrictFloat] = Field(max_length=10_000)
     free: list[str] = Field(min_length=1, max_length=10_000)
 
 
-class SentPose(BaseModel):
+class SentPose(_Message):
     """A pose to save under a name; without weights it is removed."""
-
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     name: PoseName
     weights: PoseWeights | None = None
@@ -100,6 +97,7 @@ class SentPose(BaseModel):
 
 _Sent = TypeVar("_Sent", SentChanges, SentPlace, SentSolve, SentPose)
 _Answer = Awaitable[dict[str, Any]]
+_Refuser = Callable[[Request, Exception], Awaitable[Response]]
 
 
 class Scene:
@@ -267,12 +265,10 @@ def build_application(scene: Scene) -> Starlette:
     async def file(request: Request) -> Response:
         name = request.path_params["name"]
         kind = _FILES.get(Path(name).suffix)
-        if kind is None or Path(name).name != name:
-            return JSONResponse({"reason": f"no file {name}"}, status_code=404)
-        try:
-            return Response(read_web_file(name), media_type=kind)
-        except OSError:
-            return JSONResponse({"reason": f"no file {name}"}, status_code=404)
+        with contextlib.suppress(OSError):
+            if kind is not None and Path(name).name == name:
+                return Response(read_web_file(name), media_type=kind)
+        return _refusal(404, f"no file {name}")
 
     async def face_data(request: Request) -> Response:
         payload = await scene.waits.result_of(lambda: scene.payload)
@@ -281,17 +277,17 @@ def build_application(scene: Scene) -> Starlette:
     async def picture(request: Request) -> Response:
         pair = request.path_params["pair"]
         if not 0 <= pair < len(scene.notes):
-            return JSONResponse({"reason": f"no pair {pair}"}, status_code=404)
+            return _refusal(404, f"no pair {pair}")
         after = _seconds_after(request)
         if after is None:
-            return JSONResponse({"reason": "after is no number of seconds"}, status_code=400)
+            return _refusal(400, "after is no number of seconds")
         data = await scene.waits.result_of(lambda: scene.pictures.jpeg(pair, after))
         return Response(data, media_type="image/jpeg")
 
     async def sound(request: Request) -> Response:
         pair = request.path_params["pair"]
         if not 0 <= pair < len(scene.notes):
-            return JSONResponse({"reason": f"no pair {pair}"}, status_code=404)
+            return _refusal(404, f"no pair {pair}")
         data = await scene.waits.result_of(lambda: scene.pictures.sound(pair))
         return Response(data or b"", 200 if data else 204, media_type="audio/wav")
 
@@ -318,8 +314,25 @@ def build_application(scene: Scene) -> Starlette:
     ]
     return Starlette(
         routes=routes,
-        exception_handlers=_refusals(),
+        exception_handlers={
+            StaleRevisionError: _refuser(409),
+            InputError: _refuser(422),
+            StoppedError: _refuser(503, "`usdface tune` has been stopped"),
+        },
     )
+
+
+def _refusal(status: int, reason: str) -> Response:
+    return JSONResponse({"reason": reason}, status_code=status)
+
+
+def _refuser(status: int, reason: str | None = None) -> _Refuser:
+    """Return what answers an error: with its own words, or a reason."""
+
+    async def answer(request: Request, error: Exception) -> Response:
+        return _refusal(status, str(error) if reason is None else reason)
+
+    return answer
 
 
 async def _sent(request: Request, kind: type[_Sent]) -> _Sent | Response:
@@ -327,11 +340,11 @@ async def _sent(request: Request, kind: type[_Sent]) -> _Sent | Response:
     try:
         return kind.model_validate_json(await request.body())
     except ClientDisconnect:
-        return JSONResponse({"reason": "the change is too large"}, status_code=413)
+        return _refusal(413, "the change is too large")
     except ValidationError as error:
         fault = error.errors()[0]
         where = ".".join(map(str, fault["loc"]))
-        return JSONResponse({"reason": f"{where}: {fault['msg']}"}, status_code=400)
+        return _refusal(400, f"{where}: {fault['msg']}")
 
 
 def _answer(
@@ -352,22 +365,6 @@ def _json(
         return Response(data, media_type="application/json")
 
     return answer
-
-
-async def _stale(request: Request, error: Exception) -> Response:
-    return JSONResponse({"reason": str(error)}, status_code=409)
-
-
-async def _refused(request: Request, error: Exception) -> Response:
-    return JSONResponse({"reason": str(error)}, status_code=422)
-
-
-def _refusals() -> dict[Any, Any]:
-    return {StaleRevisionError: _stale, InputError: _refused, StoppedError: _stopping}
-
-
-async def _stopping(request: Request, error: Exception) -> Response:
-    return JSONResponse({"reason": "`usdface tune` has been stopped"}, status_code=503)
 
 
 def _floats(values: np.ndarray) -> str:

@@ -188,14 +188,11 @@ def _missed(
     if len(far) > _MOST_FAR_SHARE * len(known):
         return "bad", f"{len(far)} of {len(known)} named markers lie far from their landmarks"
     named = [
-        f"{labels[marker]} lies {away:.0f} mm from {_spoken(label_hint(labels[marker]).landmarks)}"
+        f"{labels[marker]} lies {away:.0f} mm from "
+        + " and ".join(label_hint(labels[marker]).landmarks).replace("_", " ")
         for marker, (away, _) in far.items()
     ]
     return "check", first_few(named, most=3)
-
-
-def _spoken(landmarks: tuple[str, ...]) -> str:
-    return " and ".join(name.replace("_", " ") for name in landmarks)
 
 
 def _tilt(roll: float) -> _Reason:

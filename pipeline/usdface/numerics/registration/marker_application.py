@@ -76,7 +76,9 @@ def find_offset(
     for _ in range(_MATCHING_ROUNDS):
         squared = _squared_distances(ours + offset, known, others, others_usable)
         mine, theirs = _mutual_pairs(squared)
-        weight = 1 / np.maximum(squared[mine, theirs], _least_distance(squared[mine, theirs]))
+        near = squared[mine, theirs]
+        # Below a quarter of the median no pair counts more: else one would decide.
+        weight = 1 / np.maximum(near, max(float(np.median(near)) / 4, 1e-6))
         both = known[mine] & others_usable[theirs]
         share = weight[:, None] * both
         share /= np.maximum(share.sum(axis=0), 1e-12)
@@ -116,11 +118,6 @@ def _mutual_pairs(squared: FloatArray) -> tuple[IntArray, IntArray]:
     best = np.argsort(squared[mine, theirs], kind="stable")[:_CLOSEST_PAIRS]
     mine, theirs = np.append(mine[best], 0), np.append(theirs[best], squared[0].argmin())
     return mine, theirs
-
-
-def _least_distance(squared: FloatArray) -> float:
-    """Return the squared distance below which no pair counts more: else one pair would decide."""
-    return max(float(np.median(squared)) / 4, 1e-6)
 
 
 def _squared_distances(

@@ -13,6 +13,7 @@ from scipy.spatial.distance import cdist
 
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.numerics.registration.cloud_alignment import Alignment, align_pairs
+from usdface.numerics.registration.skin_placement import belief_moments
 from usdface.numerics.solve.bounded_least_squares import solve_bounded_least_squares
 
 _SEARCH_RADII = (0.22, 0.20, 0.17, 0.14, 0.12, 0.10, 0.09, 0.08, 0.07, 0.06, 0.05, 0.05)
@@ -125,14 +126,8 @@ def _motion_evidence(
     The distribution after seeing the motion divided by that before it: for markers that hardly
     move the variance is large, and the place does not count.
     """
-    moments = []
-    for cost in (before, after):
-        probability = np.exp(cost.min(axis=1, keepdims=True) - cost)
-        probability /= probability.sum(axis=1, keepdims=True)
-        mean = probability @ skin
-        spread = probability @ (skin**2).sum(axis=1) - (mean**2).sum(axis=1)
-        moments.append((mean, np.maximum(spread, 1e-9) / 3))
-    (mean_before, wide), (mean_after, narrow) = moments
+    mean_before, wide = belief_moments(before, skin)
+    mean_after, narrow = belief_moments(after, skin)
     narrow = np.minimum(narrow, 0.9 * wide)
     mean = mean_before + (mean_after - mean_before) * (wide / (wide - narrow))[:, None]
     return mean, narrow * wide / (wide - narrow)

@@ -291,8 +291,8 @@ def _motion_pull(
     misfit = _path_misfit(skin, near, paths, ranges)
     before = cdist(warped, skin.positions, "sqeuclidean") / (2 * reach**2)
     cost = before + _EVIDENCE_FRAMES / 2 * np.log(misfit + MODEL_ERROR_SHARE)
-    mean_before, wide = _moments(before, skin.positions)
-    mean_after, narrow = _moments(cost, skin.positions)
+    mean_before, wide = belief_moments(before, skin.positions)
+    mean_after, narrow = belief_moments(cost, skin.positions)
     narrow = np.minimum(narrow, 0.95 * wide)
     place = mean_before + (mean_after - mean_before) * (wide / (wide - narrow))[:, None]
     step = place - warped
@@ -303,7 +303,7 @@ def _motion_pull(
     return place, np.where(still, 0.0, 1 / variance), agreement
 
 
-def _moments(cost: FloatArray, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
+def belief_moments(cost: FloatArray, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return mean and variance per axis of beliefs ``exp(-cost)`` over samples."""
     belief = np.exp(cost.min(axis=1, keepdims=True) - cost)
     belief /= belief.sum(axis=1, keepdims=True)

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
-from usdface.core.arrays import Float32Array
 from usdface.core.assets import Take, Video
 from usdface.core.errors import CheckFailedError, InputError
 from usdface.core.progress import Progress, part, silent
@@ -227,13 +226,14 @@ def _gather(take: Take, video: Video, progress: Progress) -> Evidence:
         capture = read_audio(take.audio, rate=_SAMPLE_RATE)
     except InputError as error:
         return Evidence(None, str(error), labels)
-    return Evidence(_compare(camera, capture, part(progress, 0.5, 1.0)), "", labels)
-
-
-def _compare(camera: Float32Array, capture: Float32Array, progress: Progress) -> SoundAlignment:
-    return align_sounds(
-        camera, capture, rate=_SAMPLE_RATE, names=("camera's", "capture's"), progress=progress
+    sound = align_sounds(
+        camera,
+        capture,
+        rate=_SAMPLE_RATE,
+        names=("camera's", "capture's"),
+        progress=part(progress, 0.5, 1.0),
     )
+    return Evidence(sound, "", labels)
 
 
 def _page(take: Take, evidence: Evidence, decision: Decision) -> AlignmentPage:

@@ -143,7 +143,11 @@ def _bundles(folder: Path, only: str | None) -> list[Bundle]:
             f"{folder}: no capture has a name that --only {only} fits; leave it out, or name the "
             "end of the names, such as c3d"
         )
-    movies = [each.name for each in sorted(folder.iterdir()) if _is_movie(each)]
+    movies = [
+        each.name
+        for each in sorted(folder.iterdir())
+        if each.suffix.lower() in VIDEO_SUFFIXES and not each.name.startswith(".")
+    ]
     if movies:
         raise InputError(
             f"{folder}: holds {pluralize(len(movies), 'movie')} and no capture: track the face in "
@@ -173,10 +177,6 @@ def _left_out(folder: Path, bundles: list[Bundle]) -> tuple[str, ...]:
         f"in no take, as no capture is known by their content, or --only leaves them out: "
         f"{first_few(others)}",
     )
-
-
-def _is_movie(path: Path) -> bool:
-    return path.suffix.lower() in VIDEO_SUFFIXES and not path.name.startswith(".")
 
 
 def _is_capture(path: Path) -> bool:

@@ -70,7 +70,11 @@ def read_foreign_take(path: Path, *, prim: str | None = None) -> ForeignTake:
             f"{path}: holds no markers (time-sampled Points, Skeleton joints or Xforms) and no "
             "blendShapeWeights; check that the file is the capture"
         )
-    times = found[0].times if found else _weights_times(weights)
+    times = (
+        found[0].times
+        if found
+        else UsdSkel.Animation(weights).GetBlendShapeWeightsAttr().GetTimeSamples()
+    )
     grid = _frame_grid(stage, times, path)
     positions = np.zeros((len(grid.stage_times), 0, 3), dtype=np.float32)
     visible = np.zeros((len(grid.stage_times), 0), dtype=np.bool_)
@@ -275,7 +279,3 @@ def _weights_prim(top: Usd.Prim, path: Path) -> Usd.Prim | None:
             "prim above it and its markers, with --prim"
         )
     return found[0] if found else None
-
-
-def _weights_times(prim: Usd.Prim) -> list[float]:
-    return list(UsdSkel.Animation(prim).GetBlendShapeWeightsAttr().GetTimeSamples())

@@ -97,13 +97,10 @@ def _author_take_api(layer: Sdf.Layer, take: Take, path: Path) -> None:
 
 def _author_header(layer: Sdf.Layer, take: Take) -> None:
     author_units(layer)
-    author_timing(layer, rate=take.rate, first=take.first_frame, last=_last_frame(take))
+    last = take.first_frame + max(take.frame_count - 1, 0)
+    author_timing(layer, rate=take.rate, first=take.first_frame, last=last)
     layer.defaultPrim = _ROOT.name
     define_prim(layer, _ROOT, "Xform")
-
-
-def _last_frame(take: Take) -> int:
-    return take.first_frame + max(take.frame_count - 1, 0)
 
 
 def _author(layer: Sdf.Layer, take: Take) -> None:
