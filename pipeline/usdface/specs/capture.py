@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from usdface.core.sidecars import samples_path
-from usdface.specs.base import Axis, Name, Positional, Sidecar, Spec, Units, WeightTableSpec
+from usdface.specs.base import Axis, Name, Positional, Spec, Units, WeightTableSpec
 from usdface.specs.paths import (
     FilePath,
     Frames,
@@ -32,11 +32,9 @@ class IngestSpec(WeightTableSpec):
     every take in it is ingested; files with the same stem belong together.
     """
 
-    example: ClassVar[str] = (
-        "usdface ingest kitchen.c3d --out kitchen.take.usda --video kitchen.mov --neutral 120"
-    )
-    module: ClassVar[str] = "capture.ingest"
-    sidecars: ClassVar[tuple[Sidecar, ...]] = (samples_path,)
+    example = "usdface ingest kitchen.c3d --out kitchen.take.usda --video kitchen.mov --neutral 120"
+    module = "capture.ingest"
+    sidecars = (samples_path,)
 
     step: Literal["ingest"] = "ingest"
     sources: Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()] = ()
@@ -152,11 +150,9 @@ class TrackSpec(Spec):
     the take next, as one of optical markers.
     """
 
-    example: ClassVar[str] = (
-        "usdface track kitchen.mp4 --out kitchen.take.usda --model face_landmarker.task"
-    )
-    module: ClassVar[str] = "capture.track"
-    sidecars: ClassVar[tuple[Sidecar, ...]] = (samples_path,)
+    example = "usdface track kitchen.mp4 --out kitchen.take.usda --model face_landmarker.task"
+    module = "capture.track"
+    sidecars = (samples_path,)
     never_with: ClassVar[Mapping[str, Sequence[str]]] = {
         **dict.fromkeys(_ONLY_OF_TAKES, ("part",)),
         "views": ("part", "parts"),
@@ -245,10 +241,10 @@ class AlignSpec(Spec):
     refused. Only the take's video settings are changed, in place.
     """
 
-    example: ClassVar[str] = "usdface align kitchen.take.usda"
-    module: ClassVar[str] = "capture.align"
-    cores: ClassVar[int] = 1
-    memory_mib: ClassVar[int] = 4096
+    example = "usdface align kitchen.take.usda"
+    module = "capture.align"
+    cores = 1
+    memory_mib = 4096
 
     step: Literal["align"] = "align"
     take: Annotated[FilePath, Reads(assets=True), Positional()]
@@ -293,11 +289,11 @@ class CleanSpec(Spec):
     does not change. Filled and relabelled samples and replaced outliers have a lower confidence.
     """
 
-    example: ClassVar[str] = "usdface clean kitchen.take.usda --out kitchen.clean.take.usda"
-    module: ClassVar[str] = "capture.clean"
-    sidecars: ClassVar[tuple[Sidecar, ...]] = (samples_path,)
-    cores: ClassVar[int] = 2
-    memory_mib: ClassVar[int] = 4096
+    example = "usdface clean kitchen.take.usda --out kitchen.clean.take.usda"
+    module = "capture.clean"
+    sidecars = (samples_path,)
+    cores = 2
+    memory_mib = 4096
 
     step: Literal["clean"] = "clean"
     take: Annotated[FilePath, Reads(), Positional()]
@@ -330,10 +326,8 @@ class PhonesSpec(Spec):
     listed. English only; works offline.
     """
 
-    example: ClassVar[str] = (
-        "usdface phones kitchen.wav --transcript kitchen.txt --out kitchen.TextGrid"
-    )
-    module: ClassVar[str] = "capture.phones"
+    example = "usdface phones kitchen.wav --transcript kitchen.txt --out kitchen.TextGrid"
+    module = "capture.phones"
 
     step: Literal["phones"] = "phones"
     audio: Annotated[FilePath, Reads(), Positional()]

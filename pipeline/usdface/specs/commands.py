@@ -1,7 +1,7 @@
 """Specs of the commands that are no steps of a job: submit and tune."""
 
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -17,9 +17,9 @@ class TuneSpec(MovedRigSpec):
     person can tune at a time.
     """
 
-    example: ClassVar[str] = "usdface tune hero.references.usda"
+    example = "usdface tune hero.references.usda"
 
-    section: ClassVar[str] = "references"
+    section = "references"
 
     step: Literal["tune"] = "tune"
     references: Annotated[FilePath, Reads(alone=True), Positional()]
@@ -46,9 +46,9 @@ class SubmitSpec(Spec):
     skipped, and results are identical byte for byte. A worker needs usdface only.
     """
 
-    example: ClassVar[str] = "usdface submit kitchen.job.yaml --farm deadline"
+    example = "usdface submit kitchen.job.yaml --farm deadline"
 
-    section: ClassVar[str] = "jobs"
+    section = "jobs"
 
     step: Literal["submit"] = "submit"
     job: Annotated[FilePath, Positional()]

@@ -31,11 +31,9 @@ class EditSpec(Spec):
     performance, above its weights; mapping again keeps them.
     """
 
-    example: ClassVar[str] = (
-        "usdface edit kitchen.hero.usda --shape jawOpen --add 0.1 --frames 120-160 --fade 8"
-    )
-    module: ClassVar[str] = "edits.edit"
-    makes: ClassVar[str] = "edits"
+    example = "usdface edit kitchen.hero.usda --shape jawOpen --add 0.1 --frames 120-160 --fade 8"
+    module = "edits.edit"
+    makes = "edits"
 
     step: Literal["edit"] = "edit"
     performance: Annotated[FilePath, Reads(alone=True), Positional()]
@@ -85,9 +83,9 @@ class EditsImportSpec(WeightTableSpec):
     equals the file; elsewhere edits do not change.
     """
 
-    example: ClassVar[str] = "usdface edits import kitchen.hero.usda --changed kitchen.animator.usd"
-    module: ClassVar[str] = "edits.import_"
-    makes: ClassVar[str] = "edits"
+    example = "usdface edits import kitchen.hero.usda --changed kitchen.animator.usd"
+    module = "edits.import_"
+    makes = "edits"
 
     step: Literal["edits-import"] = "edits-import"
     performance: Annotated[FilePath, Reads(alone=True), Positional()]
@@ -112,8 +110,8 @@ class BakeSpec(MovedRigSpec):
     change.
     """
 
-    example: ClassVar[str] = "usdface bake kitchen.hero.usda --out kitchen.hero.published.usdc"
-    module: ClassVar[str] = "edits.bake"
+    example = "usdface bake kitchen.hero.usda --out kitchen.hero.published.usdc"
+    module = "edits.bake"
     only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
         "unit": ("tolerance", ()),
     }
@@ -142,10 +140,8 @@ class CombineSpec(Spec):
     at the same place and rate.
     """
 
-    example: ClassVar[str] = (
-        "usdface combine kitchen.hero.usda stairs.hero.usda --out hero.takes.usda"
-    )
-    module: ClassVar[str] = "edits.combine"
+    example = "usdface combine kitchen.hero.usda stairs.hero.usda --out hero.takes.usda"
+    module = "edits.combine"
 
     step: Literal["combine"] = "combine"
     performances: Annotated[tuple[FilePath, ...], Field(min_length=1), Reads(), Positional()]
@@ -166,8 +162,8 @@ class PackageSpec(MovedRigSpec):
     publish the layers (`usdface bake`).
     """
 
-    example: ClassVar[str] = "usdface package kitchen.hero.usda --out kitchen.review.usdz"
-    module: ClassVar[str] = "edits.package"
+    example = "usdface package kitchen.hero.usda --out kitchen.review.usdz"
+    module = "edits.package"
 
     step: Literal["package"] = "package"
     performance: Annotated[FilePath, Reads(assets=True), Positional()]

@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from usdface.core.sidecars import weights_path
-from usdface.specs.base import Drive, MovedRigSpec, Name, Positional, Sidecar, Spec
+from usdface.specs.base import Drive, MovedRigSpec, Name, Positional, Spec
 from usdface.specs.paths import FilePath, Frames, ImageOut, LayerOut, PrimPath, ReadPath, Reads
 
 
@@ -18,10 +18,10 @@ class TrainSpec(MovedRigSpec):
     smallest error. The table of scores is stored in the mapping (`usdface describe`).
     """
 
-    example: ClassVar[str] = "usdface train hero.references.usda --out hero.mapping.usdc"
-    module: ClassVar[str] = "performance.train"
-    cores: ClassVar[int] = 2
-    memory_mib: ClassVar[int] = 8192
+    example = "usdface train hero.references.usda --out hero.mapping.usdc"
+    module = "performance.train"
+    cores = 2
+    memory_mib = 8192
 
     step: Literal["train"] = "train"
     references: Annotated[FilePath, Reads(), Positional()]
@@ -61,13 +61,13 @@ class MapSpec(Spec):
     rig and the take alone, without references or a mapping.
     """
 
-    example: ClassVar[str] = (
+    example = (
         "usdface map kitchen.clean.take.usda --mapping hero.mapping.usdc --rig hero.usd "
         "--out kitchen.hero.usda"
     )
-    module: ClassVar[str] = "performance.map"
-    makes: ClassVar[str] = "performance"
-    sidecars: ClassVar[tuple[Sidecar, ...]] = (weights_path,)
+    module = "performance.map"
+    makes = "performance"
+    sidecars = (weights_path,)
     removed: ClassVar[Mapping[str, str]] = {
         "device": "weights are always predicted on the processor; leave it out"
     }
@@ -144,12 +144,10 @@ class JoinSpec(MovedRigSpec):
     in any order. The result equals the performance mapped in one run, value for value.
     """
 
-    example: ClassVar[str] = (
-        "usdface join parts/kitchen.1.usda parts/kitchen.2.usda --out kitchen.hero.usda"
-    )
-    module: ClassVar[str] = "performance.join"
-    makes: ClassVar[str] = "performance"
-    sidecars: ClassVar[tuple[Sidecar, ...]] = (weights_path,)
+    example = "usdface join parts/kitchen.1.usda parts/kitchen.2.usda --out kitchen.hero.usda"
+    module = "performance.join"
+    makes = "performance"
+    sidecars = (weights_path,)
 
     step: Literal["join"] = "join"
     parts: Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]

@@ -13,7 +13,7 @@ from usdface.core.sidecars import (
     samples_path,
     tuned_path,
 )
-from usdface.specs.base import MovedRigSpec, Name, Positional, Sidecar, Spec, WeightTableSpec
+from usdface.specs.base import MovedRigSpec, Name, Positional, Spec, WeightTableSpec
 from usdface.specs.paths import (
     ChosenFrames,
     FilePath,
@@ -36,14 +36,14 @@ class PlaceSpec(Spec):
     --landmarks. Placing again keeps corrections and places the other markers by them.
     """
 
-    example: ClassVar[str] = (
+    example = (
         "usdface place kitchen.clean.take.usda --rig hero.usd --out hero.placement.usda "
         "--picture hero.placement.jpg"
     )
-    module: ClassVar[str] = "references.place"
-    sidecars: ClassVar[tuple[Sidecar, ...]] = (proposed_path,)
-    cores: ClassVar[int] = 2
-    memory_mib: ClassVar[int] = 4096
+    module = "references.place"
+    sidecars = (proposed_path,)
+    cores = 2
+    memory_mib = 4096
     only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {"quality": ("picture", ())}
 
     step: Literal["place"] = "place"
@@ -77,15 +77,15 @@ class SelectSpec(Spec):
     learns from the pairs that are tuned.
     """
 
-    example: ClassVar[str] = (
+    example = (
         "usdface select kitchen.clean.take.usda --rig hero.usd --count 60 "
         "--out hero.references.usda"
     )
-    module: ClassVar[str] = "references.select"
-    makes: ClassVar[str] = "references"
-    sidecars: ClassVar[tuple[Sidecar, ...]] = (proposed_path, samples_path)
-    cores: ClassVar[int] = 2
-    memory_mib: ClassVar[int] = 8192
+    module = "references.select"
+    makes = "references"
+    sidecars = (proposed_path, samples_path)
+    cores = 2
+    memory_mib = 8192
 
     only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
         "extremes": ("method", ("viseme",))
@@ -183,9 +183,9 @@ class ReferencesImportSpec(MovedRigSpec, WeightTableSpec):
     drawn again.
     """
 
-    example: ClassVar[str] = "usdface references import hero.references.usda --weights tuned.csv"
-    module: ClassVar[str] = "references.import_"
-    makes: ClassVar[str] = "references"
+    example = "usdface references import hero.references.usda --weights tuned.csv"
+    module = "references.import_"
+    makes = "references"
 
     step: Literal["references-import"] = "references-import"
     references: Annotated[FilePath, Reads(alone=True), Positional()]
@@ -219,14 +219,14 @@ class ReferencesFromEditsSpec(MovedRigSpec):
     one another. The existing pairs of the references do not change.
     """
 
-    example: ClassVar[str] = (
+    example = (
         "usdface references from-edits kitchen.hero.usda --references hero.references.usda "
         "--out hero.v2.references.usda"
     )
-    in_place: ClassVar[bool] = True
-    module: ClassVar[str] = "references.from_edits"
-    makes: ClassVar[str] = "references"
-    sidecars: ClassVar[tuple[Sidecar, ...]] = (proposed_path, samples_path)
+    in_place = True
+    module = "references.from_edits"
+    makes = "references"
+    sidecars = (proposed_path, samples_path)
     traces: ClassVar[Sequence[str]] = ("performances",)
 
     step: Literal["references-from-edits"] = "references-from-edits"
@@ -253,14 +253,14 @@ class ReferencesAddSpec(MovedRigSpec):
     change.
     """
 
-    example: ClassVar[str] = (
+    example = (
         "usdface references add kitchen.hero.usda --references hero.references.usda "
         "--frames 434,1182 --out hero.references.usda"
     )
-    in_place: ClassVar[bool] = True
-    module: ClassVar[str] = "references.add"
-    makes: ClassVar[str] = "references"
-    sidecars: ClassVar[tuple[Sidecar, ...]] = (proposed_path, samples_path)
+    in_place = True
+    module = "references.add"
+    makes = "references"
+    sidecars = (proposed_path, samples_path)
     traces: ClassVar[Sequence[str]] = ("performance",)
 
     step: Literal["references-add"] = "references-add"
@@ -294,11 +294,11 @@ class ReferencesCoverageSpec(MovedRigSpec):
     time.
     """
 
-    example: ClassVar[str] = (
+    example = (
         "usdface references coverage hero.references.usda kitchen.clean.take.usda "
         "--out kitchen.coverage.png"
     )
-    module: ClassVar[str] = "references.coverage"
+    module = "references.coverage"
 
     step: Literal["references-coverage"] = "references-coverage"
     references: Annotated[FilePath, Reads(), Positional()]
@@ -318,11 +318,11 @@ class ReferenceSheetSpec(MovedRigSpec):
     emotion, frame and the largest weights.
     """
 
-    example: ClassVar[str] = (
+    example = (
         "usdface references sheet hero.references.usda --takes kitchen.clean.take.usda "
         "--paper --out hero.references.jpg"
     )
-    module: ClassVar[str] = "references.sheet"
+    module = "references.sheet"
 
     step: Literal["references-sheet"] = "references-sheet"
     references: Annotated[FilePath, Reads(assets=True), Positional()]

@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from usdface.core.sidecars import proposed_path, weights_path
-from usdface.specs.base import Drive, Name, Positional, Sidecar, Spec, WeightTableSpec
+from usdface.specs.base import Drive, Name, Positional, Spec, WeightTableSpec
 from usdface.specs.paths import (
     FilePath,
     Frames,
@@ -27,12 +27,10 @@ class PairsProposeSpec(Spec):
     by how they deform the face. Keyed pairs are kept, and existing pairs keep their time codes.
     """
 
-    example: ClassVar[str] = (
-        "usdface pairs propose --source human.usd --target dog.usd --out human_dog.pairs.usda"
-    )
-    module: ClassVar[str] = "retarget.pairs_propose"
-    makes: ClassVar[str] = "pairs"
-    sidecars: ClassVar[tuple[Sidecar, ...]] = (proposed_path,)
+    example = "usdface pairs propose --source human.usd --target dog.usd --out human_dog.pairs.usda"
+    module = "retarget.pairs_propose"
+    makes = "pairs"
+    sidecars = (proposed_path,)
     never_with: ClassVar[Mapping[str, Sequence[str]]] = {"match": ("names",)}
 
     step: Literal["pairs-propose"] = "pairs-propose"
@@ -65,14 +63,14 @@ class PairsImportSpec(WeightTableSpec):
     named attributes.
     """
 
-    example: ClassVar[str] = (
+    example = (
         "usdface pairs import --source human_poses.usd --target dog_poses.usd "
         "--source-rig human.usd --target-rig dog.usd --attributes 'rig/deformers.*' "
         "--out human_dog.pairs.usda"
     )
-    module: ClassVar[str] = "retarget.pairs_import"
-    makes: ClassVar[str] = "pairs"
-    sidecars: ClassVar[tuple[Sidecar, ...]] = (proposed_path,)
+    module = "retarget.pairs_import"
+    makes = "pairs"
+    sidecars = (proposed_path,)
 
     step: Literal["pairs-import"] = "pairs-import"
     source: ReadPath
@@ -102,12 +100,10 @@ class TrainRetargetSpec(Spec):
     smallest round-trip error. The table of scores is stored (`usdface describe`).
     """
 
-    example: ClassVar[str] = (
-        "usdface train-retarget human_dog.pairs.usda --out human_dog.retarget.usdc"
-    )
-    module: ClassVar[str] = "retarget.train"
-    cores: ClassVar[int] = 2
-    memory_mib: ClassVar[int] = 8192
+    example = "usdface train-retarget human_dog.pairs.usda --out human_dog.retarget.usdc"
+    module = "retarget.train"
+    cores = 2
+    memory_mib = 8192
 
     only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
         "alpha": ("method", ("hybrid",))
@@ -158,10 +154,10 @@ class RetargetSpec(WeightTableSpec):
     squares, without pairs or names: the baseline of Song et al. 2011, figure 2.
     """
 
-    example: ClassVar[str] = "usdface retarget kitchen.csv --rig hero.usd --out kitchen.hero.usda"
-    module: ClassVar[str] = "retarget.retarget"
-    makes: ClassVar[str] = "performance"
-    sidecars: ClassVar[tuple[Sidecar, ...]] = (weights_path,)
+    example = "usdface retarget kitchen.csv --rig hero.usd --out kitchen.hero.usda"
+    module = "retarget.retarget"
+    makes = "performance"
+    sidecars = (weights_path,)
 
     step: Literal["retarget"] = "retarget"
     source: Annotated[FilePath, Reads(), Positional()]
@@ -228,11 +224,11 @@ class CyclicSpec(WeightTableSpec):
     `positions` matches surface positions by non-negative least squares and needs no pairs.
     """
 
-    example: ClassVar[str] = (
+    example = (
         "usdface cyclic human_dog.pairs.usda --source kitchen.take.usda "
         "--out kitchen.cyclic.json --out kitchen.cyclic.jpg"
     )
-    module: ClassVar[str] = "retarget.cyclic"
+    module = "retarget.cyclic"
 
     only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {"weight_unit": ("truth", ())}
 
@@ -275,11 +271,11 @@ class MakeSequenceSpec(Spec):
     The two may differ in length and timing, as long as they express the same.
     """
 
-    example: ClassVar[str] = (
+    example = (
         "usdface make-sequence --source surprise.take.usda --source-frames 120-190 "
         "--target dog_surprise.usda --label surprise --out surprise.sequence.usda"
     )
-    module: ClassVar[str] = "retarget.make_sequence"
+    module = "retarget.make_sequence"
 
     step: Literal["make-sequence"] = "make-sequence"
     source: ReadPath
@@ -307,11 +303,11 @@ class FindSequencesSpec(Spec):
     matches, or move them.
     """
 
-    example: ClassVar[str] = (
+    example = (
         "usdface find-sequences kitchen.take.usda --sequence surprise.sequence.usda "
         "--out kitchen.matches.usda"
     )
-    module: ClassVar[str] = "retarget.find_sequences"
+    module = "retarget.find_sequences"
 
     step: Literal["find-sequences"] = "find-sequences"
     source: Annotated[FilePath, Reads(), Positional()]
@@ -351,12 +347,12 @@ class WarpSpec(Spec):
     the performance does not change by a single bit.
     """
 
-    example: ClassVar[str] = (
+    example = (
         "usdface warp kitchen.dog.usda --matches kitchen.matches.usda "
         "--out kitchen.warped.usda --curves kitchen.warp.jpg"
     )
-    module: ClassVar[str] = "retarget.warp"
-    sidecars: ClassVar[tuple[Sidecar, ...]] = (weights_path,)
+    module = "retarget.warp"
+    sidecars = (weights_path,)
 
     step: Literal["warp"] = "warp"
     performance: Annotated[FilePath, Reads(), Positional()]

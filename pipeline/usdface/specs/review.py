@@ -52,12 +52,12 @@ class SheetSpec(MovedRigSpec, WeightTableSpec):
     performances of the same take.
     """
 
-    example: ClassVar[str] = (
+    example = (
         "usdface sheet kitchen.hero.usda --take kitchen.clean.take.usda --out kitchen.sheet.jpg"
     )
-    module: ClassVar[str] = "review.sheet"
-    cores: ClassVar[int] = 2
-    memory_mib: ClassVar[int] = 4096
+    module = "review.sheet"
+    cores = 2
+    memory_mib = 4096
     only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
         "baseline": ("layout", ("comparison", "worst")),
         "difference": ("layout", ("comparison", "worst")),
@@ -133,13 +133,13 @@ class MovieSpec(MovedRigSpec):
     Every frame is a key frame, so that players can scrub. An interrupted run is resumed.
     """
 
-    example: ClassVar[str] = (
+    example = (
         "usdface movie kitchen.hero.usda --take kitchen.clean.take.usda --out kitchen.review.mp4"
     )
-    module: ClassVar[str] = "review.movie"
-    makes: ClassVar[str] = "movie"
-    cores: ClassVar[int] = 4
-    memory_mib: ClassVar[int] = 8192
+    module = "review.movie"
+    makes = "movie"
+    cores = 4
+    memory_mib = 8192
     only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
         "camera_stage": ("camera", ()),
     }
@@ -184,11 +184,11 @@ class MovieJoinSpec(Spec):
     The sound is encoded again from the take, so that it has no seams.
     """
 
-    example: ClassVar[str] = (
+    example = (
         "usdface movie-join a.mp4 b.mp4 --take kitchen.clean.take.usda --out kitchen.review.mp4"
     )
-    module: ClassVar[str] = "review.movie_join"
-    makes: ClassVar[str] = "movie"
+    module = "review.movie_join"
+    makes = "movie"
 
     step: Literal["movie-join"] = "movie-join"
     parts: Annotated[tuple[FilePath, ...], Field(min_length=1), Reads(), Positional()]
@@ -209,10 +209,8 @@ class ReportSpec(MovedRigSpec, WeightTableSpec):
     uncertainty and residual, the frames to check first, repaired samples, and provenance.
     """
 
-    example: ClassVar[str] = (
-        "usdface report kitchen.hero.usda --take kitchen.clean.take.usda --out kitchen.html"
-    )
-    module: ClassVar[str] = "review.report"
+    example = "usdface report kitchen.hero.usda --take kitchen.clean.take.usda --out kitchen.html"
+    module = "review.report"
     only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
         "camera_stage": ("camera", ()),
         "weight_unit": ("against", ()),
@@ -266,11 +264,11 @@ class FacesSpec(Spec):
     shapes and joints together; the frames are those that differ most.
     """
 
-    example: ClassVar[str] = (
+    example = (
         "usdface faces kitchen.human.usda kitchen.dog.usda kitchen.warped.usda "
         "--out kitchen.faces.jpg"
     )
-    module: ClassVar[str] = "review.faces"
+    module = "review.faces"
 
     step: Literal["faces"] = "faces"
     performances: Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]
@@ -304,11 +302,11 @@ class EvaluateSpec(MovedRigSpec, WeightTableSpec):
     exceeded, so that a farm can block a publish.
     """
 
-    example: ClassVar[str] = (
+    example = (
         "usdface evaluate kitchen.hero.usda --against animator.csv --out kitchen.error.json "
         "--max-vertex-rms 0.5"
     )
-    module: ClassVar[str] = "review.evaluate"
+    module = "review.evaluate"
 
     step: Literal["evaluate"] = "evaluate"
     performance: Annotated[FilePath, Reads(), Positional()]

@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from usdface.core.sidecars import proposed_path
-from usdface.specs.base import Name, Positional, Sidecar, Spec, WeightTableSpec
+from usdface.specs.base import Name, Positional, Spec, WeightTableSpec
 from usdface.specs.paths import FilePath, Frames, ImageOut, LayerOut, PrimPath, ReadPath, Reads
 
 Landmark = Annotated[str, Field(pattern=r"^[^=]+=\d+$", max_length=300, examples=["nose_tip=1203"])]
@@ -20,12 +20,12 @@ class BindSpec(Spec):
     keeps corrections.
     """
 
-    example: ClassVar[str] = (
+    example = (
         "usdface bind kitchen.clean.take.usda scan.usdc --out scan.binding.usda "
         "--landmarks nose_tip=3437,chin=60,brow_L3=9445 --picture scan.binding.jpg"
     )
-    module: ClassVar[str] = "surface.bind"
-    sidecars: ClassVar[tuple[Sidecar, ...]] = (proposed_path,)
+    module = "surface.bind"
+    sidecars = (proposed_path,)
     only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {"quality": ("picture", ())}
 
     step: Literal["bind"] = "bind"
@@ -151,13 +151,13 @@ class DeformSpec(SurfaceSpec):
     face:uncertainty, mm). Long takes are written as value clips.
     """
 
-    example: ClassVar[str] = (
+    example = (
         "usdface deform kitchen.clean.take.usda --mesh scan.usdc --binding scan.binding.usda "
         "--out kitchen.scan.usda --picture kitchen.scan.jpg"
     )
-    module: ClassVar[str] = "surface.deform"
-    cores: ClassVar[int] = 2
-    memory_mib: ClassVar[int] = 8192
+    module = "surface.deform"
+    cores = 2
+    memory_mib = 8192
     only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
         "quality": ("picture", ()),
         "rows": ("picture", ()),
@@ -198,13 +198,13 @@ class MakeShapesSpec(SurfaceSpec):
     and `map` use it like any other rig.
     """
 
-    example: ClassVar[str] = (
+    example = (
         "usdface make-shapes kitchen.clean.take.usda --mesh scan.usdc "
         "--binding scan.binding.usda --count 8 --out scan.rig.usda"
     )
-    module: ClassVar[str] = "surface.make_shapes"
-    cores: ClassVar[int] = 2
-    memory_mib: ClassVar[int] = 8192
+    module = "surface.make_shapes"
+    cores = 2
+    memory_mib = 8192
     only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {"quality": ("picture", ())}
     never_with: ClassVar[Mapping[str, Sequence[str]]] = {
         "blend": ("choose_blend",),
@@ -248,8 +248,8 @@ class LogicSpec(WeightTableSpec):
     which opens it, in its place.
     """
 
-    example: ClassVar[str] = "usdface logic hero.usd --naming --out hero.logic.usda"
-    module: ClassVar[str] = "surface.logic"
+    example = "usdface logic hero.usd --naming --out hero.logic.usda"
+    module = "surface.logic"
     only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {"weight_unit": ("weights", ())}
 
     step: Literal["logic"] = "logic"
