@@ -22,8 +22,7 @@ from usdface.tuning.guard import Guard, PromptProtocol
 from usdface.tuning.pictures import PairPictures
 from usdface.tuning.session import TuningSession
 from usdface.tuning.waits import Waits
-from usdface.usdio.references.read import read_pair_notes, take_files
-from usdface.usdio.rig.read import read_rig
+from usdface.usdio.references.read import read_pair_notes, read_rig_of, take_files
 from usdface.usdio.rig.reference import moved_rig
 
 log = logging.getLogger(__name__)
@@ -79,12 +78,7 @@ def _run(
     announce: Callable[[str], None],
 ) -> None:
     references = session.references
-    rig = read_rig(references.rig_file, prim=references.rig_prim)
-    rig.check_has(
-        references.shape_names,
-        source=spec.references,
-        remedy="it was selected for another rig: select again",
-    )
+    rig = read_rig_of(references, spec.references)
     notes = read_pair_notes(spec.references)
     takes = spec.takes or take_files(spec.references)
     root = confinement_root()

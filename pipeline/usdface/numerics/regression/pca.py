@@ -128,11 +128,6 @@ def project(pca: PCA, data: ArrayLike) -> FloatArray:
     return out
 
 
-def reconstruct(pca: PCA, coordinates: FloatArray) -> FloatArray:
-    """Rows back from their coordinates; exact where every direction was kept."""
-    return coordinates @ pca.components + pca.mean
-
-
 def _keep(
     mean: FloatArray,
     components: FloatArray,

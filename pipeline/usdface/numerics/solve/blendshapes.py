@@ -93,11 +93,6 @@ class BlendShapes:
         )
 
     @property
-    def is_bent(self) -> bool:
-        """Whether offsets are no sum of the channels: there are in-betweens or combinations."""
-        return self.logic is not None or any(len(knots) > 1 for _, knots in self._knots)
-
-    @property
     def key_channels(self) -> IntArray:
         """The channel that each key belongs to, -1 for a combination's: (keys,) int array."""
         channels = [channel for channel, knots in self._knots for _ in knots]

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from usdface.core.arrays import BoolArray, ByteImage, FloatArray, IntArray
-from usdface.core.assets import References, Rig
+from usdface.core.assets import References
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress
 from usdface.media.charts.coverage import CoveragePage, NextFrame, draw_coverage
@@ -30,8 +30,8 @@ from usdface.steps.inputs.scene import (
     set_up_scene,
     takes_head_space,
 )
+from usdface.usdio.references.read import read_rig_of
 from usdface.usdio.references.weight_layers import read_set_references
-from usdface.usdio.rig.read import read_rig
 
 FURTHER_FRAMES = 10
 """How many frames to look ahead."""
@@ -193,7 +193,7 @@ def measure_pairs(spec: ReferencesCoverageSpec, *, progress: Progress) -> Measur
     references = read_set_references(spec.references)
     pairs = _counted(spec, references)
     takes = _with_markers_of(read_cleaned_takes(spec.takes), references, spec)
-    rig = _rig(spec, references)
+    rig = read_rig_of(references, spec.references)
     scene = set_up_scene(takes, rig, placement=stored_placement(references, rig), progress=progress)
     progress(0.7, "measuring the coverage")
     placed = _place(scene, references, pairs)
@@ -257,14 +257,6 @@ def _with_markers_of(
         positions=tuple(clip[:, columns] for clip in takes.positions),
         usable=tuple(clip[:, columns] for clip in takes.usable),
     )
-
-
-def _rig(spec: ReferencesCoverageSpec, references: References) -> Rig:
-    rig = read_rig(references.rig_file, prim=references.rig_prim)
-    rig.check_has(
-        references.shape_names, source=spec.references, remedy="select again for this rig"
-    )
-    return rig
 
 
 def _place(scene: SelectionScene, references: References, pairs: IntArray) -> _Placed:

@@ -28,8 +28,8 @@ from usdface.runner.result import StepResult
 from usdface.specs.performance import TrainSpec
 from usdface.steps.inputs.placement import registered_places
 from usdface.usdio.mapping import write_mapping
+from usdface.usdio.references.read import read_rig_of
 from usdface.usdio.references.weight_layers import read_proposals, read_set_references
-from usdface.usdio.rig.read import read_rig
 
 
 def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
@@ -50,11 +50,8 @@ def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress = silent)
         references = _subset(references, tuned)
     elif not tuned.all():
         notes.append(_untuned_note(spec, int(tuned.sum()), len(tuned)))
-    rig = read_rig(references.rig_file, prim=references.rig_prim)
+    rig = read_rig_of(references, spec.references)
     notes += check_rig_stands(rig)
-    rig.check_has(
-        references.shape_names, source=spec.references, remedy="select again for this rig"
-    )
     columns = [rig.shapes.index(name) for name in references.shape_names]
     deformer = Deformer(rig)
     offsets = deformer.shapes.target_offsets()

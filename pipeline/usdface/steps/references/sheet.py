@@ -32,9 +32,8 @@ from usdface.specs.references import ReferenceSheetSpec
 from usdface.speech.phones import viseme_label
 from usdface.steps.inputs.marker_lines import lines_on_rig
 from usdface.steps.inputs.placement import placed_equation, stored_placement
-from usdface.usdio.references.read import read_pair_notes
+from usdface.usdio.references.read import read_pair_notes, read_rig_of
 from usdface.usdio.references.weight_layers import read_set_references
-from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import read_take
 
 _LEAST_SHOWN_WEIGHT = 0.05
@@ -49,10 +48,7 @@ def run(
     """Draw every pair and write the sheet."""
     progress(0.0, "reading")
     references = read_set_references(spec.references)
-    rig = read_rig(references.rig_file, prim=references.rig_prim)
-    rig.check_has(
-        references.shape_names, source=spec.references, remedy="select again for this rig"
-    )
+    rig = read_rig_of(references, spec.references)
     pairs = _pairs(spec, references)
     undrawn, blind, written = rig.undrawn_notes(), 0, []
     with ExitStack() as open_files:

@@ -5,7 +5,6 @@ from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
 from statistics import NormalDist
-from typing import Any
 
 import numpy as np
 from pxr import Sdf, Usd, UsdSkel
@@ -15,6 +14,7 @@ from usdface.core.assets import Performance, SolveBasis, WeightsClip
 from usdface.core.errors import InputError
 from usdface.core.rates import exact_rate, shift_timecode, span_of_samples
 from usdface.core.rig_logic import Combination
+from usdface.usdio.authoring import names_in, text_of, value_of
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.performance.edits import ShapeEdit, edited_weights, read_edits
 from usdface.usdio.performance.weights_layer import (
@@ -26,7 +26,7 @@ from usdface.usdio.performance.weights_layer import (
     UNMATCHED,
     WeightsHeader,
 )
-from usdface.usdio.rig.read import faces_below, read_combinations
+from usdface.usdio.rig.read import combinations_below
 from usdface.usdio.rig.reference import place_of, rig_of
 
 _CONFIDENCE_RANGE = (0.001, 0.9999)
@@ -101,24 +101,24 @@ class PerformanceReader:
     @refusing_wrong_types
     def regions(self) -> tuple[str, ...]:
         """Names of the regions of uncertainty, coverage and residual."""
-        return tuple(map(str, self._get("face:residual:regions") or ()))
+        return names_in(self.animation.GetAttribute("face:residual:regions"))
 
     @property
     @refusing_wrong_types
     def neutral_frame(self) -> int | None:
         """Frame of the take that shows the performer's neutral face; None when unknown."""
-        frame = self._get(NEUTRAL_FRAME)
+        frame = value_of(self.animation, NEUTRAL_FRAME)
         return None if frame is None else int(frame)
 
     @property
     @refusing_wrong_types
     def basis(self) -> SolveBasis | None:
         """What the mapping learnt from; None when unknown."""
-        counts = self._get(PAIR_COUNTS)
+        counts = value_of(self.animation, PAIR_COUNTS)
         if counts is None or len(counts) != 2:
             return None
-        still = tuple(map(str, self._get(STILL_REGIONS) or ()))
-        changed = tuple(map(str, self._get(CHANGED_SHAPES) or ()))
+        still = names_in(self.animation.GetAttribute(STILL_REGIONS))
+        changed = names_in(self.animation.GetAttribute(CHANGED_SHAPES))
         return SolveBasis(int(counts[1]), int(counts[0]), still, changed)
 
     @cached_property
@@ -133,7 +133,7 @@ class PerformanceReader:
     @property
     def timecode_start(self) -> str:
         """SMPTE timecode of the first frame; empty when unknown."""
-        return str(self._get("face:timecode:start") or "")
+        return text_of(self.animation, "face:timecode:start")
 
     def timecode_at(self, frame: int) -> str:
         """Return the SMPTE timecode of a frame; empty when unknown."""
@@ -153,11 +153,7 @@ class PerformanceReader:
     def combinations(self) -> tuple[Combination, ...]:
         """What of the rig other shapes drive; nothing where no rig stands in the stage."""
         place = self.stage.GetPrimAtPath(place_of(self.stage, self.animation))
-        return tuple(
-            each
-            for face in (faces_below(place) if place else ())
-            for each in read_combinations(face, self.path)
-        )
+        return combinations_below(place, self.path)
 
     @property
     def header(self) -> WeightsHeader:
@@ -174,7 +170,7 @@ class PerformanceReader:
             name=path.name if path.GetParentPath() == Sdf.Path(place) else ANIMATION,
             neutral_frame=self.neutral_frame,
             basis=self.basis,
-            unmatched=tuple(map(str, self._get(UNMATCHED) or ())),
+            unmatched=names_in(self.animation.GetAttribute(UNMATCHED)),
         )
 
     def rig(self) -> tuple[Path, str]:
@@ -243,10 +239,6 @@ class PerformanceReader:
         inside = np.clip(confidence, *_CONFIDENCE_RANGE)
         quantile = NormalDist().inv_cdf
         return np.array([[1 / quantile((1 + each) / 2)] for each in inside.tolist()])
-
-    def _get(self, name: str) -> Any:
-        attribute = self.animation.GetAttribute(name)
-        return attribute.Get() if attribute else None
 
 
 def find_animation(stage: Usd.Stage, path: Path, *, prim: str | None = None) -> Usd.Prim:

@@ -7,14 +7,13 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from usdface.core.arrays import FloatArray, IntArray
-from usdface.core.assets import MotionSpace, References
+from usdface.core.assets import MotionSpace, References, Rig
 from usdface.core.errors import InputError
-from usdface.core.rig_logic import Combination
 from usdface.core.text import json_object
 from usdface.usdio.authoring import names_in, read_array_samples, text_of, value_of
 from usdface.usdio.layers import read_provenance, refusing_wrong_types
 from usdface.usdio.references.pair_layers import open_pair_stage
-from usdface.usdio.rig.read import faces_below, read_combinations
+from usdface.usdio.rig.read import combinations_below, read_rig
 from usdface.usdio.rig.reference import rig_of
 from usdface.usdio.units import MM_PER_STAGE_UNIT
 
@@ -63,7 +62,7 @@ def read_references(path: Path) -> References:
         points.GetPrim().GetAttribute("face:markers:neutral").Get(), dtype=np.float64
     )
     rig_file, rig_prim = rig_of(stage, animation.GetPrim())
-    combinations = _read_combinations(stage, path)
+    combinations = combinations_below(stage.GetPrimAtPath(RIG), path)
     driven = {each.shape for each in combinations}
     columns = [index for index, name in enumerate(shape_names) if name not in driven]
     source = UsdSkel.Animation(stage.GetPrimAtPath(SOURCE_PATH))
@@ -98,12 +97,18 @@ def read_references(path: Path) -> References:
     )
 
 
-def _read_combinations(stage: Usd.Stage, path: Path) -> tuple[Combination, ...]:
-    """Return the combinations of the rig that the asset refers to; none where it is gone."""
-    rig = stage.GetPrimAtPath(RIG)
-    return tuple(
-        each for face in (faces_below(rig) if rig else ()) for each in read_combinations(face, path)
-    )
+def read_rig_of(references: References, path: Path) -> Rig:
+    """Read the rig that references were selected for; refused where it lacks their shapes.
+
+    Parameters
+    ----------
+    path : Path
+        File of the references.
+    """
+    rig = read_rig(references.rig_file, prim=references.rig_prim)
+    remedy = "it was selected for another rig: select again"
+    rig.check_has(references.shape_names, source=path, remedy=remedy)
+    return rig
 
 
 def _read_rate(root: Usd.Prim, path: Path) -> float:

@@ -12,6 +12,7 @@ from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import MeshShape, Rig, RigMesh, ShapeKey
 from usdface.core.errors import InputError
 from usdface.core.rig_logic import Combination, CombinationMode, order_combinations
+from usdface.usdio.authoring import names_in, text_of, value_of
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.rig.materials import read_look
 from usdface.usdio.rig.mesh import PlacedMesh, RestPose
@@ -40,7 +41,7 @@ def read_rig(path: Path, *, prim: str | None = None) -> Rig:
         Path of the SkelRoot, or of a prim above it, where the file holds several faces.
     """
     stage = open_stage(path)
-    root = _find_skel_root(stage, path, prim)
+    root = find_face(stage, path, prim)
     ours = stage_to_ours(stage)
     rest = RestPose(UsdSkel.Root(root), ours)
     meshes = tuple(_read_mesh(mesh, rest, path) for mesh in _meshes_below(root))
@@ -123,19 +124,15 @@ def read_combinations(root: Usd.Prim, path: Path) -> tuple[Combination, ...]:
     found, names = dict[str, Combination](), set[str]()
     for name, prim in shape_prims(root):
         names.add(name)
-        parts = prim.GetAttribute(COMBINATION_PARTS) if prim else None
-        stated = parts.Get() if parts else None
-        if not stated:
+        parts = names_in(prim.GetAttribute(COMBINATION_PARTS)) if prim else ()
+        if not parts:
             continue
-        mode = prim.GetAttribute(COMBINATION_MODE)
-        weights = prim.GetAttribute(COMBINATION_WEIGHTS)
-        spans = prim.GetAttribute(COMBINATION_SPANS)
         combination = Combination(
             shape=name,
-            parts=tuple(map(str, stated)),
-            mode=cast(CombinationMode, str((mode.Get() if mode else None) or "product")),
-            weights=tuple(map(float, (weights.Get() if weights else None) or ())),
-            spans=tuple((low, high) for low, high in (spans.Get() if spans else None) or ()),
+            parts=parts,
+            mode=cast(CombinationMode, text_of(prim, COMBINATION_MODE) or "product"),
+            weights=tuple(map(float, value_of(prim, COMBINATION_WEIGHTS) or ())),
+            spans=tuple((low, high) for low, high in value_of(prim, COMBINATION_SPANS) or ()),
         )
         if found.setdefault(name, combination) != combination:
             raise InputError(
@@ -146,6 +143,12 @@ def read_combinations(root: Usd.Prim, path: Path) -> tuple[Combination, ...]:
         for name in others:
             found.setdefault(name, Combination(name, (first,)))
     return order_combinations(found.values(), names, source=path)
+
+
+def combinations_below(top: Usd.Prim, path: Path) -> tuple[Combination, ...]:
+    """Read the combinations of the faces in a prim; nothing where the prim is not there."""
+    faces = faces_below(top) if top else ()
+    return tuple(each for face in faces for each in read_combinations(face, path))
 
 
 def skeletons_of(root: Usd.Prim) -> list[Usd.Prim]:
@@ -171,10 +174,6 @@ def faces_below(top: Usd.Prim) -> list[Usd.Prim]:
 
 def find_face(stage: Usd.Stage, path: Path, prim: str | None) -> Usd.Prim:
     """Return the one SkelRoot with BlendShapes in a stage, or below a prim of it."""
-    return _find_skel_root(stage, path, prim)
-
-
-def _find_skel_root(stage: Usd.Stage, path: Path, prim: str | None) -> Usd.Prim:
     top = stage.GetPseudoRoot() if prim is None else stage.GetPrimAtPath(prim)
     if not top:
         raise InputError(f"{path}: there is no prim <{prim}>; check --prim")
@@ -323,8 +322,7 @@ def _shape_keys(
 def _read_ranges(root: Usd.Prim, shapes: tuple[str, ...]) -> FloatArray:
     ranges = {name: (0.0, 1.0) for name in shapes}
     for name, prim in shape_prims(root):
-        attribute = prim.GetAttribute(RANGE_ATTRIBUTE)
-        value = attribute.Get() if attribute else None
+        value = value_of(prim, RANGE_ATTRIBUTE)
         if value is not None and value[0] < value[1]:
             ranges[name] = (float(value[0]), float(value[1]))
     return np.array([ranges[name] for name in shapes], dtype=np.float64).reshape(-1, 2)
