@@ -54,7 +54,6 @@ COMMON = [
 ]
 """Options of every step's command."""
 
-
 SpecType = TypeVar("SpecType", bound=Spec)
 
 

@@ -50,7 +50,6 @@ def columns_by_name(
 ROUNDING_SHARE = 1e-9
 """Results that differ by less, as a share, are equal: sums of a million terms round to 2e-10."""
 
-
 _LEAST_SINGLE = np.float32(1e-9)
 
 

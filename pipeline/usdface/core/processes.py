@@ -15,7 +15,6 @@ from typing import Any
 GiveWork = Callable[..., Future[Any]]
 """Takes a function and its arguments, as `Executor.submit`."""
 
-
 _ENDING_SECONDS = 0.5
 """In which a process may end its work, once nobody waits for it."""
 

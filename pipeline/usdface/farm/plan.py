@@ -18,7 +18,6 @@ from usdface.specs.review import MovieJoinSpec, MovieSpec
 FrameRange = tuple[int, int]
 """First and last frame, inclusive."""
 
-
 CHUNK_LIMIT = 10_000
 """Of one step; a season of takes has fewer, and a frame number that slipped would have millions."""
 

@@ -37,7 +37,6 @@ CameraName = Annotated[
 ]
 """``auto`` and ``front``, which frame the face, or the path of a camera."""
 
-
 SheetLayout = Literal["comparison", "worst", "strip", "characters"]
 FramePick = Literal["expression", "review", "residual", "uncertainty", "jump", "even"]
 
@@ -122,7 +121,6 @@ class SheetSpec(MovedRigSpec, WeightTableSpec):
 MOVIE_SUFFIXES = (".mp4", ".mov", ".mkv", ".webm")
 
 PanelKind = Literal["video", "markers", "performance"]
-
 
 MovieOut = Annotated[WritePath, AfterValidator(file_ending(MOVIE_SUFFIXES, "a movie"))]
 

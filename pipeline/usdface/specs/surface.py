@@ -49,15 +49,11 @@ class BindSpec(Spec):
 
 _Method = Literal["gp", "rbf"]
 
-
 _Sampler = Literal["hmc", "map", "shared"]
-
 
 _Metric = Literal["dijkstra", "dijkstra-diagonals", "heat"]
 
-
 _Positive = Annotated[float, Field(gt=0.0, le=1e6)]
-
 
 _FOR_SAMPLES = ("samples", "burn_in")
 _FOR_GP = ("sampler", *_FOR_SAMPLES, "covariance", "priors", "prior_spread", "length_scale")

@@ -22,7 +22,6 @@ from usdface.usdio.reached import check_composed, check_reached
 
 FRAMES_IN_MEMORY = 1 << 15
 
-
 VALUES_IN_MEMORY = 1 << 23
 """Long takes are saved to disk whenever this many frames or values have been written, so that
 memory stays bounded."""

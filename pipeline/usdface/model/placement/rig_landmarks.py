@@ -50,7 +50,6 @@ _PROFILE_DEPTH = 1.5
 _AHEAD_MM = 20.0
 """A point so far before the mouth is nearest to the lips, and not to the teeth."""
 
-
 _LEAST_FALL = 0.5
 """Share of the displacements' length that goes down, for a lid or a jaw."""
 

@@ -16,7 +16,6 @@ from usdface.numerics.surface.surface_graph import MeshFaults
 BLEND_PUBLISHED = 0.39
 """Share of the geodesic distance with the least error in W06 (section 5, Fig. 6) [0-1]."""
 
-
 CacheArray = FloatArray | Float32Array | BoolArray
 
 

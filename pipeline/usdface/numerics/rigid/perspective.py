@@ -27,7 +27,6 @@ _PROCRUSTES_FRAMES = 256
 _NEAREST_SHARE = 0.1
 """Of the head's distance: no landmark is nearer to a camera whose picture holds the whole face."""
 
-
 _NEWTON_STEPS = 50
 _UNDISTORTED_PIXELS = 1e-3
 """What is left between a point and where the lens shows its undistorted place."""

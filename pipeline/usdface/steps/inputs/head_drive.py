@@ -31,7 +31,6 @@ _REMEDY = {
     **dict.fromkeys(EYES, "needs channels such as LeftEyeYaw that move, or weights of eyeLook"),
 }
 
-
 _TURNED_SHARE = 0.05
 """Of an eyeball's size: a look that moves it farther turns it. 30 degrees move its front by a
 quarter of it."""

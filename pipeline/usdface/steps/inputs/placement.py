@@ -46,7 +46,6 @@ _SAMPLE_FRAMES = 2000
 _LEAST_COMMON_SHARE = 0.8
 """Of the markers: a placement that knows fewer was made for another marker set."""
 
-
 _SAME_FACE_SHARE = 0.1
 """Of the size of a face: two neutrals of a performer differ by 1 to 2 mm of 55, faces by more."""
 

@@ -32,7 +32,6 @@ from usdface.usdio.rig.reference import place_of, rig_of
 _CONFIDENCE_RANGE = (0.001, 0.9999)
 """Of earlier versions, as read: at 0 and 1 there would be no uncertainty to tell."""
 
-
 _VERSION_STEPS = 5000
 """Of a weight of 1: what a report shows. Smaller differences make no other version."""
 

@@ -52,18 +52,13 @@ from usdface.usdio.rig.reference import (
 
 _ROOT = Sdf.Path("/Pairs")
 
-
 _SOURCE = _ROOT.AppendChild("Source")
-
 
 _TARGET = _ROOT.AppendChild("Target")
 
-
 SOURCE_WEIGHTS = _ROOT.AppendChild("SourceWeights")
 
-
 TARGET_CONTROLS = _ROOT.AppendChild("TargetControls")
-
 
 _NAME = _ROOT.AppendProperty("face:pair:name")
 

@@ -21,7 +21,6 @@ from usdface.usdio.units import stage_to_ours
 RANGE_ATTRIBUTE = "face:range"
 """Optional double2 on a BlendShape prim: lowest and highest weight an animator may give."""
 
-
 COMBINATION = "FaceCombinationAPI"
 COMBINATION_PARTS = "face:combination:shapes"
 COMBINATION_MODE = "face:combination:mode"
