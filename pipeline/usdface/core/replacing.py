@@ -69,7 +69,7 @@ def write_text(path: Path, text: str) -> None:
     """Write a text file in UTF-8, as `replacing` does."""
     with replacing(path) as temporary:
         try:
-            temporary.write_text(text, encoding="utf-8")
+            temporary.write_text(text, encoding="utf-8", newline="\n")
         except OSError as error:
             raise InputError(f"{path}: cannot be written: {error.strerror}") from error
 

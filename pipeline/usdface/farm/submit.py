@@ -18,8 +18,9 @@ from typing import Any
 
 from usdface.core.confinement import check_confined, confinement_root
 from usdface.core.errors import CheckFailedError, InputError
-from usdface.core.replacing import replacing
+from usdface.core.replacing import write_text
 from usdface.core.sidecars import LAYER_SUFFIXES
+from usdface.core.text import pluralize
 from usdface.farm.bundle import (
     TASKS,
     TEMPLATE,
@@ -83,11 +84,6 @@ def build_outline(
             layer.depend_all(job.get_layer(_allowed(needed)))
     flags = {} if priority is None else {"priority": priority}
     return cuerun.OutlineLauncher(job, **flags)
-
-
-def outline_text(launcher: Any) -> str:
-    """Return the job as the XML that OpenCue is sent."""
-    return str(launcher.serialize(use_pycuerun=False))
 
 
 def submit_outline(launcher: Any) -> None:
@@ -256,8 +252,8 @@ def submit(spec: SubmitSpec, *, overwrite: bool = False, quiet: bool = False) ->
     if spec.farm == "opencue":
         launcher = build_outline(submission.job, steps, bundle, priority=spec.priority)
         if spec.write_only:
-            with replacing(outline_path(bundle)) as file:
-                file.write_text(outline_text(launcher), encoding="utf-8", newline="\n")
+            text = str(launcher.serialize(use_pycuerun=False))
+            write_text(outline_path(bundle), text)
         else:
             submit_outline(launcher)
     elif spec.farm == "deadline" and not spec.write_only:
@@ -275,7 +271,7 @@ def outline_path(bundle: Path) -> Path:
 def describe(submission: Submission) -> tuple[str, ...]:
     """Return a line for each farm step: its tasks and what it waits for."""
     return tuple(
-        f"{step.name}: {len(step.tasks)} task{'s' * (len(step.tasks) > 1)}"
+        f"{step.name}: {pluralize(len(step.tasks), 'task')}"
         + (f", after {', '.join(step.needs)}" if step.needs else "")
         for step in submission.plan.steps
     )
@@ -290,7 +286,9 @@ def _write(spec: SubmitSpec, *, overwrite: bool) -> Submission:
     check_job_name(job.job)
     if root is not None:
         check_confined(job.named_paths(), root)
-    _check_inputs(job)
+    # What a worker would find after an hour in the queue.
+    if faults := missing_in_job(job):
+        raise InputError("\n".join(faults))
     sizes = ChunkSizes(
         map=spec.chunk, movie=spec.movie_chunk, track=spec.track_chunk, clips=spec.clips
     )
@@ -316,12 +314,6 @@ def _with_absolute_paths(job: JobSpec) -> JobSpec:
         return path.resolve() if ".." in path.parts else path.absolute()
 
     return job.model_copy(update={"steps": tuple(step.with_paths(absolute) for step in job.steps)})
-
-
-def _check_inputs(job: JobSpec) -> None:
-    """Find here, in a second, what a worker would find after an hour in the queue."""
-    if faults := missing_in_job(job):
-        raise InputError("\n".join(faults))
 
 
 def _carried(job: JobSpec) -> list[Path]:

@@ -90,11 +90,8 @@ def place_by_motion(
     agreement = np.full(len(cloud), np.nan)
     for radius in _SEARCH_RADII:
         away = cdist(warped, skin, "sqeuclidean") / (2 * (radius * size) ** 2)
-        target, variance = (
-            skin[away.argmin(axis=1)],
-            np.full(len(cloud), (_SHAPE_DEVIATION * size) ** 2),
-        )
         chosen = away.argmin(axis=1)
+        target, variance = skin[chosen], np.full(len(cloud), (_SHAPE_DEVIATION * size) ** 2)
         if skin_deltas is not None and motion is not None:
             misfit = _path_misfit(alignment.apply_to_motion(motion), skin_deltas, chosen, ranges)
             cost = away + _EVIDENCE_SAMPLES / 2 * np.log(misfit + _MODEL_ERROR)

@@ -215,7 +215,6 @@ def _range_notes(spec: EditSpec, shapes: tuple[str, ...]) -> list[str]:
             low, high = values[beyond].min(), values[beyond].max()
             notes.append(
                 f"{shape} is outside 0 to 1 at {pluralize(int(beyond.sum()), 'frame')} "
-                f"({low:.2f} to "
-                f"{high:.2f}); `usdface bake --limit` keeps it within the rig's range"
+                f"({low:.2f} to {high:.2f}); `usdface bake --limit` keeps it within the rig's range"
             )
     return notes

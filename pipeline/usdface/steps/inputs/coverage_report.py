@@ -8,6 +8,7 @@ from usdface.core.arrays import BoolArray, ByteImage, FloatArray, IntArray
 from usdface.core.assets import References
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress
+from usdface.core.text import pluralize
 from usdface.media.charts.coverage import CoveragePage, NextFrame, draw_coverage
 from usdface.media.picture.error_strip import ErrorCurve
 from usdface.model.mapping.coverage import CoverageModel
@@ -115,8 +116,7 @@ def coverage_picture(
         f"{len(rows) if pairs is None else pairs} references, {len(tuned)} tuned",
         f"{1 - coverage.hole_share:.0%} of the frames covered",
         f"{coverage.share:.0%} of the motion covered",
-        f"{len(takes.frames)} frames of {len(takes.sources)} "
-        + ("take" if len(takes.sources) == 1 else "takes"),
+        f"{len(takes.frames)} frames of {pluralize(len(takes.sources), 'take')}",
     )
     return draw_coverage(
         CoveragePage(

@@ -82,8 +82,7 @@ def _check_nothing_hides(out: Path) -> None:
         raise InputError(
             f"{out}: keys made in it by hand, of {pluralize(len(keyed), 'attribute')} "
             f"({first_few(keyed, most=3)}), would hide what is imported; nothing was changed. "
-            "Write "
-            "to another --out, or remove these keys"
+            "Write to another --out, or remove these keys"
         )
 
 

@@ -57,8 +57,8 @@ def run(
             notes.append(
                 f"left out {pluralize(len(merged) - kept, 'new pair')} "
                 f"({first_few(merged.names[kept:], most=3)}): keys made by hand, of {keyed[0]}, "
-                "hide "
-                "what lies beneath at every time code; key them there, or propose to another --out"
+                "hide what lies beneath at every time code; key them there, or propose to another "
+                "--out"
             )
         pairs = old if keyed else merged
     progress(0.9, f"writing {spec.out.name}")

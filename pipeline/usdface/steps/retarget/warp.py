@@ -92,8 +92,7 @@ def run(spec: WarpSpec, *, provenance: Provenance, progress: Progress = silent) 
     return StepResult(
         (*outputs, *([spec.curves] if spec.curves else [])),
         f"{pluralize(len(placements), 'sequence')} in {len(before)} frames; "
-        f"{pluralize(changed, 'frame')} changed, the "
-        f"others are as they were",
+        f"{pluralize(changed, 'frame')} changed, the others are as they were",
         (
             *filter(None, dict.fromkeys(each.rate_note for each in placements)),
             *edit_notes(spec.out),

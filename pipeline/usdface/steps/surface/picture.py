@@ -12,7 +12,6 @@ from usdface.core.assets import RigMesh
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
-from usdface.core.rates import shift_timecode
 from usdface.media.face.render import Quality
 from usdface.media.picture.color import UNKEYED_RANGE_MM
 from usdface.media.picture.image import write_image
@@ -70,7 +69,7 @@ def write_comparison(
     compared = [
         ComparedFrame(
             frame=plan.sample.frames[inside[row]],
-            timecode=_timecode(take, plan.sample.frames[inside[row]]),
+            timecode=take.timecode_at(plan.sample.frames[inside[row]]),
             surfaces=tuple(rest + plan.fade * each.mean[number] for each in surfaces),
             uncertainty_mm=None if sds is None else sds[number].astype(np.float64),
         )
@@ -179,8 +178,3 @@ def _moving(plan: SurfacePlan) -> BoolArray:
     moved = plan.displacements(plan.sample.positions)
     far = np.linalg.norm(moved, axis=2).max(axis=0)
     return np.asarray(far >= _MOVING_SHARE * far.max(), np.bool_)
-
-
-def _timecode(take: TakeReader, frame: int) -> str:
-    start = take.timecode_at(take.first_frame)
-    return shift_timecode(start, frame - take.first_frame, take.rate)
