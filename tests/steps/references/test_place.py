@@ -163,7 +163,7 @@ def test_a_marker_that_is_deactivated_counts_in_no_solve(shot: Shot) -> None:
         ("frame,point\n1,3\n", "has no `marker` column"),
         ('{{"{name}": [1, 2]}}', "neither a point nor x, y, z"),
         ("[1, 2]", "names no marker"),
-        ("{{", "is no table of landmarks"),
+        ("{{", "is no valid JSON"),
     ],
 )
 def test_landmarks_that_name_nothing_are_refused_and_nothing_is_written(
