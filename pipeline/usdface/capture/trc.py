@@ -120,10 +120,9 @@ class _UnnamedMarkers:
 
     def left_out(self, lines: Iterator[TableLine]) -> Iterator[TableLine]:
         """Yield the lines without them."""
-        if self._delimiter in (None, ","):
+        if self._delimiter is None or self._delimiter == ",":
             yield from lines
             return
-        assert self._delimiter is not None
         for line in lines:
             # counting is quick; only a line that may be longer is split
             if line.text.count(self._delimiter) >= self._columns:
