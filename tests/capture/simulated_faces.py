@@ -5,12 +5,13 @@ from collections.abc import Callable
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from usdface.capture.face_gaze import LOOK_SHAPES
 from usdface.capture.face_landmarker import FaceFinding
 from usdface.capture.face_landmarks import LANDMARK_COUNT, LANDMARKS
 from usdface.core.arrays import ByteImage, FloatArray
 from usdface.model.placement.face_template import face_template
 
-SCORES = ("_neutral", "eyeBlinkLeft", "jawOpen", "eyeLookUpLeft")
+SCORES = ("_neutral", "eyeBlinkLeft", "jawOpen", "eyeBlinkRight", *LOOK_SHAPES)
 IRIS_DIAMETER = 11.7
 """[mm]"""
 SKULL = [LANDMARKS.indices[LANDMARKS.names.index(name)] for name in LANDMARKS.rigid]
@@ -80,7 +81,9 @@ class SimulatedFinder:
             if look:  # in the mirror, left is called right
                 landmarks = landmarks * (-1, 1, 1) + (width, 0, 0)
                 landmarks[LANDMARKS.indices] = landmarks[LANDMARKS.indices][LANDMARKS.mirror]
-            scores = np.array([0.0, 0.1, 0.5 + 0.01 * number, 0.9])
+            scores = np.array([0.0, 0.1, 0.5 + 0.01 * number, 0.3, *np.zeros(len(LOOK_SHAPES))])
+            if look:
+                scores[[1, 3]] = scores[[3, 1]]
             found.append(FaceFinding(np.add(landmarks, [self._bias, 0, 0]), scores))
         return found
 

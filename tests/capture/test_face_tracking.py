@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.capture.simulated_faces import SimulatedFinder, turning_head
+from tests.capture.simulated_faces import SCORES, SimulatedFinder, turning_head
 from usdface.capture.face_landmarker import FaceLandmarker, check_model, named_model
 from usdface.capture.face_landmarks import LANDMARK_COUNT, LANDMARKS
 from usdface.capture.face_tracking import FaceFollower, detect_faces
@@ -23,7 +23,7 @@ def follow(finder: SimulatedFinder, count: int, choice=None, *, mirrored: bool =
     for number in range(count):
         found = detect_faces(finder, PICTURE, mirrored=mirrored)
         follower.look(found, where=f"clip.mp4 picture {number}")
-    return follower.track()
+    return follower.track(SCORES)
 
 
 def test_names_say_part_and_side_and_mirror_each_other() -> None:
@@ -52,6 +52,24 @@ def test_several_faces_are_refused_or_one_is_followed() -> None:
         assert np.ptp(middle[choice]) < 20  # it never jumps to the other
     assert middle["left"].mean() < 320 < middle["right"].mean()
     np.testing.assert_array_equal(middle["largest"], middle["right"])
+
+
+def test_scores_are_the_mean_of_the_picture_and_its_mirror_image() -> None:
+    class Lopsided(SimulatedFinder):
+        """Scores a blink too high on the left of what it sees."""
+
+        def find_faces(self, picture):
+            faces = super().find_faces(picture)
+            for face in faces:
+                face.scores[SCORES.index("eyeBlinkLeft")] += 0.2
+            return faces
+
+    finder = Lopsided(lambda number: [turning_head(number)], focal_pixels=600, looks=2)
+    scores = follow(finder, 3, mirrored=True).scores
+    left, right = (scores[:, SCORES.index(f"eyeBlink{side}")] for side in ("Left", "Right"))
+    np.testing.assert_allclose(left, 0.1 + 0.1, atol=1e-6)
+    np.testing.assert_allclose(right, 0.3 + 0.1, atol=1e-6)
+    np.testing.assert_allclose(scores[:, 2], [0.5, 0.51, 0.52], atol=1e-6)
 
 
 @pytest.mark.parametrize("choice", ["left", "right"])

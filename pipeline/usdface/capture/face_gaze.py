@@ -1,20 +1,14 @@
-"""Where the eyes look, from the irises; closed eyes look where they looked before.
+"""Where the eyes look, by the model's own scores; closed eyes look where they looked before.
 
-An iris turns about the eye's centre: its way across the skull is the sine of the angle times the
-radius, which follows from the diameter of the iris, as that differs little between people. The way
-is measured from the corners of the same eye, which owes nothing to the head's pose: sideways from
-both; up and down from the inner one, which a ligament holds to the skull, as the outer one goes
-with the lids. Both eyes get the mean of both: how far
-they converge, 3.6 degrees at 1 m, is less than the noise of one. Behind a closed lid a landmark
+The model scores how far each eye looks in, out, up and down (`LOOK_SHAPES`), from the landmarks of
+lids and irises of many people. Where the iris lies against the corners of the eye says less: lids
+cover it in looks down, so that of those less than half is seen. Both eyes get the mean of both:
+how far they converge, 3.6 degrees at 1 m, is less than the noise of one. Behind a closed lid the
 model guesses the iris, and guesses it low: such samples are gaps, so that a blink is never read as
 a look down, and of a wink the open eye says where both look.
 
 References
 ----------
-Fry and Hill (1962), The center of rotation of the eye, American Journal of Optometry 39, 581-595:
-13.5 mm behind the cornea.
-Rüfer, Schröder and Erb (2005), White-to-white corneal diameter, Cornea 24, 259-261: 11.7 mm, with a
-standard deviation of 0.4.
 Soukupová and Čech (2016), Real-time eye blink detection using facial landmarks, CVWW: aperture over
 width.
 """
@@ -25,11 +19,7 @@ import numpy as np
 
 from usdface.capture.face_landmarks import LANDMARKS
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
-from usdface.numerics.rigid.rigid_alignment import RigidAlignment
 
-IRIS_TURN_RATIO = 10.0 / 11.7
-"""From the eye's centre of rotation to the plane of the iris, 13.5 mm to the cornea less 3.5 mm of
-anterior chamber and cornea, in diameters of the iris."""
 FULL_LOOK_DEGREES = 30.0
 """Of a weight of 1: how far eyes turn before the head follows (Stahl 1999, Experimental Brain
 Research 126: 20 to 35)."""
@@ -38,8 +28,6 @@ LOOK_SHAPES = tuple(
 )
 """ARKit's names, in the order of `GazeAngles.look_weights`."""
 
-_LEAST_IRIS_MM = 1.0
-"""Landmarks of an iris that fall together tell no angle."""
 _CLOSED_SHARE = 0.4
 """Of the usual aperture: a look down leaves more than half of it, a lid on its way covers the iris
 below."""
@@ -51,7 +39,7 @@ def _eye(side: str) -> dict[str, IntArray]:
     names = LANDMARKS.names
     return {
         part: np.array([at for at in LANDMARKS.columns(part) if f"_{side}" in names[at]], np.int64)
-        for part in ("iris", "lid_upper", "lid_lower", "eye_inner", "eye_outer")
+        for part in ("lid_upper", "lid_lower", "eye_inner", "eye_outer")
     }
 
 
@@ -95,53 +83,30 @@ def closed_eyes(positions: FloatArray | Float32Array, seen: BoolArray) -> BoolAr
     return closed
 
 
-def gaze_angles(
-    positions: FloatArray | Float32Array, head: RigidAlignment, closed: BoolArray, neutral: int
-) -> GazeAngles:
+def gaze_angles(looks: FloatArray | Float32Array, usable: BoolArray, neutral: int) -> GazeAngles:
     """Return where the eyes look.
 
     Parameters
     ----------
-    positions : (frames, markers, 3) float array
-        Of `LANDMARKS`, in the camera's space or the head's [mm].
-    head : RigidAlignment
-        How the head has moved since the neutral frame, where a face is seen.
-    closed : (frames, 2) bool array
-        From `closed_eyes`; the angles are interpolated there.
+    looks : (frames, 8) float array
+        The model's weights of `LOOK_SHAPES`.
+    usable : (frames, 2) bool array
+        Where the right and the left eye are seen open; the angles are interpolated elsewhere.
     neutral : int
         Row in which the eyes look straight ahead.
     """
-    frames = np.arange(len(positions))
-    near = np.abs(frames - neutral) <= _NEUTRAL_REACH
-    sines = np.zeros((2, len(positions)))
-    axes = _head_axes(positions[neutral].astype(np.float64))
-    open_eyes = head.determined[:, None] & ~closed
-    for eye, usable in zip(_EYES, open_eyes.T, strict=True):
-        if not usable.any():
-            continue
-        iris = positions[:, eye["iris"]].astype(np.float64)
-        across = np.linalg.norm(iris[:, :, None] - iris[:, None], axis=3).max(axis=(1, 2))
-        radius = IRIS_TURN_RATIO * max(float(np.median(across[usable])), _LEAST_IRIS_MM)
-        inner, outer = (positions[:, eye[part]] for part in ("eye_inner", "eye_outer"))
-        corners = np.concatenate([inner, outer], axis=1)
-        for axis, origin in enumerate((corners.mean(axis=1), inner.mean(axis=1))):
-            still = np.einsum("fji,fj->fi", head.rotations, iris.mean(axis=1) - origin) @ axes[axis]
-            ahead = still[usable & near] if (usable & near).any() else still[usable]
-            sines[axis] += np.where(usable, (still - ahead.mean()) / radius, 0.0)
-    known = open_eyes.sum(axis=1)
-    if not known.any():
-        return GazeAngles(np.zeros(len(frames)), np.zeros(len(frames)))
+    frames = np.arange(len(looks))
+    known = usable.sum(axis=1)
     at = np.flatnonzero(known)
-    turned = np.degrees(np.arcsin(np.clip(sines[:, at] / known[at], -1.0, 1.0)))
-    yaw, pitch = (np.interp(frames, at, each) for each in turned)
+    if not len(at):
+        return GazeAngles(np.zeros(len(frames)), np.zeros(len(frames)))
+    ways = looks.reshape(-1, 2, 4).astype(np.float64) * FULL_LOOK_DEGREES
+    inwards, upwards = ways[..., 0] - ways[..., 1], ways[..., 2] - ways[..., 3]
+    near = np.abs(frames - neutral) <= _NEUTRAL_REACH
+    angles = np.zeros((2, len(frames)))
+    for left, up, seen in zip((inwards * (1, -1)).T, upwards.T, usable.T, strict=True):
+        rest = seen & near if (seen & near).any() else seen
+        for axis, angle in enumerate((left, up) if seen.any() else ()):
+            angles[axis] += np.where(seen, angle - angle[rest].mean(), 0.0)
+    yaw, pitch = (np.interp(frames, at, each[at] / known[at]) for each in angles)
     return GazeAngles(yaw, pitch)
-
-
-def _head_axes(rest: FloatArray) -> FloatArray:
-    """Return the directions to the performer's left and up of a head: (2, 3)."""
-    corner = [np.concatenate([eye["eye_inner"], eye["eye_outer"]]) for eye in _EYES]
-    left = rest[corner[1]].mean(axis=0) - rest[corner[0]].mean(axis=0)
-    left /= np.linalg.norm(left)
-    up = rest[LANDMARKS.column(10)] - rest[LANDMARKS.column(152)]
-    up -= (up @ left) * left
-    return np.stack([left, up / np.linalg.norm(up)])

@@ -88,7 +88,8 @@ class FaceTrack:
     """(pictures, markers): between the picture and its mirror image, across the line of sight
     [pixels]; NaN where the mirror image shows no face."""
     scores: Float32Array
-    """(pictures, scores): the model's own weights; NaN without a face."""
+    """(pictures, scores): the model's own weights, the mean of those of the picture and of its
+    mirror image; NaN without a face."""
 
     @property
     def seen(self) -> BoolArray:
@@ -168,7 +169,7 @@ class FaceFollower:
         self._others: list[FloatArray] = []
         """Other faces, where each was last seen."""
         self._crowded_pictures = 0
-        self._rows: list[tuple[FloatArray, FloatArray, FloatArray]] = []
+        self._rows: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray | None]] = []
 
     def look(self, found: PictureFaces, *, where: str) -> bool:
         """Measure the face in the next picture; return whether there is one.
@@ -189,13 +190,13 @@ class FaceFollower:
             )
         face = self._pick(faces)
         if face is None:
-            nothing = np.full((marker_count, 3), np.nan)
-            self._rows.append((nothing, nothing[:, 0], np.array([np.nan])))
+            nothing, unknown = np.full((marker_count, 3), np.nan), np.array([np.nan])
+            self._rows.append((nothing, nothing[:, 0], unknown, None))
             return False
         self._last = face.landmarks
         positions = face.landmarks
         difference = np.zeros(marker_count)
-        scores = face.scores
+        mirrored_scores: FloatArray | None = None
         if self._mirrored:
             reach = _SAME_FACE * _breadth(positions)
             again = [
@@ -204,18 +205,30 @@ class FaceFollower:
             if again:
                 difference = np.linalg.norm((positions - again[-1].landmarks)[:, :2], axis=1)
                 positions = (positions + again[-1].landmarks) / 2
+                mirrored_scores = again[-1].scores
             else:
                 difference[:] = np.nan
-        self._rows.append((positions, difference, scores))
+        self._rows.append((positions, difference, face.scores, mirrored_scores))
         return True
 
-    def track(self) -> FaceTrack:
-        """Return what was measured so far."""
-        count = max((len(scores) for *_, scores in self._rows), default=0)
+    def track(self, score_names: tuple[str, ...]) -> FaceTrack:
+        """Return what was measured so far.
+
+        Parameters
+        ----------
+        score_names : tuple of str
+            As of `FaceFinder`: a mirror image is scored with left and right exchanged.
+        """
+        other = [score_names.index(_other_side(name)) for name in score_names]
+        scores = [
+            direct if mirrored is None else (direct + mirrored[other]) / 2
+            for *_, direct, mirrored in self._rows
+        ]
+        count = max(map(len, scores), default=0)
         return FaceTrack(
             np.array([row[0] for row in self._rows], np.float32),
             np.array([row[1] for row in self._rows], np.float32),
-            np.array([np.broadcast_to(row[2], count) for row in self._rows], np.float32),
+            np.array([np.broadcast_to(each, count) for each in scores], np.float32),
         )
 
     def _pick(self, faces: list[FaceFinding]) -> FaceFinding | None:
@@ -235,6 +248,12 @@ class FaceFollower:
             face = min(faces, key=lambda face: side * float(face.landmarks[:, 0].mean()))
         self._others = [each.landmarks for each in faces if each is not face]
         return face
+
+
+def _other_side(name: str) -> str:
+    """Return ARKit's name of the same shape on the other side of the face."""
+    side = next((each for each in ("Left", "Right") if name.endswith(each)), "")
+    return name.removesuffix(side) + {"Left": "Right", "Right": "Left", "": ""}[side]
 
 
 def _distinct(faces: list[FaceFinding]) -> list[FaceFinding]:

@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 import usdface.steps.capture.track_pictures as step
 from tests.capture.simulated_faces import SCORES, SimulatedFinder, head_points, turning_head
 from tests.media.bar_code import HEIGHT, WIDTH, write_numbered
-from usdface.capture.face_gaze import LOOK_SHAPES
 from usdface.capture.face_landmarks import LANDMARKS
 from usdface.core.errors import InputError
 from usdface.core.sidecars import work_folder
@@ -72,7 +71,7 @@ def test_a_head_is_where_it_was_and_cleaning_takes_its_motion_out(tracked, tmp_p
     np.testing.assert_allclose(pose.rotations, truth.rotations, atol=1e-4)
     # the least of the scores that are no gaze is at the first picture
     assert take.markers.neutral_frame == 1
-    assert take.source.names == (*SCORES[:3], *LOOK_SHAPES)  # the model's own looks are left out
+    assert take.source.names == SCORES
     assert take.source.values[20, 2] == pytest.approx(0.7)
     clean = tmp_path / "x.clean.take.usda"
     execute(CleanSpec(take=tmp_path / "x.take.usda", out=clean, relabel=False, smooth=False))
@@ -442,7 +441,7 @@ def test_a_damaged_part_is_refused(tracked, tmp_path) -> None:
     for old, new, message in (
         ("counts:shape = [12, 2]", "counts:shape = [2, 12]", "its arrays do not fit each other"),
         ("landmarks:shape = [12, 205, 3]", "landmarks:shape = [12, 3, 205]", "do not fit each"),
-        ("scores:shape = [12, 4]", "scores:shape = [12, 5]", "face:detections:scores is damaged"),
+        ("scores:shape = [12, 12]", "scores:shape = [12, 13]", "face:detections:scores is damaged"),
         ("float[] face:detections:landmarks =", "float[] other =", "landmarks is missing; make it"),
         ("uniform token[] face:detections:madeFrom =", "uniform token[] made =", "is missing"),
     ):

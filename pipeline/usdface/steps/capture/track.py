@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from usdface.capture.camera_calibration import CalibratedCamera
-from usdface.capture.face_gaze import LOOK_SHAPES, GazeAngles, gaze_angles
+from usdface.capture.face_gaze import LOOK_SHAPES, gaze_angles
 from usdface.capture.face_landmarker import KNOWN_MODELS
 from usdface.capture.face_landmarks import LANDMARKS
 from usdface.capture.face_tracking import FaceFollower, FaceTrack
@@ -23,10 +23,8 @@ from usdface.core.sidecars import samples_path
 from usdface.core.text import pluralize
 from usdface.media.film.image_sequence import ImageSequence, open_video
 from usdface.media.film.video import VideoReader
-from usdface.model.placement.label_hints import skin_motion_mm
 from usdface.model.placement.plausibility import judge_markers, settle_findings
 from usdface.numerics.rigid.perspective import PinholeCamera
-from usdface.numerics.rigid.stabilization import align_by_prior
 from usdface.runner.result import StepResult
 from usdface.specs.capture import TrackSpec
 from usdface.steps.capture.track_cameras import settle_cameras
@@ -74,8 +72,9 @@ def run(spec: TrackSpec, *, provenance: Provenance, progress: Progress = silent)
             follower = FaceFollower(spec.face, mirrored=spec.quality == "final")
             for index, found in zip(timing.pictures.tolist(), looking, strict=True):
                 follower.look(found, where=f"{path} at {video.times[index]:.2f} s")
-            check_faces(path, follower.track())
-            clips.append(_Clip(video, timing, follower.track()))
+            track = follower.track(detector.score_names)
+            check_faces(path, track)
+            clips.append(_Clip(video, timing, track))
         return _write(spec, clips, cameras, notes, detector, provenance, progress)
 
 
@@ -155,22 +154,13 @@ def _build_take(
     score_names: tuple[str, ...],
 ) -> tuple[Take, tuple[str, ...]]:
     """Return the take of a face, and notes."""
-    present, positions = view.present, view.positions
     neutral, notes = _neutral_frame(spec, view, score_names)
-    head = align_by_prior(
-        positions,
-        positions[neutral - view.first_frame],
-        visible=np.repeat(present[:, None], len(LANDMARKS.names), axis=1),
-        skin_motion_mm=skin_motion_mm(LANDMARKS.names),
-        rate=float(timing.rate),
-    )
-    gaze = gaze_angles(positions, head, view.closed, neutral - view.first_frame)
-    score_names, scores = _with_gaze(score_names, view.scores, gaze)
+    score_names, scores = _with_gaze(score_names, view, neutral - view.first_frame)
     start = timing.start_seconds + (view.first_frame - timing.first_frame) / float(timing.rate)
     built = build_marker_take(
         CaptureHeader(spec.video, "track", timing.rate, view.first_frame),
         LANDMARKS.names,
-        positions,
+        view.positions,
         view.visible.copy(),
         # None is rigid: `clean` weights each landmark by how far its part of the face moves.
         CaptureOptions(neutral=neutral),
@@ -210,11 +200,14 @@ def _neutral_frame(
 
 
 def _with_gaze(
-    names: tuple[str, ...], scores: Float32Array, gaze: GazeAngles
+    names: tuple[str, ...], view: FaceView, neutral: int
 ) -> tuple[tuple[str, ...], Float32Array]:
-    """Put the looks that the irises show in the place of those that the model scores."""
-    others = [at for at, name in enumerate(names) if name not in LOOK_SHAPES]
-    values = np.concatenate([scores[:, others], gaze.look_weights()], axis=1)
+    """Put where the eyes look, once for both and over blinks, in the place of the scored looks."""
+    looks = [names.index(name) for name in LOOK_SHAPES]
+    others = [at for at in range(len(names)) if at not in looks]
+    usable = view.present[:, None] & ~view.closed
+    gaze = gaze_angles(view.scores[:, looks], usable, neutral)
+    values = np.concatenate([view.scores[:, others], gaze.look_weights()], axis=1)
     return (*(names[at] for at in others), *LOOK_SHAPES), values
 
 
