@@ -27,6 +27,11 @@ def first_few(names: Iterable[object], *, most: int = 5) -> str:
     return ", ".join(written[:most]) + (f" and {rest} more" if rest > 0 else "")
 
 
+def counted(names: Sequence[object], noun: str, *, most: int = 5) -> str:
+    """Return names after their number, ``7 shapes, a, b, c, d, e and 2 more``."""
+    return f"{pluralize(len(names), noun)}, {first_few(names, most=most)}"
+
+
 def read_text(path: Path, largest_bytes: int) -> str:
     """Read a text file of people, in UTF-8 or UTF-16."""
     check_may_open(path)

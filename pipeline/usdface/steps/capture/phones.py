@@ -5,7 +5,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import is_usd_name
-from usdface.core.text import first_few, pluralize, read_text
+from usdface.core.text import counted, read_text
 from usdface.media.film.sound import read_audio
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
@@ -118,8 +118,8 @@ def _notes(found: PhoneAlignment, outside: float) -> list[str]:
     if found.guessed:
         shown = [f"{word} ({' '.join(said)})" for word, said in found.guessed.items()]
         notes.append(
-            f"in no dictionary, and guessed from the letters: {pluralize(len(shown), 'word')}, "
-            f"{first_few(shown, most=NAMED_WORDS)}; give their phones with --dictionary"
+            "in no dictionary, and guessed from the letters: "
+            f"{counted(shown, 'word', most=NAMED_WORDS)}; give their phones with --dictionary"
         )
     if found.score < DOUBTFUL_SCORE:
         notes.append(
@@ -133,7 +133,5 @@ def _notes(found: PhoneAlignment, outside: float) -> list[str]:
         )
     if found.doubtful_words:
         shown = [f"{span.label} ({span.start:.1f} s)" for span in found.doubtful_words]
-        notes.append(
-            f"at a bad fit: {pluralize(len(shown), 'word')}, {first_few(shown, most=NAMED_WORDS)}"
-        )
+        notes.append(f"at a bad fit: {counted(shown, 'word', most=NAMED_WORDS)}")
     return notes

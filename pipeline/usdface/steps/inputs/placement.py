@@ -10,7 +10,7 @@ from usdface.core.arrays import BoolArray, ByteImage, FloatArray, sample_frames
 from usdface.core.assets import References, Rig
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
-from usdface.core.text import first_few, pluralize
+from usdface.core.text import counted, first_few
 from usdface.media.face.render import Quality
 from usdface.media.picture.binding_picture import BoundMarkers, draw_binding
 from usdface.model.placement.marker_cloud import MarkerCloud, marker_cloud
@@ -363,11 +363,7 @@ def draw_placement(
 def placement_notes(placed: PlacedTakes) -> tuple[str, ...]:
     """Return what a step notes of a placement besides its verdict."""
     left_out = placed.placement.left_out
-    if not left_out:
-        return ()
-    return (
-        f"left out by the placement: {pluralize(len(left_out), 'marker')}, {first_few(left_out)}",
-    )
+    return (f"left out by the placement: {counted(left_out, 'marker')}",) if left_out else ()
 
 
 def placement_figures(placed: PlacedTakes) -> dict[str, object]:

@@ -18,7 +18,7 @@ from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.rates import frames_within
 from usdface.core.sidecars import head_path, weights_path
-from usdface.core.text import first_few, pluralize
+from usdface.core.text import counted, first_few, pluralize
 from usdface.model.mapping.head_space import MINIMUM_SHARE, HeadSpace, MappedMarkers
 from usdface.model.mapping.predict import Prediction, WeightPredictor, basis_of, regions_of
 from usdface.model.mapping.rig_match import check_same_rig
@@ -315,10 +315,7 @@ def _marker_notes(space: HeadSpace) -> list[str]:
             f"{first_few(space.missing)}; they are estimated from the others, with more uncertainty"
         )
     if space.extra:
-        notes.append(
-            f"unknown to the mapping, and not used: {pluralize(len(space.extra), 'marker')}, "
-            f"{first_few(space.extra)}"
-        )
+        notes.append(f"unknown to the mapping, and not used: {counted(space.extra, 'marker')}")
     return notes
 
 

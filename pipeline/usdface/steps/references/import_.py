@@ -11,7 +11,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import tuned_path
-from usdface.core.text import first_few, pluralize
+from usdface.core.text import counted, first_few, pluralize
 from usdface.model.retarget.name_matching import meaning_notes
 from usdface.runner.origin import provenance_of, spec_of, take_of_performance
 from usdface.runner.result import StepResult
@@ -64,10 +64,7 @@ def run(
     matched = set(transfer.matched)
     driven = [name for name in given.names if name in combinations]
     if driven:
-        notes.append(
-            f"not imported, as other shapes drive them: {pluralize(len(driven), 'combination')}, "
-            f"{first_few(driven)}"
-        )
+        notes.append(f"not imported, as other shapes drive them: {counted(driven, 'combination')}")
     unknown = [name for name in given.names if name not in {*matched, *driven}]
     if unknown:
         notes.append(
@@ -76,10 +73,7 @@ def run(
         )
     missing = [name for name in references.shape_names if name not in table.names]
     if missing:
-        notes.append(
-            f"not in the file, so unchanged: {pluralize(len(missing), 'shape')}, "
-            f"{first_few(missing)}"
-        )
+        notes.append(f"not in the file, so unchanged: {counted(missing, 'shape')}")
     between = sum(_key(spec, pair) not in table.keyed for pair in pairs)
     if between:
         notes.append(

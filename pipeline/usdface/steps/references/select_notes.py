@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.core.text import first_few, pluralize
+from usdface.core.text import counted, first_few, pluralize
 from usdface.model.selection.design import ReferenceChoice
 from usdface.model.selection.neutral_check import find_better_neutral
 from usdface.specs.references import SelectSpec
@@ -86,10 +86,7 @@ def _viseme_notes(labels: PhoneLabels, choice: ReferenceChoice) -> list[str]:
         )
     some = [f"{v} {e}".strip() for e, v in choice.missing if v in spoken]
     if some:
-        notes.append(
-            f"spoken, but not in every emotion: {pluralize(len(some), 'viseme')}, "
-            f"{first_few(some, most=8)}"
-        )
+        notes.append(f"spoken, but not in every emotion: {counted(some, 'viseme', most=8)}")
     return notes
 
 

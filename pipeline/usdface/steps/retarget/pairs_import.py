@@ -9,7 +9,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import is_usd_name, proposed_path
-from usdface.core.text import first_few, pluralize
+from usdface.core.text import counted, first_few, pluralize
 from usdface.model.retarget.control_space import check_pairs, unused_shapes
 from usdface.model.retarget.name_matching import meaning_notes
 from usdface.runner.result import StepResult
@@ -62,10 +62,7 @@ def run(
         )
     unused = unused_shapes(pairs)
     if unused:
-        notes.append(
-            f"in no pair and without effect: {pluralize(len(unused), 'source shape')}, "
-            f"{first_few(unused)}"
-        )
+        notes.append(f"in no pair and without effect: {counted(unused, 'source shape')}")
     return StepResult(
         (spec.out, proposed_path(spec.out)),
         f"{pluralize(len(pairs), 'pair')} of {pluralize(len(source_rig.shapes), 'source shape')} "

@@ -14,7 +14,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import is_usd_name, proposed_path
-from usdface.core.text import first_few, pluralize
+from usdface.core.text import counted, first_few, pluralize
 from usdface.model.retarget.control_space import dead_controls
 from usdface.model.retarget.name_matching import NameMatch, NameMatching, Transfer, name_matching
 from usdface.model.retarget.shape_matching import ShapeMatch, match_deformations
@@ -167,10 +167,7 @@ def _match(
     used = {name for match in named for name, _ in match.source}
     unmatched = [name for name in shapes if name not in used]
     if unmatched:
-        notes.append(
-            f"in no pair and without effect: {pluralize(len(unmatched), 'source shape')}, "
-            f"{first_few(unmatched)}"
-        )
+        notes.append(f"in no pair and without effect: {counted(unmatched, 'source shape')}")
     return named, notes
 
 

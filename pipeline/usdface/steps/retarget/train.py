@@ -10,7 +10,7 @@ from usdface.core.controls import ExpressionPairs, Retargeting, bare_controls
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.text import first_few, pluralize
+from usdface.core.text import counted, first_few
 from usdface.model.retarget.control_space import (
     check_pairs,
     dead_controls,
@@ -154,7 +154,7 @@ def pair_notes(pairs: ExpressionPairs) -> list[str]:
         (dead_controls(pairs), "target control", "the same in every pair and in the result"),
     ):
         if names:
-            notes.append(f"{what}: {pluralize(len(names), noun)}, {first_few(names)}")
+            notes.append(f"{what}: {counted(names, noun)}")
     return notes
 
 

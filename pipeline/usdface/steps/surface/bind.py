@@ -8,7 +8,7 @@ from usdface.core.arrays import FloatArray
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import binding_layers, corrected_path, proposed_path
-from usdface.core.text import first_few, pluralize
+from usdface.core.text import counted, first_few
 from usdface.media.picture.binding_picture import BoundMarkers, draw_binding
 from usdface.media.picture.image import write_image
 from usdface.model.review.verdict import OPENINGS
@@ -134,8 +134,8 @@ def _report(
     notes = []
     if doubtful:
         notes.append(
-            f"doubtful: {pluralize(len(doubtful), 'marker')}, {first_few(doubtful)}; check "
-            f"and correct them in {corrected_path(spec.out).name}"
+            f"doubtful: {counted(doubtful, 'marker')}; check and correct them in "
+            f"{corrected_path(spec.out).name}"
         )
     if spec.landmarks and len(doubtful) > _SUSPECT_SHARE * len(binding.names):
         notes.append(
@@ -143,7 +143,7 @@ def _report(
             f"wrong point? {', '.join(spec.landmarks)}"
         )
     if left_out:
-        notes.append(f"still left out: {pluralize(len(left_out), 'marker')}, {first_few(left_out)}")
+        notes.append(f"still left out: {counted(left_out, 'marker')}")
     if face.others:
         notes.append(f"{len(face.others)} other meshes of {spec.mesh.name} carry no marker")
     outputs = binding_layers(spec.out)
