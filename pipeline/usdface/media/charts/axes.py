@@ -72,8 +72,6 @@ def add_axes(
 
     Parameters
     ----------
-    figure : matplotlib.figure.Figure
-        Of `new_figure`.
     box : (x, y, width, height)
         Where the axes lie, from the upper left corner [pixels].
     caption : str
@@ -138,16 +136,12 @@ def add_label(
 
     Parameters
     ----------
-    axes : matplotlib.axes.Axes
-        Of `add_axes`.
     text : str
         One line; dollars are dollars, not mathematics.
     at : (x, y)
         Shares of the axes' width and height, from the lower left [0-1].
     shift : (x, y)
         From there, upwards [pixels].
-    color : tuple of int
-        sRGB bytes.
     anchor : {'left', 'center', 'right'}
     bold : bool
         For captions.
@@ -186,8 +180,6 @@ def plot_curve(axes: Axes, values: FloatArray, heights: FloatArray, color: Color
     heights : (n,) float array
         NaN where there is nothing to show: gaps between compared frames are bridged, longer ones
         stay open.
-    color : tuple of int
-        sRGB bytes.
     """
     left, right = axes.get_xlim()
     shown = np.isfinite(heights) & (values >= left) & (values <= right)
