@@ -41,7 +41,7 @@ def _spread(lines: str) -> list[str]:
     for line in filter(None, map(str.strip, lines.splitlines())):
         if "<" in line:
             for side in (0, 1):
-                found.append(re.sub(r"<([^>]*),([^>]*)>", rf"\\{side + 1}", line))
+                found.append(re.sub(r"<([^>]*),([^>]*)>", rf"\{side + 1}", line))
         else:
             found.append(line)
     return found
