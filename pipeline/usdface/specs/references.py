@@ -178,9 +178,9 @@ class ReferencesImportSpec(MovedRigSpec, WeightTableSpec):
     """Import tuned weights into a references asset.
 
     Weights are matched to the rig by what the shapes' names mean and to the pairs by frame. Shapes
-    that are not in the file keep their weights. Proposals are never changed, and tuned weights are
-    replaced only at frames that are in the file. The picture of the coverage that `select` drew is
-    drawn again.
+    that are not in the file are 0 in pairs that nobody had tuned, and keep their weights in the
+    others. The layer of proposals is never changed, and tuned weights are replaced only at frames
+    that are in the file. The picture of the coverage that `select` drew is drawn again.
     """
 
     example = "usdface references import hero.references.usda --weights tuned.csv"
@@ -202,6 +202,8 @@ class ReferencesImportSpec(MovedRigSpec, WeightTableSpec):
     """Meaning of the frame numbers: `frames` of the takes, time codes of the `pairs`, or frames of
     another take of the same performance, which names the same `video`: then --weights is its solve,
     such as of optical markers, for references of the video's landmarks."""
+    keep_proposed: bool = False
+    """Keep the proposals of shapes that are not in the file: for keys set on top of them."""
 
     def outputs(self) -> tuple[Path, ...]:
         """Return the layer that holds what people tuned."""

@@ -1,5 +1,6 @@
 """Bring tuned weights into a references asset, by frame and shape name."""
 
+from collections.abc import Sequence, Set
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,10 +21,18 @@ from usdface.steps.inputs.name_tables import check_no_name_twice, transfer_by_ta
 from usdface.steps.inputs.tuned_pairs import tuned_conflicts
 from usdface.steps.inputs.weight_tables import WeightTable, read_weight_table, weights_meant
 from usdface.steps.references.coverage import redraw_coverage
-from usdface.usdio.references.read import read_references
-from usdface.usdio.references.weight_layers import TunedPair
+from usdface.usdio.references.weight_layers import TunedPair, read_set_references
 from usdface.usdio.references.write import write_tuned_weights
 from usdface.usdio.take.read import TakeReader
+
+_USUAL_RATES = (24.0, 25.0, 30.0, 50.0, 60.0, 24 / 1.001, 30 / 1.001, 60 / 1.001)
+"""[frames/s]"""
+
+_RATE_SHARE = 0.9
+"""Of a table's rows at pairs, if they count at another rate: these are the keys of the pairs."""
+
+_CHANCE_PROBABILITY = 0.01
+"""Probability that as many rows anywhere in their range would be at pairs."""
 
 
 def run(
@@ -33,7 +42,7 @@ def run(
     progress: Progress = silent,
 ) -> StepResult:
     """Match the file's rows to pairs and its columns to shapes, and write the tuned layer."""
-    references = read_references(spec.references)
+    references = read_set_references(spec.references)
     given = read_weight_table(
         spec.weights, known=references.shape_names, unit=spec.weight_unit, shapes=spec.shapes
     )
@@ -49,19 +58,74 @@ def run(
         table = given.renamed(transfer)
     known = table.shapes_among(references.shape_names, file=spec.weights, owner="on the rig")
     pairs = _pairs(spec, references, table, known)
-    if not pairs:
-        raise InputError(
-            f"{spec.weights}: none of its {len(table.frames)} frames "
-            f"({table.frames[0]}-{table.frames[-1]}) is one of the {len(references.frames)} pairs; "
-            "is --at right?"
-        )
+    unmatched = _unmatched_rows(spec, references, table, matched=len(pairs))
     write_tuned_weights(
         references, pairs, layer_path=tuned_path(spec.references), provenance=provenance
     )
     pictures, undrawn = redraw_coverage(spec.references, part(progress, 0.1, 1.0))
     progress(1.0, "imported")
-    notes = [*undrawn, *meaning_notes(transfer), *given.numbering_notes(spec.weights)]
-    matched = set(transfer.matched)
+    tuned = set(np.flatnonzero(references.tuned).tolist()) | {pair.pair for pair in pairs}
+    count = len(references.frames)
+    texts, conflicts = tuned_conflicts(spec.references)
+    notes = [
+        *undrawn,
+        *_row_notes(spec, table, pairs, unmatched),
+        *meaning_notes(transfer),
+        *given.numbering_notes(spec.weights),
+        *_column_notes(given, combinations, transfer.matched),
+        *_missing_notes(spec, references, table, pairs),
+    ]
+    if len(tuned) < count:
+        notes.append(
+            f"still proposals that nobody tuned: {pluralize(count - len(tuned), 'pair')}; "
+            "`usdface train` with --tuned-only leaves them out"
+        )
+    return StepResult(
+        (tuned_path(spec.references), *pictures),
+        f"{pluralize(len(pairs), 'pair')} imported, {pluralize(len(known), 'shape')} each; "
+        f"{len(tuned)} of {count} pairs are tuned",
+        (*notes, *texts),
+        {
+            "pairs": len(pairs),
+            "tuned": len(tuned),
+            "shapes": len(known),
+            "rows": len(table.frames),
+            "unmatched": [frame for frame, _ in unmatched],
+            "conflicts": conflicts,
+        },
+    )
+
+
+def _row_notes(
+    spec: ReferencesImportSpec,
+    table: WeightTable,
+    pairs: list[TunedPair],
+    unmatched: list[tuple[int, str]],
+) -> list[str]:
+    """Say which rows no pair took, and which pairs have no key of their own."""
+    notes = []
+    if unmatched:
+        listed = first_few([f"{frame} of {take}" if take else frame for frame, take in unmatched])
+        said = (
+            f"number pairs that are not there ({listed})"
+            if spec.at == "pairs"
+            else f"are at frames that are no pairs ({listed}): make pairs of these frames by "
+            "`usdface references add`, and import again"
+        )
+        notes.append(
+            f"not imported: {len(unmatched)} of {pluralize(len(table.frames), 'row')} {said}"
+        )
+    between = sum(_key(spec, pair) not in table.keyed for pair in pairs)
+    if between:
+        notes.append(
+            f"interpolated, as {spec.weights.name} has no key there: {pluralize(between, 'pair')}"
+        )
+    return notes
+
+
+def _column_notes(given: WeightTable, combinations: Set[str], matched: Sequence[str]) -> list[str]:
+    """Name the columns that set no shape."""
+    notes = []
     driven = [name for name in given.names if name in combinations]
     if driven:
         notes.append(f"not imported, as other shapes drive them: {counted(driven, 'combination')}")
@@ -71,35 +135,40 @@ def run(
             f"left out {pluralize(len(unknown), 'column')}, of no shape of the rig: "
             f"{first_few(unknown)}"
         )
+    return notes
+
+
+def _missing_notes(
+    spec: ReferencesImportSpec, references: References, table: WeightTable, pairs: list[TunedPair]
+) -> list[str]:
+    """Say what shapes that the file lacks are in the pairs, where they are or were not at rest."""
     missing = [name for name in references.shape_names if name not in table.names]
-    if missing:
-        notes.append(f"not in the file, so unchanged: {counted(missing, 'shape')}")
-    between = sum(_key(spec, pair) not in table.keyed for pair in pairs)
-    if between:
-        notes.append(
-            f"interpolated, as {spec.weights.name} has no key there: {pluralize(between, 'pair')}"
+    if not missing:
+        return []
+    notes = []
+    first = [pair.pair for pair in pairs if not references.tuned[pair.pair]]
+    if first:
+        columns = [references.shape_names.index(name) for name in missing]
+        proposed = np.abs(references.weights[np.ix_(first, columns)]).max(axis=0)
+        most = [
+            f"{missing[column]} {proposed[column]:.2f}"
+            for column in np.argsort(-proposed, kind="stable").tolist()
+        ]
+        done = (
+            "keep their proposals, which count as tuned"
+            if spec.keep_proposed
+            else "are 0, as in the scene that the keys are of; --keep-proposed keeps the proposals"
         )
-    tuned = set(np.flatnonzero(references.tuned).tolist()) | {pair.pair for pair in pairs}
-    count = len(references.frames)
-    if len(tuned) < count:
         notes.append(
-            f"still proposals that nobody tuned: {pluralize(count - len(tuned), 'pair')}; "
-            "`usdface train` with --tuned-only leaves them out"
+            f"not in the file: {pluralize(len(missing), 'shape')}, which in "
+            f"{pluralize(len(first), 'pair')} not tuned before {done} (largest: {first_few(most)})"
         )
-    texts, conflicts = tuned_conflicts(spec.references)
-    notes += texts
-    return StepResult(
-        (tuned_path(spec.references), *pictures),
-        f"{pluralize(len(pairs), 'pair')} imported, {pluralize(len(known), 'shape')} each; "
-        f"{len(tuned)} of {count} pairs are tuned",
-        tuple(notes),
-        {
-            "pairs": len(pairs),
-            "tuned": len(tuned),
-            "shapes": len(known),
-            "conflicts": conflicts,
-        },
-    )
+    if len(first) < len(pairs):
+        notes.append(
+            f"not in the file, so unchanged in the {pluralize(len(pairs) - len(first), 'pair')} "
+            f"tuned before: {counted(missing, 'shape')}"
+        )
+    return notes
 
 
 def _check_rate(spec: ReferencesImportSpec, table: WeightTable) -> None:
@@ -163,6 +232,60 @@ def _key(spec: ReferencesImportSpec, pair: TunedPair) -> int:
     return pair.frame if spec.at == "frames" else pair.pair + 1
 
 
+def _unmatched_rows(
+    spec: ReferencesImportSpec, references: References, table: WeightTable, *, matched: int
+) -> list[tuple[int, str]]:
+    """Return frame and take of the keys at no pair; none of a file with a row for every frame.
+
+    Raises
+    ------
+    InputError
+        If no row is at a pair, or nearly all would be if they counted at another rate.
+    """
+    takes = table.takes if spec.at == "frames" and table.takes else ("",) * len(table.frames)
+    rows = list(zip(table.frames, takes, strict=True))
+    if spec.at == "frames":
+        names = references.takes if any(takes) else ("",) * len(references.takes)
+        places = set(zip(references.frames.tolist(), names, strict=True))
+    else:
+        places = {(1 + pair, "") for pair in range(len(references.frames))}
+    unmatched = [row for row in rows if row not in places and row[0] in table.keyed]
+    steps = set(np.diff(sorted(set(table.frames))).tolist())
+    if matched and len(steps) == 1 and len(rows) > len(references.frames):
+        return []
+    if spec.at == "frames" and 2 * matched < len(rows):
+        _check_counting(spec, references, table, matched)
+    if not matched:
+        raise InputError(
+            f"{spec.weights}: none of its {len(table.frames)} frames "
+            f"({table.frames[0]}-{table.frames[-1]}) is one of the {len(references.frames)} pairs; "
+            "is --at right?"
+        )
+    return unmatched
+
+
+def _check_counting(
+    spec: ReferencesImportSpec, references: References, table: WeightTable, matched: int
+) -> None:
+    """Refuse rows of which nearly all are at pairs if their frames count at another rate."""
+    rows = np.unique(table.frames)
+    for rate in _USUAL_RATES if references.rate else ():
+        if abs(rate / references.rate - 1) < 0.002:
+            continue
+        # A tool rounds to its frame, or cuts.
+        places = references.frames * (rate / references.rate)
+        near = np.unique([np.floor(places), np.ceil(places)])
+        found = int(np.isin(rows, near).sum())
+        by_chance = min(len(near) / (np.ptp(rows) + 1), 1.0)
+        if found >= _RATE_SHARE * len(rows) and by_chance**found < _CHANCE_PROBABILITY:
+            raise InputError(
+                f"{spec.weights}: {matched} of {pluralize(len(rows), 'row')} are at pairs, and "
+                f"{found} would be if the file counted {rate:.5g} frames per second, where the "
+                f"pairs' takes count {references.rate:.5g}; export it at their rate, or number its "
+                "rows by pair and give --at pairs"
+            )
+
+
 def _pairs(
     spec: ReferencesImportSpec, references: References, table: WeightTable, known: list[str]
 ) -> list[TunedPair]:
@@ -194,8 +317,9 @@ def _pairs(
             continue
         if spec.at != "frames" and key not in table.keyed:
             continue  # between two pairs lies nothing that anybody meant
-        # A shape the file does not name keeps what composes now.
         weights = dict(zip(references.shape_names, references.weights[pair].tolist(), strict=True))
+        if not (references.tuned[pair] or spec.keep_proposed):
+            weights |= dict.fromkeys(weights.keys() - set(known), 0.0)
         row = np.array([row_of[key]])
         for name in known:
             weights[name] = float(weights_meant(table, name, row, np.array([weights[name]]))[0])

@@ -1,0 +1,101 @@
+"""Keys of people into references: which rows and shapes are taken, and what is said of others."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.usdio.references.test_references import small_references, write
+from usdface.core.errors import InputError
+from usdface.runner.execute import execute
+from usdface.runner.result import StepResult
+from usdface.specs.references import ReferencesImportSpec
+from usdface.usdio.references.read import read_references
+
+PAIRS = 12
+
+
+def asset(folder: Path, *, rate: float = 120.0) -> Path:
+    references = small_references(folder, pairs=PAIRS, seed=1)
+    return write(folder, replace(references, frames=13 * references.frames, rate=rate))
+
+
+def import_rows(path: Path, rows: list[str], **given: object) -> StepResult:
+    table = path.parent / "keys.csv"
+    table.write_text("\n".join(rows) + "\n")
+    return execute(ReferencesImportSpec(references=path, weights=table, **given), overwrite=True)
+
+
+def keys_at(frames: list[int]) -> list[str]:
+    return ["frame,jawOpen,eyeBlink,smile", *(f"{frame},0.5,0.25,0" for frame in frames)]
+
+
+def noted(result: StepResult, start: str) -> str:
+    return next((note for note in result.notes if note.startswith(start)), "")
+
+
+def test_rows_at_no_pair_are_named(tmp_path: Path) -> None:
+    path = asset(tmp_path)
+    frames = read_references(path).frames.tolist()
+    result = import_rows(path, keys_at([*frames[:9], 1, 2, 3, 4, 5, 6, 8]))
+    assert result.figures["pairs"] == 9
+    assert result.figures["rows"] == 16
+    assert result.figures["unmatched"] == [1, 2, 3, 4, 5, 6, 8]
+    note = noted(result, "not imported: 7 of 16 rows are at frames that are no pairs")
+    assert "(1, 2, 3, 4, 5 and 2 more)" in note
+    assert "`usdface references add`" in note
+    result = import_rows(path, keys_at([1, 2, PAIRS + 1]), at="pairs")
+    assert noted(result, "not imported: 1 of 3 rows number pairs that are not there (13)")
+
+
+def test_a_file_with_a_row_for_every_frame_has_no_lost_keys(tmp_path: Path) -> None:
+    path = asset(tmp_path)
+    result = import_rows(path, keys_at(list(range(1, 3000))))
+    assert result.figures["pairs"] == PAIRS
+    assert result.figures["unmatched"] == []
+    assert not noted(result, "not imported")
+
+
+def test_keys_that_count_at_another_rate_are_refused_with_it(tmp_path: Path) -> None:
+    path = asset(tmp_path)
+    before = read_references(path)
+    slow = np.floor(before.frames / 5).astype(int).tolist()
+    slow[0] = int(before.frames[0])  # one row is at a pair, as it may be by chance
+    with pytest.raises(InputError, match=r"1 of 12 rows are at pairs, and 11 would .* 24 frames"):
+        import_rows(path, keys_at(slow))
+    assert not read_references(path).tuned.any()
+    elsewhere = [int(before.frames[0]), *range(200, 211)]
+    elsewhere[5] += 40
+    assert import_rows(path, keys_at(elsewhere)).figures["pairs"] == 1
+
+
+def test_shapes_without_a_column_are_at_rest_where_nobody_had_tuned(tmp_path: Path) -> None:
+    path = asset(tmp_path)
+    before = read_references(path)
+    first, second = before.frames[:2].tolist()
+    blink, smile = (before.shape_names.index(name) for name in ("eyeBlink", "smile"))
+    result = import_rows(path, ["frame,jawOpen", f"{first},0.5"])
+    after = read_references(path)
+    np.testing.assert_allclose(after.weights[0], [0.5, 0.0, 0.0])
+    np.testing.assert_array_equal(after.weights[1:], before.weights[1:])
+    note = noted(result, "not in the file: 2 shapes, which in 1 pair not tuned before are 0")
+    assert "--keep-proposed" in note
+    larger = max((blink, smile), key=lambda column: before.weights[0, column])
+    assert f"(largest: {before.shape_names[larger]} {before.weights[0, larger]:.2f}," in note
+
+    result = import_rows(path, ["frame,eyeBlink", f"{first},0.75", f"{second},0.75"])
+    after = read_references(path)
+    np.testing.assert_allclose(after.weights[:2], [[0.5, 0.75, 0.0], [0.0, 0.75, 0.0]])
+    assert noted(result, "not in the file: 2 shapes, which in 1 pair not tuned before")
+    assert noted(result, "not in the file, so unchanged in the 1 pair tuned before: 2 shapes")
+
+
+def test_proposals_of_shapes_without_a_column_are_kept_on_demand(tmp_path: Path) -> None:
+    path = asset(tmp_path)
+    before = read_references(path)
+    result = import_rows(path, ["frame,jawOpen", f"{before.frames[3]},0.5"], keep_proposed=True)
+    after = read_references(path)
+    assert after.tuned[3]
+    np.testing.assert_array_equal(after.weights[:, 1:], before.weights[:, 1:])
+    assert "keep their proposals, which count as tuned (largest: " in noted(result, "not in the")
