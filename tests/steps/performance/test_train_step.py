@@ -91,3 +91,25 @@ def test_shapes_that_markers_do_not_show_are_named_and_no_error_of_the_skin(
         counted = read_mapping(out).arrays["uncertainty_grams"].any(axis=(0, 2))
         assert not counted[unseen].any()
         assert np.delete(counted, unseen).any()
+
+
+def test_shapes_that_no_pair_has_are_named_if_markers_can_show_them(
+    finished_shot: Shot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = finished_shot / "hero.references.usda"
+    pairs = read_references(given)
+    weights = np.full_like(pairs.weights, 0.2)
+    weights[::2] = 0.1
+    unkeyed = ["mouthPucker", "tongueOut", "eyeLookUpLeft", "jawOpen"]
+    weights[:, [pairs.shape_names.index(name) for name in unkeyed]] = 0.0
+    for each, names in ((weights, ["jawOpen", "mouthPucker"]), (weights + 0.1, [])):
+        changed = replace(pairs, weights=each)
+        monkeypatch.setattr(
+            "usdface.steps.performance.train.read_set_references", lambda path, got=changed: got
+        )
+        out = tmp_path / f"{len(names)}.mapping.usdc"
+        made = execute(TrainSpec(references=given, out=out, method="ridge"))
+        assert made.figures["unkeyed_shapes"] == names
+        found = [note for note in made.notes if note.startswith("0 in every pair: ")]
+        assert len(found) == bool(names)
+        assert not names or "pair: 2 shapes, jawOpen, mouthPucker. They" in found[0]

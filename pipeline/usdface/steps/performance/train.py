@@ -11,7 +11,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import proposed_path
-from usdface.core.text import first_few, pluralize
+from usdface.core.text import counted, first_few, pluralize
 from usdface.media.charts.eigenspace import Eigenspace, draw_eigenspace
 from usdface.media.picture.image import write_image
 from usdface.model.mapping.motion_space import marker_coordinates, motion_of
@@ -30,6 +30,9 @@ from usdface.steps.inputs.placement import registered_places
 from usdface.usdio.mapping import write_mapping
 from usdface.usdio.references.read import read_rig_of
 from usdface.usdio.references.weight_layers import read_proposals, read_set_references
+
+_SHOWN_MM = 0.5
+"""Largest motion of a marker at a full shape: with less, markers do not tell the shape."""
 
 
 def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
@@ -76,15 +79,38 @@ def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress = silent)
         settings=mapping.settings | {"tuned": int(references.tuned.sum())},
     )
     write_mapping(spec.out, mapping, provenance=provenance)
-    notes += [*_correction_notes(mapping, references), variance_line(mapping)]
+    unkeyed = _unkeyed_shapes(references, mapping)
+    notes += [*_unkeyed_notes(unkeyed), *_correction_notes(mapping, references)]
+    notes.append(variance_line(mapping))
     outputs = [spec.out]
     if spec.picture is not None:
         picture = eigenspace_picture(mapping, references, f"eigen-space of {spec.references.stem}")
         write_image(spec.picture, picture, metadata=provenance_metadata(provenance))
         outputs.append(spec.picture)
     return StepResult(
-        tuple(outputs), _summary(mapping, references), tuple(notes), describe_figures(mapping)
+        tuple(outputs),
+        _summary(mapping, references),
+        tuple(notes),
+        describe_figures(mapping) | {"unkeyed_shapes": unkeyed},
     )
+
+
+def _unkeyed_shapes(references: References, mapping: TrainedMapping) -> list[str]:
+    """Return the shapes that move markers and are 0 in every pair, the largest motion first."""
+    moved_mm = np.sqrt(mapping.arrays["forward_shape_size2"].max(axis=1))
+    moved_mm[references.weights.any(axis=0)] = 0.0
+    moved_mm[unseen_shapes(references.shape_names)] = 0.0
+    order = np.argsort(-moved_mm, kind="stable").tolist()
+    return [references.shape_names[column] for column in order if moved_mm[column] > _SHOWN_MM]
+
+
+def _unkeyed_notes(unkeyed: list[str]) -> list[str]:
+    if not unkeyed:
+        return []
+    return [
+        f"0 in every pair: {counted(unkeyed, 'shape')}. They stay near 0 in what is solved, unless "
+        "the other shapes cannot follow the markers; tune frames that show those the performer uses"
+    ]
 
 
 def _proposal_error(spec: TrainSpec, mapping: TrainedMapping, references: References) -> FloatArray:
