@@ -221,12 +221,12 @@ def _mapped(folder: Path, frames: int, method: str) -> dict[str, float]:
         method=method,
     )
     clouds, _ = markers(0, 10 * BLOCK)
-    visible = np.ones((BLOCK, MARKERS), dtype=bool)
+    visible, sure = np.ones((BLOCK, MARKERS), dtype=bool), np.ones((BLOCK, MARKERS), np.float32)
 
     def placed() -> Iterator[Block]:
         for start in range(0, frames, BLOCK):
             part = clouds[start % len(clouds) :][: min(BLOCK, frames - start)]
-            yield partial(MappedMarkers, part, visible[: len(part)], (), (), 0.0)
+            yield partial(MappedMarkers, part, visible[: len(part)], sure[: len(part)], (), (), 0.0)
 
     begun = _now()
     answers = (

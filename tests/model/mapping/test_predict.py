@@ -49,6 +49,28 @@ def test_unseen_markers_are_spoken_for_by_the_others() -> None:
     assert prediction.uncertainty[:, 0].mean() > whole.uncertainty[:, 0].mean()
 
 
+@pytest.mark.parametrize("method", ["ridge", "face_map"])
+def test_filled_samples_move_weights_as_others_and_are_believed_as_far_as_known(
+    method: str,
+) -> None:
+    face = synthetic_face()
+    mapping, clip = trained(face, method), face.positions[500:600]
+    confidence = np.ones(clip.shape[:2], np.float32)
+    confidence[10:20] = 0.95  # a sample seen just before
+    confidence[30:40, ::2] = 0.05
+    confidence[50:60] = 0.01
+    seen = predict_weights(mapping, clip)
+    found = predict_weights(mapping, clip, confidence=confidence)
+    np.testing.assert_array_equal(found.weights, seen.weights)
+    ratio = found.uncertainty[:, 0] / seen.uncertainty[:, 0]
+    assert (np.delete(ratio, [*range(30, 40), *range(50, 60)]) == 1).all()
+    assert ratio[30:40].min() > 1.1
+    unseen = predict_weights(mapping, clip, visible=confidence > 0.02)
+    np.testing.assert_allclose(found.uncertainty[50:60], unseen.uncertainty[50:60], rtol=0.35)
+    alone = predict_weights(mapping, clip[35:36], confidence=confidence[35:36])
+    np.testing.assert_allclose(alone.uncertainty, found.uncertainty[35:36], rtol=1e-3)
+
+
 def test_with_no_marker_seen_nothing_is_certain() -> None:
     face = synthetic_face()
     mapping = trained(face)

@@ -39,6 +39,15 @@ def test_a_gap_is_filled_up_to_the_limit_and_never_past_it():
     assert (left.confidence[100:120, 1] == 0).all()
 
 
+@pytest.mark.parametrize("rate", [30.0, 60.0, 120.0])
+def test_confidence_is_what_a_face_remembers_of_the_nearest_sample(rate):
+    visible = hidden((400, 3), 100, 120)
+    fill = fill_gaps(tracks(), visible, max_gap=20, prediction=tracks() + 1, rate=rate)
+    away = np.minimum(np.arange(1, 21), np.arange(20, 0, -1)) / rate
+    expected = np.maximum(np.exp(-((away / 0.15) ** 2)), 0.01)
+    np.testing.assert_allclose(fill.confidence[100:120, 1], expected, rtol=1e-6)
+
+
 def test_a_prediction_that_is_off_by_a_constant_is_corrected_from_both_ends():
     points, visible = tracks(), hidden((400, 3), 100, 200)
     result = fill_gaps(

@@ -38,6 +38,9 @@ class MappedMarkers:
     lacks the marker."""
     visible: BoolArray
     """(frames, markers): where a position may be used: measured or repaired."""
+    confidence: Float32Array
+    """(frames, markers) [0-1]: how far a position tells of the marker's motion: 1 where measured,
+    less the deeper in a gap that was filled."""
     missing: tuple[str, ...]
     """Markers of the mapping that the take lacks."""
     extra: tuple[str, ...]
@@ -74,7 +77,11 @@ class HeadSpace:
         positions = self.move(positions)
         if not visible.all():
             positions[~visible] = 0.0
-        return MappedMarkers(positions, visible, self.missing, self.extra, self.moved_mm)
+        confidence = np.zeros(visible.shape, np.float32)
+        confidence[:, self.slots] = markers.confidence[:, self.columns]
+        return MappedMarkers(
+            positions, visible, confidence, self.missing, self.extra, self.moved_mm
+        )
 
     def move(self, positions: Float32Array) -> Float32Array:
         """Bring positions in the mapping's order, (frames, markers, 3) [mm], to its neutral."""

@@ -25,6 +25,10 @@ _BLOCK_FRAMES = 1024
 _SOLVED_FRAMES = 64
 """Frames solved at once: each has a matrix of its own."""
 
+_MEASURED_CONFIDENCE = 0.9
+"""From which a sample counts as measured: where it was filled, one was seen within a twentieth of a
+second. Most frames of a take have such a sample, which hardly counts and would cost."""
+
 
 @dataclass(frozen=True)
 class Prediction:
@@ -96,6 +100,7 @@ class WeightPredictor:
         positions: NDArray[np.float32] | NDArray[np.float64],
         *,
         visible: BoolArray | None = None,
+        confidence: Float32Array | None = None,
     ) -> Prediction:
         """Evaluate the mapping on stabilised markers; see `predict_weights`."""
         mapping = self._mapping
@@ -108,7 +113,10 @@ class WeightPredictor:
             part = slice(start, start + _BLOCK_FRAMES)
             seen = None if visible is None else visible[part]
             found = marker_coordinates(self._motion, positions[part], visible=seen)
-            weights[part], uncertainty[part], left[part] = self._solve(found, positions[part], seen)
+            sure = None if confidence is None else confidence[part]
+            weights[part], uncertainty[part], left[part] = self._solve(
+                found, positions[part], seen, sure
+            )
             residual[part] = self._excess(left[part], seen)
             coverage[part] = self._coverage.measure(self._moved(positions[part], seen, found))
         few_markers = _has_few_markers(frames, visible)
@@ -143,6 +151,7 @@ class WeightPredictor:
         coordinates: FloatArray,
         positions: NDArray[np.float32] | NDArray[np.float64],
         visible: BoolArray | None,
+        confidence: Float32Array | None,
     ) -> tuple[FloatArray, FloatArray, Float32Array]:
         """Return weights, uncertainty (frames, regions), and what the weights leave over."""
         low, high = self._mapping.ranges.T
@@ -167,6 +176,14 @@ class WeightPredictor:
                 weights[rows] = low + (high - low) * solved
             left[rows] = solution.left.reshape(-1, *left.shape[1:])
             uncertainty[rows] = self._uncertainty.deviations(solver, solution, visible[rows])
+            if confidence is not None:
+                sure = np.where(visible[rows], confidence[rows], 0.0)
+                guessed = visible[rows] & (sure < _MEASURED_CONFIDENCE)
+                some = np.flatnonzero(guessed.any(axis=1))
+                if len(some):
+                    doubted = solver.doubt(solution.take(some), start[some], sure[some])
+                    seen = visible[rows][some]
+                    uncertainty[first + some] = self._uncertainty.deviations(solver, doubted, seen)
         return weights, uncertainty, left
 
     def _find_driving(self) -> IntArray:
@@ -196,6 +213,7 @@ def predict_weights(
     positions: NDArray[np.float32] | NDArray[np.float64],
     *,
     visible: BoolArray | None = None,
+    confidence: Float32Array | None = None,
 ) -> Prediction:
     """Evaluate a mapping on stabilised markers.
 
@@ -206,8 +224,11 @@ def predict_weights(
     visible : (frames, markers) bool array, optional
         False where a position is not to be used; it is then estimated from the others, and the
         uncertainty grows. By default all are used.
+    confidence : (frames, markers) float array, optional
+        Of positions that are used [0-1]: those of filled gaps count for the weights as others do,
+        and for the uncertainty as far as they are known. By default they are measured.
     """
-    return WeightPredictor(mapping).predict(positions, visible=visible)
+    return WeightPredictor(mapping).predict(positions, visible=visible, confidence=confidence)
 
 
 def _coverage_of(solver: FrameSolver, membership: FloatArray) -> CoverageModel:

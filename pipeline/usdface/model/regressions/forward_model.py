@@ -126,6 +126,11 @@ class ForwardModel:
         return np.asarray((self.residuals**2).mean(axis=(0, 2)))
 
     @property
+    def motion2(self) -> FloatArray:
+        """Mean squared motion ``m_k`` of each marker over the references: (markers,) [mm^2]."""
+        return np.asarray(self.scales.eta**2 / self.quadratic)
+
+    @property
     def unseen_variance(self) -> FloatArray:
         """Variance of a coordinate of each reference for a model without it: (pairs, markers).
 

@@ -27,7 +27,14 @@ from functools import cached_property
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray, RealArray, single_precision
+from usdface.core.arrays import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    RealArray,
+    single_precision,
+)
 from usdface.model.regressions.base import Arrays, unbend
 from usdface.model.regressions.forward_model import ForwardModel
 from usdface.numerics.solve.bounded_least_squares import descend_in_boxes
@@ -86,6 +93,11 @@ class FrameSolution:
     """(frames, 3 markers): markers minus where the weights put them; 0 where unseen [mm]."""
     hessian: RealArray | None
     """(frames, shapes, shapes): of half the sum that is minimised; None on rigs of many shapes."""
+
+    def take(self, rows: IntArray) -> "FrameSolution":
+        """Return some of the frames."""
+        hessian = None if self.hessian is None else self.hessian[rows]
+        return FrameSolution(self.targets[rows], self.precision[rows], self.left[rows], hessian)
 
     def covariance(self, curve: float) -> RealArray:
         """Return the posterior covariance of the weights, as shares of their ranges.
@@ -181,6 +193,37 @@ class FrameSolver:
         targets = np.clip(t, 0.0, 1.0).astype(np.float64)
         return FrameSolution(targets, prior, left, data.hessian(prior))
 
+    def doubt(
+        self, solution: FrameSolution, start: FloatArray, confidence: RealArray
+    ) -> FrameSolution:
+        """Return a solution as firmly held as its markers are known: its weights stay.
+
+        A marker whose motion is known to the share c adds ``(1 - c) m_k / 3`` to the variance of
+        its coordinates, ``m_k`` being its mean squared motion.
+
+        Parameters
+        ----------
+        start : (frames, shapes) float array
+            t0.
+        confidence : (frames, markers) float array
+            ``c`` [0-1]; 0 where a marker is not seen.
+        """
+        t0 = np.clip(start, 0.0, 1.0).astype(np.float32)
+        _, slope = self.linearise(t0)
+        unknown = self.forward.residual2 if slope is None else self.forward.variance(t0)
+        noise = CLEANED_NOISE_MM**2 + 0.5 * self.forward.residual2 + unknown
+        known = noise / (noise + (1 - confidence) * self.forward.motion2 / 3) * (confidence > 0)
+        weight = np.repeat(known / (self.common * noise), 3, axis=1).astype(np.float32)
+        data = (
+            _SharedSlope(self._linear[0], weight) if slope is None else _FrameSlopes(slope, weight)
+        )
+        step = (solution.targets - t0).astype(np.float32)
+        left = solution.left + data.moved(step)
+        precision = self._prior_precision(left * (weight > 0), known, unknown)
+        tail = np.maximum(np.abs(step) * np.sqrt(precision) / _TAIL_DEVIATIONS, 1)
+        prior = np.asarray(precision / tail, dtype=np.float32)
+        return replace(solution, precision=prior, hessian=data.hessian(prior))
+
     def linearise(self, targets: RealArray) -> tuple[Float32Array, Float32Array | None]:
         """Return where weights put the markers, and the derivatives.
 
@@ -258,12 +301,12 @@ class FrameSolver:
         )
 
     def _prior_precision(
-        self, left: Float32Array, visible: BoolArray, unknown: RealArray
+        self, left: RealArray, visible: RealArray | BoolArray, unknown: RealArray
     ) -> Float32Array:
-        """Return ``1 / sd^2`` of each shape: (frames, shapes)."""
+        """Return ``1 / sd^2`` of each shape, (frames, shapes); markers may be visible in part."""
         squared = (left.reshape(len(left), -1, 3) ** 2).sum(axis=2) / 3
         chi2 = (squared / (self.residual2 + self._carried + unknown)) @ self.marker_share.T
-        seen = 1 - ~visible @ self.marker_share.T
+        seen = 1 - (1 - visible) @ self.marker_share.T
         chi2 /= np.maximum(seen, 1e-9)
         decades = np.log(np.maximum(chi2, 1e-9) / _FAMILIAR_CHI2)
         strange = np.clip(decades / np.log(_STRANGE_CHI2 / _FAMILIAR_CHI2), 0.0, 1.0)

@@ -110,8 +110,7 @@ def clean_markers(
     smooth, relabel : bool
         False leaves that step out.
     """
-    captured = np.asarray(positions, np.float32)
-    seen = np.array(visible, bool)
+    captured, seen = np.asarray(positions, np.float32), np.array(visible, bool)
     _check(captured, seen, neutral, max_gap)
     progress(0.0, "head motion")
     still = _stabilize(captured, seen, rigid, neutral, rate, skin_motion_mm)
@@ -137,8 +136,10 @@ def clean_markers(
     noise = marker_noise(still.positions, good)
     progress(0.7, "gaps")
     model = fit_low_rank(still.positions, good, rank_limit=rank, start=model, noise=noise)
-    sensor_noise = float(np.median(noise))
-    gaps = complete_take(still.positions, good, model=model, max_gap=max_gap, noise=sensor_noise)
+    sigma = float(np.median(noise))
+    gaps = complete_take(
+        still.positions, good, model=model, max_gap=max_gap, noise=sigma, rate=rate
+    )
     if smooth:
         progress(0.8, "noise")
         smooth_take(still.positions, model, noise=noise)
@@ -154,7 +155,7 @@ def clean_markers(
         outliers=outliers,
         filled=gaps.filled,
         pose_confidence=still.pose_confidence,
-        noise_mm=sensor_noise,
+        noise_mm=sigma,
     )
 
 

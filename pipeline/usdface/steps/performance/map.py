@@ -59,7 +59,9 @@ def predict_pipelined(mapping: TrainedMapping, blocks: Iterator[Block]) -> Itera
 
     def predict(block: Block) -> Prediction:
         markers = block()
-        return predictor.predict(markers.positions, visible=markers.visible)
+        return predictor.predict(
+            markers.positions, visible=markers.visible, confidence=markers.confidence
+        )
 
     workers = min(MAX_WORKERS, os.cpu_count() or 1)
     with ThreadPoolExecutor(max_workers=workers, thread_name_prefix="predict") as pool:
