@@ -43,6 +43,7 @@ def test_alpha_runs_from_one_part_to_the_other(
             MappedMarkers,
             positions[b.start - 1 : b.stop - 1],
             visible[b.start - 1 : b.stop - 1],
+            np.ones((len(b), positions.shape[1]), np.float32),
             (),
             (),
             0,

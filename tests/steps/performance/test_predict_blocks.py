@@ -19,7 +19,8 @@ def blocks(positions: np.ndarray, taken: list[int]) -> Iterator[predict_blocks.B
     for start in range(0, len(positions), ROWS):
         taken.append(start)
         part = positions[start : start + ROWS].astype(np.float32)
-        yield partial(MappedMarkers, part, np.ones(part.shape[:2], dtype=bool), (), (), 0.0)
+        seen = np.ones(part.shape[:2], dtype=bool)
+        yield partial(MappedMarkers, part, seen, seen.astype(np.float32), (), (), 0.0)
 
 
 def test_what_comes_out_does_not_depend_on_how_many_solve_and_few_blocks_wait(
