@@ -1,5 +1,6 @@
 """Takes whose markers never move: cleaned with a note that says so, and refused as references."""
 
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -70,3 +71,23 @@ def test_a_still_face_is_cleaned_with_words_and_its_pairs_are_refused(
 def test_a_face_that_moves_is_not_called_still(shot: Shot) -> None:
     report = execute(CleanSpec(take=shot / "shot.take.usda", out=shot / "again.take.usda"))
     assert not any("no marker moves" in note for note in report.notes)
+
+
+@pytest.mark.parametrize("seconds", [0.25, 1.0])
+def test_frames_of_a_stream_that_froze_are_taken_for_unseen(shot: Shot, seconds: float) -> None:
+    take = read_take(shot / "shot.take.usda")
+    assert take.markers is not None
+    count = int(seconds * float(take.rate))
+    positions, visible = take.markers.positions.copy(), take.markers.visible.copy()
+    positions[201 : 201 + count], visible[201 : 201 + count] = positions[200], visible[200]
+    frozen = replace(take.markers, positions=positions, visible=visible)
+    write_take(shot / "froze.take.usda", replace(take, markers=frozen))
+    out = shot / "froze.clean.take.usda"
+    notes = execute(CleanSpec(take=shot / "froze.take.usda", out=out, max_gap=0)).notes
+    first = take.first_frame + 201
+    said = f"{count} frames ({first}-{first + count - 1}) repeat the one before"
+    assert any(said in note for note in notes) == (seconds > 0.5)
+    cleaned = read_take(out).markers
+    assert cleaned is not None
+    assert cleaned.visible[201 : 201 + count].any() == (seconds < 0.5)
+    assert cleaned.visible[150:200].any()

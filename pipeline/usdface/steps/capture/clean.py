@@ -1,8 +1,10 @@
 """A captured take in, a cleaned one out: stronger, over the captured one."""
 
+from dataclasses import replace
+
 import numpy as np
 
-from usdface.core.arrays import ByteImage, FloatArray, longest_run
+from usdface.core.arrays import BoolArray, ByteImage, FloatArray, longest_run, runs
 from usdface.core.assets import Markers, Take
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
@@ -45,6 +47,9 @@ _SOFT_REGIONS = ("lid", "brow", "cheek", "mouth", "chin", "jaw")
 POSE_COLOR, FILLED_COLOR, SWAPPED_COLOR = (92, 98, 110), (86, 156, 214), (232, 178, 66)
 OUTLIER_COLOR, LEFT_COLOR = (206, 96, 190), (226, 74, 66)
 
+_COPIED_SECONDS = 0.5
+"""Frames that repeat one to the last digit for so long are no capture: skin and noise tremble."""
+
 _LISTED_SWAPS = 20
 """More repairs than this are counted, not listed."""
 
@@ -57,7 +62,7 @@ def run(spec: CleanSpec, *, provenance: Provenance, progress: Progress = silent)
     progress(0.0, f"reading {spec.take.name}")
     take = read_take(spec.take)
     markers = _check_captured(spec, take)
-    notes: list[str] = []
+    markers, notes = _without_copies(markers, take)
     rigid, prior = _head_markers(spec, take, markers, notes)
     neutral = markers.neutral_frame if spec.neutral is None else spec.neutral
     _check_neutral(spec, take, markers, rigid, neutral)
@@ -202,6 +207,28 @@ def _soft_notes(names: tuple[str, ...]) -> list[str]:
     return [
         f"{first_few(soft)} {'is' if len(soft) == 1 else 'are'} used as rigid, but the label names "
         "skin that moves: the head's pose follows the face; name markers of the skull with --rigid"
+    ]
+
+
+def _without_copies(markers: Markers, take: Take) -> tuple[Markers, list[str]]:
+    """Take frames that repeat one frame for unseen, unless they are the larger part of the take."""
+    seen, copied = markers.visible, np.zeros(len(markers.visible), np.bool_)
+    same = (markers.positions[1:] == markers.positions[:-1]).all(axis=2)
+    copied[1:] = ((same & seen[1:]) | ~seen[1:]).all(axis=1) & (seen[1:] == seen[:-1]).all(axis=1)
+    copied[1:] &= seen[1:].any(axis=1)
+    least = _COPIED_SECONDS * float(take.rate)
+    long = [(start, stop) for start, stop in runs(copied) if stop - start >= least]
+    count = sum(stop - start for start, stop in long)
+    if not long or count > len(copied) / 2:
+        return markers, []
+    visible: BoolArray = seen.copy()
+    for start, stop in long:
+        visible[start:stop] = False
+    first = take.first_frame
+    listed = first_few([f"{first + start}-{first + stop - 1}" for start, stop in long])
+    return replace(markers, visible=visible), [
+        f"{pluralize(count, 'frame')} ({listed}) repeat the one before to the last digit: a stream "
+        "that froze; taken for unseen. Export them again if the capture has them"
     ]
 
 
