@@ -31,12 +31,14 @@ _TIME = ("time", "time_s", "time (s)", "time (seconds)", "seconds", "timestamp")
 
 
 def is_marker_csv(head: bytes) -> bool:
-    """Tell a table of markers by its first bytes."""
+    """Tell a table of markers by its first bytes, also one whose frame column is named otherwise."""
     lines = head_lines(head, 1)
     if not lines:
         return False
     titles = [title.strip('" ') for title in lines[0].split(sniff_delimiter(lines[0]) or ",")]
-    return titles[0].lower() in _FRAME and bool(_triples(titles))
+    coordinates = 3 * len(_triples(titles))
+    least = 3 if titles[0].lower() in _FRAME else max(9, len(titles) / 2)
+    return coordinates >= least
 
 
 def read_marker_csv(path: Path, options: CaptureOptions) -> Capture:

@@ -26,8 +26,11 @@ MOST_LINES = 10_000_000
 DELIMITERS = ("\t", ",", ";")
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 _NOT_A_NUMBER = re.compile(r"[+-]?(?:nan|inf|infinity)", re.IGNORECASE)
-_MISSING = ("", "na", "n/a", "#n/a", "null", "none")
-"""What R, pandas, SPSS and spreadsheets write where nothing was seen, in lower case."""
+_MISSING = re.compile(
+    r"(?:n/?a|#n/a|null|none|[+-]?(?:nan\((?:s|q)?nan\)|nan\(ind\)|1\.#(?:[sq]nan|ind)0*))?",
+    re.IGNORECASE,
+)
+"""What R, pandas, SPSS, spreadsheets and C on Windows write where nothing was seen."""
 _LONGEST_QUOTE = 40
 
 
@@ -278,7 +281,7 @@ def _number(cell: str, delimiter: str | None, place: str, gaps: bool) -> float:
         cell = cell.replace(",", ".", 1)
     if _NUMBER.fullmatch(cell) or _NOT_A_NUMBER.fullmatch(cell):
         return float(cell)
-    if gaps and cell.lower() in _MISSING:
+    if gaps and _MISSING.fullmatch(cell):
         return math.nan
     found = repr(cell[:_LONGEST_QUOTE]) if cell else "an empty cell"
     raise InputError(

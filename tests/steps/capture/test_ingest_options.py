@@ -51,7 +51,9 @@ def padded(markers: Markers, head: int, tail: int) -> Markers:
     return replace(markers, visible=seen, confidence=seen.astype(np.float32))
 
 
-@pytest.mark.parametrize("gap", ["", "NA", "n/a", "NaN", "null"])
+@pytest.mark.parametrize(
+    "gap", ["", "NA", "n/a", "NaN", "null", "-nan(ind)", "1.#QNAN", "-1.#IND00", "nan(snan)"]
+)
 def test_tables_between_semicolons_with_gaps_and_no_times(tmp_path: Path, gap: str) -> None:
     markers = padded(synthetic(frames=60), 10, 5)
     write_table(tmp_path / "x.csv", markers, gap=gap, with_time=False)
@@ -208,3 +210,11 @@ def test_options_that_change_nothing_of_a_capture_are_named(tmp_path: Path) -> N
         "--units has no effect",
         "--partial has no effect",
     ]
+
+
+def test_a_table_of_markers_in_other_words_is_told_its_columns(tmp_path: Path) -> None:
+    write_table(tmp_path / "x.csv", synthetic(frames=60))
+    text = (tmp_path / "x.csv").read_text(encoding="utf-8").replace("frame", "Bild", 1)
+    (tmp_path / "x.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=r"it must name a column frame.*found Bild"):
+        ingest(tmp_path / "x.csv")
