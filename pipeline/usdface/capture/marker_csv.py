@@ -31,7 +31,7 @@ _TIME = ("time", "time_s", "time (s)", "time (seconds)", "seconds", "timestamp")
 
 
 def is_marker_csv(head: bytes) -> bool:
-    """Tell a table of markers by its first bytes, also one whose frame column is named otherwise."""
+    """Tell a table of markers by its first bytes, whatever its column of frames is called."""
     lines = head_lines(head, 1)
     if not lines:
         return False
