@@ -338,6 +338,9 @@ class References(_Asset):
     """Frames per second of the takes, the first's where they differ; 0 where it is not known."""
     placement: Path | None = None
     """Where the markers were placed on the rig."""
+    parts: tuple[str, ...] = ()
+    """What tells the part of the face of each shape, where its rig was looked at; see
+    `usdface.model.placement.shape_parts`."""
     source_names: tuple[str, ...] = ()
     source: FloatArray | None = None
     """(pairs, source names): weights of the takes themselves, of takes that carry weights instead

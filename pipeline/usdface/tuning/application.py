@@ -22,6 +22,7 @@ from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.sidecars import corrected_path, poses_path
 from usdface.media.page.face_payload import FacePayload, pack_face, read_web_file
+from usdface.model.placement.shape_parts import shape_parts
 from usdface.numerics.measure.face_regions import mirrored_shapes, sided_shapes
 from usdface.specs.notes import ReviewNotes
 from usdface.tuning.journal import Change
@@ -125,7 +126,7 @@ class Scene:
     @functools.cached_property
     def payload(self) -> FacePayload:
         """The face."""
-        return pack_face(self.rig)
+        return pack_face(self.rig, parts=shape_parts(self.rig, Deformer(self.rig)))
 
     @functools.cached_property
     def targets(self) -> MarkerTargets | str:

@@ -10,6 +10,7 @@ from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance, canonical_json, hash_files
 from usdface.core.sidecars import corrected_path, proposed_path
+from usdface.model.placement.shape_parts import shape_parts
 from usdface.model.selection.baseline import BlendshapeEquation
 from usdface.numerics.measure.face_regions import shapes_by_region
 from usdface.numerics.registration.surface_places import nearest_places
@@ -74,7 +75,7 @@ def find_targets(references: References, rig: Rig) -> MarkerTargets:
         rest=rest.astype(np.float32),
         key_deltas=np.asarray(equation.keys.deltas, np.float32),
         targets=(rest + motion).astype(np.float32),
-        regions=_regions(equation, rig, rigid),
+        regions=_regions(equation, shape_parts(rig, Deformer(rig)), rigid),
         corrected=_corrected(placement, references.marker_names),
         lines=lines_on_rig(references.marker_names, equation, Deformer(rig), rig.shapes),
         equation=equation,
@@ -130,11 +131,13 @@ def _rest(equation: BlendshapeEquation, rig: Rig) -> FloatArray:
     return equation.virtual.places(surface)
 
 
-def _regions(equation: BlendshapeEquation, rig: Rig, rigid: list[int]) -> tuple[str, ...]:
+def _regions(
+    equation: BlendshapeEquation, parts: tuple[str, ...], rigid: list[int]
+) -> tuple[str, ...]:
     """Give each marker to the part of the face whose shapes move it most, of what they move."""
     moved = np.linalg.norm(equation.deltas, axis=2)
     share = moved / np.maximum(moved.max(axis=1, keepdims=True), 1e-9)
-    by_region = shapes_by_region(rig.shapes)
+    by_region = shapes_by_region(parts)
     if not by_region:
         return tuple("" if marker in rigid else "face" for marker in range(moved.shape[1]))
     names = list(by_region)

@@ -123,6 +123,18 @@ def test_heat_map_shows_where_the_values_are() -> None:
     assert right[0] > right[2]  # yellow for much
 
 
+def test_what_has_no_value_is_grey_and_leaves_its_neighbours_theirs() -> None:
+    ball = sphere()
+    camera, values = frame_face(ball.points), np.ones(len(ball.points))
+    full = draw([ball], camera, 120, values=values, value_range=(0.0, 1.0))
+    values[ball.points[:, 0] < 0] = np.nan
+    picture = draw([ball], camera, 120, values=values, value_range=(0.0, 1.0)).astype(int)
+    assert np.ptp(picture[60, 35]) < 6
+    np.testing.assert_array_equal(picture[60, 85], full[60, 85])
+    with pytest.raises(InputError, match="values to draw"):
+        draw([ball], camera, 120, values=values + np.inf)
+
+
 def test_hidden_meshes_are_not_drawn_and_still_count_points() -> None:
     ball, guide = sphere(), sphere(80.0, path="/Guide", visible=False)
     renderer = FaceRenderer([guide, ball])

@@ -119,7 +119,7 @@ def test_shapes_that_do_not_count_leave_the_weights_alone_and_not_the_surface(ri
     assert found.surface.rms_mm > 0.0
 
 
-def test_names_that_say_nothing_leave_the_whole_face(rig: Rig) -> None:
+def test_shapes_whose_names_say_nothing_are_measured_by_what_they_move(rig: Rig) -> None:
     called = {name: f"shape{index}" for index, name in enumerate(rig.shapes)}
     unnamed = replace(
         rig,
@@ -131,8 +131,11 @@ def test_names_that_say_nothing_leave_the_whole_face(rig: Rig) -> None:
             for mesh in rig.meshes
         ),
     )
-    found = evaluate(unnamed, performance(rig), performance(rig, seed=1))
-    assert found.regions == ()
+    found, named = (evaluate(r, performance(rig), performance(rig, seed=1)) for r in (unnamed, rig))
+    assert [each.name for each in found.regions] == [each.name for each in named.regions]
+    for each, other in zip(found.regions, named.regions, strict=True):
+        assert each.skin.rms_mm == pytest.approx(other.skin.rms_mm, rel=1e-9)
+    assert found.unseen_mm.keys() == named.unseen_mm.keys()
     assert found.lips is None
     assert np.isnan(found.blink_bias)
     assert found.surface.rms_mm > 0.0

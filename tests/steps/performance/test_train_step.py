@@ -14,6 +14,7 @@ from usdface.specs.performance import TrainSpec
 from usdface.steps.performance.describe import describe_mapping
 from usdface.usdio.mapping import read_mapping
 from usdface.usdio.references.read import read_references
+from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import read_take
 
 
@@ -113,3 +114,46 @@ def test_shapes_that_no_pair_has_are_named_if_markers_can_show_them(
         found = [note for note in made.notes if note.startswith("0 in every pair: ")]
         assert len(found) == bool(names)
         assert not names or "pair: 2 shapes, jawOpen, mouthPucker. They" in found[0]
+
+
+def test_a_rig_with_foreign_names_has_the_regions_and_the_gaze_of_the_same_rig_with_known_ones(
+    finished_shot: Shot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = finished_shot / "hero.references.usda"
+    pairs, rig = read_references(given), read_rig(finished_shot / "hero.usdc")
+    made = execute(TrainSpec(references=given, out=tmp_path / "known.usdc", method="ridge"))
+    named = read_mapping(tmp_path / "known.usdc")
+    called = {name: f"Form_{index}" for index, name in enumerate(rig.shapes)}
+    meshes = tuple(
+        replace(mesh, shapes=tuple(replace(each, name=called[each.name]) for each in mesh.shapes))
+        for mesh in rig.meshes
+    )
+    step = "usdface.steps.performance.train"
+    foreign = replace(rig, shapes=tuple(called.values()), meshes=meshes)
+    changed = replace(pairs, shape_names=tuple(called[name] for name in pairs.shape_names))
+    monkeypatch.setattr(f"{step}.read_rig_of", lambda *given: foreign)
+    monkeypatch.setattr(f"{step}.read_set_references", lambda path: changed)
+    other = execute(TrainSpec(references=given, out=tmp_path / "foreign.usdc", method="ridge"))
+    mapping = read_mapping(tmp_path / "foreign.usdc")
+    assert mapping.settings["regions"] == named.settings["regions"]
+    for name in ("region_markers", "uncertainty_grams", "uncertainty_calibration"):
+        np.testing.assert_array_equal(mapping.arrays[name], named.arrays[name])
+    gaze, other_gaze = (
+        [note for note in each.notes if "do not show gaze" in note] for each in (made, other)
+    )
+    assert len(gaze) == len(other_gaze) == 1
+    assert called["eyeLookDownLeft"] in other_gaze[0]
+
+
+def test_parts_of_the_face_that_no_shape_moves_are_noted(
+    finished_shot: Shot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = finished_shot / "hero.references.usda"
+    step = "usdface.steps.performance.train"
+    for unknown in (False, True):
+        out = tmp_path / f"{unknown}.mapping.usdc"
+        if unknown:
+            monkeypatch.setattr(f"{step}.shape_parts", lambda rig, deformer: ("",) * 52)
+        notes = execute(TrainSpec(references=given, out=out, method="ridge")).notes
+        assert unknown == any("is known to move the brows, lids" in note for note in notes)
+    assert read_mapping(out).settings["regions"] == "face"

@@ -17,6 +17,7 @@ from usdface.core.errors import InputError
 from usdface.core.sidecars import tuned_path
 from usdface.media.picture.image import read_image_metadata
 from usdface.media.picture.reference_sheet import ReferenceRow, compose_reference_sheet
+from usdface.numerics.measure.face_regions import REGIONS
 from usdface.runner.execute import execute
 from usdface.specs.references import ReferenceSheetSpec, ReferencesImportSpec, SelectSpec
 from usdface.steps.references import select
@@ -101,6 +102,16 @@ def test_coverage_is_told_and_drawn_beside(shot: Shot) -> None:
     assert read_image_metadata(picture)["step"] == "select"
     more = execute(spec(shot, count=24), overwrite=True)
     assert more.figures["coverage"] > report.figures["coverage"]
+
+
+def test_names_that_say_nothing_leave_the_coverage_of_all_regions(shot: Shot) -> None:
+    named = execute(spec(shot)).figures["coverage_by_region"]
+    rig = other_rig(shot, "Form_{number}")
+    report = execute(spec(shot, rig=rig, out=shot / "foreign.references.usda"))
+    found = report.figures["coverage_by_region"]
+    assert found.keys() == named.keys()
+    assert set(found) == set(REGIONS)
+    assert not any("is known to move" in note for note in report.notes)
 
 
 def test_more_pairs_keep_what_is_tuned_and_start_from_the_mapping(shot: Shot) -> None:
@@ -218,10 +229,10 @@ def test_fewer_frames_than_pairs_are_refused(shot: Shot) -> None:
     assert not (shot / "new.references.usda").exists()
 
 
-def other_rig(shot: Shot) -> Path:
+def other_rig(shot: Shot, pattern: str = "x_{name}") -> Path:
     """The same head whose shapes are called otherwise."""
     rig = read_rig(shot / "hero.usdc")
-    rename = {name: f"x_{name}" for name in rig.shapes}
+    rename = {n: pattern.format(name=n, number=i) for i, n in enumerate(rig.shapes)}
     meshes = tuple(
         replace(m, shapes=tuple(replace(s, name=rename[s.name]) for s in m.shapes))
         for m in rig.meshes

@@ -12,11 +12,13 @@ import pytest
 from pxr import Gf, Usd, UsdGeom
 
 from tests.steps.small_shot import Shot
+from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.media.picture.color import bytes_from_linear
 from usdface.media.picture.display_view import display_view
 from usdface.media.picture.image import read_image_metadata
 from usdface.media.picture.sheet import Tile
+from usdface.model.mapping.evaluation import SkinRuler
 from usdface.model.review.verdict import OPENINGS
 from usdface.runner.execute import execute
 from usdface.specs.edits import EditSpec
@@ -24,7 +26,9 @@ from usdface.specs.review import ReportSpec, SheetSpec
 from usdface.speech.phones import viseme_label, viseme_of
 from usdface.steps.review import sheet as sheet_step
 from usdface.steps.review import sheet_columns
+from usdface.steps.review.pictures import ShotPictures
 from usdface.usdio.performance.read import read_performance
+from usdface.usdio.rig.read import read_rig
 
 
 def spec_of(shot: Shot, **options: object) -> SheetSpec:
@@ -54,6 +58,26 @@ def test_worst_frames_come_with_their_reason(shot: Shot, monkeypatch) -> None:
     assert len(report.figures["frames"]) == 3
     columns = columns_of(shot, monkeypatch, layout="worst", baseline=False, out=shot / "b.png")
     assert columns == ("markers", "solve", "uncertainty")
+
+
+def test_skin_that_no_region_measures_has_no_uncertainty(shot: Shot, monkeypatch) -> None:
+    painted = []
+    monkeypatch.setattr(
+        ShotPictures,
+        "painted",
+        lambda self, row, weights, values, **named: (
+            painted.append(values) or np.zeros((64, 64, 3), np.uint8)
+        ),
+    )
+    columns_of(shot, monkeypatch, baseline=False)
+    rig = read_rig(shot / "hero.usdc")
+    points = SkinRuler(rig, Deformer(rig)).points
+    points.pop("face")
+    measured = np.concatenate(list(points.values()))
+    assert painted
+    for values in painted:
+        assert np.isfinite(values[measured]).all()
+        assert np.isnan(np.delete(values, measured)).all()
 
 
 def test_a_strip_does_not_explain_lines_that_it_does_not_show(shot: Shot, monkeypatch) -> None:

@@ -20,6 +20,9 @@ Quality = Literal["draft", "final"]
 
 _MAX_PIXELS = 8192 * 8192
 
+_LEAST_KNOWN = 0.5
+"""Of the weight of a drawn point's neighbours: with less of it known, its value is not."""
+
 
 class FaceRenderer:
     """A rig ready to be drawn in any pose; keeps all that no pose changes.
@@ -77,7 +80,7 @@ class FaceRenderer:
         quality : {'draft', 'final'}
             Draft for movies and previews, final for what is looked at long.
         values : (points,) array, optional
-            Painted in place of colours, as a heat map.
+            Painted in place of colours, as a heat map; NaN is grey.
         value_range : tuple of float
             Values drawn in the ramp's first and last colour.
         sculpted : (points, 3) array, optional
@@ -94,8 +97,7 @@ class FaceRenderer:
         fine = np.asarray(surface.matrix @ cage)
         colors = surface.albedo
         if values is not None:
-            given = _finite(np.asarray(values, np.float64), (self.point_count,), "values")
-            fine_values = np.asarray(surface.matrix @ given)
+            fine_values = self._subdivided(np.asarray(values, np.float64))
             low, high = value_range
             colors = heat_ramp(fine_values, low=low, high=high).astype(np.float32)
         normals = surface.normals_at(fine.astype(np.float32))
@@ -114,6 +116,16 @@ class FaceRenderer:
             heat=values is not None,
         )
         return (bytes_from_linear if view.heat else self._display)(draw(view))
+
+    def _subdivided(self, values: FloatArray) -> FloatArray:
+        """Carry values to the drawn points: means of what is known, NaN where most is not."""
+        known = ~np.isnan(values)
+        given = _finite(np.where(known, values, 0.0), (self.point_count,), "values")
+        if known.all():
+            return np.asarray(self._surface.matrix @ given)
+        share = np.asarray(self._surface.matrix @ known.astype(np.float64))
+        means = np.asarray(self._surface.matrix @ given) / np.maximum(share, _LEAST_KNOWN)
+        return np.where(share < _LEAST_KNOWN, np.nan, means)
 
     def _gather(self, points: Sequence[ArrayLike] | ArrayLike) -> FloatArray:
         """Put the points of all meshes in a row and check them."""

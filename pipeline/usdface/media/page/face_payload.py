@@ -99,7 +99,11 @@ def viewer_source(*scripts: str) -> str:
 
 
 def pack_face(
-    rig: Rig, *, camera: Camera | None = None, shares: sparse.csc_array | None = None
+    rig: Rig,
+    *,
+    camera: Camera | None = None,
+    shares: sparse.csc_array | None = None,
+    parts: tuple[str, ...] = (),
 ) -> FacePayload:
     """Pack a rig for the web viewer.
 
@@ -112,6 +116,9 @@ def pack_face(
     camera : Camera, optional
         Where the face is first seen from; by default it frames the head, hair included, from the
         front. Its place, aim and field of view are kept; roll and lens shift are not.
+    parts : tuple of str, optional
+        What tells the part of the face of each shape, see
+        `usdface.model.placement.shape_parts.shape_parts`; the shapes' names where it is not given.
 
     Returns
     -------
@@ -147,7 +154,7 @@ def pack_face(
         "format": PAYLOAD_FORMAT,
         "points": len(used),
         "triangles": len(triangles),
-        "shapes": _shapes(rig),
+        "shapes": _shapes(rig, parts or rig.shapes),
         "tracks": _tracks(rig, keys),
         "combinations": rig.logic.tables(),
         "eyeCenters": np.round(surface.eye_centers, 4).tolist(),
@@ -207,15 +214,15 @@ class _Keys:
         )
 
 
-def _shapes(rig: Rig) -> list[dict[str, Any]]:
+def _shapes(rig: Rig, parts: tuple[str, ...]) -> list[dict[str, Any]]:
     return [
         {
             "name": name,
-            "region": region_of_shape(name),
+            "region": region_of_shape(part),
             "low": float(low),
             "high": float(high),
         }
-        for name, (low, high) in zip(rig.shapes, rig.ranges, strict=True)
+        for name, part, (low, high) in zip(rig.shapes, parts, rig.ranges, strict=True)
     ]
 
 

@@ -55,6 +55,7 @@ uniform vec4 bandRows[3 * ROWS]; // y, reach above and below, least z [mm]
 out vec4 color;
 
 const int SKIN = 0;
+const vec3 UNKNOWN = vec3(0.18); // grey: no value
 const float GLOSS[6] = float[6](0.045, 0.9, 0.25, 0.10, 0.05, 0.0);
 const float SHINE[6] = float[6](26.0, 420.0, 70.0, 40.0, 20.0, 1.0);
 const vec3 SKY = vec3(0.30, 0.315, 0.345);
@@ -127,9 +128,10 @@ void main() {
   float reach = clamp(vReach, 0.0, 1.0);
   if (heat == 0) light = mix(light, TINT * (0.15 + luma), 0.75 * tint * reach);
   else if (skin) { // colours of the scale, shaded a little so that the form is seen
-    float at = 4.0 * reach;
+    float at = 4.0 * max(255.0 * reach - 1.0, 0.0) / 254.0;
     int below = min(int(at), 3);
-    light = mix(ramp[below], ramp[below + 1], at - float(below)) * (0.6 + 0.8 * luma);
+    vec3 value = mix(ramp[below], ramp[below + 1], at - float(below));
+    light = mix(UNKNOWN, value, clamp(255.0 * reach, 0.0, 1.0)) * (0.6 + 0.8 * luma);
   }
   vec3 shown = mix(12.92 * light, 1.055 * pow(light, vec3(1.0 / 2.4)) - 0.055,
                    step(0.0031308, light));

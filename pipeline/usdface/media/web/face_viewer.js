@@ -118,14 +118,15 @@ export class FaceViewer {
   /**
    * Paint the skin with values; null takes the paint off. Not together with `highlight`.
    * @param {null | {
-   *   values: Float32Array,  one per point
+   *   values: Float32Array,  one per point; NaN is grey
    *   high: number,          what the last colour stands for; the first stands for 0
    *   ramp: number[][],      five colours, r g b in linear light
    * }} heat
    */
   paint(heat) {
     this.heat = heat;
-    this.reach = heat && Uint8Array.from(heat.values, (v) => 255 * Math.min(Math.max(v / heat.high, 0), 1));
+    const known = (v) => 1 + 254 * Math.min(Math.max(v / heat.high, 0), 1); // 0 is not known
+    this.reach = heat && Uint8Array.from(heat.values, (v) => (Number.isNaN(v) ? 0 : known(v)));
     this.reachChanged = true;
     this.invalidate();
   }

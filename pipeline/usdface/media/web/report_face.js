@@ -179,7 +179,7 @@ export class Stage {
     this.values ??= new Float32Array(this.viewer.face.pointCount);
     for (let i = 0; i < this.values.length; i++) {
       const owner = this.owners[i];
-      this.values[i] = owner < 0 ? 0 : heat.values[owner * count + this.picture];
+      this.values[i] = owner < 0 ? NaN : heat.values[owner * count + this.picture];
     }
     return this.values;
   }

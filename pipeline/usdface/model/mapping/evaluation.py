@@ -10,6 +10,7 @@ from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.model.mapping.regions import FACE
+from usdface.model.placement.shape_parts import shape_parts
 from usdface.numerics.measure.face_regions import (
     blinks,
     gaze_shapes,
@@ -43,23 +44,26 @@ class SkinRuler:
     deformer: Deformer
 
     @cached_property
+    def parts(self) -> tuple[str, ...]:
+        """What tells the part of the face of each shape; see `shape_parts`."""
+        return shape_parts(self.rig, self.deformer)
+
+    @cached_property
     def unseen(self) -> dict[str, IntArray]:
         """Columns of the shapes that are left out, which have figures of their own."""
-        found = {"gaze": gaze_shapes(self.rig.shapes), "tongue": tongue_shapes(self.rig.shapes)}
+        found = {"gaze": gaze_shapes(self.parts), "tongue": tongue_shapes(self.parts)}
         return {name: columns for name, columns in found.items() if len(columns)}
 
     @cached_property
     def left_out(self) -> IntArray:
         """Columns of all of them."""
-        return unseen_shapes(self.rig.shapes)
+        return unseen_shapes(self.parts)
 
     @cached_property
     def points(self) -> dict[str, IntArray]:
         """Points of the rig by region, the whole face first; see `points_by_region`."""
         shapes = self.deformer.shapes
-        return {FACE: shapes.face_points} | points_by_region(
-            shapes.target_offsets(), self.rig.shapes
-        )
+        return {FACE: shapes.face_points} | points_by_region(shapes.target_offsets(), self.parts)
 
     @cached_property
     def grams(self) -> FloatArray:
@@ -104,7 +108,7 @@ class RegionError:
 
     name: str
     shape_count: int
-    """Shapes whose name names it."""
+    """Shapes of that part; see `shape_parts`."""
     weight_rmse: float
     """Of those that count; NaN where none does."""
     skin: SurfaceError
@@ -133,7 +137,7 @@ class Evaluation:
     """What ``'gaze'`` and ``'tongue'`` do by themselves, mean over the frames [mm]; without those
     that the rig does not have."""
     regions: tuple[RegionError, ...]
-    """Empty where no shape's name names a part of the face."""
+    """Empty where no shape is known to move a part of the face."""
     shapes: ShapeErrors
     shape_mm: FloatArray
     """(shapes,): what each shape's error alone does to the surface, root mean square [mm]."""
@@ -177,7 +181,7 @@ def evaluate_weights(
     solved_keys, truth_keys = map(deformer.shapes.key_weights, (solved, truth))
     key_errors, skin_errors = solved_keys - truth_keys, skin.differences(solved, truth)
     errors = solved - truth
-    by_region = shapes_by_region(rig.shapes)
+    by_region = shapes_by_region(skin.parts)
     grams = dict(zip(skin.points, skin.grams, strict=True))
     regions = [
         RegionError(

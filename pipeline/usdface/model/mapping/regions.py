@@ -22,7 +22,8 @@ def region_points(names: tuple[str, ...], motion: FloatArray) -> dict[str, IntAr
     Parameters
     ----------
     names : tuple of str
-        Of the shapes; where none names a part of the face there is only the whole.
+        Of the shapes, or their parts as `usdface.model.placement.shape_parts.shape_parts` finds
+        them; where none names a part of the face there is only the whole.
     motion : (shapes, points, 3) float array
         What each shape at 1 does [mm].
 

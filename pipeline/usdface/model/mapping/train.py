@@ -64,7 +64,8 @@ def train_mapping(
     Parameters
     ----------
     references : References
-        Pairs; `references.motion` holds what the face does beyond them.
+        Pairs; `references.motion` holds what the face does beyond them, and `references.parts`,
+        otherwise the shapes' names, tell the regions of the face.
     ranges : (shapes, 2) float array
         Lowest and highest weight of each shape. Weights beyond are limited to it, and their
         number is kept in ``settings['limited_weights']``.
@@ -85,12 +86,12 @@ def train_mapping(
     """
     sound = check_references(references, ranges=ranges, gram=gram)
     check_skin(skin, shapes=len(references.shape_names) + len(references.combinations))
-    checked = sound.references
+    checked, parts = sound.references, references.parts or references.shape_names
     motion = checked.motion if checked.motion is not None else motion_of_pairs(checked)
     check_dimensions(choices.dimensions, pairs=len(checked.weights), motion=motion)
     face = Face(
         ranges=ranges.astype(np.float64),
-        gram=np.eye(len(ranges)) if gram is None else _skin_gram(gram, checked.shape_names),
+        gram=np.eye(len(ranges)) if gram is None else _skin_gram(gram, parts),
         motion=motion,
         skin=None if skin is None else skin[: len(ranges)],
         driven=_driven_skin(references, skin),
@@ -107,7 +108,7 @@ def train_mapping(
     fitted = best.method.fit(corrected.known_to(best.method), best.settings)
     progress(1.0, f"trained {best.method.name}")
     solver = _frame_solver(corrected, fitted, compared.unseen)
-    regions, error_arrays = _uncertainty(compared, folds, checked.shape_names, solver)
+    regions, error_arrays = _uncertainty(compared, folds, parts, solver)
     return TrainedMapping(
         method=best.method.name,
         marker_names=checked.marker_names,
@@ -123,7 +124,7 @@ def train_mapping(
             "pairs": len(checked.weights),
             "limited_weights": sound.limited_weights,
             "regions": ",".join(regions),
-            "still_regions": ",".join(_still_regions(folds, regions, checked.shape_names)),
+            "still_regions": ",".join(_still_regions(folds, regions, parts)),
             "key_error": corrected.key_error,
             "contradicted": _contradicted(corrected, checked),
             "unobservable_shapes": int((~compared.observable).sum()),
@@ -182,24 +183,24 @@ def _frame_solver(
     return FrameSolver(corrected.forward, usual, corrected.common)
 
 
-def _skin_gram(gram: FloatArray, names: tuple[str, ...]) -> FloatArray:
+def _skin_gram(gram: FloatArray, parts: tuple[str, ...]) -> FloatArray:
     """Return a Gram matrix in which shapes count that markers show: gaze and tongue apart."""
     counted = gram.astype(np.float64)
-    columns = unseen_shapes(names)
+    columns = unseen_shapes(parts)
     counted[columns] = counted[:, columns] = 0.0
     return counted
 
 
 def _uncertainty(
-    compared: Comparison, folds: PairFolds, names: tuple[str, ...], solver: FrameSolver
+    compared: Comparison, folds: PairFolds, parts: tuple[str, ...], solver: FrameSolver
 ) -> tuple[tuple[str, ...], Arrays]:
     """Return the regions of the face, and the arrays that tell each region's uncertainty."""
     face = folds.pairs.face
     span = np.ptp(face.ranges, axis=1)
-    points = region_points(names, solver.forward.basis)
+    points = region_points(parts, solver.forward.basis)
     regions = tuple(points)
-    grams = region_grams(face.gram, face.skin, names, regions)
-    grams = np.stack([_skin_gram(each, names) for each in grams]) * np.outer(span, span)
+    grams = region_grams(face.gram, face.skin, parts, regions)
+    grams = np.stack([_skin_gram(each, parts) for each in grams]) * np.outer(span, span)
     model = UncertaintyModel(grams, np.ones(len(regions)))
     calibration = np.full(len(regions), _UNKNOWN_CALIBRATION)
     unseen = compared.unseen
@@ -215,10 +216,10 @@ def _uncertainty(
 
 
 def _still_regions(
-    folds: PairFolds, regions: tuple[str, ...], names: tuple[str, ...]
+    folds: PairFolds, regions: tuple[str, ...], parts: tuple[str, ...]
 ) -> tuple[str, ...]:
     """Return the regions that no reference moves: what moves them later, only the rig tells."""
-    weights, shapes = folds.pairs.face.normalise(folds.pairs.outputs), shapes_by_region(names)
+    weights, shapes = folds.pairs.face.normalise(folds.pairs.outputs), shapes_by_region(parts)
     return tuple(
         region
         for region in regions[1:]

@@ -127,7 +127,7 @@ def fit_face(places: FloatArray, positions: FloatArray, weights: FloatArray) -> 
 
 def _place(hint: LabelHint) -> tuple[FloatArray, float] | None:
     """Return where a hint's marker is on the template, and with what spread [mm]."""
-    landmarks = [place for place in map(_landmark, hint.landmarks) if place is not None]
+    landmarks = [place for place in map(landmark_place, hint.landmarks) if place is not None]
     if landmarks:
         return np.mean(landmarks, axis=0), hint.spread_mm
     table = _REGIONS_MM if hint.side else _MIDDLE_REGIONS_MM
@@ -137,7 +137,11 @@ def _place(hint: LabelHint) -> tuple[FloatArray, float] | None:
     return np.array(place) * _across(hint.side), spread
 
 
-def _landmark(name: str) -> FloatArray | None:
+def landmark_place(name: str) -> FloatArray | None:
+    """Return where a landmark of `rig_landmarks` is on an adult's face; None where unknown.
+
+    From the sellion, X to the left, Y up, Z forward [mm].
+    """
     if name in _MIDDLE_MM:
         return np.array(_MIDDLE_MM[name])
     stem, _, side = name.rpartition("_")

@@ -31,7 +31,7 @@ _CENTROIDS = (
 """Motion, the landmark at the centroid of what it moves most, and how far from the plane of
 symmetry that must lie [mm]."""
 
-_MOST_MOVED_SHARE = 0.6
+MOST_MOVED_SHARE = 0.6
 """Of a shape's largest displacement: samples above it count for a centroid."""
 
 _LEAST_MOTION_MM = 0.5
@@ -51,13 +51,23 @@ _AHEAD_MM = 20.0
 """A point so far before the mouth is nearest to the lips, and not to the teeth."""
 
 _LEAST_FALL = 0.5
-"""Share of the displacements' length that goes down, for a lid or a jaw."""
+"""Share of the displacements' length that goes down, for a lid."""
+
+_LEAST_JAW_FALL = 0.35
+"""The same for a jaw: it turns about the ears, so that a chin far below them goes back as well."""
 
 _ALIKE_SHARE = 0.25
 """Difference of the energies of both sides over their sum, of a shape that moves both alike."""
 
 _LID_RADIUS = 0.27
 """Root mean square radius of what one lid moves, over the face's size, at most; brows have more."""
+
+_JAW_RADIUS = 0.5
+"""Of what a jaw carries, over the face's size, at least; lips that roll in have less."""
+
+_LID_BESIDE = 0.35
+"""Of the face's size: a lid's centre lies at least so far beside the plane of symmetry; half of a
+lip that rolls in is as small."""
 
 _STILL_SHARE = 0.2
 """Of the jaw's largest displacement: what moves less is not of the mouth."""
@@ -127,7 +137,7 @@ def _named_by_viewer(skin: FaceSkin, moved: dict[tuple[str, str], FloatArray]) -
 def _centroid(skin: FaceSkin, delta: FloatArray, mask: BoolArray) -> FloatArray:
     """Return the sample nearest to the centroid of what a shape moves most."""
     size = np.where(mask, np.linalg.norm(delta, axis=1), 0.0)
-    most = size > _MOST_MOVED_SHARE * size.max()
+    most = size > MOST_MOVED_SHARE * size.max()
     return _nearest(skin, (size[most] / size[most].sum()) @ skin.positions[most])
 
 
@@ -265,14 +275,17 @@ def recognise_shapes(skin: FaceSkin) -> dict[tuple[str, str], FloatArray]:
     """
     side = np.sign(skin.positions[:, 0] - skin.sagittal_x)
     jaw, largest = None, 0.0
-    falling = [delta for delta in skin.deltas if _falls(delta)]
-    for delta in falling:
+    for delta in skin.deltas:
+        if not _falls(delta, _LEAST_JAW_FALL):
+            continue
         energy = (delta**2).sum(axis=1) * skin.areas
-        if abs(energy @ side) < _ALIKE_SHARE * energy.sum() and energy.sum() > largest:
+        alike = abs(energy @ side) < _ALIKE_SHARE * energy.sum()
+        if alike and energy.sum() > largest and _spread(skin, energy)[1] > _JAW_RADIUS:
             jaw, largest = delta, float(energy.sum())
     if jaw is None:
         return {}
     still = np.linalg.norm(jaw, axis=1) < _STILL_SHARE * np.linalg.norm(jaw, axis=1).max()
+    falling = [delta for delta in skin.deltas if _falls(delta, _LEAST_FALL)]
     blinks, centres = {}, {}
     for name, sign in _SIDES:
         farthest = 0.0
@@ -281,9 +294,9 @@ def recognise_shapes(skin: FaceSkin) -> dict[tuple[str, str], FloatArray]:
             energy = (lid**2).sum(axis=1) * skin.areas
             if energy.sum() < _ALIKE_SHARE * ((delta**2).sum(axis=1) @ skin.areas):
                 continue  # what a shape of the other side leaves here
-            centre = energy @ skin.positions / energy.sum()
-            spread = energy @ ((skin.positions - centre) ** 2).sum(axis=1) / energy.sum()
-            small = np.sqrt(spread) < _LID_RADIUS * skin.size_mm
+            centre, radius = _spread(skin, energy)
+            beside = sign * (centre[0] - skin.sagittal_x) > _LID_BESIDE * skin.size_mm
+            small = beside and radius < _LID_RADIUS
             peak = float(np.linalg.norm(lid, axis=1).max())
             if small and energy[still].sum() > 0.5 * energy.sum() and peak > farthest:
                 blinks[name], centres[name], farthest = lid, centre, peak
@@ -295,8 +308,15 @@ def recognise_shapes(skin: FaceSkin) -> dict[tuple[str, str], FloatArray]:
     return {("eyeblink", name): lid for name, lid in blinks.items()} | {("jawopen", ""): jaw}
 
 
-def _falls(delta: FloatArray) -> bool:
+def _spread(skin: FaceSkin, energy: FloatArray) -> tuple[FloatArray, float]:
+    """Return the centroid of a motion's energy, and its radius over the face's size."""
+    centre = energy @ skin.positions / energy.sum()
+    squared = energy @ ((skin.positions - centre) ** 2).sum(axis=1) / energy.sum()
+    return centre, float(np.sqrt(squared)) / skin.size_mm
+
+
+def _falls(delta: FloatArray, least: float) -> bool:
     """Whether what a shape moves most goes down."""
     size = np.linalg.norm(delta, axis=1)
     most = size > 0.5 * size.max()
-    return bool(size.max() > 0 and -delta[most, 1].sum() > _LEAST_FALL * size[most].sum())
+    return bool(size.max() > 0 and -delta[most, 1].sum() > least * size[most].sum())

@@ -70,7 +70,7 @@ def cover(
     """Measure the coverage of all frames by pairs; `rows` are those that are frames themselves."""
     free = candidates.copy()
     free[rows] = False
-    points = region_points(scene.rig.shapes, scene.equation.deltas)
+    points = region_points(scene.parts, scene.equation.deltas)
     markers, count = scene.equation.deltas.shape[1], len(scene.features)
     model = CoverageModel(scene.equation.deltas, pairs.displacements, membership(points, markers))
     further = choose_further(scene.features, pairs.features, count=FURTHER_FRAMES, candidates=free)

@@ -12,6 +12,7 @@ from usdface.model.mapping.head_space import HeadSpace, find_head_space
 from usdface.model.mapping.motion_space import fit_motion_space
 from usdface.model.mapping.performer_face import PerformerFace, face_of_mapping
 from usdface.model.mapping.predict import predict_weights
+from usdface.model.placement.shape_parts import missing_parts_note, shape_parts
 from usdface.model.selection.baseline import BlendshapeEquation
 from usdface.model.selection.design import CandidateMarkers, SelectionSpace, selection_space
 from usdface.specs.paths import frame_range
@@ -36,6 +37,8 @@ class SelectionScene:
     takes: CleanedTakes
     rig: Rig
     deformer: Deformer
+    parts: tuple[str, ...]
+    """What tells the part of the face of each shape; see `shape_parts`."""
     motion: MotionSpace
     equation: BlendshapeEquation
     space: SelectionSpace
@@ -49,7 +52,7 @@ class SelectionScene:
         """What to know of weights that are proposed or measured here."""
         lids = self.equation.lids
         note = "" if lids is None else lids.note(self.rig.shapes)
-        return [note] if note else []
+        return [each for each in (note, missing_parts_note(self.parts)) if each]
 
     def positions(self, rows: IntArray) -> FloatArray:
         """Return markers at rows of all takes, without putting the takes together."""
@@ -91,7 +94,8 @@ def set_up_scene(
         return equation.propose(packed.reshape(len(packed), -1, 3))
 
     weights = stand_in(motion.sample)
-    space = selection_space(motion, weights, rig.shapes)
+    parts = shape_parts(rig, deformer)
+    space = selection_space(motion, weights, parts)
     stand_ins = CandidateMarkers(
         features=space.features(motion.sample),
         weights=weights,
@@ -101,7 +105,7 @@ def set_up_scene(
         gram=deformer.shapes.gram(),
     )
     features = _features(takes, motion, space)
-    return SelectionScene(takes, rig, deformer, motion, equation, space, features, stand_ins)
+    return SelectionScene(takes, rig, deformer, parts, motion, equation, space, features, stand_ins)
 
 
 def candidate_frames(takes: CleanedTakes, frames: str | None) -> BoolArray:

@@ -20,6 +20,7 @@ from usdface.model.mapping.rig_match import rig_summary
 from usdface.model.mapping.train import train_mapping
 from usdface.model.mapping.uncertainty import proposal_error
 from usdface.model.placement.rig_orientation import check_rig_stands
+from usdface.model.placement.shape_parts import missing_parts_note, shape_parts
 from usdface.model.regressions import Choices, RestPlaces
 from usdface.model.regressions.gaussian_rbf import PAPER_DIMENSIONS
 from usdface.numerics.measure.face_regions import unseen_shapes
@@ -57,6 +58,8 @@ def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress = silent)
     notes += check_rig_stands(rig)
     columns = [rig.shapes.index(name) for name in references.shape_names]
     deformer = Deformer(rig)
+    found = shape_parts(rig, deformer)
+    references = replace(references, parts=tuple(found[column] for column in columns))
     offsets = deformer.shapes.target_offsets()
     points = skin_points(offsets)
     poses = columns_by_name(references.weights, references.shape_names, rig.shapes)
@@ -153,8 +156,8 @@ def describe_figures(mapping: TrainedMapping) -> dict[str, object]:
 
 
 def _correction_notes(mapping: TrainedMapping, references: References) -> list[str]:
-    """Name what of the pairs was corrected or left out."""
-    notes = []
+    """Name what of the pairs was corrected or left out, and what no figure tells."""
+    notes = list(filter(None, [missing_parts_note(references.parts)]))
     limited = int(mapping.settings.get("limited_weights", 0))
     if limited:
         notes.append(
@@ -169,7 +172,7 @@ def _correction_notes(mapping: TrainedMapping, references: References) -> list[s
         )
     unseen = [
         references.shape_names[column]
-        for column in unseen_shapes(references.shape_names)
+        for column in unseen_shapes(references.parts)
         if references.weights[:, column].any()
     ]
     if unseen:

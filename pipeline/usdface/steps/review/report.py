@@ -13,9 +13,10 @@ from usdface.core.replacing import write_text
 from usdface.core.side_files import emptied_side_folder
 from usdface.core.sidecars import work_folder
 from usdface.core.text import pluralize
+from usdface.media.face.camera import Camera
 from usdface.media.film.image_sequence import open_video
 from usdface.media.film.movie import video_encoder, write_movie
-from usdface.media.page.face_payload import pack_face
+from usdface.media.page.face_payload import FacePayload, pack_face
 from usdface.media.page.report_page import (
     PagePicture,
     ReviewPage,
@@ -89,6 +90,11 @@ def run(spec: ReportSpec, *, provenance: Provenance, progress: Progress = silent
     )
 
 
+def _face(shot: Shot, camera: Camera, parts: tuple[str, ...]) -> FacePayload:
+    shares = None if shot.motion is None else shot.motion.shares
+    return pack_face(shot.rig, camera=camera, shares=shares, parts=parts)
+
+
 def _clock(spec: ReportSpec, shot: Shot) -> MovieClock:
     # A picture for each frame of the take: the page's video then changes where the sheet's does.
     clock = MovieClock(
@@ -120,7 +126,7 @@ def _page(
     said = labels_at(spec.phones, take, shot.frames) if spec.phones else ()
     progress(0.05, "placing the markers on the rig")
     equation = set_up_shot_baseline(shot) if take.markers is not None else None
-    signals = ruler.signals(keys, equation)
+    signals, parts = ruler.signals(keys, equation), ruler.skin.parts
     verdict = ruler.verdict(signals)
     rows = np.arange(len(shot.frames))
     baseline = solve_baseline(equation, shot, rows) if spec.baseline and equation else None
@@ -143,16 +149,12 @@ def _page(
         frames=shot.frames.tolist(),
         timecodes=list(map(shot.timecode, shot.frames.tolist())) if take.timecode_start else [],
         shapes=rig.shapes,
-        regions=tuple(region_of_shape(name) or "other" for name in rig.shapes),
+        regions=tuple(region_of_shape(each) or "other" for each in parts),
         curves=curves,
         strips=page_strips(signals),
         worst=tuple((each.row, each.region, each.reason) for each in moments),
         listings=tables,
-        face=pack_face(
-            rig,
-            camera=view.at(clock.first_frame, still=True),
-            shares=None if shot.motion is None else shot.motion.shares,
-        ),
+        face=_face(shot, view.at(clock.first_frame, still=True), parts),
         carried=page_motion(shot),
         moves_as_one=shot.motion is not None and shot.motion.moves_as_one,
         movie=movie,

@@ -217,7 +217,7 @@ def _uncertainties(pictures: ShotPictures, comparison: SheetComparison) -> Calla
         if evidence.uncertainty_mm is None:
             return Tile(None)
         said = evidence.uncertainty_mm[row]
-        values = np.zeros(len(shot.deformer.neutral))
+        values = np.full(len(shot.deformer.neutral), np.nan)  # no region: unknown
         for (_, own), value in zip(points.items(), said[1:], strict=False):
             if own is not None:
                 values[own] = value

@@ -1,0 +1,176 @@
+"""Parts of the face of shapes whose names do not name one, by what the shapes move.
+
+The rig's landmarks (`usdface.model.placement.rig_landmarks`) fit an adult's face to the rig, with a
+scale for its breadth and one for its height. A shape is of the part whose landmarks are nearest to
+the centroid of what it moves most, left and right folded onto each other. What moves points off the
+skin further than the skin itself turns an eye or moves the tongue; so does what turns the same eye.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import sparse
+
+from usdface.core.arrays import BoolArray, FloatArray, IntArray
+from usdface.core.assets import Rig
+from usdface.core.deformer import Deformer
+from usdface.model.placement.face_template import landmark_place
+from usdface.model.placement.rig_landmarks import MOST_MOVED_SHARE, find_landmarks
+from usdface.numerics.measure.face_regions import (
+    REGIONS,
+    gaze_shapes,
+    region_of_shape,
+    unseen_shapes,
+)
+from usdface.numerics.registration.face_skin import FaceSkin, sample_face_skin
+
+GAZE, TONGUE = "gaze", "tongue"
+
+_FITTED = ("lid_lower_L", "eye_inner_L", "eye_outer_L", "mouth_L", "nose_bridge", "nose_tip")
+"""Landmarks that fit the adult's face. The chin is not: an open jaw shows where it ends, not it."""
+
+_LANDMARKS = (
+    ("brows", ("brow_centre", "brow_inner_L", "brow_middle_L", "brow_outer_L")),
+    ("lids", ("eye_inner_L", "eye_outer_L", "lid_lower_L")),
+    ("cheeks and nose", ("nose_tip",)),
+    ("mouth", ("lip_upper", "lip_lower", "mouth_L")),
+    ("jaw", ("chin",)),
+)
+
+_FURTHER_MM = (
+    ("lids", (31.0, 2.0, -14.0)),  # the margin of the upper lid
+    ("cheeks and nose", (17.0, -48.0, 8.0)),  # the wing of the nose
+    ("cheeks and nose", (35.0, -30.0, -14.0)),  # under the rim of the eye's socket
+    ("cheeks and nose", (48.0, -45.0, -20.0)),  # under the cheekbone
+    ("cheeks and nose", (50.0, -75.0, -20.0)),  # beside the mouth
+    ("jaw", (20.0, -105.0, -6.0)),  # beside the chin
+)
+"""Parts that no landmark stands for, as `landmark_place` has them [mm]."""
+
+_FARTHEST_MM = 30.0
+"""On an adult's face: a shape further from all landmarks, of the neck or an ear, is of no part."""
+
+_SKIN_SHARE = 2 / 3
+"""Of a shape's largest displacement: with less on the skin, markers do not show the shape."""
+
+_LEAST_MOTION_MM = 0.1
+"""A shape that moves nothing further is of no part."""
+
+
+def shape_parts(rig: Rig, deformer: Deformer) -> tuple[str, ...]:
+    """Return what tells the part of the face of each shape: its name, or the name of the part.
+
+    A shape whose name names a part, gaze or tongue keeps it; of the others, those that move a part
+    get its name (`REGIONS`, ``'gaze'``, ``'tongue'``), which `shapes_by_region` and its like read
+    as they read names. Names stay where the rig's landmarks are not found.
+    """
+    names = rig.shapes
+    foreign = foreign_shapes(names)
+    if not foreign:
+        return names
+    offsets = deformer.shapes.target_offsets()
+    try:
+        skin = sample_face_skin(deformer.neutral, deformer.triangles, offsets)
+    except ValueError:
+        return names
+    template = _fitted_landmarks(skin, names)
+    if template is None:
+        return names
+    points = deformer.neutral @ skin.frame.T
+    off_skin = np.ones(len(points), dtype=np.bool_)
+    off_skin[skin.corners] = False
+    found = list(names)
+    motions = _motions(offsets)
+    moving = [shape for shape in foreign if motions[shape].max(initial=0.0) > _LEAST_MOTION_MM]
+    for shape in moving:
+        moved, on_skin = motions[shape], np.linalg.norm(skin.deltas[shape], axis=1)
+        if on_skin.max() < _SKIN_SHARE * moved.max():
+            part = template.part_at(points, moved)
+            found[shape] = GAZE if part == "lids" else TONGUE
+        else:
+            found[shape] = template.part_at(skin.positions, on_skin) or found[shape]
+    for eye in _eyes(motions, gaze_shapes(found), off_skin):
+        for shape in moving:  # a look down carries the lids as far as the eye
+            if motions[shape][eye].mean() > MOST_MOVED_SHARE * motions[shape].max():
+                found[shape] = GAZE
+    return tuple(found)
+
+
+def _motions(offsets: sparse.csr_array) -> FloatArray:
+    """Return how far each shape moves each point: (shapes, points) [mm]."""
+    moved = [offsets[[shape]].toarray().reshape(-1, 3) for shape in range(offsets.shape[0])]
+    return np.array([np.linalg.norm(each, axis=1) for each in moved])
+
+
+def _eyes(motions: FloatArray, gaze: IntArray, off_skin: BoolArray) -> list[IntArray]:
+    """Return the points of what each shape of gaze turns."""
+    least = MOST_MOVED_SHARE * motions.max(axis=1)
+    found = [np.flatnonzero(off_skin & (motions[each] > least[each])) for each in gaze.tolist()]
+    return [points for points in found if len(points)]
+
+
+def foreign_shapes(names: Sequence[str]) -> list[int]:
+    """Return the columns of the shapes whose names name no part of the face."""
+    unseen = set(unseen_shapes(names).tolist())
+    return [i for i, name in enumerate(names) if i not in unseen and not region_of_shape(name)]
+
+
+def missing_parts_note(parts: Sequence[str]) -> str:
+    """Name the parts of the face that no shape is known to move; empty where each has one.
+
+    Parameters
+    ----------
+    parts : sequence of str
+        Of a rig's shapes, as `shape_parts` returns them.
+    """
+    known = {region_of_shape(each) for each in parts}
+    missing = [region for region in REGIONS if region not in known]
+    if not missing:
+        return ""
+    listed = ", ".join(missing)
+    return (
+        f"no shape of this rig is known to move the {listed}: uncertainty, coverage and residual "
+        "say nothing of that skin by itself; check it in the pictures"
+    )
+
+
+class _Template:
+    """An adult's landmarks fitted to a rig."""
+
+    def __init__(self, skin: FaceSkin, scale: FloatArray, origin: FloatArray) -> None:
+        self._middle_x, self._size = skin.sagittal_x, float(scale.mean())
+        landmarks = [(part, _adult([name])[0]) for part, names in _LANDMARKS for name in names]
+        rows = [*landmarks, *_FURTHER_MM]
+        self._parts = [part for part, _ in rows]
+        self._places = np.array([place for _, place in rows]) * scale + origin
+
+    def part_at(self, positions: FloatArray, moved: FloatArray) -> str:
+        """Return the part at the centroid of what moves most; empty far from all."""
+        weight = np.where(moved > MOST_MOVED_SHARE * moved.max(), moved, 0.0)
+        folded = positions - [self._middle_x, 0.0, 0.0]
+        folded[:, 0] = np.abs(folded[:, 0])
+        away = np.linalg.norm(self._places - weight @ folded / weight.sum(), axis=1)
+        nearest = int(away.argmin())
+        return self._parts[nearest] if away[nearest] < _FARTHEST_MM * self._size else ""
+
+
+def _fitted_landmarks(skin: FaceSkin, names: Sequence[str]) -> _Template | None:
+    """Fit the adult's face to a rig's landmarks by least squares; None without eyes or mouth."""
+    found = find_landmarks(skin, names)
+    shared = [name for name in _FITTED if name in found]
+    if not {"lid_lower_L", "mouth_L"} <= set(shared):
+        return None
+    adult = _adult(shared)
+    rig = np.stack([found[name] for name in shared]) - [skin.sagittal_x, 0.0, 0.0]
+    breadth = float(adult[:, 0] @ rig[:, 0] / (adult[:, 0] @ adult[:, 0]))
+    centred = adult[:, 1] - adult[:, 1].mean()
+    height = float(centred @ rig[:, 1] / (centred @ centred))
+    if min(breadth, height) <= 0:
+        return None
+    scale = np.array([breadth, height, (breadth + height) / 2])
+    return _Template(skin, scale, np.mean(rig - adult * scale, axis=0) * [0.0, 1.0, 1.0])
+
+
+def _adult(names: Sequence[str]) -> FloatArray:
+    """Return where landmarks that are known there lie on an adult's face: (n, 3) [mm]."""
+    return np.array([landmark_place(name) for name in names], dtype=np.float64)
