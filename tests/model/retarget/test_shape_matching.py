@@ -1,13 +1,21 @@
 """Shapes matched by what they do: on faces of other proportions, topology and names."""
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from usdface.core.assets import MeshShape, Rig, RigMesh, ShapeKey
 from usdface.demo.rig import demo_rig
 from usdface.demo.sculpt import ACTOR
-from usdface.model.retarget.shape_matching import correspond, match_deformations, match_positions
+from usdface.model.retarget.shape_matching import (
+    correspond,
+    differing_sides,
+    match_deformations,
+    match_positions,
+)
 from usdface.usdio.rig.read import read_rig
 
 
@@ -54,3 +62,85 @@ def test_heads_of_two_makers_are_matched(shared_data: Path) -> None:
     again = match_deformations(cap, ict, source_shapes=cap.shapes, target_shapes=ict.shapes)
     right = [m for m in again if m.target == m.source or m.target[:-2] == m.source]
     assert len({m.source for m in right}) >= 42
+
+
+def foreign(rig: Rig, names: dict[str, str] | None = None) -> Rig:
+    """Return a rig with names that say only which shapes mirror each other: ``Form_3_L``."""
+    motions = dict.fromkeys(re.sub("Left$|Right$", "", name) for name in rig.shapes)
+    number = {motion: index for index, motion in enumerate(motions)}
+    called = {}
+    for name in rig.shapes:
+        motion = re.sub("Left$|Right$", "", name)
+        side = name.removeprefix(motion)[:1]
+        called[name] = f"Form_{number[motion]}_{side}".removesuffix("_")
+    called |= names or {}
+    meshes = tuple(
+        replace(mesh, shapes=tuple(replace(each, name=called[each.name]) for each in mesh.shapes))
+        for mesh in rig.meshes
+    )
+    return replace(rig, shapes=tuple(called.values()), meshes=meshes)
+
+
+def test_sides_of_foreign_names_are_matched_alike(faces) -> None:
+    hero, actor = map(foreign, faces)
+    matches = match_deformations(actor, hero, source_shapes=actor.shapes, target_shapes=hero.shapes)
+    right = [match for match in matches if match.source == match.target]
+    assert len(right) >= 0.9 * len(matches) >= 35
+    driven = {match.source: [match.target] for match in matches}
+    assert differing_sides(driven, actor.shapes, hero.shapes) == []
+
+
+def test_a_look_down_is_no_blink(faces) -> None:
+    hero, actor = map(foreign, faces)
+    called = dict(zip(faces[0].shapes, hero.shapes, strict=True))
+    looks, blinks = (
+        tuple(called[f"{name}{side}"] for side in ("Left", "Right"))
+        for name in ("eyeLookDown", "eyeBlink")
+    )
+    assert match_deformations(actor, hero, source_shapes=looks, target_shapes=blinks) == ()
+    both = match_deformations(actor, hero, source_shapes=looks, target_shapes=blinks + looks)
+    assert {match.source: match.target for match in both} == dict(zip(looks, looks, strict=True))
+
+
+def test_halves_drive_a_whole_alike_and_a_whole_its_halves(faces) -> None:
+    hero, actor = foreign(faces[0]), foreign(faces[1])
+    place = dict(zip(faces[0].shapes, hero.shapes, strict=True))
+    smiles = place["mouthSmileLeft"], place["mouthSmileRight"]
+    whole = "Grinsen"
+
+    def grin(mesh: RigMesh) -> RigMesh:
+        keys = [each.keys[-1] for each in mesh.shapes if each.name in smiles]
+        if not keys:
+            return mesh
+        moved = np.zeros_like(mesh.points)
+        for key in keys:
+            moved[key.points] += key.offsets
+        points = np.flatnonzero(moved.any(axis=1))
+        made = MeshShape(whole, (ShapeKey(1.0, points, moved[points]),))
+        rest = [each for each in mesh.shapes if each.name not in smiles]
+        return replace(mesh, shapes=(*rest, made))
+
+    names = (*(name for name in hero.shapes if name not in smiles), whole)
+    ranges = np.tile([0.0, 1.0], (len(names), 1))
+    other = replace(hero, shapes=names, meshes=tuple(map(grin, hero.meshes)), ranges=ranges)
+    forth = match_deformations(actor, other, source_shapes=smiles, target_shapes=(whole,))
+    assert {(each.source, each.target, each.share) for each in forth} == {
+        (smile, whole, 0.5) for smile in smiles
+    }
+    back = match_deformations(other, actor, source_shapes=(whole,), target_shapes=smiles)
+    assert {(each.target, each.share) for each in back} == {(smile, 1.0) for smile in smiles}
+
+
+def test_a_side_that_the_other_rig_lacks_is_matched_and_named(faces) -> None:
+    hero, actor = map(foreign, faces)
+    called = dict(zip(faces[0].shapes, hero.shapes, strict=True))
+    left, right = called["mouthSmileLeft"], called["mouthSmileRight"]
+    found = match_deformations(actor, hero, source_shapes=(left, right), target_shapes=(right,))
+    assert [(match.source, match.target) for match in found] == [(right, right)]
+    driven = {match.source: [match.target] for match in found}
+    said = differing_sides(driven, actor.shapes, hero.shapes)
+    assert said == [f"{left} -> nothing; {right} -> {right}"]
+    crossed = {left: [right], right: [left]}
+    assert differing_sides(crossed, actor.shapes, hero.shapes) == []
+    whole = called["browInnerUp"]
+    assert differing_sides({whole: [left]}, actor.shapes, hero.shapes) == [f"{whole} -> {left}"]

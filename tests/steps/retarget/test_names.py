@@ -14,6 +14,8 @@ from tests.test_docs import commands, run
 from tests.usdio.small_rig import small_rig
 from usdface.cli.app import main
 from usdface.core.assets import MeshShape, Rig, RigMesh
+from usdface.model.retarget.shape_matching import ShapeMatch
+from usdface.steps.retarget.pairs_propose import match_rigs
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.rig.write import write_rig
 from usdface.usdio.validation import validate
@@ -222,3 +224,20 @@ def test_a_table_that_is_replaced_is_whole_for_who_reads_it(tmp_path: Path) -> N
         assert reading.read() == table.read_text(encoding="utf-8")
         assert os.fstat(reading.fileno()).st_ino != table.stat().st_ino
     assert usdface("names", rig.file, "--out", tmp_path / "missing" / "names.csv") == 2
+
+
+def test_sides_that_are_matched_differently_are_noted(tmp_path: Path, monkeypatch) -> None:
+    names = {"jawOpen": "Form_1", "eyeBlink": "Form_2_L", "smile": "Form_2_R"}
+    rig = named_rig(tmp_path / "a.usda", names)
+    other = named_rig(
+        tmp_path / "b.usda", {k: v.replace("Form", "Other") for k, v in names.items()}
+    )
+    for right, noted in (("Other_2_R", False), ("Other_1", True)):
+        found = (ShapeMatch("Form_2_L", "Other_2_L", 0.9), ShapeMatch("Form_2_R", right, 0.8))
+        monkeypatch.setattr(
+            "usdface.steps.retarget.pairs_propose.match_deformations",
+            lambda *given, matches=found, **named: matches,
+        )
+        notes = match_rigs(rig, other, by="deformation")[1]
+        text = f"differently: Form_2_L -> Other_2_L; Form_2_R -> {right}"
+        assert any(text in note for note in notes) == noted

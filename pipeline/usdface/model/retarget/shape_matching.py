@@ -8,7 +8,7 @@ The same correspondence gives the method that S11 (section 6.3) compares with: *
 non-negative weights of the target whose displacements are nearest to the source's.
 """
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -20,7 +20,9 @@ from usdface.core.arrays import BoolArray, FloatArray
 from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
+from usdface.model.placement.shape_parts import shape_parts
 from usdface.model.retarget.shape_names import mirrored, read_meanings
+from usdface.numerics.measure.face_regions import gaze_shapes, mirrored_shapes
 from usdface.numerics.registration.cloud_alignment import Alignment, align_cloud
 from usdface.numerics.registration.face_skin import (
     SurfaceSamples,
@@ -37,6 +39,10 @@ _SAMPLE_COUNT = 1500
 
 _LEAST_SIMILARITY = 0.5
 """Cosine below which two shapes are not proposed as the same."""
+
+_ONE_SIDE_SIMILARITY = 0.75
+"""The same for a shape without a mirror image and one side of a motion: half of a motion of both
+sides is like the whole by sqrt(1/2), and is not it."""
 
 RIDGE_SHARE = 1e-3
 """Ridge of position matching, as a share of the mean square of the displacements."""
@@ -116,7 +122,8 @@ def match_deformations(
 ) -> tuple[ShapeMatch, ...]:
     """Return the shapes that move the faces most alike, each in one match at most, best first.
 
-    Where names say which shapes mirror each other, both sides are matched alike, or neither.
+    Where names say which shapes mirror each other, both sides are matched alike, or neither. What
+    turns an eye is matched with what turns an eye alone, since lids that follow look like a blink.
     """
     if not (source_shapes and target_shapes):
         return ()
@@ -125,15 +132,14 @@ def match_deformations(
     columns = [target.shapes.index(name) for name in target_shapes]
     likeness = both.similarity()[np.ix_(rows, columns)]
     units = _units(source_shapes), _units(target_shapes)
+    turns = [_turns_an_eye(rig)[at] for rig, at in ((source, rows), (target, columns))]
+    likeness = np.where(turns[0][:, None] == turns[1], likeness, -1.0)
     found = _assign_units(likeness, *units)
-    rows_left = set(range(len(rows))) - {row for row, _, _ in found}
-    columns_left = set(range(len(columns))) - {column for _, column, _ in found}
     foreign = [~_understood(names) for names in (source_shapes, target_shapes)]
-    free = sorted(rows_left), sorted(columns_left)
-    single = np.where(foreign[0][:, None] | foreign[1], likeness, -1.0)[np.ix_(*free)]
-    for i, j in zip(*map(np.ndarray.tolist, linear_sum_assignment(-single)), strict=True):
-        if single[i, j] >= _LEAST_SIMILARITY:
-            found.append((free[0][i], free[1][j], 1.0))
+    single = np.where(foreign[0][:, None] | foreign[1], likeness, -1.0)
+    sided = _sided_units(source_shapes), _sided_units(target_shapes)
+    found += _assign_units(single, *_unmatched(found, *sided))
+    found += _assign_one_sides(single, *_unmatched(found, *sided))
     matches = (
         ShapeMatch(source_shapes[row], target_shapes[column], float(likeness[row, column]), share)
         for row, column, share in found
@@ -162,6 +168,79 @@ def _units(names: tuple[str, ...]) -> list[_Unit]:
     return found
 
 
+def _sided_units(names: tuple[str, ...]) -> list[_Unit]:
+    """Return shapes as units, those whose names mirror each other together."""
+    return [
+        (index,) if other == index else (index, other)
+        for index, other in enumerate(mirrored_shapes(names).tolist())
+        if other >= index
+    ]
+
+
+def _unmatched(
+    found: list[tuple[int, int, float]], sources: list[_Unit], targets: list[_Unit]
+) -> tuple[list[_Unit], list[_Unit]]:
+    """Return what is left of units."""
+    rows, columns = {row for row, _, _ in found}, {column for _, column, _ in found}
+    left, right = (
+        [tuple(place for place in unit if place not in used) for unit in units]
+        for units, used in ((sources, rows), (targets, columns))
+    )
+    return list(filter(None, left)), list(filter(None, right))
+
+
+def _assign_one_sides(
+    likeness: FloatArray, sources: list[_Unit], targets: list[_Unit]
+) -> list[tuple[int, int, float]]:
+    """Return shapes without a mirror image and the one side of a motion that each is like."""
+    rows, columns = [row for unit in sources for row in unit], [c for unit in targets for c in unit]
+    if not (rows and columns):
+        return []
+    of_two = [
+        np.array([len(unit) > 1 for unit in units for _ in unit]) for units in (sources, targets)
+    ]
+    scores = np.where(of_two[0][:, None] != of_two[1], likeness[np.ix_(rows, columns)], -1.0)
+    return [
+        (rows[i], columns[j], 1.0)
+        for i, j in zip(*map(np.ndarray.tolist, linear_sum_assignment(-scores)), strict=True)
+        if scores[i, j] >= _ONE_SIDE_SIMILARITY
+    ]
+
+
+def _turns_an_eye(rig: Rig) -> BoolArray:
+    turns = np.zeros(len(rig.shapes), dtype=np.bool_)
+    turns[gaze_shapes(shape_parts(rig, Deformer(rig)))] = True
+    return turns
+
+
+def differing_sides(
+    driven: Mapping[str, Collection[str]], source: Sequence[str], target: Sequence[str]
+) -> list[str]:
+    """Say of which matches the left and the right are not alike.
+
+    Parameters
+    ----------
+    driven : mapping of str to collection of str
+        Shapes of the target that each matched shape of the source drives.
+    source, target : sequence of str
+        All shapes of both, among which names tell the other side.
+    """
+    here, there = (
+        {name: names[other] for name, other in zip(names, mirrored_shapes(names), strict=True)}
+        for names in (source, target)
+    )
+    found = []
+    for index, name in enumerate(source):
+        other = here[name]
+        one, two = set(driven.get(name, ())), set(driven.get(other, ()))
+        if index > source.index(other) or {there[each] for each in one} == two:
+            continue
+        pair = [name] if other == name else [name, other]
+        said = (f"{n} -> {', '.join(sorted(driven.get(n, ()))) or 'nothing'}" for n in pair)
+        found.append("; ".join(said))
+    return found
+
+
 def _understood(names: tuple[str, ...]) -> BoolArray:
     meanings = read_meanings(names)
     return np.array([meanings[name].understood for name in names], dtype=np.bool_)
@@ -179,7 +258,11 @@ def _assign_units(
 
     def parts(source: _Unit, target: _Unit) -> list[tuple[int, int]]:
         count = max(len(source), len(target))
-        return [(source[k % len(source)], target[k % len(target)]) for k in range(count)]
+        ways = [
+            [(source[k % len(source)], way[k % len(way)]) for k in range(count)]
+            for way in (target, target[::-1])
+        ]
+        return max(ways, key=lambda way: sum(likeness[pair] for pair in way))
 
     scores = np.array(
         [[np.mean([likeness[pair] for pair in parts(s, t)]) for t in targets] for s in sources]

@@ -17,7 +17,7 @@ from usdface.core.sidecars import is_usd_name, proposed_path
 from usdface.core.text import counted, first_few, pluralize
 from usdface.model.retarget.control_space import dead_controls
 from usdface.model.retarget.name_matching import NameMatch, NameMatching, Transfer, name_matching
-from usdface.model.retarget.shape_matching import ShapeMatch, match_deformations
+from usdface.model.retarget.shape_matching import ShapeMatch, differing_sides, match_deformations
 from usdface.runner.result import StepResult
 from usdface.specs.retarget import PairsProposeSpec
 from usdface.steps.inputs.name_tables import transfer_by_table
@@ -139,6 +139,11 @@ def match_rigs(
             )
         matches += [NameMatch(s, ((s, 1.0),), tuple(parts)) for s, parts in driven.items()]
         how |= dict.fromkeys(driven, "deformation")
+        sides = {name: [target for target, _ in parts] for name, parts in driven.items()}
+        notes += [
+            f"left and right are matched differently: {each}; check them in the table"
+            for each in differing_sides(sides, source.shapes, target.shapes)
+        ]
     return NameMatching(tuple(matches), named.ambiguous, how), notes
 
 
