@@ -143,6 +143,8 @@ def test_a_rig_with_foreign_names_has_the_regions_and_the_gaze_of_the_same_rig_w
     )
     assert len(gaze) == len(other_gaze) == 1
     assert called["eyeLookDownLeft"] in other_gaze[0]
+    unkeyed = [called[name] for name in made.figures["unkeyed_shapes"]]
+    assert sorted(other.figures["unkeyed_shapes"]) == sorted(unkeyed)
 
 
 def test_parts_of_the_face_that_no_shape_moves_are_noted(

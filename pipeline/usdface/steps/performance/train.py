@@ -102,7 +102,7 @@ def _unkeyed_shapes(references: References, mapping: TrainedMapping) -> list[str
     """Return the shapes that move markers and are 0 in every pair, the largest motion first."""
     moved_mm = np.sqrt(mapping.arrays["forward_shape_size2"].max(axis=1))
     moved_mm[references.weights.any(axis=0)] = 0.0
-    moved_mm[unseen_shapes(references.shape_names)] = 0.0
+    moved_mm[unseen_shapes(references.parts or references.shape_names)] = 0.0
     order = np.argsort(-moved_mm, kind="stable").tolist()
     return [references.shape_names[column] for column in order if moved_mm[column] > _SHOWN_MM]
 
