@@ -262,7 +262,9 @@ def _facts(spec: SheetSpec, shot: Shot) -> tuple[str, ...]:
 
 def _notes(spec: SheetSpec, comparison: SheetComparison, *, stand_in_eyes: bool) -> tuple[str, ...]:
     shots, shot, truth = comparison.shots, comparison.shots[0], comparison.truth
-    notes = ["uncertainty: expected RMS distance of the skin from an animator's keys"]
+    notes = [
+        "uncertainty: expected RMS distance of the skin from an animator's keys; grey: not known"
+    ]
     if truth is not None:
         notes = [
             "error: RMS distance of the skin from the keys, without gaze and tongue",
