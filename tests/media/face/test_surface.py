@@ -1,9 +1,11 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from tests.media.forms import mesh, sphere
 from usdface.media.face.mesh_topology import normal_operator, vertex_normals
-from usdface.media.face.parts import FacePart, part_from_name
+from usdface.media.face.parts import FacePart, find_pieces, part_from_name
 from usdface.media.face.subdivision import catmull_clark
 from usdface.numerics.surface.triangulation import triangulate
 
@@ -84,3 +86,23 @@ def test_subdivision_keeps_the_way_polygons_face() -> None:
 )
 def test_names_tell_what_a_mesh_is(name: str, part: FacePart | None) -> None:
     assert part_from_name(name) == part
+
+
+@pytest.mark.parametrize("path", ["/Hero/eye_left", "/Hero/button"])
+def test_an_eye_with_a_flat_back_is_an_eyeball_where_its_name_says_so(path: str) -> None:
+    head = sphere(100.0, path="/Hero/head")
+    ball = sphere(20.0, rows=8, columns=12, path=path)
+    middle = np.array([40.0, 30.0, 85.0])
+    front = ball.points[:, 2] >= -1
+    corners = np.where(front, np.cumsum(front) - 1, front.sum())  # the back is one point
+    half = replace(
+        ball,
+        points=np.concatenate([ball.points[front], np.zeros((1, 3))]) + middle,
+        face_indices=corners[ball.face_indices],
+    )
+    pieces = find_pieces([head, half], exposure=np.ones(len(head.points) + len(half.points)))
+    balls = [each for each in pieces.eyeballs.values() if each.radius < 50]
+    assert len(balls) == ("eye" in path)
+    for each in balls:
+        np.testing.assert_allclose(each.center, middle, atol=0.5)
+        assert each.radius == pytest.approx(20.0, rel=0.02)

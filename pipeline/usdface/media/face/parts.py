@@ -102,7 +102,8 @@ def find_pieces(meshes: Sequence[RigMesh], *, exposure: FloatArray) -> Pieces:
         piece: ball
         for piece in range(count)
         if (unnamed[piece] or parts[piece] == FacePart.EYE)
-        and (ball := _fit_eyeball(points[members[piece]], head_width=width)) is not None
+        and (ball := _fit_eyeball(points[members[piece]], width, certain=not unnamed[piece]))
+        is not None
     }
     eyeballs = _in_pairs(eyeballs, certain=parts == FacePart.EYE)
     eyeballs, inner = _outermost(eyeballs)
@@ -151,21 +152,36 @@ def _width(points: FloatArray) -> float:
     return float(max(high - low, 1e-9))
 
 
-def _fit_eyeball(cloud: FloatArray, *, head_width: float) -> Eyeball | None:
-    """Fit a sphere by least squares; None where the piece is not nearly one."""
+def _fit_eyeball(cloud: FloatArray, head_width: float, *, certain: bool) -> Eyeball | None:
+    """Fit a sphere by least squares; None where the piece is not nearly one.
+
+    What its name calls an eye may have a flat back or a hollow iris: the quarter of its points that
+    are farthest from the first sphere is left out of a second.
+    """
     if len(cloud) < 20:
         return None
+    kept = cloud
+    center, radius = _fit_sphere(kept)
+    if certain:
+        away = np.abs(np.linalg.norm(cloud - center, axis=1) - radius)
+        kept = cloud[away <= np.quantile(away, 0.75)]
+        center, radius = _fit_sphere(kept)
+    spread = np.std(np.linalg.norm(kept - center, axis=1))
+    across = np.ptp(cloud, axis=0)[:2]
+    fits = spread < _SPHERE_MISFIT * radius and np.all(across > 1.4 * radius)
+    if not fits or not 0.02 * head_width < radius < 0.25 * head_width:
+        return None
+    return Eyeball(center=center, radius=radius)
+
+
+def _fit_sphere(cloud: FloatArray) -> tuple[FloatArray, float]:
+    """Return centre and radius of the sphere nearest to points, by least squares."""
     middle = cloud.mean(axis=0)
     local = cloud - middle
     system = np.column_stack([2 * local, np.ones(len(local))])
     solution = np.linalg.lstsq(system, np.sum(local**2, axis=1), rcond=None)[0]
     radius = float(np.sqrt(max(solution[3] + solution[:3] @ solution[:3], 0.0)))
-    spread = np.std(np.linalg.norm(local - solution[:3], axis=1))
-    across = np.ptp(cloud, axis=0)[:2]
-    fits = spread < _SPHERE_MISFIT * radius and np.all(across > 1.4 * radius)
-    if not fits or not 0.02 * head_width < radius < 0.25 * head_width:
-        return None
-    return Eyeball(center=middle + solution[:3], radius=radius)
+    return middle + solution[:3], radius
 
 
 def _in_pairs(balls: dict[int, Eyeball], *, certain: FloatArray) -> dict[int, Eyeball]:
