@@ -47,7 +47,9 @@ def test_the_level_of_a_take_is_that_of_most_frames(frames: int, level: str) -> 
     verdict = judge_solve(found)
     assert verdict.level == level
     if level != "good":
-        assert verdict.sentence.endswith(f"see the brows in {frames}% of the frames")
+        limit = "50%" if level == "bad" else "75%"
+        counted = f"; coverage below {limit}: the brows in {frames}% of the frames"
+        assert verdict.sentence.endswith(counted)
 
 
 def test_a_take_of_brows_by_references_of_cheeks_is_red_and_says_why_and_what_to_do() -> None:
@@ -57,11 +59,28 @@ def test_a_take_of_brows_by_references_of_cheeks_is_red_and_says_why_and_what_to
     assert verdict.level == "bad"
     for words in ("cover 0% of the frames", "none of the 30 references is tuned", "1.6 mm away"):
         assert words in verdict.sentence
-    assert "see the brows in 100% of the frames, the mouth in 100%" in verdict.sentence
+    assert verdict.sentence.endswith(
+        "; residual over 1 mm or coverage below 50%: the brows in 100% of the frames, "
+        "the mouth in 100%"
+    )
     assert verdict.advice == (
         "add frames of this take to the references, chosen for the brows and the mouth, and tune "
         "the references (30 are proposals), then train and map again"
     )
+
+
+def test_the_limits_that_are_counted_are_those_of_the_level_and_of_the_figures() -> None:
+    found = evidence()
+    found.uncertainty_mm[:80, 2] = 0.6
+    found.uncertainty_mm[:40, 2] = 1.1
+    found.coverage[:3, 2] = 0.4
+    verdict = judge_solve(found)
+    assert verdict.sentence.endswith("; expected error over 0.5 mm: the mouth in 80% of the frames")
+    found.uncertainty_mm[:60, 2] = 1.1
+    verdict = judge_solve(found)
+    assert verdict.sentence.endswith("; expected error over 1 mm: the mouth in 60% of the frames")
+    keys = judge_solve(replace(found, error_mm=np.tile([0.3, 0.2, 0.7], (100, 1))))
+    assert keys.sentence.endswith("; error over 0.5 mm: the mouth in 100% of the frames")
 
 
 def test_proposals_are_never_good() -> None:

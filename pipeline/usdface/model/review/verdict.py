@@ -73,27 +73,27 @@ class SolveEvidence:
     has_video: bool = False
     """Whether there is a video to compare with."""
 
-    def exceeds(self, seen_mm: float, uncovered: float) -> BoolArray | None:
-        """Return where a figure is beyond its limit: (frames, regions); None if none is known."""
+    def exceeds(self, seen_mm: float, uncovered: float) -> dict[str, BoolArray]:
+        """Return where each figure is beyond its limit, (frames, regions), by what it exceeds."""
         if self.error_mm is not None:
-            return np.nan_to_num(self.error_mm) > seen_mm
-        found = [
-            each > seen_mm for each in (self.uncertainty_mm, self.residual_mm) if each is not None
-        ]
+            return {f"error over {seen_mm:g} mm": np.nan_to_num(self.error_mm) > seen_mm}
+        lengths = {"expected error": self.uncertainty_mm, "residual": self.residual_mm}
+        found = {
+            f"{name} over {seen_mm:g} mm": each > seen_mm
+            for name, each in lengths.items()
+            if each is not None
+        }
         if self.coverage is not None:
-            found.append(self.coverage < 1 - uncovered)
-        if not found:
-            return None
-        width = min(each.shape[1] for each in found)  # earlier versions knew the face alone
-        beyond: BoolArray = np.any([each[:, :width] for each in found], axis=0)
-        return beyond
+            found[f"coverage below {1 - uncovered:.0%}"] = self.coverage < 1 - uncovered
+        width = min((each.shape[1] for each in found.values()), default=0)
+        return {name: each[:, :width] for name, each in found.items()}  # earlier versions: the face
 
 
 def judge_solve(evidence: SolveEvidence) -> SolveVerdict:
     """Judge a solve: what every picture, page and message says of it."""
-    bad = evidence.exceeds(SEEN_MM, _GUESSED_SHARE)
-    doubtful = evidence.exceeds(SEEN_MM / 2, UNCOVERED_SHARE)
-    if bad is None or doubtful is None:
+    beyond_bad = evidence.exceeds(SEEN_MM, _GUESSED_SHARE)
+    beyond_doubtful = evidence.exceeds(SEEN_MM / 2, UNCOVERED_SHARE)
+    if not beyond_bad:
         if evidence.retarget or not evidence.by_markers:
             what = evidence.retarget or "weights of another solver"
             return SolveVerdict(
@@ -107,6 +107,7 @@ def judge_solve(evidence: SolveEvidence) -> SolveVerdict:
             f"{OPENINGS['check']}: nothing is known of this solve's references or its error",
             "map it with this version, or measure it against keys (--against)",
         )
+    bad, doubtful = (np.any([*beyond.values()], axis=0) for beyond in (beyond_bad, beyond_doubtful))
     bad_share, doubtful_share = bad.any(axis=1).mean(), doubtful.any(axis=1).mean()
     proposals = _learnt_from_proposals(evidence)
     if bad_share > _BAD_SHARE:
@@ -120,7 +121,9 @@ def judge_solve(evidence: SolveEvidence) -> SolveVerdict:
     parts = [_coverage(evidence), _tuned(evidence), _changed(evidence)]
     parts += [_error(evidence), _residual(evidence)]
     if level != "good" and where:
-        parts.append(f"see {_list_regions(where)}")
+        beyond = beyond_bad if level == "bad" else beyond_doubtful
+        columns = [evidence.regions.index(region) for region in where]
+        parts.append(f"{_list_limits(beyond, columns)}: {_list_regions(where)}")
     return SolveVerdict(
         level,
         f"{OPENINGS[level]}: {'; '.join(filter(None, parts))}",
@@ -157,7 +160,9 @@ def _learnt_from_proposals(evidence: SolveEvidence) -> bool:
 def _shown(evidence: SolveEvidence) -> bool:
     """Whether the references show most frames, so that only their weights may be wrong."""
     beyond = replace(evidence, uncertainty_mm=None).exceeds(SEEN_MM, _GUESSED_SHARE)
-    return beyond is not None and bool(beyond.any(axis=1).mean() <= _BAD_SHARE)
+    return bool(beyond) and bool(
+        np.any([*beyond.values()], axis=0).any(axis=1).mean() <= _BAD_SHARE
+    )
 
 
 def _worst_regions(regions: Sequence[str], shares: FloatArray) -> dict[str, float]:
@@ -168,6 +173,14 @@ def _worst_regions(regions: Sequence[str], shares: FloatArray) -> dict[str, floa
         if share > _CHANCE_SHARE
     }
     return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+
+def _list_limits(beyond: Mapping[str, BoolArray], columns: list[int]) -> str:
+    """Return the limits that frames of some regions are beyond: those that more than chance are."""
+    shares = {name: each[:, columns].mean(axis=0).max() for name, each in beyond.items()}
+    most = max(shares.values())
+    listed = [name for name, share in shares.items() if share >= min(_CHANCE_SHARE, most)]
+    return " or ".join(listed)
 
 
 def _list_regions(where: dict[str, float]) -> str:
