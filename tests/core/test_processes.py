@@ -13,9 +13,10 @@ from usdface.core.processes import process_count, worker_processes
 
 SCRIPT = """
 import os, signal, sys, threading, time
+from functools import partial
 from usdface.core.processes import worker_processes
 print("script", flush=True)
-with worker_processes(1, print, "set up") as give_work:
+with worker_processes(1, partial(print, flush=True), "set up") as give_work:
     print(give_work(os.getpid).result() != os.getpid(), flush=True)
     work = give_work(time.sleep, float(sys.argv[1]))
     print("sleeping", flush=True)
