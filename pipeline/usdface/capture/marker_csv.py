@@ -12,7 +12,12 @@ from usdface.capture.marker_take import (
     build_table_take,
     settle_space,
 )
-from usdface.capture.sample_times import rate_of_times, settle_frame_numbers
+from usdface.capture.sample_times import (
+    index_kind,
+    index_seconds,
+    rate_of_times,
+    settle_frame_numbers,
+)
 from usdface.capture.text_table import (
     head_lines,
     read_header,
@@ -26,8 +31,6 @@ from usdface.core.rates import exact_rate
 from usdface.core.text import first_few, pluralize
 
 _X = re.compile(r"(.+)[._: ]x", re.IGNORECASE)
-_FRAME = ("frame", "frame#")
-_TIME = ("time", "time_s", "time (s)", "time (seconds)", "seconds", "timestamp")
 
 
 def is_marker_csv(head: bytes) -> bool:
@@ -37,7 +40,7 @@ def is_marker_csv(head: bytes) -> bool:
         return False
     titles = [title.strip('" ') for title in lines[0].split(sniff_delimiter(lines[0]) or ",")]
     coordinates = 3 * len(_triples(titles))
-    least = 3 if titles[0].lower() in _FRAME else max(9, len(titles) / 2)
+    least = 3 if index_kind(titles[0]) == "frame" else max(9, len(titles) / 2)
     return coordinates >= least
 
 
@@ -46,26 +49,26 @@ def read_marker_csv(path: Path, options: CaptureOptions) -> Capture:
     lines = read_lines(path)
     header, delimiter, titles = read_header(lines)
     triples = _triples(titles)
-    lowered = [title.lower() for title in titles]
-    frame_at = next((at for at, title in enumerate(lowered) if title in _FRAME), None)
-    time_at = next((at for at, title in enumerate(lowered) if title in _TIME), None)
-    if frame_at is None or (time_at is None and options.rate is None) or not triples:
+    at = {kind: place for place, title in enumerate(titles) if (kind := index_kind(title))}
+    timed = "time" in at or "ms" in at
+    if "frame" not in at or not (timed or options.rate is not None) or not triples:
         raise InputError(
-            f"{header.where}: it must name a column frame, a column time_s in seconds, and NAME.x, "
+            f"{header.where}: it must name a column frame, a column time_s or time_ms, and NAME.x, "
             f"NAME.y, NAME.z for each marker (found {', '.join(titles[:4])[:60]}, …); add what is "
             "missing, or state the frames per second with --rate"
         )
-    read = {frame_at, time_at} | {at + axis for at in triples.values() for axis in range(3)}
-    others = [at for at in range(len(titles)) if at not in read]
+    read = {at.get(kind) for kind in ("frame", "time", "ms")}
+    read |= {place + axis for place in triples.values() for axis in range(3)}
+    others = [place for place in range(len(titles)) if place not in read]
     table = read_number_table(
         lines, titles, path=path, delimiter=delimiter, gaps=True, texts=others
     )
     first_frame, frames = settle_frame_numbers(
-        table.values[:, frame_at], table.lines, where=str(path)
+        table.values[:, at["frame"]], table.lines, where=str(path)
     )
     notes: list[str] = []
     if others:
-        named = first_few([titles[at] for at in others])
+        named = first_few([titles[place] for place in others])
         notes.append(f"{pluralize(len(others), 'column')} other than markers left out: {named}")
     to_mm = settle_space(
         "",
@@ -80,7 +83,7 @@ def read_marker_csv(path: Path, options: CaptureOptions) -> Capture:
         CaptureHeader(
             path,
             "marker-csv",
-            _rate(table.values, time_at, frames, options, path),
+            _rate(index_seconds(at, table.values), frames, options, path),
             first_frame,
             notes=notes,
         ),
@@ -92,16 +95,12 @@ def read_marker_csv(path: Path, options: CaptureOptions) -> Capture:
 
 
 def _rate(
-    values: FloatArray,
-    time_at: int | None,
-    frames: IntArray,
-    options: CaptureOptions,
-    path: Path,
+    seconds: FloatArray | None, frames: IntArray, options: CaptureOptions, path: Path
 ) -> Fraction:
     """Return what the times tell; where the rate is stated they are not needed."""
-    if options.rate is not None or time_at is None:
+    if options.rate is not None or seconds is None:
         return exact_rate(options.rate or 0.0, where="--rate")
-    return rate_of_times(values[:, time_at], frames, where=str(path))
+    return rate_of_times(seconds, frames, where=str(path))
 
 
 def _triples(titles: list[str]) -> dict[str, int]:

@@ -110,7 +110,7 @@ def build_marker_take(
     positions : (frames, markers, 3) float32 array
         [mm]; changed in place. Anything where not visible.
     visible : (frames, markers) bool array
-        Changed in place: samples that are not finite, at the origin or beyond `FARTHEST_MM` are
+        Changed in place: samples that are not finite, alike on all axes or beyond `FARTHEST_MM` are
         not seen whatever the file says.
     """
     path, first_frame = header.path, header.first_frame
@@ -180,11 +180,16 @@ def _hide_impossible(positions: Float32Array, visible: BoolArray) -> list[str]:
         with np.errstate(invalid="ignore"):
             reach = np.maximum(np.maximum(size[..., 0], size[..., 1]), size[..., 2])
             broken = seen & ~np.isfinite(reach)
-            origin = seen & (reach == 0)
-            far = seen & ~broken & (reach > FARTHEST_MM)
-        counts += [broken.sum(), origin.sum(), far.sum()]
-        seen &= ~(broken | origin | far)
-    reasons = ("not numbers", "exactly at the origin", f"more than {FARTHEST_MM / 1000:g} m away")
+            # 0, 0, 0 or -9999.99 three times, as programs write what they did not see
+            alike = seen & (size[..., 0] == size[..., 1]) & (size[..., 1] == size[..., 2])
+            far = seen & ~broken & ~alike & (reach > FARTHEST_MM)
+        counts += [broken.sum(), alike.sum(), far.sum()]
+        seen &= ~(broken | alike | far)
+    reasons = (
+        "not numbers",
+        "the same on all three axes, such as the origin",
+        f"more than {FARTHEST_MM / 1000:g} m away",
+    )
     return [
         f"{pluralize(count, 'sample')} {reason}, counted as gaps"
         for count, reason in zip(counts.tolist(), reasons, strict=True)

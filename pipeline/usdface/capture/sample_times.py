@@ -1,5 +1,6 @@
 """When samples were taken: the rate behind written times, and the frame each sample belongs to."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -9,6 +10,14 @@ from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.errors import InputError
 from usdface.core.rates import NTSC_BASES, exact_rate
 
+_INDEX_TITLES = {
+    "frame": ("frame", "frame#", "frames", "frame_number", "frame number", "framenumber"),
+    "time": ("time", "time_s", "time (s)", "time (seconds)", "seconds", "timestamp", "t"),
+    "ms": ("time_ms", "timestamp_ms", "timestampms", "milliseconds", "ms"),
+    "take": ("take", "take_name", "clip"),
+    "timecode": ("timecode", "tc"),
+}
+"""What tables call the columns that say which sample a row is."""
 DEVICE_RATES = (15, 20, 24, 25, 30, 48, 50, 60, 90, 100, 120, 240)
 """What cameras and phones are set to; their clocks are close to it, never exact."""
 _CLOCK_ERROR = 0.005
@@ -203,3 +212,25 @@ def picture_frames(times: FloatArray, rate: Fraction | None) -> tuple[Fraction, 
     whole = np.rint(frames)
     # A tenth of a frame: times are rounded.
     return rate, whole if np.abs(frames - whole).max() < 0.1 else frames
+
+
+def index_kind(title: str) -> str:
+    """Return ``'frame'``, ``'time'``, ``'ms'``, ``'take'`` or ``'timecode'``; empty for others."""
+    lowered = title.strip().lower()
+    return next((kind for kind, names in _INDEX_TITLES.items() if lowered in names), "")
+
+
+def index_seconds(at: Mapping[str, int], values: FloatArray) -> FloatArray | None:
+    """Return the times of rows [s] by the columns of their kinds; None where there are none."""
+    if "ms" in at:
+        return values[:, at["ms"]] * 1e-3
+    if "time" not in at:
+        return None
+    times = values[:, at["time"]]
+    if len(times) < 2:
+        return times
+    # No face is captured once a second or slower: steps of one and more are milliseconds.
+    steps = np.diff(times)
+    if "frame" in at:  # keys are farther apart than frames
+        steps = steps / np.maximum(np.diff(values[:, at["frame"]]), 1.0)
+    return times * 1e-3 if np.median(steps) >= 1.0 else times

@@ -8,7 +8,7 @@ others write. ``.npy``: a matrix, with names in a file beside it.
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from usdface.capture.sample_times import index_kind, index_seconds
 from usdface.capture.text_table import (
     head_lines,
     read_header,
@@ -32,13 +33,6 @@ from usdface.core.text import first_few, read_json, read_text
 
 LARGEST_JSON_BYTES = 1 << 30
 _LARGEST_NAMES_BYTES = 16 << 20
-_INDEX = {
-    "frame": ("frame", "frame#", "frames", "frame_number", "frame number", "framenumber"),
-    "time": ("time", "time_s", "time (s)", "time (seconds)", "seconds", "timestamp", "t"),
-    "ms": ("time_ms", "timestamp_ms", "timestampms", "milliseconds", "ms"),
-    "take": ("take", "take_name", "clip"),
-    "timecode": ("timecode", "tc"),
-}
 _COUNTED = ("frame", "time", "ms")
 _TEXTS = ("take", "timecode")
 _NAME_KEYS = (
@@ -107,7 +101,7 @@ def is_weight_csv(head: bytes) -> bool:
         return False
     titles = [cell.strip('" ') for cell in lines[0].split(delimiter)]
     cells = [cell.strip('" ') for cell in lines[1].split(delimiter)]
-    kinds = [_kind(title) for title in titles]
+    kinds = [index_kind(title) for title in titles]
     shapes = [title for title, kind in zip(titles, kinds, strict=True) if title and not kind]
     if len(shapes) < _FEWEST_SHAPES or any(map(_NUMBER.fullmatch, shapes)):
         return False
@@ -148,15 +142,10 @@ def read_weight_samples(path: Path, *, shapes: Path | None = None) -> WeightSamp
     return samples
 
 
-def _kind(title: str) -> str:
-    lowered = title.strip().lower()
-    return next((kind for kind, names in _INDEX.items() if lowered in names), "")
-
-
 def _read_csv(path: Path) -> WeightSamples:
     lines = read_lines(path)
     header, delimiter, titles = read_header(lines)
-    kinds = [_kind(title) for title in titles]
+    kinds = [index_kind(title) for title in titles]
     if not any(kind in ("frame", "time", "ms") for kind in kinds) and len(titles) < _FEWEST_SHAPES:
         raise InputError(
             f"{header.where}: has no `frame` column; the first line must name the columns"
@@ -175,24 +164,9 @@ def _read_csv(path: Path) -> WeightSamples:
         table.values[:, columns],
         table.lines,
         table.values[:, at["frame"]] if "frame" in at else None,
-        _seconds(at, table.values),
+        index_seconds(at, table.values),
         tuple(table.texts[at["take"]]) if "take" in at else (),
     )
-
-
-def _seconds(at: Mapping[str, int], values: FloatArray) -> FloatArray | None:
-    if "ms" in at:
-        return values[:, at["ms"]] * 1e-3
-    if "time" not in at:
-        return None
-    times = values[:, at["time"]]
-    if len(times) < 2:
-        return times
-    # No face is captured once a second or slower: steps of one and more are milliseconds.
-    steps = np.diff(times)
-    if "frame" in at:  # keys are farther apart than frames
-        steps = steps / np.maximum(np.diff(values[:, at["frame"]]), 1.0)
-    return times * 1e-3 if np.median(steps) >= 1.0 else times
 
 
 def _read_json(path: Path) -> WeightSamples:
@@ -226,7 +200,7 @@ def _named_rows(path: Path, names: list[Any], matrix: list[Any]) -> list[dict[st
         beside = {}
         weights = row
         if isinstance(row, dict):
-            beside = {name: value for name, value in row.items() if _kind(name)}
+            beside = {name: value for name, value in row.items() if index_kind(name)}
             weights = next((row[key] for key in _ROW_KEYS if key in row), None)
         if not isinstance(weights, list) or len(weights) != len(names):
             count = len(weights) if isinstance(weights, list) else 0
@@ -240,13 +214,14 @@ def _named_rows(path: Path, names: list[Any], matrix: list[Any]) -> list[dict[st
 def _json_rows(path: Path, data: list[Any]) -> WeightSamples:
     rows = [_flat(path, index, row) for index, row in enumerate(data)]
     keys = list(dict.fromkeys(name for row in rows for name in row))
-    at = {_kind(name): name for name in keys if _kind(name)}
-    spare = [name for name in keys if at.get(_kind(name), name) != name]
+    at = {index_kind(name): name for name in keys if index_kind(name)}
+    spare = [name for name in keys if at.get(index_kind(name), name) != name]
     if spare:
         raise InputError(
-            f"{path}: {spare[0]} and {at[_kind(spare[0])]} both say {_kind(spare[0])}; keep one"
+            f"{path}: {spare[0]} and {at[index_kind(spare[0])]} both say "
+            f"{index_kind(spare[0])}; keep one"
         )
-    names = [name for name in keys if not _kind(name)]
+    names = [name for name in keys if not index_kind(name)]
     values = np.zeros((len(rows), len(names)))
     for index, row in enumerate(rows):
         for column, name in enumerate(names):
@@ -261,10 +236,10 @@ def _json_rows(path: Path, data: list[Any]) -> WeightSamples:
 
     counted = {kind: found for kind in _COUNTED if (found := series(kind)) is not None}
     frames, places = counted.get("frame"), {kind: place for place, kind in enumerate(counted)}
-    seconds = _seconds(places, np.stack([*counted.values()], axis=1)) if counted else None
+    seconds = index_seconds(places, np.stack([*counted.values()], axis=1)) if counted else None
     takes = tuple(str(row.get(at["take"], "")) for row in rows) if "take" in at else ()
     lines = np.arange(1, len(rows) + 1)
-    faces = np.flatnonzero([any(not _kind(name) for name in row) for row in rows])
+    faces = np.flatnonzero([any(not index_kind(name) for name in row) for row in rows])
     if 0 < len(faces) < len(rows) and frames is None and seconds is None:
         frames = lines.astype(np.float64)
     # A picture without a face is no face at rest: its row is left out, as a dropped frame is.
@@ -288,7 +263,7 @@ def _flat(path: Path, index: int, row: Any) -> dict[str, Any]:
             )
         inner = lists[0]
     nested = inner if isinstance(inner, dict) else _categories(path, index, inner)
-    return {name: value for name, value in row.items() if _kind(name)} | nested
+    return {name: value for name, value in row.items() if index_kind(name)} | nested
 
 
 def _categories(path: Path, index: int, row: list[Any]) -> dict[str, Any]:
@@ -313,7 +288,7 @@ def read_cell(path: Path, where: str, column: str, value: object) -> float:
         number = float(str(value)) if not isinstance(value, bool) else float("nan")
     except ValueError:
         number = float("nan")
-    if not np.isfinite(number) or (_kind(column) == "frame" and abs(number) >= FARTHEST_FRAME):
+    if not np.isfinite(number) or (index_kind(column) == "frame" and abs(number) >= FARTHEST_FRAME):
         raise InputError(f"{path} {where}, column {column!r}: {value!r} is no number; correct it")
     return number
 
