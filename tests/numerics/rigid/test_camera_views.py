@@ -68,19 +68,40 @@ def test_what_one_camera_sees_is_nowhere() -> None:
     assert np.isnan(twice).all()
 
 
-def test_heads_are_averaged_where_the_points_are() -> None:
-    """Whatever size, place and turn each camera gives its head: alike, they are the points."""
+def heads_of(points: np.ndarray, *others: np.ndarray) -> np.ndarray:
+    """What cameras measure by themselves: points of any size, place and turn, (views, 6, 30, 3)."""
     rng = np.random.default_rng(2)
     heads = []
-    for size in (0.9, 1.1):
+    for size, seen in zip((0.9, 1.1), (points, *others), strict=True):
         turn = Rotation.random(6, random_state=rng).as_matrix()
-        heads.append(size * POINTS @ turn + rng.normal(size=(6, 1, 3)) * 500)
-    weights, rigid = np.ones((2, 6, 30)), np.r_[np.ones(20), np.zeros(10)]
-    np.testing.assert_allclose(average_heads(POINTS, np.stack(heads), weights, rigid), POINTS)
-    heads[1][:, 25] += 7.0  # of no rigid point: the mean takes half of it, or its weight's share
-    off = np.linalg.norm(average_heads(POINTS, np.stack(heads), weights, rigid) - POINTS, axis=2)
-    np.testing.assert_allclose(off[:, 25], 7 * np.sqrt(3) / 1.1 / 2, rtol=1e-6)
-    weights[1, :, 25] = 1 / 9
-    off = np.linalg.norm(average_heads(POINTS, np.stack(heads), weights, rigid) - POINTS, axis=2)
-    np.testing.assert_allclose(off[:, 25], 7 * np.sqrt(3) / 1.1 / 10, rtol=1e-6)
-    assert np.delete(off, 25, axis=1).max() < 1e-9
+        heads.append(size * seen @ turn + rng.normal(size=(6, 1, 3)) * 500)
+    return np.stack(heads)
+
+
+RIGID = np.r_[np.ones(20), np.zeros(10)]
+
+
+def test_heads_are_averaged_where_the_points_are() -> None:
+    """Whatever size, place and turn each camera gives its head: alike, they are the points."""
+    weights = np.ones((2, 6, 30))
+    np.testing.assert_allclose(
+        average_heads(POINTS, heads_of(POINTS, POINTS), weights, RIGID), POINTS
+    )
+    other = POINTS.copy()
+    other[:, 25, 0] += np.tile([7.0, -7.0], 3)  # no rigid point, and no offset that stays
+    heads = heads_of(POINTS, other)
+    for weight in (1.0, 1 / 9):
+        weights[1, :, 25] = weight
+        off = np.linalg.norm(average_heads(POINTS, heads, weights, RIGID) - POINTS, axis=2)
+        np.testing.assert_allclose(off[:, 25], 7 * weight / (1 + weight), rtol=1e-6)
+        assert np.delete(off, 25, axis=1).max() < 1e-9
+
+
+def test_a_point_that_cameras_put_on_other_skin_does_not_jump_where_one_loses_it() -> None:
+    other = POINTS.copy()
+    other[:, 25] += (3.0, 0.0, 4.0)
+    weights = np.ones((2, 6, 30))
+    weights[0, 1, 25], weights[1, 3:, 25] = 0.1, 0.0
+    off = average_heads(POINTS, heads_of(POINTS, other), weights, RIGID) - POINTS
+    np.testing.assert_allclose(off[:, 25], np.tile([1.5, 0, 2.0], (6, 1)), atol=1e-9)
+    assert np.abs(np.delete(off, 25, axis=1)).max() < 1e-9

@@ -108,6 +108,10 @@ def average_heads(
     have the noise of one picture, along it that over the sine of the angle between two cameras:
     more than the depth that a model of faces tells from one picture.
 
+    A model puts a landmark on other skin as the face is seen from another side. What two cameras
+    differ by throughout, point by point, is taken from both, half each, so that the mean does not
+    jump where one of them loses the point.
+
     Parameters
     ----------
     points : (frames, points, 3) float array
@@ -120,8 +124,8 @@ def average_heads(
         What each point counts for how a head lies on the points: much where it moves with the
         skull.
     """
-    total, mean = np.zeros(points.shape[:2]), np.zeros(points.shape)
-    for head, weight in zip(heads, weights, strict=True):
+    placed, trust = np.zeros(heads.shape), np.zeros(weights.shape)
+    for view, (head, weight) in enumerate(zip(heads, weights, strict=True)):
         # Not by what is hidden: that follows the head's turn, and would bend the pose with it.
         counted = (weight > 0) * steadiness
         pose = align_frames(points, head, weights=counted)
@@ -135,7 +139,23 @@ def average_heads(
         if not usable.any():
             continue
         scale = np.median(sizes[usable] / spread[usable])  # the camera's distance is its own guess
-        trust = np.where(usable[:, None], weight, 0.0)
-        mean += trust[..., None] * (scale * own + middle)
-        total += trust
-    return np.where(total[..., None] > 0, mean / np.maximum(total, 1e-12)[..., None], points)
+        placed[view] = scale * own + middle
+        trust[view] = np.where(usable[:, None], weight, 0.0)
+    return _mean_without_offsets(placed, trust, otherwise=points)
+
+
+def _mean_without_offsets(
+    values: FloatArray, weights: FloatArray, *, otherwise: FloatArray
+) -> FloatArray:
+    """Return m (frames, points, 3) of values x = m + o of views, least Σ w |x - m - o|².
+
+    The offsets o are constant per view and point, their sum over the views 0.
+    """
+    share = weights / np.maximum(weights.sum(axis=0), 1e-12)
+    mean = (share[..., None] * values).sum(axis=0)
+    coupled = np.einsum("vfp,ufp->pvu", weights, share)
+    own = weights.sum(axis=1).T[:, :, None] * np.eye(len(values))
+    right = np.einsum("vfp,vfpc->pvc", weights, values - mean)
+    offsets = np.linalg.pinv(own - coupled, hermitian=True) @ right
+    mean -= np.einsum("vfp,pvc->fpc", share, offsets)
+    return np.where(weights.sum(axis=0)[..., None] > 0, mean, otherwise)
