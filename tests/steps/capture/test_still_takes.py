@@ -91,3 +91,16 @@ def test_frames_of_a_stream_that_froze_are_taken_for_unseen(shot: Shot, seconds:
     assert cleaned is not None
     assert cleaned.visible[201 : 201 + count].any() == (seconds < 0.5)
     assert cleaned.visible[150:200].any()
+
+
+def test_a_take_written_at_twice_the_rate_of_its_capture_is_named(shot: Shot) -> None:
+    take = read_take(shot / "shot.take.usda")
+    assert take.markers is not None
+    first = np.arange(take.frame_count) // 2 * 2
+    seen = take.markers.visible[first]
+    held = replace(take.markers, positions=take.markers.positions[first], visible=seen)
+    write_take(shot / "held.take.usda", replace(take, markers=held))
+    out = shot / "held.clean.take.usda"
+    notes = execute(CleanSpec(take=shot / "held.take.usda", out=out)).notes
+    said = f"captured at about {float(take.rate) / 2:g} frames per second and written at"
+    assert any(said in note for note in notes)

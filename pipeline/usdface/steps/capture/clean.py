@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, ByteImage, FloatArray, longest_run, runs
+from usdface.core.arrays import ByteImage, FloatArray, longest_run, runs
 from usdface.core.assets import Markers, Take
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
@@ -49,6 +49,9 @@ OUTLIER_COLOR, LEFT_COLOR = (206, 96, 190), (226, 74, 66)
 
 _COPIED_SECONDS = 0.5
 """Frames that repeat one to the last digit for so long are no capture: skin and noise tremble."""
+_HELD_SHARE = 0.15
+"""Of the frames: with more that repeat the one before, a slower capture was written at this rate,
+24 frames per second at 30 (a fifth) or 60 at 120 (half)."""
 
 _LISTED_SWAPS = 20
 """More repairs than this are counted, not listed."""
@@ -211,25 +214,36 @@ def _soft_notes(names: tuple[str, ...]) -> list[str]:
 
 
 def _without_copies(markers: Markers, take: Take) -> tuple[Markers, list[str]]:
-    """Take frames that repeat one frame for unseen, unless they are the larger part of the take."""
+    """Take frames that repeat one for unseen, unless a face is still in the larger part of it."""
     seen, copied = markers.visible, np.zeros(len(markers.visible), np.bool_)
     same = (markers.positions[1:] == markers.positions[:-1]).all(axis=2)
     copied[1:] = ((same & seen[1:]) | ~seen[1:]).all(axis=1) & (seen[1:] == seen[:-1]).all(axis=1)
     copied[1:] &= seen[1:].any(axis=1)
     least = _COPIED_SECONDS * float(take.rate)
     long = [(start, stop) for start, stop in runs(copied) if stop - start >= least]
-    count = sum(stop - start for start, stop in long)
-    if not long or count > len(copied) / 2:
-        return markers, []
-    visible: BoolArray = seen.copy()
+    frozen = np.zeros_like(copied)
     for start, stop in long:
-        visible[start:stop] = False
-    first = take.first_frame
-    listed = first_few([f"{first + start}-{first + stop - 1}" for start, stop in long])
-    return replace(markers, visible=visible), [
-        f"{pluralize(count, 'frame')} ({listed}) repeat the one before to the last digit: a stream "
-        "that froze; taken for unseen. Export them again if the capture has them"
-    ]
+        frozen[start:stop] = True
+    if frozen.sum() > len(copied) / 2:
+        return markers, []
+    notes = []
+    if long:
+        first = take.first_frame
+        listed = first_few([f"{first + start}-{first + stop - 1}" for start, stop in long])
+        notes.append(
+            f"{pluralize(int(frozen.sum()), 'frame')} ({listed}) repeat the one before to the last "
+            "digit: a stream that froze; taken for unseen. Export them again if the capture has "
+            "them"
+        )
+        markers = replace(markers, visible=seen & ~frozen[:, None])
+    held = float(copied[~frozen].mean())
+    if held > _HELD_SHARE:
+        notes.append(
+            f"{held:.0%} of the frames repeat the one before to the last digit: captured at about "
+            f"{float(take.rate) * (1 - held):.3g} frames per second and written at "
+            f"{float(take.rate):.4g}; motion comes out in steps. Export at the rate of the capture"
+        )
+    return markers, notes
 
 
 def _still_notes(cleaned: CleanedMarkers) -> list[str]:
