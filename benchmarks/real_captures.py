@@ -29,6 +29,7 @@ from usdface.demo.rig import demo_rig
 from usdface.model.placement.label_hints import label_hint, skin_motion_mm
 from usdface.model.selection.baseline import BlendshapeEquation, set_up_equation
 from usdface.numerics.registration.face_skin import FaceSkin, sample_face_skin
+from usdface.numerics.registration.skin_placement import explained_share, solve_weights_at
 from usdface.numerics.regression.cross_validation import surface_rms_mm
 from usdface.numerics.repair.cleaning import clean_markers
 from usdface.numerics.rigid.rigid_alignment import align_rigid_robust
@@ -187,7 +188,7 @@ def _placements(
                 begun = time.process_time()
                 equation = find_equation(head, positions, positions[0], (), given)
                 seconds = time.process_time() - begun
-                row = _row(equation, head, picked[rig_name], labels)
+                row = _row(equation, head, positions, picked[rig_name], labels)
                 print(f"| {rig_name}, {take}, {kind} | {_cells([*row, seconds])} |", flush=True)
                 worst[kind] = max(worst[kind], seconds)
                 if kind == "named":
@@ -231,6 +232,7 @@ def find_equation(
 def _row(
     equation: BlendshapeEquation,
     head: Head,
+    positions: FloatArray,
     picked: dict[str, list[float]],
     labels: tuple[str, ...],
 ) -> list[float]:
@@ -243,7 +245,11 @@ def _row(
     row.append(abs(float(np.degrees(np.arctan2(upward[0], upward[1])))))
     if equation.placement is None:
         raise SystemExit("the equation was set up without a placement")
-    return [*row, equation.placement.explained, equation.virtual.motion_scale]
+    moved = equation.motion(positions) @ head.skin.frame.T
+    samples = equation.placement.samples
+    weights = solve_weights_at(head.skin, samples, moved, head.rig.ranges)
+    share = explained_share(head.skin, samples, moved, weights)
+    return [*row, share, equation.virtual.motion_scale]
 
 
 def _motion_outside(

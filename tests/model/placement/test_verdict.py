@@ -57,7 +57,6 @@ class Bench:
             1.0,
             skin.frame.T,
             np.zeros(count),
-            np.zeros(count),
         )
         given = {"at": local @ skin.frame, "ranges": self.ranges, "by_labels": True} | changed
         cloud = given.pop("cloud", self.cloud)
@@ -127,7 +126,6 @@ def test_a_rig_without_shapes_for_a_region_is_told(bench: Bench) -> None:
             np.zeros((len(local), 3)),
             1.0,
             bare.frame.T,
-            np.zeros(len(local)),
             np.zeros(len(local)),
         ),
         at=local,

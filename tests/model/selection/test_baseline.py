@@ -32,7 +32,6 @@ def bent_equation(
         motion_scale=scale,
         rotation=np.eye(3) if turn is None else turn,
         distance_mm=np.zeros(MARKERS),
-        agreement=np.ones(MARKERS),
     )
     equation = BlendshapeEquation(
         virtual=virtual,

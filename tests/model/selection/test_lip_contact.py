@@ -49,7 +49,6 @@ def mouth() -> Mouth:
         motion_scale=1.0,
         rotation=np.eye(3),
         distance_mm=np.zeros(count),
-        agreement=np.ones(count),
     )
     keys = MarkerKeys(
         marker_deltas(virtual, deformer.shapes.key_offsets),

@@ -27,6 +27,7 @@ from usdface.numerics.registration.skin_placement import (
     fit_in_plane,
     in_character,
     place_on_skin,
+    solve_weights_at,
 )
 from usdface.numerics.registration.virtual_markers import VirtualMarkers
 
@@ -72,8 +73,6 @@ class MarkerPlacement:
     """(markers,): of the skin."""
     virtual: VirtualMarkers
     """The same as points of the rig, with the map from the performer's motion to the rig's."""
-    explained: float
-    """Share of the markers' motion that the shapes explain there [0-1]; NaN without motion."""
     by_labels: bool
     """Whether labels and landmarks placed the cloud, or motion alone."""
 
@@ -128,11 +127,7 @@ def place_markers(
     for marker, at in pins.items():
         samples[marker] = ((skin.positions - at) ** 2).sum(axis=1).argmin()
     virtual = _virtual_markers(scene, start, samples)
-    explained = float("nan")
-    if cloud.motion is not None:
-        moved = virtual.motion_scale * (cloud.motion @ virtual.rotation.T) @ skin.frame.T
-        explained = explained_share(skin, samples, moved, limits)
-    return MarkerPlacement(samples, virtual, explained, named)
+    return MarkerPlacement(samples, virtual, named)
 
 
 def _above_lid_margins(
@@ -162,7 +157,6 @@ def _virtual_markers(scene: "_Scene", start: "_Start", samples: IntArray) -> Vir
         _motion_scale(scene.cloud.neutral @ rotation.T, skin, samples),
         skin.frame.T @ rotation,
         np.linalg.norm(away, axis=1),
-        start.placement.agreement,
     )
 
 
@@ -316,7 +310,8 @@ def _value(scene: _Scene, start: _Start, frame: FloatArray, levelled: FloatArray
     value -= _WARP_COST * float(away.mean()) / skin.size_mm + size_cost(fit, scene.usual_scale)
     if motion is not None:
         moved = in_character(motion @ start.frame.T, placement.fit)
-        value += motion_value(explained_share(skin, placement.samples, moved, scene.ranges))
+        weights = solve_weights_at(skin, placement.samples, moved, scene.ranges)
+        value += motion_value(explained_share(skin, placement.samples, moved, weights))
     return value
 
 
@@ -346,7 +341,7 @@ def _by_shape(scene: _Scene) -> _Start:
     )
     alignment = placed.alignment
     fit = PlaneFit(alignment.rotation, alignment.scale, alignment.translation)
-    placement = SkinPlacement(placed.chosen, placed.warped, placed.agreement, fit)
+    placement = SkinPlacement(placed.chosen, placed.warped, fit)
     return _Start(np.eye(3), cloud.neutral, placement)
 
 

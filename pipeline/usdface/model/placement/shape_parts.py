@@ -89,10 +89,11 @@ def shape_parts(rig: Rig, deformer: Deformer) -> tuple[str, ...]:
             found[shape] = GAZE if part == "lids" else TONGUE
         else:
             found[shape] = template.part_at(skin.positions, on_skin) or found[shape]
+    least = MOST_MOVED_SHARE * motions.max(axis=1, initial=0.0)
     for eye in _eyes(motions, gaze_shapes(found), off_skin):
-        for shape in moving:  # a look down carries the lids as far as the eye
-            if motions[shape][eye].mean() > MOST_MOVED_SHARE * motions[shape].max():
-                found[shape] = GAZE
+        carried = motions[:, eye].mean(axis=1) > least  # a look down carries lids as far as the eye
+        for shape in np.intersect1d(moving, np.flatnonzero(carried)).tolist():
+            found[shape] = GAZE
     return tuple(found)
 
 

@@ -13,7 +13,11 @@ from usdface.model.placement.marker_cloud import MarkerCloud
 from usdface.model.placement.place import named_places
 from usdface.model.placement.rig_landmarks import find_landmarks
 from usdface.numerics.registration.face_skin import FaceSkin
-from usdface.numerics.registration.skin_placement import TYPICAL_SIZE_MM, explained_share
+from usdface.numerics.registration.skin_placement import (
+    TYPICAL_SIZE_MM,
+    explained_share,
+    solve_weights_at,
+)
 from usdface.numerics.registration.virtual_markers import VirtualMarkers
 
 _FAR_SPREADS = 3.0
@@ -114,12 +118,14 @@ def judge_placement(
     explained = float("nan")
     if cloud.motion is not None:
         moved = virtual.motion_scale * (cloud.motion @ virtual.rotation.T) @ skin.frame.T
-        explained = explained_share(skin, samples, moved, ranges)
+        weights = solve_weights_at(skin, samples, moved, ranges)
+        explained = explained_share(skin, samples, moved, weights)
         shift_mm = _SHIFT_SHARE * skin.size_mm
         gains = {}
         for way, step in _SHIFTS.items():
             there = np.asarray(nearest.query(local + np.multiply(step, shift_mm))[1], np.int64)
-            gains[way] = explained_share(skin, there, moved, ranges) - explained
+            shifted = solve_weights_at(skin, there, moved, ranges, start=weights)
+            gains[way] = explained_share(skin, there, moved, shifted) - explained
         reasons.append(_better_elsewhere(gains, shift_mm))
         reasons.append(_without_shapes(cloud.labels, moved, skin.deltas[:, samples], unit))
     if not by_labels and not placed:

@@ -270,9 +270,14 @@ def choose_by_design(
     chosen: dict[str, IntArray] = {}
     for name, design in DESIGNS.items():
         chosen[name] = rows[design(features_at(features, rows), count, already=known).chosen]
+    known_rows = np.unique(np.concatenate([already, *chosen.values()]))
+    weights = stand_ins.of_rows(known_rows)
     measured = {
-        name: stand_in_error_mm(features, np.concatenate([already, picks]), stand_ins)
+        name: stand_in_error_mm(
+            features_at(features, known_rows[taught]), weights[taught], stand_ins
+        )
         for name, picks in chosen.items()
+        for taught in [np.isin(known_rows, [*already, *picks])]
     }
     best = min(measured, key=lambda name: measured[name])
     return ReferenceChoice(in_order_of_worth(features, chosen[best], already), best, measured)
@@ -327,16 +332,17 @@ def choose_visemes(
     )
 
 
-def stand_in_error_mm(features: Features, rows: IntArray, stand_ins: CandidateMarkers) -> float:
-    """Return the error of stand-in weights predicted from some frames, over all [mm]."""
+def stand_in_error_mm(
+    features: FloatArray, weights: FloatArray, stand_ins: CandidateMarkers
+) -> float:
+    """Return the error of stand-in weights predicted from those of some frames, over all [mm].
+
+    Parameters
+    ----------
+    features, weights : (n, d) and (n, shapes) float arrays
+    """
     kernel = DesignKernel.for_rows(stand_ins.features)
-    predicted = predict_from(
-        kernel,
-        features_at(features, rows),
-        stand_ins.of_rows(rows),
-        stand_ins.features,
-        noise=KEY_VARIANCE,
-    )
+    predicted = predict_from(kernel, features, weights, stand_ins.features, noise=KEY_VARIANCE)
     error = predicted - stand_ins.weights
     squared = ((error @ stand_ins.gram) * error).sum(axis=1)
     return float(np.sqrt(np.maximum(squared, 0.0).mean()))

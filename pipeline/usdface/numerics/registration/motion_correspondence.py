@@ -48,9 +48,6 @@ class Placement:
     """(markers,): index of the skin sample."""
     warped: FloatArray
     """(markers, 3): where shape alone puts each marker, after the smooth warp."""
-    agreement: FloatArray
-    """(markers,): share of the path's energy that the shapes explain there [0-1]; NaN without
-    motion."""
     alignment: Alignment
     """Refitted to the placement."""
 
@@ -87,7 +84,6 @@ def place_by_motion(
     pins = pinned or {}
     warped = alignment.apply(cloud)
     chosen = cdist(warped, skin).argmin(axis=1)
-    agreement = np.full(len(cloud), np.nan)
     for radius in _SEARCH_RADII:
         away = cdist(warped, skin, "sqeuclidean") / (2 * (radius * size) ** 2)
         chosen = away.argmin(axis=1)
@@ -96,7 +92,6 @@ def place_by_motion(
             misfit = _path_misfit(alignment.apply_to_motion(motion), skin_deltas, chosen, ranges)
             cost = away + _EVIDENCE_SAMPLES / 2 * np.log(misfit + _MODEL_ERROR)
             chosen = cost.argmin(axis=1)
-            agreement = np.clip(1 - misfit[np.arange(len(cloud)), chosen], 0, 1)
             moved_to, moved_variance = _motion_evidence(away, cost, skin)
             moved_variance += (_LEAST_DEVIATION * size) ** 2
             target = (target / variance[:, None] + moved_to / moved_variance[:, None]) / (
@@ -112,7 +107,7 @@ def place_by_motion(
         )
         alignment = align_pairs(cloud, target, weight=trust)
         warped = _warp(alignment.apply(cloud), target, variance, size)
-    return Placement(chosen, warped, agreement, alignment)
+    return Placement(chosen, warped, alignment)
 
 
 def _motion_evidence(

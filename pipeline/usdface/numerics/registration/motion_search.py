@@ -25,6 +25,7 @@ from usdface.numerics.registration.skin_placement import (
     explained_share,
     in_character,
     pitch_rotation,
+    solve_weights_at,
 )
 
 LANDMARK_VALUE = 0.4
@@ -166,11 +167,12 @@ class _Search:
         skin, turn = self._skin, np.array([yaw, 1.0, yaw])
         placed = fit.apply(self._levelled * turn)
         away, near = map(np.asarray, self._tree.query(placed))
-        share = explained_share(skin, near, in_character(self._motion * turn, fit), self._ranges)
+        paths = in_character(self._motion * turn, fit)
+        weights = solve_weights_at(skin, near, paths, self._ranges)
         distance = np.sqrt(np.mean(np.minimum(away, _FARTHEST_MM) ** 2)) / skin.size_mm
         matched = match_landmarks(placed, self._landmarks, proportion_mm=_SEARCH_PROPORTION_MM)
         score = (
-            motion_value(share)
+            motion_value(explained_share(skin, near, paths, weights))
             - _DISTANCE_COST * float(distance)
             - size_cost(fit, self._usual_scale)
             + LANDMARK_VALUE * matched.score

@@ -19,7 +19,10 @@ from scipy.spatial.distance import cdist
 
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.numerics.registration.face_skin import FaceSkin
-from usdface.numerics.solve.bounded_least_squares import solve_bounded_least_squares
+from usdface.numerics.solve.bounded_least_squares import (
+    descend_in_boxes,
+    solve_bounded_least_squares,
+)
 
 TYPICAL_SIZE_MM = 55.0
 """Root mean square radius of an adult's moving face: lengths in mm below are on such a face."""
@@ -60,6 +63,9 @@ _GAIN_LIMITS = (0.5, 2.0)
 _RIDGE_MM2 = 25.0
 """(1.5 mm of noise / typical weight 0.3)^2."""
 
+_NEAR_STEPS = 60
+"""From the weights of the round before."""
+
 _FEWEST_LANDMARKS = 6
 """With fewer the cloud is placed by motion from the first round on."""
 
@@ -91,9 +97,6 @@ class SkinPlacement:
     """(markers,): of the skin."""
     warped: FloatArray
     """(markers, 3): before a sample was chosen [mm]."""
-    agreement: FloatArray
-    """(markers,): share of the marker's path that the shapes explain at its sample; NaN without
-    motion."""
     fit: PlaneFit
     """What the warp started from."""
 
@@ -178,7 +181,7 @@ def place_on_skin(
     tree = KDTree(skin.positions)
     paths = None if motion is None else in_character(motion, fit)
     warped = aligned.copy()
-    agreement = np.full(len(levelled), np.nan)
+    weights = None
     named = len(landmarks) >= _FEWEST_LANDMARKS
     off_centre = skin.positions[:, 0] - skin.sagittal_x
     near_plane = abs(aligned[:, 0] - skin.sagittal_x) < _CENTRAL_MM * unit
@@ -196,9 +199,9 @@ def place_on_skin(
             precision[marker] += pull
             target[marker] += pull * place
         if paths is not None and (number >= 3 or not named):
-            by_motion, firm, agreement = _motion_pull(
-                skin, warped, near, paths, ranges, still, reach * unit
-            )
+            weights = solve_weights_at(skin, near, paths, ranges, start=weights)
+            misfit = _path_misfit(skin, weights, paths)
+            by_motion, firm = _motion_pull(skin, warped, misfit, still, reach * unit)
             precision += firm[:, None]
             target += firm[:, None] * by_motion
         warped = _warp(aligned, target / precision, precision, skin)
@@ -210,8 +213,7 @@ def place_on_skin(
         for marker, (place, spread) in landmarks.items():
             prior[marker] += ((skin.positions - place) ** 2).sum(axis=1) / (2 * spread**2)
         samples = _settle(skin, prior, samples, paths, ranges, still)
-        agreement = _agreement(skin, samples, paths, ranges)
-    return SkinPlacement(samples, warped, agreement, fit)
+    return SkinPlacement(samples, warped, fit)
 
 
 def in_character(motion: FloatArray, fit: PlaneFit) -> FloatArray:
@@ -224,43 +226,56 @@ def in_character(motion: FloatArray, fit: PlaneFit) -> FloatArray:
 
 
 def explained_share(
-    skin: FaceSkin, samples: IntArray, paths: FloatArray, ranges: FloatArray
+    skin: FaceSkin, samples: IntArray, paths: FloatArray, weights: FloatArray
 ) -> float:
-    """Return how much of the markers' motion the shapes explain at their samples.
+    """Return how much of the markers' motion weights explain at their samples.
 
     The mean over markers of the share of each path's energy, weighted by its root; 0 where nothing
     moves.
     """
     if not paths.any():
         return 0.0
-    share = _agreement(skin, samples, paths, ranges)
-    weight = np.sqrt((paths**2).sum(axis=(0, 2)))
-    return float(weight @ share / weight.sum())
-
-
-def solve_weights_at(
-    skin: FaceSkin, samples: IntArray, paths: FloatArray, ranges: FloatArray
-) -> FloatArray:
-    """Return weights within their ranges from markers' displacements: (frames, shapes)."""
-    shapes = len(skin.deltas)
-    return solve_bounded_least_squares(
-        skin.deltas[:, samples].reshape(shapes, -1).T,
-        paths.reshape(len(paths), -1),
-        lower=ranges[:, 0],
-        upper=ranges[:, 1],
-        ridge=_RIDGE_MM2,
-    ).x
-
-
-def _agreement(
-    skin: FaceSkin, samples: IntArray, paths: FloatArray, ranges: FloatArray
-) -> FloatArray:
-    weights = solve_weights_at(skin, samples, paths, ranges)
     predicted = np.einsum("fk,kmc->fmc", weights, skin.deltas[:, samples], optimize=True)
     left = ((paths - predicted) ** 2).sum(axis=(0, 2))
     energy = (paths**2).sum(axis=(0, 2))
     noise = 3 * len(paths) * _NOISE_MM**2
-    return np.asarray(np.clip(1 - (left + noise) / (energy + noise), -1, 1))
+    share = np.clip(1 - (left + noise) / (energy + noise), -1, 1)
+    weight = np.sqrt(energy)
+    return float(weight @ share / weight.sum())
+
+
+def solve_weights_at(
+    skin: FaceSkin,
+    samples: IntArray,
+    paths: FloatArray,
+    ranges: FloatArray,
+    *,
+    start: FloatArray | None = None,
+) -> FloatArray:
+    """Return weights within their ranges from markers' displacements: (frames, shapes).
+
+    Parameters
+    ----------
+    start : (frames, shapes) float array, optional
+        Weights at samples nearby: these are followed to the solution, to some 0.01 mm of motion.
+    """
+    deltas = skin.deltas[:, samples].reshape(len(skin.deltas), -1)
+    flat = paths.reshape(len(paths), -1)
+    if start is None:
+        return solve_bounded_least_squares(
+            deltas.T, flat, lower=ranges[:, 0], upper=ranges[:, 1], ridge=_RIDGE_MM2
+        ).x
+    A, ridge = deltas.astype(np.float32), np.float32(_RIDGE_MM2)
+    lower, upper = (np.broadcast_to(limit, start.shape).astype(A.dtype) for limit in ranges.T)
+    return descend_in_boxes(
+        lambda z: (z @ A) @ A.T + ridge * z,
+        np.broadcast_to((A**2).sum(axis=1) + ridge, start.shape),
+        flat.astype(A.dtype) @ A.T,
+        lower=lower,
+        upper=upper,
+        start=start.astype(A.dtype),
+        steps=_NEAR_STEPS,
+    ).astype(np.float64)
 
 
 def _skin_pull(
@@ -277,18 +292,15 @@ def _skin_pull(
 def _motion_pull(
     skin: FaceSkin,
     warped: FloatArray,
-    near: IntArray,
-    paths: FloatArray,
-    ranges: FloatArray,
+    misfit: FloatArray,
     still: BoolArray,
     reach: float,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return where motion alone puts each marker, with what precision, and its agreement.
+) -> tuple[FloatArray, FloatArray]:
+    """Return where motion alone puts each marker, and with what precision.
 
     The belief after seeing the motion divided by the belief before it: a marker that hardly moves
     says nothing, rather than "the middle of what is near".
     """
-    misfit = _path_misfit(skin, near, paths, ranges)
     before = cdist(warped, skin.positions, "sqeuclidean") / (2 * reach**2)
     cost = before + _EVIDENCE_FRAMES / 2 * np.log(misfit + MODEL_ERROR_SHARE)
     mean_before, wide = belief_moments(before, skin.positions)
@@ -299,8 +311,7 @@ def _motion_pull(
     length = np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-9)
     place = warped + step * np.minimum(reach / length, 1.0)
     variance = narrow * wide / (wide - narrow) + (0.05 * skin.size_mm) ** 2
-    agreement = 1 - misfit[np.arange(len(warped)), near]
-    return place, np.where(still, 0.0, 1 / variance), agreement
+    return place, np.where(still, 0.0, 1 / variance)
 
 
 def belief_moments(cost: FloatArray, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -312,14 +323,11 @@ def belief_moments(cost: FloatArray, positions: FloatArray) -> tuple[FloatArray,
     return mean, np.maximum(spread, 1e-9) / 3
 
 
-def _path_misfit(
-    skin: FaceSkin, samples: IntArray, paths: FloatArray, ranges: FloatArray
-) -> FloatArray:
+def _path_misfit(skin: FaceSkin, weights: FloatArray, paths: FloatArray) -> FloatArray:
     """Return the share of each marker's path that each sample leaves unexplained.
 
     A path may be longer or shorter than the shapes': its own gain is fitted within limits.
     """
-    weights = solve_weights_at(skin, samples, paths, ranges)
     # Orthonormal times root: no longer than weights, with no more rows than shapes.
     basis, root = np.linalg.qr(weights)
     energy = (paths**2).sum(axis=(0, 2))
@@ -344,7 +352,7 @@ def _settle(
     still: BoolArray,
 ) -> IntArray:
     """Choose last between samples near the warped place: where it is and how it moves together."""
-    misfit = _path_misfit(skin, samples, paths, ranges)
+    misfit = _path_misfit(skin, solve_weights_at(skin, samples, paths, ranges), paths)
     misfit[still] = 1.0
     cost = prior + _EVIDENCE_FRAMES / 2 * np.log(misfit + MODEL_ERROR_SHARE)
     return np.where(np.isfinite(cost.min(axis=1)), cost.argmin(axis=1), samples)

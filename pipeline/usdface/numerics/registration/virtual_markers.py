@@ -34,9 +34,6 @@ class VirtualMarkers:
     distance_mm: FloatArray
     """(markers,): between the aligned marker and the place found for it: differing proportions, or
     a marker that is not on the face."""
-    agreement: FloatArray
-    """(markers,): share of the marker's motion that the shapes explain at that place [0-1]; NaN
-    when no motion was given. Near 0 for markers that hardly move."""
 
     def places(self, surface: FloatArray) -> FloatArray:
         """Return where the markers are on a surface's points: (markers, 3)."""

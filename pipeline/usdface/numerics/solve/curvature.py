@@ -7,9 +7,14 @@ the coordinates: with ``H = FF' + D`` and ``E = F / sqrt(D)``, by Woodbury's ide
     x = (u - E y) / sqrt(D),   (I + E'E) y = E'u,   u = b / sqrt(D)
 
 over the rows that are free. From one frame to the next, and from one exchange to the next, few
-rows come and go; the products ``E'E`` change by theirs.
+rows come and go: with ``I + E'E = LL'`` over others, C the rows that changed and S their signs,
+
+    y = L'^-1 (z - T (S + T'T)^-1 T'z),   z = L^-1 E'u,   T = L^-1 C'
+
+and where many changed, L is factored again.
 """
 
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -23,7 +28,9 @@ _DEPENDENT_RIDGE = 1e-6
 _LOW_RANK_SHARE = 0.4
 """[of the variables] Coordinates up to which systems are solved in them."""
 _MOST_COORDINATES = 500
-"""A block of frames keeps the products of each: 2 MB a frame."""
+"""A block of frames keeps the products and the factor of each: 4 MB a frame."""
+_MOST_CHANGES = 48
+"""Of a system's free variables, for which its factor is updated."""
 _LEAST_DIAGONAL = 1e-5
 """At unit diagonal: with less the detour by the coordinates loses digits."""
 
@@ -137,32 +144,55 @@ class _LowRank:
         return _LowRankSystems(self)
 
 
+@dataclass(frozen=True)
+class _Factored:
+    """``I + E'E`` over the free rows, and its Cholesky factor."""
+
+    free: BoolArray
+    products: FloatArray
+    lower: FloatArray
+
+
 class _LowRankSystems:
     def __init__(self, H: _LowRank) -> None:
         self._H = H
-        self._known: dict[int, tuple[BoolArray, FloatArray]] = {}
+        unit = np.eye(H.E.shape[1])
+        self._nothing = self._last = _Factored(np.zeros(len(H.E), np.bool_), unit, unit)
+        self._known: dict[int, _Factored] = {}
 
     def solve(
         self, rows: IntArray, b: FloatArray, fixed: FloatArray, free: BoolArray
     ) -> FloatArray:
-        from scipy.linalg.lapack import dposv
-
         H = self._H
         u = np.where(free, b - H.times(fixed), 0.0) / H.root
         y = u @ H.E
-        last = nothing = np.zeros(len(H.E), np.bool_), np.eye(H.E.shape[1])
         for index, (row, chosen) in enumerate(zip(rows.tolist(), free, strict=True)):
-            # This frame's products of the last exchange, those of the frame before, or none.
-            starts = (self._known.get(row, last), nothing)
-            start = min(starts, key=lambda start: np.count_nonzero(start[0] != chosen))
-            last = self._known[row] = chosen, self._products(start, chosen)
-            y[index] = dposv(last[1], y[index])[1]
+            # Of this frame's last exchange, or of the frame before.
+            starts = (self._known.get(row, self._last), self._last)
+            near = min(starts, key=lambda start: np.count_nonzero(start.free != chosen))
+            if np.count_nonzero(near.free != chosen) > _MOST_CHANGES:
+                near = self._factored(near, chosen)
+            self._last = self._known[row] = near
+            y[index] = self._solved(near, chosen, y[index])
         return np.asarray(np.where(free, (u - y @ H.E.T) / H.root, fixed))
 
-    def _products(self, start: tuple[BoolArray, FloatArray], free: BoolArray) -> FloatArray:
-        """Return ``I + E'E`` over the free rows, from that over others."""
-        before, products = start
-        changed = np.flatnonzero(before != free)
-        moved = self._H.E[changed]
-        sign = np.where(free[changed], 1.0, -1.0)[:, None]
-        return np.asarray(products + moved.T @ (moved * sign))
+    def _factored(self, near: _Factored, free: BoolArray) -> _Factored:
+        from scipy.linalg.lapack import dpotrf
+
+        if np.count_nonzero(near.free != free) > np.count_nonzero(free):
+            near = self._nothing
+        more, fewer = self._H.E[free & ~near.free], self._H.E[near.free & ~free]
+        products = near.products + more.T @ more - fewer.T @ fewer
+        return _Factored(free, products, dpotrf(products, lower=True)[0])
+
+    def _solved(self, known: _Factored, free: BoolArray, right: FloatArray) -> FloatArray:
+        """Return ``(I + E'E)^-1 right`` over the free rows from the factor over nearly the same."""
+        from scipy.linalg.blas import dtrsm, dtrsv
+
+        y = dtrsv(known.lower, right, lower=True)
+        changed = np.flatnonzero(known.free != free)
+        if len(changed):
+            moved = dtrsm(1.0, known.lower, self._H.E[changed].T, lower=True)
+            sign = np.diag(np.where(free[changed], 1.0, -1.0))
+            y -= moved @ np.linalg.solve(sign + moved.T @ moved, moved.T @ y)
+        return np.asarray(dtrsv(known.lower, y, lower=True, trans=True))

@@ -121,7 +121,7 @@ class PlacementScene:
                 neutral=takes.neutral,
                 rotation=at.rotation,
                 motion_scale=at.motion_scale,
-                explained=found.explained,
+                explained=float("nan"),
                 by_labels=found.by_labels,
                 left_out=given.left_out,
             )
@@ -243,7 +243,6 @@ def virtual_markers(
         placement.motion_scale,
         np.asarray(rotation),
         placement.binding.distance_mm[rows],
-        np.full(len(names), np.nan),
     )
 
 
