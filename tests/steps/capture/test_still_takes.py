@@ -10,6 +10,7 @@ import pytest
 from tests.steps.small_shot import Shot
 from usdface.core.assets import Markers, Take
 from usdface.core.errors import InputError
+from usdface.core.text import first_few
 from usdface.runner.execute import execute
 from usdface.specs.capture import CleanSpec
 from usdface.specs.references import SelectSpec
@@ -74,23 +75,31 @@ def test_a_face_that_moves_is_not_called_still(shot: Shot) -> None:
 
 
 @pytest.mark.parametrize("seconds", [0.25, 1.0])
-def test_frames_of_a_stream_that_froze_are_taken_for_unseen(shot: Shot, seconds: float) -> None:
+@pytest.mark.parametrize("columns", [slice(None), slice(3, 5)])
+def test_markers_of_a_stream_that_froze_are_taken_for_unseen(
+    shot: Shot, columns: slice, seconds: float
+) -> None:
     take = read_take(shot / "shot.take.usda")
     assert take.markers is not None
     count = int(seconds * float(take.rate))
     positions, visible = take.markers.positions.copy(), take.markers.visible.copy()
-    positions[201 : 201 + count], visible[201 : 201 + count] = positions[200], visible[200]
+    positions[201 : 201 + count, columns] = positions[200, columns]
+    visible[200 : 201 + count, columns] = True
     frozen = replace(take.markers, positions=positions, visible=visible)
     write_take(shot / "froze.take.usda", replace(take, markers=frozen))
     out = shot / "froze.clean.take.usda"
-    notes = execute(CleanSpec(take=shot / "froze.take.usda", out=out, max_gap=0)).notes
+    spec = CleanSpec(take=shot / "froze.take.usda", out=out, max_gap=0)
+    notes = execute(spec, overwrite=True).notes
+    names = first_few(take.markers.names[columns])
+    who = "every marker" if columns == slice(None) else names
     first = take.first_frame + 201
-    said = f"{count} frames ({first}-{first + count - 1}) repeat the one before"
+    said = f"in one place for {count} frames ({first}-{first + count - 1}): {who}"
     assert any(said in note for note in notes) == (seconds > 0.5)
     cleaned = read_take(out).markers
     assert cleaned is not None
-    assert cleaned.visible[201 : 201 + count].any() == (seconds < 0.5)
-    assert cleaned.visible[150:200].any()
+    assert cleaned.visible[201 : 201 + count, columns].any() == (seconds < 0.5)
+    assert cleaned.visible[150:200, columns].any()
+    assert cleaned.visible[201 : 201 + count].any() == (who != "every marker" or seconds < 0.5)
 
 
 def test_a_take_written_at_twice_the_rate_of_its_capture_is_named(shot: Shot) -> None:

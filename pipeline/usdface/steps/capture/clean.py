@@ -48,8 +48,9 @@ POSE_COLOR, FILLED_COLOR, SWAPPED_COLOR = (92, 98, 110), (86, 156, 214), (232, 1
 OUTLIER_COLOR, LEFT_COLOR = (206, 96, 190), (226, 74, 66)
 
 _COPIED_SECONDS = 0.5
-"""Frames that repeat one to the last digit for so long are no capture: skin and noise tremble."""
-_HELD_SHARE = 0.15
+"""A marker that repeats its place to the last digit for so long is not seen: heads and noise
+tremble."""
+_REPEATED_SHARE = 0.15
 """Of the frames: with more that repeat the one before, a slower capture was written at this rate,
 24 frames per second at 30 (a fifth) or 60 at 120 (half)."""
 
@@ -214,36 +215,39 @@ def _soft_notes(names: tuple[str, ...]) -> list[str]:
 
 
 def _without_copies(markers: Markers, take: Take) -> tuple[Markers, list[str]]:
-    """Take frames that repeat one for unseen, unless a face is still in the larger part of it."""
-    seen, copied = markers.visible, np.zeros(len(markers.visible), np.bool_)
-    same = (markers.positions[1:] == markers.positions[:-1]).all(axis=2)
-    copied[1:] = ((same & seen[1:]) | ~seen[1:]).all(axis=1) & (seen[1:] == seen[:-1]).all(axis=1)
-    copied[1:] &= seen[1:].any(axis=1)
+    """Take markers for unseen where they repeat one place, and say where; say what repeats often.
+
+    Unless one does so in the larger part of the take: a still face, or a simulation of one.
+    """
+    seen, same = markers.visible, np.zeros_like(markers.visible)
+    same[1:] = (markers.positions[1:] == markers.positions[:-1]).all(axis=2) & seen[1:] & seen[:-1]
     least = _COPIED_SECONDS * float(take.rate)
-    long = [(start, stop) for start, stop in runs(copied) if stop - start >= least]
-    frozen = np.zeros_like(copied)
-    for start, stop in long:
-        frozen[start:stop] = True
-    if frozen.sum() > len(copied) / 2:
+    frozen = np.zeros_like(same)
+    for marker, column in enumerate(same.T):
+        for start, stop in runs(column):
+            frozen[start:stop, marker] = stop - start >= least
+    if frozen.mean(axis=0).max() > 0.5:
         return markers, []
+    every = frozen.any(axis=1) & (frozen | ~seen).all(axis=1)
+    some = frozen & ~every[:, None]
+    names = [name for name, each in zip(markers.names, some.any(axis=0), strict=True) if each]
     notes = []
-    if long:
-        first = take.first_frame
-        listed = first_few([f"{first + start}-{first + stop - 1}" for start, stop in long])
+    for rows, who in ((every, "every marker"), (some.any(axis=1), first_few(names))):
+        frames = [f"{take.first_frame + a}-{take.first_frame + b - 1}" for a, b in runs(rows)]
+        if frames:
+            notes.append(
+                f"to the last digit in one place for {pluralize(int(rows.sum()), 'frame')} "
+                f"({first_few(frames)}): {who}. A stream that froze, or gaps filled by holding; "
+                "taken for unseen. Export without filling"
+            )
+    repeated = float((same | ~seen).all(axis=1)[~every].mean())
+    if repeated > _REPEATED_SHARE:
         notes.append(
-            f"{pluralize(int(frozen.sum()), 'frame')} ({listed}) repeat the one before to the last "
-            "digit: a stream that froze; taken for unseen. Export them again if the capture has "
-            "them"
-        )
-        markers = replace(markers, visible=seen & ~frozen[:, None])
-    held = float(copied[~frozen].mean())
-    if held > _HELD_SHARE:
-        notes.append(
-            f"{held:.0%} of the frames repeat the one before to the last digit: captured at about "
-            f"{float(take.rate) * (1 - held):.3g} frames per second and written at "
+            f"{repeated:.0%} of the frames repeat the one before to the last digit: captured at "
+            f"about {float(take.rate) * (1 - repeated):.3g} frames per second and written at "
             f"{float(take.rate):.4g}; motion comes out in steps. Export at the rate of the capture"
         )
-    return markers, notes
+    return replace(markers, visible=seen & ~frozen), notes
 
 
 def _still_notes(cleaned: CleanedMarkers) -> list[str]:
