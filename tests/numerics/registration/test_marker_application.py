@@ -5,8 +5,8 @@ from scipy.spatial.transform import Rotation
 from usdface.core.arrays import BoolArray, FloatArray
 from usdface.numerics.registration.marker_application import (
     compare_neighbours,
-    find_nearest_frame,
     find_offset,
+    measure_distances,
     measure_stretch,
 )
 
@@ -40,15 +40,25 @@ def offset_of(others: FloatArray, usable: BoolArray | None = None) -> FloatArray
     )
 
 
-def test_the_nearest_frame_is_found_by_the_markers_seen() -> None:
+def test_distances_are_those_of_the_markers_seen() -> None:
     frames = performance(1)
     usable = seen(frames)
     usable[:, 3] = False
     frames[:, 3] = 1e4
-    row, away_mm = find_nearest_frame(frames, usable, NEUTRAL)
     away = np.sqrt(((np.delete(frames - NEUTRAL, 3, axis=1)) ** 2).sum(axis=2).mean(axis=1))
-    assert row == away.argmin()
-    assert away_mm == pytest.approx(away.min(), rel=1e-6)
+    np.testing.assert_allclose(measure_distances(frames, usable, NEUTRAL), away, rtol=1e-6)
+
+
+def test_a_frame_is_no_nearer_without_the_markers_that_move() -> None:
+    """Nor is it taken at its word where those that are left hardly do."""
+    frames = performance(1)
+    usable = seen(frames)
+    usable[::2, 8:20] = False
+    away = measure_distances(frames, usable, NEUTRAL)
+    whole = measure_distances(frames, seen(frames), NEUTRAL)
+    assert 0.8 < np.median(away[::2] / whole[::2]) < 1.25
+    usable[::2, 8:30] = False
+    assert np.isinf(measure_distances(frames, usable, NEUTRAL)[::2]).all()
 
 
 def rms(offset: FloatArray) -> float:

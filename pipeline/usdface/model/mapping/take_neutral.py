@@ -9,8 +9,8 @@ from usdface.core.errors import InputError
 from usdface.model.mapping.performer_face import PerformerFace
 from usdface.numerics.registration.marker_application import (
     compare_neighbours,
-    find_nearest_frame,
     find_offset,
+    measure_distances,
     measure_stretch,
 )
 
@@ -170,19 +170,16 @@ def compare_neutral(
     if is_long and not same_session:
         ranges = compare_neighbours(face.frames, face.usable, positions, usable)
         share = len(ranges.disjoint) / max(ranges.compared, 1)
-    row, row_mm = find_nearest_frame(positions, usable, face.neutral + offset)
-    stated = np.flatnonzero(frames == stated_frame)
-    stated_mm = float("nan")
-    if len(stated):
-        _, found_mm = find_nearest_frame(positions[stated], usable[stated], face.neutral + offset)
-        stated_mm = found_mm if np.isfinite(found_mm) else stated_mm
+    away_mm = measure_distances(positions, usable, face.neutral + offset)
+    row = int(away_mm.argmin())
+    stated = away_mm[frames == stated_frame]
     return TakeNeutral(
         face.marker_names,
         offset,
         int(frames[row]),
         stated_frame,
-        row_mm,
-        stated_mm,
+        float(away_mm[row]),
+        float(stated[0]) if np.isfinite(stated).any() else float("nan"),
         share,
     )
 

@@ -31,6 +31,9 @@ _FEWEST_FRAMES = 64
 NEAR_MM = 45.0
 """Markers on the same part of the face; distances between parts follow the jaw."""
 
+_NOISE_MM = 0.1
+"""Of a marker that does not move."""
+
 _GAP_MM = 0.5
 _RANGE_TAIL = 0.002
 """Two frames in a thousand at either end of a distance's range are outliers."""
@@ -90,10 +93,10 @@ def find_offset(
     return np.asarray(offset * np.maximum(1 - scatter / length, 0.0)[:, None])
 
 
-def find_nearest_frame(
-    positions: FloatArray, usable: BoolArray, at: FloatArray
-) -> tuple[int, float]:
-    """Return the frame nearest to a face, and its root mean square distance over markers [mm].
+def measure_distances(positions: FloatArray, usable: BoolArray, at: FloatArray) -> FloatArray:
+    """Return how far frames are from a face: (frames,), root mean square over markers [mm].
+
+    Infinite for a frame that lacks markers which make up half of the motion.
 
     Parameters
     ----------
@@ -104,9 +107,7 @@ def find_nearest_frame(
         [mm]
     """
     known = np.ones((1, usable.shape[1]), bool)
-    distance = _squared_distances(at[None], known, positions, usable)[0]
-    row = int(distance.argmin())
-    return row, float(np.sqrt(distance[row]))
+    return np.asarray(np.sqrt(_squared_distances(at[None], known, positions, usable)[0]))
 
 
 def _mutual_pairs(squared: FloatArray) -> tuple[IntArray, IntArray]:
@@ -123,19 +124,25 @@ def _mutual_pairs(squared: FloatArray) -> tuple[IntArray, IntArray]:
 def _squared_distances(
     first: FloatArray, first_usable: BoolArray, second: FloatArray, second_usable: BoolArray
 ) -> FloatArray:
-    """Return mean squared distances over the markers that both frames have, (first, second).
+    """Return mean squared distances over markers, (first, second) [mm²].
 
-    Infinite for frames that share less than half of the markers.
+    Of the markers that both frames have, in proportion to how much of the second recording's motion
+    they are: without the mouth a frame is no nearer. Infinite where they are less than half of it.
     """
+    mask_a, mask_b = first_usable.astype(float), second_usable.astype(float)
+    times = mask_b.sum(axis=0)
+    moved = second - np.einsum("fm,fmc->mc", mask_b / np.maximum(times, 1), second)
+    spread = np.einsum("fm,fmc->m", mask_b / np.maximum(times, 1), moved**2)
+    motion = np.where(times > 0, spread + _NOISE_MM**2, 0.0)
+    motion /= max(motion.sum(), _NOISE_MM**2)
     centre = first.mean(axis=0)  # differences of large squares would lose their digits
     a, b = first - centre, second - centre
-    mask_a, mask_b = first_usable.astype(float), second_usable.astype(float)
-    shared = mask_a @ mask_b.T
+    shared = (mask_a * motion) @ mask_b.T
     squared = ((a**2).sum(axis=2) * mask_a) @ mask_b.T + mask_a @ ((b**2).sum(axis=2) * mask_b).T
     flat_a = (a * mask_a[..., None]).reshape(len(a), -1)
     squared -= 2 * flat_a @ (b * mask_b[..., None]).reshape(len(b), -1).T
-    squared = np.maximum(squared, 0.0) / np.maximum(shared, 1)
-    return np.where(shared >= mask_a.shape[1] / 2, squared, np.inf)
+    squared = np.maximum(squared, 0.0) / np.maximum(shared, 1e-9) / max((times > 0).sum(), 1)
+    return np.where(shared >= 0.5, squared, np.inf)
 
 
 @dataclass(frozen=True)

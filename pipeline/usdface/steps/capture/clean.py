@@ -228,19 +228,21 @@ def _without_copies(markers: Markers, take: Take) -> tuple[Markers, list[str]]:
             frozen[start:stop, marker] = stop - start >= least
     if frozen.mean(axis=0).max() > 0.5:
         return markers, []
-    every = frozen.any(axis=1) & (frozen | ~seen).all(axis=1)
+    every = np.any(frozen, axis=1) & np.all(frozen | ~seen, axis=1)
     some = frozen & ~every[:, None]
     names = [name for name, each in zip(markers.names, some.any(axis=0), strict=True) if each]
     notes = []
     for rows, who in ((every, "every marker"), (some.any(axis=1), first_few(names))):
-        frames = [f"{take.first_frame + a}-{take.first_frame + b - 1}" for a, b in runs(rows)]
+        frames = [
+            f"{take.first_frame + a}-{take.first_frame + b - 1}" for a, b in runs(np.asarray(rows))
+        ]
         if frames:
             notes.append(
                 f"to the last digit in one place for {pluralize(int(rows.sum()), 'frame')} "
                 f"({first_few(frames)}): {who}. A stream that froze, or gaps filled by holding; "
                 "taken for unseen. Export without filling"
             )
-    repeated = float((same | ~seen).all(axis=1)[~every].mean())
+    repeated = float(np.all(same | ~seen, axis=1)[~every].mean())
     if repeated > _REPEATED_SHARE:
         notes.append(
             f"{repeated:.0%} of the frames repeat the one before to the last digit: captured at "
