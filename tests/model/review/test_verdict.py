@@ -83,6 +83,18 @@ def test_the_limits_that_are_counted_are_those_of_the_level_and_of_the_figures()
     assert keys.sentence.endswith("; error over 0.5 mm: the mouth in 100% of the frames")
 
 
+@pytest.mark.parametrize(("frames", "level"), [(4, "good"), (12, "bad")])
+def test_a_mouth_that_is_torn_for_a_while_is_red_and_named(frames: int, level: str) -> None:
+    found = evidence()
+    found.uncertainty_mm[:frames, 2] = 8.0
+    found.uncertainty_mm[:40, 1] = 0.6 if level == "bad" else 0.1
+    verdict = judge_solve(found)
+    assert verdict.level == level
+    if level == "bad":
+        counted = f"; expected error over 3 mm: the mouth in {frames}% of the frames"
+        assert verdict.sentence.endswith(counted)
+
+
 def test_proposals_are_never_good() -> None:
     proposed = judge_solve(replace(evidence(), basis=PROPOSED))
     assert proposed.level == "check"

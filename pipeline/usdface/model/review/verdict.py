@@ -8,10 +8,10 @@ references); where keys are known, by the error against them instead::
     check   coverage below 3/4, or a figure in millimetres above half of SEEN_MM
     good    otherwise
 
-A take is bad if most frames are bad somewhere in the face, and good if at most `_CHANCE_SHARE` of
-them need a check anywhere and its references are tuned. Coverage and uncertainty stand beside each
-other because neither knows all: a solve far from its references errs in ways that no reference
-showed.
+A take is bad if most frames are bad somewhere in the face, or more than `_CHANCE_SHARE` of them by
+more than `TORN_MM`; good if at most that share need a check anywhere and its references are tuned.
+Coverage and uncertainty stand beside each other because neither knows all: a solve far from its
+references errs in ways that no reference showed.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,6 +27,10 @@ from usdface.model.mapping.coverage import UNCOVERED_SHARE
 SEEN_MM = 1.0
 """Error of a part of the face that anybody sees: where a face of 220 mm fills 1080 lines it is five
 pixels, each of them a minute of arc at the distance HDTV is made for (ITU-R BT.1845)."""
+
+TORN_MM = 3.0
+"""Error of a part of the face that makes another expression of it: of a smile that moves the
+corners of the mouth by 8 mm, more than a third."""
 
 _GUESSED_SHARE = 0.5
 """Of a region's motion: with more left to guess, references tell less than half of it."""
@@ -91,9 +95,9 @@ class SolveEvidence:
 
 def judge_solve(evidence: SolveEvidence) -> SolveVerdict:
     """Judge a solve: what every picture, page and message says of it."""
-    beyond_bad = evidence.exceeds(SEEN_MM, _GUESSED_SHARE)
-    beyond_doubtful = evidence.exceeds(SEEN_MM / 2, UNCOVERED_SHARE)
-    if not beyond_bad:
+    doubtful = evidence.exceeds(SEEN_MM / 2, UNCOVERED_SHARE)
+    bad = evidence.exceeds(SEEN_MM, _GUESSED_SHARE)
+    if not bad:
         if evidence.retarget or not evidence.by_markers:
             what = evidence.retarget or "weights of another solver"
             return SolveVerdict(
@@ -107,21 +111,20 @@ def judge_solve(evidence: SolveEvidence) -> SolveVerdict:
             f"{OPENINGS['check']}: nothing is known of this solve's references or its error",
             "map it with this version, or measure it against keys (--against)",
         )
-    bad, doubtful = (np.any([*beyond.values()], axis=0) for beyond in (beyond_bad, beyond_doubtful))
-    bad_share, doubtful_share = bad.any(axis=1).mean(), doubtful.any(axis=1).mean()
     proposals = _learnt_from_proposals(evidence)
-    if bad_share > _BAD_SHARE:
-        level = "bad"
-    elif doubtful_share > _CHANCE_SHARE or proposals or _changed(evidence):
-        level = "check"
-    else:
-        level = "good"
-    shares = (bad if level == "bad" else doubtful).mean(axis=0)
+    level, beyond = "bad", bad
+    if _frame_share(bad) <= _BAD_SHARE:
+        torn = evidence.exceeds(TORN_MM, 1.0)
+        if _frame_share(torn) > _CHANCE_SHARE:
+            beyond = torn
+        else:
+            checked = _frame_share(doubtful) > _CHANCE_SHARE or proposals or _changed(evidence)
+            level, beyond = "check" if checked else "good", doubtful
+    shares = _by_any(beyond).mean(axis=0)
     where = _worst_regions(evidence.regions, shares)
     parts = [_coverage(evidence), _tuned(evidence), _changed(evidence)]
     parts += [_error(evidence), _residual(evidence)]
     if level != "good" and where:
-        beyond = beyond_bad if level == "bad" else beyond_doubtful
         columns = [evidence.regions.index(region) for region in where]
         parts.append(f"{_list_limits(beyond, columns)}: {_list_regions(where)}")
     return SolveVerdict(
@@ -130,8 +133,8 @@ def judge_solve(evidence: SolveEvidence) -> SolveVerdict:
         _advice(evidence, level, where, proposals),
         {
             "level": level,
-            "bad_share": round(float(bad_share), 4),
-            "check_share": round(float(doubtful_share), 4),
+            "bad_share": round(_frame_share(bad), 4),
+            "check_share": round(_frame_share(doubtful), 4),
             "regions": {
                 region: round(float(share), 4)
                 for region, share in zip(evidence.regions, shares, strict=False)
@@ -160,9 +163,17 @@ def _learnt_from_proposals(evidence: SolveEvidence) -> bool:
 def _shown(evidence: SolveEvidence) -> bool:
     """Whether the references show most frames, so that only their weights may be wrong."""
     beyond = replace(evidence, uncertainty_mm=None).exceeds(SEEN_MM, _GUESSED_SHARE)
-    return bool(beyond) and bool(
-        np.any([*beyond.values()], axis=0).any(axis=1).mean() <= _BAD_SHARE
-    )
+    return bool(beyond) and _frame_share(beyond) <= _BAD_SHARE
+
+
+def _by_any(beyond: Mapping[str, BoolArray]) -> BoolArray:
+    """Return where some figure is beyond its limit: (frames, regions)."""
+    return np.asarray(np.any([*beyond.values()], axis=0))
+
+
+def _frame_share(beyond: Mapping[str, BoolArray]) -> float:
+    """Return the share of the frames in which some figure of some region is beyond its limit."""
+    return float(_by_any(beyond).any(axis=1).mean())
 
 
 def _worst_regions(regions: Sequence[str], shares: FloatArray) -> dict[str, float]:
