@@ -94,7 +94,7 @@ def publish_to_kitsu(folder, task, *, status, client, comment="", notes=None):
     InputError
         If the version, or anything that `task` names, is not there.
     """
-    named, version, said, files = _read_version(folder)
+    named, version, said, verdict, files = _read_version(folder)
     found = _find_task(task, client)
     new_status = _named(
         gazu.task.get_task_status_by_short_name(status, client=client), "status", status
@@ -103,13 +103,13 @@ def publish_to_kitsu(folder, task, *, status, client, comment="", notes=None):
     posted = _comment_that_starts(start, found, client)
     is_new = posted is None
     if is_new:
-        text = start + "\n".join([comment or said or "published", *_lines(notes)])
+        text = start + "\n".join([comment or said or "published", *verdict, *_lines(notes)])
         posted = gazu.task.add_comment(found, new_status, comment=text, client=client)
     return _add_missing_previews(files, found, posted, version, client) or is_new
 
 
 def _read_version(folder):
-    """Return a version's name, number, comment, and the files to show; all of them are there."""
+    """Return a version's name, number, comment, verdict, and files to show, which are there."""
     manifest = read_manifest(folder)
     named, version = manifest.get("name"), manifest.get("version")
     if not isinstance(named, str) or type(version) is not int:
@@ -124,7 +124,9 @@ def _read_version(folder):
             if not file.is_file():
                 raise InputError(f"{folder}: the {role} {name!r} is not in it; publish again")
             files.append(file)
-    return named, version, str(manifest.get("comment") or ""), files
+    verdict = manifest.get("verdict")
+    verdict = [str(verdict.get("sentence"))] if isinstance(verdict, dict) else []
+    return named, version, str(manifest.get("comment") or ""), verdict, files
 
 
 def _lines(notes):

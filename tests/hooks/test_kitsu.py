@@ -92,6 +92,13 @@ def test_a_version_without_pictures_is_posted_once_too(kitsu: Kitsu, version: Pa
     assert capsys.readouterr().out == "posted\nis there already\n"
 
 
+def test_the_comment_says_the_verdict(kitsu: Kitsu, version: Path) -> None:
+    change(version, verdict={"level": "check", "sentence": "Check: expected error 0.6 mm"})
+    assert post(version) == 0
+    (comment,) = kitsu.comments
+    assert comment["comment"] == "kitchen.hero v003: softer jaw\nCheck: expected error 0.6 mm"
+
+
 def test_another_performance_of_the_same_number_is_another_version(
     kitsu: Kitsu, version: Path
 ) -> None:

@@ -7,6 +7,7 @@ import typer
 
 from usdface.cli.console import show_json, show_result
 from usdface.cli.spec_options import Json, Overwrite
+from usdface.specs.review import VerdictLevel
 
 
 def describe(
@@ -82,9 +83,17 @@ def names(
 
 def validate(
     layers: Annotated[list[Path], typer.Argument(help="USD layers to check.", show_default=False)],
+    worst_verdict: Annotated[
+        VerdictLevel | None,
+        typer.Option(
+            help="Worst verdict on a solve that is no error. Default: USDFACE_WORST_VERDICT in the "
+            "environment, else check.",
+            show_default=False,
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """Check USD layers with the validators of USD and usdface.
+    """Check USD layers with the validators of USD and usdface, and by the verdict on solves.
 
     Each finding says how to fix it. Exit code 1 if there is an error, 0 if there are only warnings.
 
@@ -94,7 +103,7 @@ def validate(
     """
     from usdface.steps.edits.validate import validate_layers
 
-    report = validate_layers(tuple(layers))
+    report = validate_layers(tuple(layers), worst_verdict=worst_verdict)
     show_result(report, as_json=as_json)
     report.require_success()
 

@@ -7,10 +7,13 @@ from pathlib import Path
 
 from usdface.core.errors import InputError
 from usdface.core.sidecars import LAYER_SUFFIXES, weights_path
+from usdface.model.review.verdict import SolveVerdict
 from usdface.runner.origin import spec_of
+from usdface.steps.edits.validate import check_layer
+from usdface.steps.inputs.solve_verdict import judge_performance
 from usdface.usdio.layers import read_provenance
 from usdface.usdio.performance.read import PerformanceReader
-from usdface.usdio.validation import Finding, validate
+from usdface.usdio.validation import Finding
 
 MAKERS = ("map", "join", "retarget", "warp")
 """Steps that write performances."""
@@ -40,6 +43,8 @@ class PublishItem:
     """Shapes that it drives."""
     edited: tuple[str, ...]
     """Shapes that an animator changed."""
+    verdict: SolveVerdict | None = None
+    """On the solve, without what was edited; None where nothing is known of its error."""
 
 
 def collect_performances(paths: Iterable[Path]) -> tuple[PublishItem, ...]:
@@ -84,6 +89,7 @@ def collect_performance(path: Path) -> PublishItem:
         timecode_start=reader.timecode_start,
         shapes=len(reader.names),
         edited=tuple(sorted(reader.edits)),
+        verdict=judge_performance(reader),
     )
 
 
@@ -122,8 +128,11 @@ def _is_performance(path: Path) -> bool:
 
 
 def validate_performance(item: PublishItem) -> tuple[Finding, ...]:
-    """Return what is not in order in a performance, errors first; empty where nothing is."""
-    found = list(validate(item.performance))
+    """Return what is not in order in a performance, errors first; empty where nothing is.
+
+    A verdict worse than Check is an error, or as `USDFACE_WORST_VERDICT` says.
+    """
+    found = check_layer(item.performance)
     if item.take is None:
         found.append(
             Finding(

@@ -115,6 +115,9 @@ def _write_manifest(
         "rate": [item.rate.numerator, item.rate.denominator],
         "timecode": item.timecode_start,
         "edited": list(item.edited),
+        "verdict": None
+        if item.verdict is None
+        else {"level": item.verdict.level, "sentence": item.verdict.sentence},
         "performance": _relative(item.performance, folder),
         "take": None if item.take is None else _relative(item.take, folder),
         "rig": _relative(item.rig, folder),

@@ -287,6 +287,9 @@ class FacesSpec(Spec):
     """`draft` omits soft shadows and ambient occlusion."""
 
 
+VerdictLevel = Literal["good", "check", "bad"]
+"""Of verdicts: Good, Check, Do not use."""
+
 Limit = Annotated[float, Field(ge=0.0)]
 
 

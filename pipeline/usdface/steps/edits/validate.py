@@ -6,13 +6,22 @@ from pathlib import Path
 from usdface.core.text import pluralize
 from usdface.runner.outputs import confine
 from usdface.runner.result import StepResult
-from usdface.usdio.validation import validate
+from usdface.specs.review import VerdictLevel
+from usdface.steps.inputs.solve_verdict import verdict_findings
+from usdface.usdio.validation import Finding, validate
 
 
-def validate_layers(layers: tuple[Path, ...]) -> StepResult:
-    """Run USD's validators and ours on layers; errors are failures, warnings are not."""
+def check_layer(layer: Path, *, worst: VerdictLevel | None = None) -> list[Finding]:
+    """Return what USD's validators, ours and `verdict_findings` find in a layer."""
+    return sorted([*validate(layer), *verdict_findings(layer, worst)], key=lambda f: f.severity)
+
+
+def validate_layers(
+    layers: tuple[Path, ...], *, worst_verdict: VerdictLevel | None = None
+) -> StepResult:
+    """Run `check_layer` on layers; errors are failures, warnings are not."""
     confine("validate", reads=layers)
-    found = {str(layer): validate(layer) for layer in layers}
+    found = {str(layer): check_layer(layer, worst=worst_verdict) for layer in layers}
     findings = [finding for each in found.values() for finding in each]
     errors = [finding for finding in findings if finding.severity == "error"]
     warnings = len(findings) - len(errors)

@@ -12,6 +12,7 @@ from usdface.core.text import first_few, pluralize
 from usdface.runner.result import StepResult
 from usdface.specs.performance import JoinSpec
 from usdface.steps.inputs.edit_ranges import edit_notes
+from usdface.steps.inputs.solve_verdict import judge_performance, with_verdict
 from usdface.steps.performance.map import LARGEST_LAYER_BYTES
 from usdface.usdio.performance.clips import ClipPart, write_clips
 from usdface.usdio.performance.driving_layers import driving_layers, join_driving_layers
@@ -64,12 +65,13 @@ def run(spec: JoinSpec, *, provenance: Provenance, progress: Progress = silent) 
         if reader.edits
     ]
     how = "played as value clips" if clips else "merged"
-    return StepResult(
+    result = StepResult(
         (spec.out, target),
         f"{pluralize(len(readers), 'part')} {how}: frames {whole.first_frame}-{whole.last_frame}",
         tuple(notes),
         {"frames": whole.frame_count, "parts": len(readers), "clips": clips},
     )
+    return with_verdict(result, judge_performance(PerformanceReader(spec.out)))
 
 
 def _check_parts(readers: list[PerformanceReader], headers: list[WeightsHeader]) -> None:

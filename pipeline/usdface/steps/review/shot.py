@@ -232,8 +232,15 @@ class Shot:
 
     def evidence_at(self, rows: IntArray | slice) -> SolveEvidence:
         """Return what the performance and its files say of some of its frames, by row."""
-        return replace(
-            solve_evidence(self.performance, rows),
+        known = self.performance
+        figures = (known.uncertainty_mm, known.coverage, known.residual_mm)
+        uncertainty, coverage, residual = (None if each is None else each[rows] for each in figures)
+        return SolveEvidence(
+            known.regions or ("face",),
+            uncertainty_mm=uncertainty,
+            coverage=coverage,
+            residual_mm=residual,
+            basis=known.basis,
             by_markers=self.take.markers is not None,
             retarget=describe_retarget(self.performance_file),
             has_video=self.take.video is not None,
@@ -244,19 +251,6 @@ class Shot:
         return shift_timecode(
             self.take.timecode_start, frame - self.take.first_frame, self.take.rate
         )
-
-
-def solve_evidence(performance: Performance, rows: IntArray | slice) -> SolveEvidence:
-    """Return what a performance says of some of its frames, by row."""
-    shown = (performance.uncertainty_mm, performance.coverage, performance.residual_mm)
-    uncertainty, coverage, residual = (None if each is None else each[rows] for each in shown)
-    return SolveEvidence(
-        performance.regions or ("face",),
-        uncertainty_mm=uncertainty,
-        coverage=coverage,
-        residual_mm=None if coverage is None else residual,  # of earlier versions: another one
-        basis=performance.basis,
-    )
 
 
 def open_shot(

@@ -20,8 +20,10 @@ from usdface.usdio.performance.edits import ShapeEdit, edited_weights, read_edit
 from usdface.usdio.performance.weights_layer import (
     ANIMATION,
     CHANGED_SHAPES,
+    COVERAGE,
     NEUTRAL_FRAME,
     PAIR_COUNTS,
+    RESIDUAL,
     STILL_REGIONS,
     UNMATCHED,
     WeightsHeader,
@@ -239,6 +241,17 @@ class PerformanceReader:
         quantile = NormalDist().inv_cdf
         return np.array([[1 / quantile((1 + each) / 2)] for each in inside.tolist()])
 
+    def figures(self) -> tuple[FloatArray | None, FloatArray | None, FloatArray | None]:
+        """Return uncertainty [mm], coverage [0-1] and residual [mm], each (frames, regions).
+
+        None where the layer has none. Layers without coverage are of earlier versions, whose
+        residual was another quantity: it is left out.
+        """
+        first, last = self.first_frame, self.last_frame
+        coverage = self.series(COVERAGE, first, last)
+        residual = None if coverage is None else self.series(RESIDUAL, first, last)
+        return self.uncertainty_mm(first, last), coverage, residual
+
 
 def find_animation(stage: Usd.Stage, path: Path, *, prim: str | None = None) -> Usd.Prim:
     """Return the one animation with weights over time that a skeleton of the stage follows.
@@ -284,6 +297,17 @@ def animations_of_skeletons(
     return found
 
 
+def read_solves(path: Path) -> list[PerformanceReader]:
+    """Return a reader of every solve that skeletons of a layer follow; none for other layers."""
+    stage = open_stage(path)
+    found = animations_of_skeletons(stage)
+    return [
+        PerformanceReader(path, animation=each.GetPath())
+        for each in found.values()
+        if each.HasAPI("FaceSolveAPI")
+    ]
+
+
 def read_weights(path: Path) -> WeightsClip:
     """Read the animated weights, edits included, of any USD file that holds one face."""
     reader = PerformanceReader(path)
@@ -294,14 +318,14 @@ def read_performance(path: Path) -> Performance:
     """Read a performance, edits included, and what it says of its rig and its trust."""
     reader = PerformanceReader(path)
     rig_file, rig_prim = reader.rig()
-    first, last = reader.first_frame, reader.last_frame
+    uncertainty_mm, coverage, residual_mm = reader.figures()
     return Performance(
-        weights=WeightsClip(reader.names, reader.edited(), first, reader.rate),
+        weights=WeightsClip(reader.names, reader.edited(), reader.first_frame, reader.rate),
         rig_file=rig_file,
         rig_prim=rig_prim,
-        uncertainty_mm=reader.uncertainty_mm(first, last),
-        coverage=reader.series("face:coverage", first, last),
-        residual_mm=reader.series("face:residual", first, last),
+        uncertainty_mm=uncertainty_mm,
+        coverage=coverage,
+        residual_mm=residual_mm,
         regions=reader.regions,
         basis=reader.basis,
         timecode_start=reader.timecode_start,

@@ -1,0 +1,87 @@
+"""The verdict on performances, by what their layers hold: for checks, publishes and joins."""
+
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import get_args
+
+from usdface.core.errors import InputError
+from usdface.model.review.verdict import OPENINGS, SolveEvidence, SolveVerdict, judge_solve
+from usdface.runner.result import StepResult
+from usdface.specs.review import VerdictLevel
+from usdface.usdio.performance.read import PerformanceReader, read_solves
+from usdface.usdio.validation import Finding
+
+WORST_VERDICT = "USDFACE_WORST_VERDICT"
+"""Environment variable: the worst verdict that a studio lets pass, `VerdictLevel`."""
+
+
+def judge_performance(reader: PerformanceReader) -> SolveVerdict | None:
+    """Judge a performance by what its layer holds; None where nothing is known of its error."""
+    from usdface.steps.inputs.source_motion import describe_retarget  # joins start without it
+
+    uncertainty_mm, coverage, residual_mm = reader.figures()
+    retarget = describe_retarget(reader.path)
+    if uncertainty_mm is None and coverage is None and not retarget:
+        return None
+    return judge_solve(
+        SolveEvidence(
+            reader.regions or ("face",),
+            uncertainty_mm=uncertainty_mm,
+            coverage=coverage,
+            residual_mm=residual_mm,
+            basis=reader.basis,
+            retarget=retarget,
+        )
+    )
+
+
+def verdict_findings(path: Path, worst: VerdictLevel | None = None) -> list[Finding]:
+    """Return the verdict on every solve of a layer where it is measured and not good.
+
+    Parameters
+    ----------
+    worst : 'good', 'check' or 'bad', optional
+        What is worse is an error, the rest a warning. By default as `WORST_VERDICT` says, else
+        ``'check'``.
+    """
+    levels = list(OPENINGS)
+    limit = levels.index(_worst_level(worst))
+    found = []
+    try:
+        judged = [(each, judge_performance(each)) for each in read_solves(path)]
+    except InputError as error:
+        return [Finding("warning", "usdface:Verdict", str(path), f"cannot be judged: {error}")]
+    for reader, verdict in judged:
+        if verdict is None or not verdict.figures or verdict.level == levels[0]:
+            continue
+        fails = levels.index(verdict.level) > limit
+        words = "; ".join(filter(None, [verdict.sentence, verdict.advice]))
+        if fails:
+            words += f" ({WORST_VERDICT}={verdict.level} lets it pass)"
+        where = f"{path} <{reader.animation.GetPath()}>"
+        found.append(Finding("error" if fails else "warning", "usdface:Verdict", where, words))
+    return found
+
+
+def with_verdict(result: StepResult, verdict: SolveVerdict | None) -> StepResult:
+    """Return what a step says of a performance, behind the verdict on it."""
+    if verdict is None:
+        return result
+    to_do = [f"to do: {verdict.advice}"] if verdict.advice else []
+    return replace(
+        result,
+        summary=f"{verdict.sentence} ({result.summary})",
+        notes=(*result.notes, *to_do),
+        figures=result.figures | {"verdict": verdict.figures},
+        level=verdict.level,
+    )
+
+
+def _worst_level(given: VerdictLevel | None) -> str:
+    level = given or os.environ.get(WORST_VERDICT) or "check"
+    if level not in get_args(VerdictLevel):
+        raise InputError(
+            f"{WORST_VERDICT}={level}: is no verdict; set it to {', '.join(get_args(VerdictLevel))}"
+        )
+    return level
