@@ -6,7 +6,7 @@ from usdface.core.errors import InputError
 from usdface.media.face import shading
 from usdface.media.face.camera import Camera, frame_face, frame_rig, motion_weights
 from usdface.media.face.render import FaceRenderer
-from usdface.media.face.tracing import Tracer, sky_seen
+from usdface.media.face.tracing import Tracer, sky_seen, traced_triangles
 
 FAR = Camera(eye=(0.0, 0.0, 5000.0), target=(0.0, 0.0, 0.0), fov_degrees=2.0)
 WHITE = np.ones((4, 3)) * 0.8
@@ -114,6 +114,18 @@ def test_frame_centres_a_turned_face() -> None:
         assert at[:, 1].max() < 500
 
 
+def test_a_renderer_draws_each_pose_as_one_that_drew_no_other() -> None:
+    ball, camera = sphere(), Camera(eye=(0.0, 0.0, 900.0), target=(0.0, 0.0, 0.0))
+    renderer, values = FaceRenderer([ball]), np.linspace(0, 1, len(ball.points))
+    for points in (ball.points, 0.8 * ball.points):
+        for painted in (None, values):
+            both = [
+                each.render(points, camera=camera, width=64, height=64, values=painted)
+                for each in (renderer, FaceRenderer([ball]))
+            ]
+            np.testing.assert_array_equal(*both)
+
+
 def test_heat_map_shows_where_the_values_are() -> None:
     ball = sphere()
     values = (ball.points[:, 0] > 0).astype(float)
@@ -172,7 +184,8 @@ def test_sky_above_a_floor_is_open_and_below_a_lid_is_not() -> None:
     lid, floor = plate(400.0, 10.0), plate(400.0, 0.0)
     triangles = np.array([[0, 1, 2], [0, 2, 3]])
     tracer = Tracer(
-        np.concatenate([floor.points, lid.points]), np.concatenate([triangles, triangles + 4])
+        np.concatenate([floor.points, lid.points]),
+        traced_triangles(np.concatenate([triangles, triangles + 4])),
     )
     up = np.tile(np.array([[0, 0, 1]], np.float32), (2, 1))
     at = np.array([[0, 0, 1], [0, 0, 11]], np.float32)

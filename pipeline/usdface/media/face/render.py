@@ -6,13 +6,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from usdface.core.arrays import ByteImage, FloatArray, row_lengths
+from usdface.core.arrays import ByteImage, Float32Array, FloatArray, row_lengths
 from usdface.core.assets import RigMesh
 from usdface.core.errors import InputError
 from usdface.media.face.camera import Camera
 from usdface.media.face.raycast import EFFORT, View, draw
 from usdface.media.face.surface import Surface, build_surface
-from usdface.media.face.tracing import Tracer
+from usdface.media.face.tracing import Tracer, traced_triangles
 from usdface.media.picture.color import bytes_from_linear, heat_ramp
 from usdface.media.picture.display_view import DisplayView
 
@@ -40,6 +40,8 @@ class FaceRenderer:
     def __init__(self, meshes: Sequence[RigMesh], *, display: DisplayView | None = None) -> None:
         self._sizes = [len(mesh.points) for mesh in meshes]
         self._surface: Surface = build_surface(meshes)
+        self._triangles = traced_triangles(self._surface.triangles)
+        self._traced: tuple[Float32Array, Tracer] | None = None
         self._display = display or bytes_from_linear
 
     @property
@@ -110,12 +112,18 @@ class FaceRenderer:
             width=width,
             height=height,
             effort=EFFORT[quality],
-            tracer=Tracer(fine.astype(np.float32), surface.triangles),
+            tracer=self._tracer(fine.astype(np.float32)),
             normals=normals.astype(np.float32),
             colors=colors,
             heat=values is not None,
         )
         return (bytes_from_linear if view.heat else self._display)(draw(view))
+
+    def _tracer(self, fine: Float32Array) -> Tracer:
+        """Return the last tracer where the pose is the last: sheets paint the face they show."""
+        if self._traced is None or not np.array_equal(self._traced[0], fine):
+            self._traced = fine, Tracer(fine, self._triangles)
+        return self._traced[1]
 
     def _subdivided(self, values: FloatArray) -> FloatArray:
         """Carry values to the drawn points: means of what is known, NaN where most is not."""

@@ -21,7 +21,7 @@ from usdface.media.face.mesh_topology import (
 from usdface.media.face.parts import FacePart, Pieces, find_pieces
 from usdface.media.face.stand_in_eyes import fit_stand_in_eyes
 from usdface.media.face.subdivision import catmull_clark
-from usdface.media.face.tracing import PATTERN_COUNT, Tracer, sky_seen
+from usdface.media.face.tracing import PATTERN_COUNT, Tracer, sky_seen, traced_triangles
 
 COARSE_POINTS = 6000
 """Subdivide a Catmull-Clark cage of fewer points; finer ones look smooth at sheet size."""
@@ -323,7 +323,7 @@ class _Posed:
         self._aim = normals[drawn.row_of_point].astype(np.float32)
         self._points = fine[drawn.row_of_point].astype(np.float32)
         self._lift = np.float32(2e-3 * np.ptp(fine[:, 1]))
-        self._tracer = Tracer(fine.astype(np.float32), drawn.triangles)
+        self._tracer = Tracer(fine.astype(np.float32), traced_triangles(drawn.triangles))
 
     def sky_over(self, which: IntArray, *, outward: float, rays: int) -> FloatArray:
         """Return how much sky some of the cage's points see [0-1]."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
+from numpy.typing import NDArray
 
 from usdface.core.arrays import BoolArray, Float32Array, IntArray, row_lengths
 
@@ -30,6 +31,13 @@ class RayHits:
     """(n, 3) [mm]"""
 
 
+def traced_triangles(triangles: IntArray) -> NDArray[np.object_]:
+    """Return triangles, (n, 3), as (n,) tuples: embreex reads rows of numbers half as fast."""
+    rows = np.empty(len(triangles), dtype=object)
+    rows[:] = list(map(tuple, triangles.tolist()))
+    return rows
+
+
 class Tracer:
     """One pose of a surface, ready for rays.
 
@@ -37,16 +45,13 @@ class Tracer:
     ----------
     points : (points, 3) float array
         [mm]
-    triangles : (triangles, 3) int array
+    triangles : (triangles,) array
+        As `traced_triangles` returns them.
     """
 
-    def __init__(self, points: Float32Array, triangles: IntArray) -> None:
+    def __init__(self, points: Float32Array, triangles: NDArray[np.object_]) -> None:
         self._scene = EmbreeScene()
-        TriangleMesh(
-            self._scene,
-            np.ascontiguousarray(points, np.float32),
-            np.ascontiguousarray(triangles, np.int32),
-        )
+        TriangleMesh(self._scene, np.ascontiguousarray(points, np.float32), triangles)
 
     def find(self, origins: Float32Array, directions: Float32Array) -> RayHits:
         """Return what each ray meets first; both (n, 3), directions unit."""

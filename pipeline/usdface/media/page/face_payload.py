@@ -27,7 +27,7 @@ from usdface.media.face.camera import Camera, frame_rig
 from usdface.media.face.features import ColorBand
 from usdface.media.face.mesh_topology import normal_operator
 from usdface.media.face.surface import Surface, build_surface
-from usdface.media.face.tracing import PATTERN_COUNT, Tracer, sky_seen
+from usdface.media.face.tracing import PATTERN_COUNT, Tracer, sky_seen, traced_triangles
 from usdface.media.picture.color import bytes_from_linear
 from usdface.numerics.measure.face_regions import blinks, jaw_opener, region_of_shape
 
@@ -277,7 +277,7 @@ def _sky_of(surface: Surface, cage: FloatArray, rows: IntArray) -> Float32Array:
     normals = surface.normals_at(fine)[rows]
     aim = (surface.outward * normals).astype(np.float32)
     return sky_seen(
-        Tracer(fine.astype(np.float32), surface.triangles),
+        Tracer(fine.astype(np.float32), traced_triangles(surface.triangles)),
         fine[rows].astype(np.float32) + np.float32(2e-3 * surface.size) * aim,
         aim,
         patterns=_PATTERN_OF[rows % len(_PATTERN_OF)],
