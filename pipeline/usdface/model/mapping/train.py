@@ -15,7 +15,11 @@ from usdface.model.mapping.candidates import (
     list_candidates,
 )
 from usdface.model.mapping.checks import check_dimensions, check_references, check_skin
-from usdface.model.mapping.corrected_pairs import CorrectedPairs, correct_pairs
+from usdface.model.mapping.corrected_pairs import (
+    CorrectedPairs,
+    correct_pairs,
+    find_contradicted,
+)
 from usdface.model.mapping.motion_space import marker_coordinates, motion_arrays, motion_of_pairs
 from usdface.model.mapping.regions import (
     membership,
@@ -126,7 +130,7 @@ def train_mapping(
             "regions": ",".join(regions),
             "still_regions": ",".join(_still_regions(folds, regions, parts)),
             "key_error": corrected.key_error,
-            "contradicted": _contradicted(corrected, checked),
+            "contradicted": _contradicted(corrected, checked, parts),
             "unobservable_shapes": int((~compared.observable).sum()),
             "performer": checked.performer,
             "session": checked.session,
@@ -156,11 +160,11 @@ def _driven_skin(references: References, skin: FloatArray | None) -> DrivenSkin 
     return DrivenSkin(logic, skin[len(references.shape_names) :])
 
 
-def _contradicted(corrected: CorrectedPairs, references: References) -> str:
-    """Name the pairs whose markers contradict their keys: ``take frame (mm); ...``."""
+def _contradicted(corrected: CorrectedPairs, references: References, parts: tuple[str, ...]) -> str:
+    """Name the pairs whose markers contradict their keys: ``take frame (region, mm); ...``."""
     return "; ".join(
-        f"{references.takes[n]} {references.frames[n]} ({away:.1f} mm)"
-        for n, away in corrected.contradicted.items()
+        f"{references.takes[n]} {references.frames[n]} ({region}, {away:.1f} mm)"
+        for n, (region, away) in find_contradicted(corrected.uncorrected, parts).items()
     )
 
 
@@ -206,10 +210,7 @@ def _uncertainty(
     unseen = compared.unseen
     if unseen is not None:
         deviations = folds.deviations(compared.best, unseen, model, solver.error)
-        corrected = folds.corrected
-        calibration = calibrate_uncertainty(
-            grams, unseen.errors / span, deviations, corrected.variance / span**2
-        )
+        calibration = calibrate_uncertainty(grams, unseen.errors / span, deviations)
     arrays = UncertaintyModel(grams, calibration).to_arrays()
     arrays["region_markers"] = membership(points, len(solver.forward.noise))
     return regions, arrays

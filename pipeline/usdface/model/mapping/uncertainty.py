@@ -18,7 +18,8 @@ the solve leaves behind. The standard deviation of the region's surface is
 ``c_g`` is calibrated on errors of references predicted by folds that have not seen them, of other
 times or takes: nine in ten are to be within 1.645 sigma, as of a normal distribution. So few errors
 do not fix a quantile, so that their upper tolerance limit is taken (Wilks 1941). A region with few
-errors has the face's constant.
+errors has the face's constant. Errors of the keys are in them, and stay: what keys err by and what
+the forward model errs by are not told apart, and a solve that follows keys errs with them.
 
 All this is measured against the references, and proposals that nobody tuned are wrong as a take is
 wrong that is solved by the rig's geometry: together, so that no fold shows it. Their error grows
@@ -188,7 +189,7 @@ def proposal_error(
 
 
 def calibrate_uncertainty(
-    grams: FloatArray, errors: FloatArray, deviations: FloatArray, key_variance: FloatArray
+    grams: FloatArray, errors: FloatArray, deviations: FloatArray
 ) -> FloatArray:
     """Return the constant of each region under which nine of ten errors are within the limit.
 
@@ -200,16 +201,13 @@ def calibrate_uncertainty(
         Normalised, of pairs that the prediction had not seen.
     deviations : (pairs, regions) float array
         Uncalibrated, of the same [mm].
-    key_variance : (pairs, shapes) float array
-        Of what the errors are measured from; adds to them.
 
     Returns
     -------
     (regions,) float array
     """
     squared = np.einsum("ns,rst,nt->nr", errors, grams, errors, optimize=True)
-    squared -= key_variance @ np.einsum("rss->sr", grams)
-    ratios = np.sqrt(np.maximum(squared, 0.0)) / np.maximum(deviations, 1e-9)
+    ratios = np.sqrt(squared) / np.maximum(deviations, 1e-9)
     limits = _tolerance_limits(ratios)
     needed = np.log(np.maximum(limits, 1e-6) / LIMIT_DEVIATIONS)
     share = len(errors) / (len(errors) + _REGION_PRIOR_ERRORS)
