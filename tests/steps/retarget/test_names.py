@@ -81,7 +81,7 @@ def test_a_phone_drives_a_rig_by_names_and_every_shape_is_written(take: np.ndarr
     np.testing.assert_allclose(solved["hero_bs_eyeBlink"], take[:, 1:3].mean(axis=1), atol=1e-7)
     np.testing.assert_allclose(solved["hero_bs_smile"], take[:, 3] / 2, atol=1e-7)
     assert not solved["hero_bs_aCorrective"].any()
-    assert "no counterpart for 1 moving shape: CheekPuff" in capsys.readouterr().out
+    assert "% of the motion): CheekPuff; pair them" in capsys.readouterr().out
     found = [each.message for each in validate(Path("shot.usda")) if each.check == "usdface:Names"]
     assert len(found) == 1
     assert "CheekPuff" in found[0]

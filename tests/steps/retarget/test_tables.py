@@ -8,6 +8,8 @@ import pytest
 from tests.usdio.driven_rig import driven_rig
 from tests.usdio.small_creature import write_human
 from usdface.cli import main
+from usdface.core.deformer import Deformer
+from usdface.model.review.verdict import judge_solve
 from usdface.publish.collect import take_of
 from usdface.steps.inputs.source_motion import (
     read_source_motion,
@@ -16,6 +18,7 @@ from usdface.steps.inputs.source_motion import (
 )
 from usdface.steps.review.shot import open_shot
 from usdface.usdio.performance.read import read_weights
+from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
 from usdface.usdio.validation import validate
 
@@ -106,7 +109,10 @@ def test_what_a_recorder_left_out_is_told(folder: Path, capsys: pytest.CaptureFi
 def test_a_tongue_that_rolls_is_no_angle(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write("t.csv", "time,jawOpen,smile,TongueRoll,head_yaw,HeadRoll", "{n},{w},.1,{w},{w},.3")
     assert usdface("retarget", "t.csv", "--rig", "human.usda", "--out", "p.usda") == 0
-    assert "no counterpart for 1 moving shape: TongueRoll;" in capsys.readouterr().out
+    assert (
+        "no counterpart for 1 moving shape (49% of the motion): TongueRoll;"
+        in capsys.readouterr().out
+    )
 
 
 def test_what_is_named_alike_and_is_not_on_the_rig_is_left_out(
@@ -116,6 +122,46 @@ def test_what_is_named_alike_and_is_not_on_the_rig_is_left_out(
     write("t.csv", "time,jawOpen,tongue_Scale_X,tongue_Scale__X,ear_up,earUp", "{n},{w},.1,.2,1,1")
     assert usdface("retarget", "t.csv", "--rig", "human.usda", "--out", "p.usda") == 0
     assert "no counterpart for 4 moving shapes" in capsys.readouterr().out
+
+
+def test_what_moves_most_is_named_first_and_gaze_is_no_motion_of_the_face(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    names = "eyeLookInLeft,browDownLeft,mouthPucker,jawOpen,smile"
+    write("t.csv", f"time,{names}", "{n},1,.2,{w},{w},.1")
+    line = ("retarget", "t.csv", "--rig", "human.usda", "--out", "p.usda")
+    assert usdface(*line) == 0
+    told = capsys.readouterr().out
+    weights = np.stack([np.full(40, 0.2), WEIGHTS, WEIGHTS, np.full(40, 0.1)])
+    brow, pucker, jaw, smile = (weights**2).mean(axis=1)
+    share = (brow + pucker) / (brow + pucker + jaw + smile)
+    assert f"({share:.0%} of the motion): mouthPucker, browDownLeft, eyeLookInLeft;" in told
+    assert "Do not use: a retarget by names; mouthPucker, browDownLeft, eyeLookInLeft" in told
+    assert f"{share:.0%} of the source's motion (40 frames" in told
+    assert "to do: pair these shapes (`usdface names`, --names)" in told
+    shot = open_shot(Path("p.usda"))
+    assert judge_solve(shot.evidence()).level == "bad"  # sheets and reports say so too
+    assert usdface("validate", "p.usda") == 1
+    capsys.readouterr()
+    Path("pairs.csv").write_text("source,target,weight\njawOpen,jawOpen,1\n", encoding="utf-8")
+    assert usdface(*line, "--names", "pairs.csv", "--overwrite") == 0  # by a person's choice
+    assert "Do not use" not in capsys.readouterr().out
+    write("t.csv", f"time,{names}", "{n},1,.2,.1,{w},.1")
+    assert usdface(*line, "--overwrite") == 0
+    assert "Do not use" not in capsys.readouterr().out
+
+
+def test_shapes_count_by_how_far_they_move_the_source_rig(folder: Path) -> None:
+    write("t.csv", "time,jawOpen,smile", "{n},{w},{w}")
+    assert usdface("retarget", "t.csv", "--rig", "human.usda", "--out", "p.usda") == 0
+    motion = read_source_motion(folder / "p.usda")
+    offsets = Deformer(read_rig(folder / "human.usda")).shapes.target_offsets().toarray()
+    squares = dict(zip(motion.names, (offsets**2).sum(axis=1), strict=True))
+    moved = squares["jawOpen"] + squares["smile"]
+    assert motion.shares == pytest.approx(
+        {name: squares[name] / moved for name in ("jawOpen", "smile")}
+    )
+    assert abs(motion.shares["jawOpen"] - 0.5) > 0.05  # by weights alone it is a half
 
 
 def test_what_a_rig_drives_itself_is_not_missed_elsewhere(folder: Path) -> None:

@@ -8,6 +8,9 @@ references); where keys are known, by the error against them instead::
     check   coverage below 3/4, or a figure in millimetres above half of SEEN_MM
     good    otherwise
 
+A retargeting has no such figures: it is bad where more than `_BAD_SHARE` of the source's motion
+drives nothing.
+
 A take is bad if most frames are bad somewhere in the face, or more than `_CHANCE_SHARE` of them by
 more than `TORN_MM`; good if at most that share need a check anywhere and its references are tuned.
 Coverage and uncertainty stand beside each other because neither knows all: a solve far from its
@@ -74,6 +77,8 @@ class SolveEvidence:
     """False for weights that came as weights, such as a phone's."""
     retarget: str = ""
     """Of weights that came from other weights: by what."""
+    unfollowed_share: float = 0.0
+    """Of the motion of a retargeting's source, what drives nothing [0-1]."""
     has_video: bool = False
     """Whether there is a video to compare with."""
 
@@ -98,19 +103,7 @@ def judge_solve(evidence: SolveEvidence) -> SolveVerdict:
     doubtful = evidence.exceeds(SEEN_MM / 2, UNCOVERED_SHARE)
     bad = evidence.exceeds(SEEN_MM, _GUESSED_SHARE)
     if not bad:
-        if evidence.retarget or not evidence.by_markers:
-            what = evidence.retarget or "weights of another solver"
-            return SolveVerdict(
-                "check",
-                f"{OPENINGS['check']}: {what}; the error is not known without keys",
-                ("compare with the video, or " if evidence.has_video else "")
-                + "measure against keys (--against)",
-            )
-        return SolveVerdict(
-            "check",
-            f"{OPENINGS['check']}: nothing is known of this solve's references or its error",
-            "map it with this version, or measure it against keys (--against)",
-        )
+        return _judge_without_figures(evidence)
     proposals = _learnt_from_proposals(evidence)
     level, beyond = "bad", bad
     if _frame_share(bad) <= _BAD_SHARE:
@@ -140,6 +133,31 @@ def judge_solve(evidence: SolveEvidence) -> SolveVerdict:
                 for region, share in zip(evidence.regions, shares, strict=False)
             },
         },
+    )
+
+
+def _judge_without_figures(evidence: SolveEvidence) -> SolveVerdict:
+    """Judge weights by where they came from."""
+    if evidence.unfollowed_share > _BAD_SHARE:
+        share = round(evidence.unfollowed_share, 4)
+        return SolveVerdict(
+            "bad",
+            f"{OPENINGS['bad']}: {evidence.retarget}: {share:.0%} of the source's motion",
+            "pair these shapes (`usdface names`, --names), then retarget again",
+            {"level": "bad", "unfollowed_share": share},
+        )
+    if evidence.retarget or not evidence.by_markers:
+        what = evidence.retarget or "weights of another solver"
+        return SolveVerdict(
+            "check",
+            f"{OPENINGS['check']}: {what}; the error is not known without keys",
+            ("compare with the video, or " if evidence.has_video else "")
+            + "measure against keys (--against)",
+        )
+    return SolveVerdict(
+        "check",
+        f"{OPENINGS['check']}: nothing is known of this solve's references or its error",
+        "map it with this version, or measure it against keys (--against)",
     )
 
 

@@ -32,6 +32,7 @@ def judge_performance(reader: PerformanceReader) -> SolveVerdict | None:
             residual_mm=residual_mm,
             basis=reader.basis,
             retarget=retarget,
+            unfollowed_share=sum(reader.header.unmatched_shares),
         )
     )
 

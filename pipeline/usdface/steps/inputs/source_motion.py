@@ -2,19 +2,21 @@
 
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from usdface.capture.sniff import read_capture
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, columns_by_name
 from usdface.core.assets import Take
+from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.rates import frames_within, shift_timecode
 from usdface.core.sidecars import is_usd_name
 from usdface.core.text import first_few, pluralize
-from usdface.model.retarget.head_pose import is_angle
+from usdface.model.retarget.head_pose import is_angle, look_shapes
 from usdface.model.retarget.name_matching import Transfer, meaning_notes, transfer_by_names
 from usdface.runner.origin import path_made_from, provenance_of, spec_of
 from usdface.runner.outputs import confine
@@ -24,6 +26,7 @@ from usdface.usdio.performance.exported_weights import has_channels_per_mesh
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.references.weight_layers import read_set_references
 from usdface.usdio.retarget.pairs import keyed_above, read_pairs
+from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import TakeReader, is_take
 
 MOVING_WEIGHT = 0.02
@@ -47,6 +50,8 @@ class SourceMotion:
     """Shapes that others drive, on the source's rig or the target's: they are not missed."""
     notes: tuple[str, ...] = ()
     """What a capture's reader assumed or filled."""
+    rig: tuple[Path, str] | None = None
+    """File and SkelRoot of the source's rig, where known."""
 
     @property
     def last_frame(self) -> int:
@@ -61,6 +66,31 @@ class SourceMotion:
         return tuple(
             name for name, each in named if each and name not in self.driven and not is_angle(name)
         )
+
+    @cached_property
+    def shares(self) -> dict[str, float]:
+        """Share of each moving shape in the face's motion, the largest first; gaze has none.
+
+        By the mean square of its weight, times that of how far it moves the rig's surface, where
+        the rig is known.
+        """
+        motion = (self.weights**2).mean(axis=0) * self._reach()
+        looks = look_shapes(self.names)
+        named = dict(zip(self.names, motion.tolist(), strict=True))
+        of_face = {name: 0.0 if name in looks else named[name] for name in self.moving}
+        total = sum(of_face.values()) or 1.0
+        return {
+            name: each / total for name, each in sorted(of_face.items(), key=lambda item: -item[1])
+        }
+
+    def _reach(self) -> FloatArray:
+        """Return the squared distance that each shape moves the rig's surface; 1 without a rig."""
+        if self.rig is None or not self.rig[0].is_file():
+            return np.ones(len(self.names))
+        rig = read_rig(self.rig[0], prim=self.rig[1])
+        offsets = Deformer(rig).shapes.target_offsets()
+        squares = np.asarray(offsets.multiply(offsets).sum(axis=1)).reshape(1, -1)
+        return np.asarray(columns_by_name(squares, rig.shapes, self.names)[0])
 
 
 def read_source_motion(
@@ -106,6 +136,7 @@ def read_source_motion(
         rate=performance.rate,
         timecode_start=performance.timecode_at(first),
         driven=frozenset(each.shape for each in performance.combinations),
+        rig=_rig_of(performance),
     )
 
 
@@ -191,17 +222,26 @@ def _pair_words(trained: Path) -> str:
 
 
 def unmatched_moving(transfer: Transfer, motion: SourceMotion) -> tuple[str, ...]:
-    """Return the shapes that move and drive nothing."""
-    matched = set(transfer.matched)
-    return tuple(name for name in motion.moving if name not in matched)
+    """Return the shapes that move and drive nothing, those that move the face most first."""
+    lost = set(motion.moving) - set(transfer.matched)
+    return tuple(name for name in motion.shares if name in lost) if lost else ()
+
+
+def _rig_of(performance: PerformanceReader) -> tuple[Path, str] | None:
+    try:
+        return performance.rig()
+    except InputError:  # weights without a rig, or one that is gone
+        return None
 
 
 def _transfer_notes(path: Path, transfer: Transfer, motion: SourceMotion) -> tuple[str, ...]:
     notes = meaning_notes(transfer)
     lost = unmatched_moving(transfer, motion)
     if lost:
+        share = sum(motion.shares[name] for name in lost)
+        of_motion = f" ({share:.0%} of the motion)" if share >= 0.01 else ""
         notes.append(
-            f"{path.name}: no counterpart for {pluralize(len(lost), 'moving shape')}: "
+            f"{path.name}: no counterpart for {pluralize(len(lost), 'moving shape')}{of_motion}: "
             f"{first_few(lost)}; pair them with --names, or leave them out"
         )
     return tuple(notes)

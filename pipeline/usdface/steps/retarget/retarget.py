@@ -16,11 +16,13 @@ from usdface.core.text import first_few, pluralize
 from usdface.model.retarget.name_matching import Transfer
 from usdface.model.retarget.shape_matching import Correspondence, correspond, match_positions
 from usdface.model.retarget.train import retarget
+from usdface.model.review.verdict import worst_verdict
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.retarget import RetargetSpec
 from usdface.steps.inputs.edit_ranges import edit_notes
 from usdface.steps.inputs.head_drive import named_targets, take_head_source, weights_head_source
+from usdface.steps.inputs.solve_verdict import judge_performance, with_verdict
 from usdface.steps.inputs.source_motion import (
     MOVING_WEIGHT,
     SourceMotion,
@@ -30,6 +32,7 @@ from usdface.steps.inputs.source_motion import (
 )
 from usdface.steps.inputs.weight_tables import read_alpha
 from usdface.usdio.performance.head_layer import write_head_layer
+from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import WeightsHeader, every_shape, make_header
 from usdface.usdio.retarget.control_performance import writing_control_performance
 from usdface.usdio.retarget.retargeting import read_retargeting
@@ -109,7 +112,7 @@ def run(spec: RetargetSpec, *, provenance: Provenance, progress: Progress = sile
         if spec.drive:
             outputs.append(head_path(out))
     count = len(motion.weights)
-    return StepResult(
+    result = StepResult(
         tuple(outputs),
         f"{pluralize(count, 'frame')} on {pluralize(len(targets), 'target')}",
         tuple(notes),
@@ -129,6 +132,9 @@ def run(spec: RetargetSpec, *, provenance: Provenance, progress: Progress = sile
             ],
         },
     )
+    verdicts = {out.name: judge_performance(PerformanceReader(out)) for out in spec.out}
+    worst = worst_verdict({name: each for name, each in verdicts.items() if each is not None})
+    return with_verdict(result, worst) if worst.level == "bad" else result
 
 
 def _surface_target(
@@ -197,7 +203,14 @@ def _header(spec: RetargetSpec, motion: SourceMotion, target: _Target) -> Weight
         place=spec.prim,
         timecode_start=motion.timecode_start,
     )
-    return replace(header, unmatched=(*target.unmatched, *target.unpaired))
+    lost = set(target.unmatched) | set(target.unpaired)
+    shares = {name: share for name, share in motion.shares.items() if name in lost}
+    chosen = spec.names is not None  # a table says what is left out
+    return replace(
+        header,
+        unmatched=tuple(shares),
+        unmatched_shares=() if chosen else tuple(shares.values()),
+    )
 
 
 def _write(

@@ -243,6 +243,7 @@ class Shot:
             basis=known.basis,
             by_markers=self.take.markers is not None,
             retarget=describe_retarget(self.performance_file),
+            unfollowed_share=sum(PerformanceReader(self.performance_file).header.unmatched_shares),
             has_video=self.take.video is not None,
         )
 

@@ -26,6 +26,7 @@ from usdface.usdio.performance.weights_layer import (
     RESIDUAL,
     STILL_REGIONS,
     UNMATCHED,
+    UNMATCHED_SHARES,
     WeightsHeader,
 )
 from usdface.usdio.rig.read import combinations_below
@@ -172,6 +173,7 @@ class PerformanceReader:
             neutral_frame=self.neutral_frame,
             basis=self.basis,
             unmatched=names_in(self.animation.GetAttribute(UNMATCHED)),
+            unmatched_shares=tuple(value_of(self.animation, UNMATCHED_SHARES) or ()),
         )
 
     def rig(self) -> tuple[Path, str]:

@@ -49,6 +49,7 @@ STILL_REGIONS = "face:solve:stillRegions"
 CHANGED_SHAPES = "face:solve:changedShapes"
 NEUTRAL_FRAME = "face:solve:neutralFrame"
 UNMATCHED = "face:source:unmatched"
+UNMATCHED_SHARES = "face:source:unmatchedShares"
 
 COPY_FRAMES = 4096
 """Frames whose samples are in memory at once when they are copied."""
@@ -87,6 +88,8 @@ class WeightsHeader:
     """What the mapping learnt from."""
     unmatched: tuple[str, ...] = ()
     """Shapes that move in the source of a retargeting and drive nothing."""
+    unmatched_shares: tuple[float, ...] = ()
+    """Of each, in the motion of the source's face [0-1]; empty where a person chose the pairs."""
     held: tuple[str, ...] = ()
     """Shapes that are written at 0, whatever is appended: joints do what they do."""
     combinations: tuple[Combination, ...] = ()
@@ -378,6 +381,9 @@ def author_header(layer: Sdf.Layer, header: WeightsHeader, rig: Rig) -> Sdf.Prim
         author_uniform(prim, CHANGED_SHAPES, tokens, list(header.basis.changed_shapes))
     if header.unmatched:
         author_uniform(prim, UNMATCHED, tokens, list(header.unmatched))
+    if header.unmatched_shares:
+        shares = Vt.FloatArray(header.unmatched_shares)
+        author_uniform(prim, UNMATCHED_SHARES, Sdf.ValueTypeNames.FloatArray, shares)
     if header.timecode_start:
         text = Sdf.ValueTypeNames.String
         author_uniform(prim, "face:timecode:start", text, header.timecode_start)
