@@ -148,7 +148,8 @@ def _solve_in_turn(
                 share = ((rows - ends[0]) / (ends[1] - ends[0]))[:, None]
                 z[rows] = (1 - share) * z[ends[0]] + share * z[ends[1]]
             blocks = [rows[i : i + _BLOCK_FRAMES] for i in range(0, len(rows), _BLOCK_FRAMES)]
-            solved = pool.map(solve, blocks, [z[block] for block in blocks], repeat(steps))
+            in_turn = pool.map if len(blocks) > 1 else map  # a thread for one is only waited for
+            solved = in_turn(solve, blocks, [z[block] for block in blocks], repeat(steps))
             for block, found in zip(blocks, solved, strict=True):
                 z[block] = found
             known = np.union1d(known, rows)
