@@ -178,7 +178,7 @@ def curves(**edits: tuple[slice, object]) -> np.ndarray:
     [
         (curves(jawOpen=(slice(50, 60), 1.2)), "jawOpen is 1.20, its range is 0 to 1"),
         (curves(jawOpen=(slice(700, 701), 1.0)), "time code 70[12]: jawOpen jumps by"),
-        (curves(eyeBlink=(slice(None), 0.0)), "1 shape without any motion: eyeBlink"),
+        (curves(eyeBlink=(slice(None), 1.0)), "1 shape without any motion: eyeBlink"),
         (
             np.concatenate([WEIGHTS[:300], np.tile(WEIGHTS[300], (100, 1)), WEIGHTS[300:]]),
             "time codes 301 to 401: the face is frozen for 0.8 s",
@@ -202,6 +202,16 @@ def test_curves_that_no_face_makes_are_named(
 def test_a_shape_held_at_an_end_of_its_range_is_not_stuck(tmp_path: Path) -> None:
     path = write(tmp_path, curves(jawOpen=(slice(300, 600), 0.0), eyeBlink=(slice(0, 300), 1.0)))
     assert not [each for each in validate(path) if "stays at" in each.message]
+
+
+@pytest.mark.parametrize(("shape", "value"), [("jawOpen", 0.0), ("jawOpen", 0.001), ("smile", 0.0)])
+def test_a_shape_that_no_reference_keyed_is_no_finding(
+    tmp_path: Path, shape: str, value: float
+) -> None:
+    """What comes out of a mapping for it is 0, or as good as 0, also inside a range around 0."""
+    assert small_rig().ranges[small_rig().shapes.index("smile"), 0] < 0
+    path = write(tmp_path, curves(**{shape: (slice(None), value)}))
+    assert not [each for each in validate(path) if each.check == "usdface:Curves"]
 
 
 @pytest.mark.parametrize(

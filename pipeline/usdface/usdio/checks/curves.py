@@ -88,7 +88,8 @@ def _same_rate(stage: Usd.Stage) -> Iterator[Fault]:
 
 
 RANGE_TOLERANCE = 0.02
-"""How far outside its range a weight is let pass: rounding and smoothing overshoot a little."""
+"""How far outside its range a weight is let pass, and how near to 0 or an end of its range it counts
+as there: rounding and smoothing overshoot a little."""
 
 FASTEST_SECONDS = 0.02
 """No face makes a shape's whole way at such a speed: the quickest blinks close in 50 ms, and a
@@ -99,10 +100,11 @@ FROZEN_CHANGE = 1e-6
 """A face held by an actor still trembles; one that does not move at all for so long is not held."""
 
 STUCK_SECONDS = 2.0
-"""How long one shape may stay at one value, not at an end of its range, while the face moves."""
+"""How long one shape may stay at one value, neither 0 nor an end of its range, while the face
+moves."""
 
 MOTIONLESS_SECONDS = 10.0
-"""Shapes that never move are reported for takes at least this long."""
+"""Shapes that stay at one value other than 0 are reported for takes at least this long."""
 
 SIDES = (("Left", "Right"), ("left", "right"), ("_L", "_R"), ("_l", "_r"), ("L_", "R_"))
 
@@ -215,8 +217,9 @@ def _stuck(samples: Samples, ranges: FloatArray) -> Iterator[Fault]:
     still = np.abs(np.diff(samples.values, axis=0)) <= FROZEN_CHANGE
     moving = ~still.all(axis=1)
     inside = np.minimum(samples.values - ranges[:, 0], ranges[:, 1] - samples.values)
+    inside = np.minimum(inside, np.abs(samples.values))
     for column in np.flatnonzero(still.any(axis=0)):
-        held: BoolArray = still[:, column] & moving & (inside[1:, column] > FROZEN_CHANGE)
+        held: BoolArray = still[:, column] & moving & (inside[1:, column] > RANGE_TOLERANCE)
         stretches = _stretches(samples, held, STUCK_SECONDS)
         if stretches:
             first, last, seconds = max(stretches, key=lambda each: each[2])
@@ -246,9 +249,10 @@ def _stretches(
 def _motionless(samples: Samples) -> list[Fault]:
     seconds = (samples.times[-1] - samples.times[0]) / samples.rate
     moving = np.ptp(samples.values, axis=0) > FROZEN_CHANGE
-    if seconds < MOTIONLESS_SECONDS or moving.all() or not moving.any():
+    still = ~moving & (np.abs(samples.values[0]) > RANGE_TOLERANCE)  # what no reference keyed is 0
+    if seconds < MOTIONLESS_SECONDS or not still.any() or not moving.any():
         return []
-    motionless = [name for name, moves in zip(samples.names, moving, strict=True) if not moves]
+    motionless = [name for name, each in zip(samples.names, still, strict=True) if each]
     return [
         Fault(
             "warning",
