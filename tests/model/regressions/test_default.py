@@ -211,6 +211,30 @@ def test_a_pair_keyed_for_another_frame_is_named() -> None:
     assert str(mapping.settings["contradicted"]).startswith(f"take {CHOSEN[7]} (")
 
 
+def test_markers_do_not_move_a_tongue_that_the_jaw_moves_as_it_moves_them() -> None:
+    """Points of the tongue move with the jaw as chin markers do; none of these is on it."""
+    face = synthetic_face()
+    pairs = references_of(face, CHOSEN)
+    shapes = np.concatenate([face.shapes, np.zeros((1, *face.shapes.shape[1:]))])
+    inner = 1.02 * shapes[:, RIGID : RIGID + 4]
+    inner[-1] = 5.0
+    shapes[:, RIGID : RIGID + 4] *= 1.1  # the rig's skin is a little off, and the tongue is not
+    mapping = train_mapping(
+        replace(
+            pairs,
+            shape_names=(*pairs.shape_names, "tongueOut"),
+            weights=np.column_stack([pairs.weights, np.zeros(len(pairs.weights))]),
+        ),
+        ranges=np.tile([0.0, 1.0], (len(shapes), 1)),
+        gram=np.einsum("smc,tmc->st", shapes, shapes) / shapes.shape[1],
+        skin=np.concatenate([shapes, inner], axis=1),
+        method="face_map",
+    )
+    moved = face.positions[:200].copy()
+    moved[:, RIGID : RIGID + 4] += 2.0
+    assert predict_weights(mapping, moved).weights[:, -1].max() < 0.02
+
+
 @pytest.mark.parametrize("count", [2, 3, 4])
 def test_very_few_pairs_give_what_geometry_can(count: int) -> None:
     face = synthetic_face()

@@ -1,5 +1,7 @@
 """References to a mapping: choose a method and its settings, fit on all pairs."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from usdface.core.arrays import FloatArray
@@ -37,7 +39,16 @@ from usdface.model.regressions import (
 )
 from usdface.model.regressions.base import DrivenSkin, Fitted
 from usdface.model.regressions.frame_solve import COMMON_ERRORS, FrameSolver
-from usdface.numerics.measure.face_regions import shapes_by_region, unseen_shapes
+from usdface.numerics.measure.face_regions import (
+    gaze_shapes,
+    shapes_by_region,
+    tongue_shapes,
+    unseen_shapes,
+)
+
+_TONGUE_SHARE = 0.2
+"""Of the farthest that shapes of the tongue move a point: lips part less for it. The jaw moves the
+tongue farther than these do."""
 
 _STILL_SHARE = 0.1
 """Of its range: a region whose shapes all stay within it is one that no reference moves."""
@@ -89,8 +100,8 @@ def train_mapping(
         Numbers of principal components, and widths, to compare in place of the method's own.
     """
     sound = check_references(references, ranges=ranges, gram=gram)
-    check_skin(skin, shapes=len(references.shape_names) + len(references.combinations))
     checked, parts = sound.references, references.parts or references.shape_names
+    skin, rest = _outer_skin(skin, rest, references)
     motion = checked.motion if checked.motion is not None else motion_of_pairs(checked)
     check_dimensions(choices.dimensions, pairs=len(checked.weights), motion=motion)
     face = Face(
@@ -137,6 +148,21 @@ def train_mapping(
         },
         scores=compared.scores,
     )
+
+
+def _outer_skin(
+    skin: FloatArray | None, rest: RestPlaces | None, references: References
+) -> tuple[FloatArray | None, RestPlaces | None]:
+    """Leave out eyeballs, what gaze moves most, and the tongue: no marker sits there."""
+    check_skin(skin, shapes=len(references.shape_names) + len(references.combinations))
+    if skin is None:
+        return skin, rest
+    parts = references.parts or references.shape_names
+    length = np.linalg.norm(skin, axis=2)
+    gaze, tongue = gaze_shapes(parts), length[tongue_shapes(parts)].max(axis=0, initial=0)
+    kept = length[gaze].max(axis=0, initial=0) <= np.delete(length, gaze, axis=0).max(axis=0)
+    kept &= tongue <= _TONGUE_SHARE * tongue.max(initial=0)
+    return skin[:, kept], None if rest is None else replace(rest, points=rest.points[kept])
 
 
 def _pairs(references: References, face: Face) -> Pairs:
