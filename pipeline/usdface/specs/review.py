@@ -319,9 +319,9 @@ class EvaluateSpec(MovedRigSpec, WeightTableSpec):
     """Files to write: .json for the figures, .png or .jpg for the curves. May be given twice."""
     frames: Frames | None = None
     """Frames to measure, as FIRST-LAST. Default: all."""
-    unobservable: tuple[Name, ...] = ("eyeLook*",)
+    unobservable: tuple[Name, ...] | None = None
     """Shapes that markers cannot show, excluded from the error of the weights. * matches any
-    characters."""
+    characters. Default: gaze and tongue, by name or else by what they move, as for the surface."""
     max_weight_rmse: Limit | None = None
     """Limit of the root mean square error of the weights."""
     max_vertex_rms: Limit | None = None

@@ -131,7 +131,16 @@ def test_shapes_whose_names_say_nothing_are_measured_by_what_they_move(rig: Rig)
             for mesh in rig.meshes
         ),
     )
-    found, named = (evaluate(r, performance(rig), performance(rig, seed=1)) for r in (unnamed, rig))
+    found, named = (
+        evaluate(r, performance(rig), performance(rig, seed=1), observable=None)
+        for r in (unnamed, rig)
+    )
+    hidden = [
+        name for name, seen in zip(named.shape_names, named.observable, strict=True) if not seen
+    ]
+    assert len(hidden) == 9  # looks and tongue
+    np.testing.assert_array_equal(found.observable, named.observable)
+    assert found.weight_rmse == named.weight_rmse
     assert [each.name for each in found.regions] == [each.name for each in named.regions]
     for each, other in zip(found.regions, named.regions, strict=True):
         assert each.skin.rms_mm == pytest.approx(other.skin.rms_mm, rel=1e-9)

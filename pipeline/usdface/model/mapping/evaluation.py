@@ -59,6 +59,11 @@ class SkinRuler:
         """Columns of all of them."""
         return unseen_shapes(self.parts)
 
+    @property
+    def observable(self) -> BoolArray:
+        """Which shapes are not left out, (shapes,)."""
+        return np.isin(np.arange(len(self.parts)), self.left_out, invert=True)
+
     @cached_property
     def points(self) -> dict[str, IntArray]:
         """Points of the rig by region, the whole face first; see `points_by_region`."""
@@ -156,7 +161,7 @@ def evaluate_weights(
     *,
     frames: IntArray,
     compared: BoolArray,
-    observable: BoolArray,
+    observable: BoolArray | None = None,
 ) -> Evaluation:
     """Measure weights against what they should have been.
 
@@ -168,8 +173,8 @@ def evaluate_weights(
         Frame numbers, ascending.
     compared : (shapes,) bool array
         Shapes that either side drives.
-    observable : (shapes,) bool array
-        Of those, the ones whose weights count: markers cannot show where the eyes look.
+    observable : (shapes,) bool array, optional
+        Of those, the ones whose weights count: by default all but gaze and tongue.
     """
     if not len(frames) or not compared.any():
         raise InputError("no frame or no shape to compare")
@@ -177,6 +182,7 @@ def evaluate_weights(
         raise InputError("weights to compare must be finite")
     deformer = Deformer(rig)
     skin = SkinRuler(rig, deformer)
+    observable = skin.observable if observable is None else observable
     offsets, targets = deformer.shapes.key_offsets, deformer.shapes.target_offsets()
     solved_keys, truth_keys = map(deformer.shapes.key_weights, (solved, truth))
     key_errors, skin_errors = solved_keys - truth_keys, skin.differences(solved, truth)

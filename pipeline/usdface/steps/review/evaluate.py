@@ -143,14 +143,15 @@ def _notes(
     return tuple(notes)
 
 
-def _observable(spec: EvaluateSpec, rig: Rig) -> tuple[BoolArray, tuple[str, ...]]:
+def _observable(spec: EvaluateSpec, rig: Rig) -> tuple[BoolArray | None, tuple[str, ...]]:
     """Return which of the rig's shapes count, and a note for each pattern that names none."""
+    if spec.unobservable is None:
+        return None, ()
     seen = shapes_with_motion(rig.shapes, spec.unobservable)
     notes = [
         f"--unobservable {pattern} names no shape of the rig"
         for pattern in spec.unobservable
-        if "unobservable" in spec.model_fields_set
-        and shapes_with_motion(rig.shapes, [pattern]).all()
+        if shapes_with_motion(rig.shapes, [pattern]).all()
     ]
     return seen, tuple(notes)
 

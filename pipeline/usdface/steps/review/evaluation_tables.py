@@ -21,11 +21,8 @@ WORST_FRAMES = 8
 WORST_SHAPES = 10
 
 
-def shapes_with_motion(
-    shapes: Sequence[str],
-    unobservable: Sequence[str] = EvaluateSpec.model_fields["unobservable"].default,
-) -> BoolArray:
-    """Return which shapes markers can show, by default those that `usdface evaluate` counts.
+def shapes_with_motion(shapes: Sequence[str], unobservable: Sequence[str]) -> BoolArray:
+    """Return which shapes markers can show: those that no pattern names.
 
     A pattern names shapes as they are called, and in ARKit's words as what they mean.
     """

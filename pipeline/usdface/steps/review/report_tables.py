@@ -18,7 +18,7 @@ from usdface.specs.references import ReferencesCoverageSpec
 from usdface.specs.review import ReportSpec
 from usdface.steps.inputs.coverage_report import MeasuredCoverage, measure_pairs, next_frames
 from usdface.steps.inputs.edit_ranges import find_edited_ranges
-from usdface.steps.review.evaluation_tables import evaluation_figures, shapes_with_motion
+from usdface.steps.review.evaluation_tables import evaluation_figures
 from usdface.steps.review.shot import Shot
 from usdface.usdio.performance.read import PerformanceReader
 
@@ -38,7 +38,6 @@ def evaluate_shown(shot: Shot, truth: FloatArray | None) -> Evaluation | None:
         truth[known],
         frames=shot.frames[known],
         compared=np.ones(len(shot.rig.shapes), bool),
-        observable=shapes_with_motion(shot.rig.shapes),
     )
 
 

@@ -88,7 +88,7 @@ def _same_rate(stage: Usd.Stage) -> Iterator[Fault]:
 
 
 RANGE_TOLERANCE = 0.02
-"""How far outside its range a weight is let pass, and how near to 0 or an end of its range it counts
+"""How far outside its range a weight is let pass, and how near to 0 or an end of it a weight counts
 as there: rounding and smoothing overshoot a little."""
 
 FASTEST_SECONDS = 0.02
