@@ -301,14 +301,17 @@ def sequence_and_matches(stall: Stall, target_frames: int = 61) -> None:
 
 @pytest.mark.parametrize("timing", ["own", "fit"])
 def test_a_sequence_is_put_in_and_the_rest_stays_to_the_last_bit(
-    performed: Stall, timing: str
+    performed: Stall, timing: str, capsys
 ) -> None:
     sequence_and_matches(performed)
+    capsys.readouterr()
     line = (
         "warp beast.shot.usda --matches shot.matches.usda --out warped.usda --weight 1000 "
         f"--timing {timing} --blend 8 --curves warp.png"
     )
     assert usdface(*line.split()) == 0
+    beyond = "replace frames after them: 191-210 (joy at 150-190); --timing fit"
+    assert (beyond in capsys.readouterr().out) == (timing == "own")
     before = read_control_clip(Path("beast.shot.usda")).clip.controls
     after = read_control_clip(Path("warped.usda")).clip.controls
     last = 190 if timing == "fit" else 150 + 60

@@ -95,6 +95,7 @@ def run(spec: WarpSpec, *, provenance: Provenance, progress: Progress = silent) 
         f"{pluralize(changed, 'frame')} changed, the others are as they were",
         (
             *filter(None, dict.fromkeys(each.rate_note for each in placements)),
+            *_beyond_notes(placements),
             *edit_notes(spec.out),
             *_head_notes(spec.performance),
         ),
@@ -156,6 +157,22 @@ def _placements(spec: WarpSpec, read: ReadControls) -> list[_Placement]:
                 "deactivate one, move it, or use --timing fit"
             )
     return placed
+
+
+def _beyond_notes(placements: list[_Placement]) -> list[str]:
+    """Name frames behind a match that a longer sequence replaces."""
+    beyond = [
+        f"{each.match.last_frame + 1}-{each.last_frame} ({each.sequence.label} at "
+        f"{each.first_frame}-{each.match.last_frame})"
+        for each in placements
+        if each.last_frame > each.match.last_frame
+    ]
+    if not beyond:
+        return []
+    return [
+        f"sequences longer than their matches replace frames after them: "
+        f"{first_few(beyond, most=3)}; --timing fit fits them to the matches"
+    ]
 
 
 def _head_notes(performance: Path) -> list[str]:
