@@ -80,6 +80,14 @@ def test_the_better_known_name_wins_and_the_other_is_named() -> None:
     assert found.ambiguous == ("mouth_open: jawOpen of the target is taken for that motion",)
 
 
+def test_names_that_are_all_the_rigs_own_raise_no_doubts_of_its_others() -> None:
+    """A table of some of a rig's own shapes is what it says; the rest of the rig is not asked."""
+    whole, halves = "lower_lip_up", ("l_lower_lip_up", "r_lower_lip_up")
+    assert name_matching([whole, "jawOpen"], [whole, "jawOpen", *halves]).ambiguous == ()
+    doubts = name_matching(["lowerLipUp", "jawOpen"], [whole, "jawOpen", *halves]).ambiguous
+    assert [each.split(":")[0] for each in doubts] == list(halves)
+
+
 def test_both_sides_are_matched_alike_whatever_is_missing() -> None:
     rng = random.Random(0)
     for _ in range(50):

@@ -122,7 +122,8 @@ def name_matching(source: Sequence[str], target: Sequence[str]) -> NameMatching:
     notes = tuple(
         f"{name}: {reason}"
         for name, reason in doubts.items()
-        if _concerns(name, left, right) or _concerns(name, right, left)
+        if len(same) < len(source)  # else nothing is left that could drive them
+        and (_concerns(name, left, right) or _concerns(name, right, left))
     )
     return NameMatching(tuple(ordered), notes, by)
 
