@@ -1,3 +1,4 @@
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -99,9 +100,14 @@ def test_takes_that_cannot_be_mapped_say_what_to_do() -> None:
     inches = face.positions * 25.4
     with pytest.raises(InputError, match=r"25.4 times as far .* another unit; .*--units"):
         into_head_space(mapping, markers_of(face, positions=inches.astype(np.float32)))
-    stranger = face.positions * 1.3
-    with pytest.raises(InputError, match=r"mm from where the mapping had them.*another performer"):
-        into_head_space(mapping, markers_of(face, positions=stranger.astype(np.float32)))
+    larger = face.positions * 1.3
+    with pytest.raises(InputError, match=r"distance is 1.3 times .* 0.769 times its --scale") as no:
+        into_head_space(mapping, markers_of(face, positions=larger.astype(np.float32)))
+    assert re.search("mm from where the mapping had them.*another performer", str(no.value))
+    moved = np.random.default_rng(3).normal(0, 20, (24, 3))
+    stranger = (face.positions * 1.3 + moved).astype(np.float32)
+    with pytest.raises(InputError, match="had them.*another marker set or another performer: tr"):
+        into_head_space(mapping, markers_of(face, positions=stranger))
 
 
 def test_a_mapping_without_its_arrays_asks_to_be_trained_again() -> None:

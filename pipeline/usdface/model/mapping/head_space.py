@@ -24,6 +24,9 @@ ON_A_LINE = 0.02
 """Breadth of the rigid markers, as a share of their length, below which they are as good as a
 line: about it noise turns the head."""
 
+_EXPLAINED_SHARE = 0.25
+"""Of the distance of rigid markers: where one factor on all lengths leaves less, it explains it."""
+
 OTHER_UNIT = 1.4
 """Ratio of sizes beyond that of any two heads: adults' differ by a fifth, and a child's by a third;
 units differ by 2.5 or 10."""
@@ -243,10 +246,18 @@ def _rigid_movement(
                 "takes it is compared with: one of them is in another unit; ingest it again and "
                 f"{unit_remedy(size)}"
             )
+        what = "it is another marker set or another performer: train a mapping for it"
+        turned, moved = _robust_movement(middle / size, target)
+        scaled = np.linalg.norm(middle / size @ turned.T + moved - target, axis=1)
+        if np.median(scaled) < _EXPLAINED_SHARE * np.median(away):
+            what = (
+                f"one factor explains it: every distance is {size:.3g} times the mapping's. If "
+                f"units or calibration differ, ingest it again with {1 / size:.3g} times its "
+                "--scale (default 1); else it is another performer: train a mapping for it"
+            )
         raise InputError(
             f"the take's rigid markers are {np.median(away):.1f} mm from where the mapping had "
-            f"them ({names[int(away.argmax())]}: {away.max():.1f} mm); it is another marker set "
-            "or another performer: train a mapping for it"
+            f"them ({names[int(away.argmax())]}: {away.max():.1f} mm); {what}"
         )
     return rotation, shift
 
