@@ -32,6 +32,11 @@ from usdface.model.retarget.shape_vocabulary import ARKIT
         ("browInnerUp", ("browinnerup", "")),
         ("cheekRaiser_L", ("cheeksquint", "L")),
         ("bs_noseSneer_R", ("nosesneer", "R")),
+        ("face_l_corners_up", ("mouthsmile", "L")),
+        ("face_r_corners_dn", ("mouthfrown", "R")),
+        ("face_l_out_brow_up", ("browouterup", "L")),
+        ("face_r_eyeBall_dn", ("eyelookdown", "R")),
+        ("jaw_dn", ("jawopen", "")),
         ("l", ("l", "")),
         ("", ("", "")),
     ],
@@ -53,6 +58,11 @@ def test_one_shape_drives_both_halves_and_two_halves_one_shape() -> None:
     assert whole.target == (("browInnerUp_L", 1.0), ("browInnerUp_R", 1.0))
     halves = match_names(("cheekPuff_L", "cheekPuff_R"), ("cheekPuff",))
     assert sum(match.target[0][1] for match in halves) == 1.0
+
+
+def test_a_shape_that_opens_the_jaw_alone_counts_before_a_vowel() -> None:
+    (jaw,) = match_names(("jawOpen",), ("A_mouth", "jaw_dn"))
+    assert jaw.target == (("jaw_dn", 1.0),)
 
 
 def test_left_is_never_right() -> None:

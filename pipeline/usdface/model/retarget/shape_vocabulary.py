@@ -181,9 +181,16 @@ VOCABULARIES = (
         browinnerup+browouterup: brow surprised
         browinnerup: brow sorrow
         mouthsmile: mouth fun
-        jawopen: mouth a
         """,
         rank=2,
+    ),
+    Vocabulary(
+        "VRM and VRoid, vowels",
+        "as above: the mouth of an open vowel, where no shape opens the jaw alone",
+        """
+        jawopen: mouth a
+        """,
+        rank=4,
     ),
     Vocabulary(
         "English",
@@ -192,7 +199,7 @@ VOCABULARIES = (
         eyeblink: blink | wink | lid close | lid blink | lid down
         eyesquint: squint | eye narrow | eye squeeze | eye tight | lid squint
         eyewide: eye open wide | eye open | lid wide | lid raise | upper lid raise
-        jawopen: open mouth | mouth open
+        jawopen: open mouth | mouth open | jaw down
         jawforward: jaw out | jaw protrude | chin forward
         jawleft: jaw slide left | jaw shift left | jaw move left | jaw swing left
         jawright: jaw slide right | jaw shift right | jaw move right | jaw swing right
@@ -200,18 +207,19 @@ VOCABULARIES = (
         mouthright: mouth slide right | mouth shift right | mouth move right | mouth swing right
         mouthpucker: pucker | pout | mouth pout | kiss | mouth kiss | purse
         mouthfunnel: funnel
-        mouthsmile: smile | grin | mouth grin | mouth corner raise | mouth happy
-        mouthfrown: frown | mouth corner down | mouth sad
+        mouthsmile: smile | grin | mouth grin | [mouth] corner raise | mouth happy
+        mouthfrown: frown | [mouth] corner down | mouth sad
         mouthdimple: mouth corner dimple
-        mouthstretch: mouth wide | mouth corner stretch | mouth widen
+        mouthstretch: mouth wide | [mouth] corner stretch | mouth widen | [mouth] corner out
         mouthroll: mouth tuck | mouth in | mouth inside | mouth bite
         mouthpress: mouth compress | mouth corner press
         mouthupperup: mouth upper open
         mouthlowerdown: mouth lower open
         browdown: brow frown | brow angry | brow furrow
-        browinnerup: brow centre raise | brow mid raise
+        browinnerup: brow centre raise | brow mid raise | brow in raise
+        browouterup: brow out raise
         cheekpuff: puff | cheek inflate
-        nosesneer: sneer | snarl | nose scrunch | nose crinkle | nose snarl
+        nosesneer: sneer | snarl | nose raise | nose scrunch | nose crinkle | nose snarl
         tongueout: tongue stick out
         """,
         rank=3,
@@ -273,15 +281,17 @@ ROWED = (
 
 FILLERS = frozenset(
     "bs blend blendshape blendshapes shape shapes morph morphs target face facial facs fac action "
-    "unit au fcl ctrl expression expressions weight weights skin".split()
+    "unit au fcl ctrl ball expression expressions weight weights skin".split()
 )
 """Words that say nothing about the motion."""
 
 WORDS = {
-    **dict.fromkeys(("eyes",), "eye"),
+    **dict.fromkeys(("eyes", "eyeball", "eyeballs"), "eye"),
     **dict.fromkeys(("eyelid", "eyelids", "lids"), "lid"),
     **dict.fromkeys(("eyebrow", "eyebrows", "brows", "brw"), "brow"),
     **dict.fromkeys(("lip", "lips", "mth"), "mouth"),
+    **dict.fromkeys(("corners",), "corner"),
+    **dict.fromkeys(("dn", "dwn"), "down"),
     **dict.fromkeys(("cheeks",), "cheek"),
     **dict.fromkeys(("up", "raiser", "raised", "raises"), "raise"),
     **dict.fromkeys(("lowerer", "lowered", "lowers"), "lower"),
