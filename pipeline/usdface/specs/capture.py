@@ -301,7 +301,8 @@ class CleanSpec(Spec):
     out: LayerOut
     """The cleaned take to write."""
     rigid: tuple[Name, ...] = ()
-    """Markers that move with the skull only. Default: those of the take; otherwise, if labels name
+    """Markers that move with the skull only. Default: those of the take; otherwise those labelled
+    as on a head band (head, band, cap), if they keep their distances; otherwise, if labels name
     parts of the face, all markers, weighted by how far their part moves; otherwise detected."""
     neutral: int | None = None
     """Frame number of the neutral face. Default: that of the take."""

@@ -1,6 +1,7 @@
 import pytest
 
 from usdface.model.placement.label_hints import (
+    is_worn,
     label_hint,
     mirrored_label,
     side_of_label,
@@ -63,3 +64,10 @@ def test_a_label_names_a_part_and_at_times_a_landmark(
 def test_skin_of_the_skull_moves_least_and_lips_most() -> None:
     bridge, brow, lip = skin_motion_mm(("NoseTop", "Leyebrow_M", "Mouth_Up"))
     assert bridge < 1 < brow < lip
+
+
+def test_what_is_worn_is_neither_forehead_ear_nor_temple() -> None:
+    worn = ("head_1", "Headband_L", "forehead_band_2", "skull", "cap_R", "HEAD4")
+    assert all(map(is_worn, worn))
+    skin = ("ForeHead_M", "temple_L1", "ear_R", "Rear", "brow_L2", "cheek_1", "nose", "m12", "")
+    assert not any(map(is_worn, skin))

@@ -25,6 +25,7 @@ _INNER_WORD = re.compile(r"insid|inner|_in\b|_in_|inn")
 _OUTER_WORD = re.compile(r"outsid|outer|_out\b|_out_|out")
 _UPPER_WORD = re.compile(r"up|top")
 _LOWER_WORD = re.compile(r"down|low|bot")
+_WORN = re.compile(r"head|skull|cap|band")
 _NOT_A_SIDE = re.compile(r"^(lip|lid|low|lower|root|ridge|rim)", re.IGNORECASE)
 
 
@@ -89,6 +90,11 @@ def label_hint(label: str) -> LabelHint:
             spread = max((landmark_spread_mm(name) for name in landmarks), default=0.0)
             return LabelHint(side, region, landmarks, spread)
     return LabelHint(side)
+
+
+def is_worn(label: str) -> bool:
+    """Whether a label names a head band, a cap or the skull; not a forehead, ear or temple."""
+    return label_hint(label).region == "skull" and bool(_WORN.search(label.lower()))
 
 
 def landmark_spread_mm(name: str) -> float:
@@ -202,6 +208,7 @@ def _only(region: str) -> Callable[[str, Side], _Place]:
 
 
 _PARTS = (
+    (r"band", _only("skull")),
     (r"fore|front(?!al_)|fhd", _only("forehead")),
     (r"brow|bro\d|bro$", _brow),
     (r"nose|nasi|nostr", _nose),
@@ -212,4 +219,4 @@ _PARTS = (
     (r"cheek", _only("cheek")),
     (r"ear|temple|head|skull|tragus|cap", _only("skull")),
 )
-"""In this order: an eyebrow is no eye, and a forehead no head."""
+"""In this order: a band round the forehead is no skin, an eyebrow no eye, a forehead no head."""

@@ -33,6 +33,13 @@ class RigidMarkers:
     """Mean standard deviation of their mutual distances, measurement noise included [mm]."""
     rotation_error_deg: float
     """How far off the head's rotation may be by what is left of their own motion."""
+    noise_mm: float = 0.0
+    """Standard deviation of the measurement noise, per coordinate."""
+
+    @property
+    def residual_motion_mm(self) -> float:
+        """What is left of the deviation, per marker, without the noise of a distance's two ends."""
+        return float(np.sqrt(max(self.deviation_mm**2 / 2 - self.noise_mm**2, 0.0)))
 
 
 def find_rigid_markers(positions: ArrayLike, visible: ArrayLike) -> RigidMarkers:
@@ -95,7 +102,8 @@ def find_rigid_markers(positions: ArrayLike, visible: ArrayLike) -> RigidMarkers
     )
     chosen = np.sort(order[:count])
     deviation = deviations[np.ix_(chosen, chosen)].sum() / (count * (count - 1))
-    return RigidMarkers(tuple(usable[chosen].tolist()), float(deviation), float(np.rad2deg(error)))
+    indices = tuple(usable[chosen].tolist())
+    return RigidMarkers(indices, float(deviation), float(np.rad2deg(error)), noise)
 
 
 def _judged_orders(

@@ -1,5 +1,7 @@
 """A captured take in, a cleaned one out: stronger, over the captured one."""
 
+import contextlib
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,11 +15,11 @@ from usdface.core.sidecars import samples_path
 from usdface.core.text import first_few, pluralize
 from usdface.media.charts.repair import RepairKind, draw_repairs
 from usdface.media.picture.image import write_image
-from usdface.model.placement.label_hints import label_hint, skin_motion_mm
+from usdface.model.placement.label_hints import is_worn, label_hint, skin_motion_mm
 from usdface.model.review.verdict import OPENINGS
 from usdface.numerics.motion.noise import still_range_mm
 from usdface.numerics.repair.cleaning import CleanedMarkers, clean_markers
-from usdface.numerics.rigid.rigid_markers import find_rigid_markers
+from usdface.numerics.rigid.rigid_markers import RigidMarkers, find_rigid_markers
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.capture import CleanSpec
@@ -38,6 +40,9 @@ _FEWEST_RIGID = 3
 
 _SKULL_MOTION_MM = 1.0
 """Markers that move by no more count as those of the skull."""
+
+_PROVEN_MOTION_MM = 0.3
+"""Own motion of markers on a head band: with no more, they are used as if they were named rigid."""
 
 _LEAST_HINTED_SHARE = 0.6
 """Of the markers, whose labels must name a part of the face before labels are relied on."""
@@ -157,8 +162,9 @@ def _head_markers(
 ) -> tuple[tuple[str, ...], FloatArray | None]:
     """Return the markers of the skull, and what takes their place where none are named.
 
-    Named markers are used as they are. Otherwise labels that name parts of the face say how far
-    each marker moves by itself; only where they are silent, a set that keeps its distances is
+    Named markers are used as they are, and so are those that labels put on a head band, if they
+    keep their mutual distances. Otherwise labels that name parts of the face say how
+    far each marker moves by itself; only where they are silent, a set that keeps its distances is
     sought: in one take it may be the forehead, in the next cheeks and chin.
     """
     named = spec.rigid or markers.rigid
@@ -171,6 +177,16 @@ def _head_markers(
     if named:
         notes += _soft_notes(named)
         return named, None
+    worn = [index for index, name in enumerate(markers.names) if is_worn(name)]
+    with contextlib.suppress(ValueError):
+        found = _find_rigid(take, markers, worn)
+        if found.residual_motion_mm <= _PROVEN_MOTION_MM:
+            names = tuple(markers.names[worn[index]] for index in found.indices)
+            notes.append(
+                f"no rigid markers were named; {first_few(names)}, of a head band by their labels, "
+                f"keep their mutual distances to {found.deviation_mm:.2f} mm and are used"
+            )
+            return names, None
     motion = skin_motion_mm(markers.names)
     still = tuple(
         name for name, mm in zip(markers.names, motion, strict=True) if mm <= _SKULL_MOTION_MM
@@ -183,13 +199,7 @@ def _head_markers(
         )
         return still, motion
     try:
-        # A padded take is judged by the frames in which something was recorded.
-        recorded = np.flatnonzero(markers.visible.any(axis=1))
-        whole = len(recorded) == take.frame_count  # an hour of markers is not copied
-        found = find_rigid_markers(
-            markers.positions if whole else markers.positions[recorded],
-            markers.visible if whole else markers.visible[recorded],
-        )
+        found = _find_rigid(take, markers)
     except ValueError as error:
         raise InputError(
             f"{spec.take}: no rigid markers are named and none could be found: {error}"
@@ -201,6 +211,19 @@ def _head_markers(
     )
     notes += _soft_notes(names)
     return names, None
+
+
+def _find_rigid(take: Take, markers: Markers, columns: Sequence[int] | None = None) -> RigidMarkers:
+    """Look for markers that keep their distances, among some columns or all."""
+    # A padded take is judged by the frames in which something was recorded.
+    recorded = np.flatnonzero(markers.visible.any(axis=1))
+    whole = len(recorded) == take.frame_count  # an hour of markers is not copied
+    positions, visible = markers.positions, markers.visible
+    if columns is not None:
+        positions, visible = positions[:, columns], visible[:, columns]
+    return find_rigid_markers(
+        positions if whole else positions[recorded], visible if whole else visible[recorded]
+    )
 
 
 def _soft_notes(names: tuple[str, ...]) -> list[str]:

@@ -1,0 +1,62 @@
+"""Markers that labels put on a head band are rigid without being named, if they are."""
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from usdface.core.assets import Markers, Take
+from usdface.runner.execute import execute
+from usdface.specs.capture import CleanSpec
+from usdface.usdio.take.read import read_take
+from usdface.usdio.take.write import write_take
+
+BAND = ("head_1", "head_2", "head_3", "head_4")
+SKIN = tuple(
+    f"{part}_{side}{n}" for part in ("brow", "cheek", "mouth") for side in "LR" for n in "12"
+)
+FRAMES, NOISE_MM = 300, 0.15
+
+
+def write_turning(path: Path, *, band_motion_mm: float) -> None:
+    """Write a head that turns, with a band and a mouth that move, brows and cheeks that do not."""
+    rng = np.random.default_rng(0)
+    band = np.array([[-60, 75, -60], [60, 75, -60], [0, 95, -40], [-75, 40, -100]], float)
+    skin = np.stack([rng.uniform(-50, 50, 12), np.repeat([30, 0, -40], 4), np.full(12, 40.0)], 1)
+    t = np.arange(FRAMES)[:, None, None] / 60
+    still = np.concatenate([band, skin])
+    face = np.repeat(still[None], FRAMES, axis=0)
+    face[:, -4:, 1:2] += 8 * np.sin(5 * t)
+    face[:, :4] += band_motion_mm * np.sin(t * rng.uniform(2, 6, (4, 3)))
+    turns = Rotation.from_rotvec(np.sin(2 * t[:, 0]) * [0.1, 0.3, 0.05]).as_matrix()
+    moved = np.einsum("fij,fkj->fki", turns, face) + rng.normal(0, NOISE_MM, face.shape)
+    seen = np.ones(moved.shape[:2], bool)
+    markers = Markers(
+        names=(*BAND, *SKIN),
+        positions=moved.astype(np.float32),
+        visible=seen,
+        confidence=seen.astype(np.float32),
+        neutral_frame=1,
+    )
+    write_take(path, Take(name="band", rate=Fraction(60), first_frame=1, markers=markers))
+
+
+@pytest.mark.parametrize("band_motion_mm", [0.0, 1.5], ids=["band", "loose"])
+def test_a_band_is_rigid_where_it_proves_so(tmp_path: Path, band_motion_mm: float) -> None:
+    take, out, named = (tmp_path / f"{name}.take.usda" for name in ("band", "clean", "named"))
+    write_turning(take, band_motion_mm=band_motion_mm)
+    notes = [note for note in execute(CleanSpec(take=take, out=out)).notes if "rigid" in note]
+    cleaned = read_take(out).markers
+    assert cleaned is not None
+    if band_motion_mm:
+        assert any("estimated from all markers" in note for note in notes)
+        return
+    assert cleaned.rigid == BAND, "brows and cheeks are as still, and are skin"
+    (note,) = notes
+    assert "head_1, head_2, head_3, head_4, of a head band by their labels, keep" in note
+    execute(CleanSpec(take=take, out=named, rigid=BAND))
+    same = read_take(named).markers
+    assert same is not None
+    np.testing.assert_array_equal(cleaned.positions, same.positions)
