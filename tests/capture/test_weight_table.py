@@ -60,6 +60,17 @@ WRITTEN = {
             "data": [{"time": n / 30, "weights": row} for n, row in enumerate(WEIGHTS.tolist())],
         }
     ),
+    "values.json": json.dumps(
+        {
+            "version": 3,
+            "fps": 24,  # of the display: the times are those of the rows
+            "names": NAMES,
+            "frames": [
+                {"t": n / 30, "values": row, "matrix": [1.0, 0.0]}
+                for n, row in enumerate(WEIGHTS.tolist())
+            ],
+        }
+    ),
     "mediapipe.json": json.dumps([categories(row) for row in WEIGHTS]),
     "results.json": json.dumps(
         [
@@ -112,6 +123,16 @@ def test_keys_have_the_frames_that_the_take_of_the_same_table_has(
     assert table.rate in (None, 30)
     (note,) = table.numbering_notes(path) or [""]
     assert ("count from frame 1" in note) == (name not in (*FROM_101, "rows.json"))
+
+
+def test_a_stated_rate_that_is_not_that_of_the_times_is_said(tmp_path: Path) -> None:
+    path = tmp_path / "values.json"
+    path.write_text(WRITTEN["values.json"])
+    assert any(
+        "states 24 frames per second, and its times 30: " in n for n in read_capture(path).notes
+    )
+    path.write_text(WRITTEN["values.json"].replace('"fps": 24', '"fps": 30'))
+    assert not any("the times are followed" in note for note in read_capture(path).notes)
 
 
 def test_keys_at_uneven_times_are_no_frames(tmp_path: Path) -> None:

@@ -52,9 +52,11 @@ _ROW_KEYS = (
     "faceBlendshapes",
     "weights",
     "scores",
+    "values",
 )
 _JSON_KEYS = re.compile(
-    r'"(facsNames|weightMat|categoryName|category_name|(face_?)?blendshapes|weights|frame)"\s*:',
+    r'"(facsNames|weightMat|categoryName|category_name|(face_?)?blendshapes|weights|frame)"\s*:'
+    r'|"((face_?)?blendshape_?)?names"\s*:\s*\[\s*"',
     re.IGNORECASE,
 )
 _FEWEST_SHAPES = 2

@@ -25,6 +25,8 @@ from usdface.core.text import first_few, pluralize
 
 LARGEST_FRACTION = 2.0
 """Weights pass 1 by a little where a shape is pushed; beyond this the unit has to be stated."""
+_OTHER_RATE = 1.2
+"""Ratio of a stated rate to that of the times beyond which it is the rate of something else."""
 _PER_UNIT = {"one": 1.0, "percent": 0.01}
 
 
@@ -123,6 +125,14 @@ def _times(
     """Return the first frame number, and where each row lies."""
     stated = samples.rate if rate is None else exact_rate(rate, where="--rate")
     where, source = str(path), "--rate" if rate is not None else "the file"
+    if rate is None and samples.frames is None and samples.seconds is not None and samples.rate:
+        step = float(np.median(np.diff(samples.seconds))) if len(samples.seconds) > 1 else 0.0
+        if step > 0 and not 1 / _OTHER_RATE < step * float(samples.rate) < _OTHER_RATE:
+            notes.append(
+                f"the file states {float(samples.rate):g} frames per second, and its times "
+                f"{1 / step:.4g}: the times are followed"
+            )
+            stated = None
     if samples.frames is None and samples.seconds is not None and stated is None:
         return 1, settle_device_times(samples.seconds, samples.lines, where=f"{path} times")
     if samples.frames is None:
