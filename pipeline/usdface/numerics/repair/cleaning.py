@@ -23,6 +23,7 @@ from usdface.numerics.repair.gap_filling import complete_take
 from usdface.numerics.repair.low_rank import LowRankModel, fill_missing, predict_from_others
 from usdface.numerics.repair.outliers import USUAL_RATE, find_outliers
 from usdface.numerics.repair.relabeling import Swap, apply_swaps, find_swaps
+from usdface.numerics.repair.slips import Slip, find_slips, undo_slips
 from usdface.numerics.repair.smoothing import smooth_poses, smooth_take
 from usdface.numerics.rigid.rigid_alignment import align_frames, alignment_of, remove_motion
 from usdface.numerics.rigid.stabilization import stabilize, stabilize_by_prior
@@ -59,6 +60,8 @@ class CleanedMarkers:
     """(frames,) [0-1]"""
     noise_mm: float
     """Measurement noise per coordinate before smoothing [mm]."""
+    slips: tuple[Slip, ...] = ()
+    """Markers brought back to where they sat in the neutral frame."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +91,8 @@ def clean_markers(
 
     In this order: the head's pose from the rigid markers; labels that have changed places;
     outliers, which the other markers contradict; the pose again, from all markers against what the
-    others predict of them; gaps; noise, each direction of the face's motion by its own penalty.
+    others predict of them; markers that moved on the skin; gaps; noise, each direction of the
+    face's motion by its own penalty.
 
     Parameters
     ----------
@@ -132,8 +136,7 @@ def clean_markers(
     outliers = find_outliers(still.positions, seen, model=model, noise=noise, rate=rate)
     good = seen & ~outliers
     progress(0.6, "head motion, from all markers")
-    _refine_pose(still, good, model)
-    noise = marker_noise(still.positions, good)
+    noise, slips = _settle(still, good, model, neutral=neutral, rate=rate)
     progress(0.7, "gaps")
     model = fit_low_rank(still.positions, good, rank_limit=rank, start=model, noise=noise)
     sigma = float(np.median(noise))
@@ -156,7 +159,22 @@ def clean_markers(
         filled=gaps.filled,
         pose_confidence=still.pose_confidence,
         noise_mm=sigma,
+        slips=slips,
     )
+
+
+def _settle(
+    still: _StabilizedTake, good: BoolArray, model: LowRankModel, *, neutral: int, rate: float
+) -> tuple[FloatArray, tuple[Slip, ...]]:
+    """Refine the head's pose and put markers back that slipped; return their noise, and slips."""
+    _refine_pose(still, good, model)
+    noise = marker_noise(still.positions, good)
+    slips = find_slips(still.positions, good, model=model, rate=rate)
+    if slips:
+        slips = undo_slips(
+            still.positions, good, slips, neutral=neutral, rank=len(model.variances), noise=noise
+        )
+    return noise, slips
 
 
 def _check(captured: Float32Array, seen: BoolArray, neutral: int, max_gap: int) -> None:

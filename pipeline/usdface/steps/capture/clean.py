@@ -93,7 +93,8 @@ def run(spec: CleanSpec, *, provenance: Provenance, progress: Progress = silent)
         )
     except ValueError as error:
         raise InputError(f"{spec.take}: cannot be cleaned: {error}") from error
-    notes += _still_notes(cleaned) + _repairs(cleaned, markers, take)
+    notes += _still_notes(cleaned) + _slip_notes(cleaned, markers, take)
+    notes += _repairs(cleaned, markers, take)
     progress(0.9, f"writing {spec.out.name}")
     still = Markers(
         names=markers.names,
@@ -285,6 +286,15 @@ def _still_notes(cleaned: CleanedMarkers) -> list[str]:
         f"{cleaned.noise_mm:.2f} mm of noise): the take shows one expression, and no references "
         "can be selected from it alone; if the face did move, the capture was exported without its "
         "motion (a static pose, a frozen stream): export and ingest it again"
+    ]
+
+
+def _slip_notes(cleaned: CleanedMarkers, markers: Markers, take: Take) -> list[str]:
+    """Name the markers that moved on the skin."""
+    return [
+        f"{markers.names[slip.marker]} moved on the skin, by {np.linalg.norm(slip.offset):.1f} mm "
+        f"near frame {take.first_frame + slip.row}: put back where it sat in the neutral frame"
+        for slip in cleaned.slips
     ]
 
 
