@@ -21,7 +21,9 @@ from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.sidecars import corrected_path, poses_path
+from usdface.media.face.camera import frame_rig
 from usdface.media.page.face_payload import FacePayload, pack_face, read_web_file
+from usdface.model.placement.rig_orientation import facing_degrees
 from usdface.model.placement.shape_parts import shape_parts
 from usdface.numerics.measure.face_regions import mirrored_shapes, sided_shapes
 from usdface.specs.notes import ReviewNotes
@@ -126,7 +128,8 @@ class Scene:
     @functools.cached_property
     def payload(self) -> FacePayload:
         """The face."""
-        return pack_face(self.rig, parts=shape_parts(self.rig, Deformer(self.rig)))
+        camera = frame_rig(self.rig.meshes, yaw_degrees=facing_degrees(self.rig), hair=True)
+        return pack_face(self.rig, camera=camera, parts=shape_parts(self.rig, Deformer(self.rig)))
 
     @functools.cached_property
     def targets(self) -> MarkerTargets | str:

@@ -13,7 +13,7 @@ from usdface.core.assets import Rig
 from usdface.core.errors import InputError
 from usdface.demo.dog import dog_rig
 from usdface.demo.rig import demo_rig
-from usdface.model.placement.rig_orientation import check_rig_stands
+from usdface.model.placement.rig_orientation import check_rig_stands, facing_degrees
 from usdface.usdio.rig.read import read_rig
 
 HEADS = ("facecap_head.usdc", "ict_head.usdc", "ict_face.usdc")
@@ -48,6 +48,16 @@ def test_heads_that_stand_pass_however_large_squashed_or_turned(rig: Rig) -> Non
     nod = Rotation.from_euler("x", 35, degrees=True).as_matrix()
     for matrix in (np.eye(3), 50 * np.eye(3), np.diag([2.0, 0.6, 1.5]), yaw, yaw @ nod):
         assert check_rig_stands(transformed(rig, matrix)) == ()
+
+
+def test_where_a_face_looks_is_known_by_its_sides(rig: Rig) -> None:
+    for degrees in (0, 15, 45, 135, -90):
+        matrix = Rotation.from_euler("y", degrees, degrees=True).as_matrix()
+        found = facing_degrees(transformed(rig, matrix))
+        if abs(degrees) <= 15:
+            assert found == 0.0, "pictures of heads a little askew stay as they were"
+        else:
+            assert found == pytest.approx(degrees, abs=3)
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,9 @@ LYING_RIG_DEGREES = 60.0
 """Between the head's own up and Y: a wrong up axis turns it by 90 or 180, and on the heads at hand
 the motions' mean is within 10."""
 
+_TURNED_DEGREES = 20.0
+"""Of a face that looks somewhere else than along +Z: pictures from there show too little of it."""
+
 _UPWARDS = {
     "browinnerup": 1,
     "browouterup": 1,
@@ -92,6 +95,17 @@ def face_axes(rig: Rig) -> FloatArray:
         left = -left  # its names are the viewer's
     left = np.array([left[0], 0.0, left[2]]) / np.hypot(left[0], left[2])
     return np.stack([left, (0.0, 1.0, 0.0), np.cross(left, (0.0, 1.0, 0.0))], axis=1)
+
+
+def facing_degrees(rig: Rig) -> float:
+    """Return how far a rig's face is turned about Y from looking along +Z, -180 to 180 [degrees].
+
+    0 where that is less than `_TURNED_DEGREES`, as of heads that were sculpted a little askew, and
+    where names do not say.
+    """
+    forward = face_axes(rig)[:, 2]
+    degrees = float(np.degrees(np.arctan2(forward[0], forward[2])))
+    return degrees if abs(degrees) > _TURNED_DEGREES else 0.0
 
 
 def face_centre(rig: Rig) -> FloatArray:

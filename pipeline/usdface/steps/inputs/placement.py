@@ -15,6 +15,7 @@ from usdface.media.face.render import Quality
 from usdface.media.picture.binding_picture import BoundMarkers, draw_binding
 from usdface.model.placement.marker_cloud import MarkerCloud, marker_cloud
 from usdface.model.placement.place import place_markers
+from usdface.model.placement.rig_orientation import facing_degrees
 from usdface.model.placement.verdict import PlacementVerdict, judge_placement
 from usdface.model.selection.baseline import (
     BlendshapeEquation,
@@ -343,6 +344,8 @@ def draw_placement(
     row_of = _bound(placement)
     names, rows = tuple(row_of), list(row_of.values())
     binding = placement.binding
+    yaw = facing_degrees(rig)
+    turned = (f"the rig faces {yaw:.0f} degrees from Z, about Y",) if yaw else ()
     return draw_binding(
         rig.meshes,
         BoundMarkers(
@@ -354,7 +357,8 @@ def draw_placement(
         ),
         title=title,
         verdict=(verdict.level, verdict.sentence),
-        facts=verdict.facts,
+        facts=(*verdict.facts, *turned),
+        yaw_degrees=yaw,
         quality=quality,
     )
 

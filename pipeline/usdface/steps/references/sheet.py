@@ -25,6 +25,7 @@ from usdface.media.picture.reference_sheet import (
     ReferenceRow,
     compose_reference_sheet,
 )
+from usdface.model.placement.rig_orientation import facing_degrees
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
@@ -105,7 +106,7 @@ class _PairPictures:
         self._images = read_pair_notes(spec.references)
         self._deformer, self._renderer = Deformer(rig), FaceRenderer(rig.meshes)
         self._normals = SculptedNormals(rig, self._deformer)
-        self._camera = frame_rig(rig.meshes, hair=True)
+        self._camera = frame_rig(rig.meshes, yaw_degrees=facing_degrees(rig), hair=True)
         columns = [rig.shapes.index(name) for name in references.shape_names]
         self._weights = np.zeros((len(references.weights), len(rig.shapes)))
         self._weights[:, columns] = references.weights

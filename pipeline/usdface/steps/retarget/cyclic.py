@@ -21,6 +21,7 @@ from usdface.media.picture.canvas import new_picture
 from usdface.media.picture.color import BRIGHT, PAGE, SERIES_COLORS, SOFT
 from usdface.media.picture.image import write_image
 from usdface.media.picture.text import TextStyle, draw_text
+from usdface.model.placement.rig_orientation import facing_degrees
 from usdface.model.regressions import find_retarget_method
 from usdface.model.retarget.control_space import check_pairs
 from usdface.model.retarget.cyclic import (
@@ -215,7 +216,8 @@ def _draw_returned(
     page = new_picture(FIGURE_WIDTH, tile + 2 * _FACES_TEXT + margin, PAGE)
     frame = first_frame + step * at
     draw_text(page, f"frame {frame}: most is lost", x=margin, y=0, style=_FACES_HEAD)
-    renderer, camera = FaceRenderer(rig.meshes), frame_rig(rig.meshes, hair=True)
+    renderer = FaceRenderer(rig.meshes)
+    camera = frame_rig(rig.meshes, yaw_degrees=facing_degrees(rig), hair=True)
     deformer = Deformer(rig)
     for number, (label, weights) in enumerate(faces):
         x = margin + number * (tile + gap)

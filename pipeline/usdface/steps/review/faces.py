@@ -13,6 +13,7 @@ from usdface.media.face.camera import frame_rig
 from usdface.media.face.render import FaceRenderer
 from usdface.media.picture.image import write_image
 from usdface.media.picture.sheet import SheetPage, SheetRow, Tile, compose_sheet
+from usdface.model.placement.rig_orientation import facing_degrees
 from usdface.runner.origin import provenance_metadata, with_moved
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
@@ -83,8 +84,9 @@ class _Column:
         self._spec = spec
         self._posed = {frame: actor.points(frame) for frame in frames.tolist()}
         self._renderer = FaceRenderer(actor.rig.meshes)
-        face = frame_rig(actor.rig.meshes, yaw_degrees=spec.yaw)
-        self._with_hair = frame_rig(actor.rig.meshes, yaw_degrees=spec.yaw, hair=True)
+        yaw = spec.yaw + facing_degrees(actor.rig)
+        face = frame_rig(actor.rig.meshes, yaw_degrees=yaw)
+        self._with_hair = frame_rig(actor.rig.meshes, yaw_degrees=yaw, hair=True)
         # As far away as fits the face, so that faces are of one size; aimed at face and hair.
         away = np.subtract(face.eye, face.target)
         x, y, z = (self._with_hair.target + away).tolist()

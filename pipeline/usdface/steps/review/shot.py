@@ -13,6 +13,7 @@ from usdface.core.errors import InputError
 from usdface.core.rates import shift_timecode
 from usdface.core.sidecars import is_usd_name
 from usdface.media.face.camera import Camera, frame_rig, motion_weights
+from usdface.model.placement.rig_orientation import facing_degrees
 from usdface.model.review.verdict import SolveEvidence
 from usdface.runner.origin import find_take, provenance_of, spec_of, take_of_performance
 from usdface.specs.paths import frame_range
@@ -58,7 +59,7 @@ class ShotCamera:
         self._motion = motion
         reach = motion_weights(rig.meshes)
         self._face = reach > 0 if reach.any() else np.ones(len(reach), bool)
-        self._framed = frame_rig(rig.meshes, hair=True)
+        self._framed = frame_rig(rig.meshes, yaw_degrees=facing_degrees(rig), hair=True)
         self._name = name
         self._stage: StageCamera | None = None
         if name not in (AUTO_CAMERA, FRONT_CAMERA):
