@@ -38,6 +38,14 @@ def test_the_most_extreme_frame_is_always_shown(pick: str) -> None:
     assert int(np.argmax(curve)) in [frame.row for frame in choose_frames(pick, 7, **shown)]
 
 
+@pytest.mark.parametrize("count", [2, 4, 12])
+def test_the_worst_moment_is_among_the_expressions_of_every_sheet(count: int) -> None:
+    shown = curves()
+    shown["strength"] = np.arange(300)[::-1].astype(float)
+    worst = int(np.argmax(shown["signals"].score_mm))
+    assert worst in [frame.row for frame in choose_frames("expression", count, **shown)]
+
+
 def test_one_bad_moment_is_one_row() -> None:
     error = np.full((300, 1), 0.1)
     error[100:110] = 9.0  # one long mistake, and a short one far away

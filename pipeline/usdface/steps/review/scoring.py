@@ -203,7 +203,7 @@ def coverage_curves(shot: Shot) -> tuple[ErrorCurve, ...]:
 
 
 WORST_SHARE = 6
-"""Among expressions, one frame in so many is a worst one."""
+"""Among expressions, one frame in so many is a worst one; of two and more at least one."""
 
 
 @dataclass(frozen=True)
@@ -245,7 +245,7 @@ def choose_frames(
         moments = review_moments(signals, count, rate=rate)
         return sorted(map(_chosen_moment, moments), key=lambda frame: frame.row)
     if pick == "expression":
-        worst = min(count // WORST_SHARE, count - 1)
+        worst = min(max(count // WORST_SHARE, 1), count - 1)
         chosen = _strongest(strength, count - worst, near)
         found = [ChosenFrame(row) for row in chosen]
         error = np.nan_to_num(signals.score_mm, nan=-1.0)
