@@ -43,7 +43,8 @@ def test_the_worst_moment_is_among_the_expressions_of_every_sheet(count: int) ->
     shown = curves()
     shown["strength"] = np.arange(300)[::-1].astype(float)
     worst = int(np.argmax(shown["signals"].score_mm))
-    assert worst in [frame.row for frame in choose_frames("expression", count, **shown)]
+    rows = [frame.row for frame in choose_frames("expression", count, **shown)]
+    assert min(abs(row - worst) for row in rows) < 300 // (3 * count)  # or one beside it
 
 
 def test_one_bad_moment_is_one_row() -> None:
