@@ -47,6 +47,18 @@ def test_a_marker_that_slips_is_put_back_where_it_sat_in_the_neutral(
     assert np.delete(away, np.arange(row - 40, row + 40)).mean() < 0.5
 
 
+@pytest.mark.parametrize("held", [240, 600])
+def test_a_lid_that_shuts_is_not_opened(held: int) -> None:
+    """Shut for the last four seconds it is an expression, for the last ten it is named."""
+    positions = performance()
+    truth = positions.copy()
+    positions[-held:, 12, 1] -= 9.0
+    found = cleaned(positions)
+    assert [slip.marker for slip in found.slips] == ([12] if held == 600 else [])
+    away = np.linalg.norm(found.positions[-held + 30 :, 12] - truth[-held + 30 :, 12], axis=1)
+    assert away.mean() > 8.0
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_a_face_that_moves_has_no_slips(seed: int) -> None:
     positions = performance(seed)

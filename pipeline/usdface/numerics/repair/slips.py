@@ -18,8 +18,11 @@ _BLOCK_SECONDS = 0.5
 """Means over it are nearly independent: an expression that the others do not predict lasts so
 long."""
 
-_FEWEST_BLOCKS = 4
-"""On either side of a slip."""
+_FEWEST_BLOCKS = 10
+"""On either side of a slip: an expression that one marker alone shows, a wink, is not held for five
+seconds."""
+
+_JUMP_BLOCKS = 4
 
 _STEP_DEVIATIONS = 2.0
 """Step over the deviation of block means on either side. Of takes without slips the largest is 1.2,
@@ -30,7 +33,10 @@ _LEAST_STEP_MM = 0.7
 
 _LEAST_DEVIATION_MM = 0.05
 _SUDDEN_SHARE = 0.5
-"""[of the step] What is left differs so much between the blocks next to the slip."""
+"""[of the step] What is left differs so much between the `_JUMP_BLOCKS` on either side."""
+
+MOST_SLIP_MM = 5.0
+"""Farther, a marker is on another one's place or on a lid that shut, and stays where it is."""
 
 _BATCH_BLOCKS = 64
 """Predicted at a time."""
@@ -45,6 +51,11 @@ class Slip:
     """The first in the new place, to half a second."""
     offset: FloatArray
     """(3,): new place less the old one [mm]; zeros until it is measured."""
+
+    @property
+    def distance_mm(self) -> float:
+        """Of the places; beyond `MOST_SLIP_MM` the marker was left in the new one."""
+        return float(np.linalg.norm(self.offset))
 
 
 def find_slips(
@@ -70,7 +81,7 @@ def find_slips(
         count = len(left)
         if count < 2 * _FEWEST_BLOCKS:
             continue
-        splits = np.arange(_FEWEST_BLOCKS, count - _FEWEST_BLOCKS + 1)
+        splits = np.arange(_JUMP_BLOCKS, count - _JUMP_BLOCKS + 1)
         sums, squares = left.cumsum(axis=0), (left**2).sum()
         before = sums[splits - 1] / splits[:, None]
         after = (sums[-1] - sums[splits - 1]) / (count - splits)[:, None]
@@ -79,7 +90,9 @@ def find_slips(
         deviation = np.sqrt(np.maximum(inside, 0.0) / count)
         step = np.linalg.norm(after - before, axis=1)
         best = int(np.argmax(step / np.maximum(deviation, _LEAST_DEVIATION_MM)))
-        at, near = int(splits[best]), _FEWEST_BLOCKS
+        at, near = int(splits[best]), _JUMP_BLOCKS
+        if min(at, count - at) < _FEWEST_BLOCKS:
+            continue
         jump = np.linalg.norm(left[at : at + near].mean(axis=0) - left[at - near : at].mean(axis=0))
         limit = _STEP_DEVIATIONS * max(float(deviation[best]), _LEAST_DEVIATION_MM)
         if step[best] > max(limit, _LEAST_STEP_MM) and jump > _SUDDEN_SHARE * step[best]:
@@ -98,6 +111,8 @@ def undo_slips(
     noise: FloatArray,
 ) -> tuple[Slip, ...]:
     """Put markers that slipped where they sat in the neutral frame; return how far they slipped.
+
+    Those that are farther than `MOST_SLIP_MM` are measured only.
 
     What the others predict of a marker is learnt from its frames on the neutral's side alone.
 
@@ -130,7 +145,8 @@ def undo_slips(
         other = np.zeros_like(seen)
         other[side] = True
         offset = np.median(away[seen & other], axis=0) - np.median(away[seen & ~other], axis=0)
-        positions[side, slip.marker] -= offset.astype(np.float32)
+        if np.linalg.norm(offset) <= MOST_SLIP_MM:
+            positions[side, slip.marker] -= offset.astype(np.float32)
         measured.append(Slip(slip.marker, slip.row, offset if neutral < slip.row else -offset))
     return tuple(measured)
 

@@ -19,6 +19,7 @@ from usdface.model.placement.label_hints import is_worn, label_hint, skin_motion
 from usdface.model.review.verdict import OPENINGS
 from usdface.numerics.motion.noise import still_range_mm
 from usdface.numerics.repair.cleaning import CleanedMarkers, clean_markers
+from usdface.numerics.repair.slips import MOST_SLIP_MM
 from usdface.numerics.rigid.rigid_markers import RigidMarkers, find_rigid_markers
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
@@ -292,8 +293,13 @@ def _still_notes(cleaned: CleanedMarkers) -> list[str]:
 def _slip_notes(cleaned: CleanedMarkers, markers: Markers, take: Take) -> list[str]:
     """Name the markers that moved on the skin."""
     return [
-        f"{markers.names[slip.marker]} moved on the skin, by {np.linalg.norm(slip.offset):.1f} mm "
-        f"near frame {take.first_frame + slip.row}: put back where it sat in the neutral frame"
+        f"{markers.names[slip.marker]} moved on the skin, by {slip.distance_mm:.1f} mm near frame "
+        f"{take.first_frame + slip.row}: "
+        + (
+            "put back where it sat in the neutral frame"
+            if slip.distance_mm <= MOST_SLIP_MM
+            else "too far to be put back; look at it, and leave it out unless its skin moved so"
+        )
         for slip in cleaned.slips
     ]
 
