@@ -113,3 +113,18 @@ def test_a_take_written_at_twice_the_rate_of_its_capture_is_named(shot: Shot) ->
     notes = execute(CleanSpec(take=shot / "held.take.usda", out=out)).notes
     said = f"captured at about {float(take.rate) / 2:g} frames per second and written at"
     assert any(said in note for note in notes)
+
+
+def test_a_marker_that_is_stuck_is_named_and_does_not_hide_a_stream_that_froze(shot: Shot) -> None:
+    take = read_take(shot / "shot.take.usda")
+    assert take.markers is not None
+    positions, visible = take.markers.positions.copy(), take.markers.visible.copy()
+    count = round(float(take.rate))
+    positions[:, 7], visible[:, 7] = positions[0, 7], True
+    positions[201 : 201 + count], visible[200 : 201 + count] = positions[200], True
+    stuck = replace(take.markers, positions=positions, visible=visible)
+    write_take(shot / "stuck.take.usda", replace(take, markers=stuck))
+    out = shot / "stuck.clean.take.usda"
+    notes = execute(CleanSpec(take=shot / "stuck.take.usda", out=out)).notes
+    assert any(f"most of the take: {take.markers.names[7]};" in note for note in notes)
+    assert any(f"in one place for {count} frames" in note for note in notes)

@@ -26,7 +26,7 @@ _JUMP_BLOCKS = 4
 
 _STEP_DEVIATIONS = 2.0
 """Step over the deviation of block means on either side. Of takes without slips the largest is 1.2,
-of four markers that slipped by 4 mm the smallest 2.7."""
+of three with one, of 2 and 4 mm, the smallest 2.7."""
 
 _LEAST_STEP_MM = 0.7
 """Of what the model leaves over, which has learnt a part of the slip: half of it or more."""
@@ -112,9 +112,8 @@ def undo_slips(
 ) -> tuple[Slip, ...]:
     """Put markers that slipped where they sat in the neutral frame; return how far they slipped.
 
-    Those that are farther than `MOST_SLIP_MM` are measured only.
-
-    What the others predict of a marker is learnt from its frames on the neutral's side alone.
+    What the others predict of a marker is learnt from its frames on the neutral's side alone. Those
+    that are farther than `MOST_SLIP_MM` are measured only.
 
     Parameters
     ----------

@@ -56,6 +56,9 @@ OUTLIER_COLOR, LEFT_COLOR = (206, 96, 190), (226, 74, 66)
 _COPIED_SECONDS = 0.5
 """A marker that repeats its place to the last digit for so long is not seen: heads and noise
 tremble."""
+_STUCK_SHARE = 0.05
+"""Of the markers: more that stay in one place are still skin of a simulation without noise."""
+
 _REPEATED_SHARE = 0.15
 """Of the frames: with more that repeat the one before, a slower capture was written at this rate,
 24 frames per second at 30 (a fifth) or 60 at 120 (half)."""
@@ -242,7 +245,7 @@ def _soft_notes(names: tuple[str, ...]) -> list[str]:
 def _without_copies(markers: Markers, take: Take) -> tuple[Markers, list[str]]:
     """Take markers for unseen where they repeat one place, and say where; say what repeats often.
 
-    Unless one does so in the larger part of the take: a still face, or a simulation of one.
+    Unless several do so in the larger part of the take: a still face, or a simulation of one.
     """
     seen, same = markers.visible, np.zeros_like(markers.visible)
     same[1:] = (markers.positions[1:] == markers.positions[:-1]).all(axis=2) & seen[1:] & seen[:-1]
@@ -251,16 +254,20 @@ def _without_copies(markers: Markers, take: Take) -> tuple[Markers, list[str]]:
     for marker, column in enumerate(same.T):
         for start, stop in runs(column):
             frozen[start:stop, marker] = stop - start >= least
-    if frozen.mean(axis=0).max() > 0.5:
+    stuck = frozen.mean(axis=0) > 0.5
+    if stuck.mean() > _STUCK_SHARE:
         return markers, []
+    notes = []
+    if stuck.any():
+        dead = first_few([markers.names[marker] for marker in np.flatnonzero(stuck)])
+        notes.append(f"to the last digit in one place for most of the take: {dead}; export without")
+    frozen[:, stuck] = False
     every = np.any(frozen, axis=1) & np.all(frozen | ~seen, axis=1)
     some = frozen & ~every[:, None]
     names = [name for name, each in zip(markers.names, some.any(axis=0), strict=True) if each]
-    notes = []
     for rows, who in ((every, "every marker"), (some.any(axis=1), first_few(names))):
-        frames = [
-            f"{take.first_frame + a}-{take.first_frame + b - 1}" for a, b in runs(np.asarray(rows))
-        ]
+        spans = runs(np.asarray(rows))
+        frames = [f"{take.first_frame + a}-{take.first_frame + b - 1}" for a, b in spans]
         if frames:
             notes.append(
                 f"to the last digit in one place for {pluralize(int(rows.sum()), 'frame')} "
