@@ -5,7 +5,10 @@ import pytest
 from scipy.optimize import lsq_linear, nnls
 
 from usdface.numerics.solve import curvature
-from usdface.numerics.solve.bounded_least_squares import solve_bounded_least_squares
+from usdface.numerics.solve.bounded_least_squares import (
+    descend_in_boxes,
+    solve_bounded_least_squares,
+)
 
 
 @pytest.fixture
@@ -127,3 +130,25 @@ def test_more_variables_than_coordinates_are_solved_alike(monkeypatch):
         tol=1e-14,
     ).x
     np.testing.assert_allclose(few.x[0], theirs, atol=1e-6)
+
+
+def test_steps_are_as_long_as_the_steepest_direction_allows() -> None:
+    """That of shapes which undo each other: the sum of all shapes does not show it."""
+    rng = np.random.default_rng(0)
+    frames, n = 50, 12
+    together, against = np.ones(n) / np.sqrt(n), np.where(np.arange(n) % 2, 1, -1) / np.sqrt(n)
+    H = 0.5 * np.outer(together, together) + np.outer(against, against) + 0.1 * np.eye(n)
+    linear = rng.uniform(0.2, 0.8, size=(frames, n)) @ H
+    found = descend_in_boxes(
+        lambda rows: rows @ H,
+        np.tile(np.diag(H), (frames, 1)),
+        linear,
+        lower=np.zeros((frames, n)),
+        upper=np.ones((frames, n)),
+        start=np.full((frames, n), 0.5),
+        steps=30,
+    )
+    factor = np.linalg.cholesky(H)
+    for frame, pull in zip(found, linear, strict=True):
+        exact = lsq_linear(factor.T, np.linalg.solve(factor, pull), (0.0, 1.0), tol=1e-12).x
+        np.testing.assert_allclose(frame, exact, atol=0.01)

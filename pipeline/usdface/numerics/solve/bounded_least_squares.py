@@ -37,9 +37,13 @@ _PATIENCE_ROUNDS = 3
 _WALK_STEPS_PER_VARIABLE = 5
 _WALK_TOLERANCE = 1e-10
 """[of the largest linear term] Breach of optimality above which frames are walked."""
-_POWER_STEPS = 8
+_POWER_STEPS = 6
 _POWER_MARGIN = 1.1
-"""Steps of the power method for a matrix's largest eigenvalue, and what they may fall short."""
+_POWER_START = 1e-6
+"""Of the power method for a matrix's largest eigenvalue: its steps, what they may fall short, and
+what is added to where it starts. Steps that show a larger one are taken again."""
+
+_TINY = float(np.finfo(np.float32).tiny)
 
 
 @dataclass(frozen=True)
@@ -185,21 +189,39 @@ def descend_in_boxes(
         Within the bounds exactly.
     """
     unit = 1 / np.sqrt(np.maximum(diagonal, np.finfo(np.float32).tiny))
-    vector = np.ones_like(linear)
+    low, high, pull = lower / unit, upper / unit, unit * linear
+
+    def scaled(rows: RealArray) -> RealArray:
+        return np.asarray(unit * product(unit * rows))
+
+    # What pulls is mostly along the steepest directions.
+    vector: RealArray = pull + np.float32(_POWER_START)
     for _ in range(_POWER_STEPS):
-        vector = unit * product(unit * vector)
-        largest = np.linalg.norm(vector, axis=1, keepdims=True)
-        vector /= largest
-    step = unit / (_POWER_MARGIN * largest)
-    low, high = lower / unit, upper / unit
-    z = _accelerate(
-        lambda z: z - step * (product(unit * z) - linear),
-        np.clip(start / unit, low, high),
-        low,
-        high,
-        steps=steps,
-    )
-    return np.asarray(np.clip(z * unit, lower, upper))
+        vector /= np.linalg.norm(vector, axis=1, keepdims=True)
+        vector = scaled(vector)
+    largest = _POWER_MARGIN * np.linalg.norm(vector, axis=1, keepdims=True)
+    now = ahead = np.clip(start / unit, low, high)
+    pushed_now = pushed_ahead = scaled(now)
+    momentum = 1.0
+    for _ in range(steps):
+        following = np.minimum(np.maximum(ahead - (pushed_ahead - pull) / largest, low), high)
+        pushed = scaled(following)
+        moved = following - ahead
+        length2 = np.einsum("fn,fn->f", moved, moved)[:, None]
+        steepness = np.einsum("fn,fn->f", moved, pushed - pushed_ahead)[:, None]
+        steep = steepness > largest * length2
+        if steep.any():  # a step too long, along a direction that the power method had missed
+            seen = np.minimum(
+                _POWER_MARGIN * steepness / np.maximum(length2, _TINY), moved.shape[1]
+            )
+            largest = np.where(steep, seen, largest)  # of a unit diagonal it is n at most
+            following, pushed = np.where(steep, now, following), np.where(steep, pushed_now, pushed)
+        gained = (1 + math.sqrt(1 + 4 * momentum**2)) / 2
+        carried = (momentum - 1) / gained
+        ahead = following + carried * (following - now)
+        pushed_ahead = pushed + carried * (pushed - pushed_now)
+        now, pushed_now, momentum = following, pushed, gained
+    return np.asarray(np.clip(now * unit, lower, upper))
 
 
 def _check(A: FloatArray, linear: FloatArray, lo: FloatArray, hi: FloatArray) -> None:
