@@ -37,6 +37,16 @@ def test_a_clock_that_is_off_loses_no_frame_of_a_long_take(rate, error):
     assert times.clock_error == pytest.approx(-error, abs=5e-6)
 
 
+@pytest.mark.parametrize("rate", NTSC, ids=str)
+def test_a_device_in_step_with_video_has_the_rate_of_video(rate):
+    times = settle_device_times(
+        np.round(np.arange(6000) / float(rate), 3), np.arange(6000), where="take"
+    )
+    assert times.even
+    assert times.rate == rate
+    assert abs(times.clock_error) < 1e-5
+
+
 @pytest.mark.parametrize("frames", [60, 120, 300])
 @pytest.mark.parametrize("rate", [*NTSC, Fraction(120_000, 1001)], ids=str)
 def test_a_short_take_is_of_a_rate_that_video_has(rate, frames):

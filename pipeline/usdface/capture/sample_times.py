@@ -22,6 +22,9 @@ DEVICE_RATES = (15, 20, 24, 25, 30, 48, 50, 60, 90, 100, 120, 240)
 """What cameras and phones are set to; their clocks are close to it, never exact."""
 _CLOCK_ERROR = 0.005
 """Relative; phones measured are within 0.001."""
+_NTSC_CLOCK_ERROR = 5e-5
+"""The same, to take 59.94 for what a clock kept in step with video says; 60 is 1e-3 off."""
+
 _UNEVEN_FRAMES = 0.3
 """[frames] A step this far from a whole number of frames is not even."""
 _UNEVEN_SHARE = 0.02
@@ -76,6 +79,11 @@ def settle_device_times(seconds: FloatArray, lines: IntArray, *, where: str) -> 
     nearest = min(DEVICE_RATES, key=lambda rate: abs(rate * step - 1))
     if abs(nearest * step - 1) <= (_CLOCK_ERROR if even else 0.2):
         rate = Fraction(nearest)
+        ntsc = min(
+            (Fraction(1000 * base, 1001) for base in NTSC_BASES), key=lambda r: abs(r * step - 1)
+        )
+        if even and abs(ntsc * step - 1) <= _NTSC_CLOCK_ERROR:
+            rate = ntsc
     else:
         rate = exact_rate(1 / step, where=where)
     frames = (

@@ -95,6 +95,25 @@ def test_a_mouth_that_is_torn_for_a_while_is_red_and_named(frames: int, level: s
         assert verdict.sentence.endswith(counted)
 
 
+def test_motion_that_a_retargeting_lost_is_said_beside_the_error() -> None:
+    found = replace(
+        evidence(),
+        uncertainty_mm=None,
+        residual_mm=None,
+        coverage=None,
+        basis=None,
+        by_markers=False,
+        error_mm=np.full((100, 3), 0.7),
+        retarget="mouthPucker and 3 more are not followed",
+        unfollowed_share=0.3,
+    )
+    verdict = judge_solve(found)
+    assert verdict.sentence.startswith("Check: mouthPucker and 3 more are not followed; 0.70 mm")
+    assert verdict.advice.startswith("pair these shapes")
+    small = judge_solve(replace(found, unfollowed_share=0.01))
+    assert "mouthPucker" not in small.sentence
+
+
 def test_proposals_are_never_good() -> None:
     proposed = judge_solve(replace(evidence(), basis=PROPOSED))
     assert proposed.level == "check"

@@ -44,6 +44,8 @@ _CHANCE_SHARE = 0.05
 _BAD_SHARE = 0.5
 """Of the frames: with more, a take is more work to mend than to map again."""
 
+_PAIR_ADVICE = "pair these shapes (`usdface names`, --names), then retarget again"
+
 OPENINGS = {"good": "Good", "check": "Check", "bad": "Do not use"}
 """The best level first."""
 
@@ -115,7 +117,8 @@ def judge_solve(evidence: SolveEvidence) -> SolveVerdict:
             level, beyond = "check" if checked else "good", doubtful
     shares = _by_any(beyond).mean(axis=0)
     where = _worst_regions(evidence.regions, shares)
-    parts = [_coverage(evidence), _tuned(evidence), _changed(evidence)]
+    lost = evidence.retarget if evidence.unfollowed_share > _CHANCE_SHARE else ""
+    parts = [lost, _coverage(evidence), _tuned(evidence), _changed(evidence)]
     parts += [_error(evidence), _residual(evidence)]
     if level != "good" and where:
         columns = [evidence.regions.index(region) for region in where]
@@ -123,7 +126,7 @@ def judge_solve(evidence: SolveEvidence) -> SolveVerdict:
     return SolveVerdict(
         level,
         f"{OPENINGS[level]}: {'; '.join(filter(None, parts))}",
-        _advice(evidence, level, where, proposals),
+        _PAIR_ADVICE if lost else _advice(evidence, level, where, proposals),
         {
             "level": level,
             "bad_share": round(_frame_share(bad), 4),
@@ -143,7 +146,7 @@ def _judge_without_figures(evidence: SolveEvidence) -> SolveVerdict:
         return SolveVerdict(
             "bad",
             f"{OPENINGS['bad']}: {evidence.retarget}: {share:.0%} of the source's motion",
-            "pair these shapes (`usdface names`, --names), then retarget again",
+            _PAIR_ADVICE,
             {"level": "bad", "unfollowed_share": share},
         )
     if evidence.retarget or not evidence.by_markers:
