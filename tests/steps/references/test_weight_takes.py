@@ -23,6 +23,8 @@ from usdface.tuning.journal import Change
 from usdface.tuning.session import TuningSession
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.references.read import read_references, take_files
+from usdface.usdio.references.weight_layers import read_set_references
+from usdface.usdio.retarget.pairs import read_pairs
 from usdface.usdio.rig.write import write_rig
 from usdface.usdio.take.write import write_take
 from usdface.usdio.validation import validate
@@ -118,6 +120,30 @@ def test_a_retargeting_passes_through_the_tuned_pairs(folder: Path) -> None:
     page = folder / "phone.html"
     execute(ReportSpec(performance=out, out=page, frames="11-14", height=120))
     assert "references add phone.hero.usda --references phone.references" in page.read_text("utf-8")
+
+
+def test_shapes_of_the_tuned_frames_that_no_pair_has_are_named(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, pairs = folder / "phone.references.usda", folder / "phone.pairs.usda"
+    execute(select(folder))
+    execute(
+        PairsProposeSpec(source=folder / "phone.take.usda", target=folder / "rig.usda", out=pairs)
+    )
+    tune(path, 0, smile=0.5)
+    spec = TrainRetargetSpec(
+        pairs=pairs, references=path, method="additive", out=folder / "phone.retarget.usdc"
+    )
+    assert not any("in no pair" in note for note in execute(spec).notes)
+    known = read_pairs(pairs)
+    moved = known.source_shapes[int(read_set_references(path).source[0].argmax())]
+    kept = [name != moved for name in known.source_shapes]
+    monkeypatch.setattr(
+        "usdface.steps.retarget.train.read_pairs",
+        lambda path: replace(known, source=known.source * kept),
+    )
+    (note,) = [note for note in execute(spec, overwrite=True).notes if "in no pair" in note]
+    assert moved in note
 
 
 def test_the_block_of_the_page_on_tuning_runs(

@@ -10,7 +10,7 @@ from usdface.core.controls import ExpressionPairs, Retargeting, bare_controls
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.text import counted, first_few
+from usdface.core.text import counted, first_few, pluralize
 from usdface.model.retarget.control_space import (
     check_pairs,
     dead_controls,
@@ -32,6 +32,9 @@ from usdface.usdio.retarget.pairs import read_pairs
 from usdface.usdio.retarget.retargeting import write_retargeting
 from usdface.usdio.rig.read import read_rig
 
+_LOST_WEIGHT = 0.1
+"""A shape that reaches it is seen."""
+
 LISTED_CONFLICTS = 5
 """How many of a kind a note names."""
 
@@ -41,10 +44,11 @@ def run(
 ) -> StepResult:
     """Learn what the pairs show."""
     pairs = read_pairs(spec.pairs)
+    unlearnt: list[str] = []
     if spec.references is not None:
-        pairs = _with_tuned(pairs, spec.references)
+        pairs, unlearnt = _with_tuned(pairs, spec.references)
     check_pairs(pairs, str(spec.pairs))
-    notes = pair_notes(pairs)
+    notes = unlearnt + pair_notes(pairs)
     performance = None
     if spec.source is not None:
         motion = read_source_motion(spec.source)
@@ -80,8 +84,11 @@ def run(
     )
 
 
-def _with_tuned(pairs: ExpressionPairs, path: Path) -> ExpressionPairs:
-    """Add what was tuned in references: the take's weights at a frame, and the target's there."""
+def _with_tuned(pairs: ExpressionPairs, path: Path) -> tuple[ExpressionPairs, list[str]]:
+    """Add what was tuned in references: the take's weights at a frame, and the target's there.
+
+    Return with them what is to be said of source shapes that no pair has.
+    """
     references, target = read_set_references(path), pairs.target
     tuned = np.flatnonzero(references.tuned)
     if references.source is None:
@@ -108,7 +115,18 @@ def _with_tuned(pairs: ExpressionPairs, path: Path) -> ExpressionPairs:
     transfer = transfer_by_names(references.source_names, shapes)
     weights = columns_by_name(references.weights[tuned], references.shape_names, target.shapes)
     together = bare_controls(target.shapes, np.concatenate([target.weights, weights]))
-    return replace(
+    moved = np.abs(references.source[tuned]).max(axis=0) * ~transfer.matrix.any(axis=1)
+    lost = [
+        references.source_names[row]
+        for row in np.argsort(-moved, kind="stable")
+        if moved[row] > _LOST_WEIGHT and "head" not in references.source_names[row].lower()
+    ]
+    notes = [
+        f"{path.name}: {pluralize(len(lost), 'source shape')} of the tuned frames "
+        f"{'is' if len(lost) == 1 else 'are'} in no pair, and not learnt from them: "
+        f"{first_few(lost)}; add pairs in which they move (`usdface pairs propose --names`)"
+    ]
+    extended = replace(
         pairs,
         names=(
             *pairs.names,
@@ -118,6 +136,7 @@ def _with_tuned(pairs: ExpressionPairs, path: Path) -> ExpressionPairs:
         source=np.concatenate([pairs.source[:, used], references.source[tuned] @ transfer.matrix]),
         target=together,
     )
+    return extended, notes if lost else []
 
 
 def source_surface(pairs: ExpressionPairs) -> FloatArray | None:
