@@ -127,4 +127,20 @@ def test_a_marker_that_is_stuck_is_named_and_does_not_hide_a_stream_that_froze(s
     out = shot / "stuck.clean.take.usda"
     notes = execute(CleanSpec(take=shot / "stuck.take.usda", out=out)).notes
     assert any(f"most of the take: {take.markers.names[7]};" in note for note in notes)
-    assert any(f"in one place for {count} frames" in note for note in notes)
+    assert any(
+        f"in one place for {count} frames" in note and "every marker" in note for note in notes
+    )
+
+
+def test_frames_that_show_no_marker_repeat_nothing(shot: Shot) -> None:
+    take = read_take(shot / "shot.take.usda")
+    assert take.markers is not None
+    visible = take.markers.visible.copy()
+    visible[-len(visible) // 4 :] = False
+    write_take(
+        shot / "padded.take.usda",
+        replace(take, markers=replace(take.markers, visible=visible)),
+    )
+    out = shot / "padded.clean.take.usda"
+    notes = execute(CleanSpec(take=shot / "padded.take.usda", out=out)).notes
+    assert not any("repeat the one before" in note for note in notes)

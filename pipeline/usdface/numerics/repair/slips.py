@@ -73,7 +73,8 @@ def find_slips(
     rate : float
         Frames per second.
     """
-    means = _left_over_means(positions, good, model, max(int(_BLOCK_SECONDS * rate), 1))
+    size = max(int(_BLOCK_SECONDS * rate), 1)
+    means = _left_over_means(positions, good, model, size)
     found = []
     for marker in range(means.shape[1]):
         blocks = np.flatnonzero(np.isfinite(means[:, marker, 0]))
@@ -96,8 +97,7 @@ def find_slips(
         jump = np.linalg.norm(left[at : at + near].mean(axis=0) - left[at - near : at].mean(axis=0))
         limit = _STEP_DEVIATIONS * max(float(deviation[best]), _LEAST_DEVIATION_MM)
         if step[best] > max(limit, _LEAST_STEP_MM) and jump > _SUDDEN_SHARE * step[best]:
-            row = int(blocks[at]) * max(int(_BLOCK_SECONDS * rate), 1)
-            found.append(Slip(marker, row, np.zeros(3)))
+            found.append(Slip(marker, int(blocks[at]) * size, np.zeros(3)))
     return tuple(found)
 
 

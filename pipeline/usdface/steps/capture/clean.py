@@ -262,7 +262,7 @@ def _without_copies(markers: Markers, take: Take) -> tuple[Markers, list[str]]:
         dead = first_few([markers.names[marker] for marker in np.flatnonzero(stuck)])
         notes.append(f"to the last digit in one place for most of the take: {dead}; export without")
     frozen[:, stuck] = False
-    every = np.any(frozen, axis=1) & np.all(frozen | ~seen, axis=1)
+    every = np.any(frozen, axis=1) & np.all(frozen | ~seen | stuck, axis=1)
     some = frozen & ~every[:, None]
     names = [name for name, each in zip(markers.names, some.any(axis=0), strict=True) if each]
     for rows, who in ((every, "every marker"), (some.any(axis=1), first_few(names))):
@@ -274,7 +274,8 @@ def _without_copies(markers: Markers, take: Take) -> tuple[Markers, list[str]]:
                 f"({first_few(frames)}): {who}. A stream that froze, or gaps filled by holding; "
                 "taken for unseen. Export without filling"
             )
-    repeated = float(np.all(same | ~seen, axis=1)[~every].mean())
+    copied = np.any(same & ~stuck, axis=1) & np.all(same | ~seen, axis=1)
+    repeated = float(copied[~every].mean())
     if repeated > _REPEATED_SHARE:
         notes.append(
             f"{repeated:.0%} of the frames repeat the one before to the last digit: captured at "
