@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
+from usdface.model.mapping.corrected_pairs import correct_keys
 from usdface.model.regressions import forward_model, frame_solve
 from usdface.model.regressions.forward_model import (
     ForwardModel,
     ForwardScales,
     fit_forward_model,
 )
-from usdface.model.regressions.frame_solve import FrameSolver, correct_keys
+from usdface.model.regressions.frame_solve import FrameSolver
 
 PAIRS, SHAPES, MARKERS = 12, 5, 7
 SCALES = ForwardScales(alpha=0.4, floor=0.2, eta=0.1, tau=0.05, curve=0.0)

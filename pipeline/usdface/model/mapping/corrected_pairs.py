@@ -10,8 +10,9 @@ from usdface.model.regressions import Pairs, Regression
 from usdface.model.regressions.base import bend, unbend
 from usdface.model.regressions.driven_motion import DrivenMotion, driven_weights
 from usdface.model.regressions.forward_model import ForwardModel, ForwardScales, fit_forward_model
-from usdface.model.regressions.frame_solve import COMMON_ERRORS, correct_keys
+from usdface.model.regressions.frame_solve import COMMON_ERRORS, FrameSolver
 from usdface.numerics.regression.marker_prior import expect_marker_motion
+from usdface.numerics.solve.bounded_least_squares import descend_in_boxes
 
 _KEY_ROUNDS = 2
 """Of correcting keys and fitting the forward model again. A third changes nothing to speak of."""
@@ -25,6 +26,9 @@ wider. A blink that was forgotten comes to 35, sound keys of a rig of 137 shapes
 
 _CONTRADICTION_MM = 0.5
 """Closer, keys are as good as the eye."""
+
+_KEY_GRADIENT_STEPS = 200
+"""Accelerated steps of their correction: its prior is ill-conditioned, and keys are few."""
 
 _PRIOR_CURVE = 0.3
 """Bend of weights under which markers are looked for on the skin; it hardly matters there."""
@@ -74,6 +78,63 @@ def correct_pairs(pairs: Pairs, *, common: float = COMMON_ERRORS[0]) -> Correcte
     return CorrectedPairs(
         replace(pairs, forward=forward), forward, given, scales.tau, uncorrected, common
     )
+
+
+@dataclass(frozen=True)
+class KeyPosterior:
+    """Keys of references, given their markers."""
+
+    targets: FloatArray
+    """(pairs, shapes): most probable bent weights."""
+    variance: FloatArray
+    """(pairs, shapes): of the error that is left."""
+
+
+def correct_keys(
+    forward: ForwardModel, keys: FloatArray, tau: float, *, common: float = COMMON_ERRORS[0]
+) -> KeyPosterior:
+    """Move keys to where their markers put them, as far as keys err.
+
+    A key t is off by tau of itself, and by a fifth of tau where it is small (`forward_model`); half
+    of the variance is the face's, one animator's gain on one day, half the shape's::
+
+        cov(t) = tau^2 (diag(t^2 + 1/25) + t t') / 2
+
+    The pair's markers, less what a model that has not seen the pair predicts of them, say in which
+    direction.
+
+    Parameters
+    ----------
+    forward : ForwardModel
+        Conditioned on these pairs, at the keys found so far.
+    keys : (pairs, shapes) float array
+        As given, bent.
+    common : float
+        As of `FrameSolver`.
+    """
+    solver, now = FrameSolver(forward, np.full(keys.shape[1], tau)), forward.targets
+    _, slope = solver.linearise(now)
+    if slope is None:  # of rigs of very many shapes keys stay as they are
+        return KeyPosterior(now, replace(forward.scales, tau=tau).key_variance(keys))
+    if tau == 0:
+        return KeyPosterior(now, np.zeros_like(now))
+    weighted = slope / np.repeat(common * forward.unseen_variance, 3, axis=1)[:, None]
+    prior = replace(forward.scales, tau=tau).key_variance(keys)[:, None] * np.eye(keys.shape[1])
+    precision = np.linalg.inv(0.5 * (prior + tau**2 * keys[:, :, None] * keys[:, None]))
+    hessian = weighted @ slope.transpose(0, 2, 1) + precision
+    gradient = (weighted @ forward.residuals.reshape(len(keys), -1, 1))[:, :, 0]
+    gradient += (precision @ (keys - now)[:, :, None])[:, :, 0]
+    moved = descend_in_boxes(
+        lambda rows: (hessian @ rows[:, :, None])[:, :, 0],
+        np.einsum("nss->ns", hessian),
+        gradient,
+        lower=-now,
+        upper=1 - now,
+        start=np.zeros_like(now),
+        steps=_KEY_GRADIENT_STEPS,
+    )
+    variance = np.einsum("nss->ns", np.linalg.inv(hessian))
+    return KeyPosterior(np.clip(now + moved, 0.0, 1.0), variance)
 
 
 def find_contradicted(

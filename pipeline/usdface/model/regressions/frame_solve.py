@@ -73,9 +73,6 @@ _GRADIENT_STEPS = 30
 """Accelerated gradient steps of the bounded solve. The forward model is linearised once, at t0: a
 second time changes crosstake by less than .001 mm and takes as long again."""
 
-_KEY_GRADIENT_STEPS = 200
-"""The same for keys, whose prior is ill-conditioned, and which are few."""
-
 _MOST_SHAPES = 200
 """Up to which every frame has a slope and a Hessian. Beyond, frames share the slope at rest, the
 quadratic part is left out, and uncertainty comes from `usual_posteriors`."""
@@ -361,60 +358,3 @@ class _SharedSlope:
 
     def product(self, prior: RealArray) -> Callable[[RealArray], RealArray]:
         return lambda rows: self.gradient(rows @ self._slope) + prior * rows
-
-
-@dataclass(frozen=True)
-class KeyPosterior:
-    """Keys of references, given their markers."""
-
-    targets: FloatArray
-    """(pairs, shapes): most probable bent weights."""
-    variance: FloatArray
-    """(pairs, shapes): of the error that is left."""
-
-
-def correct_keys(
-    forward: ForwardModel, keys: FloatArray, tau: float, *, common: float = COMMON_ERRORS[0]
-) -> KeyPosterior:
-    """Move keys to where their markers put them, as far as keys err.
-
-    A key t is off by tau of itself, and by a fifth of tau where it is small (`forward_model`); half
-    of the variance is the face's, one animator's gain on one day, half the shape's::
-
-        cov(t) = tau^2 (diag(t^2 + 1/25) + t t') / 2
-
-    The pair's markers, less what a model that has not seen the pair predicts of them, say in which
-    direction.
-
-    Parameters
-    ----------
-    forward : ForwardModel
-        Conditioned on these pairs, at the keys found so far.
-    keys : (pairs, shapes) float array
-        As given, bent.
-    common : float
-        As of `FrameSolver`.
-    """
-    solver, now = FrameSolver(forward, np.full(keys.shape[1], tau)), forward.targets
-    _, slope = solver.linearise(now)
-    if slope is None:  # of rigs of very many shapes keys stay as they are
-        return KeyPosterior(now, replace(forward.scales, tau=tau).key_variance(keys))
-    if tau == 0:
-        return KeyPosterior(now, np.zeros_like(now))
-    weighted = slope / np.repeat(common * forward.unseen_variance, 3, axis=1)[:, None]
-    prior = replace(forward.scales, tau=tau).key_variance(keys)[:, None] * np.eye(keys.shape[1])
-    precision = np.linalg.inv(0.5 * (prior + tau**2 * keys[:, :, None] * keys[:, None]))
-    hessian = weighted @ slope.transpose(0, 2, 1) + precision
-    gradient = (weighted @ forward.residuals.reshape(len(keys), -1, 1))[:, :, 0]
-    gradient += (precision @ (keys - now)[:, :, None])[:, :, 0]
-    moved = descend_in_boxes(
-        lambda rows: (hessian @ rows[:, :, None])[:, :, 0],
-        np.einsum("nss->ns", hessian),
-        gradient,
-        lower=-now,
-        upper=1 - now,
-        start=np.zeros_like(now),
-        steps=_KEY_GRADIENT_STEPS,
-    )
-    variance = np.einsum("nss->ns", np.linalg.inv(hessian))
-    return KeyPosterior(np.clip(now + moved, 0.0, 1.0), variance)
