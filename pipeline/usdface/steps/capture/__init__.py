@@ -1,4 +1,11 @@
 """Captures to cleaned takes."""
 
 _commands = ("ingest_folder",)
-_helpers = ("merge_captures", "track_cameras", "track_notes", "track_pictures", "track_views")
+_helpers = (
+    "clean_notes",
+    "merge_captures",
+    "track_cameras",
+    "track_notes",
+    "track_pictures",
+    "track_views",
+)

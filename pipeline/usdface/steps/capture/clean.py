@@ -6,32 +6,28 @@ from dataclasses import replace
 
 import numpy as np
 
-from usdface.core.arrays import ByteImage, FloatArray, longest_run, runs
+from usdface.core.arrays import FloatArray, runs
 from usdface.core.assets import Markers, Take
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import samples_path
 from usdface.core.text import first_few, pluralize
-from usdface.media.charts.repair import RepairKind, draw_repairs
 from usdface.media.picture.image import write_image
 from usdface.model.placement.label_hints import is_worn, label_hint, skin_motion_mm
-from usdface.model.review.verdict import OPENINGS
-from usdface.numerics.motion.noise import still_range_mm
-from usdface.numerics.repair.cleaning import CleanedMarkers, clean_markers
-from usdface.numerics.repair.slips import MOST_SLIP_MM
+from usdface.numerics.repair.cleaning import clean_markers
 from usdface.numerics.rigid.rigid_markers import RigidMarkers, find_rigid_markers
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.capture import CleanSpec
+from usdface.steps.capture.clean_notes import (
+    cleaning_figures,
+    cleaning_notes,
+    cleaning_summary,
+    repair_picture,
+)
 from usdface.usdio.take.read import read_take
 from usdface.usdio.take.write import write_take
-
-_LANE_SECONDS = 0.05
-"""In the picture: markers of shorter repairs share a lane."""
-
-_GUESSED_SECONDS, _GUESSED_SHARE = 0.5, 0.25
-"""A gap as long as a word, and a share of the samples, from which on a take is part guess."""
 
 LONGEST_GAP_SECONDS = 2.0
 """What is filled by default: beyond, the other markers hardly tell what one did."""
@@ -50,9 +46,6 @@ _LEAST_HINTED_SHARE = 0.6
 
 _SOFT_REGIONS = ("lid", "brow", "cheek", "mouth", "chin", "jaw")
 
-POSE_COLOR, FILLED_COLOR, SWAPPED_COLOR = (92, 98, 110), (86, 156, 214), (232, 178, 66)
-OUTLIER_COLOR, LEFT_COLOR = (206, 96, 190), (226, 74, 66)
-
 _COPIED_SECONDS = 0.5
 """A marker that repeats its place to the last digit for so long is not seen: heads and noise
 tremble."""
@@ -62,9 +55,6 @@ _STUCK_SHARE = 0.05
 _REPEATED_SHARE = 0.15
 """Of the frames: with more that repeat the one before, a slower capture was written at this rate,
 24 frames per second at 30 (a fifth) or 60 at 120 (half)."""
-
-_LISTED_SWAPS = 20
-"""More repairs than this are counted, not listed."""
 
 _LISTED_RIGID = 24
 """A face has no more to name; of a dense cloud the rest are counted."""
@@ -97,8 +87,7 @@ def run(spec: CleanSpec, *, provenance: Provenance, progress: Progress = silent)
         )
     except ValueError as error:
         raise InputError(f"{spec.take}: cannot be cleaned: {error}") from error
-    notes += _still_notes(cleaned) + _slip_notes(cleaned, markers, take)
-    notes += _repairs(cleaned, markers, take)
+    notes += cleaning_notes(cleaned, markers, take)
     progress(0.9, f"writing {spec.out.name}")
     still = Markers(
         names=markers.names,
@@ -123,11 +112,13 @@ def run(spec: CleanSpec, *, provenance: Provenance, progress: Progress = silent)
     write_take(spec.out, written, over=spec.take, provenance=provenance)
     outputs = tuple(dict.fromkeys((spec.out, samples_path(spec.out))))
     if spec.report is not None:
-        picture = _picture(cleaned, markers, take)
+        picture = repair_picture(cleaned, markers, take)
         write_image(spec.report, picture, metadata=provenance_metadata(provenance))
         outputs += (spec.report,)
     progress(1.0, "done")
-    return StepResult(outputs, _summary(cleaned, take), tuple(notes), _figures(cleaned, rigid))
+    return StepResult(
+        outputs, cleaning_summary(cleaned, take), tuple(notes), cleaning_figures(cleaned, rigid)
+    )
 
 
 def _check_captured(spec: CleanSpec, take: Take) -> Markers:
@@ -283,133 +274,3 @@ def _without_copies(markers: Markers, take: Take) -> tuple[Markers, list[str]]:
             f"{float(take.rate):.4g}; motion comes out in steps. Export at the rate of the capture"
         )
     return replace(markers, visible=seen & ~frozen), notes
-
-
-def _still_notes(cleaned: CleanedMarkers) -> list[str]:
-    """Say that no marker moves on the head: such a take shows one expression, or is frozen."""
-    still = still_range_mm([cleaned.positions], cleaned.noise_mm)
-    if still is None:
-        return []
-    return [
-        f"no marker moves on the head (by at most {still:.2f} mm along an axis, at "
-        f"{cleaned.noise_mm:.2f} mm of noise): the take shows one expression, and no references "
-        "can be selected from it alone; if the face did move, the capture was exported without its "
-        "motion (a static pose, a frozen stream): export and ingest it again"
-    ]
-
-
-def _slip_notes(cleaned: CleanedMarkers, markers: Markers, take: Take) -> list[str]:
-    """Name the markers that moved on the skin."""
-    return [
-        f"{markers.names[slip.marker]} moved on the skin, by {slip.distance_mm:.1f} mm near frame "
-        f"{take.first_frame + slip.row}: "
-        + (
-            "put back where it sat in the neutral frame"
-            if slip.distance_mm <= MOST_SLIP_MM
-            else "too far to be put back; look at it, and leave it out unless its skin moved so"
-        )
-        for slip in cleaned.slips
-    ]
-
-
-def _repairs(cleaned: CleanedMarkers, markers: Markers, take: Take) -> list[str]:
-    notes = []
-    for swap in cleaned.swaps[:_LISTED_SWAPS]:
-        notes.append(
-            f"frames {take.first_frame + swap.start}-{take.first_frame + swap.stop - 1}: labels "
-            f"{markers.names[swap.first]} and {markers.names[swap.second]} were swapped"
-        )
-    if len(cleaned.swaps) > _LISTED_SWAPS:
-        notes.append(f"and {len(cleaned.swaps) - _LISTED_SWAPS} more swaps")
-    if cleaned.outliers.any():
-        worst = int(cleaned.outliers.sum(axis=0).argmax())
-        notes.append(
-            f"replaced {pluralize(int(cleaned.outliers.sum()), 'outlier')}, the most of "
-            f"{markers.names[worst]}"
-        )
-    left = ~cleaned.visible
-    if left.any():
-        names = [markers.names[i] for i in np.flatnonzero(left.any(axis=0))]
-        notes.append(
-            f"{pluralize(int(left.sum()), 'sample')} in gaps too long to fill, with confidence 0 "
-            f"({first_few(names)}): raise --max-gap to fill them"
-        )
-    doubtful = np.flatnonzero(cleaned.pose_confidence < 1.0)
-    if len(doubtful):
-        notes.append(
-            f"{pluralize(len(doubtful), 'frame')}, the first "
-            f"{take.first_frame + int(doubtful[0])}, "
-            "saw too few rigid markers; the head's pose is interpolated there"
-        )
-    return notes
-
-
-def _picture(cleaned: CleanedMarkers, markers: Markers, take: Take) -> ByteImage:
-    swapped = np.zeros_like(cleaned.outliers)
-    for swap in cleaned.swaps:
-        swapped[swap.start : swap.stop, [swap.first, swap.second]] = True
-    interpolated = np.zeros_like(cleaned.outliers)
-    interpolated[cleaned.pose_confidence < 1.0] = True
-    kinds = (
-        RepairKind("head pose interpolated", POSE_COLOR, interpolated),
-        RepairKind("filled", FILLED_COLOR, cleaned.filled & ~cleaned.outliers),
-        RepairKind("relabelled", SWAPPED_COLOR, swapped),
-        RepairKind("outlier replaced", OUTLIER_COLOR, cleaned.outliers),
-        RepairKind("left missing", LEFT_COLOR, ~cleaned.visible),
-    )
-    return draw_repairs(
-        markers.names,
-        kinds,
-        title=f"{take.name}: what was repaired",
-        verdict=_repair_verdict(cleaned, markers, take),
-        facts=(
-            f"frames {take.first_frame}-{take.first_frame + take.frame_count - 1}",
-            f"{float(take.rate):g} fps",
-            f"{len(markers.names)} markers",
-            f"noise {cleaned.noise_mm:.2f} mm",
-        ),
-        first_frame=take.first_frame,
-        least_frames=max(int(_LANE_SECONDS * take.rate), 2),
-    )
-
-
-def _repair_verdict(cleaned: CleanedMarkers, markers: Markers, take: Take) -> tuple[str, str]:
-    """Return the level and the sentence: how much of the take is not as it was captured."""
-    filled, left = cleaned.filled | cleaned.outliers, ~cleaned.visible
-    made = float((filled | left).mean())
-    if not made and not cleaned.swaps:
-        return "good", f"{OPENINGS['good']}: nothing had to be repaired"
-    gaps = [longest_run(column) for column in (filled | left).T]
-    widest = int(np.argmax(gaps))
-    seconds = gaps[widest] / float(take.rate)
-    words = [f"{made:.1%} of the samples were missing or wrong"]
-    if seconds:
-        words.append(f"the longest gap is {seconds:.2g} s, of {markers.names[widest]}")
-    if cleaned.swaps:
-        words.append(f"{pluralize(len(cleaned.swaps), 'swap')} of labels undone")
-    if left.any():
-        words.append(f"{left.mean():.1%} left missing")
-    level = "good" if seconds <= _GUESSED_SECONDS and not left.any() else "check"
-    if made > _GUESSED_SHARE:
-        level = "bad"
-    return level, f"{OPENINGS[level]}: {'; '.join(words)}"
-
-
-def _summary(cleaned: CleanedMarkers, take: Take) -> str:
-    return (
-        f"{take.name}: head motion removed, {pluralize(len(cleaned.swaps), 'swap')} relabelled, "
-        f"{pluralize(int(cleaned.outliers.sum()), 'outlier')} replaced, "
-        f"{pluralize(int(cleaned.filled.sum()), 'missing sample')} filled, noise "
-        f"{cleaned.noise_mm:.2f} mm"
-    )
-
-
-def _figures(cleaned: CleanedMarkers, rigid: tuple[str, ...]) -> dict[str, object]:
-    return {
-        "swaps": len(cleaned.swaps),
-        "outliers": int(cleaned.outliers.sum()),
-        "filled": int(cleaned.filled.sum()),
-        "left": int((~cleaned.visible).sum()),
-        "noise_mm": cleaned.noise_mm,
-        "rigid": list(rigid),
-    }
