@@ -176,6 +176,7 @@ def test_curves_are_hidden_by_their_legend_and_sorted_by_error(page: Any) -> Non
 
 
 def test_curves_are_one_stop_of_the_tab_key_and_are_read_out(page: Any) -> None:
+    page.locator("#live", has_text="frame").wait_for()  # the page has said where it opened
     page.locator(".curve[tabindex='0']").focus()
     first = page.evaluate("document.activeElement.dataset.shape")
     page.keyboard.press("ArrowDown")
@@ -388,6 +389,7 @@ def test_the_command_that_tunes_a_frame_is_copied(page: Any, reported: Shot) -> 
     tune = f"usdface tune hero.references.usda --frame {free}"
     assert page.input_value("#command").endswith(f"--frames {free} && {tune}")
     page.evaluate(f"report.show({pairs[3] - 1})")
+    page.locator("#live", has_text=f"frame {pairs[3]}").wait_for()
     page.click("#copy")
     wait_for(page, "document.getElementById('live').textContent.startsWith('copied')")
     assert page.inner_text("#live").endswith(
