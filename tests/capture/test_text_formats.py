@@ -280,7 +280,40 @@ def test_frames_that_live_link_dropped_are_interpolated_and_named(put):
     expected = weights[2] + (weights[5] - weights[2]) * np.array([[1], [2]]) / 3
     np.testing.assert_allclose(source.values[3:5], expected, rtol=1e-6)
     np.testing.assert_array_equal(source.values[5:], weights[5:].astype(np.float32))
-    assert noted(capture, "2 of 12 frames were dropped by the recorder and are interpolated: 4-5")
+    assert source.unseen == ((4, 5),)
+    assert noted(
+        capture, "2 of 12 frames were dropped by the recorder and are interpolated: frames 4-5"
+    )
+
+
+def frozen_recording(still):
+    """A Live Link take, 60 frames at 30 a second; rows 20 to 39 repeat row 19, or nearly."""
+    lines = (samples.live_link_csv() * 6).splitlines()
+    rng = np.random.default_rng(0)
+    rows = rng.uniform(0.1, 0.9, (60, lines[0].count(",") - 1))
+    rows[20:40] = rows[19] if still else rows[19] + rng.normal(0, 1e-3, rows[20:40].shape)
+    stamps = [
+        f"13:00:{row // 30:02d}:{2 * (row % 30):02d}.250,{len(each)}"
+        for row, each in enumerate(rows)
+    ]
+    text = [",".join([stamp, *map(str, each)]) for stamp, each in zip(stamps, rows, strict=True)]
+    return "\n".join([lines[0], *text]), rows
+
+
+def test_a_stream_that_froze_is_a_gap_of_the_take(put):
+    text, rows = frozen_recording(still=True)
+    capture = read_capture(put(text))
+    assert capture.take.source.unseen == ((21, 40),)
+    line = rows[19] + (rows[40] - rows[19]) * np.arange(1, 21)[:, None] / 21
+    np.testing.assert_allclose(capture.take.source.values[20:40], line, rtol=1e-5)
+    assert noted(capture, "the stream froze; taken for unseen, and interpolated: frames 21-40")
+
+
+def test_a_face_that_keeps_still_before_a_device_is_no_gap(put):
+    text, rows = frozen_recording(still=False)
+    capture = read_capture(put(text))
+    assert capture.take.source.unseen == ()
+    np.testing.assert_allclose(capture.take.source.values, rows, rtol=1e-5)
 
 
 def test_a_row_without_a_face_is_interpolated_and_counted(put):
@@ -390,7 +423,9 @@ def test_the_recorded_live_link_take_is_thirty_frames_per_second(shared_data):
     assert source is not None
     assert source.values.shape == (4030 + 3, 61)
     assert (source.rate, capture.take.timecode_start) == (30, "13:13:04:15")
-    assert noted(capture, "3 of 4033 frames were dropped by the recorder and are interpolated: 597")
+    assert noted(
+        capture, "3 of 4033 frames were dropped by the recorder and are interpolated: frames 597"
+    )
     assert source.values.max() == pytest.approx(1.05, abs=0.06)
 
 

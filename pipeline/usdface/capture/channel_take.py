@@ -7,12 +7,17 @@ import numpy as np
 
 from usdface.capture.marker_take import Capture
 from usdface.capture.sample_times import SampleTimes
-from usdface.core.arrays import Float32Array, FloatArray
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, runs
 from usdface.core.assets import Take, WeightsClip
-from usdface.core.text import first_few
+from usdface.core.text import frame_ranges, pluralize
 
 _FIRST_FRAME = 1
 """Where takes start whose format does not number frames, as optical takes do."""
+
+_FROZEN_SECONDS = 0.5
+"""A device that repeats all values to the last digit for so long does not see: noise trembles."""
+_MOST_UNSEEN = 0.5
+"""Of the frames: with more, a table has keys, or a face that is meant to be still."""
 
 
 def build_channel_take(
@@ -36,11 +41,22 @@ def build_channel_take(
         The capture; its stem names the take.
     """
     found = [*notes, *_describe_times(times, first_frame)]
+    seen = np.ones(len(values), dtype=bool)
+    if format_name != "weights":  # curves that somebody made may well stand still
+        seen = ~_frozen_rows(values, times)
+    if not seen.all():
+        numbers = first_frame + times.frames.astype(np.int64)
+        stretches = [(int(numbers[a]), int(numbers[b - 1])) for a, b in runs(~seen)]
+        found.append(
+            f"{pluralize(int((~seen).sum()), 'row')} repeat the one before to the last digit: the "
+            f"stream froze; taken for unseen, and interpolated: {frame_ranges(stretches)}"
+        )
     clip = WeightsClip(
         names=tuple(names),
-        values=fill_frames(values, times.frames),
+        values=fill_frames(values, times.frames, seen),
         first_frame=first_frame,
         rate=times.rate,
+        unseen=_unseen_stretches(times.frames[seen], times.frames[-1], first_frame),
     )
     take = Take(
         name=path.stem,
@@ -52,7 +68,9 @@ def build_channel_take(
     return Capture(take, format_name, tuple(found))
 
 
-def fill_frames(values: FloatArray, frames: FloatArray) -> Float32Array:
+def fill_frames(
+    values: FloatArray, frames: FloatArray, seen: BoolArray | None = None
+) -> Float32Array:
     """Return one row per whole frame, linear between the samples around it.
 
     Parameters
@@ -60,6 +78,8 @@ def fill_frames(values: FloatArray, frames: FloatArray) -> Float32Array:
     values : (samples, channels) float64 array
     frames : (samples,) float64 array
         Ascending; where each sample lies. A sample at a whole frame is kept as it is.
+    seen : (samples,) bool array, optional
+        Others are interpolated.
 
     Returns
     -------
@@ -69,10 +89,44 @@ def fill_frames(values: FloatArray, frames: FloatArray) -> Float32Array:
     grid = np.arange(np.ceil(frames[0]), np.floor(frames[-1]) + 1)
     filled = np.empty((len(grid), values.shape[1]), np.float32)
     limit = np.finfo(np.float32).max
+    if seen is not None:
+        values, frames = values[seen], frames[seen]
     for channel in range(values.shape[1]):
         column = np.clip(values[:, channel], -limit, limit)
         filled[:, channel] = np.interp(grid, frames, column)
     return filled
+
+
+def _frozen_rows(values: FloatArray, times: SampleTimes) -> BoolArray:
+    """Return which rows are copies of the one before, in runs as long as `_FROZEN_SECONDS`."""
+    same = np.zeros(len(values), dtype=bool)
+    same[1:] = (values[1:] == values[:-1]).all(axis=1)
+    for start, stop in runs(same):
+        same[start:stop] &= stop - start >= _FROZEN_SECONDS * float(times.rate)
+    return np.asarray(same & (same.mean() <= _MOST_UNSEEN))
+
+
+def _unseen_stretches(
+    frames: FloatArray, end: float, first_frame: int
+) -> tuple[tuple[int, int], ...]:
+    """Return the stretches without a sample within a frame, in frame numbers.
+
+    Parameters
+    ----------
+    frames : (samples,) float64 array
+        Ascending; the first is that of the take.
+    end : float
+        Frame of the take's last sample, seen or not.
+    """
+    origin = np.ceil(frames[0])
+    grid = np.arange(origin, np.floor(end) + 1)
+    after = np.searchsorted(frames, grid, "left")
+    later = np.append(frames, np.inf)[after] - grid
+    earlier = grid - np.append(-np.inf, frames)[after]
+    unseen = np.minimum(later, earlier) >= 1.0
+    if unseen.mean() > _MOST_UNSEEN:
+        return ()
+    return tuple((first_frame + a, first_frame + b - 1) for a, b in runs(unseen))
 
 
 def describe_missing(frames: FloatArray, first_frame: int = _FIRST_FRAME) -> list[str]:
@@ -80,14 +134,14 @@ def describe_missing(frames: FloatArray, first_frame: int = _FIRST_FRAME) -> lis
     skipped = (np.diff(frames) - 1).astype(np.int64)
     if not skipped.any():
         return []
-    runs = []
+    missing = []
     for before in np.flatnonzero(skipped):
         first = first_frame + int(frames[before]) + 1
         last = first + int(skipped[before]) - 1
-        runs.append(f"{first}" if first == last else f"{first}-{last}")
+        missing.append((first, last))
     return [
         f"{skipped.sum()} of {int(frames[-1]) + 1} frames were dropped by the recorder and are "
-        f"interpolated: {first_few(runs)}"
+        f"interpolated: {frame_ranges(missing)}"
     ]
 
 

@@ -103,6 +103,8 @@ class WeightsClip(_Asset):
     """Frame number of ``values[0]``."""
     rate: Fraction
     """Frames per second."""
+    unseen: tuple[tuple[int, int], ...] = ()
+    """First and last frame of each stretch where nothing was captured: values are interpolated."""
 
     def __getitem__(self, name: str) -> Float32Array:
         """Return the values of one channel, (frames,)."""

@@ -27,6 +27,14 @@ def first_few(names: Iterable[object], *, most: int = 5) -> str:
     return ", ".join(written[:most]) + (f" and {rest} more" if rest > 0 else "")
 
 
+def frame_ranges(stretches: Iterable[tuple[int, int]], *, most: int = 5) -> str:
+    """Return stretches of frames, first and last, as ``frames 7, 12-20``."""
+    written = [f"{first}" if first == last else f"{first}-{last}" for first, last in stretches]
+    return f"frame{'' if len(written) == 1 and '-' not in written[0] else 's'} " + first_few(
+        written, most=most
+    )
+
+
 def counted(names: Sequence[object], noun: str, *, most: int = 5) -> str:
     """Return names after their number, ``7 shapes, a, b, c, d, e and 2 more``."""
     return f"{pluralize(len(names), noun)}, {first_few(names, most=most)}"

@@ -7,10 +7,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pxr import Sdf, Usd, UsdGeom, Vt
+from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
 from usdface.core.arrays import Float32Array, FloatArray, IntArray
 from usdface.core.errors import InputError
+
+_UNSEEN = "face:source:unseen"
+"""Of weights in takes, and of what is retargeted from them."""
 
 
 def define_prim(layer: Sdf.Layer, path: Sdf.Path, type_name: str) -> Sdf.PrimSpec:
@@ -64,6 +67,18 @@ def names_in(attribute: Usd.Attribute) -> tuple[str, ...]:
 def author_uniform(prim: Sdf.PrimSpec, name: str, kind: Sdf.ValueTypeName, value: object) -> None:
     """Write an attribute that does not change over time."""
     Sdf.AttributeSpec(prim, name, kind, Sdf.VariabilityUniform).default = value
+
+
+def author_unseen(prim: Sdf.PrimSpec, stretches: Sequence[tuple[int, int]]) -> None:
+    """Write the first and last frame of each stretch without a capture, if there is any."""
+    if stretches:
+        pairs = Vt.Vec2iArray([Gf.Vec2i(*each) for each in stretches])
+        author_uniform(prim, _UNSEEN, Sdf.ValueTypeNames.Int2Array, pairs)
+
+
+def unseen_in(prim: Usd.Prim) -> tuple[tuple[int, int], ...]:
+    """Return the stretches that `author_unseen` wrote."""
+    return tuple((int(first), int(last)) for first, last in value_of(prim, _UNSEEN) or ())
 
 
 def doubles(values: ArrayLike) -> Vt.DoubleArray:

@@ -15,6 +15,7 @@ from tests.usdio.small_rig import small_rig
 from usdface.cli.app import main
 from usdface.core.assets import MeshShape, Rig, RigMesh
 from usdface.model.retarget.shape_matching import ShapeMatch
+from usdface.steps.inputs.solve_verdict import judge_performance
 from usdface.steps.retarget.pairs_propose import match_rigs
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.rig.write import write_rig
@@ -205,6 +206,22 @@ def test_what_is_stated_of_a_folder_counts_for_its_tables(take: np.ndarray, caps
     Path("day/table.csv").unlink()
     assert usdface(*line, "--out", "other") == 1
     assert "says it itself; leave it out" in capsys.readouterr().err
+
+
+def test_what_a_phone_did_not_capture_is_named_down_to_the_verdict(take, capsys) -> None:
+    rows = Path("phone.csv").read_text("utf-8").splitlines()
+    Path("phone.csv").write_text("\n".join(rows[:11] + rows[21:30] + rows[31:]), "utf-8")
+    assert usdface("ingest", "phone.csv", "--out", "phone.take.usda") == 0
+    for source in ("phone.csv", "phone.take.usda"):
+        assert usdface("retarget", source, "--rig", "hero.usda", "--out", f"{source}.usda") == 0
+        words = "nothing was captured in frames 11-20"  # 30 alone hides nothing
+        assert f"{source}: {words}; what is written there" in capsys.readouterr().out
+        verdict = judge_performance(PerformanceReader(Path(f"{source}.usda")))
+        assert f"{words}, which are filled" in verdict.sentence
+        assert any(words in each.message for each in validate(Path(f"{source}.usda")))
+    line = "retarget phone.take.usda --rig hero.usda --frames 22-40 --out part.usda"
+    assert usdface(*line.split()) == 0
+    assert "nothing was captured" not in capsys.readouterr().out
 
 
 def test_no_target_and_uneven_targets_are_refused(take: np.ndarray, capsys) -> None:

@@ -359,5 +359,18 @@ def _resample(clip: WeightsClip, take: Take, shift: float) -> tuple[WeightsClip,
         [np.interp(own, given, column) for column in clip.values.T.astype(np.float64)], axis=1
     )
     outside = int(((own < given[0]) | (own > given[-1])).sum())
-    resampled = WeightsClip(clip.names, values.astype(np.float32), take.first_frame, take.rate)
+    numbers = [
+        [
+            take.first_frame + round(((frame - clip.first_frame) / clip.rate + shift) * take.rate)
+            for frame in stretch
+        ]
+        for stretch in clip.unseen
+    ]
+    resampled = WeightsClip(
+        clip.names,
+        values.astype(np.float32),
+        take.first_frame,
+        take.rate,
+        unseen=tuple((first, last) for first, last in numbers),
+    )
     return resampled, outside

@@ -15,7 +15,7 @@ from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.rates import frames_within, shift_timecode
 from usdface.core.sidecars import is_usd_name
-from usdface.core.text import first_few, pluralize
+from usdface.core.text import first_few, frame_ranges, pluralize
 from usdface.model.retarget.head_pose import is_angle, look_shapes
 from usdface.model.retarget.name_matching import Transfer, meaning_notes, transfer_by_names
 from usdface.runner.origin import path_made_from, provenance_of, spec_of
@@ -28,6 +28,9 @@ from usdface.usdio.references.weight_layers import read_set_references
 from usdface.usdio.retarget.pairs import keyed_above, read_pairs
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import TakeReader, is_take
+
+_LEAST_GAP_SECONDS = 0.1
+"""A blink lasts as long: shorter gaps hide nothing that anybody sees."""
 
 MOVING_WEIGHT = 0.02
 """Weight beyond which a shape counts as used by a performance."""
@@ -50,6 +53,8 @@ class SourceMotion:
     """Shapes that others drive, on the source's rig or the target's: they are not missed."""
     notes: tuple[str, ...] = ()
     """What a capture's reader assumed or filled."""
+    unseen: tuple[tuple[int, int], ...] = ()
+    """First and last frame of stretches of `_LEAST_GAP_SECONDS` where nothing was captured."""
     rig: tuple[Path, str] | None = None
     """File and SkelRoot of the source's rig, where known."""
 
@@ -136,6 +141,7 @@ def read_source_motion(
         rate=performance.rate,
         timecode_start=performance.timecode_at(first),
         driven=frozenset(each.shape for each in performance.combinations),
+        unseen=_gaps(performance.header.unseen, first, last, performance.rate),
         rig=_rig_of(performance),
     )
 
@@ -195,7 +201,10 @@ def describe_retarget(performance: Path) -> str:
         outs = [Path(each).name for each in spec["out"]]
         index = outs.index(performance.name) if performance.name in outs else 0
         words = f"a retarget of {_pair_words(performance.parent / spec['retargeting'][index])}"
-    lost = PerformanceReader(performance).header.unmatched
+    header = PerformanceReader(performance).header
+    if header.unseen:
+        words += f"; nothing was captured in {frame_ranges(header.unseen)}, which are filled"
+    lost = header.unmatched
     if lost:
         moves = "moves and is" if len(lost) == 1 else "move and are"
         words += f"; {first_few(lost, most=3)} {moves} not followed"
@@ -261,4 +270,14 @@ def _of_take(path: Path, take: Take, first: int, last: int) -> SourceMotion:
         rate=take.rate,
         timecode_start=take.timecode_start,
         emotion=take.emotion,
+        unseen=_gaps(take.source.unseen, first, last, take.rate),
     )
+
+
+def _gaps(
+    stretches: tuple[tuple[int, int], ...], first: int, last: int, rate: Fraction
+) -> tuple[tuple[int, int], ...]:
+    """Return what of stretches lies between two frames, and is long enough to matter."""
+    within = ((max(start, first), min(end, last)) for start, end in stretches)
+    least = _LEAST_GAP_SECONDS * rate
+    return tuple((start, end) for start, end in within if end - start + 1 >= least)

@@ -12,7 +12,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import LAYER_SUFFIXES, controls_path, head_path, weights_path
-from usdface.core.text import first_few, pluralize
+from usdface.core.text import first_few, frame_ranges, pluralize
 from usdface.model.retarget.name_matching import Transfer
 from usdface.model.retarget.shape_matching import Correspondence, correspond, match_positions
 from usdface.model.retarget.train import retarget
@@ -97,6 +97,11 @@ def run(spec: RetargetSpec, *, provenance: Provenance, progress: Progress = sile
         frames = np.arange(motion.first_frame, motion.last_frame + 1)
         alpha = read_alpha(spec.alpha, frames)
     notes = [f"{spec.source.name}: {note}" for note in motion.notes]
+    if motion.unseen:
+        notes.append(
+            f"{spec.source.name}: nothing was captured in {frame_ranges(motion.unseen)}; what is "
+            "written there is interpolated"
+        )
     outputs: list[Path] = []
     for index, target in enumerate(targets):
         out = spec.out[index]
@@ -209,6 +214,7 @@ def _header(spec: RetargetSpec, motion: SourceMotion, target: _Target) -> Weight
     return replace(
         header,
         unmatched=tuple(shares),
+        unseen=motion.unseen,
         unmatched_shares=() if chosen else tuple(shares.values()),
     )
 

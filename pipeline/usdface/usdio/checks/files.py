@@ -8,7 +8,8 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdSkel, UsdUtils
 
 from usdface.core.arrays import FloatArray
-from usdface.core.text import first_few
+from usdface.core.text import first_few, frame_ranges
+from usdface.usdio.authoring import unseen_in
 from usdface.usdio.checks.curves import pair_sides
 from usdface.usdio.checks.fault import Fault, is_recorded, is_solved
 from usdface.usdio.performance.weights_layer import UNMATCHED
@@ -64,6 +65,13 @@ def _unmatched(prim: Usd.Prim) -> Iterator[Fault]:
             str(prim.GetPath()),
             f"{len(lost)} shapes of the source move and have no counterpart here: "
             f"{first_few(lost)}; pair them with `usdface names` and --names, and retarget again",
+        )
+    if unseen := unseen_in(prim):
+        yield Fault(
+            "warning",
+            str(prim.GetPath()),
+            f"nothing was captured in {frame_ranges(unseen)}: what is there is interpolated. "
+            "Animate it by hand, or take another take",
         )
     weights = UsdSkel.Animation(prim).GetBlendShapeWeightsAttr()
     times = weights.GetTimeSamples() if weights and is_solved(prim) else []

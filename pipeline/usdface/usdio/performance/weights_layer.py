@@ -19,6 +19,7 @@ from usdface.usdio.authoring import (
     apply_api,
     author_timing,
     author_uniform,
+    author_unseen,
     define_prim,
     paths_in,
 )
@@ -90,6 +91,8 @@ class WeightsHeader:
     """Shapes that move in the source of a retargeting and drive nothing."""
     unmatched_shares: tuple[float, ...] = ()
     """Of each, in the motion of the source's face [0-1]; empty where a person chose the pairs."""
+    unseen: tuple[tuple[int, int], ...] = ()
+    """First and last frame of stretches of a retargeting's source without a capture."""
     held: tuple[str, ...] = ()
     """Shapes that are written at 0, whatever is appended: joints do what they do."""
     combinations: tuple[Combination, ...] = ()
@@ -384,6 +387,7 @@ def author_header(layer: Sdf.Layer, header: WeightsHeader, rig: Rig) -> Sdf.Prim
     if header.unmatched_shares:
         shares = Vt.FloatArray(header.unmatched_shares)
         author_uniform(prim, UNMATCHED_SHARES, Sdf.ValueTypeNames.FloatArray, shares)
+    author_unseen(prim, header.unseen)
     if header.timecode_start:
         text = Sdf.ValueTypeNames.String
         author_uniform(prim, "face:timecode:start", text, header.timecode_start)
