@@ -1,13 +1,21 @@
 """What is proposed for lids, by what the markers show of them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy import sparse
 
 from tests.model.selection.test_baseline import bent_equation
 from usdface.capture.sniff import read_capture
 from usdface.core.deformer import Deformer
 from usdface.model.placement.label_hints import skin_motion_mm
-from usdface.model.selection.baseline import BlendshapeEquation, LidEvidence, set_up_equation
+from usdface.model.selection.baseline import (
+    BlendshapeEquation,
+    LidEvidence,
+    find_lid_evidence,
+    set_up_equation,
+)
 from usdface.numerics.repair.cleaning import clean_markers
 from usdface.numerics.solve.peak_matching import ShapeEvidence
 from usdface.usdio.rig.read import read_rig
@@ -16,17 +24,17 @@ NAMES = ("jawOpen", "eyeBlink_L", "eyeBlink_R")
 
 
 def lids(marked: tuple[bool, bool], peaks: tuple[float, float]) -> LidEvidence:
-    return LidEvidence((1, 2), ShapeEvidence(np.array(marked), np.array(peaks)))
+    return LidEvidence((1, 2), ShapeEvidence(np.array(marked), np.array(peaks)), (3,))
 
 
 @pytest.mark.parametrize(
     ("evidence", "closing", "fixed", "tied", "words"),
     [
         (lids((True, True), (0.6, 0.5)), (1, 2), (), (), ""),
-        (lids((True, True), (0.2, 0.1)), (), (1, 2), (), "show no blinks: of a full blink, 15%"),
-        (lids((True, True), (0.396, 0.4)), (), (1, 2), (), "of a full blink, 39% is in"),
+        (lids((True, True), (0.2, 0.1)), (), (1, 2, 3), (), "show no blinks: of a full blink, 15%"),
+        (lids((True, True), (0.396, 0.4)), (), (1, 2, 3), (), "of a full blink, 39% is in"),
         (lids((True, False), (0.6, 0.1)), (1,), (), ((1, 2),), "on the lid of eyeBlink_R:"),
-        (lids((False, False), (0.9, 0.9)), (), (), ((1, 2),), "both eyes alike"),
+        (lids((False, False), (0.9, 0.9)), (), (3,), ((1, 2),), "both eyes alike"),
     ],
 )
 def test_what_markers_show_decides_how_lids_are_solved(
@@ -50,12 +58,36 @@ def test_lids_without_evidence_stay_at_rest_and_lids_without_marker_follow() -> 
         ("rest", lids((True, True), (0, 0))),
         ("tied", lids((True, False), (1, 0))),
     ):
-        known = {**vars(equation), "lids": evidence}
+        known = {**vars(equation), "lids": replace(evidence, gaze=())}
         solved[name] = BlendshapeEquation(**known).propose(seen)
     assert (solved["rest"][:, 1:] == 0).all()
     assert (solved["rest"][:, 0] > 0).any()
     np.testing.assert_array_equal(solved["tied"][:, 1], solved["tied"][:, 2])
     assert (solved["tied"][:, 1] > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("names", "blinks", "gaze"),
+    [
+        (("eyeLookDown_L", "eyeBlink_R", "jawOpen", "eyeBlink_L"), (1, 3), (0,)),
+        (("rig2_eyeBlink_L", "rig2_eyeBlink_R", "rig2_eyeLookIn_L"), (0, 1), (2,)),
+        (("l_eye_close", "r_eye_close", "eyes_closed", "l_eyeBall_up"), (0, 1), (3,)),
+        (("Blink", "Jaw_Drop"), (0,), ()),
+        (("Jaw_Drop",), (), ()),
+    ],
+)
+def test_shapes_of_the_eyes_are_known_by_what_their_names_mean(
+    names: tuple[str, ...], blinks: tuple[int, ...], gaze: tuple[int, ...]
+) -> None:
+    still = np.zeros((len(names), 4, 3))
+    evidence = find_lid_evidence(
+        names,
+        sparse.csr_array((len(names), 12)),
+        still,
+        np.zeros((9, 4, 3)),
+        np.ones(4),
+    )
+    assert (evidence.shapes, evidence.gaze) == (blinks, gaze)
 
 
 @pytest.mark.slow
@@ -78,7 +110,10 @@ def test_a_recorded_brow_take_shows_no_blinks(shared_data) -> None:
         labels=markers.names,
     )
     assert equation.lids is not None
-    assert [rig.shapes[shape] for shape in equation.lids.fixed] == ["eyeBlink_L", "eyeBlink_R"]
+    left = [rig.shapes[shape] for shape in equation.lids.fixed]
+    assert left[:2] == ["eyeBlink_L", "eyeBlink_R"]
+    assert len(left) == 10
+    assert all(name.startswith("eyeLook") for name in left[2:])
     assert equation.lids.seen.own_peaks.max() < 0.25
     np.testing.assert_array_equal(equation.gain, 1.0)
     weights = equation.propose(cleaned[::10])

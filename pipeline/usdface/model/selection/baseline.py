@@ -19,6 +19,7 @@ from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.model.placement.marker_cloud import marker_cloud
 from usdface.model.placement.place import MarkerPlacement, place_markers
+from usdface.model.retarget.shape_names import read_meanings
 from usdface.numerics.registration.face_skin import sample_face_skin
 from usdface.numerics.registration.virtual_markers import (
     VirtualMarkers,
@@ -38,8 +39,9 @@ from usdface.numerics.solve.peak_matching import (
     shape_evidence,
 )
 
-FULL_SHAPES = "eyeblink"
-"""Shapes that every performer does in full: their markers' motion is scaled to reach the top."""
+_BLINK, _GAZE = "eyeblink", "eyelook"
+"""What the names of shapes mean: every performer closes the eyes in full, so that the motion of
+the lids' markers is scaled to reach the top; lids follow the eyes, so that they show gaze."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,8 @@ class LidEvidence:
     """Columns of the shapes that close the eyes."""
     seen: ShapeEvidence
     """Of these shapes."""
+    gaze: tuple[int, ...] = ()
+    """Columns of the shapes that turn the eyes."""
 
     @property
     def closing(self) -> tuple[int, ...]:
@@ -59,14 +63,24 @@ class LidEvidence:
         return tuple(np.array(self.shapes, np.int64)[self.seen.marked].tolist())
 
     @property
+    def misled(self) -> bool:
+        """Whether the markers on the lids show no blinks, but the motion of others."""
+        return bool(self.seen.marked.any()) and not self.seen.shown
+
+    @property
     def fixed(self) -> tuple[int, ...]:
-        """Shapes left at rest: the markers on the lids show no blinks, but the motion of others."""
-        return self.shapes if self.seen.marked.any() and not self.seen.shown else ()
+        """Shapes left at rest: what markers on the lids would show and do not.
+
+        Without such markers blinks are guessed, as eyes close with the cheeks; gaze is not.
+        """
+        if self.misled:
+            return self.shapes + self.gaze
+        return () if self.seen.shown or not self.shapes else self.gaze
 
     @property
     def tied(self) -> tuple[tuple[int, ...], ...]:
         """Shapes that share a weight: a lid without a marker does as the other eye's."""
-        together = len(self.shapes) == 2 and not self.seen.marked.all() and not self.fixed
+        together = len(self.shapes) == 2 and not self.seen.marked.all() and not self.misled
         return (self.shapes,) if together else ()
 
     def note(self, names: tuple[str, ...]) -> str:
@@ -80,12 +94,13 @@ class LidEvidence:
                 f"no marker sits on an upper lid: {' and '.join(shapes)} are guessed from the "
                 f"markers around the eyes{alike}; check blinks by the video"
             )
-        if self.fixed:
+        gaze = ", and so does gaze" if self.gaze else ""
+        if self.misled:
             own = max(int(100 * self.seen.own_peaks[marked].mean()), 0)  # never the limit itself
             return (
                 f"the markers show no blinks: of a full blink, {own}% is in the lids' "
                 f"markers beyond what goes with brows and cheeks (from {FULL_SHARE:.0%} on it "
-                f"would count). {' and '.join(shapes)} start at 0: key blinks by the video"
+                f"would count). {' and '.join(shapes)} start at 0{gaze}: key them by the video"
             )
         bare = [name for name, there in zip(shapes, marked, strict=True) if not there]
         return f"no marker sits on the lid of {' and '.join(bare)}: it starts as the other eye's"
@@ -102,6 +117,8 @@ def find_lid_evidence(
 
     Parameters
     ----------
+    names : tuple of str
+        Of the rig's shapes.
     offsets : (shapes, 3 * points) sparse array
         What they do to its surface [mm].
     deltas : (shapes, markers, 3) float array
@@ -111,10 +128,21 @@ def find_lid_evidence(
     trust : (markers,) float array
         0 for markers that are not looked at.
     """
-    full = [i for i, name in enumerate(names) if name.lower().startswith(FULL_SHAPES)]
+    full, gaze = _eye_shapes(names)
     surface = effective_size(offsets[full].toarray().reshape(len(full), offsets.shape[1] // 3, 3))
     seen = shape_evidence(deltas, motion, full, surface_mm=surface, marker_trust=trust)
-    return LidEvidence(tuple(full), seen)
+    return LidEvidence(tuple(full), seen, tuple(gaze))
+
+
+def _eye_shapes(names: tuple[str, ...]) -> tuple[list[int], list[int]]:
+    """Return the columns of the shapes that close the eyes, one of a side, and that turn them."""
+    meanings = read_meanings(names)
+    blinks: dict[str, int] = {}
+    for shape in sorted(range(len(names)), key=lambda shape: meanings[names[shape]].rank):
+        if meanings[names[shape]].motion == _BLINK:
+            blinks.setdefault(meanings[names[shape]].side, shape)
+    gaze = [i for i, name in enumerate(names) if meanings[name].motion.startswith(_GAZE)]
+    return sorted(blinks[side] for side in "LR" if side in blinks) or list(blinks.values()), gaze
 
 
 Positions = Float32Array | FloatArray
