@@ -397,6 +397,8 @@ class SolveBasis:
     """Those of them that a person has tuned."""
     still_regions: tuple[str, ...] = ()
     """Regions of the face that no reference moves."""
+    unseen_regions: tuple[str, ...] = ()
+    """Regions of the face that no marker sees."""
     changed_shapes: tuple[str, ...] = ()
     """Shapes of the rig that are not those of the training any more."""
 

@@ -21,6 +21,7 @@ from usdface.model.mapping.uncertainty import (
     calibrate_uncertainty,
     proposal_error,
 )
+from usdface.model.regressions.base import RestPlaces
 
 CHOSEN = np.arange(0, 1200, 30)
 NAMES = ("browUp", "browDown", "eyeBlink", "eyeSquint", "mouthSmile", "mouthOpen")
@@ -198,3 +199,28 @@ def test_a_solve_learnt_from_proposals_is_as_uncertain_as_they_are() -> None:
     moved2 = np.einsum("fs,st,ft->f", after.weights, face.gram, after.weights)
     np.testing.assert_allclose(added[:, 0], 0.04 * (moved2 + 2.0), rtol=0.02)
     assert (added[:, 1:] >= 0.04 * 2.0 - 1e-6).all()
+
+
+@pytest.mark.parametrize(
+    ("labels", "known", "unseen"),
+    [("m", True, "mouth"), ("lip_", True, ""), ("m", False, "")],
+    ids=["by_place", "a_label_says_otherwise", "places_unknown"],
+)
+def test_regions_without_markers_are_named(labels: str, known: bool, unseen: str) -> None:
+    """The mouth's markers sit on the brows of the rig."""
+    face = face_in_parts(noise=0.05)
+    places = face.neutral.copy()
+    places[RIGID + 12 :] = places[RIGID : RIGID + MARKERS - RIGID - 12]
+    if not known:
+        places[-1] = np.nan
+    names = (*face.names[: RIGID + 12], *(f"{labels}{at}" for at in range(MARKERS - RIGID - 12)))
+    references = replace(references_of(face, CHOSEN), marker_names=names, shape_names=NAMES)
+    mapping = train_mapping(
+        references,
+        ranges=face.ranges,
+        gram=face.gram,
+        skin=face.shapes,
+        rest=RestPlaces(face.neutral, places),
+        method="ridge",
+    )
+    assert mapping.settings["unseen_regions"] == unseen

@@ -130,6 +130,20 @@ def test_a_take_that_its_proposals_cover_is_tuned_before_more_frames_are_added()
     assert far.advice.startswith("add frames of this take")
 
 
+def test_references_of_regions_without_markers_are_not_asked_for() -> None:
+    basis = SolveBasis(30, 30, still_regions=("mouth",), unseen_regions=("mouth",))
+    found = replace(evidence(), basis=basis)
+    found.uncertainty_mm[:, 2] = 4.0
+    verdict = judge_solve(found)
+    assert verdict.level == "bad"
+    assert "no marker sees the mouth: weights there are guessed" in verdict.sentence
+    assert verdict.advice == "use the rest of the face alone, or capture the mouth with markers"
+    found.uncertainty_mm[:, 1] = 3.0
+    assert "chosen for the brows, then" in judge_solve(found).advice
+    mine = replace(found, error_mm=np.full((100, 3), 4.0))
+    assert "no marker sees" not in judge_solve(mine).sentence
+
+
 def test_a_solve_onto_other_shapes_than_those_of_the_training_is_not_good() -> None:
     basis = SolveBasis(50, 50, changed_shapes=("jawOpen", "mouthClose", "browDown"))
     verdict = judge_solve(replace(evidence(), basis=basis))

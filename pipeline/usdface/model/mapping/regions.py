@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
-from usdface.numerics.measure.face_regions import points_by_region
+from usdface.model.placement.label_hints import label_hint
+from usdface.numerics.measure.face_regions import points_by_region, shapes_by_region
 
 FACE = "face"
 """The first region: everything."""
+
+_SEEN_SHARE = 0.1
+"""Of the largest motion of a part's shapes: as much carries over from a part to its neighbour."""
 
 _RIDGE_SHARE = 0.02
 """Ridge per pair on the weights: shapes that act together share the motion."""
@@ -62,8 +67,42 @@ def membership(points: dict[str, IntArray], count: int) -> FloatArray:
     return table
 
 
+def unseen_regions(
+    parts: tuple[str, ...], face: Face, labels: Sequence[str], rigid: Sequence[str]
+) -> tuple[str, ...]:
+    """Return the parts of the face that no marker sees, by where markers are on the rig.
+
+    There the part's shapes move a marker by less than `_SEEN_SHARE` of what they move the skin, and
+    no label names the part. Nothing is returned where a marker's place is not known.
+
+    Parameters
+    ----------
+    parts : tuple of str
+        Of the shapes; see `region_points`.
+    labels, rigid : sequence of str
+        Of all markers, and of those that move with the skull alone.
+    """
+    if face.skin is None or face.rest is None or face.rest.markers is None:
+        return ()
+    places = face.rest.markers[[label not in rigid for label in labels]]
+    if not len(places) or not np.isfinite(places).all():
+        return ()
+    hints = {label_hint(label).region for label in labels} - {""}
+    nearest = [int(np.linalg.norm(face.rest.points - each, axis=1).argmin()) for each in places]
+    length = np.linalg.norm(face.skin, axis=2)
+    return tuple(
+        region
+        for region, shapes in shapes_by_region(parts).items()
+        if not any(hint in region for hint in hints)
+        and np.linalg.norm(length[shapes][:, nearest].max(axis=1))
+        < _SEEN_SHARE * np.linalg.norm(length[shapes].max(axis=1))
+    )
+
+
 if TYPE_CHECKING:
     from scipy import sparse
+
+    from usdface.model.regressions.base import Face
 
 SKIN_POINTS = 1500
 """Most points of the surface that stand for it."""

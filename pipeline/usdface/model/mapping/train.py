@@ -27,6 +27,7 @@ from usdface.model.mapping.regions import (
     membership,
     region_grams,
     region_points,
+    unseen_regions,
 )
 from usdface.model.mapping.uncertainty import UncertaintyModel, calibrate_uncertainty
 from usdface.model.regressions import (
@@ -135,11 +136,10 @@ def train_mapping(
             fitted.arrays | motion_arrays(motion) | solver.to_arrays() | error_arrays
         ),
         settings=fitted.settings
+        | _region_settings(checked, folds, regions, parts)
         | {
             "pairs": len(checked.weights),
             "limited_weights": sound.limited_weights,
-            "regions": ",".join(regions),
-            "still_regions": ",".join(_still_regions(folds, regions, parts)),
             "key_error": corrected.key_error,
             "contradicted": _contradicted(corrected, checked, parts),
             "unobservable_shapes": int((~compared.observable).sum()),
@@ -242,13 +242,20 @@ def _uncertainty(
     return regions, arrays
 
 
-def _still_regions(
-    folds: PairFolds, regions: tuple[str, ...], parts: tuple[str, ...]
-) -> tuple[str, ...]:
-    """Return the regions that no reference moves: what moves them later, only the rig tells."""
-    weights, shapes = folds.pairs.face.normalise(folds.pairs.outputs), shapes_by_region(parts)
-    return tuple(
+def _region_settings(
+    references: References, folds: PairFolds, regions: tuple[str, ...], parts: tuple[str, ...]
+) -> dict[str, str]:
+    """Name the regions, those that no marker sees, and of the rest those that no reference moves.
+
+    What moves a still region later, only the rig tells.
+    """
+    face, shapes = folds.pairs.face, shapes_by_region(parts)
+    unseen = unseen_regions(parts, face, references.marker_names, references.rigid)
+    reach = np.ptp(face.normalise(folds.pairs.outputs), axis=0)
+    still = [
         region
         for region in regions[1:]
-        if region in shapes and np.ptp(weights[:, shapes[region]], axis=0).max() < _STILL_SHARE
-    )
+        if region in shapes and region not in unseen and reach[shapes[region]].max() < _STILL_SHARE
+    ]
+    named = {"regions": regions, "still_regions": still, "unseen_regions": unseen}
+    return {name: ",".join(each) for name, each in named.items()}

@@ -143,7 +143,7 @@ def settle_findings(
     where: object,
     before_remedy: str = "",
 ) -> tuple[str, ...]:
-    """Return doubts as notes; refuse what cannot be and nobody has stated.
+    """Return doubts as notes, with what to do unless it was done; refuse what cannot be.
 
     Parameters
     ----------
@@ -160,7 +160,10 @@ def settle_findings(
         raise InputError(
             "\n".join(f"{where}: {each.message}; {before_remedy}{each.remedy}" for each in refused)
         )
-    return tuple(f"{each.message}; {before_remedy}{each.remedy}" for each in findings)
+    return tuple(
+        each.message if each.aspect in stated else f"{each.message}; {before_remedy}{each.remedy}"
+        for each in findings
+    )
 
 
 def unit_remedy(size: float) -> str:

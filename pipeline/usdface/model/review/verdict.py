@@ -118,7 +118,7 @@ def judge_solve(evidence: SolveEvidence) -> SolveVerdict:
     shares = _by_any(beyond).mean(axis=0)
     where = _worst_regions(evidence.regions, shares)
     lost = evidence.retarget if evidence.unfollowed_share > _CHANCE_SHARE else ""
-    parts = [lost, _coverage(evidence), _tuned(evidence), _changed(evidence)]
+    parts = [lost, _coverage(evidence), _tuned(evidence), _changed(evidence), _unseen(evidence)]
     parts += [_error(evidence), _residual(evidence)]
     if level != "good" and where:
         columns = [evidence.regions.index(region) for region in where]
@@ -229,6 +229,15 @@ def _changed(evidence: SolveEvidence) -> str:
     return f"the rig has other shapes than in training: {shapes}"
 
 
+def _unseen(evidence: SolveEvidence) -> str:
+    """Name the regions without markers, which references cannot help."""
+    basis = evidence.basis
+    if basis is None or not basis.unseen_regions or evidence.error_mm is not None:
+        return ""
+    regions = " and the ".join(basis.unseen_regions)
+    return f"no marker sees the {regions}: weights there are guessed from the rest of the face"
+
+
 def _error(evidence: SolveEvidence) -> str:
     if evidence.error_mm is not None:
         face = evidence.error_mm[:, 0]
@@ -276,10 +285,15 @@ def _residual(evidence: SolveEvidence) -> str:
 
 def _advice(evidence: SolveEvidence, level: str, where: dict[str, float], proposals: bool) -> str:
     basis = evidence.basis
+    unseen = () if basis is None else basis.unseen_regions
     still = () if basis is None else basis.still_regions
+    shown = [region for region in where if region not in unseen]
+    if unseen and where and not shown and evidence.error_mm is None:
+        regions = " and the ".join(unseen)
+        return f"use the rest of the face alone, or capture the {regions} with markers"
     steps = []
     if level == "bad" and evidence.error_mm is None and not (proposals and _shown(evidence)):
-        parts = " and the ".join(list(where)[:2] or still[:2])
+        parts = " and the ".join(shown[:2] or still[:2])
         steps.append(
             "add frames of this take to the references"
             + (f", chosen for the {parts}" if parts else "")

@@ -170,6 +170,12 @@ def _correction_notes(mapping: TrainedMapping, references: References) -> list[s
             f"no reference moves the {still.replace(',', ', ')}: there the rig's geometry alone "
             "says what markers mean; tune frames in which they move"
         )
+    dark = str(mapping.settings.get("unseen_regions", ""))
+    if dark:
+        notes.append(
+            f"no marker sees the {dark.replace(',', ' and the ')}: weights there are guessed from "
+            "the rest of the face; key them with `usdface edit`, or capture them with markers"
+        )
     unseen = [
         references.shape_names[column]
         for column in unseen_shapes(references.parts)

@@ -27,6 +27,7 @@ from usdface.usdio.performance.weights_layer import (
     STILL_REGIONS,
     UNMATCHED,
     UNMATCHED_SHARES,
+    UNSEEN_REGIONS,
     WeightsHeader,
 )
 from usdface.usdio.rig.read import combinations_below
@@ -119,9 +120,9 @@ class PerformanceReader:
         counts = value_of(self.animation, PAIR_COUNTS)
         if counts is None or len(counts) != 2:
             return None
-        still = names_in(self.animation.GetAttribute(STILL_REGIONS))
-        changed = names_in(self.animation.GetAttribute(CHANGED_SHAPES))
-        return SolveBasis(int(counts[1]), int(counts[0]), still, changed)
+        named = (STILL_REGIONS, UNSEEN_REGIONS, CHANGED_SHAPES)
+        listed = (names_in(self.animation.GetAttribute(name)) for name in named)
+        return SolveBasis(int(counts[1]), int(counts[0]), *listed)
 
     @cached_property
     def version(self) -> str:

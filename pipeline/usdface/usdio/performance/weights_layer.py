@@ -47,6 +47,7 @@ FIGURES = (SOLVE_UNCERTAINTY, COVERAGE, RESIDUAL)
 
 PAIR_COUNTS = "face:solve:references"
 STILL_REGIONS = "face:solve:stillRegions"
+UNSEEN_REGIONS = "face:solve:unseenRegions"
 CHANGED_SHAPES = "face:solve:changedShapes"
 NEUTRAL_FRAME = "face:solve:neutralFrame"
 UNMATCHED = "face:source:unmatched"
@@ -381,6 +382,7 @@ def author_header(layer: Sdf.Layer, header: WeightsHeader, rig: Rig) -> Sdf.Prim
         counts = Vt.IntArray([header.basis.tuned, header.basis.pairs])
         author_uniform(prim, PAIR_COUNTS, Sdf.ValueTypeNames.IntArray, counts)
         author_uniform(prim, STILL_REGIONS, tokens, list(header.basis.still_regions))
+        author_uniform(prim, UNSEEN_REGIONS, tokens, list(header.basis.unseen_regions))
         author_uniform(prim, CHANGED_SHAPES, tokens, list(header.basis.changed_shapes))
     if header.unmatched:
         author_uniform(prim, UNMATCHED, tokens, list(header.unmatched))
