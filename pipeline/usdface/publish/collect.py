@@ -6,13 +6,14 @@ from fractions import Fraction
 from pathlib import Path
 
 from usdface.core.errors import InputError
-from usdface.core.sidecars import LAYER_SUFFIXES, weights_path
+from usdface.core.sidecars import LAYER_SUFFIXES, is_usd_name, weights_path
 from usdface.model.review.verdict import SolveVerdict
-from usdface.runner.origin import spec_of
+from usdface.runner.origin import take_of_performance
 from usdface.steps.edits.validate import check_layer
 from usdface.steps.inputs.solve_verdict import judge_performance
 from usdface.usdio.layers import read_provenance
 from usdface.usdio.performance.read import PerformanceReader
+from usdface.usdio.take.read import is_take
 from usdface.usdio.validation import Finding
 
 MAKERS = ("map", "join", "retarget", "warp")
@@ -77,11 +78,10 @@ def collect_performance(path: Path) -> PublishItem:
         raise InputError(f"{path}: no such file; check the path")
     reader = PerformanceReader(path)
     rig, _ = reader.rig()
-    take = take_of(path)
     return PublishItem(
         name=path.stem,
         performance=path,
-        take=take if take is not None and take.is_file() else None,
+        take=_take_of(path),
         rig=rig,
         first_frame=reader.first_frame,
         last_frame=reader.last_frame,
@@ -93,21 +93,11 @@ def collect_performance(path: Path) -> PublishItem:
     )
 
 
-def take_of(performance: Path) -> Path | None:
-    """Return the take that a performance says it was mapped from, itself or its parts."""
-    path: Path = performance
-    for _ in range(2):  # a joined performance names its parts, and each of them the take
-        made = read_provenance(path) if path.is_file() else None
-        if made is None:
-            return None
-        spec = spec_of(made)
-        take, parts = spec.get("take"), spec.get("parts")
-        if isinstance(take, str) and "source" not in spec:  # of a table it is a name
-            return path.parent / take
-        if not (isinstance(parts, list) and parts and isinstance(parts[0], str)):
-            return None
-        path = path.parent / parts[0]
-    return None
+def _take_of(performance: Path) -> Path | None:
+    """Return the take that a performance is of, if it is there to be shown beside it."""
+    take = take_of_performance(performance)
+    shown = take is not None and is_usd_name(take) and take.is_file() and is_take(take)
+    return take if shown else None
 
 
 def _in_folder(folder: Path) -> list[Path]:
@@ -134,13 +124,19 @@ def validate_performance(item: PublishItem) -> tuple[Finding, ...]:
     """
     found = check_layer(item.performance)
     if item.take is None:
+        made = read_provenance(item.performance)
+        again = (
+            "retarget a take again (ingest a capture first)"
+            if made is not None and made.step == "retarget"
+            else "map it again"
+        )
         found.append(
             Finding(
                 "warning",
                 "usdface:take",
                 str(item.performance),
-                "does not say what it was mapped from, or that is gone: it is published without a "
-                "sheet to judge it by; map it again to have one",
+                "does not say which take it was made from, or that is gone: it is published "
+                f"without a sheet to judge it by; {again} to have one",
             )
         )
     return tuple(sorted(found, key=lambda finding: finding.severity != "error"))

@@ -273,7 +273,8 @@ def take_of_performance(performance: Path) -> Path | None:
         seen.add(file)
         spec = spec_of(provenance_of(file))
         mapped = "take" in spec and "source" not in spec  # a table's take is no file
-        named = spec.get("take") if mapped else spec.get("source")
+        parts = spec.get("parts") or [None]  # of a joined performance all are of one take
+        named = spec.get("take") if mapped else spec.get("source", parts[0])
         if not isinstance(named, str) or not named:
             return None
         file = file.parent / named

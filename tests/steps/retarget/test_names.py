@@ -15,7 +15,10 @@ from tests.usdio.small_rig import small_rig
 from usdface.cli.app import main
 from usdface.core.assets import MeshShape, Rig, RigMesh
 from usdface.model.retarget.shape_matching import ShapeMatch
+from usdface.publish.collect import collect_performance, validate_performance
+from usdface.publish.extract import ReviewOptions, extract_performance
 from usdface.steps.inputs.solve_verdict import judge_performance
+from usdface.steps.inputs.source_motion import describe_retarget
 from usdface.steps.retarget.pairs_propose import match_rigs
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.rig.write import write_rig
@@ -222,6 +225,22 @@ def test_what_a_phone_did_not_capture_is_named_down_to_the_verdict(take, capsys)
     line = "retarget phone.take.usda --rig hero.usda --frames 22-40 --out part.usda"
     assert usdface(*line.split()) == 0
     assert "nothing was captured" not in capsys.readouterr().out
+
+
+def test_a_retargeting_is_published_with_the_sheet_of_its_sources_take(take, tmp_path) -> None:
+    assert usdface("ingest", "phone.csv", "--out", "phone.take.usda") == 0
+    for source in ("phone.csv", "phone.take.usda"):
+        out = f"{source}.shot.usda"
+        assert usdface("retarget", source, "--rig", "hero.usda", "--out", out) == 0
+    item = collect_performance(Path("phone.csv.shot.usda"))
+    (finding,) = (each for each in validate_performance(item) if each.check == "usdface:take")
+    assert "retarget a take again" in finding.message
+    item = collect_performance(Path("phone.take.usda.shot.usda"))
+    assert item.take.resolve() == (tmp_path / "phone.take.usda").resolve()
+    assert not any(each.check == "usdface:take" for each in validate_performance(item))
+    made = extract_performance(item, tmp_path, review=ReviewOptions(rows=1, quality="draft"))
+    assert made.path("sheet").is_file()
+    assert describe_retarget(made.path("performance")).startswith("a retarget by names")
 
 
 def test_no_target_and_uneven_targets_are_refused(take: np.ndarray, capsys) -> None:

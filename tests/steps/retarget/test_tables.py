@@ -10,7 +10,7 @@ from tests.usdio.small_creature import write_human
 from usdface.cli import main
 from usdface.core.deformer import Deformer
 from usdface.model.review.verdict import judge_solve
-from usdface.publish.collect import take_of
+from usdface.publish.collect import collect_performance
 from usdface.steps.inputs.source_motion import (
     read_source_motion,
     source_transfer,
@@ -57,7 +57,7 @@ def test_rate_unit_and_take_are_stated_and_the_table_is_reviewed(folder: Path) -
     shot = open_shot(out)
     assert shot.take.source is not None
     np.testing.assert_allclose(shot.take.source.values[:, 0], WEIGHTS, atol=1e-5)
-    assert take_of(out) is None
+    assert collect_performance(out).take is None
 
 
 @pytest.mark.parametrize(

@@ -193,6 +193,9 @@ def describe_retarget(performance: Path) -> str:
     cannot be read.
     """
     made = provenance_of(performance)
+    if made is not None and made.step == "bake":
+        baked = path_made_from(performance, "performance")
+        return "" if baked is None else describe_retarget(baked)
     if made is None or made.step != "retarget":
         return ""
     spec = spec_of(made)
