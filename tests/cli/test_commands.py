@@ -20,6 +20,7 @@ from usdface.cli.console import show_result
 from usdface.core.errors import InputError
 from usdface.core.version import __version__
 from usdface.runner.result import StepResult
+from usdface.specs.capture import IngestSpec
 from usdface.usdio.rig.write import write_rig
 
 
@@ -394,6 +395,12 @@ def test_an_option_that_would_be_ignored_is_refused(arguments, message, capsys) 
     out = {"sheet": "o.jpg", "movie": "o.mp4", "cyclic": "o.json"}.get(arguments[0], "o.usda")
     assert run(*arguments, "--out", out) == 2
     assert message in capsys.readouterr().err
+
+
+def test_words_of_an_option_are_taken_in_any_case(capsys) -> None:
+    assert run("ingest", "missing.c3d", "--up", "-Z", "--units", "MM", "--out", "x.usda") == 2
+    assert "missing.c3d: no such file" in capsys.readouterr().err
+    assert IngestSpec(sources=("a.c3d",), up="Z", out="x.usda").up == "z"
 
 
 def test_values_that_an_option_does_not_take_are_said_in_our_words(capsys) -> None:

@@ -1,6 +1,7 @@
 """Weights as a reader found them, made into a take: no frame missing, nothing silent."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +10,15 @@ from usdface.capture.marker_take import Capture
 from usdface.capture.sample_times import SampleTimes
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, runs
 from usdface.core.assets import Take, WeightsClip
+from usdface.core.errors import InputError
+from usdface.core.rates import exact_rate
 from usdface.core.text import frame_ranges, pluralize
 
 _FIRST_FRAME = 1
 """Where takes start whose format does not number frames, as optical takes do."""
+
+_CLOCK_ERROR = 0.002
+"""Relative, by which a rate may be restated: 60 is 59.94 by one in a thousand."""
 
 _FROZEN_SECONDS = 0.5
 """A device that repeats all values to the last digit for so long does not see: noise trembles."""
@@ -66,6 +72,23 @@ def build_channel_take(
         timecode_start=timecode_start,
     )
     return Capture(take, format_name, tuple(found))
+
+
+def with_stated_rate(capture: Capture, rate: float, *, where: object) -> Capture:
+    """Return weights of a device at the rate that the user says its clock meant: 59.94 for 60.
+
+    Its frames stay: labels of 59.94 frames per second without drop frame count to 60.
+    """
+    stated, source = exact_rate(rate, where="--rate"), capture.take.source
+    measured = capture.take.rate
+    if abs(stated / measured - 1) > _CLOCK_ERROR:
+        raise InputError(
+            f"{where}: --rate {rate:g}, but by their own times its samples come at "
+            f"{float(measured):g} frames per second; leave it out"
+        )
+    if source is not None:
+        source = replace(source, rate=stated)
+    return replace(capture, take=replace(capture.take, rate=stated, source=source))
 
 
 def fill_frames(

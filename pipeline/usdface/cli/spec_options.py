@@ -70,7 +70,12 @@ def options_of(spec: type[Spec]) -> list[inspect.Parameter]:
             info: Any = typer.Argument(help=texts.get(name), show_default=False)
         else:
             named = "<str,...>" if _is_list_of_names(field.annotation) else None
-            info = typer.Option(_option_name(name, field), help=texts.get(name), metavar=named)
+            info = typer.Option(
+                _option_name(name, field),
+                help=texts.get(name),
+                metavar=named,
+                case_sensitive=False,
+            )
         default = inspect.Parameter.empty if required else _default(field, kind)
         parameters.append(
             inspect.Parameter(

@@ -14,6 +14,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 from pydantic import (
     AfterValidator,
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Field,
     GetJsonSchemaHandler,
@@ -25,7 +26,10 @@ from pydantic_core import core_schema
 from usdface.specs.paths import ReadPath, Reads, Several, Writes
 
 Name = Annotated[str, Field(min_length=1, max_length=200)]
-Axis = Literal["y", "z", "x", "-x", "-y", "-z"]
+Axis = Annotated[
+    Literal["y", "z", "x", "-x", "-y", "-z"],
+    BeforeValidator(lambda given: given.lower() if isinstance(given, str) else given),
+]
 Units = Literal["mm", "cm", "m", "in"]
 
 DRIVEN_PARTS = ("head", "left_eye", "right_eye")

@@ -67,7 +67,8 @@ class IngestSpec(WeightTableSpec):
     is."""
     rate: Annotated[float, Field(gt=0, le=100_000)] | None = None
     """Frames per second of markers or of a table of weights, if the file does not state it or
-    states it wrongly. Tables without a column of times need it."""
+    states it wrongly. Tables without a column of times need it. Of a phone's recording, 59.94 where
+    its clock says 60."""
     shapes: ReadPath | None = None
     """Names of the columns of a .npy matrix of weights: a text file with one per line, a JSON list
     or .npy. Default: NAME.names.txt, .json or .npy beside it."""

@@ -187,7 +187,8 @@ class RetargetSpec(WeightTableSpec):
     frames: Frames | None = None
     """Frames to retarget, as FIRST-LAST. Default: all."""
     rate: Annotated[float, Field(gt=0, le=100_000)] | None = None
-    """Frames per second of a table of weights that has no column of times."""
+    """Frames per second of a table of weights that has no column of times. Of a phone's recording,
+    59.94 where its clock says 60."""
     shapes: ReadPath | None = None
     """Names of the columns of a .npy matrix of weights, as `ingest` takes them."""
     take: Name | None = None

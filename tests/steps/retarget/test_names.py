@@ -4,6 +4,7 @@ import json
 import os
 import re
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from usdface.steps.inputs.source_motion import describe_retarget
 from usdface.steps.retarget.pairs_propose import match_rigs
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.rig.write import write_rig
+from usdface.usdio.take.read import TakeReader
 from usdface.usdio.validation import validate
 
 SHAPES = ("JawOpen", "EyeBlinkLeft", "EyeBlinkRight", "MouthSmileLeft", "CheekPuff", "HeadYaw")
@@ -208,7 +210,7 @@ def test_what_is_stated_of_a_folder_counts_for_its_tables(take: np.ndarray, caps
     assert (table.rate, phone.rate == table.rate) == (24, False)
     Path("day/table.csv").unlink()
     assert usdface(*line, "--out", "other") == 1
-    assert "says it itself; leave it out" in capsys.readouterr().err
+    assert "by their own times its samples come at 48 frames per second" in capsys.readouterr().err
 
 
 def test_what_a_phone_did_not_capture_is_named_down_to_the_verdict(take, capsys) -> None:
@@ -241,6 +243,20 @@ def test_a_retargeting_is_published_with_the_sheet_of_its_sources_take(take, tmp
     made = extract_performance(item, tmp_path, review=ReviewOptions(rows=1, quality="draft"))
     assert made.path("sheet").is_file()
     assert describe_retarget(made.path("performance")).startswith("a retarget by names")
+
+
+def test_the_rate_that_a_phones_clock_means_can_be_stated(take, capsys) -> None:
+    phone_csv(Path("phone.csv"), np.tile(take, (2, 1)))  # more than a second tells the base
+    ntsc = Fraction(60_000, 1001)
+    for source in ("phone.csv", "phone.take.usda"):
+        assert usdface("ingest", source, "--rate", 59.94, "--out", f"{source}.take.usda") == 0
+        assert TakeReader(Path(f"{source}.take.usda")).rate == ntsc
+        assert usdface("ingest", "phone.csv", "--out", "phone.take.usda", "--overwrite") == 0
+    line = "retarget phone.csv --rate 59.94 --rig hero.usda --out shot.usda"
+    assert usdface(*line.split()) == 0
+    assert PerformanceReader(Path("shot.usda")).rate == ntsc
+    assert usdface("ingest", "phone.csv", "--rate", 23.976, "--out", "other.take.usda") == 2
+    assert "samples come at 60 frames per second; leave it out" in capsys.readouterr().err
 
 
 def test_no_target_and_uneven_targets_are_refused(take: np.ndarray, capsys) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from usdface.capture.channel_take import with_stated_rate
 from usdface.capture.marker_labels import match_labels, settle_labels
 from usdface.capture.marker_take import Capture, CaptureHeader, CaptureOptions, build_marker_take
 from usdface.capture.sniff import read_capture
@@ -91,9 +92,15 @@ def _labelled(takes: list[Take], spec: IngestSpec) -> list[Take]:
 
 
 def _read_source(source: Path, spec: IngestSpec) -> Capture:
-    if is_usd_name(source):
-        return _read_usd(source, spec)
-    capture = read_capture(
+    capture = _read_usd(source, spec) if is_usd_name(source) else _read_file(source, spec)
+    timed = capture.take.markers is None and capture.format != "weights"
+    if spec.rate is not None and len(spec.sources) == 1 and timed:
+        return with_stated_rate(capture, spec.rate, where=source)
+    return capture
+
+
+def _read_file(source: Path, spec: IngestSpec) -> Capture:
+    return read_capture(
         source,
         format=spec.format,
         units=spec.units,
@@ -106,13 +113,6 @@ def _read_source(source: Path, spec: IngestSpec) -> Capture:
         shapes=spec.shapes,
         take=spec.take,
     )
-    timed = capture.take.markers is None and capture.format != "weights"
-    if spec.rate is not None and len(spec.sources) == 1 and timed:
-        raise InputError(
-            f"{source}: --rate is of markers, and this capture has none; its samples keep the "
-            "times that the recorder wrote: leave --rate out"
-        )
-    return capture
 
 
 def _unused_notes(spec: IngestSpec, take: Take, captures: list[Capture]) -> list[str]:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from usdface.capture.channel_take import with_stated_rate
 from usdface.capture.sniff import read_capture
 from usdface.core.arrays import FloatArray, columns_by_name
 from usdface.core.assets import Take
@@ -111,6 +112,8 @@ def read_source_motion(
     stated = {name: value for name, value in stated.items() if value is not None}
     is_layer = is_usd_name(path)
     capture = None if is_layer else read_capture(path, **stated)
+    if capture is not None and capture.format != "weights" and "rate" in stated:
+        capture = with_stated_rate(capture, stated.pop("rate"), where=path)
     if stated and (capture is None or capture.format != "weights"):
         option = next(iter(stated)).replace("_", "-")
         raise InputError(
