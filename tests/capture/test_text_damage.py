@@ -66,7 +66,8 @@ FAULTS = {
     "trc: no rows": ("trc", "\n".join(TRC.splitlines()[:5]), "no data rows"),
     "trc: no axes": ("trc", without_line(TRC, 5, 2), "line 5: begins .*must hold X1, Y1, Z1"),
     "trc: cut in the header": ("trc", TRC[:60], "ends before its header does"),
-    "trc: a frame twice": ("trc", doubled(TRC, 9), "line 10: 7 follows 7; it must ascend"),
+    "trc: a frame twice": (
+        "trc", replaced(doubled(TRC, 9), 10, 3, "5", "\t"), "line 10: 7 follows 7; it must ascend"),
     "trc: a frame far away": (
         "trc", replaced(TRC, 18, 1, "900000", "\t"), "line 18: .*frames are missing"),
     "trc: half a frame": ("trc", replaced(TRC, 9, 1, "7.5", "\t"), "line 9: frame number 7.5"),

@@ -165,6 +165,44 @@ def test_times_of_a_marker_table_may_be_milliseconds(put, title):
     assert read_capture(put(slow)).take.rate == 60
 
 
+def without_frames(text):
+    return "\n".join(line.partition(",")[2] for line in text.splitlines())
+
+
+@pytest.mark.parametrize(("stated", "rate"), [({}, 60), ({"rate": 59.94}, Fraction(60_000, 1001))])
+def test_times_alone_number_the_frames_of_a_marker_table(put, stated, rate):
+    whole = read_capture(put(samples.marker_csv()), units="cm")
+    lines = without_frames(samples.marker_csv()).splitlines()
+    take = read_capture(put("\n".join(lines)), units="cm", **stated).take
+    assert (take.rate, take.first_frame) == (rate, 1)
+    np.testing.assert_array_equal(take.markers.positions, marker_positions(whole))
+    del lines[5]
+    gap = read_capture(put("\n".join(lines)), units="cm").take
+    assert np.flatnonzero(~gap.markers.visible.any(axis=1)).tolist() == [4]
+
+
+def test_markers_at_uneven_times_without_frame_numbers_are_refused(put):
+    lines = without_frames(samples.marker_csv()).splitlines()
+    for row in range(2, len(lines), 2):
+        time, _, rest = lines[row].partition(",")
+        lines[row] = f"{float(time) + 0.4 / 60},{rest}"
+    with pytest.raises(InputError, match="uneven times"):
+        read_capture(put("\n".join(lines)))
+
+
+@pytest.mark.parametrize("name", ["trc", "vicon_csv", "motive_csv", "marker_csv"])
+def test_a_row_written_twice_is_read_once_and_another_of_that_frame_is_refused(put, name):
+    text = getattr(samples, name)()
+    plain = read_capture(put(text))
+    lines = text.rstrip("\n").splitlines()
+    capture = read_capture(put("\n".join([*lines, lines[-1]])))
+    np.testing.assert_array_equal(marker_positions(capture), marker_positions(plain))
+    assert noted(capture, f"1 row written twice, read once: line {len(lines) + 1}")
+    other = re.sub(r"\d(?=\D*$)", lambda digit: str(9 - int(digit[0])), lines[-1])
+    with pytest.raises(InputError, match=rf"line {len(lines) + 1}: .* must ascend"):
+        read_capture(put("\n".join([*lines, other])))
+
+
 def test_a_tiny_weight_of_ifacialmocap_may_have_an_exponent(put):
     text = re.sub(r"JawOpen-\d+", "JawOpen-1.5e-05", samples.ifacialmocap())
     clip = read_capture(put(text)).take.source

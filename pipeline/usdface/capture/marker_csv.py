@@ -1,8 +1,11 @@
-"""A plain table of markers: a frame column, a column of seconds, then NAME.x, NAME.y, NAME.z."""
+"""A plain table of markers: frame numbers, times or both, then NAME.x, NAME.y, NAME.z."""
 
 import re
 from fractions import Fraction
 from pathlib import Path
+from typing import cast
+
+import numpy as np
 
 from usdface.capture.marker_take import (
     Capture,
@@ -16,14 +19,17 @@ from usdface.capture.sample_times import (
     index_kind,
     index_seconds,
     rate_of_times,
+    settle_device_times,
     settle_frame_numbers,
 )
 from usdface.capture.text_table import (
+    NumberTable,
     head_lines,
     read_header,
     read_lines,
     read_number_table,
     sniff_delimiter,
+    without_repeated_rows,
 )
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.errors import InputError
@@ -51,11 +57,11 @@ def read_marker_csv(path: Path, options: CaptureOptions) -> Capture:
     triples = _triples(titles)
     at = {kind: place for place, title in enumerate(titles) if (kind := index_kind(title))}
     timed = "time" in at or "ms" in at
-    if "frame" not in at or not (timed or options.rate is not None) or not triples:
+    if not (timed or ("frame" in at and options.rate is not None)) or not triples:
         raise InputError(
-            f"{header.where}: it must name a column frame, a column time_s or time_ms, and NAME.x, "
-            f"NAME.y, NAME.z for each marker (found {', '.join(titles[:4])[:60]}, …); add what is "
-            "missing, or state the frames per second with --rate"
+            f"{header.where}: it must name a column time_s or time_ms, or a column frame with the "
+            "frames per second given by --rate, and NAME.x, NAME.y, NAME.z for each marker (found "
+            f"{', '.join(titles[:4])[:60]}, …); add what is missing"
         )
     read = {at.get(kind) for kind in ("frame", "time", "ms")}
     read |= {place + axis for place in triples.values() for axis in range(3)}
@@ -63,10 +69,11 @@ def read_marker_csv(path: Path, options: CaptureOptions) -> Capture:
     table = read_number_table(
         lines, titles, path=path, delimiter=delimiter, gaps=True, texts=others
     )
-    first_frame, frames = settle_frame_numbers(
-        table.values[:, at["frame"]], table.lines, where=str(path)
-    )
     notes: list[str] = []
+    table = without_repeated_rows(table, notes)
+    first_frame, frames, rate = _frames(table, at, options, path)
+    if "frame" not in at:
+        notes.append("no column is called frame: frames are numbered from 1, by their times")
     if others:
         named = first_few([titles[place] for place in others])
         notes.append(f"{pluralize(len(others), 'column')} other than markers left out: {named}")
@@ -83,7 +90,7 @@ def read_marker_csv(path: Path, options: CaptureOptions) -> Capture:
         CaptureHeader(
             path,
             "marker-csv",
-            _rate(index_seconds(at, table.values), frames, options, path),
+            rate,
             first_frame,
             notes=notes,
         ),
@@ -94,13 +101,31 @@ def read_marker_csv(path: Path, options: CaptureOptions) -> Capture:
     )
 
 
-def _rate(
-    seconds: FloatArray | None, frames: IntArray, options: CaptureOptions, path: Path
-) -> Fraction:
-    """Return what the times tell; where the rate is stated they are not needed."""
-    if options.rate is not None or seconds is None:
-        return exact_rate(options.rate or 0.0, where="--rate")
-    return rate_of_times(seconds, frames, where=str(path))
+def _frames(
+    table: NumberTable, at: dict[str, int], options: CaptureOptions, path: Path
+) -> tuple[int, IntArray, Fraction]:
+    """Return the first frame number, the frame of each row from 0, and the frames per second.
+
+    Where the rate is stated, times are not needed; where frames are not numbered, times number
+    them.
+    """
+    seconds, where = index_seconds(at, table.values), str(path)
+    stated = None if options.rate is None else exact_rate(options.rate, where="--rate")
+    if "frame" in at:
+        numbers = table.values[:, at["frame"]]
+        first, frames = settle_frame_numbers(numbers, table.lines, where=where)
+        if stated is None:
+            stated = rate_of_times(cast(FloatArray, seconds), frames, where=where)
+        return first, frames, stated
+    times = settle_device_times(
+        cast(FloatArray, seconds), table.lines, where=f"{where} times (seconds)"
+    )
+    if not times.even:
+        raise InputError(
+            f"{where}: rows come at uneven times, and markers need whole frames; export the take "
+            "at one rate, or with a column frame"
+        )
+    return 1, times.frames.astype(np.int64), stated or times.rate
 
 
 def _triples(titles: list[str]) -> dict[str, int]:

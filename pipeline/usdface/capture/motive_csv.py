@@ -31,6 +31,7 @@ from usdface.capture.text_table import (
     sniff_delimiter,
     split_cells,
     without_empty_tail,
+    without_repeated_rows,
 )
 from usdface.core.errors import InputError
 from usdface.core.rates import frames_of
@@ -92,6 +93,7 @@ def read_motive_csv(path: Path, options: CaptureOptions) -> Capture:
     table = read_number_table(
         lines, columns, path=path, delimiter=header.delimiter, gaps=True, texts=stamps
     )
+    table = without_repeated_rows(table, notes)
     first_frame, frames = settle_frame_numbers(table.values[:, 0], table.lines, where=str(path))
     rate = _rate(header.stated, header.first_line)
     if rate is None:

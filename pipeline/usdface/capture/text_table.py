@@ -17,7 +17,7 @@ import numpy as np
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.errors import InputError
 from usdface.core.rates import exact_rate
-from usdface.core.text import read_text
+from usdface.core.text import first_few, pluralize, read_text
 
 LARGEST_BYTES = 4 << 30
 """Ten hours of 100 markers at 120 frames per second are about this much text."""
@@ -244,6 +244,19 @@ def read_number_table(
         raise InputError(f"{path}: no data rows after the header; export the take again")
     table = np.frombuffer(values, np.float64).reshape(len(numbers), len(columns))
     return NumberTable(table, np.array(numbers, np.int64), kept)
+
+
+def without_repeated_rows(table: NumberTable, notes: list[str]) -> NumberTable:
+    """Leave out rows that say the same as the one before, frame number and all; note where."""
+    same = np.zeros(len(table.values), dtype=bool)
+    before, after = table.values[:-1], table.values[1:]
+    same[1:] = ((before == after) | (np.isnan(before) & np.isnan(after))).all(axis=1)
+    if not same.any():
+        return table
+    rows, lines = np.flatnonzero(~same), first_few(table.lines[same].tolist(), most=3)
+    notes.append(f"{pluralize(int(same.sum()), 'row')} written twice, read once: line {lines}")
+    texts = {at: [cells[row] for row in rows] for at, cells in table.texts.items()}
+    return NumberTable(table.values[rows], table.lines[rows], texts)
 
 
 def _encoding(head: bytes) -> str:

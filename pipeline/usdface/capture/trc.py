@@ -26,6 +26,7 @@ from usdface.capture.text_table import (
     sniff_delimiter,
     split_cells,
     without_empty_tail,
+    without_repeated_rows,
 )
 from usdface.core.errors import InputError
 from usdface.core.text import pluralize
@@ -57,6 +58,7 @@ def read_trc(path: Path, options: CaptureOptions) -> Capture:
     )
 
     notes = _check_counts(header, len(labels), unnamed.most, len(table.values))
+    table = without_repeated_rows(table, notes)
     first_frame, frames = settle_frame_numbers(table.values[:, 0], table.lines, where=str(path))
     rate = read_rate(header.get("DataRate", ""), stated, "DataRate")
     if options.rate is None:

@@ -31,6 +31,7 @@ from usdface.capture.text_table import (
     sniff_delimiter,
     split_cells,
     without_empty_tail,
+    without_repeated_rows,
 )
 from usdface.core.errors import InputError
 from usdface.core.text import first_few
@@ -131,6 +132,7 @@ def _read_block(path: Path, lines: Iterator[TableLine], options: CaptureOptions)
         gaps=True,
         stop_at_empty=True,
     )
+    table = without_repeated_rows(table, notes)
     first_frame, frames = settle_frame_numbers(table.values[:, 0], table.lines, where=str(path))
     to_mm = settle_space(
         header.unit,

@@ -213,8 +213,14 @@ def test_options_that_change_nothing_of_a_capture_are_named(tmp_path: Path) -> N
 
 
 def test_a_table_of_markers_in_other_words_is_told_its_columns(tmp_path: Path) -> None:
-    write_table(tmp_path / "x.csv", synthetic(frames=60))
-    text = "Bild" + (tmp_path / "x.csv").read_text(encoding="utf-8")[len("frame") :]
-    (tmp_path / "x.csv").write_text(text, encoding="utf-8")
-    with pytest.raises(InputError, match=r"it must name a column frame.*found Bild"):
+    for with_time in (True, False):
+        write_table(tmp_path / "x.csv", synthetic(frames=60), with_time=with_time)
+        text = "Bild" + (tmp_path / "x.csv").read_text(encoding="utf-8")[len("frame") :]
+        (tmp_path / "x.csv").write_text(text, encoding="utf-8")
+        if with_time:
+            _, result = ingest(tmp_path / "x.csv")
+            assert "no column is called frame: frames are numbered from 1, by their times" in (
+                result.notes
+            )
+    with pytest.raises(InputError, match=r"it must name a column time_s.*found Bild"):
         ingest(tmp_path / "x.csv")
