@@ -21,6 +21,8 @@ from usdface.publish.integrate import read_manifest
 from usdface.runner.execute import execute as run
 from usdface.specs.performance import JoinSpec, MapSpec
 from usdface.steps.edits.validate import validate_layers
+from usdface.steps.inputs.solve_verdict import verdict_findings
+from usdface.steps.review.shot import open_shot
 from usdface.usdio.performance.read import PerformanceReader
 
 
@@ -57,6 +59,22 @@ def test_validate_says_the_verdict(
         assert each["check"] == "usdface:Verdict"
         assert each["where"] == f"{hero} <{PerformanceReader(hero).animation.GetPath()}>"
         assert each["message"].startswith("Do not use: " if share < 0.5 else "Check: ")
+
+
+def test_a_retargeting_of_what_is_not_to_be_used_is_not_either(shot: Shot, capsys) -> None:
+    hero, first, second = (shot / f"{name}.usda" for name in ("shot.hero", "first", "second"))
+    for source, out in ((hero, first), (first, second)):
+        line = ("retarget", source, "--rig", shot / "hero.usdc", "--out", out)
+        assert usdface(*map(str, line)) == 0
+    assert "is not to be used" not in capsys.readouterr().out
+    cover(hero, 0.1)
+    for each, source in ((first, hero), (second, first)):
+        (finding,) = verdict_findings(each)
+        assert finding.severity == "error"
+        assert f"by names; its source, {source.name}, is not to be used; mend" in finding.message
+        assert open_shot(each).evidence().bad_source == source.name
+    hero.unlink()
+    assert verdict_findings(first) == []
 
 
 def test_every_solve_of_a_shot_is_judged(shot: Shot) -> None:

@@ -9,7 +9,7 @@ references); where keys are known, by the error against them instead::
     good    otherwise
 
 A retargeting has no such figures: it is bad where more than `_BAD_SHARE` of the source's motion
-drives nothing.
+drives nothing, or if the performance that it came from is bad.
 
 A take is bad if most frames are bad somewhere in the face, or more than `_CHANCE_SHARE` of them by
 more than `TORN_MM`; good if at most that share need a check anywhere and its references are tuned.
@@ -81,6 +81,8 @@ class SolveEvidence:
     """Of weights that came from other weights: by what."""
     unfollowed_share: float = 0.0
     """Of the motion of a retargeting's source, what drives nothing [0-1]."""
+    bad_source: str = ""
+    """Name of a retargeting's source whose own verdict is bad; else empty."""
     has_video: bool = False
     """Whether there is a video to compare with."""
 
@@ -148,6 +150,14 @@ def _judge_without_figures(evidence: SolveEvidence) -> SolveVerdict:
             f"{OPENINGS['bad']}: {evidence.retarget}: {share:.0%} of the source's motion",
             _PAIR_ADVICE,
             {"level": "bad", "unfollowed_share": share},
+        )
+    if evidence.bad_source:
+        source = evidence.bad_source
+        return SolveVerdict(
+            "bad",
+            f"{OPENINGS['bad']}: {evidence.retarget}; its source, {source}, is not to be used",
+            f"mend {source} (`usdface validate` says what is wrong), then retarget again",
+            {"level": "bad", "source": source},
         )
     if evidence.retarget or not evidence.by_markers:
         what = evidence.retarget or "weights of another solver"

@@ -6,10 +6,13 @@ from pathlib import Path
 from typing import get_args
 
 from usdface.core.errors import InputError
+from usdface.core.sidecars import is_usd_name
 from usdface.model.review.verdict import OPENINGS, SolveEvidence, SolveVerdict, judge_solve
+from usdface.runner.origin import path_made_from
 from usdface.runner.result import StepResult
 from usdface.specs.review import VerdictLevel
 from usdface.usdio.performance.read import PerformanceReader, read_solves
+from usdface.usdio.take.read import is_take
 from usdface.usdio.validation import Finding
 
 WORST_VERDICT = "USDFACE_WORST_VERDICT"
@@ -18,7 +21,7 @@ WORST_VERDICT = "USDFACE_WORST_VERDICT"
 
 def judge_performance(reader: PerformanceReader) -> SolveVerdict | None:
     """Judge a performance by what its layer holds; None where nothing is known of its error."""
-    from usdface.steps.inputs.source_motion import describe_retarget  # joins start without it
+    from usdface.steps.inputs.source_motion import describe_retarget  # starts slowly
 
     uncertainty_mm, coverage, residual_mm = reader.figures()
     retarget = describe_retarget(reader.path)
@@ -33,8 +36,27 @@ def judge_performance(reader: PerformanceReader) -> SolveVerdict | None:
             basis=reader.basis,
             retarget=retarget,
             unfollowed_share=sum(reader.header.unmatched_shares),
+            bad_source=bad_source(reader.path) if retarget else "",
         )
     )
+
+
+def bad_source(performance: Path) -> str:
+    """Name the performance that one was retargeted from where it is not to be used; else empty.
+
+    Nothing is said of sources that are gone, or that are takes.
+    """
+    from usdface.steps.inputs.source_motion import find_retargeted
+
+    retargeted = find_retargeted(performance)
+    source = None if retargeted is None else path_made_from(retargeted, "source")
+    try:
+        if source is None or not is_usd_name(source) or is_take(source):
+            return ""
+        verdict = judge_performance(PerformanceReader(source))
+    except InputError:  # damaged, or outside of what may be read
+        return ""
+    return source.name if verdict is not None and verdict.level == "bad" else ""
 
 
 def verdict_findings(path: Path, worst: VerdictLevel | None = None) -> list[Finding]:

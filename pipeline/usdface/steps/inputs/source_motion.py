@@ -189,19 +189,28 @@ def source_columns(
     return motion.weights @ transfer.matrix, notes
 
 
+def find_retargeted(performance: Path) -> Path | None:
+    """Return the layer that `retarget` wrote: a performance, or what it was baked from; else None.
+
+    Of a baked one that is None too where it is gone.
+    """
+    made = provenance_of(performance)
+    if made is not None and made.step == "bake":
+        baked = path_made_from(performance, "performance")
+        return None if baked is None else find_retargeted(baked)
+    return performance if made is not None and made.step == "retarget" else None
+
+
 def describe_retarget(performance: Path) -> str:
     """Say what a performance was retargeted by; empty where it was not retargeted.
 
     Retargeting and pairs are found by provenance; how many pairs there are is left out where they
     cannot be read.
     """
-    made = provenance_of(performance)
-    if made is not None and made.step == "bake":
-        baked = path_made_from(performance, "performance")
-        return "" if baked is None else describe_retarget(baked)
-    if made is None or made.step != "retarget":
+    retargeted = find_retargeted(performance)
+    if retargeted is None:
         return ""
-    spec = spec_of(made)
+    performance, spec = retargeted, spec_of(provenance_of(retargeted))
     words = f"a retarget by {'positions' if spec.get('source_rig') else 'names'}"
     if spec.get("retargeting"):
         outs = [Path(each).name for each in spec["out"]]
