@@ -185,6 +185,24 @@ def test_a_face_that_is_covered_throughout_is_guessed_and_not_trusted(tracked, t
     assert (take.markers.confidence[take.markers.visible] == 1).all()
 
 
+def test_frames_with_something_before_the_face_are_named(tracked, tmp_path) -> None:
+    rng = np.random.default_rng(3)
+    hidden = {5, *range(20, 27), *range(30, 36)}  # one picture is blurred, not covered
+
+    def covered(number: int):
+        noise = np.where(np.arange(478)[:, None] < (120 if number in hidden else 0), 5.0, 0.3)
+        return [turning_head(number) + rng.normal(size=(478, 3)) * noise * (1, 1, 0)]
+
+    video = clip(tmp_path / "e.mp4", 48)
+    result, _ = tracked(video, covered, quality="final", looks=2)
+    (note,) = (each for each in result.notes if "partly covered" in each)
+    assert note.startswith("frames 21-36: the face is partly covered")
+    hidden &= {5}
+    for quality, looks in (("final", 2), ("draft", 1)):
+        result, _ = tracked(video, covered, quality=quality, looks=looks)
+        assert not any("partly covered" in note for note in result.notes)
+
+
 def test_of_a_profile_the_hidden_side_is_a_gap(tracked, tmp_path) -> None:
     turn = Rotation.from_euler("y", -60, degrees=True).as_matrix()
     faces = head_points() @ turn.T + (0, 0, -600)

@@ -7,9 +7,9 @@ import numpy as np
 
 from usdface.capture.face_landmarks import LANDMARKS
 from usdface.capture.face_tracking import FaceTrack
-from usdface.core.arrays import IntArray
+from usdface.core.arrays import IntArray, runs
 from usdface.core.errors import InputError
-from usdface.core.text import first_few, pluralize
+from usdface.core.text import first_few, frame_ranges, pluralize
 
 _SMALLEST_EYE_PIXELS = 30.0
 """Between the eyes: the model sees the face at 192 or 256 pixels, where it is some 70."""
@@ -21,6 +21,13 @@ _USUAL_SHARE = 0.5
 """Of the pictures, in which a filmed face is found."""
 _BLINK_RATE = 15.0
 """[1/s] Of pictures: blinks last 0.1 to 0.2 s."""
+
+
+_COVERED_SHARE = 0.05
+"""Of the landmarks, with a confidence below a half: 0.00 to 0.01 in most pictures of a free face,
+more in single ones; 0.1 to 0.4 with a hand before it."""
+_COVERED_SECONDS = 0.25
+"""Such pictures last as long, with others between them of at most twice that."""
 
 
 def check_faces(video: Path, track: FaceTrack) -> None:
@@ -82,6 +89,13 @@ def track_notes(track: FaceTrack, *, rate: Fraction, frames: IntArray) -> list[s
             "breadth, where 0.5 to 0.8 % is usual: the face is partly covered, turned away or in "
             "the dark, or on its head; many landmarks are guesses"
         )
+    covered = _covered_stretches(track, float(rate))
+    if covered:
+        stretches = [(int(frames[start]), int(frames[stop - 1])) for start, stop in covered]
+        notes.append(
+            f"{frame_ranges(stretches)}: the face is partly covered, as by a hand, or turned away: "
+            "landmarks there are guesses of low confidence; choose no references there"
+        )
     cuts = frames[np.flatnonzero(track.jumps())]
     if len(cuts):
         notes.append(
@@ -98,6 +112,18 @@ def track_notes(track: FaceTrack, *, rate: Fraction, frames: IntArray) -> list[s
             f"{_SMALLEST_EYE_PIXELS:g} are coarse: film closer or with more pixels"
         )
     return notes
+
+
+def _covered_stretches(track: FaceTrack, rate: float) -> list[tuple[int, int]]:
+    """Return where many landmarks are doubtful for a while: rows, the stop left out."""
+    found = np.isfinite(track.difference).all(axis=1)
+    doubtful = (track.confidence() < 0.5).mean(axis=1) > _COVERED_SHARE
+    stretches: list[tuple[int, int]] = []
+    for start, stop in runs(np.asarray(found & doubtful)):
+        if stretches and start - stretches[-1][1] <= 2 * _COVERED_SECONDS * rate:
+            start = stretches.pop()[0]
+        stretches.append((start, stop))
+    return [each for each in stretches if each[1] - each[0] >= _COVERED_SECONDS * rate]
 
 
 def eye_columns() -> tuple[IntArray, IntArray]:
