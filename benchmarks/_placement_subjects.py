@@ -1,5 +1,6 @@
 """Performers made of a rig, whose markers' places and weights are known: for `real_captures`."""
 
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,6 +8,7 @@ import numpy as np
 from tests.conftest import SHARED_DATA
 from usdface.capture.sniff import read_capture
 from usdface.core.arrays import FloatArray, IntArray
+from usdface.model.placement.rig_landmarks import find_landmarks
 from usdface.model.retarget.shape_names import motion_and_side
 from usdface.numerics.registration.face_skin import FaceSkin
 
@@ -23,6 +25,10 @@ _GAIN_SPREAD = 0.15
 """Standard deviation of the logarithm of how far a performer's skin goes, shape by shape."""
 
 _NOISE_MM = 0.15
+_PART_MM = 22.0
+"""From a landmark: a marker as near is named after its part of the face."""
+
+_PARTS = {"eye": "lid", "lip": "mouth"}
 
 
 @dataclass(frozen=True)
@@ -53,6 +59,19 @@ class SimulatedTake:
     def labels(self) -> tuple[str, ...]:
         """Return names that say nothing."""
         return tuple(f"m{i}" for i in range(len(self.neutral)))
+
+    def numbered(self, skin: FaceSkin, shapes: tuple[str, ...]) -> tuple[str, ...]:
+        """Return names of the part and side that each marker is on, with a number."""
+        found = find_landmarks(skin, shapes)
+        places, counts, labels = np.array(list(found.values())), Counter[str](), []
+        for at in skin.positions[self.samples]:
+            away = np.linalg.norm(places - at, axis=1)
+            near = list(found)[away.argmin()] if away.min() < _PART_MM else "cheek"
+            part = _PARTS.get(near.split("_")[0], near.split("_")[0])
+            name = f"{part}_{'L' if at[0] > skin.sagittal_x else 'R'}"
+            counts[name] += 1
+            labels.append(f"{name}{counts[name]}")
+        return tuple(labels)
 
 
 def simulate_take(skin: FaceSkin, shapes: tuple[str, ...], *, seed: int) -> SimulatedTake:

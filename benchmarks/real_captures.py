@@ -306,17 +306,20 @@ def _held_out_markers(equations: Equations, cleaned: dict[str, FloatArray]) -> N
 
 def _starting_weights(heads: dict[str, Head], claims: Claims) -> None:
     """Score weights that animators start from, of performers whose weights are known."""
-    print("\n### Weights to start from, labels silent\n")
+    print("\n### Weights to start from\n")
+    print("Labels say nothing; or they number the markers of each part, as `mouth_R1`.\n")
     names = ("surface [mm]", "blink bias", "places, median [mm]")
     columns = [column for name in names for column in (name, "ea0f6c3")]
     print(f"| performer | {' | '.join(columns)} |\n|{'---|' * (len(columns) + 1)}")
     figures = {"crosstake": _crosstake(heads["facecap_head"])}
     for name, head in heads.items():
-        rows = [_simulated(head, seed) for seed in SEEDS]
-        surface, blink, places = np.mean(rows, axis=0)
-        figures[name] = (float(surface), float(blink), float(places))
+        for numbered in (False, True):
+            rows = [_simulated(head, seed, numbered=numbered) for seed in SEEDS]
+            surface, blink, places = np.mean(rows, axis=0)
+            row = (float(surface), float(blink), float(places))
+            figures[f"{name}, numbered" if numbered else name] = row
     for name, row in figures.items():
-        pairs = zip(row, EARLIER_WEIGHTS[name], strict=True)
+        pairs = zip(row, EARLIER_WEIGHTS.get(name, (np.nan,) * 3), strict=True)
         cells = " | ".join(f"{now:.3f} | {earlier:.3f}" for now, earlier in pairs)
         cells = cells.replace("nan", "")
         print(f"| {name} | {cells} |", flush=True)
@@ -325,9 +328,10 @@ def _starting_weights(heads: dict[str, Head], claims: Claims) -> None:
     claims.append(("their blink bias, off zero", f"{abs(blink):.3f}", "≤ 0.05"))
 
 
-def _simulated(head: Head, seed: int) -> tuple[float, float, float]:
+def _simulated(head: Head, seed: int, *, numbered: bool) -> tuple[float, float, float]:
     take = simulate_take(head.skin, head.rig.shapes, seed=seed)
-    equation = find_equation(head, take.positions, take.neutral, take.rigid, take.labels)
+    labels = take.numbered(head.skin, head.rig.shapes) if numbered else take.labels
+    equation = find_equation(head, take.positions, take.neutral, take.rigid, labels)
     error = equation.propose(take.positions) - take.weights
     offsets = head.deformer.shapes.target_offsets()
     gram = (offsets @ offsets.T).toarray() / len(head.deformer.neutral)

@@ -50,6 +50,7 @@ def test_the_label_of_the_other_side_is_found_both_ways(left: str, right: str) -
         ("Eyebrow_Center", "brow", ("brow_centre",)),
         ("Reye_Outside", "eye corner", ("eye_outer_R",)),
         ("Mouth_UpL1", "mouth", ("lip_upper", "mouth_L")),
+        ("lid_L3", "eye", ("lid_crease_L", "lid_lower_L")),
         ("ForeHead_M", "forehead", ()),
         ("F017", "", ()),
     ],

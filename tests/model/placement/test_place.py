@@ -125,6 +125,41 @@ def test_labels_place_markers_on_a_rig_with_foreign_names(demo) -> None:
     assert np.linalg.norm(skin.positions[placed.samples] - places, axis=1).max() < 5.0
 
 
+def numbered_labels(skin: FaceSkin, shapes, at) -> tuple[str, ...]:
+    """Name markers by the part and the side that they are on, and by a number."""
+    found = find_landmarks(skin, shapes)
+    names, counts, labels = list(found), {}, []
+    for place in at:
+        away = np.linalg.norm(np.array(list(found.values())) - place, axis=1)
+        near = names[away.argmin()].split("_")[0] if away.min() < 22 else "cheek"
+        part = {"eye": "lid", "lip": "mouth"}.get(near, near)
+        name = f"{part}_{'L' if place[0] > skin.sagittal_x else 'R'}"
+        counts[name] = counts.get(name, 0) + 1
+        labels.append(f"{name}{counts[name]}")
+    return tuple(labels)
+
+
+def test_numbered_labels_of_a_part_do_not_draw_its_markers_together(demo) -> None:
+    """Nine markers of a brow are not at one landmark: the cloud keeps its size."""
+    rig, skin = demo
+    rng = np.random.default_rng(6)
+    moving = np.flatnonzero(skin.activity() > 0.1 * skin.activity().max())
+    chosen = rng.choice(moving, 60, replace=False)
+    at = skin.positions[chosen]
+    labels = numbered_labels(skin, rig.shapes, at)
+    assert sum(label.startswith("mouth_L") for label in labels) > 2
+    weights = np.zeros((80, len(rig.shapes)))
+    for frame in weights[1:]:
+        frame[rng.choice(len(rig.shapes), 4, replace=False)] = rng.random(4)
+    moved = np.einsum("fs,smc->fmc", weights, skin.deltas[:, chosen])
+    neutral = at * [1.1, 0.95, 1.2]
+    cloud = marker_cloud(labels, neutral, neutral + moved)
+    placed = place_markers(cloud, skin, rig.shapes)
+    away = np.linalg.norm(skin.positions[placed.samples] - at, axis=1)
+    assert np.median(away) < 1.5
+    assert placed.virtual.motion_scale == pytest.approx(1 / np.sqrt(1.1 * 0.95), rel=0.08)
+
+
 def test_a_place_that_a_person_gave_is_kept(demo) -> None:
     rig, skin = demo
     found = find_landmarks(skin, rig.shapes)

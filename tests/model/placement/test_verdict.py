@@ -163,6 +163,17 @@ def test_markers_on_the_neck_look_wrong(bench: Bench, count: int, level: str) ->
 
 
 def test_motion_alone_asks_for_a_look(bench: Bench) -> None:
-    verdict = bench.judge(bench.local, by_labels=False)
+    silent = replace(bench.cloud, labels=tuple(f"m{i}" for i in range(len(LABELS))))
+    verdict = bench.judge(bench.local, cloud=silent, by_labels=False)
     assert verdict.level == "check"
     assert "motion alone" in verdict.sentence
+
+
+def test_motion_and_labels_that_agree_look_right_unless_little_is_explained(bench: Bench) -> None:
+    assert bench.judge(bench.local, by_labels=False).level == "good"
+    assert bench.cloud.motion is not None
+    noise = np.random.default_rng(0).normal(0, 6.0, bench.cloud.motion.shape)
+    noisy = replace(bench.cloud, motion=bench.cloud.motion + noise)
+    verdict = bench.judge(bench.local, cloud=noisy, by_labels=False)
+    assert verdict.level != "good"
+    assert "placed by motion, of which shapes explain" in verdict.sentence

@@ -185,7 +185,9 @@ def _eye(text: str, side: Side) -> _Place:
     if _OUTER_WORD.search(text):
         return "eye corner", (f"eye_outer_{side}",)
     part = "crease" if _UPPER_WORD.search(text) else "lower" if _LOWER_WORD.search(text) else ""
-    return ("lid", (f"lid_{part}_{side}",)) if part else ("eye", ())
+    if part:
+        return "lid", (f"lid_{part}_{side}",)
+    return "eye", (f"lid_crease_{side}", f"lid_lower_{side}")
 
 
 def _mouth(text: str, side: Side) -> _Place:

@@ -1,5 +1,6 @@
 """Place a performer's markers on a rig: by labels and landmarks, else by motion."""
 
+from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -21,6 +22,7 @@ from usdface.numerics.registration.motion_search import (
 )
 from usdface.numerics.registration.skin_placement import (
     TYPICAL_SIZE_MM,
+    KnownPlace,
     PlaneFit,
     SkinPlacement,
     explained_share,
@@ -32,7 +34,8 @@ from usdface.numerics.registration.skin_placement import (
 from usdface.numerics.registration.virtual_markers import VirtualMarkers
 
 FEWEST_HINTS = 6
-"""Labelled markers with a landmark on the rig, from which a placement by labels starts."""
+"""Labels of one marker each with a landmark on the rig, from which a placement by labels starts.
+Numbered ones (``mouth_R1`` to ``mouth_R13``) name a part of the face, and motion says more."""
 
 FEWEST_PINS = 3
 """Points from which an alignment follows."""
@@ -104,18 +107,20 @@ def place_markers(
     limits = np.tile([0.0, 1.0], (len(shapes), 1)) if ranges is None else ranges
     unit = skin.size_mm / TYPICAL_SIZE_MM
     landmarks = find_landmarks(skin, shapes)
-    known = named_places(cloud.labels, landmarks, unit)
     pins = {m: np.asarray(at, float) @ skin.frame.T for m, at in (pinned or {}).items()}
+    known = named_places(cloud, landmarks, unit, without=pins)
+    given = [KnownPlace((marker,), at, _PIN_SPREAD_MM * unit) for marker, at in pins.items()]
     scene = _Scene(
         cloud,
         skin,
         limits,
-        known | {m: (at, _PIN_SPREAD_MM * unit) for m, at in pins.items()},
+        [*known, *given],
         pins,
         _usual_scale(cloud, skin, landmarks),
         face_landmarks(skin, landmarks),
     )
-    named = len(known) >= FEWEST_HINTS
+    own = [cloud.labels[each.markers[0]] for each in known if len(each.markers) == 1]
+    named = sum(not label[-1].isdigit() for label in own) >= FEWEST_HINTS
     if named:
         start = _by_labels(scene)
     elif len(pins) >= FEWEST_PINS:
@@ -138,7 +143,7 @@ def _above_lid_margins(
     radius = _MARKER_RADIUS_MM * scene.skin.size_mm / TYPICAL_SIZE_MM
     for marker, label in enumerate(scene.cloud.labels):
         hint = label_hint(label)
-        if marker in scene.landmarks and hint.landmarks == (f"lid_crease_{hint.side}",):
+        if set(hint.landmarks) == {f"lid_crease_{hint.side}"} <= landmarks.keys():
             heights = scene.skin.positions[:, 1]
             above = np.flatnonzero(heights >= landmarks[f"lid_upper_{hint.side}"][1] + radius)
             place = scene.skin.positions[samples[marker]]
@@ -162,7 +167,7 @@ def _virtual_markers(scene: "_Scene", start: "_Start", samples: IntArray) -> Vir
 
 @dataclass(frozen=True)
 class _Scene:
-    """A cloud, a skin, and the places that labels or people gave, with their spreads [mm].
+    """A cloud, a skin, and the places that labels or people gave.
 
     `usual_scale` is the guess of character over performer; `features` are the rig's landmarks.
     """
@@ -170,7 +175,7 @@ class _Scene:
     cloud: MarkerCloud
     skin: FaceSkin
     ranges: FloatArray
-    landmarks: dict[int, tuple[FloatArray, float]]
+    landmarks: list[KnownPlace]
     pins: dict[int, FloatArray]
     usual_scale: float
     features: FaceLandmarks
@@ -186,15 +191,37 @@ class _Start:
 
 
 def named_places(
-    labels: tuple[str, ...], landmarks: dict[str, FloatArray], unit: float
-) -> dict[int, tuple[FloatArray, float]]:
-    """Return place and spread [mm] of every marker whose label names landmarks that are known."""
-    places = {}
-    for marker, label in enumerate(labels):
+    cloud: MarkerCloud,
+    landmarks: dict[str, FloatArray],
+    unit: float,
+    *,
+    without: Collection[int] = (),
+) -> list[KnownPlace]:
+    """Return the places of the markers whose labels name landmarks that are known.
+
+    Of markers with the same landmarks (``brow_L1`` to ``brow_L5``) the middle is meant, and it is
+    as uncertain as they lie apart.
+
+    Parameters
+    ----------
+    unit : float
+        Size of the rig's face over an adult's.
+    without : collection of int
+        Markers whose places are known better.
+    """
+    groups: dict[tuple[str, ...], list[int]] = {}
+    spreads = {}
+    for marker, label in enumerate(cloud.labels):
         hint = label_hint(label)
-        if hint.landmarks and all(name in landmarks for name in hint.landmarks):
-            mean = np.mean([landmarks[name] for name in hint.landmarks], axis=0)
-            places[marker] = (mean, hint.spread_mm * unit)
+        if hint.landmarks and marker not in without and set(hint.landmarks) <= landmarks.keys():
+            groups.setdefault(hint.landmarks, []).append(marker)
+            spreads[hint.landmarks] = hint.spread_mm
+    places = []
+    for names, markers in groups.items():
+        apart = np.sqrt(cloud.neutral[markers].var(axis=0).sum())
+        mean = np.mean([landmarks[name] for name in names], axis=0)
+        spread = float(np.hypot(spreads[names], apart)) * unit
+        places.append(KnownPlace(tuple(markers), mean, spread))
     return places
 
 
@@ -224,13 +251,13 @@ def _by_pins(scene: _Scene) -> _Start:
 def _by_labels(scene: _Scene) -> _Start:
     """Start from the landmarks that labels name, and from given places."""
     frame, levelled = scene.cloud.levelled()
-    rows = list(scene.landmarks)
     centre = np.array([scene.skin.sagittal_x, 0.0, 0.0])
-    targets = np.array([place for place, _ in scene.landmarks.values()])
-    spreads = np.array([spread for _, spread in scene.landmarks.values()])
+    middles = np.array([levelled[list(each.markers)].mean(axis=0) for each in scene.landmarks])
+    targets = np.array([each.place for each in scene.landmarks])
+    spreads = np.array([each.spread_mm for each in scene.landmarks])
     # A given place is exact, but not where a similarity takes its marker.
     least = _PROPORTION_SPREAD_MM * scene.skin.size_mm / TYPICAL_SIZE_MM
-    start = fit_in_plane(levelled[rows], targets - centre, np.maximum(spreads, least))
+    start = fit_in_plane(middles, targets - centre, np.maximum(spreads, least))
     fit = PlaneFit(start.rotation, start.scale, start.shift + centre)
     return _settle(scene, frame, levelled, fit)
 
@@ -277,8 +304,13 @@ def _drawn(scene: _Scene, frame: FloatArray, levelled: FloatArray, fit: PlaneFit
     match = match_landmarks(fit.apply(levelled), features)
     spreads = features.spreads[match.landmarks] / np.sqrt(match.probability)
     places = features.places[match.landmarks]
-    likely = dict(zip(match.markers.tolist(), zip(places, spreads, strict=True), strict=True))
-    return _settle(replace(scene, landmarks=likely | scene.landmarks), frame, levelled, fit)
+    named = {marker for each in scene.landmarks for marker in each.markers}
+    likely = [
+        KnownPlace((marker,), place, float(spread))
+        for marker, place, spread in zip(match.markers.tolist(), places, spreads, strict=True)
+        if marker not in named
+    ]
+    return _settle(replace(scene, landmarks=likely + scene.landmarks), frame, levelled, fit)
 
 
 def _turn_of(start: _Start, frame: FloatArray) -> FloatArray:

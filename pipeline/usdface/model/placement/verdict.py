@@ -1,6 +1,6 @@
 """Judge where markers were placed on a rig: does it look right, and which should be seen to."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,11 +10,12 @@ from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.text import first_few, pluralize
 from usdface.model.placement.label_hints import label_hint
 from usdface.model.placement.marker_cloud import MarkerCloud
-from usdface.model.placement.place import named_places
+from usdface.model.placement.place import FEWEST_PINS, named_places
 from usdface.model.placement.rig_landmarks import find_landmarks
 from usdface.numerics.registration.face_skin import FaceSkin
 from usdface.numerics.registration.skin_placement import (
     TYPICAL_SIZE_MM,
+    KnownPlace,
     explained_share,
     solve_weights_at,
 )
@@ -37,6 +38,9 @@ _SHIFT_SHARE = 0.25
 
 _GAIN, _LARGE_GAIN = 0.02, 0.08
 """Explained share that a shift must gain. Where a placement is right every shift loses."""
+
+_LEAST_EXPLAINED = 0.5
+"""Of the motion: a placement by motion that explains less wants a look, whatever labels say."""
 
 _STILL_MM = 1.0
 """Root mean square motion of skin on an adult's face that needs shapes to show."""
@@ -110,8 +114,8 @@ def judge_placement(
     nearest = KDTree(skin.positions)
     samples = np.asarray(nearest.query(local)[1], np.int64)
     landmarks = find_landmarks(skin, shapes)
-    known = named_places(cloud.labels, landmarks, unit)
-    far = _far_markers(cloud.labels, local, known, placed)
+    known = named_places(cloud, landmarks, unit)
+    far = _far_markers(local, known, placed)
     roll = _roll_degrees(replace(cloud, neutral=local))
     reasons = [_tilt(roll), _missed(far, cloud.labels, known), _one_sided(local, skin)]
     reasons.append(_on_neck(cloud.labels, local, landmarks))
@@ -129,7 +133,7 @@ def judge_placement(
         reasons.append(_better_elsewhere(gains, shift_mm))
         reasons.append(_without_shapes(cloud.labels, moved, skin.deltas[:, samples], unit))
     if not by_labels and not placed:
-        reasons.append(_BY_MOTION)
+        reasons.append(_by_motion(len(known), explained))
     found = [each for each in reasons if each[0] != "good"]
     level = max((each[0] for each in found), key=list(_OPENINGS).index, default="good")
     found.sort(key=lambda each: -list(_OPENINGS).index(each[0]))
@@ -158,41 +162,38 @@ _Reason = tuple[str, str]
 """A level, and the words; ``'good'`` needs none."""
 
 _FINE: _Reason = ("good", "")
-_BY_MOTION = ("check", "placed by motion alone, as labels and shapes name too few landmarks")
+
+
+def _by_motion(known: int, explained: float) -> _Reason:
+    """Doubt a placement by motion that labels do not confirm, or that explains little."""
+    if known < FEWEST_PINS:
+        return "check", "placed by motion alone, as labels and shapes name too few landmarks"
+    if not explained >= _LEAST_EXPLAINED:
+        return "check", f"placed by motion, of which shapes explain {explained:.0%}"
+    return _FINE
 
 
 def _far_markers(
-    labels: tuple[str, ...],
-    local: FloatArray,
-    known: dict[int, tuple[FloatArray, float]],
-    placed: Collection[int],
+    local: FloatArray, known: Sequence[KnownPlace], placed: Collection[int]
 ) -> dict[int, tuple[float, FloatArray]]:
-    """Return distance and landmark of markers that lie far from it, the farthest first [mm].
-
-    Of several markers with one landmark (``brow_L1`` to ``brow_L5``) their middle is meant.
-    """
-    groups: dict[tuple[str, ...], list[int]] = {}
-    for marker in known:
-        groups.setdefault(label_hint(labels[marker]).landmarks, []).append(marker)
+    """Return distance and landmark of markers that lie far from it, the farthest first [mm]."""
     far: dict[int, tuple[float, FloatArray]] = {}
-    for markers in groups.values():
-        place, spread = known[markers[0]]
-        away = float(np.linalg.norm(local[markers].mean(axis=0) - place))
-        doubled = 2 if set(markers) & set(placed) else 1
-        if away > doubled * _FAR_SPREADS * spread:
-            far |= {marker: (away, place) for marker in markers}
+    for each in known:
+        away = float(np.linalg.norm(each.step(local)))
+        doubled = 2 if set(each.markers) & set(placed) else 1
+        if away > doubled * _FAR_SPREADS * each.spread_mm:
+            far |= {marker: (away, each.place) for marker in each.markers}
     return dict(sorted(far.items(), key=lambda each: -each[1][0]))
 
 
 def _missed(
-    far: dict[int, tuple[float, FloatArray]],
-    labels: tuple[str, ...],
-    known: dict[int, tuple[FloatArray, float]],
+    far: dict[int, tuple[float, FloatArray]], labels: tuple[str, ...], known: Sequence[KnownPlace]
 ) -> _Reason:
     if not far:
         return _FINE
-    if len(far) > _MOST_FAR_SHARE * len(known):
-        return "bad", f"{len(far)} of {len(known)} named markers lie far from their landmarks"
+    count = sum(len(each.markers) for each in known)
+    if len(far) > _MOST_FAR_SHARE * count:
+        return "bad", f"{len(far)} of {count} named markers lie far from their landmarks"
     named = [
         f"{labels[marker]} lies {away:.0f} mm from "
         + " and ".join(label_hint(labels[marker]).landmarks).replace("_", " ")

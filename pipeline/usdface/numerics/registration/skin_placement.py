@@ -90,6 +90,21 @@ class PlaneFit:
 
 
 @dataclass(frozen=True)
+class KnownPlace:
+    """Where the middle of some markers belongs, often of a single one."""
+
+    markers: tuple[int, ...]
+    place: FloatArray
+    """(3,) [mm]"""
+    spread_mm: float
+    """Standard deviation of the middle about the place."""
+
+    def step(self, positions: FloatArray) -> FloatArray:
+        """Return how far the middle of these markers is from its place: (3,) [mm]."""
+        return np.asarray(self.place - positions[list(self.markers)].mean(axis=0))
+
+
+@dataclass(frozen=True)
 class SkinPlacement:
     """Where each marker was put."""
 
@@ -152,7 +167,7 @@ def place_on_skin(
     skin: FaceSkin,
     fit: PlaneFit,
     *,
-    landmarks: dict[int, tuple[FloatArray, float]],
+    landmarks: Sequence[KnownPlace],
     motion: FloatArray | None,
     ranges: FloatArray,
     still: BoolArray,
@@ -166,8 +181,8 @@ def place_on_skin(
         At rest, the plane of symmetry at x = 0 [mm].
     fit : PlaneFit
         Where the cloud lies to begin with.
-    landmarks : dict of int to ((3,) float array, float)
-        Markers whose place is known, and with what standard deviation [mm].
+    landmarks : sequence of KnownPlace
+        The markers of one keep their places to each other, and count as a single one.
     motion : (frames, markers, 3) float array, optional
         Displacements in the levelled space, of frames that differ [mm].
     ranges : (shapes, 2) float array
@@ -193,11 +208,12 @@ def place_on_skin(
         precision, target = _skin_pull(skin, warped, near, away, reach * unit, unit)
         precision[:, 0] += central
         target[:, 0] += central * skin.sagittal_x
-        for marker, (place, spread) in landmarks.items():
-            off = float(np.linalg.norm(warped[marker] - place)) / (2.5 * spread)
-            pull = 1 / spread**2 / (1 + off**2)
-            precision[marker] += pull
-            target[marker] += pull * place
+        for known in landmarks:
+            rows, step = list(known.markers), known.step(warped)
+            off = float(np.linalg.norm(step)) / (2.5 * known.spread_mm)
+            pull = 1 / (len(rows) * known.spread_mm**2) / (1 + off**2)
+            precision[rows] += pull
+            target[rows] += pull * (warped[rows] + step)
         if paths is not None and (number >= 3 or not named):
             weights = solve_weights_at(skin, near, paths, ranges, start=weights)
             misfit = _path_misfit(skin, weights, paths)
@@ -210,8 +226,10 @@ def place_on_skin(
         prior = cdist(warped, skin.positions, "sqeuclidean") / (2 * (_SETTLE_REACH_MM * unit) ** 2)
         prior[prior > _SETTLE_LIMIT**2 / 2] = np.inf
         prior += central[:, None] * off_centre**2 / 2
-        for marker, (place, spread) in landmarks.items():
-            prior[marker] += ((skin.positions - place) ** 2).sum(axis=1) / (2 * spread**2)
+        for known in landmarks:
+            if len(known.markers) == 1:
+                away = ((skin.positions - known.place) ** 2).sum(axis=1)
+                prior[known.markers[0]] += away / (2 * known.spread_mm**2)
         samples = _settle(skin, prior, samples, paths, ranges, still)
     return SkinPlacement(samples, warped, fit)
 
