@@ -51,6 +51,12 @@ def edit(path: Path, shape: str = "jawOpen", **change: object) -> StepResult:
     return run(EditSpec.model_validate({"performance": path, "shape": (shape,), **change}))
 
 
+def unpaired(shot: Shot, first: int) -> int:
+    """Return the first frame, from one on, that is no pair of the references."""
+    pairs = read_references(shot / "hero.references.usda").frames
+    return next(frame for frame in range(first, FRAMES) if frame not in pairs)
+
+
 def curve(path: Path, shape: str) -> np.ndarray:
     clip = read_weights(path)
     return clip.values[:, clip.names.index(shape)].astype(float)
@@ -421,8 +427,9 @@ def test_a_file_that_was_baked_from_another_solve_is_suspected_and_listed_in_sho
 
 def test_corrected_frames_become_tuned_pairs_and_fades_do_not(shot: Shot) -> None:
     path, out = shot / "shot.hero.usda", shot / "v2.references.usda"
+    late = unpaired(shot, 300)
     edit(path, override=0.8, frames="100-102", fade=10)
-    edit(path, "eyeBlinkLeft", override=1.0, frames="300-300", fade=3)
+    edit(path, "eyeBlinkLeft", override=1.0, frames=f"{late}-{late}", fade=3)
     before = read_references(shot / "hero.references.usda")
     report = run(
         ReferencesFromEditsSpec(
@@ -431,8 +438,8 @@ def test_corrected_frames_become_tuned_pairs_and_fades_do_not(shot: Shot) -> Non
     )
     after = read_references(out)
     new = set(report.figures["frames"])
-    assert new <= {*range(97, 106), 300}
-    assert 300 in new
+    assert new <= {*range(97, 106), late}
+    assert late in new
     count = len(before.frames)
     kept = ~np.isin(before.frames, [*range(97, 106), 300])  # one of these may be corrected
     np.testing.assert_array_equal(after.weights[:count][kept], before.weights[kept])
@@ -534,18 +541,19 @@ def test_what_was_tuned_in_the_asset_that_is_written_again_stays(shot: Shot) -> 
         "out": out,
         "count": 3,
     }
-    edit(path, override=0.8, frames="300-300")
+    late = unpaired(shot, 300)
+    edit(path, override=0.8, frames=f"{late}-{late}")
     run(ReferencesFromEditsSpec(**given))
     made = read_references(out)
-    (shot / "mine.csv").write_text(f"frame,jawOpen\n{made.frames[4]},0.125\n300,0.125\n")
+    (shot / "mine.csv").write_text(f"frame,jawOpen\n{made.frames[4]},0.125\n{late},0.125\n")
     execute(ReferencesImportSpec(references=out, weights=shot / "mine.csv"), overwrite=True)
     before = read_references(out)
     other = next(frame for frame in range(100, 200) if frame not in before.frames)
-    edit(path, override=0.9, frames=f"{other}-{other}")  # 300 is the second that is added now
+    edit(path, override=0.9, frames=f"{other}-{other}")  # late is the second that is added
     for _ in range(2):
         report = run(ReferencesFromEditsSpec(**given))
         after = read_references(out)
-        assert after.frames[-2:].tolist() == [other, 300]
+        assert after.frames[-2:].tolist() == [other, late]
         np.testing.assert_array_equal(after.weights[4], before.weights[4])
         np.testing.assert_array_equal(after.weights[-1], before.weights[-1])
         assert any("kept as somebody tuned them there: 2 pairs" in note for note in report.notes)
@@ -567,9 +575,10 @@ def test_corrections_whose_markers_are_not_seen_teach_nothing_and_stop_no_other(
         run(ReferencesFromEditsSpec(performances=(path,), **given))
     shutil.copy(path, shot / "other.usda")
     shutil.copy(edits_path(path), edits_path(shot / "other.usda"))
-    edit(shot / "other.usda", "eyeBlinkLeft", override=1.0, frames="300-300")
+    late = unpaired(shot, 300)
+    edit(shot / "other.usda", "eyeBlinkLeft", override=1.0, frames=f"{late}-{late}")
     report = run(ReferencesFromEditsSpec(performances=(path, shot / "other.usda"), **given))
-    assert report.figures["frames"] == [300]
+    assert report.figures["frames"] == [late]
     assert sum("missing a marker" in note for note in report.notes) == 2
 
 

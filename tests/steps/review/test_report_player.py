@@ -153,7 +153,7 @@ def test_curves_zoom_in_time_and_the_ruler_follows(page: Any) -> None:
 
 
 def test_curves_are_hidden_by_their_legend_and_sorted_by_error(page: Any) -> None:
-    page.wait_for_selector(".curve path.k-keys")
+    page.wait_for_selector(".curve path.k-keys", state="attached")  # a flat line is not "visible"
     path = page.locator(".curve path.k-keys").first
     page.locator("#legend button", has_text="keys").click()
     assert path.evaluate("(each) => getComputedStyle(each).display") == "none"
