@@ -222,7 +222,9 @@ def choose_common_error(
         common, unseen = other, found
     if common == folds.corrected.common:
         return folds, compared
-    chosen = PairFolds(correct_pairs(folds.corrected.as_given(), common=common), references)
+    parts = references.parts or references.shape_names
+    corrected = correct_pairs(folds.corrected.as_given(), parts, common=common)
+    chosen = PairFolds(corrected, references)
     unseen = chosen.predict(best)
     if paired_t(usual.errors, unseen.errors, every, folds.blocks) <= _STANDARD_ERROR_T:
         return folds, compared

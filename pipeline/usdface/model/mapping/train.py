@@ -176,7 +176,9 @@ def _corrected_pairs(references: References, face: Face) -> CorrectedPairs:
     What a model finds in pictures, `track` on irises and OpenFace all over, errs together.
     """
     landmarks = any(each.startswith(("iris_", "landmark_")) for each in references.marker_names)
-    return correct_pairs(_pairs(references, face), common=COMMON_ERRORS[-1 if landmarks else 0])
+    parts = references.parts or references.shape_names
+    common = COMMON_ERRORS[-1 if landmarks else 0]
+    return correct_pairs(_pairs(references, face), parts, common=common)
 
 
 def _driven_skin(references: References, skin: FloatArray | None) -> DrivenSkin | None:

@@ -125,7 +125,10 @@ def _match_motion(
 ) -> _Match:
     """Compare the motion of every marker with that of every point of the skin.
 
-    The gain is the likeliest one, or, with a usual gain, drawn to it where skin hardly moves.
+    The variance of a residual is unknown: `expected`, and what the best gain leaves over. Markers
+    whose motion no skin explains are then placed by where they lie, and keep the usual gain.
+
+    The gain is the likeliest one or, with a usual gain, its posterior mean.
     """
     values = seen[0].size
     size = np.einsum("pnc,pnc->p", moved, moved)
@@ -134,11 +137,12 @@ def _match_motion(
     gain = np.clip(product / np.maximum(size, 1e-9), *_GAIN_RANGE)
     middle = 0.0 if usual_gain is None else np.log(usual_gain)
     if usual_gain is not None:
-        evidence = size * _PAIR_SAMPLES / values / expected
+        least = (energy[:, None] - 2 * gain * product + gain**2 * size) / values
+        evidence = size * _PAIR_SAMPLES / values / (expected + least)
         precision = 1 / _LOG_GAIN_DEVIATION**2
         gain = (gain * evidence + usual_gain * precision) / (evidence + precision)
     left = energy[:, None] - 2 * gain * product + gain**2 * size
-    log_likelihood = -0.5 * _PAIR_SAMPLES * left / values / expected
+    log_likelihood = -0.5 * _PAIR_SAMPLES * np.log1p(left / values / expected)
     log_likelihood -= 0.5 * ((np.log(gain) - middle) / _LOG_GAIN_DEVIATION) ** 2
     return _Match(gain, left, log_likelihood)
 
