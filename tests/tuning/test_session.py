@@ -237,3 +237,11 @@ def test_an_import_step_that_was_done_stays_done_after_tuning(asset: Path) -> No
     after = read_provenance(tuned_path(asset))
     assert after is not None
     assert after.matches(made)
+
+
+def test_the_author_is_kept_with_the_pairs_that_change(asset: Path) -> None:
+    for author, pair in (("anna", 1), ("ben", 2)):
+        session = TuningSession(asset, author=author)
+        put(session, pair, smile=0.75)
+        session.close()
+    assert read_references(asset).authors == ("", "anna", "ben", "", "")

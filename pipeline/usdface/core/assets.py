@@ -332,6 +332,8 @@ class References(_Asset):
     visemes: tuple[str, ...] = ()
     emotions: tuple[str, ...] = ()
     """`visemes`, `emotions`: Of each pair; empty where unknown, or where none is."""
+    authors: tuple[str, ...] = ()
+    """Who set the weights of each pair; empty where unknown."""
     performer: str = ""
     session: str = ""
     """`performer`, `session`: Of the take whose head space and neutral face these are; empty where

@@ -63,7 +63,7 @@ class TuningLock:
             Take it from whoever holds it; their page then refuses changes and says why.
         """
         holding = Holder(
-            user=_user(),
+            user=user_name(),
             host=platform.node(),
             process=os.getpid(),
             since=datetime.now(UTC).astimezone().isoformat(timespec="minutes"),
@@ -187,7 +187,8 @@ def _is_running(process: int) -> bool:
     return True
 
 
-def _user() -> str:
+def user_name() -> str:
+    """Return the login name, or a placeholder where the system knows none."""
     try:
         return getpass.getuser()
     except (OSError, KeyError):  # a container without accounts

@@ -204,6 +204,8 @@ class ReferencesImportSpec(MovedRigSpec, WeightTableSpec):
     such as of optical markers, for references of the video's landmarks."""
     keep_proposed: bool = False
     """Keep the proposals of shapes that are not in the file: for keys set on top of them."""
+    author: str = ""
+    """Who set the weights. Stored with the pairs: `train` compares the gains of several authors."""
 
     def outputs(self) -> tuple[Path, ...]:
         """Return the layer that holds what people tuned."""

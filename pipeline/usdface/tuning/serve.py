@@ -60,6 +60,7 @@ def serve(spec: TuneSpec, *, announce: Callable[[str], None]) -> TuningSession:
     with moved_rig(spec.rig):
         session = TuningSession(
             spec.references,
+            author=spec.author,
             take_over=spec.take_over,
             first_revision=secrets.randbelow(REVISION_RANGE),
         )

@@ -10,7 +10,7 @@ import numpy as np
 from usdface.core.arrays import BoolArray, FloatArray, index_of
 from usdface.core.assets import References
 from usdface.core.errors import InputError
-from usdface.core.locks import TuningLock
+from usdface.core.locks import TuningLock, user_name
 from usdface.core.provenance import Provenance, canonical_json, hash_files
 from usdface.core.sidecars import journal_path, lock_path, proposed_path, tuned_path
 from usdface.tuning.journal import Change, Journal, flush_folder
@@ -57,6 +57,8 @@ class TuningSession:
 
     Parameters
     ----------
+    author : str
+        Stored with the pairs that change; by default the login name.
     take_over : bool
         Take the right to tune from whoever has it.
     first_revision : int
@@ -79,14 +81,23 @@ class TuningSession:
         another selection. Nothing on disk is changed then.
     """
 
-    def __init__(self, path: Path, *, take_over: bool = False, first_revision: int = 0) -> None:
+    def __init__(
+        self,
+        path: Path,
+        *,
+        author: str = "",
+        take_over: bool = False,
+        first_revision: int = 0,
+    ) -> None:
         self.path = path
+        self._author = author or user_name()
         self.tuned_path = tuned_path(path)
         self.references: References = read_references(path)
         check_tuned_layer(self.tuned_path, self.references)
         self._proposals = read_proposals(proposed_path(path), self.references)
         self._weights: FloatArray = self.references.weights.copy()
         self._done: BoolArray = np.zeros(len(self._weights), dtype=np.bool_)
+        self._authors: list[str] = []
         self._column = index_of(self.references.shape_names)
         self._selected = [_signature(path), _signature(proposed_path(path))]
         self._guard = threading.Lock()
@@ -175,6 +186,7 @@ class TuningSession:
                     int(self.references.frames[pair]),
                     dict(zip(names, self._weights[pair].tolist(), strict=True)),
                     bool(self._done[pair]),
+                    self._authors[pair],
                 )
                 for pair in np.flatnonzero(self._tuned()).tolist()
             ]
@@ -206,8 +218,9 @@ class TuningSession:
         self._seen = _signature(self.tuned_path)
         self._weights = read_references(self.path).weights.copy()
         self._done = np.zeros(len(self._weights), dtype=np.bool_)
+        self._authors = [""] * len(self._weights)
         for pair in read_tuned_pairs(self.tuned_path):
-            self._done[pair.pair] = pair.done
+            self._done[pair.pair], self._authors[pair.pair] = pair.done, pair.author
         for change in self._unsaved:
             self._put(change)
 
@@ -231,6 +244,7 @@ class TuningSession:
     def _put(self, change: Change) -> None:
         for name, value in change.weights.items():
             self._weights[change.pair, self._column[name]] = value
+            self._authors[change.pair] = self._author
         if change.done is not None:
             self._done[change.pair] = change.done
 

@@ -1,5 +1,6 @@
 """What the train step gives to training beyond the pairs."""
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from usdface.media.picture.image import read_picture
 from usdface.numerics.measure.face_regions import unseen_shapes
 from usdface.runner.execute import execute
 from usdface.specs.performance import TrainSpec
+from usdface.specs.references import ReferencesImportSpec
 from usdface.steps.performance.describe import describe_mapping
 from usdface.usdio.mapping import read_mapping
 from usdface.usdio.references.read import read_references
@@ -159,3 +161,23 @@ def test_parts_of_the_face_that_no_shape_moves_are_noted(
         notes = execute(TrainSpec(references=given, out=out, method="ridge")).notes
         assert unknown == any("is known to move the brows, lids" in note for note in notes)
     assert read_mapping(out).settings["regions"] == "face"
+
+
+def test_authors_whose_keys_differ_in_gain_are_named(finished_shot: Shot, tmp_path: Path) -> None:
+    folder = tmp_path / "shot"
+    shutil.copytree(finished_shot.folder, folder)
+    references, out = folder / "hero.references.usda", tmp_path / "x.mapping.usdc"
+    exact = execute(TrainSpec(references=references, out=out, method="face_map"))
+    assert not any("differ in gain" in note for note in exact.notes)
+    pairs = read_references(references)
+    for row, (author, gain) in enumerate((("anna", 1.15), ("ben", 0.85))):
+        table = [",".join(("frame", *pairs.shape_names))]
+        for frame, weights in zip(pairs.frames[row::2], pairs.weights[row::2], strict=True):
+            table.append(",".join(map(str, (frame, *np.minimum(gain * weights, 1)))))
+        keys = tmp_path / "keys.csv"
+        keys.write_text("\n".join(table) + "\n")
+        execute(ReferencesImportSpec(references=references, weights=keys, author=author))
+    trained = execute(TrainSpec(references=references, out=out, method="face_map"), overwrite=True)
+    note = next(note for note in trained.notes if "differ in gain" in note)
+    assert "mean gain by author: anna 1.1" in note
+    assert ", ben 0." in note

@@ -99,3 +99,12 @@ def test_proposals_of_shapes_without_a_column_are_kept_on_demand(tmp_path: Path)
     assert after.tuned[3]
     np.testing.assert_array_equal(after.weights[:, 1:], before.weights[:, 1:])
     assert "keep their proposals, which count as tuned (largest: " in noted(result, "not in the")
+
+
+def test_the_author_is_kept_with_the_pairs_of_an_import(tmp_path: Path) -> None:
+    path = asset(tmp_path)
+    frames = read_references(path).frames.tolist()
+    import_rows(path, keys_at(frames[:4]), author="anna")
+    import_rows(path, keys_at(frames[3:6]), author="ben")
+    import_rows(path, keys_at(frames[6:7]))
+    assert read_references(path).authors == (*["anna"] * 3, *["ben"] * 3, *[""] * 6)

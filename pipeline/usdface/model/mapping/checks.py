@@ -185,4 +185,5 @@ def _without_repeats(references: References) -> References:
         tuned=references.tuned[kept],
         visemes=tuple(references.visemes[i] for i in kept) if references.visemes else (),
         emotions=tuple(references.emotions[i] for i in kept) if references.emotions else (),
+        authors=tuple(references.authors[i] for i in kept) if references.authors else (),
     )

@@ -99,6 +99,21 @@ def scale_keys(pairs: Pairs, log_factor: FloatArray) -> Pairs:
     return replace(pairs, outputs=np.clip(keys, low, high), forward=None)
 
 
+def mean_gains(log_factor: FloatArray, authors: tuple[str, ...]) -> dict[str, float]:
+    """Return the mean gain of each author's keys, over that of all; the largest first.
+
+    Empty where gains do not differ significantly, or fewer than two authors are known.
+    """
+    names = sorted(set(filter(None, authors)))
+    if len(names) < 2 or not log_factor.any():
+        return {}
+    gain = -log_factor
+    found = {
+        name: float(np.exp(gain[[author == name for author in authors]].mean())) for name in names
+    }
+    return dict(sorted(found.items(), key=lambda each: -each[1]))
+
+
 def _part_factors(
     forward: ForwardModel, parts: tuple[str, ...], common: float
 ) -> tuple[FloatArray, FloatArray]:

@@ -23,6 +23,7 @@ from usdface.model.mapping.corrected_pairs import (
     find_contradicted,
 )
 from usdface.model.mapping.motion_space import marker_coordinates, motion_arrays, motion_of_pairs
+from usdface.model.mapping.pair_gains import mean_gains
 from usdface.model.mapping.regions import (
     membership,
     region_grams,
@@ -137,11 +138,10 @@ def train_mapping(
         ),
         settings=fitted.settings
         | _region_settings(checked, folds, regions, parts)
+        | _key_settings(corrected, checked, parts)
         | {
             "pairs": len(checked.weights),
             "limited_weights": sound.limited_weights,
-            "key_error": corrected.key_error,
-            "contradicted": _contradicted(corrected, checked, parts),
             "unobservable_shapes": int((~compared.observable).sum()),
             "performer": checked.performer,
             "session": checked.session,
@@ -188,12 +188,21 @@ def _driven_skin(references: References, skin: FloatArray | None) -> DrivenSkin 
     return DrivenSkin(logic, skin[len(references.shape_names) :])
 
 
-def _contradicted(corrected: CorrectedPairs, references: References, parts: tuple[str, ...]) -> str:
-    """Name the pairs whose markers contradict their keys: ``take frame (region, mm); ...``."""
-    return "; ".join(
-        f"{references.takes[n]} {references.frames[n]} ({region}, {away:.1f} mm)"
-        for n, (region, away) in find_contradicted(corrected.uncorrected, parts).items()
-    )
+def _key_settings(
+    corrected: CorrectedPairs, references: References, parts: tuple[str, ...]
+) -> dict[str, float | str]:
+    """Return what the markers say of the keys: errors, gains, contradictions."""
+    gains = mean_gains(corrected.log_factor, references.authors)
+    contradicted = find_contradicted(corrected.uncorrected, parts).items()
+    return {
+        "key_error": corrected.key_error,
+        "gain_deviation": float(corrected.log_factor.std()),
+        "author_gains": "; ".join(f"{author} {gain:.2f}" for author, gain in gains.items()),
+        "contradicted": "; ".join(
+            f"{references.takes[n]} {references.frames[n]} ({region}, {residual:.1f} mm)"
+            for n, (region, residual) in contradicted
+        ),
+    }
 
 
 def _as_stored(arrays: Arrays) -> Arrays:

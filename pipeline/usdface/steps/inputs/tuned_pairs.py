@@ -100,6 +100,7 @@ def _keyed_pairs(out: Path, marked: dict[int, TunedPair]) -> dict[int, TunedPair
             int(old.frames[pair]),
             dict(zip(old.shape_names, old.weights[pair].tolist(), strict=True)),
             done=pair in marked and marked[pair].done,
+            author=marked[pair].author if pair in marked else "",
         )
         for pair in keyed
     }

@@ -1,6 +1,7 @@
 """References in, a mapping out."""
 
 from dataclasses import replace
+from itertools import compress
 
 import numpy as np
 
@@ -194,6 +195,7 @@ def _correction_notes(mapping: TrainedMapping, references: References) -> list[s
             "themselves, as landmarks of a video do; face_map moves keys towards the markers, "
             "other methods take them as they are"
         )
+    notes += _gain_notes(mapping)
     contradicted = str(mapping.settings.get("contradicted", ""))
     if contradicted:
         notes.append(
@@ -206,6 +208,24 @@ def _correction_notes(mapping: TrainedMapping, references: References) -> list[s
             f"left out {pluralize(repeated, 'pair')} that others repeat, markers and weights alike"
         )
     return notes
+
+
+def _gain_notes(mapping: TrainedMapping) -> list[str]:
+    """Say that keys of some pairs are larger than those of others, and whose."""
+    deviation = float(mapping.settings.get("gain_deviation", 0.0))
+    if not deviation:
+        return []
+    gains = str(mapping.settings.get("author_gains", ""))
+    whose = (
+        f"mean gain by author: {gains.replace(';', ',')}"
+        if gains
+        else "say who set them with `usdface references import --author`, and this note names them"
+    )
+    return [
+        f"keys of the same expressions differ in gain from pair to pair, by {deviation:.0%} "
+        f"(standard deviation), as those of several animators do; face_map learns their mean; "
+        f"{whose}"
+    ]
 
 
 def _untuned_note(spec: TrainSpec, tuned: int, pairs: int) -> str:
@@ -248,8 +268,9 @@ def _subset(references: References, keep: np.ndarray) -> References:
         markers=references.markers[keep],
         weights=references.weights[keep],
         frames=references.frames[keep],
-        takes=tuple(take for take, kept in zip(references.takes, keep, strict=True) if kept),
+        takes=tuple(compress(references.takes, keep)),
         tuned=references.tuned[keep],
+        authors=tuple(compress(references.authors, keep)),
     )
 
 

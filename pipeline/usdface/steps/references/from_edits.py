@@ -216,6 +216,7 @@ def with_pairs(
         tuned=np.concatenate([old.tuned, np.full(len(frames), tuned)]),
         visemes=(*old.visemes, *unlabelled) if old.visemes else (),
         emotions=(*old.emotions, *unlabelled) if old.emotions else (),
+        authors=(*old.authors, *unlabelled) if old.authors else (),
     )
 
 
@@ -285,7 +286,8 @@ def _tuned_by_hand(
             row = references.weights[pair].tolist()
             weights = dict(zip(references.shape_names, row, strict=True))
         if weights is not None:
-            tuned.append(TunedPair(pair, take, frame, weights))
+            author = references.authors[pair] if references.authors else ""
+            tuned.append(TunedPair(pair, take, frame, weights, author=author))
     if kept:
         notes.append(f"{spec.out}: kept as somebody tuned them there: {pluralize(kept, 'pair')}")
     return tuned

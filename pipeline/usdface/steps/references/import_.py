@@ -323,5 +323,6 @@ def _pairs(
         row = np.array([row_of[key]])
         for name in known:
             weights[name] = float(weights_meant(table, name, row, np.array([weights[name]]))[0])
-        pairs.append(TunedPair(pair, references.takes[pair], int(references.frames[pair]), weights))
+        take, frame = references.takes[pair], int(references.frames[pair])
+        pairs.append(TunedPair(pair, take, frame, weights, author=spec.author))
     return pairs

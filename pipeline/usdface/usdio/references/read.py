@@ -29,6 +29,7 @@ TUNED = ROOT.AppendProperty("face:reference:tuned")
 DONE = ROOT.AppendProperty("face:reference:done")
 VISEME = ROOT.AppendProperty("face:reference:viseme")
 EMOTION = ROOT.AppendProperty("face:reference:emotion")
+AUTHOR = ROOT.AppendProperty("face:reference:author")
 PLACEMENT = "face:reference:placement"
 RATE = "face:reference:rate"
 
@@ -55,9 +56,7 @@ def read_references(path: Path) -> References:
             f"{path}: its end time code says {len(pairs)} pairs, and its samples hold {held}: "
             "they are of another selection; select again, which keeps what is tuned"
         )
-    frames = root.GetAttribute(FRAME_PATH.name)
-    takes = root.GetAttribute(TAKE.name)
-    tuned = root.GetAttribute(TUNED.name)
+    frames, takes, tuned = (root.GetAttribute(path.name) for path in (FRAME_PATH, TAKE, TUNED))
     neutral = np.array(
         points.GetPrim().GetAttribute("face:markers:neutral").Get(), dtype=np.float64
     )
@@ -86,6 +85,7 @@ def read_references(path: Path) -> References:
         motion=_read_motion(root),
         visemes=_labels(root, VISEME, pairs),
         emotions=_labels(root, EMOTION, pairs),
+        authors=_labels(root, AUTHOR, pairs),
         performer=text_of(root, "face:performer"),
         session=text_of(root, "face:session"),
         rate=_read_rate(root, path),

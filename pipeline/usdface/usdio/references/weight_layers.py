@@ -13,6 +13,7 @@ from usdface.core.sidecars import proposed_path, tuned_path
 from usdface.core.text import first_few
 from usdface.usdio.layers import open_layer, refusing_wrong_types
 from usdface.usdio.references.read import (
+    AUTHOR,
     DONE,
     FRAME_PATH,
     TAKE,
@@ -38,6 +39,8 @@ class TunedPair:
     frame: int
     weights: dict[str, float]
     done: bool = True
+    author: str = ""
+    """The person, if known."""
 
 
 @refusing_wrong_types
@@ -59,6 +62,7 @@ def read_tuned_pairs(path: Path) -> list[TunedPair]:
                 frame=int(layer.QueryTimeSample(FRAME_PATH, time)),
                 weights=dict(zip(names, weights.tolist(), strict=True)),
                 done=layer.QueryTimeSample(DONE, time) is not False,
+                author=str(layer.QueryTimeSample(AUTHOR, time) or ""),
             )
         )
     return found

@@ -21,6 +21,7 @@ from usdface.usdio.authoring import PointExtents, apply_api, author_uniform, def
 from usdface.usdio.layers import new_layer, new_layers, relative_path
 from usdface.usdio.references.pair_layers import author_pair_header
 from usdface.usdio.references.read import (
+    AUTHOR,
     DONE,
     EMOTION,
     FRAME_PATH,
@@ -170,6 +171,11 @@ def _author_tuned_layer(layer: Sdf.Layer, references: References, pairs: list[Tu
     for pair in range(len(references.frames)):
         layer.SetTimeSample(TUNED, pair + 1, pair in done)
         layer.SetTimeSample(DONE, pair + 1, done.get(pair, False))
+    authors = {each.pair: each.author for each in pairs}
+    if any(authors.values()):
+        Sdf.AttributeSpec(over, AUTHOR.name, Sdf.ValueTypeNames.Token)
+        for pair in range(len(references.frames)):
+            layer.SetTimeSample(AUTHOR, pair + 1, authors.get(pair, ""))
 
 
 def _author_frames(layer: Sdf.Layer, references: References) -> None:
