@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from tests.model.synthetic import RIGID, SyntheticFace, references_of, synthetic_face
 from usdface.core.assets import TrainedMapping
 from usdface.core.errors import InputError
+from usdface.core.rig_logic import Combination
 from usdface.model import predict_weights, sample_skin, train_mapping
 from usdface.model.regressions import Choices, RestPlaces, face_map, frame_solve
 from usdface.model.regressions.base import bend, unbend
@@ -249,3 +250,32 @@ def test_very_few_pairs_give_what_geometry_can(count: int) -> None:
     found = predict_weights(mapping, face.positions[:50])
     assert np.isfinite(found.weights).all()
     assert np.isfinite(found.uncertainty).all()
+
+
+def test_in_betweens_of_the_rig_are_followed() -> None:
+    """Skin that leaves the line between neutral and full shape, as lids do around an eyeball."""
+    aside = 0.4 * synthetic_face().shapes[:, :, [1, 2, 0]]
+
+    def between(seed: int) -> SyntheticFace:
+        face = synthetic_face(seed=seed)
+        hat = 1 - np.abs(face.weights - 0.5) / 0.5
+        moved = np.einsum("fs,smc->fmc", hat, aside)
+        return replace(face, positions=face.positions + moved)
+
+    face, new, errors = between(0), between(3), []
+    in_betweens = tuple(
+        Combination(f"{name}@0.5", (name,), weights=(0.5,))
+        for name in references_of(face, CHOSEN).shape_names
+    )
+    for combinations in ((), in_betweens):
+        motion = [face.shapes, aside] if combinations else [face.shapes]
+        mapping = train_mapping(
+            replace(references_of(face, CHOSEN), combinations=combinations),
+            ranges=face.ranges,
+            gram=face.gram,
+            skin=np.concatenate(motion),
+            method="face_map",
+        )
+        solved = predict_weights(mapping, new.positions).weights
+        errors.append(float(np.sqrt(((solved - new.weights) ** 2).mean())))
+    assert errors[1] < 0.7 * errors[0]

@@ -8,15 +8,20 @@ import numpy as np
 import pytest
 
 from tests.steps.small_shot import Shot
+from usdface.core.assets import MeshShape
+from usdface.core.deformer import Deformer
 from usdface.media.picture.image import read_picture
+from usdface.model.mapping.regions import skin_points
 from usdface.numerics.measure.face_regions import unseen_shapes
 from usdface.runner.execute import execute
 from usdface.specs.performance import TrainSpec
 from usdface.specs.references import ReferencesImportSpec
+from usdface.steps.performance import train
 from usdface.steps.performance.describe import describe_mapping
 from usdface.usdio.mapping import read_mapping
 from usdface.usdio.references.read import read_references
 from usdface.usdio.rig.read import read_rig
+from usdface.usdio.rig.write import write_rig
 from usdface.usdio.take.read import read_take
 
 
@@ -181,3 +186,28 @@ def test_authors_whose_keys_differ_in_gain_are_named(finished_shot: Shot, tmp_pa
     note = next(note for note in trained.notes if "differ in gain" in note)
     assert "mean gain by author: anna 1.1" in note
     assert ", ben 0." in note
+
+
+def test_in_betweens_are_what_usdskel_makes_of_them(finished_shot: Shot, tmp_path: Path) -> None:
+    rig = read_rig(finished_shot / "hero.usdc")
+
+    def with_half(shape: MeshShape) -> MeshShape:
+        full = shape.keys[-1]
+        half = replace(full, weight=0.5, offsets=0.5 * full.offsets + [0.0, 0.0, 3.0])
+        return replace(shape, keys=(half, full)) if shape.name == "jawOpen" else shape
+
+    mesh = replace(rig.meshes[0], shapes=tuple(map(with_half, rig.meshes[0].shapes)))
+    write_rig(tmp_path / "hero.usdc", replace(rig, meshes=(mesh, *rig.meshes[1:])))
+    read = read_rig(tmp_path / "hero.usdc")
+    deformer = Deformer(read)
+    points = skin_points(deformer.shapes.target_offsets())
+    found, motion = train.in_betweens(read, deformer, points, read.shapes)
+    row = [str(each) for each in found].index("jawOpen@0.5 = jawOpen@0.5")
+    jaw = read.shapes.index("jawOpen")
+    for weight in (0.2, 0.5, 0.8):
+        pose = np.zeros((1, len(read.shapes)))
+        pose[0, jaw] = weight
+        hat = 1 - abs(weight - 0.5) / 0.5
+        full = deformer.shapes.offsets(pose / weight)[0, points]
+        expected = deformer.shapes.offsets(pose)[0, points]
+        np.testing.assert_allclose(weight * full + hat * motion[row], expected, atol=1e-5)

@@ -194,8 +194,10 @@ class WeightPredictor:
         driven = self._solver.forward.driven
         if driven is None or self._method.solves_frames:
             return np.zeros(0, np.int64)
-        used = np.unique(driven.logic.links[:, 1])
-        return np.asarray(used[used < len(self._mapping.shape_names)])
+        combinations = [each for each in driven.logic.combinations if len(each.parts) > 1]
+        parts = {part for each in combinations for part in each.parts}
+        known = driven.logic.shapes[: len(self._mapping.shape_names)]
+        return np.flatnonzero([name in parts for name in known])
 
     def _expected(self, solution: FrameSolution) -> FloatArray:
         """Return the expected bent weights of `_driving`, as the references use them."""

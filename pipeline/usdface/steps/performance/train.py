@@ -6,11 +6,12 @@ from itertools import compress
 import numpy as np
 
 from usdface.core.arrays import ByteImage, FloatArray, IntArray, columns_by_name
-from usdface.core.assets import CandidateScore, References, TrainedMapping
+from usdface.core.assets import CandidateScore, References, Rig, TrainedMapping
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
+from usdface.core.rig_logic import Combination
 from usdface.core.sidecars import proposed_path
 from usdface.core.text import counted, first_few, pluralize
 from usdface.media.charts.eigenspace import Eigenspace, draw_eigenspace
@@ -63,12 +64,15 @@ def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress = silent)
     references = replace(references, parts=tuple(found[column] for column in columns))
     offsets = deformer.shapes.target_offsets()
     points = skin_points(offsets)
+    bends, bent_skin = in_betweens(rig, deformer, points, references.shape_names)
     poses = columns_by_name(references.weights, references.shape_names, rig.shapes)
     mapping = train_mapping(
-        references,
+        replace(references, combinations=(*references.combinations, *bends)),
         ranges=rig.ranges[columns],
         gram=deformer.shapes.gram(poses)[np.ix_(columns, columns)],
-        skin=np.concatenate([sample_skin(offsets)[columns], _driven_skin(deformer, points)]),
+        skin=np.concatenate(
+            [sample_skin(offsets)[columns], _driven_skin(deformer, points), bent_skin]
+        ),
         rest=RestPlaces(deformer.neutral[points], registered_places(references, rig)),
         method=spec.method,
         choices=Choices(spec.dimensions, spec.widths),
@@ -133,6 +137,37 @@ def _driven_skin(deformer: Deformer, points: IntArray) -> FloatArray:
     columns = (3 * points[:, None] + np.arange(3)).ravel()
     moved = deformer.shapes.combination_offsets().tocsc()[:, columns].toarray()
     return np.asarray(moved.reshape(len(moved), len(points), 3))
+
+
+def in_betweens(
+    rig: Rig, deformer: Deformer, points: IntArray, names: tuple[str, ...]
+) -> tuple[tuple[Combination, ...], FloatArray]:
+    """Return a shape's in-betweens as combinations of one part, and what each does to points.
+
+    At weight w a shape moves the skin by ``w full + sum_p hat_p(w) (in-between_p - p full)``, where
+    ``hat_p`` is 1 at the in-between's weight p and 0 at its neighbours.
+
+    Returns
+    -------
+    tuple of Combination, (in-betweens, points, 3) float array
+    """
+    weights: dict[str, set[float]] = {}
+    for mesh in rig.meshes:
+        for shape in mesh.shapes:
+            between = {key.weight for key in shape.keys if 0 < key.weight < 1}
+            if between and shape.name in names:
+                weights.setdefault(shape.name, set()).update(between)
+    found, motion = [], [np.zeros((0, len(points), 3))]
+    for name, between in weights.items():
+        at = np.array([*sorted(between), 1.0])
+        poses = columns_by_name(at[:, None], (name,), rig.shapes)
+        moved = deformer.shapes.offsets(poses)[:, points]
+        motion.append(moved[:-1] - at[:-1, None, None] * moved[-1])
+        found += [
+            Combination(f"{name}@{weight:g}", (name,), weights=(float(weight),))
+            for weight in at[:-1]
+        ]
+    return tuple(found), np.concatenate(motion)
 
 
 def describe_figures(mapping: TrainedMapping) -> dict[str, object]:
