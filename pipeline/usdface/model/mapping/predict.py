@@ -189,12 +189,15 @@ class WeightPredictor:
     def _find_driving(self) -> IntArray:
         """Return the shapes that drive combinations, where the method says less than is known.
 
-        A method that solves frames has weighed its error already.
+        A method that solves frames has weighed its error already. In-betweens of a shape itself,
+        which have one part and no span, are no combinations.
         """
         driven = self._solver.forward.driven
         if driven is None or self._method.solves_frames:
             return np.zeros(0, np.int64)
-        combinations = [each for each in driven.logic.combinations if len(each.parts) > 1]
+        combinations = [
+            each for each in driven.logic.combinations if len(each.parts) > 1 or each.spans
+        ]
         parts = {part for each in combinations for part in each.parts}
         known = driven.logic.shapes[: len(self._mapping.shape_names)]
         return np.flatnonzero([name in parts for name in known])
