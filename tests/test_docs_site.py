@@ -41,10 +41,19 @@ def test_every_page_is_made_and_the_menu_leads_to_every_one(site: Path) -> None:
     assert pages <= led, pages - led
 
 
-def test_what_changed_is_on_one_page(site: Path) -> None:
-    page = (site / "changes" / "README.html").read_text("utf-8")
-    for fragment in (DOCS / "changes").glob("[0-9]*.md"):
-        assert fragment.stem.partition("-")[2].replace("-", " ").capitalize() in page
+def test_fragments_of_changes_are_on_their_page(tmp_path: Path) -> None:
+    docs = tmp_path / "docs"
+    (docs / "changes").mkdir(parents=True)
+    shutil.copy(DOCS / "conf.py", docs)
+    shutil.copytree(DOCS / "site", docs / "site")
+    (docs / "README.md").write_text("# Pages\n\n[Changes](changes/README.md)\n", "utf-8")
+    (docs / "changes" / "README.md").write_text("# Changes\n", "utf-8")
+    (docs / "changes" / "7-new-option.md").write_text("An option more.\n", "utf-8")
+    done = build(docs, tmp_path / "site")
+    assert done.returncode == 0, done.stderr
+    page = (tmp_path / "site" / "changes" / "README.html").read_text("utf-8")
+    assert "New option" in page
+    assert "An option more." in page
 
 
 def test_a_page_loads_nothing_from_another_host(site: Path) -> None:
