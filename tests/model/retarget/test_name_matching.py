@@ -77,7 +77,7 @@ def test_the_better_known_name_wins_and_the_other_is_named() -> None:
     assert [(match.name, match.target) for match in found.matches] == [
         ("jawOpen", (("jawOpen", 1.0),))
     ]
-    assert found.ambiguous == ("mouth_open: jawOpen of the target is taken for that motion",)
+    assert found.ambiguous == ("mouth_open: jawOpen of the target is used for that motion",)
 
 
 def test_names_that_are_all_the_rigs_own_raise_no_doubts_of_its_others() -> None:

@@ -1,1 +1,1 @@
-"""From one rig to the control vector of another."""
+"""Retargeting: from the weights of one rig to the controls of another."""

@@ -1,10 +1,8 @@
-"""Control vectors as coordinates that regressions may add up, and back.
+"""Conversion of controls to coordinates for regression, and checks of expression pairs.
 
-Weights and attributes are numbers as they are. A joint's rotation is the rotation vector from the
-mean over the pairs, its scale the logarithm: what a regression adds up there is a rotation and a
-positive scale again, whatever comes out.
-
-Pairs are checked before anything is trained on them.
+Weights and attributes are used as they are. A joint's rotation becomes the rotation vector relative
+to the mean over the pairs, its scale the logarithm, so that any linear combination is a valid
+rotation and a positive scale.
 """
 
 from dataclasses import dataclass
@@ -29,7 +27,7 @@ _SMALLEST_SCALE = 1e-6
 
 @dataclass(frozen=True)
 class ControlSpace:
-    """Which controls there are, and where rotations are flattened."""
+    """Names of the controls, and the rotations that map to zero vectors."""
 
     shapes: tuple[str, ...]
     joints: tuple[str, ...]
@@ -44,7 +42,7 @@ class ControlSpace:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """One readable name per coordinate."""
+        """Name of each coordinate, for messages."""
         parts = [f"{kind}{axis}" for kind in ("translate", "rotate", "scale") for axis in "XYZ"]
         return (
             *self.shapes,
@@ -58,8 +56,8 @@ class ControlSpace:
         if given != (self.shapes, self.joints, self.attributes):
             raise ValueError("these controls are not those of the space")
         scales = np.log(np.maximum(controls.scales, _SMALLEST_SCALE))
-        turned = rotation_vectors(controls.rotations, self.mean_rotations)
-        joints = np.concatenate([controls.translations, turned, scales], axis=-1)
+        vectors = rotation_vectors(controls.rotations, self.mean_rotations)
+        joints = np.concatenate([controls.translations, vectors, scales], axis=-1)
         count = len(controls)
         return np.concatenate(
             [controls.weights, joints.reshape(count, -1), controls.values], axis=1
@@ -83,21 +81,20 @@ class ControlSpace:
 
 
 def control_space(controls: Controls) -> ControlSpace:
-    """Return the space of some controls, flattened about the mean of their rotations."""
+    """Return the space of some controls, with rotations relative to their mean."""
     return ControlSpace(
         controls.shapes, controls.joints, controls.attributes, mean_rotation(controls.rotations)
     )
 
 
 _EQUAL_SHARE = 0.15
-"""Two expressions are as good as the same when they differ by less than this share of the usual
-distance between expressions."""
+"""Distance below which two expressions are equal, as a share of the median distance."""
 
 CONFLICT_RATIO = 3.0
-"""Target expressions conflict when they are this many times further apart than their sources."""
+"""Ratio of target to source distance above which two pairs conflict."""
 
 LEAST_WEIGHT = 1e-4
-"""Weight below which a shape is not used."""
+"""Weight below which a shape counts as unused."""
 
 
 @dataclass(frozen=True)
@@ -109,11 +106,11 @@ class PairConflict:
     """`first`, `second`: Pairs, from 0."""
     source: float
     target: float
-    """`source`, `target`: Distances, as shares of the usual ones."""
+    """`source`, `target`: Distances, as shares of the median ones."""
 
 
 def check_pairs(pairs: ExpressionPairs, where: str) -> None:
-    """Refuse pairs from which nothing can be learned."""
+    """Refuse pairs that are too few, not finite or all equal."""
     if len(pairs) < 2:
         raise InputError(
             f"{where}: {len(pairs)} pair; at least two are needed, rest and one expression: "
@@ -139,25 +136,25 @@ def find_pair_conflicts(pairs: ExpressionPairs) -> tuple[PairConflict, ...]:
         target / np.maximum(np.ptp(target, axis=0), LEAST_WEIGHT)
     )
     first, second = np.triu_indices(len(pairs), 1)
-    near, far = source_distances[first, second], target_distances[first, second]
-    found = (near < _EQUAL_SHARE) & (
-        far > CONFLICT_RATIO * np.maximum(near, _EQUAL_SHARE / CONFLICT_RATIO)
+    source, target_side = source_distances[first, second], target_distances[first, second]
+    conflicting = (source < _EQUAL_SHARE) & (
+        target_side > CONFLICT_RATIO * np.maximum(source, _EQUAL_SHARE / CONFLICT_RATIO)
     )
     conflicts = [
-        PairConflict(int(a), int(b), float(x), float(y))
-        for a, b, x, y in zip(first[found], second[found], near[found], far[found], strict=True)
+        PairConflict(int(first[i]), int(second[i]), float(source[i]), float(target_side[i]))
+        for i in np.flatnonzero(conflicting)
     ]
     return tuple(sorted(conflicts, key=lambda each: each.source - each.target))
 
 
 def unused_shapes(pairs: ExpressionPairs) -> tuple[str, ...]:
-    """Return the source shapes that no pair uses: whatever they do, the target will not move."""
+    """Return the source shapes that no pair uses, to which the target does not respond."""
     moved = np.abs(pairs.source).max(axis=0) > LEAST_WEIGHT
     return tuple(name for name, used in zip(pairs.source_shapes, moved, strict=True) if not used)
 
 
 def dead_controls(pairs: ExpressionPairs) -> tuple[str, ...]:
-    """Return the target's shapes and attributes that are the same in every pair."""
+    """Return the target's shapes and attributes that are constant over the pairs."""
     target = pairs.target
     still = np.ptp(target.weights, axis=0) < LEAST_WEIGHT
     constant = np.ptp(target.values, axis=0) < LEAST_WEIGHT
@@ -166,7 +163,7 @@ def dead_controls(pairs: ExpressionPairs) -> tuple[str, ...]:
 
 
 def _relative_distances(values: FloatArray) -> FloatArray:
-    """Return distances over the median distance of pairs that differ."""
+    """Return distances divided by the median of those above 0."""
     distances = cdist(values, values)
     positive = distances[distances > 0]
     return np.asarray(distances / (np.median(positive) if len(positive) else 1.0))

@@ -19,52 +19,52 @@ from usdface.model.retarget.train import (
 )
 
 MOST_POINTS = 4000
-"""Of the source's surface that are measured, spread evenly over its points."""
+"""Maximum number of points of the source's surface for errors, evenly spread."""
 
 TRAINING_POINTS = 600
-"""Of them when methods are compared in training; there are many candidates."""
+"""The same for the comparison of candidates in training."""
 
 KEYED = "hybrid, keyed"
 """Name of the hybrid whose share of the multiquadric is keyed over time."""
 
 POSITIONS = "positions"
-"""Name under which matching positions is compared: no regression, and nothing to be trained."""
+"""Name of position matching, which is not a regression and needs no training."""
 
 _BLOCK_FRAMES = 256
 
 
 @dataclass(frozen=True)
 class CyclicError:
-    """One method's errors."""
+    """Errors of a method."""
 
     method: str
     settings: str
     mean_vertex_mm: FloatArray
-    """(frames,): mean distance of the source's points from where they were [mm]."""
+    """(frames,): mean distance between the source's points before and after the round trip [mm]."""
     returned: FloatArray
-    """(frames, shapes of the source's rig): the weights that came back."""
+    """(frames, shapes of the source's rig): weights after the round trip."""
     direct_mm: FloatArray | None = None
-    """(frames,): mean distance of the target's points from where they should be [mm], where that is
-    known."""
+    """(frames,): mean distance of the target's points from their true positions [mm]; None if
+    unknown."""
 
 
 @dataclass(frozen=True)
 class CyclicVariant:
-    """What of the methods, or of what is measured, is not as usual."""
+    """Options of the comparison."""
 
     truth: FloatArray | None = None
-    """(frames, target shapes): what the target should do, where it is known."""
+    """(frames, target shapes): true weights of the target, if known."""
     alpha: FloatArray | None = None
     """(frames,): share of the multiquadric in ``hybrid, keyed`` [0-1]."""
     published: bool = False
-    """Whether kernel CCA is as published."""
+    """Whether kernel CCA uses its published lines."""
 
 
 PLAIN = CyclicVariant()
 
 
 class SurfaceMeter:
-    """Measures the distance between a rig's surfaces under two sets of weights, by frame."""
+    """Distance between a rig's surfaces under two sets of weights."""
 
     def __init__(self, rig: Rig) -> None:
         shapes = Deformer(rig).shapes
@@ -86,7 +86,7 @@ class SurfaceMeter:
 
 
 def spread_displacements(rig: Rig, names: tuple[str, ...]) -> FloatArray:
-    """Return what shapes at 1 do to points spread over a rig: (names, points, 3) float array."""
+    """Return displacements of points spread over a rig at weight 1: (names, points, 3) [mm]."""
     shapes = Deformer(rig).shapes
     columns = _columns(shapes.point_count, TRAINING_POINTS)
     chosen = [rig.shapes.index(name) for name in names]
@@ -95,7 +95,7 @@ def spread_displacements(rig: Rig, names: tuple[str, ...]) -> FloatArray:
 
 
 def _columns(point_count: int, most: int) -> IntArray:
-    """Return the columns x, y, z of every n-th point, so that at most so many are taken."""
+    """Return the columns x, y, z of evenly spread points, at most `most` of them."""
     points = np.arange(0, point_count, -(-point_count // most))
     return np.asarray((3 * points[:, None] + np.arange(3)).ravel(), np.int64)
 
@@ -111,37 +111,36 @@ def evaluate_cyclic(
     variant: CyclicVariant = PLAIN,
     progress: Progress = silent,
 ) -> tuple[CyclicError, ...]:
-    """Send a performance to the target and back by several methods.
+    """Retarget a performance to the target and back by several methods.
 
-    Every method gets the settings that serve it best on this performance, so that none loses for
-    want of tuning.
+    Settings of each method are those with the smallest error on this performance.
 
     Parameters
     ----------
     performance : (frames, source shapes) float array
         In the order of ``pairs.source_shapes``.
     methods : tuple of str
-        Names of methods; ``auto`` for what training would choose, ``positions`` for non-negative
-        least squares on the two surfaces, which reads no pairs, ``hybrid, keyed`` for a hybrid with
-        the variant's alpha.
+        Names of methods; ``auto`` for the method that training chooses, ``positions`` for
+        non-negative least squares on the two surfaces, ``hybrid, keyed`` for a hybrid with the
+        variant's alpha.
     rig : Rig
-        The source's, with all of ``pairs.source_shapes``.
+        Of the source, with all of ``pairs.source_shapes``.
     target_rig : Rig, optional
         Needed for ``positions`` and the variant's truth.
     shape_ranges : (target shapes, 2) float array, optional
     """
     surface = spread_displacements(rig, pairs.source_shapes)
-    near = SurfaceMeter(rig)
+    source_meter = SurfaceMeter(rig)
     truth = variant.truth
-    far = None if truth is None or target_rig is None else SurfaceMeter(target_rig)
-    asked = columns_by_name(performance, pairs.source_shapes, rig.shapes)
-    found = []
+    target_meter = None if truth is None or target_rig is None else SurfaceMeter(target_rig)
+    source_weights = columns_by_name(performance, pairs.source_shapes, rig.shapes)
+    errors = []
     for number, method in enumerate(methods):
         share = part(progress, number / len(methods), (number + 1) / len(methods))
         share(0.0, method)
         if method == POSITIONS:
             label, settings = method, ""
-            there, back = _by_positions(pairs, performance, rig, target_rig)
+            forward, back = _match_positions(pairs, performance, rig, target_rig)
         else:
             trained = train_retargeting(
                 pairs,
@@ -156,31 +155,30 @@ def evaluate_cyclic(
             settings = trained.scores[0].settings
             examples = make_examples(pairs, shape_ranges=shape_ranges)
             alpha = variant.alpha if method == KEYED else None
-            there = retarget(trained, performance, alpha=alpha).weights
+            forward = retarget(trained, performance, alpha=alpha).weights
             back = round_trip(examples, trained.method, trained.settings, performance, alpha=alpha)
         returned = columns_by_name(back, pairs.source_shapes, rig.shapes)
         direct = None
-        if far is not None and truth is not None and target_rig is not None:
-            direct = far.mean_vertex_mm(
-                columns_by_name(there, pairs.target.shapes, target_rig.shapes),
+        if target_meter is not None and truth is not None and target_rig is not None:
+            direct = target_meter.mean_vertex_mm(
+                columns_by_name(forward, pairs.target.shapes, target_rig.shapes),
                 columns_by_name(truth, pairs.target.shapes, target_rig.shapes),
             )
-        found.append(
-            CyclicError(label, settings, near.mean_vertex_mm(returned, asked), returned, direct)
-        )
-    return tuple(found)
+        cyclic = source_meter.mean_vertex_mm(returned, source_weights)
+        errors.append(CyclicError(label, settings, cyclic, returned, direct))
+    return tuple(errors)
 
 
-def _by_positions(
+def _match_positions(
     pairs: ExpressionPairs, performance: FloatArray, rig: Rig, target_rig: Rig | None
 ) -> tuple[FloatArray, FloatArray]:
-    """Match positions both ways: weights of the target's shapes, and of the source's."""
+    """Return target weights by position matching, and source weights by matching these."""
     if target_rig is None:
         raise InputError("matching positions needs the target's rig; put it back")
-    asked = columns_by_name(performance, pairs.source_shapes, rig.shapes)
-    there = match_positions(correspond(rig, target_rig), asked)
-    back = match_positions(correspond(target_rig, rig), there)
+    source_weights = columns_by_name(performance, pairs.source_shapes, rig.shapes)
+    forward = match_positions(correspond(rig, target_rig), source_weights)
+    back = match_positions(correspond(target_rig, rig), forward)
     return (
-        columns_by_name(there, target_rig.shapes, pairs.target.shapes),
+        columns_by_name(forward, target_rig.shapes, pairs.target.shapes),
         columns_by_name(back, rig.shapes, pairs.source_shapes),
     )

@@ -1,13 +1,13 @@
-"""How a performer's head and eyes are turned, and the same on a rig.
+"""Rotations of a performer's head and eyes, and their transfer to a rig.
 
-Angles are about the axes of a face, x to its own left, y up, z forward, right-handed::
+Angles are about the axes of a face, x to its left, y up, z forward, right-handed::
 
     R = Ry(yaw) Rx(pitch) Rz(roll)
 
-so that a positive yaw turns to the left, a positive pitch down, and a positive roll lowers the
-right side. Recorders count some of them the other way: a system of axes that is mirrored or turned
-changes the signs of two angles or of none, so that two signs give the third. Where a take says by
-weights as well where the eyes look, these tell them.
+A positive yaw turns to the left, a positive pitch down, and a positive roll lowers the right side.
+Recorders use other signs for some angles. A mirrored or rotated system of axes changes the signs of
+two angles or of none, so that two signs determine the third. They are estimated from the take's
+weights of looks, if it has any.
 """
 
 import re
@@ -26,7 +26,7 @@ HEAD = "head"
 EYES = ("left_eye", "right_eye")
 
 FULL_LOOK_RADIANS = float(np.radians(30.0))
-"""Of a weight of 1, as `usdface.capture.face_gaze` has it."""
+"""Angle of a look at weight 1, as in `usdface.capture.face_gaze`."""
 
 _CHANNEL = re.compile(
     r"(?P<part>head|left_?eye|right_?eye)_?(?P<axis>yaw|pitch|roll|rotation_?[xyz])", re.IGNORECASE
@@ -34,19 +34,18 @@ _CHANNEL = re.compile(
 _AXES = {"pitch": 0, "yaw": 1, "roll": 2, "x": 0, "y": 1, "z": 2}
 
 _RECORDED_SIGNS = np.array([1.0, -1.0, -1.0])
-"""Of pitch, yaw and roll where no look tells: Live Link Face's. In two recordings its eyes' pitch
-agrees with the weights of their looks by a correlation above 0.99, and its yaw by one below
--0.98."""
+"""Signs of pitch, yaw and roll of Live Link Face, the default. In two recordings the correlation of
+the eyes' pitch with the weights of looks is above 0.99, that of their yaw below -0.98."""
 
 _TELLING_RADIANS = 0.02
-"""Standard deviation of a look from which on it tells the sign of an angle."""
+"""Standard deviation of a look above which it determines the sign of an angle."""
 
 _DEGREES_RATIO = 5.0
-"""Of the spread of an eye's angles to that of its looks, beyond which the angles are in degrees. In
-two recordings of Live Link Face it is 0.85 to 1.6 in radians, and so 49 to 92 in degrees."""
+"""Ratio of the standard deviations of an eye's angles and looks above which the angles are in
+degrees. In two recordings of Live Link Face it is 0.85 to 1.6 in radians, 49 to 92 in degrees."""
 
 _FEWEST_SHAPES = 3
-"""That a similarity is told by."""
+"""Minimum number of shapes for a similarity."""
 
 _WAYS = {"down": (0, 1), "up": (0, -1), "out": (1, 1), "in": (1, -1)}
 """Axis and sign of a look of the left eye."""
@@ -55,20 +54,19 @@ _EYE_OF = {"L": "left_eye", "R": "right_eye"}
 
 
 def is_angle(name: str) -> bool:
-    """Whether a channel of a recorder is an angle of the head or of an eye, by its name."""
+    """Whether the name of a channel is that of an angle of the head or an eye."""
     return _CHANNEL.fullmatch(name) is not None
 
 
 def recorded_angles(names: Sequence[str], weights: FloatArray) -> dict[str, FloatArray]:
-    """Return the angles that channels of a recorder hold: (frames, 3) about x, y, z, by part [rad].
+    """Return recorded angles, (frames, 3) about x, y, z by part [rad], with this module's signs.
 
-    An axis that has no channel is at 0; a part whose channels never move is left out. Signs are
-    those of the module's axes.
+    Axes without a channel are 0; parts whose channels are constantly 0 are omitted.
 
     Raises
     ------
     ValueError
-        If an angle is in degrees: beyond half a turn, or eyes go much farther than their looks.
+        If an angle is in degrees: above pi, or much larger than the looks of the eye.
     """
     found: dict[str, FloatArray] = {}
     for column, name in enumerate(names):
@@ -88,7 +86,7 @@ def recorded_angles(names: Sequence[str], weights: FloatArray) -> dict[str, Floa
 
 
 def look_shapes(names: Sequence[str]) -> dict[str, set[str]]:
-    """Return the shapes that make eyes look somewhere, each with these eyes."""
+    """Return the shapes of looks, each with the eyes that it turns."""
     cells = {name: each.cells for name, each in read_meanings(names).items()}
     looks = {
         name: {_EYE_OF[side] for motion, side, _ in each if motion.startswith("eyelook")}
@@ -98,11 +96,11 @@ def look_shapes(names: Sequence[str]) -> dict[str, set[str]]:
 
 
 def look_angles(names: Sequence[str], weights: FloatArray) -> dict[str, FloatArray]:
-    """Return where eyes look by weights: (frames, 3) about x, y, z, by eye [rad]."""
+    """Return gaze from weights of looks: (frames, 3) about x, y, z, by eye [rad]."""
     angles: dict[str, FloatArray] = {}
     meanings = read_meanings(names)
     for column, name in enumerate(names):
-        # A meaning has cells above and below the middle: one look is both of them.
+        # A look has two cells, upper and lower: count it once.
         for motion, side in sorted({cell[:2] for cell in meanings[name].cells}):
             way = motion.removeprefix("eyelook")
             if way == motion or way not in _WAYS or side not in _EYE_OF:
@@ -116,7 +114,7 @@ def look_angles(names: Sequence[str], weights: FloatArray) -> dict[str, FloatArr
 
 
 def _check_radians(recorded: dict[str, FloatArray], looked: dict[str, FloatArray]) -> None:
-    """Refuse small angles in degrees: 57 times what the weights of looks say."""
+    """Refuse angles in degrees, which are 57 times those from the weights of looks."""
     for eye in EYES:
         if eye in recorded and eye in looked:
             by_channel, by_look = recorded[eye][:, :2].std(), looked[eye][:, :2].std()
@@ -129,14 +127,14 @@ def _check_radians(recorded: dict[str, FloatArray], looked: dict[str, FloatArray
 
 
 def _recorded_signs(recorded: dict[str, FloatArray], looked: dict[str, FloatArray]) -> FloatArray:
-    """Return by what a recorder's angles are to be multiplied: (3,), about x, y and z."""
+    """Return the factors, 1 or -1, of a recorder's angles about x, y and z."""
     both = [(recorded[eye], looked[eye]) for eye in EYES if eye in recorded and eye in looked]
     signs = _RECORDED_SIGNS.copy()
     for axis in (0, 1):
         spread = np.sqrt(sum(look[:, axis].var() for _, look in both))
-        common = sum(np.cov(own[:, axis], look[:, axis], bias=True)[0, 1] for own, look in both)
-        if spread > _TELLING_RADIANS and common:
-            signs[axis] = np.sign(common)
+        covariance = sum(np.cov(a[:, axis], look[:, axis], bias=True)[0, 1] for a, look in both)
+        if spread > _TELLING_RADIANS and covariance:
+            signs[axis] = np.sign(covariance)
     signs[2] = signs[0] * signs[1]
     return signs
 
@@ -147,13 +145,13 @@ def rotations_of(angles: FloatArray) -> FloatArray:
 
 
 def performer_onto_rig(mapping: TrainedMapping, rig: Rig) -> FloatArray:
-    """Return the similarity, (4, 4), that lays a mapping's performer on the rig.
+    """Return the similarity, (4, 4), from a mapping's performer to the rig.
 
-    The middle of what a shape moves on the performer, as the mapping's forward model says, belongs
-    on the middle of what it moves on the rig. Motions count by their squares: the model knows each
-    a little everywhere, which draws plain middles together and makes the performer small. Shapes
-    count by how far they move the performer. The scale is Horn's symmetric one (1987, J. Opt. Soc.
-    Am. A 4, 629-642).
+    It aligns the centres of the displacements of each shape, on the performer (by the mapping's
+    forward model) and on the rig. Centres are weighted by squared displacements, since the model
+    has small displacements everywhere, which would draw plain means together. Shapes are weighted
+    by their displacement of the performer. The scale is the symmetric one of Horn (1987, J. Opt.
+    Soc. Am. A 4, 629-642).
     """
     on_face = (mapping.arrays["forward_basis"] ** 2).sum(axis=2)
     offsets = Deformer(rig).shapes.target_offsets().toarray().reshape(len(rig.shapes), -1, 3)
@@ -168,18 +166,18 @@ def performer_onto_rig(mapping: TrainedMapping, rig: Rig) -> FloatArray:
     )
     weight = np.sqrt(on_face[both].sum(axis=1))
     means = [np.average(each, axis=0, weights=weight) for each in (face, character)]
-    near, far = face - means[0], character - means[1]
-    turned, _ = optimal_rotations(((weight[:, None] * far).T @ near)[None], rank_tolerance=1e-9)
-    rotation = turned[0]
-    scale = np.sqrt((weight @ far**2).sum() / (weight @ near**2).sum())  # both err alike
+    source, target = face - means[0], character - means[1]
+    covariance = (weight[:, None] * target).T @ source
+    rotations, _ = optimal_rotations(covariance[None], rank_tolerance=1e-9)
+    scale = np.sqrt((weight @ target**2).sum() / (weight @ source**2).sum())
     onto = np.eye(4)
-    onto[:3, :3] = scale * rotation
+    onto[:3, :3] = scale * rotations[0]
     onto[:3, 3] = means[1] - onto[:3, :3] @ means[0]
     return onto
 
 
 def turn_about(turns: FloatArray, axes: FloatArray, pivot: Sequence[float]) -> FloatArray:
-    """Return rotations about a face's axes as transforms of a rig: (frames, 4, 4).
+    """Return rotations about a face's axes as transforms of the rig: (frames, 4, 4).
 
     Parameters
     ----------
@@ -187,7 +185,7 @@ def turn_about(turns: FloatArray, axes: FloatArray, pivot: Sequence[float]) -> F
     axes : (3, 3) float array
         Columns: the rig's left, up and forward.
     pivot : (3,) sequence of float
-        What stays in its place.
+        Fixed point.
     """
     out = np.tile(np.eye(4), (len(turns), 1, 1))
     out[:, :3, :3] = axes @ turns @ axes.T

@@ -1,9 +1,9 @@
-"""Shapes of two rigs matched by what their names mean, and the linear map that follows.
+"""Matching of the shapes of two rigs by the meaning of their names, and the resulting linear map.
 
-A motion lies on four cells: left and right, upper and lower. A shape takes each target cell from
-the source shape that has it, so that a whole drives its halves in full, and halves drive a whole
-together. MetaHuman's raw controls are more than ARKit's shapes; they are matched by Epic's poses,
-and back by least squares.
+A motion covers up to four cells: left and right, upper and lower. A target shape takes each of its
+cells from the source shape that covers it: a shape of both sides drives its halves in full, and
+halves drive a whole together. MetaHuman's raw controls, which are finer than ARKit's shapes, are
+matched by Epic's poses, and in the other direction by least squares.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -23,15 +23,15 @@ from usdface.model.retarget.shape_names import (
 from usdface.model.retarget.shape_vocabulary import METAHUMAN_POSES, ROWS
 
 _SMALLEST_WEIGHT = 1e-9
-"""Of a least-squares map: below is rounding."""
+"""Weights of a least-squares map below this are rounding errors."""
 
 
 @dataclass(frozen=True)
 class NameMatch:
-    """An expression that both rigs have by name."""
+    """An expression of both rigs, matched by name."""
 
     name: str
-    """For people."""
+    """For messages."""
     source: tuple[tuple[str, float], ...]
     target: tuple[tuple[str, float], ...]
     """`source`, `target`: Shapes and their weights."""
@@ -39,13 +39,13 @@ class NameMatch:
 
 @dataclass(frozen=True)
 class NameMatching:
-    """What names tell of two rigs."""
+    """Matches of two rigs by name."""
 
     matches: tuple[NameMatch, ...]
     ambiguous: tuple[str, ...] = ()
-    """Shapes that are left out, each with the reason, for people."""
+    """Unmatched shapes, each with the reason, for messages."""
     by: Mapping[str, str] = field(default_factory=dict)
-    """Of each match by its name: ``name``, if the names are the same, or ``meaning``."""
+    """``name`` (equal names) or ``meaning``, by the name of the match."""
 
 
 @dataclass(frozen=True)
@@ -57,9 +57,9 @@ class Transfer:
     matrix: FloatArray
     """(source shapes, target shapes)"""
     by: dict[str, str] = field(default_factory=dict)
-    """What a source shape was matched by: ``name``, ``meaning``, ``deformation`` or ``table``."""
+    """``name``, ``meaning``, ``deformation`` or ``table``, by source shape."""
     ambiguous: tuple[str, ...] = ()
-    """Shapes that could be either of two, each with the reason."""
+    """Ambiguous shapes, each with the reason."""
 
     @property
     def matched(self) -> tuple[str, ...]:
@@ -85,63 +85,68 @@ class Transfer:
 
 
 def match_names(source: Sequence[str], target: Sequence[str]) -> tuple[NameMatch, ...]:
-    """Return the expressions that both rigs have, one pair for each source shape that matches."""
+    """Return the matches of two rigs by name, one for each matched source shape."""
     return name_matching(source, target).matches
 
 
 def name_matching(source: Sequence[str], target: Sequence[str]) -> NameMatching:
-    """Match the shapes of two rigs by name, and name those that could be either of two.
+    """Match the shapes of two rigs by name, and list ambiguous shapes.
 
-    The left and the right of a motion are matched alike: where one of them is ambiguous, neither
-    is matched.
+    If one side of a motion is ambiguous, neither side is matched.
     """
     same = [name for name in source if name in set(target)]
-    left, right = read_meanings(source), read_meanings(target)
-    doubts: dict[str, str] = {}
-    _settle(left, same, doubts, "the source")
-    claimed = _claim(right, left, same, doubts)
+    source_meanings, target_meanings = read_meanings(source), read_meanings(target)
+    excluded: dict[str, str] = {}
+    _exclude_duplicates(source_meanings, same, excluded, "the source")
+    assigned = _assign_cells(target_meanings, source_meanings, same, excluded)
     by = dict.fromkeys(same, "name")
-    here = {name: each for name, each in left.items() if name not in by and name not in doubts}
-    there = {name: cells for name, cells in claimed.items() if name not in by}
+    unmatched = source_meanings.keys() - by.keys() - excluded.keys()
+    sources = {name: each for name, each in source_meanings.items() if name in unmatched}
+    targets = {name: cells for name, cells in assigned.items() if name not in by}
     if has_metahuman_controls(source) and not has_metahuman_controls(target):
-        reverse = _claim(left, right, same, {})
-        pulled = {
-            name: _partners(right[name].cells & cells, reverse, poses=True)
-            for name, cells in there.items()
+        reverse = _assign_cells(source_meanings, target_meanings, same, {})
+        drivers = {
+            name: _driven_shapes(target_meanings[name].cells & cells, reverse, poses=True)
+            for name, cells in targets.items()
         }
-        found = [NameMatch(name, parts, ((name, 1.0),)) for name, parts in pulled.items() if parts]
+        found = [NameMatch(name, parts, ((name, 1.0),)) for name, parts in drivers.items() if parts]
     else:
         poses = has_metahuman_controls(target) and not has_metahuman_controls(source)
-        pushed = {name: _partners(each.cells, there, poses=poses) for name, each in here.items()}
-        found = [NameMatch(name, ((name, 1.0),), parts) for name, parts in pushed.items() if parts]
+        driven = {
+            name: _driven_shapes(each.cells, targets, poses=poses) for name, each in sources.items()
+        }
+        found = [NameMatch(name, ((name, 1.0),), parts) for name, parts in driven.items() if parts]
     exact = [NameMatch(name, ((name, 1.0),), ((name, 1.0),)) for name in same]
-    place = index_of([*target, *source])
-    alike = _alike([*exact, *found], left, right, doubts)
-    ordered = sorted(alike, key=lambda match: place[match.name])
+    order = index_of([*target, *source])
+    symmetric = _drop_one_sided([*exact, *found], source_meanings, target_meanings, excluded)
+    ordered = sorted(symmetric, key=lambda match: order[match.name])
     by |= {match.name: "meaning" for match in found}
     notes = tuple(
         f"{name}: {reason}"
-        for name, reason in doubts.items()
-        if len(same) < len(source)  # else nothing is left that could drive them
-        and (_concerns(name, left, right) or _concerns(name, right, left))
+        for name, reason in excluded.items()
+        if len(same) < len(source)  # else all source shapes are matched
+        and (
+            _shares_cells(name, source_meanings, target_meanings)
+            or _shares_cells(name, target_meanings, source_meanings)
+        )
     )
     return NameMatching(tuple(ordered), notes, by)
 
 
-def _concerns(name: str, own: Mapping[str, Meaning], others: Mapping[str, Meaning]) -> bool:
-    """Whether the other rig has a part of what a shape does."""
+def _shares_cells(name: str, own: Mapping[str, Meaning], others: Mapping[str, Meaning]) -> bool:
+    """Whether a shape of the other rig has a cell of this shape."""
     return name in own and any(own[name].cells & each.cells for each in others.values())
 
 
 def transfer_matrix(
     matches: Iterable[NameMatch], source: Sequence[str], target: Sequence[str]
 ) -> FloatArray:
-    """Return the linear map that takes the source side of every match to its target side.
+    """Return the linear map from the source to the target side of every match.
 
     Returns
     -------
     (source shapes, target shapes) float array
-        Of least norm. Matches of one source shape each are taken as they are, to the last bit.
+        Of least norm; exact if each match has one source shape.
     """
     matches = tuple(matches)
     row_of, column_of = index_of(source), index_of(target)
@@ -162,7 +167,7 @@ def transfer_matrix(
 def transfer_by_names(
     source: Sequence[str], target: Sequence[str], *, matching: NameMatching | None = None
 ) -> Transfer:
-    """Match by what names mean."""
+    """Return the linear map between shapes matched by name."""
     found = name_matching(source, target) if matching is None else matching
     matrix = transfer_matrix(found.matches, source, target)
     by = {
@@ -174,7 +179,7 @@ def transfer_by_names(
 
 
 def meaning_notes(transfer: Transfer) -> list[str]:
-    """Return what to tell of shapes that were matched by meaning, or could be either of two."""
+    """Return notes on shapes matched by meaning, and on ambiguous ones."""
     notes = []
     meant = [row for row in transfer.rows() if row["by"] == "meaning"]
     if meant:
@@ -188,10 +193,10 @@ def meaning_notes(transfer: Transfer) -> list[str]:
     return notes
 
 
-def _settle(
-    meanings: Mapping[str, Meaning], same: Sequence[str], doubts: dict[str, str], whose: str
+def _exclude_duplicates(
+    meanings: Mapping[str, Meaning], same: Sequence[str], excluded: dict[str, str], whose: str
 ) -> None:
-    """Find shapes of one rig that mean exactly the same; the best known counts, or none."""
+    """Exclude shapes of one rig with equal meaning, except one of uniquely lowest rank."""
     groups: dict[frozenset[Cell], list[str]] = {}
     for name, meaning in meanings.items():
         groups.setdefault(meaning.cells, []).append(name)
@@ -205,52 +210,50 @@ def _settle(
                 continue
             if len(best) > 1:
                 others = ", ".join(each for each in names if each != name)
-                doubts[name] = (
-                    f"means the same as {others} of {whose}; which of them is told by none"
-                )
+                excluded[name] = f"means the same as {others} of {whose}; neither name is preferred"
             elif name != best[0]:
-                doubts[name] = f"{best[0]} of {whose} is taken for that motion"
+                excluded[name] = f"{best[0]} of {whose} is used for that motion"
 
 
-def _claim(
+def _assign_cells(
     meanings: Mapping[str, Meaning],
     others: Mapping[str, Meaning],
     same: Sequence[str],
-    doubts: dict[str, str],
+    excluded: dict[str, str],
 ) -> dict[str, frozenset[Cell]]:
-    """Return the cells that each shape of a target takes.
+    """Return the cells assigned to each target shape.
 
-    A shape that does just what one of the others does takes all of its cells. Of the rest the
-    finest come first: a shape of the whole brow keeps what none of its parts has a shape for.
+    A shape with exactly the cells of a source shape gets all of them. The others are assigned in
+    the order of their size, so that a shape of the whole brow gets the cells without a finer shape.
     """
-    _settle(meanings, same, doubts, "the target")
-    wanted = {each.cells for each in others.values()}
-    claimed = {
+    _exclude_duplicates(meanings, same, excluded, "the target")
+    source_cells = {each.cells for each in others.values()}
+    assigned = {
         name: meaning.cells
         for name, meaning in meanings.items()
-        if name in same or (meaning.cells in wanted and name not in doubts)
+        if name in same or (meaning.cells in source_cells and name not in excluded)
     }
-    taken = {cell for cells in claimed.values() for cell in cells}
+    taken = {cell for cells in assigned.values() for cell in cells}
 
     def fineness(name: str) -> tuple[int, int, float]:
         cells = meanings[name].cells
         return len({cell[0] for cell in cells}), len(cells), meanings[name].rank
 
-    rest = (name for name in meanings if name not in doubts and name not in claimed)
+    rest = (name for name in meanings if name not in excluded and name not in assigned)
     for name in sorted(rest, key=fineness):
         free = meanings[name].cells - taken
         if free:
-            claimed[name] = frozenset(free)
+            assigned[name] = frozenset(free)
             taken |= free
         else:
-            doubts[name] = "other shapes of the target are taken for all that it does"
-    return claimed
+            excluded[name] = "other shapes of the target are used for its motion"
+    return assigned
 
 
-def _partners(
+def _driven_shapes(
     cells: frozenset[Cell], targets: Mapping[str, frozenset[Cell]], *, poses: bool
 ) -> tuple[tuple[str, float], ...]:
-    """Return the shapes that follow some cells, each with the share of its own cells."""
+    """Return the shapes that some cells drive, each with the driven share of its cells."""
     weights: dict[Cell, float] = dict.fromkeys(cells, 1.0)
     for motion, control, weight in METAHUMAN_POSES if poses else ():
         of, _, row = motion.partition("/")
@@ -268,26 +271,29 @@ def _partners(
     return tuple(found)
 
 
-def _alike(
+def _drop_one_sided(
     found: list[NameMatch],
-    left: Mapping[str, Meaning],
-    right: Mapping[str, Meaning],
-    doubts: dict[str, str],
+    source_meanings: Mapping[str, Meaning],
+    target_meanings: Mapping[str, Meaning],
+    excluded: dict[str, str],
 ) -> list[NameMatch]:
-    """Drop matches of one side whose other side, though both rigs have it, has none."""
-    meaning_of = {**right, **left}
-    here = {each.cells for each in left.values()}
-    there = {each.cells for each in right.values()}
-    matched = {meaning_of[match.name].cells for match in found}
-    kept = []
+    """Drop matches of one side if the other side, which both rigs have, is unmatched."""
+    meanings = {**target_meanings, **source_meanings}
+    cells_of = {name: meaning.cells for name, meaning in meanings.items()}
+    source_cells = {each.cells for each in source_meanings.values()}
+    target_cells = {each.cells for each in target_meanings.values()}
+    matched = {cells_of[match.name] for match in found}
+    remaining = []
     for match in found:
-        other = mirrored(meaning_of[match.name].cells)
-        lonely = other != meaning_of[match.name].cells and other not in matched
-        sides = all(
-            mirrored(right[name].cells) in there for name, _ in match.target if name in right
+        other = mirrored(cells_of[match.name])
+        one_sided = other != cells_of[match.name] and other not in matched
+        in_both = other in source_cells and all(
+            mirrored(target_meanings[name].cells) in target_cells
+            for name, _ in match.target
+            if name in target_meanings
         )
-        if lonely and other in here and sides:
-            doubts[match.name] = "its other side has no counterpart, so neither side is matched"
+        if one_sided and in_both:
+            excluded[match.name] = "its other side has no counterpart, so neither side is matched"
         else:
-            kept.append(match)
-    return kept
+            remaining.append(match)
+    return remaining

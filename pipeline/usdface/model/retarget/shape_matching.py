@@ -1,10 +1,10 @@
-"""Shapes of two rigs matched by what they do: the same motion at the same place of the face.
+"""Matching of the shapes of two rigs by deformation.
 
-The outer surfaces are laid onto each other (rotation, translation, one scale per axis), so that
-meshes may differ in topology, size and proportions. Then every shape is a field of displacements
-over the same samples, and two shapes are alike as the cosine between their fields.
+The outer surfaces are aligned (rotation, translation, one scale per axis), so that meshes may
+differ in topology, size and proportions. Every shape is then a field of displacements over the same
+samples, and the similarity of two shapes is the cosine between their fields.
 
-The same correspondence gives the method that S11 (section 6.3) compares with: *position matching*,
+The same correspondence serves *position matching*, the method of comparison of S11 (section 6.3):
 non-negative weights of the target whose displacements are nearest to the source's.
 """
 
@@ -32,17 +32,17 @@ from usdface.numerics.registration.face_skin import (
 from usdface.numerics.solve.bounded_least_squares import solve_bounded_least_squares
 
 CLOUD_POINTS = 400
-"""Points of the source that are laid onto the target; few, for each is sought in every start."""
+"""Points of the source for the alignment, which are searched from every start."""
 
 _SAMPLE_COUNT = 1500
-"""Places where both faces are compared."""
+"""Samples on which both faces are compared."""
 
 _LEAST_SIMILARITY = 0.5
-"""Cosine below which two shapes are not proposed as the same."""
+"""Cosine below which two shapes are not matched."""
 
 _ONE_SIDE_SIMILARITY = 0.75
-"""The same for a shape without a mirror image and one side of a motion: half of a motion of both
-sides is like the whole by sqrt(1/2), and is not it."""
+"""The same between a shape of one side and one without a side: above sqrt(1/2), the similarity of a
+motion of both sides with its half."""
 
 RIDGE_SHARE = 1e-3
 """Ridge of position matching, as a share of the mean square of the displacements."""
@@ -50,14 +50,14 @@ RIDGE_SHARE = 1e-3
 
 @dataclass(frozen=True)
 class Correspondence:
-    """What the shapes of two rigs do at the same places of the face."""
+    """Displacements by the shapes of two rigs at corresponding points."""
 
     source: FloatArray
     target: FloatArray
     """`source`, `target`: (shapes, samples, 3): displacements at weight 1, the source's in the
     target's space and proportions [mm]."""
     residual_mm: float
-    """How far the surfaces lie apart once aligned."""
+    """Distance of the aligned surfaces."""
 
     def similarity(self) -> FloatArray:
         """Return the cosine between every source and every target shape: (ns, nt)."""
@@ -66,21 +66,21 @@ class Correspondence:
 
 @dataclass(frozen=True)
 class ShapeMatch:
-    """Two shapes that move the face alike."""
+    """Two shapes with similar displacements."""
 
     source: str
     target: str
     similarity: float
     """Cosine between their displacements, at most 1."""
     share: float = 1.0
-    """Of the source's weight that the target takes."""
+    """Factor from the source's to the target's weight."""
 
 
 def correspond(source: Rig, target: Rig) -> Correspondence:
-    """Lay the source's face onto the target's.
+    """Align two faces.
 
-    Each is laid onto the other, and the better of the two counts: which one is called the source
-    then makes no difference to where they meet.
+    Each is aligned to the other, and the alignment with the smaller residual is used, so that the
+    result does not depend on which one is the source.
 
     Raises
     ------
@@ -88,24 +88,24 @@ def correspond(source: Rig, target: Rig) -> Correspondence:
         If one of them has no recognisable face, or no alignment is upright.
     """
     one, other = _surface(source), _surface(target)
-    with _no_face(f"{source.file} on {target.file}"):
-        forth, forth_error = _laid_onto(one, other)
-        back, back_error = _laid_onto(other, one)
-    by_inverse = back_error < forth_error
-    place = back.undo if by_inverse else forth.apply
-    move = back.undo_motion if by_inverse else forth.apply_to_motion
+    with _surface_errors(f"{source.file} on {target.file}"):
+        forward, forward_error = _align(one, other)
+        backward, backward_error = _align(other, one)
+    by_inverse = backward_error < forward_error
+    place = backward.undo if by_inverse else forward.apply
+    move = backward.undo_motion if by_inverse else forward.apply_to_motion
     stride = max(len(one.samples.positions) // _SAMPLE_COUNT, 1)
     chosen = np.arange(0, len(one.samples.positions), stride)
     _, nearest = KDTree(other.samples.positions).query(place(one.samples.positions[chosen]))
     return Correspondence(
         source=move(one.deltas[:, chosen]),
         target=other.deltas[:, np.asarray(nearest, np.int64)],
-        residual_mm=min(forth_error, back_error) * other.size_mm,
+        residual_mm=min(forward_error, backward_error) * other.size_mm,
     )
 
 
-def _laid_onto(one: "_Surface", other: "_Surface") -> tuple[Alignment, float]:
-    """Return how one face lies on another, and its residual as a share of the other's size."""
+def _align(one: "_Surface", other: "_Surface") -> tuple[Alignment, float]:
+    """Return the alignment of a face to another, and its residual over the other's size."""
     stride = max(len(one.samples.positions) // CLOUD_POINTS, 1)
     found = align_cloud(
         one.samples.positions[::stride],
@@ -120,20 +120,20 @@ def _laid_onto(one: "_Surface", other: "_Surface") -> tuple[Alignment, float]:
 def match_deformations(
     source: Rig, target: Rig, *, source_shapes: tuple[str, ...], target_shapes: tuple[str, ...]
 ) -> tuple[ShapeMatch, ...]:
-    """Return the shapes that move the faces most alike, each in one match at most, best first.
+    """Match shapes by similarity, each at most once; the best match first.
 
-    Where names say which shapes mirror each other, both sides are matched alike, or neither. What
-    turns an eye is matched with what turns an eye alone, since lids that follow look like a blink.
+    Both sides of a motion, if known from names, are matched alike or not at all. Shapes of gaze are
+    matched with each other only, since lids that follow the gaze resemble a blink.
     """
     if not (source_shapes and target_shapes):
         return ()
-    both = correspond(source, target)
+    fields = correspond(source, target)
     rows = [source.shapes.index(name) for name in source_shapes]
     columns = [target.shapes.index(name) for name in target_shapes]
-    likeness = both.similarity()[np.ix_(rows, columns)]
+    likeness = fields.similarity()[np.ix_(rows, columns)]
     units = _units(source_shapes), _units(target_shapes)
-    turns = [_turns_an_eye(rig)[at] for rig, at in ((source, rows), (target, columns))]
-    likeness = np.where(turns[0][:, None] == turns[1], likeness, -1.0)
+    gaze = [_is_gaze(rig)[at] for rig, at in ((source, rows), (target, columns))]
+    likeness = np.where(gaze[0][:, None] == gaze[1], likeness, -1.0)
     found = _assign_units(likeness, *units)
     foreign = [~_understood(names) for names in (source_shapes, target_shapes)]
     single = np.where(foreign[0][:, None] | foreign[1], likeness, -1.0)
@@ -148,11 +148,11 @@ def match_deformations(
 
 
 _Unit = tuple[int, ...]
-"""Places of a shape of the middle or of both sides; or of the left and the right of a motion."""
+"""Index of a shape of both sides; or indices of the left and right shape of a motion."""
 
 
 def _units(names: tuple[str, ...]) -> list[_Unit]:
-    """Return the shapes whose names are understood, both sides of a motion as one unit."""
+    """Return units of shapes with understood names."""
     meanings = read_meanings(names)
     place = {(meanings[n].cells, meanings[n].rank): index for index, n in enumerate(names)}
     found: list[_Unit] = []
@@ -169,7 +169,7 @@ def _units(names: tuple[str, ...]) -> list[_Unit]:
 
 
 def _sided_units(names: tuple[str, ...]) -> list[_Unit]:
-    """Return shapes as units, those whose names mirror each other together."""
+    """Return units of shapes whose names mirror each other."""
     return [
         (index,) if other == index else (index, other)
         for index, other in enumerate(mirrored_shapes(names).tolist())
@@ -180,26 +180,29 @@ def _sided_units(names: tuple[str, ...]) -> list[_Unit]:
 def _unmatched(
     found: list[tuple[int, int, float]], sources: list[_Unit], targets: list[_Unit]
 ) -> tuple[list[_Unit], list[_Unit]]:
-    """Return what is left of units."""
+    """Return units without the matched shapes."""
     rows, columns = {row for row, _, _ in found}, {column for _, column, _ in found}
-    left, right = (
-        [tuple(place for place in unit if place not in used) for unit in units]
-        for units, used in ((sources, rows), (targets, columns))
+    remaining = (
+        [tuple(index for index in unit if index not in matched) for unit in units]
+        for units, matched in ((sources, rows), (targets, columns))
     )
-    return list(filter(None, left)), list(filter(None, right))
+    source_units, target_units = (list(filter(None, units)) for units in remaining)
+    return source_units, target_units
 
 
 def _assign_one_sides(
     likeness: FloatArray, sources: list[_Unit], targets: list[_Unit]
 ) -> list[tuple[int, int, float]]:
-    """Return shapes without a mirror image and the one side of a motion that each is like."""
+    """Match shapes without a mirror image with one side of a motion."""
     rows, columns = [row for unit in sources for row in unit], [c for unit in targets for c in unit]
     if not (rows and columns):
         return []
-    of_two = [
+    mirrored_pair = [
         np.array([len(unit) > 1 for unit in units for _ in unit]) for units in (sources, targets)
     ]
-    scores = np.where(of_two[0][:, None] != of_two[1], likeness[np.ix_(rows, columns)], -1.0)
+    scores = np.where(
+        mirrored_pair[0][:, None] != mirrored_pair[1], likeness[np.ix_(rows, columns)], -1.0
+    )
     return [
         (rows[i], columns[j], 1.0)
         for i, j in zip(*map(np.ndarray.tolist, linear_sum_assignment(-scores)), strict=True)
@@ -207,38 +210,38 @@ def _assign_one_sides(
     ]
 
 
-def _turns_an_eye(rig: Rig) -> BoolArray:
-    turns = np.zeros(len(rig.shapes), dtype=np.bool_)
-    turns[gaze_shapes(shape_parts(rig, Deformer(rig)))] = True
-    return turns
+def _is_gaze(rig: Rig) -> BoolArray:
+    gaze = np.zeros(len(rig.shapes), dtype=np.bool_)
+    gaze[gaze_shapes(shape_parts(rig, Deformer(rig)))] = True
+    return gaze
 
 
 def differing_sides(
     driven: Mapping[str, Collection[str]], source: Sequence[str], target: Sequence[str]
 ) -> list[str]:
-    """Say of which matches the left and the right are not alike.
+    """List the matches whose left and right sides differ.
 
     Parameters
     ----------
     driven : mapping of str to collection of str
-        Shapes of the target that each matched shape of the source drives.
+        Driven target shapes of each matched source shape.
     source, target : sequence of str
-        All shapes of both, among which names tell the other side.
+        All shapes of both rigs, with the other sides by name.
     """
-    here, there = (
+    source_mirror, target_mirror = (
         {name: names[other] for name, other in zip(names, mirrored_shapes(names), strict=True)}
         for names in (source, target)
     )
-    found = []
+    lines = []
     for index, name in enumerate(source):
-        other = here[name]
-        one, two = set(driven.get(name, ())), set(driven.get(other, ()))
-        if index > source.index(other) or {there[each] for each in one} == two:
+        other = source_mirror[name]
+        targets, other_targets = set(driven.get(name, ())), set(driven.get(other, ()))
+        if index > source.index(other) or {target_mirror[n] for n in targets} == other_targets:
             continue
         pair = [name] if other == name else [name, other]
-        said = (f"{n} -> {', '.join(sorted(driven.get(n, ()))) or 'nothing'}" for n in pair)
-        found.append("; ".join(said))
-    return found
+        parts = (f"{n} -> {', '.join(sorted(driven.get(n, ()))) or 'nothing'}" for n in pair)
+        lines.append("; ".join(parts))
+    return lines
 
 
 def _understood(names: tuple[str, ...]) -> BoolArray:
@@ -249,9 +252,9 @@ def _understood(names: tuple[str, ...]) -> BoolArray:
 def _assign_units(
     likeness: FloatArray, sources: list[_Unit], targets: list[_Unit]
 ) -> list[tuple[int, int, float]]:
-    """Return pairs of shapes and the share that passes, both sides of a motion alike.
+    """Match units; return source and target index and the factor of each pair of shapes.
 
-    Halves drive a whole by half each, a whole drives its halves in full.
+    Two sides drive a shape of both by half each, and are driven by it in full.
     """
     if not (sources and targets):
         return []
@@ -276,7 +279,7 @@ def _assign_units(
 
 
 def match_positions(both: Correspondence, weights: FloatArray) -> FloatArray:
-    """Solve for weights, not negative, whose displacements are nearest to the source's.
+    """Return non-negative target weights whose displacements are nearest to the source's.
 
     Parameters
     ----------
@@ -287,10 +290,10 @@ def match_positions(both: Correspondence, weights: FloatArray) -> FloatArray:
     (frames, target shapes) float array
     """
     matrix = both.target.reshape(len(both.target), -1).T
-    wanted = weights @ both.source.reshape(len(both.source), -1)
+    displacements = weights @ both.source.reshape(len(both.source), -1)
     return solve_bounded_least_squares(
         matrix,
-        wanted,
+        displacements,
         lower=np.zeros(len(both.target)),
         upper=np.full(len(both.target), np.inf),
         ridge=RIDGE_SHARE * float((matrix**2).sum(axis=0).mean()),
@@ -305,7 +308,7 @@ class _Surface:
 
     @property
     def size_mm(self) -> float:
-        """Root mean square distance of the samples from their middle."""
+        """Root mean square distance of the samples from their centre."""
         return float(np.linalg.norm(self.samples.positions.std(axis=0)))
 
 
@@ -313,7 +316,7 @@ def _surface(rig: Rig) -> _Surface:
     deformer = Deformer(rig)
     deltas = deformer.shapes.target_offsets().toarray().reshape(len(rig.shapes), -1, 3)
     activity = np.linalg.norm(deltas, axis=2).max(axis=0)
-    with _no_face(str(rig.file)):
+    with _surface_errors(str(rig.file)):
         facing = facing_direction(deformer.neutral, deformer.triangles, activity)
         samples = sample_outer_surface(
             deformer.neutral, deformer.triangles, facing=facing, activity=activity
@@ -323,8 +326,8 @@ def _surface(rig: Rig) -> _Surface:
 
 
 @contextmanager
-def _no_face(where: str) -> Iterator[None]:
-    """Say of a surface that has no extent, or no part that moves, that it is no face."""
+def _surface_errors(where: str) -> Iterator[None]:
+    """Report a surface without extent, or without moving parts, as bad input."""
     try:
         with np.errstate(divide="raise", invalid="raise"):
             yield

@@ -1,8 +1,8 @@
-"""What the name of a shape means: motions of the face, on one side or both, of one lip or both.
+"""Meaning of shape names: motions of the face, on one or both sides, of one or both lips or lids.
 
 ``EyeBlinkLeft``, ``hero_bs_eyeBlink.L``, ``l_eye_closure`` and ``AU45_blink_left`` mean the same. A
-list of names is read as a whole, since what all of them have in common says nothing. The words are
-tables, `usdface.model.retarget.shape_vocabulary`.
+list of names is read as a whole, to ignore the affixes that all names share. The vocabulary is in
+`usdface.model.retarget.shape_vocabulary`.
 """
 
 import functools
@@ -28,33 +28,33 @@ from usdface.model.retarget.shape_vocabulary import (
 )
 
 Cell = tuple[str, str, str]
-"""A motion on one side, L or R, of one lip or lid, U or D."""
+"""A motion, its side (L or R) and its row, the upper or lower lip or lid (U or D)."""
 
 Phrase = frozenset[str] | tuple[str, ...]
 
 UNKNOWN_RANK = 9.0
-"""Of a name that no vocabulary has: it means what its own words say."""
+"""Rank of a name in no vocabulary, whose motion is its words."""
 
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
 _GAZES = {"raise": "up", "down": "down", "in": "in", "inner": "in", "out": "out", "outer": "out"}
 _SHORTEST_GLUED = 5
-"""Letters of a word from which on it may be several without capitals between them."""
+"""Minimum number of letters of a word that is split into several, as in ``eyelookup``."""
 
 _SHARED_BY = 3
-"""Names that must share what they begin with before it counts as no part of them."""
+"""Minimum number of names that share a prefix."""
 
 _MOST_AFFIX_WORDS = 10
 _MOST_READ_NAMES = 80
-"""Names of a list on which its prefix and suffix are told."""
+"""Maximum number of names from which prefix and suffix are found."""
 
 
 @dataclass(frozen=True)
 class Meaning:
-    """What a name says."""
+    """Meaning of a name."""
 
     cells: frozenset[Cell]
     rank: float
-    """Of two names that mean the same, the lower one counts."""
+    """Of two names with the same meaning, the one of lower rank is used."""
     motion: str
     """The motion without its side; ``browinnerup+browouterup`` for a shape of two."""
     side: str
@@ -62,12 +62,12 @@ class Meaning:
 
     @property
     def understood(self) -> bool:
-        """Whether a vocabulary has it."""
+        """Whether the name is in a vocabulary."""
         return self.rank < UNKNOWN_RANK
 
 
 def read_meanings(names: Sequence[str]) -> dict[str, Meaning]:
-    """Return what each name of a rig, a take or a table means."""
+    """Return the meanings of the names of a rig, a take or a table."""
     words = {name: _words(name) for name in names}
     corners = _corner_codes(words.values())
     head, tail = _constant_affixes(list(words.values()), corners)
@@ -92,24 +92,24 @@ def read_meanings(names: Sequence[str]) -> dict[str, Meaning]:
 
 
 def motion_and_side(name: str) -> tuple[str, str]:
-    """Return what a shape does, in ARKit's words without capitals, and its side: L, R or none."""
+    """Return motion, in ARKit's words without capitals, and side (L, R or empty) of a shape."""
     meaning = read_meanings([name])[name]
     return meaning.motion, meaning.side
 
 
 def has_metahuman_controls(names: Sequence[str]) -> bool:
-    """Tell MetaHuman's raw controls, whatever stands before their names."""
+    """Whether these are MetaHuman's raw controls, with any prefix."""
     return _marks_among(names, METAHUMAN_MARKS) >= 2
 
 
 def _marks_among(names: Sequence[str], marks: frozenset[frozenset[str]]) -> int:
-    """Return how many phrases of one vocabulary a list of names has."""
+    """Return how many phrases of a vocabulary occur in a list of names."""
     every = [frozenset(WORDS.get(each, each) for each in _words(name)) for name in names]
     return sum(any(mark <= words for words in every) for mark in marks)
 
 
 def mirrored(cells: frozenset[Cell]) -> frozenset[Cell]:
-    """Return the same motion of the other side of the face."""
+    """Return the same motion on the other side of the face."""
     return frozenset((_other_way(motion), "LR"[side == "L"], row) for motion, side, row in cells)
 
 
@@ -130,7 +130,7 @@ def _words(name: str) -> list[str]:
 
 @functools.cache
 def _phrases() -> dict[Phrase, tuple[str, float]]:
-    """Return motion and rank by phrase: a set of words, or a tuple of those as they are written."""
+    """Return motion and rank by phrase: a set of words, or a tuple of words in order."""
     found: dict[Phrase, tuple[str, float]] = {}
     for vocabulary in VOCABULARIES:
         for line in vocabulary.phrases.strip().splitlines():
@@ -150,14 +150,14 @@ def _phrases() -> dict[Phrase, tuple[str, float]]:
 
 @functools.cache
 def _lexicon() -> frozenset[str]:
-    """Return every word that a name may be made of."""
+    """Return all words of names."""
     words = {word for key in _phrases() for word in key} | set(WORDS.values())
     return frozenset(words | WORDS.keys() | ROWS.keys() | SIDE_WORDS.keys()) - {"a"}
 
 
 @functools.lru_cache(maxsize=4096)
 def _unglued(word: str) -> tuple[str, ...]:
-    """Return the words that one is made of, if it is made of known ones alone."""
+    """Split a word into known words, or return it unchanged."""
     if len(word) < _SHORTEST_GLUED or word in _lexicon() or word in FILLERS or word.isdigit():
         return (word,)
     best: list[tuple[str, ...] | None] = [(), *([None] * len(word))]
@@ -169,7 +169,7 @@ def _unglued(word: str) -> tuple[str, ...]:
             if piece == "upr" and end == len(word):
                 continue  # `eyelookupr`: up, on the right
             if len(piece) < 2 and (end < len(word) - 1 or not before):
-                continue  # letters alone stand for sides and rows, at the end
+                continue  # single letters are sides and rows, at the end only
             current = best[end]
             if current is None or len(before) + 1 < len(current):
                 best[end] = (*before, piece)
@@ -177,9 +177,9 @@ def _unglued(word: str) -> tuple[str, ...]:
 
 
 def _corner_codes(lists: Iterable[Sequence[str]]) -> dict[str, tuple[str, str]]:
-    """Return side and row by what names of quarters of the lips end in: UL, DR; LB, RT.
+    """Return side and row by the codes of quarters of the lips: UL, DR; LB, RT.
 
-    RT and LT are sides as well: they are corners where LB or RB stand beside them.
+    RT and LT are also sides: they are quarters if the list has LB or RB as well.
     """
     codes = {row + side: (side.upper(), row.upper()) for row, side in product("ud", "lr")}
     if any(word in ("lb", "rb") for words in lists for word in words):
@@ -190,10 +190,10 @@ def _corner_codes(lists: Iterable[Sequence[str]]) -> dict[str, tuple[str, str]]:
 def _constant_affixes(
     lists: list[list[str]], corners: dict[str, tuple[str, str]]
 ) -> tuple[int, int]:
-    """Return how many words at the start and the end of all names are no part of them.
+    """Return the numbers of words in the common prefix and suffix to be ignored.
 
-    That is told by how many names are understood without them; a word that could be one of a
-    phrase stays where nothing is gained.
+    Chosen are those with which most names are understood; of equal choices, the one that removes
+    fewest words of the vocabulary.
     """
     if len(lists) < _SHARED_BY:
         return 0, 0
@@ -210,9 +210,9 @@ def _constant_affixes(
         understood = sum(
             _read(each[first : len(each) - last], corners).understood for each in sample
         )
-        gone = [*lists[0][:first], *lists[0][len(lists[0]) - last :]]
-        known = sum(each in _lexicon() for each in gone)
-        score = (understood, -known, len(gone) - known)
+        removed = [*lists[0][:first], *lists[0][len(lists[0]) - last :]]
+        known = sum(each in _lexicon() for each in removed)
+        score = (understood, -known, len(removed) - known)
         if score > best:
             best, chosen = score, (first, last)
     return chosen
@@ -226,7 +226,7 @@ def _common(lists: list[list[str]], most: int) -> int:
 
 
 def _unknown_start(words: Sequence[str]) -> tuple[str, ...]:
-    """Return the words of no vocabulary that a name begins with, numbers apart."""
+    """Return the unknown words at the start of a name, with ``#`` for numbers."""
     count = 0
     while count < len(words) and words[count] not in _lexicon():
         count += 1
@@ -270,7 +270,7 @@ def _action_unit(words: Sequence[str]) -> tuple[str, float] | None:
 
 
 def _read_gaze(words: list[str]) -> Meaning | None:
-    """Read where an eye looks: what stands after `look` is the direction, what is left the eye."""
+    """Read a look: the word after `look` is the direction, the remaining one the eye."""
     plain = [WORDS.get(each, each) for each in words]
     if "look" not in plain:
         return None
@@ -293,7 +293,7 @@ def _gaze(way: str, side: str, rank: float) -> Meaning:
     cells: frozenset[Cell] = frozenset()
     for each in side or "LR":
         turn = way
-        if way in ("left", "right"):  # ARKit says of each eye whether it looks to the nose
+        if way in ("left", "right"):  # ARKit's directions are relative to the nose
             turn = "out" if way[0].upper() == each else "in"
         cells |= _meaning(f"eyelook{turn}", each, "", rank).cells
     name = "+".join(sorted({cell[0] for cell in cells}))
@@ -314,7 +314,7 @@ def _read_phrase(words: list[str], corners: dict[str, tuple[str, str]]) -> Meani
 
 
 def _sided(words: list[str], side: str, row: str) -> Meaning | None:
-    """Look a phrase up as it is, then without one of its words for a side, the last one first."""
+    """Look a phrase up as it is, then without one of its side words, the last one first."""
     places = [index for index in range(len(words) - 1, -1, -1) if words[index] in SIDE_WORDS]
     choices = [(words, side)]
     if not side:
@@ -340,7 +340,7 @@ def _look_up(words: list[str]) -> tuple[str, float] | None:
 
 
 def _plain(word: str) -> str:
-    """Return a word as phrases write it; a side that is left in a phrase is its direction."""
+    """Return a word as written in phrases; a side word in a phrase is a direction."""
     return WORDS.get(word) or {"L": "left", "R": "right", "": word}[SIDE_WORDS.get(word, "")]
 
 

@@ -1,9 +1,9 @@
-"""What facial rigs and tools call the same motions: tables, each with its source.
+"""Names of the same motions in facial rigs and tools: tables with their sources.
 
-A line is ``motion: phrase | phrase``. Phrases are words in any order, as `WORDS` writes them, or
-with ``=`` before them as they stand; a word in brackets may be missing. Motions are ARKit's,
-without capitals; ``motion/upper`` is one row of the lips, and two motions joined by ``+`` are done
-by one shape together. Sides are no part of a phrase, but for motions to a side (`jaw left`).
+A line is ``motion: phrase | phrase``. Phrases are words in any order, normalised by `WORDS`, or
+literal words in order after ``=``; a word in brackets is optional. Motions are ARKit's, without
+capitals; ``motion/upper`` is one row of the lips, and ``+`` joins motions of one shape. Phrases
+contain no sides, except for motions to a side (`jaw left`).
 """
 
 from dataclasses import dataclass
@@ -15,10 +15,10 @@ class Vocabulary:
 
     name: str
     source: str
-    """Where the names are published."""
+    """Publication of the names."""
     phrases: str
     rank: int = 1
-    """Where two shapes of a rig mean the same, the lower rank counts."""
+    """Of two shapes with the same meaning, the one of lower rank is used."""
 
 
 ARKIT = """
@@ -32,7 +32,7 @@ mouthUpperUpLeft mouthUpperUpRight browDownLeft browDownRight browInnerUp browOu
 browOuterUpRight cheekPuff cheekSquintLeft cheekSquintRight noseSneerLeft noseSneerRight tongueOut
 """.split()
 """Apple, `ARFaceAnchor.BlendShapeLocation`. Live Link Face, MediaPipe, Audio2Face, Face Cap and ICT
-use these names, with other sides and capitals."""
+use these names, with other side words and capitals."""
 
 VOCABULARIES = (
     Vocabulary(
@@ -256,10 +256,10 @@ ACTION_UNITS = {
     63: "lookup",
     64: "lookdown",
 }
-"""Action units of Ekman, Friesen and Hager (2002) by the motion that ARKit names."""
+"""ARKit's motion of each action unit of Ekman, Friesen and Hager (2002)."""
 
 WEAKER_UNITS = {27: "jawopen", 33: "cheekpuff", 43: "eyeblink", 46: "eyeblink"}
-"""Units of the same motion as another one, which counts where a rig has both."""
+"""Units of the same motion as one in `ACTION_UNITS`, which has precedence."""
 
 SIDE_WORDS = {
     **dict.fromkeys(("l", "left", "lf", "lft", "lt"), "L"),
@@ -277,13 +277,13 @@ ROWED = (
     *("mouthfunnel", "mouthpucker", "mouthroll", "mouthshrug", "mouthpress", "mouthclose"),
     *("mouthleft", "mouthright", "mouthlipspress", "mouthlipstowards"),
 )
-"""Motions of which rigs make one shape for each lip."""
+"""Motions with a shape for each lip in some rigs."""
 
 FILLERS = frozenset(
     "bs blend blendshape blendshapes shape shapes morph morphs target face facial facs fac action "
     "unit au fcl ctrl ball expression expressions weight weights skin".split()
 )
-"""Words that say nothing about the motion."""
+"""Words without meaning for the motion."""
 
 WORDS = {
     **dict.fromkeys(("eyes", "eyeball", "eyeballs"), "eye"),
@@ -320,7 +320,7 @@ WORDS = {
     **dict.fromkeys(("puffed", "puffer"), "puff"),
     **dict.fromkeys(("looks", "gaze"), "look"),
 }
-"""Words as phrases write them."""
+"""Normal forms of words."""
 
 METAHUMAN_MARKS = frozenset(
     {
@@ -331,13 +331,13 @@ METAHUMAN_MARKS = frozenset(
         frozenset({"mouth", "lower", "roll", "in"}),
     }
 )
-"""Phrases of MetaHuman's raw controls; two of them tell that a rig has these."""
+"""Phrases of MetaHuman's raw controls; two of them identify such a rig."""
 
 FACEGOOD_MARKS = frozenset({frozenset({"mouth", "chew"}), frozenset({"eye", "close", "tight"})})
-"""Phrases of FACEGOOD's rig; both tell that a rig has its shapes."""
+"""Phrases of FACEGOOD's rig; both together identify it."""
 
 FACEGOOD_SECOND = ("eyeblink", "eyelookdown")
-"""Motions of which it has two shapes by number. The second is ARKit's, as its makers' table says:
+"""Motions of which FACEGOOD has two numbered shapes. The second is ARKit's, by its makers' table:
 https://github.com/FACEGOOD/FACEGOOD-Audio2Face, `Voice2Face_blendshape2ARkit.xlsx`."""
 
 METAHUMAN_POSES = (
@@ -352,6 +352,6 @@ METAHUMAN_POSES = (
     ("tongueout", "tonguewide", 0.628),
     ("tongueout", "tonguerolldown", 0.247),
 )
-"""What Epic's pose asset adds to the control of the same motion, at 1 by itself: ARKit's motion,
-the control's, its weight. Left out: values of a few hundredths on one side only, and the default of
-1 that the asset gives `noseWrinkleUpper`."""
+"""Further controls of Epic's poses, in addition to the control of the same motion at 1: ARKit's
+motion, the control's motion, its weight. Omitted: values of a few hundredths on one side only, and
+the default of 1 for `noseWrinkleUpper`."""

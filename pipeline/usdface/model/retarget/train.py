@@ -1,8 +1,7 @@
-"""Train and apply a retargeting: from source weights to any control vector, and back.
+"""Training and application of a retargeting: from source weights to target controls, and back.
 
-What S11 (Song et al. 2011) leaves to the eye, `auto` measures: it sends expressions to the target
-and back (section 6.3) and keeps the regression with the least round-trip error. That needs the
-pairs, and source expressions as the performance has them.
+`auto` chooses the regression with the smallest round-trip error, source to target to source (S11,
+Song et al. 2011, section 6.3), on mixtures of the pairs or on a performance.
 """
 
 from dataclasses import dataclass
@@ -31,29 +30,29 @@ from usdface.model.retarget.control_space import (
 )
 
 PROBE_COUNT = 384
-"""Expressions for the round trip by which methods are compared."""
+"""Number of mixtures of pairs on which round-trip errors are measured."""
 
 _MOST_FRAMES = 768
-"""Frames of a performance that are compared on instead, where one is given."""
+"""Maximum number of frames of a performance on which they are measured instead."""
 
 _RANGE_MARGIN = 0.5
-"""How far beyond the pairs a joint or an attribute may go, as a share of its span in them."""
+"""Range of a joint or attribute beyond that of the pairs, as a share of its span in them."""
 
 EQUAL_PAIR_ERROR = 1e-9
-"""Errors at the pairs that differ by less do not."""
+"""Differences of errors at the pairs below this are rounding."""
 
 EQUAL_ROUND_TRIP_MM = 1e-3
-"""Round-trip errors that differ by less are the same to any eye; then the pairs decide."""
+"""Invisible difference of round-trip errors; below it, the error at the pairs decides."""
 
 _EARLIER_NAMES = {"width": "source_width", "offset": "intercept"}
-"""Of arrays of kernel CCA in retargetings of earlier versions."""
+"""Current names of kernel CCA's arrays, by their names in earlier versions."""
 
 _LEAST_SPAN = 1e-9
 
 
 @dataclass(frozen=True)
 class Examples:
-    """Pairs as numbers: inputs and outputs of both directions."""
+    """Pairs as arrays, for regression in both directions."""
 
     space: ControlSpace
     source: FloatArray
@@ -66,11 +65,10 @@ class Examples:
     target_ranges: FloatArray
     """`source_ranges`, `target_ranges`: (ns, 2) and (k, 2)"""
     spans: FloatArray
-    """(k,): of each target coordinate over the pairs; 1 where it does not move."""
+    """(k,): range of each target coordinate over the pairs; 1 if it is constant."""
     units: FloatArray
-    """(k,): what methods count each target coordinate in: weights as they are, joints and
-    attributes in their spans. Kernels over the target add coordinates up, and degrees or
-    centimetres would drown the weights there."""
+    """(k,): unit of each target coordinate: 1 for weights, the span for joints and attributes, so
+    that distances over the target do not depend on degrees or centimetres."""
 
 
 @dataclass(frozen=True)
@@ -93,22 +91,22 @@ def train_retargeting(
     published: bool = False,
     progress: Progress = silent,
 ) -> Retargeting:
-    """Learn from expression pairs.
+    """Train a retargeting on expression pairs.
 
     Parameters
     ----------
     method : str
         A key of `RETARGET_METHODS`, or ``auto``.
     shape_ranges : (target shapes, 2) float array, optional
-        Limits of the target's weights; 0 to 1, widened to what the pairs use, by default.
+        Limits of the target's weights; by default 0 to 1, extended to the values in the pairs.
     surface : (source shapes, points, 3) float array, optional
-        What each source shape at 1 does to points spread over the source's surface [mm].
+        Displacements of points of the source's surface by each shape at weight 1 [mm].
     performance : (frames, source shapes) float array, optional
-        What will be retargeted: methods are then compared on it as well.
+        Frames on which methods are compared, instead of mixtures of the pairs.
     alpha : float, optional
         Fixed share of the multiquadric in the hybrid [0-1].
     published : bool, optional
-        Whether kernel CCA is as published, its lines plain least squares over few components.
+        Whether kernel CCA uses ordinary least squares over few components.
     """
     check_pairs(pairs, "these pairs")
     examples = make_examples(pairs, shape_ranges=shape_ranges)
@@ -119,7 +117,7 @@ def train_retargeting(
         fitted = _fit(each, settings, examples)
         tried.append((_score(fitted, examples, probes, surface), fitted))
         progress(number / len(candidates), f"tried {each}")
-    moved = np.abs(pairs.source).max(axis=0) > LEAST_WEIGHT
+    used = np.abs(pairs.source).max(axis=0) > LEAST_WEIGHT
     tried = _best_first(tried)
     best = tried[0][1]
     return Retargeting(
@@ -135,7 +133,7 @@ def train_retargeting(
         | {
             "source_rest": examples.source_rest,
             "target_units": examples.units,
-            "unused": (~moved).astype(np.float64),
+            "unused": (~used).astype(np.float64),
         },
         settings=best.settings,
         scores=tuple(score for score, _ in tried),
@@ -147,14 +145,14 @@ def train_retargeting(
 def retarget(
     trained: Retargeting, source: FloatArray, *, alpha: FloatArray | None = None
 ) -> Controls:
-    """Turn source weights into the target's controls.
+    """Return the target's controls for source weights.
 
     Parameters
     ----------
     source : (frames, source shapes) float array
         In the order of ``trained.source_shapes``.
     alpha : (frames,) float array, optional
-        Share of the multiquadric at each frame [0-1]; only a hybrid has one.
+        Share of the multiquadric at each frame [0-1]; for a hybrid only.
     """
     if alpha is not None and trained.method != "hybrid":
         raise InputError(
@@ -169,7 +167,7 @@ def retarget(
             moved = method.predict(arrays, trained.settings, inputs)
         else:
             moved = predict_blended(arrays, trained.settings, inputs, alpha)
-        if "target_units" in arrays:  # before there were any, all were 1
+        if "target_units" in arrays:  # absent in earlier versions
             moved = moved * arrays["target_units"]
         moved += trained.rest
         np.clip(moved, trained.ranges[:, 0], trained.ranges[:, 1], out=moved)
@@ -182,7 +180,7 @@ def retarget(
 
 
 def describe_retargeting_figures(trained: Retargeting) -> dict[str, object]:
-    """Return what a retargeting is, as plain data."""
+    """Return a retargeting's properties for JSON."""
     return {
         "method": trained.method,
         "source_shapes": len(trained.source_shapes),
@@ -196,7 +194,7 @@ def describe_retargeting_figures(trained: Retargeting) -> dict[str, object]:
 
 
 def retargeting_table(trained: Retargeting) -> tuple[str, ...]:
-    """Return the best candidate of each method, for people."""
+    """Return a line on the best candidate of each method."""
     seen: dict[str, str] = {}
     for score in trained.scores:
         settings = f" ({score.settings})" if score.settings else ""
@@ -209,12 +207,12 @@ def retargeting_table(trained: Retargeting) -> tuple[str, ...]:
 
 
 def space_of(trained: Retargeting) -> ControlSpace:
-    """Return the space in which a retargeting's rotations are vectors."""
+    """Return the coordinates of a retargeting's controls."""
     return ControlSpace(trained.shapes, trained.joints, trained.attributes, trained.mean_rotations)
 
 
 def make_examples(pairs: ExpressionPairs, *, shape_ranges: FloatArray | None = None) -> Examples:
-    """Turn pairs into numbers about the expression nearest to the source's rest."""
+    """Return pairs as differences from the pair nearest to the source's rest."""
     space = control_space(pairs.target)
     coordinates = space.encode(pairs.target)
     rest = int(np.linalg.norm(pairs.source, axis=1).argmin())
@@ -246,10 +244,9 @@ def make_examples(pairs: ExpressionPairs, *, shape_ranges: FloatArray | None = N
 
 
 def make_probes(examples: Examples, performance: FloatArray | None) -> FloatArray:
-    """Return source expressions to compare methods on: frames of a performance and mixtures.
+    """Return source expressions for round trips: frames of a performance, else mixtures of pairs.
 
-    A mixture adds one to four pairs at random strengths, as faces in motion do; without them a
-    method could shine on what the performance happens to hold and fail on the next.
+    A mixture is the sum of one to four pairs with random weights of 0.2 to 1.
     """
     if performance is not None and len(performance):
         picks = np.linspace(0, len(performance) - 1, min(len(performance), _MOST_FRAMES))
@@ -272,19 +269,19 @@ def round_trip(
     *,
     alpha: FloatArray | None = None,
 ) -> FloatArray:
-    """Send source weights to the target and back by one method: (frames, source shapes).
+    """Return source weights after a round trip by one method: (frames, source shapes).
 
     Parameters
     ----------
     alpha : (frames,) float array, optional
-        Share of the multiquadric at each frame, both ways; of a hybrid.
+        Share of the multiquadric at each frame, in both directions; for a hybrid only.
     """
     return _cycle(_fit(method, settings, examples), examples, source, alpha)
 
 
 def _candidates(method: str, alpha: float | None, *, published: bool) -> list[tuple[str, Settings]]:
     names = tuple(RETARGET_METHODS) if method == "auto" else (method,)
-    found: list[tuple[str, Settings]] = []
+    candidates: list[tuple[str, Settings]] = []
     for name in names:
         choices = find_retarget_method(name).retarget_candidates
         if name == "hybrid" and alpha is not None:
@@ -292,8 +289,8 @@ def _candidates(method: str, alpha: float | None, *, published: bool) -> list[tu
             choices = tuple({"width": w, "kappa": k, "alpha": alpha} for w, k in sorted(kernels))
         if name in ("kernel_cca", "hybrid") and published:
             choices = tuple(each | lines for each in choices for lines in PUBLISHED_LINES)
-        found += [(name, settings) for settings in choices]
-    return found
+        candidates += [(name, settings) for settings in choices]
+    return candidates
 
 
 def _fit(name: str, settings: Settings, examples: Examples) -> _Fit:
@@ -338,34 +335,34 @@ def _score(
 ) -> RetargetScore:
     error = _cycle(fitted, examples, probes) - probes
     at_pairs = _forward(fitted, examples, examples.source + examples.source_rest)
-    missed = (at_pairs - examples.target_rest - examples.target) / examples.spans
+    residual = (at_pairs - examples.target_rest - examples.target) / examples.spans
     settings = ", ".join(f"{name} {value}" for name, value in fitted.settings.items())
     return RetargetScore(
         method=fitted.name,
         settings=settings,
         cyclic_mm=_mean_distance(error, surface),
-        pair_error=float(np.sqrt((missed**2).mean())),
+        pair_error=float(np.sqrt((residual**2).mean())),
     )
 
 
 def _best_first(
     tried: list[tuple[RetargetScore, _Fit]],
 ) -> list[tuple[RetargetScore, _Fit]]:
-    """Sort by the round-trip error; the first few that are equal, by the error at the pairs.
+    """Sort by round-trip error, and by the error at the pairs among equal first ones.
 
-    Where that is the same but for rounding, which differs between machines, the first sort counts.
+    Errors at the pairs that differ by rounding only, which depends on the machine, count as equal.
     """
     ordered = sorted(tried, key=lambda item: (item[0].cyclic_mm, item[0].pair_error))
     least = ordered[0][0].cyclic_mm
-    same = [item for item in ordered if item[0].cyclic_mm <= least + EQUAL_ROUND_TRIP_MM]
-    exact = min(item[0].pair_error for item in same) + EQUAL_PAIR_ERROR
-    first = [item for item in same if item[0].pair_error <= exact]
-    others = [item for item in same if item[0].pair_error > exact]
-    return first + sorted(others, key=lambda item: item[0].pair_error) + ordered[len(same) :]
+    equal = [item for item in ordered if item[0].cyclic_mm <= least + EQUAL_ROUND_TRIP_MM]
+    limit = min(item[0].pair_error for item in equal) + EQUAL_PAIR_ERROR
+    first = [item for item in equal if item[0].pair_error <= limit]
+    others = [item for item in equal if item[0].pair_error > limit]
+    return first + sorted(others, key=lambda item: item[0].pair_error) + ordered[len(equal) :]
 
 
 def _mean_distance(error: FloatArray, surface: FloatArray | None) -> float:
-    """Return how far errors of weights move the surface in the mean; without one, their size."""
+    """Return the mean displacement by errors of weights; without a surface, their mean RMS."""
     if surface is None:
         return float(np.sqrt((error**2).mean(axis=1)).mean())
     moved = (error @ surface.reshape(len(surface), -1)).reshape(len(error), -1, 3)

@@ -1,1 +1,1 @@
-"""What a person should look at in a solve: the verdict on it, and the moments to review first."""
+"""Review of a solve: its verdict, and the moments to review first."""

@@ -1,15 +1,14 @@
-"""What to review first: the moments of a take whose error is, or is likely to be, the largest.
+"""Moments to review first: the frames of a take with the largest error, known or expected.
 
-Where keys are known, frames are ranked by the error against them. Elsewhere by what may be off, as
-a distance that somebody would see [mm]::
+With keys, frames are ranked by the error against them. Otherwise the score is an expected error,
+root mean square over the surface [mm]::
 
-    score^2 = (uncertainty / coverage)^2 + jump^2 + (gap / 2)^2 lips
+    score^2 = (uncertainty / coverage)^2 + jump^2 + lips (gap / 2)^2
 
-Coverage is the share of the motion that references determine: the error that is expected of that
-share grows in proportion with the rest. A jump is how far the surface leaves the line between the
-frames before and after; a gap, how far lips are open where the performer's are closed: each lip is
-off by half, and ``lips`` is the share of the rig's points that they are, as all distances are root
-mean squares over the surface.
+coverage: share of the motion that the references span; uncertainty refers to that share.
+jump: distance of the surface from the mean of the frames before and after.
+gap: opening of lips that are closed in the capture; each lip is off by half of it.
+lips: share of the rig's points that are on the lips.
 """
 
 from dataclasses import dataclass
@@ -20,45 +19,44 @@ from usdface.core.arrays import FloatArray
 from usdface.model.review.verdict import SolveEvidence
 
 MOMENT_SECONDS = 0.25
-"""Frames nearer than this are one moment: a blink, or a plosive, takes about as long."""
+"""Minimum distance of two moments: about the duration of a blink or a plosive."""
 
 LEAST_JUMP_MM = 0.05
-"""Nobody sees less; where jumps are all that is known, only the largest is listed below it."""
+"""Smallest visible jump; without uncertainty, only the largest jump below it is listed."""
 
 _LEAST_COVERAGE = 0.1
-"""The quotient is limited: below, references say nothing at all."""
+"""Lower limit of coverage in the score."""
 
 
 @dataclass(frozen=True)
 class Moment:
-    """A moment to look at."""
+    """A moment to review."""
 
     row: int
-    """Of the frame where it is worst."""
+    """Row of the frame with the largest score."""
     score_mm: float
-    """What it is ranked by."""
     region: str
-    """Part of the face; empty where it is not known."""
+    """Region of the face with the largest error; empty if unknown."""
     reason: str
 
 
 @dataclass(frozen=True)
 class ReviewSignals:
-    """What frames are ranked by."""
+    """Quantities from which the score is computed."""
 
     evidence: SolveEvidence
     jump_mm: FloatArray
     """(frames, regions): see `surface_jumps`."""
     gap_mm: FloatArray | None = None
-    """(frames,): of lips that should be closed; 0 where they need not be."""
+    """(frames,): opening of lips that should be closed, else 0."""
     lip_share: float = 1.0
-    """Of the rig's points, those of the lips."""
+    """Share of the rig's points that are on the lips."""
     jump_regions: tuple[str, ...] = ()
-    """Of the jumps, where others than the evidence's: weights tell them without a mapping too."""
+    """Regions of the jumps, if they differ from those of the evidence."""
 
     @property
     def score_mm(self) -> FloatArray:
-        """What frames are ranked by: (frames,) [mm]; NaN without keys, where keys are known."""
+        """Return the score of each frame: (frames,) [mm]; with keys, NaN for frames without."""
         if self.evidence.error_mm is not None:
             return self.evidence.error_mm[:, 0]
         squared = self.expected_mm[:, 0] ** 2 + self.jump_mm[:, 0] ** 2
@@ -68,7 +66,7 @@ class ReviewSignals:
 
     @property
     def expected_mm(self) -> FloatArray:
-        """Expected error, coverage taken into account: (frames, regions) [mm]."""
+        """Return uncertainty / coverage: (frames, regions) [mm]."""
         evidence = self.evidence
         if evidence.uncertainty_mm is None:
             return np.zeros_like(self.jump_mm)
@@ -77,7 +75,7 @@ class ReviewSignals:
         return evidence.uncertainty_mm / np.maximum(evidence.coverage, _LEAST_COVERAGE)
 
     def moment(self, row: int) -> Moment:
-        """Return what is to be seen at a row: its region, and why."""
+        """Return the moment at a row, with its region and reason."""
         evidence, score = self.evidence, float(self.score_mm[row])
         if evidence.error_mm is not None:
             region = _largest_region(evidence.regions, evidence.error_mm[row])
@@ -108,7 +106,7 @@ def _expected(evidence: SolveEvidence, row: int, region: str) -> str:
 
 
 def _largest_region(regions: tuple[str, ...], values: FloatArray) -> str:
-    """Return the part of the face with the largest value; empty where only the whole is known."""
+    """Return the region with the largest value; empty if there is only the whole face."""
     if len(values) < 2 or len(regions) < 2:
         return ""
     return regions[1 + int(np.nan_to_num(values[1:]).argmax())]
@@ -120,26 +118,26 @@ def review_moments(signals: ReviewSignals, count: int, *, rate: float) -> list[M
     Parameters
     ----------
     count : int
-        Most moments.
+        Maximum number of moments.
     rate : float
-        Frames per second: no two moments are nearer than `MOMENT_SECONDS`.
+        Frames per second; two moments are at least `MOMENT_SECONDS` apart.
     """
     score = np.nan_to_num(signals.score_mm, nan=-1.0)
-    near = max(round(MOMENT_SECONDS * rate), 1)
-    free = score >= 0
+    distance = max(round(MOMENT_SECONDS * rate), 1)
+    available = score >= 0
     evidence, rows = signals.evidence, list[int]()
     jumps_alone = evidence.error_mm is None and evidence.uncertainty_mm is None
     for row in np.argsort(-score, kind="stable").tolist():
         if len(rows) >= count or (rows and jumps_alone and score[row] < LEAST_JUMP_MM):
             break
-        if free[row]:
+        if available[row]:
             rows.append(row)
-            free[max(row - near + 1, 0) : row + near] = False
+            available[max(row - distance + 1, 0) : row + distance] = False
     return [signals.moment(row) for row in rows]
 
 
 def surface_jumps(weights: FloatArray, grams: FloatArray) -> FloatArray:
-    """Return how far the surface leaves the line between the frames around each.
+    """Return the distance of the surface from the mean of the frames before and after.
 
     Parameters
     ----------
@@ -158,12 +156,12 @@ def surface_jumps(weights: FloatArray, grams: FloatArray) -> FloatArray:
 
 
 def region_distances(off: FloatArray, grams: FloatArray) -> FloatArray:
-    """Return what differences of weights do to each region: (frames, regions) [mm].
+    """Return the displacement of each region by differences of weights: (frames, regions) [mm].
 
     Parameters
     ----------
     off : (frames, shapes) float array
-        NaN where it is not known.
+        Differences of weights; NaN if unknown.
     grams : (regions, shapes, shapes) float array
         [mm^2]
     """

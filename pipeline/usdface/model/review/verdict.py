@@ -1,20 +1,19 @@
-"""The verdict on a solve: can it be used, on what evidence, where not, and what to do.
+"""The verdict on a solve: whether it can be used, the evidence, and what to do.
 
-Every frame is graded in each region of the face by three figures: coverage by the references,
-uncertainty, and residual (markers the weights do not follow, beyond what they leave at the
-references); where keys are known, by the error against them instead::
+Every frame is graded in each region by coverage, uncertainty and residual (distance of the markers
+from the solve, less that at the references); with keys, by the error against them instead::
 
     bad     coverage below 1/2, or a figure in millimetres above SEEN_MM
     check   coverage below 3/4, or a figure in millimetres above half of SEEN_MM
     good    otherwise
 
-A retargeting has no such figures: it is bad where more than `_BAD_SHARE` of the source's motion
-drives nothing, or if the performance that it came from is bad.
+A take is bad if more than `_BAD_SHARE` of its frames are bad in some region, or if more than
+`_CHANCE_SHARE` exceed `TORN_MM`. It is good if at most `_CHANCE_SHARE` need a check, most of the
+references are tuned, and the rig has not changed. Coverage is used in addition to uncertainty,
+which is calibrated on the references and does not contain errors that no reference shows.
 
-A take is bad if most frames are bad somewhere in the face, or more than `_CHANCE_SHARE` of them by
-more than `TORN_MM`; good if at most that share need a check anywhere and its references are tuned.
-Coverage and uncertainty stand beside each other because neither knows all: a solve far from its
-references errs in ways that no reference showed.
+A retargeting has no such figures. It is bad if more than `_BAD_SHARE` of the source's motion drives
+nothing, or if its source is bad.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,26 +27,26 @@ from usdface.core.text import first_few
 from usdface.model.mapping.coverage import UNCOVERED_SHARE
 
 SEEN_MM = 1.0
-"""Error of a part of the face that anybody sees: where a face of 220 mm fills 1080 lines it is five
-pixels, each of them a minute of arc at the distance HDTV is made for (ITU-R BT.1845)."""
+"""Clearly visible error of a region: five pixels if a face of 220 mm fills 1080 lines. A pixel is
+one minute of arc at HDTV's design viewing distance (ITU-R BT.1845)."""
 
 TORN_MM = 3.0
-"""Error of a part of the face that makes another expression of it: of a smile that moves the
-corners of the mouth by 8 mm, more than a third."""
+"""Error of a region that changes the expression: more than a third of a smile, which moves the
+corners of the mouth by 8 mm."""
 
-_GUESSED_SHARE = 0.5
-"""Of a region's motion: with more left to guess, references tell less than half of it."""
+_UNCOVERED_BAD_SHARE = 0.5
+"""Uncovered share of a region's motion above which a frame is bad: coverage below 1/2."""
 
 _CHANCE_SHARE = 0.05
-"""Of the frames: two standard deviations are exceeded as often by chance."""
+"""Share of the frames that exceed two standard deviations by chance."""
 
 _BAD_SHARE = 0.5
-"""Of the frames: with more, a take is more work to mend than to map again."""
+"""Share of bad frames above which mapping again is less work than edits."""
 
 _PAIR_ADVICE = "pair these shapes (`usdface names`, --names), then retarget again"
 
 OPENINGS = {"good": "Good", "check": "Check", "bad": "Do not use"}
-"""The best level first."""
+"""First words of the verdict by level, the best level first."""
 
 
 @dataclass(frozen=True)
@@ -57,15 +56,15 @@ class SolveVerdict:
     level: str
     """``'good'``, ``'check'`` or ``'bad'``."""
     sentence: str
-    """The verdict and its evidence."""
+    """Opening and evidence."""
     advice: str = ""
-    """What to do; empty where nothing is."""
+    """What to do; empty if there is nothing to do."""
     figures: dict[str, object] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class SolveEvidence:
-    """What is known of a solve, frame by frame; each (frames, regions), the whole face first."""
+    """Figures of a solve, each (frames, regions) with the whole face first; None if unknown."""
 
     regions: tuple[str, ...]
     uncertainty_mm: FloatArray | None = None
@@ -73,21 +72,20 @@ class SolveEvidence:
     """[0-1]"""
     residual_mm: FloatArray | None = None
     error_mm: FloatArray | None = None
-    """Against keys; NaN where there are none [mm]."""
+    """Against keys; NaN for frames without [mm]."""
     basis: SolveBasis | None = None
     by_markers: bool = True
-    """False for weights that came as weights, such as a phone's."""
+    """False for captured weights, such as a phone's."""
     retarget: str = ""
-    """Of weights that came from other weights: by what."""
+    """Description of the retargeting; empty for other performances."""
     unfollowed_share: float = 0.0
-    """Of the motion of a retargeting's source, what drives nothing [0-1]."""
+    """Share of the motion of a retargeting's source that drives nothing [0-1]."""
     bad_source: str = ""
-    """Name of a retargeting's source whose own verdict is bad; else empty."""
+    """Name of a retargeting's source with a bad verdict; else empty."""
     has_video: bool = False
-    """Whether there is a video to compare with."""
 
     def exceeds(self, seen_mm: float, uncovered: float) -> dict[str, BoolArray]:
-        """Return where each figure is beyond its limit, (frames, regions), by what it exceeds."""
+        """Return where each figure exceeds its limit, (frames, regions), by the limit's name."""
         if self.error_mm is not None:
             return {f"error over {seen_mm:g} mm": np.nan_to_num(self.error_mm) > seen_mm}
         lengths = {"expected error": self.uncertainty_mm, "residual": self.residual_mm}
@@ -99,29 +97,31 @@ class SolveEvidence:
         if self.coverage is not None:
             found[f"coverage below {1 - uncovered:.0%}"] = self.coverage < 1 - uncovered
         width = min((each.shape[1] for each in found.values()), default=0)
-        return {name: each[:, :width] for name, each in found.items()}  # earlier versions: the face
+        return {
+            name: each[:, :width] for name, each in found.items()
+        }  # earlier versions have the face only
 
 
 def judge_solve(evidence: SolveEvidence) -> SolveVerdict:
-    """Judge a solve: what every picture, page and message says of it."""
+    """Return the verdict that sheets, reports, movies and messages show."""
     doubtful = evidence.exceeds(SEEN_MM / 2, UNCOVERED_SHARE)
-    bad = evidence.exceeds(SEEN_MM, _GUESSED_SHARE)
+    bad = evidence.exceeds(SEEN_MM, _UNCOVERED_BAD_SHARE)
     if not bad:
         return _judge_without_figures(evidence)
-    proposals = _learnt_from_proposals(evidence)
+    proposals = _mostly_proposals(evidence)
     level, beyond = "bad", bad
     if _frame_share(bad) <= _BAD_SHARE:
         torn = evidence.exceeds(TORN_MM, 1.0)
         if _frame_share(torn) > _CHANCE_SHARE:
             beyond = torn
         else:
-            checked = _frame_share(doubtful) > _CHANCE_SHARE or proposals or _changed(evidence)
+            checked = _frame_share(doubtful) > _CHANCE_SHARE or proposals or _name_changed(evidence)
             level, beyond = "check" if checked else "good", doubtful
     shares = _by_any(beyond).mean(axis=0)
     where = _worst_regions(evidence.regions, shares)
     lost = evidence.retarget if evidence.unfollowed_share > _CHANCE_SHARE else ""
-    parts = [lost, _coverage(evidence), _tuned(evidence), _changed(evidence), _unseen(evidence)]
-    parts += [_error(evidence), _residual(evidence)]
+    parts = [lost, _coverage(evidence), _tuned(evidence), _name_changed(evidence)]
+    parts += [_name_unseen(evidence), _error(evidence), _residual(evidence)]
     if level != "good" and where:
         columns = [evidence.regions.index(region) for region in where]
         parts.append(f"{_list_limits(beyond, columns)}: {_list_regions(where)}")
@@ -142,7 +142,7 @@ def judge_solve(evidence: SolveEvidence) -> SolveVerdict:
 
 
 def _judge_without_figures(evidence: SolveEvidence) -> SolveVerdict:
-    """Judge weights by where they came from."""
+    """Return the verdict on weights without figures, from their origin."""
     if evidence.unfollowed_share > _BAD_SHARE:
         share = round(evidence.unfollowed_share, 4)
         return SolveVerdict(
@@ -175,7 +175,7 @@ def _judge_without_figures(evidence: SolveEvidence) -> SolveVerdict:
 
 
 def worst_verdict(verdicts: Mapping[str, SolveVerdict]) -> SolveVerdict:
-    """Return the worst of several solves' verdicts, which names the solve; of one its own."""
+    """Return the worst of several verdicts, with the name of its solve if there are several."""
     levels = list(OPENINGS)
     name, worst = max(verdicts.items(), key=lambda each: levels.index(each[1].level))
     if len(verdicts) == 1:
@@ -185,30 +185,30 @@ def worst_verdict(verdicts: Mapping[str, SolveVerdict]) -> SolveVerdict:
     return replace(worst, sentence=sentence, figures=worst.figures | {"of": name})
 
 
-def _learnt_from_proposals(evidence: SolveEvidence) -> bool:
+def _mostly_proposals(evidence: SolveEvidence) -> bool:
     """Whether fewer references are tuned than not."""
     basis = evidence.basis
     return evidence.error_mm is None and basis is not None and 2 * basis.tuned < basis.pairs
 
 
-def _shown(evidence: SolveEvidence) -> bool:
-    """Whether the references show most frames, so that only their weights may be wrong."""
-    beyond = replace(evidence, uncertainty_mm=None).exceeds(SEEN_MM, _GUESSED_SHARE)
+def _is_covered(evidence: SolveEvidence) -> bool:
+    """Whether the references cover most frames, so that only their weights may be wrong."""
+    beyond = replace(evidence, uncertainty_mm=None).exceeds(SEEN_MM, _UNCOVERED_BAD_SHARE)
     return bool(beyond) and _frame_share(beyond) <= _BAD_SHARE
 
 
 def _by_any(beyond: Mapping[str, BoolArray]) -> BoolArray:
-    """Return where some figure is beyond its limit: (frames, regions)."""
+    """Return where any figure exceeds its limit: (frames, regions)."""
     return np.asarray(np.any([*beyond.values()], axis=0))
 
 
 def _frame_share(beyond: Mapping[str, BoolArray]) -> float:
-    """Return the share of the frames in which some figure of some region is beyond its limit."""
+    """Return the share of the frames in which any figure of any region exceeds its limit."""
     return float(_by_any(beyond).any(axis=1).mean())
 
 
 def _worst_regions(regions: Sequence[str], shares: FloatArray) -> dict[str, float]:
-    """Return the regions that need it in more frames than chance, the worst first."""
+    """Return the regions that exceed limits in more frames than chance, the worst first."""
     found = {
         region: float(share)
         for region, share in zip(regions[1:], shares[1:], strict=False)
@@ -218,7 +218,7 @@ def _worst_regions(regions: Sequence[str], shares: FloatArray) -> dict[str, floa
 
 
 def _list_limits(beyond: Mapping[str, BoolArray], columns: list[int]) -> str:
-    """Return the limits that frames of some regions are beyond: those that more than chance are."""
+    """Name the limits that some regions exceed in more frames than chance."""
     shares = {name: each[:, columns].mean(axis=0).max() for name, each in beyond.items()}
     most = max(shares.values())
     listed = [name for name, share in shares.items() if share >= min(_CHANCE_SHARE, most)]
@@ -230,8 +230,8 @@ def _list_regions(where: dict[str, float]) -> str:
     return first_few([f"{words[0]} of the frames", *words[1:]], most=2)
 
 
-def _changed(evidence: SolveEvidence) -> str:
-    """Say which shapes are no more those that weights and uncertainty were learnt for."""
+def _name_changed(evidence: SolveEvidence) -> str:
+    """Name shapes of the rig that changed since training."""
     basis = evidence.basis
     if basis is None or not basis.changed_shapes or evidence.error_mm is not None:
         return ""
@@ -239,8 +239,8 @@ def _changed(evidence: SolveEvidence) -> str:
     return f"the rig has other shapes than in training: {shapes}"
 
 
-def _unseen(evidence: SolveEvidence) -> str:
-    """Name the regions without markers, which references cannot help."""
+def _name_unseen(evidence: SolveEvidence) -> str:
+    """Name the regions without markers."""
     basis = evidence.basis
     if basis is None or not basis.unseen_regions or evidence.error_mm is not None:
         return ""
@@ -286,7 +286,7 @@ def _tuned(evidence: SolveEvidence) -> str:
 
 
 def _residual(evidence: SolveEvidence) -> str:
-    """Name markers that the solve does not follow, where somebody would see it."""
+    """State the residual of the face if it is visible."""
     if evidence.residual_mm is None or evidence.error_mm is not None:
         return ""
     face = float(np.sqrt((evidence.residual_mm[:, 0] ** 2).mean()))
@@ -302,7 +302,7 @@ def _advice(evidence: SolveEvidence, level: str, where: dict[str, float], propos
         regions = " and the ".join(unseen)
         return f"use the rest of the face alone, or capture the {regions} with markers"
     steps = []
-    if level == "bad" and evidence.error_mm is None and not (proposals and _shown(evidence)):
+    if level == "bad" and evidence.error_mm is None and not (proposals and _is_covered(evidence)):
         parts = " and the ".join(shown[:2] or still[:2])
         steps.append(
             "add frames of this take to the references"
@@ -311,7 +311,7 @@ def _advice(evidence: SolveEvidence, level: str, where: dict[str, float], propos
         )
     if proposals and basis is not None:
         steps.append(f"tune the references ({basis.pairs - basis.tuned} are proposals)")
-    if not steps and level != "bad" and _changed(evidence):
+    if not steps and level != "bad" and _name_changed(evidence):
         return "train and map again"
     if steps:
         return f"{' and '.join(steps)}, then train and map again"

@@ -1,1 +1,1 @@
-"""Markers to the points of any mesh."""
+"""Deformation of any mesh by markers."""

@@ -1,4 +1,4 @@
-"""Propose where a performer's markers sit on a mesh, by its shapes or by a few landmarks."""
+"""Positions of a performer's markers on a mesh, from its shapes or from a few landmarks."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -36,23 +36,23 @@ from usdface.numerics.surface.triangulation import triangulate
 FEWEST_LANDMARKS = 3
 
 DOUBTFUL_CONFIDENCE = 0.5
-"""Confidence [0-1] below which a person should look at a marker's place."""
+"""Confidence [0-1] below which a marker's position should be checked."""
 
 _HALF_DISTANCE_SHARE = 0.05
-"""Distance over the face's size at which confidence falls to a half."""
+"""Excess distance at which confidence is 1/2, as a share of the face's size."""
 
 _HALF_MOTION_RATIO = 3.0
-"""`motion_agreement` above 1 at which confidence falls to a half: a marker's motion differs from
-its neighbours' by that many times the usual difference."""
+"""Excess of `motion_agreement` over 1 at which confidence is 1/2: the difference of a marker's
+motion from its neighbours', in units of the median difference."""
 
 _SKIN_RADIUS_SHARE = 0.35
-"""Distance of skin from the nearest marker, over the face's size, at which its weight falls to
-exp(-1/2) or less."""
+"""Standard deviation of the weight of skin over its distance from the nearest marker, as a share of
+the face's size."""
 
 _SAMPLE_FRAMES = 400
 _MOST_POINTS = 60_000
-"""Of a mesh, up to which distances between markers are measured over the surface: a proposal should
-take seconds."""
+"""Points of a mesh up to which distances between markers are geodesic, so that a proposal takes
+seconds."""
 
 
 def propose_binding(
@@ -66,10 +66,10 @@ def propose_binding(
     pinned: dict[int, FloatArray] | None = None,
     sources: dict[int, str] | None = None,
 ) -> MarkerBinding:
-    """Find the place of every marker on a mesh.
+    """Find the position of every marker on a mesh.
 
-    Where the mesh has shapes, their motion is compared with the markers'. Where it has none, three
-    or more pinned markers give a similarity, and a smooth warp goes on from there.
+    If the mesh has shapes, their motion is compared with the markers'. Otherwise three or more
+    pinned markers give a similarity, which a smooth warp refines.
 
     Parameters
     ----------
@@ -78,12 +78,12 @@ def propose_binding(
     neutral : (markers, 3) float array
         The performer's neutral face [mm].
     positions : (frames, markers, 3) float array
-        A stabilised take, or frames spread over it [mm].
+        Frames of a stabilised take [mm].
     visible : (frames, markers) bool array
     rigid : tuple of int
-        Markers that move with the skull alone.
+        Markers that move with the skull only.
     pinned : dict of int to (3,) float array, optional
-        Markers whose place a person gave [mm].
+        Positions that a person gave [mm].
     sources : dict of int to str, optional
         How each pinned marker was placed: ``'landmark'`` or ``'corrected'``.
     """
@@ -130,7 +130,7 @@ def _by_landmarks(mesh: RigMesh, neutral: FloatArray, pins: dict[int, FloatArray
     start = align_landmarks(neutral[markers], targets)
     skin = _skin_near(mesh, start.apply(neutral), targets)
     found = place_by_motion(neutral, skin.positions, start, pinned=pins)
-    # The samples are millimetres apart; the warped marker's nearest place is between them.
+    # Samples are millimetres apart; the point nearest to the warped marker is between them.
     near = nearest_places(mesh.points, mesh.face_counts, mesh.face_indices, found.warped)
     sampled = places_of_corners(
         mesh.face_counts, mesh.face_indices, skin.corners[found.chosen], skin.weights[found.chosen]
@@ -141,7 +141,7 @@ def _by_landmarks(mesh: RigMesh, neutral: FloatArray, pins: dict[int, FloatArray
 def _prefer_nearest(
     mesh: RigMesh, near: SurfacePlaces, sampled: SurfacePlaces, *, spacing: float
 ) -> SurfacePlaces:
-    """Take the nearest place to a marker where it lies on the same skin as its sample."""
+    """Replace a sample by the nearest point of the mesh, unless that is on other skin."""
     distance = np.linalg.norm(near.positions(mesh.points) - sampled.positions(mesh.points), axis=1)
     same = distance < 2 * spacing
     return SurfacePlaces(
@@ -152,7 +152,7 @@ def _prefer_nearest(
 
 
 def _skin_near(mesh: RigMesh, aligned: FloatArray, landmarks: FloatArray) -> SurfaceSamples:
-    """Sample the skin around the aligned markers that faces where the face looks."""
+    """Sample the skin around the aligned markers, on the front of the face."""
     triangles, _ = triangulate(mesh.face_counts, mesh.face_indices)
     points = mesh.points
     size = float(np.sqrt(((aligned - aligned.mean(axis=0)) ** 2).sum(axis=1).mean()))
@@ -164,14 +164,14 @@ def _skin_near(mesh: RigMesh, aligned: FloatArray, landmarks: FloatArray) -> Sur
 
 
 def facing_yaw(mesh: RigMesh, places: FloatArray) -> float:
-    """Return how far the face with these markers is turned from looking along +Z [degrees].
+    """Return the angle about Y from +Z to the direction that a face looks in [degrees].
 
     Parameters
     ----------
     mesh : RigMesh
         At rest.
     places : (markers, 3) float array
-        Where the markers sit on it [mm].
+        Positions of the markers on it [mm].
     """
     triangles, _ = triangulate(mesh.face_counts, mesh.face_indices)
     size = float(np.sqrt(((places - places.mean(axis=0)) ** 2).sum(axis=1).mean()))
@@ -184,21 +184,20 @@ def facing_yaw(mesh: RigMesh, places: FloatArray) -> float:
 def _facing(
     points: FloatArray, triangles: IntArray, aligned: FloatArray, skin: FloatArray
 ) -> FloatArray:
-    """Return the horizontal direction in which the skin under the cloud bulges."""
+    """Return the horizontal direction of the mean normal of the skin under the markers."""
     a, b, c = (points[triangles[:, i]] for i in range(3))
     weight = skin[triangles].mean(axis=1)
     outward = (np.cross(b - a, c - a) * weight[:, None]).sum(axis=0)
-    # Markers sit on a bulge: the outer ones lie behind the middle, whatever the winding.
-    rim = np.linalg.norm(aligned - aligned.mean(axis=0), axis=1)
-    middle = aligned[rim <= np.median(rim)].mean(axis=0) - aligned[rim > np.median(rim)].mean(
-        axis=0
-    )
-    sign = 1.0 if outward @ middle >= 0 else -1.0
-    level = sign * np.array([outward[0], 0.0, outward[2]])
-    length = float(np.linalg.norm(level))
+    # The face is convex: outer markers are behind the inner ones, for either winding.
+    radius = np.linalg.norm(aligned - aligned.mean(axis=0), axis=1)
+    inner = radius <= np.median(radius)
+    forward = aligned[inner].mean(axis=0) - aligned[~inner].mean(axis=0)
+    sign = 1.0 if outward @ forward >= 0 else -1.0
+    horizontal = sign * np.array([outward[0], 0.0, outward[2]])
+    length = float(np.linalg.norm(horizontal))
     if length < 1e-9:
         raise ValueError("the direction of the face cannot be found from the landmarks; add one")
-    facing: FloatArray = level / length
+    facing: FloatArray = horizontal / length
     return facing
 
 
@@ -224,20 +223,20 @@ def bind_at(
     pins: dict[int, FloatArray],
     sources: dict[int, str] | None = None,
 ) -> MarkerBinding:
-    """Return the binding at places that were found, with its confidence; see `propose_binding`.
+    """Return the binding at given positions, with its confidence; see `propose_binding`.
 
     Parameters
     ----------
     sample : (frames, markers, 3) float array
-        Frames spread over the take [mm].
+        Frames of the take [mm].
     pins : dict of int to (3,) float array
-        These markers are put there, wherever they were found [mm].
+        Positions that replace those in `places` [mm].
     """
     places = _pin(mesh, places, pins)
     at = places.positions(mesh.points)
     fitted = fit_proportions(neutral, at, weight=np.ones(len(neutral)))
     size = float(np.sqrt(((at - at.mean(axis=0)) ** 2).sum(axis=1).mean()))
-    # What the affine map leaves is mostly proportion, alike among neighbours: score the rest.
+    # The residual of the affine map is mostly proportion, equal among neighbours: use the excess.
     excess = _excess_over_neighbours(at, fitted.away_mm)
     confidence = 1 / (1 + (excess / (_HALF_DISTANCE_SHARE * size)) ** 2)
     moved = (sample - neutral) @ fitted.linear.T
@@ -254,9 +253,9 @@ def bind_at(
 
 
 def _distances_between(mesh: RigMesh, places: SurfacePlaces, at: FloatArray) -> FloatArray:
-    """Return distances between markers over the surface, along which the lips are far apart.
+    """Return geodesic distances between markers, which are large across the lips.
 
-    On meshes of more than `_MOST_POINTS` points they are straight lines.
+    On meshes of more than `_MOST_POINTS` points they are Euclidean.
     """
     straight: FloatArray = np.linalg.norm(at[:, None] - at[None], axis=2)
     if len(mesh.points) > _MOST_POINTS:
@@ -274,10 +273,10 @@ def _distances_between(mesh: RigMesh, places: SurfacePlaces, at: FloatArray) -> 
 
 
 def _excess_over_neighbours(at: FloatArray, away: FloatArray) -> FloatArray:
-    """Return how much farther each marker is from its place than its four neighbours [mm]."""
+    """Return the excess of each marker's distance over the median of four neighbours [mm]."""
     near = np.argsort(np.linalg.norm(at[:, None] - at[None], axis=2), axis=1)[:, 1:5]
-    usual = np.median(away[near], axis=1)
-    return np.asarray(np.maximum(away - usual, 0.0))
+    median = np.median(away[near], axis=1)
+    return np.asarray(np.maximum(away - median, 0.0))
 
 
 def _three_of(names: tuple[str, ...]) -> str:

@@ -1,4 +1,4 @@
-"""Distances from markers to every point of a mesh, ready for regression."""
+"""Geodesic and Euclidean distances from markers to every point of a mesh."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,29 +14,27 @@ from usdface.numerics.surface.geodesic import Metric, euclidean_distances, geode
 from usdface.numerics.surface.surface_graph import MeshFaults
 
 BLEND_PUBLISHED = 0.39
-"""Share of the geodesic distance with the least error in W06 (section 5, Fig. 6) [0-1]."""
+"""Share of the geodesic distance with the smallest error in W06 (section 5, Fig. 6) [0-1]."""
 
 CacheArray = FloatArray | Float32Array | BoolArray
 
 
 @dataclass(frozen=True)
 class UnreachedReport:
-    """Pairs without a path over the surface: their distance is the straight line."""
+    """Pairs without a path over the surface, whose distance is Euclidean."""
 
     points: BoolArray
-    """(points,): points that no marker reaches: islands without a marker (teeth, eyes) and loose
-    points. They follow the markers by straight lines."""
+    """(points,): points without a path to any marker: islands without a marker (teeth, eyes) and
+    loose points."""
     pairs: int
     """Pairs of markers on different islands."""
     islands: int
     """Connected parts of the mesh."""
     islands_without_marker: int
-    """Of them."""
     faults: MeshFaults
-    """Of the mesh."""
 
     def describe(self) -> tuple[str, ...]:
-        """Return what a person should know, a sentence each; none where all is well."""
+        """Return a sentence for each finding; none if all pairs are connected."""
         lines = []
         if self.points.any():
             lines.append(
@@ -55,12 +53,12 @@ class UnreachedReport:
 
 @dataclass(frozen=True)
 class SurfaceDistances:
-    """Distances over a mesh at rest and by the straight line; both finite everywhere."""
+    """Geodesic and Euclidean distances on a mesh at rest; all are finite."""
 
     points: Float32Array
     """(N, 3): the mesh [mm]."""
     marker_positions: FloatArray
-    """(M, 3): where the markers sit on it [mm]."""
+    """(M, 3): positions of the markers on it [mm]."""
     geodesic_to_points: Float32Array
     """(M, N) [mm]"""
     geodesic_between: FloatArray
@@ -72,7 +70,7 @@ class SurfaceDistances:
     metric: Metric
     """Of the geodesic distances."""
     unreached: UnreachedReport
-    """Where geodesic distances are straight lines."""
+    """Pairs whose geodesic distance is Euclidean."""
 
     def blended_to_points(self, weight: float) -> Float32Array:
         """``w * geodesic + (1 - w) * Euclidean`` to every point: (M, N) float32 array [mm]."""
@@ -81,12 +79,12 @@ class SurfaceDistances:
         return out
 
     def blended_between(self, weight: float) -> FloatArray:
-        """Blend the same between markers: (M, M) float array [mm]."""
+        """``w * geodesic + (1 - w) * Euclidean`` between markers: (M, M) float array [mm]."""
         out: FloatArray = weight * self.geodesic_between + (1 - weight) * self.euclidean_between
         return out
 
     def pack(self) -> tuple[dict[str, CacheArray], dict[str, int]]:
-        """Return what a cache needs, arrays and counts by name; see `unpack_distances`."""
+        """Return arrays and counts for a cache, by name; see `unpack_distances`."""
         faults = self.unreached.faults
         arrays: dict[str, CacheArray] = {
             "geodesicToPoints": self.geodesic_to_points,
@@ -105,7 +103,7 @@ class SurfaceDistances:
         }
 
     def scaled(self, positions: FloatArray | Float32Array) -> FloatArray:
-        """Centre positions on the markers and scale them to about 1: (n, 3) float array."""
+        """Centre positions on the markers, and scale by the markers' standard deviation."""
         centre = self.marker_positions.mean(axis=0)
         size = np.sqrt(((self.marker_positions - centre) ** 2).mean())
         return np.asarray((positions - centre) / size, np.float64)
@@ -120,7 +118,7 @@ def surface_distances(
     metric: Metric = "dijkstra",
     progress: Progress = silent,
 ) -> SurfaceDistances:
-    """Measure from every marker to every point (W06, "Geodesic manifold distances").
+    """Return distances from every marker to every point (W06, "Geodesic manifold distances").
 
     Parameters
     ----------
@@ -131,7 +129,7 @@ def surface_distances(
     markers : SurfacePlaces
         M places on the mesh.
     metric : {'dijkstra', 'dijkstra-diagonals', 'heat'}
-        The paper's, on edges; the same over polygons' diagonals too; the heat method.
+        Shortest paths along edges, as in the paper; along edges and diagonals; the heat method.
     """
     if len(markers.faces) < FEWEST_MARKERS:
         raise InputError(
@@ -184,14 +182,12 @@ def unpack_distances(
     arrays: Mapping[str, CacheArray],
     counts: Mapping[str, int],
 ) -> SurfaceDistances:
-    """Return distances that were packed with `SurfaceDistances.pack`, of the same mesh and markers.
+    """Return the distances packed by `SurfaceDistances.pack`, of the same mesh and markers.
 
     Parameters
     ----------
     points : (N, 3) float array
         The mesh at rest [mm].
-    markers : SurfacePlaces
-        On the mesh.
     metric : {'dijkstra', 'dijkstra-diagonals', 'heat'}
         Of the geodesic distances.
     """

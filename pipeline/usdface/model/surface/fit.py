@@ -1,7 +1,7 @@
-"""What the models that move a mesh by markers have in common: W06's regression over the surface.
+"""Common parts of the models that deform a mesh by markers: regression over the surface (W06).
 
-A model is fitted to frames of a take by `fit_gp_surface` or `fit_rbf_surface`; every frame is then
-predicted by itself. Open settings are chosen by leaving out the markers one by one.
+A model is fitted to frames of a take by `fit_gp_surface` or `fit_rbf_surface`. Frames are then
+predicted independently. Settings that are not given are chosen by leave-one-out over the markers.
 """
 
 from abc import ABC, abstractmethod
@@ -20,23 +20,23 @@ from usdface.numerics.manifold.surface_fields import Folds, find_folds
 BLENDS_TRIED = (0.0, 0.2, BLEND_PUBLISHED, 0.6, 0.8, 1.0)
 
 FITTED_FRAMES = 32
-"""Frames that settings are chosen on, evenly spread over the take."""
+"""Frames on which settings are chosen, evenly spread over the take."""
 
 _FIELD_VALUES = 1 << 22
-"""Points times frames of a part of a stream: 16 MB of each field."""
+"""Points times frames in one part of a stream: 16 MB per field."""
 
 
 @dataclass(frozen=True)
 class SurfaceMotion:
-    """How a mesh moves."""
+    """Predicted displacements of a mesh."""
 
     mean: Float32Array
     """(frames, points, 3): displacements from rest [mm]."""
     sd: Float32Array | None
-    """(frames, points): standard deviation of a coordinate: root mean square over the axes [mm].
-    None where the model predicts none."""
+    """(frames, points): standard deviation, root mean square over the axes [mm]; None if the model
+    predicts none."""
     sd_of_axes: Float32Array | None = None
-    """(frames, points, 3): the same for each axis, on request [mm]."""
+    """(frames, points, 3): standard deviation of each axis, on request [mm]."""
 
 
 @dataclass(frozen=True)
@@ -44,17 +44,17 @@ class SurfaceDiagnostics:
     """Quality of a fit."""
 
     left_out_rms_mm: float
-    """Error at markers that were left out of the fit, per coordinate [mm]."""
+    """Leave-one-out error over the markers, per coordinate [mm]."""
     clipped: float = 0.0
     """Relative change of the covariance between markers that made it positive definite."""
     acceptance: float = float("nan")
     effective_samples: float = float("nan")
     rhat: float = float("nan")
-    """`acceptance`, `effective_samples`, `rhat`: Of the sampler on some of the fitted frames: mean
-    probability of acceptance, effective samples of each chain and split R-hat of two chains, both
-    medians over frames, axes and hyper-parameters. NaN without a sampler."""
+    """`acceptance`, `effective_samples`, `rhat`: Of the sampler: mean acceptance probability;
+    effective samples per chain and split R-hat of two chains, medians over frames, axes and
+    hyper-parameters. NaN without a sampler."""
     two_modes: float = float("nan")
-    """Share of those posteriors with two modes."""
+    """Share of the posteriors with two modes [0-1]."""
 
 
 @dataclass(frozen=True)
@@ -66,22 +66,20 @@ class SurfaceModel(ABC):
     blend: float
     """Share of the geodesic distance [0-1]."""
     length_scale: float
-    """Of the covariance [mm]; 0 of a model without one."""
+    """Of the covariance [mm]; 0 for a model without one."""
     diagnostics: SurfaceDiagnostics
-    """Of the fit."""
     marker_count: int
     point_count: int
-    """`marker_count`, `point_count`: Of the mesh and its binding."""
 
     def deform(
         self, displacements: FloatArray, *, of_axes: bool = False, progress: Progress = silent
     ) -> SurfaceMotion:
-        """Move the mesh at all frames at once; `stream` needs less memory.
+        """Predict all frames at once; `stream` needs less memory.
 
         Parameters
         ----------
         displacements : (frames, markers, 3) float array
-            Of the markers from the neutral frame [mm].
+            From the neutral frame [mm].
         of_axes : bool
             Whether to predict `SurfaceMotion.sd_of_axes` too.
         """
@@ -100,14 +98,14 @@ class SurfaceModel(ABC):
         of_axes: bool = False,
         progress: Progress = silent,
     ) -> Iterator[SurfaceMotion]:
-        """Move the mesh part by part, in bounded memory; the parts do not change the result.
+        """Predict part by part, in bounded memory; the result does not depend on the parts.
 
         Parameters
         ----------
         displacements : (frames, markers, 3) float array
             [mm]
         frames_per_part : int, optional
-            At most; by default about 16 MB of each field.
+            Maximum; by default about 16 MB per field.
         of_axes : bool
             Whether to predict `SurfaceMotion.sd_of_axes` too.
         """
@@ -124,13 +122,13 @@ class SurfaceModel(ABC):
 
     @abstractmethod
     def _predict(self, moved: FloatArray, size: int, *, of_axes: bool) -> Iterator[SurfaceMotion]:
-        """Predict frames, at most `size` at once."""
+        """Predict frames in parts of at most `size`."""
 
 
 def check_fit(
     distances: SurfaceDistances, displacements: FloatArray, blend: float | None
 ) -> FloatArray:
-    """Return the displacements of a take to fit a model to."""
+    """Return checked displacements, in double precision."""
     moved = check_displacements(displacements, len(distances.marker_positions))
     if not len(moved):
         raise InputError("no frame to fit the regression to; give the take's displacements")
@@ -157,7 +155,7 @@ def check_displacements(displacements: FloatArray, markers: int) -> FloatArray:
 
 
 def fitted_frames(moved: FloatArray) -> FloatArray:
-    """Return the frames that settings are chosen on: (frames, markers, 3)."""
+    """Return the frames on which settings are chosen: (frames, markers, 3)."""
     picks = np.linspace(0, len(moved) - 1, min(FITTED_FRAMES, len(moved)))
     frames: FloatArray = moved[np.unique(picks.astype(int))]
     return frames
@@ -174,5 +172,5 @@ def find_surface_folds(distances: SurfaceDistances) -> Folds:
 
 
 def _concatenate(parts: list[Float32Array | None]) -> Float32Array | None:
-    known = [part for part in parts if part is not None]
-    return np.concatenate(known) if known and len(known) == len(parts) else None
+    arrays = [part for part in parts if part is not None]
+    return np.concatenate(arrays) if arrays and len(arrays) == len(parts) else None

@@ -1,4 +1,4 @@
-"""A Gaussian process over the surface moves a mesh and smooths the markers' noise: W06."""
+"""Gaussian process over a surface (W06): displacements of a mesh from noisy markers."""
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -58,22 +58,22 @@ from usdface.numerics.manifold.surface_fields import (
 Sampler = Literal["hmc", "map", "shared"]
 
 SCALES_TRIED = (1.0, 1.5, 2.0, 3.0, 4.5, 7.0, 12.0)
-"""Length scales, in median distances between a marker and its nearest."""
+"""Length scales, in units of the median distance from a marker to the nearest other."""
 
 SAMPLES_PUBLISHED = 200
-"""Of the hyper-parameters: W06, section 4.1."""
+"""Samples of the hyper-parameters (W06, section 4.1)."""
 
 _CALIBRATION_SAMPLES = 10
-"""Samples of each chain by which intervals are calibrated."""
+"""Samples of each chain for the calibration of intervals."""
 
 _LAPLACE_DRAWS = 16
-"""Draws around the mode with the sampler ``'map'``."""
+"""Draws of the Laplace approximation with the sampler ``'map'``."""
 
 _SAMPLED_FRAMES = 1024
-"""Frames whose chains run in lockstep: half as many take a fifth longer and 75 MB less."""
+"""Frames whose chains run together: half as many take 20 % longer and 75 MB less memory."""
 
 _MOMENT_FRAMES = 8
-"""Frames whose dual weights are averaged at once."""
+"""Frames whose dual weights are averaged together."""
 
 
 @dataclass(frozen=True)
@@ -81,25 +81,23 @@ class GpOptions:
     """Options of `fit_gp_surface`."""
 
     sampler: Sampler = "hmc"
-    """Hyper-parameters of each frame and axis by Hybrid Monte Carlo, as published; by their mode
-    and the Gaussian around it; or by one set of samples for the whole take."""
+    """Hyper-parameters: Hybrid Monte Carlo for each frame and axis, as published (``'hmc'``);
+    Laplace approximation at the mode (``'map'``); one set for the whole take (``'shared'``)."""
     blend: float | None = BLEND_PUBLISHED
-    """Share of the geodesic distance [0-1]; None chooses it by leaving markers out."""
+    """Share of the geodesic distance [0-1]; None: chosen by leave-one-out."""
     length_scale: float | None = None
-    """[mm]; None chooses it by leaving markers out."""
+    """[mm]; None: chosen by leave-one-out."""
     covariance: CovarianceShape = "creased"
-    """The second is eq. 7 as published."""
+    """``'published'`` is eq. 7."""
     prior: HyperPrior = field(default_factory=HyperPrior)
-    """Of the hyper-parameters."""
     folds: bool = True
-    """Whether points in folds, such as the insides of lips, follow the markers of their own side;
-    never where `blend` is 0, since the Euclidean distance has no sides."""
+    """Whether points in folds, such as the insides of lips, follow the markers of their side; no
+    effect if `blend` is 0."""
     samples: int = SAMPLES_PUBLISHED
     burn_in: int = 40
-    """`samples`, `burn_in`: of the hyper-parameters, with the samplers ``'hmc'`` and ``'shared'``;
-    the second are those in which chains tune their step."""
+    """`samples`, `burn_in`: Saved samples of ``'hmc'`` and ``'shared'``, and those before, in which
+    the step size is tuned."""
     seed: int = 0
-    """Of every random choice: the same take moves the same way each time."""
 
 
 @dataclass(frozen=True)
@@ -109,18 +107,17 @@ class GpSurface(SurfaceModel):
     predicts_sd: ClassVar[bool] = True
 
     options: GpOptions
-    """It was fitted with."""
     table: SharedTable = field(repr=False)
-    """Of the posterior's energy."""
+    """Table of the posterior's energy."""
     fields: SurfaceFields = field(repr=False)
-    """Of the mesh."""
+    """Covariances between points and markers."""
     factors: SpreadFactors = field(repr=False)
-    """Of standard deviations."""
+    """Calibration of standard deviations."""
     shared: FloatArray | None = field(repr=False)
     """(samples, 4): log hyper-parameters of the whole take, with the sampler ``'shared'``."""
 
     def _predict(self, moved: FloatArray, size: int, *, of_axes: bool) -> Iterator[SurfaceMotion]:
-        # the next block is sampled while this one becomes fields
+        # The next block is sampled while this one is predicted.
         with ThreadPoolExecutor(max_workers=1) as executor:
             sampled = executor.submit(self._sample, moved[:_SAMPLED_FRAMES])
             for start in range(0, len(moved), _SAMPLED_FRAMES):
@@ -133,14 +130,14 @@ class GpSurface(SurfaceModel):
                     yield self._fields(block[part], theta[..., part], of_axes)
 
     def _sample(self, moved: FloatArray) -> FloatArray:
-        """Hyper-parameters of each frame and axis: (samples, 4, 3, frames)."""
+        """Return hyper-parameters of each frame and axis: (samples, 4, 3, frames)."""
         if self.shared is not None:
             return np.broadcast_to(
                 self.shared[:, :, None, None], (*self.shared.shape, 3, len(moved))
             )
         if not len(moved):
             return np.zeros((0, 4, 3, 0))
-        # The same numbers for all frames, in all parts of a take: neighbouring frames err alike.
+        # The same random numbers for all frames: sampling errors of neighbouring frames are equal.
         rng = CommonNumbers(np.random.default_rng(self.options.seed))
         rows = _rows_of_axes(moved)
         if self.options.sampler == "map":
@@ -167,9 +164,9 @@ class GpSurface(SurfaceModel):
         sd *= self.factors.of_points
         if not of_axes:
             return SurfaceMotion(mean, sd)
-        each = predict_variance(self.fields, moments).reshape(-1, 3, self.point_count)
-        each = np.sqrt(each * shares.astype(np.float32)[:, None]) * self.factors.of_points
-        return SurfaceMotion(mean, sd, np.ascontiguousarray(each.transpose(0, 2, 1)))
+        variance = predict_variance(self.fields, moments).reshape(-1, 3, self.point_count)
+        of_axis = np.sqrt(variance * shares.astype(np.float32)[:, None]) * self.factors.of_points
+        return SurfaceMotion(mean, sd, np.ascontiguousarray(of_axis.transpose(0, 2, 1)))
 
 
 def fit_gp_surface(
@@ -180,8 +177,7 @@ def fit_gp_surface(
     Parameters
     ----------
     displacements : (frames, markers, 3) float array
-        A take's, or frames spread over it, from the neutral frame [mm]. Settings are chosen on
-        some of them; every frame is predicted by itself later.
+        Of a take, from the neutral frame [mm]; settings are chosen on some of the frames.
     """
     frames = fitted_frames(check_fit(distances, displacements, options.blend))
     rows = _rows_of_axes(frames)
@@ -227,7 +223,7 @@ class _Settings:
 def _choose_settings(
     distances: SurfaceDistances, rows: FloatArray, options: GpOptions
 ) -> _Settings:
-    """Try every open setting on markers left out one by one, in closed form."""
+    """Choose settings that are not given by leave-one-out over the markers, in closed form."""
     tried = []
     places = distances.scaled(distances.marker_positions)
     for blend in BLENDS_TRIED if options.blend is None else (options.blend,):
@@ -247,7 +243,7 @@ def _choose_settings(
 def _sample_fitted(
     rng: np.random.Generator, table: SharedTable, rows: FloatArray, options: GpOptions
 ) -> tuple[FloatArray, dict[str, float]]:
-    """Sample the fitted frames: theta (samples, 4, chains or 1), and diagnostics of the chains."""
+    """Sample the fitted frames: theta (samples, 4, chains or 1), and diagnostics."""
     if options.sampler == "shared":
         shared = sample_shared(rng, table, rows, burn=options.burn_in, keep=options.samples)
         return shared.theta[:, :, None], {
@@ -270,5 +266,5 @@ def _sample_fitted(
 
 
 def _rows_of_axes(moved: FloatArray) -> FloatArray:
-    """One row for each frame and axis: (frames * 3, markers)."""
+    """Return one row per frame and axis: (frames * 3, markers)."""
     return np.ascontiguousarray(moved.transpose(0, 2, 1).reshape(-1, moved.shape[1]))

@@ -1,4 +1,4 @@
-"""Multiquadrics move a mesh through every marker: W06, "Geodesic manifold distances"."""
+"""Multiquadrics over a surface, which interpolate every marker (W06)."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -31,15 +31,15 @@ class RbfOptions:
     """Options of `fit_rbf_surface`."""
 
     blend: float | None = BLEND_PUBLISHED
-    """Share of the geodesic distance [0-1]; None chooses it by leaving markers out."""
+    """Share of the geodesic distance [0-1]; None: chosen by leave-one-out."""
     folds: bool = True
-    """Whether points in folds, such as the insides of lips, follow the markers of their own side;
-    never where `blend` is 0, since the Euclidean distance has no sides."""
+    """Whether points in folds, such as the insides of lips, follow the markers of their side; no
+    effect if `blend` is 0."""
 
 
 @dataclass(frozen=True)
 class RbfSurface(SurfaceModel):
-    """Displacements of points are ``operator @ displacements of markers``."""
+    """Fitted multiquadrics: ``displacements of points = operator @ displacements of markers``."""
 
     predicts_sd: ClassVar[bool] = False
 
@@ -62,8 +62,7 @@ def fit_rbf_surface(
     Parameters
     ----------
     displacements : (frames, markers, 3) float array
-        A take's, or frames spread over it, from the neutral frame [mm]; only an open blend depends
-        on them.
+        Of a take, from the neutral frame [mm]; used to choose the blend if it is not given.
     """
     frames = fitted_frames(check_fit(distances, displacements, options.blend))
     columns = frames.transpose(1, 0, 2).reshape(frames.shape[1], -1)
@@ -74,7 +73,7 @@ def fit_rbf_surface(
             network = fit_distance_multiquadric(between, nearest_stiffness(between))
         except ValueError as error:
             raise InputError(str(error)) from error
-        # left-out errors in closed form: Rippa (1999)
+        # Leave-one-out errors in closed form: Rippa (1999).
         errors = (network.inverse @ columns) / np.diag(network.inverse)[:, None]
         tried.append((float(np.sqrt((errors**2).mean())), blend, network))
     rms, blend, network = min(tried, key=lambda each: each[0])
