@@ -2,6 +2,6 @@
 
 import os
 
-# As the command line does, and before numpy starts: on a busy machine its threads wait for each
-# other for ever.
+# As in the command line, before numpy is imported: on a busy machine its threads wait for each
+# other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

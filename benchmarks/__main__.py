@@ -13,7 +13,7 @@ from benchmarks._report import Measured, kept_output, write_report
 
 
 def names() -> list[str]:
-    """Return every benchmark there is."""
+    """Return the names of all benchmarks."""
     here = Path(__file__).parent
     return sorted(path.stem for path in here.glob("*.py") if not path.stem.startswith("_"))
 
@@ -43,7 +43,7 @@ def main() -> int:
                 known = signature(run).parameters
                 wanted = {"quick": asked.quick, "full": asked.full, "pictures": asked.out}
                 run(**{name: said for name, said in wanted.items() if said and name in known})
-        except Exception:  # the others, perhaps hours of them, are run all the same
+        except Exception:  # run the others in any case
             traceback.print_exc()
             failed.append(name)
             continue

@@ -1,7 +1,7 @@
-"""Proposed weights of takes that move one part of a face: what they move elsewhere.
+"""Crosstalk of proposals: motion outside the part of the face that a take moves.
 
-Beside each proposal stands the plain solve: no costs of shapes, and both lids enlarged until they
-close, whatever their markers show.
+Proposals are compared with the plain solve, which has no costs of shapes and always enlarges blinks
+until the lids close.
 """
 
 from dataclasses import replace
@@ -18,10 +18,10 @@ from usdface.numerics.solve.peak_matching import match_peaks
 
 FOLDS = 5
 STEP = 4
-"""Frames between those whose markers are predicted by others."""
+"""Every n-th frame is used for the error at left-out markers."""
 
 Moving = tuple[str, ...]
-"""Parts of a rig that a take moves."""
+"""Regions of a rig that a take moves."""
 
 
 def print_crosstalk(
@@ -32,7 +32,7 @@ def print_crosstalk(
     Parameters
     ----------
     takes : dict of str to (positions, labels, moving)
-        Stabilised [mm], neutral in the first frame.
+        Stabilised positions [mm]; the first frame is neutral.
     """
     print("\n### Proposed weights: motion outside the moving parts, one-eyed closing, prediction\n")
     print(
@@ -66,7 +66,7 @@ def print_crosstalk(
 
 
 def _plain(equation: BlendshapeEquation, positions: FloatArray) -> BlendshapeEquation:
-    """Return the equation as it was solved before: no costs, lids enlarged without evidence."""
+    """Return the equation without costs of shapes, with blinks enlarged in any case."""
     shapes = () if equation.lids is None else equation.lids.shapes
     motion = character_motion(equation.virtual, positions, equation.neutral)
     gain = match_peaks(
@@ -89,7 +89,7 @@ def _outside(weights: FloatArray, rig: Rig, deformer: Deformer, moving: Moving) 
 
 
 def _left_out(equation: BlendshapeEquation, positions: FloatArray) -> float:
-    """Return the error at markers that the solve does not see, over that of no motion."""
+    """Return the error at left-out markers, divided by that of a face at rest."""
     motion = character_motion(equation.virtual, positions, equation.neutral)
     order, off = np.random.default_rng(0).permutation(positions.shape[1]), 0.0
     for fold in range(FOLDS):

@@ -1,9 +1,9 @@
-"""Ways to spoil a capture: more noise, swapped labels, markers lost."""
+"""Damage to a capture: noise, swapped labels, missing samples."""
 
 import numpy as np
 
 OWN_NOISE_MM = 0.15
-"""Of the fixture as it is."""
+"""Noise of the fixture."""
 
 SWAPPED_SHARE = 0.2
 LOST_SHARE = 0.05
@@ -15,7 +15,7 @@ DAMAGES = ("as recorded", "noise 0.5 mm", "noise 1 mm", "20 % swapped", "5 % los
 def damage(
     kind: str, positions: np.ndarray, visible: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions and visibility of a capture spoiled in one of `DAMAGES`."""
+    """Return positions and visibility of a capture with one of `DAMAGES`."""
     if kind.startswith("noise"):
         wanted = float(kind.split()[1])
         more = np.sqrt(wanted**2 - OWN_NOISE_MM**2)
@@ -30,7 +30,7 @@ def damage(
 def _swap(
     positions: np.ndarray, visible: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Swap neighbours, for one frame to a second, until enough frames hold a swap."""
+    """Swap neighbours for ranges of one frame to a second, until enough frames have a swap."""
     positions, visible = positions.copy(), visible.copy()
     frames, markers = visible.shape
     rest = np.median(positions, axis=0)

@@ -1,4 +1,4 @@
-"""The sampler this is measured against: one chain at a time, a Cholesky factor a gradient."""
+"""Dense sampler for comparison: one chain at a time, one Cholesky factor per gradient."""
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -9,7 +9,7 @@ from usdface.numerics.manifold.hyper_posterior import MarkerSpectrum
 def dense_energy(
     theta: np.ndarray, row: np.ndarray, parts: tuple[np.ndarray, ...], prior: tuple[np.ndarray, ...]
 ) -> tuple[float, np.ndarray]:
-    """Evaluate W06's eq. 8 and its gradient as they stand."""
+    """Evaluate W06's eq. 8 and its gradient as printed."""
     scales = np.exp(theta)
     whole = sum(scale * part for scale, part in zip(scales, parts, strict=True))
     factor = cho_factor(whole, lower=True)

@@ -1,4 +1,4 @@
-"""One table of everything that was measured: claim, what is wanted, what was found, and where."""
+"""Index of all measurements: claim, target, measured value, benchmark."""
 
 import json
 import re
@@ -8,14 +8,14 @@ from typing import Any
 
 WANTED = ("wanted", "target")
 MEASURED = ("measured", "value", "ratio", "CPU seconds", "of the bare write", "two at once")
-"""Heads of the columns that say what is wanted, and of those that are held against it."""
+"""Headings of the columns with targets, and of those that are compared with them."""
 
 NUMBER = re.compile(r"[-+−]?\d[\d,]*(?:\.\d+)?(?:e-?\d+)?")
 
 
 @dataclass(frozen=True)
 class Claim:
-    """One row of a benchmark that says what is wanted."""
+    """A row of a benchmark with a target."""
 
     benchmark: str
     claim: str
@@ -25,7 +25,7 @@ class Claim:
 
 
 def claims(data: dict[str, Any]) -> list[Claim]:
-    """Return every row of a benchmark's tables that has a target; `met` is None for one in words.
+    """Return the rows of a benchmark's tables with a target; `met` is None for targets in words.
 
     A bare number is an upper limit.
     """
@@ -47,59 +47,59 @@ def is_met(measured: str, wanted: str) -> bool | None:
     limit, value = NUMBER.search(wanted), NUMBER.search(measured)
     if limit is None or value is None:
         return None
-    most = float(limit.group().replace(",", "").replace("−", "-"))
-    got = float(value.group().replace(",", "").replace("−", "-"))
+    target = float(limit.group().replace(",", "").replace("−", "-"))
+    number = float(value.group().replace(",", "").replace("−", "-"))
     share = re.fullmatch(r"(\d+) of (\d+)", measured.strip())
     if share and "%" in wanted:
-        got = 100 * float(share[1]) / float(share[2])
+        number = 100 * float(share[1]) / float(share[2])
     sign = wanted.strip()[0]
     if sign in "≥>":
-        return got >= most
-    return got <= most if sign in "≤<" or sign.isdigit() else None
+        return number >= target
+    return number <= target if sign in "≤<" or sign.isdigit() else None
 
 
 def write_index(folder: Path) -> None:
-    """Write README.md and report.json over all benchmarks that have been kept in a folder."""
-    kept = [
+    """Write README.md and report.json of all results in a folder."""
+    results = [
         json.loads(path.read_text(encoding="utf-8"))
         for path in sorted(folder.glob("*.json"))
         if path.stem != "report"
     ]
-    all_claims = [claim for data in kept for claim in claims(data)]
+    all_claims = [claim for data in results for claim in claims(data)]
     text = [
         "# Measured",
         "",
-        "One page a benchmark; `poe bench NAME --out docs/measured` renews it and this page, and",
+        "One page per benchmark. `poe bench NAME --out docs/measured` writes it, this page, and",
         "`report.json` for scripts. Tables of accuracy are in [accuracy](../accuracy.md).",
         "",
-        "## What is claimed",
+        "## Claims",
         "",
-        "| benchmark | claim | wanted | measured | met |",
+        "| benchmark | claim | target | measured | met |",
         "|---|---|---|---|---|",
         *(
             f"| [{each.benchmark}]({each.benchmark}.md) | {each.claim} | {each.wanted} | "
-            f"{each.measured} | {_said(each.met)} |"
+            f"{each.measured} | {_yes_or_no(each.met)} |"
             for each in all_claims
         ),
         "",
-        "## When, and on what",
+        "## Runs",
         "",
-        "| benchmark | date | took [s] | load before | machine |",
+        "| benchmark | date | duration [s] | load before | machine |",
         "|---|---|---|---|---|",
         *(
             f"| [{data['benchmark']}]({data['benchmark']}.md) | {data['date']} | "
             f"{data['seconds']:.0f} | {data['load_before']} | {data['machine']['processor']}, "
             f"{data['machine']['cores']} cores |"
-            for data in kept
+            for data in results
         ),
         "",
     ]
     (folder / "README.md").write_text("\n".join(text), encoding="utf-8")
-    report = {"claims": [asdict(each) for each in all_claims], "benchmarks": kept}
+    report = {"claims": [asdict(each) for each in all_claims], "benchmarks": results}
     (folder / "report.json").write_text(
         json.dumps(report, indent=1, ensure_ascii=False) + "\n", encoding="utf-8"
     )
 
 
-def _said(met: bool | None) -> str:
+def _yes_or_no(met: bool | None) -> str:
     return {True: "yes", False: "**no**", None: ""}[met]

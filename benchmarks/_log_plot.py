@@ -1,4 +1,4 @@
-"""A plot with two logarithmic axes, as SVG: sharp at any size, and text where it is read."""
+"""Log-log plot as SVG, with line names next to the lines."""
 
 import io
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ WIDTH, HEIGHT = 860, 520
 _BOX = (0.093, 0.123, 0.593, 0.769)
 _LABEL_PIXELS = 19
 COLORS = ("#0072b2", "#d55e00", "#009e73", "#9b4f96", "#b8860b", "#4d4d4d", "#c2185b", "#2e8bc0")
-"""Told apart by most who see colours otherwise; labels name every line all the same."""
+"""Distinguishable with most colour vision deficiencies."""
 
 _SVG_OPTIONS: Any = {
     "svg.fonttype": "none",
@@ -26,12 +26,12 @@ _SVG_OPTIONS: Any = {
     "font.size": 14,
     "font.sans-serif": ["DejaVu Sans"],
 }
-"""Letters stay letters, and the file is the same each time."""
+"""Text is stored as text, and the file is reproducible."""
 
 
 @dataclass(frozen=True)
 class Line:
-    """Measured dots, and two ends of the law through them."""
+    """Measured points, and two end points of the fitted line."""
 
     label: str
     color: str
@@ -41,7 +41,7 @@ class Line:
 
 
 def log_plot(title: str, across: str, lines: Sequence[Line]) -> str:
-    """Return an SVG picture of processor seconds over size."""
+    """Return an SVG plot of processor seconds over size."""
     figure = Figure(figsize=(WIDTH / 72, HEIGHT / 72), dpi=72)
     stream = io.StringIO()
     with matplotlib.rc_context(_SVG_OPTIONS):
@@ -57,7 +57,7 @@ def log_plot(title: str, across: str, lines: Sequence[Line]) -> str:
         axes.set_axisbelow(True)
         for axis in (axes.xaxis, axes.yaxis):
             low, high = np.log10(axis.get_view_interval())
-            # Where a decade is wide, more than its ends has to be labelled.
+            # Label ticks within a decade if it is wide.
             axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high - low < 2.2 else (1.0,)))
             axis.set_minor_formatter(NullFormatter())
             axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.12g}"))
@@ -68,7 +68,7 @@ def log_plot(title: str, across: str, lines: Sequence[Line]) -> str:
 
 
 def _draw_slope_one(axes: Axes) -> None:
-    """Draw what linear looks like, from the lower left."""
+    """Draw a line of slope 1 from the lower left."""
     (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
     rise = min(right / left, high / low)
     axes.plot((left, left * rise), (low, low * rise), ":", color="#999999", zorder=1)
@@ -79,7 +79,7 @@ def _draw_slope_one(axes: Axes) -> None:
 
 
 def _label_ends(axes: Axes, lines: Sequence[Line]) -> None:
-    """Name lines at the right, each joined to its end."""
+    """Write the names at the right, each connected to its line."""
     tall = axes.bbox.height
     low, high = axes.get_ylim()
     order = sorted(lines, key=lambda line: line.fitted[1])

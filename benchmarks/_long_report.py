@@ -1,4 +1,4 @@
-"""A minute's report on a heavy head, made as a user makes it and played in a real browser."""
+"""Report of a minute on a dense head, made by the command and played in a browser."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -26,25 +26,24 @@ RATE = Fraction(120)
 VIDEO_RATE = Fraction(30)
 MARKERS = 70
 DRAWN = 60
-"""Different pictures of the video: a second and back, again and again, so that all of it moves."""
+"""Number of different video pictures, played forwards and backwards in a loop."""
 
 WARM_UP, PLAYED = 40, 200
 
 
 @dataclass(frozen=True)
 class LongReport:
-    """What the page weighs and costs.
+    """Size of the page and cost of a picture.
 
     Attributes
     ----------
     megabytes : float
     pictures : int
     script_ms : float
-        Processor time of one picture, as the browser counts it: weights, curves, posing and
-        commands to draw.
+        Processor time per picture reported by the browser: weights, curves, posing and draw
+        calls.
     wall_ms : tuple of float
-        By the clock, with whatever else the machine does: a tenth of the pictures, and half of
-        them, took less.
+        Elapsed time per picture: 10th percentile and median.
     """
 
     megabytes: float
@@ -54,7 +53,7 @@ class LongReport:
 
 
 def make_and_play(folder: Path, rig: Rig) -> LongReport:
-    """Write a performance of a minute on a rig, make its report, and step through it."""
+    """Write a performance of a minute, make its report, and step through it."""
     weights = _acted(len(rig.shapes))
     page = _write(folder, rig, weights)
     with chromium() as browser:
@@ -63,7 +62,7 @@ def make_and_play(folder: Path, rig: Rig) -> LongReport:
         tab.wait_for_selector("body[data-ready=true]", timeout=120_000)
         tab.evaluate(PLAY, WARM_UP)
         counters = tab.context.new_cdp_session(tab)
-        # Ticks of the thread, not of the clock: other programs do not count.
+        # Thread time instead of elapsed time, to exclude other programs.
         counters.send("Performance.enable", {"timeDomain": "threadTicks"})
         before = _script_seconds(counters)
         wall = tab.evaluate(PLAY, PLAYED)
@@ -95,7 +94,7 @@ PLAY = """async (wanted) => {
 
 
 def _acted(shapes: int) -> FloatArray:
-    """Every shape at work, each at its own pace: no weight ever rests at nothing."""
+    """Return weights of all shapes, each with its own frequency and never constantly 0."""
     seconds = np.arange(int(SECONDS * RATE)) / float(RATE)
     rng = np.random.default_rng(0)
     pace, phase = rng.uniform(0.2, 1.5, shapes), rng.uniform(0, 6, shapes)
@@ -153,7 +152,7 @@ def _write(folder: Path, rig: Rig, weights: FloatArray) -> Path:
 
 
 def _spread(points: FloatArray, moves: FloatArray) -> np.ndarray:
-    """Return points far from one another: most where the face moves, six where it does not."""
+    """Return distant points: most on moving skin, six on rigid skin."""
     chosen: list[int] = []
     for pool, count in ((moves > 0.3, MARKERS - 6), (moves < 0.01, 6)):
         rows = np.flatnonzero(pool)

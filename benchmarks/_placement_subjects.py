@@ -1,4 +1,4 @@
-"""Performers made of a rig, whose markers' places and weights are known: for `real_captures`."""
+"""Simulated performers with known marker positions and weights, for `real_captures`."""
 
 from collections import Counter
 from dataclasses import dataclass
@@ -15,25 +15,25 @@ from usdface.numerics.registration.face_skin import FaceSkin
 MARKER_COUNT = 72
 RIGID_COUNT = 6
 _EVERY_FRAME = 6
-"""Of the recorded performance: about 700 frames."""
+"""Every n-th frame of the recorded performance, about 700."""
 
 _PROPORTIONS = np.array([1.1, 0.9, 1.2])
-"""Character over performer, across, up and forward."""
+"""Size of the character over that of the performer, along x, y and z."""
 
 _WARP_MM, _WARP_LENGTH_MM = 4.0, 40.0
 _GAIN_SPREAD = 0.15
-"""Standard deviation of the logarithm of how far a performer's skin goes, shape by shape."""
+"""Standard deviation of the logarithm of the amplitude of each shape on the performer."""
 
 _NOISE_MM = 0.15
 _PART_MM = 22.0
-"""From a landmark: a marker as near is named after its part of the face."""
+"""Distance from a landmark up to which a marker is named after its part of the face."""
 
 _PARTS = {"eye": "lid", "lip": "mouth"}
 
 
 @dataclass(frozen=True)
 class SimulatedTake:
-    """A performer's markers, stabilised, with silent labels.
+    """Stabilised markers of a performer, with labels without meaning.
 
     Attributes
     ----------
@@ -44,9 +44,9 @@ class SimulatedTake:
     rigid : tuple of int
         The markers that the shapes move least.
     weights : (frames, shapes) float array
-        What moved them.
+        True weights.
     samples : (markers,) int array
-        Of the skin: where the markers sit.
+        Indices of the skin samples at the markers.
     """
 
     neutral: FloatArray
@@ -57,11 +57,11 @@ class SimulatedTake:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Return names that say nothing."""
+        """Return names without meaning."""
         return tuple(f"m{i}" for i in range(len(self.neutral)))
 
     def numbered(self, skin: FaceSkin, shapes: tuple[str, ...]) -> tuple[str, ...]:
-        """Return names of the part and side that each marker is on, with a number."""
+        """Return names of each marker's part and side, with a number."""
         found = find_landmarks(skin, shapes)
         places, counts, labels = np.array(list(found.values())), Counter[str](), []
         for at in skin.positions[self.samples]:
@@ -75,7 +75,7 @@ class SimulatedTake:
 
 
 def simulate_take(skin: FaceSkin, shapes: tuple[str, ...], *, seed: int) -> SimulatedTake:
-    """Let a recorded performance move the markers of a performer with other proportions."""
+    """Simulate a performer with other proportions by a recorded performance."""
     rng = np.random.default_rng(seed)
     samples = _spread_markers(skin, rng)
     at = skin.positions[samples]
@@ -94,7 +94,7 @@ def simulate_take(skin: FaceSkin, shapes: tuple[str, ...], *, seed: int) -> Simu
 
 
 def _spread_markers(skin: FaceSkin, rng: np.random.Generator) -> IntArray:
-    """Choose samples far from each other, closer where the face moves."""
+    """Choose distant samples, more densely where the face moves."""
     share = 0.4 + skin.activity() / skin.activity().max()
     pool = np.flatnonzero(skin.activity() > 0.02 * skin.activity().max())
     chosen, distance = [int(rng.choice(pool))], np.full(len(pool), np.inf)

@@ -1,4 +1,4 @@
-"""How a cost grows: the exponent of a power law through measurements."""
+"""Exponents of power laws fitted to costs."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,10 +14,9 @@ class PowerLaw:
     ----------
     exponent, factor : float
     spread : float
-        Standard error of the exponent: how far measurements are from any power law. NaN of two
-        sizes, which one fits exactly.
+        Standard error of the exponent; NaN for two sizes.
     last : float
-        Exponent between the two largest sizes alone, where what is paid once weighs least.
+        Exponent between the two largest sizes, with the smallest influence of fixed costs.
     """
 
     exponent: float
@@ -26,7 +25,7 @@ class PowerLaw:
     last: float
 
     def seconds(self, size: float) -> float:
-        """Return what the law says of a size."""
+        """Return the predicted seconds of a size."""
         return float(self.factor * size**self.exponent)
 
 

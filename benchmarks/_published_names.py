@@ -1,7 +1,7 @@
-"""Names of shapes as they are published, each with ARKit's counterpart.
+"""Published names of shapes, with their counterparts in ARKit.
 
-A line is ``ARKit > names``; ``<Left,Right>`` stands for both in turn, on either side of the sign.
-Lines without the sign hold names that ARKit has no counterpart of.
+A line is ``ARKit > names``; ``<Left,Right>`` is expanded to both, on both sides of the sign. Lines
+without the sign are names without a counterpart in ARKit.
 """
 
 import re
@@ -10,13 +10,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Published:
-    """One source's names."""
+    """Names of one source."""
 
     name: str
     source: str
-    """Where they are published, and what tells the counterparts."""
+    """Publication of the names and of their counterparts."""
     held_out: bool
-    """Whether the rules were written without it."""
+    """Whether the list was not used when the rules were written."""
     lines: str
 
     def names(self) -> tuple[str, ...]:

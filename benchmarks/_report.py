@@ -1,4 +1,4 @@
-"""What benchmarks print, kept: Markdown for people, JSON for scripts, the machine beside it."""
+"""Storage of benchmark output: Markdown and JSON, with a description of the machine."""
 
 import contextlib
 import io
@@ -18,7 +18,7 @@ PACKAGES = ("numpy", "scipy", "usd-core", "OpenImageIO", "embreex", "av", "usdfa
 
 
 class Tee(io.TextIOBase):
-    """Passes text on and keeps it."""
+    """Passes text on and records it."""
 
     def __init__(self, beyond: io.TextIOBase) -> None:
         self._beyond = beyond
@@ -38,7 +38,7 @@ class Tee(io.TextIOBase):
 
 @contextlib.contextmanager
 def kept_output() -> Iterator[Tee]:
-    """Let what is printed be seen, and keep it."""
+    """Record what is printed, in addition to printing it."""
     tee = Tee(sys.stdout)  # type: ignore[arg-type]
     with contextlib.redirect_stdout(tee):
         yield tee
@@ -46,18 +46,18 @@ def kept_output() -> Iterator[Tee]:
 
 @dataclass(frozen=True)
 class Measured:
-    """What one benchmark printed, and how long it took."""
+    """Output and duration of a benchmark."""
 
     name: str
     text: str
     seconds: float
     load: float
     options: str = ""
-    """Of the command, beside the name."""
+    """Options of the command."""
 
 
 def machine() -> dict[str, str]:
-    """Return what figures depend on."""
+    """Return the properties of the machine that figures depend on."""
     cpu = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.is_file():
@@ -73,10 +73,7 @@ def machine() -> dict[str, str]:
 
 
 def write_report(folder: Path, results: list[Measured]) -> None:
-    """Write or renew NAME.md and NAME.json of each benchmark, and an index of all that are there.
-
-    Each benchmark has its own files, so that one can be run again without the others.
-    """
+    """Write NAME.md and NAME.json of each benchmark, and the index of all in the folder."""
     folder.mkdir(parents=True, exist_ok=True)
     about = machine()
     day = datetime.now(UTC).strftime("%Y-%m-%d")

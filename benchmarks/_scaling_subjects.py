@@ -1,7 +1,7 @@
-"""What is asked how it scales: each call on the same simulated face, at growing sizes.
+"""Calls whose scaling is measured, on a simulated face of increasing sizes.
 
-Run as a program it prints one line of JSON a measurement: BLAS reads how many threads it may have
-when numpy is imported, so that one who wants one thread needs a process of its own.
+Run as a program, it prints a line of JSON per measurement: BLAS reads the number of threads when
+numpy is imported, so that measuring with one thread needs a separate process.
 """
 
 import json
@@ -41,15 +41,15 @@ from usdface.usdio.rig.write import write_rig
 MARKERS, SHAPES, PAIRS, BLOCK = 102, 46, 50, 4096
 ON = f"{MARKERS} markers"
 HEADS = (19_551, 76_944, 305_274)
-"""Points of the demo's head as it is, and with every polygon cut in four once and twice."""
+"""Points of the demo's head, without subdivision and subdivided once and twice."""
 
 NOISE_MM = 0.1
 SKIN_POINTS = 900
 ENOUGH_SECONDS, MOST_RUNS = 0.4, 5
-"""Short calls are repeated, and the shortest run counts: other work on the machine only adds."""
+"""Short calls are repeated for this time, at most so often; the shortest run is used."""
 
 LINEAR = 1.1
-"""Caches that no longer hold what is worked on make a linear call look a little steeper."""
+"""Limit of the exponent of linear calls: cache misses at large sizes increase it above 1."""
 
 Work = Callable[[], object]
 
@@ -61,14 +61,14 @@ class Subject:
     Attributes
     ----------
     call, within : str
-        What is measured, in what.
+        The function, and the measure of size.
     sizes : tuple of int
     most : float
-        Exponent that is wanted at most, from what the call has to do.
+        Limit of the exponent, from the complexity of the call.
     fixed : str
-        What does not grow.
+        Description of the constant sizes.
     prepare : callable
-        From a size and a folder to what is timed.
+        Returns the timed function for a size and a folder.
     """
 
     call: str
@@ -81,7 +81,7 @@ class Subject:
 
 @dataclass(frozen=True)
 class _Actor:
-    """A face whose shapes move patches of it, and a performance seen by markers."""
+    """A face whose shapes move patches, and a performance captured by markers."""
 
     skin: np.ndarray
     weights: np.ndarray
@@ -148,7 +148,7 @@ def _training(*, pairs: int, shapes: int, method: str) -> Callable[[], TrainedMa
 
 
 _TRAINED: dict[tuple[int, int, str], TrainedMapping] = {}
-"""What was timed while it was trained, for predictions: training twice would take minutes."""
+"""Mappings of the timed training, reused for the timing of predictions."""
 
 
 def _train(size: int, folder: Path, *, by: str, method: str) -> Work:
@@ -180,7 +180,7 @@ def _predict(size: int, folder: Path, *, by: str, method: str) -> Work:
     clouds = _actor(6_000, shapes).clouds
 
     def work() -> None:
-        for start in range(0, frames, BLOCK):  # as `map` does: memory does not grow with the take
+        for start in range(0, frames, BLOCK):  # as in `map`, in constant memory
             predictor.predict(clouds[: min(BLOCK, frames - start)])
 
     return work
@@ -228,7 +228,7 @@ def _write(size: int, folder: Path, *, by: str) -> Work:
             rig,
         ) as writer:
             for start in range(0, frames, BLOCK):
-                # USD keeps equal samples once: no two blocks are alike.
+                # Blocks differ, since USD stores equal samples once.
                 shade = np.float32(1 - 0.5 * start / frames)
                 writer.append(waves[: min(BLOCK, frames - start)] * shade)
 
@@ -237,7 +237,7 @@ def _write(size: int, folder: Path, *, by: str) -> Work:
 
 @cache
 def _head(steps: int) -> tuple[RigMesh, ...]:
-    """Return the demo's meshes, each polygon cut in four so many times."""
+    """Return the demo's meshes, subdivided `steps` times."""
     if steps == 0:
         return tuple(replace(mesh, shapes=()) for mesh in demo_rig().meshes)
     finer = []
@@ -300,7 +300,7 @@ RIG_SHAPES = {"ridge": (46, 92, 184, 368, 736), "face_map": (23, 46, 92, 184)}
 
 
 def _of_method(method: str) -> tuple[Subject, ...]:
-    """Return training, which predictions then use, and predictions of one method."""
+    """Return training and predictions of one method."""
     pairs, shapes = REFERENCES[method], RIG_SHAPES[method]
     train, predict = f"train {method}", f"map by {method}"
     by = {
@@ -313,9 +313,9 @@ def _of_method(method: str) -> tuple[Subject, ...]:
     many, few = f"{BLOCK:,} frames", f"{PAIRS} references"
     rig = f"{SHAPES} shapes"
     return (
-        # One decomposition of as many rows and columns as there are references.
+        # One decomposition of a (references, references) matrix.
         Subject(train, "references", pairs, 3.0, rig, by["references"][0]),
-        # Errors are weighed by what each shape has in common with each other.
+        # Errors are weighted by the Gram matrix of the shapes.
         Subject(train, "shapes", shapes, 2.0, few, by["shapes"][0]),
         Subject(predict, "frames", FRAMES, LINEAR, f"{few}, {rig}", by["frames"][1]),
         Subject(predict, "references", pairs, LINEAR, f"{many}, {rig}", by["references"][1]),
@@ -327,7 +327,7 @@ SUBJECTS = (
     Subject(
         "clean", "frames", (750, 1_500, 3_000, 6_000), LINEAR, ON, partial(_clean, by="frames")
     ),
-    # What a marker should be is told by all others.
+    # Each marker is predicted from all others.
     Subject(
         "clean", "markers", (30, 60, 120, 240), 2.0, "2,000 frames", partial(_clean, by="markers")
     ),
@@ -346,13 +346,13 @@ SUBJECTS = (
     ),
     Subject("make a head ready", "points", HEADS, LINEAR, "once a rig", _make_ready),
     Subject("draw a head", "points", HEADS, LINEAR, "320 × 320 pixels, final", _draw),
-    # Every point is taken from a heap once a marker: n log n.
+    # Per marker, each point is taken from a heap once: n log n.
     Subject("distances over edges", "points", (5_000, 10_000, 20_000, 40_000), 1.2, ON, _geodesic),
 )
 
 
 def _seconds(work: Work, *, least_runs: int) -> float:
-    """Return the shortest of as many runs as there is time for [s of the processor]."""
+    """Return the shortest processor time of repeated runs [s]."""
     taken: list[float] = []
     while len(taken) < least_runs or (len(taken) < MOST_RUNS and sum(taken) < ENOUGH_SECONDS):
         begun = time.process_time()
@@ -362,11 +362,11 @@ def _seconds(work: Work, *, least_runs: int) -> float:
 
 
 def main() -> None:
-    """Measure all, or with ``--quick`` all but each largest size."""
+    """Measure all sizes; with ``--quick`` without the largest."""
     for number, subject in enumerate(SUBJECTS):
         for size in subject.sizes[: -1 if "--quick" in sys.argv else None]:
             with tempfile.TemporaryDirectory() as folder:
-                # The very first run also imports, and fills caches.
+                # The first run imports modules and fills caches.
                 least = 2 if size == subject.sizes[0] else 1
                 seconds = _seconds(subject.prepare(size, Path(folder)), least_runs=least)
             measured = {"subject": number, "size": size, "seconds": seconds}

@@ -1,4 +1,4 @@
-"""Faces whose every point's motion is known, with markers on some of their points."""
+"""Faces with known motion of every point, and markers on some of them."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +21,7 @@ from usdface.usdio.rig.read import read_rig
 
 @dataclass(frozen=True)
 class Subject:
-    """A mesh, the points that carry markers, and what all points do."""
+    """A mesh, the points with markers, and the motion of all points."""
 
     name: str
     points: np.ndarray
@@ -32,13 +32,13 @@ class Subject:
     motion: np.ndarray
     """(frames, points, 3) [mm]"""
     offsets: sparse.csc_array
-    """(shapes, 3 * points): what each shape does, for finding the lips."""
+    """(shapes, 3 * points): displacements of the shapes, from which the lips are found [mm]."""
     jaw: int
     mouth: np.ndarray
 
 
 def demo_subject(frames: int, *, markers: int | None = None) -> Subject:
-    """Build the built-in character's skin as the built-in performance moves it."""
+    """Return the demo's skin, moved by the demo's performance."""
     head = make_head(CHARACTER)
     rig, clip = demo_rig(CHARACTER), performance().weights
     own = mesh_points(head)["skin"]
@@ -55,7 +55,7 @@ def demo_subject(frames: int, *, markers: int | None = None) -> Subject:
 
 
 def recorded_subject(frames: int, *, markers: int = 42) -> Subject | None:
-    """Read ICT's face, moved by recorded curves, with markers spread where it moves."""
+    """Return ICT's face, moved by recorded curves, with markers where it moves."""
     if not (SHARED_DATA / "rigs").is_dir():
         return None
     rig = read_rig(SHARED_DATA / "rigs" / "ict_face.usdc")
@@ -98,7 +98,7 @@ def _subject(  # type: ignore[no-untyped-def]
 
 
 def _spread_markers(rig, mesh: RigMesh, count: int) -> np.ndarray:  # type: ignore[no-untyped-def]
-    """Choose points far from each other, a little denser where the face moves more."""
+    """Choose distant points, more densely where the face moves more."""
     dense = Deformer(rig).shapes.target_offsets().toarray()
     energy = np.sqrt((dense.reshape(len(dense), -1, 3) ** 2).sum(axis=(0, 2)))[: len(mesh.points)]
     pool = np.flatnonzero(energy > 0.1 * energy.max())

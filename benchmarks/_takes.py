@@ -1,4 +1,4 @@
-"""Takes that a benchmark relies on, refused where they hold something else."""
+"""Checks of the takes that benchmarks use."""
 
 from usdface.core.assets import Markers, Take, WeightsClip
 

@@ -1,8 +1,8 @@
-"""Fifty simulated pairs of recordings, and what must be refused.
+"""Alignment of sound: fifty simulated pairs of recordings, and pairs that must be refused.
 
-Recorded speech is played in rooms that answer, to two recorders whose clocks differ by up to
-120 ppm, at the rates recorders have: the camera's with noise of 0 to 20 dB, the capture's with 15
-to 40. Errors are the largest over the camera's recording.
+Recorded speech with reverberation is recorded by two devices whose clocks differ by up to
+120 ppm, at usual sample rates and signal-to-noise ratios of 0 to 20 dB (camera) and 15 to 40 dB
+(capture). Errors are the largest over the camera's recording.
 """
 
 import time
@@ -28,7 +28,7 @@ Pair = tuple[Sound, Sound]
 
 @dataclass(frozen=True)
 class Trial:
-    """One pair, what was found, and what is true."""
+    """Result and truth of one pair."""
 
     found: SoundAlignment
     error_ms: float
@@ -97,7 +97,7 @@ def simulate_pairs(
 
 
 def unusable_pairs(speech: list[Sound]) -> dict[str, Callable[[np.random.Generator], Pair]]:
-    """Return makers of pairs that no one could align, by kind."""
+    """Return functions that make pairs without a valid alignment, by kind."""
 
     def heard(event: Sound, rng: np.random.Generator, shortest: float = 4.0) -> Sound:
         total = len(event) / RATE

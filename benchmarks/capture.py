@@ -1,4 +1,4 @@
-"""Capture at length, an hour of 102 markers at 120 Hz, against floors measured in the same run."""
+"""Capture of an hour, 102 markers at 120 Hz, relative to lower bounds of the same run."""
 
 import os
 import subprocess
@@ -15,11 +15,11 @@ FRAMES = 432_000
 MARKERS = 102
 RIGID = 12
 LOOPED = 3_000
-"""Frames that the loops run; their time is per frame, so the rest follows."""
+"""Frames of the loops, whose time per frame is extrapolated."""
 
 
 def run() -> None:
-    """Print each measure as a ratio to its floor."""
+    """Print each measure as a ratio to its lower bound."""
     print("| measure | ours | floor | ratio |")
     print("|---|---|---|---|")
     _stabilisation()
@@ -79,7 +79,7 @@ from usdface.specs.capture import IngestSpec
 from usdface.runner.execute import execute
 import usdface.steps.capture.ingest
 
-def peak():  # unlike ru_maxrss, not what the parent process had
+def peak():  # ru_maxrss includes the parent process
     lines = Path("/proc/self/status").read_text().splitlines()
     return int(next(line for line in lines if line.startswith("VmHWM")).split()[1])
 
@@ -107,7 +107,7 @@ layer.Save()
 
 
 def _ingest() -> None:
-    """Ingest against reading the bytes and writing the bare points."""
+    """Compare ingest with reading the bytes and writing the bare points."""
     from usdface.capture.c3d_write import write_c3d
 
     with tempfile.TemporaryDirectory() as name:

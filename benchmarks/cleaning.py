@@ -1,4 +1,4 @@
-"""Cleaning on a take whose damage is known: swaps relabelled, good samples left, and its cost.
+"""Cleaning of a take with known damage: relabelled swaps, unchanged samples, cost.
 
 `--full` also ingests and cleans an hour of the demo's actor, by the installed commands.
 """
@@ -21,7 +21,7 @@ STRIDE = 10
 
 
 def run(*, full: bool = False) -> None:
-    """Print what was relabelled, what it cost, and how the time grows with the take."""
+    """Print relabelled swaps, cost, and the growth of the time with the take."""
     _damaged()
     if full:
         _hour()
@@ -68,7 +68,7 @@ def _damaged() -> None:
 
 
 def _hour() -> None:
-    """Print what an hour takes: nothing of it is extrapolated."""
+    """Print the cost of an hour, without extrapolation."""
     print(f"\n| {HOUR:,} frames, 102 markers | processor s | peak memory, MB |")
     print("|---|---|---|")
     with tempfile.TemporaryDirectory() as name:
@@ -83,7 +83,7 @@ def _hour() -> None:
 
 
 def _capture(path: Path, frames: int) -> None:
-    """Write the demo's actor, there and back again and again, with noise in every frame."""
+    """Write the demo's actor, forwards and backwards in a loop, with noise in every frame."""
     from usdface.capture.c3d_write import write_c3d
     from usdface.demo.acting import performance
     from usdface.demo.capture import demo_markers, simulate_capture
@@ -111,7 +111,7 @@ def _capture(path: Path, frames: int) -> None:
 
 
 def _is_relabelled(cleaned: CleanedMarkers, swap: np.ndarray) -> bool:
-    """Whether found swaps cover nine tenths of a true one, and little beside it."""
+    """Whether detected swaps cover 90 % of a true one, and little else."""
     first, second, start, stop = (int(value) for value in swap)
     covered = np.zeros(stop - start, np.bool_)
     for found in cleaned.swaps:
@@ -121,7 +121,7 @@ def _is_relabelled(cleaned: CleanedMarkers, swap: np.ndarray) -> bool:
 
 
 def _errors(cleaned: CleanedMarkers, truth: np.ndarray) -> np.ndarray:
-    """Return the distance of every sample from the truth, after one rigid movement [mm]."""
+    """Return the distance of every sample from the truth, after rigid alignment [mm]."""
     found = cleaned.positions[::STRIDE][: len(truth)].astype(np.float64)
     a, b = found.reshape(-1, 3), truth.reshape(-1, 3)
     u, _, vt = np.linalg.svd((a - a.mean(axis=0)).T @ (b - b.mean(axis=0)))

@@ -1,8 +1,8 @@
-"""What a mapping says of its own errors, against the errors.
+"""Calibration of uncertainty: predicted and true errors.
 
-Beside every frame a mapping tells, for the face and each part of it, an uncertainty; nine errors in
-ten are to be within 1.645 of it. That is counted here on frames with known weights: the second half
-of `crosstake`, at three levels of noise, and three takes of each of the performers of `performers`.
+A mapping predicts an uncertainty of the face and each region for every frame; 90 % of the errors
+should be within 1.645 of it. The share is measured on frames with known weights: the second half of
+`crosstake` at three levels of noise, and three takes of each performer of `performers`.
 """
 
 import tempfile
@@ -52,15 +52,15 @@ class Claims:
 
     @property
     def share_within(self) -> np.ndarray:
-        """Share of frames whose error is not above the uncertainty, of each region."""
+        """Return the share of frames within the limit, for each region."""
         shares: np.ndarray = (self.error_mm <= self.uncertainty_mm).mean(axis=0)
         return shares
 
 
 def run(counts: tuple[int, ...] = COUNTS, *, quick: bool = False) -> None:
-    """Print how often the uncertainty holds.
+    """Print the share of frames within the limit.
 
-    Quick runs one number of references.
+    `quick` runs one number of references.
     """
     if not (SHARED_DATA / "crosstake").is_dir():
         print(f"skipped: no crosstake in {SHARED_DATA}")
@@ -143,7 +143,7 @@ def _errors(
     gram: np.ndarray,
     skin: np.ndarray,
 ) -> np.ndarray:
-    """Return what weights that are off do to the skin of each region, gaze and tongue apart."""
+    """Return the error of the skin of each region, without gaze and tongue [mm]."""
     off = off.copy()
     off[:, unseen_shapes(names)] = 0.0
     errors = np.tile(surface_errors_mm(off, gram)[:, None], (1, len(regions)))

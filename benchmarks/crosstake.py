@@ -1,7 +1,7 @@
-"""Accuracy on a take with known weights: references from its first half, scored on its second.
+"""Accuracy on a take with known weights: references from its first half, errors on its second.
 
-The figures are those of the fixtures' own ruler, ``tools/score.py``. Everything runs as a user
-would run it, through specs and files.
+Measures are those of the fixtures' ``tools/score.py``. All steps run through specs and files, as a
+user would run them.
 """
 
 import csv
@@ -42,15 +42,15 @@ _PUBLISHED: dict[str, dict[str, Any]] = {
     "d06, 16 components, 16 × nearest": {"dimensions": (16,), "widths": (16,)},
     "d06, by cross-validation": {"dimensions": (4, 8, 16, 24), "widths": (2, 4, 8, 16, 32)},
 }
-"""Options of `train --method d06` beside those called "as published"."""
+"""Options of `train --method d06` that are compared with the published ones."""
 
 
 def run(
     counts: tuple[int, ...] = COUNTS, methods: tuple[str, ...] = (), *, quick: bool = False
 ) -> None:
-    """Print two tables per number of references: as recorded, and spoiled in several ways.
+    """Print two tables per number of references: as recorded, and with several kinds of damage.
 
-    Quick runs one number and the methods that matter most, in about two minutes.
+    `quick` runs one number and the main methods, in about two minutes.
     """
     if not (SHARED_DATA / "crosstake").is_dir():
         print(f"skipped: no crosstake in {SHARED_DATA}")
@@ -107,7 +107,7 @@ def read_ruler() -> ModuleType:
 
 
 def prepare(folder: Path, kind: str, truth: Any, name: str = "crosstake") -> None:
-    """Spoil, ingest and clean a fixture's capture; write the keys."""
+    """Damage, ingest and clean a fixture's capture; write the keys."""
     source = SHARED_DATA / name
     said = json.loads((source / "take.json").read_text())
     capture = source / "take.c3d"
@@ -122,7 +122,7 @@ def prepare(folder: Path, kind: str, truth: Any, name: str = "crosstake") -> Non
             sources=(capture,),
             out=folder / "x.take.usda",
             rigid=tuple(said["rigid"]),
-            neutral=said["neutral_frame"] + 1,  # an index there, a frame number here
+            neutral=said["neutral_frame"] + 1,  # index to frame number
         )
     )
     execute(CleanSpec(take=folder / "x.take.usda", out=folder / "x.clean.take.usda"))

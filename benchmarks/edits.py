@@ -1,7 +1,8 @@
-"""Edits teach: ten corrected frames, and what they do for the rest of the take.
+"""Learning from edits: the effect of ten corrected frames on the rest of the take.
 
-References come from the first half of `crosstake`. An animator looks at the second and corrects
-the ten worst moments, far enough apart; the frames within a second of a correction are not scored.
+References are from the first half of `crosstake`. In the second half the ten frames with the
+largest errors, at least a second apart, are corrected. Frames within a second of a correction are
+not evaluated.
 """
 
 import csv
@@ -29,7 +30,7 @@ from usdface.usdio.rig.read import read_rig
 
 CORRECTED = 10
 APART = 60
-"""Frames: one second."""
+"""Minimum distance of corrections in frames: one second."""
 
 
 def run(counts: tuple[int, ...] = (25, 50)) -> None:
@@ -80,7 +81,7 @@ def _map(
 
 
 def _worst(solved: np.ndarray, wanted: np.ndarray, rig_file: Path, shapes: list[str]) -> list[int]:
-    """Return the frames of the second half where the surface is furthest off, apart in time."""
+    """Return the frames of the second half with the largest surface errors, a second apart."""
     rig = read_rig(rig_file)
     deformer = Deformer(rig)
     columns = [shapes.index(name) for name in rig.shapes]

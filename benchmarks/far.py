@@ -1,12 +1,12 @@
-"""Accuracy near the references and far from them, and whether a mapping knows which it is.
+"""Accuracy and uncertainty near the references and far from them.
 
-All references are of the first half of `crosstake`. Near is its second half; far are the same
-performer with the right side 20 s late (`onesided`: winks, half smiles), keys that are not exact,
-pairs of two animators whose gains differ, and brows whose references are of the cheeks. Keys and
-takes are read from files as a user would make them; methods are trained and compared in memory.
+All references are from the first half of `crosstake`. Near: its second half. Far: the same
+performer with the right side 20 s late (`onesided`: winks, half smiles), inexact keys, pairs of two
+animators with different gains, and brows with references of the cheeks. Keys and takes are read
+from files, as a user would make them; methods are trained and compared in memory.
 
-Frames are blocks of consecutive ones spread over the take, so that jitter is that of consecutive
-frames; `--full` takes them all.
+Frames are blocks of consecutive ones, evenly spread over the take, for the measurement of jitter;
+`--full` uses all frames.
 """
 
 import csv
@@ -44,23 +44,23 @@ RIG = SHARED_DATA / "rigs" / "facecap_head.usdc"
 BLOCKS, BLOCK_FRAMES = 16, 60
 SEEDS = range(5)
 KEY_ERROR, DROPPED_BELOW, DROPPED_SHARE = 0.15, 0.1, 1 / 3
-"""Keys that are not exact: each is 15 % off, and of those under .1 every third is left at 0."""
+"""Inexact keys: errors of 15 %, and a third of the keys below 0.1 set to 0."""
 
 ANIMATOR_GAINS = (1.1, 0.9)
-"""Of even and odd pairs, each keyed by one of two animators."""
+"""Gains of two animators, who key the even and the odd pairs."""
 
 
 @dataclass(frozen=True)
 class Setup:
-    """References, frames to map, and what an animator would have keyed there.
+    """References, frames to map, and their true weights.
 
     Attributes
     ----------
     markers, visible : (frames, markers, 3) and (frames, markers) arrays
-        In the references' order and space.
+        In the references' order and head space.
     truth : (frames, shapes) float array
     block : int
-        Frames that follow each other.
+        Number of consecutive frames.
     """
 
     name: str
@@ -73,7 +73,7 @@ class Setup:
 
 @dataclass(frozen=True)
 class Ruler:
-    """The rig: what errors of weights do to its surface and its regions."""
+    """Error measures on the surface and the regions of a rig."""
 
     rig: Rig
     deformer: Deformer
@@ -94,7 +94,7 @@ class Ruler:
         return cls(rig, deformer, gram, sample_skin(offsets), rest, {"face": gram} | regions)
 
     def train(self, references: References, method: str) -> TrainedMapping:
-        """Train as `train` does."""
+        """Train with the defaults of `usdface train`."""
         columns = [self.rig.shapes.index(name) for name in references.shape_names]
         return train_mapping(
             references,
@@ -106,13 +106,13 @@ class Ruler:
         )
 
     def errors_mm(self, error: np.ndarray, region: str = "face") -> np.ndarray:
-        """Return the surface's root mean square error in each frame."""
+        """Return the root mean square error of the surface in each frame [mm]."""
         squared = np.einsum("fs,st,ft->f", error, self.regions[region], error, optimize=True)
         return np.sqrt(np.maximum(squared, 0))
 
 
 def run(methods: tuple[str, ...] = METHODS, *, full: bool = False) -> None:
-    """Print errors near and far of every method, then what the first says of its errors."""
+    """Print errors of every method, and the uncertainty of the first."""
     if not (SHARED_DATA / "onesided").is_dir():
         print(f"skipped: no onesided in {SHARED_DATA}")
         return
@@ -122,7 +122,7 @@ def run(methods: tuple[str, ...] = METHODS, *, full: bool = False) -> None:
 
 
 def compare(folder: Path, methods: tuple[str, ...], *, full: bool = False) -> None:
-    """Print the tables of takes that `prepare` left in a folder."""
+    """Print the tables of the takes that `prepare` wrote to a folder."""
     ruler = Ruler.of(RIG)
     setups = list(read_setups(folder, full=full))
     print("vertex RMS [mm], blink bias, jitter\n")
@@ -146,7 +146,7 @@ def compare(folder: Path, methods: tuple[str, ...], *, full: bool = False) -> No
 
 
 def prepare(folder: Path) -> None:
-    """Ingest, clean and select; what is there already is left alone."""
+    """Ingest, clean and select; existing files are kept."""
     for name in ("crosstake", "onesided"):
         if not (folder / name).is_dir():
             (folder / name).mkdir()
@@ -168,7 +168,7 @@ def prepare(folder: Path) -> None:
 
 
 def read_setups(folder: Path, *, full: bool = False) -> Iterator[Setup]:
-    """Yield what there is to map."""
+    """Yield all setups."""
     near, far = (_read_take(folder / name) for name in ("crosstake", "onesided"))
     references = {
         count: read_references(folder / "crosstake" / f"{count}.references.usda")
@@ -242,7 +242,7 @@ def solve(setup: Setup, ruler: Ruler, method: str) -> Prediction:
 
 
 def figures(weights: np.ndarray, setup: Setup, ruler: Ruler) -> str:
-    """Return error, blink bias and jitter as a cell: those of the fixtures' ruler."""
+    """Return error, blink bias and jitter by the fixtures' measures, as a cell."""
     error = on_rig(weights - setup.truth, setup, ruler)
     blinks = [
         i for i, n in enumerate(setup.references.shape_names) if n.lower().startswith("eyebl")
@@ -258,7 +258,7 @@ def figures(weights: np.ndarray, setup: Setup, ruler: Ruler) -> str:
 
 
 def on_rig(values: np.ndarray, setup: Setup, ruler: Ruler) -> np.ndarray:
-    """Put the references' shapes into the rig's order."""
+    """Return values in the order of the rig's shapes."""
     out = np.zeros((len(values), len(ruler.rig.shapes)))
     out[:, [ruler.rig.shapes.index(name) for name in setup.references.shape_names]] = values
     return out
@@ -284,7 +284,7 @@ def _bounded(setup: Setup, ruler: Ruler, folder: Path) -> np.ndarray:
 def _print_uncertainty(
     method: str, setups: list[Setup], found: list[Prediction], ruler: Ruler
 ) -> None:
-    """Print how uncertainty ranks frames, and how often the limit of nine in ten holds."""
+    """Print the rank correlation of uncertainty and error, and how often the 90 % limit holds."""
     print(f"{method}: Spearman of uncertainty and error; share of frames within nine in ten\n")
     print(f"| set-up | {' | '.join(found[0].regions)} |")
     print(f"|---|{'---|' * len(found[0].regions)}")
@@ -298,10 +298,9 @@ def _print_uncertainty(
 
 
 def brow_share(folder: Path, ruler: Ruler, method: str) -> float:
-    """Map a recorded take of the brows through references of the cheeks.
+    """Map a recorded take of the brows with references of the cheeks.
 
-    Keys are the baseline's proposals, so that the baseline on the same registration is what a
-    mapping that loses nothing would give.
+    Keys are the baseline's proposals, so that a mapping without error gives the baseline.
     """
     references = read_references(folder / "cheeks.references.usda")
     cheeks, brows = (

@@ -1,10 +1,9 @@
-"""An hour mapped in chunks by `openjd run`, against one process that maps it whole.
+"""An hour mapped in chunks by `openjd run`, relative to one process that maps it whole.
 
-The take is the demo's actor again and again, 432,000 frames. Both routes are the installed command
-line on the same files; times are elapsed and, as other work on the machine counts there, of the
-processor, all processes together. By default `usdface submit` gives an hour to one task; it is also
-cut into four, played as value clips and merged. What openjd takes to watch a task
-that only waits stands beside them: it is in every row below.
+The take repeats the demo's actor for 432,000 frames. Both routes are the installed command on the
+same files; elapsed time and processor time of all processes are measured. By default `usdface
+submit` maps an hour in one task; it is also split into four, as value clips and merged. The time of
+a task that only sleeps shows openjd's own cost, which is part of every row below.
 """
 
 import resource
@@ -23,13 +22,13 @@ FRAMES = 432_000
 MOST_OVERHEAD = 1.1
 ROUNDS = 9
 LONG_ROUNDS = 3
-"""Of what is not held against a target."""
+"""Rounds of routes without a target."""
 WHOLE = "one process"
 IDLE = "openjd run of a task that waits as long"
 
 
 def run(frames: int = FRAMES) -> None:
-    """Print processor and elapsed times of each route, and whether it agrees value for value."""
+    """Print processor and elapsed times of each route, and whether its weights are equal."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         _make_shot(folder, frames)
@@ -112,7 +111,7 @@ def _job(folder: Path, name: str) -> Path:
 
 
 def _idle(folder: Path, seconds: float) -> Path:
-    """Write a job of one task that only waits: what openjd itself takes."""
+    """Write a job of one task that sleeps, to measure openjd's own cost."""
     action = {"onRun": {"command": "sleep", "args": [f"{seconds:.1f}"]}}
     job = {
         "specificationVersion": "jobtemplate-2023-09",
@@ -125,7 +124,7 @@ def _idle(folder: Path, seconds: float) -> Path:
 
 
 def _timed(arguments: list[str], *, command: str = "usdface") -> tuple[float, float]:
-    """Return processor and wall time of a command and all that it starts [s]."""
+    """Return processor and elapsed time of a command with its child processes [s]."""
     found = shutil.which(command, path=str(Path(sys.executable).parent)) or command
     before, begun = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     subprocess.run([found, *arguments], check=True, capture_output=True)

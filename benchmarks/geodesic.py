@@ -1,4 +1,4 @@
-"""Distances over a mesh: how long they take, how far they are off, and what they hold in memory."""
+"""Geodesic distances: time, error and memory."""
 
 import resource
 import time
@@ -12,7 +12,7 @@ from usdface.numerics.surface.triangulation import triangulate
 MARKERS = 102
 RADIUS = 90.0
 SIZES = ((134, 200), (500, 1000))
-"""Rows and columns of a sphere of quads: 26,800 points, as a head has, and half a million."""
+"""Rows and columns of a sphere of quads: 26,800 points, the size of a head, and half a million."""
 
 
 def run(sizes: tuple[tuple[int, int], ...] = SIZES) -> None:
@@ -48,7 +48,7 @@ def run(sizes: tuple[tuple[int, int], ...] = SIZES) -> None:
 
 
 def _errors(to_points: np.ndarray, positions: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return the share by which some of the distances are off, 10 mm away and farther."""
+    """Return relative errors of a sample of the distances above 10 mm."""
     some = np.linspace(0, len(points) - 1, 5000).astype(int)
     unit = positions / np.linalg.norm(positions, axis=1, keepdims=True)
     exact = RADIUS * np.arccos(np.clip(unit @ points[some].T / RADIUS, -1, 1))

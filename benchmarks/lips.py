@@ -1,8 +1,8 @@
-"""Lips on a take with known weights: do they close where they should, and only there?
+"""Lip contact on a take with known weights: lips wrongly open and wrongly closed.
 
-References come from the first half of `crosstake`; the second half is judged, by `evaluate`'s own
-measure of the distance between the lips. Beside the solve stands what closing afterwards does to
-it, by the rule that proposals use (`usdface.model.selection.lip_contact`).
+References are from the first half of `crosstake`, errors are those of the second, by the lip
+distance of `evaluate`. The solve is compared with closing afterwards by the rule of proposals
+(`usdface.model.selection.lip_contact`).
 """
 
 import tempfile
@@ -26,11 +26,11 @@ from usdface.usdio.take.read import read_take
 COUNTS = (25, 50)
 
 CLOSED_MM = 0.03
-"""Lips nearer than this are closed: a sixth of a pixel where a face fills an HD picture."""
+"""Distance of closed lips: a sixth of a pixel if a face fills an HD picture."""
 
 
 def run(counts: tuple[int, ...] = COUNTS) -> None:
-    """Print how far the lips' distance is off, and what becomes of frames where they are closed."""
+    """Print errors of the lips' distance, and the frames that are wrongly open or closed."""
     if not (SHARED_DATA / "crosstake").is_dir():
         print(f"skipped: no crosstake in {SHARED_DATA}")
         return
@@ -80,7 +80,7 @@ def _evaluate(rig: Rig, solved: np.ndarray, wanted: np.ndarray) -> Evaluation:
 
 
 def _close(take_file: Path, rig: Rig, solved: np.ndarray) -> np.ndarray:
-    """Close the character's lips wherever the markers of the performer's are near rest."""
+    """Close the character's lips in frames with the performer's lip markers near rest."""
     take, deformer = read_take(take_file), Deformer(rig)
     markers = markers_of(take)
     equation = set_up_equation(

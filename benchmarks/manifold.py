@@ -1,4 +1,4 @@
-"""Regression over the surface: its errors on performed faces."""
+"""Accuracy of the regression over a surface, on faces with known motion."""
 
 import numpy as np
 from scipy import sparse
@@ -24,7 +24,7 @@ METHODS: dict[str, GpOptions | RbfOptions] = {
 
 
 def run(frames: int = 24) -> None:
-    """Print accuracy on every face there is."""
+    """Print the accuracy on every face."""
     for subject in (recorded_subject(frames), demo_subject(frames)):
         if subject is None:
             print("ict_face with recorded curves: skipped, no shared data\n")
@@ -33,7 +33,7 @@ def run(frames: int = 24) -> None:
 
 
 def accuracy(subject: Subject) -> None:
-    """Print errors at unseen points, the lips' opening and what 95 % intervals hold."""
+    """Print errors at points without markers, the lips' opening and the coverage of intervals."""
     distances = surface_distances(
         subject.points,
         subject.counts,

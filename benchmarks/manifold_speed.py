@@ -1,4 +1,4 @@
-"""The sampler over the surface: its speed beside a dense one's, and that of whole fields."""
+"""Speed of the sampler relative to a dense one, and of the prediction of whole meshes."""
 
 import time
 from dataclasses import replace
@@ -15,11 +15,11 @@ from usdface.numerics.manifold.hyper_sampling import sample_hyperparameters
 from usdface.numerics.manifold.laplace import fit_laplace
 
 TURNS = 5
-"""Runs of each sampler that is compared, the quickest of which counts."""
+"""Runs of each sampler, of which the fastest is used."""
 
 
 def run(frames: int = 512) -> None:
-    """Print the sampler's speed over a dense one's in the same run, and of whole fields."""
+    """Print the sampler's speed relative to a dense one in the same run, and that of meshes."""
     subject = demo_subject(frames, markers=42)
     distances = surface_distances(
         subject.points,
@@ -37,7 +37,7 @@ def run(frames: int = 512) -> None:
     again = sample_hyperparameters(rng, table, rows)[0]
     around = fit_laplace(TabulatedEnergy(table, rows[:3]), modes.theta[:, :3])
     times = np.empty((TURNS, 2))
-    for turn in times:  # by turns: both see the same load
+    for turn in times:  # alternating, for equal load
         start = time.process_time()
         sample_hyperparameters(rng, table, rows)
         turn[0] = (time.process_time() - start) / frames
@@ -95,7 +95,7 @@ def run(frames: int = 512) -> None:
 
 
 def _grown(fitted: GpSurface, basis: np.ndarray, squares: np.ndarray) -> GpSurface:
-    """Return the model on a mesh of as many points as ICT's head."""
+    """Return the model on a mesh with the number of points of ICT's head."""
     factors = replace(fitted.factors, of_points=np.tile(fitted.factors.of_points, 3)[: len(basis)])
     fields = replace(fitted.fields, basis=basis, squares=squares)
     return replace(fitted, fields=fields, factors=factors, point_count=len(basis))

@@ -1,7 +1,7 @@
-"""How fast mappings are, against floors in the same run: products of matrices, one decomposition.
+"""Speed of mappings relative to lower bounds of the same run: matrix products, one decomposition.
 
-Times are of the processor, since other work on the machine would count otherwise.
-Also how long a rig of 946 shapes, most of them correctives, takes to train.
+Times are processor times, which depend less on other work on the machine. The training of a rig of
+946 shapes, most of them correctives, is timed as well.
 """
 
 import sys
@@ -33,7 +33,7 @@ PAIRS = 200
 
 
 def run(*, quick: bool = False) -> None:
-    """Print ratios to their floors, and times."""
+    """Print ratios to the lower bounds, and times."""
     print("| measure | value | wanted |")
     print("|---|---|---|")
     small = _mapping_ratio(pairs=100, shapes=46, with_exp=True)
@@ -50,7 +50,7 @@ def run(*, quick: bool = False) -> None:
 
 
 def _fastest(work: Callable[[], object], times: int = 5) -> float:
-    """Return the shortest of several runs: other work on the machine only ever adds."""
+    """Return the shortest time of several runs [s]."""
     taken = []
     for _ in range(times):
         start = time.process_time()
@@ -111,7 +111,7 @@ class _Large:
 
 
 def _large_rig() -> _Large:
-    """Make shapes that move patches of a face, and products of two that correct them."""
+    """Make shapes that move patches of a face, and correctives driven by two of them."""
     rng = np.random.default_rng(0)
     points = rng.uniform(-70, 70, size=(900, 3))
     centres = points[rng.choice(len(points), BASE_SHAPES, replace=False)]

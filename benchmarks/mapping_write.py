@@ -1,10 +1,10 @@
-"""Mapping and writing a long take, against the bare USD write of the same array in the same run.
+"""Mapping and writing a long take, relative to the bare USD write of the same array.
 
 432,000 frames are an hour at 120 frames per second. Markers are simulated: an actor moves from one
-expression of a repertoire to the next, as far as the moment asks. Making markers is not counted.
-Elapsed time is what the target speaks of, with two cores at hand; processor time is what other work
-on the machine spoils less. Every route is a process of its own, with the commands' one thread for
-products, so that peaks of memory are its own.
+expression of a repertoire to the next. Their generation is not timed. The target is for elapsed
+time on two cores; processor time depends less on other work on the machine. Every route is a
+separate process, with one thread for products as in the commands, so that its peak memory is
+measured.
 """
 
 import json
@@ -71,7 +71,7 @@ _LABELS = {
 
 
 def _route(name: str, frames: int) -> dict[str, float]:
-    """Run one route in a process of its own."""
+    """Run one route in a separate process."""
     done = subprocess.run(
         [sys.executable, "-m", "benchmarks.mapping_write", name, str(frames)],
         capture_output=True,
@@ -84,13 +84,13 @@ def _route(name: str, frames: int) -> dict[str, float]:
 
 
 def _peak_mb() -> float:
-    """Return the peak of this process's memory; what the parent had counts for `getrusage`."""
+    """Return the peak memory of this process; `getrusage` includes that of the parent."""
     lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
     return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1000
 
 
 def _weights(frames: int, shapes: int) -> Callable[[int], np.ndarray]:
-    """Return blocks of weights that cost next to nothing to make and differ in every frame."""
+    """Return blocks of weights that are cheap to make and differ in every frame."""
     rng = np.random.default_rng(0)
     waves = (0.5 + 0.4 * np.sin(rng.random((BLOCK, shapes)) * 6)).astype(np.float32)
 
@@ -163,7 +163,7 @@ def _written(
 
 
 def _acted(rng: np.random.Generator) -> Callable[[np.ndarray], np.ndarray]:
-    """Return weights over time [s]: from one expression to the next, never twice as far."""
+    """Return weights over time [s]: from one expression to the next, with varying amplitude."""
     poses = rng.random((EXPRESSIONS, SHAPES)) * (rng.random((EXPRESSIONS, SHAPES)) < 0.35)
     keys = rng.integers(EXPRESSIONS, size=int(FRAMES / 120 / KEY_SECONDS) + 2)
     strength = rng.uniform(0.3, 1.0, len(keys))
@@ -241,10 +241,10 @@ def _measure(name: str, frames: int) -> dict[str, float]:
         where = Path(folder)
         if name == "bare":
             return _bare(where, frames)
-        # Imports are the same however long a take is, and not what is asked here.
+        # Imports do not depend on the length of a take and are not timed.
         _written(where, BLOCK, SHAPES, [(_weights(BLOCK, SHAPES)(0), None)])
         if name in ("weights", "performance"):
-            # A slow wave and what a marker's noise of .05 mm adds to it.
+            # A slow wave, and the effect of marker noise of 0.05 mm.
             trust = 0.9 + 0.05 * np.sin(np.arange(BLOCK) / 20)
             trust += np.random.default_rng(0).normal(0, 0.003, BLOCK)
             block = _weights(frames, SHAPES)
@@ -264,7 +264,7 @@ def _measure(name: str, frames: int) -> dict[str, float]:
             def solved(count: int) -> Iterator[tuple[np.ndarray, None]]:
                 return ((block(start)[: count - start], None) for start in range(0, count, BLOCK))
 
-            _written(where, 2 * BLOCK, MANY, solved(2 * BLOCK))  # imports and all
+            _written(where, 2 * BLOCK, MANY, solved(2 * BLOCK))  # imports modules
             before = _peak_mb()
             part_frames = (1 << 27) // (4 * MANY) if name == "parts" else None
             _written(where, frames, MANY, solved(frames), part_frames=part_frames)

@@ -1,6 +1,6 @@
-"""Names of shapes: published lists matched with ARKit's, as they are and as studios dress them up.
+"""Matching of names: published lists against ARKit's, unchanged and with affixes of studios.
 
-Half of the sources were kept out of the making of the rules. No meshes are needed.
+Half of the lists were not used when the rules were written. No meshes are needed.
 """
 
 import random
@@ -12,7 +12,7 @@ from usdface.model.retarget.name_matching import name_matching, transfer_matrix
 from usdface.model.retarget.shape_vocabulary import ARKIT
 
 _DRAWS = 40
-"""Dressings of each list."""
+"""Random affixes per list."""
 
 _LETTERS = "abcdefghijklmnopqrstuvwxyz"
 _SIDES = (
@@ -28,7 +28,7 @@ _JOINS = ("_", ".", "-", "__", "")
 
 
 def run() -> None:
-    """Print how many names find their counterpart, and how many find another one."""
+    """Print the numbers of correct and wrong matches."""
     rng = random.Random(0)
     print("| source | held out | names with a counterpart | found | wrong | unlike sides |")
     print("|---|---|---|---|---|---|")
@@ -47,7 +47,7 @@ def run() -> None:
 
 
 def _claims(rng: random.Random, styled: list[tuple[int, int, int, int]]) -> None:
-    """Hold it all against what is wanted."""
+    """Print the claims."""
     scores = {
         held_out: [
             _score(*_dressed(each, rng))
@@ -81,10 +81,9 @@ def _row(label: str, held_out: bool, scores: Sequence[tuple[int, int, int, int]]
 
 
 def _score(names: Sequence[str], pairs: frozenset[tuple[str, str]]) -> tuple[int, int, int, int]:
-    """Return how many names are matched with all of their counterparts, of how many, and faults.
+    """Return the numbers of fully matched names, of names, of wrong pairs and of one-sided pairs.
 
-    A pair that nobody published is wrong; sides are unlike where one of two mirrored pairs is
-    matched alone.
+    A pair that is not published is wrong; a pair is one-sided if its mirror image is not matched.
     """
     matches = name_matching(ARKIT, names).matches
     matched = {(match.name, name) for match in matches for name, _ in match.target}
@@ -104,7 +103,7 @@ def _score(names: Sequence[str], pairs: frozenset[tuple[str, str]]) -> tuple[int
 
 
 def _dressed(given: Published, rng: random.Random) -> tuple[list[str], frozenset[tuple[str, str]]]:
-    """Return a list with a prefix and a suffix that all names share."""
+    """Return a list with a prefix and a suffix on all names."""
     before = "".join(_word(rng) + rng.choice("_.:-") for _ in range(rng.randint(1, 3)))
     after = rng.choice(("", "_" + _word(rng), "." + _word(rng)))
     dressed = {name: before + name + after for name in given.names()}
@@ -119,7 +118,7 @@ def _word(rng: random.Random) -> str:
 
 
 def _styled(rng: random.Random) -> tuple[list[str], frozenset[tuple[str, str]]]:
-    """Return ARKit's names as another studio would write them."""
+    """Return ARKit's names in another style."""
     left, right = rng.choice(_SIDES)
     centre, join, first = rng.choice(_CENTRES), rng.choice(_JOINS), rng.random() < 0.4
     case = rng.choice((str.title, str.lower, str.upper, str))
@@ -139,11 +138,11 @@ def _styled(rng: random.Random) -> tuple[list[str], frozenset[tuple[str, str]]]:
 
 
 _DIRECTIONS = ("jawLeft", "jawRight", "mouthLeft", "mouthRight")
-"""Whose side is where they go."""
+"""Names whose side is a direction."""
 
 
 def _round_trip() -> None:
-    """Say what is left of every single shape after MetaHuman's names and back."""
+    """Print the round-trip error of every shape over MetaHuman's names."""
     print("\n| ARKit to these names and back | largest difference |")
     print("|---|---|")
     for given in PUBLISHED:

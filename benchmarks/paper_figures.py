@@ -1,7 +1,7 @@
-"""The figures of the papers, drawn by the commands a user has: `--out FOLDER` keeps them.
+"""The papers' figures, drawn by commands; `--out FOLDER` stores them.
 
 D06 is Deng et al. (2006), S11 Song et al. (2011), W06 Wang et al. (2006). Both demos are made
-first, which takes minutes. Figures that are diagrams or photographs are left out.
+first, which takes minutes. Diagrams and photographs are omitted.
 """
 
 import contextlib
@@ -22,10 +22,10 @@ from usdface.usdio.retarget.pairs import read_pairs, write_pairs
 from usdface.usdio.rig.read import read_rig
 
 ALPHA_KEYS = 7
-"""Of figure 5 of S11."""
+"""Number of keys in figure 5 of S11."""
 
 EVERY = 5
-"""Frames measured there."""
+"""Every n-th frame is measured for it."""
 
 _D06 = (
     ("train demo.references.usda --method d06 --out d06.mapping.usdc --picture fig3.jpg", "fig3"),
@@ -68,7 +68,7 @@ _S11 = (
 
 
 def run(*, pictures: Path | None = None) -> None:
-    """Draw every figure, and print where it is and what drew it."""
+    """Draw every figure, and print its path and command."""
     before = Path.cwd()
     keep = None if pictures is None else pictures.resolve()
     print("| figure | command |")
@@ -99,7 +99,7 @@ def run(*, pictures: Path | None = None) -> None:
 
 def _call(line: str) -> None:
     try:
-        with contextlib.redirect_stdout(io.StringIO()):  # what is kept is the table
+        with contextlib.redirect_stdout(io.StringIO()):  # keep the table only
             main(shlex.split(line))
     except SystemExit as stopped:
         if stopped.code:
@@ -107,7 +107,7 @@ def _call(line: str) -> None:
 
 
 def _key_alpha(folder: Path) -> None:
-    """Key, for each stretch of time, the part of the hybrid that errs less: a person's choice."""
+    """Key alpha per range of frames by the part of the hybrid with the smaller error."""
     pairs = read_pairs(folder / "human_dog.pairs.usda")
     rig = read_rig(folder / "human.usdc")
     motion = read_source_motion(folder / "talk.human.usda", None)
@@ -123,7 +123,7 @@ def _key_alpha(folder: Path) -> None:
 
 
 def _contradict(folder: Path) -> None:
-    """Write the demo's pairs with six that contradict others."""
+    """Write the demo's pairs and six contradictory ones."""
     write_pairs(
         folder / "contradicted.pairs.usda",
         contradicted(read_pairs(folder / "human_dog.pairs.usda")),

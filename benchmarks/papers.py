@@ -1,7 +1,8 @@
-"""The papers' equations, each by our function and by code of another kind.
+"""The papers' equations, compared with independent implementations.
 
-D06 is Deng et al. (2006), S11 Song et al. (2011), W06 Wang et al. (2006). Differences are the
-largest of all entries, as a share of the largest entry. Rows above 1e-6 say why.
+D06 is Deng et al. (2006), S11 Song et al. (2011), W06 Wang et al. (2006). The difference of two
+results is the largest over all entries, divided by the largest entry. Rows above 1e-6 give the
+reason.
 """
 
 from collections.abc import Iterator
@@ -53,36 +54,36 @@ from usdface.numerics.solve.blendshape_equation import solve_weights
 from usdface.speech.phones import VISEME_PHONES
 
 EXACT_SHARE = 1e-6
-"""Of the largest entry: a difference above it needs a reason."""
+"""Relative difference above which a row needs a reason."""
 
 TABLE_1 = (
     "pau; b p m; k g ng; ae ax ah aa; f v; ch sh jh; ao y iy ih ay aw; ow oy; n d t l; "
     "ey eh el em en er; th dh; s z zh; r; w uw uh; hh"
 )
-"""As the paper prints it."""
+"""As printed in the paper."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """One equation by two codes."""
+    """An equation and its two results."""
 
     equation: str
     by: str
-    """What the other code is."""
+    """Description of the independent implementation."""
     ours: np.ndarray
     other: np.ndarray
     reason: str = ""
-    """Why they differ, where they do."""
+    """Reason of a difference."""
 
     @property
     def difference(self) -> float:
-        """Largest difference, as a share of the largest entry."""
+        """Return the largest difference divided by the largest entry."""
         size = max(float(np.abs(self.other).max()), np.finfo(float).tiny)
         return float(np.abs(np.asarray(self.ours) - self.other).max()) / size
 
 
 def run() -> None:
-    """Print the table; fail where a difference above the limit has no reason."""
+    """Print the table; fail if a difference above the limit has no reason."""
     print("| equation | independent | ours | theirs | largest difference | |")
     print("|---|---|---|---|---|---|")
     faults = []
@@ -100,7 +101,7 @@ def run() -> None:
 
 
 def _norm(values: np.ndarray) -> float:
-    """Return the root mean square of what is compared: one number for the table."""
+    """Return the root mean square, for the table."""
     return float(np.sqrt((np.asarray(values, float) ** 2).mean()))
 
 
@@ -185,7 +186,7 @@ def _orr(design: np.ndarray, y: np.ndarray, *, start: float) -> float:
 
 
 def _pyramid(curves: np.ndarray, gains: tuple[float, ...]) -> np.ndarray:
-    """Bruderlin and Williams's bands by plain convolution, ends held."""
+    """Return Bruderlin and Williams's bands by convolution with constant ends."""
     kernel, levels = np.array([1, 4, 6, 4, 1]) / 16, [curves]
     for band in range(len(gains)):
         spread = np.zeros(4 * 2**band + 1)
@@ -378,7 +379,7 @@ def _own_dijkstra(mouth: Mouth, *, inside: bool) -> np.ndarray:
     Parameters
     ----------
     inside : bool
-        Whether paths cross the polygon that a marker is on; else they begin along its edges.
+        Whether paths start across the polygon of a marker, or along its edges.
     """
     points, markers = mouth.points, len(mouth.chosen)
     graph = np.full((len(points) + markers,) * 2, np.inf)
@@ -389,7 +390,7 @@ def _own_dijkstra(mouth: Mouth, *, inside: bool) -> np.ndarray:
     for row, (face, start) in enumerate(zip(mouth.places.faces, mouth.chosen, strict=True)):
         for corner in faces[face] if inside else [start]:
             length = np.linalg.norm(points[corner] - points[start])
-            graph[len(points) + row, corner] = max(length, 1e-7)  # SciPy takes 0 for no edge
+            graph[len(points) + row, corner] = max(length, 1e-7)  # SciPy reads 0 as no edge
     return dijkstra(graph, indices=len(points) + np.arange(markers))[:, : len(points)]
 
 

@@ -1,7 +1,7 @@
-"""Regressions that pip installs, on the split of `crosstake` at 50 references, by the same ruler.
+"""Regressions of other libraries on `crosstake` with 50 references, by the same error measures.
 
-Each gets what ours get: the markers of the cleaned take on its principal components, and the tuned
-weights. Settings are chosen by cross-validation on the references where the library offers it.
+They are trained on the same data: principal components of the cleaned markers, and tuned weights.
+Settings are chosen by cross-validation on the references if the library supports it.
 """
 
 import tempfile
@@ -33,7 +33,7 @@ Predict = Callable[[np.ndarray], np.ndarray]
 
 
 def run() -> None:
-    """Print a row per peer, and three of ours to compare; `crosstake` has all of ours."""
+    """Print a row per library method, and three of our methods; `crosstake` has all."""
     try:
         import sklearn
     except ImportError:
@@ -69,7 +69,7 @@ def run() -> None:
 
 
 def _peers(x: np.ndarray, y: np.ndarray) -> Iterator[tuple[str, Predict]]:
-    """Fit every peer to the pairs."""
+    """Fit every method of other libraries to the pairs."""
     from scipy.interpolate import RBFInterpolator
     from sklearn.cross_decomposition import CCA, PLSRegression
     from sklearn.ensemble import ExtraTreesRegressor
@@ -94,10 +94,10 @@ def _peers(x: np.ndarray, y: np.ndarray) -> Iterator[tuple[str, Predict]]:
         "scikit-learn CCA, 10 components": CCA(10, scale=False, max_iter=2000),
         "scikit-learn ExtraTreesRegressor, 300": ExtraTreesRegressor(300, random_state=0),
     }
-    kept = y.std(axis=0) > 0  # some peers divide by it
+    kept = y.std(axis=0) > 0  # some methods divide by it
     for label, model in models.items():
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of convergence: what comes out is judged
+            warnings.simplefilter("ignore")  # convergence warnings
             model.fit(x, y[:, kept])
         yield label, _whole(model.predict, y, kept)
     for kernel in ("thin_plate_spline", "cubic"):
@@ -106,7 +106,7 @@ def _peers(x: np.ndarray, y: np.ndarray) -> Iterator[tuple[str, Predict]]:
 
 
 def _whole(predict: Predict, y: np.ndarray, kept: np.ndarray) -> Predict:
-    """Predict all shapes: those that no reference moves stay as they are."""
+    """Predict all shapes; those constant over the references keep their value."""
 
     def predicted(x: np.ndarray) -> np.ndarray:
         out = np.tile(y[0], (len(x), 1))

@@ -1,12 +1,10 @@
-"""Accuracy on performers made for this: other faces, other skin, and performances not trained on.
+"""Accuracy on simulated performers: other faces, other skin, other performances.
 
-Each performer is a fixture rig with other proportions, whose shapes go further or less far and
-aside, whose skin saturates, and who wears markers on both lids, on one, or on none. They act out
-two recorded Live Link performances and one more, in which the upper face of one moment meets the
-mouth of another. References come from the first half of the first; all else is unseen. Markers are
-as cleaning leaves them: noise of 0.15 mm, smoothed along the directions of the motion.
-
-Tuned on other performers than crosstake's, the default mapping is checked here against the rest.
+Each performer is a fixture rig with other proportions, shapes of other amplitude and direction,
+skin that saturates, and markers on two lids, one or none. The performances are two Live Link
+recordings, and one that combines the upper face of one moment with the mouth of another. References
+are from the first half of the first; errors are those of all others. Markers are like cleaned ones:
+noise of 0.15 mm, smoothed along the directions of the motion.
 """
 
 from collections.abc import Iterable
@@ -43,7 +41,7 @@ DESIGN_DIMENSIONS = 32
 
 @dataclass(frozen=True)
 class Shapes:
-    """A rig's neutral points and what the performances' channels do to them."""
+    """Neutral points of a rig, and their displacements by the performances' channels."""
 
     neutral: np.ndarray
     names: tuple[str, ...]
@@ -53,7 +51,7 @@ class Shapes:
 
 @dataclass(frozen=True)
 class Acted:
-    """References of a performer, and takes of theirs that the references were not chosen from.
+    """References of a performer, and other takes of the performer.
 
     Attributes
     ----------
@@ -70,9 +68,9 @@ class Acted:
 def run(
     counts: tuple[int, ...] = COUNTS, methods: tuple[str, ...] = (), *, quick: bool = False
 ) -> None:
-    """Print vertex RMS [mm] and blink bias of each method on seen and unseen performances.
+    """Print vertex RMS [mm] and blink bias of each method and performance.
 
-    Quick runs one number and the methods that matter most.
+    `quick` runs one number of references and the main methods.
     """
     if not (SHARED_DATA / "rigs").is_dir():
         print(f"skipped: no rigs in {SHARED_DATA}")
@@ -125,7 +123,7 @@ def _score_performer(
 
 
 def act(performer: tuple[str, int, int, float], count: int) -> Acted:
-    """Make a performer, let them act, and choose references from the first half."""
+    """Simulate a performer's takes, and choose references from the first half."""
     rig, seed, lids, limit = performer
     weights, names = _performance("livelink_alex/alex_rom_3.csv", 30)
     other, _ = _performance("livelink_jmtechart/MySlate_3_Jason_Millers_iPhone.csv", 60)
@@ -177,7 +175,7 @@ def _figures(
 
 
 def _performance(file: str, rate: int) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Read a recording's weights at 60 frames per second, channels that every rig has."""
+    """Return a recording's weights at 60 frames per second, of channels that every rig has."""
     source = weights_of(read_capture(SHARED_DATA / file).take)
     rows = np.linspace(0, len(source.values) - 1, len(source.values) * 60 // rate)
     columns = [i for i, name in enumerate(source.names[:61]) if _is_shape(name)]
@@ -205,9 +203,9 @@ def _shapes(file: Path, names: tuple[str, ...]) -> Shapes:
 
 
 def _face(shapes: Shapes, seed: int, lids: int) -> tuple[np.ndarray, np.ndarray]:
-    """Make a performer of a rig: where the markers are, and how far each shape takes them."""
+    """Return marker positions of a performer, and their displacements by each shape."""
     rng = np.random.default_rng(seed)
-    # Candidates for markers are the sampled skin; where it is does not matter to a mapping.
+    # Candidates for markers are the sampled skin.
     skin = shapes.skin
     reach = np.linalg.norm(skin, axis=2)
     lid = [reach[shapes.names.index(f"eyeblink{side}")] for side in ("left", "right")]
@@ -230,7 +228,7 @@ def _capture(
     limit: float,
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """Move saturating skin, add noise, and smooth along the directions of the motion."""
+    """Return markers on saturating skin, with noise, smoothed along the motion."""
     moved = np.einsum("fs,smc->fmc", weights, basis, optimize=True)
     far = np.linalg.norm(moved, axis=2, keepdims=True)
     moved *= limit * np.tanh(far / limit) / np.maximum(far, 1e-9)

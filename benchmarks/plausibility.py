@@ -1,9 +1,8 @@
-"""Plausibility: alarms on faces as they were recorded, and on what is done to them.
+"""Plausibility checks: false alarms on recorded faces, and detection of simulated faults.
 
-The recorded takes of `markers_animface`, whole and with few of their markers, drawn at random, as
-other marker sets would have; each on faces of other proportions as well. An alarm is an aspect on
-which `ingest` refuses or doubts. In the first two rows it is false, but for `part`: some draws
-leave one side or one half of the face without a marker.
+The recorded takes of `markers_animface` with all markers, with random subsets, and on faces of
+other proportions. An alarm is a property that `ingest` refuses or doubts. In the first two rows
+alarms are false, except for `part`: some subsets have no marker on one side or half of the face.
 """
 
 from collections import Counter
@@ -23,13 +22,13 @@ TAKES = ("CheeksMoCap", "EyebrowsMoCap")
 COUNTS = (8, 12, 20, 41)
 FRAMES = 300
 PROPORTIONS = (0.75, 1.15)
-"""Of a face's breadth, height and depth, each by itself: a child of five to a large adult."""
+"""Range of the factors of width, height and depth: from a child of five to a large adult."""
 
 Damage = Callable[[Markers, np.random.Generator], Markers]
 
 
 def run(draws: int = 20) -> None:
-    """Print shares of draws with each alarm."""
+    """Print the share of draws with each alarm."""
     folder = SHARED_DATA / "markers_animface"
     if not folder.is_dir():
         print(f"skipped: no markers_animface in {SHARED_DATA}")
@@ -63,7 +62,7 @@ def _cell(found: Counter[tuple[str, bool]], draws: int) -> str:
 
 
 def _draw(markers: Markers, count: int, rng: np.random.Generator) -> Markers:
-    """Return some of the markers, both sides and halves of the face among them."""
+    """Return a random subset of the markers, on both sides and halves of the face."""
     keep = np.sort(rng.choice(len(markers.names), count, replace=False))
     return Markers(
         tuple(markers.names[i] for i in keep),

@@ -1,11 +1,11 @@
-"""First contact with recorded markers: head pose, placement on a rig, and weights to start from.
+"""Recorded markers: head pose, placement on a rig, and proposals.
 
-Recorded: `markers_animface`, one performer, 41 markers, no skull cap. Distances are measured in the
-front view to landmarks picked by hand; a marker may sit beside its feature, so that they are no
-errors. Beyond doubt are a nose tip off the nose, a lid's marker below its margin, and roll.
-Simulated: `crosstake`, and performers made of each rig, whose weights and places are known.
-Beside them stand the figures of commit ea0f6c3, measured with its code on the same files: rigid
-markers chosen in each take, closest points, three scales for motion.
+Recorded: `markers_animface`, one performer, 41 markers, no skull cap. Distances to landmarks picked
+by hand are measured in the front view; they are not errors, since a marker may be next to its
+feature. Clear errors are a nose tip off the nose, a lid marker below the lid margin, and roll.
+Simulated: `crosstake`, and performers made from each rig, with known weights and positions.
+Figures of commit ea0f6c3 on the same files are given for comparison: rigid markers chosen in each
+take, closest points, three scales for motion.
 """
 
 import json
@@ -40,22 +40,22 @@ TAKES = {
     "CheeksMoCap": ("forehead", "bridge", "brow", "eye corner"),
     "EyebrowsMoCap": ("mouth", "chin", "nose", "cheek"),
 }
-"""Recorded takes, and the parts of the face that are still in each."""
+"""Recorded takes, with the regions that do not move."""
 
 MOVING = {"CheeksMoCap": ("cheeks and nose", "mouth"), "EyebrowsMoCap": ("brows",)}
-"""Parts of a rig that each take moves."""
+"""Regions of a rig that each take moves."""
 
 BROWS = ("brow", "forehead")
-"""What moves in EyebrowsMoCap; a solve's motion elsewhere is crosstalk, or left of the head's."""
+"""Regions that move in EyebrowsMoCap; motion elsewhere is crosstalk or residual head motion."""
 
 LANDMARKS = {"nose": "NoseHead", "chin": "Chin", "mouth_L": "Mouth_Lend", "mouth_R": "Mouth_Rend"}
 LIDS = {"lidup_L": "Leye_Up", "lidup_R": "Reye_Up"}
 SEEDS = (1, 2, 3)
-"""Performers made of each rig."""
+"""Seeds of the simulated performers of each rig."""
 
 FOLDS = 5
 EVERY_FRAME = 4
-"""Of the recorded takes, for shares and held-out markers."""
+"""Every n-th frame of the recorded takes is used for shares and left-out markers."""
 
 EARLIER_POSE_MM = {"CheeksMoCap": 1.21, "EyebrowsMoCap": 0.41}
 EARLIER_PLACES = {
@@ -76,20 +76,19 @@ EARLIER_HELD_OUT = {
     ("demo_character", "EyebrowsMoCap"): 0.748,
 }
 EARLIER_MOTION_MM = {"CheeksMoCap": 6.62, "EyebrowsMoCap": 2.99}
-"""Root mean square of what the head's pose left of the markers' motion: another pose leaves
-another share to explain."""
+"""Root mean square motion of the stabilised markers, which depends on the head pose."""
 EARLIER_WEIGHTS = {
     "crosstake": (1.502, 0.014, np.nan),
     "facecap_head": (1.168, 0.007, 0.80),
     "ict_face": (1.001, -0.008, 1.01),
     "demo_character": (1.080, 0.026, 3.42),
 }
-"""Surface [mm], blink bias, median error of places [mm]."""
+"""Surface error [mm], blink bias, median error of marker positions [mm]."""
 
 
 @dataclass(frozen=True)
 class Head:
-    """A rig and what is measured on it."""
+    """A rig with its deformer and skin."""
 
     rig: Rig
     deformer: Deformer
@@ -149,7 +148,7 @@ def _read(name: str) -> tuple[FloatArray, tuple[str, ...]]:
 def _clean(
     positions: FloatArray, labels: tuple[str, ...], still: tuple[str, ...]
 ) -> tuple[FloatArray, float]:
-    """Clean a take by its labels' prior; return its markers and the pose's error at the mouth."""
+    """Clean a take; return its markers and the error of the pose at the mouth."""
     regions = [label_hint(label).region for label in labels]
     seen = np.ones(positions.shape[:2], bool)
     prior = skin_motion_mm(labels)
@@ -174,7 +173,7 @@ def _placements(
     labels: tuple[str, ...],
     claims: Claims,
 ) -> Equations:
-    """Print where markers lie; return the equations of the placements by labels."""
+    """Print marker positions; return the equations of the placements by labels."""
     picked = json.loads((SHARED_DATA / "rigs" / "landmarks.json").read_text())
     print(
         "\n### Placement: distance from landmarks [mm]; lids above their margin [mm]; roll "
@@ -258,7 +257,7 @@ def _row(
 def _motion_outside(
     equations: Equations, cleaned: dict[str, FloatArray], labels: tuple[str, ...], claims: Claims
 ) -> None:
-    """Print how much of what the weights move lies off the brows, where only brows move."""
+    """Print the share of motion outside the brows in a take that moves only the brows."""
     print("\n### Share of the solved motion outside the brows, EyebrowsMoCap\n")
     print("Sums over markers of the root mean square displacement.\n")
     print("| rig | share | ea0f6c3 |\n|---|---|---|")
@@ -278,7 +277,7 @@ def _motion_outside(
 
 
 def _held_out_markers(equations: Equations, cleaned: dict[str, FloatArray]) -> None:
-    """Print the error at markers that the weights were not solved from."""
+    """Print the error at left-out markers."""
     print(
         f"\n### Markers held out of the solve, {FOLDS} folds: error, and over that of no motion\n"
     )
@@ -305,7 +304,7 @@ def _held_out_markers(equations: Equations, cleaned: dict[str, FloatArray]) -> N
 
 
 def _starting_weights(heads: dict[str, Head], claims: Claims) -> None:
-    """Score weights that animators start from, of performers whose weights are known."""
+    """Measure proposals of performers with known weights."""
     print("\n### Weights to start from\n")
     print("Labels say nothing; or they number the markers of each part, as `mouth_R1`.\n")
     names = ("surface [mm]", "blink bias", "places, median [mm]")
@@ -345,7 +344,7 @@ def _simulated(head: Head, seed: int, *, numbered: bool) -> tuple[float, float, 
 
 
 def _crosstake(head: Head) -> tuple[float, float, float]:
-    """Score the second half of crosstake; where its markers truly sit is not known."""
+    """Measure the second half of crosstake, without the unknown marker positions."""
     truth = np.load(SHARED_DATA / "crosstake" / "truth.npz")
     with tempfile.TemporaryDirectory() as name:
         prepare(Path(name), DAMAGES[0], truth)

@@ -1,8 +1,8 @@
-"""Several takes of one performer in one mapping: neutral faces, and markers that are put on again.
+"""Several takes of one performer in one mapping: neutral faces, and markers put on again.
 
-Recorded: `markers_animface`, two takes, in which nothing shows that markers were put on again.
-Simulated: the halves of `crosstake` as two takes, the second with markers that sit elsewhere, each
-shifted by itself. Everything through specs and files, untuned proposals.
+Recorded: `markers_animface`, two takes with one application of markers. Simulated: the halves of
+`crosstake` as two takes, the second with a random offset of each marker. All steps run through
+specs and files, with untuned proposals.
 """
 
 import json
@@ -28,19 +28,19 @@ from usdface.steps.review.scoring import set_up_shot_baseline
 from usdface.steps.review.shot import Shot, open_shot
 
 PAIRS = 40
-"""Of a take; takes together have as many each."""
+"""Pairs per take."""
 
 LARGEST_WEIGHT = 0.15
-"""At a take's neutral frame."""
+"""Limit of the weights at a take's neutral frame."""
 
 LARGEST_INCREASE = 0.05
-"""Of a take's residual where another take is trained with it."""
+"""Limit of the relative increase of a take's residual when another take is trained with it."""
 
 SHIFTS_MM = (0.0, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0)
 HALVES = {"first": slice(0, HALF), "second": slice(HALF, None)}
 
 EVERY = 4
-"""Frames of which the residual is measured."""
+"""Every n-th frame is used for the residual."""
 
 
 def run() -> None:
@@ -82,7 +82,7 @@ def _cleaned(
 
 
 def _shifts(shift_mm: float) -> FloatArray:
-    """Return where markers sit that were put on again: each shifted by itself, at random."""
+    """Return random offsets of the markers."""
     said = json.loads((SHARED_DATA / "crosstake" / "take.json").read_text())
     rng = np.random.default_rng(22)
     return np.asarray(rng.normal(size=(len(said["labels"]), 3)) * shift_mm / np.sqrt(3))
@@ -91,7 +91,7 @@ def _shifts(shift_mm: float) -> FloatArray:
 def _write_halves(folder: Path, shift_mm: float) -> list[Path]:
     """Write the halves of crosstake as takes; the second states no neutral frame.
 
-    Shifts turn with the head: they are applied after the head's motion is taken out.
+    Offsets are in head space: they are applied after head motion is removed.
     """
     source = SHARED_DATA / "crosstake"
     said = json.loads((source / "take.json").read_text())
@@ -123,7 +123,7 @@ def _write_halves(folder: Path, shift_mm: float) -> list[Path]:
 
 
 def _together(folder: Path, takes: Sequence[Path], rig: Path) -> None:
-    """Print the residual of each take by a mapping of all takes over that by its own mapping."""
+    """Print each take's residual by the mapping of all takes, divided by that of its own."""
     every = _mapping(folder, takes, rig, "together")
     for take in takes:
         name = f"{take.name.split('.')[0]} on {rig.stem}"
@@ -135,7 +135,7 @@ def _together(folder: Path, takes: Sequence[Path], rig: Path) -> None:
         ruler = set_up_shot_baseline(first)
         rows = slice(None, None, EVERY)
         if name.startswith(tuple(HALVES)):
-            # Their own neutral faces differ, and with them what the markers are compared with.
+            # Neutral faces differ, and so do the reference positions of the markers.
             what = "error"
             residual = [_true_error(s, HALVES[take.name.split(".")[0]]) for s in (first, second)]
         else:
@@ -186,7 +186,7 @@ def _print_shift(name: str, takes: Sequence[Path], true: FloatArray | None) -> N
     shift = "0"
     if true is not None:
         away = found.offset - true
-        away -= away.mean(axis=0)  # a movement of all is one of the head
+        away -= away.mean(axis=0)  # a common offset is head motion
         error = f"{np.sqrt((away**2).sum(axis=1).mean()):.2f}"
         shift = f"{np.sqrt((true**2).sum(axis=1).mean()):.1f}"
     said = "put on again" if found.is_reapplied else "nothing"

@@ -1,4 +1,4 @@
-"""Our chains against NUTS of numpyro, dense and long, where numpyro is installed; else skipped."""
+"""Our sampler compared with long chains of numpyro's NUTS; skipped without numpyro."""
 
 from importlib.util import find_spec
 

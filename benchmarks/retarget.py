@@ -1,7 +1,7 @@
-"""From face to face: the round trip, against the truth where it is known, and how fast.
+"""Retargeting: round-trip error, direct error if the truth is known, and speed.
 
-A recorded Live Link performance (or, without it, the demo's) on a human head drives a head of
-another maker and a dog of 28 shapes, 8 joints and 36 deformer controls.
+A recorded Live Link performance (or else the demo's) on a human head drives a head of another maker
+and a dog with 28 shapes, 8 joints and 36 deformer controls.
 """
 
 import time
@@ -26,7 +26,7 @@ from usdface.usdio.rig.read import read_rig
 
 METHODS = ("auto", "rbf", "kernel_cca", "hybrid", "additive", "ridge", "positions")
 EVERY = 8
-"""Frames measured; methods are trained on what the pairs show, whatever the number."""
+"""Every n-th frame is measured."""
 
 
 def run() -> None:
@@ -89,13 +89,13 @@ def _named_pairs(source: Rig, target: Rig) -> ExpressionPairs:
 
 
 def strongest(weights: FloatArray) -> FloatArray:
-    """Return weights of which the strongest suppress the others: no sum over shapes."""
+    """Return weights of which the largest suppress the others, so that shapes do not add up."""
     most = np.maximum(weights.max(axis=1, keepdims=True), 1e-9)
     return weights * (weights / most) ** 2
 
 
 def contradicted(pairs: ExpressionPairs) -> ExpressionPairs:
-    """Add six pairs almost like others, with other targets: what a tired animator leaves."""
+    """Add six pairs with sources almost equal to others and different targets."""
     again = np.array([1, 5, 12, 18, 24, 30])
     rng = np.random.default_rng(0)
     rows = pairs.rows(np.concatenate([np.arange(len(pairs)), again]))
@@ -134,7 +134,7 @@ def _table(
 
 
 def _blind(pairs: ExpressionPairs, source: Rig, weights: FloatArray) -> None:
-    """Say what `auto` chooses where it has not seen the performance."""
+    """Print the method that `auto` chooses without the performance."""
     surface = spread_displacements(source, pairs.source_shapes)
     blind = train_retargeting(pairs, surface=surface)
     seen = train_retargeting(pairs, surface=surface, performance=weights)

@@ -1,4 +1,4 @@
-"""Pictures: composing a sheet, drawing a face, a movie's pictures, the report's script."""
+"""Speed of pictures: contact sheets, faces, movie frames, the report's script."""
 
 import time
 from collections.abc import Callable
@@ -32,7 +32,7 @@ HEAVY = "ict_head"
 
 
 def run() -> None:
-    """Print CPU seconds of one core: the least of a few runs."""
+    """Print processor seconds of one core: the shortest of a few runs."""
     rig, name = _rig()
     deformer = Deformer(rig)
     renderer = FaceRenderer(rig.meshes)
@@ -59,10 +59,10 @@ def run() -> None:
 
 
 def _print_scaling() -> None:
-    """Print how much two processes that draw at once hold each other up."""
+    """Print the slowdown of two processes that draw at the same time."""
     context = get_context("spawn")
     with ProcessPoolExecutor(2, mp_context=context) as pool:
-        list(pool.map(_draw_some, [1, 1]))  # both are up and have read the rig
+        list(pool.map(_draw_some, [1, 1]))  # both processes have read the rig
         alone = pool.submit(_draw_some, SCALED).result()
         both = [future.result() for future in [pool.submit(_draw_some, SCALED) for _ in range(2)]]
     mean = sum(each.cpu for each in both) / 2
@@ -82,7 +82,7 @@ class _Spent:
 
 
 def _draw_some(count: int) -> _Spent:
-    """Draw faces in a process of its own."""
+    """Draw faces in a separate process."""
     renderer, camera, posed = _scene()
     cpu, wall = time.process_time(), time.perf_counter()
     for _ in range(count):
@@ -99,7 +99,7 @@ def _scene() -> tuple[FaceRenderer, Camera, FloatArray]:
 
 
 def _print_report(rig: Rig, name: str) -> None:
-    """Print what a minute's report weighs, and what a picture of it costs in a browser."""
+    """Print the size of a minute's report, and the cost of a picture in a browser."""
     if name != HEAVY:
         print(f"\nNo report of a minute: {HEAVY} is not there.")
         return

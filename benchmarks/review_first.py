@@ -1,9 +1,9 @@
-"""What review says first, against what is true: verdicts on takes, and moments ranked without keys.
+"""Verdicts and ranked moments without keys, compared with the true errors.
 
-References of `crosstake` are of its first half. Its second half is a usual take; `onesided` is one
-that chose nothing: the same performer's winks and half smiles, none of them among the references.
-The recorded takes of one performer have proposals alone: the take they are of, and a take of the
-brows by references of the cheeks.
+References of `crosstake` are from its first half. Its second half is a typical take; `onesided` has
+winks and half smiles of the same performer that are in no reference, and was not used for any
+choice. The recorded takes of one performer have untuned proposals: the take of the references, and
+a take of the brows with references of the cheeks.
 """
 
 import tempfile
@@ -32,13 +32,13 @@ RECORDED = ("Cheeks", "Eyebrows")
 
 @dataclass(frozen=True)
 class Ranked:
-    """How well a take's moments are ranked without keys."""
+    """Quality of the ranking of a take's moments without keys."""
 
     spearman: float
     found: int
-    """Of the worst moments, those within `MOMENT_SECONDS` of one that is listed."""
+    """Number of the worst moments within `MOMENT_SECONDS` of a listed one."""
     keyed_found: int
-    """The same, listed with keys."""
+    """The same for the ranking with keys."""
 
 
 def run() -> None:
@@ -66,12 +66,12 @@ def run() -> None:
 
 
 def rank(shot: Shot, signals: ReviewSignals, keyed: ReviewSignals) -> Ranked:
-    """Score the ranking without keys by the error against them."""
+    """Compare the ranking without keys with the error against keys."""
     rate = float(shot.take.rate)
     near = MOMENT_SECONDS * rate
     error = keyed.score_mm
     worst: list[int] = []
-    free = np.ones(len(error), bool)  # found here without `review_moments`
+    free = np.ones(len(error), bool)  # independent of `review_moments`
     for row in np.argsort(-error, kind="stable").tolist():
         if free[row] and len(worst) < MOMENTS:
             worst.append(row)

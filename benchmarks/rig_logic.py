@@ -1,17 +1,17 @@
-"""Rigs with logic: what of their correctives is lost, and what evaluating them costs.
+"""Rigs with logic: lost energy of correctives, and the cost of their evaluation.
 
-`compskin` holds a production rig's 72 primaries and 181 correctives, evaluated, over 2,800 frames
-and no meshes. The logic is inferred from 50 of its rows and judged on the others. Columns of
-independent channels are what a rig without logic is: correctives learnt from the primaries.
+`compskin` has 72 primaries and 181 evaluated correctives of a production rig over 2,800 frames,
+without meshes. The logic is inferred from 50 rows and tested on the others. *Independent channels*
+are correctives learnt from the primaries, as on a rig without logic.
 
-Errors of N(0, .05) on all primaries, those at rest too, are enlarged by in-betweens that begin at
-0: what the logic of all rows loses by them is the least that evaluation alone can lose. The rows
-that count estimate the primaries first, as mappings do: their posterior mean, given the error's
-size and how the 50 rows use each primary (`numerics.regression.usage_prior`).
+Errors of N(0, 0.05) on all primaries are amplified by in-betweens that start at 0. The loss of the
+logic inferred from all rows is the minimum for evaluation alone. The other rows estimate the
+primaries first, as mappings do: their posterior mean, given the size of the error and how the 50
+rows use each primary (`numerics.regression.usage_prior`).
 
-What that is worth where primaries are mapped is measured on crosstake: in-betweens that begin at 0
-and are full at .25 and .5 on every shape of the skin, which move nothing and so hide nothing from
-the markers, on the half of the take that gave no references.
+The effect on mapped primaries is measured on the half of crosstake without references, with
+in-betweens on every shape of the skin that start at 0 and peak at 0.25 and 0.5. They have no
+displacements, so that markers do not show them.
 """
 
 import tempfile
@@ -48,7 +48,7 @@ MARKERS, PAIRS, FRAMES = 100, 40, 2048
 
 
 def run() -> None:
-    """Print what is lost, and ratios of times."""
+    """Print lost energy, and ratios of times."""
     weights = np.load(DATA / "compskin" / "test_anim.npz")["weights"].astype(np.float64)
     print(f"| correctives of compskin, logic from {ROWS} rows | energy lost | wanted |")
     print("|---|---|---|")
@@ -87,7 +87,7 @@ def _print_lost(label: str, weights: FloatArray, rows: IntArray) -> None:
 
 
 class _logic:  # noqa: N801
-    """Correctives by the logic that rows show; 0 where they show none."""
+    """Correctives by the logic inferred from rows; 0 without logic."""
 
     def __init__(self, rows: FloatArray) -> None:
         shapes = [f"p{index}" for index in range(PRIMARIES)]
@@ -104,7 +104,7 @@ class _logic:  # noqa: N801
 
 
 def _print_mapped() -> None:
-    """Print what in-betweens lose on a mapped take, and how far the weights are off."""
+    """Print the lost energy of in-betweens on a mapped take, and the error of the weights."""
     truth = np.load(DATA / "crosstake" / "truth.npz")
     file = DATA / "rigs" / "facecap_head.usdc"
     rig = read_rig(file)
@@ -157,12 +157,12 @@ def _farthest(points: FloatArray, count: int) -> IntArray:
 
 
 def _mapping_ratio() -> float:
-    """Return the time of a mapping with combinations over that of one without."""
+    """Return the time of a mapping with combinations divided by that without."""
     bare = read_rig(DATA / "rigs" / "facecap_head.usdc")
     driven = with_combinations(bare, COMBINATIONS)
     predictors = [_trained(rig) for rig in (bare, driven)]
     seconds = [np.inf, np.inf]
-    for _ in range(4):  # in turns: other work on the machine only ever adds
+    for _ in range(4):  # alternating, for equal load
         for index, (predictor, markers) in enumerate(predictors):
             start = time.process_time()
             predictor.predict(markers)
@@ -171,9 +171,9 @@ def _mapping_ratio() -> float:
 
 
 def with_combinations(rig: Rig, count: int) -> Rig:
-    """Return a rig with products of two shapes, those that share most skin first.
+    """Return a rig with products of two shapes, in the order of their overlap.
 
-    Each takes back half of what both shapes do where they overlap.
+    Each product subtracts half of the common displacement.
     """
     mesh = max(rig.meshes, key=lambda each: len(each.points))
     moved = np.zeros((len(mesh.shapes), len(mesh.points), 3))
@@ -200,7 +200,7 @@ def with_combinations(rig: Rig, count: int) -> Rig:
 
 
 def _trained(rig: Rig) -> tuple[WeightPredictor, FloatArray]:
-    """Train on keys of crosstake, markers being points of the rig; return markers of its frames."""
+    """Train on keys of crosstake with markers at points of the rig; return all frames' markers."""
     truth = np.load(DATA / "crosstake" / "truth.npz")
     names = [str(name) for name in truth["shapes"]]
     weights = truth["weights"][:, [names.index(name) for name in rig.shapes]].astype(np.float64)

@@ -1,14 +1,14 @@
-"""Do two versions make the same files? Run both, then compare what they wrote.
+"""Comparison of the files written by two versions.
 
 ::
 
-    python -m benchmarks.same_results make before     # with the one version installed
-    python -m benchmarks.same_results make after      # with the other
+    python -m benchmarks.same_results make before     # with one version installed
+    python -m benchmarks.same_results make after      # with the other version
     python -m benchmarks.same_results compare before after
 
-`make` runs the demo and, where the fixtures are there, `crosstake`: from the capture to a report,
-every regression, another character, a mesh without shapes. `compare` prints, for every USD file,
-the largest difference of its numbers, and what is in one folder alone.
+`make` runs the demo and, if the fixtures exist, `crosstake`: from the capture to a report, every
+regression, another character, a mesh without shapes. `compare` prints the largest difference of the
+numbers of every USD file, and the files that are in one folder only.
 """
 
 import argparse
@@ -51,7 +51,7 @@ def main() -> int:
 
 
 def run() -> None:
-    """Make the demo twice, in two processes, and compare: one version writes the same numbers."""
+    """Make the demo twice, in two processes, and compare."""
     with tempfile.TemporaryDirectory() as name:
         for label in ("once", "again"):
             (Path(name) / label).mkdir()
@@ -60,7 +60,7 @@ def run() -> None:
 
 
 def make(folder: Path) -> None:
-    """Run everything whose results are to stay, by the command line of the version on the path."""
+    """Run all compared commands with the installed version."""
     folder.mkdir(parents=True)
     _make_demo(folder)
     if not (SHARED_DATA / "crosstake").is_dir():
@@ -145,7 +145,7 @@ def _usdface(folder: Path, *words: str) -> None:
 
 
 def compare(before: Path, after: Path, *, tolerance: float) -> int:
-    """Print how far the numbers of two folders lie apart; 1 if any are beyond the tolerance."""
+    """Print differences of the numbers in two folders; return 1 if any exceeds the tolerance."""
     names = {
         folder: {p.relative_to(folder) for p in folder.rglob("*") if p.suffix in LAYERS}
         for folder in (before, after)
@@ -184,7 +184,7 @@ def _difference(one: Path, other: Path) -> tuple[int, float, str]:
 
 
 def _numbers(file: Path) -> dict[str, np.ndarray]:
-    """Return every number of a layer, by path and time code."""
+    """Return all numbers of a layer, by path and time code."""
     layer = Sdf.Layer.FindOrOpen(str(file))
     found: dict[str, np.ndarray] = {}
 

@@ -1,9 +1,9 @@
-"""What a take costs, step by step: to begin with, and a frame; then an hour, and a season.
+"""Cost of a take by step: fixed and per frame, and extrapolated to an hour and a season.
 
-The demo's actor, again and again, as two takes of different length. Each step is the installed
-command in a process of its own; times are of the processor. A straight line through both lengths
-is the cost model of `docs/scale.md`; what it says of longer takes is extrapolated. Whether a line
-is what to draw, and how each call grows in markers, references, shapes and points, `scaling` says.
+The demo's actor is repeated in two takes of different length. Each step is the installed command in
+a separate process; times are processor times. The line through both lengths is the cost model of
+`docs/scale.md`. `scaling` measures whether costs are linear, and their growth in markers,
+references, shapes and points.
 """
 
 import json
@@ -18,7 +18,7 @@ import numpy as np
 
 SHORT, LONG = 6_000, 18_000
 NOISE_MM = 0.1
-"""Added to every frame: USD keeps equal samples once, and real frames are never equal."""
+"""Noise of every frame, since USD stores equal samples once."""
 
 HOUR = 432_000
 SEASON, SEASON_FRAMES = 500, 7_200
@@ -27,7 +27,7 @@ SEASON, SEASON_FRAMES = 500, 7_200
 
 @dataclass(frozen=True)
 class Cost:
-    """Of one run of a command."""
+    """Cost of a run of a command."""
 
     seconds: float
     peak_mb: float
@@ -35,7 +35,7 @@ class Cost:
 
 
 def run(short: int = SHORT, long: int = LONG) -> None:
-    """Print measured costs, the line through them, and what it says of an hour and of a season."""
+    """Print measured costs, the fitted line, and its values for an hour and a season."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         _prepare(folder, (short, long))
@@ -119,7 +119,7 @@ _, status, used = os.wait4(process.pid, 0)
 process.returncode = os.waitstatus_to_exitcode(status)
 print(json.dumps([process.returncode, used.ru_utime + used.ru_stime, used.ru_maxrss]))
 """
-"""A small process in between: Linux counts the parent's memory at the start as the child's peak."""
+"""Small intermediate process, since Linux counts the parent's memory in the child's peak."""
 
 
 def _cost(folder: Path, words: str, made: str, frames: int) -> Cost:

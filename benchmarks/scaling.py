@@ -1,9 +1,8 @@
-"""How the core calls scale in frames, markers, references, shapes and points: fitted exponents.
+"""Scaling of single functions in frames, markers, references, shapes and points.
 
-Each call is measured alone, in one process with one thread, at sizes a factor of two or more apart;
-the exponent is that of the power law through them. What whole commands cost, how much memory and
-disk they take, and what an hour comes to, is the business of `scale`; of `whole_way` it is what
-they cost beside the bare write.
+Each function is timed in one process with one thread, at sizes a factor of two or more apart, and a
+power law is fitted. `scale` measures whole commands, with memory and disk space, and `whole_way`
+their time relative to the bare write.
 """
 
 import json
@@ -22,9 +21,9 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 
 
 def run(*, quick: bool = False, pictures: Path | None = None) -> None:
-    """Print an exponent a call; with a folder for pictures, also a plot of each measure of size.
+    """Print an exponent per call; with a folder for pictures, also plot each measure of size.
 
-    `quick` leaves out each largest size.
+    `quick` omits the largest sizes.
     """
     print(
         "Seconds of the processor, one thread. `measured` is the exponent of the power law fitted "
@@ -67,7 +66,7 @@ def _row(subject: Subject, sizes: list[int], seconds: list[float], law: PowerLaw
 
 
 def _measured(*, quick: bool) -> Iterator[tuple[Subject, list[int], list[float]]]:
-    """Yield every subject's sizes and times as the process that measures tells them."""
+    """Yield every subject's sizes and times, measured in a separate process."""
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     command = [sys.executable, "-m", "benchmarks._scaling_subjects"]
     process = subprocess.Popen(

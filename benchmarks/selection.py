@@ -1,7 +1,7 @@
-"""Selection on a take with known weights: fewer frames for the same error, starts near the truth.
+"""Selection and proposals on a take with known weights.
 
-References come from one half of the take and are scored on the other, both ways round. Phones are
-made up for the take, which has none: their places are random, as a mouth's are to a take of moods.
+References are from one half of the take and errors of the other, for both halves. Phones have
+random positions, since the take has none.
 """
 
 import json
@@ -43,7 +43,7 @@ _LINEAR = ForwardScales(alpha=0.6, floor=0.4, eta=0.0, tau=0.1, curve=0.0)
 
 @dataclass(frozen=True)
 class Stage:
-    """What every row of the table is measured on."""
+    """Data of all rows of the table."""
 
     folder: Path
     rig_file: Path
@@ -57,9 +57,9 @@ class Stage:
 
 
 def run(*, quick: bool = False) -> None:
-    """Print error by way of choosing, the distance from start to truth, and the time of a day.
+    """Print errors by method, errors of proposals, and the time for an hour.
 
-    `quick` leaves out the errors, which take most of the time: some twenty mappings are trained.
+    `quick` omits the errors by method, for which about twenty mappings are trained.
     """
     if not (SHARED_DATA / "crosstake").is_dir():
         print(f"skipped: no crosstake in {SHARED_DATA}")
@@ -111,7 +111,7 @@ def _write_phones(path: Path, *, frames: int, rate: float) -> None:
         end = at + float(rng.uniform(0.05, 0.15))
         phones.append({"start": at, "end": end, "label": PHONES[int(rng.integers(len(PHONES)))]})
         at = end
-    edges = np.linspace(0, duration, 2 * len(EMOTIONS) + 1)  # every mood in both halves
+    edges = np.linspace(0, duration, 2 * len(EMOTIONS) + 1)  # every emotion in both halves
     emotions = [
         {"start": a, "end": b, "label": EMOTIONS[i % len(EMOTIONS)]}
         for i, (a, b) in enumerate(pairwise(edges))
@@ -159,8 +159,7 @@ def _print_errors(stage: Stage) -> None:
 
 
 def _random_per_emotion(rng: np.random.Generator, half: int) -> np.ndarray:
-    """Pick 25 random frames of every mood: what fifteen visemes and ten extremes picked by eye are
-    to a take in which phones mean nothing."""
+    """Choose 25 random frames per emotion, in place of 15 visemes and 10 extremes chosen by eye."""
     edges = np.linspace(4030 * half, 4030 * (half + 1) - 1, 5).astype(int)
     return np.concatenate(
         [rng.choice(np.arange(a, b), 25, replace=False) for a, b in pairwise(edges)]
@@ -205,7 +204,7 @@ def _train(stage: Stage, rows: np.ndarray) -> TrainedMapping:
 
 
 def _print_starts(stage: Stage) -> None:
-    """Distance from the weights an animator starts from to those they end at, over 60 pairs."""
+    """Print the error of proposals over 60 pairs."""
     print("Starting weights of 60 pairs of the first half: distance from the truth\n")
     print("| tuned before | from | vertex RMS [mm] | weight RMSE | sliders off by > 0.1 |")
     print("|---|---|---|---|---|")
@@ -213,7 +212,7 @@ def _print_starts(stage: Stage) -> None:
         _select(stage.folder, stage.rig_file, "start", 110, HALVES[0], "design")
     )
     rows = start.frames - 1
-    # The most telling come first: every other one is tuned, the rest is judged.
+    # Pairs are in order of gain: every other one is tuned, the others are measured.
     tuned, judged = rows[:100:2], np.setdiff1d(rows, rows[:100:2])
     place = {int(row): index for index, row in enumerate(rows)}
     proposed = start.weights[[place[int(row)] for row in judged]]
@@ -239,10 +238,10 @@ def _start_row(
 
 
 def _print_keys(stage: Stage) -> None:
-    """Residual of true keys and of proposals, less what tuned pairs say of the performer's skin.
+    """Print residuals of true keys and proposals, corrected by a model of the performer's skin.
 
-    That difference is linear in the weights, for each marker, as the forward model of mappings
-    with its quadratic part left out. Keys that err are off by a random share of each weight.
+    The model is fitted to tuned pairs and linear in the weights: the forward model of mappings
+    without its quadratic part. Inexact keys have random errors proportional to each weight.
     """
     path = _select(stage.folder, stage.rig_file, "keys", 50, HALVES[0], "design")
     proposals, rig = read_references(path), read_rig(stage.rig_file)
@@ -283,7 +282,7 @@ def _print_keys(stage: Stage) -> None:
 
 
 def _print_speed(folder: Path) -> None:
-    """Select from an hour at 120 frames a second, against reading it."""
+    """Compare the time of selection from an hour at 120 Hz with that of reading it."""
     _prepare(folder)
     take = read_take(folder / "x.clean.take.usda")
     path = folder / "long.take.usda"
@@ -300,7 +299,7 @@ def _print_speed(folder: Path) -> None:
             count=100,
         )
     )
-    selecting = time.process_time() - begun - reading  # it reads them once itself
+    selecting = time.process_time() - begun - reading  # without the reading
     ratio = selecting / reading + 1
     print(f"| {LONG:,} frames | processor seconds | wanted |\n|---|---|---|")
     print(f"| reading | {reading:.1f} | |")
@@ -309,7 +308,7 @@ def _print_speed(folder: Path) -> None:
 
 
 def _stretched(take: Take, frames: int) -> Take:
-    """Repeat a take to a length, with noise so that no frame comes twice."""
+    """Repeat a take up to a length, with noise in every frame."""
     markers = take.markers
     if markers is None:
         raise SystemExit("the take has no markers")

@@ -1,4 +1,4 @@
-"""Phones on recorded speech against another aligner, and transcripts that do not belong."""
+"""Phones of recorded speech compared with another aligner, and refusal of wrong transcripts."""
 
 import time
 from difflib import SequenceMatcher
@@ -17,7 +17,7 @@ NAMES = ("acoustic_corpus", "cold_corpus", "cold_corpus3")
 
 
 def run() -> None:
-    """Print how far phone midpoints are apart, and which transcripts are refused."""
+    """Print differences of phone midpoints, and the transcripts that are refused."""
     source = SHARED_DATA / "speech_mfa"
     if not source.is_dir():
         print(f"skipped: no speech_mfa in {SHARED_DATA}")
@@ -54,7 +54,7 @@ def _said(track: PhoneTrack) -> list[Span]:
 
 
 def _midpoint_errors(found: PhoneAlignment, theirs: PhoneTrack) -> np.ndarray:
-    """Return distances between midpoints of phones that both have, in order [s]."""
+    """Return distances between midpoints of phones that both aligners found, in order [s]."""
     ours, others = _said(found.track), _said(theirs)
     blocks = SequenceMatcher(
         None,

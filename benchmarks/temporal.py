@@ -1,4 +1,4 @@
-"""What smoothing over time costs and gains: one mapping of crosstake, mapped in every mode."""
+"""Smoothing over time: one mapping of crosstake in every mode."""
 
 import tempfile
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The tuning page: from a slider to the face, and from a change to the disk."""
+"""Latency of the tuning page: from a slider to the face, and from a change to the disk."""
 
 import os
 import tempfile
@@ -43,7 +43,7 @@ _SLIDE = """async (count) => {
 
 
 def run() -> None:
-    """Print the times beside the limit, or beside the bare write to disk."""
+    """Print times, with their limit or the time of the bare write."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         rig = _rig(folder)
@@ -65,7 +65,7 @@ def _sliding(path: Path) -> None:
             page = Page(browser.new_context(viewport={"width": 1600, "height": 900}), command.link)
             opened = time.perf_counter() - begun
             page.wait("!!tune.residual || document.getElementById('markers').disabled")
-            page.page.evaluate(_SLIDE, 8)  # the browser compiles what runs often
+            page.page.evaluate(_SLIDE, 8)  # lets the browser compile the script
             found = page.page.evaluate(_SLIDE, SLIDES)
             page.saved()
         finally:
@@ -77,7 +77,7 @@ def _sliding(path: Path) -> None:
 
 
 def _posting(path: Path, shape: str) -> None:
-    """Send changes without a browser: here one draws on the processor that serves."""
+    """Send changes without a browser, which would draw on the server's processor."""
     command = Command(path)
     home = command.link.split("/?")[0]
     rights = {"origin": home, "x-usdface-tune": "1", "content-type": "application/json"}
@@ -140,7 +140,7 @@ def _row(what: str, milliseconds: list[float], beside: str) -> None:
 
 
 def _rig(folder: Path) -> Rig:
-    """Return the large head where it is at hand, else the demo's."""
+    """Return the large head if its file exists, else the demo's."""
     large = SHARED_DATA / "rigs" / "ict_head.usdc"
     if large.is_file():
         return read_rig(large)
@@ -150,7 +150,7 @@ def _rig(folder: Path) -> Rig:
 
 
 def _asset(folder: Path, rig: Rig) -> Path:
-    """Write references whose markers are points of the rig itself."""
+    """Write references with markers at points of the rig."""
     rng = np.random.default_rng(0)
     deformer = Deformer(rig)
     weights = rng.random((PAIRS, len(rig.shapes))) * (rng.random((PAIRS, len(rig.shapes))) < 0.2)

@@ -1,9 +1,8 @@
-"""Solves learnt from proposals that nobody tuned, or few of them: their error, and what they say.
+"""Error and uncertainty of solves trained on no or few tuned pairs.
 
-Performers are made of each rig as in `real_captures`, with other seeds; 50 references are chosen
-from the first half of the performance, the second half is mapped. Tuned pairs have the true
-weights, the others are what the rig's geometry proposes. Beside them stands the uncertainty without
-the term of the proposals.
+Performers are simulated as in `real_captures`, with other seeds. 50 references are selected from
+the first half of the performance, and the second half is mapped. Tuned pairs have the true weights,
+the others those proposed. The uncertainty without the term for proposals is given for comparison.
 """
 
 from dataclasses import replace

@@ -1,9 +1,9 @@
-"""A face without markers: the demo's actor, filmed, tracked, and mapped to the character.
+"""Video without markers: a film of the demo's actor, tracked and mapped to the character.
 
-Everything runs as a user would run it, through specs and files. The truth is what an animator keys
-on the character; of the gaze, how the actor's eyeballs turn in the pictures. Frames that are
-references are left out, and in a second row those within a quarter of a second of one: of 15
-seconds with 50 references few are left, so the number of frames stands beside.
+All steps run through specs and files, as a user would run them. The truth is an animator's keys on
+the character, and for gaze the rotation of the actor's eyeballs in the film. Errors exclude frames
+that are references and, in a second row, those within a quarter of a second of one; the number of
+remaining frames is given.
 """
 
 import json
@@ -68,7 +68,7 @@ SIDE = replace(
         ).tolist()
     ),
 )
-"""A second camera: the first, turned about the face."""
+"""Second camera: the first one, rotated about the face."""
 _MOUTH = ("mouth", "jaw", "tongue")
 _BLINKING = 0.7
 """Weight of a closed eye."""
@@ -87,7 +87,7 @@ class _Shot:
 
 @dataclass(frozen=True)
 class _Errors:
-    """Of some frames of a solve."""
+    """Errors of some frames of a solve."""
 
     face_mm: float
     mouth_mm: float
@@ -95,9 +95,9 @@ class _Errors:
 
 
 def run(*, quick: bool = False) -> None:
-    """Print errors of the solve, of the model's own scores and of the gaze, and the speed.
+    """Print errors of the solve, of the model's scores and of gaze, and the speed.
 
-    Quick tracks the demo's own small clip; otherwise the actor is filmed again at 720 lines.
+    `quick` tracks the demo's small clip; otherwise a film of 720 lines is rendered.
     """
     if not MODEL.is_file():
         print(f"skipped: no model at {MODEL}")
@@ -133,7 +133,7 @@ def run(*, quick: bool = False) -> None:
 
 
 def _print_speed(video: Path) -> None:
-    """Print how fast one core tracks, and how much of that is the model's own time."""
+    """Print the speed of tracking on one core, and the share of the model."""
     spent = dict.fromkeys(("reading the picture", "the model, once"), 0.0)
     frames = 100
     with VideoReader(video) as reader, FaceLandmarker(MODEL) as landmarker:
@@ -182,14 +182,14 @@ def _solve(
     solve: str | None = None,
     keys: Path | None = None,
 ) -> tuple[FloatArray, Performance, str]:
-    """Learn from some frames and solve others; keys are an animator's, or a solve of `keys`.
+    """Train on some frames and solve others; keys are an animator's, or the solve `keys`.
 
     Returns
     -------
     values : (frames, shapes) float array
         In the rig's order.
     performance : Performance
-        With its own doubts.
+        With uncertainty.
     verdict : str
     """
     folder, rig = shot.folder, shot.rig.file
@@ -243,7 +243,7 @@ def _print_claims(
 def _print_two_cameras(
     shot: _Shot, front: Path, side: Path, size: tuple[int, int]
 ) -> dict[str, _Errors]:
-    """Print the same errors of the actor as two calibrated cameras see him."""
+    """Print the same errors with two calibrated cameras."""
     folder = shot.folder / "pair"
     folder.mkdir()
     cameras = {"front": CAMERA, "side": SIDE}
@@ -277,7 +277,7 @@ def _print_two_cameras(
 
 
 def _solve_with_more(shot: _Shot, frames: list[int]) -> FloatArray:
-    """Add frames that are not there yet to the references of the whole take; solve it again."""
+    """Add frames to the references of the whole take; solve it again."""
     folder, names = shot.folder, ("references.usda", "mapping.usdc", "usda")
     references, mapping, out = (folder / f"more.{name}" for name in names)
     execute(
@@ -297,7 +297,7 @@ def _solve_with_more(shot: _Shot, frames: list[int]) -> FloatArray:
 
 
 def _print_both(shot: _Shot, inputs: DemoInputs, video: Path) -> None:
-    """Print what the solve of one marker set is worth as keys of references of the other."""
+    """Print errors with references keyed by the solve of the other marker set."""
     folder = shot.folder / "optical"
     folder.mkdir()
     raw, clean = folder / "raw.take.usda", folder / "video.clean.take.usda"
@@ -341,7 +341,7 @@ def _print_both(shot: _Shot, inputs: DemoInputs, video: Path) -> None:
 
 
 def _print_unkeyed(shot: _Shot, label: str, name: str, solved: FloatArray) -> _Errors:
-    """Print a row of the frames that are no references; return it."""
+    """Print a row on the frames that are not references; return it."""
     keyed = np.zeros(len(shot.truth), bool)
     frames = read_references(shot.folder / f"{name}.references.usda").frames
     keyed[frames - shot.keys.first_frame] = True
@@ -349,7 +349,7 @@ def _print_unkeyed(shot: _Shot, label: str, name: str, solved: FloatArray) -> _E
 
 
 def _print_errors(shot: _Shot) -> dict[str, _Errors]:
-    """Print errors by which frames count; return those of the whole take."""
+    """Print errors by group of frames; return those of the whole take."""
     found = {}
     _print_head(f"{COUNT} references")
     count, first = len(shot.truth), shot.keys.first_frame
@@ -390,7 +390,7 @@ def _print_errors(shot: _Shot) -> dict[str, _Errors]:
 
 
 def _measure_doubt(shot: _Shot, values: FloatArray, solve: Performance) -> str:
-    """Say how an error that is known compares to what the solve expected of itself."""
+    """Describe the relation of true error and uncertainty."""
     assert solve.uncertainty_mm is not None
     expected = solve.uncertainty_mm[:, 0]
     inside = _surface(shot, values - shot.truth) <= LIMIT_DEVIATIONS * expected
@@ -398,7 +398,7 @@ def _measure_doubt(shot: _Shot, values: FloatArray, solve: Performance) -> str:
 
 
 def _surface(shot: _Shot, difference: FloatArray) -> FloatArray:
-    """Return the error of each frame, gaze left out: (frames,) [mm]."""
+    """Return the error of each frame without gaze: (frames,) [mm]."""
     seen = difference.copy()
     seen[:, gaze_shapes(shot.rig.shapes)] = 0
     gram = Deformer(shot.rig).shapes.gram()
@@ -407,7 +407,7 @@ def _surface(shot: _Shot, difference: FloatArray) -> FloatArray:
 
 
 def _print_pose(shot: _Shot) -> None:
-    """Print how far the head's pose follows the true one, which the actor's landmarks hardly do."""
+    """Print the regression of the estimated head pose on the true one."""
     motion = read_take(shot.folder / "video.clean.take.usda").head_motion
     assert motion is not None
     clip = np.arange(len(motion)) + shot.keys.first_frame - 1
@@ -433,7 +433,7 @@ def _print_pose(shot: _Shot) -> None:
 
 
 def _print_row(shot: _Shot, label: str, solved: FloatArray, counted: BoolArray) -> _Errors:
-    """Print a row, and return what claims are made of."""
+    """Print a row, and return its figures."""
     shapes = shot.rig.shapes
     error = solved - shot.truth
     whole = _surface(shot, error[counted])
@@ -456,7 +456,7 @@ def _print_row(shot: _Shot, label: str, solved: FloatArray, counted: BoolArray) 
 
 
 def _print_gaze(shot: _Shot) -> tuple[float, float]:
-    """Print how far the measured looks are from how the eyeballs turn; return both means."""
+    """Print mean errors of gaze, sideways and up and down; return them [degrees]."""
     source = read_take(shot.folder / "video.take.usda").source
     assert source is not None
     looks = source.values[:, [source.names.index(name) for name in LOOK_SHAPES]].astype(np.float64)

@@ -1,9 +1,9 @@
-"""What a person waits for: every wait with its goal, before and after in one run.
+"""Waiting times of users, with their goals, for one or two versions.
 
-Each wait is the installed command in a process of its own, the median of three runs (`--quick`:
-one). `USDFACE_BEFORE` names the `pipeline` folder of another checkout, which then runs every
-command as well, in turn with this one. Processor seconds are comparable on a busy machine, elapsed
-seconds only on a quiet one.
+Each wait is the installed command in a separate process, the median of three runs (`--quick`: one).
+`USDFACE_BEFORE` names the `pipeline` folder of another checkout, whose commands are run in
+alternation. Processor seconds are comparable on a busy machine, elapsed seconds only on a quiet
+one.
 """
 
 import os
@@ -26,12 +26,12 @@ SHAPES = 946
 
 @dataclass(frozen=True)
 class Wait:
-    """A command, and how long it may take."""
+    """A command, and its goal."""
 
     name: str
     words: str
     goal_seconds: float
-    """Elapsed, on a quiet machine of two cores."""
+    """Elapsed time on a quiet machine with two cores."""
 
 
 WAITS = (
@@ -70,9 +70,9 @@ WAITS = (
 
 @dataclass(frozen=True)
 class Cost:
-    """Of one run: processor and elapsed time [s], memory at its highest [MB].
+    """Cost of a run: processor and elapsed time [s], peak memory [MB].
 
-    Linux counts this process, from which it was started, as its memory: less is not seen.
+    On Linux the peak is at least that of this process, from which the command is started.
     """
 
     seconds: float
@@ -129,7 +129,7 @@ def _usdface(folder: Path, source: Path, words: list[str]) -> Cost:
 
 
 def _environment(source: Path) -> dict[str, str]:
-    """Return variables with which Python starts a package whose bytecode is there, as pip's is."""
+    """Return variables for a package with compiled bytecode, as installed by pip."""
     return os.environ | {
         "OPENBLAS_NUM_THREADS": "1",
         "PYTHONPATH": str(source),
@@ -138,7 +138,7 @@ def _environment(source: Path) -> dict[str, str]:
 
 
 def _prepare(folder: Path) -> None:
-    """Make a demo, a rig of very many shapes and a take of very many markers."""
+    """Make a demo, a rig with 946 shapes and a take with 1,000 markers."""
     from usdface.capture.c3d_write import write_c3d
     from usdface.demo.acting import performance
     from usdface.demo.capture import ActorFace
@@ -168,7 +168,7 @@ def _prepare(folder: Path) -> None:
 
 
 def _many_shapes() -> Rig:
-    """Return the demo's rig without in-betweens, and correctives that are parts of its shapes."""
+    """Return the demo's rig without in-betweens, with correctives that are parts of its shapes."""
     from usdface.demo.rig import demo_rig
 
     rig = demo_rig()
@@ -184,7 +184,7 @@ def _many_shapes() -> Rig:
             if shape is None:
                 continue
             key = shape.keys[0]
-            part = key.points[number // len(own) :: 7]  # no two of a shape are alike
+            part = key.points[number // len(own) :: 7]  # parts of a shape differ
             offsets = 0.3 * key.offsets[number // len(own) :: 7]
             plain.append(
                 replace(shape, name=name, keys=(replace(key, points=part, offsets=offsets),))

@@ -1,4 +1,4 @@
-"""An hour of motion warped and searched, against a copy of it and against brute force."""
+"""Speed of warping and search in an hour of motion, relative to a copy and to brute force."""
 
 import time
 from collections.abc import Callable
@@ -15,11 +15,11 @@ from usdface.numerics.motion.sequence_search import (
 FRAMES, CONTROLS = 432_000, 46
 SEQUENCE = 120
 EVERY = 6_000
-"""Frames from one planted sequence to the next: one in 100 s at 60 frames a second."""
+"""Frames between planted sequences: 100 s at 60 frames per second."""
 
 
 def run() -> None:
-    """Print both ratios, and whether the search finds what brute force finds."""
+    """Print both ratios, and whether search and brute force agree."""
     rng = np.random.default_rng(0)
     motion = _motion(rng)
     time_line = np.linspace(0, 1, SEQUENCE)[:, None]
@@ -55,13 +55,13 @@ def run() -> None:
 
 
 def _motion(rng: np.random.Generator) -> np.ndarray:
-    """Weights that wander as a face's do; a minute of them over and over."""
+    """Return a minute of smooth random weights, repeated."""
     minute = np.cumsum(rng.normal(0, 0.02, (3600, CONTROLS)), axis=0)
     return np.tile(0.25 + 0.25 * np.sin(minute), (FRAMES // 3600, 1))
 
 
 def _brute(motion: np.ndarray, sequence: np.ndarray) -> np.ndarray:
-    """Eq. 10 for every start, as fast as plain numpy does it."""
+    """Evaluate eq. 10 for every start in plain numpy."""
     count = len(motion) - len(sequence) + 1
     total = np.zeros(count)
     for offset, wanted in enumerate(sequence):

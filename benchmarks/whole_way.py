@@ -1,12 +1,10 @@
-"""The whole way: ingest, clean, map, written, against the bare USD write of the same weights.
+"""From capture to weights (ingest, clean, map), relative to the bare USD write of the weights.
 
-Every stage is the installed command in a process of its own; the floor is a process that does
-nothing but hand rows of weights to USD and save them. Beside it stands what the same costs for the
-markers, once: the whole way writes them twice, as captured and as cleaned, and reads them three
-times. The demo's actor again and again, with noise;
-rigs of 46 and of 946 shapes. `--full` runs the hour, 432,000 frames; otherwise two short takes,
-and the line through both says what an hour would cost; `--quick` takes two shorter ones, and draws
-no line.
+Every stage is the installed command in a separate process. The lower bound is a process that only
+passes rows of weights to USD and saves them. The bare write of the markers is given as well: the
+stages write them twice and read them three times. The take repeats the demo's actor with noise; the
+rigs have 46 and 946 shapes. `--full` runs an hour, 432,000 frames; otherwise two short takes are
+run and extrapolated; `--quick` runs two shorter ones without extrapolation.
 """
 
 import os
@@ -20,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:  # each process that is measured imports what it needs
+if TYPE_CHECKING:  # measured processes import modules as needed
     from usdface.core.assets import Rig, WeightsClip
 
 HOUR = 432_000
@@ -28,10 +26,10 @@ FRAMES = 12_000
 SHAPES = (46, 946)
 PAIRS = 50
 METHOD = "face_map"
-"""What `auto` takes on every set-up measured so far; named, so that training is short."""
+"""Method that `auto` chose on all data so far, named to shorten training."""
 LEARNED_FRAMES = 1_500
 WANTED = 4
-"""Times the bare write, of mapping and writing; the whole way has no target."""
+"""Target of mapping and writing, relative to the bare write."""
 NOISE_MM = 0.1
 MARKERS = 102
 BARE_MARKERS = f"bare write of {MARKERS} markers, once"
@@ -39,7 +37,7 @@ BARE_MARKERS = f"bare write of {MARKERS} markers, once"
 
 @dataclass(frozen=True)
 class Cost:
-    """Of one process: processor and elapsed time [s]."""
+    """Processor and elapsed time of a process [s]."""
 
     seconds: float
     elapsed: float
@@ -59,7 +57,7 @@ def run(frames: int = FRAMES, *, full: bool = False, quick: bool = False) -> Non
     for count, stages in costs.items():
         print(f"\n{count:,} frames, 102 markers, `{METHOD}`, {PAIRS} pairs: as measured\n")
         _table(stages)
-    if not bare:  # the hour itself, or takes so short that no line through them tells of it
+    if not bare:  # an hour, or takes too short to extrapolate
         return
     few, many = (costs[count] for count in lengths)
     more = (HOUR - lengths[1]) / (lengths[1] - lengths[0])
@@ -237,10 +235,10 @@ def _train(folder: Path, shapes: int, markers: object, clip: object) -> None:
 
 
 def _rig(shapes: int, clip: "WeightsClip") -> tuple["Rig", np.ndarray]:
-    """Return the demo's rig with so many shapes, and their weights in every frame of the demo.
+    """Return the demo's rig with a number of shapes, and their weights in the demo's frames.
 
-    What goes beyond the demo's own are correctives: a twentieth of a shape, driven by it and by
-    another together.
+    Additional shapes are correctives with 1/20 of a shape's displacements, driven by it and another
+    shape.
     """
     from usdface.core.assets import MeshShape
     from usdface.demo.rig import demo_rig
