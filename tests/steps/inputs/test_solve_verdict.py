@@ -66,12 +66,14 @@ def test_a_retargeting_of_what_is_not_to_be_used_is_not_either(shot: Shot, capsy
     for source, out in ((hero, first), (first, second)):
         line = ("retarget", source, "--rig", shot / "hero.usdc", "--out", out)
         assert usdface(*map(str, line)) == 0
-    assert "is not to be used" not in capsys.readouterr().out
+    assert "has that verdict too" not in capsys.readouterr().out
     cover(hero, 0.1)
     for each, source in ((first, hero), (second, first)):
         (finding,) = verdict_findings(each)
         assert finding.severity == "error"
-        assert f"by names; its source, {source.name}, is not to be used; mend" in finding.message
+        assert (
+            f"by names; its source, {source.name}, has that verdict too; correct" in finding.message
+        )
         assert open_shot(each).evidence().bad_source == source.name
     hero.unlink()
     assert verdict_findings(first) == []

@@ -121,17 +121,14 @@ def _other_way(motion: str) -> str:
 
 
 def _words(name: str) -> list[str]:
-    own = re.split(r"[:|/]", name)[-1] or name
-    found: list[str] = []
-    for word in _WORD.findall(own):
-        found += _unglued(word.lower())
-    return found
+    base = re.split(r"[:|/]", name)[-1] or name
+    return [part for word in _WORD.findall(base) for part in _split_glued(word.lower())]
 
 
 @functools.cache
 def _phrases() -> dict[Phrase, tuple[str, float]]:
     """Return motion and rank by phrase: a set of words, or a tuple of words in order."""
-    found: dict[Phrase, tuple[str, float]] = {}
+    motions: dict[Phrase, tuple[str, float]] = {}
     for vocabulary in VOCABULARIES:
         for line in vocabulary.phrases.strip().splitlines():
             motion, _, phrases = line.strip().partition(": ")
@@ -144,8 +141,8 @@ def _phrases() -> dict[Phrase, tuple[str, float]]:
                     as_set = frozenset(WORDS.get(each, each) for each in given)
                     in_order = phrase.startswith("=") or len(as_set) < len(given)
                     key: Phrase = tuple(given) if in_order else as_set
-                    found.setdefault(key, (motion, float(vocabulary.rank)))
-    return found
+                    motions.setdefault(key, (motion, float(vocabulary.rank)))
+    return motions
 
 
 @functools.cache
@@ -156,7 +153,7 @@ def _lexicon() -> frozenset[str]:
 
 
 @functools.lru_cache(maxsize=4096)
-def _unglued(word: str) -> tuple[str, ...]:
+def _split_glued(word: str) -> tuple[str, ...]:
     """Split a word into known words, or return it unchanged."""
     if len(word) < _SHORTEST_GLUED or word in _lexicon() or word in FILLERS or word.isdigit():
         return (word,)
@@ -253,8 +250,7 @@ def _read(words: Sequence[str], corners: dict[str, tuple[str, str]]) -> Meaning:
     row = ""
     if not side and rest and rest[-1] in corners:
         side, row = corners[rest.pop()]
-    own = "".join(dict.fromkeys(rest))
-    return _meaning(own, side, row, UNKNOWN_RANK)
+    return _meaning("".join(dict.fromkeys(rest)), side, row, UNKNOWN_RANK)
 
 
 def _action_unit(words: Sequence[str]) -> tuple[str, float] | None:
@@ -346,11 +342,11 @@ def _plain(word: str) -> str:
 
 def _meaning(motion: str, side: str, row: str, rank: float) -> Meaning:
     cells: set[Cell] = set()
-    for each in motion.split("+"):
-        stem, _, own = each.partition("/")
-        rows = row or (ROWS[own] if own else "UD")
+    for part in motion.split("+"):
+        stem, _, motion_row = part.partition("/")
+        rows = row or (ROWS[motion_row] if motion_row else "UD")
         cells |= set(product([stem], side or "LR", rows))
-    stem, _, own = motion.partition("/")
+    stem, _, motion_row = motion.partition("/")
     if stem in ("mouthroll", "mouthshrug"):
-        stem += {"U": "upper", "D": "lower"}.get(row, own)
+        stem += {"U": "upper", "D": "lower"}.get(row, motion_row)
     return Meaning(frozenset(cells), rank, stem, side)

@@ -155,8 +155,8 @@ def _judge_without_figures(evidence: SolveEvidence) -> SolveVerdict:
         source = evidence.bad_source
         return SolveVerdict(
             "bad",
-            f"{OPENINGS['bad']}: {evidence.retarget}; its source, {source}, is not to be used",
-            f"mend {source} (`usdface validate` says what is wrong), then retarget again",
+            f"{OPENINGS['bad']}: {evidence.retarget}; its source, {source}, has that verdict too",
+            f"correct {source} (`usdface validate` gives the reason), then retarget again",
             {"level": "bad", "source": source},
         )
     if evidence.retarget or not evidence.by_markers:
@@ -169,7 +169,7 @@ def _judge_without_figures(evidence: SolveEvidence) -> SolveVerdict:
         )
     return SolveVerdict(
         "check",
-        f"{OPENINGS['check']}: nothing is known of this solve's references or its error",
+        f"{OPENINGS['check']}: this solve has no record of its references or its error",
         "map it with this version, or measure it against keys (--against)",
     )
 
@@ -236,7 +236,7 @@ def _name_changed(evidence: SolveEvidence) -> str:
     if basis is None or not basis.changed_shapes or evidence.error_mm is not None:
         return ""
     shapes = first_few(basis.changed_shapes, most=2)
-    return f"the rig has other shapes than in training: {shapes}"
+    return f"shapes of the rig have changed since training: {shapes}"
 
 
 def _name_unseen(evidence: SolveEvidence) -> str:
@@ -290,7 +290,7 @@ def _residual(evidence: SolveEvidence) -> str:
     if evidence.residual_mm is None or evidence.error_mm is not None:
         return ""
     face = float(np.sqrt((evidence.residual_mm[:, 0] ** 2).mean()))
-    return f"markers {face:.1f} mm away from the solve" if face > SEEN_MM / 2 else ""
+    return f"residual {face:.1f} mm" if face > SEEN_MM / 2 else ""
 
 
 def _advice(evidence: SolveEvidence, level: str, where: dict[str, float], proposals: bool) -> str:
