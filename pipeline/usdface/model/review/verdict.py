@@ -8,9 +8,9 @@ from the solve, less that at the references); with keys, by the error against th
     good    otherwise
 
 A take is bad if more than `_BAD_SHARE` of its frames are bad in some region, or if more than
-`_CHANCE_SHARE` exceed `TORN_MM`. It is good if at most `_CHANCE_SHARE` need a check, most of the
-references are tuned, and the rig has not changed. Coverage is used in addition to uncertainty,
-which is calibrated on the references and does not contain errors that no reference shows.
+`_CHANCE_SHARE` exceed `TORN_MM`. It is good if at most `_CHANCE_SHARE` need a check, at least half
+of the references are tuned, and the rig has not changed. Coverage is used in addition to
+uncertainty, which is calibrated on the references and does not contain errors that none shows.
 
 A retargeting has no such figures. It is bad if more than `_BAD_SHARE` of the source's motion drives
 nothing, or if its source is bad.
