@@ -473,7 +473,7 @@ def test_small_angles_in_degrees_are_noticed(
     columns[:, looks] *= less
     np.savetxt(source, columns, "%.9f", ",", header=header, comments="")
     assert usdface(*common) == 2
-    assert "times as far as the weights of its looks, so they are in degrees" in " ".join(
+    assert "times as large as those of its looks, so they are in degrees" in " ".join(
         capsys.readouterr().err.split()
     )
     columns[:, looks] = 0

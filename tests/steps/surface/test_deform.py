@@ -377,7 +377,9 @@ def test_three_markers_are_too_few(folder: Path, scan: Scan) -> None:
 
 
 def test_a_mesh_without_shapes_asks_for_landmarks(folder: Path) -> None:
-    with pytest.raises(InputError, match=r"no shapes to tell where its face is.*at least 3"):
+    with pytest.raises(
+        InputError, match=r"no shapes from which markers could be placed.*at least 3"
+    ):
         run(deform(folder, binding=None))
 
 
@@ -431,7 +433,7 @@ def test_an_island_without_a_marker_is_told(folder: Path, scan: Scan) -> None:
     (folder / "scan.binding.usda").unlink()
     run(bind(folder, scan))
     report = run(deform(folder))
-    assert any("3 of 783 points lie on 1 islands without a marker" in n for n in report.notes)
+    assert any("3 of 783 points are on 1 separate part without a marker" in n for n in report.notes)
     assert report.figures["points_without_marker"] == 3
 
 

@@ -123,8 +123,8 @@ def check_pairs(pairs: ExpressionPairs, where: str) -> None:
             raise InputError(f"{where}: pair {bad[0, 0] + 1} has NaN on its {side} side; key it")
         if np.ptp(values, axis=0).max(initial=0.0) < LEAST_WEIGHT:
             raise InputError(
-                f"{where}: all {len(pairs)} pairs have the same {side} expression, so nothing "
-                "tells them apart; key different ones"
+                f"{where}: all {len(pairs)} pairs have the same {side} expression; key "
+                "different ones"
             )
 
 

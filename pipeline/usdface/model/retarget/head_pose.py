@@ -120,9 +120,9 @@ def _check_radians(recorded: dict[str, FloatArray], looked: dict[str, FloatArray
             by_channel, by_look = recorded[eye][:, :2].std(), looked[eye][:, :2].std()
             if by_look > _TELLING_RADIANS and by_channel > _DEGREES_RATIO * by_look:
                 raise ValueError(
-                    f"the angles of the {eye.replace('_', ' ')} go {by_channel / by_look:.0f} "
-                    "times as far as the weights of its looks, so they are in degrees, and are "
-                    "needed in radians: convert them, and those of the head"
+                    f"the angles of the {eye.replace('_', ' ')} are {by_channel / by_look:.0f} "
+                    "times as large as those of its looks, so they are in degrees; convert them, "
+                    "and those of the head, to radians"
                 )
 
 

@@ -200,7 +200,7 @@ def retargeting_table(trained: Retargeting) -> tuple[str, ...]:
         settings = f" ({score.settings})" if score.settings else ""
         seen.setdefault(
             score.method,
-            f"{score.method}{settings}: round trip {score.cyclic_mm:.4f}, pairs missed by "
+            f"{score.method}{settings}: round trip {score.cyclic_mm:.4f}, error at the pairs "
             f"{score.pair_error:.4f} of their range",
         )
     return tuple(seen.values())

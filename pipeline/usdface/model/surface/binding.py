@@ -103,7 +103,7 @@ def propose_binding(
             places = _by_landmarks(mesh, neutral, pins)
         else:
             raise InputError(
-                f"<{mesh.path}>: has no shapes to tell where its face is, and {len(pins)} "
+                f"<{mesh.path}>: has no shapes from which markers could be placed, and {len(pins)} "
                 f"landmarks are given; name at least {FEWEST_LANDMARKS} that are not on a line, as "
                 f"--landmarks {_three_of(names)}"
             )

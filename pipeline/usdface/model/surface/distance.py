@@ -8,6 +8,7 @@ import numpy as np
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
+from usdface.core.text import pluralize
 from usdface.numerics.registration.marker_binding import FEWEST_MARKERS
 from usdface.numerics.registration.surface_places import SurfacePlaces
 from usdface.numerics.surface.geodesic import Metric, euclidean_distances, geodesic_distances
@@ -38,12 +39,12 @@ class UnreachedReport:
         lines = []
         if self.points.any():
             lines.append(
-                f"{self.points.sum()} of {len(self.points)} points lie on "
-                f"{self.islands_without_marker} islands without a marker and follow by straight "
-                "lines; bind markers there or keep those parts out of the mesh"
+                f"{self.points.sum()} of {len(self.points)} points are on "
+                f"{pluralize(self.islands_without_marker, 'separate part')} without a marker and "
+                "use straight-line distances; bind markers there, or omit these parts from the mesh"
             )
         if self.pairs:
-            lines.append(f"{self.pairs} pairs of markers sit on different islands")
+            lines.append(f"{self.pairs} pairs of markers are on different separate parts")
         if self.faults.nonmanifold_edges:
             lines.append(f"{self.faults.nonmanifold_edges} edges have more than two faces")
         if self.faults.degenerate_faces:
