@@ -8,8 +8,8 @@ from the solve, less that at the references); with keys, by the error against th
     good    otherwise
 
 A take is bad if more than `_BAD_SHARE` of its frames are bad in some region, or if more than
-`_CHANCE_SHARE` exceed `TORN_MM`. It is good if at most `_CHANCE_SHARE` need a check, at least half
-of the references are tuned, and the rig has not changed. Coverage is used in addition to
+`_CHANCE_SHARE` exceed `WRONG_EXPRESSION_MM`. It is good if at most `_CHANCE_SHARE` need a check, at
+least half of the references are tuned, and the rig has not changed. Coverage is used in addition to
 uncertainty, which is calibrated on the references and does not contain errors that none shows.
 
 A retargeting has no such figures. It is bad if more than `_BAD_SHARE` of the source's motion drives
@@ -30,7 +30,7 @@ SEEN_MM = 1.0
 """Clearly visible error of a region: five pixels if a face of 220 mm fills 1080 lines. A pixel is
 one minute of arc at HDTV's design viewing distance (ITU-R BT.1845)."""
 
-TORN_MM = 3.0
+WRONG_EXPRESSION_MM = 3.0
 """Error of a region that changes the expression: more than a third of a smile, which moves the
 corners of the mouth by 8 mm."""
 
@@ -111,9 +111,9 @@ def judge_solve(evidence: SolveEvidence) -> SolveVerdict:
     proposals = _mostly_proposals(evidence)
     level, beyond = "bad", bad
     if _frame_share(bad) <= _BAD_SHARE:
-        torn = evidence.exceeds(TORN_MM, 1.0)
-        if _frame_share(torn) > _CHANCE_SHARE:
-            beyond = torn
+        wrong = evidence.exceeds(WRONG_EXPRESSION_MM, 1.0)
+        if _frame_share(wrong) > _CHANCE_SHARE:
+            beyond = wrong
         else:
             checked = _frame_share(doubtful) > _CHANCE_SHARE or proposals or _name_changed(evidence)
             level, beyond = "check" if checked else "good", doubtful
