@@ -98,6 +98,21 @@ def _remembered(run_folder: Path) -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _drawn_here() -> Iterator[None]:
+    """Draw in the test's own process, unless a test asks for more: pytest's workers fill the cores.
+
+    A process that draws imports and reads all that the test's has read.
+    """
+    from usdface.core.processes import process_count
+    from usdface.steps.review import movie, sheet
+
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (movie, sheet):
+            patch.setattr(module, "process_count", lambda wanted=None: process_count(wanted or 1))
+        yield
+
+
 @pytest.fixture(scope="session")
 def finished_shot(run_folder: Path) -> Shot:
     """A shot whose job has been run, by the first worker that needs it; read only."""
