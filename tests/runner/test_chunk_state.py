@@ -1,5 +1,6 @@
 """What a farm made in parts is done for a job that names it whole, as long as each part is."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -25,22 +26,35 @@ def state(spec: Spec) -> tuple[str, str]:
     return found.state, found.reason
 
 
-@pytest.fixture
-def whole(shot: Shot) -> MapSpec:
-    """A mapping that a farm did in two parts and joined."""
-    spec = MapSpec(
-        take=shot / "shot.clean.take.usda",
-        mapping=shot / "hero.mapping.usdc",
-        rig=shot / "hero.usdc",
-        out=shot / "parted.usda",
+def mapped_whole(folder: Path) -> MapSpec:
+    """What a farm does in two parts and joins."""
+    return MapSpec(
+        take=folder / "shot.clean.take.usda",
+        mapping=folder / "hero.mapping.usdc",
+        rig=folder / "hero.usdc",
+        out=folder / "parted.usda",
         temporal="whole",
     )
-    parts = []
+
+
+@pytest.fixture(scope="module")
+def parted(finished_shot: Shot, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder in which a mapping was done in two parts and joined; read only."""
+    folder = tmp_path_factory.mktemp("parted") / "shot"
+    shutil.copytree(finished_shot.folder, folder)
+    spec, parts = mapped_whole(folder), []
     for number, frames in enumerate(("1-200", f"201-{FRAMES}")):
-        parts.append(shot / f"part.{number}.usda")
+        parts.append(folder / f"part.{number}.usda")
         execute(spec.model_copy(update={"frames": frames, "out": parts[-1]}))
     execute(JoinSpec(parts=tuple(parts), out=spec.out))
-    return spec
+    return folder
+
+
+@pytest.fixture
+def whole(parted: Path, tmp_path: Path) -> MapSpec:
+    """A mapping that was done in parts, in a copy of its folder that a test may change."""
+    shutil.copytree(parted, tmp_path / "shot")
+    return mapped_whole(tmp_path / "shot")
 
 
 def test_parts_that_were_made_as_asked_are_the_whole(whole: MapSpec) -> None:
@@ -57,14 +71,15 @@ def test_parts_of_other_settings_or_frames_are_not(
     assert state(whole.model_copy(update=change))[0] == "stale"
 
 
-def test_parts_made_from_what_has_changed_since_are_not(whole: MapSpec, shot: Shot) -> None:
-    train = TrainSpec(references=shot / "hero.references.usda", out=whole.mapping, method="ridge")
+def test_parts_made_from_what_has_changed_since_are_not(whole: MapSpec) -> None:
+    references = whole.out.with_name("hero.references.usda")
+    train = TrainSpec(references=references, out=whole.mapping, method="ridge")
     execute(train, overwrite=True)
     assert state(whole) == ("stale", "hero.mapping.usdc has changed since")
 
 
-def test_a_part_that_is_gone_or_was_made_anew_is_missed(whole: MapSpec, shot: Shot) -> None:
-    part = shot / "part.0.usda"
+def test_a_part_that_is_gone_or_was_made_anew_is_missed(whole: MapSpec) -> None:
+    part = whole.out.with_name("part.0.usda")
     other = whole.model_copy(update={"frames": "1-200", "out": part, "temporal": "none"})
     execute(other, overwrite=True)
     assert state(whole)[0] == "stale"
