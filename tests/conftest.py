@@ -113,6 +113,14 @@ def _drawn_here() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _not_waiting_for_disks() -> Iterator[None]:
+    """Leave files of tests to the system's cache: no test survives a power cut."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda _: None)
+        yield
+
+
 @pytest.fixture(scope="session")
 def finished_shot(run_folder: Path) -> Shot:
     """A shot whose job has been run, by the first worker that needs it; read only."""
