@@ -99,8 +99,10 @@ def shape_parts(rig: Rig, deformer: Deformer) -> tuple[str, ...]:
 
 def _motions(offsets: sparse.csr_array) -> FloatArray:
     """Return how far each shape moves each point: (shapes, points) [mm]."""
-    moved = [offsets[[shape]].toarray().reshape(-1, 3) for shape in range(offsets.shape[0])]
-    return np.array([np.linalg.norm(each, axis=1) for each in moved])
+    points = offsets.indices // 3  # each three times: a dense array holds the sum of its entries
+    shape = (offsets.shape[0], offsets.shape[1] // 3)
+    squares = sparse.csr_array((offsets.data**2, points, offsets.indptr), shape=shape)
+    return np.asarray(np.sqrt(squares.toarray()))
 
 
 def _eyes(motions: FloatArray, gaze: IntArray, off_skin: BoolArray) -> list[IntArray]:
