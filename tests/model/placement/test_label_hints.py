@@ -3,6 +3,7 @@ import pytest
 from usdface.model.placement.label_hints import (
     is_worn,
     label_hint,
+    mirror_partners,
     mirrored_label,
     side_of_label,
     skin_motion_mm,
@@ -72,3 +73,13 @@ def test_what_is_worn_is_neither_forehead_ear_nor_temple() -> None:
     assert all(map(is_worn, worn))
     skin = ("ForeHead_M", "temple_L1", "ear_R", "Rear", "brow_L2", "cheek_1", "nose", "m12", "")
     assert not any(map(is_worn, skin))
+
+
+def test_partners_are_found_whatever_their_case() -> None:
+    labels = ("Lcheek_Up", "Rcheek_up", "Chin", "brow_L1", "brow_R1", "Leye_Up")
+    assert mirror_partners(labels) == {
+        "Lcheek_Up": "Rcheek_up",
+        "Rcheek_up": "Lcheek_Up",
+        "brow_L1": "brow_R1",
+        "brow_R1": "brow_L1",
+    }

@@ -81,6 +81,22 @@ def mirrored_label(label: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(candidates))
 
 
+def mirror_partners(labels: Sequence[str]) -> dict[str, str]:
+    """Return the label of the other side for every label that has one in the set.
+
+    Case is ignored: real marker sets pair ``Lcheek_Up`` with ``Rcheek_up``.
+    """
+    by_name = {label.lower(): label for label in labels} | {label: label for label in labels}
+    partners = {}
+    for label in labels:
+        for name in mirrored_label(label):
+            partner = by_name.get(name, by_name.get(name.lower()))
+            if partner is not None:
+                partners[label] = partner
+                break
+    return partners
+
+
 def label_hint(label: str) -> LabelHint:
     """Read a label's hint; one that no rule knows gives an empty hint."""
     text, side = label.lower(), side_of_label(label)

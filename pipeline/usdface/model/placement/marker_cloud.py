@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from usdface.core.arrays import BoolArray, FloatArray, RealArray
-from usdface.model.placement.label_hints import label_hint, mirrored_label, side_of_label
+from usdface.model.placement.label_hints import label_hint, mirror_partners, side_of_label
 from usdface.numerics.registration.marker_binding import FEWEST_MARKERS
 from usdface.numerics.registration.sagittal_plane import (
     SagittalPlane,
@@ -101,12 +101,11 @@ def _pick_frames(
 
 def _plane(neutral: FloatArray, labels: tuple[str, ...]) -> SagittalPlane:
     row_of = {label: row for row, label in enumerate(labels)}
-    pairs = []
-    for label, row in row_of.items():
-        if side_of_label(label) == "L":
-            partner = next((each for each in mirrored_label(label) if each in row_of), None)
-            if partner is not None:
-                pairs.append((row, row_of[partner]))
+    pairs = [
+        (row_of[label], row_of[partner])
+        for label, partner in mirror_partners(labels).items()
+        if side_of_label(label) == "L"
+    ]
     if len(pairs) >= 3:
         return plane_of_pairs(neutral, np.array(pairs), np.array(middle_markers(labels), np.int64))
     return plane_by_reflection(neutral)

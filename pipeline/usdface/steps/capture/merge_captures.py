@@ -17,7 +17,7 @@ from usdface.core.errors import InputError
 from usdface.core.rates import frames_of, frames_within, shift_timecode, timecode_of
 from usdface.core.replacing import replacing
 from usdface.core.text import pluralize
-from usdface.model.placement.label_hints import mirrored_label
+from usdface.model.placement.label_hints import mirror_partners
 
 _LEAST_FROZEN_SECONDS = 0.25
 """Measured positions are never equal in two frames; a longer run of copies is padding."""
@@ -39,12 +39,7 @@ def exchange_sides(take: Take, what: str, *, where: object) -> Take:
     if what == "axes":
         reflected = markers.positions * np.array([-1, 1, 1], np.float32)
         return replace(take, markers=replace(markers, positions=reflected))
-    partners = {
-        name: partner
-        for name in markers.names
-        for partner in mirrored_label(name)
-        if partner in markers.names
-    }
+    partners = mirror_partners(markers.names)
     if not partners:
         raise InputError(
             f"{where}: no label names a side that another label mirrors, as brow_L and brow_R do; "
