@@ -23,8 +23,11 @@ from usdface.usdio.rig.read import read_rig
 NAMES = ("jawOpen", "eyeBlink_L", "eyeBlink_R")
 
 
-def lids(marked: tuple[bool, bool], peaks: tuple[float, float]) -> LidEvidence:
-    return LidEvidence((1, 2), ShapeEvidence(np.array(marked), np.array(peaks)), (3,))
+def lids(
+    marked: tuple[bool, bool], peaks: tuple[float, float], alone: tuple[bool, bool] = (False, False)
+) -> LidEvidence:
+    seen = ShapeEvidence(np.array(marked), np.array(peaks), np.array(alone))
+    return LidEvidence((1, 2), seen, (3,))
 
 
 @pytest.mark.parametrize(
@@ -33,6 +36,8 @@ def lids(marked: tuple[bool, bool], peaks: tuple[float, float]) -> LidEvidence:
         (lids((True, True), (0.6, 0.5)), (1, 2), (), (), ""),
         (lids((True, True), (0.2, 0.1)), (), (1, 2, 3), (), "show no blinks: of a full blink, 15%"),
         (lids((True, True), (0.396, 0.4)), (), (1, 2, 3), (), "of a full blink, 39% is in"),
+        (lids((True, True), (0.5, 0.1), (True, False)), (1, 2), (), (), ""),
+        (lids((True, True), (0.5, 0.1)), (), (1, 2, 3), (), "of a full blink, 30% is in"),
         (lids((True, False), (0.6, 0.1)), (1,), (), ((1, 2),), "on the lid of eyeBlink_R:"),
         (lids((False, False), (0.9, 0.9)), (), (3,), ((1, 2),), "both eyes alike"),
     ],

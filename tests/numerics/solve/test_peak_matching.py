@@ -99,6 +99,23 @@ def test_blinks_that_the_brow_does_not_predict_are_shown() -> None:
     np.testing.assert_allclose(evidence.own_peaks, 0.6, atol=0.1)
 
 
+def test_winks_of_one_eye_are_shown() -> None:
+    blinks = np.zeros((400, 2))
+    blinks[::9, 0] = 0.6
+    evidence = shape_evidence(*lids_and_brow(blinks, fold=0.8), [0, 1], surface_mm=[9.5, 9.5])
+    assert evidence.own_peaks.mean() < 0.4
+    assert evidence.alone.tolist() == [True, False]
+    assert evidence.shown
+
+
+def test_a_lid_that_the_other_follows_by_less_shows_no_wink() -> None:
+    blinks = np.zeros((400, 2))
+    blinks[::9] = (0.5, 0.2)
+    evidence = shape_evidence(*lids_and_brow(blinks, fold=0.8), [0, 1], surface_mm=[9.5, 9.5])
+    assert not evidence.alone.any()
+    assert not evidence.shown
+
+
 def test_lids_that_follow_the_brow_show_no_blink() -> None:
     evidence = shape_evidence(
         *lids_and_brow(np.zeros((400, 2)), fold=0.8), [0, 1], surface_mm=[9.5, 9.5]

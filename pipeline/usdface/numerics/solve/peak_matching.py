@@ -24,6 +24,7 @@ _CARRIED_SHARE = 0.2  # [of a shape's largest displacement] markers below get no
 _STILL_SHARE = 0.02  # [of a shape's largest displacement] markers below do not follow it
 _MARKED_SHARE = 0.5  # [of the surface's displacement] half of it: the marker sits on what moves
 _COMMON_VARIANCE = 0.95  # of other markers: drops what they share of small motions, such as blinks
+_ALONE_SHARE = 0.25  # [of a shape's peak] others below it at that time are at rest: a wink
 FULL_SHARE = 1 / _GAINS[1]  # [of the range] a peak below it the largest gain would not make full
 
 
@@ -37,11 +38,21 @@ class ShapeEvidence:
     own_peaks: FloatArray
     """(n,): weight at peaks, by the part of the markers' motion that the rest of the face does not
     predict. A lid's marker that sits in the fold follows the brow and has none."""
+    alone: BoolArray
+    """(n,): the other marked shapes are near rest at this one's peaks, as in a wink."""
 
     @property
     def shown(self) -> bool:
-        """Whether the marked shapes, as one, are seen in full: a blink of one eye is half of it."""
-        return bool(self.marked.any() and self.own_peaks[self.marked].mean() >= FULL_SHARE)
+        """Whether the marked shapes reach `FULL_SHARE` at peaks: their mean, or one alone.
+
+        A single lid that reaches it while the other follows by less is no evidence: on recorded
+        takes without blinks, one marker sits lower than the other.
+        """
+        peaks = self.own_peaks[self.marked]
+        if not len(peaks):
+            return False
+        wink = self.alone[self.marked] & (peaks >= FULL_SHARE)
+        return bool(peaks.mean() >= FULL_SHARE or wink.any())
 
 
 def shape_evidence(
@@ -72,17 +83,29 @@ def shape_evidence(
     nearness = effective_size(carried) / extent
     largest = max(float(reach.max(initial=0.0)), 1e-9)
     common = _common_motion(m[:, (reach < _STILL_SHARE * largest).all(axis=0)])
-    peaks = np.zeros(len(carried))
+    peaks, own = np.zeros(len(carried)), np.zeros((len(m), len(carried)))
     for row, shape in enumerate(carried):
         markers = reach[row] >= max(_CARRIED_SHARE * reach[row].max(initial=0.0), 1e-9)
         along = shape[markers].ravel()
         if not markers.any():
             continue
         weight = m[:, markers].reshape(len(m), -1) @ along / (along @ along)
-        own = weight - common @ np.linalg.lstsq(common, weight)[0]
-        peak = np.quantile(own, _PEAK_QUANTILE) - np.median(own)
-        peaks[row] = peak * min(nearness[row], 1.0)
-    return ShapeEvidence(nearness >= _MARKED_SHARE, peaks)
+        left = weight - common @ np.linalg.lstsq(common, weight)[0]
+        own[:, row] = (left - np.median(left)) * min(nearness[row], 1.0)
+        peaks[row] = np.quantile(own[:, row], _PEAK_QUANTILE)
+    marked = nearness >= _MARKED_SHARE
+    return ShapeEvidence(marked, peaks, _alone(own, peaks, marked))
+
+
+def _alone(own: FloatArray, peaks: FloatArray, marked: BoolArray) -> BoolArray:
+    """Return which shapes peak while the other marked ones are near rest: (shapes,)."""
+    alone = np.zeros(len(peaks), bool)
+    for row in np.flatnonzero(marked):
+        others = marked & (np.arange(len(peaks)) != row)
+        if others.any() and peaks[row] > 0:
+            at_peaks = own[own[:, row] >= peaks[row]].mean(axis=0)
+            alone[row] = at_peaks[others].max() < _ALONE_SHARE * at_peaks[row]
+    return alone
 
 
 def effective_size(deltas: ArrayLike) -> FloatArray:
