@@ -1,1 +1,1 @@
-"""Where a performer's markers sit on a face, as their labels say."""
+"""Positions of a performer's markers on a rig's face, and checks of both."""

@@ -1,8 +1,8 @@
-"""How labelled markers lie against an adult's face: its size, which way is up, which side is which.
+"""Fit of labelled markers to an adult's face: size, up axis, left and right.
 
-The template is a table of means of adults; faces differ from it by some 15 %, markers stand
-beside what they are named for by their `spread_mm`, and both are far below what wrong units, a
-wrong axis or exchanged sides do.
+The template is a table of means of adults. Faces differ from it by about 15 %, and markers from
+their landmarks by `spread_mm`; both are far less than the effect of wrong units, a wrong axis or
+exchanged sides.
 """
 
 from collections.abc import Sequence
@@ -49,38 +49,38 @@ _MIDDLE_REGIONS_MM = {
     "jaw": ((0.0, -105.0, 0.0), 15.0),
     "mouth": ((0.0, -76.0, 12.0), 12.0),
 }
-"""The middle of a region of the left side, and of the middle; about half its breadth."""
+"""Centre and about half the breadth of regions of the left side, and of the midline [mm]."""
 
 
 @dataclass(frozen=True)
 class FaceTemplate:
-    """Where markers would be on an adult's face, by their labels."""
+    """Expected positions of labelled markers on an adult's face."""
 
     columns: np.ndarray
-    """(n,): markers whose labels name a place."""
+    """(n,): markers whose labels name a landmark or a region."""
     places: FloatArray
     """(n, 3): from the sellion, X to the performer's left, Z forward [mm]."""
     weights: FloatArray
-    """(n,): inverse variance of each place, of sum 1."""
+    """(n,): inverse variances, normalised to sum 1."""
 
 
 @dataclass(frozen=True)
 class FaceFit:
-    """A frame's markers fitted by the template, turned, scaled and moved."""
+    """Similarity transform of the template to the markers of one frame."""
 
     size: float
-    """Of the face, in those of an adult's."""
+    """Of the face, relative to an adult's."""
     up: FloatArray
-    """(3,): the head's own, of length 1."""
+    """(3,): unit vector from chin to forehead."""
     explained: float
     explained_mirrored: float
-    """`explained`, `explained_mirrored`: Share of the markers' spread about their centre [0-1], by
-    the template and by its mirror image."""
+    """`explained`, `explained_mirrored`: share of the markers' variance explained [0-1] by the
+    template and by its mirror image."""
     marker_count: int
 
 
 def face_template(labels: Sequence[str]) -> FaceTemplate:
-    """Return where labels say that markers are; those that name no place are left out."""
+    """Return the expected positions of the markers whose labels name a landmark or region."""
     places = [_place(label_hint(label)) for label in labels]
     known = [(column, place) for column, place in enumerate(places) if place is not None]
     spread = np.array([place[1] for _, place in known])
@@ -92,18 +92,18 @@ def face_template(labels: Sequence[str]) -> FaceTemplate:
 
 
 def fit_face(places: FloatArray, positions: FloatArray, weights: FloatArray) -> FaceFit:
-    """Fit the template to one frame by weighted least squares, and its mirror image as well.
+    """Fit the template and its mirror image to one frame by weighted least squares.
 
     Parameters
     ----------
     places, positions : (n, 3) float arrays
-        Of the template, and of the markers; not all at one point.
+        Of the template and of the markers; not all equal.
     weights : (n,) float array
 
     References
     ----------
-    Umeyama (1991), IEEE Trans. PAMI 13(4), 376-380; the scale is that of the spreads, which does
-    not shrink where markers lie beside their places.
+    Umeyama (1991), IEEE Trans. PAMI 13(4), 376-380; but the scale is the ratio of the standard
+    deviations, which is not biased low by deviations from the template.
     """
     share = weights / weights.sum()
     x, y = places - share @ places, positions - share @ positions
@@ -126,7 +126,7 @@ def fit_face(places: FloatArray, positions: FloatArray, weights: FloatArray) -> 
 
 
 def _place(hint: LabelHint) -> tuple[FloatArray, float] | None:
-    """Return where a hint's marker is on the template, and with what spread [mm]."""
+    """Return a marker's expected position on the template and its standard deviation [mm]."""
     landmarks = [place for place in map(landmark_place, hint.landmarks) if place is not None]
     if landmarks:
         return np.mean(landmarks, axis=0), hint.spread_mm
@@ -138,7 +138,7 @@ def _place(hint: LabelHint) -> tuple[FloatArray, float] | None:
 
 
 def landmark_place(name: str) -> FloatArray | None:
-    """Return where a landmark of `rig_landmarks` is on an adult's face; None where unknown.
+    """Return the position of a `rig_landmarks` landmark on an adult's face; None if unknown.
 
     From the sellion, X to the left, Y up, Z forward [mm].
     """

@@ -1,7 +1,7 @@
-"""What a marker's label says of its place: a side, a part of the face, sometimes a landmark.
+"""Side, region of the face and landmark that a marker's label names.
 
-Labels are hints, never facts: a placement weighs them by the spread with which people put such
-markers, and a label that says nothing costs nothing.
+Labels are hints: a placement weights them by the standard deviation with which people put such
+markers. A label without a known word has no effect.
 """
 
 import re
@@ -31,15 +31,16 @@ _NOT_A_SIDE = re.compile(r"^(lip|lid|low|lower|root|ridge|rim)", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class LabelHint:
-    """What one label says."""
+    """Side, region and landmarks named by one label."""
 
     side: Side = ""
     """``'L'``, ``'R'`` or empty: the performer's."""
     region: str = ""
     """forehead, brow, bridge, nose, lid, eye corner, eye, mouth, chin, jaw, cheek, skull; empty if
-    the label says nothing."""
+    the label names none."""
     landmarks: tuple[str, ...] = ()
-    """Landmarks of `rig_landmarks` whose mean is meant; empty where only the region is known."""
+    """Landmarks of `rig_landmarks`, whose mean is the position; empty if only the region is
+    known."""
     spread_mm: float = 0.0
     """Standard deviation with which people put such a marker, on an adult's face."""
 
@@ -58,13 +59,13 @@ def side_of_label(label: str) -> Side:
 
 
 def _stands_alone(name: str, found: re.Match[str]) -> bool:
-    """Whether a small l or r is a word of its own, and not the end of one (as in ``cheekuper``)."""
+    """Whether a lower-case l or r is a separate token, not the end of a word (``cheekuper``)."""
     before = name[found.start("back") - 1 : found.start("back")]
     return before in ("_", "-", ".", " ")
 
 
 def mirrored_label(label: str) -> tuple[str, ...]:
-    """Return how the same marker of the other side may be labelled; empty without a side."""
+    """Return possible labels of the same marker on the other side; empty without a side."""
     side = side_of_label(label)
     if not side:
         return ()
@@ -98,7 +99,7 @@ def mirror_partners(labels: Sequence[str]) -> dict[str, str]:
 
 
 def label_hint(label: str) -> LabelHint:
-    """Read a label's hint; one that no rule knows gives an empty hint."""
+    """Return the hint of a label; an empty one if no rule matches."""
     text, side = label.lower(), side_of_label(label)
     for part, read in _PARTS:
         if re.search(part, text):
@@ -114,15 +115,15 @@ def is_worn(label: str) -> bool:
 
 
 def landmark_spread_mm(name: str) -> float:
-    """Return the standard deviation with which people put a marker at a landmark of an adult.
+    """Return the standard deviation of markers about a landmark of an adult's face.
 
-    0 for landmarks at which nobody puts one: a marker of the upper lid is glued above its margin.
+    0 for landmarks that carry no marker: one of the upper lid is glued above the lid's margin.
     """
     return _SPREAD_MM.get(re.sub("_[LR]$", "", name), 0.0)
 
 
 def skin_motion_mm(labels: Sequence[str]) -> FloatArray:
-    """Return how far each marker is expected to move over the skull by itself: (markers,) [mm]."""
+    """Return the expected motion of each marker relative to the skull: (markers,) [mm]."""
     prior = []
     for label in labels:
         hint, text = label_hint(label), label.lower()
@@ -150,8 +151,8 @@ _SKIN_MOTION_MM = {
     "jaw": 4.0,
     "": 2.0,
 }
-"""Standard deviation with which skin moves over the skull, by region. Values above 4 mm change
-nothing: such markers hardly count for the head's pose."""
+"""Standard deviation of the skin's motion relative to the skull, by region [mm]. Values above 4 mm
+change nothing: such markers have almost no weight in the head's pose."""
 
 _OUTER_MOTION_MM = {"brow": 1.5, "cheek": 2.0}
 _SIDE_OF_NOSE_MM = 2.0
@@ -237,4 +238,5 @@ _PARTS = (
     (r"cheek", _only("cheek")),
     (r"ear|temple|head|skull|tragus|cap", _only("skull")),
 )
-"""In this order: a band round the forehead is no skin, an eyebrow no eye, a forehead no head."""
+"""The first match counts: ``band`` before ``fore``, ``brow`` before ``eye``, ``fore`` before
+``head``."""

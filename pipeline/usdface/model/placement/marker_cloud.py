@@ -16,26 +16,25 @@ from usdface.numerics.registration.sagittal_plane import (
 from usdface.numerics.regression.reference_design import design_k_centre
 
 _PICKED_FRAMES = 150
-"""Frames that a placement looks at: those that differ most from each other."""
+"""Frames used by a placement: those that differ most from each other."""
 
 _POOL_FRAMES = 3000
-"""Frames spread over the take, among which they are picked."""
+"""Evenly spaced frames of the take from which these are picked."""
 
 _MIDDLE_REGIONS = ("forehead", "brow", "bridge", "nose", "mouth", "chin")
 
 
 @dataclass(frozen=True)
 class MarkerCloud:
-    """What is known of a performer's markers before they are placed."""
+    """A performer's markers before placement: labels, neutral positions and motion."""
 
     labels: tuple[str, ...]
     neutral: FloatArray
-    """(markers, 3): at rest, Y roughly up, looking anywhere [mm]."""
+    """(markers, 3): neutral positions, Y roughly up, any yaw [mm]."""
     motion: FloatArray | None
     """(frames, markers, 3): displacements from `neutral`, of frames that differ [mm]."""
     still: BoolArray
-    """(markers,): markers whose motion says nothing about their place: of the skull, or without
-    any."""
+    """(markers,): markers whose motion is not used: rigid ones, and those without any."""
 
     def levelled(self) -> tuple[FloatArray, FloatArray]:
         """Return the rotation that levels the cloud, and the cloud with its plane at x = 0."""
@@ -52,7 +51,7 @@ def marker_cloud(
     visible: BoolArray | None = None,
     rigid: Sequence[int] = (),
 ) -> MarkerCloud:
-    """Gather what a placement needs of a stabilised take.
+    """Return the marker cloud of a stabilised take.
 
     Parameters
     ----------
@@ -112,7 +111,7 @@ def _plane(neutral: FloatArray, labels: tuple[str, ...]) -> SagittalPlane:
 
 
 def middle_markers(labels: tuple[str, ...]) -> list[int]:
-    """Return the markers of parts of the face that lie in the middle, whose labels name no side."""
+    """Return the columns of markers on the midline: of a middle region, without a side."""
     return [
         row
         for row, label in enumerate(labels)

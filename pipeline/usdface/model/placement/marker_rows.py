@@ -1,4 +1,4 @@
-"""Rows of markers along lips, lids and brows, by what labels say or by where they lie on a rig."""
+"""Rows of markers along lips, lids and brows, by labels or by positions on a rig."""
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
@@ -11,8 +11,8 @@ from usdface.core.errors import InputError
 from usdface.model.placement.label_hints import LabelHint, label_hint
 
 MOST_WINDING = 1.6
-"""Length of a row over its extent. Lips and lids reach 1.4; what winds further holds two rows, such
-as both edges of a brow, and is not drawn."""
+"""Largest ratio of a row's length to its extent. Lips and lids reach 1.4; larger ratios are of two
+rows taken for one, such as both edges of a brow, and are not drawn."""
 
 ROW_REACH_MM = 6.0
 """Distance from a row on an adult's face below which a marker without a label belongs to it:
@@ -37,11 +37,11 @@ _PATHS = (
     *((f"eye_inner_{side}", f"lid_crease_{side}", f"eye_outer_{side}") for side in "LR"),
     *((f"eye_inner_{side}", f"lid_lower_{side}", f"eye_outer_{side}") for side in "LR"),
 )
-"""Landmarks along each row. Those of a brow are middles of what moves, not its line."""
+"""Landmarks along each row. Those of brows are centroids of motion, not points of a line."""
 
 _PATH_LENGTH = 3
 _LEAST_PLACED = 3
-"""Markers that show a row where no label does: two are as well the corners of a mouth."""
+"""Fewest markers of a row without labels: two may be the corners of a mouth."""
 
 
 def rows_by_label(labels: Sequence[str], positions: ArrayLike) -> list[IntArray]:

@@ -34,38 +34,40 @@ from usdface.numerics.registration.skin_placement import (
 from usdface.numerics.registration.virtual_markers import VirtualMarkers
 
 FEWEST_HINTS = 6
-"""Labels of one marker each with a landmark on the rig, from which a placement by labels starts.
-Numbered ones (``mouth_R1`` to ``mouth_R13``) name a part of the face, and motion says more."""
+"""Fewest markers whose labels name a landmark each for a placement by labels. Numbered labels
+(``mouth_R1`` to ``mouth_R13``) name a region, which is less precise than motion."""
 
 FEWEST_PINS = 3
-"""Points from which an alignment follows."""
+"""Fewest given places that determine an alignment."""
 
 _MARKER_RADIUS_MM = 1.5
-"""Of the smallest face markers in use, 3 mm wide."""
+"""Radius of the smallest face markers in use."""
 
 _PIN_SPREAD_MM = 0.5
+"""Standard deviation of a place given by a person."""
+
 _PROPORTION_SPREAD_MM = 4.0
-"""Standard deviation of a marker about the similarity that suits the others: as narrow as the
-narrowest of labels'."""
+"""Standard deviation of a marker about the transform fitted to all; that of the most precise
+label."""
 
 _WARPED_SPREAD_MM = 6.0
-"""Standard deviation of a warped marker about its landmark-free fit: what proportions leave."""
+"""Standard deviation of a warped marker about the fit without warp: differing proportions."""
 
 _WARP_COST = 0.3
-"""Explained share that a mean warp of the face's size costs, between candidates of the search."""
+"""Reduction of a candidate's value, per mean warp in units of the face's size."""
 
 _LEAST_GAIN = 0.03
-"""Value by which another placement must be better than closest points': they fit proportions in
-every round, and are nearer where many markers cover the face."""
+"""Difference of value above which another candidate replaces that of closest points, which fit
+proportions in every round and are more accurate with dense markers."""
 
 _ACTIVE_SHARE = 0.1
-"""Of the largest displacement: skin that moves less is not where markers are put."""
+"""Share of the largest displacement below which skin carries no markers."""
 
 _EYES_TO_MOUTH_MM = 70.0
-"""From the line of the eyes to that of the mouth, on an adult, give or take 5 mm."""
+"""Height of the eyes above the mouth of an adult; standard deviation about 5 mm."""
 
 _OTHER_UNIT = 2.2
-"""Factor between two guesses of the scale beyond which the markers are not in millimetres."""
+"""Ratio of two estimates of the scale beyond which the markers are not in millimetres."""
 
 
 @dataclass(frozen=True)
@@ -73,11 +75,11 @@ class MarkerPlacement:
     """Markers on a rig's skin."""
 
     samples: IntArray
-    """(markers,): of the skin."""
+    """(markers,): indices of skin samples."""
     virtual: VirtualMarkers
-    """The same as points of the rig, with the map from the performer's motion to the rig's."""
+    """The same as points of the rig, with the transform of the performer's motion."""
     by_labels: bool
-    """Whether labels and landmarks placed the cloud, or motion alone."""
+    """True if placed by labels and landmarks, False if by motion."""
 
 
 def place_markers(
@@ -88,7 +90,7 @@ def place_markers(
     ranges: FloatArray | None = None,
     pinned: dict[int, FloatArray] | None = None,
 ) -> MarkerPlacement:
-    """Find where on a rig's skin each marker sits.
+    """Return the position of each marker on a rig's skin.
 
     Parameters
     ----------
@@ -97,12 +99,12 @@ def place_markers(
     ranges : (shapes, 2) float array, optional
         Limits of the weights; 0 to 1 by default.
     pinned : dict of int to (3,) float array, optional
-        Places that a person gave, in the rig's space [mm].
+        Places given by a person, in the rig's space [mm].
 
     Raises
     ------
     ValueError
-        If neither labels, landmarks nor motion say where the markers belong.
+        If neither labels, landmarks nor motion determine a placement.
     """
     limits = np.tile([0.0, 1.0], (len(shapes), 1)) if ranges is None else ranges
     unit = skin.size_mm / TYPICAL_SIZE_MM
@@ -138,7 +140,7 @@ def place_markers(
 def _above_lid_margins(
     scene: "_Scene", landmarks: dict[str, FloatArray], samples: IntArray
 ) -> IntArray:
-    """Lift markers of upper lids above the lid's margin: below are the lashes, and the eye."""
+    """Move markers of upper lids that lie below the lid's margin above it."""
     lifted = samples.copy()
     radius = _MARKER_RADIUS_MM * scene.skin.size_mm / TYPICAL_SIZE_MM
     for marker, label in enumerate(scene.cloud.labels):
@@ -167,9 +169,10 @@ def _virtual_markers(scene: "_Scene", start: "_Start", samples: IntArray) -> Vir
 
 @dataclass(frozen=True)
 class _Scene:
-    """A cloud, a skin, and the places that labels or people gave.
+    """A cloud, a skin, and known places.
 
-    `usual_scale` is the guess of character over performer; `features` are the rig's landmarks.
+    `usual_scale` is the expected size of the character relative to the performer; `features` are
+    the rig's landmarks.
     """
 
     cloud: MarkerCloud
@@ -183,7 +186,7 @@ class _Scene:
 
 @dataclass(frozen=True)
 class _Start:
-    """A placement, and the rotation and cloud that it was found in."""
+    """A placement, with the rotation and the rotated cloud to which it applies."""
 
     frame: FloatArray
     levelled: FloatArray
@@ -197,17 +200,17 @@ def named_places(
     *,
     without: Collection[int] = (),
 ) -> list[KnownPlace]:
-    """Return the places of the markers whose labels name landmarks that are known.
+    """Return the places of markers whose labels name landmarks of the rig.
 
-    Of markers with the same landmarks (``brow_L1`` to ``brow_L5``) the middle is meant, and it is
-    as uncertain as they lie apart.
+    Markers with the same landmarks (``brow_L1`` to ``brow_L5``) are one place, that of their mean;
+    its variance includes theirs.
 
     Parameters
     ----------
     unit : float
         Size of the rig's face over an adult's.
     without : collection of int
-        Markers whose places are known better.
+        Markers to leave out.
     """
     groups: dict[tuple[str, ...], list[int]] = {}
     spreads = {}
@@ -241,7 +244,7 @@ def _settle(scene: _Scene, frame: FloatArray, levelled: FloatArray, fit: PlaneFi
 
 
 def _by_pins(scene: _Scene) -> _Start:
-    """Start from the similarity of the places that a person gave."""
+    """Start from a similarity transform fitted to given places."""
     rows = list(scene.pins)
     found = align_landmarks(scene.cloud.neutral[rows], np.array(list(scene.pins.values())))
     fit = PlaneFit(found.rotation, found.scale, found.translation)
@@ -249,13 +252,13 @@ def _by_pins(scene: _Scene) -> _Start:
 
 
 def _by_labels(scene: _Scene) -> _Start:
-    """Start from the landmarks that labels name, and from given places."""
+    """Start from a transform fitted to landmarks named by labels and to given places."""
     frame, levelled = scene.cloud.levelled()
     centre = np.array([scene.skin.sagittal_x, 0.0, 0.0])
     middles = np.array([levelled[list(each.markers)].mean(axis=0) for each in scene.landmarks])
     targets = np.array([each.place for each in scene.landmarks])
     spreads = np.array([each.spread_mm for each in scene.landmarks])
-    # A given place is exact, but not where a similarity takes its marker.
+    # A given place is exact, but differing proportions keep the transform from reaching it.
     least = _PROPORTION_SPREAD_MM * scene.skin.size_mm / TYPICAL_SIZE_MM
     start = fit_in_plane(middles, targets - centre, np.maximum(spreads, least))
     fit = PlaneFit(start.rotation, start.scale, start.shift + centre)
@@ -263,19 +266,19 @@ def _by_labels(scene: _Scene) -> _Start:
 
 
 def _by_motion(scene: _Scene) -> _Start:
-    """Settle where motion and landmarks agree, by a search of the plane and by closest points.
+    """Return the best candidate of closest points and of a search in the plane of symmetry.
 
-    Markers that may sit at landmarks are drawn to them, as likely as that is.
+    Markers near landmarks are drawn to them, weighted by the probability of the match.
     """
     cloud, skin, motion = scene.cloud, scene.skin, scene.cloud.motion
     if motion is None or not motion.any():
         return _by_shape(scene)
     try:
         frame, levelled = cloud.levelled()
-    except ValueError:  # no symmetry: what closest points find is all there is
+    except ValueError:  # no symmetry, so no search in its plane
         return _by_shape(scene)
     starts = []
-    with suppress(ValueError):  # nothing ends upright
+    with suppress(ValueError):  # no alignment ends upright
         starts.append(_by_shape(scene))
     count = len(starts)
     for found in search_by_motion(
@@ -299,7 +302,7 @@ def _by_motion(scene: _Scene) -> _Start:
 
 
 def _drawn(scene: _Scene, frame: FloatArray, levelled: FloatArray, fit: PlaneFit) -> _Start:
-    """Settle a fit, its markers drawn to the landmarks at which they may sit."""
+    """Settle a fit with its markers drawn to landmarks nearby."""
     features = scene.features
     match = match_landmarks(fit.apply(levelled), features)
     spreads = features.spreads[match.landmarks] / np.sqrt(match.probability)
@@ -314,14 +317,14 @@ def _drawn(scene: _Scene, frame: FloatArray, levelled: FloatArray, fit: PlaneFit
 
 
 def _turn_of(start: _Start, frame: FloatArray) -> FloatArray:
-    """Return the factors that turn the levelled cloud to where a placement looks."""
+    """Return the factors (1 or -1 per axis) that turn the levelled cloud to a placement's yaw."""
     rotation = start.placement.fit.rotation @ start.frame @ frame.T
     yaw = 1.0 if rotation[0, 0] + rotation[2, 2] > 0 else -1.0
     return np.array([yaw, 1.0, yaw])
 
 
 def _fit_to(scene: _Scene, start: _Start, turned: FloatArray) -> PlaneFit:
-    """Fit the cloud's proportions to where it was settled, in the plane of symmetry."""
+    """Fit the transform in the plane of symmetry to the settled positions."""
     centre = np.array([scene.skin.sagittal_x, 0.0, 0.0])
     spreads = np.full(len(turned), _WARPED_SPREAD_MM * scene.features.unit)
     found = fit_in_plane(turned, start.placement.warped - centre, spreads)
@@ -329,9 +332,9 @@ def _fit_to(scene: _Scene, start: _Start, turned: FloatArray) -> PlaneFit:
 
 
 def _value(scene: _Scene, start: _Start, frame: FloatArray, levelled: FloatArray) -> float:
-    """Return what motion and landmarks say for a placement, less the costs of warp and size.
+    """Return the value of a placement: motion and landmarks, less the costs of warp and size.
 
-    What a placement rolls or shifts the plane of symmetry is a part of its warp.
+    Roll and shift of the plane of symmetry count as warp.
     """
     placement, skin, motion = start.placement, scene.skin, scene.cloud.motion
     turned = levelled * _turn_of(start, frame)
@@ -348,10 +351,10 @@ def _value(scene: _Scene, start: _Start, frame: FloatArray, levelled: FloatArray
 
 
 def _by_shape(scene: _Scene) -> _Start:
-    """Place by closest points, with how far each marker moves as a fourth coordinate.
+    """Place by iterative closest points, with the amplitude of motion as a fourth coordinate.
 
-    Needs neither symmetry nor motion, and fits proportions in every round: nearest where many
-    markers cover the whole face. With few it slides, up to a face in the wrong place.
+    Needs neither symmetry nor motion and fits proportions in every round: most accurate with many
+    markers all over the face. With few markers it may slide to a wrong place.
     """
     cloud, skin = scene.cloud, scene.skin
     moved = None if cloud.motion is None else np.sqrt((cloud.motion**2).sum(axis=2)).mean(axis=0)
@@ -378,7 +381,7 @@ def _by_shape(scene: _Scene) -> _Start:
 
 
 def face_landmarks(skin: FaceSkin, landmarks: dict[str, FloatArray]) -> FaceLandmarks:
-    """Return the landmarks at which people put markers."""
+    """Return the landmarks that usually carry markers."""
     names = tuple(name for name in landmarks if landmark_spread_mm(name))
     unit, activity = skin.size_mm / TYPICAL_SIZE_MM, skin.activity()
     return FaceLandmarks(
@@ -391,7 +394,11 @@ def face_landmarks(skin: FaceSkin, landmarks: dict[str, FloatArray]) -> FaceLand
 
 
 def _usual_scale(cloud: MarkerCloud, skin: FaceSkin, landmarks: dict[str, FloatArray]) -> float:
-    """Guess character over performer: adults' faces are alike, else captures cover what moves."""
+    """Estimate the size of the character relative to the performer.
+
+    By the height of the eyes over the mouth, if the markers may be in millimetres; else by the
+    spread of the markers relative to that of the moving skin.
+    """
     share = skin.activity() / skin.activity().sum()
     moving = np.sqrt((share @ (skin.positions - share @ skin.positions) ** 2).sum())
     spread = np.sqrt(cloud.neutral.var(axis=0).sum())
@@ -404,7 +411,7 @@ def _usual_scale(cloud: MarkerCloud, skin: FaceSkin, landmarks: dict[str, FloatA
 
 
 def _motion_scale(turned: FloatArray, skin: FaceSkin, samples: IntArray) -> float:
-    """Return sqrt(sx sy), the axes' scales by least squares on the places."""
+    """Return sqrt(sx sy) of the axes' scales, fitted to the places by least squares."""
     performer = turned - turned.mean(axis=0)
     places = skin.positions[samples]
     places = places - places.mean(axis=0)

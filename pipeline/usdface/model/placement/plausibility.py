@@ -1,8 +1,8 @@
-"""Whether markers can be those of a human face: size, speed, the head's axes, sides.
+"""Plausibility of markers as those of a human face: size, speed, up axis, sides.
 
-What cannot be is told from what is only odd: a face the size of a thumb is a wrong unit, a face of
-half an adult's size may be a child's. Where labels name places, they are compared with an adult's
-face; where they do not, the cloud itself is judged, which shows less.
+Impossible findings (a face of 20 mm: wrong unit) are distinguished from unusual ones (half an
+adult's size: maybe a child). Labelled markers are compared with an adult's face; without labels
+only the extent and motion of the cloud are checked.
 """
 
 import re
@@ -20,49 +20,49 @@ from usdface.model.placement.label_hints import label_hint
 from usdface.model.placement.skin_motion import SkinMotion
 
 Aspect = Literal["size", "up", "sides", "part", "rate"]
-"""What a finding is about; for each there is an option of `ingest`."""
+"""Subject of a finding; each has an option of `ingest`."""
 
 SIZE_LIMITS = (0.35, 2.0)
-"""Of a face, in an adult's. A newborn's nasion and gnathion are some 55 mm apart, an adult's 115
-with a deviation of 6 (Farkas 1994, Anthropometry of the Head and Face): .48 to 1.15 for people; as
-far again for markers that stand beside what they are named for. Between these and `SIZE_RANGE`:
-doubt. A unit wrong by 2.54 or 10 is beyond."""
+"""Possible size of a face relative to an adult's. Nasion to gnathion is about 55 mm in newborns and
+115 with a standard deviation of 6 in adults (Farkas 1994, Anthropometry of the Head and Face): 0.48
+to 1.15, widened for markers off their landmarks. Outside `SIZE_RANGE` it is unusual. A unit wrong
+by 2.54 or 10 is outside the limits."""
 SIZE_RANGE = (0.55, 1.5)
 
 EXTENT_LIMITS_MM = (40.0, 2600.0)
-"""Largest distance between two markers: a toddler's mouth alone is 35 mm broad; no body reaches
-higher than 2.6 m."""
+"""Possible largest distance between two markers: a toddler's mouth is 35 mm wide, a body with
+raised arms at most 2.6 m high."""
 HEAD_MM = 450.0
 """Largest distance on one head: 260 mm from chin to crown at the 99th percentile (Young 1993, FAA
-AM-93-10), with a cap's markers above and the collar's below."""
+AM-93-10), plus markers of a cap and a collar."""
 
 SPEED_LIMIT_MM_S = 400.0
-"""Skin over the skull: the descending lid is the fastest, usually 170 to 200 mm/s and at times 400
-(Doane 1980, Am J Ophthalmol 89: 507-516). One sample of a hundred, over all markers, cannot be
-faster than that; one faster than `SPEED_RANGE_MM_S` is odd."""
+"""Largest possible 99th percentile of marker speeds relative to the skull: the closing lid, the
+fastest skin, reaches 170 to 200 mm/s, rarely 400 (Doane 1980, Am J Ophthalmol 89: 507-516). Above
+`SPEED_RANGE_MM_S` it is unusual."""
 SPEED_RANGE_MM_S = 200.0
 RATE_RANGE = (15.0, 1000.0)
-"""[Hz] A blink lasts 0.1 to 0.2 s: slower cameras miss it. Faster ones film no faces."""
+"""Usual frame rates [Hz]: slower cameras miss blinks, which last 0.1 to 0.2 s."""
 
 LYING_DEGREES = 60.0
-"""Between the head's own up and the take's, over a take: necks bend by 45 to 55 at most (American
-Academy of Orthopaedic Surgeons, range of motion), and a wrong axis turns by 90 or 180."""
+"""Mean angle between the head's up direction and the take's above which the axis is wrong: necks
+bend by 45 to 55 at most (American Academy of Orthopaedic Surgeons, range of motion), a wrong axis
+is off by 90 or 180."""
 TILTED_DEGREES = 45.0
 
 _FEWEST_LABELLED = 8
 _LEAST_EXPLAINED = 0.6
-"""Of the spread of the markers, by the template: with less, labels do not mean what is read."""
+"""Share of the markers' variance below which the template is not used: labels were misread."""
 _MIRRORED_RATIO = 1.5
-"""Of the squares that the template and its mirror image leave."""
+"""Ratio of residual squares, template over its mirror image, from which sides are exchanged."""
 _FEWEST_MIRRORED = 12
-"""Markers from which that is no doubt: of their 36 coordinates, a likelihood ratio of 1.5^18, a
-thousand to one."""
+"""Fewest markers for which that is certain: 36 coordinates give a likelihood ratio of 1.5^18."""
 _BODY = re.compile(
     r"[lr]?(?:asi|psi|ster|clav|scap|acro|xiph|elb|wri|arm|kne|ank|toe|heel|thi|tib|sho|pelv|"
     r"shank|foot|fem|hip|fin|[ct]\d+$)",
     re.IGNORECASE,
 )
-"""Parts of a body as marker sets abbreviate them, Plug-in Gait's among them."""
+"""Abbreviated parts of the body in marker sets such as Plug-in Gait."""
 _BODY_SHARE = 0.2
 _SAMPLE_FRAMES = 64
 
@@ -83,16 +83,16 @@ _UNIT_SLIPS = {
     0.001: ("mm", "millimetres read as metres"),
 }
 _NEAR_SLIP = 1.6
-"""Between two neighbours of `_UNIT_SLIPS`, which are 2.5 times apart."""
+"""Tolerance as a factor; neighbouring factors of `_UNIT_SLIPS` differ by 2.5."""
 
 
 @dataclass(frozen=True)
 class PlausibilityFinding:
-    """What is odd about a take."""
+    """An implausible property of a take."""
 
     aspect: Aspect
     impossible: bool
-    """Whether no human face can be so; otherwise it is a doubt."""
+    """True if no human face can have it; False if it is unusual."""
     message: str
     remedy: str
     """What to do about it, with the option of `ingest`."""
@@ -101,14 +101,14 @@ class PlausibilityFinding:
 def judge_markers(
     markers: Markers, rate: float | None, *, axes: FloatArray | None = None
 ) -> tuple[PlausibilityFinding, ...]:
-    """Compare a take's markers with what human faces are and do.
+    """Return implausible properties of a take's markers.
 
     Parameters
     ----------
     markers : Markers
-        Captured or stabilised; as they were captured the up axis shows as well.
+        Captured or stabilised; the up axis is checked best as captured.
     rate : float or None
-        Frames per second; None where frames do not follow each other, and speeds are not judged.
+        Frames per second; None if frames are not consecutive, and speeds are not checked.
     axes : (3, 3) float array, optional
         Rotation that brought the file's axes to Y up; names the axis in the remedy.
     """
@@ -143,16 +143,16 @@ def settle_findings(
     where: object,
     before_remedy: str = "",
 ) -> tuple[str, ...]:
-    """Return doubts as notes, with what to do unless it was done; refuse what cannot be.
+    """Return unusual findings as notes with remedies; refuse impossible ones.
 
     Parameters
     ----------
     stated : collection of str
-        Aspects on which the user has spoken: there the take is as it is said to be.
+        Aspects that the user confirmed by an option.
     where : object
         File, for the message.
     before_remedy : str
-        Where options of `ingest` are not those of the command.
+        Text before a remedy, for commands without the options of `ingest`.
     """
     findings = list(findings)
     refused = [each for each in findings if each.impossible and each.aspect not in stated]
@@ -167,7 +167,7 @@ def settle_findings(
 
 
 def unit_remedy(size: float) -> str:
-    """Return the option that mends a size, with the slip of units that it looks like."""
+    """Return the option that corrects a size, with the likely confusion of units."""
     slip = min(_UNIT_SLIPS, key=lambda factor: abs(np.log(factor * size)))
     if abs(np.log(slip * size)) > np.log(_NEAR_SLIP):
         return "state the unit with --units, or a factor with --scale"
@@ -176,7 +176,7 @@ def unit_remedy(size: float) -> str:
 
 
 def _fits(labels: Sequence[str], positions: FloatArray, seen: BoolArray) -> list[FaceFit]:
-    """Return fits of the template to frames; none where labels say too little, or are wrong."""
+    """Return fits of the template to frames; none with too few, or wrongly read, labels."""
     template = face_template(labels)
     fits = []
     for frame, mask in zip(positions[:, template.columns], seen[:, template.columns], strict=True):
@@ -235,9 +235,9 @@ def _labelled_up(fits: list[FaceFit], axes: FloatArray | None) -> Iterable[Plaus
 
 
 def _cloud_up(motion: SkinMotion, axes: FloatArray | None) -> Iterable[PlausibilityFinding]:
-    """Doubt a cloud whose flat side lies level and which moves level: a face does neither.
+    """Return a finding for a cloud whose normal is vertical and whose motion is horizontal.
 
-    Jaw, brows and lids move up and down: what a face does is mostly upright, whatever is said.
+    Jaw, brows and lids move up and down, so that the main motion of an upright face is vertical.
     """
     level = np.sqrt(0.5)
     if not motion.depth.any() or not motion.main.any():
@@ -255,7 +255,7 @@ def _cloud_up(motion: SkinMotion, axes: FloatArray | None) -> Iterable[Plausibil
 
 
 def _axis_name(up: FloatArray, axes: FloatArray | None, *, signed: bool = True) -> str:
-    """Return the axis of the file that a direction of the take is nearest to; empty if unknown."""
+    """Return the axis of the file nearest to a direction of the take; empty if unknown."""
     if axes is None:
         return ""
     raw = axes.T @ up
@@ -284,7 +284,7 @@ def _mirrored(fits: list[FaceFit]) -> Iterable[PlausibilityFinding]:
 
 
 def _part(labels: Sequence[str], seen: BoolArray) -> Iterable[PlausibilityFinding]:
-    """Find parts of the face on which labels name no marker that is ever seen."""
+    """Return findings for parts of the face without a labelled marker that is ever seen."""
     hints = [
         label_hint(label)
         for label, any_ in zip(labels, np.atleast_1d(seen.any(axis=0)), strict=True)

@@ -1,8 +1,8 @@
-"""Landmarks of a rig's face, read from what its shapes do.
+"""Landmarks of a rig's face, from its shapes.
 
-A blink shows the lids, an opening jaw the line of the mouth, and with eyes and mouth known the
-profile shows nose, bridge and chin. Shapes are known by their names; in a rig with foreign names,
-blinks and the jaw by what they do.
+Lids are found from blinks, the line of the mouth from the opening jaw; nose, bridge and chin from
+the profile between them. Shapes are recognised by name; in rigs with foreign names, blinks and jaw
+by their displacements.
 """
 
 from collections.abc import Sequence
@@ -28,52 +28,52 @@ _CENTROIDS = (
     ("nosesneer", "nostril", 1.0),
     ("cheekpuff", "cheek", 8.0),
 )
-"""Motion, the landmark at the centroid of what it moves most, and how far from the plane of
-symmetry that must lie [mm]."""
+"""Motion, the landmark at the centroid of its largest displacements, and least distance of samples
+from the plane of symmetry [mm]."""
 
 MOST_MOVED_SHARE = 0.6
-"""Of a shape's largest displacement: samples above it count for a centroid."""
+"""Share of a shape's largest displacement from which samples count for its centroid."""
 
 _LEAST_MOTION_MM = 0.5
-"""A shape that moves nothing further, one left empty above all, shows no landmark."""
+"""Largest displacement below which a shape, such as an empty one, is not used."""
 
 _CREASE_SHARE = 0.2
-"""Of the way from the lid's margin to the brow: markers of the upper lid are glued above its
-margin, which the lashes and the closing eye need."""
+"""Height of upper-lid markers above the lid's margin, as a share of that of the brow: the margin
+itself has lashes and must be free to close."""
 
 _MIDDLE_MM = 5.0
-"""Samples this close to the plane of symmetry are the profile."""
+"""Distance from the plane of symmetry up to which samples belong to the profile."""
 
 _PROFILE_DEPTH = 1.5
-"""Times the nose's height over the mouth: what lies further behind the mouth is no profile."""
+"""Largest depth of the profile behind the mouth, relative to that of the nose before it."""
 
 _AHEAD_MM = 20.0
-"""A point so far before the mouth is nearest to the lips, and not to the teeth."""
+"""Distance before the mouth from which the nearest sample is on the lips, not on the teeth."""
 
 _LEAST_FALL = 0.5
-"""Share of the displacements' length that goes down, for a lid."""
+"""Least downward share of a lid's displacements."""
 
 _LEAST_JAW_FALL = 0.35
-"""The same for a jaw: it turns about the ears, so that a chin far below them goes back as well."""
+"""The same for a jaw, which turns about the ears, so that the chin moves back as well."""
 
 _ALIKE_SHARE = 0.25
-"""Difference of the energies of both sides over their sum, of a shape that moves both alike."""
+"""Largest difference of both sides' energies over their sum, for a symmetric shape."""
 
 _LID_RADIUS = 0.27
-"""Root mean square radius of what one lid moves, over the face's size, at most; brows have more."""
+"""Largest RMS radius of a lid's displacements over the face's size; brows have more."""
 
 _JAW_RADIUS = 0.5
-"""Of what a jaw carries, over the face's size, at least; lips that roll in have less."""
+"""Least RMS radius of a jaw's displacements over the face's size; lips that roll in have less."""
 
 _LID_BESIDE = 0.35
-"""Of the face's size: a lid's centre lies at least so far beside the plane of symmetry; half of a
-lip that rolls in is as small."""
+"""Least distance of a lid's centre from the plane of symmetry over the face's size; half of a lip
+that rolls in is as small as a lid."""
 
 _STILL_SHARE = 0.2
-"""Of the jaw's largest displacement: what moves less is not of the mouth."""
+"""Share of the jaw's largest displacement below which skin is not of the mouth."""
 
 _CREASE_OF_EYE = 0.45
-"""The crease over the eye's opening, where no shape of the brow is known: about as much."""
+"""Height of the crease above the margin over the eye's opening, if no brow shape is known."""
 
 
 def find_landmarks(skin: FaceSkin, shapes: Sequence[str]) -> dict[str, FloatArray]:
@@ -126,7 +126,7 @@ def _displacements(skin: FaceSkin, shapes: Sequence[str]) -> dict[tuple[str, str
 
 
 def _named_by_viewer(skin: FaceSkin, moved: dict[tuple[str, str], FloatArray]) -> bool:
-    """Whether most shapes named left move the right side: the viewer's left."""
+    """Whether most shapes named left move the character's right side, the viewer's left."""
     votes = 0.0
     for (_, side), delta in moved.items():
         across = np.linalg.norm(delta, axis=1) @ (skin.positions[:, 0] - skin.sagittal_x)
@@ -135,7 +135,7 @@ def _named_by_viewer(skin: FaceSkin, moved: dict[tuple[str, str], FloatArray]) -
 
 
 def _centroid(skin: FaceSkin, delta: FloatArray, mask: BoolArray) -> FloatArray:
-    """Return the sample nearest to the centroid of what a shape moves most."""
+    """Return the sample nearest to the centroid of a shape's largest displacements."""
     size = np.where(mask, np.linalg.norm(delta, axis=1), 0.0)
     most = size > MOST_MOVED_SHARE * size.max()
     return _nearest(skin, (size[most] / size[most].sum()) @ skin.positions[most])
@@ -148,7 +148,7 @@ def _nearest(skin: FaceSkin, place: FloatArray, mask: BoolArray | None = None) -
 
 
 def _eye(skin: FaceSkin, blink: FloatArray, side: str, sign: float) -> dict[str, FloatArray]:
-    """Find lids and corners: the upper margin is the lowest part of what a blink carries."""
+    """Return lids and corners; the upper margin is the lowest part of a blink's displacements."""
     at, size = skin.positions, np.linalg.norm(blink, axis=1)
     lid = size > 0.8 * size.max()
     margin = lid & (at[:, 1] < np.quantile(at[lid, 1], 0.35))
@@ -180,7 +180,7 @@ def _crease(skin: FaceSkin, found: dict[str, FloatArray], side: str) -> FloatArr
 
 
 def _mouth(skin: FaceSkin, jaw: FloatArray, eyes: dict[str, FloatArray]) -> dict[str, FloatArray]:
-    """Find the line of the mouth: neighbours that part as the jaw opens, the upper at rest."""
+    """Return the mouth's middle and corners, where the jaw parts neighbouring samples."""
     at, size = skin.positions, np.linalg.norm(jaw, axis=1)
     height = float(np.ptp(at[:, 1]))
     share = size / size.max()
@@ -220,7 +220,7 @@ def _mouth(skin: FaceSkin, jaw: FloatArray, eyes: dict[str, FloatArray]) -> dict
 
 
 def _profile(skin: FaceSkin, known: dict[str, FloatArray]) -> dict[str, FloatArray]:
-    """Find nose, bridge, chin and lips of the profile, between eyes and mouth and below."""
+    """Return nose, bridge, chin and lips of the profile."""
     at, mouth = skin.positions, known["mouth_middle"]
     middle = abs(at[:, 0] - skin.sagittal_x) < _MIDDLE_MM
     middle &= at[:, 2] > mouth[2] - _PROFILE_DEPTH * (at[:, 2].max() - mouth[2])
@@ -229,7 +229,7 @@ def _profile(skin: FaceSkin, known: dict[str, FloatArray]) -> dict[str, FloatArr
     found: dict[str, FloatArray] = {}
 
     def extreme(name: str, low: float, high: float, *, foremost: bool = True) -> None:
-        """Keep the sample that lies furthest forward, or back, between two heights."""
+        """Store the foremost, or rearmost, sample between two heights."""
         band = np.flatnonzero(middle & (at[:, 1] > low) & (at[:, 1] < high))
         if len(band):
             depth = at[band, 2]
@@ -262,16 +262,16 @@ def _mirrored(skin: FaceSkin, found: dict[str, FloatArray]) -> dict[str, FloatAr
 
 
 def recognise_shapes(skin: FaceSkin) -> dict[tuple[str, str], FloatArray]:
-    """Return blinks and the opening jaw among shapes with foreign names, by what they do.
+    """Return blinks and the opening jaw among shapes with foreign names, by their displacements.
 
-    Of what falls, the jaw is the largest that goes alike on both sides. A blink is the farthest of
-    those that are as small as a lid, on each side, where the jaw moves nothing.
+    Of downward shapes, the jaw is the symmetric one of the most energy. A blink is the one with
+    the largest displacement among those as small as a lid, on each side, outside the jaw's region.
 
     Returns
     -------
     dict of (str, str) to (samples, 3) float array
-        As `motion_and_side` names them: ``('eyeblink', 'L')``, ``('jawopen', '')``. Empty unless
-        a jaw and blinks of both eyes are there that mirror each other.
+        Keys as of `motion_and_side`: ``('eyeblink', 'L')``, ``('jawopen', '')``. Empty without a
+        jaw and two blinks that mirror each other.
     """
     side = np.sign(skin.positions[:, 0] - skin.sagittal_x)
     jaw, largest = None, 0.0
@@ -309,14 +309,14 @@ def recognise_shapes(skin: FaceSkin) -> dict[tuple[str, str], FloatArray]:
 
 
 def _spread(skin: FaceSkin, energy: FloatArray) -> tuple[FloatArray, float]:
-    """Return the centroid of a motion's energy, and its radius over the face's size."""
+    """Return centroid and RMS radius, over the face's size, of a motion's energy."""
     centre = energy @ skin.positions / energy.sum()
     squared = energy @ ((skin.positions - centre) ** 2).sum(axis=1) / energy.sum()
     return centre, float(np.sqrt(squared)) / skin.size_mm
 
 
 def _falls(delta: FloatArray, least: float) -> bool:
-    """Whether what a shape moves most goes down."""
+    """Whether a shape's largest displacements go down."""
     size = np.linalg.norm(delta, axis=1)
     most = size > 0.5 * size.max()
     return bool(size.max() > 0 and -delta[most, 1].sum() > least * size[most].sum())

@@ -1,7 +1,6 @@
-"""How a rig's head stands, read from what its shapes do: brows rise, lids and jaws fall.
+"""Orientation of a rig's head, from the directions of its shapes: brows rise, lids and jaws fall.
 
-Directions of motion are those of any face, a dog's or an ogre's, where its proportions are not;
-size is not judged.
+These directions hold for any face, an animal's as well, while proportions and size do not.
 """
 
 from collections.abc import Mapping
@@ -14,11 +13,11 @@ from usdface.core.errors import InputError
 from usdface.model.retarget.shape_names import read_meanings
 
 LYING_RIG_DEGREES = 60.0
-"""Between the head's own up and Y: a wrong up axis turns it by 90 or 180, and on the heads at hand
-the motions' mean is within 10."""
+"""Angle between the head's up direction and Y above which the rig is refused: a wrong up axis turns
+it by 90 or 180; on the heads measured the angle is below 10."""
 
 _TURNED_DEGREES = 20.0
-"""Of a face that looks somewhere else than along +Z: pictures from there show too little of it."""
+"""Angle from +Z above which a face counts as turned: a view along Z shows too little of it."""
 
 _UPWARDS = {
     "browinnerup": 1,
@@ -42,18 +41,18 @@ _FORWARDS = {
     "mouthstretch": -1,
     "mouthdimple": -1,
 }
-"""Which way a motion goes on the whole, of those that go the same way on every face."""
+"""Sign of the mean displacement, of motions that go the same way on every face."""
 
 _FEWEST_MOTIONS = 3
 _LEAST_AGREEMENT = 0.75
-"""Length of the mean of unit vectors [0-1]: of seven random ones in a plane, one set in eighty
-reaches it. Faces reach 0.9."""
+"""Least length of the mean of unit vectors [0-1]: seven random ones in a plane reach it with a
+probability of 1/80; faces reach 0.9."""
 
 
 def check_rig_stands(rig: Rig) -> tuple[str, ...]:
-    """Refuse a rig that lies or stands on its head; return a doubt about its sides as notes.
+    """Refuse a rig that is not upright; return a note if its left and right seem exchanged.
 
-    Rigs whose shapes have foreign names are not judged.
+    Rigs with foreign shape names are not checked.
     """
     moved, centres = _motions(rig)
     across = _across(centres)
@@ -81,10 +80,10 @@ def check_rig_stands(rig: Rig) -> tuple[str, ...]:
 
 
 def face_axes(rig: Rig) -> FloatArray:
-    """Return where a rig's left, up and forward are: columns of a rotation, (3, 3).
+    """Return a rig's left, up and forward axes: columns of a rotation, (3, 3).
 
-    Up is Y; left and forward are level, by where its shapes of the left and of the right act. X and
-    Z where names do not say.
+    Up is Y; left and forward are level, from the centres of left and right shapes. X and Z if
+    names do not tell sides.
     """
     moved, centres = _motions(rig)
     left = _across(centres)
@@ -98,10 +97,9 @@ def face_axes(rig: Rig) -> FloatArray:
 
 
 def facing_degrees(rig: Rig) -> float:
-    """Return how far a rig's face is turned about Y from looking along +Z, -180 to 180 [degrees].
+    """Return the yaw of a rig's face from +Z, -180 to 180 [degrees].
 
-    0 where that is less than `_TURNED_DEGREES`, as of heads that were sculpted a little askew, and
-    where names do not say.
+    0 if less than `_TURNED_DEGREES`, as of slightly asymmetric heads, or if names do not tell.
     """
     forward = face_axes(rig)[:, 2]
     degrees = float(np.degrees(np.arctan2(forward[0], forward[2])))
@@ -109,7 +107,7 @@ def facing_degrees(rig: Rig) -> float:
 
 
 def face_centre(rig: Rig) -> FloatArray:
-    """Return the middle of what a rig's shapes move: (3,) [mm]."""
+    """Return the mean centre of the displacements of a rig's shapes: (3,) [mm]."""
     _, centres = _motions(rig)
     return np.asarray(np.mean(list(centres.values()), axis=0) if centres else np.zeros(3))
 
@@ -117,7 +115,7 @@ def face_centre(rig: Rig) -> FloatArray:
 def _motions(
     rig: Rig,
 ) -> tuple[dict[tuple[str, str], FloatArray], dict[tuple[str, str], FloatArray]]:
-    """Return by motion and side the sum of a shape's displacements, and the centre of them."""
+    """Return sum and centre of each shape's displacements, by motion and side."""
     moved: dict[tuple[str, str], FloatArray] = {}
     weighted: dict[tuple[str, str], FloatArray] = {}
     total: dict[tuple[str, str], float] = {}
@@ -148,7 +146,7 @@ def _mean_direction(
     signs: Mapping[str, int],
     across: FloatArray | None,
 ) -> FloatArray | None:
-    """Return where motions go, in the plane of symmetry; the sides of one are taken together."""
+    """Return the mean signed direction of motions in the plane of symmetry, both sides summed."""
     votes: dict[str, FloatArray] = {}
     for (motion, _), displacement in moved.items():
         if motion in signs:
@@ -160,7 +158,7 @@ def _mean_direction(
 
 
 def _agreed(vectors: list[FloatArray]) -> FloatArray | None:
-    """Return the mean direction of vectors; None where there is none, or they disagree."""
+    """Return the mean direction of vectors; None without any or below `_LEAST_AGREEMENT`."""
     units = [v / np.linalg.norm(v) for v in vectors if np.linalg.norm(v) > 0]
     if not units:
         return None

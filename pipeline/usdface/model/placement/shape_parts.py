@@ -1,9 +1,10 @@
-"""Parts of the face of shapes whose names do not name one, by what the shapes move.
+"""Region of the face of shapes with foreign names, from their displacements.
 
-The rig's landmarks (`usdface.model.placement.rig_landmarks`) fit an adult's face to the rig, with a
-scale for its breadth and one for its height. A shape is of the part whose landmarks are nearest to
-the centroid of what it moves most, left and right folded onto each other. What moves points off the
-skin further than the skin itself turns an eye or moves the tongue; so does what turns the same eye.
+An adult's face is fitted to the rig's landmarks (`usdface.model.placement.rig_landmarks`), with a
+scale for its breadth and one for its height. A shape belongs to the region whose landmarks are
+nearest to the centroid of its largest displacements, left and right folded onto each other. A shape
+that moves points off the skin further than the skin turns an eye or moves the tongue; so does one
+that turns the same eye.
 """
 
 from collections.abc import Sequence
@@ -27,7 +28,7 @@ from usdface.numerics.registration.face_skin import FaceSkin, sample_face_skin
 GAZE, TONGUE = "gaze", "tongue"
 
 _FITTED = ("lid_lower_L", "eye_inner_L", "eye_outer_L", "mouth_L", "nose_bridge", "nose_tip")
-"""Landmarks that fit the adult's face. The chin is not: an open jaw shows where it ends, not it."""
+"""Landmarks to which the adult's face is fitted; the chin, found from the jaw, is less precise."""
 
 _LANDMARKS = (
     ("brows", ("brow_centre", "brow_inner_L", "brow_middle_L", "brow_outer_L")),
@@ -45,24 +46,24 @@ _FURTHER_MM = (
     ("cheeks and nose", (50.0, -75.0, -20.0)),  # beside the mouth
     ("jaw", (20.0, -105.0, -6.0)),  # beside the chin
 )
-"""Parts that no landmark stands for, as `landmark_place` has them [mm]."""
+"""Further places of regions, in the coordinates of `landmark_place` [mm]."""
 
 _FARTHEST_MM = 30.0
-"""On an adult's face: a shape further from all landmarks, of the neck or an ear, is of no part."""
+"""Distance from all landmarks, on an adult's face, beyond which a shape has no region."""
 
 _SKIN_SHARE = 2 / 3
-"""Of a shape's largest displacement: with less on the skin, markers do not show the shape."""
+"""Share of a shape's largest displacement that the skin must reach for markers to show it."""
 
 _LEAST_MOTION_MM = 0.1
-"""A shape that moves nothing further is of no part."""
+"""Largest displacement below which a shape has no region."""
 
 
 def shape_parts(rig: Rig, deformer: Deformer) -> tuple[str, ...]:
-    """Return what tells the part of the face of each shape: its name, or the name of the part.
+    """Return a name for each shape from which its region can be read.
 
-    A shape whose name names a part, gaze or tongue keeps it; of the others, those that move a part
-    get its name (`REGIONS`, ``'gaze'``, ``'tongue'``), which `shapes_by_region` and its like read
-    as they read names. Names stay where the rig's landmarks are not found.
+    A shape whose name tells its region, gaze or tongue keeps it; others get the name of the region
+    that they move (`REGIONS`, ``'gaze'``, ``'tongue'``), which `shapes_by_region` reads as a name.
+    Names are unchanged if the rig's landmarks are not found.
     """
     names = rig.shapes
     foreign = foreign_shapes(names)
@@ -98,7 +99,7 @@ def shape_parts(rig: Rig, deformer: Deformer) -> tuple[str, ...]:
 
 
 def _motions(offsets: sparse.csr_array) -> FloatArray:
-    """Return how far each shape moves each point: (shapes, points) [mm]."""
+    """Return displacements: (shapes, points) [mm]."""
     points = offsets.indices // 3  # each three times: a dense array holds the sum of its entries
     shape = (offsets.shape[0], offsets.shape[1] // 3)
     squares = sparse.csr_array((offsets.data**2, points, offsets.indptr), shape=shape)
@@ -106,20 +107,20 @@ def _motions(offsets: sparse.csr_array) -> FloatArray:
 
 
 def _eyes(motions: FloatArray, gaze: IntArray, off_skin: BoolArray) -> list[IntArray]:
-    """Return the points of what each shape of gaze turns."""
+    """Return the points of the eye that each gaze shape turns."""
     least = MOST_MOVED_SHARE * motions.max(axis=1)
     found = [np.flatnonzero(off_skin & (motions[each] > least[each])) for each in gaze.tolist()]
     return [points for points in found if len(points)]
 
 
 def foreign_shapes(names: Sequence[str]) -> list[int]:
-    """Return the columns of the shapes whose names name no part of the face."""
+    """Return the columns of shapes whose names tell no region of the face."""
     unseen = set(unseen_shapes(names).tolist())
     return [i for i, name in enumerate(names) if i not in unseen and not region_of_shape(name)]
 
 
 def missing_parts_note(parts: Sequence[str]) -> str:
-    """Name the parts of the face that no shape is known to move; empty where each has one.
+    """Return a note that names regions without a known shape; empty if each has one.
 
     Parameters
     ----------
@@ -148,7 +149,7 @@ class _Template:
         self._places = np.array([place for _, place in rows]) * scale + origin
 
     def part_at(self, positions: FloatArray, moved: FloatArray) -> str:
-        """Return the part at the centroid of what moves most; empty far from all."""
+        """Return the region at the centroid of the largest displacements; empty if far from all."""
         weight = np.where(moved > MOST_MOVED_SHARE * moved.max(), moved, 0.0)
         folded = positions - [self._middle_x, 0.0, 0.0]
         folded[:, 0] = np.abs(folded[:, 0])
@@ -158,7 +159,7 @@ class _Template:
 
 
 def _fitted_landmarks(skin: FaceSkin, names: Sequence[str]) -> _Template | None:
-    """Fit the adult's face to a rig's landmarks by least squares; None without eyes or mouth."""
+    """Return an adult's face fitted to a rig's landmarks; None without eyes or mouth."""
     found = find_landmarks(skin, names)
     shared = [name for name in _FITTED if name in found]
     if not {"lid_lower_L", "mouth_L"} <= set(shared):
@@ -175,5 +176,5 @@ def _fitted_landmarks(skin: FaceSkin, names: Sequence[str]) -> _Template | None:
 
 
 def _adult(names: Sequence[str]) -> FloatArray:
-    """Return where landmarks that are known there lie on an adult's face: (n, 3) [mm]."""
+    """Return positions of landmarks on an adult's face: (n, 3) [mm]."""
     return np.array([landmark_place(name) for name in names], dtype=np.float64)

@@ -1,4 +1,4 @@
-"""What markers do over the skull, and how the head stands meanwhile, without any label."""
+"""Motion of markers relative to the skull, and head orientation, without labels."""
 
 from dataclasses import dataclass
 
@@ -8,12 +8,13 @@ from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, s
 from usdface.numerics.rigid.rigid_alignment import align_rigid_robust, remove_motion
 
 _FLAT_RATIO = 0.75
-"""Standard deviation of a cloud in depth over that in breadth; a face is flat, a cap is not."""
+"""Largest ratio of a cloud's smallest to its middle standard deviation for a face, which is flatter
+than a head with a cap."""
 _MAIN_RATIO = 1.5
-"""Of the variances of motion along two directions, from which the first stands out."""
+"""Least ratio of the two largest variances of motion for which a main direction is defined."""
 _ARTICULATED_SHARE = 0.12
-"""What is left of a cloud's motion without its rigid part, over its radius: a face with its jaw
-open and shut has .07 or less, a walking body .25 and more."""
+"""Non-rigid motion over the cloud's radius, RMS, above which the markers are not one head: a face
+that opens its jaw has at most 0.07, a walking body at least 0.25."""
 _SPEED_FRAMES = 1000
 _SPEED_SECONDS = 1 / 60
 """Time over which a speed is measured: noise of 0.2 mm is then 17 mm/s, and a lid takes 0.1 s."""
@@ -21,7 +22,7 @@ _SPEED_SECONDS = 1 / 60
 
 @dataclass(frozen=True)
 class SkinMotion:
-    """What markers do over the skull, at frames spread over a take."""
+    """Motion relative to the skull, at evenly spaced frames of a take."""
 
     speeds: FloatArray
     """(n,): of all markers and frames [mm/s]."""
@@ -29,16 +30,16 @@ class SkinMotion:
     """(frames, 3, 3): of the head, from the pose of the reference frame."""
     depth: FloatArray
     main: FloatArray
-    """`depth`, `main`: (3,): in that pose: the direction in which the cloud is flattest, and that
-    of most motion; zero where there is none that stands out."""
+    """`depth`, `main`: (3,): in that pose, the directions of least extent and of most motion;
+    zero if not distinct."""
     articulated: bool
-    """Whether the cloud is not one head with its face."""
+    """Whether the markers move too much to be those of one head."""
 
     @classmethod
     def of(
         cls, positions: Float32Array, usable: BoolArray, rows: IntArray, rate: float
     ) -> "SkinMotion":
-        """Measure it, by an alignment that disregards what moves by itself."""
+        """Measure the motion, relative to a robust rigid alignment."""
         lag = max(1, round(rate * _SPEED_SECONDS))
         starts = np.intersect1d(rows, rows - lag)
         if not len(starts):
@@ -66,7 +67,7 @@ class SkinMotion:
         )
 
     def height(self, axis: FloatArray) -> float:
-        """Return how upright a direction of the head is over the take: 0 level, 1 upright."""
+        """Return the RMS vertical component of a direction of the head over the take [0-1]."""
         return float(np.sqrt(np.mean((self.rotations @ axis)[:, 1] ** 2)))
 
 

@@ -1,4 +1,4 @@
-"""Judge where markers were placed on a rig: does it look right, and which should be seen to."""
+"""Verdict on a placement of markers on a rig, and the markers to check."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
@@ -22,40 +22,41 @@ from usdface.numerics.registration.skin_placement import (
 from usdface.numerics.registration.virtual_markers import VirtualMarkers
 
 _FAR_SPREADS = 3.0
-"""Times the standard deviation with which people put a marker at its landmark: one of 400 normal
-deviates lies beyond. A marker that a person placed on the rig may lie twice as far."""
+"""Distance from a marker's landmark, in standard deviations, from which it is reported: 0.3 % of
+normal deviates. Twice that for a marker that a person placed on the rig."""
 
 _MOST_FAR_SHARE = 1 / 3
-"""Of the named landmarks: from so many on that are missed, it is not the markers."""
+"""Share of markers far from their landmarks from which the whole placement is wrong."""
 
 _LEVEL_DEGREES, _TILTED_DEGREES = 3.0, 6.0
-"""Roll from which somebody should look, and from which anybody sees it. Twenty pairs put by hand
-to 3 mm give a level to half a degree."""
+"""Roll for a check and for a wrong placement. Twenty pairs placed to 3 mm give a standard error of
+half a degree."""
 
 _SHIFT_SHARE = 0.25
-"""Of the face's size: how far a placement is shifted to see whether motion fits better there;
-14 mm on an adult's face, as a lid is from its brow."""
+"""Shift of a placement, over the face's size, with which explained motion is compared: 14 mm on an
+adult's face, the distance from lid to brow."""
 
 _GAIN, _LARGE_GAIN = 0.02, 0.08
-"""Explained share that a shift must gain. Where a placement is right every shift loses."""
+"""Gain of explained share by a shift, for a check and for a wrong placement; every shift of a right
+one loses."""
 
 _LEAST_EXPLAINED = 0.5
-"""Of the motion: a placement by motion that explains less wants a look, whatever labels say."""
+"""Explained share of motion below which a placement by motion is to be checked."""
 
 _STILL_MM = 1.0
-"""Root mean square motion of skin on an adult's face that needs shapes to show."""
+"""RMS motion of skin on an adult's face from which the rig needs a shape there."""
 
 _LEAST_MOBILITY = 1 / 3
-"""Of its root mean square motion: a region that no shape takes so far has no shape."""
+"""Largest displacement by any shape, over the RMS motion, below which a region has no shape."""
 
 _ONE_SIDE_SHARE = 0.05
-"""Of the markers: with fewer on one side of the face, that side is not captured."""
+"""Share of the markers below which a side of the face counts as not captured."""
 
 _NECK_SHARE = 0.5
-"""Of the way from the eyes down to the chin: as far below the chin a marker is on the neck."""
+"""Distance below the chin, over that from eyes to chin, from which a marker is on the neck."""
 
 _NECK_MARKERS = 0.05
-"""Of the markers: with more on the neck it is not the face that was placed."""
+"""Share of markers on the neck above which the placement is wrong."""
 
 _OPENINGS = {"good": "Looks right", "check": "Look at it", "bad": "Looks wrong"}
 
@@ -64,23 +65,22 @@ _PLURALS = {"brow": "brows", "lid": "lids", "cheek": "cheeks", "eye": "eyes"}
 
 @dataclass(frozen=True)
 class PlacementVerdict:
-    """Whether a placement looks right."""
+    """Level, reasons and figures of a placement's verdict."""
 
     level: str
     """``'good'``, ``'check'`` or ``'bad'``."""
     sentence: str
     """The verdict and its reasons."""
     facts: tuple[str, ...]
-    """What it rests on."""
+    """Count, method and figures behind the verdict."""
     explained: float
     """Share of the markers' motion that the shapes explain [0-1]; NaN without motion."""
     roll_degrees: float
     """Of the markers' plane of symmetry against the rig's; NaN without symmetry."""
     doubts: dict[str, str]
-    """For markers that should be seen to, why."""
+    """Distance from the landmark, as text, of markers to check, by label."""
     wanted: dict[str, FloatArray]
-    """dict of str to (3,) float array: the landmark of a marker that lies far from it, in the rig's
-    space [mm]."""
+    """dict of str to (3,) float array: the landmarks of these markers, in the rig's space [mm]."""
 
 
 def judge_placement(
@@ -94,20 +94,20 @@ def judge_placement(
     by_labels: bool,
     placed: Collection[int] = (),
 ) -> PlacementVerdict:
-    """Judge markers at places on a rig.
+    """Return the verdict on markers at places on a rig.
 
     Parameters
     ----------
     shapes : tuple of str
         Names of the rig's shapes.
     at : (markers, 3) float array
-        Where the markers are, in the rig's space [mm].
+        Positions on the rig, in its space [mm].
     ranges : (shapes, 2) float array
         Limits of the weights.
     by_labels : bool
-        Whether labels placed them, or motion alone.
+        True if placed by labels, False if by motion.
     placed : collection of int
-        Markers that a person placed.
+        Markers placed by a person.
     """
     unit = skin.size_mm / TYPICAL_SIZE_MM
     local = at @ skin.frame.T
@@ -165,7 +165,7 @@ _FINE: _Reason = ("good", "")
 
 
 def _by_motion(known: int, explained: float) -> _Reason:
-    """Doubt a placement by motion that labels do not confirm, or that explains little."""
+    """Return a check for a placement by motion without labels, or with little explained motion."""
     if known < FEWEST_PINS:
         return "check", "placed by motion alone, as labels and shapes name too few landmarks"
     if not explained >= _LEAST_EXPLAINED:
@@ -176,7 +176,7 @@ def _by_motion(known: int, explained: float) -> _Reason:
 def _far_markers(
     local: FloatArray, known: Sequence[KnownPlace], placed: Collection[int]
 ) -> dict[int, tuple[float, FloatArray]]:
-    """Return distance and landmark of markers that lie far from it, the farthest first [mm]."""
+    """Return distance [mm] and landmark of markers far from it, in descending order."""
     far: dict[int, tuple[float, FloatArray]] = {}
     for each in known:
         away = float(np.linalg.norm(each.step(local)))
@@ -242,7 +242,7 @@ def _better_elsewhere(gains: dict[str, float], shift_mm: float) -> _Reason:
 def _without_shapes(
     labels: tuple[str, ...], moved: FloatArray, deltas: FloatArray, unit: float
 ) -> _Reason:
-    """Name regions that move, and that no shape of the rig moves."""
+    """Return a check that names moving regions without a shape on the rig."""
     motion = np.sqrt((moved**2).sum(axis=2).mean(axis=0))
     mobility = np.linalg.norm(deltas, axis=2).max(axis=0, initial=0.0)
     lacking = (motion > _STILL_MM * unit) & (mobility < _LEAST_MOBILITY * motion)

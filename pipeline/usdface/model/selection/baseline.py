@@ -1,11 +1,11 @@
-"""The equation-solving way to weights: no examples, only the rig's own geometry.
+"""Weights from the rig's geometry alone: the blendshape equation, without references.
 
-After Deng et al. 2006, section 7: the weights that are proposed to animators, and the baseline of
-sheets and reports.
+After Deng et al. 2006, section 7: the weights proposed to animators, and the baseline of sheets and
+reports.
 
-Blinks are small, brief and seen by one marker or two. A marker in the fold above the lid rises and
-falls with the brow; explained by the lid's shape it closes an eye that was open. So what markers
-tell of lids is measured, and enlarged or left out.
+Blinks are small, brief and seen by one or two markers. A marker in the fold above the lid follows
+the brow; explained by the lid's shape it would close an open eye. So the evidence for blinks is
+measured, and they are scaled to full closure or held at 0.
 """
 
 from dataclasses import dataclass, replace
@@ -40,38 +40,38 @@ from usdface.numerics.solve.peak_matching import (
 )
 
 _BLINK, _GAZE = "eyeblink", "eyelook"
-"""What the names of shapes mean: every performer closes the eyes in full, so that the motion of
-the lids' markers is scaled to reach the top; lids follow the eyes, so that they show gaze."""
+"""Meanings of shape names. Every performer closes the eyes fully, so the motion of lid markers is
+scaled to full closure; lids follow the eyes, so their markers show gaze."""
 
 
 @dataclass(frozen=True)
 class LidEvidence:
-    """What the markers tell of blinks."""
+    """Evidence for blinks in the markers of a take."""
 
     shapes: tuple[int, ...]
     """Columns of the shapes that close the eyes."""
     seen: ShapeEvidence
-    """Of these shapes."""
+    """Evidence for these shapes."""
     gaze: tuple[int, ...] = ()
     """Columns of the shapes that turn the eyes."""
 
     @property
     def closing(self) -> tuple[int, ...]:
-        """Shapes whose marker shows blinks."""
+        """Shapes with a marker on the lid, of a take that shows blinks."""
         if not self.seen.shown:
             return ()
         return tuple(np.array(self.shapes, np.int64)[self.seen.marked].tolist())
 
     @property
     def misled(self) -> bool:
-        """Whether the markers on the lids show no blinks, but the motion of others."""
+        """Whether the markers on the lids follow other motion and show no blinks."""
         return bool(self.seen.marked.any()) and not self.seen.shown
 
     @property
     def fixed(self) -> tuple[int, ...]:
-        """Shapes left at rest: what markers on the lids would show and do not.
+        """Shapes held at 0: blinks and gaze, if markers on the lids show no blinks.
 
-        Without such markers blinks are guessed, as eyes close with the cheeks; gaze is not.
+        Without such markers only gaze is held: eyes close with the cheeks, which markers show.
         """
         if self.misled:
             return self.shapes + self.gaze
@@ -79,12 +79,12 @@ class LidEvidence:
 
     @property
     def tied(self) -> tuple[tuple[int, ...], ...]:
-        """Shapes that share a weight: a lid without a marker does as the other eye's."""
+        """Shapes that share a weight: both blinks, if a lid has no marker."""
         together = len(self.shapes) == 2 and not self.seen.marked.all() and not self.misled
         return (self.shapes,) if together else ()
 
     def note(self, names: tuple[str, ...]) -> str:
-        """Say what an animator should know of blinks; empty where the markers show them."""
+        """Return a note on blinks for the animator; empty if the markers show them."""
         shapes, marked = [names[shape] for shape in self.shapes], self.seen.marked
         if not shapes or (marked.all() and self.seen.shown):
             return ""
@@ -113,20 +113,20 @@ def find_lid_evidence(
     motion: FloatArray,
     trust: FloatArray,
 ) -> LidEvidence:
-    """Measure what markers tell of the shapes that close the eyes.
+    """Measure the evidence for the shapes that close the eyes.
 
     Parameters
     ----------
     names : tuple of str
         Of the rig's shapes.
     offsets : (shapes, 3 * points) sparse array
-        What they do to its surface [mm].
+        Displacements of the surface [mm].
     deltas : (shapes, markers, 3) float array
-        What they do to the markers [mm].
+        Displacements of the markers [mm].
     motion : (frames, markers, 3) float array
         In the character's space [mm].
     trust : (markers,) float array
-        0 for markers that are not looked at.
+        0 for markers that are not used.
     """
     full, gaze = _eye_shapes(names)
     surface = effective_size(offsets[full].toarray().reshape(len(full), offsets.shape[1] // 3, 3))
@@ -135,7 +135,7 @@ def find_lid_evidence(
 
 
 def _eye_shapes(names: tuple[str, ...]) -> tuple[list[int], list[int]]:
-    """Return the columns of the shapes that close the eyes, one of a side, and that turn them."""
+    """Return the columns of blinks, one for each side, and of gaze shapes."""
     meanings = read_meanings(names)
     blinks: dict[str, int] = {}
     for shape in sorted(range(len(names)), key=lambda shape: meanings[names[shape]].rank):
@@ -148,39 +148,38 @@ def _eye_shapes(names: tuple[str, ...]) -> tuple[list[int], list[int]]:
 Positions = Float32Array | FloatArray
 
 MOTION_FRAMES = 2000
-"""Frames spread over a take that placement may look at."""
+"""Evenly spaced frames of a take used for placement."""
 
 _NOISE_FRAMES = 500
-"""Of these, frames by which the markers' error is measured."""
+"""Of these, frames used to measure the markers' residual."""
 
 PROPOSAL_RIDGE = 10.0
-"""[mm^2] Keeps shapes that the markers cannot tell apart from fighting each other."""
+"""Penalty of squared weights [mm^2]: keeps weights of nearly dependent shapes small."""
 
 
 @dataclass(frozen=True)
 class BlendshapeEquation:
-    """A performer's markers on a character: all that solving for weights needs."""
+    """The blendshape equation of a performer's markers on a character."""
 
     virtual: VirtualMarkers
     deltas: FloatArray
-    """(shapes, markers, 3): what each shape at 1 does to the virtual markers [mm]."""
+    """(shapes, markers, 3): displacements of the virtual markers by each shape at 1 [mm]."""
     keys: MarkerKeys
-    """The same for every key, in-betweens included."""
+    """The same for every key, including in-betweens."""
     neutral: FloatArray
     """(markers, 3): the performer's neutral face [mm]."""
     ranges: FloatArray
     """(shapes, 2)"""
     trust: FloatArray
-    """(markers,): 0 for markers that move with the skull alone: what is left in them is noise."""
+    """(markers,): weight in the solve; 0 for rigid markers, whose motion is noise."""
     gain: FloatArray
-    """(markers,): by how much a marker's motion is enlarged so that blinks close the eye."""
+    """(markers,): factor of a marker's motion with which blinks close the eye."""
     placement: MarkerPlacement | None = None
-    """How `virtual` was found; None where it was given."""
+    """Placement behind `virtual`; None if that was given."""
     noise_mm: float = 0.0
-    """Root mean square distance of markers from the solve: by so much skin, placement and capture
-    differ from what the shapes can do."""
+    """RMS residual of the solve: the error of skin, placement and capture."""
     lids: LidEvidence | None = None
-    """None where blinks are solved as any shape."""
+    """None to solve blinks as any shape."""
     left_out: tuple[int, ...] = ()
     """Markers without a place on the character: they have no residual."""
 
@@ -191,7 +190,7 @@ class BlendshapeEquation:
     def solve_published(
         self, positions: Positions, *, visible: BoolArray | None = None
     ) -> FloatArray:
-        """Return weights by plain least squares over all markers, beyond the ranges as well.
+        """Return weights by plain least squares over all markers, without limits.
 
         Deng et al. 2006, eq. 7: the comparison of the paper. Parameters are those of `propose`.
         """
@@ -211,8 +210,8 @@ class BlendshapeEquation:
     ) -> FloatArray:
         """Return weights for an animator to start from: (frames, shapes).
 
-        Least squares within the ranges, with in-betweens and a little shrinkage; shapes cost more
-        where their markers are still, and blinks close where the markers show them.
+        Least squares within the ranges, with in-betweens and a ridge penalty; shapes cost more
+        where their markers are still. Blinks are treated by `lids`.
 
         Parameters
         ----------
@@ -220,7 +219,7 @@ class BlendshapeEquation:
             Stabilised [mm].
         visible : (frames, markers) bool array, optional
         ranges : (shapes, 2) float array, optional
-            Instead of the rig's; a shape whose ends are equal is held there.
+            Instead of the rig's; equal limits hold a shape.
         """
         limits = self.ranges if ranges is None else ranges
         solved = self._solve(positions, visible, limits.copy())
@@ -246,18 +245,18 @@ class BlendshapeEquation:
         )
 
     def explained(self, weights: FloatArray) -> FloatArray:
-        """Return where weights put the markers on the performer: (frames, markers, 3) [mm]."""
+        """Return marker positions on the performer for given weights: (frames, markers, 3) [mm]."""
         moved = self._moved(weights) / self.virtual.motion_scale
         return np.asarray(self.neutral + moved @ self.virtual.rotation)
 
     def residual_mm(self, positions: Positions, weights: FloatArray) -> FloatArray:
-        """Return the root mean square distance of markers and what weights explain: (frames,)."""
+        """Return the RMS residual of the markers for given weights: (frames,)."""
         motion = self.motion(positions)
         away = np.delete(motion - self._moved(weights), list(self.left_out), axis=1)
         return np.asarray(np.sqrt((away**2).sum(axis=2).mean(axis=1)))
 
     def _moved(self, weights: FloatArray) -> FloatArray:
-        """Return how far weights move the virtual markers, in-betweens included."""
+        """Return displacements of the virtual markers, including in-betweens."""
         keys = self.keys.key_weights(weights)
         return np.asarray(np.einsum("fk,kmc->fmc", keys, self.keys.deltas, optimize=True))
 
@@ -272,19 +271,19 @@ def set_up_equation(
     rigid: tuple[int, ...],
     labels: tuple[str, ...],
 ) -> BlendshapeEquation:
-    """Find where a performer's markers sit on a character, and what its shapes do there.
+    """Return the equation of a performer's markers, placed on a character.
 
     Parameters
     ----------
     neutral : (markers, 3) float array
         The performer's neutral face, stabilised [mm].
     positions : (frames, markers, 3) float array
-        A stabilised take [mm]; frames spread over it are looked at.
+        A stabilised take [mm]; evenly spaced frames are used.
     visible : (frames, markers) bool array
     rigid : tuple of int
-        Markers that move with the skull alone.
+        Markers of the skull.
     labels : tuple of str
-        Of the markers; those that name a part of the face say where it is.
+        Names of the markers, used as hints of their place.
     """
     picks = sample_frames(len(positions), MOTION_FRAMES)
     offsets = deformer.shapes.target_offsets()
@@ -316,9 +315,9 @@ def equation_at(
     visible: BoolArray,
     rigid: tuple[int, ...],
 ) -> BlendshapeEquation:
-    """Return the equation of markers whose places on a character are known.
+    """Return the equation of markers at known places, `virtual`, on a character.
 
-    Parameters are those of `set_up_equation`; `virtual` is where the markers sit.
+    Other parameters are those of `set_up_equation`.
     """
     picks = sample_frames(len(positions), MOTION_FRAMES)
     offsets = deformer.shapes.target_offsets()
@@ -348,7 +347,7 @@ def equation_at(
 
 
 def _noise_mm(equation: BlendshapeEquation, positions: Positions, visible: BoolArray) -> float:
-    """Return how far markers are from the plain solve, root mean square."""
+    """Return the RMS residual of a solve without costs of shapes."""
     away = equation._solve(positions, visible, equation.ranges.copy()).residual_mm[
         :, equation.trust > 0
     ]

@@ -1,8 +1,8 @@
-"""How well references span what a performer does: where the holes are, where pairs conflict.
+"""Coverage of takes by references, and conflicts between pairs.
 
-Pairs also contradict each other: alike markers, unlike weights. No mapping can follow both; it will
-meet them half-way and be wrong twice. Most are slips: a pair tuned by another frame, a slider left
-behind from the pair before.
+Two pairs conflict if their markers are similar and their weights differ: a mapping averages them.
+Most conflicts are mistakes: a pair tuned on another frame, or a slider not reset after the pair
+before.
 """
 
 from collections.abc import Callable
@@ -22,19 +22,19 @@ from usdface.numerics.regression.pca import fit_pca
 from usdface.numerics.regression.reference_design import design_gp_variance
 
 _FEWEST_PAIRS = 6
-"""With fewer nothing tells how far weights usually go with markers."""
+"""Fewest pairs from which the usual distances of weights and markers are estimated."""
 
 _NEAR_MARKERS_SHARE = 0.2
-"""Share of the usual distance between pairs below which markers of a region are alike."""
+"""Share of the usual distance between pairs below which markers of a region are similar."""
 
 LEAST_STEP = 0.35
-"""Least difference of any one weight: below it two animators would differ as much."""
+"""Difference of a weight below which no conflict is reported: two animators differ by as much."""
 
 FAR_WEIGHTS_SHARE = 0.6
-"""Share of the usual distance between pairs above which weights of a region are unlike."""
+"""Share of the usual distance between pairs above which weights of a region differ."""
 
 _ROUNDING_SHARE = 1e-6
-"""Of the largest distance: one below it is rounding."""
+"""Share of the largest distance below which a distance is rounding error."""
 
 
 @dataclass(frozen=True)
@@ -45,20 +45,19 @@ class ReferenceConflict:
     second: int
     """`first`, `second`: Indices of the pairs."""
     region: str
-    """Where on the face; empty for the face as a whole."""
+    """Region of the face; empty for the whole face."""
     shape: str
     """The shape that differs most."""
     weights: tuple[float, float]
-    """Its weight in the one and in the other."""
+    """Its weights in the first and the second pair."""
     times: float
-    """How many times further apart the weights are than the markers, each against the usual."""
+    """Ratio of the distances of weights and of markers, each relative to the usual one."""
 
 
 def find_reference_conflicts(references: References) -> list[ReferenceConflict]:
-    """Find pairs whose weights differ far more than their markers do, the worst first.
+    """Return pairs whose weights differ far more than their markers, in descending order.
 
-    Each part of the face is compared by itself, so that a lid is not excused by a jaw. Alike and
-    unlike are measured against the usual distance between pairs.
+    Regions are compared separately. Distances are relative to the median between pairs.
     """
     pairs, shapes = references.weights.shape
     if pairs < _FEWEST_PAIRS:
@@ -96,7 +95,7 @@ def find_reference_conflicts(references: References) -> list[ReferenceConflict]:
 
 
 def conflict_text(references: References, conflict: ReferenceConflict) -> str:
-    """Say which pairs contradict each other, and in what."""
+    """Return a sentence that names the pairs, the shape and its weights."""
     first, second = (
         f"pair {pair + 1} ({references.takes[pair]} {references.frames[pair]})"
         for pair in (conflict.first, conflict.second)
@@ -110,10 +109,7 @@ def conflict_text(references: References, conflict: ReferenceConflict) -> str:
 
 
 def _distances(rows: FloatArray) -> FloatArray:
-    """Return distances between all rows, over the usual one.
-
-    The usual one is the median between rows that differ: few pairs may use a region at all.
-    """
+    """Return distances between all rows, relative to the median between rows that differ."""
     product = rows @ rows.T
     squares = np.diag(product)
     away = np.sqrt(np.maximum(squares[:, None] + squares - 2 * product, 0.0))
@@ -125,44 +121,43 @@ def _distances(rows: FloatArray) -> FloatArray:
 _BLOCK_FRAMES = 4096
 
 COVERED_FRAMES = 24_000
-"""Frames that are measured one by one; of longer takes every second, third ... stands for all."""
+"""Most frames measured; of longer takes every second, third, ... frame is."""
 
 CURVE_FRAMES = 1500
-"""Frames spread over the takes on which coverage is averaged."""
+"""Evenly spaced frames of the takes on which coverage is averaged."""
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """How far pairs show what every frame does; see `model.mapping.coverage`."""
+    """Coverage of every frame by pairs; see `model.mapping.coverage`."""
 
     covered: FloatArray
     """(frames,): of the whole face [0-1]."""
     regions: tuple[str, ...]
     region_covered: FloatArray
-    """(frames, regions): the same, of each part of the face alone."""
+    """(frames, regions): the same, of each region alone."""
 
     @property
     def share(self) -> float:
-        """Coverage of the takes: the mean over all frames [0-1]."""
+        """Mean coverage over all frames [0-1]."""
         return float(self.covered.mean())
 
     @property
     def hole_share(self) -> float:
-        """Share of the frames that are holes [0-1]."""
+        """Share of uncovered frames [0-1]."""
         return float((self.covered < 1 - UNCOVERED_SHARE).mean())
 
 
 @dataclass(frozen=True)
 class Growth:
-    """What each pair brought, and what further ones would."""
+    """Coverage as a function of the number of pairs, present and further ones."""
 
     share: FloatArray
-    """(pairs + 1,): coverage with none, one, two ... of the pairs, in their order [0-1]."""
+    """(pairs + 1,): coverage by the first 0, 1, 2, ... pairs [0-1]."""
     further_rows: IntArray
-    """(count,): frames that would be chosen next: the deepest holes, each once those before are
-    filled."""
+    """(count,): frames to choose next, in greedy order."""
     further_share: FloatArray
-    """(count,): coverage with one, two ... of them as well."""
+    """(count,): coverage with the first 1, 2, ... of them as well [0-1]."""
 
 
 Displacements = Callable[[IntArray], FloatArray]
@@ -172,12 +167,12 @@ Displacements = Callable[[IntArray], FloatArray]
 def measure_coverage(
     model: CoverageModel, regions: tuple[str, ...], displacements: Displacements, count: int
 ) -> Coverage:
-    """Measure how far pairs show what each of `count` frames does.
+    """Measure the coverage of each of `count` frames.
 
     Parameters
     ----------
     regions : tuple of str
-        Those of the model, the whole face first.
+        Regions of the model; the first is the whole face.
     """
     step = -(-count // COVERED_FRAMES)  # neighbours of a long recording are one face
     rows = np.arange(0, count, step, dtype=np.int64)
@@ -194,15 +189,15 @@ def measure_coverage(
 def choose_further(
     features: Features, pair_features: FloatArray, *, count: int, candidates: BoolArray
 ) -> IntArray:
-    """Return rows of the frames that would be chosen next.
+    """Return the rows of the frames to choose next.
 
     Parameters
     ----------
     features : (frames, d) float array
-        Of all frames of the takes, in which every region counts alike.
+        Of all frames of the takes, in the space of `selection_space`.
     pair_features : (pairs, d) float array
     candidates : (frames,) bool array
-        Frames that could be tuned.
+        Frames that may be tuned.
     """
     open_rows = np.flatnonzero(candidates)
     rows = open_rows[sample_frames(len(open_rows), 20 * CURVE_FRAMES)]
@@ -215,14 +210,14 @@ def choose_further(
 def measure_growth(
     model: CoverageModel, further_rows: IntArray, displacements: Displacements, count: int
 ) -> Growth:
-    """Measure coverage pair by pair, and with the frames that would be chosen next.
+    """Measure coverage as pairs, then the frames to choose next, are added one by one.
 
     Parameters
     ----------
     further_rows : (n,) int array
         See `choose_further`.
     count : int
-        Frames of the takes; some spread over them are looked at.
+        Frames of the takes, of which evenly spaced ones are used.
     """
     sample = displacements(sample_frames(count, CURVE_FRAMES))
     share = model.growth(displacements(further_rows), sample)

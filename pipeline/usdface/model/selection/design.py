@@ -1,12 +1,11 @@
-"""Which frames an animator should tune: designs compared by what they would teach.
+"""Selection of frames to tune, by the experimental design with the smallest error.
 
-Faces are compared in a space where every region counts alike. Over all markers the jaw, which moves
-centimetres, drowns the lids, which move millimetres; a selection that looks at the whole face
-leaves blinks to chance. Here each part of the face is seen through the markers that its shapes
-move, and brought to the size of the others. The parts stand side by side, so that a combination, a
-blink under a lowered brow, is a place of its own.
+Frames are compared in a feature space in which every region of the face has equal variance: over
+all markers the jaw, which moves centimetres, would outweigh the lids, which move millimetres. Each
+region is represented by the markers that its shapes move. Features of all regions are concatenated,
+so that combinations, such as a blink with a lowered brow, are distinct points.
 
-The paper's own selection is a frame for each viseme and emotion, and the extremes of each emotion.
+The paper's selection is a frame for each viseme and emotion, and the extremes of each emotion.
 Deng et al. (2006), section 4: the middle frame of one segment for every viseme and expression,
 picked by hand there and by typicality here, and ten extreme poses an expression.
 """
@@ -30,13 +29,14 @@ from usdface.numerics.regression.reference_design import (
 from usdface.numerics.regression.regional_process import marker_relevance, regional_features
 
 Features = Float32Array | FloatArray
-"""Of an hour they are kept in single precision; what is reckoned with is double."""
+"""Stored in single precision for long takes; computed with in double."""
 
 REGION_DIMENSIONS = 10
-"""Principal axes of each region: beyond these a region differs by noise."""
+"""Principal axes of each region; further ones are noise."""
 
 WHITENING_POWER = 0.5
-"""0 leaves axes as they are, which see only the largest motion; 1 makes all equal, noise too."""
+"""0 leaves variances unchanged, so that the largest motion dominates; 1 makes all equal, including
+noise."""
 
 WHOLE_FACE = "face"
 
@@ -48,7 +48,7 @@ class SelectionSpace:
     projection: FloatArray
     """(dimensions, features)"""
     offset: FloatArray
-    """(features,): so that the mean face lies at 0."""
+    """(features,): features of the mean face, subtracted."""
     regions: tuple[str, ...]
     columns: tuple[tuple[int, int], ...]
     """Columns of the features of each region, first and one past the last."""
@@ -59,22 +59,22 @@ class SelectionSpace:
 
 
 def features_at(features: Features, rows: IntArray) -> FloatArray:
-    """Return features of some frames, to reckon with."""
+    """Return features of some frames in double precision."""
     return np.asarray(features[rows], dtype=np.float64)
 
 
 def selection_space(
     motion: MotionSpace, weights: FloatArray, shape_names: tuple[str, ...]
 ) -> SelectionSpace:
-    """Learn what each region is from weights of the motion space's sample.
+    """Return the feature space, its regions learnt from weights of the motion space's sample.
 
     Parameters
     ----------
     weights : (sample frames, shapes) float array
-        Of `motion.sample`, from the rig's geometry or any mapping: they need only tell which
-        markers move with which shapes.
+        Of `motion.sample`, from the rig's geometry or any mapping: they only relate markers to
+        shapes.
     shape_names : tuple of str
-        Names tell the regions; where they do not, the whole face is one.
+        Names from which regions are read; otherwise the whole face is one.
     """
     mean = motion.sample.mean(axis=0)
     covariance = np.cov(motion.sample.T) if len(motion.sample) > 1 else np.diag(motion.variances)
@@ -103,12 +103,12 @@ def selection_space(
 
 @dataclass(frozen=True)
 class Segment:
-    """One phone as it was spoken."""
+    """One spoken phone."""
 
     row: int
     """Its middle frame."""
     frames: int
-    """How long it lasts."""
+    """Its duration."""
     viseme: str
     emotion: str
 
@@ -116,11 +116,10 @@ class Segment:
 def viseme_frames(
     features: Features, segments: Sequence[Segment], *, candidates: BoolArray
 ) -> dict[tuple[str, str], int]:
-    """Return the frame of the most typical segment for each emotion and viseme that is spoken.
+    """Return the frame of the most typical segment for each emotion and spoken viseme.
 
-    Typical is a segment at least as long as most, whose middle frame is nearest the median of all
-    middle frames of its kind: the one a person would pick, for short ones are slurred into their
-    neighbours. No frame serves twice.
+    That is the segment of at least median length whose middle frame is nearest to the median of
+    all of its kind; short ones are coarticulated with their neighbours. Frames are distinct.
 
     Parameters
     ----------
@@ -158,7 +157,7 @@ def extreme_frames(
     candidates: BoolArray,
     already: IntArray,
 ) -> dict[str, list[int]]:
-    """Return frames of each emotion far from its ordinary faces, and from one another.
+    """Return frames of each emotion far from its chosen ones and from each other.
 
     Parameters
     ----------
@@ -166,10 +165,10 @@ def extreme_frames(
     emotion_of : sequence of str
         Of each frame.
     count : int
-        Frames an emotion; fewer, or none, where the emotion has no more that may be chosen.
+        Frames of each emotion; fewer if it has fewer candidates.
     candidates : (frames,) bool array
     already : (n,) int array
-        Frames chosen before, which are not chosen again.
+        Frames chosen before.
     """
     emotions = np.array(emotion_of, dtype=object)
     taken = np.zeros(len(features), dtype=bool)
@@ -195,15 +194,15 @@ DESIGNS: dict[str, Callable[..., Design]] = {
 }
 
 POOL_FRAMES = 24_000
-"""Frames that are looked at: of a longer recording the most extreme of each short stretch."""
+"""Most candidates; of longer recordings the most extreme frame of each interval."""
 
 
 @dataclass(frozen=True)
 class CandidateMarkers:
-    """Weights that stand in for tuning while frames are chosen, from the rig's geometry."""
+    """Weights from the rig's geometry that replace tuned ones while frames are chosen."""
 
     features: FloatArray
-    """(sample, d): of frames spread over the takes."""
+    """(sample, d): of evenly spaced frames of the takes."""
     weights: FloatArray
     """(sample, shapes)"""
     of_rows: Callable[[IntArray], FloatArray]
@@ -214,26 +213,26 @@ class CandidateMarkers:
 
 @dataclass(frozen=True)
 class ReferenceChoice:
-    """Frames to tune, the most telling first."""
+    """Frames to tune, the most informative first."""
 
     rows: IntArray
-    """(count,): none twice, none that was tuned before."""
+    """(count,): distinct, not tuned before."""
     design: str = ""
-    """Which design was taken; empty where none was needed."""
+    """Name of the design; empty without one."""
     measured_mm: dict[str, float] = field(default_factory=dict)
-    """Error of the stand-ins on all other frames, by design."""
+    """Error on all other frames with stand-in weights, by design [mm]."""
     visemes: dict[int, str] = field(default_factory=dict)
-    """Viseme of the frames that were chosen for one."""
+    """Viseme of each frame chosen for one."""
     extremes: tuple[int, ...] = ()
-    """Rows that were chosen as extremes of an emotion."""
+    """Rows chosen as extremes of an emotion."""
     missing: tuple[tuple[str, str], ...] = ()
-    """Emotion and viseme that are not spoken together."""
+    """Pairs of emotion and viseme that do not occur."""
 
 
 def pool_of(features: Features, candidates: BoolArray, *, limit: int = POOL_FRAMES) -> IntArray:
-    """Return rows to choose among: of every short stretch the face farthest from the mean face.
+    """Return candidate rows: of each interval the frame farthest from the mean face.
 
-    Neighbouring frames of a recording are nearly the same face; the peaks are what teaches.
+    Neighbouring frames are nearly equal; peaks are the most informative.
     """
     rows = np.flatnonzero(candidates)
     if len(rows) <= limit:
@@ -253,13 +252,13 @@ def choose_by_design(
     candidates: BoolArray,
     stand_ins: CandidateMarkers,
 ) -> ReferenceChoice:
-    """Choose frames by each design and take the one whose frames teach the stand-ins best.
+    """Choose frames by each design and return those with the smallest error of stand-in weights.
 
     Parameters
     ----------
     features : (frames, d) float array
     already : (n,) int array
-        Rows that are tuned.
+        Tuned rows.
     candidates : (frames,) bool array
     """
     pool = pool_of(features, candidates)
@@ -294,19 +293,19 @@ def choose_visemes(
     already: IntArray,
     candidates: BoolArray,
 ) -> ReferenceChoice:
-    """Choose as the paper does; of more frames than asked for, the most telling.
+    """Choose as the paper does, and of these the `count` most informative frames.
 
     Parameters
     ----------
     visemes : sequence of str
-        Every viseme that is wanted in each emotion, whether somebody speaks it or not.
+        Visemes wanted in each emotion, spoken or not.
     extremes : int
         Extreme frames of each emotion.
 
     Returns
     -------
-    Choice
-        With fewer frames than asked for where fewer visemes are spoken.
+    ReferenceChoice
+        Fewer than `count` frames if fewer visemes are spoken.
     """
     free = candidates.copy()
     free[already] = False
@@ -335,7 +334,7 @@ def choose_visemes(
 def stand_in_error_mm(
     features: FloatArray, weights: FloatArray, stand_ins: CandidateMarkers
 ) -> float:
-    """Return the error of stand-in weights predicted from those of some frames, over all [mm].
+    """Return the RMS error of stand-in weights predicted from some frames [mm].
 
     Parameters
     ----------
@@ -349,7 +348,7 @@ def stand_in_error_mm(
 
 
 def in_order_of_worth(features: Features, rows: IntArray, already: IntArray) -> IntArray:
-    """Return rows in the order in which each adds most to those before it."""
+    """Return rows in greedy order of information added to those before."""
     if not len(rows):
         return rows
     together = np.concatenate([already, rows])

@@ -1,8 +1,8 @@
-"""Lips that touch on the performer touch on the character.
+"""Contact of the lips: where the performer's touch, the character's touch.
 
-Least squares spreads its error evenly, and a mouth left open by a millimetre or two costs it
-nothing; it is the first thing an animator has to mend. Where the performer's lips meet, weights
-of the mouth are changed, as little as shows, until the character's meet too.
+Least squares leaves a closed mouth open by a millimetre or two, a small error that is very visible.
+Where the performer's lips touch, weights of the mouth are changed until the character's do, with
+the least change of the surface.
 """
 
 from dataclasses import dataclass
@@ -17,19 +17,19 @@ from usdface.numerics.measure.performance_error import LipPairs, find_lip_pairs
 from usdface.numerics.registration.virtual_markers import character_motion
 
 NEAR_LIPS_MM = 15.0
-"""How far from where lips meet a lip's markers may sit: on its red or just beyond."""
+"""Largest distance of a lip marker from the line of contact."""
 
 STILL, CARRIED = 0.25, 0.5
 """Shares of the jaw's largest motion below which a marker is of the upper lip, above which of the
 lower."""
 
 CONTACT_MM = 0.7
-"""How much further apart than on the neutral face lips' markers may be and the lips still touch:
-a few times the noise of a marker."""
+"""Distance of upper and lower lip markers beyond that of the neutral face up to which lips touch: a
+few times the noise of a marker."""
 
 LEAST_OPENING = 0.05
-"""Share of the largest opening below which a shape does not move the lips to speak of: where only
-such are left, they would go to their limits and the mouth stay open."""
+"""Share of the largest opening below which a shape is not used: it would reach its limit without
+closing the mouth."""
 
 TOUCHING_MM = 0.2
 MAX_ROUNDS = 8
@@ -38,22 +38,22 @@ _RIDGE_SHARE = 1e-3
 
 @dataclass(frozen=True)
 class Lips:
-    """Where lips are, on the character and among the markers."""
+    """Lips of the character and lip markers."""
 
     pairs: LipPairs
     upper: IntArray
     lower: IntArray
-    """`upper`, `lower`: (n,): markers that sit above each other."""
+    """`upper`, `lower`: (n,): pairs of markers, one above the other."""
     columns: IntArray
     """(n,): shapes that may be changed: the mouth's and the jaw's."""
     opening: FloatArray
-    """(n,): by how much each of them parts the lips [mm]."""
+    """(n,): change of the lips' distance by each of them at 1 [mm]."""
 
 
 def find_lips(
     equation: BlendshapeEquation, deformer: Deformer, shape_names: tuple[str, ...]
 ) -> Lips | None:
-    """Find lips; None where the rig's names or the markers do not tell."""
+    """Return lips; None if the rig's names or the markers do not show them."""
     jaw, regions = jaw_opener(shape_names), shapes_by_region(shape_names)
     if jaw is None or "mouth" not in regions:
         return None
@@ -96,7 +96,7 @@ def keep_lip_contact(
     Returns
     -------
     (frames, shapes) float array
-        Within the ranges; other frames and other shapes as they were.
+        Within the ranges; other frames and shapes unchanged.
     """
     motion = character_motion(equation.virtual, positions, equation.neutral)
     direction = lips.pairs.direction
@@ -115,7 +115,7 @@ def keep_lip_contact(
             break
         for row, excess in zip(open_rows, gap[gap > TOUCHING_MM], strict=True):
             weights = out[row, lips.columns]
-            # A weight at its limit cannot go on in that direction; the others take its part.
+            # Weights at their limits are left out; the others make up for them.
             free = np.where(lips.opening > 0, weights > low + 1e-9, weights < high - 1e-9)
             if not (free & able).any():
                 continue
@@ -127,7 +127,7 @@ def keep_lip_contact(
 
 
 def lip_gap_mm(deformer: Deformer, lips: Lips, weights: FloatArray) -> FloatArray:
-    """Return how much further apart than at rest the character's lips are: (frames,) [mm]."""
+    """Return the lips' distance beyond that of the neutral face: (frames,) [mm]."""
     gaps = np.empty(len(weights))
     for index in range(len(weights)):  # one at a time: a head is tens of thousands of points
         points = deformer.points(weights[index : index + 1])[0]

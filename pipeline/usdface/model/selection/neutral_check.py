@@ -1,4 +1,4 @@
-"""Whether a take's neutral frame is neutral, by what a rig's shapes can do."""
+"""Check of a take's neutral frame by the motion that a rig's shapes explain from it."""
 
 from dataclasses import dataclass
 
@@ -8,43 +8,42 @@ from usdface.core.arrays import FloatArray, IntArray, sample_frames
 from usdface.model.selection.baseline import BlendshapeEquation, Positions
 
 _SOLVED_FRAMES = 60
-"""Spread over the take, to judge each candidate by."""
+"""Evenly spaced frames on which each candidate is evaluated."""
 
 _CANDIDATE_FRAMES = 24
 _SEARCHED_FRAMES = 800
 _ELIMINATION_ROUNDS = 6
 
 BETTER_SHARE = 0.75
-"""Residual of the take from another frame over that from the stated one, below which that frame is
-the neutral one: between frames that are both neutral it differs by a tenth."""
+"""Ratio of residuals, from another frame over the stated one, below which the other is neutral:
+between two neutral frames it differs by a tenth."""
 
 
 @dataclass(frozen=True)
 class BetterNeutral:
-    """A frame that is neutral, where the stated one is not."""
+    """A neutral frame to replace the stated one."""
 
     row: int
-    """Of the frames given."""
+    """Index of the frame."""
     residual_mm: float
     stated_mm: float
-    """`residual_mm`, `stated_mm`: What the shapes leave of the take, from that frame and from the
-    stated one [mm]."""
+    """`residual_mm`, `stated_mm`: RMS residual of the take from that frame and from the stated one
+    [mm]."""
 
 
 def find_better_neutral(
     equation: BlendshapeEquation, positions: Positions, rows: IntArray
 ) -> BetterNeutral | None:
-    """Return a frame from which the rig's shapes explain a take far better; None if none does.
+    """Return a frame from which the rig's shapes explain a take much better; None without one.
 
-    Shapes go one way: a smile can be added to a neutral face, but not taken from it. From a frame
-    that smiles already, frames that do not are out of reach.
+    Weights are not negative: from a frame with a smile, frames without it cannot be explained.
 
     Parameters
     ----------
     positions : (frames, markers, 3) float array
         A stabilised take [mm].
     rows : (n,) int array
-        Frames with all markers.
+        Indices of frames with all markers.
     """
     if len(rows) < _CANDIDATE_FRAMES:
         return None
@@ -53,8 +52,8 @@ def find_better_neutral(
     candidates = _spread(positions[searched].astype(np.float64), equation.neutral)
 
     def squares(neutrals: FloatArray, frames: FloatArray) -> FloatArray:
-        """Return what the shapes leave of frames, (neutrals, frames) [mm^2]."""
-        # Only displacements count: those from every candidate, as positions about the neutral.
+        """Return mean squared residuals: (neutrals, frames) [mm^2]."""
+        # The equation uses displacements only, so a change of neutral is a shift of positions.
         shown = (equation.neutral - neutrals)[:, None] + frames
         shown = shown.reshape(-1, *equation.neutral.shape)
         away = equation.residual_mm(shown, equation.propose(shown))
@@ -63,7 +62,7 @@ def find_better_neutral(
     stated = squares(equation.neutral[None], solved)[0]
     limit = BETTER_SHARE**2 * stated.sum()
     left = np.zeros(len(candidates))
-    # A candidate is out as soon as some frames leave more than all may: the worst come first.
+    # A candidate is dropped once its partial sum exceeds the limit; the worst frames come first.
     for part in np.array_split(np.argsort(-stated, kind="stable"), _ELIMINATION_ROUNDS):
         alive = left < limit
         if not alive.any():
@@ -82,7 +81,7 @@ def find_better_neutral(
 
 
 def _spread(frames: FloatArray, neutral: FloatArray) -> IntArray:
-    """Return frames that differ most from the neutral face and each other, and some at any time."""
+    """Return frames farthest from the neutral and from each other, and evenly spaced ones."""
     flat = frames.reshape(len(frames), -1)
     least = ((flat - neutral.ravel()) ** 2).sum(axis=1)
     chosen: list[int] = []
