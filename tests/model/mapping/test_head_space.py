@@ -103,10 +103,13 @@ def test_takes_that_cannot_be_mapped_say_what_to_do() -> None:
     larger = face.positions * 1.3
     with pytest.raises(InputError, match=r"distance is 1.3 times .* 0.769 times its --scale") as no:
         into_head_space(mapping, markers_of(face, positions=larger.astype(np.float32)))
-    assert re.search("mm from where the mapping had them.*another performer", str(no.value))
+    assert re.search(
+        "mm from those of the takes it is compared with .*another performer: select and train",
+        str(no.value),
+    )
     moved = np.random.default_rng(3).normal(0, 20, (24, 3))
     stranger = (face.positions + moved).astype(np.float32)
-    with pytest.raises(InputError, match=r"had them.*; it is another marker set or"):
+    with pytest.raises(InputError, match=r"compared with.*; it is another marker set or"):
         into_head_space(mapping, markers_of(face, positions=stranger))
 
 

@@ -246,18 +246,19 @@ def _rigid_movement(
                 "takes it is compared with: one of them is in another unit; ingest it again and "
                 f"{unit_remedy(size)}"
             )
-        what = "it is another marker set or another performer: train a mapping for it"
+        what = "it is another marker set or another performer: select and train for it separately"
         turned, moved = _robust_movement(middle / size, target)
         scaled = np.linalg.norm(middle / size @ turned.T + moved - target, axis=1)
         if np.median(scaled) < _EXPLAINED_SHARE * np.median(away):
             what = (
-                f"one factor explains it: every distance is {size:.3g} times the mapping's. If "
+                f"one factor explains it: every distance is {size:.3g} times as large. If "
                 f"units or calibration differ, ingest it again with {1 / size:.3g} times its "
-                "--scale (default 1); else it is another performer: train a mapping for it"
+                "--scale (default 1); else it is another performer: select and train for it "
+                "separately"
             )
         raise InputError(
-            f"the take's rigid markers are {np.median(away):.1f} mm from where the mapping had "
-            f"them ({names[int(away.argmax())]}: {away.max():.1f} mm); {what}"
+            f"the take's rigid markers are {np.median(away):.1f} mm from those of the takes it is "
+            f"compared with ({names[int(away.argmax())]}: {away.max():.1f} mm); {what}"
         )
     return rotation, shift
 
