@@ -67,10 +67,10 @@ def test_weights_are_followed_from_samples_nearby(skin, actor, placed):
     assert np.abs(motion[1] - motion[2]).max() < 0.05
 
 
-def test_a_cloud_upside_down_is_refused(skin, actor):
+def test_a_cloud_upside_down_is_noticed(skin, actor, placed):
     over = np.array([-1.0, -1.0, 1.0])
-    with pytest.raises(ValueError, match=r"far better upside down; .* with --up"):
-        place(skin, actor.neutral * over, actor.positions * over)
+    assert place(skin, actor.neutral * over, actor.positions * over).upside_down
+    assert not placed.upside_down
 
 
 def test_upper_and_lower_lip_are_told_apart(face, actor, placed):

@@ -9,7 +9,7 @@ from usdface.core.deformer import Deformer
 from usdface.demo.rig import demo_rig
 from usdface.model.placement.marker_cloud import MarkerCloud
 from usdface.model.placement.rig_landmarks import find_landmarks
-from usdface.model.placement.verdict import PlacementVerdict, judge_placement
+from usdface.model.placement.verdict import PlacementVerdict, doubt_upside_down, judge_placement
 from usdface.numerics.registration.face_skin import FaceSkin, sample_face_skin
 from usdface.numerics.registration.virtual_markers import VirtualMarkers
 
@@ -167,6 +167,17 @@ def test_motion_alone_asks_for_a_look(bench: Bench) -> None:
     verdict = bench.judge(bench.local, cloud=silent, by_labels=False)
     assert verdict.level == "check"
     assert "motion alone" in verdict.sentence
+
+
+def test_markers_that_fit_better_upside_down_look_wrong(bench: Bench) -> None:
+    silent = replace(bench.cloud, labels=tuple(f"m{i}" for i in range(len(LABELS))))
+    doubted = bench.judge(bench.local, cloud=silent, by_labels=False)
+    verdict = doubt_upside_down(doubted)
+    assert verdict.level == "bad"
+    assert verdict.sentence.startswith("Looks wrong: the markers fit far better upside down; ")
+    assert verdict.sentence.endswith(doubted.sentence.removeprefix("Look at it: "))
+    fine = doubt_upside_down(bench.judge(bench.local))
+    assert fine.sentence.endswith("state --up")
 
 
 def test_motion_and_labels_that_agree_look_right_unless_little_is_explained(bench: Bench) -> None:

@@ -63,7 +63,7 @@ proportions in every round and are more accurate with dense markers."""
 
 _DOUBTFUL_VALUE, _OVERTURNED_GAIN = 0.15, 0.1
 """Value of the best candidate below which the cloud is searched upside down as well, and gain from
-which it is refused. Recorded takes reach 0.17 to 0.37 upright, and at most 0.07 upside down."""
+which that is reported. Whole faces reach 0.17 or more upright, and 0.14 or less upside down."""
 
 _ACTIVE_SHARE = 0.1
 """Share of the largest displacement below which skin carries no markers."""
@@ -85,6 +85,8 @@ class MarkerPlacement:
     """The same as points of the rig, with the transform of the performer's motion."""
     by_labels: bool
     """True if placed by labels and landmarks, False if by motion."""
+    upside_down: bool = False
+    """True if the cloud, placed by motion, fits far better upside down."""
 
 
 def place_markers(
@@ -139,7 +141,7 @@ def place_markers(
     for marker, at in pins.items():
         samples[marker] = ((skin.positions - at) ** 2).sum(axis=1).argmin()
     virtual = _virtual_markers(scene, start, samples)
-    return MarkerPlacement(samples, virtual, named)
+    return MarkerPlacement(samples, virtual, named, start.upside_down)
 
 
 def _above_lid_margins(
@@ -196,6 +198,7 @@ class _Start:
     frame: FloatArray
     levelled: FloatArray
     placement: SkinPlacement
+    upside_down: bool = False
 
 
 def named_places(
@@ -287,18 +290,20 @@ def _by_motion(scene: _Scene) -> _Start:
         starts.append(_by_shape(scene))
     count = len(starts)
     searched = _search(scene, levelled, motion @ frame.T)
-    _refuse_overturned(scene, levelled, motion @ frame.T, max(found.score for found in searched))
+    value = max(found.score for found in searched)
+    overturned = _fits_overturned(scene, levelled, motion @ frame.T, value)
     for found in searched:
         turned = levelled * found.turn
         starts.append(_drawn(scene, found.turn[:, None] * frame, turned, found.fit))
     values = [_value(scene, start, frame, levelled) for start in starts]
     first = int(np.argmax(values))
     if count and values[0] >= values[first] - _LEAST_GAIN:
-        return starts[0]
+        return replace(starts[0], upside_down=overturned)
     turn = _turn_of(starts[first], frame)
     fit = _fit_to(scene, starts[first], levelled * turn)
     again = _drawn(scene, turn[:, None] * frame, levelled * turn, fit)
-    return again if _value(scene, again, frame, levelled) > values[first] else starts[first]
+    best = again if _value(scene, again, frame, levelled) > values[first] else starts[first]
+    return replace(best, upside_down=overturned)
 
 
 def _search(scene: _Scene, levelled: FloatArray, motion: FloatArray) -> list[SearchedFit]:
@@ -312,19 +317,13 @@ def _search(scene: _Scene, levelled: FloatArray, motion: FloatArray) -> list[Sea
     )
 
 
-def _refuse_overturned(
-    scene: _Scene, levelled: FloatArray, motion: FloatArray, value: float
-) -> None:
-    """Refuse a cloud that fits far better upside down than its best candidate of this value."""
+def _fits_overturned(scene: _Scene, levelled: FloatArray, motion: FloatArray, value: float) -> bool:
+    """Whether a cloud fits far better upside down than its best candidate, of the given value."""
     if value >= _DOUBTFUL_VALUE:
-        return
+        return False
     over = np.array([-1.0, -1.0, 1.0])
-    gain = max(found.score for found in _search(scene, levelled * over, motion * over)) - value
-    if gain > _OVERTURNED_GAIN:
-        raise ValueError(
-            "shape and motion of the markers fit far better upside down; ingest the take again and "
-            "state which axis is up with --up, or give the places of some markers with --landmarks"
-        )
+    best = max(found.score for found in _search(scene, levelled * over, motion * over))
+    return best > value + _OVERTURNED_GAIN
 
 
 def _drawn(scene: _Scene, frame: FloatArray, levelled: FloatArray, fit: PlaneFit) -> _Start:

@@ -151,6 +151,16 @@ def judge_placement(
     )
 
 
+def doubt_upside_down(verdict: PlacementVerdict) -> PlacementVerdict:
+    """Return the verdict on a placement whose markers fit far better upside down."""
+    reasons = verdict.sentence.partition(": ")[2]
+    text = "the markers fit far better upside down; ingest the takes again and state --up"
+    others = [] if verdict.level == "good" else [reasons]
+    return replace(
+        verdict, level="bad", sentence=f"{_OPENINGS['bad']}: {'; '.join([text, *others])}"
+    )
+
+
 _SHIFTS = {
     "higher": (0.0, 1.0, 0.0),
     "lower": (0.0, -1.0, 0.0),

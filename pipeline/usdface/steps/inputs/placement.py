@@ -16,7 +16,7 @@ from usdface.media.picture.binding_picture import BoundMarkers, draw_binding
 from usdface.model.placement.marker_cloud import MarkerCloud, marker_cloud
 from usdface.model.placement.place import place_markers
 from usdface.model.placement.rig_orientation import facing_degrees
-from usdface.model.placement.verdict import PlacementVerdict, judge_placement
+from usdface.model.placement.verdict import PlacementVerdict, doubt_upside_down, judge_placement
 from usdface.model.selection.baseline import (
     BlendshapeEquation,
     Positions,
@@ -116,7 +116,7 @@ class PlacementScene:
                 for marker in pins
             },
         )
-        return self.judge(
+        placed = self.judge(
             RigPlacement(
                 binding=binding,
                 neutral=takes.neutral,
@@ -127,6 +127,9 @@ class PlacementScene:
                 left_out=given.left_out,
             )
         )
+        if found.upside_down:
+            return replace(placed, verdict=doubt_upside_down(placed.verdict))
+        return placed
 
     def judge(self, placement: RigPlacement) -> PlacedTakes:
         """Judge a placement of these markers on this rig."""
