@@ -1,9 +1,14 @@
-"""Align a performer's marker cloud with a character's face, without landmarks.
+"""Register a performer's marker cloud with a character's face, without landmarks.
 
-The unknowns are a rotation, a translation and one scale per axis: the performer's proportions.
-Iterated closest points, started from every side and trimmed, in both directions: each marker must
-find skin and each moving part of the skin must find a marker, or the cloud would shrink into a
-cheek. Where motion is known it is a fourth coordinate: what moves much belongs on what moves much.
+The unknowns are a rotation, a translation and one scale per axis (the performer's proportions).
+Trimmed iterative closest points, started from all sides and matched in both directions, markers to
+skin and moving skin to markers: matched in one, the cloud would shrink into a cheek. The amplitude
+of motion, where it is known, is a fourth coordinate.
+
+References
+----------
+Besl and McKay (1992), A method for registration of 3-D shapes, IEEE PAMI 14(2), 239-256.
+Chetverikov, Svirko, Stepanov and Krsek (2002), The trimmed iterative closest point algorithm, ICPR.
 """
 
 from dataclasses import dataclass, replace
@@ -13,23 +18,22 @@ from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.arrays import FloatArray
 
 _YAWS_DEGREES = range(0, 360, 30)
 _PITCHES_DEGREES = (-20, 0, 20)
-_TILT_LIMIT = np.cos(np.deg2rad(40))  # Y is roughly up: a face on its side is a wrong answer
-_TRUSTED_PAIR_SHARE = 0.95  # of the pairs, nearest first
-_PROPORTION_LIMIT = 1.35  # how far one axis may differ from the mean of the three
-_PROPORTION_SHARE = 0.6  # exponent on what one axis seems to differ: wrong pairs stretch it too
-_COARSE_SKIN, _FINE_SKIN = 500, 3000
+_LEAST_UP_COSINE = np.cos(np.deg2rad(40))  # between the cloud's Y axis and up
+_TRUSTED_PAIR_SHARE = 0.95  # of the pairs, nearest first; the others are trimmed
+_PROPORTION_LIMIT = 1.35  # largest ratio of an axis' scale to the geometric mean of the three
+_PROPORTION_SHARE = 0.6  # exponent that shrinks this ratio: wrong pairs stretch it too
+_COARSE_SKIN, _FINE_SKIN = 500, 3000  # samples
 _COARSE_STEPS, _FINE_STEPS = 12, 40
-_MOTION_MM = 40.0  # what the whole range of motion counts for, on a head 200 mm high
-_BACKWARD_WEIGHT = 1.0  # weight of skin looking for markers, against markers looking for skin
+_MOTION_MM = 40.0  # fourth coordinate of the largest amplitude, on a head 200 mm high
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """Where the performer's face lies on the character's.
+    """Map from the performer's space to the character's.
 
     ``aligned = scale * (cloud @ rotation.T) + translation``
     """
@@ -37,7 +41,7 @@ class Alignment:
     scale: FloatArray
     """(3,): along the character's axes."""
     rotation: FloatArray
-    """(3, 3): proper: left stays left."""
+    """(3, 3): proper, determinant +1."""
     translation: FloatArray
     """(3,) [mm]"""
     residual_mm: float
@@ -84,19 +88,20 @@ def align_landmarks(cloud: ArrayLike, targets: ArrayLike) -> Alignment:
     if spread[1] < 0.02 * spread[0]:
         raise ValueError("the landmarks lie on a line; add one off that line")
     u, s, vt = np.linalg.svd(xc.T @ yc)
-    handed = float(np.sign(np.linalg.det(u @ vt)))
-    proper = s @ np.array([1, 1, handed])
+    sign = float(np.sign(np.linalg.det(u @ vt)))
+    proper = s @ np.array([1, 1, sign])
     total = float((xc**2).sum() * (yc**2).sum())
     error, mirrored = 1 - proper**2 / total, 1 - s.sum() ** 2 / total
-    if handed < 0 and error > 0.01 and mirrored < 0.25 * error:
+    if sign < 0 and error > 0.01 and mirrored < 0.25 * error:
         raise ValueError(
             "the landmarks fit only a mirrored face; check that left and right are not exchanged"
         )
-    rotation = u @ np.diag([1, 1, handed]) @ vt
+    rotation = u @ np.diag([1, 1, sign]) @ vt
     scale = np.full(3, np.sqrt((xc**2).sum() / (yc**2).sum()))
     translation = x.mean(axis=0) - scale * (rotation @ y.mean(axis=0))
-    off = scale * (y @ rotation.T) + translation - x
-    return Alignment(scale, rotation, translation, float(np.sqrt((off**2).sum(axis=1).mean())))
+    residual = scale * (y @ rotation.T) + translation - x
+    residual_mm = float(np.sqrt((residual**2).sum(axis=1).mean()))
+    return Alignment(scale, rotation, translation, residual_mm)
 
 
 def align_cloud(
@@ -107,20 +112,20 @@ def align_cloud(
     areas: ArrayLike,
     amplitude: ArrayLike | None = None,
 ) -> Alignment:
-    """Find the rotation, translation and per-axis scale that lay a marker cloud onto a face.
+    """Fit the rotation, translation and per-axis scale that map a marker cloud onto a face.
 
     Parameters
     ----------
     cloud : (markers, 3) array
-        The performer's neutral face, Y roughly up, looking anywhere.
+        The performer's neutral face, Y roughly up, in any heading.
     skin : (samples, 3) array
         Points of the character's outer face.
     activity : (samples,) array
-        How far the shapes move each sample.
+        Displacement of each sample by the shapes.
     areas : (samples,) array
-        What each sample stands for.
+        Area of skin that each sample represents.
     amplitude : (markers,) array, optional
-        How far each marker moves in the take; where none does, as if it were not known.
+        Motion of each marker in the take; ignored if all are 0.
 
     Raises
     ------
@@ -134,61 +139,55 @@ def align_cloud(
     area = np.asarray(areas, float)
     size = float(np.sqrt(np.average(((x - x.mean(axis=0)) ** 2).sum(axis=1), weights=area)))
     a = np.zeros(len(y)) if amplitude is None else np.asarray(amplitude, float)
-    usual = float(np.quantile(a, 0.97))
+    largest = float(np.quantile(a, 0.97))
     skin_motion, cloud_motion = np.zeros(len(x)), np.zeros(len(y))
-    if usual > 0:  # a take of one frame does not show where a face moves
+    if largest > 0:  # 0 in a take of one frame
         skin_motion = _MOTION_MM * size / 80 * moving
-        cloud_motion = _MOTION_MM * size / 80 * np.sqrt(np.minimum(a / usual, 1.2))
+        cloud_motion = _MOTION_MM * size / 80 * np.sqrt(np.minimum(a / largest, 1.2))
     skin4, cloud4 = np.column_stack([x, skin_motion]), np.column_stack([y, cloud_motion])
     need = area * (moving > 0.35)  # parts that a marker set always covers
     coarse = _Skin(skin4, need, _COARSE_SKIN)
-    ends = [_climb(cloud4, coarse, begin, _COARSE_STEPS) for begin in _starts(y, x, need)]
-    ends = [end for end in ends if end.rotation[1, 1] > _TILT_LIMIT]
+    ends = [_refine(cloud4, coarse, start, _COARSE_STEPS) for start in _starts(y, x, need)]
+    ends = [end for end in ends if end.rotation[1, 1] > _LEAST_UP_COSINE]
     if not ends:
         raise ValueError(
             "no alignment keeps the face upright; check that Y is up, or name landmarks"
         )
     best = sorted(ends, key=lambda end: end.residual_mm)[:3]
     fine = _Skin(skin4, need, _FINE_SKIN)
-    ends = [_climb(cloud4, fine, begin, _FINE_STEPS, proportions=True) for begin in best]
+    ends = [_refine(cloud4, fine, start, _FINE_STEPS, proportions=True) for start in best]
     return min(ends, key=lambda end: end.residual_mm)
 
 
 def align_pairs(cloud: ArrayLike, targets: ArrayLike, *, weight: ArrayLike) -> Alignment:
-    """Fit rotation, translation and one scale per axis to points whose partners are known.
+    """Fit rotation, translation and one scale per axis to corresponding points, weighted.
 
     Parameters
     ----------
     cloud, targets : (n, 3) arrays
     weight : (n,) array
-        How far each pair is trusted.
     """
     y, x, w = (np.asarray(value, float) for value in (cloud, targets, weight))
     now = _fit(y, x, w, _UNIT, proportions=False)
     for _ in range(5):
         now = _fit(y, x, w, now, proportions=True)
-    off = ((now.apply(y) - x) ** 2).sum(axis=1)
-    return replace(now, residual_mm=float(np.sqrt(np.average(off, weights=w))))
+    squared = ((now.apply(y) - x) ** 2).sum(axis=1)
+    return replace(now, residual_mm=float(np.sqrt(np.average(squared, weights=w))))
 
 
 class _Skin:
-    """The skin at one level of detail, with what finds neighbours on it."""
+    """The skin at one level of detail."""
 
     def __init__(self, points: FloatArray, need: FloatArray, count: int) -> None:
         self.points = points[:: max(1, len(points) // count)]
         self.tree = KDTree(self.points)
-        wanted = np.cumsum(need)
-        at = (np.arange(count // 2) + 0.5) / (count // 2) * wanted[-1]
-        self.wanted = points[np.searchsorted(wanted, at)]  # evenly over the parts that move
-
-
-def _nearest(tree: KDTree, points: FloatArray) -> tuple[FloatArray, IntArray]:
-    distance, index = tree.query(points)
-    return np.asarray(distance, float), np.asarray(index, np.int64)
+        total = np.cumsum(need)
+        at = (np.arange(count // 2) + 0.5) / (count // 2) * total[-1]
+        self.moving = points[np.searchsorted(total, at)]  # evenly over the parts that move
 
 
 def _starts(y: FloatArray, x: FloatArray, need: FloatArray) -> list[Alignment]:
-    """Return similarities from every side, sized by the spread of what moves."""
+    """Return similarities from all sides, scaled by the spread of the moving skin."""
     centre = np.average(x, axis=0, weights=need)
     spread = np.sqrt(np.average(((x - centre) ** 2).sum(axis=1), weights=need))
     middle = y.mean(axis=0)
@@ -201,31 +200,25 @@ def _starts(y: FloatArray, x: FloatArray, need: FloatArray) -> list[Alignment]:
     return [Alignment(scale, turn, centre - scale * (turn @ middle), np.inf) for turn in turns]
 
 
-def _climb(
-    cloud4: FloatArray, skin: _Skin, begin: Alignment, steps: int, *, proportions: bool = False
+def _refine(
+    cloud4: FloatArray, skin: _Skin, start: Alignment, steps: int, *, proportions: bool = False
 ) -> Alignment:
-    """Iterate closest points from one start; the scale per axis comes free half-way."""
-    now = begin
+    """Iterate closest points from one start; axes scale separately in the second half."""
+    now = start
     for step in range(steps + 1):
         moved = np.column_stack([now.apply(cloud4[:, :3]), cloud4[:, 3]])
-        forward, nearest = _nearest(skin.tree, moved)
-        backward, seeker = _nearest(KDTree(moved), skin.wanted)
-        keep = forward <= np.quantile(forward, _TRUSTED_PAIR_SHARE)
-        found = backward <= np.quantile(backward, _TRUSTED_PAIR_SHARE)
-        residual = np.sqrt(
-            (forward[keep] ** 2).mean() + _BACKWARD_WEIGHT * (backward[found] ** 2).mean()
-        )
+        to_skin, nearest_skin = map(np.asarray, skin.tree.query(moved))
+        to_marker, nearest_marker = map(np.asarray, KDTree(moved).query(skin.moving))
+        markers = to_skin <= np.quantile(to_skin, _TRUSTED_PAIR_SHARE)
+        samples = to_marker <= np.quantile(to_marker, _TRUSTED_PAIR_SHARE)
+        residual = np.sqrt((to_skin[markers] ** 2).mean() + (to_marker[samples] ** 2).mean())
         now = replace(now, residual_mm=float(residual))
         if step == steps:
             break
-        source = np.concatenate([cloud4[keep, :3], cloud4[seeker[found], :3]])
-        target = np.concatenate([skin.points[nearest[keep], :3], skin.wanted[found, :3]])
-        weight = np.concatenate(
-            [
-                np.full(int(keep.sum()), 1 / keep.sum()),
-                np.full(int(found.sum()), _BACKWARD_WEIGHT / found.sum()),
-            ]
-        )
+        source = np.concatenate([cloud4[markers, :3], cloud4[nearest_marker[samples], :3]])
+        target = np.concatenate([skin.points[nearest_skin[markers], :3], skin.moving[samples, :3]])
+        counts = markers.sum(), samples.sum()
+        weight = np.repeat(1 / np.array(counts), counts)
         now = _fit(source, target, weight, now, proportions=proportions and step > steps // 2)
     return now
 

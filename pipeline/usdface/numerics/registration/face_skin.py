@@ -1,8 +1,8 @@
-"""The skin of a rig's face as samples in the face's own frame: what a placement searches.
+"""Samples of the outer skin of a rig's face, in the face's frame.
 
-The frame's axes are left, up and forward of the character; its origin is that of the rig. A marker
-can be glued to what some camera in front of the face would see: the inside of the mouth, eyeballs,
-teeth and the back of the head are left out, without any names.
+The frame's axes are left, up and forward of the character; its origin is that of the rig. The outer
+skin is what cameras in front of the face see, by depth buffers: it excludes the inside of the
+mouth, eyeballs, teeth and the back of the head, whatever the parts are called.
 """
 
 from dataclasses import dataclass
@@ -14,12 +14,13 @@ from scipy.spatial import KDTree
 
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.numerics.registration.virtual_markers import Offsets, deltas_at, sparse_offsets
+from usdface.numerics.surface.triangulation import triangle_areas
 
 _SAMPLE_COUNT = 12_000  # about 2 mm apart on a face
 _DEPTH_PIXELS = 200  # over the larger side: about 1.3 mm on a head
-_DEPTH_TOLERANCE = 0.012  # of the larger side: folds of lids and lips stay, the mouth's inside goes
+_DEPTH_TOLERANCE = 0.012  # of the larger side: folds of lids and lips pass, the mouth's inside not
 _VIEWS_DEGREES = ((0, 0), (-30, 0), (30, 0), (-55, 0), (55, 0), (0, 20), (0, -30))  # yaw, pitch
-_REACH_RADII = 3.2  # in root mean square radii of what moves: ear to ear and hairline to throat
+_REACH_RADII = 3.2  # [RMS radii of the moving part]: ear to ear and hairline to throat
 _SKIN_SHARE = 0.2  # of the largest visible piece: eyeballs, teeth and lashes are smaller
 
 
@@ -34,14 +35,14 @@ class SurfaceSamples:
     positions: FloatArray
     """(samples, 3) [mm]"""
     areas: FloatArray
-    """(samples,): what each stands for [mm^2]; smaller where the face moves much."""
+    """(samples,): area that each represents [mm^2]; smaller where the face moves much."""
 
 
 def facing_direction(points: ArrayLike, triangles: ArrayLike, activity: ArrayLike) -> FloatArray:
-    """Return the horizontal unit vector that a face looks along.
+    """Return the horizontal unit vector along which a face looks.
 
-    What the shapes move lies in front of the rest of the head; on a bare mask, where there is no
-    rest, the winding of the triangles decides.
+    It points from the centroid of the head to that of the part which the shapes move; on a mask
+    without a back of the head, the winding of the triangles decides.
 
     Parameters
     ----------
@@ -49,7 +50,7 @@ def facing_direction(points: ArrayLike, triangles: ArrayLike, activity: ArrayLik
         Y up.
     triangles : (triangles, 3) int array
     activity : (points,) array
-        How far the shapes move each point.
+        Displacement of each point by the shapes.
     """
     P, T = np.asarray(points, float), np.asarray(triangles, np.int64)
     a = np.asarray(activity, float)[T].mean(axis=1)
@@ -75,9 +76,8 @@ def sample_outer_surface(
     *,
     facing: ArrayLike,
     activity: ArrayLike,
-    sample_count: int = _SAMPLE_COUNT,
 ) -> SurfaceSamples:
-    """Spread samples over the skin of the face that is seen from in front.
+    """Sample the skin of the face that is visible from the front.
 
     Parameters
     ----------
@@ -86,12 +86,10 @@ def sample_outer_surface(
     triangles : (triangles, 3) int array
         Either winding.
     facing : (3,) array
-        Horizontal direction the face looks along.
+        Horizontal direction along which the face looks.
     activity : (points,) array
-        How far the shapes move each point: pieces that hardly move (eyeballs) are left out, and
-        what lies far from all movement (shoulders, the crown).
-    sample_count : int, optional
-        About how many.
+        Displacement of each point by the shapes. Pieces that hardly move (eyeballs) and parts far
+        from all movement (shoulders, the crown) are left out.
     """
     P, T = np.asarray(points, float), np.asarray(triangles, np.int64)
     moves = np.asarray(activity, float)
@@ -99,45 +97,39 @@ def sample_outer_surface(
         raise ValueError("the shapes move no part of the surface; check that it is the face's mesh")
     T = T[_within_reach(P, T, moves)]
     density = 0.3 + moves[T].mean(axis=1) / moves.max()
-    dense, weights, owner = _spread(P, T, density, count=3 * sample_count)
+    dense, weights, owner = _low_discrepancy_samples(P, T, density, count=3 * _SAMPLE_COUNT)
     forward = np.asarray(facing, float)
     frame = np.stack([np.cross([0.0, 1.0, 0.0], forward), [0.0, 1.0, 0.0], forward])
-    seen = _seen_from_front((dense - P.mean(axis=0)) @ frame.T)
-    seen &= _on_skin(P, T, owner, seen, moves)
-    if not seen.any():
-        raise ValueError("no part of the surface is seen from in front; check its facing")
-    chosen = np.flatnonzero(seen)
-    chosen = chosen[:: max(1, round(len(chosen) / sample_count))]
+    visible = _visible_from_front((dense - P.mean(axis=0)) @ frame.T)
+    visible &= _on_skin(P, T, owner, visible, moves)
+    if not visible.any():
+        raise ValueError("no part of the surface is visible from the front; check its facing")
+    chosen = np.flatnonzero(visible)
+    chosen = chosen[:: max(1, round(len(chosen) / _SAMPLE_COUNT))]
     share = 1 / density[owner[chosen]]
-    areas = share * (_areas(P, T).sum() * seen.mean() / share.sum())
+    areas = share * (triangle_areas(P, T).sum() * visible.mean() / share.sum())
     return SurfaceSamples(T[owner[chosen]], weights[chosen], dense[chosen], areas)
 
 
-def _areas(P: FloatArray, T: IntArray) -> FloatArray:
-    cross = np.cross(P[T[:, 1]] - P[T[:, 0]], P[T[:, 2]] - P[T[:, 0]])
-    area: FloatArray = np.linalg.norm(cross, axis=1) / 2
-    return area
-
-
 def _within_reach(P: FloatArray, T: IntArray, activity: FloatArray) -> BoolArray:
-    middle, weight = P[T].mean(axis=1), activity[T].mean(axis=1) * _areas(P, T)
+    middle, weight = P[T].mean(axis=1), activity[T].mean(axis=1) * triangle_areas(P, T)
     centre = np.average(middle, axis=0, weights=weight)
     distance = np.linalg.norm(middle - centre, axis=1)
     near: BoolArray = distance < _REACH_RADII * np.sqrt(np.average(distance**2, weights=weight))
     return near
 
 
-def _spread(
+def _low_discrepancy_samples(
     P: FloatArray, T: IntArray, density: FloatArray, *, count: int
 ) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Place points in proportion to area times density; in a fixed pattern, so that runs repeat.
+    """Sample triangles in proportion to area times density, deterministically.
 
-    The order is scattered: every n-th of the points is still spread evenly.
+    Every n-th of the points is evenly spread as well.
     """
     steps = np.arange(1, count + 1)
-    # additive recurrence on powers of the root of x^4 = x + 1: evenly spread in three numbers
+    # R3 sequence (Roberts 2018): additive recurrence on powers of the root of x^4 = x + 1
     u, v, along = (np.modf(0.5 + steps * g)[0] for g in (0.8191725134, 0.6710436067, 0.5497004779))
-    ends = np.cumsum(_areas(P, T) * density)
+    ends = np.cumsum(triangle_areas(P, T) * density)
     owner = np.minimum(np.searchsorted(ends, along * ends[-1], side="right"), len(T) - 1)
     fold = u + v > 1
     u, v = np.where(fold, 1 - u, u), np.where(fold, 1 - v, v)
@@ -145,10 +137,10 @@ def _spread(
     return np.einsum("nk,nkc->nc", weights, P[T[owner]]), weights, owner
 
 
-def _seen_from_front(q: FloatArray) -> BoolArray:
+def _visible_from_front(q: FloatArray) -> BoolArray:
     """Return which points are foremost in a depth buffer of some view; the face looks along +Z."""
     size = float(np.ptp(q, axis=0).max())
-    seen = np.zeros(len(q), bool)
+    visible = np.zeros(len(q), bool)
     for yaw, pitch in np.deg2rad(_VIEWS_DEGREES):
         toward = np.array([np.sin(yaw) * np.cos(pitch), np.sin(pitch), np.cos(yaw) * np.cos(pitch)])
         across = np.array([np.cos(yaw), 0.0, -np.sin(yaw)])
@@ -158,18 +150,18 @@ def _seen_from_front(q: FloatArray) -> BoolArray:
         depth = q @ toward
         front = np.full(int(flat.max()) + 1, -np.inf)
         np.maximum.at(front, flat, depth)
-        seen |= depth > front[flat] - _DEPTH_TOLERANCE * size
-    return seen
+        visible |= depth > front[flat] - _DEPTH_TOLERANCE * size
+    return visible
 
 
 def _on_skin(
     P: FloatArray,
     T: IntArray,
     owner: IntArray,
-    seen: BoolArray,
+    visible: BoolArray,
     activity: FloatArray,
 ) -> BoolArray:
-    """Return which samples lie on a large connected part that moves; seams of UVs are welded."""
+    """Return which samples lie on a large connected part that moves, coincident points welded."""
     size = float(np.ptp(P, axis=0).max())
     _, weld = np.unique(np.round(P / (1e-5 * size)), axis=0, return_inverse=True)
     weld = weld.ravel()
@@ -180,28 +172,28 @@ def _on_skin(
     )
     count, label = sparse.csgraph.connected_components(graph, directed=False)
     piece = label[weld]
-    visible = np.bincount(piece[T[owner[seen], 0]], minlength=count).astype(float)
+    visible_count = np.bincount(piece[T[owner[visible], 0]], minlength=count).astype(float)
     moved = np.zeros(count)
     np.maximum.at(moved, piece, activity)
-    visible[moved < 0.1 * moved.max()] = 0
-    large = visible >= _SKIN_SHARE * visible.max()
+    visible_count[moved < 0.1 * moved.max()] = 0
+    large = visible_count >= _SKIN_SHARE * visible_count.max()
     on_skin: BoolArray = large[piece[T[owner, 0]]]
     return on_skin
 
 
 _ACTIVE_SHARE = 0.2
-"""Of the largest displacement: skin that moves less is not used to find the plane of symmetry."""
+"""[of the largest displacement] Skin that moves less does not count for the plane of symmetry."""
 
 _TRIMMED_SHARE = 0.8
-"""Of mirrored samples: the others may have no partner (ears, hair)."""
+"""[of the mirrored samples] The others may have no partner (ears, hair)."""
 
 
 @dataclass(frozen=True)
 class FaceSkin:
-    """Samples of the outer skin, with what every shape does to them."""
+    """Samples of the outer skin, and their displacements by every shape."""
 
     corners: IntArray
-    """(samples, 3): points of the rig that carry each sample."""
+    """(samples, 3): corners of each sample's triangle, as points of the rig."""
     shares: FloatArray
     """(samples, 3): their barycentric weights."""
     frame: FloatArray
@@ -210,16 +202,16 @@ class FaceSkin:
     normals: FloatArray
     """`positions`, `normals`: (samples, 3): at rest, in the face's frame [mm]."""
     areas: FloatArray
-    """(samples,): what each sample stands for [mm^2]."""
+    """(samples,): area that each represents [mm^2]."""
     deltas: FloatArray
-    """(shapes, samples, 3): what each shape at 1 does, in the face's frame [mm]."""
+    """(shapes, samples, 3): displacements by each shape at 1, in the face's frame [mm]."""
     sagittal_x: float
-    """Where the plane of symmetry lies: its normal is the X axis [mm]."""
+    """Offset of the plane of symmetry along its normal, the X axis [mm]."""
     size_mm: float
-    """Root mean square radius of what moves; 55 on an adult's face."""
+    """Root mean square radius of the moving part; 55 on an adult's face."""
 
     def activity(self) -> FloatArray:
-        """Return how far the shapes move each sample, root of summed squares: (samples,) [mm]."""
+        """Return the root of the summed squared displacements of each sample: (samples,) [mm]."""
         return np.asarray(np.sqrt((self.deltas**2).sum(axis=(0, 2))))
 
     def mirrored(self, points: FloatArray) -> FloatArray:
@@ -236,7 +228,7 @@ def sample_face_skin(points: ArrayLike, triangles: ArrayLike, offsets: Offsets) 
         At rest, Y up [mm].
     triangles : (triangles, 3) int array
     offsets : (shapes, points, 3) array or (shapes, 3 * points) sparse array
-        What each shape at 1 does to the points [mm].
+        Displacements by each shape at 1 [mm].
     """
     rest, faces = np.asarray(points, float), np.asarray(triangles, np.int64)
     matrix = sparse_offsets(offsets, point_count=len(rest))
@@ -251,7 +243,7 @@ def sample_face_skin(points: ArrayLike, triangles: ArrayLike, offsets: Offsets) 
     sides = rest[corners]
     normals = np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0]) @ frame.T
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    # Each axis of a shape lies in one piece, as placements multiply them axis by axis.
+    # Each axis of a shape is contiguous, as placements multiply axis by axis.
     deltas = np.moveaxis(frame @ np.moveaxis(deltas_at(matrix, corners, shares), 2, 1), 1, 2)
     moved = np.sqrt((deltas**2).sum(axis=(0, 2)))
     weight = moved / moved.sum()
@@ -270,7 +262,7 @@ def sample_face_skin(points: ArrayLike, triangles: ArrayLike, offsets: Offsets) 
 
 
 def _sagittal_x(positions: FloatArray) -> float:
-    """Find where the plane of symmetry lies, by trimmed closest points on the reflection."""
+    """Fit the offset of the plane of symmetry by trimmed closest points on the reflection."""
     x = float(positions[:, 0].min() + positions[:, 0].max()) / 2
     tree = KDTree(positions)
     for _ in range(20):

@@ -1,8 +1,8 @@
-"""Which markers of a cloud may sit at which landmarks of a face, where no label says so.
+"""Assignment of unlabelled markers to landmarks of a face.
 
-People put markers at features: the nose's tip, the corners of the mouth, along the brows. Whether
-one does is a mixture: a landmark's marker lies about it with the spread of such markers; any other
-lies anywhere on the face, as densely as the cloud is.
+Markers are commonly put at features: the nose's tip, the corners of the mouth, along the brows. A
+mixture model: a landmark's marker is normally distributed about it; any other is uniform over the
+face, with the density of the cloud.
 """
 
 from dataclasses import dataclass
@@ -15,33 +15,33 @@ from usdface.core.arrays import FloatArray, IntArray
 from usdface.numerics.registration.skin_placement import PlaneFit, fit_in_plane
 
 _MARKED_SHARE = 0.7
-"""Of a face's landmarks, those that have a marker of their own: marker sets differ."""
+"""Prior probability that a landmark has a marker: marker sets differ."""
 
 _LEAST_PROBABILITY = 0.1
-"""Below it a pair says next to nothing, and is left out."""
+"""Pairs less probable are left out."""
 
 _FEWEST_PAIRS = 5
-"""From which a fit follows."""
+"""Fewest pairs to fit."""
 
 _PROPORTIONS_MM = (14.0, 10.0, 8.0, 6.0, 5.0, 4.0)
-"""Standard deviation of a marker about the fit, on an adult's face, as the fit gets better; what
-proportions leave, in the end."""
+"""Standard deviation of a marker about the fit, on an adult's face, round by round; the last is due
+to differing proportions alone."""
 
 
 @dataclass(frozen=True)
 class FaceLandmarks:
-    """Landmarks at which people put markers."""
+    """Landmarks at which markers are commonly put."""
 
     names: tuple[str, ...]
-    """As `model.placement.rig_landmarks` has them."""
+    """As in `model.placement.rig_landmarks`."""
     places: FloatArray
     """(landmarks, 3): in the face's frame [mm]."""
     spreads: FloatArray
     """(landmarks,): standard deviation of markers about them [mm]."""
     area: float
-    """Of the part of the skin that moves [mm^2]."""
+    """Area of the moving skin [mm^2]."""
     unit: float
-    """Size of the face, in an adult's."""
+    """Size of the face over that of an adult's."""
 
 
 @dataclass(frozen=True)
@@ -52,23 +52,22 @@ class LandmarkMatch:
     landmarks: IntArray
     """`markers`, `landmarks`: (pairs,)"""
     probability: FloatArray
-    """(pairs,): that the marker was put there, and is not any other [0-1]."""
+    """(pairs,): posterior probability that the marker belongs to the landmark."""
     score: float
-    """Mean over all landmarks of the log likelihood ratio of a marker that was put there to
-    none."""
+    """Mean over all landmarks of the log likelihood ratio of a marker there to none."""
 
 
 def match_landmarks(
     points: FloatArray, face: FaceLandmarks, *, proportion_mm: float = _PROPORTIONS_MM[-1]
 ) -> LandmarkMatch:
-    """Pair markers with landmarks so that the pairs together are most likely.
+    """Return the assignment of markers to landmarks with the largest likelihood.
 
     Parameters
     ----------
     points : (markers, 3) float array
         In the face's frame [mm].
     proportion_mm : float
-        Standard deviation by which proportions displace markers, on an adult's face.
+        Standard deviation of markers due to proportions, on an adult's face.
     """
     if not len(face.names):
         none = np.zeros(0, np.int64)
@@ -92,16 +91,16 @@ def match_landmarks(
 def refine_fit(
     levelled: FloatArray, face: FaceLandmarks, fit: PlaneFit, *, centre_x: float
 ) -> PlaneFit:
-    """Fit a cloud to the landmarks that its markers may sit at, pairing and fitting in turns.
+    """Fit a cloud to landmarks, alternating between assignment and fit.
 
     Parameters
     ----------
     levelled : (markers, 3) float array
         At rest, its plane of symmetry at x = 0 [mm].
     fit : PlaneFit
-        Where it starts; returned where too few pairs are likely.
+        Initial fit; returned where too few pairs are probable.
     centre_x : float
-        Of the character's plane of symmetry [mm].
+        X of the character's plane of symmetry [mm].
     """
     centre = np.array([centre_x, 0.0, 0.0])
     for proportion in _PROPORTIONS_MM:
@@ -109,11 +108,11 @@ def refine_fit(
         if len(match.markers) < _FEWEST_PAIRS:
             break
         spreads = np.hypot(face.spreads[match.landmarks], _PROPORTIONS_MM[-1] * face.unit)
-        found = fit_in_plane(
+        centred = fit_in_plane(
             levelled[match.markers],
             face.places[match.landmarks] - centre,
             spreads / np.sqrt(match.probability),
             rounds=3,
         )
-        fit = PlaneFit(found.rotation, found.scale, found.shift + centre)
+        fit = PlaneFit(centred.rotation, centred.scale, centred.shift + centre)
     return fit

@@ -1,7 +1,7 @@
-"""Two recordings of markers on one face: what differs that is not expression.
+"""Offsets of markers between two recordings of one face.
 
-Markers that are put on again sit elsewhere on the skin; heads are laid on each other within a
-millimetre. Both shift a marker by much the same in every frame, which expression does not do.
+Markers that are applied again sit elsewhere on the skin, and head spaces agree to a millimetre.
+Both shift a marker by nearly the same vector in all frames, unlike expression.
 
 References
 ----------
@@ -17,26 +17,30 @@ import numpy as np
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
 
 SAMPLE_FRAMES = 800
-"""Of either recording: enough that most expressions they share come in both."""
+"""Frames of each recording: most expressions in common are in both samples."""
 
 _MUTUAL_NEIGHBOURS = 3
+"""With a third of the frames, each expression still has a partner."""
+
 _CLOSEST_PAIRS = 40
+"""The others may be expressions that only one recording has."""
+
 _MATCHING_ROUNDS = 8
-"""Mutual among the three nearest, as with a third of the frames each expression still has a
-partner; the closest 40, so that what the recordings do not share has no say."""
 
 _FEWEST_FRAMES = 64
-"""A second of a take: of fewer, no expression is in common but by chance."""
+"""A second of a take: fewer frames share expressions only by chance."""
 
 NEAR_MM = 45.0
-"""Markers on the same part of the face; distances between parts follow the jaw."""
+"""Largest distance of markers on the same part of the face; longer ones depend on the jaw."""
 
 _NOISE_MM = 0.1
-"""Of a marker that does not move."""
+"""Deviation of a marker at rest."""
 
 _GAP_MM = 0.5
+"""Smallest gap between ranges that is reported."""
+
 _RANGE_TAIL = 0.002
-"""Two frames in a thousand at either end of a distance's range are outliers."""
+"""Share of the frames left out at either end of a distance's range, as outliers."""
 
 
 def find_offset(
@@ -49,10 +53,9 @@ def find_offset(
 ) -> FloatArray:
     """Estimate each marker's constant shift between two recordings of one face.
 
-    Frames that are each other's nearest show nearly the same expression: what differs between
-    them is the shift. Matching begins without a shift: of several that would do, a small one is
-    meant. A marker's shift is shrunk by the scatter of those differences, so that
-    recordings which differ by expression alone are left as they are.
+    Mutual nearest neighbours show nearly the same expression, so that their difference is the
+    shift. Matching starts at zero, which favours small shifts. A marker's shift is shrunk by the
+    scatter of these differences: recordings that differ by expression alone keep theirs at 0.
 
     Parameters
     ----------
@@ -63,12 +66,12 @@ def find_offset(
         The other recording, in the same head space [mm].
     others_usable : (frames, markers) bool array
     neutral : (markers, 3) float array
-        The performer's neutral face, one more frame of his [mm].
+        The performer's neutral face, used as one more frame [mm].
 
     Returns
     -------
     (markers, 3) float array
-        To be subtracted from the other recording [mm]; 0 where nothing is known.
+        To be subtracted from the other recording [mm]; 0 where it cannot be estimated.
     """
     known = np.concatenate([np.ones((1, usable.shape[1]), bool), usable])
     ours = np.concatenate([neutral[None], frames])
@@ -78,25 +81,25 @@ def find_offset(
     scatter = np.zeros(len(neutral))
     for _ in range(_MATCHING_ROUNDS):
         squared = _squared_distances(ours + offset, known, others, others_usable)
-        mine, theirs = _mutual_pairs(squared)
-        near = squared[mine, theirs]
-        # Below a quarter of the median no pair counts more: else one would decide.
+        rows, other_rows = _mutual_pairs(squared)
+        near = squared[rows, other_rows]
+        # Weights are capped at a quarter of the median distance, or one pair would dominate.
         weight = 1 / np.maximum(near, max(float(np.median(near)) / 4, 1e-6))
-        both = known[mine] & others_usable[theirs]
+        both = known[rows] & others_usable[other_rows]
         share = weight[:, None] * both
         share /= np.maximum(share.sum(axis=0), 1e-12)
-        away = np.where(both[..., None], others[theirs] - ours[mine], 0.0)
-        offset = np.einsum("pm,pmc->mc", share, away)
-        left = np.where(both[..., None], away - offset, 0.0)
-        scatter = np.einsum("pm,pm->m", share, (left**2).sum(axis=2))
+        difference = np.where(both[..., None], others[other_rows] - ours[rows], 0.0)
+        offset = np.einsum("pm,pmc->mc", share, difference)
+        residual = np.where(both[..., None], difference - offset, 0.0)
+        scatter = np.einsum("pm,pm->m", share, (residual**2).sum(axis=2))
     length = np.maximum((offset**2).sum(axis=1), 1e-12)
     return np.asarray(offset * np.maximum(1 - scatter / length, 0.0)[:, None])
 
 
 def measure_distances(positions: FloatArray, usable: BoolArray, at: FloatArray) -> FloatArray:
-    """Return how far frames are from a face: (frames,), root mean square over markers [mm].
+    """Return the root mean square distance over markers of frames from a face: (frames,) [mm].
 
-    Infinite for a frame that lacks markers which make up half of the motion.
+    Infinite for a frame whose visible markers have less than half of the motion's variance.
 
     Parameters
     ----------
@@ -111,14 +114,13 @@ def measure_distances(positions: FloatArray, usable: BoolArray, at: FloatArray) 
 
 
 def _mutual_pairs(squared: FloatArray) -> tuple[IntArray, IntArray]:
-    """Return the closest frames that are among each other's nearest, and the neutral's partner."""
+    """Return the closest mutual nearest neighbours, and the neutral with its nearest frame."""
     near = min(_MUTUAL_NEIGHBOURS, *squared.shape) - 1
     by_row = np.partition(squared, near, axis=1)[:, near : near + 1]
     by_column = np.partition(squared, near, axis=0)[near : near + 1]
-    mine, theirs = np.nonzero((squared <= by_row) & (squared <= by_column))
-    best = np.argsort(squared[mine, theirs], kind="stable")[:_CLOSEST_PAIRS]
-    mine, theirs = np.append(mine[best], 0), np.append(theirs[best], squared[0].argmin())
-    return mine, theirs
+    rows, columns = np.nonzero((squared <= by_row) & (squared <= by_column))
+    best = np.argsort(squared[rows, columns], kind="stable")[:_CLOSEST_PAIRS]
+    return np.append(rows[best], 0), np.append(columns[best], squared[0].argmin())
 
 
 def _squared_distances(
@@ -126,8 +128,8 @@ def _squared_distances(
 ) -> FloatArray:
     """Return mean squared distances over markers, (first, second) [mm²].
 
-    Of the markers that both frames have, in proportion to how much of the second recording's motion
-    they are: without the mouth a frame is no nearer. Infinite where they are less than half of it.
+    Over the markers visible in both frames, divided by their share of the variance of the second
+    recording: a frame without the mouth is no nearer. Infinite where that share is below one half.
     """
     mask_a, mask_b = first_usable.astype(float), second_usable.astype(float)
     times = mask_b.sum(axis=0)
@@ -160,10 +162,10 @@ class ParallelRanges:
 def compare_neighbours(
     frames: FloatArray, usable: BoolArray, others: FloatArray, others_usable: BoolArray
 ) -> ParallelRanges:
-    """Find neighbours whose distances over two recordings have nothing in common.
+    """Find neighbouring markers whose distances have disjoint ranges in two recordings.
 
-    Skin stretches and folds, but over takes of some seconds a distance comes by the same values;
-    only markers that were put on elsewhere part the ranges.
+    Skin stretches and folds, but over some seconds distances pass through the same values, unless
+    a marker was applied elsewhere.
 
     Parameters
     ----------
@@ -176,15 +178,15 @@ def compare_neighbours(
     seen = usable.mean(axis=0), others_usable.mean(axis=0)
     near &= np.logical_and.outer(np.minimum(*seen) >= 0.5, np.minimum(*seen) >= 0.5)
     pairs = np.argwhere(np.triu(near, 1))
-    low, high = _ranges(frames, usable, pairs)
-    others_low, others_high = _ranges(others, others_usable, pairs)
+    low, high = _distance_ranges(frames, usable, pairs)
+    others_low, others_high = _distance_ranges(others, others_usable, pairs)
     gap = np.maximum(others_low - high, low - others_high)
     wide = gap > _GAP_MM
     order = np.argsort(-gap[wide], kind="stable")
     return ParallelRanges(len(pairs), pairs[wide][order], gap[wide][order])
 
 
-def _ranges(
+def _distance_ranges(
     positions: FloatArray, usable: BoolArray, pairs: IntArray
 ) -> tuple[FloatArray, FloatArray]:
     both = usable[:, pairs[:, 0]] & usable[:, pairs[:, 1]]
@@ -198,23 +200,23 @@ def _ranges(
 
 @dataclass(frozen=True)
 class CloudStretch:
-    """How one face is stretched against another."""
+    """Affine stretch from one face to another."""
 
     size: float
     """Ratio of the clouds' sizes."""
     stretch: FloatArray
     """(3,): along the principal axes of the stretch; 1 where the faces are alike."""
     error: FloatArray
-    """(3,): standard error of each, from what the stretch leaves unexplained."""
+    """(3,): standard error of each, from the residual."""
     left_mm: float
-    """Root mean square distance of markers that the stretch leaves [mm]."""
+    """Root mean square residual over the markers [mm]."""
 
 
 def measure_stretch(cloud: FloatArray, other: FloatArray) -> CloudStretch:
-    """Fit the affine map from one face's markers to another's, and take its rotation away.
+    """Return the stretch of the affine map from one face's markers to another's.
 
-    Markers that were put on again move each for itself: what that stretches is within the error.
-    Skulls of two people differ in their proportions.
+    Markers that were applied again move independently, and their stretch is within the standard
+    error. The skulls of two people differ in proportions.
 
     Parameters
     ----------
@@ -224,11 +226,11 @@ def measure_stretch(cloud: FloatArray, other: FloatArray) -> CloudStretch:
     a, b = cloud - cloud.mean(axis=0), other - other.mean(axis=0)
     size = float(np.sqrt((b**2).sum() / max((a**2).sum(), 1e-12)))
     linear, *_ = np.linalg.lstsq(a, b, rcond=None)
-    left = b - a @ linear
+    residual = b - a @ linear
     freedom = max(3 * (len(a) - 4), 1)
-    sigma = float(np.sqrt((left**2).sum() / freedom))
+    sigma = float(np.sqrt((residual**2).sum() / freedom))
     values, axes = np.linalg.eigh(linear @ linear.T)
     stretch = np.sqrt(np.maximum(values, 0.0))
     spread = np.linalg.inv(a.T @ a + 1e-9 * np.eye(3))
     error = sigma * np.sqrt(np.einsum("ij,ik,jk->k", spread, axes, axes))
-    return CloudStretch(size, stretch, error, float(np.sqrt((left**2).sum(axis=1).mean())))
+    return CloudStretch(size, stretch, error, float(np.sqrt((residual**2).sum(axis=1).mean())))

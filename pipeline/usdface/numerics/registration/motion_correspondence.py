@@ -1,9 +1,9 @@
-"""Settle where on the skin each marker sits, from shape and from how it moves.
+"""Correspondence between markers and samples of skin, from shape and from motion.
 
-Lips, lids and nostrils are a few millimetres apart and move in opposite ways: motion distinguishes
-them where shape cannot. Expectation-maximisation: solve the shapes' weights from the markers as
-they are placed now, compare each marker's path with what every nearby piece of skin would do under
-those weights, place it again, and keep neighbours together with a smooth warp.
+Lips, lids and nostrils are a few millimetres apart and move in opposite directions, so that motion
+distinguishes them where shape cannot. Expectation-maximisation: solve the shapes' weights from the
+markers at their current places, compare each marker's path with those of the nearby skin under
+these weights, place the marker again, and regularise by a smooth warp.
 """
 
 from dataclasses import dataclass
@@ -17,37 +17,37 @@ from usdface.numerics.registration.skin_placement import belief_moments
 from usdface.numerics.solve.bounded_least_squares import solve_bounded_least_squares
 
 _SEARCH_RADII = (0.22, 0.20, 0.17, 0.14, 0.12, 0.10, 0.09, 0.08, 0.07, 0.06, 0.05, 0.05)
-"""[of the face's size] Deviation of a marker from where shape puts it, round by round."""
+"""[of the face's size] Standard deviation of a marker about its warped place, round by round."""
 _WARP_SIZE = 0.10
-"""[of the face's size] How far proportions may differ locally."""
+"""[of the face's size] Standard deviation of the warp."""
 _WARP_LENGTH = 0.6
-"""[of the face's size] Over which they change."""
+"""[of the face's size] Length scale of the warp."""
 _LEAST_DEVIATION = 0.02
-"""[of the face's size] Of a marker's place, however clear its motion."""
+"""[of the face's size] Least standard deviation of a marker's place by motion."""
 _SHAPE_DEVIATION = 0.2
-"""[of the face's size] Of a marker's place, by shape alone."""
-_HALF_TRUST_SIZE = 0.25
-"""[of the face's size] A marker this far off counts half, beyond it ever less."""
+"""[of the face's size] Standard deviation of a marker's place by shape alone."""
+_HALF_WEIGHT_SIZE = 0.25
+"""[of the face's size] Residual of a marker that weighs half (Cauchy)."""
 _EVIDENCE_SAMPLES = 6.0
-"""Independent samples that a path counts for; frames repeat each other."""
+"""Effective number of independent samples of a path, whose frames are correlated."""
 _NOISE_MM = 0.5
-"""Of a marker's displacement, per coordinate."""
+"""Standard deviation of a marker's displacement, per coordinate."""
 _MODEL_ERROR = 0.04
 """[of a path's energy] Left unexplained by correct placements too."""
 _GAINS = (0.5, 2.0)
-"""Least and largest motion of a performer's skin over that of the shapes."""
+"""Limits of the amplitude of a performer's skin over that of the shapes."""
 _WEIGHT_RIDGE = 25.0
 """[mm^2] (1.5 mm of noise / typical weight of 0.3)^2."""
 
 
 @dataclass(frozen=True)
 class Placement:
-    """Where markers were placed."""
+    """Places of markers."""
 
     chosen: IntArray
     """(markers,): index of the skin sample."""
     warped: FloatArray
-    """(markers, 3): where shape alone puts each marker, after the smooth warp."""
+    """(markers, 3): after the smooth warp, before a sample is chosen."""
     alignment: Alignment
     """Refitted to the placement."""
 
@@ -70,15 +70,15 @@ def place_by_motion(
         The performer's neutral face.
     skin : (samples, 3) float array
     alignment : Alignment
-        A first guess, right to about a tenth of the face's size.
+        Initial guess, accurate to about a tenth of the face's size.
     skin_deltas : (shapes, samples, 3) float array, optional
-        What each shape does to the skin.
+        Displacements of the skin by each shape at 1.
     motion : (frames, markers, 3) float array, optional
         Displacements from `cloud`, in the performer's space.
     ranges : (shapes, 2) float array, optional
         Limits of the shapes' weights; 0 to 1 unless given.
     pinned : dict of int to (3,) float array, optional
-        Where given markers are known to sit.
+        Known places of markers.
     """
     size = float(np.sqrt(((skin - skin.mean(axis=0)) ** 2).sum(axis=1).mean()))
     pins = pinned or {}
@@ -101,11 +101,10 @@ def place_by_motion(
         for marker, place in pins.items():
             chosen[marker] = ((skin - place) ** 2).sum(axis=1).argmin()
             target[marker], variance[marker] = place, 1e-6
-        off = ((alignment.apply(cloud) - target) ** 2).sum(axis=1)
-        trust = (
-            1 / (variance + (_WARP_SIZE * size) ** 2) / (1 + off / (_HALF_TRUST_SIZE * size) ** 2)
-        )
-        alignment = align_pairs(cloud, target, weight=trust)
+        squared = ((alignment.apply(cloud) - target) ** 2).sum(axis=1)
+        robust = 1 + squared / (_HALF_WEIGHT_SIZE * size) ** 2
+        weight = 1 / (variance + (_WARP_SIZE * size) ** 2) / robust
+        alignment = align_pairs(cloud, target, weight=weight)
         warped = _warp(alignment.apply(cloud), target, variance, size)
     return Placement(chosen, warped, alignment)
 
@@ -115,8 +114,8 @@ def _motion_evidence(
 ) -> tuple[FloatArray, FloatArray]:
     """Return each marker's place and its variance from motion alone.
 
-    The distribution after seeing the motion divided by that before it: for markers that hardly
-    move the variance is large, and the place does not count.
+    The Gaussian likelihood, as posterior over prior: for markers that hardly move the variance is
+    large.
     """
     mean_before, wide = belief_moments(before, skin)
     mean_after, narrow = belief_moments(after, skin)
@@ -139,23 +138,23 @@ def _path_misfit(
         upper=limits[:, 1],
         ridge=_WEIGHT_RIDGE,
     ).x
-    # Paths of samples are sums of few shapes: their products need the shapes' alone, not each path.
-    together = weights.T @ weights
+    # |m - g W D|^2 from m.W, W'W and D: the paths W D of all samples are never formed.
+    gram = weights.T @ weights
     energy = np.einsum("fmc,fmc->m", motion, motion)
-    common, own = np.zeros((markers, samples)), np.zeros(samples)
+    product, sample_energy = np.zeros((markers, samples)), np.zeros(samples)
     for axis in range(3):
-        moves = np.ascontiguousarray(skin_deltas[:, :, axis])
-        common += (motion[:, :, axis].T @ weights) @ moves
-        own += np.einsum("ks,ks->s", moves, together @ moves)
-    gain = np.clip(common / np.maximum(own, 1e-9), *_GAINS)
-    left = energy[:, None] - 2 * gain * common + gain**2 * own
+        deltas = np.ascontiguousarray(skin_deltas[:, :, axis])
+        product += (motion[:, :, axis].T @ weights) @ deltas
+        sample_energy += np.einsum("ks,ks->s", deltas, gram @ deltas)
+    gain = np.clip(product / np.maximum(sample_energy, 1e-9), *_GAINS)
+    residual = energy[:, None] - 2 * gain * product + gain**2 * sample_energy
     noise = 3 * frames * _NOISE_MM**2
-    misfit: FloatArray = (np.maximum(left, 0) + noise) / (energy + noise)[:, None]
+    misfit: FloatArray = (np.maximum(residual, 0) + noise) / (energy + noise)[:, None]
     return misfit
 
 
 def _warp(start: FloatArray, target: FloatArray, variance: FloatArray, size: float) -> FloatArray:
-    """Move points towards targets, smoothly: a Gaussian process over the aligned cloud."""
+    """Move points towards targets by the posterior mean of a Gaussian process over the cloud."""
     distance = cdist(start, start) / (_WARP_LENGTH * size)
     kernel = (_WARP_SIZE * size) ** 2 * np.exp(-0.5 * distance**2)
     pull = np.linalg.solve(kernel + np.diag(variance), target - start)

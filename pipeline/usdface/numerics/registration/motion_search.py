@@ -1,9 +1,9 @@
-"""Where a cloud without speaking labels lies on a face: a search over pitch, size and place.
+"""Placement of a cloud without anatomical labels on a face: search over pitch, scale and shift.
 
-The plane of symmetry leaves pitch, scale, height and depth. Each candidate is scored by the share
-of the markers' motion that the shapes explain at the nearest skin, by how well markers match the
-landmarks at which people put them, and by its size; none of the three is enough. Explained motion
-alone prefers small faces. Closest points slide to wrong ones, 14 to 30 mm off on recorded takes.
+The plane of symmetry leaves pitch, scale, height and depth. A candidate's score is the share of the
+markers' motion that the shapes explain at the nearest skin, the match of markers with landmarks,
+and the plausibility of its size; none is enough alone. Explained motion alone prefers small faces;
+iterative closest points alone end 14 to 30 mm off on recorded takes.
 """
 
 from collections.abc import Callable
@@ -29,29 +29,29 @@ from usdface.numerics.registration.skin_placement import (
 )
 
 LANDMARK_VALUE = 0.4
-"""Explained share that one unit of `LandmarkMatch.score` is worth. As the costs below, chosen on
-performers made of one rig and placed on another, among 0, 0.1 and 0.4, with recorded takes in
-view."""
+"""Explained share per unit of `LandmarkMatch.score`. This and the costs below were chosen on
+performers simulated on one rig and placed on another, among 0, 0.1 and 0.4, and checked on recorded
+takes."""
 
 SIZE_COST = 0.3
-"""Explained share that a face e times too high or too low costs."""
+"""Explained share per unit of |log(height / usual height)|."""
 
 _DISTANCE_COST = 1.5
-"""Explained share that a root mean square distance of the face's size costs."""
+"""Explained share per root mean square distance [of the face's size]."""
 
 _PITCHES_DEGREES = (-30.0, -15.0, 0.0, 15.0, 30.0)
 _SCALES = (0.75, 0.9, 1.05, 1.25)
-"""Times the usual scale."""
+"""[of the usual scale]"""
 
 _HEIGHTS = (-0.6, -0.4, -0.2, 0.0, 0.2, 0.4, 0.6)
-"""Of the face's size."""
+"""[of the face's size]"""
 
 _CLIMBED_COUNT, _REFINED_COUNT = 8, 60
-"""Of the grid's best: those that climb, and those fitted to landmarks, which is fast."""
+"""Best of the grid that are refined by pattern search, and by landmarks, which is faster."""
 _MOST_FITS = 3
-"""Of either kind."""
+"""Candidates returned from either refinement."""
 _SAME_MM = 2.0
-"""Root mean square distance between two fits of a cloud that are one, on an adult's face."""
+"""Root mean square distance below which two fits are the same, on an adult's face."""
 
 _SEARCH_PROPORTION_MM = 8.0
 """Standard deviation of a marker about a fit with one scale, on an adult's face."""
@@ -60,13 +60,15 @@ _USUAL_LEFT = 0.3
 """Share of a recorded take's motion that a rig's shapes leave unexplained at the right place."""
 
 _FARTHEST_MM = 25.0
+"""Distances from the skin are truncated here."""
 _FINEST_DEGREES = 0.8
+"""Step in pitch at which the pattern search ends."""
 _MOST_FRAMES = 30
 
 
 @dataclass(frozen=True)
 class SearchedFit:
-    """A candidate: the levelled cloud looks along +Z (`yaw` 1) or -Z (-1), and is fitted there."""
+    """A candidate: heading of the levelled cloud, +Z (`yaw` 1) or -Z (-1), and its fit."""
 
     score: float
     yaw: float
@@ -87,19 +89,19 @@ def search_by_motion(
     usual_scale: float,
     landmarks: FaceLandmarks,
 ) -> list[SearchedFit]:
-    """Return candidates that differ, the best of each kind first.
+    """Return distinct candidates of either refinement, by score.
 
     Parameters
     ----------
     levelled : (markers, 3) float array
         At rest, its plane of symmetry at x = 0, looking along +Z or -Z [mm].
     motion : (frames, markers, 3) float array
-        Displacements in that space [mm]; some thirty of the frames are used.
+        Displacements in that space [mm]; the first thirty frames are used.
     ranges : (shapes, 2) float array
     usual_scale : float
         Character over performer, from which the search starts.
     """
-    scene = _Search(levelled, skin, motion[:_MOST_FRAMES], ranges, usual_scale, landmarks)
+    search = _Search(levelled, skin, motion[:_MOST_FRAMES], ranges, usual_scale, landmarks)
     grid = [
         np.array([yaw, pitch, scale, height * skin.size_mm, 0.0])
         for yaw in (1.0, -1.0)
@@ -107,27 +109,27 @@ def search_by_motion(
         for scale in _SCALES
         for height in _HEIGHTS
     ]
-    values = [scene.score(x) for x in grid]
+    values = [search.score(x) for x in grid]
     best = np.argsort(values)[::-1]
     steps = np.array([0.0, 7.0, 0.07, 0.1 * skin.size_mm, 0.06 * skin.size_mm])
     climbed = [
-        scene.candidate(x[0], scene.fit_of(x))
+        search.candidate(x[0], search.fit_of(x))
         for x in (
-            _pattern_search(scene.score, grid[i], values[i], steps) for i in best[:_CLIMBED_COUNT]
+            _pattern_search(search.score, grid[i], values[i], steps) for i in best[:_CLIMBED_COUNT]
         )
     ]
     refined = []
     if landmarks.names:
         for i in best[:_REFINED_COUNT]:
             turned = levelled * [grid[i][0], 1.0, grid[i][0]]
-            start = scene.fit_of(grid[i])
+            start = search.fit_of(grid[i])
             fit = refine_fit(turned, landmarks, start, centre_x=skin.sagittal_x)
-            refined.append(scene.candidate(grid[i][0], fit))
-    return [*scene.distinct(climbed), *scene.distinct(refined)]
+            refined.append(search.candidate(grid[i][0], fit))
+    return [*search.distinct(climbed), *search.distinct(refined)]
 
 
 class _Search:
-    """Scores of fits, with what finds neighbours on the skin."""
+    """Scores of candidates, with search trees over the skin."""
 
     def __init__(
         self,
@@ -179,50 +181,44 @@ class _Search:
         )
         return SearchedFit(score, float(yaw), fit)
 
-    def distinct(self, found: list[SearchedFit]) -> list[SearchedFit]:
-        """Return the best of the fits that differ."""
-        kept: list[SearchedFit] = []
-        for each in sorted(found, key=lambda each: -each.score):
-            places = each.fit.apply(self._levelled * each.turn)
-            if all(
-                np.sqrt(
-                    ((other.fit.apply(self._levelled * other.turn) - places) ** 2).sum(1).mean()
-                )
-                > _SAME_MM * self._landmarks.unit
-                for other in kept
-            ):
-                kept.append(each)
-        return kept[:_MOST_FITS]
+    def distinct(self, candidates: list[SearchedFit]) -> list[SearchedFit]:
+        """Return the best candidates that differ from each other, by score."""
+        chosen: list[tuple[SearchedFit, FloatArray]] = []
+        for candidate in sorted(candidates, key=lambda candidate: -candidate.score):
+            places = candidate.fit.apply(self._levelled * candidate.turn)
+            distances = [np.sqrt(((other - places) ** 2).sum(axis=1).mean()) for _, other in chosen]
+            if min(distances, default=np.inf) > _SAME_MM * self._landmarks.unit:
+                chosen.append((candidate, places))
+        return [candidate for candidate, _ in chosen[:_MOST_FITS]]
 
 
 def motion_value(share: float) -> float:
-    """Return what an explained share is worth: the logarithm of what it leaves unexplained.
+    """Return the score of an explained share: the negative logarithm of the unexplained one.
 
-    Its slope is 1 where `_USUAL_LEFT` is left, so that the costs are shares of a usual take's
-    motion; where nearly all is explained, small differences tell more.
+    Scaled to slope 1 at `_USUAL_LEFT`, so that the costs are shares of a usual take's motion.
     """
-    left = 1 - share + MODEL_ERROR_SHARE
-    return -(_USUAL_LEFT + MODEL_ERROR_SHARE) * float(np.log(left))
+    unexplained = 1 - share + MODEL_ERROR_SHARE
+    return -(_USUAL_LEFT + MODEL_ERROR_SHARE) * float(np.log(unexplained))
 
 
 def size_cost(fit: PlaneFit, usual_scale: float) -> float:
-    """Return the explained share that an unlikely height of the face costs."""
+    """Return the cost of an improbable height of the face, as an explained share."""
     return SIZE_COST * abs(float(np.log(fit.scale[1] / usual_scale)))
 
 
 def _pattern_search(
     score: Callable[[FloatArray], float], x: FloatArray, value: float, steps: FloatArray
 ) -> FloatArray:
-    """Climb along the axes, halving the steps where none helps."""
+    """Maximise by coordinate steps, halved where none improves (Hooke and Jeeves 1961)."""
     while steps[1] > _FINEST_DEGREES:
         better = False
         for axis in range(1, len(x)):
             for sign in (1.0, -1.0):
-                tried = x.copy()
-                tried[axis] += sign * steps[axis]
-                reached = score(tried)
-                if reached > value:
-                    x, value, better = tried, reached, True
+                trial = x.copy()
+                trial[axis] += sign * steps[axis]
+                trial_value = score(trial)
+                if trial_value > value:
+                    x, value, better = trial, trial_value, True
                     break
         if not better:
             steps = steps / 2

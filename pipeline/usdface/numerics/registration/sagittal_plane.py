@@ -1,7 +1,6 @@
-"""The plane that a face mirrors itself in, of marker clouds and of surfaces.
+"""The sagittal plane, about which a face is symmetric, of a marker cloud.
 
-With the plane known, roll and yaw of a head are known too, and half of the unknowns of a placement
-are gone before anything is compared.
+It determines roll and yaw of the head, half of the unknowns of a placement.
 """
 
 from dataclasses import dataclass
@@ -18,10 +17,10 @@ _FEWEST_PAIRS = 3
 _YAWS_DEGREES = np.arange(0, 180, 6)
 _ROLLS_DEGREES = (-16, -8, 0, 8, 16)
 _TOLERANCE_SHARE = 0.12
-"""Of the cloud's root mean square radius: mirrored markers further apart than this are no pair."""
+"""[of the cloud's root mean square radius] Largest distance between a marker and its partner."""
 
 _MIDDLE_WEIGHT = 0.5
-"""A marker on the plane tells its offset alone; a pair tells its direction too."""
+"""Of a marker on the plane, against 1 of a mirrored pair."""
 
 
 @dataclass(frozen=True)
@@ -29,8 +28,7 @@ class SagittalPlane:
     """Points x of the plane satisfy ``normal @ x == offset``."""
 
     normal: FloatArray
-    """(3,): unit vector. Towards the performer's left where labels name sides, else to either
-    side."""
+    """(3,): unit vector, towards the performer's left if labels name sides, else either side."""
     offset: float
     """[mm]"""
     deviation_mm: float
@@ -58,8 +56,8 @@ def plane_of_pairs(
     """Fit the plane that mirrors left points onto right ones, robustly.
 
     Minimises the sum of ``w |x_right - mirror(x_left)|^2`` over pairs and ``w (n @ x - d)^2`` over
-    points on the plane: the normal is the eigenvector of the least eigenvalue of the spread of
-    the pairs' midpoints less a quarter of that of their differences. Weights are Cauchy's.
+    points on the plane, with Cauchy weights: the normal is the eigenvector of the least eigenvalue
+    of the pairs' midpoints' scatter less a quarter of their differences'.
 
     Parameters
     ----------
@@ -89,17 +87,17 @@ def plane_of_pairs(
         plane = SagittalPlane(normal, float(normal @ mean), 0.0)
         away = np.linalg.norm(right - plane.mirrored(left), axis=1)
         plane = SagittalPlane(normal, plane.offset, float(np.median(away)))
-        scale = 1.5 * plane.deviation_mm + 0.5  # [mm], never below what markers are known to
+        scale = 1.5 * plane.deviation_mm + 0.5  # [mm], at least the accuracy of markers
         pair_weight = 1 / (1 + (away / scale) ** 2)
         middle_weight = 1 / (1 + ((on_plane @ normal - plane.offset) / (scale / 2)) ** 2)
     return plane
 
 
 def plane_by_reflection(points: FloatArray) -> SagittalPlane:
-    """Find the plane about which a cloud falls best onto itself, without labels.
+    """Find the plane of symmetry of a cloud without labels.
 
-    Normals within 16 degrees of level are searched in steps and refined from the best by pairing
-    each point with its mirror image, one to one.
+    A grid of normals within 16 degrees of level is refined by nearest mirror images, and the best
+    of these by one-to-one assignment.
 
     Parameters
     ----------
@@ -120,7 +118,7 @@ def plane_by_reflection(points: FloatArray) -> SagittalPlane:
     for _ in range(10):
         if best is None:
             break
-        pairs = _one_to_one(points, best, tolerance)
+        pairs = _assigned_pairs(points, best, tolerance)
         if len(pairs) < _FEWEST_PAIRS:
             best = None
             break
@@ -142,8 +140,8 @@ def _nearest_refined(
     for _ in range(3):
         away, near = tree.query(plane.mirrored(points))
         cost = float(np.minimum((away / tolerance) ** 2, 1).mean())
-        ones = np.flatnonzero(away < tolerance)
-        pairs = np.stack([ones, np.asarray(near)[ones]], axis=1)
+        paired = np.flatnonzero(away < tolerance)
+        pairs = np.stack([paired, np.asarray(near)[paired]], axis=1)
         pairs = _left_first(points, pairs[pairs[:, 0] != pairs[:, 1]], plane)
         if len(pairs) < _FEWEST_PAIRS + 1:
             break
@@ -151,11 +149,11 @@ def _nearest_refined(
     return cost, plane
 
 
-def _one_to_one(points: FloatArray, plane: SagittalPlane, tolerance: float) -> IntArray:
+def _assigned_pairs(points: FloatArray, plane: SagittalPlane, tolerance: float) -> IntArray:
     cost = np.minimum((cdist(plane.mirrored(points), points) / tolerance) ** 2, 1)
-    own, partner = linear_sum_assignment(cost)
-    good = (cost[own, partner] < 1) & (own != partner)
-    return _left_first(points, np.stack([own, partner], axis=1)[good], plane)
+    point, partner = linear_sum_assignment(cost)
+    good = (cost[point, partner] < 1) & (point != partner)
+    return _left_first(points, np.stack([point, partner], axis=1)[good], plane)
 
 
 def _left_first(points: FloatArray, pairs: IntArray, plane: SagittalPlane) -> IntArray:

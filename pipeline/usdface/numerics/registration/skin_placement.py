@@ -1,13 +1,13 @@
-"""Put a levelled marker cloud on a face's skin: landmarks, skin and motion pull, a warp binds.
+"""Place a levelled marker cloud on the skin of a face, by landmarks, skin and motion.
 
-All positions are in the face's frame (`face_skin`). Each marker's place x is drawn by
+All positions are in the face's frame (`face_skin`). The place of each marker has these priors:
 
-* its landmark, Gaussian with the spread of such markers, Cauchy beyond 2.5 spreads;
-* the skin, hard along its normal and hardly along the skin;
-* its motion: what the shapes, solved from all markers where they are now, would do nearby,
+* its landmark, with the standard deviation of such markers and Cauchy tails beyond 2.5 of them;
+* the skin: small variance along its normal, large along the skin;
+* its motion: likelihood of its path under the shapes, solved from all markers at their places.
 
-and the field of pulls is smoothed by a Gaussian process whose kernel is mostly mirror-symmetric, so
-that differing proportions are warped away and single markers cannot run.
+Their product is smoothed by a Gaussian process whose kernel is mostly mirror-symmetric. It models
+differing proportions, and keeps single markers near the others.
 """
 
 from collections.abc import Sequence
@@ -28,49 +28,52 @@ TYPICAL_SIZE_MM = 55.0
 """Root mean square radius of an adult's moving face: lengths in mm below are on such a face."""
 
 _REACHES_MM = (14.0, 12.0, 10.0, 9.0, 8.0, 7.0, 6.0, 5.5, 5.0, 4.5, 4.0, 4.0)
-"""How far from its place a marker looks for skin that moves as it does, round by round."""
+"""Standard deviation of a marker about its place in the search by motion, round by round."""
 
 _CENTRAL_MM = 4.0
+"""Markers this close to the performer's plane of symmetry are central."""
 _CENTRAL_SPREAD_MM = 2.0
+"""Standard deviation of central markers from the character's plane of symmetry."""
 _MIDDLE_LABEL_SPREAD_MM = 4.0
-"""A marker this close to the performer's plane of symmetry lies as close to the character's; one
-whose label says that it is in the middle was meant to be there, and is a little off."""
+"""The same of markers that are central by their label."""
 
 _SETTLE_REACH_MM = 3.5
 _SETTLE_LIMIT = 2.5
-"""Standard deviation of a marker's place after the warp, and how many of them it may lie off."""
+"""Standard deviation of a marker's sample from its warped place, and its largest multiple."""
 
 _NORMAL_SPREAD_MM = 1.5
+"""Standard deviation from the skin along its normal: the height of a marker."""
 _SLIDE_SPREAD_MM = 30.0
-"""Along its normal the skin is known to a marker's height; along itself it says nothing."""
+"""Standard deviation along the skin."""
 
 _WARP_LENGTH = 1.0
+"""[of the face's size] Length scale of the warp."""
 _WARP_SHARE = 0.13
+"""[of the face's size] Standard deviation of the warp."""
 _ASYMMETRIC_SHARE = 0.35
-"""Of the face's size: the length over which proportions differ between faces, and by how much;
-and the share of the warp's variance that is not mirror-symmetric."""
+"""Share of the warp's variance that is not mirror-symmetric."""
 
 _EVIDENCE_FRAMES = 6.0
-"""Independent samples that a path counts for: frames repeat each other."""
+"""Effective number of independent samples of a path, whose frames are correlated."""
 
 _NOISE_MM = 0.5
 MODEL_ERROR_SHARE = 0.06
-"""Of a path's energy, which no correct place explains either."""
+"""[of a path's energy] Left unexplained by correct places too."""
 
 _GAIN_LIMITS = (0.5, 2.0)
-"""How much less or more far than the shapes a performer's skin may go."""
+"""Limits of the amplitude of a performer's skin over that of the shapes."""
 
 _RIDGE_MM2 = 25.0
 """(1.5 mm of noise / typical weight 0.3)^2."""
 
 _NEAR_STEPS = 60
-"""From the weights of the round before."""
+"""Iterations from the weights of the previous round."""
 
 _FEWEST_LANDMARKS = 6
-"""With fewer the cloud is placed by motion from the first round on."""
+"""With fewer, motion counts from the first round on, else from the fourth."""
 
 _AXES_HELD = 0.35
-"""Pseudo-observations, as a share of the cloud's energy, that hold each axis to the mean scale."""
+"""[of the cloud's energy] Ridge of each axis' scale towards the common scale."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +81,7 @@ class PlaneFit:
     """``aligned = scale * (levelled @ rotation.T) + shift``."""
 
     rotation: FloatArray
-    """(3, 3): pitch alone: about the X axis."""
+    """(3, 3): about the X axis (pitch)."""
     scale: FloatArray
     """(3,): character over performer, along the face's axes."""
     shift: FloatArray
@@ -91,29 +94,29 @@ class PlaneFit:
 
 @dataclass(frozen=True)
 class KnownPlace:
-    """Where the middle of some markers belongs, often of a single one."""
+    """Prior of the centroid of some markers, often of a single one."""
 
     markers: tuple[int, ...]
     place: FloatArray
     """(3,) [mm]"""
     spread_mm: float
-    """Standard deviation of the middle about the place."""
+    """Standard deviation of the centroid about the place."""
 
     def step(self, positions: FloatArray) -> FloatArray:
-        """Return how far the middle of these markers is from its place: (3,) [mm]."""
+        """Return the vector from the centroid of these markers to its place: (3,) [mm]."""
         return np.asarray(self.place - positions[list(self.markers)].mean(axis=0))
 
 
 @dataclass(frozen=True)
 class SkinPlacement:
-    """Where each marker was put."""
+    """Places of markers on the skin."""
 
     samples: IntArray
-    """(markers,): of the skin."""
+    """(markers,): index of the skin sample."""
     warped: FloatArray
-    """(markers, 3): before a sample was chosen [mm]."""
+    """(markers, 3): after the warp, before a sample is chosen [mm]."""
     fit: PlaneFit
-    """What the warp started from."""
+    """Initial fit of the warp."""
 
 
 def fit_in_plane(
@@ -180,16 +183,16 @@ def place_on_skin(
     levelled : (markers, 3) float array
         At rest, the plane of symmetry at x = 0 [mm].
     fit : PlaneFit
-        Where the cloud lies to begin with.
+        Initial fit.
     landmarks : sequence of KnownPlace
-        The markers of one keep their places to each other, and count as a single one.
+        The markers of one are moved together, and weigh as a single marker.
     motion : (frames, markers, 3) float array, optional
-        Displacements in the levelled space, of frames that differ [mm].
+        Displacements in the levelled space, of distinct frames [mm].
     ranges : (shapes, 2) float array
     still : (markers,) bool array
-        Markers whose motion says nothing: of the skull, or never seen.
+        Markers whose motion is ignored: on the skull, or never visible.
     middle : sequence of int
-        Markers whose label says that they lie in the plane of symmetry.
+        Markers in the plane of symmetry according to their labels.
     """
     unit = skin.size_mm / TYPICAL_SIZE_MM
     aligned = fit.apply(levelled)
@@ -205,21 +208,21 @@ def place_on_skin(
     central = 1 / (across * unit) ** 2
     for number, reach in enumerate(_REACHES_MM):
         away, near = map(np.asarray, tree.query(warped))
-        precision, target = _skin_pull(skin, warped, near, away, reach * unit, unit)
+        precision, target = _place_by_skin(skin, warped, near, away, reach * unit, unit)
         precision[:, 0] += central
         target[:, 0] += central * skin.sagittal_x
         for known in landmarks:
             rows, step = list(known.markers), known.step(warped)
-            off = float(np.linalg.norm(step)) / (2.5 * known.spread_mm)
-            pull = 1 / (len(rows) * known.spread_mm**2) / (1 + off**2)
-            precision[rows] += pull
-            target[rows] += pull * (warped[rows] + step)
+            deviations = float(np.linalg.norm(step)) / (2.5 * known.spread_mm)
+            landmark_precision = 1 / (len(rows) * known.spread_mm**2) / (1 + deviations**2)
+            precision[rows] += landmark_precision
+            target[rows] += landmark_precision * (warped[rows] + step)
         if paths is not None and (number >= 3 or not named):
             weights = solve_weights_at(skin, near, paths, ranges, start=weights)
             misfit = _path_misfit(skin, weights, paths)
-            by_motion, firm = _motion_pull(skin, warped, misfit, still, reach * unit)
-            precision += firm[:, None]
-            target += firm[:, None] * by_motion
+            place, motion_precision = _place_by_motion(skin, warped, misfit, still, reach * unit)
+            precision += motion_precision[:, None]
+            target += motion_precision[:, None] * place
         warped = _warp(aligned, target / precision, precision, skin)
     samples = np.asarray(tree.query(warped)[1])
     if paths is not None:
@@ -237,8 +240,8 @@ def place_on_skin(
 def in_character(motion: FloatArray, fit: PlaneFit) -> FloatArray:
     """Return displacements in the character's frame, all axes scaled alike.
 
-    Depth is left out of the scale: it is told by the shape of a face alone, and no guide to how far
-    its skin moves.
+    By the geometric mean of width and height: the depth of a face does not predict the amplitude
+    of its motion.
     """
     return np.asarray(np.sqrt(fit.scale[0] * fit.scale[1]) * (motion @ fit.rotation.T))
 
@@ -246,18 +249,18 @@ def in_character(motion: FloatArray, fit: PlaneFit) -> FloatArray:
 def explained_share(
     skin: FaceSkin, samples: IntArray, paths: FloatArray, weights: FloatArray
 ) -> float:
-    """Return how much of the markers' motion weights explain at their samples.
+    """Return the share of the markers' motion that weights explain at their samples.
 
-    The mean over markers of the share of each path's energy, weighted by its root; 0 where nothing
-    moves.
+    The mean over markers of the explained share of each path's energy, weighted by the root of
+    the energy; 0 if nothing moves.
     """
     if not paths.any():
         return 0.0
     predicted = np.einsum("fk,kmc->fmc", weights, skin.deltas[:, samples], optimize=True)
-    left = ((paths - predicted) ** 2).sum(axis=(0, 2))
+    residual = ((paths - predicted) ** 2).sum(axis=(0, 2))
     energy = (paths**2).sum(axis=(0, 2))
     noise = 3 * len(paths) * _NOISE_MM**2
-    share = np.clip(1 - (left + noise) / (energy + noise), -1, 1)
+    share = np.clip(1 - (residual + noise) / (energy + noise), -1, 1)
     weight = np.sqrt(energy)
     return float(weight @ share / weight.sum())
 
@@ -270,12 +273,12 @@ def solve_weights_at(
     *,
     start: FloatArray | None = None,
 ) -> FloatArray:
-    """Return weights within their ranges from markers' displacements: (frames, shapes).
+    """Solve weights within their ranges from markers' displacements: (frames, shapes).
 
     Parameters
     ----------
     start : (frames, shapes) float array, optional
-        Weights at samples nearby: these are followed to the solution, to some 0.01 mm of motion.
+        Weights at nearby samples: start of an iteration that ends within some 0.01 mm of motion.
     """
     deltas = skin.deltas[:, samples].reshape(len(skin.deltas), -1)
     flat = paths.reshape(len(paths), -1)
@@ -296,28 +299,28 @@ def solve_weights_at(
     ).astype(np.float64)
 
 
-def _skin_pull(
+def _place_by_skin(
     skin: FaceSkin, warped: FloatArray, near: IntArray, away: FloatArray, reach: float, unit: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return the precision per axis, and precision times place, of the nearest skin."""
     normal = skin.normals[near]
-    firm = 1 / (_NORMAL_SPREAD_MM * unit) ** 2 / (1 + (away / reach) ** 2)
-    precision = normal**2 * firm[:, None] + 1 / (_SLIDE_SPREAD_MM * unit) ** 2
+    along_normal = 1 / (_NORMAL_SPREAD_MM * unit) ** 2 / (1 + (away / reach) ** 2)
+    precision = normal**2 * along_normal[:, None] + 1 / (_SLIDE_SPREAD_MM * unit) ** 2
     height = ((skin.positions[near] - warped) * normal).sum(axis=1, keepdims=True)
     return precision, precision * (warped + height * normal)
 
 
-def _motion_pull(
+def _place_by_motion(
     skin: FaceSkin,
     warped: FloatArray,
     misfit: FloatArray,
     still: BoolArray,
     reach: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return where motion alone puts each marker, and with what precision.
+    """Return each marker's place by motion alone, and its precision.
 
-    The belief after seeing the motion divided by the belief before it: a marker that hardly moves
-    says nothing, rather than "the middle of what is near".
+    The Gaussian likelihood, as posterior over prior: its precision is near 0 for a marker that
+    hardly moves.
     """
     before = cdist(warped, skin.positions, "sqeuclidean") / (2 * reach**2)
     cost = before + _EVIDENCE_FRAMES / 2 * np.log(misfit + MODEL_ERROR_SHARE)
@@ -333,32 +336,32 @@ def _motion_pull(
 
 
 def belief_moments(cost: FloatArray, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return mean and variance per axis of beliefs ``exp(-cost)`` over samples."""
-    belief = np.exp(cost.min(axis=1, keepdims=True) - cost)
-    belief /= belief.sum(axis=1, keepdims=True)
-    mean = belief @ positions
-    spread = belief @ (positions**2).sum(axis=1) - (mean**2).sum(axis=1)
-    return mean, np.maximum(spread, 1e-9) / 3
+    """Return mean and variance per axis of distributions ``exp(-cost)`` over samples."""
+    probability = np.exp(cost.min(axis=1, keepdims=True) - cost)
+    probability /= probability.sum(axis=1, keepdims=True)
+    mean = probability @ positions
+    variance = probability @ (positions**2).sum(axis=1) - (mean**2).sum(axis=1)
+    return mean, np.maximum(variance, 1e-9) / 3
 
 
 def _path_misfit(skin: FaceSkin, weights: FloatArray, paths: FloatArray) -> FloatArray:
     """Return the share of each marker's path that each sample leaves unexplained.
 
-    A path may be longer or shorter than the shapes': its own gain is fitted within limits.
+    The amplitude (gain) of each path is fitted within limits.
     """
-    # Orthonormal times root: no longer than weights, with no more rows than shapes.
+    # W = QR: products need R alone, which has no more rows than there are shapes.
     basis, root = np.linalg.qr(weights)
     energy = (paths**2).sum(axis=(0, 2))
     count = len(skin.positions)
-    common, own = np.zeros((paths.shape[1], count)), np.zeros(count)
+    product, sample_energy = np.zeros((paths.shape[1], count)), np.zeros(count)
     for axis in range(3):
         moves = root @ skin.deltas[:, :, axis]
-        common += (paths[:, :, axis].T @ basis) @ moves
-        own += np.einsum("rs,rs->s", moves, moves)
-    gain = np.clip(common / np.maximum(own, 1e-9), *_GAIN_LIMITS)
-    left = np.maximum(energy[:, None] - 2 * gain * common + gain**2 * own, 0)
+        product += (paths[:, :, axis].T @ basis) @ moves
+        sample_energy += np.einsum("rs,rs->s", moves, moves)
+    gain = np.clip(product / np.maximum(sample_energy, 1e-9), *_GAIN_LIMITS)
+    residual = np.maximum(energy[:, None] - 2 * gain * product + gain**2 * sample_energy, 0)
     noise = 3 * len(paths) * _NOISE_MM**2
-    return np.asarray((left + noise) / (energy + noise)[:, None])
+    return np.asarray((residual + noise) / (energy + noise)[:, None])
 
 
 def _settle(
@@ -369,7 +372,7 @@ def _settle(
     ranges: FloatArray,
     still: BoolArray,
 ) -> IntArray:
-    """Choose last between samples near the warped place: where it is and how it moves together."""
+    """Choose the sample near the warped place with the largest posterior of place and motion."""
     misfit = _path_misfit(skin, solve_weights_at(skin, samples, paths, ranges), paths)
     misfit[still] = 1.0
     cost = prior + _EVIDENCE_FRAMES / 2 * np.log(misfit + MODEL_ERROR_SHARE)
@@ -379,10 +382,10 @@ def _settle(
 def _warp(
     start: FloatArray, target: FloatArray, precision: FloatArray, skin: FaceSkin
 ) -> FloatArray:
-    """Move points towards targets by a Gaussian process over the cloud, mostly mirror-symmetric.
+    """Move points towards targets by the posterior mean of a Gaussian process over the cloud.
 
-    A symmetric field has ``x`` displacements of opposite sign on the two sides, and equal ones
-    along the other axes.
+    Its kernel is mostly mirror-symmetric: ``x`` displacements have opposite signs on the two
+    sides, the others are equal.
     """
     length, variance = _WARP_LENGTH * skin.size_mm, (_WARP_SHARE * skin.size_mm) ** 2
     same = np.exp(-0.5 * cdist(start, start, "sqeuclidean") / length**2)

@@ -1,7 +1,6 @@
-"""Places on a polygon mesh: a face and how much each of its corners counts.
+"""Places on a polygon mesh: a face, and a weight for each of its corners.
 
-The weights of a place are one per corner of its polygon, so that a quad's place means the same
-whichever way the quad is cut into triangles, and a person can read and write it.
+With one weight per corner of the polygon, a place does not depend on the triangulation.
 """
 
 from dataclasses import dataclass
@@ -15,25 +14,24 @@ from usdface.numerics.surface.triangulation import triangulate
 
 @dataclass(frozen=True)
 class SurfacePlaces:
-    """Points on a mesh that stay on it however it deforms."""
+    """Points on a mesh that follow its deformation."""
 
     faces: IntArray
     """(places,): polygon of each place."""
     corners: IntArray
-    """(places, 3): the three points of the polygon that carry it."""
+    """(places, 3): three points of the polygon."""
     weights: FloatArray
     """(places, 3): barycentric, sum 1."""
 
     def positions(self, points: FloatArray) -> FloatArray:
-        """Return where the places are: (places, 3) float array, in the points' unit."""
-        on_surface: FloatArray = np.einsum("pk,pkc->pc", self.weights, points[self.corners])
-        return on_surface
+        """Return the positions of the places: (places, 3), in the points' unit."""
+        return np.asarray(np.einsum("pk,pkc->pc", self.weights, points[self.corners]))
 
 
 def places_at_points(
     face_counts: IntArray, face_indices: IntArray, chosen: IntArray
 ) -> SurfacePlaces:
-    """Return the places of points of the mesh, each on the first face that has it.
+    """Return the places of points of the mesh, each on the first face that uses it.
 
     Parameters
     ----------
@@ -98,7 +96,7 @@ def nearest_places(
     weights = np.zeros((len(wanted), 3))
     corners = points[triangles]
     middles = corners.mean(axis=1)
-    # No surface is further than the nearest corner: only triangles that reach so far can win.
+    # The surface is no farther than the nearest corner, which bounds the candidate triangles.
     reach = float(np.sqrt(((corners - middles[:, None]) ** 2).sum(axis=2).max()))
     bound, _ = KDTree(points[np.unique(triangles)]).query(wanted)
     found = KDTree(middles).query_ball_point(wanted, bound + reach + 1e-9)
@@ -133,9 +131,9 @@ def place_on_polygon(
     face: int,
     weights: FloatArray,
 ) -> SurfacePlaces:
-    """Return the one place that weights over a polygon's corners name.
+    """Return the place with given weights over a polygon's corners.
 
-    Weights over more than three corners are brought onto the polygon's triangles.
+    Weights over more than three corners are projected to the polygon's triangles.
     """
     if not 0 <= face < len(face_counts):
         raise ValueError(f"there is no face {face}; the mesh has {len(face_counts)}")
@@ -160,9 +158,9 @@ def place_on_polygon(
 def _closest_on_triangles(
     triangles: FloatArray, wanted: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return barycentric weights (places, triangles, 3) and squared distances of the closest.
+    """Return barycentric weights (places, triangles, 3) and squared distances of closest points.
 
-    The plane's foot where it lies inside, else the closest of the feet on the three sides.
+    The projection to the plane where it lies inside, else the closest of those to the three sides.
     """
     a, b, c = (triangles[:, i] for i in range(3))
     ab, ac = b - a, c - a

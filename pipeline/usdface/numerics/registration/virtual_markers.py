@@ -1,6 +1,6 @@
-"""Virtual markers: points of a character's surface that move as a performer's markers should.
+"""Virtual markers: points of a character's surface that correspond to a performer's markers.
 
-Deng et al. picked them by hand, vertex by vertex; `model.placement` finds them.
+Deng et al. (2006) chose vertices by hand; `model.placement` places them automatically.
 """
 
 from dataclasses import dataclass
@@ -16,37 +16,37 @@ Offsets = ArrayLike | sparse.sparray
 
 @dataclass(frozen=True)
 class VirtualMarkers:
-    """Markers of a performer glued to a character's surface.
+    """A performer's markers on a character's surface.
 
-    ``motion_scale * (moved @ rotation.T)`` brings the performer's displacements onto the
+    ``motion_scale * (displacements @ rotation.T)`` maps the performer's displacements to the
     character.
     """
 
     points: IntArray
-    """(markers, 3): the three points of the surface that carry each marker."""
+    """(markers, 3): three points of the surface for each marker."""
     weights: FloatArray
-    """(markers, 3): their shares, sum 1."""
+    """(markers, 3): barycentric, sum 1."""
     motion_scale: float
-    """How far the character's skin goes over how far the performer's goes. One number: how deep a
-    face is, compared with its width, is no guide to how far its skin moves."""
+    """Amplitude of the character's motion over the performer's. One number for all axes: the depth
+    of a face does not predict the amplitude of its motion."""
     rotation: FloatArray
-    """(3, 3): from the performer's space to the character's; proper, so left stays left."""
+    """(3, 3): from the performer's space to the character's; proper, determinant +1."""
     distance_mm: FloatArray
-    """(markers,): between the aligned marker and the place found for it: differing proportions, or
-    a marker that is not on the face."""
+    """(markers,): between the aligned marker and its place: differing proportions, or a marker that
+    is not on the face."""
 
     def places(self, surface: FloatArray) -> FloatArray:
-        """Return where the markers are on a surface's points: (markers, 3)."""
+        """Return the positions of the markers for given points of the surface: (markers, 3)."""
         return np.asarray(np.einsum("mk,mkc->mc", self.weights, surface[self.points]))
 
 
 def marker_deltas(virtual: VirtualMarkers, offsets: Offsets) -> FloatArray:
-    """Return what each shape, or key of a shape, does to the virtual markers: (shapes, markers, 3).
+    """Return displacements of the markers by each shape, or key of a shape: (shapes, markers, 3).
 
     Parameters
     ----------
     offsets : (shapes, points, 3) array or (shapes, 3 * points) sparse array
-        Of the surface that the markers were placed on.
+        Of the surface on which the markers were placed.
     """
     return deltas_at(sparse_offsets(offsets), virtual.points, virtual.weights)
 
@@ -66,7 +66,7 @@ def character_motion(
     Returns
     -------
     (frames, markers, 3) float array
-        What the blendshape equation has on its left side [mm].
+        Left side of the blendshape equation [mm].
     """
     moved = np.asarray(positions, float) - np.asarray(neutral, float)
     return np.asarray(virtual.motion_scale * (moved @ virtual.rotation.T), float)
@@ -92,7 +92,7 @@ def sparse_offsets(offsets: Offsets, *, point_count: int | None = None) -> spars
 
 
 def deltas_at(matrix: sparse.csc_array, corners: IntArray, weights: FloatArray) -> FloatArray:
-    """Return the shapes at points inside triangles, without spreading them: (shapes, n, 3).
+    """Return the shapes' offsets at points inside triangles, by a sparse product: (shapes, n, 3).
 
     Parameters
     ----------
