@@ -148,7 +148,7 @@ def test_eased_weights_are_symmetric_and_full_in_the_middle():
         (-1, 20, 1.0, "does not fit"),
         (10, 200, 1.0, "does not fit"),
         (10, 5, -1.0, "none negative"),
-        (10, 5, 0.0, "asks for nothing"),
+        (10, 5, 0.0, "has no effect"),
         (10, 5, math.inf, "not finite"),
         (10, 0, 1.0, "keys"),
     ],

@@ -1,12 +1,11 @@
-"""Curves as animators edit them: fewer keys with lines between them, and changes on top.
+"""Reduction of curves to few keys with lines between them, and edits layered over solved curves.
 
-`reduce_keys` chooses few, for animators who edit keys; `sparse_rows` is quick, for files.
+`reduce_keys` chooses fewer keys, for animators; `sparse_rows` is faster, for files.
 
-Edits lie on top of a solved curve, so that they outlive the solve. With offset *e*, override *o*
-and mask *m*, the solved weight *s* becomes ``(1 - m) s + m o + e``. Each change is folded in so
-that the last one wins where it is at full strength, and blends in its fades: adding *a* gives
-``w + n a``, overriding with *v* gives ``(1 - n) w + n v``, clearing ``(1 - n) w + n s``, where *w*
-is the edited weight before and *n* the new change's own mask.
+Edits are stored apart from the solve, so that they survive a new one. With offset *e*, override *o*
+and mask *m*, the solved weight *s* becomes ``(1 - m) s + m o + e``. A new edit with mask *n* is
+composed with the edited weight *w* before it: adding *a* gives ``w + n a``, overriding with *v*
+gives ``(1 - n) w + n v``, and clearing gives ``(1 - n) w + n s``.
 """
 
 from collections.abc import Callable
@@ -17,40 +16,39 @@ import numpy as np
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 
 _LEAST_CHANGE = 1e-6
-"""A smaller change is none: single precision, in which weights are kept, ends there."""
+"""Smaller changes of a weight are ignored: single precision, in which weights are stored."""
 
 
 @dataclass(frozen=True)
 class EditCurve:
-    """What an animator changed of one shape, frame by frame."""
+    """Edits of one shape, frame by frame."""
 
     offset: FloatArray
     """(frames,): added to the weight."""
     override: FloatArray
-    """(frames,): replaces the solved weight by the share `mask`; anything where `mask` is 0."""
+    """(frames,): replaces the solved weight by the share `mask`; arbitrary where `mask` is 0."""
     mask: FloatArray
     """(frames,) [0-1]"""
 
     @property
     def active(self) -> BoolArray:
-        """Frames at which anything is changed."""
+        """Frames with a change."""
         changed: BoolArray = (np.abs(self.offset) > _LEAST_CHANGE) | (self.mask > _LEAST_CHANGE)
         return changed
 
 
 def no_edit(frames: int) -> EditCurve:
-    """Return a curve that changes nothing over so many frames."""
+    """Return an edit without any change, over a number of frames."""
     return EditCurve(np.zeros(frames), np.zeros(frames), np.zeros(frames))
 
 
 def apply_edit(solved: FloatArray, edit: EditCurve) -> FloatArray:
     """Return the edited weights of one shape, (frames,)."""
-    edited: FloatArray = (1 - edit.mask) * solved + edit.mask * edit.override + edit.offset
-    return edited
+    return np.asarray((1 - edit.mask) * solved + edit.mask * edit.override + edit.offset)
 
 
 def fade_mask(frames: IntArray, first: int, last: int, *, fade: int = 0) -> FloatArray:
-    """Return 1 from `first` to `last`, and an ease from and to 0 outside.
+    """Return 1 from `first` to `last`, with half a cosine from and to 0 outside.
 
     Parameters
     ----------
@@ -59,22 +57,21 @@ def fade_mask(frames: IntArray, first: int, last: int, *, fade: int = 0) -> Floa
     first, last : int
         Inclusive.
     fade : int
-        Frames on either side that are blended by half a cosine; at 0 the change is hard.
+        Length of the half cosine on either side [frames].
     """
     if last < first or fade < 0:
         raise ValueError(f"frames {first}-{last} with a fade of {fade} are no range")
     away = np.maximum(np.maximum(first - frames, frames - last), 0)
-    eased: FloatArray = 0.5 + 0.5 * np.cos(np.pi * np.minimum(away / (fade + 1), 1.0))
-    return eased
+    return np.asarray(0.5 + 0.5 * np.cos(np.pi * np.minimum(away / (fade + 1), 1.0)))
 
 
 def add_to_edit(edit: EditCurve, value: float | FloatArray, mask: FloatArray) -> EditCurve:
-    """Fold in: `mask` times `value` is added."""
+    """Return the edit with `mask` times `value` added."""
     return EditCurve(edit.offset + mask * value, edit.override, edit.mask)
 
 
 def override_edit(edit: EditCurve, value: float | FloatArray, mask: FloatArray) -> EditCurve:
-    """Fold in: the weight is `value` by the share `mask`, whatever was there."""
+    """Return the edit with the weight replaced by `value`, by the share `mask`."""
     earlier = (1 - mask) * edit.mask
     total = mask + earlier
     shown = mask * value + earlier * edit.override
@@ -83,14 +80,14 @@ def override_edit(edit: EditCurve, value: float | FloatArray, mask: FloatArray) 
 
 
 def clear_edit(edit: EditCurve, mask: FloatArray) -> EditCurve:
-    """Fold in: the solve shows again by the share `mask`."""
+    """Return the edit with the solve restored, by the share `mask`."""
     return EditCurve((1 - mask) * edit.offset, edit.override, (1 - mask) * edit.mask)
 
 
 def needed_samples(values: FloatArray) -> BoolArray:
-    """Return which samples a curve needs that is held and interpolated linearly between them.
+    """Return the samples that a linearly interpolated curve needs: all but those inside runs.
 
-    Inside a run of equal values none is needed: only its ends. A curve of one value needs one.
+    A constant curve needs one.
     """
     needed = np.ones(len(values), dtype=bool)
     if len(values) > 2:
@@ -101,34 +98,30 @@ def needed_samples(values: FloatArray) -> BoolArray:
 
 
 Deviation = Callable[[slice, FloatArray], FloatArray]
-"""Called with a range of frames and weights for them, (frames, shapes); returns how far these are
-from the true ones, (frames,)."""
+"""Called with a range of frames and interpolated weights (frames, shapes); returns their errors
+(frames,)."""
 _SPAN_FRAMES = 64
-"""Longest stretch that `sparse_rows` spans by one line. Stretches are reduced one by one, so the
-rows chosen of one depend on nothing around it."""
+"""Longest line of `sparse_rows`. Spans are reduced independently of each other."""
 
 
 def reduce_keys(
     weights: FloatArray, tolerance: float, *, deviation: Deviation | None = None
 ) -> IntArray:
-    """Choose the frames to keep so that lines between them stay within a tolerance.
-
-    From the first frame to the last a line is drawn; the frame it misses by most is chosen and the
-    two halves are looked at in turn, until none is missed by more than the tolerance.
+    """Choose keys by the Ramer-Douglas-Peucker algorithm: lines between them meet a tolerance.
 
     Parameters
     ----------
     weights : (frames, shapes) float array
-        One array of weights is one key, as in a SkelAnimation: all shapes share their keys.
+        All shapes share their keys, as in a SkelAnimation.
     tolerance : float
-        Most that any frame may be off, in the unit of `deviation`.
+        Largest error of a frame, in the unit of `deviation`.
     deviation : callable, optional
-        The largest difference of any weight by default.
+        By default the largest difference of any weight.
 
     Returns
     -------
     (keys,) int array
-        Rows of `weights`, ascending, the first and the last among them; none of none.
+        Rows of `weights`, ascending, with the first and the last.
 
     References
     ----------
@@ -171,23 +164,22 @@ def _line_between(weights: FloatArray, first: int, last: int) -> FloatArray:
 
 
 def sparse_rows(values: Float32Array | FloatArray, tolerance: float) -> IntArray:
-    """Choose rows so that lines between them meet all others within a tolerance.
+    """Choose rows by bisection, so that lines between them meet all others within a tolerance.
 
-    Quicker than `reduce_keys`, which chooses fewer. A stretch that the line between its two ends
-    misses is halved, and its halves are looked at in turn: all
-    stretches of one length at once, so that the cost of a frame is that of a few sums.
+    Faster than `reduce_keys`, which chooses fewer. A span whose line misses a row is halved, and so
+    on: all spans of one length at once.
 
     Parameters
     ----------
     values : (frames, columns) float array
-        Looked at in single precision, as USD keeps them.
+        Compared in single precision, in which USD stores them.
     tolerance : float
-        Most that any value may be off, in the unit of the values.
+        Largest error of a value.
 
     Returns
     -------
     (n,) int array
-        Ascending, the first and the last among them.
+        Ascending, with the first and the last.
     """
     rows = np.asarray(values, dtype=np.float32)
     count = len(rows)
@@ -198,7 +190,7 @@ def sparse_rows(values: Float32Array | FloatArray, tolerance: float) -> IntArray
     if whole:
         _halve(rows, np.arange(whole) * _SPAN_FRAMES, _SPAN_FRAMES, tolerance, chosen)
     start, span = whole * _SPAN_FRAMES, _SPAN_FRAMES // 2
-    while span:  # what is left, in stretches each half as long as the one before
+    while span:  # the remainder, in spans each half as long as the previous
         if start + span < count:
             chosen[start + span] = True
             _halve(rows, np.array([start]), span, tolerance, chosen)
@@ -210,7 +202,7 @@ def sparse_rows(values: Float32Array | FloatArray, tolerance: float) -> IntArray
 def _halve(
     rows: Float32Array, starts: IntArray, span: int, tolerance: float, chosen: BoolArray
 ) -> None:
-    """Mark the rows to keep within stretches from each start to a span after it."""
+    """Mark the rows to keep within the spans that begin at `starts`."""
     while span > 1 and len(starts):
         along = (np.arange(1, span) / span).astype(np.float32)[:, None]
         first, last = rows[starts][:, None], rows[starts + span][:, None]

@@ -1,11 +1,11 @@
-"""Sequences put into a motion by 1-D Laplacian warping: Song et al. (2011), section 5.3, eq. 11-12.
+"""Insertion of sequences into a motion by 1-D Laplacian warping: Song et al. (2011), section 5.3.
 
-The step from each frame to the next (the 1-D Laplacian coordinates of eq. 11) is kept as far as
-soft constraints allow: over the interval of a sequence the targets are its keys, outside the motion
-itself. With X what is added to the motion, D the (n - 1, n) matrix of eq. 11 and W the constraints'
-weights on a diagonal, eq. 12 is ``(D' D + W) X = W (keys - motion)``: tridiagonal, positive
-definite, and without a right side where the motion itself is the target. There X decays
-geometrically, so that windows round the sequences are all there is to solve.
+The differences between consecutive frames (the 1-D Laplacian coordinates of eq. 11) are preserved
+under soft constraints, whose targets are the keys of a sequence over its interval, and the motion
+itself elsewhere. With X the change of the motion, D the (n - 1, n) difference matrix of eq. 11 and
+W the diagonal matrix of weights, eq. 12 is ``(D' D + W) X = W (keys - motion)``: tridiagonal and
+positive definite. Its right side is 0 outside the sequences, where X decays geometrically, so that
+only windows around the sequences are solved.
 """
 
 import math
@@ -20,20 +20,20 @@ from scipy.linalg import solveh_banded
 from usdface.core.arrays import FloatArray
 
 _ROUNDING_SHARE = 2.0**-60
-"""[of a change] Less is lost in the motion's own digits."""
+"""[of a change] Below the rounding of the motion."""
 
 
 @dataclass(frozen=True)
 class Insertion:
-    """A sequence to put into a motion."""
+    """A sequence to insert into a motion."""
 
     start: int
-    """Index of the frame where its first key goes."""
+    """Frame index of its first key."""
     keys: FloatArray
     """(m, controls)"""
     weights: FloatArray
-    """(m,): of each key's squared difference; the paper has 1. 0 leaves a frame free, 100 is
-    obeyed."""
+    """(m,): of each key's squared difference; 1 in the paper, 0 for no constraint, 100 for a nearly
+    hard one."""
 
     @property
     def stop(self) -> int:
@@ -51,20 +51,20 @@ class _Window:
 def warp_motion(
     motion: FloatArray, insertions: Sequence[Insertion], *, blend: int = 12, keep: float = math.inf
 ) -> FloatArray:
-    """Put sequences into a motion; frames further than `blend` from all of them keep their values.
+    """Insert sequences into a motion; frames farther than `blend` from them keep their values.
 
     Parameters
     ----------
     motion : (frames, controls) float array
         Left as it is.
     insertions : sequence of Insertion
-        In any order, none overlapping another.
+        In any order, not overlapping.
     blend : int
         Frames on each side of a sequence over which the motion passes into it.
     keep : float
-        Weight that holds the motion outside the sequences and their blends. Infinite: it stays to
-        the last bit. Finite, as published (there 1): it gives way a little, the less the further
-        away, and the blends are free.
+        Weight of the motion outside the sequences and their blends. Infinite: unchanged to the
+        last bit. Finite, as published (there 1): changes decay with the distance, and blends have
+        no constraints.
 
     Returns
     -------
@@ -75,8 +75,8 @@ def warp_motion(
     if blend < 0 or not keep > 0:
         raise ValueError(f"blend must not be negative and keep be positive, got {blend}, {keep}")
     ordered = sorted(insertions, key=lambda each: each.start)
-    for each in ordered:
-        _check(each, motion.shape)
+    for insertion in ordered:
+        _check(insertion, motion.shape)
     for one, other in pairwise(ordered):
         if other.start < one.stop:
             raise ValueError(
@@ -105,7 +105,7 @@ def solve_warp(
     fixed_before: bool = False,
     fixed_after: bool = False,
 ) -> FloatArray:
-    """Return what eq. 12 adds to a motion: (frames, controls).
+    """Return the solution X of eq. 12, the change of a motion: (frames, controls).
 
     Parameters
     ----------
@@ -113,12 +113,12 @@ def solve_warp(
     weights : (frames,) float array
         Of each frame's squared distance from its target.
     fixed_before, fixed_after : bool
-        Whether the frame before the first, or after the last, stays as it is.
+        Whether X is 0 at the frame before the first, or after the last.
 
     Raises
     ------
     ValueError
-        If nothing holds the motion anywhere: then any offset of it is as good.
+        If there is no constraint, so that X is determined only up to a constant.
     """
     if not (weights.any() or fixed_before or fixed_after):
         raise ValueError("every weight is 0, so the warped motion is undetermined")
@@ -128,7 +128,7 @@ def solve_warp(
     banded[1, 0] -= not fixed_before
     banded[1, -1] -= not fixed_after
     right = weights[:, None] * (targets - motion)
-    if len(motion) == 1:  # LAPACK's banded solver wants two
+    if len(motion) == 1:  # LAPACK's banded solver needs two rows
         return np.asarray(right / banded[1])
     return np.asarray(solveh_banded(banded, right, overwrite_b=True, check_finite=False))
 
@@ -138,14 +138,14 @@ def constraints(
 ) -> tuple[FloatArray, FloatArray]:
     """Return a window's targets (frames, controls) and their weights (frames,).
 
-    With an infinite `keep` the blend carries weights of its own: ``2 / d^2`` at distance d from its
-    outer end makes the change fade as d squared, so that it leaves the motion without a kink.
+    With an infinite `keep`, the weight in a blend is ``2 / d^2`` at distance d from its outer end.
+    The change then grows as d squared, without a discontinuity of the slope.
     """
     count = len(motion)
     targets = motion.copy()
     weights = np.full(count, 0.0 if math.isinf(keep) else keep)
-    for each in window.insertions:
-        start, stop = each.start - window.first, each.stop - window.first
+    for insertion in window.insertions:
+        start, stop = insertion.start - window.first, insertion.stop - window.first
         before = np.arange(max(start - blend, 0), start)
         after = np.arange(stop, min(stop + blend, count))
         if math.isinf(keep):
@@ -153,18 +153,18 @@ def constraints(
             weights[after] = np.maximum(weights[after], 2.0 / (stop + blend - after) ** 2)
         else:
             weights[before] = weights[after] = 0.0
-    for each in window.insertions:
-        inside = slice(each.start - window.first, each.stop - window.first)
-        targets[inside], weights[inside] = each.keys, each.weights
+    for insertion in window.insertions:
+        inside = slice(insertion.start - window.first, insertion.stop - window.first)
+        targets[inside], weights[inside] = insertion.keys, insertion.weights
     return targets, weights
 
 
 def reach_frames(keep: float) -> int:
-    """Return how many held frames it takes for a change to fade below rounding.
+    """Return the number of constrained frames after which a change is below rounding.
 
-    Between held frames ``X[i-1] - (2 + keep) X[i] + X[i+1] = 0``, so X shrinks from frame to frame
-    by the smaller root of that recursion: 0.38 for a weight of 1. It is one over the larger root,
-    whose terms do not cancel however large the weight.
+    There ``X[i-1] - (2 + keep) X[i] + X[i+1] = 0``, so X decays by the smaller root of the
+    characteristic polynomial: 0.38 per frame for a weight of 1. It is computed as the reciprocal
+    of the larger root, without cancellation.
     """
     if math.isinf(keep):
         return 0
@@ -173,16 +173,16 @@ def reach_frames(keep: float) -> int:
 
 
 def ease_weights(count: int, weight: float, *, ease: int) -> FloatArray:
-    """Return key weights that rise from little to `weight` over `ease` frames at both ends."""
+    """Return key weights with a smoothstep rise to `weight` over `ease` frames at both ends."""
     edge = np.minimum(np.arange(1, count + 1), np.arange(count, 0, -1))
     share = np.clip(edge / (ease + 1.0), 0.0, 1.0)
     return np.asarray(weight * share**2 * (3 - 2 * share))
 
 
 def stretch_motion(motion: FloatArray, frames: int) -> FloatArray:
-    """Resample a motion to another number of frames; its first and last frame stay.
+    """Resample a motion to another number of frames, from its first to its last.
 
-    Monotone cubics (Fritsch and Carlson 1980): a peak keeps its height and nothing swings past it.
+    By monotone cubics (Fritsch and Carlson 1980), which do not overshoot.
 
     Parameters
     ----------
@@ -198,26 +198,27 @@ def stretch_motion(motion: FloatArray, frames: int) -> FloatArray:
 
 def _windows(ordered: Sequence[Insertion], frames: int, margin: int) -> list[_Window]:
     windows: list[_Window] = []
-    for each in ordered:
-        first, stop = max(each.start - margin, 0), min(each.stop + margin, frames)
+    for insertion in ordered:
+        first, stop = max(insertion.start - margin, 0), min(insertion.stop + margin, frames)
         if windows and first <= windows[-1].stop:
             last = windows.pop()
-            windows.append(_Window(last.first, stop, (*last.insertions, each)))
+            windows.append(_Window(last.first, stop, (*last.insertions, insertion)))
         else:
-            windows.append(_Window(first, stop, (each,)))
+            windows.append(_Window(first, stop, (insertion,)))
     return windows
 
 
-def _check(each: Insertion, shape: tuple[int, ...]) -> None:
+def _check(insertion: Insertion, shape: tuple[int, ...]) -> None:
     frames, controls = shape
-    where = f"sequence of {len(each.keys)} keys at frame {each.start}"
-    if each.keys.ndim != 2 or each.keys.shape[1] != controls or not len(each.keys):
-        raise ValueError(f"{where}: {each.keys.shape} keys for {controls} controls")
-    if each.start < 0 or each.stop > frames:
+    keys, weights = insertion.keys, insertion.weights
+    where = f"sequence of {len(keys)} keys at frame {insertion.start}"
+    if keys.ndim != 2 or keys.shape[1] != controls or not len(keys):
+        raise ValueError(f"{where}: {keys.shape} keys for {controls} controls")
+    if insertion.start < 0 or insertion.stop > frames:
         raise ValueError(f"{where}: does not fit into {frames} frames")
-    if each.weights.shape != (len(each.keys),) or not (each.weights >= 0).all():
+    if weights.shape != (len(keys),) or not (weights >= 0).all():
         raise ValueError(f"{where}: needs one weight per key, none negative")
-    if not (np.isfinite(each.keys).all() and np.isfinite(each.weights).all()):
+    if not (np.isfinite(keys).all() and np.isfinite(weights).all()):
         raise ValueError(f"{where}: keys or weights hold values that are not finite")
-    if not each.weights.any():
-        raise ValueError(f"{where}: every weight is 0, so it asks for nothing")
+    if not weights.any():
+        raise ValueError(f"{where}: every weight is 0, so it has no effect")

@@ -1,4 +1,4 @@
-"""How noisy a capture is, from what moves faster than a face can, and whether it moves at all."""
+"""Measurement noise of a capture, estimated from third differences, and takes without motion."""
 
 from collections.abc import Sequence
 
@@ -8,16 +8,16 @@ from numpy.typing import ArrayLike
 from usdface.core.arrays import MAD_TO_DEVIATION, FloatArray, RealArray
 
 _THIRD_DIFFERENCE_GAIN = np.sqrt(20.0)
-"""Deviation of the third differences of white noise over its own: sqrt(1² + 3² + 3² + 1²)."""
+"""Standard deviation of third differences over that of white noise: sqrt(1² + 3² + 3² + 1²)."""
 _SAMPLE_FRAMES = 20_000
 _STILL_MM, _STILL_NOISE_DEVIATIONS = 0.5, 6.0
-"""Range of a coordinate that is no motion of a face: the larger of the two."""
+"""Largest range of a coordinate of a still face: the larger of the two."""
 
 
 def marker_noise(positions: ArrayLike, visible: ArrayLike) -> FloatArray:
     """Return the standard deviation of each marker's measurement noise, per coordinate.
 
-    The median of third differences over frames: motion, gaps, swaps and spikes are rare in them.
+    From the median of absolute third differences, robust to motion, gaps, swaps and spikes.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def measurement_noise(positions: ArrayLike, visible: ArrayLike) -> float:
 
 
 def still_range_mm(clips: Sequence[RealArray], noise_mm: float) -> float | None:
-    """Return how far markers range that only stand still, or None if one moves.
+    """Return the largest range of a coordinate over all clips if no marker moves, else None.
 
     Parameters
     ----------
@@ -63,11 +63,6 @@ def still_range_mm(clips: Sequence[RealArray], noise_mm: float) -> float | None:
         [mm] Of the same markers in one space, without head motion and without gaps.
     noise_mm : float
         Standard deviation of the measurement noise per coordinate.
-
-    Returns
-    -------
-    float or None
-        [mm] The largest range of a coordinate over all clips.
     """
     filled = [clip for clip in clips if clip.size]
     if not filled:

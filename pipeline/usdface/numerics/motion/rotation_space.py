@@ -1,9 +1,8 @@
-"""Rotations as plain vectors near a mean, and back: the logarithm and exponential map.
+"""Logarithm and exponential map of rotations about a mean rotation.
 
-Quaternions added up are no rotations, and Euler angles added up are other ones. The rotation
-vector of what turns the mean into a rotation is as good as linear while rotations stay well within
-half a turn of that mean, as joints of a face do; whatever a regression makes of such vectors is a
-rotation again.
+Rotation vectors relative to a mean are nearly linear well within half a turn of it, which holds for
+the joints of a face, and every vector is a rotation. Neither holds for quaternions or Euler angles,
+so regressions use these vectors.
 """
 
 import numpy as np
@@ -15,7 +14,7 @@ _SMALL_HALF_ANGLE = 1e-8
 
 
 def mean_rotation(quaternions: FloatArray) -> FloatArray:
-    """Return the rotation nearest to all: Markley's mean, blind to the sign of quaternions.
+    """Return Markley's mean of rotations, which does not depend on the signs of the quaternions.
 
     Parameters
     ----------
@@ -36,9 +35,9 @@ def mean_rotation(quaternions: FloatArray) -> FloatArray:
 
 
 def rotation_vectors(quaternions: FloatArray, mean: FloatArray) -> FloatArray:
-    """Return what turns the mean into each rotation, as axis times angle: (..., 3) [rad]."""
+    """Return the rotation vectors from the mean to each rotation: (..., 3) [rad]."""
     turn = multiply_quaternions(mean * [1.0, -1.0, -1.0, -1.0], quaternions)
-    turn = np.where(turn[..., :1] < 0, -turn, turn)  # the shorter way round
+    turn = np.where(turn[..., :1] < 0, -turn, turn)  # angles up to half a turn
     sine = np.linalg.norm(turn[..., 1:], axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(sine, turn[..., :1])
     per_sine = np.where(sine > _SMALL_HALF_ANGLE, angle / np.maximum(sine, _SMALL_HALF_ANGLE), 2.0)
@@ -46,7 +45,7 @@ def rotation_vectors(quaternions: FloatArray, mean: FloatArray) -> FloatArray:
 
 
 def rotations_at(vectors: FloatArray, mean: FloatArray) -> FloatArray:
-    """Return the mean turned by rotation vectors: (..., 4) unit quaternions, w first."""
+    """Return the mean rotated by rotation vectors: (..., 4) unit quaternions, w first."""
     half = 0.5 * np.sqrt(np.einsum("...i,...i->...", vectors, vectors))[..., None]
     ratio = 0.5 * np.where(
         half > _SMALL_HALF_ANGLE, np.sin(half) / np.maximum(half, _SMALL_HALF_ANGLE), 1.0
@@ -55,7 +54,7 @@ def rotations_at(vectors: FloatArray, mean: FloatArray) -> FloatArray:
 
 
 def multiply_quaternions(left: FloatArray, right: FloatArray) -> FloatArray:
-    """Return the rotation `left` after `right`; w first."""
+    """Return the Hamilton product, the rotation `right` followed by `left`; w first."""
     w, x, y, z = np.moveaxis(np.asarray(left), -1, 0)
     a, b, c, d = np.moveaxis(np.asarray(right), -1, 0)
     return np.stack(

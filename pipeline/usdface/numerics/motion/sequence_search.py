@@ -1,14 +1,12 @@
-"""Where a motion holds a sequence: Song et al. (2011), section 5.2, eq. 10.
+"""Occurrences of a sequence in a motion: Song et al. (2011), section 5.2, eq. 10.
 
-The paper sums the distances of all frames and channels, so that its threshold of 1.0 means another
-thing for every length and every rig. Here the mean over frames is compared, of distances per root
-of channels: a threshold of 0.1 is "a tenth of a weight off, in the mean", whatever the sequence.
+The paper sums distances over frames and channels, so that its threshold of 1.0 depends on the
+length and the rig. Here the threshold applies to the mean over frames of the root mean square
+difference over channels, in the unit of a weight.
 
-Most of a long motion is ruled out without looking at frames: by the triangle inequality a sum of
-distances is at least the length of the sum of differences, and running sums give that for all
-starts at once, for the whole sequence and then for its parts.
-
-Without a threshold a match must be nearer than half of what the mean face, held still, reaches.
+By the triangle inequality a sum of distances is at least the norm of the sum of differences.
+Cumulative sums give this lower bound for all starts, for the whole sequence and then for its parts,
+and exclude most of a long motion.
 """
 
 from dataclasses import dataclass
@@ -18,39 +16,39 @@ import numpy as np
 from usdface.core.arrays import FloatArray, IntArray
 
 PAPER_DELTA = 1.0
-"""Of eq. 10, as the paper has it for its own source of 33 shapes and its own sequence."""
+"""Threshold of eq. 10 in the paper, for its source of 33 shapes and its sequence."""
 
 _MATCH_SHARE = 0.5
 """[of `mean_face_distance`] Default threshold."""
 
 _PART_COUNTS = (1, 4, 16)
-"""Into which a sequence is cut, one pass after the other."""
+"""Numbers of parts of a sequence, pass by pass."""
 _BLOCK_STARTS = 1 << 15
-"""Looked at together: bounds the memory."""
+"""Starts per block, which bounds the memory."""
 _ROUNDING_SLACK = 1e-9
-"""Rounding of running sums, far above what they have: a true match is never ruled out."""
+"""Relative, far above the rounding of cumulative sums: no match is excluded."""
 
 
 @dataclass(frozen=True)
 class Matches:
-    """Where a sequence was found."""
+    """Occurrences of a sequence."""
 
     starts: IntArray
     """(k,): indices, ascending."""
     distances: FloatArray
     """(k,): mean over frames of the root mean square difference over channels."""
     threshold: float
-    """Distance that was allowed."""
+    """Largest distance of a match."""
 
 
 def mean_face_distance(sequence: FloatArray) -> float:
-    """Return the distance of a sequence from its own mean face, held still."""
-    off = np.linalg.norm(sequence - sequence.mean(axis=0), axis=1)
-    return float(off.mean() / np.sqrt(sequence.shape[1]))
+    """Return the distance of a sequence from its mean face."""
+    deviation = np.linalg.norm(sequence - sequence.mean(axis=0), axis=1)
+    return float(deviation.mean() / np.sqrt(sequence.shape[1]))
 
 
 def sequence_distances(motion: FloatArray, sequence: FloatArray, starts: IntArray) -> FloatArray:
-    """Return the distance of a motion from a sequence at some starts (eq. 10, normalised).
+    """Return the normalised distances of eq. 10 between a motion and a sequence at some starts.
 
     Parameters
     ----------
@@ -59,21 +57,20 @@ def sequence_distances(motion: FloatArray, sequence: FloatArray, starts: IntArra
     starts : (k,) int array
     """
     total = np.zeros(len(starts))
-    for offset, wanted in enumerate(sequence):
-        total += _lengths(motion[starts + offset] - wanted)
-    distances: FloatArray = total / (len(sequence) * np.sqrt(sequence.shape[1]))
-    return distances
+    for offset, row in enumerate(sequence):
+        total += _lengths(motion[starts + offset] - row)
+    return np.asarray(total / (len(sequence) * np.sqrt(sequence.shape[1])))
 
 
 def starts_within(motion: FloatArray, sequence: FloatArray, *, threshold: float) -> Matches:
-    """Return every start at which a motion is within a threshold of a sequence (the paper's F_st).
+    """Return all starts whose distance is within a threshold (the paper's F_st).
 
     Parameters
     ----------
     motion : (frames, channels) float array
     sequence : (m, channels) float array
     threshold : float
-        Mean distance per frame and root channel.
+        See `Matches.distances`.
     """
     if motion.ndim != 2 or sequence.ndim != 2 or motion.shape[1] != sequence.shape[1]:
         raise ValueError(f"{motion.shape} motion and {sequence.shape} sequence differ in channels")
@@ -87,9 +84,9 @@ def starts_within(motion: FloatArray, sequence: FloatArray, *, threshold: float)
     for first in range(0, count, _BLOCK_STARTS):
         stop = min(first + _BLOCK_STARTS, count)
         part = motion[first : stop + len(sequence) - 1]
-        left = _abandon(part, sequence, _rule_out(part, sequence, limit), limit)
-        near = sequence_distances(part, sequence, left)
-        starts.append(left[near <= threshold] + first)
+        candidates = _abandon(part, sequence, _bounded_starts(part, sequence, limit), limit)
+        near = sequence_distances(part, sequence, candidates)
+        starts.append(candidates[near <= threshold] + first)
         distances.append(near[near <= threshold])
     return Matches(np.concatenate(starts), np.concatenate(distances), threshold)
 
@@ -97,36 +94,36 @@ def starts_within(motion: FloatArray, sequence: FloatArray, *, threshold: float)
 def find_sequence(
     motion: FloatArray, sequence: FloatArray, *, threshold: float | None = None
 ) -> Matches:
-    """Return where a motion holds a sequence, each place once.
+    """Return the occurrences of a sequence in a motion, without overlaps.
 
     Parameters
     ----------
     motion : (frames, channels) float array
     sequence : (m, channels) float array
     threshold : float, optional
-        See `starts_within`; by default `_MATCH_SHARE` times `mean_face_distance`.
+        See `Matches.distances`; by default half of `mean_face_distance`.
 
     Raises
     ------
     ValueError
-        As `starts_within`, and if the sequence stands still, so that any still face is like it.
+        As `starts_within`, and if the sequence has no motion.
     """
     if threshold is None:
         threshold = _MATCH_SHARE * mean_face_distance(sequence)
         if threshold == 0.0:
             raise ValueError("the sequence stands still, so any face at rest matches it")
-    found = starts_within(motion, sequence, threshold=threshold)
-    starts = merge_starts(found.starts, len(sequence))
+    matches = starts_within(motion, sequence, threshold=threshold)
+    starts = merge_starts(matches.starts, len(sequence))
     distances = sequence_distances(motion, sequence, starts)
     for index in np.flatnonzero(distances > threshold).tolist():
-        # Between two matches the average may be none: then the nearest match stands for them.
-        nearest = int(np.abs(found.starts - starts[index]).argmin())
-        starts[index], distances[index] = found.starts[nearest], found.distances[nearest]
+        # The average of several matches need not be one: replace it by the nearest.
+        nearest = int(np.abs(matches.starts - starts[index]).argmin())
+        starts[index], distances[index] = matches.starts[nearest], matches.distances[nearest]
     return _drop_overlapping(Matches(starts, distances, threshold), len(sequence))
 
 
 def find_published(motion: FloatArray, sequence: FloatArray, *, delta: float) -> Matches:
-    """Return where a motion holds a sequence as printed: sums of distances, averages of starts.
+    """Return the occurrences of a sequence by the paper's own threshold and averages of starts.
 
     Parameters
     ----------
@@ -136,25 +133,22 @@ def find_published(motion: FloatArray, sequence: FloatArray, *, delta: float) ->
         Largest sum over the sequence's frames of distances over all channels.
     """
     threshold = delta / (len(sequence) * np.sqrt(sequence.shape[1]))
-    found = starts_within(motion, sequence, threshold=threshold)
-    starts = merge_starts(found.starts, len(sequence))
+    matches = starts_within(motion, sequence, threshold=threshold)
+    starts = merge_starts(matches.starts, len(sequence))
     return Matches(starts, sequence_distances(motion, sequence, starts), threshold)
 
 
 def best_match(motion: FloatArray, sequence: FloatArray) -> Matches:
-    """Return the one start at which a motion is nearest to a sequence, however far that is."""
+    """Return the start with the smallest distance, whatever that is."""
     sample = np.arange(0, len(motion) - len(sequence) + 1, max(len(sequence) // 8, 1))
-    reached = float(sequence_distances(motion, sequence, sample).min())
-    found = starts_within(motion, sequence, threshold=reached)
-    best = int(found.distances.argmin())
-    return Matches(found.starts[[best]], found.distances[[best]], reached)
+    bound = float(sequence_distances(motion, sequence, sample).min())
+    matches = starts_within(motion, sequence, threshold=bound)
+    best = int(matches.distances.argmin())
+    return Matches(matches.starts[[best]], matches.distances[[best]], bound)
 
 
 def merge_starts(starts: IntArray, length: int) -> IntArray:
-    """Return one start for those that lie within one interval of the first: their average.
-
-    As published: a sequence that begins slowly is like the motion at several frames in a row.
-    """
+    """Return the average of all starts within one length of the first, and so on, as published."""
     merged: list[int] = []
     position = 0
     while position < len(starts):
@@ -164,47 +158,44 @@ def merge_starts(starts: IntArray, length: int) -> IntArray:
     return np.array(merged, dtype=np.int64)
 
 
-def _drop_overlapping(found: Matches, length: int) -> Matches:
-    """Of averages that still overlap keep the nearer."""
+def _drop_overlapping(matches: Matches, length: int) -> Matches:
+    """Return the nearest of matches that overlap."""
     chosen: list[int] = []
-    for index in np.argsort(found.distances, kind="stable").tolist():
-        if all(abs(found.starts[index] - found.starts[other]) >= length for other in chosen):
+    for index in np.argsort(matches.distances, kind="stable").tolist():
+        if all(abs(matches.starts[index] - matches.starts[other]) >= length for other in chosen):
             chosen.append(index)
     order = sorted(chosen)
-    return Matches(found.starts[order], found.distances[order], found.threshold)
+    return Matches(matches.starts[order], matches.distances[order], matches.threshold)
 
 
-def _rule_out(motion: FloatArray, sequence: FloatArray, limit: float) -> IntArray:
-    """Return the starts that sums over parts of the sequence cannot rule out."""
+def _bounded_starts(motion: FloatArray, sequence: FloatArray, limit: float) -> IntArray:
+    """Return the starts whose lower bounds, by sums over parts of the sequence, meet the limit."""
     sums = np.concatenate([np.zeros((1, motion.shape[1])), np.cumsum(motion, axis=0)])
-    left: IntArray = np.arange(len(motion) - len(sequence) + 1)
+    starts: IntArray = np.arange(len(motion) - len(sequence) + 1)
     slack = _ROUNDING_SLACK * (1.0 + float(np.abs(sums).max()))
     for parts in _PART_COUNTS:
         edges = np.unique(np.linspace(0, len(sequence), min(parts, len(sequence)) + 1).astype(int))
-        least = np.zeros(len(left))
-        for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-            wanted = sequence[start:stop].sum(axis=0)
+        bound = np.zeros(len(starts))
+        for first, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
             if parts == 1:  # all starts: slices, not copies
-                there = sums[stop : stop + len(left)] - sums[start : start + len(left)]
+                part_sum = sums[stop : stop + len(starts)] - sums[first : first + len(starts)]
             else:
-                there = sums[left + stop] - sums[left + start]
-            least += _lengths(there - wanted)
-        left = left[least <= limit + slack]
-    return left
+                part_sum = sums[starts + stop] - sums[starts + first]
+            bound += _lengths(part_sum - sequence[first:stop].sum(axis=0))
+        starts = starts[bound <= limit + slack]
+    return starts
 
 
-def _abandon(motion: FloatArray, sequence: FloatArray, left: IntArray, limit: float) -> IntArray:
-    """Drop starts as soon as the frames seen are too far, those furthest from the mean first."""
+def _abandon(motion: FloatArray, sequence: FloatArray, starts: IntArray, limit: float) -> IntArray:
+    """Return the starts within the limit, by early abandoning: rows far from the mean first."""
     order = np.argsort(-_lengths(sequence - sequence.mean(axis=0)))
-    total = np.zeros(len(left))
+    total = np.zeros(len(starts))
     slack = _ROUNDING_SLACK * (1.0 + limit)
     for offset in order.tolist():
-        if not len(left):
-            break
-        total += _lengths(motion[left + offset] - sequence[offset])
+        total += _lengths(motion[starts + offset] - sequence[offset])
         near = total <= limit + slack
-        left, total = left[near], total[near]
-    return left
+        starts, total = starts[near], total[near]
+    return starts
 
 
 def _lengths(vectors: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""From captured markers to clean ones: head still, labels right, gaps filled, noise gone."""
+"""Cleaning of marker tracks: head motion, swapped labels, outliers, slips, gaps and noise."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -32,26 +32,26 @@ _RELABEL_ROUNDS = 4
 _RELABELLED_CONFIDENCE = 0.9
 _POSE_ROUNDS = 2
 _POSE_INLIER_DEVIATIONS = 3.0
-"""Distance from its prediction at which a marker counts half (Cauchy weights)."""
+"""Residual of a marker that weighs half (Cauchy weights)."""
 _POSE_SAMPLE_FRAMES = 8192
 
 
 @dataclass(frozen=True)
 class CleanedMarkers:
-    """Markers without head motion, and what was done to them."""
+    """Markers without head motion, and a record of the repairs."""
 
     positions: Float32Array
-    """(frames, markers, 3) [mm] Stabilised. Samples of gaps that were left hold the last good
+    """(frames, markers, 3) [mm] Stabilised. Gaps that are not filled repeat the last good
     position."""
     visible: BoolArray
-    """(frames, markers): measured or filled; False only in gaps that were left."""
+    """(frames, markers): measured or filled; False only in gaps that are not filled."""
     confidence: Float32Array
     """(frames, markers) [0-1] 1 as measured, lower where relabelled, filled, or where the pose was
-    interpolated; 0 in gaps that were left."""
+    interpolated; 0 in gaps that are not filled."""
     head_motion: FloatArray
     """(frames, 4, 4): for column vectors: ``captured = head_motion @ stabilised``."""
     swaps: tuple[Swap, ...]
-    """Labels exchanged back."""
+    """Swapped labels that were exchanged back."""
     outliers: BoolArray
     """(frames, markers): measured samples that were replaced."""
     filled: BoolArray
@@ -61,7 +61,7 @@ class CleanedMarkers:
     noise_mm: float
     """Measurement noise per coordinate before smoothing [mm]."""
     slips: tuple[Slip, ...] = ()
-    """Markers brought back to where they sat in the neutral frame."""
+    """Markers that slipped, moved back to their place in the neutral frame."""
 
 
 @dataclass(frozen=True)
@@ -89,10 +89,9 @@ def clean_markers(
 ) -> CleanedMarkers:
     """Clean a take's markers.
 
-    In this order: the head's pose from the rigid markers; labels that have changed places;
-    outliers, which the other markers contradict; the pose again, from all markers against what the
-    others predict of them; markers that moved on the skin; gaps; noise, each direction of the
-    face's motion by its own penalty.
+    In this order: head pose from the rigid markers, swapped labels, outliers, head pose from all
+    markers against their predictions, markers that slipped on the skin, gaps, and noise, with a
+    penalty for each direction of the face's motion.
 
     Parameters
     ----------
@@ -102,24 +101,23 @@ def clean_markers(
     rigid : sequence of int
         Columns of the markers that move with the skull alone; see `rigid_markers`.
     neutral : int
-        Index of the frame whose head pose becomes the head's space.
+        Index of the frame whose head pose defines the head space.
     rate : float
         Frames per second.
     skin_motion_mm : (markers,) float array, optional
-        How far each marker moves over the skull by itself: standard deviation [mm]; infinite for
-        markers that say nothing. Takes the place of the rigid markers where none are proven to be
-        rigid.
+        Standard deviation of each marker's motion relative to the skull [mm], infinite for markers
+        to ignore. Replaces `rigid` where no set of markers is rigid.
     max_gap : int
         Longest gap to fill [frames].
     smooth, relabel : bool
-        False leaves that step out.
+        Whether to smooth, and to exchange swapped labels.
     """
     captured, seen = np.asarray(positions, np.float32), np.array(visible, bool)
     _check(captured, seen, neutral, max_gap)
     progress(0.0, "head motion")
     still = _stabilize(captured, seen, rigid, neutral, rate, skin_motion_mm)
     noise = marker_noise(still.positions, seen)
-    progress(0.05, "how markers move together")
+    progress(0.05, "model of the motion")
     model = fit_low_rank(still.positions, seen, noise=noise)
     rank = choose_rank(still.positions, seen, start=model, noise=noise)
     model = fit_low_rank(still.positions, seen, rank_limit=rank, start=model, noise=noise)
@@ -127,7 +125,7 @@ def clean_markers(
     if relabel:
         swaps, model = _relabel(still, model, rank, noise, progress)
         if {column for swap in swaps for column in (swap.first, swap.second)} & set(rigid):
-            del still  # before its successor: on long takes one more copy is much
+            del still  # first, to save the memory of one copy of a long take
             captured = np.array(captured)
             apply_swaps(captured, swaps)
             still = _stabilize(captured, seen, rigid, neutral, rate, skin_motion_mm, out=captured)
@@ -136,7 +134,13 @@ def clean_markers(
     outliers = find_outliers(still.positions, seen, model=model, noise=noise, rate=rate)
     good = seen & ~outliers
     progress(0.6, "head motion, from all markers")
-    noise, slips = _settle(still, good, model, neutral=neutral, rate=rate)
+    _refine_pose(still, good, model)
+    noise = marker_noise(still.positions, good)
+    slips = find_slips(still.positions, good, model=model, rate=rate)
+    if slips:
+        slips = undo_slips(
+            still.positions, good, slips, neutral=neutral, rank=len(model.variances), noise=noise
+        )
     progress(0.7, "gaps")
     model = fit_low_rank(still.positions, good, rank_limit=rank, start=model, noise=noise)
     sigma = float(np.median(noise))
@@ -161,20 +165,6 @@ def clean_markers(
         noise_mm=sigma,
         slips=slips,
     )
-
-
-def _settle(
-    still: _StabilizedTake, good: BoolArray, model: LowRankModel, *, neutral: int, rate: float
-) -> tuple[FloatArray, tuple[Slip, ...]]:
-    """Refine the head's pose and put markers back that slipped; return their noise, and slips."""
-    _refine_pose(still, good, model)
-    noise = marker_noise(still.positions, good)
-    slips = find_slips(still.positions, good, model=model, rate=rate)
-    if slips:
-        slips = undo_slips(
-            still.positions, good, slips, neutral=neutral, rank=len(model.variances), noise=noise
-        )
-    return noise, slips
 
 
 def _check(captured: Float32Array, seen: BoolArray, neutral: int, max_gap: int) -> None:
@@ -202,10 +192,10 @@ def _stabilize(
     *,
     out: Float32Array | None = None,
 ) -> _StabilizedTake:
-    """Take out a smooth head motion.
+    """Remove a smoothed head motion.
 
-    Jitter of the pose would move all markers alike, and be fitted as a direction of the face's
-    motion; quick head motion comes back when the pose is refined.
+    Jitter of the pose moves all markers alike, and would be fitted as a direction of the face's
+    motion. Fast head motion is restored when the pose is refined.
     """
     columns = list(rigid)
     if skin_motion_mm is None:
@@ -232,7 +222,7 @@ def _relabel(
     noise: FloatArray,
     progress: Progress,
 ) -> tuple[tuple[Swap, ...], LowRankModel]:
-    """Exchange swapped labels back in rounds: each round's model is fitted with fewer swaps."""
+    """Exchange swapped labels back, in rounds, between which the model is fitted again."""
     found: list[Swap] = []
     for number in range(_RELABEL_ROUNDS):
         progress(0.1 + 0.35 * number / _RELABEL_ROUNDS, "labels")
@@ -251,7 +241,7 @@ def _relabel(
 
 
 def _refine_pose(still: _StabilizedTake, good: BoolArray, model: LowRankModel) -> None:
-    """Move each frame rigidly to where its markers predict each other best, in place."""
+    """Align each frame with the predictions of its markers from each other, in place."""
     positions, motion = still.positions, still.head_motion
     sample = sample_frames(len(positions), _POSE_SAMPLE_FRAMES)
     for _ in range(_POSE_ROUNDS):
@@ -272,7 +262,7 @@ def _refine_pose(still: _StabilizedTake, good: BoolArray, model: LowRankModel) -
 def _predict(
     positions: RealArray, good: BoolArray, model: LowRankModel
 ) -> tuple[RealArray, RealArray]:
-    """Return frames without gaps, and what the others predict of each of their markers."""
+    """Return frames with gaps filled, and each marker's prediction from the others."""
     complete = fill_missing(model, positions, good)
     return complete, predict_from_others(model, complete)
 

@@ -1,4 +1,4 @@
-"""Fit a low-rank model to a take, despite gaps, outliers and swaps in it.
+"""Robust fit of a low-rank Gaussian model to a take with gaps, outliers and swaps.
 
 References
 ----------
@@ -25,20 +25,20 @@ from usdface.numerics.repair.outliers import find_spikes
 
 _CHUNK_FRAMES = 2048
 _FIT_FRAMES = 16_000
-"""[frames] A model of a hundred directions needs no more."""
+"""[frames] Enough for a hundred directions."""
 _MEDIAN_FRAMES = 4096
-"""From which the median distance of a marker from its prediction is known to 2 %."""
+"""Estimates the median distance of a marker from its prediction to 2 %."""
 _EM_ROUNDS = 8
 _EM_ROUNDS_CONTINUED = 2
 """Where the fit starts from a model."""
 _SETTLED_SHARE = 0.02
-"""[of the noise] What is filled in moves by less, root mean square, in the last round."""
+"""[of the noise] Root mean square change of filled samples at convergence."""
 _LEAST_NOISE_MM = 0.02
-"""Better than any camera: keeps exact data invertible."""
+"""Below that of any camera; regularises exact data."""
 _FRAMES_PER_DIRECTION = 25
 _LEAST_RANK_LIMIT = 8
-"""Frames per direction, and the rank allowed to takes too short for it: they would fit their own
-swaps as directions of motion."""
+"""Fewest frames per direction, and the rank limit of shorter takes: with more directions they would
+fit their swaps."""
 _CANDIDATE_RANKS = (6, 9, 13, 19, 28, 40, 60)
 _CHOICE_FRAMES = 4000
 _STRETCH_COUNT, _FOLD_COUNT = 24, 3
@@ -53,20 +53,20 @@ def fit_low_rank(
     start: LowRankModel | None = None,
     noise: FloatArray | None = None,
 ) -> LowRankModel:
-    """Fit a Gaussian of few directions to a take, by expectation-maximisation.
+    """Fit a probabilistic PCA with noise per marker to a take, by expectation-maximisation.
 
     Parameters
     ----------
     positions : (frames, markers, 3) float array
         [mm] Without head motion; anything where not good.
     good : (frames, markers) bool array
-        Samples to fit to; those that the others contradict are left out.
+        Samples to fit; outliers among them are excluded.
     rank_limit : int
-        Most directions to keep. Those below the measurement noise are never kept.
+        Most directions; those below the measurement noise are left out.
     start : LowRankModel, optional
-        Fitted to nearly the same samples: where to start instead of at medians.
+        Initial model, fitted to nearly the same samples; by default medians.
     noise : (markers,) float array, optional
-        The samples' `marker_noise`, where it is known.
+        `marker_noise` of the samples, if known.
     """
     rows = sample_frames(len(positions), _FIT_FRAMES)
     sample, usable = positions[rows], good[rows]
@@ -89,7 +89,7 @@ def fit_low_rank(
             model = _model(moments, filled, trusted, sensor_noise, rank_limit)
         incomplete = np.asarray(~trusted.all(axis=1))
         moved = _refill(moments, filled, sample, trusted, model, incomplete)
-        # An outlier is left out; it may come back in a later round.
+        # Outliers are excluded, and tested again in the next round.
         distance = _distances(sample, predict_from_others(model, filled))
         before, trusted = trusted, usable & ~_outliers(distance, usable, sensor_noise)
         changed = (trusted != before).any(axis=1)
@@ -107,10 +107,9 @@ def choose_rank(
     start: LowRankModel | None = None,
     noise: FloatArray | None = None,
 ) -> int:
-    """Return how many directions predict hidden markers best, by cross-validation.
+    """Return the number of directions that predicts hidden markers best, by cross-validation.
 
-    A long, rich take affords many; in a short one many directions fit only their own frames. The
-    take is cut into 24 stretches of time, of which every third is left out in turn.
+    With three folds of eight stretches of time each.
 
     Parameters
     ----------
@@ -118,9 +117,9 @@ def choose_rank(
         [mm] Without head motion; anything where not good.
     good : (frames, markers) bool array
     start : LowRankModel, optional
-        What `fit_low_rank` makes of the same samples.
+        `fit_low_rank` of the same samples.
     noise : (markers,) float array, optional
-        The samples' `marker_noise`, where it is known.
+        `marker_noise` of the samples, if known.
     """
     rows = sample_frames(len(positions), _CHOICE_FRAMES)
     noise = marker_noise(positions, good) if noise is None else noise
@@ -146,7 +145,7 @@ def choose_rank(
 
 
 def with_rank(model: LowRankModel, rank: int) -> LowRankModel:
-    """Return the model with at most so many directions, the rest counted as noise."""
+    """Return the model with at most `rank` directions, the others added to the noise."""
     dropped = model.components[rank:]
     square = (dropped**2 * model.variances[rank:, None]).sum(axis=0).reshape(-1, 3).mean(axis=1)
     noise = np.sqrt(model.noise**2 + square)
@@ -155,14 +154,14 @@ def with_rank(model: LowRankModel, rank: int) -> LowRankModel:
 
 @dataclass
 class _Moments:
-    """Sums over frames, updated where frames change.
+    """First and second moments over frames, updated where frames change.
 
-    Of fewer frames than coordinates the products of frames are the smaller matrix, and are made
-    when they are asked for.
+    With fewer frames than coordinates the Gram matrix of the frames is the smaller one, and is
+    computed on demand.
     """
 
     filled: RealArray
-    """(frames, markers, 3): the frames themselves."""
+    """(frames, markers, 3)"""
     center: FloatArray
     total: FloatArray
     products: FloatArray | None
@@ -178,7 +177,7 @@ class _Moments:
         return moments
 
     def add(self, flat: RealArray, sign: float = 1.0) -> None:
-        """Add frames, or take them away."""
+        """Add frames, or with `sign` -1 remove them."""
         for block in frame_blocks(len(flat), frames=_CHUNK_FRAMES):
             centered = flat[block].astype(np.float64) - self.center
             self.total += sign * centered.sum(axis=0)
@@ -189,16 +188,15 @@ class _Moments:
         return np.asarray(self.center + self.total / len(self.filled))
 
     def principal(self, limit: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return sums of squares about the mean.
+        """Return principal components about the mean.
 
         Returns
         -------
         values : (limit,) float array
-            Along principal directions, the largest first.
+            Sums of squares along the components, descending.
         components : (limit, markers * 3) float array
-            These directions.
         squares : (markers * 3,) float array
-            Of each coordinate.
+            Sums of squares of each coordinate.
         """
         if self.products is not None:
             scatter = self.products - np.outer(self.total, self.total / len(self.filled))
@@ -227,7 +225,7 @@ def _refill(
     model: LowRankModel,
     which: BoolArray,
 ) -> float:
-    """Fill some frames anew, in place, and return by how much filled samples moved [mm]."""
+    """Fill some frames again, in place; return the RMS change of filled samples [mm]."""
     rows = np.flatnonzero(which)
     if not rows.size:
         return 0.0
@@ -250,7 +248,7 @@ def _model(
     sensor_noise: FloatArray,
     rank_limit: int,
 ) -> LowRankModel:
-    """Return the model of complete frames: principal directions that rise above the noise."""
+    """Return the model of complete frames: principal components above the noise."""
     frames, markers = trusted.shape
     mean, freedom = moments.mean(), max(frames - 1, 1)
     affordable = max(frames // _FRAMES_PER_DIRECTION, _LEAST_RANK_LIMIT)
@@ -262,9 +260,9 @@ def _model(
     threshold = floor * (1.0 + np.sqrt(3 * markers / frames)) ** 2
     rank = int(np.clip((values > threshold).sum(), 1, limit))
     components = components[:rank]
-    # What the directions leave of all samples, less what they leave of those not trusted.
-    left = squares - freedom * (values[:rank] @ components**2)
-    square = left.reshape(markers, 3).sum(axis=1)
+    # Residual sum of squares of all samples, less that of samples not trusted.
+    residual = squares - freedom * (values[:rank] @ components**2)
+    square = residual.reshape(markers, 3).sum(axis=1)
     rows = np.flatnonzero(~trusted.all(axis=1))
     for block in frame_blocks(len(rows), frames=_CHUNK_FRAMES):
         some = rows[block]
@@ -287,7 +285,7 @@ def _distances(one: RealArray, other: RealArray) -> RealArray:
 
 
 def _outliers(distance: RealArray, usable: BoolArray, sensor_noise: FloatArray) -> BoolArray:
-    """Return which samples lie farther from their prediction than the marker usually does."""
+    """Return samples whose distance from their prediction is beyond six robust deviations."""
     limit = np.empty(distance.shape[1], distance.dtype)
     for marker, ok in enumerate(usable.T):
         rows = np.flatnonzero(ok)

@@ -1,10 +1,9 @@
-"""Fill gaps in marker tracks: short ones along the curve, long ones from the other markers.
+"""Filling of gaps in marker tracks: short ones by splines, long ones from the other markers.
 
-Short gaps follow a cubic spline through the samples on both sides. For long ones, a prediction from
-the other markers (see `low_rank`) gives the path of the hidden marker, and the samples next to the
-gap the offset of that prediction there, which is blended from one end to the other.
-The length up to which a spline is better depends on the capture's noise, the rate and the face; it
-is found by hiding samples that are known.
+Short gaps are filled by a cubic spline through the samples on both sides. Long ones are filled by
+the prediction from the other markers (see `low_rank`), plus its error next to the gap, interpolated
+from one end to the other. The length up to which splines are better depends on the noise, the rate
+and the face; it is chosen by cross-validation with hidden samples.
 """
 
 from dataclasses import dataclass
@@ -27,55 +26,54 @@ from usdface.numerics.repair.low_rank import LowRankModel, fill_missing, predict
 from usdface.numerics.repair.outliers import USUAL_RATE
 
 SPLINE_LIMIT = 8
-"""[frames] Longest gap that a spline bridges where there is no prediction to compare it with."""
+"""[frames] Longest gap that is filled by a spline without a prediction."""
 _TRIAL_LENGTHS = (1, 2, 4, 8, 16, 32)
 """[frames]"""
 _TRIAL_COUNT = 120
 """Stretches hidden for each length."""
 _INFORMED_SHARE = 0.3
-"""[0-1] Markers that must be seen for a prediction to be more than the take's mean."""
+"""[0-1] Share of visible markers below which a prediction is close to the take's mean."""
 _END_SAMPLES = 5
-"""Samples next to a gap whose mean is the prediction's error: one alone carries its noise."""
+"""Samples next to a gap over which the prediction's error is averaged."""
 _SPLINE_KNOTS = 4
-"""Samples on each side of a gap that a spline goes through."""
+"""Knots of a spline on each side of a gap."""
 _GAP_REACH = 3 * _SPLINE_KNOTS
-"""[frames] What lies farther from a gap does not count in its filling."""
+"""[frames] Range on each side of a gap that its filling depends on."""
 _FADE_FRAMES = 30.0
-"""[frames] At the ends of a take the prediction's error is known on one side only: it is let decay
-by exp(-distance / 30)."""
+"""[frames] Decay length of the prediction's error at the ends of a take, where it is known on one
+side only."""
 _LEAST_CONFIDENCE = 0.01
-"""Of a filled sample: 0 is one that was left."""
+"""Of a filled sample; 0 is one that is not filled."""
 _MEMORY_SECONDS = 0.15
-"""Time over which a face forgets where it was: of the variance of a marker's motion, a sample t
-seconds from the nearest one seen is known to the share exp(-(t / .15)^2). In stretches hidden on
-five takes, simulated and recorded, .94, .65 and .4 were known at .04, .1 and .15 s where an actor
-spoke, and more where he moved slowly."""
+"""Correlation time of a marker's motion: a sample t seconds from the nearest visible one explains
+the share exp(-(t / .15)^2) of its variance. In stretches hidden on five takes, simulated and
+recorded, the shares at .04, .1 and .15 s were .94, .65 and .4 in speech, and larger in slow
+motion."""
 _TRIAL_FRAMES = 20_000
-"""[frames] Of the middle of a take: where `choose_spline_limit` hides samples."""
+"""[frames] From the middle of a take, for `choose_spline_limit`."""
 
 
 @dataclass(frozen=True)
 class GapFill:
-    """Tracks with their gaps filled where that was allowed."""
+    """Tracks with gaps filled up to a length."""
 
     positions: RealArray
-    """(frames, markers, 3) [mm] Samples of gaps that were left are unchanged."""
+    """(frames, markers, 3) [mm] Samples of longer gaps are unchanged."""
     filled: BoolArray
     """(frames, markers)"""
     confidence: Float32Array
-    """(frames, markers) [0-1] 1 where seen, lower the deeper in a filled gap, 0 where left: the
-    share of the variance of the marker's motion that the nearest sample seen still tells."""
+    """(frames, markers) [0-1] 1 where visible, 0 where not filled, else the share of the variance
+    of the marker's motion that the nearest visible sample explains; see `_MEMORY_SECONDS`."""
 
 
 @dataclass(frozen=True)
 class TakeFill:
-    """What was filled."""
+    """Record of filled samples."""
 
     filled: BoolArray
     """(frames, markers)"""
     confidence: Float32Array
-    """(frames, markers) [0-1] 1 where good, lower the deeper in a filled gap, 0 where a gap was too
-    long."""
+    """(frames, markers) [0-1] As in `GapFill`."""
 
 
 def complete_take(
@@ -87,10 +85,10 @@ def complete_take(
     noise: float,
     rate: float = USUAL_RATE,
 ) -> TakeFill:
-    """Fill every sample that is not good, in place.
+    """Fill all samples that are not good, in place.
 
-    Gaps of at most `max_gap` frames as `fill_gaps` does; longer ones with what the other markers
-    predict, so that whole frames can be smoothed.
+    Gaps of at most `max_gap` frames by `fill_gaps`; longer ones by the model's prediction, so that
+    whole frames can be smoothed.
 
     Parameters
     ----------
@@ -112,10 +110,10 @@ def complete_take(
     if good.all():
         return TakeFill(filled, confidence)
     middle = max(0, (count - _TRIAL_FRAMES) // 2)
-    limit = _trial_spline_limit(
-        positions, good, model, slice(middle, middle + _TRIAL_FRAMES), noise
-    )
-    # Blocks of at least one gap: each is filled with a gap's length around it in view.
+    points, ok = (values[middle : middle + _TRIAL_FRAMES] for values in (positions, good))
+    prediction = predict_from_others(model, fill_missing(model, points, ok))
+    limit = choose_spline_limit(points, ok, prediction, noise=noise)
+    # Each block is filled with a margin of the longest gap around it.
     for block in frame_blocks(count, at_least=max_gap):
         if good[block].all():
             continue
@@ -134,24 +132,11 @@ def complete_take(
             rate=rate,
         )
         inner = slice(block.start - around.start, block.stop - around.start)
-        found = gaps.filled[inner]
-        values = np.where(found[..., None], gaps.positions[inner], complete[inner])
+        filled[block], confidence[block] = gaps.filled[inner], gaps.confidence[inner]
+        values = np.where(filled[block][..., None], gaps.positions[inner], complete[inner])
         missing = ~good[block]
         positions[block][missing] = values[missing]
-        filled[block], confidence[block] = found, gaps.confidence[inner]
     return TakeFill(filled, confidence)
-
-
-def _trial_spline_limit(
-    positions: RealArray,
-    good: BoolArray,
-    model: LowRankModel,
-    stretch: slice,
-    noise: float,
-) -> int:
-    points, ok = positions[stretch], good[stretch]
-    prediction = predict_from_others(model, fill_missing(model, points, ok))
-    return choose_spline_limit(points, ok, prediction, noise=noise)
 
 
 def fill_gaps(
@@ -174,19 +159,18 @@ def fill_gaps(
         [mm] Anything where not visible.
     visible : (frames, markers) array_like of bool
     max_gap : int
-        Longest gap to fill [frames]; longer ones are left whole.
+        Longest gap to fill [frames].
     prediction : (frames, markers, 3) array_like, optional
-        What the other markers predict of each marker. Without it, gaps longer than `SPLINE_LIMIT`
-        and gaps at the ends of the take are left.
-        At frames where the marker is seen, it must not depend on the marker itself.
+        Of each marker from the others, also where it is visible. Without it, gaps longer than
+        `SPLINE_LIMIT` and gaps at the ends of the take are not filled.
     noise : float
-        Standard deviation of a measured coordinate [mm]: the prediction's error next to a gap
-        counts only as far as it rises above it.
+        Standard deviation of a measured coordinate [mm], by which the prediction's error next to a
+        gap is shrunk.
     spline_limit : int, optional
         Longest gap to fill with a spline where there is a prediction [frames]; by default
         that of `choose_spline_limit`.
     open_start, open_stop : bool
-        The take goes on there: gaps that reach that end are left, as their other end is unknown.
+        Whether the take continues there: gaps that reach this end are not filled.
     rate : float
         Frames per second.
     """
@@ -217,7 +201,7 @@ def fill_gaps(
             if inner and stop - start <= reach:
                 values = _spline(track, ok, start, stop)
             elif base is not None:
-                # Only next to the gap: over all frames, the work would be gaps times frames.
+                # Next to the gap alone: over all frames, time would grow as gaps times frames.
                 low, high = max(0, start - _END_SAMPLES), stop + _END_SAMPLES
                 rest = track[low:high] - base[low:high]
                 values = base[start:stop] + _blend_offsets(
@@ -240,7 +224,7 @@ def choose_spline_limit(
 ) -> int:
     """Return the longest gap that a spline fills better than the prediction does [frames].
 
-    Seen stretches are hidden and filled both ways; the arguments are those of `fill_gaps`.
+    By the mean error over hidden stretches; the arguments are those of `fill_gaps`.
     """
     rng = np.random.default_rng(0)
     frames, markers = visible.shape
@@ -270,7 +254,7 @@ def choose_spline_limit(
 
 
 def _spline(track: RealArray, ok: BoolArray, start: int, stop: int) -> RealArray:
-    """Cubic spline through the nearest seen samples on both sides."""
+    """Return the cubic spline through the nearest visible samples on both sides."""
     low, high = max(0, start - _GAP_REACH), stop + _GAP_REACH
     near = np.flatnonzero(ok[low:high]) + low
     before, after = near[near < start][-_SPLINE_KNOTS:], near[near >= stop][:_SPLINE_KNOTS]
@@ -280,17 +264,17 @@ def _spline(track: RealArray, ok: BoolArray, start: int, stop: int) -> RealArray
 
 @lru_cache(maxsize=4096)
 def _curve_weights(knots: tuple[int, ...], length: int) -> FloatArray:
-    """Return what each knot counts in each frame of a gap, (length, knots): curves are linear."""
-    frames, each = np.arange(length), np.eye(len(knots))
+    """Return the spline's weight of each knot in each frame of a gap, (length, knots)."""
+    frames, unit = np.arange(length), np.eye(len(knots))
     if len(knots) > 2:
-        return np.asarray(CubicSpline(knots, each)(frames))
-    return np.stack([np.interp(frames, knots, one) for one in each], axis=1)
+        return np.asarray(CubicSpline(knots, unit)(frames))
+    return np.stack([np.interp(frames, knots, row) for row in unit], axis=1)
 
 
 def _blend_offsets(
     offsets: RealArray, ok: BoolArray, start: int, stop: int, noise: float
 ) -> FloatArray:
-    """Return what to add to the prediction: the rest at both ends, blended across the gap."""
+    """Return the correction of the prediction: its errors at both ends, interpolated linearly."""
     before = _end_offset(
         offsets, ok, range(start - 1, max(-1, start - 1 - _END_SAMPLES), -1), noise
     )
@@ -304,9 +288,9 @@ def _blend_offsets(
 
 
 def _end_offset(offsets: RealArray, ok: BoolArray, frames: range, noise: float) -> FloatArray:
-    """Return the mean offset of the samples next to a gap, as far as it rises above the noise.
+    """Return the mean offset of the samples next to a gap, with James-Stein shrinkage.
 
-    Positive-part James-Stein shrinkage in three dimensions.
+    Positive part, in three dimensions.
     """
     chosen = [frame for frame in frames if ok[frame]]
     if not chosen:
@@ -315,13 +299,13 @@ def _end_offset(offsets: RealArray, ok: BoolArray, frames: range, noise: float) 
     square = float(mean @ mean)
     if square == 0.0:
         return mean
-    # The samples' own noise, and that of a prediction of about the same quality.
+    # The noise of the samples, and that of a prediction of about the same quality.
     expected = 2.0 * noise**2 * (1.0 + 1.0 / len(chosen))
     return np.asarray(mean * max(0.0, 1.0 - expected / square))
 
 
 def _gap_confidence(start: int, stop: int, frame_count: int, rate: float) -> RealArray:
-    """Return how much the nearest seen sample still tells: see `_MEMORY_SECONDS`."""
+    """Return the variance share that the nearest visible sample explains; see `_MEMORY_SECONDS`."""
     frames = np.arange(start, stop)
     before = frames - start + 1 if start > 0 else np.full(stop - start, frame_count)
     after = stop - frames if stop < frame_count else np.full(stop - start, frame_count)

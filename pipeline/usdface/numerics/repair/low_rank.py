@@ -1,7 +1,7 @@
-"""How markers move together: a Gaussian of few directions.
+"""Low-rank Gaussian model of the joint motion of markers, and conditional predictions.
 
-Every marker is predictable from the others. That fills gaps of any length, and detects samples that
-do not belong: outliers, and labels that have changed places. `fit_low_rank` fits one to a take.
+The prediction of a marker from the others fills gaps of any length, and detects outliers and
+swapped labels. `fit_low_rank` fits a model to a take.
 
 References
 ----------
@@ -19,21 +19,21 @@ from usdface.core.arrays import BoolArray, FloatArray, IntArray, RealArray
 
 _CHUNK_FRAMES = 2048
 _MATRIX_ENTRIES = 1 << 18
-"""Of the small systems that are solved in one batch: 2 MB in double precision."""
+"""Entries of the small systems solved in one batch: 2 MB in double precision."""
 
 
 @dataclass(frozen=True)
 class LowRankModel:
-    """A Gaussian over whole frames: few directions of motion, and noise per marker."""
+    """Gaussian distribution of frames: few directions of motion, and noise per marker."""
 
     mean: FloatArray
     """(markers * 3,) [mm]"""
     components: FloatArray
     """(rank, markers * 3): orthonormal rows, the largest variance first."""
     variances: FloatArray
-    """(rank,): of the motion along each row, noise taken off [mm^2]."""
+    """(rank,): of the motion along each row, without the noise [mm^2]."""
     noise: FloatArray
-    """(markers,): standard deviation of what the directions leave, per coordinate [mm]."""
+    """(markers,): standard deviation of the residual, per coordinate [mm]."""
 
     @cached_property
     def weighted(self) -> FloatArray:
@@ -53,7 +53,7 @@ class LowRankModel:
     def precision_of(self, entries: IntArray) -> FloatArray:
         """Return blocks of the inverse covariance: (..., n) entries to (..., n, n).
 
-        The whole of it is (markers * 3) squared: of a thousand markers 72 MB, and as slow.
+        The whole matrix takes 72 MB for a thousand markers.
         """
         blocks = -(self.weighted.T[entries] @ np.swapaxes(self.solved.T[entries], -1, -2))
         rows = np.arange(entries.shape[-1])
@@ -68,7 +68,7 @@ class LowRankModel:
 
 
 def fill_missing(model: LowRankModel, positions: RealArray, good: BoolArray) -> RealArray:
-    """Return positions with every sample that is not good replaced by its conditional mean.
+    """Return positions with all samples that are not good replaced by their conditional means.
 
     Parameters
     ----------
@@ -106,8 +106,8 @@ def predict_from_others(model: LowRankModel, filled: RealArray) -> RealArray:
         Of the same precision as `filled`, and computed in it.
     """
     kind, count = filled.dtype, len(model.noise)
-    # With L the precision, x_m - E[x_m | others] = L_mm^-1 (L (x - mean))_m; L is diagonal but for
-    # the model's directions.
+    # With L the precision, x_m - E[x_m | others] = L_mm^-1 (L (x - mean))_m; L is diagonal plus low
+    # rank.
     mean, noise = model.mean.astype(kind), np.repeat(model.noise**-2.0, 3).astype(kind)
     weighted, solved = model.weighted.T.astype(kind), model.solved.astype(kind)
     covariances = model.conditional_covariances.astype(kind)
@@ -125,8 +125,8 @@ def predict_from_others(model: LowRankModel, filled: RealArray) -> RealArray:
 def _expected(model: LowRankModel, positions: RealArray, missing: IntArray) -> FloatArray:
     """Return the conditional mean of the missing markers, (frames, missing, 3).
 
-    Of frames that all miss as many: one small system each, solved in one batch; of as many
-    unknowns as there are missing coordinates or directions, whichever are fewer.
+    For frames with the same number of missing markers: one small system each, in the missing
+    coordinates or in the directions, whichever are fewer, solved in one batch.
     """
     frames, count = missing.shape
     offset = positions.astype(np.float64) - model.mean.reshape(-1, 3)
@@ -139,7 +139,7 @@ def _expected(model: LowRankModel, positions: RealArray, missing: IntArray) -> F
         system = model.precision_of(entries)
         shift = np.linalg.solve(system, pull[..., None])
     else:
-        # The scores' mean given what is seen: the precision without the missing markers' share.
+        # Posterior mean of the scores given the visible markers.
         directions = model.components.T[entries]
         inner = model.inner - np.swapaxes(model.weighted.T[entries], 1, 2) @ directions
         shift = directions @ np.linalg.solve(inner, weighted_offset[..., None])

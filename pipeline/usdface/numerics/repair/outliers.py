@@ -1,8 +1,8 @@
-"""Samples that do not belong to their marker: a reflection, another marker's label.
+"""Outliers of marker tracks, such as reflections and other markers' labels.
 
-`find_outliers` compares each marker with what all others predict of it. `find_spikes` needs no
-model: it looks for leaps away and back in a marker's own track, before a model is fitted. A short
-take would otherwise have its faults fitted as directions of the face's motion.
+`find_outliers` compares each marker with its prediction from the others. `find_spikes` looks for
+leaps away and back in single tracks, before a model is fitted: in a short take the model would fit
+them as directions of the face's motion.
 """
 
 from itertools import pairwise
@@ -21,31 +21,30 @@ from usdface.core.arrays import (
 from usdface.numerics.repair.low_rank import LowRankModel, fill_missing, predict_from_others
 
 _LIMIT_MEDIANS = 4.5
-"""Medians of the distance from the prediction; one in 10^8 of normal samples is farther."""
+"""Medians of the distance from the prediction; exceeded by one in 10^8 normal samples."""
 _LIMIT_NOISE_DEVIATIONS = 5.0
 _LEAST_LIMIT_MM = 1.0
-"""An outlier that is nearer does no harm."""
+"""Nearer outliers are harmless."""
 _JUMP_SHARE = 0.5
-"""[of the limit] An outlier comes and goes by jumps of at least this size; skin does not."""
+"""[of the limit] Least jump at the start and end of an outlier; skin does not jump."""
 _FAR_LIMITS = 2.0
-"""So many limits away, one jump is enough, or gaps on either side."""
+"""Distance in limits from which one jump is enough, or gaps on both sides."""
 USUAL_RATE = 60.0
 """Frames per second."""
 
 _LID_CLOSES_SECONDS = 0.078
 _SUDDEN_SHARE = 1 / 3
-"""[of the farthest distance] The largest jump of an outlier is at least this, and more than a lid
-gains from one frame to the next as it closes, along a half period of a cosine. Lids may do so
-alone: no other marker predicts a wink."""
+"""[of the farthest distance] Least largest jump of an outlier. At low rates, the largest step of a
+lid that closes along half a cosine, since no other marker predicts a wink."""
 _MOST_LIMITS = 1000.0
-"""More limits are no more an outlier, and what float16 holds."""
+"""Distances in limits are truncated here, within the range of float16."""
 _LONGEST_SHARE = 0.2
-"""[of the take] A marker that is off for longer has moved on the skin."""
+"""[of the take] Longer deviations are markers that slipped."""
 _LIMIT_SAMPLE_FRAMES = 8192
 _LEAP_REACH_FRAMES = 2
-"""On either side of a step that `_leap_sizes` looks at."""
+"""Frames on either side of a step that `_leap_sizes` uses."""
 _MOST_PER_FRAME = 8
-"""Outliers looked for in one frame."""
+"""Outliers sought per frame."""
 
 _LEAP_MEDIAN_STEPS = 12.0
 _LEAP_NOISE_DEVIATIONS = 8.0
@@ -54,7 +53,7 @@ _LONGEST_SPIKE_FRAMES = 150
 _RETURN_COSINE = -0.5
 """Largest cosine between a leap and the leap back."""
 _SPIKE_MOST_SHARE = 0.3
-"""[of its samples] A marker with more in spikes just moves that way."""
+"""[of its samples] Spikes of a marker with more of them are taken for its motion."""
 _USUAL_STEP_FRAMES = 20_000
 
 
@@ -66,10 +65,10 @@ def find_outliers(
     noise: FloatArray,
     rate: float = USUAL_RATE,
 ) -> BoolArray:
-    """Find samples that all other markers contradict and that came or went by a jump.
+    """Find samples far from their prediction by the other markers that start or end with a jump.
 
-    An outlier also spoils the prediction of its neighbours, so only the worst sample of a frame is
-    taken out before the frame is predicted again.
+    An outlier also distorts the prediction of its neighbours, so samples are removed one at a time,
+    the farthest of a frame first.
 
     Parameters
     ----------
@@ -129,7 +128,7 @@ def _beyond_limits(
     model: LowRankModel,
     limits: FloatArray,
 ) -> BoolArray:
-    """Return which samples lie beyond their limit; `predicted` becomes that of the others alone."""
+    """Return the samples beyond their limit; `predicted` is updated without them."""
     trusted = seen.copy()
     active = np.arange(len(points))
     for _ in range(_MOST_PER_FRAME):
@@ -152,7 +151,7 @@ def _limits(
     model: LowRankModel,
     noise: FloatArray,
 ) -> FloatArray:
-    """Return how far from its prediction each marker may lie [mm]."""
+    """Return the largest distance of each marker from its prediction that is no outlier [mm]."""
     rows = sample_frames(len(positions), _LIMIT_SAMPLE_FRAMES)
     seen = visible[rows]
     complete = fill_missing(model, positions[rows], seen)
@@ -172,7 +171,7 @@ def _between_leaps(
     seen: BoolArray,
     sudden_share: float,
 ) -> BoolArray:
-    """Keep a marker's distant stretches that come or go suddenly: skin does not leap.
+    """Return the distant stretches of a marker that start or end with a jump.
 
     Parameters
     ----------
@@ -180,7 +179,7 @@ def _between_leaps(
     excess, leaps : (frames,) arrays
         Distance from the prediction, and leap to the next frame [limits].
     sudden_share : float
-        Of the farthest distance: the least of the largest leap.
+        Least ratio of the largest leap to the farthest distance.
     """
     outliers = np.zeros_like(distant)
     tracked = seen[1:] & seen[:-1]
@@ -191,17 +190,17 @@ def _between_leaps(
         ends = [edge - 1 for edge in (start, stop) if 0 < edge < len(seen)]
         sudden = leaps[max(start - 1, 0) : stop].max() > sudden_share * farthest
         leap = [bool(tracked[edge] and sudden and leaps[edge] > _JUMP_SHARE) for edge in ends]
-        one_comes = any(leap) or not tracked[ends].any()
+        leap_or_gaps = any(leap) or not tracked[ends].any()
         outliers[start:stop] = (len(ends) == 2 and all(leap)) or (
-            farthest > _FAR_LIMITS and one_comes
+            farthest > _FAR_LIMITS and leap_or_gaps
         )
     return outliers
 
 
 def _leap_sizes(track: RealArray) -> RealArray:
-    """Return the size of each step as far as it differs from its neighbouring steps [mm].
+    """Return each step's size, at most its difference from a neighbouring step [mm].
 
-    Quick skin takes several frames to get up to speed; a leap starts from rest.
+    Fast skin accelerates over several frames, a leap starts from rest.
     """
     steps = np.diff(track, axis=0, prepend=track[:1], append=track[-1:])
     change = np.linalg.norm(np.diff(steps, axis=0), axis=1)
@@ -210,14 +209,14 @@ def _leap_sizes(track: RealArray) -> RealArray:
 
 
 def find_spikes(positions: RealArray, visible: BoolArray, *, noise: FloatArray) -> BoolArray:
-    """Find the samples between a leap and the next leap back: (frames, markers) bool array.
+    """Return the samples between a leap and the next leap back: (frames, markers) bool array.
 
     Parameters
     ----------
     positions : (frames, markers, 3) float array
         [mm] Without head motion.
     visible : (frames, markers) bool array
-        A leap over a gap counts from the last sample before it.
+        Leaps across a gap start at the last sample before it.
     noise : (markers,) float array
         Standard deviation of the measurement noise per coordinate [mm].
     """

@@ -1,8 +1,8 @@
-"""Labels that have changed places between two neighbouring markers, found and exchanged back.
+"""Detection and correction of swapped labels of two neighbouring markers.
 
-A swap is a state that lasts: it begins and ends with a jump and in between both markers lie where
-the other should be. The evidence (see `swap_evidence`) is gathered for every pair of neighbours,
-and the likeliest sequence of states over the whole take is found by the Viterbi algorithm.
+A swap is a state that begins and ends with a jump, during which each marker is at the other's
+predicted position. From the evidence of each pair of neighbours (see `swap_evidence`), the Viterbi
+algorithm finds the most likely sequence of states over the take.
 """
 
 from collections.abc import Iterator
@@ -32,51 +32,51 @@ from usdface.numerics.repair.swap_evidence import (
 )
 
 _JUMP_MEDIAN_STEPS = 6.0
-"""A larger step between frames is a jump."""
+"""[of the median step] Larger steps between frames are jumps."""
 _STEP_SAMPLE_FRAMES = 8192
 _HINTS_NEEDED = 2
 _LONGEST_SWAP_SHARE = 0.5
-"""[of the take] Labels swapped for more than half of it would be the labels."""
+"""[of the take] Longer swaps are taken for the true labels."""
 _LEAST_GAIN = 20.0
-"""Evidence a single swap must gather over all its frames."""
+"""[nats] Least evidence of a swap over its frames."""
 _DULL_GAIN = -1.0
-"""Frames with at most this evidence for a swap are dull."""
+"""[nats] Frames with at most this evidence for a swap are dull."""
 _DULL_FRAMES = 1 + int(2.0 * (TOGGLE_COST + JUMP_LIMITS[1]) / -_DULL_GAIN)
-"""So many dull frames in a row end every swap: it would cost more than both of its changes."""
+"""Number of consecutive dull frames whose evidence outweighs the cost of two changes of state."""
 
 
 @dataclass(frozen=True)
 class Swap:
-    """Two markers that carry each other's label for a while."""
+    """Two markers with each other's label over a range of frames."""
 
     first: int
     second: int
     """`first`, `second`: Columns, ascending."""
     start: int
     stop: int
-    """`start`, `stop`: Frame indices, the stop left out."""
+    """`start`, `stop`: Frame indices, the stop exclusive."""
 
 
 def find_swaps(
     positions: RealArray, visible: BoolArray, *, model: LowRankModel, noise: float
 ) -> tuple[Swap, ...]:
-    """Find the stretches in which two neighbouring markers carry each other's label.
+    """Find the ranges of frames in which two neighbouring markers have each other's label.
 
     Parameters
     ----------
     positions : (frames, markers, 3) float array
         [mm] Without head motion; anything where not visible.
     visible : (frames, markers) bool array
-        What was measured; samples filled from the model are no evidence.
+        Measured samples.
     model : LowRankModel
-        Fitted to the same take, swaps in it.
+        Fitted to the same take, with its swaps.
     noise : float
         Standard deviation of a measured coordinate [mm].
 
     Returns
     -------
     tuple of Swap
-        By start; no marker is in two at once.
+        By start; no marker is in two at the same time.
     """
     step_scale = _jump_scale(positions, visible, noise)
     pairs = neighbor_pairs(positions, visible, model, noise)
@@ -118,17 +118,16 @@ def likeliest_states(gain: RealArray, toggle: RealArray) -> BoolArray:
     gain : (frames,) float array
         Of state True over state False in each frame.
     toggle : (frames,) float array
-        Cost of being in another state than in the frame before; may be negative.
+        Cost of a change of state from the previous frame; may be negative.
 
     Notes
     -----
-    Viterbi's algorithm. Two states need only the difference of their costs: with d the cost of
-    True less that of False, a change costs p either way, so that d becomes d limited to ±p (the
-    sign turned when p is negative), less the gain.
+    Viterbi's algorithm on the difference d of the costs of True and False: with a cost p of a
+    change, d becomes d limited to ±p (with the sign reversed for negative p), less the gain.
     """
     to_true = np.zeros(len(gain), bool)
     to_false = np.zeros(len(gain), bool)
-    difference = np.inf  # the first frame may begin in either state, at the cost of one change
+    difference = np.inf  # the take begins in state False, or in True at the cost of one change
     rows = zip(gain.tolist(), toggle.tolist(), strict=True)
     for frame, (g, p) in enumerate(rows):
         if frame == 0:
@@ -151,7 +150,7 @@ def likeliest_states(gain: RealArray, toggle: RealArray) -> BoolArray:
 
 @dataclass(frozen=True)
 class _Evidence:
-    """Frames of a pair in or near a possible swap, with gains and costs of changes [nats]."""
+    """Frames of a pair in or near a possible swap, their gains and costs of changes [nats]."""
 
     frames: IntArray
     gain: Float32Array
@@ -165,7 +164,7 @@ def _gather_evidence(
     model: LowRankModel,
     step_scale: float,
 ) -> list[_Evidence]:
-    """Return the evidence on each suspect, without long rows of dull frames, which end a swap."""
+    """Return the evidence of each suspect, without long runs of dull frames, which end a swap."""
     chosen: list[list[_Evidence]] = [[] for _ in suspects]
     for block in frame_blocks(len(positions)) if suspects else ():
         around = widened(block, _DULL_FRAMES + 1, len(positions))
@@ -190,7 +189,7 @@ def _arrays(part: _Evidence) -> tuple[NDArray[np.generic], ...]:
 
 
 def _swaps_of(pair: Pair, found: _Evidence) -> Iterator[tuple[float, Swap]]:
-    """Yield the pair's likeliest swaps, each with the evidence it gathers [nats]."""
+    """Yield the most likely swaps of a pair, each with its total evidence [nats]."""
     breaks = np.flatnonzero(np.diff(found.frames) > 1) + 1
     for part in np.split(np.arange(len(found.frames)), breaks):
         gain, toggle = found.gain[part], found.toggle[part]
@@ -201,7 +200,7 @@ def _swaps_of(pair: Pair, found: _Evidence) -> Iterator[tuple[float, Swap]]:
 
 
 def _jump_scale(positions: RealArray, visible: BoolArray, noise: float) -> float:
-    """Return the size of a step between frames, per coordinate, that begins to be a jump."""
+    """Return the smallest step between frames, per coordinate, that is a jump [mm]."""
     middle = len(positions) // 2
     half = _STEP_SAMPLE_FRAMES // 2
     stretch = slice(max(0, middle - half), middle + half)
@@ -212,7 +211,7 @@ def _jump_scale(positions: RealArray, visible: BoolArray, noise: float) -> float
 
 
 def _without_conflicts(candidates: list[tuple[float, Swap]]) -> tuple[Swap, ...]:
-    """Keep the best supported swaps; a marker can take part in only one at a time."""
+    """Return the swaps with the largest evidence, of which none share a marker at the same time."""
     chosen: list[Swap] = []
     for _, swap in sorted(candidates, key=lambda candidate: -candidate[0]):
         clash = any(

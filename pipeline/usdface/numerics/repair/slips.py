@@ -1,8 +1,7 @@
-"""Markers that moved on the skin during a take, and stayed where they then were.
+"""Markers that slip to another place on the skin during a take.
 
-The others predict a marker from how they have moved together; what is left of it keeps its mean
-over a take. A marker that slips leaves a step there: its mean differs before and after one moment,
-by more than it varies on either side.
+The residual of a marker from its prediction by the others has a constant mean over a take, unless
+the marker slips: then its mean changes once, by more than it varies on either side.
 """
 
 from collections.abc import Sequence
@@ -15,46 +14,47 @@ from usdface.numerics.repair.fit_low_rank import fit_low_rank
 from usdface.numerics.repair.low_rank import LowRankModel, fill_missing, predict_from_others
 
 _BLOCK_SECONDS = 0.5
-"""Means over it are nearly independent: an expression that the others do not predict lasts so
-long."""
+"""Block length of means of the residual: the duration of unpredicted expressions, over which means
+are nearly independent."""
 
 _FEWEST_BLOCKS = 10
-"""On either side of a slip: an expression that one marker alone shows, a wink, is not held for five
+"""On either side of a slip: an expression of one marker alone, such as a wink, is shorter than five
 seconds."""
 
 _JUMP_BLOCKS = 4
+"""On either side of a slip, to measure its suddenness."""
 
 _STEP_DEVIATIONS = 2.0
-"""Step over the deviation of block means on either side. Of takes without slips the largest is 1.2,
-of three with one, of 2 and 4 mm, the smallest 2.7."""
+"""Least step over the standard deviation of block means. The largest in takes without slips is 1.2,
+the smallest in three takes with slips of 2 and 4 mm is 2.7."""
 
 _LEAST_STEP_MM = 0.7
-"""Of what the model leaves over, which has learnt a part of the slip: half of it or more."""
+"""Of the residual; the model has fitted up to half of the slip."""
 
 _LEAST_DEVIATION_MM = 0.05
 _SUDDEN_SHARE = 0.5
-"""[of the step] What is left differs so much between the `_JUMP_BLOCKS` on either side."""
+"""[of the step] Least difference between the means of the `_JUMP_BLOCKS` on either side."""
 
 MOST_SLIP_MM = 5.0
-"""Farther, a marker is on another one's place or on a lid that shut, and stays where it is."""
+"""Longer slips are not corrected: the marker is at another's place, or on a lid that shut."""
 
 _BATCH_BLOCKS = 64
-"""Predicted at a time."""
+"""Blocks predicted at a time."""
 
 
 @dataclass(frozen=True)
 class Slip:
-    """A marker that sits elsewhere on the skin from one frame on."""
+    """A change of a marker's place on the skin."""
 
     marker: int
     row: int
-    """The first in the new place, to half a second."""
+    """First frame index at the new place, to half a second."""
     offset: FloatArray
     """(3,): new place less the old one [mm]; zeros until it is measured."""
 
     @property
     def distance_mm(self) -> float:
-        """Of the places; beyond `MOST_SLIP_MM` the marker was left in the new one."""
+        """Length of the offset; slips beyond `MOST_SLIP_MM` are not corrected."""
         return float(np.linalg.norm(self.offset))
 
 
@@ -74,16 +74,16 @@ def find_slips(
         Frames per second.
     """
     size = max(int(_BLOCK_SECONDS * rate), 1)
-    means = _left_over_means(positions, good, model, size)
-    found = []
+    means = _residual_means(positions, good, model, size)
+    slips = []
     for marker in range(means.shape[1]):
         blocks = np.flatnonzero(np.isfinite(means[:, marker, 0]))
-        left = means[blocks, marker]
-        count = len(left)
+        residual = means[blocks, marker]
+        count = len(residual)
         if count < 2 * _FEWEST_BLOCKS:
             continue
         splits = np.arange(_JUMP_BLOCKS, count - _JUMP_BLOCKS + 1)
-        sums, squares = left.cumsum(axis=0), (left**2).sum()
+        sums, squares = residual.cumsum(axis=0), (residual**2).sum()
         before = sums[splits - 1] / splits[:, None]
         after = (sums[-1] - sums[splits - 1]) / (count - splits)[:, None]
         inside = squares - splits * (before**2).sum(axis=1)
@@ -94,11 +94,13 @@ def find_slips(
         at, near = int(splits[best]), _JUMP_BLOCKS
         if min(at, count - at) < _FEWEST_BLOCKS:
             continue
-        jump = np.linalg.norm(left[at : at + near].mean(axis=0) - left[at - near : at].mean(axis=0))
+        jump = np.linalg.norm(
+            residual[at : at + near].mean(axis=0) - residual[at - near : at].mean(axis=0)
+        )
         limit = _STEP_DEVIATIONS * max(float(deviation[best]), _LEAST_DEVIATION_MM)
         if step[best] > max(limit, _LEAST_STEP_MM) and jump > _SUDDEN_SHARE * step[best]:
-            found.append(Slip(marker, int(blocks[at]) * size, np.zeros(3)))
-    return tuple(found)
+            slips.append(Slip(marker, int(blocks[at]) * size, np.zeros(3)))
+    return tuple(slips)
 
 
 def undo_slips(
@@ -110,17 +112,17 @@ def undo_slips(
     rank: int,
     noise: FloatArray,
 ) -> tuple[Slip, ...]:
-    """Put markers that slipped where they sat in the neutral frame; return how far they slipped.
+    """Move markers that slipped to their place in the neutral frame; return the slips measured.
 
-    What the others predict of a marker is learnt from its frames on the neutral's side alone. Those
-    that are farther than `MOST_SLIP_MM` are measured only.
+    The model that predicts them is fitted to their frames on the neutral's side alone. Slips longer
+    than `MOST_SLIP_MM` are measured only.
 
     Parameters
     ----------
     positions : (frames, markers, 3) float32 array
         Changed in place [mm].
     neutral : int
-        Row.
+        Frame index.
     rank : int
         Most directions of the face's motion.
     noise : (markers,) float array
@@ -130,32 +132,33 @@ def undo_slips(
     sides = [slice(slip.row, None) if neutral < slip.row else slice(slip.row) for slip in slips]
     for slip, side in zip(slips, sides, strict=True):
         known[side, slip.marker] = False
-    learnt = fit_low_rank(positions, known, rank_limit=rank, noise=noise)
+    model = fit_low_rank(positions, known, rank_limit=rank, noise=noise)
     columns = [slip.marker for slip in slips]
-    left = np.empty((len(columns), len(positions), 3))
+    residuals = np.empty((len(columns), len(positions), 3))
     for block in frame_blocks(len(positions)):
         others = good[block].copy()
         others[:, columns] = False
-        predicted = fill_missing(learnt, positions[block], others)[:, columns]
-        left[:, block] = np.swapaxes(positions[block][:, columns] - predicted, 0, 1)
+        predicted = fill_missing(model, positions[block], others)[:, columns]
+        residuals[:, block] = np.swapaxes(positions[block][:, columns] - predicted, 0, 1)
     measured = []
-    for slip, side, away in zip(slips, sides, left, strict=True):
+    for slip, side, residual in zip(slips, sides, residuals, strict=True):
         seen = good[:, slip.marker]
-        other = np.zeros_like(seen)
-        other[side] = True
-        offset = np.median(away[seen & other], axis=0) - np.median(away[seen & ~other], axis=0)
+        moved = np.zeros_like(seen)
+        moved[side] = True
+        offset = np.median(residual[seen & moved], axis=0)
+        offset -= np.median(residual[seen & ~moved], axis=0)
         if np.linalg.norm(offset) <= MOST_SLIP_MM:
             positions[side, slip.marker] -= offset.astype(np.float32)
         measured.append(Slip(slip.marker, slip.row, offset if neutral < slip.row else -offset))
     return tuple(measured)
 
 
-def _left_over_means(
+def _residual_means(
     positions: RealArray, good: BoolArray, model: LowRankModel, size: int
 ) -> FloatArray:
-    """Return means of what the others do not predict: (blocks, markers, 3) [mm].
+    """Return block means of residuals from the predictions: (blocks, markers, 3) [mm].
 
-    NaN in blocks of which less than half is seen.
+    NaN in blocks of which less than half is visible.
     """
     count = len(positions) // size
     means = np.full((count, *positions.shape[1:]), np.nan)
@@ -163,9 +166,10 @@ def _left_over_means(
         blocks = min(_BATCH_BLOCKS, count - first)
         rows = slice(first * size, (first + blocks) * size)
         points, seen = positions[rows], good[rows]
-        left = points - predict_from_others(model, fill_missing(model, points, seen))
-        left = np.where(seen[..., None], left, 0.0).reshape(blocks, size, *points.shape[1:])
-        times = seen.reshape(blocks, size, -1).sum(axis=1)
-        mean = left.sum(axis=1) / np.maximum(times, 1)[..., None]
-        means[first : first + blocks] = np.where(times[..., None] * 2 >= size, mean, np.nan)
+        residual = points - predict_from_others(model, fill_missing(model, points, seen))
+        residual = np.where(seen[..., None], residual, 0.0)
+        residual = residual.reshape(blocks, size, *points.shape[1:])
+        counts = seen.reshape(blocks, size, -1).sum(axis=1)
+        mean = residual.sum(axis=1) / np.maximum(counts, 1)[..., None]
+        means[first : first + blocks] = np.where(counts[..., None] * 2 >= size, mean, np.nan)
     return means

@@ -1,4 +1,4 @@
-"""Smooth tracks as strongly as their noise asks for, each direction of motion by its own measure.
+"""Penalised smoothing of tracks and poses, with penalties chosen by cross-validation.
 
 References
 ----------
@@ -22,25 +22,23 @@ from usdface.numerics.repair.low_rank import LowRankModel
 _DIFFERENCE_ORDER = 3
 """Third differences are penalised: position, velocity and acceleration pass."""
 _FREQUENCY_BINS = 4096
-"""Frequencies are gathered into so many bins to score a penalty; the scores do not change."""
+"""Frequencies are binned to score a penalty; the scores do not change."""
 _PENALTIES = 10.0 ** np.arange(-3.0, 9.01, 0.1)
 _COLUMNS_AT_ONCE = 8
 _DETAIL_PENALTY = 3.0
-"""Of the light smoother: halves movements of about eight frames; the quickest blink is slower."""
+"""Of the light smoother: halves periods of about eight frames, shorter than the fastest blink."""
 _DETAIL_FRAMES = 9
 """Over which the energy of detail is averaged."""
 _DETAIL_ENERGY_RATIO = 4.0
-"""Energy of nine frames of smoothed noise, over its mean, stays below it in 9,999 of 10,000
-places."""
+"""99.99th percentile of the energy of nine frames of smoothed noise, over its mean."""
 DETAIL_REACH = 96
-"""[frames] Farther away, a sample changes no detail: the light smoother forgets 0.64 to the power
-of the distance."""
+"""[frames] Reach of the light smoother, whose impulse response decays as 0.64 per frame."""
 _DIRECTIONS_AT_ONCE = 8
 
 
 @dataclass(frozen=True)
 class SmoothedTracks:
-    """Smoothed series and how strongly each was smoothed."""
+    """Smoothed series and their penalties."""
 
     values: FloatArray
     """(frames, series)"""
@@ -60,8 +58,8 @@ def smooth_tracks(values: ArrayLike, *, penalties: ArrayLike | None = None) -> S
 
     Notes
     -----
-    With the series mirrored at its ends, third differences are diagonal in the cosine domain: the
-    whole smoother is two transforms, whatever the length and the penalty.
+    With the series mirrored at its ends, third differences are diagonal in the cosine domain, so
+    that smoothing takes two transforms.
     """
     y = np.asarray(values)
     frames, count = y.shape
@@ -81,10 +79,10 @@ def smooth_tracks(values: ArrayLike, *, penalties: ArrayLike | None = None) -> S
 
 
 def smooth_take(positions: RealArray, model: LowRankModel, *, noise: FloatArray) -> None:
-    """Smooth whole frames, in place.
+    """Smooth whole frames along the model's directions, in place.
 
-    Blinks, which coordinates of single markers would lose in their noise, are few directions.
-    What the directions miss of a marker is added back where it is too large to be noise.
+    Blinks, which are below the noise of single coordinates, are above it in few directions.
+    Residuals of the directions are added back where they are significant.
 
     Parameters
     ----------
@@ -104,7 +102,7 @@ def smooth_take(positions: RealArray, model: LowRankModel, *, noise: FloatArray)
     for start in range(0, len(components), _DIRECTIONS_AT_ONCE):
         columns = slice(start, start + _DIRECTIONS_AT_ONCE)
         scores[:, columns] = smooth_tracks(scores[:, columns]).values
-    behind = positions[:0]  # the rest of the frames before a block, which are smooth already
+    behind = positions[:0]  # residuals of the frames before a block, which are smoothed already
     for block in frame_blocks(count):
         around = widened(block, DETAIL_REACH, count)
         ahead = slice(block.start, around.stop)
@@ -117,18 +115,15 @@ def smooth_take(positions: RealArray, model: LowRankModel, *, noise: FloatArray)
 
 
 def smooth_poses(head_motion: ArrayLike, *, center: ArrayLike) -> FloatArray:
-    """Smooth rotations, and the path of `center`, as strongly as their own noise asks for.
-
-    A head turns far more slowly than single frames jitter. The penalties are chosen by generalised
-    cross-validation, so a quick nod is followed as far as it stands out of the noise.
+    """Smooth rotations and the path of `center`, with penalties by generalised cross-validation.
 
     Parameters
     ----------
     head_motion : (frames, 4, 4) array_like
         Rigid transforms for column vectors.
     center : (3,) array_like
-        Point of the head's space about which it turns least, such as the middle of the rigid
-        markers [mm]: the noise of turns and of paths is separate there.
+        Point of the head space about which the noise of rotations and of paths is independent,
+        such as the centroid of the rigid markers [mm].
 
     Returns
     -------
@@ -137,22 +132,22 @@ def smooth_poses(head_motion: ArrayLike, *, center: ArrayLike) -> FloatArray:
     motion = np.asarray(head_motion, np.float64)
     middle = np.asarray(center, np.float64)
     rotations = Rotation.from_matrix(motion[:, :3, :3])
-    usual = rotations.mean()  # turns are small about it: rotation vectors do not wrap
-    turns = (usual.inv() * rotations).as_rotvec()
+    mean = rotations.mean()  # rotation vectors about it are small and do not wrap
+    vectors = (mean.inv() * rotations).as_rotvec()
     path = motion[:, :3, :3] @ middle + motion[:, :3, 3]
-    smooth = smooth_tracks(np.concatenate([turns, path], axis=1)).values
+    smooth = smooth_tracks(np.concatenate([vectors, path], axis=1)).values
     result = np.zeros_like(motion)
-    result[:, :3, :3] = (usual * Rotation.from_rotvec(smooth[:, :3])).as_matrix()
+    result[:, :3, :3] = (mean * Rotation.from_rotvec(smooth[:, :3])).as_matrix()
     result[:, :3, 3] = smooth[:, 3:] - result[:, :3, :3] @ middle
     result[:, 3, 3] = 1.0
     return result
 
 
 def significant_detail(rest: ArrayLike, *, noise: ArrayLike) -> RealArray:
-    """Return the part of what smoothing took away that is too large, for a while, to be noise.
+    """Return the part of the residuals of smoothing that is significant against the noise.
 
-    One penalty per direction suits the whole take. A movement that happens once or twice in an
-    hour hardly counts in it, and would be smoothed like the noise around it.
+    The penalty of a direction is that of the whole take. A fast movement that is rare in it would
+    be smoothed like noise.
 
     Parameters
     ----------
@@ -168,8 +163,8 @@ def significant_detail(rest: ArrayLike, *, noise: ArrayLike) -> RealArray:
 
     Notes
     -----
-    The rest is smoothed lightly; where its energy over a few frames exceeds several times that of
-    smoothed noise, it is let through by positive-part James-Stein shrinkage.
+    Residuals are smoothed lightly, and shrunk by the positive-part James-Stein factor of their
+    energy over nine frames.
     """
     away = np.asarray(rest)
     frames = len(away)
@@ -191,7 +186,7 @@ def significant_detail(rest: ArrayLike, *, noise: ArrayLike) -> RealArray:
 
 
 def difference_eigenvalues(frames: int) -> FloatArray:
-    """Return the squared third difference of each cosine of a series, (frames,)."""
+    """Return the eigenvalues of the squared third differences of a mirrored series, (frames,)."""
     return np.asarray((2.0 - 2.0 * np.cos(np.pi * np.arange(frames) / frames)) ** _DIFFERENCE_ORDER)
 
 

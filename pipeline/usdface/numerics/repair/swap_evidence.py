@@ -1,8 +1,8 @@
-"""Evidence that two neighbouring markers carry each other's label, frame by frame.
+"""Evidence per frame that two neighbouring markers have each other's label.
 
-Three kinds, all needed: position against the prediction of the other markers is too weak between
-close neighbours, direction alone takes a grimace for a swap, jumps alone take noise next to a gap
-for one.
+Three kinds, all needed: positions against predictions from the other markers are too weak between
+close neighbours, directions alone mistake a grimace for a swap, and jumps alone mistake noise next
+to a gap for one.
 """
 
 from dataclasses import dataclass
@@ -15,21 +15,21 @@ from usdface.numerics.repair.low_rank import LowRankModel, fill_missing, predict
 _NEIGHBOR_COUNT = 8
 _SAMPLE_FRAMES = 4096
 _BLOCK_FRAMES = 64
-"""[frames] Blocks whose extremes rule a swap out are not looked at frame by frame."""
+"""[frames] Blocks whose extremes exclude a swap are not examined frame by frame."""
 TOGGLE_COST = 12.0
-"""[nats] A change of state without any jump: once in 160,000 frames by chance."""
+"""[nats] Cost of a change of state without a jump: one in exp(12) = 160,000 frames by chance."""
 _POSITION_LIMIT = 5.0
-"""[nats] Most evidence from the positions of one frame: residuals have heavy tails."""
+"""[nats] Largest evidence from the positions of one frame: residuals have heavy tails."""
 _DIRECTION_WEIGHT = 8.0
-"""[nats] Evidence from the direction of one frame that is fully the other way round."""
+"""[nats] Evidence from a reversed direction in one frame."""
 JUMP_LIMITS = (-80.0, 60.0)
-"""[nats] Of what jumps add to the cost of a change."""
+"""[nats] Limits of the contribution of jumps to the cost of a change."""
 _ALONE_STRICTNESS = 4.0
-"""Ratio of squares: a marker seen alone must lie twice as near to the other's predicted position
-as to its own."""
+"""Ratio of squared distances: if one marker alone is visible, it must lie twice as near to the
+other's predicted position as to its own."""
 _POSITION_HINT = 4.0
 _JUMP_HINT = -20.0
-"""[nats] Evidence that makes a pair worth a look."""
+"""[nats] Evidence in one frame above (below) which a pair is examined."""
 
 
 @dataclass(frozen=True)
@@ -40,12 +40,12 @@ class Pair:
     second: int
     """`first`, `second`: Columns, ascending."""
     direction: Float32Array
-    """(3,): from the first to the second at rest, over its square."""
+    """(3,): vector from the first to the second at rest, over its squared length."""
     residual_variance: float
-    """Of a coordinate about its prediction from all other markers [mm^2]."""
+    """Of a coordinate about its prediction from all markers but the two [mm^2]."""
     mixing: Float32Array
-    """(6, 6): maps the offsets of the two from their predictions by all other markers to those from
-    their predictions by all markers but the two."""
+    """(6, 6): maps the residuals of the two from their predictions by all other markers to those
+    from their predictions by all markers but the two."""
 
 
 @dataclass(frozen=True)
@@ -55,13 +55,13 @@ class Window:
     positions: RealArray
     """(markers, 3, frames) [mm] Complete: gaps filled from the model."""
     offsets: RealArray
-    """(markers, 3, frames): from the prediction by all other markers [mm]."""
+    """(markers, 3, frames): residuals from the prediction by all other markers [mm]."""
     seen: BoolArray
     """(markers, frames)"""
 
 
 def open_window(positions: RealArray, visible: BoolArray, model: LowRankModel) -> Window:
-    """Fill and predict consecutive frames."""
+    """Return consecutive frames with gaps filled, and residuals from their predictions."""
     complete = fill_missing(model, positions, visible)
     offsets = complete - predict_from_others(model, complete)
     return Window(
@@ -74,7 +74,7 @@ def open_window(positions: RealArray, visible: BoolArray, model: LowRankModel) -
 def neighbor_pairs(
     positions: RealArray, visible: BoolArray, model: LowRankModel, noise: float
 ) -> list[Pair]:
-    """Return every pair of near neighbours, with how well the other markers predict it."""
+    """Return all pairs of near neighbours, with the variance of their prediction residuals."""
     rest = model.mean.reshape(-1, 3)
     distances = np.linalg.norm(rest[:, None] - rest[None], axis=2)
     nearest = np.argsort(distances, axis=1)[:, 1 : _NEIGHBOR_COUNT + 1]
@@ -85,7 +85,7 @@ def neighbor_pairs(
     for first, second in chosen:
         mixing = _mixing(model, first, second)
         away = mixing @ window.offsets[[first, second]].reshape(6, -1)
-        # The median of squares of a normal variable is 0.455 of its variance.
+        # The median of a squared normal variable is 0.455 times its variance.
         variance = max(float(np.median(away**2)) / 0.455, 2.0 * noise**2, 1e-4)
         between = rest[second] - rest[first]
         direction = between / max(float(between @ between), 1e-12)
@@ -96,10 +96,10 @@ def neighbor_pairs(
 def suspicious_pairs(
     pairs: list[Pair], window: Window, *, step_scale: float
 ) -> list[tuple[int, int]]:
-    """Count the frames that hint at a swap, of the pairs that have any: (index, frames).
+    """Return the pairs with frames that hint at a swap, and their number: (index, frames).
 
-    Most pairs need no look: to lie where the other should be, a marker must be off by half of
-    their distance; to jump there, it must jump.
+    Most pairs are excluded by bounds over blocks of frames: in a swap a residual is at least half
+    of the distance of the two markers, and a jump needs a large step.
     """
     starts = np.arange(0, window.seen.shape[1], _BLOCK_FRAMES)
     high = np.maximum.reduceat(window.positions, starts, axis=2)
@@ -137,7 +137,7 @@ def suspicious_pairs(
 def weigh_swap(
     pair: Pair, window: Window, *, step_scale: float
 ) -> tuple[Float32Array, Float32Array]:
-    """Return for each frame the gain of being swapped and the cost of a change there [nats]."""
+    """Return the gain of the swapped state and the cost of a change, per frame [nats]."""
     views = _views(pair, window)
     gain: RealArray = np.clip(_position_evidence(pair, views), -_POSITION_LIMIT, _POSITION_LIMIT)
     gain -= _DIRECTION_WEIGHT * np.clip(_direction_evidence(pair, views), -1.0, 1.0)
@@ -147,7 +147,7 @@ def weigh_swap(
 
 @dataclass(frozen=True)
 class _Views:
-    """A pair in a window: positions of both, and offsets from the prediction of all others."""
+    """A pair in a window: positions, and residuals from the predictions without the pair."""
 
     x: RealArray
     y: RealArray
@@ -166,7 +166,7 @@ def _views(pair: Pair, window: Window) -> _Views:
 
 
 def _position_evidence(pair: Pair, views: _Views) -> RealArray:
-    """Return the squared distance to its own prediction less that to the other's, over variance."""
+    """Return the squared distance to the own prediction less that to the other's, over variance."""
     square = _dot(views.between, views.between)
     x_along, y_along = _dot(views.x_away, views.between), _dot(views.y_away, views.between)
     # |x_away|^2 - |x_away + between|^2, and the same of y
@@ -180,7 +180,7 @@ def _position_evidence(pair: Pair, views: _Views) -> RealArray:
 
 
 def _direction_evidence(pair: Pair, views: _Views) -> RealArray:
-    """Return 1 where each lies on its own side, -1 where on the other's."""
+    """Return the direction of the pair projected on that at rest: 1 at rest, -1 if reversed."""
     return _choose_seen(
         pair.direction @ views.between,
         1.0 - 2.0 * (pair.direction @ views.x_away),
@@ -191,13 +191,13 @@ def _direction_evidence(pair: Pair, views: _Views) -> RealArray:
 
 
 def _jump_evidence(views: _Views, step_scale: float) -> RealArray:
-    """Return by how much steps are shorter when they began at the other marker; negative then."""
+    """Return the squared step from the other marker less that from its own, over the scale."""
     x, y, x_seen, y_seen = views.x, views.y, views.x_seen, views.y_seen
     x_step, y_step = np.diff(x), np.diff(y)
     x_square, y_square = _dot(x_step, x_step), _dot(y_step, y_step)
     x_from_y, y_from_x = x[:, 1:] - y[:, :-1], y[:, 1:] - x[:, :-1]
     together = np.maximum(_dot(x_from_y, x_from_y) - x_square, _dot(y_from_x, y_from_x) - y_square)
-    # Where one is hidden, only the way between the positions of the two is known.
+    # Where one is hidden, only the offset between the predictions of the two is known.
     offset = (views.between + views.x_away - views.y_away)[:, 1:]
     length = _dot(offset, offset)
     x_alone = length - 2.0 * np.abs(_dot(x_step, offset))
@@ -216,7 +216,7 @@ def _choose_seen(
     x_seen: BoolArray,
     y_seen: BoolArray,
 ) -> RealArray:
-    """Choose the evidence by what is seen: both markers, one of them, or none (0)."""
+    """Choose the evidence by visibility: of both markers, one of them, or none (0)."""
     alone = np.where(x_seen, x_alone, np.where(y_seen, y_alone, np.float32(0.0)))
     return np.asarray(np.where(x_seen & y_seen, together, alone))
 
@@ -232,7 +232,7 @@ def _mixing(model: LowRankModel, first: int, second: int) -> Float32Array:
 
 
 def _steps(window: Window) -> RealArray:
-    """Return the squared step of each marker from the frame before where both saw it."""
+    """Return the squared step of each marker from the previous frame; 0 unless visible in both."""
     steps = np.diff(window.positions, axis=2)
     squares = np.einsum("mif,mif->mf", steps, steps)
     return np.asarray(squares * (window.seen[:, 1:] & window.seen[:, :-1]))

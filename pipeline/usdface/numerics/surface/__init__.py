@@ -1,1 +1,1 @@
-"""Distances over the surface of a mesh, however many islands it has."""
+"""Triangulation of polygon meshes, and geodesic distances over them."""

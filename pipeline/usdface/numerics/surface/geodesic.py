@@ -1,9 +1,9 @@
-"""Distances over a mesh from places on it to all its points: W06, "Geodesic manifold distances".
+"""Geodesic distances from places on a mesh to all its points: W06, "Geodesic manifold distances".
 
-Three metrics: the paper's, Dijkstra on the edges; the same with the diagonals of every polygon; and
-the heat method (Crane, Weischedel and Wardetzky, 2013), which does not depend on the edges'
-directions. A place is anywhere on a face: its distance to that face's corners is the straight line,
-and paths start at the corners.
+Three metrics: the paper's, Dijkstra's algorithm on the edges; the same with the diagonals of every
+polygon; and the heat method (Crane, Weischedel and Wardetzky, 2013), which does not depend on the
+directions of edges. From a place, anywhere on a face, the distances to that face's corners are
+straight lines, and paths continue from the corners.
 """
 
 from dataclasses import dataclass
@@ -23,19 +23,19 @@ from usdface.numerics.surface.triangulation import triangle_areas, triangulate
 Metric = Literal["dijkstra", "dijkstra-diagonals", "heat"]
 
 _BLOCK_PLACES = 32
-"""Places solved at once, with a result in double precision."""
+"""Places per call of Dijkstra's algorithm, whose result is in double precision."""
 
 
 @dataclass(frozen=True)
 class Geodesics:
-    """Distances over a surface; infinite where no path leads."""
+    """Distances over a surface; infinite between parts that are not connected."""
 
     to_points: Float32Array
     """(places, points) [mm]"""
     between: FloatArray
     """(places, places) [mm]; symmetric, 0 on the diagonal."""
     positions: FloatArray
-    """(places, 3): where the places are [mm]."""
+    """(places, 3) [mm]"""
     islands: IntArray
     """(points,): connected part of each point."""
     faults: MeshFaults
@@ -53,7 +53,7 @@ def geodesic_distances(
     metric: Metric = "dijkstra",
     progress: Progress = silent,
 ) -> Geodesics:
-    """Measure from every place to every point, and between places.
+    """Return distances from every place to every point, and between places.
 
     Parameters
     ----------
@@ -64,12 +64,12 @@ def geodesic_distances(
     faces : (places,) int array
         Polygon of each place.
     corners : (places, 3) int array
-        Points of the polygon that carry it.
+        Three points of the polygon.
     weights : (places, 3) float array
         Barycentric, sum 1.
     metric : {'dijkstra', 'dijkstra-diagonals', 'heat'}
-        The heat method factorises the mesh first: half a million points take half a minute and
-        2.4 GB, and then each corner of a place a third of a second.
+        The heat method factorises a matrix of the mesh, which takes half a minute and 2.4 GB for
+        half a million points, and then a third of a second per corner of a place.
     """
     if metric not in get_args(Metric):
         raise ValueError(f"no metric {metric!r}; there are {', '.join(get_args(Metric))}")
@@ -105,7 +105,7 @@ def geodesic_distances(
 
 
 def euclidean_distances(positions: FloatArray, points: FloatArray) -> Float32Array:
-    """Return straight lines from places to points: (places, points) float32 array."""
+    """Return Euclidean distances from places to points: (places, points)."""
     out = np.empty((len(positions), len(points)), np.float32)
     for start in range(0, len(positions), _BLOCK_PLACES):
         part = slice(start, start + _BLOCK_PLACES)
@@ -119,7 +119,7 @@ def _shortest_paths(
     lengths: list[FloatArray],
     progress: Progress,
 ) -> Float32Array:
-    """Run Dijkstra from places joined to the graph by directed segments to their face's corners.
+    """Run Dijkstra from places, as nodes with directed edges to their face's corners.
 
     Directed, so that no path leads through another place.
     """
@@ -150,11 +150,11 @@ def _heat_distances(
     weights: FloatArray,
     progress: Progress,
 ) -> Float32Array:
-    """Measure by the heat method (potpourri3d): (places, points) float32 array, else infinite.
+    """Return distances by the heat method of potpourri3d: (places, points).
 
-    The solver takes one connected mesh and starts from points. So each island is solved by itself,
-    and the distance from a place is the weighted mean of its corners': exact to second order but at
-    the face's own corners, where the caller has the straight line.
+    The solver takes one connected mesh and a point as source. So each island is solved separately,
+    and the distance from a place is the weighted mean of those from its corners: exact to second
+    order except at these corners, where the caller uses straight lines.
     """
     triangles, _ = triangulate(face_counts, face_indices)
     triangles = triangles[triangle_areas(points, triangles) > 0]
@@ -179,12 +179,11 @@ def _heat_distances(
         for column in np.flatnonzero(share.any(axis=0)).tolist():
             distance = np.asarray(solver.compute_distance(int(local[starts[column]])))
             distance -= distance.min()
-            for each in np.flatnonzero(share[:, column]).tolist():
-                rows[each] += share[each, column] * distance
+            for row in np.flatnonzero(share[:, column]).tolist():
+                rows[row] += share[row, column] * distance
             done += 1
             progress(min(done / total, 1.0), "measuring distances by heat")
-        for place, row in zip(places, rows, strict=True):
-            out[place, inside] = row
+        out[np.ix_(places, inside)] = rows
     return out
 
 
@@ -204,7 +203,7 @@ def _between(
     polygons: list[IntArray],
     lengths: list[FloatArray],
 ) -> FloatArray:
-    """Reach each place by the best corner of its face; on the same face by the straight line."""
+    """Return the shortest distance by a corner of the place's face; straight on the same face."""
     entered = np.stack(
         [
             (to_points[:, polygon].astype(np.float64) + length).min(axis=1)

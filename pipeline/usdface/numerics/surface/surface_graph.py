@@ -1,4 +1,4 @@
-"""A polygon mesh as a graph of straight segments, and what is wrong with it."""
+"""A polygon mesh as a graph of straight segments, and its defects."""
 
 from dataclasses import dataclass
 
@@ -10,8 +10,8 @@ from usdface.core.arrays import FloatArray, IntArray
 from usdface.numerics.surface.triangulation import triangulate
 
 _MOST_CORNERS = 8
-"""Corners of a polygon up to which all its diagonals are used; beyond, only those of its triangles,
-since the others are many and, on a face that bends, not on the surface."""
+"""Corners of a polygon up to which all its diagonals are used. In larger ones, only those of its
+triangles: the others are many and, on a bent face, off the surface."""
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class MeshFaults:
     """Defects of a mesh; counted, never repaired."""
 
     nonmanifold_edges: int = 0
-    """Edges with more than two faces. Distances go over them as over any other."""
+    """Edges with more than two faces; paths may use them."""
     degenerate_faces: int = 0
     """Faces that use a point twice or have fewer than three corners."""
     loose_points: int = 0
@@ -51,7 +51,7 @@ def check_surface(points: FloatArray, face_counts: IntArray, face_indices: IntAr
 def surface_segments(
     face_counts: IntArray, face_indices: IntArray, *, diagonals: bool
 ) -> tuple[IntArray, MeshFaults]:
-    """Find the pairs of points that a path may join directly.
+    """Return the pairs of points that a path may join directly: edges, and diagonals if wanted.
 
     Parameters
     ----------
@@ -81,28 +81,29 @@ def surface_segments(
         triangles, _ = triangulate(face_counts, face_indices)
         crossings.append(triangles[:, [0, 2]])
     points = int(face_indices.max(initial=0)) + 1
-    along, times = _distinct(np.concatenate(edges or [np.zeros((0, 2), np.int64)]), points)
-    segments = along
+    segments, face_count = _unique_pairs(
+        np.concatenate(edges or [np.zeros((0, 2), np.int64)]), points
+    )
     if crossings:
-        segments, _ = _distinct(np.concatenate([along, *crossings]), points)
-    return segments, MeshFaults(int((times > 2).sum()), degenerate, 0)
+        segments, _ = _unique_pairs(np.concatenate([segments, *crossings]), points)
+    return segments, MeshFaults(int((face_count > 2).sum()), degenerate, 0)
 
 
-def _distinct(pairs: IntArray, points: int) -> tuple[IntArray, IntArray]:
-    """Return pairs of two points once each, the lower first, in order, and how often they came."""
+def _unique_pairs(pairs: IntArray, points: int) -> tuple[IntArray, IntArray]:
+    """Return distinct pairs, the lower point first, in order, and their counts."""
     low, high = pairs.min(axis=1), pairs.max(axis=1)
-    joined = low != high
-    # one number for each pair: sorting rows takes ten times as long
-    keys, times = np.unique(low[joined] * points + high[joined], return_counts=True)
-    return np.stack([keys // points, keys % points], axis=1), times
+    distinct = low != high
+    # One number per pair: np.unique over rows takes ten times as long.
+    keys, counts = np.unique(low[distinct] * points + high[distinct], return_counts=True)
+    return np.stack([keys // points, keys % points], axis=1), counts
 
 
 def surface_graph(
     points: FloatArray, face_counts: IntArray, face_indices: IntArray, *, diagonals: bool
 ) -> tuple[sparse.csr_array, IntArray, MeshFaults]:
-    """Build the graph that shortest paths are sought on (W06, "Geodesic manifold distances").
+    """Build the graph of a mesh for shortest paths (W06, "Geodesic manifold distances").
 
-    Points at the same place stay two points: closed lips touch and are far apart all the same.
+    Points at the same position are not merged: closed lips touch, but are far apart on the surface.
 
     Parameters
     ----------
@@ -111,14 +112,13 @@ def surface_graph(
     face_counts, face_indices : int arrays
         Polygons as USD stores them.
     diagonals : bool
-        Whether paths may cross polygons. Edges alone overestimate by 13 to 25 % on quads, with
-        both diagonals about 5 % is left.
+        Whether paths may cross polygons. On quads, edges alone overestimate distances by 13 to
+        25 %, edges and diagonals by about 5 %.
 
     Returns
     -------
     graph : (points, points) sparse array
-        Symmetric; lengths [mm]. Segments of no length count as 1e-9 mm, since a stored 0 means
-        that there is none.
+        Symmetric; lengths [mm], at least 1e-9 mm, since 0 means that there is no edge.
     islands : (points,) int array
         Connected part of each point.
     faults : MeshFaults

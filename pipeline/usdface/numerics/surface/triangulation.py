@@ -1,7 +1,7 @@
-"""Polygons cut into triangles, their areas and normals, and authored normals of a moving surface.
+"""Triangulation of polygons, areas and normals of triangles, and authored normals under motion.
 
-An authored normal is rotated as the smooth normal of its point is, by the smallest rotation from
-rest to the moved surface: hard edges stay hard and sculpted normals keep their lean.
+An authored normal is rotated by the smallest rotation that maps the smooth normal of its point at
+rest to that of the moved surface, which preserves hard edges and sculpted normals.
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from usdface.core.arrays import FloatArray, IntArray
 
 
 def triangulate(face_counts: IntArray, face_indices: IntArray) -> tuple[IntArray, IntArray]:
-    """Cut polygons into fans of triangles.
+    """Triangulate polygons as fans.
 
     Parameters
     ----------
@@ -35,12 +35,11 @@ def triangulate(face_counts: IntArray, face_indices: IntArray) -> tuple[IntArray
 
 def triangle_areas(points: FloatArray, triangles: IntArray) -> FloatArray:
     """Return the area of each triangle, in the points' unit squared."""
-    areas: FloatArray = 0.5 * np.linalg.norm(_cross_products(points, triangles), axis=1)
-    return areas
+    return np.asarray(0.5 * np.linalg.norm(_cross_products(points, triangles), axis=1))
 
 
 def _cross_products(points: FloatArray, triangles: IntArray) -> FloatArray:
-    """Return normals (triangles, 3) as long as twice the triangles' areas."""
+    """Return normals (triangles, 3) of twice the triangles' areas in length."""
     a, b, c = (points[triangles[:, i]] for i in range(3))
     return np.cross(b - a, c - a)
 
@@ -65,8 +64,8 @@ class NormalTurner:
         axis = np.cross(rest, now)
         cosine = np.einsum("ij,ij->i", rest, now)
         across = np.cross(axis, self.authored)
-        # Rodrigues' formula for the rotation of one unit vector onto another, v + a x v +
-        # a x (a x v) / (1 + cos); the bound on 1 + cos is for opposite vectors, in folds of skin.
+        # Rodrigues' formula for the rotation of one unit vector to another, v + a x v +
+        # a x (a x v) / (1 + cos); 1 + cos is bounded for opposite vectors, in folds of skin.
         twice = np.cross(axis, across) / np.maximum(1 + cosine, 1e-3)[:, None]
         turned: FloatArray = self.authored + across + twice
         length = np.linalg.norm(turned, axis=1, keepdims=True)
@@ -81,7 +80,7 @@ def turner_of(
     *,
     per_corner: bool,
 ) -> NormalTurner:
-    """Prepare a mesh at rest.
+    """Return the `NormalTurner` of a mesh at rest.
 
     Parameters
     ----------
@@ -92,7 +91,7 @@ def turner_of(
     authored : (n, 3) float array
         Normals.
     per_corner : bool
-        Whether there is one per corner of a face, else one per point.
+        Whether `authored` has one normal per corner of a face, or one per point.
     """
     triangles, _ = triangulate(face_counts, face_indices)
     owners = face_indices if per_corner else np.arange(len(points))
@@ -100,7 +99,7 @@ def turner_of(
 
 
 def smooth_normals(points: FloatArray, triangles: IntArray) -> FloatArray:
-    """Return unit normals of points, each face weighted by its area; 0 where there is no face."""
+    """Return area-weighted unit normals of points; 0 where there is no face."""
     across = _cross_products(points, triangles)
     normals = np.stack(
         [
