@@ -1,14 +1,14 @@
 """Hybrid Monte Carlo (Duane et al., 1987) on many chains in lockstep: W06, section 4.1.
 
-Every chain moves in coordinates whitened by its Laplace fit, where its energy is nearly that of the
-standard Gaussian. A trajectory is split (Shahbaba, Lan, Johnson and Neal, 2014): the Gaussian's
-part is integrated exactly, as a rotation of position and momentum into each other; the gradient of
-the remaining energy changes the momentum before and after. One gradient then makes a trajectory of
-the best length, where leapfrog needs several, and only the deviation of the posterior from the
-Gaussian leads to rejections. Each chain tunes its angle by dual averaging in the burn-in.
+Every chain moves in coordinates whitened by its Laplace fit, in which its energy is nearly that of
+the standard Gaussian. The Hamiltonian is split (Shahbaba, Lan, Johnson and Neal, 2014): the
+Gaussian part is integrated exactly, as a rotation of position and momentum, and the gradient of the
+remaining energy changes the momentum before and after. A trajectory of optimal length then takes
+one gradient, and only deviations from the Gaussian lead to rejections. Each chain tunes its angle
+by dual averaging in the burn-in.
 
-Whether chains have mixed is measured by split R-hat and effective sample size (Gelman et al.,
-*Bayesian Data Analysis*, 3rd ed., 2013, section 11.4-11.5).
+Mixing is measured by split R-hat and effective sample size (Gelman et al., *Bayesian Data
+Analysis*, 3rd ed., 2013, section 11.4-11.5).
 """
 
 import math
@@ -20,12 +20,11 @@ from usdface.core.arrays import FloatArray, IntArray, RealArray
 from usdface.numerics.manifold.laplace import Energy, LaplaceFit
 
 TARGET_ACCEPTANCE = 0.7
-"""Mean probability of acceptance the angle is tuned to [0-1]."""
+"""Target of the mean probability of acceptance [0-1]."""
 
 FIRST_ANGLE = 1.9
-"""Of the rotation in a step [radians]: a little more than a quarter of an orbit, pi / 2, at which a
-position is independent of the previous one; beyond it the two are anticorrelated, which lowers the
-error of means."""
+"""Initial rotation of a step [radians]: a little beyond pi / 2, at which successive positions are
+independent; beyond it they are anticorrelated, which reduces the error of means."""
 
 _LARGEST_ANGLE, _SMALLEST_ANGLE = 2.2, 0.05
 _PROPOSAL_WIDTH = 1.5
@@ -76,7 +75,7 @@ Numbers = np.random.Generator | CommonNumbers
 
 @dataclass(frozen=True)
 class Jumps:
-    """The chains whose posterior has two modes, between which trajectories do not lead."""
+    """The chains whose posterior has two separate modes."""
 
     chains: IntArray
     """(n,): their indices."""
@@ -100,15 +99,15 @@ def take_hmc_step(
     *,
     angle: RealArray,
 ) -> tuple[ChainState, RealArray]:
-    """Draw a momentum for every chain, follow its trajectory, accept or reject.
+    """Take one step of split Hamiltonian Monte Carlo in every chain.
 
     Parameters
     ----------
     fit : LaplaceFit
-        Whitens; the mass matrix is the inverse of ``root @ root'``.
+        The mass matrix is the inverse of ``root @ root'``.
     angle : (chains,) array
-        Rotation of position and momentum into each other [radians]; multiplied by a random factor
-        of 0.9 to 1.1, against periodic orbits.
+        Rotation of position and momentum [radians]; multiplied by a random factor of 0.9 to 1.1,
+        against periodic orbits.
 
     Returns
     -------
@@ -145,8 +144,8 @@ def sample_chains(
     burn, keep : int
         Steps in which the angle is tuned, and steps that are returned.
     jumps : Jumps, optional
-        In these chains every other step is followed by a proposal drawn from the Gaussians around
-        both modes, accepted by the rule of Metropolis and Hastings.
+        In these chains every other step is followed by a Metropolis-Hastings step with proposals
+        from the Gaussians around both modes.
     """
     drawn = rng.standard_normal(laplace.mode.shape)
     state = start_chains(energy, laplace, drawn.astype(laplace.mode.dtype))
@@ -177,7 +176,7 @@ def sample_chains(
 
 
 def split_rhat(samples: FloatArray) -> FloatArray:
-    """Compare the means of halves of chains with the variance within: 1 where they have mixed.
+    """Return split R-hat, from variances between and within halves of chains: 1 if mixed.
 
     Parameters
     ----------
@@ -199,9 +198,7 @@ def split_rhat(samples: FloatArray) -> FloatArray:
 def effective_sample_size(samples: FloatArray) -> FloatArray:
     """Return the number of independent draws with the same variance of the mean, at most all.
 
-    Autocorrelations are summed in the initial positive sequence of Geyer (1992), in pairs of an
-    even and the next odd lag: each such sum is positive for a reversible chain, so that the first
-    that is not is noise.
+    By the initial positive sequence estimator of Geyer (1992).
 
     Parameters
     ----------
@@ -234,16 +231,16 @@ def _accept(
     """Accept with probability ``min(1, exp(gained))``."""
     gained = np.where(np.isfinite(gained), gained, np.full_like(gained, -50.0))
     acceptance: RealArray = np.exp(np.clip(gained, -50.0, 0.0))
-    taken = uniform < acceptance
+    accepted = uniform < acceptance
     return ChainState(
-        np.where(taken, after.white, before.white),
-        np.where(taken, after.energy, before.energy),
-        np.where(taken, after.residual, before.residual),
+        np.where(accepted, after.white, before.white),
+        np.where(accepted, after.energy, before.energy),
+        np.where(accepted, after.residual, before.residual),
     ), acceptance
 
 
 def _jump_some(rng: Numbers, state: ChainState, laplace: LaplaceFit, jumps: Jumps) -> ChainState:
-    """Let the chains of `jumps` propose a jump; the others stay."""
+    """Propose a jump in the chains of `jumps`."""
     some = jumps.chains
     before = ChainState(state.white[:, some], np.take(state.energy, some), state.residual[:, some])
     after = _jump(rng, before, laplace.take(some), jumps)
@@ -253,7 +250,7 @@ def _jump_some(rng: Numbers, state: ChainState, laplace: LaplaceFit, jumps: Jump
 
 
 def _jump(rng: Numbers, state: ChainState, fit: LaplaceFit, jumps: Jumps) -> ChainState:
-    """Propose a draw of the mixture of two Gaussians with equal weights, whatever the state."""
+    """Propose a draw of the equal mixture of two Gaussians, independent of the state."""
     chains = len(state.energy)
     first = rng.random((chains,)) < 0.5
     drawn = _PROPOSAL_WIDTH * rng.standard_normal((4, chains)).astype(state.energy.dtype)
@@ -267,7 +264,7 @@ def _jump(rng: Numbers, state: ChainState, fit: LaplaceFit, jumps: Jumps) -> Cha
 
 
 def _log_mixture(theta: RealArray, modes: tuple[LaplaceFit, LaplaceFit]) -> RealArray:
-    """Log density of the proposals of `_jump`, up to a constant."""
+    """Return the log density of the proposals of `_jump`, up to a constant."""
     logs = []
     for mode in modes:
         white = mode.whiten(theta) / _PROPOSAL_WIDTH

@@ -1,4 +1,4 @@
-"""The posterior of the hyper-parameters of W06 eq. 7, for many frames and channels at once.
+"""Posterior of the hyper-parameters of W06 eq. 7, for many frames and channels at once.
 
 One *chain* is one channel of one frame: N markers' displacements t along x, y or z. With
 ``theta = log(v0, v1, a0, a1)`` the covariance is ``C = v0 K + a0 1 1' + a1 S S' + v1 I``, and::
@@ -20,19 +20,18 @@ and with ' for d/dx::
     2 dU/dlog A_0 = 1 - Ginv_00 / A_0 - w_0^2 / (A_0 v1)          (A_1 alike, over three)
     2 dU/dlog v1  = N - q / v1                                     (x and A held)
 
-Chains are sampled in other coordinates than theta. The displacements determine the power along each
-direction of the spectrum, ``v0 l + v1``, but hardly how much of it is noise: in theta the posterior
-is curved, since where v1 is large v0 is small. With ``k = 1 / median l`` it is nearly Gaussian in::
+The displacements determine the power along each direction of the spectrum, ``v0 l + v1``, but
+hardly the share of noise in it, so that the posterior is curved in theta. With ``k = 1 / median l``
+it is nearly Gaussian in::
 
     phi = (log(v0 + k v1), log(v1 / v0), log a0, log a1)
 
-Theta is a function of phi whose Jacobian determinant is 1: densities, modes and evidence are the
-same in both.
+in which chains are sampled. The Jacobian determinant is 1: densities, modes and evidence are the
+same in both coordinates.
 
-The sampler reads the sums from tables, so that its inner loop has no sum over markers: they and
-their slopes are tabulated over x once, by one matrix product for all chains, and read by cubic
-Hermite interpolation. The gradient is the derivative of the interpolant, so that trajectories
-conserve the tabulated energy.
+The sums and their slopes are tabulated over x, by one matrix product for all chains, and evaluated
+by cubic Hermite interpolation, so that the sampler's inner loop has no sum over markers. The
+gradient is the derivative of the interpolant: trajectories conserve the tabulated energy.
 """
 
 import math
@@ -45,10 +44,10 @@ from usdface.core.arrays import BoolArray, FloatArray, RealArray
 from usdface.numerics.manifold.laplace import Energy
 
 PAIRS = ((0, 0), (0, 1), (0, 2), (0, 3), (1, 1), (1, 2), (1, 3), (2, 2), (2, 3), (3, 3))
-"""The order in which the ten entries of a symmetric matrix of four are stored."""
+"""Storage order of the ten entries of a symmetric (4, 4) matrix."""
 
 REJECTED_ENERGY = 1e20
-"""U [-] of a theta that lies outside the table or overflows: the sampler rejects it."""
+"""U of a theta outside the table or with overflow, which the sampler rejects."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +72,7 @@ class HyperPrior:
 
 @dataclass(frozen=True)
 class MarkerSpectrum:
-    """The terms of U that depend on the mesh alone."""
+    """Terms of U that depend on the mesh alone."""
 
     values: FloatArray
     """(N,): eigenvalues l of the covariance K between markers."""
@@ -176,24 +175,24 @@ def energy_of_moments(
 
 
 def noise_gain(spectrum: MarkerSpectrum) -> float:
-    """Return ``k = 1 / median l``: the noise v1 that has the power of a unit of v0."""
+    """Return ``k = 1 / median l``, the ratio of the powers of units of v1 and v0."""
     return float(1.0 / np.median(spectrum.values))
 
 
 def to_theta(phi: RealArray, gain: float) -> RealArray:
-    """Turn phi (4, ...) into theta, for the `noise_gain` k."""
+    """Return theta of phi (4, ...), for the `noise_gain` k."""
     log_v0 = phi[0] - _log_total(phi[1], gain)
     return np.stack([log_v0, log_v0 + phi[1], phi[2], phi[3]])
 
 
 def to_phi(theta: RealArray, gain: float) -> RealArray:
-    """Turn theta (4, ...) into phi; the inverse of `to_theta`."""
+    """Return phi of theta (4, ...), the inverse of `to_theta`."""
     ratio = theta[1] - theta[0]
     return np.stack([theta[0] + _log_total(ratio, gain), ratio, theta[2], theta[3]])
 
 
 class PhiEnergy:
-    """An energy of theta as one of phi: call it with phi of shape (4, chains)."""
+    """An energy of theta as a function of phi, (4, chains)."""
 
     def __init__(self, energy: Energy, gain: float) -> None:
         self._energy, self._gain = energy, gain
@@ -208,16 +207,15 @@ class PhiEnergy:
 
 
 def _log_total(ratio: RealArray, gain: float) -> RealArray:
-    """``log(1 + k exp(ratio))``, without overflow."""
+    """Return ``log(1 + k exp(ratio))``, without overflow."""
     shifted = ratio + float(np.log(gain))
-    total: RealArray = np.clip(shifted, 0.0, None) + np.log1p(np.exp(-np.abs(shifted)))
-    return total
+    return np.asarray(np.clip(shifted, 0.0, None) + np.log1p(np.exp(-np.abs(shifted))))
 
 
 def _invert(
     M: RealArray, inverse_a0: RealArray, inverse_a1: RealArray
 ) -> tuple[tuple[RealArray, ...], RealArray]:
-    """Invert G by blocks of two: its ten entries in the order of `PAIRS`, and its determinant."""
+    """Return the inverse of G, in the order of `PAIRS`, and its determinant, by (2, 2) blocks."""
     g00, g11 = M[0] + inverse_a0, M[4] + inverse_a1
     g22, g33 = M[7] + inverse_a1, M[9] + inverse_a1
     g01, g02, g03, g12, g13, g23 = (M[k] for k in (1, 2, 3, 5, 6, 8))
@@ -241,14 +239,14 @@ def _invert(
 
 
 _NODE_SPACING = 0.125
-"""Of the nodes in x. Cubic interpolation errs by about 1e-7 of a sum's size."""
+"""Of the nodes in x; the relative error of cubic interpolation is about 1e-7."""
 
 _RANGE_DEVIATIONS = 6.0
-"""Prior standard deviations of x on either side of its centre that the table covers."""
+"""Half width of the table, in prior standard deviations of x."""
 
 
 class SharedTable:
-    """The tables that all chains of a mesh have in common."""
+    """The tables that are common to all chains of a mesh."""
 
     def __init__(self, spectrum: MarkerSpectrum) -> None:
         self.spectrum = spectrum
@@ -271,7 +269,7 @@ class SharedTable:
 
 
 def _cubics(nodes: FloatArray) -> FloatArray:
-    """Turn values and slopes at nodes into each interval's cubic.
+    """Return the cubic Hermite polynomial of each interval between nodes.
 
     Parameters
     ----------
@@ -281,8 +279,8 @@ def _cubics(nodes: FloatArray) -> FloatArray:
     Returns
     -------
     (chains, nodes, 4 k) float array
-        Coefficients of 1, t, t^2, t^3 with t from 0 to 1 on the way to the next node; those of
-        the last node are not used.
+        Coefficients of 1, t, t^2, t^3 with t from 0 to 1 towards the next node; those of the last
+        node are not used.
     """
     half = nodes.shape[2] // 2
     out = np.zeros((*nodes.shape[:2], 4, half))
@@ -295,15 +293,15 @@ def _cubics(nodes: FloatArray) -> FloatArray:
 
 
 class TabulatedEnergy:
-    """U and its gradient for a batch of chains: call it with theta of shape (4, chains).
+    """U and its gradient for a batch of chains, as a function of theta (4, chains).
 
     Parameters
     ----------
     displacements : (chains, N) float array
         t [mm], one channel of one frame in each row.
     dtype : dtype
-        Of tables and theta. Single precision errs by about 1e-4 of an energy, which does not change
-        the acceptance of proposals noticeably.
+        Of tables and theta. Errors of the energy in single precision are about 1e-4, negligible in
+        the acceptance of proposals.
     """
 
     def __init__(
@@ -344,7 +342,7 @@ class TabulatedEnergy:
         linear = self._linear[row].T.reshape(4, 4, -1)
         square = self._square[row].T.reshape(4, 1, -1)
         shared = self._shared[node].T.reshape(4, 11, -1)
-        # copied into rows of chains: what follows then reads memory in order
+        # Copied to rows of chains, which are contiguous.
         first, second, third, fourth = np.concatenate([linear, square, shared], axis=1)
         # Horner's rule for the cubic and for its derivative
         values = fourth * t

@@ -1,4 +1,4 @@
-"""Samples of the hyper-parameters: of every frame and axis, or of a whole take at once."""
+"""Posterior samples of the hyper-parameters, per frame and axis or for a whole take."""
 
 from dataclasses import dataclass
 
@@ -23,10 +23,10 @@ from usdface.numerics.manifold.hyper_posterior import (
 from usdface.numerics.manifold.laplace import LaplaceFit, choose_fits, fit_laplace
 
 _LEAST_DISTANCE = 2.5
-"""Between two modes, in standard deviations of the Gaussian around either; nearer ones are one."""
+"""Between two distinct modes, in standard deviations of the Gaussian around either."""
 
 _LARGEST_LOG_RATIO = 7.0
-"""Of the evidence of the modes [-]: one e^7 times less likely than the other is left out."""
+"""Of the evidence of two modes; beyond it the less probable one is ignored."""
 
 
 @dataclass(frozen=True)
@@ -46,18 +46,18 @@ class Modes:
     best: LaplaceFit
     """The one with the larger evidence, in the coordinates phi of `hyper_posterior`."""
     second: LaplaceFit
-    """The other start's; only that of chains in `double` is another mode."""
+    """That of the other start; a distinct mode in the chains of `double` alone."""
     theta: FloatArray
     second_theta: FloatArray
-    """`theta`, `second_theta`: (4, chains): where they are."""
+    """`theta`, `second_theta`: (4, chains)"""
     double: BoolArray
-    """(chains,): chains with two: what moves may be signal or noise."""
+    """(chains,): chains with two modes, in which motion is signal or noise."""
 
 
 def find_modes(
     table: SharedTable, displacements: FloatArray, *, energy: TabulatedEnergy | None = None
 ) -> Modes:
-    """Look for modes from two starts: all motion is signal, all motion is noise.
+    """Find modes from two starts: all motion is signal, all motion is noise.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def find_modes(
     gain = noise_gain(table.spectrum)
     tabulated = energy or TabulatedEnergy(table, displacements)
     of_phi = PhiEnergy(tabulated, gain)
-    with np.errstate(all="ignore"):  # a step that overflows is not taken
+    with np.errstate(all="ignore"):  # steps that overflow are rejected
         first, second = (
             fit_laplace(of_phi, to_phi(start, gain).astype(tabulated.dtype))
             for start in (signal, noise)
@@ -104,12 +104,12 @@ def sample_hyperparameters(
     Parameters
     ----------
     rng : Generator or CommonNumbers
-        With `CommonNumbers` chains of like posteriors err alike, each as good as by itself: a mesh
-        does not jitter from frame to frame.
+        With `CommonNumbers`, chains of similar posteriors have similar errors, so that a mesh does
+        not jitter from frame to frame.
     displacements : (chains, N) float array
         [mm]
     modes : Modes, optional
-        In single precision, where they are known already.
+        In single precision, if known.
     """
     energy = TabulatedEnergy(table, displacements, dtype=np.float32)
     found = modes or find_modes(table, displacements, energy=energy)
@@ -131,7 +131,7 @@ def sample_hyperparameters(
 
 
 def draw_laplace(rng: Numbers, table: SharedTable, modes: Modes, *, keep: int) -> FloatArray:
-    """Draw from the Gaussian around the best mode instead: (keep, 4, chains) theta."""
+    """Draw theta from the Gaussian around the best mode: (keep, 4, chains)."""
     mode, root = modes.best.mode, modes.best.root
     drawn = rng.standard_normal((keep, *mode.shape))
     phi = mode[:, None] + np.einsum("abc,kbc->akc", root, drawn)
@@ -141,13 +141,12 @@ def draw_laplace(rng: Numbers, table: SharedTable, modes: Modes, *, keep: int) -
 
 def _distance(of: LaplaceFit, to: LaplaceFit) -> RealArray:
     white = of.whiten(to.mode)
-    distance: RealArray = np.sqrt(np.sum(white * white, axis=0))
-    return distance
+    return np.asarray(np.sqrt(np.sum(white * white, axis=0)))
 
 
 @dataclass(frozen=True)
 class SharedSamples:
-    """Samples of the hyper-parameters that a take's frames and axes have in common."""
+    """Samples of hyper-parameters that are common to all frames and axes of a take."""
 
     mode: FloatArray
     """(4,): the most probable theta."""
@@ -161,7 +160,7 @@ class SharedSamples:
 
 
 class PooledEnergy:
-    """The energy of one theta under many rows of displacements, the prior counted once.
+    """The energy of one theta under many rows of displacements, with the prior once.
 
     Parameters
     ----------
@@ -181,7 +180,7 @@ class PooledEnergy:
         """Return the energies (chains,) and gradients (4, chains)."""
         value, gradient = self._energy(np.repeat(theta, self._rows, axis=1))
         offset = theta - self._centre
-        surplus = offset * self._precision * (self._rows - 1)  # of the prior's gradient
+        surplus = offset * self._precision * (self._rows - 1)  # repeated gradients of the prior
         total = gradient.reshape(4, -1, self._rows).sum(axis=2) - surplus
         energy = value.reshape(-1, self._rows).sum(axis=1) - 0.5 * (offset * surplus).sum(axis=0)
         return energy, total
@@ -214,7 +213,7 @@ def sample_shared(
     displacements : (rows, N) float array
         [mm]
     burn, keep : int
-        Samples of each chain in which it tunes its step; samples of all chains together.
+        Burn-in of each chain; samples of all chains together.
     """
     fit = fit_shared_mode(table, displacements)
     energy = PooledEnergy(table, displacements, chains=_SHARED_CHAINS)

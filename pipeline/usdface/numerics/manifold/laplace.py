@@ -1,4 +1,4 @@
-"""The most probable hyper-parameters of many chains at once, and the Gaussian around each mode."""
+"""Laplace approximation of the posteriors of many chains: modes and Gaussians around them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
@@ -11,8 +11,8 @@ Energy = Callable[[RealArray], tuple[RealArray, RealArray]]
 """``energy(theta)`` of theta (4, chains): energies (chains,) and gradients (4, chains)."""
 
 _HESSIAN_STEPS = {"float32": 1e-2, "float64": 1e-4}
-"""Step in theta of the finite differences of the gradient, by precision: about the cube root of
-its rounding, where rounding and truncation errors are equal."""
+"""Step in theta of finite differences of the gradient: about the cube root of the rounding of the
+precision, at which rounding and truncation errors are equal."""
 
 _LEAST_CURVATURE = 0.05
 """Least pivot of the Hessian [per unit of theta squared]; the prior alone has 1 / 1.5^2 = 0.44."""
@@ -21,8 +21,8 @@ _LONGEST_STEP = 2.0
 """Of Newton's method, in theta."""
 
 _LEAST_GAIN = 1e-3
-"""Energy that the next Newton step would gain [-] below which iteration stops: samples have a
-standard deviation of about 1.4 in energy."""
+"""Decrease of the energy by the next Newton step at convergence; samples have a standard deviation
+of about 1.4 in energy."""
 
 
 @dataclass(frozen=True)
@@ -36,25 +36,22 @@ class LaplaceFit:
     root: RealArray
     """(4, 4, chains): ``root @ root'`` is the inverse of the Hessian at the mode."""
     inverse: RealArray
-    """(4, 4, chains): of `root`: turns theta into coordinates in which the Gaussian is the standard
-    one."""
+    """(4, 4, chains): of `root`; maps theta to whitened coordinates."""
     log_evidence: RealArray
     """(chains,): logarithm of the posterior's mass around the mode, up to a constant."""
 
     def whiten(self, theta: RealArray) -> RealArray:
-        """Turn theta (4, chains) into whitened coordinates."""
-        white: RealArray = np.sum(self.inverse * (theta - self.mode)[None], axis=1)
-        return white
+        """Return whitened coordinates of theta (4, chains)."""
+        return np.asarray(np.sum(self.inverse * (theta - self.mode)[None], axis=1))
 
     def theta(self, white: RealArray) -> RealArray:
-        """Turn whitened coordinates (4, chains) into theta."""
-        theta: RealArray = self.mode + np.sum(self.root * white[None], axis=1)
-        return theta
+        """Return theta of whitened coordinates (4, chains)."""
+        return np.asarray(self.mode + np.sum(self.root * white[None], axis=1))
 
     def take(self, chains: IntArray) -> "LaplaceFit":
         """Return the fits of some chains, by their indices."""
         return LaplaceFit(
-            *(np.take(getattr(self, each.name), chains, axis=-1) for each in fields(self))
+            *(np.take(getattr(self, field.name), chains, axis=-1) for field in fields(self))
         )
 
 
@@ -62,8 +59,8 @@ def choose_fits(which: BoolArray, yes: LaplaceFit, no: LaplaceFit) -> LaplaceFit
     """Choose between two fits of each chain, as `numpy.where` does."""
     return LaplaceFit(
         *(
-            np.where(which, getattr(yes, each.name), getattr(no, each.name))
-            for each in fields(LaplaceFit)
+            np.where(which, getattr(yes, field.name), getattr(no, field.name))
+            for field in fields(LaplaceFit)
         )
     )
 
@@ -102,7 +99,7 @@ def fit_laplace(energy: Energy, start: RealArray, *, iterations: int = 10) -> La
 
 
 def _hessian(energy: Energy, theta: RealArray, gradient: RealArray) -> RealArray:
-    """Take finite differences of the gradient: (4, 4, chains)."""
+    """Return the Hessian by finite differences of the gradient: (4, 4, chains)."""
     step = _HESSIAN_STEPS[theta.dtype.name]
     rows = np.empty((4, *theta.shape), theta.dtype)
     for parameter in range(4):
@@ -110,8 +107,7 @@ def _hessian(energy: Energy, theta: RealArray, gradient: RealArray) -> RealArray
         moved[parameter] += step
         row = (energy(moved)[1] - gradient) / step
         rows[parameter] = np.where(np.isfinite(row), row, np.zeros_like(row))
-    symmetric: RealArray = 0.5 * (rows + rows.transpose(1, 0, 2))
-    return symmetric
+    return np.asarray(0.5 * (rows + rows.transpose(1, 0, 2)))
 
 
 def _factorise(hessian: RealArray) -> tuple[RealArray, RealArray, RealArray]:

@@ -1,7 +1,7 @@
-"""Fields over the surface from samples of the hyper-parameters (W06, eq. 3), and their calibration.
+"""Predictions over the surface from samples of the hyper-parameters (W06, eq. 3), calibrated.
 
 The prediction at a point is linear in ``h(x) = [Q' k(x); 1; s(x)]``, which depends on the mesh
-alone. So samples are averaged in the weights on h (*dual weights*) instead of in fields::
+alone. So the average over samples is taken of the weights of h (*dual weights*)::
 
     gamma = [rho R (z - P w); w]        rho = v0 / v1, in the terms of `hyper_posterior`
     mean(x) = h' mean(gamma)
@@ -9,12 +9,12 @@ alone. So samples are averaged in the weights on h (*dual weights*) instead of i
     Sigma   = mean(Y'Y) + cov(gamma) - diag(mean(v0 rho R), 0)
     Y       = sqrt(v1) chol(G)^-1 [-rho P'R | I]
 
-The variance is that of the surface, without the noise v1 of a marker measured there.
+The variance is that of the surface, without the noise v1 of a measurement.
 
 A Gaussian process is overconfident where a face is rougher than on average and underconfident where
-it is smoother. Errors at left-out markers, over their expected deviations, measure by how much.
-Markers come in rows along lids and lips, so that a left-out marker is predicted well by its
-neighbour in the row, which points off the row are not: its nearest neighbour is left out with it.
+it is smoother. Calibration is by errors at left-out markers over their expected deviations. Along
+lids and lips markers form rows, whose neighbours predict a left-out marker better than points off
+the row: its nearest neighbour is left out as well.
 """
 
 from dataclasses import dataclass
@@ -25,25 +25,24 @@ from usdface.core.arrays import Float32Array, FloatArray, RealArray
 from usdface.numerics.manifold.hyper_posterior import PAIRS, MarkerSpectrum
 
 _LARGEST_LOG = 30.0
-"""Bound on each entry of theta: a take without motion drives scales to 0, by which single precision
-cannot divide."""
+"""Bound of |theta|: in a take without motion scales tend to 0, and overflow in single precision."""
 
 _NORMAL_95 = 1.959963984540054
-"""Half the width of a 95 % interval in standard deviations."""
+"""Half width of a 95 % interval in standard deviations."""
 
 _JITTER_SHARE = 1e-10
-"""Of the trace, added to the diagonal: a covariance without noise stays invertible."""
+"""[of the trace] Added to the diagonal, so that a covariance without noise is invertible."""
 
 _LEAST_FACTOR = 1e-3
-"""Of a standard deviation [-]: a take without motion has no errors at left-out markers."""
+"""Of a standard deviation; errors at left-out markers are 0 in a take without motion."""
 
 _PRIOR_MARKERS = 0.3
-"""Weight, in markers, of the average squared error in that of each place: few markers are near."""
+"""Weight, in markers, of the overall mean squared error in the local one."""
 
 
 @dataclass(frozen=True)
 class DualMoments:
-    """Mean and covariance of the weights on h."""
+    """Mean and covariance of the weights of h."""
 
     mean: Float32Array
     """(chains, N + 4)"""
@@ -102,7 +101,7 @@ def average_dual_weights(
 
 
 def _inverse_roots(G: RealArray) -> Float32Array:
-    """Invert the Cholesky factors of symmetric matrices of four, all at once.
+    """Return inverse Cholesky factors of symmetric (4, 4) matrices.
 
     Parameters
     ----------
@@ -143,12 +142,12 @@ def join_moments(parts: list[DualMoments]) -> DualMoments:
 
 
 def mix_variances(moments: DualMoments, shares: FloatArray) -> DualMoments:
-    """Add up the variances of consecutive chains before they become fields, which cost more.
+    """Sum the variances of consecutive chains, which is cheaper than summing their fields.
 
     Parameters
     ----------
     shares : (group,) float array
-        Factor of each of the chains that are added up: the axes of a frame.
+        Factor of each chain of a group, such as the axes of a frame.
     """
     size, count = moments.covariance.shape[1], len(shares)
     covariance = moments.covariance.reshape(-1, count, size, size)
@@ -162,15 +161,15 @@ def mix_variances(moments: DualMoments, shares: FloatArray) -> DualMoments:
 
 @dataclass(frozen=True)
 class SurfaceFields:
-    """h over a mesh, and its products compressed so that variances are one small product."""
+    """h over a mesh, and a low-rank approximation of its products for variances."""
 
     basis: Float32Array
     """(points, N + 4): h"""
     squares: Float32Array
     """(points, rank)"""
     directions: Float32Array
-    """(rank, (N + 4)(N + 5) / 2): ``squares @ directions`` are, nearly, the products ``h_i h_j`` in
-    the order of `numpy.triu_indices`, those with i < j twice."""
+    """(rank, (N + 4)(N + 5) / 2): ``squares @ directions`` approximates the products ``h_i h_j`` in
+    the order of `numpy.triu_indices`, doubled for i < j."""
 
 
 def make_fields(
@@ -181,18 +180,18 @@ def make_fields(
     rank: int = 128,
     rng: np.random.Generator,
 ) -> SurfaceFields:
-    """Compute h over a mesh.
+    """Return the fields of a mesh.
 
     Parameters
     ----------
     cross : (points, N) float32 array
         Covariance of the points with the markers.
     places : (points, 3) float32 array
-        Where points are, centred and scaled as the markers' places are.
+        Of points, centred and scaled as the markers' places.
     rank : int
         Of the variances; the mean is exact.
     rng : numpy.random.Generator
-        Chooses the points from which the basis of the variances is computed.
+        Chooses the points for the basis of the variances.
     """
     ones = np.ones((len(cross), 1), np.float32)
     rotated = cross @ spectrum.vectors.astype(np.float32)
@@ -244,7 +243,7 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class SpreadFactors:
-    """Factors of standard deviations, by which intervals contain what they promise."""
+    """Factors of standard deviations, by which 95 % intervals contain 95 %."""
 
     of_axes: FloatArray
     """(3,)"""
@@ -301,11 +300,11 @@ def leave_markers_out(
 def calibrate_spread(
     left_out: LeftOut, covariance: FloatArray, cross: Float32Array
 ) -> SpreadFactors:
-    """Find the factors of standard deviations, over the surface and along its axes.
+    """Return factors of standard deviations for points and axes.
 
     With ``z = error / expected`` of left-out markers, a point's factor is the root of the mean z^2
-    of the markers weighted by their squared covariance with it; then one factor for each axis
-    puts 95 % of the left-out values into the 95 % interval.
+    of the markers weighted by their squared covariance with it. One more factor for each axis
+    calibrates the 95 % interval of the left-out values.
 
     Parameters
     ----------
@@ -320,7 +319,7 @@ def calibrate_spread(
     size = np.sqrt((z**2).mean(axis=(0, 2), keepdims=True))
     squares = ((z / np.maximum(size, _LEAST_FACTOR)) ** 2).mean(axis=(0, 1))
     weights = np.maximum(covariance, 0.0) ** 2
-    np.fill_diagonal(weights, 0.0)  # a marker's factor comes from the others
+    np.fill_diagonal(weights, 0.0)  # a marker's factor is estimated from the others
     scaled = np.abs(z) / np.sqrt(_average_nearby(weights, squares))
     factors = np.quantile(np.moveaxis(scaled, 1, 0).reshape(3, -1), 0.95, axis=1) / _NORMAL_95
     of_points = np.sqrt(_average_nearby(np.maximum(cross, 0.0) ** 2, squares))
@@ -328,7 +327,7 @@ def calibrate_spread(
 
 
 def _average_nearby(weights: RealArray, squares: FloatArray) -> FloatArray:
-    """Average the markers' squares with weights (places, N), and the prior's: (places,)."""
+    """Return averages of the markers' squares by weights (places, N), with a prior: (places,)."""
     total = weights.sum(axis=1) + _PRIOR_MARKERS
     average: FloatArray = (weights @ squares + _PRIOR_MARKERS * squares.mean()) / total
     return np.maximum(average, _LEAST_FACTOR)

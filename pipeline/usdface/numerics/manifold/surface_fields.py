@@ -1,38 +1,37 @@
-"""Fields over a surface by the distances from its markers: covariance, multiquadric, folds.
+"""Fields over a surface by distances from its markers: covariance, multiquadric, folds.
 
 **Covariance** (W06 eq. 7), made positive definite. With geodesic distances the paper's ``exp(-d^2 /
-(2 l^2))`` is no covariance: its matrix over the markers has negative eigenvalues for the length
-scales that suit a face. It is also far smoother than faces, whose lips and lids crease between
-markers: intervals come out too narrow. The default is ``'creased'``, the sum of a Matérn 3/2 and an
+(2 l^2))`` is no covariance: its matrix over the markers has negative eigenvalues at the length
+scales of a face. It is also far smoother than faces, whose lips and lids crease between markers, so
+that intervals are too narrow. The default is ``'creased'``, the sum of a Matérn 3/2 and an
 exponential covariance, with ``r = d / l``::
 
     (1 - a) (1 + sqrt(3) r) exp(-sqrt(3) r) + a exp(-r),    a = `ROUGH_SHARE`
 
-It rarely has a negative eigenvalue, but over a surface that is not guaranteed. So for either shape:
+Over a surface it may have negative eigenvalues too, though rarely. So for either shape:
 
-1. The part with positive eigenvalues is kept over the markers, ``K+ = Q L Q'``.
-2. Every point x gets features ``f(x) = L^(-1/2) Q' k(x)``, so that ``<f(x), f(y)>`` is K+ between
-   markers. Where ``|f(x)| > 1`` they are shortened to 1.
-3. The covariance is ``<f(x), f(y)>``, and 1 of a point with itself: ``1 - |f(x)|^2`` is variance of
-   the point alone.
+1. The covariance over the markers is projected to the positive definite cone, ``K+ = Q L Q'``.
+2. Every point x has features ``f(x) = L^(-1/2) Q' k(x)``, so that ``<f(x), f(y)>`` is K+ between
+   markers. Where ``|f(x)| > 1`` they are scaled to length 1.
+3. The covariance is ``<f(x), f(y)>``, and 1 of a point with itself: ``1 - |f(x)|^2`` is independent
+   variance of the point.
 
-An inner product plus a diagonal of 0 or more is positive definite over any set of points, so that
-no predicted variance is negative, and every point has the prior variance v0 of eq. 7.
+An inner product plus a diagonal of 0 or more is positive semidefinite over any set of points, so
+that no predicted variance is negative, and all points have the prior variance v0 of eq. 7.
 
-**Multiquadric** (Hardy's, under any distance: W06, "Geodesic manifold distances"):
-``F(x) = sum_i w_i sqrt(d(x, i)^2 + s_i^2)``, one centre at each marker, where F is exact.
+**Multiquadric** (Hardy's, with any distance: W06, "Geodesic manifold distances"):
+``F(x) = sum_i w_i sqrt(d(x, i)^2 + s_i^2)``, interpolates at the markers.
 
-**Folds**, as lips and lids: their points follow the markers of their own side. Where lips touch,
-the covariance of a point inside has fallen with the distance along the surface to the lip's
-markers, and about half of the opening is lost; but a lip's inside moves with the lip. A fold is
-where a marker is near by the straight line and far along the surface. A point x in a fold takes, by
-the share s(x) of the fold, the values at the markers of its own side::
+**Folds**, such as lips and lids: the inside of a lip moves with the lip, but its covariance with
+the lip's markers falls with the distance along the surface, so that about half of the opening is
+lost. A point is in a fold if a marker is near by the straight line and far along the surface. With
+the share s(x) of the fold, it follows the markers of its own side::
 
     h(x) <- (1 - s(x)) h(x) + s(x) sum_i q_i(x) h(x_i),    q_i = d_i^-6 / sum_j d_j^-6
 
-with d the distance along the surface and h whatever the prediction is linear in. Features of a
-covariance stay features: it stays positive definite, and what they lose in length becomes part of
-the point's own variance. Markers are met as before.
+with d the distance along the surface and h any quantity in which the prediction is linear. With
+features as h the covariance remains positive semidefinite, and what they lose in length becomes
+independent variance. Predictions at markers do not change.
 """
 
 from dataclasses import dataclass
@@ -47,17 +46,16 @@ LEAST_DETOUR, FULL_DETOUR = 2.0, 3.0
 The ratio is 1.0 to 1.4 on a cheek and 3 to 8 across closed lips."""
 
 NEAR_MARKER_SHARE = 0.3
-"""Straight distance over the markers' spread up to which a marker counts as near; s falls to 0 at
-twice that."""
+"""Straight distance over the markers' spread at which s begins to fall, to 0 at twice that."""
 
 _WEIGHT_POWER = 6
-"""Exponent in q. 4 keeps 74 to 85 % of the lips' opening on the fixture faces, 6 keeps 82 to 93 %;
-from 8 on errors grow, since the nearest marker alone counts."""
+"""Exponent in q. 4 preserves 74 to 85 % of the lips' opening on the fixture faces, 6 82 to 93 %;
+from 8 on errors increase, since the nearest marker alone counts."""
 
 
 @dataclass(frozen=True)
 class Folds:
-    """Which points lie in folds, and the markers they follow."""
+    """Points in folds, and the markers they follow."""
 
     points: IntArray
     """(n,): those in a fold."""
@@ -109,23 +107,23 @@ def find_folds(geodesic: RealArray, euclidean: RealArray, *, spread: float) -> F
 
 
 def _smoothstep(values: FloatArray, low: float, high: float) -> FloatArray:
-    """Rise from 0 at `low` to 1 at `high`: ``t^2 (3 - 2 t)``."""
+    """Return ``t^2 (3 - 2 t)``, with t from 0 at `low` to 1 at `high`."""
     t = np.clip((values - low) / (high - low), 0.0, 1.0)
-    out: FloatArray = t * t * (3.0 - 2.0 * t)
-    return out
+    return np.asarray(t * t * (3.0 - 2.0 * t))
 
 
 STIFFNESS_SHARE = 0.1
-"""Stiffness s_i over the distance to the nearest marker. Song's and Hardy's 1 leaves the matrix of
-a geodesic distance nearly singular (errors of centimetres); 0 leaves creases at the markers."""
+"""Stiffness s_i over the distance to the nearest marker. With Song's and Hardy's 1 the matrix of
+geodesic distances is nearly singular (errors of centimetres); with 0 there are creases at the
+markers."""
 
 _LEAST_CONDITION = 1e-12
-"""Smallest over largest singular value below which two markers count as one."""
+"""Least ratio of the smallest to the largest singular value of distinct markers."""
 
 
 @dataclass(frozen=True)
 class DistanceMultiquadric:
-    """A fitted network as an operator: displacements of markers in, weights of centres out."""
+    """A fitted network as a linear operator from displacements of markers to weights of centres."""
 
     stiffness: FloatArray
     """(markers,): s_i [mm]; the paper's sigma_i."""
@@ -142,7 +140,7 @@ def nearest_stiffness(between: FloatArray) -> FloatArray:
 
 
 def fit_distance_multiquadric(between: FloatArray, stiffness: FloatArray) -> DistanceMultiquadric:
-    """Fit the network that meets every marker.
+    """Fit the network that interpolates the markers.
 
     Parameters
     ----------
@@ -164,7 +162,7 @@ def fit_distance_multiquadric(between: FloatArray, stiffness: FloatArray) -> Dis
 
 
 def multiquadric_fields(model: DistanceMultiquadric, distances: RealArray) -> Float32Array:
-    """Return how each point follows each marker.
+    """Return the linear map from displacements of markers to those of points.
 
     Parameters
     ----------
@@ -195,14 +193,14 @@ CovarianceShape = Literal["creased", "published"]
 
 ROUGH_SHARE = 0.4
 """Share a of the exponential covariance [0-1]. Between 0.2 and 0.7 errors hardly differ on the
-fixture faces; 95 % intervals contain 93 to 96 % of unseen points at 0.4, 87 to 93 % at 0."""
+fixture faces; 95 % intervals contain 93 to 96 % of held-out points at 0.4, 87 to 93 % at 0."""
 
 SMALLEST_EIGENVALUE_SHARE = 1e-6
-"""Eigenvalues below this share of the largest count as rounding errors."""
+"""[of the largest] Smaller eigenvalues are taken for rounding errors."""
 
 _LEAST_LEFT = 0.25
-"""Share of the variance. Half way between two markers it is half of what one leaves where motion is
-rough, and a third among four."""
+"""[of the variance unexplained by the nearest marker] Least that all markers leave unexplained.
+Half way between two markers it is half in rough motion, and a third among four."""
 
 _BLOCK_POINTS = 1 << 15
 """Points computed in double precision at once."""
@@ -210,17 +208,17 @@ _BLOCK_POINTS = 1 << 15
 
 @dataclass(frozen=True)
 class SurfaceCovariance:
-    """A covariance by its features."""
+    """A covariance function, by its features."""
 
     shape: CovarianceShape
     length_scale: float
     """l [mm]"""
     projection: FloatArray
-    """(markers, rank): ``Q L^(-1/2)``: turns similarities to the markers into features."""
+    """(markers, rank): ``Q L^(-1/2)``, maps similarities to the markers to features."""
     features: FloatArray
-    """(markers, rank): of the markers themselves."""
+    """(markers, rank): of the markers."""
     clipped: float
-    """Change of the markers' matrix as a share of its norm; 0 where it was positive definite."""
+    """Relative change of the markers' matrix by the projection; 0 if it was positive definite."""
 
     def matrix(self) -> FloatArray:
         """Return the covariance between the markers, 1 on its diagonal: (markers, markers)."""
@@ -229,11 +227,11 @@ class SurfaceCovariance:
         return between
 
     def cross(self, distances: RealArray) -> Float32Array:
-        """Covariance of points with the markers: (points, markers) float32.
+        """Return the covariance of points with the markers: (points, markers) float32.
 
-        Blended distances are of no space, and beyond the markers their sums may tell of a point all
-        there is, or more. Of what the nearest marker alone leaves unknown, `_LEAST_LEFT` stays so;
-        nothing of eq. 7, which is smooth.
+        Blended distances are not those of any metric space, and far from the markers the explained
+        variance may reach or exceed the prior. At least `_LEAST_LEFT` of the variance unexplained
+        by the nearest marker alone remains, but for eq. 7, which is smooth.
 
         Parameters
         ----------
@@ -251,7 +249,7 @@ class SurfaceCovariance:
 
 
 def similarity(distances: RealArray, length_scale: float, *, shape: CovarianceShape) -> FloatArray:
-    """Evaluate the shape: 1 at distance 0, falling over about the length scale."""
+    """Return the correlation at some distances: 1 at 0, decreasing over the length scale."""
     scaled: FloatArray = np.asarray(distances, np.float64) / length_scale
     if shape == "creased":
         rough = ROUGH_SHARE * np.exp(-scaled)
@@ -294,6 +292,6 @@ def fit_covariance(
 
 
 def _shorten(features: FloatArray, longest: FloatArray | float = 1.0) -> FloatArray:
-    """Limit the lengths of features: at 1 they tell all there is to tell."""
+    """Limit the lengths of features; their squares are shares of explained variance."""
     norms = np.linalg.norm(features, axis=1)
     return np.asarray(features * np.minimum(longest / np.maximum(norms, 1e-12), 1.0)[:, None])

@@ -1,1 +1,1 @@
-"""How far one performance is from another."""
+"""Error measures between performances."""

@@ -1,4 +1,4 @@
-"""Parts and sides of the face: of shapes by their names, of points by what moves them."""
+"""Regions and sides of the face: of shapes by their names, of points by the shapes' offsets."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from scipy import sparse
 
 
-# A side as names carry it: a word, or a letter set off from the rest. Each match is replaced by
-# itself, so that a name with two of them finds its partner among the names there are.
+# Sides in names: a word, or a separate letter. Matches are replaced one at a time, so that a name
+# with two of them finds its partner.
 _WORD = re.compile(r"left|right", re.IGNORECASE)
 _LETTER = re.compile(
     r"(?<=[_.\-])[lrLR](?=$|[_.\-\d])"  # brow_L, brow_l_01
@@ -27,11 +27,11 @@ _LETTER = re.compile(
 _OTHER = {"left": "right", "right": "left", "l": "r", "r": "l"}
 
 _ONE_SIDE_SHARE = 0.8
-"""[of a shape's squared motion] Must lie on one side for the shape to be that side's."""
+"""[of a shape's squared displacement] Least share on one side of a one-sided shape."""
 
 
 def mirrored_shapes(names: Sequence[str]) -> IntArray:
-    """Return the index of each shape's mirror image; its own where it has none.
+    """Return the index of each shape's mirror image, or its own index if there is none.
 
     Parameters
     ----------
@@ -48,25 +48,25 @@ def mirrored_shapes(names: Sequence[str]) -> IntArray:
     partner = np.arange(len(names))
     for index, name in enumerate(names):
         for match in (*_WORD.finditer(name), *_LETTER.finditer(name)):
-            found = place.get(_swapped(name, match), index)
-            if found != index and partner[index] == index and partner[found] == found:
-                partner[index], partner[found] = found, index
+            other = place.get(_swapped(name, match), index)
+            if other != index and partner[index] == index and partner[other] == other:
+                partner[index], partner[other] = other, index
                 break
     return partner
 
 
 def sided_shapes(offsets: sparse.csr_array, points: ArrayLike) -> BoolArray:
-    """Return which shapes move one half of the face: only these are worth moving together.
+    """Return which shapes move one half of the face alone.
 
-    ``jawLeft`` and ``jawRight`` mirror each other, and yet both move the whole jaw: set to one
-    weight they cancel.
+    Mirrored shapes such as ``jawLeft`` and ``jawRight``, which move the whole jaw, cancel when they
+    are set together.
 
     Parameters
     ----------
     offsets : (shapes, 3 * points) sparse array
-        What each shape at 1 does.
+        Displacements by each shape at 1.
     points : (points, 3) array
-        The neutral face, symmetric about x = its middle.
+        The neutral face, symmetric about the middle of its range in x.
 
     Returns
     -------
@@ -85,12 +85,12 @@ def _middle(x: FloatArray) -> float:
 
 
 def _swapped(name: str, match: re.Match[str]) -> str:
-    """Put the other side in, in the same case."""
-    found = match.group()
-    other = _OTHER[found.lower()]
-    if found.isupper():
+    """Return the name with the matched side replaced by the other, in the same case."""
+    side = match.group()
+    other = _OTHER[side.lower()]
+    if side.isupper():
         other = other.upper()
-    elif found[0].isupper():
+    elif side[0].isupper():
         other = other.capitalize()
     return name[: match.start()] + other + name[match.end() :]
 
@@ -100,7 +100,7 @@ REGIONS = ("brows", "lids", "cheeks and nose", "mouth", "jaw")
 _GAZE = ("look", "gaze", "pupil", "eyeball")
 _TONGUE = "tongue"
 
-# Tried in this order: a cheek's squint is not the lids', a lip is not the chin's, a gaze no lid.
+# Tested in this order: "cheekSquint" is not the lids', "lipChin" not the chin's, "eyeLook" no lid.
 _WORDS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("", (*_GAZE, _TONGUE)),
     ("brows", ("brow",)),
@@ -111,14 +111,14 @@ _WORDS: tuple[tuple[str, tuple[str, ...]], ...] = (
 )
 
 _LEAST_MOTION = 0.1
-"""[of a shape's largest motion] With less it does not claim a point."""
+"""[of a shape's largest displacement] Least for a point to belong to the shape's region."""
 
 _CARRIED = {"jaw": 0.85}
-"""How much a claim counts: what the jaw carries along, the lower lip above all, is not its own."""
+"""Weight of a region's displacements: those of the jaw include the lower lip."""
 
 
 def region_of_shape(name: str) -> str:
-    """Return the part of the face that a shape's name names; empty where it names none."""
+    """Return the region of the face in a shape's name, or an empty string."""
     lowered = name.lower()
     for region, words in _WORDS:
         if any(word in lowered for word in words):
@@ -127,35 +127,35 @@ def region_of_shape(name: str) -> str:
 
 
 def shapes_by_region(names: Sequence[str]) -> dict[str, IntArray]:
-    """Return the columns of the shapes of each part of the face that has any."""
-    found = np.array([region_of_shape(name) for name in names], dtype=object)
-    columns = {region: np.flatnonzero(found == region) for region in REGIONS}
+    """Return the columns of the shapes of each region that has any."""
+    of_shapes = np.array([region_of_shape(name) for name in names], dtype=object)
+    columns = {region: np.flatnonzero(of_shapes == region) for region in REGIONS}
     return {region: shapes for region, shapes in columns.items() if len(shapes)}
 
 
 def gaze_shapes(names: Sequence[str]) -> IntArray:
-    """Return the columns of the shapes that turn the eyes, which markers do not show."""
+    """Return the columns of the shapes that turn the eyes, which markers do not observe."""
     return np.flatnonzero([any(word in name.lower() for word in _GAZE) for name in names])
 
 
 def tongue_shapes(names: Sequence[str]) -> IntArray:
-    """Return the columns of the shapes of the tongue, which markers do not show."""
+    """Return the columns of the shapes of the tongue, which markers do not observe."""
     return np.flatnonzero([_TONGUE in name.lower() for name in names])
 
 
 def unseen_shapes(names: Sequence[str]) -> IntArray:
-    """Return the columns of the shapes that markers do not show: gaze and tongue."""
+    """Return the columns of the shapes that markers do not observe: gaze and tongue."""
     return np.concatenate([gaze_shapes(names), tongue_shapes(names)]).astype(np.int64)
 
 
 def blinks(names: Sequence[str]) -> IntArray:
-    """Return the columns of the shapes that shut an eye."""
+    """Return the columns of the shapes that close an eye."""
     words = ("blink", "eyeclose", "eye_close", "lidclose", "lid_close")
     return np.flatnonzero([any(word in name.lower() for word in words) for name in names])
 
 
 def jaw_opener(names: Sequence[str]) -> int | None:
-    """Return the column of the shape that opens the jaw; None without such a name."""
+    """Return the column of the shape that opens the jaw, by its name, or None."""
     for column, name in enumerate(names):
         lowered = name.lower()
         if region_of_shape(name) == "jaw" and ("open" in lowered or "drop" in lowered):
@@ -164,23 +164,23 @@ def jaw_opener(names: Sequence[str]) -> int | None:
 
 
 def points_by_region(offsets: sparse.csr_array, names: Sequence[str]) -> dict[str, IntArray]:
-    """Give each point to the part of the face whose shapes move it most.
+    """Return the points of each region: those that its shapes move most.
 
-    Shapes are compared by the share of their own largest motion, so that the jaw, which moves
-    points by centimetres, does not take the lips from the mouth. It carries the tongue, which
-    markers do not show: that is in no part, so that what it does by itself is no error of the jaw.
+    Displacements are relative to the largest of their shape, so that the jaw, which moves points by
+    centimetres, does not take the lips from the mouth. The tongue, which the jaw moves and markers
+    do not observe, and points that hardly move are in no region.
 
     Parameters
     ----------
     offsets : (shapes, 3 * points) sparse array
-        What each shape at 1 does.
+        Displacements by each shape at 1.
     names : sequence of str
         Of the shapes; see `region_of_shape`.
 
     Returns
     -------
     dict of str to int array
-        Points of each part that has any; points that hardly move are in none, nor is the tongue.
+        Points of each region that has any.
     """
     shapes = shapes_by_region(names)
     regions = list(shapes)
@@ -199,7 +199,7 @@ def points_by_region(offsets: sparse.csr_array, names: Sequence[str]) -> dict[st
 
 
 def region_gram(key_offsets: sparse.csr_array, points: IntArray) -> FloatArray:
-    """Return what small errors of keys do to some points.
+    """Return the quadratic form of the mean squared displacement of some points by errors of keys.
 
     Parameters
     ----------
@@ -211,7 +211,7 @@ def region_gram(key_offsets: sparse.csr_array, points: IntArray) -> FloatArray:
     (keys, keys) float array
         ``G`` such that ``sqrt(e @ G @ e)`` is the root mean square distance of those points.
     """
-    from scipy import sparse  # only when wanted: it takes half a second
+    from scipy import sparse  # imported late: it takes half a second
 
     columns = (3 * points[:, None] + np.arange(3)).ravel()
     part = sparse.csr_array(key_offsets.tocsc()[:, columns])

@@ -1,7 +1,6 @@
-"""How far a performance is from what it should have been: figures an animator can place.
+"""Errors of a performance: of weights, of the surface, of the lips' distance and of blinks.
 
-Weights alone mislead: half a weight of a squint is hardly seen, half a blink is an open eye. So
-errors are also measured where they show, on the surface and between the lips.
+Errors of weights are hard to compare: half a squint is hardly visible, half a blink is an open eye.
 """
 
 from dataclasses import dataclass
@@ -18,31 +17,30 @@ from usdface.numerics.regression.cross_validation import (
 )
 
 _LIP_MOTION_SHARE = 0.3
-"""[of a mouth shape's largest motion] Lips reach it and teeth do not."""
+"""[of a mouth shape's largest displacement] Least of the lips; teeth move less."""
 
 _UPPER_LIP_SHARE, _LOWER_LIP_SHARE = 0.2, 0.5
-"""[of the jaw's largest motion] The upper lip stays below the one, the lower lip above the
-other."""
+"""[of the jaw's largest displacement] Largest of the upper lip, least of the lower."""
 
 _TOUCHING_SHARE = 0.03
-"""[of what the jaw opens] Pairs nearer than this at rest are lips upon each other."""
+"""[of the opening by the jaw] Largest distance at rest of pairs that touch."""
 
 _CORNER_SHARE = 0.2
-"""[of the same] Towards the corners lips open less than between them, and are as near."""
+"""The same towards the corners, where the lips open less."""
 
 _MIDDLE_SHARE = 0.75
-"""[of the widest opening] Pairs that open less lie towards the corners."""
+"""[of the widest opening] Least of pairs in the middle."""
 
 
 @dataclass(frozen=True)
 class LipPairs:
-    """Points of the lower and the upper lip that meet."""
+    """Pairs of opposite points of the lower and the upper lip."""
 
     lower: IntArray
     upper: IntArray
     """`lower`, `upper`: (n,): points, pair by pair."""
     direction: FloatArray
-    """(3,): unit vector along which the jaw parts them."""
+    """(3,): unit vector of their opening by the jaw."""
     rest_mm: float
     """Mean distance along it at rest [mm]."""
 
@@ -55,28 +53,28 @@ def find_lip_pairs(
     mouth: ArrayLike,
     to_corners: bool = False,
 ) -> LipPairs | None:
-    """Find where the lips meet.
+    """Find the pairs of points at which the lips touch.
 
-    The lower lip goes with the jaw and the upper does not; both are moved by shapes of the mouth,
-    as teeth are not; and of all such pairs the lips are those nearest to each other.
+    Both lips are moved by shapes of the mouth, unlike teeth; the lower lip moves with the jaw, the
+    upper does not; and the pairs are those nearest to each other.
 
     Parameters
     ----------
     points : (points, 3) array
         At rest [mm].
     offsets : (shapes, 3 * points) sparse array
-        What each shape at 1 does [mm].
+        Displacements by each shape at 1 [mm].
     jaw_open : int
         The shape that opens the jaw.
     mouth : (n,) int array
-        The shapes of the mouth, of which some move the lips.
+        The shapes of the mouth.
     to_corners : bool, optional
-        Keep pairs beside the middle as well, which the jaw parts less.
+        Include pairs towards the corners, which the jaw opens less.
 
     Returns
     -------
     LipPairs or None
-        None where the jaw opens no mouth.
+        None if the jaw opens no mouth.
     """
     rest = np.asarray(points, np.float64)
     activity = np.zeros(len(rest))
@@ -90,10 +88,8 @@ def find_lip_pairs(
     travel = np.linalg.norm(opened[lips], axis=1)
     if not len(lips) or travel.max() == 0:
         return None
-    upper, lower = (
-        lips[travel < _UPPER_LIP_SHARE * travel.max()],
-        lips[travel > _LOWER_LIP_SHARE * travel.max()],
-    )
+    upper = lips[travel < _UPPER_LIP_SHARE * travel.max()]
+    lower = lips[travel > _LOWER_LIP_SHARE * travel.max()]
     if not (len(upper) and len(lower)):
         return None
     distance, nearest = cKDTree(rest[upper]).query(rest[lower])
@@ -106,8 +102,8 @@ def find_lip_pairs(
     middle = touching & (width >= _MIDDLE_SHARE * width[touching].max())
     direction = parted[middle].mean(axis=0)
     direction /= np.linalg.norm(direction)
-    kept = touching if to_corners else middle
-    low, high = lower[kept], partner[kept]
+    chosen = touching if to_corners else middle
+    low, high = lower[chosen], partner[chosen]
     return LipPairs(
         lower=low,
         upper=high,
@@ -117,15 +113,15 @@ def find_lip_pairs(
 
 
 def gap_of_keys(pairs: LipPairs, key_offsets: sparse.csr_array) -> FloatArray:
-    """Return how far each key at 1 parts the lips: (keys,) float array [mm].
+    """Return the opening of the lips by each key at 1: (keys,) float array [mm].
 
     The gap of a frame is ``rest_mm + key_weights @ gap_of_keys``; below 0 the lips overlap.
     """
-    onto = np.zeros((key_offsets.shape[1] // 3, 3))
+    projection = np.zeros((key_offsets.shape[1] // 3, 3))
     for points, sign in ((pairs.upper, 1.0), (pairs.lower, -1.0)):
-        times = np.bincount(points, minlength=len(onto))
-        onto += sign / len(points) * times[:, None] * pairs.direction
-    return np.asarray(key_offsets @ onto.ravel(), np.float64)
+        counts = np.bincount(points, minlength=len(projection))
+        projection += sign / len(points) * counts[:, None] * pairs.direction
+    return np.asarray(key_offsets @ projection.ravel(), np.float64)
 
 
 def _motion(offsets: sparse.csr_array, shape: int, points: int) -> FloatArray:
@@ -133,11 +129,10 @@ def _motion(offsets: sparse.csr_array, shape: int, points: int) -> FloatArray:
 
 
 PEAK_QUANTILE = 0.97
-"""Of a blink's true weights: frames above are its peaks. Where none is, for the eyes are shut so
-long, frames at it are."""
+"""Of a blink's true weights: frames above it are its peaks, or, if there are none, frames at it."""
 
 CLOSED_MM = 1.0
-"""Lips no further apart than this are meant to be closed."""
+"""Largest true distance of closed lips."""
 
 _QUANTILE_95 = 0.95
 _LEAST_ROUGHNESS = 1e-9
@@ -167,7 +162,7 @@ class SurfaceError:
 
     @property
     def max_mm(self) -> float:
-        """Largest of all frames [mm]."""
+        """Largest of the frames [mm]."""
         return float(self.frames_mm.max())
 
 
@@ -181,8 +176,8 @@ class LipError:
     rms_mm: float
     """Of the difference [mm]."""
     closed_bias_mm: float
-    """Mean difference where the truth is closed: above 0 the mouth does not close [mm]; NaN where
-    it never is."""
+    """Mean difference where the truth is closed: above 0 the mouth does not close [mm]; NaN if it
+    never is."""
 
 
 @dataclass(frozen=True)
@@ -219,13 +214,14 @@ def measure_shapes(errors: FloatArray) -> ShapeErrors:
 
 
 def measure_surface(key_errors: FloatArray, gram: FloatArray) -> SurfaceError:
-    """Return how far errors move a surface.
+    """Return the surface error of errors of weights.
 
     Parameters
     ----------
     key_errors : (frames, keys) float array
-        Differences of key weights; those of channel weights where no shape has in-betweens.
+        Of key weights, or of channel weights if no shape has in-betweens.
     gram : (keys, keys) float array
+        See `region_gram`.
     """
     return SurfaceError(surface_errors_mm(key_errors, gram))
 
@@ -233,54 +229,54 @@ def measure_surface(key_errors: FloatArray, gram: FloatArray) -> SurfaceError:
 def measure_lips(
     truth_keys: FloatArray, solved_keys: FloatArray, gap: FloatArray, *, rest_mm: float
 ) -> LipError:
-    """Return how far the distance between the lips is off.
+    """Return the error of the distance between the lips.
 
     Parameters
     ----------
     truth_keys, solved_keys : (frames, keys) float arrays
     gap : (keys,) float array
-        How far each key at 1 parts the lips [mm].
+        See `gap_of_keys` [mm].
     rest_mm : float
-        Their distance at rest [mm].
+        Distance at rest [mm].
     """
     truth, solved = rest_mm + truth_keys @ gap, rest_mm + solved_keys @ gap
-    off = solved - truth
+    error = solved - truth
     closed = truth <= max(CLOSED_MM, rest_mm)
     return LipError(
         truth_mm=truth,
         solved_mm=solved,
-        rms_mm=float(np.sqrt((off**2).mean())),
-        closed_bias_mm=float(off[closed].mean()) if closed.any() else float("nan"),
+        rms_mm=float(np.sqrt((error**2).mean())),
+        closed_bias_mm=float(error[closed].mean()) if closed.any() else float("nan"),
     )
 
 
 def blink_peak_bias(errors: FloatArray, truth: FloatArray, blinks: IntArray) -> float:
-    """Return the mean error of blinks at their peaks: below 0 the eyes do not shut.
+    """Return the mean error of blinks at their peaks: below 0 the eyes do not close.
 
     Parameters
     ----------
     errors, truth : (frames, shapes) float arrays
     blinks : (n,) int array
-        Columns of the shapes that shut an eye.
+        Columns of the shapes that close an eye.
 
     Returns
     -------
     float
-        NaN where there is no blink.
+        NaN if there is no blink.
     """
-    acted = truth[:, blinks]
-    high = np.quantile(acted, PEAK_QUANTILE, axis=0) if len(acted) else np.zeros(len(blinks))
-    peaks = acted > high
+    weights = truth[:, blinks]
+    high = np.quantile(weights, PEAK_QUANTILE, axis=0) if len(weights) else np.zeros(len(blinks))
+    peaks = weights > high
     if not peaks.any():
-        peaks = (acted >= high) & (acted > 0)
-    found = errors[:, blinks][peaks]
-    return float(found.mean()) if len(found) else float("nan")
+        peaks = (weights >= high) & (weights > 0)
+    peak_errors = errors[:, blinks][peaks]
+    return float(peak_errors.mean()) if len(peak_errors) else float("nan")
 
 
 def relative_jitter(solved: FloatArray, truth: FloatArray, frames: IntArray) -> float:
-    """Return the roughness of the solve over that of the truth: 1 is as smooth as it should be.
+    """Return the roughness of the solve over that of the truth.
 
-    Roughness is the mean size of the third difference, over runs of consecutive frames.
+    Roughness is the mean absolute third difference, over runs of consecutive frames.
 
     Parameters
     ----------
@@ -291,11 +287,12 @@ def relative_jitter(solved: FloatArray, truth: FloatArray, frames: IntArray) -> 
     Returns
     -------
     float
-        NaN where no four frames follow each other.
+        NaN without four consecutive frames.
     """
-    rough = [np.abs(np.diff(rows, 3, axis=0)) for rows in (solved, truth)]
     consecutive = frames[3:] - frames[:-3] == 3
     if not consecutive.any():
         return float("nan")
-    mine, theirs = (float(each[consecutive].mean()) for each in rough)
-    return mine / max(theirs, _LEAST_ROUGHNESS)
+    of_solve, of_truth = (
+        float(np.abs(np.diff(rows, 3, axis=0))[consecutive].mean()) for rows in (solved, truth)
+    )
+    return of_solve / max(of_truth, _LEAST_ROUGHNESS)

@@ -1,1 +1,1 @@
-"""Learning one set of numbers from another: references in, predictions out."""
+"""Regressions from example pairs, their validation, and the design of references."""

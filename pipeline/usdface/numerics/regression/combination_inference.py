@@ -1,17 +1,15 @@
-"""Find by which other shapes each corrective of a rig is driven, from rows of weights.
+"""Inference of the functions that drive a rig's correctives, from rows of weights.
 
-Rows hold weights as a rig evaluated them, or as an animator set them. Every corrective is compared
-with the functions that rigs use (`core.rig_logic`): in-betweens of one shape, then the product, the
-minimum or the harmonic mean of up to four shapes and in-betweens. A part must be above 0 wherever
-the corrective is, which leaves few. Among functions the one of r parts is taken that
-minimises over n rows (Schwarz 1978, with errors of Cauchy's distribution: a row on which
-the rig does something else says as much as any)
+Rows hold weights as evaluated by a rig, or as set by an animator. Every corrective is compared with
+the functions of rigs (`core.rig_logic`): in-betweens of one shape, and the product, minimum or
+harmonic mean of up to four shapes and in-betweens. Candidates are parts that are above 0 wherever
+the corrective is. The function of r parts is chosen that minimises over n rows the information
+criterion of Schwarz (1978), with Cauchy errors, as a rig may do something else in some rows::
 
     sum over rows of log(1 + (error / rounding)^2)  +  r log(n)
 
-where the knots of in-betweens count for more the less round they are,
-
-and taken only if it leaves less than a tenth of the corrective's energy.
+The knots of in-betweens count as parameters too, the more the less round they are. The function
+must leave less than a tenth of the corrective's energy.
 """
 
 from collections import Counter
@@ -31,24 +29,24 @@ from usdface.core.rig_logic import (
 )
 
 _WEIGHT_ROUNDING = 2e-3
-"""Of a weight: half precision errs by 5e-4 near 1, and the errors of factors add up."""
+"""Of a weight: the error of half precision is 5e-4 near 1, and the errors of factors add up."""
 
 _ACTIVE_WEIGHT = 0.01
-"""Of a weight: no animator keys finer, so that what is below counts as rest."""
+"""Smaller weights are at rest; animators set none so small."""
 
 _TIED_SCORE = 1.0
-"""Difference of scores below which rows do not tell two functions apart: a factor of e."""
+"""Difference of scores below which two functions are not distinguished: a likelihood ratio of e."""
 
 _MOST_PARTS = 4
 _MOST_CANDIDATES = 14
-"""Parts, those that go with the corrective most closely, of which triples and more are tried: their
-number grows with the fourth power."""
+"""Most parts, by correlation with the corrective, of which triples and more are tried: the number
+of combinations grows with the fourth power."""
 
 _KNOTS = np.arange(21) / 20
-"""Weights at which in-betweens are sculpted: round ones."""
+"""Weights at which in-betweens are sculpted."""
 
 _LEFT_SHARE = 0.1
-"""Most of a corrective's energy that logic may leave; else it stays a shape of its own."""
+"""Largest share of a corrective's energy that its function may leave."""
 
 
 @dataclass(frozen=True)
@@ -56,61 +54,66 @@ class _Fit:
     parts: tuple[str, ...]
     mode: CombinationMode
     knots: tuple[float, float, float] | None
-    """Of an in-between: where it leaves 0, is 1, and is 0 again."""
+    """Of an in-between: weights at which it rises from 0, is 1, and is 0 again."""
     score: float
     left: float
-    """Share of the energy."""
+    """Residual share of the energy."""
 
     @property
     def function(self) -> tuple[object, ...]:
-        """What it says, without how well."""
+        """The function without its score."""
         return frozenset(self.parts), self.mode, self.knots
 
 
 def infer_combinations(
     shapes: Sequence[str], weights: FloatArray, driven: Sequence[str], values: FloatArray
 ) -> tuple[Combination, ...]:
-    """Find which shapes drive others.
+    """Infer which shapes drive others, and by which functions.
 
     Parameters
     ----------
     shapes : sequence of str
-        That may drive.
+        Possible drivers.
     weights : (rows, shapes) float array
     driven : sequence of str
-        That may be driven.
+        Correctives.
     values : (rows, driven) float array
         Their weights in the same rows.
 
     Returns
     -------
     tuple of Combination
-        As `order_combinations` gives them; without those for which no logic was found: shapes that
-        the rows leave at rest, or that follow none of these functions.
+        In the order of `order_combinations`, without correctives that are at rest in all rows or
+        follow none of the functions.
     """
     factors = dict(zip(shapes, np.maximum(weights, 0.0).T, strict=True))
     columns = dict(zip(driven, values.T, strict=True))
-    bends = {name: _likeliest(_inbetweens(factors, column)) for name, column in columns.items()}
-    known = {name: columns[name] for name, fits in bends.items() if fits}
+    inbetweens = {
+        name: _most_likely(_inbetweens(factors, column)) for name, column in columns.items()
+    }
+    known = {name: columns[name] for name, fits in inbetweens.items() if fits}
     fits = {
-        name: _likeliest(
-            [*bends[name], *_products(factors if bends[name] else factors | known, column)]
+        name: _most_likely(
+            [
+                *inbetweens[name],
+                *_products(factors if inbetweens[name] else factors | known, column),
+            ]
         )
         for name, column in columns.items()
     }
-    found = [_stated(name, fit) for name, fit in _choose(fits).items()]
-    return order_combinations(found, (*shapes, *driven), source="inferred logic")
+    inferred = [_combination(name, fit) for name, fit in _choose(fits).items()]
+    return order_combinations(inferred, (*shapes, *driven), source="inferred logic")
 
 
-def _stated(name: str, fit: _Fit) -> Combination:
+def _combination(name: str, fit: _Fit) -> Combination:
     if fit.knots is None:
         return Combination(name, fit.parts, fit.mode)
     low, peak, high = fit.knots
     return Combination(name, fit.parts, fit.mode, (peak,), ((low, high),))
 
 
-def _likeliest(fits: Iterable[_Fit]) -> list[_Fit]:
-    """Return the likeliest function and those like it; none if all leave much."""
+def _most_likely(fits: Iterable[_Fit]) -> list[_Fit]:
+    """Return the best function and those tied with it; none if its residual is too large."""
     ordered = sorted(fits, key=lambda fit: fit.score)
     if not ordered or ordered[0].left >= _LEFT_SHARE:
         return []
@@ -118,9 +121,9 @@ def _likeliest(fits: Iterable[_Fit]) -> list[_Fit]:
 
 
 def _choose(fits: dict[str, list[_Fit]]) -> dict[str, _Fit]:
-    """Choose a function for each corrective; where rows do not tell, one that no other has.
+    """Choose a function for each corrective, among tied ones one that no other corrective has.
 
-    Shapes of both sides often move alike in few rows: each has a corrective of its own.
+    Both sides of a face often have the same weights in few rows, and separate correctives.
     """
     claims = Counter[tuple[object, ...]]()
     chosen = {}
@@ -132,21 +135,21 @@ def _choose(fits: dict[str, list[_Fit]]) -> dict[str, _Fit]:
 
 
 def _candidates(factors: dict[str, FloatArray], wanted: FloatArray) -> list[str]:
-    """Return what is active wherever a corrective is, what goes with it most closely first."""
+    """Return the factors that are active wherever a corrective is, by descending correlation."""
     active = wanted > _ACTIVE_WEIGHT
     if not active.any():
         return []
-    able = [name for name, each in factors.items() if (each[active] > 0).all()]
+    able = [name for name, factor in factors.items() if (factor[active] > 0).all()]
 
-    def closeness(name: str) -> float:
-        each = factors[name]
-        return float(each @ wanted) / max(float(np.linalg.norm(each)), 1e-12)
+    def correlation(name: str) -> float:
+        factor = factors[name]
+        return float(factor @ wanted) / max(float(np.linalg.norm(factor)), 1e-12)
 
-    return sorted(able, key=closeness, reverse=True)
+    return sorted(able, key=correlation, reverse=True)
 
 
 def _scores(predicted: FloatArray, wanted: FloatArray, costs: FloatArray | float) -> FloatArray:
-    """Return score and share of the energy left of functions: (2, functions)."""
+    """Return scores and residual shares of the energy of functions: (2, functions)."""
     count = len(wanted)
     squared = (predicted - wanted[:, None]) ** 2
     scores = np.log1p(squared / _WEIGHT_ROUNDING**2).sum(axis=0) + costs * np.log(count)
@@ -154,7 +157,7 @@ def _scores(predicted: FloatArray, wanted: FloatArray, costs: FloatArray | float
 
 
 def _inbetweens(factors: dict[str, FloatArray], wanted: FloatArray) -> Iterator[_Fit]:
-    """Yield the likeliest straight rise and fall of single shapes, at round weights."""
+    """Yield the best triangular function of each shape."""
     knots = _KNOTS[np.array(list(combinations(range(len(_KNOTS)), 3)))].T
     low, peak, high = knots
     costs = 1 + _knot_cost(knots).sum(axis=0)
@@ -167,7 +170,7 @@ def _inbetweens(factors: dict[str, FloatArray], wanted: FloatArray) -> Iterator[
 
 
 def _knot_cost(knots: FloatArray) -> FloatArray:
-    """Return how many parameters a knot counts for: 0 at the ends, more the less round it is."""
+    """Return the number of parameters of a knot: 0 at the ends, more the less round it is."""
     costs = np.full(knots.shape, 3.0)
     for divisor, cost in ((10, 2.0), (4, 1.0), (2, 0.5), (1, 0.0)):
         costs[np.isclose(knots * divisor % 1, 0) | np.isclose(knots * divisor % 1, 1)] = cost
@@ -175,7 +178,7 @@ def _knot_cost(knots: FloatArray) -> FloatArray:
 
 
 def _products(factors: dict[str, FloatArray], wanted: FloatArray) -> Iterator[_Fit]:
-    """Yield the likeliest combinations of each number of parts, of each mode."""
+    """Yield the best combinations of each number of parts, of each mode."""
     names = _candidates(factors, wanted)
     for count in range(1, _MOST_PARTS + 1):
         able = names if count < 3 else names[:_MOST_CANDIDATES]

@@ -1,7 +1,7 @@
-"""Folds that keep neighbours together, and errors as they show on the surface.
+"""Cross-validation blocked in time, and errors on the surface.
 
-Two reference frames a few frames apart are nearly the same face: split between training and
-testing they would flatter every method. So folds are made of runs of neighbours.
+Neighbouring reference frames are nearly the same face: split between training and testing, they
+would bias the error. So folds consist of runs of neighbours.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,15 +13,14 @@ from numpy.typing import ArrayLike, NDArray
 from usdface.core.arrays import FloatArray, IntArray
 
 FEWEST_TRAINING_ROWS = 3
-"""Rows below which a fold teaches nothing: then neighbours of tested rows are trained on too."""
+"""With fewer, neighbours of tested rows are trained on as well."""
 
 
 @dataclass(frozen=True)
 class Fold:
-    """Rows to train on and rows to test on; no row of the one neighbours a row of the other.
+    """Rows for training and testing, without neighbours of tested rows among the first.
 
-    But where fewer than `FEWEST_TRAINING_ROWS` would be left to train on, all rows that are not
-    tested are.
+    Unless fewer than `FEWEST_TRAINING_ROWS` would be left.
     """
 
     train: IntArray
@@ -33,10 +32,9 @@ def blocked_folds(
 ) -> tuple[Fold, ...]:
     """Split pairs into folds, blocked by take and time.
 
-    Pairs of one take at most `margin` frames apart form a run and stay together; runs are dealt
-    to the folds in turn, in order of time, so that each fold sees all of the performance. Where
-    the runs are fewer than the folds, contiguous blocks are cut instead, and training pairs
-    within `margin` of a tested one are left out.
+    Pairs of one take at most `margin` frames apart form a run; runs are assigned to the folds in
+    turn, so that each fold covers the whole performance. If there are fewer runs than folds, folds
+    are contiguous blocks, and training pairs within `margin` of a tested one are left out.
 
     Parameters
     ----------
@@ -45,9 +43,9 @@ def blocked_folds(
     takes : sequence of n str
         Name of each pair's take.
     folds : int
-        How many; at most the number of pairs.
+        Number of folds, limited by the number of pairs.
     margin : int
-        Frames within which two pairs count as neighbours.
+        Largest distance of neighbours [frames].
     """
     numbers = np.asarray(frames, dtype=np.int64)
     if len(numbers) != len(takes):
@@ -61,7 +59,7 @@ def blocked_folds(
     run = np.concatenate([[0], np.cumsum(breaks)])
     label = np.empty(len(numbers), dtype=np.int64)
     if run[-1] + 1 >= folds:
-        label[order] = _deal(np.bincount(run), folds)[run]
+        label[order] = _assign_runs(np.bincount(run), folds)[run]
     else:
         label[order] = np.arange(len(numbers)) * folds // len(numbers)
     return tuple(_fold(label == k, numbers, codes, margin) for k in range(folds))
@@ -70,14 +68,14 @@ def blocked_folds(
 def predict_out_of_fold(
     fit_predict: Callable[[IntArray, IntArray], FloatArray], folds: Sequence[Fold], *, width: int
 ) -> FloatArray:
-    """Predict every row by a fit that has not seen it.
+    """Return held-out predictions of all rows.
 
     Parameters
     ----------
     fit_predict : callable
-        Takes the rows to train on and the rows to test on, returns (test rows, width).
+        Maps rows to train on and rows to test on to predictions (test rows, width).
     folds : sequence of Fold
-        Together they test every row once.
+        Every row is tested once.
     width : int
         Columns of the prediction.
     """
@@ -88,12 +86,12 @@ def predict_out_of_fold(
 
 
 def weight_rmse(errors: FloatArray) -> float:
-    """Root mean square over frames and channels."""
+    """Return the root mean square over frames and channels."""
     return float(np.sqrt(np.mean(errors**2)))
 
 
 def surface_rms_mm(errors: FloatArray, gram: FloatArray) -> float:
-    """Root mean square, over frames and points, of how far weight errors move the surface [mm].
+    """Return the root mean square displacement of the surface by weight errors [mm].
 
     Parameters
     ----------
@@ -105,19 +103,13 @@ def surface_rms_mm(errors: FloatArray, gram: FloatArray) -> float:
 
 
 def surface_errors_mm(errors: FloatArray, gram: FloatArray) -> FloatArray:
-    """How far each frame's weight errors move the surface, root mean square over points [mm].
-
-    Returns
-    -------
-    (frames,) float array
-    """
+    """Return each frame's root mean square displacement over points: (frames,) [mm]."""
     squared = np.einsum("fs,fs->f", errors @ gram, errors)
-    errors_mm: FloatArray = np.sqrt(np.maximum(squared, 0.0))
-    return errors_mm
+    return np.asarray(np.sqrt(np.maximum(squared, 0.0)))
 
 
-def _deal(sizes: IntArray, folds: int) -> IntArray:
-    """Give each run to the fold that holds least so far; ties go round in order."""
+def _assign_runs(sizes: IntArray, folds: int) -> IntArray:
+    """Assign each run to the smallest fold so far, ties in rotation."""
     rows_of_fold = np.zeros(folds, dtype=np.int64)
     out = np.empty(len(sizes), dtype=np.int64)
     for i, size in enumerate(sizes):

@@ -1,4 +1,4 @@
-"""The covariance between frames that selection of references is based on."""
+"""Covariance between frames for the selection of references."""
 
 from dataclasses import dataclass
 
@@ -13,15 +13,15 @@ _LINEAR_VARIANCE, _RADIAL_VARIANCE = 10.0, 3.0
 """Mean variance of the kernel's two parts."""
 
 MEDIAN_ROWS = 512
-"""Rows spread over the frames from whose distances the width is taken."""
+"""Evenly spaced rows for the median distance."""
 
 
 @dataclass(frozen=True)
 class DesignKernel:
     """``linear * <x, y> + radial * exp(exponent * |x - y|^2)``.
 
-    Faces answer mostly in proportion, which the linear part says, and to combinations, which only
-    faces near by show.
+    The linear part models proportional motion, the radial part combinations, which only similar
+    faces share.
     """
 
     linear: float
@@ -44,11 +44,11 @@ class DesignKernel:
 
     @classmethod
     def for_size(cls, square: float) -> "DesignKernel":
-        """Scale the kernel so that rows of one squared length are of usual size, as wide as far."""
+        """Scale the kernel to rows whose mean squared length and squared distance is `square`."""
         return cls(_LINEAR_VARIANCE / square, _RADIAL_VARIANCE, -0.5 / square)
 
     def __call__(self, left: FloatArray, right: FloatArray) -> FloatArray:
-        """Return the covariance of every row of one with every row of the other."""
+        """Return the covariances between the rows of two arrays."""
         product = left @ right.T
         away = (left**2).sum(1)[:, None] + (right**2).sum(1) - 2 * product
         out: FloatArray = self.linear * product
@@ -64,12 +64,12 @@ class DesignKernel:
 def left_over(
     kernel: DesignKernel, known: FloatArray, rows: FloatArray, *, noise: float
 ) -> FloatArray:
-    """Return the variance of every row once some are tuned, as a share of what it was.
+    """Return the posterior over the prior variance of every row, given tuned frames.
 
     Parameters
     ----------
     known : (n, d) float array
-        Features of the tuned frames; none leave everything over.
+        Features of the tuned frames.
     rows : (frames, d) float array
     noise : float
         Variance of a tuned weight around the truth.
@@ -92,7 +92,7 @@ def left_over(
 def predict_from(
     kernel: DesignKernel, known: FloatArray, values: FloatArray, rows: FloatArray, *, noise: float
 ) -> FloatArray:
-    """Return values at other frames by the tuned ones: the Gaussian process's mean, (frames, s).
+    """Return the Gaussian process's posterior mean at other frames, (frames, s).
 
     Parameters
     ----------

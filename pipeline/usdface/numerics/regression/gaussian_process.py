@@ -1,12 +1,12 @@
-"""Gaussian process regression whose settings are chosen by closed-form leave-one-out error.
+"""Gaussian process regression with settings chosen by closed-form leave-one-out errors.
 
-One covariance does the work of a straight line and of a local correction to it::
+The covariance is the sum of those of a linear function, a local correction and a constant::
 
     k(x, y) = LINE_VARIANCE <x, y> / size + radial exp(-|x - y|^2 / (2 width m)) + OFFSET_VARIANCE
 
-on features scaled by ``variance ** (-power / 2)``, where size is the expected ``<x, x>`` and m the
-median squared distance between the pairs. What is chosen is how many features, the power, radial
-and width; the noise, for every output of its own.
+of features scaled by ``variance ** (-power / 2)``, where size is the expected ``<x, x>`` and m the
+median squared distance between the pairs. Chosen are the number of features, power, radial, width
+and, for every output, the noise.
 """
 
 from collections.abc import Sequence
@@ -18,14 +18,15 @@ from usdface.core.arrays import FloatArray, IntArray
 
 LINE_VARIANCE = 10.0
 OFFSET_VARIANCE = 100.0
-"""Prior variance of the constant, wide against weights in [0-1]: no mean to subtract."""
+"""Prior variance of the constant, large against weights in [0-1]."""
 
 NOISES = 10.0 ** np.arange(-3.0, 1.1, 0.5)
-"""Noise variances tried, in units of the prior variance. Below 1e-3 (weights exact to about a
-hundredth) leave-one-out would follow the markers' noise."""
+"""Noise variances tried, in units of the prior variance. With less than 1e-3 (a standard deviation
+of a weight of about .01) fits would follow the markers' noise."""
 
 ERROR_SLACK = 0.05
-"""Of errors this near to the least the smoothest fit is taken: few pairs tell no finer."""
+"""Relative difference from the least error up to which the smoothest fit is chosen: few pairs do
+not resolve less."""
 
 _MOST_LEVERAGE = 1 - 1e-6
 
@@ -35,27 +36,26 @@ class ProcessSettings:
     """One covariance to try."""
 
     dimensions: int
-    """Features used, the first ones."""
+    """Number of features used."""
     power: float
-    """How far features are whitened: 0 not, 1 wholly."""
+    """Degree of whitening: 0 none, 1 full."""
     radial: float = 0.0
-    """Prior variance of the local part; 0 leaves the line alone."""
+    """Prior variance of the local part."""
     width: float = 1.0
     """Squared width of the local part in median squared distances."""
     line: float = LINE_VARIANCE
-    """Prior variance of the line."""
+    """Prior variance of the linear part."""
 
 
 @dataclass(frozen=True)
 class GaussianProcess:
-    """A fitted process: ``slope`` carries the line, ``dual`` the local part.
+    """A fitted process, of mean ``r @ slope + intercept + exp(exponent |r - centres|^2) @ dual``.
 
-    With ``r = x[:d] * scale``, its mean is
-    ``r @ slope + intercept + exp(exponent |r - centres|^2) @ dual``.
+    With ``r = x[:d] * scale``.
     """
 
     scale: FloatArray
-    """(d,): features are multiplied by it; d is the choice's dimensions."""
+    """(d,): factors of the features; d is the choice's dimensions."""
     centres: FloatArray
     """(n, d): scaled features of the pairs."""
     exponent: float
@@ -65,15 +65,15 @@ class GaussianProcess:
     intercept: FloatArray
     """(s,)"""
     dual: FloatArray
-    """(n, s): coefficients of the local part, 0 where there is none."""
+    """(n, s): coefficients of the local part, 0 without it."""
     residuals: FloatArray
-    """(n, s): output minus its prediction by a fit that has not seen it."""
+    """(n, s): output minus its leave-one-out prediction."""
     noise: FloatArray
     """(s,)"""
 
 
 def usable_choices(choices: Sequence[ProcessSettings], *, most: int) -> tuple[ProcessSettings, ...]:
-    """Limit choices to the dimensions there are; those that become equal appear once."""
+    """Return the distinct choices limited to the dimensions available."""
     limited = (
         ProcessSettings(min(c.dimensions, most), c.power, c.radial, c.width, c.line)
         for c in choices
@@ -89,14 +89,14 @@ def leave_one_out_errors(
     choices: Sequence[ProcessSettings],
     noises: FloatArray = NOISES,
 ) -> FloatArray:
-    """Mean squared leave-one-out error of every choice, noise and output: (choices, r, s).
+    """Return mean squared leave-one-out errors of choices, noises and outputs: (choices, r, s).
 
     Parameters
     ----------
     features : (n, D) float array
     outputs : (n, s) float array
     variances : (D,) float array
-        Of the features over all frames, pairs or not; positive, falling.
+        Of the features over all frames; positive, descending.
     noises : (r,) float array
     """
     _check(features, outputs, variances, choices)
@@ -115,14 +115,14 @@ def leave_one_out_errors(
 
 
 def smoothest_near_best(errors: FloatArray, *, slack: float = ERROR_SLACK) -> IntArray:
-    """Find the last of several settings, ordered by smoothness, that is nearly the best.
+    """Return the smoothest setting whose error is near the least.
 
     Parameters
     ----------
     errors : (r, s) float array
-        Smoother settings later.
+        In the order of smoothness.
     slack : float
-        How much above the least error still counts, as a share.
+        Largest relative difference from the least error.
 
     Returns
     -------
@@ -171,7 +171,7 @@ def fit_gaussian_process(
 
 
 class _Scaled:
-    """Features under one choice: scaled, with the numbers that make its parts comparable."""
+    """Scaled features of one choice, and the terms of its covariance."""
 
     def __init__(
         self, features: FloatArray, variances: FloatArray, choice: ProcessSettings

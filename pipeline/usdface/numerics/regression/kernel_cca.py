@@ -1,17 +1,17 @@
 """Regression through regularised kernel canonical correlation: Song et al. (2011), eq. 5-8.
 
-Two sets of variables, a source and a target expression, are each bent by a Gaussian kernel and
-reduced to the directions that correlate most across the pairs; straight lines join the reduced
-source to the reduced target, and that to the target itself.
+Source and target expressions are mapped to the feature spaces of Gaussian kernels and reduced to
+their canonical directions; linear maps follow from the reduced source to the reduced target (eq. 6)
+and from that to the target (eq. 7).
 
-Without a penalty every correlation of kernel features is 1, whatever the data, and the equation
-divides 0 by 0. So the functions are penalised by their norm: ``h' A^2 h`` of eq. 5 becomes
-``h' (A^2 + kappa n A) h``, with A the centred kernel matrix of n pairs.
+Without a penalty all correlations of kernel features are 1, whatever the data. So the functions are
+penalised by their norm: ``h' A^2 h`` of eq. 5 becomes ``h' (A^2 + kappa n A) h``, with A the
+centred kernel matrix of n pairs.
 
-The straight lines of eq. 6 and 7 are printed without a penalty. Over all directions they undo that
-of eq. 5: whatever kappa, every pair is met exactly. So either the directions are few, as published,
-or the lines carry the penalty of eq. 5 too. Then they need no solving: the first is the diagonal of
-the correlations, the second the target seen along its directions.
+The linear maps are printed without a penalty. With all directions they interpolate the pairs,
+whatever kappa is. So either the directions are few, as published, or the maps have the penalty of
+eq. 5 too. Then they are in closed form: the first is the diagonal matrix of the correlations, the
+second the target projected on its directions.
 
 References
 ----------
@@ -26,15 +26,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from usdface.core.arrays import FloatArray
-from usdface.numerics.regression.rbf_ridge import BLOCK_ROWS, evaluate_network, gaussian_design
+from usdface.numerics.regression.rbf_ridge import evaluate_network, gaussian_design
 
 Lines = Literal["published", "penalised"]
 
 _NULL_SHARE = 1e-12
-"""Share of the largest eigenvalue below which a direction of a kernel matrix is rounding."""
+"""[of the largest eigenvalue of a kernel matrix] Smaller ones are rounding."""
 
 _LEAST_CORRELATION = 1e-6
-"""Correlation below which a pair of directions is unrelated."""
+"""Of canonical directions that are used."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class KernelCCA:
     operator: FloatArray
     """(n, s): the paper's M_kCCA: the product of the three."""
     intercept: FloatArray
-    """(s,): what the centring of kernel and target comes to."""
+    """(s,): from the centring of kernel and target."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class _Spectrum:
 
 def median_width(points: FloatArray, *, multiple: float = 1.0) -> float:
     """Return a multiple of the median distance between points."""
-    from scipy.spatial.distance import pdist  # only when wanted: it takes half a second
+    from scipy.spatial.distance import pdist  # imported late: it takes half a second
 
     distances = pdist(points)
     middle = float(np.median(distances)) if len(distances) else 0.0
@@ -92,8 +92,8 @@ def fit_kernel_cca(
 ) -> KernelCCA:
     """Fit the regression to pairs.
 
-    Equation 7 is printed with the reduced *source* on its right, from which no target could be
-    told; the least-squares map from the reduced target to the target is meant, and solved here.
+    Equation 7 is printed with the reduced *source* on its right; solved here is the least-squares
+    map from the reduced target to the target.
 
     Parameters
     ----------
@@ -102,11 +102,11 @@ def fit_kernel_cca(
     source_width, target_width : float
         Standard deviations of the Gaussian kernels; see `median_width`.
     kappa : float
-        Penalty, as a share of the pairs; larger is smoother.
+        Penalty per pair; larger is smoother.
     components : int, optional
-        Directions to keep; by default all that correlate.
+        Number of directions; by default all that correlate.
     lines : {'penalised', 'published'}
-        Whether eq. 6 and 7 carry the penalty of eq. 5, or are plain least squares.
+        Whether eq. 6 and 7 have the penalty of eq. 5, or are plain least squares.
     """
     S, T = np.asarray(sources, np.float64), np.asarray(targets, np.float64)
     if S.ndim != 2 or T.ndim != 2 or len(S) != len(T) or len(S) < 2:
@@ -124,16 +124,16 @@ def fit_kernel_cca(
     penalty = kappa * len(S)
     kernel = _kernel(S, S, source_width)
     a, b = _centred_spectrum(kernel), _centred_spectrum(_kernel(T, T, target_width))
-    # In the kernels' eigenvectors, with both constraints of eq. 5 made unit balls, eq. 5 is the
-    # singular value problem of one small matrix.
+    # In the kernels' eigenvectors, scaled so that both constraints of eq. 5 are unit balls, eq. 5
+    # is a singular value problem.
     shrunk_a = np.sqrt(a.values / (a.values + penalty))
     shrunk_b = np.sqrt(b.values / (b.values + penalty))
     left, correlations, right = np.linalg.svd(
         shrunk_a[:, None] * (a.vectors.T @ b.vectors) * shrunk_b, full_matrices=False
     )
-    kept = max(1, int((correlations > _LEAST_CORRELATION).sum()))
-    kept = kept if components is None else min(kept, components)
-    left, right = left[:, :kept], right[:kept].T
+    count = max(1, int((correlations > _LEAST_CORRELATION).sum()))
+    count = count if components is None else min(count, components)
+    left, correlations, right = left[:, :count], correlations[:count], right[:count].T
     basis = a.vectors @ (left / np.sqrt(a.values * (a.values + penalty))[:, None])
     reduced_source = a.vectors @ (shrunk_a[:, None] * left)
     reduced_target = b.vectors @ (shrunk_b[:, None] * right)
@@ -141,19 +141,19 @@ def fit_kernel_cca(
     if lines == "published":
         across = np.linalg.lstsq(reduced_source, reduced_target)[0]
         back = np.linalg.lstsq(reduced_target, T - mean)[0]
-    else:  # the constraints of eq. 5 are the normal matrices of the penalised lines: unit matrices
-        across = np.diag(correlations[:kept])
+    else:  # the constraints of eq. 5 make the normal matrices of the penalised maps unit matrices
+        across = np.diag(correlations)
         back = reduced_target.T @ (T - mean)
     operator = basis @ across @ back
     return KernelCCA(
         centres=S,
         width=float(source_width),
         source_basis=basis,
-        correlations=correlations[:kept],
+        correlations=correlations,
         across=across,
         back=back,
         operator=operator,
-        # The basis is orthogonal to the constant, so of the kernel's centring only this is left.
+        # The basis is orthogonal to constants, so the kernel's centring only contributes here.
         intercept=mean - kernel.mean(axis=0) @ operator,
     )
 
@@ -174,16 +174,9 @@ def predict_expansion(
     width: float,
     operator: FloatArray,
     intercept: FloatArray,
-    *,
-    block_rows: int = BLOCK_ROWS,
 ) -> FloatArray:
-    """Evaluate what a regression comes to, in blocks: memory stays bounded.
-
-    The parameters are those of `KernelCCA`; a mapping on disk keeps no more.
-    """
-    out = evaluate_network(
-        lambda some: _kernel(some, centres, width), operator, points, block_rows=block_rows
-    )
+    """Evaluate the kernel expansion of a `KernelCCA` in blocks, from what a mapping stores."""
+    out = evaluate_network(lambda some: _kernel(some, centres, width), operator, points)
     out += intercept
     return out
 

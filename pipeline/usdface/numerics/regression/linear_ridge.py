@@ -1,7 +1,4 @@
-"""Linear ridge regression whose leave-one-out errors come in closed form.
-
-The baseline that every other method must beat: a straight line through the pairs, shrunk.
-"""
+"""Linear ridge regression with leave-one-out errors in closed form."""
 
 from dataclasses import dataclass
 
@@ -26,7 +23,7 @@ class LinearRidge:
     ridge: FloatArray
     """(s,): as a share of the largest squared singular value."""
     loo_residuals: FloatArray
-    """(n, s): output minus its prediction by a fit that has not seen it, at the chosen ridge."""
+    """(n, s): output minus its leave-one-out prediction, at the chosen ridge."""
 
 
 def fit_linear_ridge(
@@ -80,6 +77,5 @@ def _loo_residuals(
     kept = singular**2 / (singular**2 + ridge)
     leverage = 1 / len(left) + left**2 @ kept
     residual = centred - left @ (kept[:, None] * rotated)
-    # A row that the fit reproduces whatever it says has no leave-one-out prediction of its own.
-    loo: FloatArray = residual / np.maximum(1 - leverage, 1e-9)[:, None]
-    return loo
+    # Rows of leverage 1 have no leave-one-out prediction.
+    return np.asarray(residual / np.maximum(1 - leverage, 1e-9)[:, None])

@@ -1,10 +1,10 @@
-"""What a rig's shapes should do to each marker, before any pair corrects it.
+"""Prior of the displacements of markers by a rig's shapes, from the rig and example pairs.
 
-A pair shows how every marker lies when the rig's weights are known. A marker belongs to the part of
-the skin that, under those weights, would move as it does, and that lies where the marker lies: no
-registration, no landmarks. Motion alone cannot tell skin that always moves together, as both lids
-do wherever references close both eyes; place alone cannot tell how another face is proportioned.
-Shapes that the pairs hardly use, or use only together, still have a direction of motion: the rig's.
+Each marker is assigned to the skin that moves as the marker does under the weights of the pairs,
+and lies where the marker lies, without landmarks. Motion alone cannot distinguish skin that always
+moves together, such as both lids in references with both eyes closed; position alone depends on the
+proportions of the face. The prior has a direction of motion also for shapes that the pairs hardly
+use, or use only together.
 """
 
 from dataclasses import dataclass
@@ -14,34 +14,34 @@ import numpy as np
 from usdface.core.arrays import FloatArray
 
 _GAIN_RANGE = (0.4, 2.5)
-"""How much further or less far than the rig a performer's skin may go."""
+"""Limits of the amplitude (gain) of a performer's skin over the rig's."""
 _LOG_GAIN_DEVIATION = 0.35
 """Standard deviation of the gain's logarithm."""
 _MARKER_NOISE_MM = 0.4
-"""What a marker moves for no reason."""
+"""Standard deviation of a coordinate of a marker."""
 _MODEL_ERROR_SHARE = 0.15
-"""Of a marker's motion, which no place on another face explains."""
+"""[of a marker's motion] Standard deviation of the error of the best place on another face."""
 _PAIR_SAMPLES = 24.0
-"""Independent samples that the pairs count for: faces repeat each other."""
+"""Effective number of independent samples of the pairs."""
 _MOTION_ROUNDS, _PLACE_ROUNDS = 3, 6
 _SIZE_QUANTILE = 0.97
-"""Quantile of points, by motion, at which two faces are compared in size."""
+"""Quantile of the points' motion at which the sizes of two faces are compared."""
 
 _PLACE_DEVIATIONS_MM = (30.0, 15.0, 10.0, 8.0)
-"""How far from its skin a marker may lie once the faces are laid on each other, round by round, on
-the rig: features of two faces are that far apart."""
+"""Standard deviation of a marker from its skin after registration, round by round, on the rig:
+features of two faces differ so much."""
 _REGISTERED_DEVIATION_MM = 4.0
-"""The same where the places of markers are known: as far as registration by labels errs."""
+"""The same for markers with known places: the error of registration by labels."""
 _UNRELATED_SHARE = 0.5
-"""Of the face's radius: median distance between markers and the skin that moves as they do, from
-which on their places say nothing. Markers laid at random are a whole radius off."""
+"""[of the face's radius] Median distance between markers and the skin that moves as they do, from
+which positions are ignored. That of random positions is 1."""
 _ISOTROPIC_SHARE = 0.1
-"""How strongly the scales of the three axes are held to one, in markers' own evidence."""
+"""Ridge of the scales of the three axes towards a common one, relative to the markers' variance."""
 _SIMILARITY_ROUNDS = 10
 _SPREAD_MM = 15.0
-"""Spread of a marker's candidates at which it counts half in laying the faces on each other."""
+"""Standard deviation of a marker's candidates at which its weight in registration is halved."""
 _LEAST_SCALE_MM = 3.0
-"""Distance below which no marker is an outlier there."""
+"""Least scale of the Cauchy weights in registration."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class MarkerPrior:
     """Expected motion of markers."""
 
     basis: FloatArray
-    """(s, markers, 3): what each shape at 1 does to each marker, in the markers' space [mm]."""
+    """(s, markers, 3): displacements by each shape at 1, in the markers' space [mm]."""
     rotation: FloatArray
     """(3, 3): from the rig's space to the markers'."""
     explained: float
@@ -58,10 +58,11 @@ class MarkerPrior:
 
 @dataclass(frozen=True)
 class _Match:
-    """How well each point of the skin explains each marker: (markers, points) arrays."""
+    """Fit of each marker's motion by each point of the skin: (markers, points) arrays."""
 
     gain: FloatArray
     left: FloatArray
+    """Residual sum of squares [mm^2]."""
     log_likelihood: FloatArray
 
 
@@ -74,11 +75,11 @@ def expect_marker_motion(
     neutral: FloatArray | None = None,
     places: FloatArray | None = None,
 ) -> MarkerPrior:
-    """Find for every marker the skin that moves as it does, and lies where it lies.
+    """Return the expected displacements of markers by a rig's shapes.
 
-    Every point of the skin is a candidate, each with a gain; candidates are averaged by
-    how well they explain the marker. The rotation between the spaces is found on the way. A rig
-    of another size than any performer is brought to the performer's first.
+    The posterior mean over all points of the skin as candidates, each with a gain. The rotation
+    between the spaces is estimated as well. A rig of implausible size is scaled to the performer's
+    first.
 
     Parameters
     ----------
@@ -88,12 +89,12 @@ def expect_marker_motion(
     markers : (pairs, markers, 3) float array
         [mm]
     rest : (points, 3) float array, optional
-        Where those points are on the rig's neutral [mm]. Without it motion alone decides.
+        Positions of these points on the rig's neutral [mm]; without them motion alone decides.
     neutral : (markers, 3) float array, optional
         The performer's neutral face [mm]; needed with `rest`.
     places : (markers, 3) float array, optional
-        Where markers are known to sit on the rig's neutral, NaN where not [mm]; used with `rest`
-        and `neutral`. By default the faces are laid on each other.
+        Known places of markers on the rig's neutral, else NaN [mm]; used with `rest` and
+        `neutral`. By default they are estimated by registration.
     """
     if skin.ndim != 3 or skin.shape[2] != 3 or skin.shape[0] != weights.shape[1]:
         raise ValueError(f"skin {skin.shape} and weights {weights.shape} do not fit together")
@@ -125,10 +126,10 @@ def _match_motion(
 ) -> _Match:
     """Compare the motion of every marker with that of every point of the skin.
 
-    The variance of a residual is unknown: `expected`, and what the best gain leaves over. Markers
-    whose motion no skin explains are then placed by where they lie, and keep the usual gain.
+    The variance of a residual is the sum of `expected` and of the residual of the best gain. So a
+    marker whose motion no skin explains is placed by position, with the usual gain.
 
-    The gain is the likeliest one or, with a usual gain, its posterior mean.
+    The gain is the maximum likelihood estimate or, with a usual gain, its posterior mean.
     """
     values = seen[0].size
     size = np.einsum("pnc,pnc->p", moved, moved)
@@ -155,7 +156,7 @@ def _refine_by_place(
     neutral: FloatArray,
     places: FloatArray | None,
 ) -> tuple[_Match, FloatArray]:
-    """Lay the markers on the rig, and let the distance decide between skin that moves alike."""
+    """Register the markers with the rig, and weigh candidates by distance as well."""
     if places is None:
         places = np.full_like(neutral, np.nan)
     known = np.isfinite(places).all(axis=1)
@@ -164,7 +165,7 @@ def _refine_by_place(
     refined = match
     for turn in range(_PLACE_ROUNDS):
         share = _shares(refined.log_likelihood)
-        laid, scale, distance = _lay_on_rig(neutral @ rotation, share, rest, energy)
+        laid, scale, distance = _register(neutral @ rotation, share, rest, energy)
         if turn == 0 and not known.any() and distance > _UNRELATED_SHARE * radius:
             return match, rotation
         usual = float(np.clip(1 / scale, *_GAIN_RANGE))
@@ -179,12 +180,12 @@ def _refine_by_place(
     return refined, rotation
 
 
-def _lay_on_rig(
+def _register(
     markers: FloatArray, share: FloatArray, rest: FloatArray, energy: FloatArray
 ) -> tuple[FloatArray, float, float]:
-    """Scale and shift markers onto their skin, robustly: places, scale, median distance [mm].
+    """Scale and shift markers to their skin, robustly: places, scale, median distance [mm].
 
-    Axes are scaled apart a little: faces differ in width and depth.
+    Axes have separate scales with a ridge towards the common one.
     """
     target = share @ rest
     spread2 = np.maximum(share @ (rest**2).sum(axis=1) - (target**2).sum(axis=1), 0.0)
@@ -212,26 +213,20 @@ def _shares(log_likelihood: FloatArray) -> FloatArray:
 
 
 def _rotation_of(match: _Match, moved: FloatArray, seen: FloatArray) -> FloatArray:
-    """Return the rotation under which each marker's best skin moves as the marker does."""
+    """Return the rotation from each marker's best skin to its motion (Kabsch, uncentred)."""
     best = match.log_likelihood.argmax(axis=1)
     gain = match.gain[np.arange(len(best)), best]
-    return _best_rotation(moved[best] * gain[:, None, None], seen)
+    cross = np.einsum("mni,mnj->ij", moved[best] * gain[:, None, None], seen)
+    left, _, right = np.linalg.svd(cross)
+    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(right.T @ left.T))])
+    return np.asarray(right.T @ flip @ left.T)
 
 
 def _size_of_performer(seen: FloatArray, moved: FloatArray) -> float:
-    """Scale that brings a rig's motion to the markers'; 1 where the points' gains reach it."""
+    """Return the scale from a rig's motion to the markers'; 1 within the range of gains."""
     rig_motion = float(np.quantile(moved, _SIZE_QUANTILE)) if len(moved) else 0.0
     marker_motion = float(np.quantile(seen, _SIZE_QUANTILE)) if len(seen) else 0.0
     if rig_motion == 0 or marker_motion == 0:
         return 1.0
     scale = float(np.sqrt(marker_motion / rig_motion))
     return 1.0 if _GAIN_RANGE[0] <= scale <= _GAIN_RANGE[1] else scale
-
-
-def _best_rotation(rows: FloatArray, targets: FloatArray) -> FloatArray:
-    """Proper rotation that turns displacements onto others best (Kabsch, without centring)."""
-    cross = np.einsum("mni,mnj->ij", rows, targets)
-    left, _, right = np.linalg.svd(cross)
-    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(right.T @ left.T))])
-    rotation: FloatArray = right.T @ flip @ left.T
-    return rotation

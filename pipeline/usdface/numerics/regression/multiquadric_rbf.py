@@ -1,7 +1,6 @@
 """Hardy's multiquadric through example pairs: Song et al. (2011), section 4.1, eq. 3-4.
 
-Each centre has its own softness: its distance to the nearest other centre. So the surface is
-sharp where examples lie close together and flat where they are scattered.
+The softness of each centre is its distance to the nearest other centre.
 """
 
 from dataclasses import dataclass
@@ -19,7 +18,7 @@ from usdface.numerics.regression.rbf_ridge import (
 )
 
 _LEAST_CONDITION = 1e-13
-"""Reciprocal condition number below which interpolation has lost all its digits."""
+"""Least reciprocal condition number for interpolation."""
 
 
 @dataclass(frozen=True)
@@ -33,12 +32,12 @@ class Multiquadric:
     coefficients: FloatArray
     """(n, s): the paper's M_RBF."""
     ridge: FloatArray
-    """(s,): penalty on squared coefficients; 0 where the pairs are met exactly."""
+    """(s,): penalty of squared coefficients; 0 for interpolation."""
 
 
 def nearest_softness(centres: FloatArray) -> FloatArray:
-    """Return each centre's distance to the nearest other centre that is not at the same place."""
-    from scipy.spatial.distance import cdist  # only when wanted: it takes half a second
+    """Return each centre's distance to the nearest other centre that does not coincide with it."""
+    from scipy.spatial.distance import cdist  # imported late: it takes half a second
 
     nearest = nearest_distances(centres)
     if not (nearest > 0).all():
@@ -53,7 +52,7 @@ def multiquadric_design(
     points: FloatArray, centres: FloatArray, softness: FloatArray
 ) -> FloatArray:
     """Evaluate every basis function at every point: (points, centres) float array."""
-    from scipy.spatial.distance import cdist  # only when wanted: it takes half a second
+    from scipy.spatial.distance import cdist  # imported late: it takes half a second
 
     design: FloatArray = cdist(points, centres, "sqeuclidean")
     design += softness**2
@@ -78,8 +77,8 @@ def fit_multiquadric(
     softness : (n,) array, optional
         By default `nearest_softness`, as published.
     smooth : bool
-        Penalise squared coefficients, the penalty of each output chosen by generalised
-        cross-validation, instead of meeting every pair exactly: for pairs with noise.
+        Penalise squared coefficients, with penalties by generalised cross-validation, instead of
+        interpolation: for pairs with noise.
     """
     C, Y = np.asarray(centres, np.float64), np.asarray(outputs, np.float64)
     if C.ndim != 2 or Y.ndim != 2 or len(C) != len(Y):
@@ -112,7 +111,7 @@ def predict_multiquadric(
 
 
 def _check_distinct(centres: FloatArray) -> None:
-    from scipy.spatial.distance import cdist  # only when wanted: it takes half a second
+    from scipy.spatial.distance import cdist  # imported late: it takes half a second
 
     distances = cdist(centres, centres)
     distances[np.tril_indices(len(centres))] = np.inf
@@ -125,7 +124,7 @@ def _check_distinct(centres: FloatArray) -> None:
 
 
 def _interpolate(design: FloatArray, outputs: FloatArray) -> FloatArray:
-    """Solve for coefficients that meet every pair; softness differs, so no symmetry helps."""
+    """Return the coefficients of interpolation; the design is not symmetric."""
     coefficients, _, rank, singular = np.linalg.lstsq(design, outputs, rcond=_LEAST_CONDITION)
     if rank < len(design):
         raise ValueError(

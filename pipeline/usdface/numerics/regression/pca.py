@@ -1,7 +1,6 @@
 """Principal components of long recordings, from moments summed in blocks.
 
-Deng et al. (2006), section 5 and eq. 3: a frame's markers, packed into one vector, become a few
-coordinates along the directions in which the face moves most.
+Deng et al. (2006), section 5 and eq. 3: the motion space of a face, from vectors of its markers.
 """
 
 from collections.abc import Iterable
@@ -13,12 +12,12 @@ from numpy.typing import ArrayLike
 from usdface.core.arrays import FloatArray
 
 _BLOCK_ROWS = 8192
-"""Rows converted to float64 at a time: keeps the working set near the cache, whatever the take."""
+"""Rows converted to float64 at a time: a block fits in the cache."""
 
 
 @dataclass(frozen=True)
 class PCA:
-    """Directions of largest variance."""
+    """Principal components."""
 
     mean: FloatArray
     """(d,)"""
@@ -28,12 +27,12 @@ class PCA:
     variances: FloatArray
     """(k,): of the data along each row (divisor n - 1)."""
     total_variance: float
-    """Along all d directions, kept or not."""
+    """Along all d directions."""
 
 
 @dataclass(frozen=True)
 class Moments:
-    """How many vectors were seen, their mean, and the scatter around it."""
+    """Count, mean and scatter matrix of vectors."""
 
     count: int
     mean: FloatArray
@@ -41,7 +40,7 @@ class Moments:
 
 
 def sum_moments(blocks: Iterable[ArrayLike]) -> Moments:
-    """Sum count, mean and scatter of the rows of many arrays, in float64 and bounded memory.
+    """Return the moments of the rows of many arrays, in float64 and bounded memory.
 
     Parameters
     ----------
@@ -57,7 +56,7 @@ def sum_moments(blocks: Iterable[ArrayLike]) -> Moments:
         for start in range(0, len(rows), _BLOCK_ROWS):
             part = rows[start : start + _BLOCK_ROWS].astype(np.float64)
             if origin is None or total is None or scatter is None:
-                origin = part[0].copy()  # sums around a data point cancel far less than around 0
+                origin = part[0].copy()  # sums about a data point cancel less than about 0
                 total = np.zeros_like(origin)
                 scatter = np.zeros((len(origin), len(origin)))
             if part.shape[1] != len(origin):
@@ -82,14 +81,14 @@ def fit_pca(data: ArrayLike, *, dimensions: int | None = None) -> PCA:
     ----------
     data : (n, d) float array
     dimensions : int, optional
-        How many to keep; by default as many as the data have.
+        Number of components; by default as many as the data have.
     """
     rows = np.asarray(data)
     if rows.ndim != 2 or len(rows) < 2:
         raise ValueError(f"principal components need at least 2 rows, got shape {rows.shape}")
     if len(rows) > rows.shape[1]:
         return pca_from_moments(sum_moments([rows]), dimensions=dimensions)
-    # Few rows: the thin SVD is exact where the covariance would square the condition number.
+    # Few rows: the covariance matrix would square the condition number.
     points = rows.astype(np.float64)
     if not np.isfinite(points).all():
         raise ValueError("the data hold values that are not finite")
@@ -111,7 +110,7 @@ def pca_from_moments(moments: Moments, *, dimensions: int | None = None) -> PCA:
 
 
 def project(pca: PCA, data: ArrayLike) -> FloatArray:
-    """Coordinates of rows along the components (Deng et al. 2006, eq. 3): (n, k).
+    """Return coordinates of rows along the components (Deng et al. 2006, eq. 3): (n, k).
 
     Parameters
     ----------
@@ -135,14 +134,14 @@ def _keep(
     total: float,
     dimensions: int | None,
 ) -> PCA:
-    kept = len(variances)
+    count = len(variances)
     if dimensions is not None:
-        if not 1 <= dimensions <= kept:
+        if not 1 <= dimensions <= count:
             raise ValueError(
-                f"dimensions must be from 1 to {kept} for these data, got {dimensions}"
+                f"dimensions must be from 1 to {count} for these data, got {dimensions}"
             )
-        kept = dimensions
-    rows = components[:kept].copy()
-    peak = rows[np.arange(kept), np.abs(rows).argmax(axis=1)]
+        count = dimensions
+    rows = components[:count].copy()
+    peak = rows[np.arange(count), np.abs(rows).argmax(axis=1)]
     rows *= np.where(peak < 0, -1.0, 1.0)[:, None]
-    return PCA(mean, rows, variances[:kept].copy(), total)
+    return PCA(mean, rows, variances[:count].copy(), total)

@@ -1,8 +1,8 @@
 """Gaussian radial basis functions with weight decay: Deng et al. (2006), eq. 4-6.
 
 One singular value decomposition of the design matrix H gives the generalised cross-validation
-score of every output at every ridge. Weight decay, ``(H'H + rI)^-1 H'W``, is not kernel ridge,
-``(K + rI)^-1 W``: the same ridge means another amount of smoothing.
+score of every output at every ridge. Weight decay, ``(H'H + rI)^-1 H'W``, differs from kernel
+ridge, ``(K + rI)^-1 W``, in the amount of smoothing for the same ridge.
 """
 
 from collections.abc import Callable
@@ -15,8 +15,8 @@ from usdface.core.arrays import FloatArray, first_smallest
 BLOCK_ROWS = 4096
 RIDGES_PER_DECADE = 8
 FREEDOM_LIMIT = 0.8
-"""Most of the pairs that a fit may use up, as a share. GCV of wide Gaussians has several minima,
-and the lowest can lie at no ridge at all: an interpolation that swings wildly in between."""
+"""Largest effective degrees of freedom over the number of pairs. GCV of wide Gaussians has several
+minima, and the lowest may be at ridge 0: an interpolation that oscillates between the pairs."""
 
 
 @dataclass(frozen=True)
@@ -32,13 +32,13 @@ class RBFRidge:
     ridge: FloatArray
     freedom: FloatArray
     score: FloatArray
-    """`ridge`, `freedom`, `score`: (s,): of each output: the ridge, the effective degrees of
-    freedom it leaves, its GCV score."""
+    """`ridge`, `freedom`, `score`: (s,): of each output: ridge, effective degrees of freedom, and
+    GCV score."""
 
 
 @dataclass(frozen=True)
 class Rotated:
-    """The design matrix and the outputs, seen along the singular vectors of the design."""
+    """The design matrix and the outputs in the basis of the design's singular vectors."""
 
     left: FloatArray
     singular: FloatArray
@@ -48,19 +48,18 @@ class Rotated:
 
 
 def nearest_distances(points: FloatArray) -> FloatArray:
-    """Distance of each point to its nearest other point."""
+    """Return the distance of each point to its nearest other point."""
     if len(points) < 2:
         raise ValueError(f"nearest distances need at least 2 points, got {len(points)}")
-    from scipy.spatial.distance import cdist  # only when wanted: it takes half a second
+    from scipy.spatial.distance import cdist  # imported late: it takes half a second
 
     distances = cdist(points, points)
     np.fill_diagonal(distances, np.inf)
-    nearest: FloatArray = distances.min(axis=1)
-    return nearest
+    return np.asarray(distances.min(axis=1))
 
 
 def shared_widths(centres: FloatArray, *, multiple: float = 8.0) -> FloatArray:
-    """Give all centres one width: a multiple of the median nearest-neighbour distance."""
+    """Return one width for all centres: a multiple of the median nearest-neighbour distance."""
     nearest = nearest_distances(centres)
     positive = nearest[nearest > 0]
     if not len(positive):
@@ -69,9 +68,9 @@ def shared_widths(centres: FloatArray, *, multiple: float = 8.0) -> FloatArray:
 
 
 def centre_widths(centres: FloatArray, *, multiple: float = 2.0) -> FloatArray:
-    """Give each centre its own width: a multiple of the distance to its nearest neighbour.
+    """Return a width for each centre: a multiple of the distance to its nearest neighbour.
 
-    Coinciding centres take the median width, since a width of 0 is no function.
+    The median width for coinciding centres.
     """
     nearest = nearest_distances(centres)
     positive = nearest[nearest > 0]
@@ -92,14 +91,14 @@ def gaussian_design(points: FloatArray, centres: FloatArray, widths: FloatArray)
     design = points @ (-2.0 * centres.T)
     design += np.einsum("ij,ij->i", points, points)[:, None]
     design += np.einsum("ij,ij->i", centres, centres)
-    np.maximum(design, 0.0, out=design)  # a squared distance; rounding may leave it below 0
+    np.maximum(design, 0.0, out=design)  # rounding may make a squared distance negative
     design *= scale
     np.exp(design, out=design)
     return design
 
 
 def rotate(design: FloatArray, outputs: FloatArray) -> Rotated:
-    """Decompose the design once; all that follows is sums over its singular values."""
+    """Decompose the design, for sums over its singular values."""
     left, singular, right = np.linalg.svd(design, full_matrices=False)
     rotated = left.T @ outputs
     unreached = np.maximum((outputs**2).sum(axis=0) - (rotated**2).sum(axis=0), 0.0)
@@ -107,10 +106,9 @@ def rotate(design: FloatArray, outputs: FloatArray) -> Rotated:
 
 
 def effective_freedom(singular: FloatArray, ridges: FloatArray) -> FloatArray:
-    """Trace of the hat matrix at each ridge: how many pairs the fit uses up."""
+    """Return the trace of the hat matrix at each ridge."""
     squared = singular**2
-    freedom: FloatArray = (squared / (squared + ridges[..., None])).sum(axis=-1)
-    return freedom
+    return np.asarray((squared / (squared + ridges[..., None])).sum(axis=-1))
 
 
 def gcv_scores(rotated: Rotated, ridges: FloatArray) -> FloatArray:
@@ -130,15 +128,14 @@ def gcv_scores(rotated: Rotated, ridges: FloatArray) -> FloatArray:
     Golub, Heath and Wahba (1979), Technometrics 21(2), 215-223.
     """
     count = len(rotated.left)
-    kept = ridges[:, None] / (rotated.singular**2 + ridges[:, None])
-    residual = kept**2 @ rotated.outputs**2 + rotated.unreached
+    shrinkage = ridges[:, None] / (rotated.singular**2 + ridges[:, None])  # eigenvalues of I - A
+    residual = shrinkage**2 @ rotated.outputs**2 + rotated.unreached
     trace = count - effective_freedom(rotated.singular, ridges)
-    scores: FloatArray = count * residual / np.maximum(trace, 1e-300)[:, None] ** 2
-    return scores
+    return np.asarray(count * residual / np.maximum(trace, 1e-300)[:, None] ** 2)
 
 
 def smallest_ridge(singular: FloatArray, *, freedom: float) -> float:
-    """Find the ridge that leaves exactly this many effective degrees of freedom."""
+    """Return the ridge with given effective degrees of freedom, by bisection."""
     low, high = 1e-18, 1e6
     if effective_freedom(singular, np.array([low * singular[0] ** 2]))[0] <= freedom:
         return low * float(singular[0]) ** 2
@@ -150,12 +147,12 @@ def smallest_ridge(singular: FloatArray, *, freedom: float) -> float:
 
 
 def choose_ridge(rotated: Rotated, *, freedom_limit: float = FREEDOM_LIMIT) -> FloatArray:
-    """Choose each output's ridge: the lowest GCV score on a grid, then once more on a finer one.
+    """Choose each output's ridge by the lowest GCV score on a grid, and on a finer one about it.
 
     Parameters
     ----------
     freedom_limit : float
-        Largest share of the pairs that a fit may use up, in (0, 1].
+        Largest effective degrees of freedom over the number of pairs, in (0, 1].
 
     Returns
     -------
@@ -183,10 +180,10 @@ def choose_ridge(rotated: Rotated, *, freedom_limit: float = FREEDOM_LIMIT) -> F
 def reestimate_ridge(
     rotated: Rotated, *, start: float, tolerance: float = 1e-6, max_iterations: int = 500
 ) -> FloatArray:
-    """Find the ridge as the paper does: solve dGCV/dridge = 0 by iteration: (s,).
+    """Return the ridge by the paper's re-estimation, which solves dGCV/dridge = 0: (s,).
 
-    Where GCV has several minima, which one is found depends on the start: `choose_ridge` looks at
-    them all. Kept to compare with the paper.
+    For comparison. If GCV has several minima, the result depends on the start, unlike that of
+    `choose_ridge`.
 
     Parameters
     ----------
@@ -240,9 +237,9 @@ def fit_rbf_ridge(
     widths : (n,) float array
         See `shared_widths` and `centre_widths`.
     ridge : float or (s,) float array, optional
-        The penalty on squared coefficients; by default chosen by `choose_ridge`.
+        Penalty of squared coefficients; by default by `choose_ridge`.
     freedom_limit : float
-        See `choose_ridge`; a given ridge is taken as it is.
+        See `choose_ridge`.
     """
     if centres.ndim != 2 or outputs.ndim != 2 or len(centres) != len(outputs):
         raise ValueError(f"{centres.shape} centres and {outputs.shape} outputs do not pair up")
@@ -258,8 +255,8 @@ def fit_rbf_ridge(
         if not (chosen > 0).all():
             raise ValueError(f"ridge must be positive, got {chosen.min()}")
     gain = rotated.singular[:, None] / (rotated.singular[:, None] ** 2 + chosen)
-    unique, place = np.unique(chosen, return_inverse=True)
-    scores = gcv_scores(rotated, unique)[place, np.arange(len(chosen))]
+    unique, index = np.unique(chosen, return_inverse=True)
+    scores = gcv_scores(rotated, unique)[index, np.arange(len(chosen))]
     return RBFRidge(
         centres=centres,
         widths=widths,
@@ -289,12 +286,12 @@ def evaluate_network(
     *,
     block_rows: int = BLOCK_ROWS,
 ) -> FloatArray:
-    """Evaluate a network of any basis functions, (f, s), in blocks: memory is bounded.
+    """Evaluate a network of any basis functions, (f, s), in blocks.
 
     Parameters
     ----------
     design : callable
-        Points (m, d) to every basis function at them, (m, n).
+        Maps points (m, d) to values of the basis functions (m, n).
     coefficients : (n, s) float array
     points : (f, d) float array
     """

@@ -1,8 +1,7 @@
-"""Which frames of a recording to tune by hand: designs that learn most from few frames.
+"""Optimal designs: the frames of a recording to tune by hand.
 
-Every design is greedy and deterministic: one frame after another, never the same twice, ties to
-the earlier frame. Frames already tuned stay in the design and count for what they cover. Memory is
-linear in the number of frames.
+All designs are greedy and deterministic, with ties to the earlier frame. Frames already tuned are
+part of the design. Memory is linear in the number of frames.
 """
 
 from dataclasses import dataclass
@@ -23,28 +22,27 @@ _BATCH_FRAMES = 512
 """Frames whose variance is computed at a time by `design_gp_variance`."""
 
 _FIRST_INFORMATION = 1e-3
-"""Assumed before the first frame; only breaks ties among the first few."""
+"""Prior information, which only breaks ties among the first frames."""
 
 _LEAST_LENGTH_SHARE = 1e-3
-"""Of the largest row's length: what is left of a row below this is no difference."""
+"""[of the longest row] Shorter residuals of rows are linearly dependent."""
 
 
 @dataclass(frozen=True)
 class Design:
-    """Chosen frames, and how much each was worth when it was chosen."""
+    """Chosen frames and their gains."""
 
     chosen: IntArray
-    """(count,): row indices in the order of choice; frames already there are not repeated."""
+    """(count,): row indices in the order of choice, without frames already tuned."""
     gain: FloatArray
-    """(count,): leverage, squared distance or variance of each frame at its turn; it never
-    grows."""
+    """(count,): leverage, squared distance or variance of each frame when it was chosen; not
+    increasing."""
 
 
 def whiten(coordinates: FloatArray, variances: FloatArray, *, power: float = 0.5) -> FloatArray:
-    """Scale coordinates by ``variance ** (-power / 2)``: 0 leaves them, 1 makes all equal."""
+    """Scale coordinates by ``variance ** (-power / 2)``."""
     floor = 1e-9 * float(variances.max(initial=0.0)) + 1e-300
-    scaled: FloatArray = coordinates * np.maximum(variances, floor) ** (-power / 2)
-    return scaled
+    return np.asarray(coordinates * np.maximum(variances, floor) ** (-power / 2))
 
 
 def design_d_optimal(
@@ -53,19 +51,18 @@ def design_d_optimal(
     *,
     already: IntArray | None = None,
 ) -> Design:
-    """Choose frames that make a linear fit best determined: greedy largest leverage.
+    """Choose frames by greedy D-optimality, the largest leverage.
 
-    Each frame added multiplies the determinant of the information matrix by one plus its
-    leverage, so the largest leverage is the largest step.
+    A frame multiplies the determinant of the information matrix by one plus its leverage.
 
     Parameters
     ----------
     features : (frames, d) float array
         Whitened; a constant column is added for the intercept.
     count : int
-        How many to choose beside those already there.
+        Number of frames to choose.
     already : (n,) int array, optional
-        Rows that are in the design and stay in it.
+        Rows that are part of the design.
     """
     free, start = _open_rows(features, count, already)
     rows = np.column_stack([features, np.ones(len(features))])
@@ -91,10 +88,9 @@ def design_k_centre(
     *,
     already: IntArray | None = None,
 ) -> Design:
-    """Choose frames so that none is far from a chosen one: greedy farthest point.
+    """Choose frames by farthest-point sampling, starting with the one farthest from the mean.
 
-    The first frame, where nothing is there yet, is the one farthest from the mean. The largest
-    remaining distance is at most twice what the best possible set of that size leaves.
+    The largest distance to a chosen frame is at most twice that of the optimal set.
 
     Parameters
     ----------
@@ -139,11 +135,11 @@ def design_gp_variance(
     already: IntArray | None = None,
     noise: float = 1e-3,
 ) -> Design:
-    """Choose frames whose weights the others determine least: greedy largest GP variance.
+    """Choose frames by the largest posterior variance of a Gaussian process.
 
-    The covariance is `DesignKernel.for_rows`. Variance never grows as frames are added, so an old
-    value bounds the new one from above: only frames whose bound could still win are computed again.
-    The result is that of the full pivoted Cholesky factorisation.
+    The covariance is `DesignKernel.for_rows`. Variances do not increase as frames are added, so
+    previous values are upper bounds, and only frames whose bound is large enough are evaluated. The
+    result equals pivoted Cholesky factorisation.
 
     Parameters
     ----------
@@ -180,10 +176,9 @@ def design_gp_variance(
 
 
 def pivoted_selection(rows: FloatArray, count: int) -> IntArray:
-    """Choose rows that differ most, by pivoted orthogonalisation.
+    """Choose rows by pivoted orthogonalisation: the farthest from the span of those chosen.
 
-    The longest row first; then always the one furthest from the span of those chosen. So a half
-    smile is not chosen beside the full one: as a shape it would be the same shape again.
+    So a half smile is not chosen in addition to the full one.
 
     Parameters
     ----------
@@ -195,19 +190,19 @@ def pivoted_selection(rows: FloatArray, count: int) -> IntArray:
     Returns
     -------
     (m,) int array
-        In the order chosen; fewer than `count` where the rows span less.
+        In the order chosen; fewer than `count` if their span has fewer dimensions.
     """
-    left = np.array(rows, dtype=np.float64)
-    energy = np.einsum("nk,nk->n", left, left)
+    residual = np.array(rows, dtype=np.float64)
+    energy = np.einsum("nk,nk->n", residual, residual)
     least = _LEAST_LENGTH_SHARE**2 * float(energy.max(initial=0.0))
     chosen: list[int] = []
-    for _ in range(min(count, len(left))):
+    for _ in range(min(count, len(residual))):
         best = first_largest(energy)
         if not energy[best] > least:
             break
-        direction = left[best] / np.sqrt(energy[best])
-        left -= np.outer(left @ direction, direction)
-        energy = np.einsum("nk,nk->n", left, left)
+        direction = residual[best] / np.sqrt(energy[best])
+        residual -= np.outer(residual @ direction, direction)
+        energy = np.einsum("nk,nk->n", residual, residual)
         energy[chosen] = 0.0
         energy[best] = 0.0
         chosen.append(best)
@@ -222,7 +217,7 @@ def _lazy_best(
     seen: FloatArray,
     lower: FloatArray,
 ) -> int:
-    """Index of the largest variance; refreshes, in place, only the bounds that could hold it."""
+    """Return the index of the largest variance; updates the bounds that are evaluated."""
     fresh = np.zeros(len(features), dtype=bool)
     best, best_value = -1, -np.inf
     while True:

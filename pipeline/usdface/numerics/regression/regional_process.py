@@ -1,8 +1,8 @@
-"""Processes over the part of the face that each shape moves: their features, and their sums.
+"""Regional features of a Gaussian process, and its evaluation.
 
-The jaw moves centimetres and a lid millimetres. Seen over all markers, the lid drowns; seen over
-the markers that its shapes move, it does not. Which markers those are is learned from all frames
-of a take through weights that a first, plain mapping gives them.
+The jaw moves by centimetres, a lid by millimetres: distances between faces over all markers hardly
+depend on the lid. Features of a region weigh markers by their relevance for its shapes, estimated
+from all frames of a take and the weights of a global mapping.
 """
 
 from dataclasses import dataclass
@@ -12,23 +12,24 @@ import numpy as np
 from usdface.core.arrays import FloatArray, IntArray, RealArray
 
 _RIDGE_SHARE = 0.02
-"""Ridge per frame on standardised weights: shapes that act together share the motion."""
+"""Ridge per frame for standardised weights: correlated shapes share the motion."""
 
 LEAST_RELEVANCE = 0.05
-"""Of a marker for a shape: none is ignored wholly."""
+"""Of a marker for a shape."""
 
 _SINGLE_NORM = 1.5
 """Norm of an output's duals up to which its kernels are evaluated in single precision: rounding
-moved sums by at most 2.6e-7 times that norm on mappings of 50 and 100 pairs, 4e-7 of a weight."""
+errors of sums were at most 2.6e-7 times that norm on mappings of 50 and 100 pairs, 4e-7 of a
+weight."""
 
 _BLOCK_VALUES = 1 << 17
-"""Kernel values at once: enough that calls are cheap. Larger, arrays come fresh from the system
-each time, which costs more than it saves."""
+"""Kernel values per block. Larger arrays are allocated from the system each time, which is
+slower."""
 
 
 @dataclass(frozen=True)
 class RegionalFeatures:
-    """Coordinates that measure distance over one region."""
+    """Coordinates whose distance is that of one region."""
 
     projection: FloatArray
     """(D, D): ``coordinates @ projection`` are uncorrelated over the sample, the largest variance
@@ -38,10 +39,10 @@ class RegionalFeatures:
 
 
 def marker_relevance(sample: FloatArray, weights: FloatArray, components: FloatArray) -> FloatArray:
-    """How much each marker has to do with each shape.
+    """Return the relevance of each marker for each shape.
 
-    Markers are regressed on weights; a marker's relevance is how far it moves with the shape,
-    against the marker that moves most.
+    The displacement of a marker by a shape in a regression of markers on weights, over the largest
+    of any marker.
 
     Parameters
     ----------
@@ -62,14 +63,13 @@ def marker_relevance(sample: FloatArray, weights: FloatArray, components: FloatA
     moves = np.linalg.solve(normal, standard.T @ (sample - sample.mean(axis=0))) @ components
     length = np.linalg.norm(moves.reshape(len(moves), -1, 3), axis=2)
     share = length / np.maximum(length.max(axis=1, keepdims=True), 1e-12)
-    relevance: FloatArray = np.maximum(share, LEAST_RELEVANCE)
-    return relevance
+    return np.maximum(share, LEAST_RELEVANCE)
 
 
 def regional_features(
     components: FloatArray, covariance: FloatArray, relevance: FloatArray
 ) -> RegionalFeatures:
-    """Principal axes of the motion under a metric that weighs markers by relevance.
+    """Return the principal axes of the motion, with markers weighted by relevance.
 
     Parameters
     ----------
@@ -90,9 +90,8 @@ def regional_features(
 class LocalSums:
     """``sum_i dual[i, j] exp(exponent[k] |x projection[k] - centres[k, i]|^2)``, k the region of j.
 
-    Where regions have their own features, nothing of one kernel serves another; they are laid side
-    by side, so that a block of points takes few calls and not some per region. Kernels whose duals
-    are small are evaluated in single precision, at half the time.
+    The kernels of all regions are evaluated in batches. Kernels with small duals are evaluated in
+    single precision, in half the time.
 
     Parameters
     ----------
@@ -116,12 +115,12 @@ class LocalSums:
     ) -> None:
         self._outputs = dual.shape[1]
         most = int(np.bincount(region).max())
-        columns = np.full((len(projection), most), self._outputs)  # the one beyond the last: none
+        columns = np.full((len(projection), most), self._outputs)  # padded by an unused output
         duals = np.zeros((len(projection), len(dual), most))
         for k in range(len(projection)):
-            its = np.flatnonzero(region == k)
-            columns[k, : len(its)], duals[k, :, : len(its)] = its, dual[:, its]
-        # of features, their squared norm and 1, makes exponents
+            outputs = np.flatnonzero(region == k)
+            columns[k, : len(outputs)], duals[k, :, : len(outputs)] = outputs, dual[:, outputs]
+        # maps features, their squared norm and 1 to exponents
         squares = np.einsum("knd,knd->kn", centres, centres)[:, :, None]
         operand = np.concatenate([-2.0 * centres, np.ones_like(squares), squares], axis=2)
         operand = operand.transpose(0, 2, 1) * exponent[:, None, None]
@@ -130,7 +129,7 @@ class LocalSums:
         self._groups: list[_Kernels] = []
         for kind, chosen in ((np.float32, rounded & (norms > 0)), (np.float64, ~rounded)):
             parts: list[RealArray] = [
-                each[chosen].astype(kind, order="C") for each in (projection, operand, duals)
+                array[chosen].astype(kind, order="C") for array in (projection, operand, duals)
             ]
             self._groups.append(_Kernels(columns[chosen].ravel(), *parts))
 
@@ -147,7 +146,7 @@ class _Kernels:
     """Kernels of one precision."""
 
     columns: IntArray
-    """(k * m,): which outputs they make."""
+    """(k * m,): their outputs."""
     projection: RealArray
     """(k, D, d)"""
     operand: RealArray
@@ -159,12 +158,12 @@ class _Kernels:
         """Evaluate them: (f, D) points to (f, k * m) outputs."""
         kernels, pairs, outputs = self.dual.shape
         rows = points.astype(self.dual.dtype)
-        found = np.empty((kernels, len(rows), outputs), self.dual.dtype)
-        together = max(_BLOCK_VALUES // max(len(rows) * pairs, 1), 1)
-        for start in range(0, kernels, together):
-            some = slice(start, start + together)
-            found[some] = self._sums_of(rows, some)
-        return found.transpose(1, 0, 2).reshape(len(rows), kernels * outputs)
+        sums = np.empty((kernels, len(rows), outputs), self.dual.dtype)
+        batch = max(_BLOCK_VALUES // max(len(rows) * pairs, 1), 1)
+        for start in range(0, kernels, batch):
+            some = slice(start, start + batch)
+            sums[some] = self._sums_of(rows, some)
+        return sums.transpose(1, 0, 2).reshape(len(rows), kernels * outputs)
 
     def _sums_of(self, points: RealArray, some: slice) -> RealArray:
         projection = self.projection[some]

@@ -1,14 +1,14 @@
-"""Expected weights, given weights that err and how each of them is used.
+"""Posterior means of noisy weights, under a prior of how each weight is used.
 
-A shape is at rest in most frames. What a solve leaves on it there is small, but a combination that
-begins at 0 and counts in full early (an in-between at .25) makes four times as much of it. The
-prior of a weight is a mixture over the n rows in which its use is known::
+A shape is at rest in most frames. The residual weight of a solve there is small, but a combination
+with an in-between at .25 amplifies it four times. The prior of a weight is a mixture over n rows of
+known weights::
 
     (n + 1) p(w) = sum over rows at rest of delta(w) + sum over others of N(w; row, spread^2) + 1
 
-the last 1 being one row of any weight in [0, 1]. Given a value x that errs by N(0, d^2), each part
-of the mixture has its likelihood and its mean in closed form, so that ``x`` stays as it is where
-``d`` is 0. The uniform part is not cut at 0 and 1, nor are the normal ones: x lies between them.
+with a uniform density on [0, 1] as the last. For a value x with an error of N(0, d^2), each
+component has its likelihood and mean in closed form; ``x`` is unchanged where ``d`` is 0. The
+components are not truncated at 0 and 1, as x is between them.
 """
 
 import numpy as np
@@ -16,10 +16,10 @@ import numpy as np
 from usdface.core.arrays import FloatArray, RealArray
 
 _REST_WEIGHT = 0.01
-"""Weight below which a row counts as rest: no animator keys finer."""
+"""Smaller weights of rows are at rest; animators set none so small."""
 
 _SPREAD_WEIGHT = 0.1
-"""How far a weight may be from what a row shows: rows are a sample of a continuous motion."""
+"""Standard deviation of a weight about that of a row: rows sample a continuous motion."""
 
 
 def expected_weights(seen: RealArray, deviation: RealArray, rows: RealArray) -> FloatArray:
@@ -28,11 +28,11 @@ def expected_weights(seen: RealArray, deviation: RealArray, rows: RealArray) -> 
     Parameters
     ----------
     seen : (frames, shapes) float array
-        Weights that err, as shares of their ranges [0-1].
+        Noisy weights, as shares of their ranges [0-1].
     deviation : (frames, shapes) float array
         Standard deviation of the error; 0 where a weight is exact.
     rows : (rows, shapes) float array
-        Weights that show how each shape is used [0-1].
+        Known weights, which define the prior [0-1].
     """
     out = np.array(seen, np.float64)
     for column, used in enumerate(np.asarray(rows, np.float64).T):

@@ -1,9 +1,9 @@
-"""Points that several calibrated cameras see, brought to space.
+"""Triangulation of points from several calibrated cameras.
 
 References
 ----------
 Hartley and Sturm (1997), Triangulation, Computer Vision and Image Understanding 68(2), 146-157: the
-linear method, its weights by depth, and the reprojection error that is least.
+iterated linear method and the reprojection error.
 """
 
 from dataclasses import dataclass
@@ -17,12 +17,12 @@ _LINEAR_ROUNDS = 3
 _NEWTON_ROUNDS = 5
 _NEAREST_DEPTH = 1e-9
 _SMALLEST_ANGLE = 1e-6
-"""Reciprocal condition of the equations of a point; rays that are parallel meet nowhere."""
+"""Smallest over largest eigenvalue of a point's normal equations, below which rays are parallel."""
 
 
 @dataclass(frozen=True)
 class CameraPose:
-    """How a camera stands: a point X of the world lies at R X + t in its space."""
+    """Extrinsic parameters of a camera: the point X of the world is R X + t in its space."""
 
     rotation: FloatArray
     """R: (3, 3); x to the right, y down, z along the view."""
@@ -33,51 +33,53 @@ class CameraPose:
 def triangulate_points(
     seen: FloatArray, weights: FloatArray, poses: list[CameraPose]
 ) -> FloatArray:
-    """Return the points whose weighted squared reprojection error is least: (..., 3).
+    """Return the points with the least weighted squared reprojection error: (..., 3).
 
-    NaN where fewer than two views weigh anything, or their rays are parallel.
+    The linear method, refined by Gauss-Newton steps. NaN where fewer than two views have a weight,
+    or their rays are parallel.
 
     Parameters
     ----------
     seen : (views, ..., 2) float array
         x / z and y / z in each camera's space, without distortion.
     weights : (views, ...) float array
-        Inverse variance of each, up to a factor; 0 or less where a view does not count.
+        Inverse variances, up to a factor; views with 0 or less are ignored.
     poses : list of CameraPose
         Of each view.
     """
     counted = (weights > 0) & np.isfinite(seen).all(axis=-1)
     trust = np.where(counted, weights, 0.0)
-    place = np.where(counted[..., None], seen, 0.0)
+    image = np.where(counted[..., None], seen, 0.0)
     shape = seen.shape[1:-1]
     points = np.zeros((*shape, 3))
     depth = [np.ones(shape) for _ in poses]
     enough = counted.sum(axis=0) >= 2
     for _ in range(_LINEAR_ROUNDS):
         normal, right = np.zeros((*shape, 3, 3)), np.zeros((*shape, 3))
-        for xy, weight, pose, z in zip(place, trust, poses, depth, strict=True):
+        for xy, weight, pose, z in zip(image, trust, poses, depth, strict=True):
             for axis in range(2):
                 row = xy[..., axis, None] * pose.rotation[2] - pose.rotation[axis]
                 left = pose.translation[axis] - xy[..., axis] * pose.translation[2]
                 _add(normal, right, row, left, weight / z**2)
-        enough &= _is_regular(normal)
+        eigenvalues = np.linalg.eigvalsh(normal)
+        enough &= eigenvalues[..., 0] > _SMALLEST_ANGLE * eigenvalues[..., 2]
         points = _solve(normal, right, enough)
-        depth = [np.maximum(_into(pose, points)[..., 2], _NEAREST_DEPTH) for pose in poses]
+        depth = [np.maximum(_camera_space(pose, points)[..., 2], _NEAREST_DEPTH) for pose in poses]
     for _ in range(_NEWTON_ROUNDS):
         normal, right = np.zeros((*shape, 3, 3)), np.zeros((*shape, 3))
-        for xy, weight, pose in zip(place, trust, poses, strict=True):
-            local = _into(pose, points)
+        for xy, weight, pose in zip(image, trust, poses, strict=True):
+            local = _camera_space(pose, points)
             z = np.maximum(local[..., 2], _NEAREST_DEPTH)
             for axis in range(2):
-                shown = local[..., axis] / z
-                row = (pose.rotation[axis] - shown[..., None] * pose.rotation[2]) / z[..., None]
-                _add(normal, right, row, xy[..., axis] - shown, weight)
+                projected = local[..., axis] / z
+                row = (pose.rotation[axis] - projected[..., None] * pose.rotation[2]) / z[..., None]
+                _add(normal, right, row, xy[..., axis] - projected, weight)
         points = points + _solve(normal, right, enough)
     points[~enough] = np.nan
     return points
 
 
-def _into(pose: CameraPose, points: FloatArray) -> FloatArray:
+def _camera_space(pose: CameraPose, points: FloatArray) -> FloatArray:
     return np.asarray(points @ pose.rotation.T + pose.translation)
 
 
@@ -89,11 +91,6 @@ def _add(
     right += (weight * left)[..., None] * row
 
 
-def _is_regular(normal: FloatArray) -> BoolArray:
-    values = np.linalg.eigvalsh(normal)
-    return np.asarray(values[..., 0] > _SMALLEST_ANGLE * values[..., 2])
-
-
 def _solve(normal: FloatArray, right: FloatArray, usable: BoolArray) -> FloatArray:
     regular = np.where(usable[..., None, None], normal, np.eye(3))
     return np.where(usable[..., None], np.linalg.solve(regular, right[..., None])[..., 0], 0.0)
@@ -102,44 +99,42 @@ def _solve(normal: FloatArray, right: FloatArray, usable: BoolArray) -> FloatArr
 def average_heads(
     points: FloatArray, heads: FloatArray, weights: FloatArray, steadiness: FloatArray
 ) -> FloatArray:
-    """Return the mean of what each camera by itself measures of a head, where points are.
+    """Return the mean of the heads measured by single cameras, aligned with triangulated points.
 
-    Triangulated points tell where the head is and how it is turned. Across the line of sight they
-    have the noise of one picture, along it that over the sine of the angle between two cameras:
-    more than the depth that a model of faces tells from one picture.
+    Triangulation determines the head pose. Along the line of sight its noise is that of a picture
+    over the sine of the angle between two cameras, larger than that of the depth which a face model
+    predicts from one picture.
 
-    A model puts a landmark on other skin as the face is seen from another side. What two cameras
-    differ by throughout, point by point, is taken from both, half each, so that the mean does not
-    jump where one of them loses the point.
+    A face model places a landmark on different skin in different views. The mean difference between
+    cameras, point by point, is removed from each, so that the mean does not jump where one of them
+    loses the point.
 
     Parameters
     ----------
     points : (frames, points, 3) float array
         Triangulated, finite.
     heads : (views, frames, points, 3) float array
-        In each camera's space; finite, anything where nothing weighs.
+        In each camera's space; finite, arbitrary where the weight is 0.
     weights : (views, frames, points) float array
-        What each counts.
     steadiness : (points,) float array
-        What each point counts for how a head lies on the points: much where it moves with the
-        skull.
+        Weight of each point in the alignment: large where it moves with the skull.
     """
     placed, trust = np.zeros(heads.shape), np.zeros(weights.shape)
     for view, (head, weight) in enumerate(zip(heads, weights, strict=True)):
-        # Not by what is hidden: that follows the head's turn, and would bend the pose with it.
+        # Not by hidden points: which are hidden depends on the head's rotation, and biases it.
         counted = (weight > 0) * steadiness
         pose = align_frames(points, head, weights=counted)
         turned = head @ np.swapaxes(pose.rotations, 1, 2)
         share = counted / np.maximum(counted.sum(axis=1, keepdims=True), 1e-12)
-        own = turned - (share[..., None] * turned).sum(axis=1, keepdims=True)
+        centred = turned - (share[..., None] * turned).sum(axis=1, keepdims=True)
         middle = (share[..., None] * points).sum(axis=1, keepdims=True)
-        spread = (share[..., None] * own**2).sum(axis=(1, 2))
-        sizes = (share[..., None] * own * (points - middle)).sum(axis=(1, 2))
-        usable = pose.determined & (spread > 0)
+        variance = (share[..., None] * centred**2).sum(axis=(1, 2))
+        covariance = (share[..., None] * centred * (points - middle)).sum(axis=(1, 2))
+        usable = pose.determined & (variance > 0)
         if not usable.any():
             continue
-        scale = np.median(sizes[usable] / spread[usable])  # the camera's distance is its own guess
-        placed[view] = scale * own + middle
+        scale = np.median(covariance[usable] / variance[usable])  # a view's distance is a guess
+        placed[view] = scale * centred + middle
         trust[view] = np.where(usable[:, None], weight, 0.0)
     return _mean_without_offsets(placed, trust, otherwise=points)
 
@@ -147,15 +142,15 @@ def average_heads(
 def _mean_without_offsets(
     values: FloatArray, weights: FloatArray, *, otherwise: FloatArray
 ) -> FloatArray:
-    """Return m (frames, points, 3) of values x = m + o of views, least Σ w |x - m - o|².
+    """Return m (frames, points, 3) of the model x = m + o that minimises Σ w |x - m - o|².
 
-    The offsets o are constant per view and point, their sum over the views 0.
+    The offsets o are constant per view and point, and sum to 0 over the views.
     """
     share = weights / np.maximum(weights.sum(axis=0), 1e-12)
     mean = (share[..., None] * values).sum(axis=0)
     coupled = np.einsum("vfp,ufp->pvu", weights, share)
-    own = weights.sum(axis=1).T[:, :, None] * np.eye(len(values))
+    diagonal = weights.sum(axis=1).T[:, :, None] * np.eye(len(values))
     right = np.einsum("vfp,vfpc->pvc", weights, values - mean)
-    offsets = np.linalg.pinv(own - coupled, hermitian=True) @ right
+    offsets = np.linalg.pinv(diagonal - coupled, hermitian=True) @ right
     mean -= np.einsum("vfp,pvc->fpc", share, offsets)
     return np.where(weights.sum(axis=0)[..., None] > 0, mean, otherwise)

@@ -1,9 +1,9 @@
-"""Points of a head in pictures, brought back to space: lens and perspective undone, scale set.
+"""Unprojection of head landmarks: removal of lens distortion and perspective, metric scale.
 
-A landmark model tells where points appear, and how much nearer each is than the head's middle in
-the unit of the picture (weak perspective). The camera makes what is near larger: a nose that comes
-closer grows against the ears, and a mapping would take that for expression. With the focal length,
-the distance of the head follows from its size, and each point from its own depth.
+A landmark model gives image positions, and depths relative to the head in pixels (weak
+perspective). Under perspective a nose that comes closer grows relative to the ears, which a mapping
+would take for expression. With the focal length, the distance of the head follows from its size,
+and the position of each point from its depth.
 
 References
 ----------
@@ -23,34 +23,34 @@ from usdface.numerics.rigid.rigid_alignment import align_rigid
 
 _PROCRUSTES_ROUNDS = 5
 _PROCRUSTES_FRAMES = 256
-"""A mean shape of more frames is no better: their noise is a sixteenth of one's."""
+"""The noise of a mean shape of so many frames is a sixteenth of a frame's."""
 _NEAREST_SHARE = 0.1
-"""Of the head's distance: no landmark is nearer to a camera whose picture holds the whole face."""
+"""[of the head's distance] Least depth of a landmark of a face that is in the picture."""
 
 _NEWTON_STEPS = 50
 _UNDISTORTED_PIXELS = 1e-3
-"""What is left between a point and where the lens shows its undistorted place."""
+"""Largest error of the distortion of an undistorted point."""
 
 
 @dataclass(frozen=True)
 class PinholeCamera:
-    """A camera whose lens may distort, by the model of Brown and Conrady."""
+    """A pinhole camera with lens distortion by the model of Brown and Conrady."""
 
     focal_pixels: float
-    """Focal length in pixels of the picture."""
+    """Horizontal focal length [pixels]."""
     center: tuple[float, float]
-    """Where the optical axis meets the picture: from the left and from the top [pixels]."""
+    """Principal point, from the left and from the top [pixels]."""
     distortion: tuple[float, ...] = ()
-    """k1, k2, p1, p2, k3 as OpenCV calls them, those that follow 0: of x and y over the focal
-    length, r² = x² + y², a point is seen at
-    x (1 + k1 r² + k2 r⁴ + k3 r⁶) + 2 p1 x y + p2 (r² + 2 x²), and likewise for y."""
+    """k1, k2, p1, p2, k3 of OpenCV, missing ones 0: with x and y over the focal length and
+    r² = x² + y², the distorted x is x (1 + k1 r² + k2 r⁴ + k3 r⁶) + 2 p1 x y + p2 (r² + 2 x²), and
+    likewise y."""
     aspect: float = 1.0
-    """Focal length down over that across."""
+    """Vertical over horizontal focal length."""
 
     def undistort(self, points: FloatArray) -> FloatArray:
-        """Return where a lens without distortion, of `aspect` 1, would show points: (..., 2).
+        """Return image points without distortion, of `aspect` 1: (..., 2).
 
-        NaN where the lens shows no place: beyond where its distortion folds the picture.
+        By Newton's method. NaN beyond the radius at which the distortion folds the picture.
 
         Parameters
         ----------
@@ -60,31 +60,32 @@ class PinholeCamera:
         if not any(self.distortion) and self.aspect == 1:
             return points
         seen = (points - self.center) / (self.focal_pixels, self.focal_pixels * self.aspect)
-        place, unfolded = seen.copy(), np.ones(seen.shape[:-1], bool)
+        ideal, unfolded = seen.copy(), np.ones(seen.shape[:-1], bool)
         for _ in range(_NEWTON_STEPS):
-            shown, (xx, xy, yy) = self._distorted(place)
-            left = seen - shown
+            distorted, (xx, xy, yy) = self._distorted(ideal)
+            residual = seen - distorted
             # The Jacobian is symmetric; where its determinant falls to 0 the picture folds.
             determinant = xx * yy - xy**2
             unfolded &= (determinant > 0) & (xx > 0)
-            x = (yy * left[..., 0] - xy * left[..., 1]) / np.where(unfolded, determinant, 1.0)
-            y = (xx * left[..., 1] - xy * left[..., 0]) / np.where(unfolded, determinant, 1.0)
+            divisor = np.where(unfolded, determinant, 1.0)
+            x = (yy * residual[..., 0] - xy * residual[..., 1]) / divisor
+            y = (xx * residual[..., 1] - xy * residual[..., 0]) / divisor
             step = np.where(unfolded[..., None], np.stack([x, y], axis=-1), 0.0)
-            place += step
+            ideal += step
             if not np.abs(step).max(initial=0.0) * self.focal_pixels > _UNDISTORTED_PIXELS / 1e3:
                 break
-        left = np.abs(self._distorted(place)[0] - seen).max(axis=-1) * self.focal_pixels
-        found = unfolded & (left < _UNDISTORTED_PIXELS)
-        return np.where(found[..., None], place * self.focal_pixels + self.center, np.nan)
+        error = np.abs(self._distorted(ideal)[0] - seen).max(axis=-1) * self.focal_pixels
+        converged = unfolded & (error < _UNDISTORTED_PIXELS)
+        return np.where(converged[..., None], ideal * self.focal_pixels + self.center, np.nan)
 
-    def _distorted(self, place: FloatArray) -> tuple[FloatArray, tuple[FloatArray, ...]]:
-        """Return where points over the focal length are seen, and xx, xy, yy of the Jacobian."""
+    def _distorted(self, ideal: FloatArray) -> tuple[FloatArray, tuple[FloatArray, ...]]:
+        """Return distorted points over the focal length, and xx, xy, yy of the Jacobian."""
         k1, k2, p1, p2, k3 = (*self.distortion, 0.0, 0.0, 0.0, 0.0, 0.0)[:5]
-        x, y = place[..., 0], place[..., 1]
+        x, y = ideal[..., 0], ideal[..., 1]
         square = x**2 + y**2
         radial = 1 + square * (k1 + square * (k2 + square * k3))
         slope = 2 * k1 + square * (4 * k2 + square * 6 * k3)
-        shown = np.stack(
+        distorted = np.stack(
             [
                 x * radial + 2 * p1 * x * y + p2 * (square + 2 * x**2),
                 y * radial + p1 * (square + 2 * y**2) + 2 * p2 * x * y,
@@ -94,7 +95,7 @@ class PinholeCamera:
         xx = radial + x**2 * slope + 2 * p1 * y + 6 * p2 * x
         xy = x * y * slope + 2 * p1 * x + 2 * p2 * y
         yy = radial + y**2 * slope + 6 * p1 * y + 2 * p2 * x
-        return shown, (xx, xy, yy)
+        return distorted, (xx, xy, yy)
 
 
 def unproject_head(
@@ -111,12 +112,12 @@ def unproject_head(
     Parameters
     ----------
     landmarks : (frames, landmarks, 3) float array
-        x to the right and y down [pixels]; z away from the camera, in the same unit, from any
-        origin that moves with the head.
+        x to the right, y down, z away from the camera, relative to any origin that moves with the
+        head [pixels].
     seen : (frames,) bool array
         Frames with a face.
     rigid : (n,) int array
-        Landmarks that move with the skull: their size tells the head's distance.
+        Landmarks that move with the skull, whose size determines the head's distance.
     eyes : two (n,) int arrays
         Landmarks whose mean is the centre of the right and of the left eye.
     eye_distance_mm : float
@@ -131,11 +132,11 @@ def unproject_head(
         raise ValueError("no frame has a face")
     pictured = landmarks[seen].copy()
     straight = camera.undistort(pictured[..., :2])
-    # Landmarks guessed outside the picture may lie where the lens shows nothing.
+    # Landmarks extrapolated outside the picture may be beyond the fold of the distortion.
     pictured[..., :2] = np.where(np.isnan(straight), pictured[..., :2], straight)
     image = pictured * (1.0, -1.0, -1.0) / camera.focal_pixels
     middle = np.array([camera.center[0], -camera.center[1]]) / camera.focal_pixels
-    # Of the head's distance: a landmark's depth, and by similar triangles where it is across.
+    # In units of the head's distance: depth, and x and y by similar triangles.
     depth = 1.0 - (image[..., 2] - image[:, rigid, 2].mean(axis=1, keepdims=True))
     depth = np.maximum(depth, _NEAREST_SHARE)
     rays = np.concatenate([(image[..., :2] - middle) * depth[..., None], -depth[..., None]], axis=2)
@@ -149,10 +150,10 @@ def unproject_head(
 
 
 def _mean_shape(points: FloatArray) -> FloatArray:
-    """Return the mean of shapes after each is moved, turned and scaled onto it."""
+    """Return the mean shape by generalised Procrustes analysis, with medians."""
     rows = sample_frames(len(points), _PROCRUSTES_FRAMES)
     shapes = points[rows] - points[rows].mean(axis=1, keepdims=True)
-    # The picture that the face fills most is sharpest, and any is a good start.
+    # Start from the largest face, whose landmarks are most accurate.
     mean = shapes[int(np.argmax((shapes**2).sum(axis=(1, 2))))]
     size = np.sqrt((mean**2).sum())
     for _ in range(_PROCRUSTES_ROUNDS):
@@ -164,7 +165,7 @@ def _mean_shape(points: FloatArray) -> FloatArray:
 
 
 def _scales(points: FloatArray, shape: FloatArray) -> FloatArray:
-    """Return the factor by which the shape fits each frame best: (frames,)."""
+    """Return the least-squares scale of the shape in each frame: (frames,)."""
     centred = points - points.mean(axis=1, keepdims=True)
     still = shape - shape.mean(axis=0)
     turned = still @ align_rigid(centred, still).rotations.transpose(0, 2, 1)

@@ -1,4 +1,4 @@
-"""The rigid motion that best carries a reference onto each frame, for all frames at once.
+"""Least-squares rigid alignment of a reference with each frame (Wahba's problem), in batches.
 
 References
 ----------
@@ -18,20 +18,20 @@ from numpy.typing import ArrayLike, NDArray
 from usdface.core.arrays import BoolArray, FloatArray, RealArray
 
 _CHUNK_FRAMES = 1024
-"""Keeps the working arrays of 100 points in the processor's cache."""
+"""The working arrays of 100 points fit in the cache."""
 _RANK_TOLERANCE = 1e-3
-"""Second over first singular value: markers 3 % as broad as long leave the turn about their line
-to the noise."""
+"""Second over first singular value of the covariance: that of markers 3 % as broad as long, whose
+rotation about their line is determined by noise."""
 _IRLS_ROUNDS = 12
 _IRLS_SETTLED = 1e-3
 _INLIER_MEDIANS = 2.6
 """Residuals of Gaussian noise in three dimensions stay below 2.6 medians in 999 of 1000 samples."""
 _LEAST_SCALE = 1e-6
-"""[mm] Of exact data, whose residuals are rounding."""
+"""[mm] Scale of the residuals of exact data, which are rounding."""
 _NEWTON_LIMIT = 30
 _NEWTON_SETTLED = 1e-15
 _SAFE_ZETA = 0.05
-"""Below it the closed form divides by too little; those few matrices are decomposed."""
+"""Below it the closed form is inaccurate, and the SVD is used."""
 
 
 @dataclass(frozen=True)
@@ -43,9 +43,9 @@ class RigidAlignment:
     translations: FloatArray
     """(frames, 3)"""
     determined: BoolArray
-    """(frames,): false where fewer than three points were seen, or all in a line."""
+    """(frames,): False where fewer than three points are visible, or all are collinear."""
     weights: FloatArray
-    """(frames, points) [0-1] What each point counted in the end; 0 where not seen."""
+    """(frames, points) [0-1] Final weights; 0 where not visible."""
 
     def matrices(self) -> FloatArray:
         """Return (frames, 4, 4) transforms for column vectors."""
@@ -61,16 +61,15 @@ def align_rigid(
 ) -> RigidAlignment:
     """Align a reference to every frame by weighted least squares.
 
-    Each frame uses the centroid of its own weighted points and, of the reference, the centroid of
-    the same points with the same weights.
+    The centroids of a frame and of the reference are of the same points with the same weights.
 
     Parameters
     ----------
     positions : (frames, points, 3) array_like
-        Anything finite or not where the weight is 0.
+        Arbitrary, also not finite, where the weight is 0.
     reference : (points, 3) array_like
     weights : (frames, points) array_like, optional
-        Not negative; bool for seen or not. All 1 by default.
+        Not negative, or bool. All 1 by default.
     """
     points = np.asarray(positions)
     y = np.asarray(reference, np.float64)
@@ -96,11 +95,11 @@ def align_rigid(
 def align_rigid_robust(
     positions: ArrayLike, reference: ArrayLike, *, visible: ArrayLike
 ) -> RigidAlignment:
-    """Align a reference to every frame, disregarding points that are swapped or far off.
+    """Align a reference to every frame, robust to swapped points and outliers.
 
-    Iteratively reweighted least squares with Geman-McClure weights. A frame's scale starts at its
-    own median residual, so that a swap, which bends the first solution, still stands out from the
-    rest, and ends at the median of the whole take.
+    Iteratively reweighted least squares with Geman-McClure weights. Their scale is the median
+    residual of the frame, at least that of the take, so that a swap, which distorts the first
+    solution, remains an outlier.
 
     Parameters
     ----------
@@ -134,7 +133,7 @@ def align_rigid_robust(
 
 
 def align_frames(positions: ArrayLike, targets: ArrayLike, *, weights: ArrayLike) -> RigidAlignment:
-    """Align each frame's own target to it: ``positions = rotation @ target + translation``.
+    """Align one target per frame: ``positions = rotation @ target + translation``.
 
     Parameters
     ----------
@@ -181,19 +180,19 @@ def remove_motion(
     *,
     out: RealArray | None = None,
 ) -> RealArray:
-    """Bring captured positions into the reference's space.
+    """Transform captured positions to the space of the reference.
 
     Parameters
     ----------
     positions : (frames, any, 3) array_like
     out : (frames, any, 3) float array, optional
-        Where to put the result; `positions` themselves, to take no more memory. On long takes
-        fresh memory costs more time than the arithmetic.
+        Where to store the result, which may be `positions`. On long takes, allocation takes longer
+        than the arithmetic.
 
     Returns
     -------
     (frames, any, 3) float array
-        In single precision where `positions` are.
+        In single precision if `positions` are.
     """
     points = np.asarray(positions)
     kind = np.result_type(points.dtype, np.float32)
@@ -201,10 +200,9 @@ def remove_motion(
     rotations = alignment.rotations.astype(kind)
     for start in range(0, len(points), _CHUNK_FRAMES):
         rows = slice(start, start + _CHUNK_FRAMES)
-        # Metres from the origin, single precision would lose microns: subtract in double first.
+        # Subtract in double precision: metres from the origin, single precision loses microns.
         centred = (points[rows] - alignment.translations[rows, None]).astype(kind, copy=False)
-        # Row vectors times R are R.T times column vectors; operands of one kind are six times
-        # as fast as mixed ones.
+        # Row vectors times R are R.T times column vectors; one dtype is six times as fast as two.
         np.matmul(centred, rotations[rows], out=still[rows])
     return still
 
@@ -221,19 +219,18 @@ def alignment_residuals(
 def optimal_rotations(
     matrices: FloatArray, *, rank_tolerance: float
 ) -> tuple[FloatArray, BoolArray]:
-    """Return the rotations R that maximise ``trace(R.T @ B)``, the same as U diag(1, 1, ±1) V^T.
+    """Return the rotations R that maximise ``trace(R.T @ B)``, which are U diag(1, 1, ±1) V^T.
 
-    A batched decomposition takes most of the time of aligning a take. Markley's closed form needs
-    the sum of B's singular values (the last with the determinant's sign), the largest root of a
-    quartic that Newton's method reaches from above, and one division; it is ten times as fast
-    and agrees to rounding. Matrices near rank one, where it would not, take the decomposition.
+    By Markley's closed form, ten times as fast as a batched SVD and equal to rounding. It needs the
+    sum of the singular values of B (the last with the determinant's sign): the largest root of a
+    quartic, by Newton's method from above. Matrices near rank one are decomposed by SVD.
 
     Parameters
     ----------
     matrices : (n, 3, 3) float array
         ``sum of x y^T`` when R is to carry y onto x.
     rank_tolerance : float
-        A rotation is determined when the second singular value plus the signed third exceeds this
+        A rotation is determined if the second singular value plus the signed third exceeds this
         share of the first.
 
     Returns
@@ -242,7 +239,7 @@ def optimal_rotations(
         Identity where not determined.
     determined : (n,) bool array
     """
-    # Frames last: every operation then runs along memory, not over matrices of nine numbers.
+    # Frames last, so that operations run over contiguous memory.
     B = np.ascontiguousarray(np.moveaxis(matrices, 0, -1))
     size = np.sqrt((B * B).sum(axis=(0, 1)))
     B /= np.maximum(size, np.finfo(np.float64).tiny)
@@ -281,15 +278,15 @@ def _align_chunk(
     x = points.astype(np.float64)
     unused = w <= 0
     if unused.any():
-        x[unused] = 0.0  # may be anything, NaN too
+        x[unused] = 0.0  # arbitrary, perhaps NaN
     y_middle = y.mean(axis=0)
     moments = _moments(x, y - y_middle, w)
     total = np.maximum(moments[:, 9], np.finfo(np.float64).tiny)[:, None]
     x_center = moments[:, 10:13] / total
-    y_center = moments[:, 13:16] / total  # of the same points: a missing one must not pull
+    y_center = moments[:, 13:16] / total
     covariance = moments[:, :9].reshape(-1, 3, 3)
     covariance -= x_center[:, :, None] * moments[:, None, 13:16]
-    # D06 equations 1 and 2: y^T x = U D V^T, R = V U^T, here with the determinant made +1
+    # D06 equations 1 and 2: y^T x = U D V^T, R = V U^T, with determinant +1
     rotations, determined = optimal_rotations(covariance, rank_tolerance=_RANK_TOLERANCE)
     determined &= points.shape[1] - unused.sum(axis=1) >= 3
     rotations[~determined] = np.eye(3)
@@ -299,9 +296,9 @@ def _align_chunk(
 
 
 def _moments(x: FloatArray, y: FloatArray, w: FloatArray) -> FloatArray:
-    """Return per frame the weighted sums of ``x y^T``, 1, x and y: (frames, 9 + 1 + 3 + 3).
+    """Return the weighted sums of ``x y^T``, 1, x and y of each frame: (frames, 9 + 1 + 3 + 3).
 
-    One matrix product for all frames. `x` must be 0 wherever `w` is, and is changed.
+    By one matrix product. `x` must be 0 where `w` is, and is changed.
     """
     count = len(y)
     operator = np.zeros((count, 3, 12))
@@ -322,7 +319,7 @@ def _median_where(values: FloatArray, mask: BoolArray) -> float:
 
 
 def _frame_medians(values: FloatArray, mask: BoolArray) -> FloatArray:
-    """Return the median of each frame's seen values; every frame has some."""
+    """Return the lower median of each frame's visible values, of which there must be one."""
     ordered = np.sort(np.where(mask, values, np.inf), axis=1)
     middle = (mask.sum(axis=1) - 1) // 2
     return np.asarray(ordered[np.arange(len(ordered)), middle])
@@ -342,6 +339,6 @@ def _decompose(B: FloatArray, rank_tolerance: float) -> tuple[FloatArray, BoolAr
     U, singular, Vt = np.linalg.svd(np.where(np.isfinite(B), B, 0.0))
     sign = np.sign(np.linalg.det(U) * np.linalg.det(Vt))
     U[:, :, 2] *= sign[:, None]
-    margin = singular[:, 1] + sign * singular[:, 2]  # 0: another rotation fits as well
+    margin = singular[:, 1] + sign * singular[:, 2]  # 0: the rotation is not unique
     determined = margin > rank_tolerance * singular[:, 0]
     return np.where(determined[:, None, None], U @ Vt, np.eye(3)), determined

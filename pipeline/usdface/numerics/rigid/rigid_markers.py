@@ -10,48 +10,49 @@ from usdface.numerics.motion.noise import measurement_noise
 
 _SAMPLE_FRAMES = 1500
 _LEAST_MARKERS = 4
-"""Three have no redundancy: one that is swapped could not be detected."""
+"""With three, a swapped one cannot be detected."""
 _LOW, _HIGH = 5.0, 95.0
-"""[percentile] Swapped samples and outliers fall outside."""
+"""[percentile] Swapped samples and outliers are outside."""
 _PERCENTILES_TO_DEVIATION = 3.29
 """Distance of the two percentiles of a normal distribution, in standard deviations."""
 _LARGEST_TURN = np.deg2rad(1.2)
-"""Head rotation in error beyond which the mouth, 80 mm away, moves by more than 1.5 mm."""
+"""Largest error of the head's rotation: moves the mouth, at 80 mm, by 1.5 mm."""
 _LEAST_SEEN = 0.5
+"""[of the frames] In which a marker must be visible."""
 _NEAR_BEST = 1.2
+"""Ratio to the smallest error up to which a larger set is preferred."""
 _SEEDS_AT_ONCE = 64
-"""Sets grown side by side: 5 MB each of a thousand markers' moments."""
+"""Sets grown in one batch: 5 MB each for a thousand markers."""
 
 
 @dataclass(frozen=True)
 class RigidMarkers:
-    """A set of markers that moves as one body."""
+    """A set of markers that moves as one rigid body."""
 
     indices: tuple[int, ...]
     """Columns, ascending."""
     deviation_mm: float
     """Mean standard deviation of their mutual distances, measurement noise included [mm]."""
     rotation_error_deg: float
-    """How far off the head's rotation may be by what is left of their own motion."""
+    """Expected error of the head's rotation, from their residual motion and noise."""
     noise_mm: float = 0.0
     """Standard deviation of the measurement noise, per coordinate."""
 
     @property
     def residual_motion_mm(self) -> float:
-        """What is left of the deviation, per marker, without the noise of a distance's two ends."""
+        """Standard deviation of the motion per marker, without the measurement noise [mm]."""
         return float(np.sqrt(max(self.deviation_mm**2 / 2 - self.noise_mm**2, 0.0)))
 
 
 def find_rigid_markers(positions: ArrayLike, visible: ArrayLike) -> RigidMarkers:
-    """Find the markers from which the head's motion is best known.
+    """Find the set of markers that determines the head's motion best.
 
-    Sets are made in two ways. Markers are taken out of all one by one, always the one whose
-    distances to the rest vary most; and from each marker on, a set grows by the one whose distances
-    to it vary least: where most markers sit on skin, the first way takes the skull's markers out
-    before that skin which moves as one. Each set promises an error of the head's rotation: the
-    mutual motion that is left, and the measurement noise averaged over the set, over the set's
-    extent across its longest direction. The largest set that comes near the smallest error is
-    chosen: more markers outlast more gaps and swaps.
+    Candidates come from backward elimination, which removes the marker whose distances to the
+    others vary most, and from forward selection, which starts at each marker and adds the one whose
+    distances to the set vary least: where most markers are on skin, elimination removes the skull's
+    markers first. The expected error of a set's rotation is the root of its squared residual motion
+    and averaged noise, over its extent across its longest axis. Of the sets near the smallest
+    error, the largest is chosen, as it is the most robust to gaps and swaps.
 
     Parameters
     ----------
@@ -62,7 +63,7 @@ def find_rigid_markers(positions: ArrayLike, visible: ArrayLike) -> RigidMarkers
     Raises
     ------
     ValueError
-        If no set of four or more markers promises a rotation within 1.2 degrees.
+        If the expected error of all sets of four or more markers exceeds 1.2 degrees.
     """
     points, seen = np.asarray(positions), np.asarray(visible, bool)
     noise = measurement_noise(points, seen)
@@ -72,8 +73,8 @@ def find_rigid_markers(positions: ArrayLike, visible: ArrayLike) -> RigidMarkers
     sample[~seen[rows][:, usable]] = np.nan
     deviations = _distance_deviations(sample)
     middle = np.nanmedian(sample, axis=0) if len(usable) else np.empty((0, 3))
-    orders, promises = _judged_orders(deviations, middle, noise)
-    least = float(promises.min(initial=np.inf))
+    orders, errors = _candidate_orders(deviations, middle, noise)
+    least = float(errors.min(initial=np.inf))
     if not least <= _LARGEST_TURN:
         if not len(orders):
             closest = (
@@ -91,14 +92,14 @@ def find_rigid_markers(positions: ArrayLike, visible: ArrayLike) -> RigidMarkers
             f"no set of markers keeps its mutual distances: {closest}; name the markers that sit "
             "on the skull (head band, temples, bridge of the nose)"
         )
-    # Of sets equally large the one that promises less.
+    # Of equally large sets the one with the smaller error.
     count, error, order = max(
         (
-            (int(near) + _LEAST_MARKERS, float(promise[near]), order)
-            for order, promise in zip(orders, promises, strict=True)
-            for near in np.flatnonzero(promise <= _NEAR_BEST * least)[-1:]
+            (int(near) + _LEAST_MARKERS, float(row[near]), order)
+            for order, row in zip(orders, errors, strict=True)
+            for near in np.flatnonzero(row <= _NEAR_BEST * least)[-1:]
         ),
-        key=lambda found: (found[0], -found[1]),
+        key=lambda candidate: (candidate[0], -candidate[1]),
     )
     chosen = np.sort(order[:count])
     deviation = deviations[np.ix_(chosen, chosen)].sum() / (count * (count - 1))
@@ -106,48 +107,49 @@ def find_rigid_markers(positions: ArrayLike, visible: ArrayLike) -> RigidMarkers
     return RigidMarkers(indices, float(deviation), float(np.rad2deg(error)), noise)
 
 
-def _judged_orders(
+def _candidate_orders(
     deviations: FloatArray, middle: FloatArray, noise: float
 ) -> tuple[IntArray, FloatArray]:
-    """Return orders of markers of which every beginning is a set worth judging, and what it is.
+    """Return orders of markers whose prefixes are candidate sets, and the sets' errors.
 
     Returns
     -------
     orders : (orders, markers) int array
-    promises : (orders, markers - 3) float array
-        Errors of the rotation [rad], promised by the first four of an order, five, and so on;
-        infinite from markers on that were never seen together.
+    errors : (orders, markers - 3) float array
+        Expected errors of the rotation [rad] of the first four of an order, five, and so on;
+        infinite for markers that are never visible together.
     """
     count = len(deviations)
     if count < _LEAST_MARKERS:
         return np.empty((0, count), np.int64), np.empty((0, 0))
-    whole = _order_by_removal(deviations)
-    beginning = np.tril(deviations[np.ix_(whole, whole)]).sum(axis=1)
-    orders = [whole[None]]
-    promises = [_promised_errors(whole[None], beginning[None], middle, noise)]
+    eliminated = _eliminate(deviations)
+    added = np.tril(deviations[np.ix_(eliminated, eliminated)]).sum(axis=1)
+    orders = [eliminated[None]]
+    errors = [_rotation_errors(eliminated[None], added[None], middle, noise)]
     for start in range(0, count, _SEEDS_AT_ONCE):
-        grown, added = _grow_sets(deviations, np.arange(start, min(start + _SEEDS_AT_ONCE, count)))
-        orders.append(grown)
-        promises.append(_promised_errors(grown, added, middle, noise))
-    return np.concatenate(orders), np.concatenate(promises)
+        seeds = np.arange(start, min(start + _SEEDS_AT_ONCE, count))
+        selected, added = _select_forward(deviations, seeds)
+        orders.append(selected)
+        errors.append(_rotation_errors(selected, added, middle, noise))
+    return np.concatenate(orders), np.concatenate(errors)
 
 
-def _order_by_removal(deviations: FloatArray) -> IntArray:
-    """Take markers out, always the one whose distances vary most, and return the last one first."""
-    apart = np.isinf(deviations)
-    finite = np.where(apart, 0.0, deviations)
-    total, never = finite.sum(axis=1), apart.sum(axis=1)
-    left, taken = np.ones(len(deviations), bool), list[int]()
-    while left.any():
+def _eliminate(deviations: FloatArray) -> IntArray:
+    """Return the markers by backward elimination, the last to be removed first."""
+    infinite = np.isinf(deviations)
+    finite = np.where(infinite, 0.0, deviations)
+    total, never = finite.sum(axis=1), infinite.sum(axis=1)
+    remaining, removed = np.ones(len(deviations), bool), list[int]()
+    while remaining.any():
         varying = np.where(never > 0, np.inf, total)
-        taken.append(int(np.where(left, varying, -np.inf).argmax()))
-        left[taken[-1]] = False
-        total, never = total - finite[taken[-1]], never - apart[taken[-1]]
-    return np.array(taken[::-1], np.int64)
+        removed.append(int(np.where(remaining, varying, -np.inf).argmax()))
+        remaining[removed[-1]] = False
+        total, never = total - finite[removed[-1]], never - infinite[removed[-1]]
+    return np.array(removed[::-1], np.int64)
 
 
-def _grow_sets(deviations: FloatArray, seeds: IntArray) -> tuple[IntArray, FloatArray]:
-    """Grow a set from each seed by the marker whose distances to it vary least.
+def _select_forward(deviations: FloatArray, seeds: IntArray) -> tuple[IntArray, FloatArray]:
+    """Add to each seed the marker whose distances to the set vary least, and so on.
 
     Returns
     -------
@@ -169,19 +171,18 @@ def _grow_sets(deviations: FloatArray, seeds: IntArray) -> tuple[IntArray, Float
     return orders, added
 
 
-def _promised_errors(
+def _rotation_errors(
     orders: IntArray, added: FloatArray, middle: FloatArray, noise: float
 ) -> FloatArray:
-    """Return the rotation's error [rad] promised by the first four of an order, five, and so on."""
-    beginning = slice(_LEAST_MARKERS - 1, None)
-    count = np.arange(1, orders.shape[1] + 1)[beginning]
-    deviation = 2 * added.cumsum(axis=1)[:, beginning] / (count * (count - 1))
-    residual_motion2 = np.maximum(
-        deviation**2 - 2.0 * noise**2, 0.0
-    )  # a distance has two ends' noise
+    """Return the rotation's error [rad] expected of the first four of an order, five, and so on."""
+    large = slice(_LEAST_MARKERS - 1, None)
+    count = np.arange(1, orders.shape[1] + 1)[large]
+    deviation = 2 * added.cumsum(axis=1)[:, large] / (count * (count - 1))
+    # A distance has the noise of both ends.
+    residual_motion2 = np.maximum(deviation**2 - 2.0 * noise**2, 0.0)
     points = middle[orders] - middle.mean(axis=0)
-    products = (points[..., :, None] * points[..., None, :]).cumsum(axis=1)[:, beginning]
-    centres = points.cumsum(axis=1)[:, beginning] / count[:, None]
+    products = (points[..., :, None] * points[..., None, :]).cumsum(axis=1)[:, large]
+    centres = points.cumsum(axis=1)[:, large] / count[:, None]
     spread = products / count[:, None, None] - centres[..., :, None] * centres[..., None, :]
     extent = np.sqrt(np.maximum(np.linalg.eigvalsh(spread)[..., 1], 0.0))
     errors: FloatArray = np.sqrt(residual_motion2 + noise**2 / count)
@@ -189,14 +190,14 @@ def _promised_errors(
 
 
 def _distance_deviations(sample: FloatArray) -> FloatArray:
-    """Return the robust standard deviation of every mutual distance; infinite when never seen."""
+    """Return the robust standard deviation of all mutual distances; infinite if never visible."""
     frames, count = sample.shape[:2]
     deviations = np.zeros((count, count))
     tracks = np.ascontiguousarray(sample.transpose(1, 2, 0))
     for marker in range(count - 1):
         between = tracks[marker + 1 :] - tracks[marker]
         distances = np.sqrt(np.einsum("mif,mif->mf", between, between))
-        distances.sort(axis=1)  # what is not known comes last
+        distances.sort(axis=1)  # NaN last
         known = frames - np.isnan(distances).sum(axis=1)
         low, high = (_sorted_percentile(distances, known, share) for share in (_LOW, _HIGH))
         spread = np.where(known >= 2, (high - low) / _PERCENTILES_TO_DEVIATION, np.inf)

@@ -1,9 +1,8 @@
-"""Head motion taken out of a take, and returned with it.
+"""Removal of head motion from a take.
 
-Where no set of markers is rigid, every marker counts as far as it stays still: skin of the forehead
-follows the brows, skin of the nose the lip, and which markers sit on the skull changes from take to
-take. Each marker has a prior, how far it moves over the skull by itself, and a frame's weights
-follow what it does.
+Where no set of markers is rigid, markers are weighted by their motion relative to the skull: the
+skin of the forehead follows the brows, that of the nose the lip. Each marker has a prior standard
+deviation of this motion, and its weight in a frame depends on its residual there.
 
 References
 ----------
@@ -31,11 +30,11 @@ from usdface.numerics.rigid.rigid_alignment import (
 _IRLS_ROUNDS = 15
 _SHARE_OF_PRIOR = 0.7
 _WEIGHT_EXPONENT = 1.5
-"""A marker weighs ``prior^-2 (1 + r^2 / (0.7 prior)^2)^-1.5``, r its residual: heavier than
-Gaussian, lighter than Cauchy tails, so that a forehead that moves for a while loses its say."""
+"""The weight of a marker with residual r is ``prior^-2 (1 + r^2 / (0.7 prior)^2)^-1.5``, which
+decreases faster than Cauchy weights: a forehead that moves for a while hardly counts."""
 
 _WINDOW_SECONDS = 0.3
-"""Residuals are averaged over this time: a marker that moves does so for some frames."""
+"""Squared residuals are averaged over this time, the duration of a movement."""
 
 
 def align_by_prior(
@@ -46,7 +45,9 @@ def align_by_prior(
     skin_motion_mm: ArrayLike,
     rate: float,
 ) -> RigidAlignment:
-    """Align a reference to every frame, weighing markers by how little they move by themselves.
+    """Align a reference to every frame, with weights by the markers' motion over the skull.
+
+    By iteratively reweighted least squares.
 
     Parameters
     ----------
@@ -57,7 +58,7 @@ def align_by_prior(
     visible : (frames, markers) array_like of bool
     skin_motion_mm : (markers,) array_like
         Standard deviation of each marker's motion over the skull [mm]; positive, infinite for one
-        that says nothing.
+        to ignore.
     """
     seen = np.asarray(visible, bool)
     prior = np.asarray(skin_motion_mm, float)
@@ -68,36 +69,36 @@ def align_by_prior(
     share = uniform_filter1d(seen.astype(float), window, axis=0, mode="nearest")
     for _ in range(_IRLS_ROUNDS):
         squared = np.where(seen, alignment_residuals(positions, reference, alignment) ** 2, 0.0)
-        usual = uniform_filter1d(squared, window, axis=0, mode="nearest") / np.maximum(share, 1e-9)
-        weights = base / (1 + usual / (_SHARE_OF_PRIOR * prior) ** 2) ** _WEIGHT_EXPONENT
+        mean = uniform_filter1d(squared, window, axis=0, mode="nearest") / np.maximum(share, 1e-9)
+        weights = base / (1 + mean / (_SHARE_OF_PRIOR * prior) ** 2) ** _WEIGHT_EXPONENT
         alignment = align_rigid(positions, reference, weights=weights)
     return alignment
 
 
-_REFERENCE_SAMPLE = 20_000
+_REFERENCE_FRAMES = 20_000
 INTERPOLATED_CONFIDENCE = 0.25
-"""[0-1] Of a head pose that was not measured but taken between its neighbours."""
+"""[0-1] Of an interpolated head pose."""
 
 
 @dataclass(frozen=True)
 class Stabilization:
-    """A take in the head's space, and the way back."""
+    """A take in the head space, and its head motion."""
 
     positions: RealArray
-    """(frames, markers, 3) [mm] Stabilised; the neutral frame stays where it was captured. In
-    single precision where the input is."""
+    """(frames, markers, 3) [mm] Stabilised; the neutral frame as captured. In single precision if
+    the input is."""
     head_motion: FloatArray
     """(frames, 4, 4): for column vectors: ``captured = head_motion @ stabilised``."""
     pose_confidence: FloatArray
     """(frames,) [0-1] 1 where measured, `INTERPOLATED_CONFIDENCE` where interpolated."""
     reference: FloatArray
-    """(rigid, 3) [mm] Shape of the rigid markers in the head's space."""
+    """(rigid, 3) [mm] Rigid markers in the head space."""
 
 
 def stabilize(
     positions: ArrayLike, visible: ArrayLike, *, rigid: Sequence[int], neutral: int
 ) -> Stabilization:
-    """Take the head's motion out of every frame.
+    """Remove the head motion from every frame, by rigid markers.
 
     Parameters
     ----------
@@ -107,7 +108,7 @@ def stabilize(
     rigid : sequence of int
         Columns of the markers that move with the skull alone, three or more.
     neutral : int
-        Index of the frame whose head pose becomes the head's space.
+        Index of the frame whose head pose defines the head space.
 
     Raises
     ------
@@ -128,17 +129,10 @@ def stabilize(
             "line; name more rigid markers"
         )
     reference = _mean_shape(remove_motion(body, first), body_seen & first.determined[:, None])
-    back = align_rigid(start[None], reference[at_neutral])  # so that the neutral frame stays put
+    back = align_rigid(start[None], reference[at_neutral])  # identity pose at the neutral frame
     reference = reference @ back.rotations[0].T + back.translations[0]
     alignment = align_rigid_robust(body, reference, visible=body_seen)
-    poses = bridge_poses(alignment)
-    confidence = np.where(alignment.determined, 1.0, INTERPOLATED_CONFIDENCE)
-    return Stabilization(
-        positions=remove_motion(points, poses),
-        head_motion=poses.matrices(),
-        pose_confidence=confidence,
-        reference=reference,
-    )
+    return _stabilized(points, alignment, reference)
 
 
 def stabilize_by_prior(
@@ -149,7 +143,7 @@ def stabilize_by_prior(
     rate: float,
     neutral: int,
 ) -> Stabilization:
-    """Take the head's motion out of every frame where no set of markers is rigid.
+    """Remove the head motion from every frame, by `align_by_prior`.
 
     Parameters
     ----------
@@ -157,9 +151,9 @@ def stabilize_by_prior(
         [mm] Captured.
     visible : (frames, markers) array_like of bool
     skin_motion_mm : (markers,) array_like
-        How far each marker moves over the skull, as in `align_by_prior`.
+        Standard deviation of each marker's motion over the skull [mm]; infinite for one to ignore.
     neutral : int
-        Index of the frame whose head pose becomes the head's space.
+        Index of the frame whose head pose defines the head space.
     """
     points, seen = np.asarray(positions), np.asarray(visible, bool)
     prior = np.asarray(skin_motion_mm, float)
@@ -173,17 +167,23 @@ def stabilize_by_prior(
         skin_motion_mm=prior[columns],
         rate=rate,
     )
+    return _stabilized(points, alignment, start)
+
+
+def _stabilized(
+    points: RealArray, alignment: RigidAlignment, reference: FloatArray
+) -> Stabilization:
     poses = bridge_poses(alignment)
     return Stabilization(
         positions=remove_motion(points, poses),
         head_motion=poses.matrices(),
         pose_confidence=np.where(alignment.determined, 1.0, INTERPOLATED_CONFIDENCE),
-        reference=start,
+        reference=reference,
     )
 
 
 def bridge_poses(alignment: RigidAlignment) -> RigidAlignment:
-    """Replace undetermined poses by ones between their neighbours, at the ends by the nearest."""
+    """Replace undetermined poses by interpolated ones, at the ends by the nearest."""
     known = np.flatnonzero(alignment.determined)
     if not known.size:
         raise ValueError("no frame determines the head's pose; name more rigid markers")
@@ -195,8 +195,8 @@ def bridge_poses(alignment: RigidAlignment) -> RigidAlignment:
     if known.size == 1:
         rotations[missing] = rotations[known[0]]
     else:
-        turn = Slerp(known, Rotation.from_matrix(rotations[known]))
-        rotations[missing] = turn(inside).as_matrix()
+        interpolated = Slerp(known, Rotation.from_matrix(rotations[known]))
+        rotations[missing] = interpolated(inside).as_matrix()
     for axis in range(3):
         translations[missing, axis] = np.interp(missing, known, translations[known, axis])
     return RigidAlignment(rotations, translations, alignment.determined, alignment.weights)
@@ -217,8 +217,8 @@ def _check_reference(start: FloatArray, named: int, neutral: int) -> None:
 
 
 def _mean_shape(still: RealArray, seen: BoolArray) -> FloatArray:
-    """Return the median place of each rigid marker; swaps and outliers do not move it."""
-    rows = sample_frames(len(still), _REFERENCE_SAMPLE)
+    """Return the median position of each rigid marker, robust to swaps and outliers."""
+    rows = sample_frames(len(still), _REFERENCE_FRAMES)
     shape = np.empty(still.shape[1:])
     for marker in range(still.shape[1]):
         track = still[rows, marker][seen[rows, marker]]

@@ -1,14 +1,13 @@
-"""Smooth tracks within bounds: a banded system, linear in the frames.
+"""Smoothing of tracks: filter banks, penalised least squares within bounds, and fixed-lag filters.
 
-Minimises ``sum_t r_t (w_t - y_t)^2 + penalty sum_t (w_{t-1} - 2 w_t + w_{t+1})^2`` within bounds,
-for every track by itself. Its normal matrix has five diagonals. Which samples lie at a bound is
-found by a primal-dual active set: exact, in a few solves. Where a low cut-off makes it cycle, an
-interior point finds them, in some dozens.
+Penalised least squares minimises ``sum_t r_t (w_t - y_t)^2 + penalty sum_t (w_{t-1} - 2 w_t +
+w_{t+1})^2`` within bounds, for every track. Its normal matrix has five diagonals. The samples at a
+bound are found by a primal-dual active-set method, which is exact after a few solves. Where it
+cycles, at low cut-offs, an interior-point method finds them in some dozens.
 
-The filter bank is the smoothing of the paper of the cross-mapping: a motion is split into a pyramid
-of bands, each an octave wide; gains scale each of them. With gains of 0 and 1, finest bands left
-out, the pyramid is one short filter of finite length: what it does at a frame ends `reach` frames
-away.
+The filter bank is the smoothing of the paper of the cross-mapping: a pyramid of bands, each an
+octave wide, scaled by gains. With gains of 0 and 1 it is a filter of finite length; see
+`filter_reach`.
 
 References
 ----------
@@ -27,22 +26,21 @@ _KERNEL = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0  # Burt and Adelson's, a = 
 
 
 def apply_filter_bank(values: ArrayLike, *, gains: Sequence[float]) -> FloatArray:
-    """Split curves into bands, weigh the bands and add them up again.
+    """Return curves with the bands of their Laplacian pyramid scaled.
 
-    G₀ is the curve and G₍ₖ₊₁₎ = Gₖ smoothed by a kernel spread over 2ᵏ frames; the bands are
-    Lₖ = Gₖ − G₍ₖ₊₁₎, and the result is G_n + Σ gainₖ Lₖ. Curves go on at their ends as they end.
+    G₀ is the curve and G₍ₖ₊₁₎ = Gₖ smoothed by a kernel dilated by 2ᵏ frames; the bands are
+    Lₖ = Gₖ − G₍ₖ₊₁₎, and the result is G_n + Σ gainₖ Lₖ. Curves are padded by their end values.
 
     Parameters
     ----------
     values : (frames, curves) array
     gains : sequence of float
-        One for each band, the finest first: band k holds about rate/2ᵏ⁺² to rate/2ᵏ⁺¹ Hz. All 1
-        gives the curves back.
+        Of each band, the finest first: band k has about rate/2ᵏ⁺² to rate/2ᵏ⁺¹ Hz.
 
     Returns
     -------
     (frames, curves) float array
-        Bands amplified or left out may take values beyond where they were: limit them last.
+        May exceed the range of the input unless all gains are 1.
 
     References
     ----------
@@ -62,7 +60,7 @@ def apply_filter_bank(values: ArrayLike, *, gains: Sequence[float]) -> FloatArra
 
 
 def filter_reach(bands: int) -> int:
-    """Return how many frames away a frame still counts with so many bands left out."""
+    """Return the reach of the filter without the finest `bands`, on either side [frames]."""
     return 2 * ((1 << bands) - 1)
 
 
@@ -87,20 +85,20 @@ def _smoothed(level: FloatArray, spread: int) -> FloatArray:
 
 
 LEAST_CUTOFF_SHARE = 1e-4
-"""[of the rate] A lower cut-off leaves nothing but a line, to within rounding: the penalty grows as
-its fourth power."""
+"""[of the rate] Lower cut-offs leave only a line, to within rounding: the penalty is their fourth
+power."""
 
 _MOST_ACTIVE_SET_ROUNDS = 30
-_PIN_WEIGHT = 1e8  # of a sample held at its bound, over the largest diagonal entry
+_PIN_WEIGHT = 1e8  # of a sample fixed at its bound, over the largest diagonal entry
 _MOST_INTERIOR_STEPS = 100
-_CENTRING_SHARE = 0.1  # of the duality gap, aimed at by the next step
-_CLOSED_GAP_SHARE = 1e-15  # of the first duality gap
-_BOUND_SLACK = 1e-9  # by which a weight may exceed a bound before it is held there
-_DIFFUSE_VARIANCE = 1e6  # of the prior on the first value and slope: nothing is known of them
+_CENTRING_SHARE = 0.1  # target of the next step for the duality gap
+_CLOSED_GAP_SHARE = 1e-15  # of the first duality gap, at convergence
+_BOUND_SLACK = 1e-9  # tolerance of the bounds
+_DIFFUSE_VARIANCE = 1e6  # of the prior on the first value and slope
 
 
 def cutoff_penalty(cutoff_hz: float, rate: float) -> float:
-    """Return the penalty that halves a motion of this frequency.
+    """Return the penalty that halves the amplitude at a frequency.
 
     Parameters
     ----------
@@ -118,21 +116,20 @@ def cutoff_penalty(cutoff_hz: float, rate: float) -> float:
 def smooth_within_bounds(
     tracks: FloatArray, *, penalty: float, trust: FloatArray, lower: FloatArray, upper: FloatArray
 ) -> FloatArray:
-    """Smooth every column under its bounds: (frames, n).
+    """Smooth every column within its bounds: (frames, n).
 
     Parameters
     ----------
     tracks : (frames, n) float array
     penalty : float
-        On squared second differences; 0 only brings the tracks within their bounds.
+        Of squared second differences; 0 only clips the tracks.
     trust : (frames,) float array
-        Weight of each frame, positive: frames with little follow their neighbours.
+        Weight of each frame, positive.
     lower, upper : (n,) float arrays
     """
     _check(tracks, penalty, trust)
     if len(tracks) < 3 or penalty == 0:
-        clipped: FloatArray = np.clip(tracks, lower, upper)
-        return clipped
+        return np.asarray(np.clip(tracks, lower, upper))
     bands = _normal_bands(len(tracks), penalty, trust)
     right = trust[:, None] * tracks
     out: FloatArray = _solve(bands, right)
@@ -154,38 +151,37 @@ def _check(tracks: FloatArray, penalty: float, trust: FloatArray) -> None:
 
 
 def _solve(bands: FloatArray, right: FloatArray) -> FloatArray:
-    from scipy.linalg import solveh_banded  # only when wanted: it takes half a second
+    from scipy.linalg import solveh_banded  # imported late: it takes half a second
 
-    solved: FloatArray = solveh_banded(bands, right, check_finite=False)
-    return solved
+    return np.asarray(solveh_banded(bands, right, check_finite=False))
 
 
 def _bounded(
     bands: FloatArray, right: FloatArray, free: FloatArray, lower: float, upper: float
 ) -> FloatArray:
-    """Solve one track; samples that pull beyond a bound are held at it."""
+    """Solve one track within bounds by a primal-dual active-set method."""
     active = np.zeros(len(free), dtype=np.int8)
     value = free
     for _ in range(_MOST_ACTIVE_SET_ROUNDS):
-        pull = right - _product(bands, value)  # where active: the force into the bound
-        wanted = np.where(active == 0, 0, np.where(active > 0, pull > 0, pull < 0) * active)
-        wanted = np.where((active == 0) & (value > upper + _BOUND_SLACK), 1, wanted)
-        wanted = np.where((active == 0) & (value < lower - _BOUND_SLACK), -1, wanted)
-        if (wanted == active).all():
+        multiplier = right - _product(bands, value)
+        outward = np.where(active > 0, multiplier > 0, multiplier < 0)
+        following = np.where(active == 0, 0, outward * active)
+        following = np.where((active == 0) & (value > upper + _BOUND_SLACK), 1, following)
+        following = np.where((active == 0) & (value < lower - _BOUND_SLACK), -1, following)
+        if (following == active).all():
             break
-        active = wanted.astype(np.int8)
+        active = following.astype(np.int8)
         value = _pinned(bands, right, active, lower, upper)
     else:  # it cycles
         active = _active_set_by_interior_point(bands, right, lower, upper)
         value = _pinned(bands, right, active, lower, upper)
-    clipped: FloatArray = np.clip(value, lower, upper)
-    return clipped
+    return np.asarray(np.clip(value, lower, upper))
 
 
 def _pinned(
     bands: FloatArray, right: FloatArray, active: NDArray[np.int8], lower: float, upper: float
 ) -> FloatArray:
-    """Solve with samples held at a bound: the upper where active is 1, the lower where -1."""
+    """Solve with samples fixed at a bound: the upper where active is 1, the lower where -1."""
     weight = _PIN_WEIGHT * float(bands[-1].max()) * (active != 0)
     stiff = bands.copy()
     stiff[-1] += weight
@@ -196,7 +192,7 @@ def _pinned(
 def _active_set_by_interior_point(
     bands: FloatArray, right: FloatArray, lower: float, upper: float
 ) -> NDArray[np.int8]:
-    """Find which samples lie at a bound by an interior-point method, which never cycles."""
+    """Find the samples at a bound by an interior-point method, which does not cycle."""
     value = np.full(len(right), (lower + upper) / 2)
     below = above = np.full(len(right), max(float(np.abs(right).max()), 1e-300))
     first = float(below[0]) * (upper - lower)
@@ -244,10 +240,10 @@ def _product(bands: FloatArray, vector: FloatArray) -> FloatArray:
 
 
 class FixedLagSmoother:
-    """The same smoothing as frames arrive: each is returned when `lag` later ones are known.
+    """Fixed-lag smoother of the same model: a frame is returned `lag` frames later.
 
-    The result for a frame is that of smoothing the take up to `lag` frames after it, without
-    bounds: a Kalman filter over the last ``lag + 1`` frames, whose gain is shared by all tracks.
+    The result for a frame equals that of smoothing the take up to `lag` frames after it, without
+    bounds. A Kalman filter over the last ``lag + 1`` frames, whose gain is shared by all tracks.
     """
 
     def __init__(self, tracks: int, *, penalty: float, lag: int) -> None:
@@ -266,15 +262,13 @@ class FixedLagSmoother:
         """Take in one frame; return the frame `lag` before it, or None while there is none."""
         if self._seen == 0:
             self._mean[:] = values
-            # A wide prior on where the tracks come from and how fast.
             self._covariance[:2, :2] = _DIFFUSE_VARIANCE * np.array([[1.0, 1.0], [1.0, 2.0]])
         else:
             self._mean = self._move @ self._mean
             self._covariance = self._move @ self._covariance @ self._move.T
             if self._seen > 1:
                 self._covariance[0, 0] += self._drive
-        known = self._covariance[0, 0] + 1 / trust
-        gain = self._covariance[:, 0] / known
+        gain = self._covariance[:, 0] / (self._covariance[0, 0] + 1 / trust)
         self._mean += gain[:, None] * (values - self._mean[0])
         self._covariance -= np.outer(gain, self._covariance[0])
         self._seen += 1

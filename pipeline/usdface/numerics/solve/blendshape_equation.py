@@ -1,9 +1,9 @@
-"""Solve the blendshape equation: which weights move the virtual markers as the performer's moved.
+"""Solve the blendshape equation for weights, from the motion of virtual markers.
 
 Deng et al. 2006, section 7, equation 7: ``B = B0 + sum_i w_i B_i`` at the virtual markers, with the
 performer's motion scaled by the proportions of the two faces. Plain least squares is the baseline
-of the paper's comparison. Solved within the rig's ranges, with a prior that a shape is used where
-its markers move, it is a starting pose for an animator.
+of the paper's comparison. Within the rig's ranges, and with a prior that shapes are used where
+their markers move, the solution is a starting pose for an animator.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,38 +20,40 @@ _Method = Literal["lstsq", "bounded"]
 
 _MOST_RELINEARISATIONS = 8
 _SMALL_STEP = 1e-6
-"""Of a weight, for forward differences: exact, as in-betweens are linear in pieces."""
+"""Step of a weight for forward differences, which are exact, as in-betweens are piecewise linear.
+"""
 _SLOPE_DECIMALS = 4
-"""What differs by less is rounding of the differences."""
+"""Smaller differences of slopes are rounding."""
 _DEPENDENT_RIDGE = 0.01
-"""[of a shape's mean energy] Chooses a small one of many solutions where shapes are dependent."""
+"""[of a shape's mean energy] Selects a small solution where shapes are dependent."""
 
 
 @dataclass(frozen=True)
 class EquationSolution:
-    """Weights that explain a marker motion."""
+    """Weights and their residuals."""
 
     weights: FloatArray
     """(frames, shapes)"""
     residual_mm: FloatArray
-    """(frames, markers): distance between each marker and where the weights put it; NaN where it
-    was not seen."""
+    """(frames, markers): distance between each marker and its position under the weights; NaN where
+    it was not visible."""
     rank: int
-    """Of the equation, all trusted markers seen. Below the number of shapes, several weights
-    explain the same motion: least squares returns the smallest; the bounded solve keeps at least a
-    small ridge."""
+    """Of the equation with all trusted markers. If it is below the number of shapes, the solution
+    is not unique: least squares returns the smallest, the bounded solve has at least a small
+    ridge."""
 
 
 @dataclass(frozen=True)
 class MarkerKeys:
-    """Shapes that bend: in-betweens at the virtual markers."""
+    """In-betweens at the virtual markers."""
 
     deltas: FloatArray
-    """(keys, markers, 3): what each key, full targets included, does to the markers [mm]."""
+    """(keys, markers, 3): displacements by each key, with full targets [mm]."""
     channels: IntArray
-    """(keys,): the shape each key belongs to; -1 for a key that several shapes drive."""
+    """(keys,): the shape of each key; -1 for a key that several shapes drive."""
     key_weights: Callable[[FloatArray], FloatArray]
-    """(frames, shapes) weights of shapes to (frames, keys) weights of keys, linear in pieces."""
+    """Maps weights of shapes (frames, shapes) to weights of keys (frames, keys); piecewise linear.
+    """
 
 
 def solve_weights(
@@ -71,25 +73,25 @@ def solve_weights(
 
     Minimises ``sum_m trust_m |motion_m - sum_i w_i delta_im|^2 + ridge |w|^2
     + 2 sum_i cost_i |w_i|``, in mm^2, where ``cost_i = noise^2 size_i / (seen_i + noise)``.
-    ``size_i`` is how far shape i takes its markers, and ``seen_i`` how far these have moved in the
-    frame: root mean squares over the markers, each counted by the energy ``|delta_im|^2`` that the
-    shape has there. This is the most probable solution if markers err by ``noise`` and weights are
-    distributed exponentially, with a mean that takes a shape's markers as far as they have moved.
-    So a shape whose markers are still is not drawn upon to explain motion elsewhere; one whose
-    markers move far costs next to nothing.
+    ``size_i`` is the displacement of its markers by shape i, ``seen_i`` their displacement in the
+    frame: root mean squares over the markers, weighted by the energy ``|delta_im|^2``. This is the
+    maximum a posteriori solution for markers with errors of ``noise`` and exponentially distributed
+    weights, whose mean moves a shape's markers as far as they have moved. So a shape whose markers
+    are still is not used for motion elsewhere, and the cost of one whose markers move far is near
+    0.
 
     Parameters
     ----------
     deltas : (shapes, markers, 3) array
-        What each shape at 1 does to the virtual markers [mm].
+        Displacements of the virtual markers by each shape at 1 [mm].
     motion : (frames, markers, 3) array
         Displacements from the neutral face, in the character's space and proportions [mm].
     method : {'lstsq', 'bounded'}, optional
-        Plain least squares as in the paper; within `ranges`.
+        Plain least squares as in the paper, or within `ranges`.
     ranges : (shapes, 2) array, optional
         Lowest and highest weights for ``'bounded'``; 0 to 1 unless given.
     visible : (frames, markers) bool array, optional
-        False where a marker was not seen: it is left out of that frame's equation.
+        Markers in each frame's equation.
     marker_trust : (markers,) array, optional
         Weight of each marker in the sum, not negative; 1 unless given.
     ridge : float, optional
@@ -97,8 +99,7 @@ def solve_weights(
     keys : MarkerKeys, optional
         In-betweens, for ``'bounded'``: the equation is linearised again about each solution.
     noise_mm : float, optional
-        Distance by which markers miss where the right weights put them, for ``'bounded'``; 0 for no
-        cost of shapes.
+        Expected residual of a marker under the true weights, for ``'bounded'``; 0 for no cost.
     tied : sequence of sequences of int, optional
         Shapes that share one weight, for ``'bounded'``.
     """
@@ -129,7 +130,7 @@ def solve_weights(
 
 @dataclass(frozen=True)
 class _Prior:
-    """Costs of weights [mm^2]: `ridge` of squares, twice `cost` (frames, shapes) of sizes."""
+    """Costs of weights [mm^2]: ``ridge w^2 + 2 cost |w|``, `cost` (frames, shapes)."""
 
     ridge: float
     cost: FloatArray
@@ -137,14 +138,14 @@ class _Prior:
 
 @dataclass(frozen=True)
 class _Variables:
-    """What a bounded solve varies.
+    """Variables of a bounded solve.
 
-    Tied shapes are one variable. Where sizes cost, a shape that goes both ways is two, so that no
-    variable is negative and the size of a weight is linear.
+    Tied shapes are one variable. If absolute values have a cost, a shape with a range on both sides
+    of 0 is two, so that no variable is negative.
     """
 
     spread: FloatArray
-    """(variables, shapes): the weights that a variable of 1 stands for: 1, -1 or 0."""
+    """(variables, shapes): ``weights = variables @ spread``; entries 1, -1 or 0."""
     lower: FloatArray
     upper: FloatArray
     """`lower`, `upper`: (variables,)"""
@@ -170,7 +171,7 @@ def _variables(limits: "_Limits", tied: Sequence[Sequence[int]], *, split: bool)
 
 
 def _local_cost(problem: "_Problem", noise_mm: float) -> FloatArray:
-    """Return what shapes cost by how far their markers have moved: (frames, shapes) [mm^2]."""
+    """Return the costs of `solve_weights`: (frames, shapes) [mm^2]."""
     energy = (problem.deltas**2).sum(axis=2)
     moved = (problem.motion**2).sum(axis=2)
     total = np.maximum(problem.trust @ energy.T, np.finfo(float).tiny)
@@ -199,7 +200,7 @@ def _solve_bounded(
     motion: FloatArray,
     rows: IntArray | None = None,
 ) -> FloatArray:
-    """Solve frames within bounds; `deltas` are the shapes' slopes, `motion` is what is left."""
+    """Solve frames within bounds, for the shapes' slopes `deltas` and the remaining `motion`."""
     chosen = np.arange(problem.frame_count) if rows is None else rows
     spread, out = variables.spread, np.zeros((len(chosen), problem.shape_count))
     for group in _equal_rows(problem.trust[chosen]):
@@ -209,7 +210,7 @@ def _solve_bounded(
             b,
             lower=variables.lower,
             upper=variables.upper,
-            # Of a shape that goes both ways one variable is 0 at best, so each has its own ridge.
+            # Of the two variables of a shape one is 0 at the optimum: the ridge applies to each.
             ridge=prior.ridge * np.abs(spread).sum(axis=1),
             cost=prior.cost[chosen[group]] @ np.abs(spread).T,
         )
@@ -232,10 +233,10 @@ def _relinearise(
     prior: _Prior,
     variables: _Variables,
 ) -> FloatArray:
-    """Solve again with each shape's slope at the last solution, keeping what is better.
+    """Solve again with the slopes of shapes at the last solution, while the objective decreases.
 
-    A frame whose slopes are those it was solved with is done: in-betweens are linear in pieces, so
-    its equation would be the same. Of a rig without in-betweens, that is every frame.
+    A frame has converged if its slopes are those it was solved with, as in-betweens are piecewise
+    linear; without in-betweens, all frames have.
     """
     channels = np.asarray(keys.channels, np.int64)
     driven = channels < 0
@@ -246,8 +247,8 @@ def _relinearise(
     rows = np.arange(len(weights))
     for _ in range(_MOST_RELINEARISATIONS):
         here = keys.key_weights(now[rows])
-        # One step of all shapes gives the slope of every key that belongs to one shape; one that
-        # several shapes drive stays where the last solution has it.
+        # One step of all shapes gives the slope of every key that belongs to one shape; a key that
+        # several shapes drive is constant.
         slopes = (keys.key_weights(now[rows] + _SMALL_STEP) - here) / _SMALL_STEP
         slopes = np.where(driven, 0.0, slopes.round(_SLOPE_DECIMALS))
         state = np.where(driven, here, slopes).round(_SLOPE_DECIMALS)
@@ -293,7 +294,7 @@ def _objective(
 
 
 def _equal_rows(rows: FloatArray) -> list[IntArray]:
-    """Group equal rows: frames that share one matrix."""
+    """Return groups of equal rows, whose frames share one matrix."""
     if not len(rows):
         return []
     if (rows == rows[0]).all():
@@ -309,9 +310,9 @@ class _Problem:
     motion: FloatArray
     visible: BoolArray
     share: FloatArray
-    """Trust of each marker when seen."""
+    """(markers,): trust of each marker when visible."""
     trust: FloatArray
-    """(frames, markers): 0 where a marker is not seen."""
+    """(frames, markers): 0 where a marker is not visible."""
 
     @property
     def frame_count(self) -> int:
@@ -328,7 +329,7 @@ class _Problem:
         )
 
     def rank(self) -> int:
-        """Return the rank of the equation, all trusted markers seen."""
+        """Return the rank of the equation with all trusted markers."""
         trusted = self.deltas[:, self.share > 0].reshape(self.shape_count, -1)
         return int(np.linalg.matrix_rank(trusted)) if trusted.size else 0
 

@@ -1,7 +1,4 @@
-"""Deform points by weighted shapes, in-betweens included, as UsdSkel does.
-
-The one place where a rig's weights become offsets: what drives what is evaluated here.
-"""
+"""Deform points by weighted shapes with in-betweens, as UsdSkel does."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,24 +13,24 @@ from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.rig_logic import RigLogic
 
 _LEAST_SHARE = 0.02
-"""Of the largest movement: points that no shape moves this far are not face."""
+"""[of the largest displacement] Points that all shapes move less are not part of the face."""
 
 
 @dataclass(frozen=True)
 class Key:
-    """One sculpted position."""
+    """A target or in-between."""
 
     weight: float
     """The channel's weight at which this key is reached in full."""
     points: IntArray
-    """(n,): the points it moves."""
+    """(n,): indices of moved points."""
     offsets: FloatArray
-    """(n, 3): how far it moves them."""
+    """(n, 3)"""
 
 
 @dataclass(frozen=True)
 class Track:
-    """What one channel does to one mesh: several meshes may follow the same channel."""
+    """Keys of one channel on one mesh; several meshes may follow the same channel."""
 
     channel: int
     """Column of the weights that drives it; beyond them, a combination's."""
@@ -42,15 +39,15 @@ class Track:
 
 
 class BlendShapes:
-    """Shapes over a set of points, ready to be weighted for many frames.
+    """Shapes over a set of points.
 
-    Between two neighbouring keys of a track (the neutral is a key at 0) points move along a
-    straight line; outside the outermost keys they go on along it. This is UsdSkel's rule.
+    Points are interpolated linearly between neighbouring keys of a track, of which the neutral is
+    one at 0, and extrapolated linearly outside, as in UsdSkel.
 
     Parameters
     ----------
     channel_count : int
-        Number of channels, those that move nothing included.
+        Number of channels, with those that move no point.
     logic : RigLogic, optional
         Drives the channels beyond `channel_count`.
     """
@@ -94,12 +91,12 @@ class BlendShapes:
 
     @property
     def key_channels(self) -> IntArray:
-        """The channel that each key belongs to, -1 for a combination's: (keys,) int array."""
-        channels = [channel for channel, knots in self._knots for _ in knots]
-        return np.array([each if each < self.channel_count else -1 for each in channels], np.int64)
+        """The channel of each key, -1 for a combination's: (keys,) int array."""
+        channels = np.array([channel for channel, knots in self._knots for _ in knots], np.int64)
+        return np.where(channels < self.channel_count, channels, -1)
 
     def key_weights(self, weights: ArrayLike) -> FloatArray:
-        """Turn channel weights into key weights: (frames, keys).
+        """Return key weights of channel weights: (frames, keys).
 
         Parameters
         ----------
@@ -122,8 +119,8 @@ class BlendShapes:
     def face_points(self) -> IntArray:
         """Points over which an error of the face is averaged: (n,) int array.
 
-        Those that shapes move, and of the others no more than as many: on a head about half of the
-        points move, and a body below it would make every error of the face a small one.
+        The points that shapes move, and at most as many others: about half of a head's points move,
+        and those of a body would reduce all errors.
         """
         moving = moving_points(self.key_offsets)
         still = np.setdiff1d(np.arange(self.point_count), moving)
@@ -132,17 +129,17 @@ class BlendShapes:
         return np.union1d(moving, still)
 
     def offsets(self, weights: ArrayLike) -> FloatArray:
-        """Return how far the weights move the points: (frames, points, 3) float array."""
+        """Return displacements of the points: (frames, points, 3) float array."""
         moved = self.key_weights(weights) @ self.key_offsets
         return np.asarray(moved).reshape(-1, self.point_count, 3)
 
     def target_offsets(self) -> sparse.csr_array:
-        """Return each channel at weight 1: (channels, 3 * points) sparse array."""
+        """Return displacements by each channel at 1: (channels, 3 * points) sparse array."""
         full = sparse.csr_array(self.key_weights(np.eye(self.channel_count)))
         return sparse.csr_array(full @ self.key_offsets)
 
     def combination_offsets(self) -> sparse.csr_array:
-        """Return each combination at weight 1: (combinations, 3 * points) sparse array."""
+        """Return displacements by each combination at 1: (combinations, 3 * points)."""
         count = 0 if self.logic is None else len(self.logic.combinations)
         shares = np.zeros((count, self.key_offsets.shape[0]))
         full = np.zeros((count, self.channel_count + count))
@@ -153,13 +150,13 @@ class BlendShapes:
         return sparse.csr_array(sparse.csr_array(shares) @ self.key_offsets)
 
     def gram(self, poses: FloatArray | None = None) -> FloatArray:
-        """Return what a small error of the weights does to the surface.
+        """Return the quadratic form of the surface error of small errors of the weights.
 
         Parameters
         ----------
         poses : (frames, channels) float array, optional
-            Weights at which combinations follow the error, of which the mean is taken; by default
-            rest.
+            Weights at which combinations are linearised; the mean over them is returned. By default
+            at rest.
 
         Returns
         -------
@@ -175,15 +172,12 @@ class BlendShapes:
         slopes -= self.logic.evaluate(np.eye(self.channel_count))[:, self.channel_count :].T
         every = sparse.vstack([targets, driven], format="csr")
         whole = np.asarray((every @ every.T).toarray()) / max(len(self.face_points), 1)
-        mixed, own = (
-            whole[: self.channel_count, self.channel_count :],
-            whole[self.channel_count :, self.channel_count :],
-        )
-        mean = mixed @ slopes.mean(axis=0)
-        quadratic = np.einsum("fcs,cd,fdt->st", slopes, own, slopes, optimize=True) / len(slopes)
-        return np.asarray(
-            whole[: self.channel_count, : self.channel_count] + mean + mean.T + quadratic
-        )
+        count = self.channel_count
+        mean = whole[:count, count:] @ slopes.mean(axis=0)
+        quadratic = np.einsum(
+            "fcs,cd,fdt->st", slopes, whole[count:, count:], slopes, optimize=True
+        ) / len(slopes)
+        return np.asarray(whole[:count, :count] + mean + mean.T + quadratic)
 
 
 def moving_points(offsets: FloatArray | sparse.sparray) -> IntArray:
@@ -194,7 +188,7 @@ def moving_points(offsets: FloatArray | sparse.sparray) -> IntArray:
 
 
 def _share_between(weights: FloatArray, knots: list[tuple[float, int]], shares: FloatArray) -> None:
-    """Write the two neighbouring keys' shares of one track, the neutral at 0 being a key."""
+    """Write the linear interpolation weights of one track's keys, with the neutral at 0."""
     stops = sorted([*knots, (0.0, -1)])
     at = np.array([stop[0] for stop in stops])
     upper = np.clip(np.searchsorted(at, weights, side="right"), 1, len(at) - 1)

@@ -1,12 +1,11 @@
-"""Quadratic programmes within bounds, for many frames that share one matrix.
+"""Box-constrained quadratic programmes for many frames.
 
 Each frame is a small convex programme: minimise ``0.5 x'Hx - l'x`` with ``lower <= x <= upper``.
-Frames advance together by accelerated projected gradient steps. From there
-`solve_bounded_least_squares` goes on to the exact solution: the steps find nearly the right set of
-bounds, block pivoting makes it exact, and an active-set walk finishes the few frames on which
-pivoting cycles. Every sixteenth frame begins at rest, the others between solved ones, as frames in
-a row are alike. `descend_in_boxes`, which every frame of a performance goes through, has a matrix
-for each frame, and stops after the steps.
+`solve_bounded_least_squares` has one matrix for all frames. Accelerated projected gradient steps
+find nearly the right active set, block pivoting makes it exact, and an active-set method finishes
+the few frames on which pivoting cycles. Every sixteenth frame starts at rest, the others at the
+interpolation of solved ones. `descend_in_boxes`, which maps performances, has a matrix for each
+frame, and stops after the gradient steps.
 """
 
 import math
@@ -24,37 +23,37 @@ from usdface.core.processes import usable_cores
 from usdface.numerics.solve.curvature import Curvature, curvature
 
 _GRADIENT_STEPS = 60
-"""From rest: enough that a handful of exchanges then end it on face rigs."""
+"""From rest; on face rigs, a few exchanges follow."""
 _NEAR_STEPS = 30
-"""From between two solved frames."""
+"""From the interpolation of two solved frames."""
 _SPACINGS = (16, 8, 4, 2, 1)
-"""Of the frames that are solved, one after the other."""
+"""Between the frames that are solved, pass by pass."""
 _BLOCK_FRAMES = 32
-"""Solved by one thread at a time; the same for any number of threads, as sums are rounded by it."""
+"""Frames per thread and task; rounding depends on it, so it is independent of the cores."""
 _MOST_PIVOT_STEPS = 120
 _PATIENCE_ROUNDS = 3
 """Of pivoting without progress, before variables change one at a time."""
 _WALK_STEPS_PER_VARIABLE = 5
 _WALK_TOLERANCE = 1e-10
-"""[of the largest linear term] Breach of optimality above which frames are walked."""
+"""[of the largest linear term] Violation of optimality above which the active-set method runs."""
 _POWER_STEPS = 6
 _POWER_MARGIN = 1.1
 _POWER_START = 1e-6
-"""Of the power method for a matrix's largest eigenvalue: its steps, what they may fall short, and
-what is added to where it starts. Steps that show a larger one are taken again."""
+"""Of the power method for a matrix's largest eigenvalue: steps, factor of the estimate, and offset
+of the start vector. Gradient steps that prove the estimate too small are repeated."""
 
 _TINY = float(np.finfo(np.float32).tiny)
 
 
 @dataclass(frozen=True)
 class BoundedSolution:
-    """Minimisers, and how near each is to optimal."""
+    """Minimisers and their optimality."""
 
     x: FloatArray
     """(frames, n): within the bounds exactly."""
     violation: FloatArray
-    """(frames,): largest breach of the optimality (Karush-Kuhn-Tucker) conditions, after scaling
-    every variable to a unit diagonal and relative to the largest linear term."""
+    """(frames,): largest violation of the Karush-Kuhn-Tucker conditions, at unit diagonal and
+    relative to the largest linear term."""
 
 
 def solve_bounded_least_squares(
@@ -71,10 +70,10 @@ def solve_bounded_least_squares(
     Parameters
     ----------
     matrix : (rows, n) array
-        Where its columns are dependent and there is no ridge, one of the minimisers is returned.
+        If its columns are dependent and there is no ridge, one of the minimisers is returned.
     targets : (frames, rows) array
     lower, upper : (n,) arrays
-        May be infinite; ``lower < upper`` or equal, which fixes a variable.
+        May be infinite, or equal, which fixes a variable.
     ridge : float or (n,) array, optional
         Penalties, not negative.
     cost : float or (frames, n) array, optional
@@ -132,16 +131,16 @@ def _solve_scaled(
 def _solve_in_turn(
     solve: Callable[[IntArray, FloatArray, int], FloatArray], rest: FloatArray
 ) -> FloatArray:
-    """Solve frames far apart from rest, then those between them from what is between theirs.
+    """Solve every 16th frame from rest, then those between from interpolated solutions.
 
     Parameters
     ----------
     solve : callable
-        Frames, (frames, n) where to start and the number of steps to (frames, n) solutions.
+        Maps frames, start values (frames, n) and a number of steps to solutions (frames, n).
     rest : (all frames, n) array
     """
     z, known = rest.copy(), np.zeros(0, np.intp)
-    with ThreadPoolExecutor(usable_cores()) as pool:  # arithmetic on arrays leaves Python free
+    with ThreadPoolExecutor(usable_cores()) as pool:  # array arithmetic releases the GIL
         for spacing in _SPACINGS if len(z) > 2 * _BLOCK_FRAMES else _SPACINGS[-1:]:
             rows = np.union1d(np.arange(0, len(z), spacing), np.arange(len(z))[-1:])
             rows = np.setdiff1d(rows, known)
@@ -152,10 +151,10 @@ def _solve_in_turn(
                 share = ((rows - ends[0]) / (ends[1] - ends[0]))[:, None]
                 z[rows] = (1 - share) * z[ends[0]] + share * z[ends[1]]
             blocks = [rows[i : i + _BLOCK_FRAMES] for i in range(0, len(rows), _BLOCK_FRAMES)]
-            in_turn = pool.map if len(blocks) > 1 else map  # a thread for one is only waited for
-            solved = in_turn(solve, blocks, [z[block] for block in blocks], repeat(steps))
-            for block, found in zip(blocks, solved, strict=True):
-                z[block] = found
+            map_blocks = pool.map if len(blocks) > 1 else map
+            solved = map_blocks(solve, blocks, [z[block] for block in blocks], repeat(steps))
+            for block, solution in zip(blocks, solved, strict=True):
+                z[block] = solution
             known = np.union1d(known, rows)
     return z
 
@@ -170,12 +169,14 @@ def descend_in_boxes(
     start: RealArray,
     steps: int,
 ) -> RealArray:
-    """Minimise ``0.5 x'Hx - l'x`` within bounds, nearly, where every row has a matrix of its own.
+    """Minimise ``0.5 x'Hx - l'x`` within bounds approximately, with a matrix for each row.
+
+    By accelerated projected gradient steps.
 
     Parameters
     ----------
     product : callable
-        (frames, n) rows to each row's H times it; H is symmetric, positive definite.
+        Multiplies each row (frames, n) by its H, which is symmetric and positive definite.
     diagonal : (frames, n) float array
         Of each row's H.
     linear : (frames, n) float array
@@ -194,7 +195,7 @@ def descend_in_boxes(
     def scaled(rows: RealArray) -> RealArray:
         return np.asarray(unit * product(unit * rows))
 
-    # What pulls is mostly along the steepest directions.
+    # The linear term is mostly along the eigenvectors of large eigenvalues.
     vector: RealArray = pull + np.float32(_POWER_START)
     for _ in range(_POWER_STEPS):
         vector /= np.linalg.norm(vector, axis=1, keepdims=True)
@@ -210,11 +211,10 @@ def descend_in_boxes(
         length2 = np.einsum("fn,fn->f", moved, moved)[:, None]
         steepness = np.einsum("fn,fn->f", moved, pushed - pushed_ahead)[:, None]
         steep = steepness > largest * length2
-        if steep.any():  # a step too long, along a direction that the power method had missed
-            seen = np.minimum(
-                _POWER_MARGIN * steepness / np.maximum(length2, _TINY), moved.shape[1]
-            )
-            largest = np.where(steep, seen, largest)  # of a unit diagonal it is n at most
+        if steep.any():  # the power method missed an eigenvalue: reject the step
+            estimate = _POWER_MARGIN * steepness / np.maximum(length2, _TINY)
+            estimate = np.minimum(estimate, moved.shape[1])  # at unit diagonal it is n at most
+            largest = np.where(steep, estimate, largest)
             following, pushed = np.where(steep, now, following), np.where(steep, pushed_now, pushed)
         gained = (1 + math.sqrt(1 + 4 * momentum**2)) / 2
         carried = (momentum - 1) / gained
@@ -242,11 +242,11 @@ def _accelerate(
     *,
     steps: int,
 ) -> Any:
-    """Take accelerated projected gradient steps; `descend` is one without the bounds."""
+    """Take accelerated projected gradient steps; `descend` is a step without bounds."""
     now = ahead = start
     momentum = 1.0
     for _ in range(steps):
-        # clip would be one call, and a slow one where its bounds are arrays
+        # np.clip is slower if its bounds are arrays
         following = np.minimum(np.maximum(descend(ahead), lower), upper)
         gained = (1 + math.sqrt(1 + 4 * momentum**2)) / 2
         ahead = following - now
@@ -259,7 +259,7 @@ def _accelerate(
 def _pivot(
     H: Curvature, b: FloatArray, lo: FloatArray, hi: FloatArray, z: FloatArray
 ) -> FloatArray:
-    """Exchange free and bound variables all at once: a few rounds, unless columns are alike."""
+    """Exchange free and bound variables by block principal pivoting."""
     out = z.copy()
     side = np.where(z <= lo, -1, np.where(z >= hi, 1, 0))
     todo = np.arange(len(b))
@@ -281,7 +281,7 @@ def _pivot(
         fewest[todo] = np.where(better, count, fewest[todo])
         patience[todo] = np.where(better, _PATIENCE_ROUNDS, patience[todo] - 1)
         last = wrong.shape[1] - 1 - wrong[:, ::-1].argmax(axis=1)
-        only = np.arange(wrong.shape[1]) == last[:, None]  # Murty: one alone, where all cycle
+        only = np.arange(wrong.shape[1]) == last[:, None]  # Murty's rule, against cycles
         change = wrong & (only | (patience[todo] >= 0)[:, None])
         side[todo] = np.where(change, np.where(low, -1, np.where(high, 1, 0)), at)
         done = count == 0
@@ -293,10 +293,10 @@ def _pivot(
 
 
 def _walk(H: Curvature, b: FloatArray, lo: FloatArray, hi: FloatArray, z: FloatArray) -> FloatArray:
-    """Walk along the bounds, one variable a step, from a feasible start: slow, but never cycles.
+    """Solve by a primal active-set method from a feasible start: slow, but without cycles.
 
-    A step goes to the minimum over the free variables, or to the first bound in its way, which
-    fixes that variable; at such a minimum the bound variable that pulls hardest is set free.
+    A step goes to the minimum over the free variables, or to the first bound on the way, which
+    fixes that variable; at such a minimum the variable with the largest multiplier is freed.
     """
     out = z.copy()
     todo = np.flatnonzero(_violation(H, b, lo, hi, z) > _WALK_TOLERANCE)
@@ -331,10 +331,9 @@ def _walk(H: Curvature, b: FloatArray, lo: FloatArray, hi: FloatArray, z: FloatA
 def _violation(
     H: Curvature, b: FloatArray, lo: FloatArray, hi: FloatArray, z: FloatArray
 ) -> FloatArray:
-    """Distance that one projected gradient step would move, relative to the linear term."""
+    """Return the length of a projected gradient step, relative to the linear term."""
     if not b.size:
         return np.zeros(len(b))
     moved = np.clip(z - (H.times(z) - b), lo, hi) - z
     scale = np.maximum(np.abs(b).max(axis=1), np.finfo(float).tiny)
-    violation: FloatArray = np.abs(moved).max(axis=1) / scale
-    return violation
+    return np.asarray(np.abs(moved).max(axis=1) / scale)

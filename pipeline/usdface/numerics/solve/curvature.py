@@ -1,13 +1,13 @@
-"""The matrix of a quadratic programme, as its solver needs it: dense, or of low rank.
+"""Hessian of a quadratic programme and solution of its free variables: dense, or of low rank.
 
-Rigs have more shapes than a marker set has coordinates: 946 shapes at 92 markers make a matrix of
-946 rows that is a product of 276, plus a diagonal. Systems of its free variables are then solved in
-the coordinates: with ``H = FF' + D`` and ``E = F / sqrt(D)``, by Woodbury's identity,
+With more shapes than coordinates of markers, the Hessian is diagonal plus low rank: 946 shapes at
+92 markers give 946 rows of rank 276. Systems of its free variables are then solved by Woodbury's
+identity: with ``H = FF' + D`` and ``E = F / sqrt(D)``,
 
     x = (u - E y) / sqrt(D),   (I + E'E) y = E'u,   u = b / sqrt(D)
 
-over the rows that are free. From one frame to the next, and from one exchange to the next, few
-rows come and go: with ``I + E'E = LL'`` over others, C the rows that changed and S their signs,
+over the free rows. Few rows change between frames and between exchanges: with ``I + E'E = LL'``
+over the previous rows, C the rows that changed and S their signs,
 
     y = L'^-1 (z - T (S + T'T)^-1 T'z),   z = L^-1 E'u,   T = L^-1 C'
 
@@ -22,26 +22,26 @@ import numpy as np
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
 
 _DEPENDENT_EIGENVALUE = 1e-8
-"""At unit diagonal: columns with a smaller one count as dependent."""
+"""At unit diagonal: smallest eigenvalue of independent columns."""
 _DEPENDENT_RIDGE = 1e-6
-"""Added to the unit diagonal of dependent columns: of many solutions, a small one."""
+"""Added to the unit diagonal of dependent columns, which selects a small solution."""
 _LOW_RANK_SHARE = 0.4
-"""[of the variables] Coordinates up to which systems are solved in them."""
+"""[of the variables] Largest rank for the low-rank solver."""
 _MOST_COORDINATES = 500
-"""A block of frames keeps the products and the factor of each: 4 MB a frame."""
+"""Largest rank for the low-rank solver, which stores 4 MB per frame of a block."""
 _MOST_CHANGES = 48
-"""Of a system's free variables, for which its factor is updated."""
+"""Changed free variables up to which a factor is updated."""
 _LEAST_DIAGONAL = 1e-5
-"""At unit diagonal: with less the detour by the coordinates loses digits."""
+"""At unit diagonal: with a smaller D, Woodbury's identity loses digits."""
 
 
 class Systems(Protocol):
-    """Solves a block of frames again and again, while their free variables change."""
+    """Solver of a block of frames with changing free variables."""
 
     def solve(
         self, rows: IntArray, b: FloatArray, fixed: FloatArray, free: BoolArray
     ) -> FloatArray:
-        """Return frames with their free variables solved, the others as `fixed` has them.
+        """Return frames with their free variables solved and the others fixed.
 
         Parameters
         ----------
@@ -55,7 +55,7 @@ class Curvature(Protocol):
     """A symmetric matrix H with a unit diagonal."""
 
     largest: float
-    """Its largest eigenvalue, or more."""
+    """Upper bound of its eigenvalues."""
     dtype: np.dtype[Any]
     """Of `near`."""
 
@@ -63,10 +63,10 @@ class Curvature(Protocol):
         """Return ``z @ H`` for (frames, n) rows."""
 
     def near(self, z: Any) -> Any:
-        """Return ``z @ H`` for rows of `dtype`, as exactly as that holds it."""
+        """Return ``z @ H`` for rows of `dtype`, in that precision."""
 
     def systems(self) -> Systems:
-        """Return what solves a block of frames."""
+        """Return a solver for a block of frames."""
 
 
 def curvature(factor: FloatArray, diagonal: FloatArray) -> Curvature:
@@ -76,7 +76,7 @@ def curvature(factor: FloatArray, diagonal: FloatArray) -> Curvature:
     ----------
     factor : (rows, n) float array
     diagonal : (n,) float array
-        Not negative; where columns are dependent without it, a little is added.
+        Not negative; `_DEPENDENT_RIDGE` is added if columns are dependent.
     """
     F = factor[factor.any(axis=1)].T
     n, rank = F.shape
@@ -107,7 +107,7 @@ class _Dense:
     def solve(
         self, rows: IntArray, b: FloatArray, fixed: FloatArray, free: BoolArray
     ) -> FloatArray:
-        from scipy.linalg.lapack import dposv  # frames of a performance are solved without
+        from scipy.linalg.lapack import dposv  # imported late: mapping a performance needs none
 
         H, rest = self._H, b - fixed @ self._H
         value = fixed.copy()
@@ -157,8 +157,8 @@ class _LowRankSystems:
     def __init__(self, H: _LowRank) -> None:
         self._H = H
         unit = np.eye(H.E.shape[1])
-        self._nothing = self._last = _Factored(np.zeros(len(H.E), np.bool_), unit, unit)
-        self._known: dict[int, _Factored] = {}
+        self._empty = self._last = _Factored(np.zeros(len(H.E), np.bool_), unit, unit)
+        self._by_row: dict[int, _Factored] = {}
 
     def solve(
         self, rows: IntArray, b: FloatArray, fixed: FloatArray, free: BoolArray
@@ -167,12 +167,12 @@ class _LowRankSystems:
         u = np.where(free, b - H.times(fixed), 0.0) / H.root
         y = u @ H.E
         for index, (row, chosen) in enumerate(zip(rows.tolist(), free, strict=True)):
-            # Of this frame's last exchange, or of the frame before.
-            starts = (self._known.get(row, self._last), self._last)
+            # From the previous exchange of this frame, or from the previous frame.
+            starts = (self._by_row.get(row, self._last), self._last)
             near = min(starts, key=lambda start: np.count_nonzero(start.free != chosen))
             if np.count_nonzero(near.free != chosen) > _MOST_CHANGES:
                 near = self._factored(near, chosen)
-            self._last = self._known[row] = near
+            self._last = self._by_row[row] = near
             y[index] = self._solved(near, chosen, y[index])
         return np.asarray(np.where(free, (u - y @ H.E.T) / H.root, fixed))
 
@@ -180,19 +180,19 @@ class _LowRankSystems:
         from scipy.linalg.lapack import dpotrf
 
         if np.count_nonzero(near.free != free) > np.count_nonzero(free):
-            near = self._nothing
-        more, fewer = self._H.E[free & ~near.free], self._H.E[near.free & ~free]
-        products = near.products + more.T @ more - fewer.T @ fewer
+            near = self._empty
+        added, removed = self._H.E[free & ~near.free], self._H.E[near.free & ~free]
+        products = near.products + added.T @ added - removed.T @ removed
         return _Factored(free, products, dpotrf(products, lower=True)[0])
 
-    def _solved(self, known: _Factored, free: BoolArray, right: FloatArray) -> FloatArray:
-        """Return ``(I + E'E)^-1 right`` over the free rows from the factor over nearly the same."""
+    def _solved(self, factored: _Factored, free: BoolArray, right: FloatArray) -> FloatArray:
+        """Return ``(I + E'E)^-1 right`` over the free rows, by updating another factor."""
         from scipy.linalg.blas import dtrsm, dtrsv
 
-        y = dtrsv(known.lower, right, lower=True)
-        changed = np.flatnonzero(known.free != free)
+        y = dtrsv(factored.lower, right, lower=True)
+        changed = np.flatnonzero(factored.free != free)
         if len(changed):
-            moved = dtrsm(1.0, known.lower, self._H.E[changed].T, lower=True)
-            sign = np.diag(np.where(free[changed], 1.0, -1.0))
-            y -= moved @ np.linalg.solve(sign + moved.T @ moved, moved.T @ y)
-        return np.asarray(dtrsv(known.lower, y, lower=True, trans=True))
+            T = dtrsm(1.0, factored.lower, self._H.E[changed].T, lower=True)
+            S = np.diag(np.where(free[changed], 1.0, -1.0))
+            y -= T @ np.linalg.solve(S + T.T @ T, T.T @ y)
+        return np.asarray(dtrsv(factored.lower, y, lower=True, trans=True))

@@ -1,8 +1,7 @@
-"""Scale a performer's motion region by region, by what every performer does in full.
+"""Scaling of a performer's motion by region, from shapes that every performer reaches in full.
 
-A blink closes the eye, on the performer and on the character. Lids that travel six millimetres
-on one face and ten on the other need a scale of their own: one for the whole head leaves the
-character's eyes half open.
+A blink closes the eyes of the performer and of the character. If their lids travel 6 and 10 mm, one
+scale for the whole head leaves the character's eyes half open.
 """
 
 from collections.abc import Sequence
@@ -14,38 +13,37 @@ from numpy.typing import ArrayLike
 from usdface.core.arrays import BoolArray, FloatArray
 from usdface.numerics.solve.blendshape_equation import solve_weights
 
-_PEAK_QUANTILE = 0.99  # of the weights over time: a peak that lasts, not a single frame
-_SHOWN_SHARE = 0.3  # [of the range] below, the take does not show the shape
+_PEAK_QUANTILE = 0.99  # of the weights over time
+_SHOWN_SHARE = 0.3  # [of the range] least peak of a shape that the take contains
 _GAINS = (0.5, 2.5)
 _MOST_ROUNDS = 3
-_CLOSE_SHARE = 0.02  # [of the range] of the top that counts as reached
-_NEAR_SHARE = 0.5  # [of a peak] frames below it do not become one when the gain grows
-_CARRIED_SHARE = 0.2  # [of a shape's largest displacement] markers below get no gain from it
-_STILL_SHARE = 0.02  # [of a shape's largest displacement] markers below do not follow it
-_MARKED_SHARE = 0.5  # [of the surface's displacement] half of it: the marker sits on what moves
-_COMMON_VARIANCE = 0.95  # of other markers: drops what they share of small motions, such as blinks
-_ALONE_SHARE = 0.25  # [of a shape's peak] others below it at that time are at rest: a wink
-FULL_SHARE = 1 / _GAINS[1]  # [of the range] a peak below it the largest gain would not make full
+_CLOSE_SHARE = 0.02  # [of the range] distance from the top that counts as reached
+_NEAR_SHARE = 0.5  # [of a peak] least weight of frames that are solved again
+_CARRIED_SHARE = 0.2  # [of a shape's largest displacement] least of a marker that it scales
+_STILL_SHARE = 0.02  # [of a shape's largest displacement] least of a marker that follows it
+_MARKED_SHARE = 0.5  # [of the surface's displacement] least of a marker on the moving part
+_COMMON_VARIANCE = 0.95  # share of the variance of the other markers in the components removed
+_ALONE_SHARE = 0.25  # [of a shape's peak] largest of the others, at rest at that time: a wink
+FULL_SHARE = 1 / _GAINS[1]  # [of the range] least peak that the largest gain makes full
 
 
 @dataclass(frozen=True)
 class ShapeEvidence:
-    """Whether markers can tell of shapes, and whether a take shows these."""
+    """Whether markers observe some shapes, and whether a take contains these."""
 
     marked: BoolArray
-    """(n,): markers sit on what the shape moves: they go at least half as far as the surface
-    does."""
+    """(n,): whether markers on the shape move at least half as far as the surface."""
     own_peaks: FloatArray
-    """(n,): weight at peaks, by the part of the markers' motion that the rest of the face does not
-    predict. A lid's marker that sits in the fold follows the brow and has none."""
+    """(n,): weight at peaks, of the motion that the rest of the face does not predict: about 0 for
+    a marker in the fold of a lid, which follows the brow."""
     alone: BoolArray
-    """(n,): the other marked shapes are near rest at this one's peaks, as in a wink."""
+    """(n,): whether the other marked shapes are near rest at this one's peaks, as in a wink."""
 
     @property
     def shown(self) -> bool:
         """Whether the marked shapes reach `FULL_SHARE` at peaks: their mean, or one alone.
 
-        A single lid that reaches it while the other follows by less is no evidence: on recorded
+        A single lid that reaches it while the other follows by less does not count: on recorded
         takes without blinks, one marker sits lower than the other.
         """
         peaks = self.own_peaks[self.marked]
@@ -63,17 +61,17 @@ def shape_evidence(
     surface_mm: ArrayLike,
     marker_trust: ArrayLike | None = None,
 ) -> ShapeEvidence:
-    """Measure how much of some shapes is in a take, apart from what all of the face does.
+    """Measure the peaks of some shapes in a take, without the motion that the whole face shares.
 
-    The motion of the markers that a shape carries is taken along the shape; what a line through the
-    principal components of the markers that no such shape moves predicts of it is taken away.
+    The weight of a shape is the projection of its markers' motion, less its linear regression on
+    the principal components of the markers that none of the shapes moves.
 
     Parameters
     ----------
     shapes : sequence of int
         Such as both blinks.
     surface_mm : (shapes,) array
-        How far each of the shapes moves the surface at 1, as `effective_size` measures it.
+        `effective_size` of the shapes on the surface.
     """
     D, m = np.asarray(deltas, float), np.asarray(motion, float)
     trusted = np.ones(D.shape[1], bool) if marker_trust is None else np.asarray(marker_trust) > 0
@@ -109,17 +107,16 @@ def _alone(own: FloatArray, peaks: FloatArray, marked: BoolArray) -> BoolArray:
 
 
 def effective_size(deltas: ArrayLike) -> FloatArray:
-    """Return how far shapes move what they move, (shapes, points, 3) to (shapes,) in their unit.
+    """Return energy-weighted root mean square displacements: (shapes, points, 3) to (shapes,).
 
-    The root mean square of the displacements, each counted by its energy: points that a shape does
-    not move do not count, however many.
+    The number of points that a shape does not move does not matter.
     """
     energy = (np.asarray(deltas, float) ** 2).sum(axis=2)
     return np.asarray(np.sqrt((energy**2).sum(axis=1) / np.maximum(energy.sum(axis=1), 1e-12)))
 
 
 def _common_motion(motion: FloatArray) -> FloatArray:
-    """Return principal components over time, and a constant: (frames, components + 1)."""
+    """Return a constant and principal components over time: (frames, components + 1)."""
     flat = motion.reshape(len(motion), -1)
     over_time, size, _ = np.linalg.svd(flat - flat.mean(axis=0), full_matrices=False)
     share = np.cumsum(size**2) / max(float((size**2).sum()), 1e-12)
@@ -139,24 +136,24 @@ def match_peaks(
 ) -> FloatArray:
     """Return one gain per marker, so that given shapes reach the top of their range in a take.
 
-    A marker takes the gain in proportion to how much of what it can do is that shape's: a lid
-    marker wholly, a brow marker hardly.
+    A marker's share of a shape's gain is the squared ratio of its displacement by that shape to its
+    largest by any shape.
 
     Parameters
     ----------
     deltas : (shapes, markers, 3) array
         At the virtual markers [mm].
     motion : (frames, markers, 3) array
-        A take that shows each shape in full several times, in the character's space [mm].
+        A take with several full peaks of each shape, in the character's space [mm].
     shapes : sequence of int
-        Such as both blinks. One that the take does not show changes nothing.
+        Such as both blinks. Shapes that the take does not contain have no effect.
     ranges, visible, marker_trust, ridge
         As in `solve_weights`.
 
     Returns
     -------
     (markers,) float array
-        Multiply the motion by it, before `solve_weights`.
+        Factors of the motion for `solve_weights`.
     """
     D, m = np.asarray(deltas, float), np.asarray(motion, float)
     wrong = [shape for shape in shapes if not 0 <= shape < len(D)]

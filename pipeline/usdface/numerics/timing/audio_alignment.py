@@ -1,8 +1,7 @@
 """Shift and clock drift between two recordings of the same sound, and their confidence.
 
-Onsets find the shift to a hundredth of a second, phase finds it window by window to a hundredth of
-a millisecond, and a robust line through the windows gives shift and drift. Each of the three can
-fail, and is then reported: a wrong shift that looks right costs more than a refusal.
+Correlation of onsets gives the shift to 10 ms, phase correlation gives the delays of windows to
+0.01 ms, and a robust line through these shift and drift. Failures of each are reported.
 """
 
 from dataclasses import dataclass, field, replace
@@ -26,7 +25,7 @@ from usdface.numerics.timing.window_delays import (
 )
 
 _LARGEST_DRIFT = 300e-6
-"""Crystal clocks of recorders stay within 100 ppm of true, so two within 200 of each other."""
+"""Crystal clocks of recorders are accurate to 100 ppm, so two differ by up to 200 ppm."""
 USUAL_DRIFT = 60e-6
 
 LEAST_PEAK = 8.0
@@ -37,13 +36,13 @@ LEAST_LEAD = 2.0
 SHORTEST_SECONDS = 1.5
 
 _CLEAR_PEAK, _CLEAR_RATIO, _CLEAR_AGREEMENT = 16.0, 1.5, 0.8
-"""At which confidence reaches 1: about twice the least."""
+"""At which the confidence is 1: about twice the least."""
 
 _SILENCE_RMS = 1e-5
-"""Quieter is silence: -100 dB, less than one bit of sixteen."""
+"""-100 dB, less than one bit of sixteen."""
 
 _TOLERANCE_SECONDS = 1e-3
-"""By which a window may miss the line: reverberation moves the peak by less."""
+"""Largest distance of a window from the line; shifts of the peak by reverberation are smaller."""
 _NOISE_SECONDS = 2e-5
 _LONGEST_WINDOW_SECONDS, _SHORTEST_WINDOW_SECONDS = 2.0, 0.4
 _WINDOWS_PER_OVERLAP = 5
@@ -55,7 +54,7 @@ _LOWEST_RATE_HZ = 4000
 
 @dataclass(frozen=True)
 class SoundAlignment:
-    """How the clock of a second recording runs against that of a first, and the evidence.
+    """Clock of a second recording against that of a first, and the evidence.
 
     ``second_time = offset + (1 + drift) * first_time``
     """
@@ -65,14 +64,14 @@ class SoundAlignment:
     drift: float
     """As a share; a millionth is 1 ppm."""
     confidence: float
-    """[0-1] The weakest of three signs: peak, ratio and agreement. 0.5 where one of them is at its
-    limit, 1 where all are clear."""
+    """[0-1] The least of three criteria: peak, ratio and agreement. 0.5 if one of them is at its
+    limit, 1 if all are clear."""
     doubts: tuple[str, ...]
-    """Why the result should not be used; empty when it should."""
+    """Reasons not to use the result."""
     peak: float = 0.0
-    """Height of the onset correlation in standard deviations of chance."""
+    """Height of the onset correlation in standard deviations of random ones."""
     ratio: float = 0.0
-    """How many times better than the second best shift."""
+    """See `OnsetCorrelation.ratio`."""
     agreement: float = 0.0
     """Share of windows within a millisecond of the line [0-1]."""
     deviation: float = 0.0
@@ -91,22 +90,21 @@ def align_sounds(
     names: tuple[str, str] = ("first", "second"),
     progress: Progress = silent,
 ) -> SoundAlignment:
-    """Find when the sounds of one recording are in another.
+    """Measure shift and clock drift between two recordings of the same event.
 
     Parameters
     ----------
     first, second : (samples,) float32 array
-        The same event by two microphones; either may start or end first.
+        Either may start or end first.
     rate : int
-        Samples per second of both, by each recorder's own clock; at least 4000.
+        Nominal samples per second of both; at least 4000.
     names : (2,) tuple of str
-        What to call the recordings where something is wrong with one.
+        Of the recordings, for messages.
 
     Returns
     -------
     SoundAlignment
-        With `doubts` where the recordings are silent, unrelated, repeat themselves or are too
-        short.
+        With `doubts` if the recordings are silent, unrelated, periodic or too short.
     """
     first, second = _checked(first, names[0]), _checked(second, names[1])
     if rate < _LOWEST_RATE_HZ:
@@ -121,9 +119,9 @@ def align_sounds(
     if coarse is None:
         return SoundAlignment(0.0, 0.0, 0.0, ("a recording holds only an unchanging sound",))
     pair = _Pair(first, second, rate)
-    found = _by_onsets(coarse, pair.seconds[0] / 2)
+    rough = _by_onsets(coarse, pair.seconds[0] / 2)
     rivals = [coarse.rival]
-    if found.doubts:
+    if rough.doubts:
         progress(0.5, "searching by phase")
         vote = scan_phase(
             first,
@@ -133,15 +131,15 @@ def align_sounds(
             count=_SCANNED_WINDOWS,
             largest_drift=_LARGEST_DRIFT,
         )
-        by_phase = found if vote is None else _by_phase(vote)
-        found = found if by_phase.doubts else by_phase
+        by_phase = rough if vote is None else _by_phase(vote)
+        rough = rough if by_phase.doubts else by_phase
         rivals.append(np.nan if vote is None else vote.rival)
     progress(0.8, "measuring delays")
-    line = _measure(pair, found, count=_MOST_WINDOWS)
-    if not found.doubts:
-        found = _against_rivals(pair, found, rivals)
+    line = _measure(pair, rough, count=_MOST_WINDOWS)
+    if not rough.doubts:
+        rough = _against_rivals(pair, rough, rivals)
     progress(1.0, "aligned")
-    return _conclude(found, coarse, *line)
+    return _conclude(rough, coarse, *line)
 
 
 @dataclass(frozen=True)
@@ -155,8 +153,8 @@ class _Pair:
         return len(self.first) / self.rate, len(self.second) / self.rate
 
 
-def _measure(pair: "_Pair", found: "_RoughShift", *, count: int) -> tuple[WindowDelays, RobustLine]:
-    at_zero = found.shift - found.drift * found.middle
+def _measure(pair: "_Pair", rough: "_RoughShift", *, count: int) -> tuple[WindowDelays, RobustLine]:
+    at_zero = rough.shift - rough.drift * rough.middle
     overlap = min(pair.seconds[0], pair.seconds[1] - at_zero) - max(0.0, -at_zero)
     windows = window_delays(
         pair.first,
@@ -164,11 +162,11 @@ def _measure(pair: "_Pair", found: "_RoughShift", *, count: int) -> tuple[Window
         rate=pair.rate,
         window=_window_seconds(overlap),
         count=count,
-        expected=(at_zero, found.drift),
-        radius=(_COARSE_ERROR_SECONDS, found.drift_unknown),
+        expected=(at_zero, rough.drift),
+        radius=(_COARSE_ERROR_SECONDS, rough.drift_unknown),
     )
     if not len(windows.times):
-        return windows, RobustLine(at_zero, found.drift, np.zeros(0, bool), 0.0)
+        return windows, RobustLine(at_zero, rough.drift, np.zeros(0, bool), 0.0)
     line = fit_robust_line(
         windows.times,
         windows.delays,
@@ -180,24 +178,24 @@ def _measure(pair: "_Pair", found: "_RoughShift", *, count: int) -> tuple[Window
     return windows, line
 
 
-def _against_rivals(pair: "_Pair", found: "_RoughShift", rivals: list[float]) -> "_RoughShift":
+def _against_rivals(pair: "_Pair", rough: "_RoughShift", rivals: list[float]) -> "_RoughShift":
     """Refuse a shift if the windows agree on another too, to the millisecond."""
     for rival in rivals:
-        if not np.isfinite(rival) or abs(rival - found.shift) < _COARSE_ERROR_SECONDS:
+        if not np.isfinite(rival) or abs(rival - rough.shift) < _COARSE_ERROR_SECONDS:
             continue
-        other = replace(found, shift=rival)
+        other = replace(rough, shift=rival)
         _, line = _measure(pair, other, count=_SCANNED_WINDOWS)
         agreeing = int(line.agreeing.sum())
         if agreeing >= max(LEAST_WINDOWS, LEAST_AGREEMENT * len(line.agreeing)):
             return replace(
-                found,
+                rough,
                 confidence=0.0,
                 doubts=(
-                    f"shifts of {found.shift:+.2f} and {rival:+.2f} s both fit to the "
+                    f"shifts of {rough.shift:+.2f} and {rival:+.2f} s both fit to the "
                     "millisecond: the sound repeats",
                 ),
             )
-    return found
+    return rough
 
 
 @dataclass(frozen=True)
@@ -264,21 +262,21 @@ def _by_phase(vote: PhaseVote) -> _RoughShift:
 
 
 def _conclude(
-    found: _RoughShift, coarse: OnsetCorrelation, windows: WindowDelays, line: RobustLine
+    rough: _RoughShift, coarse: OnsetCorrelation, windows: WindowDelays, line: RobustLine
 ) -> SoundAlignment:
     agreeing = int(line.agreeing.sum())
     agreement = agreeing / max(len(line.agreeing), 1)
-    doubts = found.doubts
+    doubts = rough.doubts
     if agreement < LEAST_AGREEMENT or agreeing < LEAST_WINDOWS:
         doubts += (
             f"{agreeing} of {len(line.agreeing)} windows agree on one shift and drift, "
             f"{LEAST_WINDOWS} and {LEAST_AGREEMENT:.0%} are needed",
         )
-    sign = float(np.interp(agreement, [0, LEAST_AGREEMENT, _CLEAR_AGREEMENT], [0, 0.5, 1]))
+    by_lines = float(np.interp(agreement, [0, LEAST_AGREEMENT, _CLEAR_AGREEMENT], [0, 0.5, 1]))
     return SoundAlignment(
         offset=line.intercept,
         drift=line.slope,
-        confidence=min(found.confidence, sign),
+        confidence=min(rough.confidence, by_lines),
         doubts=doubts,
         peak=coarse.peak,
         ratio=coarse.ratio,

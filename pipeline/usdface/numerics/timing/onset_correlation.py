@@ -1,13 +1,12 @@
-"""Where one recording lies in another, to a hundredth of a second: onsets of sound, correlated.
+"""Coarse shift between two recordings: correlation of onsets, and vote of windows by phase.
 
-Two microphones in two places record other spectra of the same sound; what they share is when each
-band of it begins. Over long recordings the clocks drift by more than the width of the peak, so
-stretches of a minute are correlated one by one and added along every drift that clocks may have.
+Two microphones record different spectra of the same sound, but the same onsets in each band. Over
+long recordings the clocks drift by more than the width of the peak, so stretches of a minute are
+correlated separately and added along each possible drift. The resolution is 10 ms.
 
-By phase alone, window by window: a window of two seconds has tens of thousands of independent
-phases; where the same sound is in the other recording they line up, even under noise as loud as the
-speech, which drowns the onsets. It costs a transform of the whole recording a window, so it is for
-what onsets leave undecided.
+By phase, a window of two seconds has tens of thousands of independent phases, which match the same
+sound in the other recording even under noise as loud as the speech, which masks onsets. It takes a
+transform of the whole recording per window, so it is used where onsets are ambiguous.
 """
 
 from dataclasses import dataclass
@@ -24,29 +23,28 @@ _BLOCK_SAMPLES = 1 << 20
 """A minute at 16 kHz: longer transforms take memory and save no time."""
 
 _PEAKS_PER_WINDOW = 3
-"""Taken of each window: a sound that repeats has several, all of them right."""
+"""A repeating sound has several correct ones."""
 _PEAK_SPACING_SECONDS = 0.05
-"""Peaks nearer than this are one."""
+"""Least distance of separate peaks."""
 _TOLERANCE_SECONDS = 0.002
-"""Within which windows agree on a shift."""
+"""Largest difference of shifts that agree."""
 
 
 @dataclass(frozen=True)
 class PhaseVote:
-    """A shift that windows agree on, searched for everywhere."""
+    """The shift on which most windows agree."""
 
     shift: float
-    """How much later the sound is in the second recording, at the middle of the windows [s]."""
+    """Delay of the second recording, at the middle of the windows [s]."""
     middle: float
     """That middle on the clock of the first recording [s]."""
     votes: int
     """Windows that agree on it."""
     rival: float
-    """The other shift with most votes [s]; NaN where no two windows agree on another."""
+    """The other shift with most votes [s]; NaN if no two windows agree on another."""
     rival_votes: int
-    """Windows that agree on that."""
     windows: int
-    """How many windows were searched for."""
+    """Number of windows."""
 
 
 def scan_phase(
@@ -58,7 +56,7 @@ def scan_phase(
     count: int,
     largest_drift: float,
 ) -> PhaseVote | None:
-    """Let windows of the first recording vote on where they are in the second.
+    """Locate windows of the first recording in the second, and return the most frequent shift.
 
     Parameters
     ----------
@@ -66,14 +64,14 @@ def scan_phase(
     window : float
         Length of a window [s].
     count : int
-        How many windows to search for, at most.
+        Most windows.
     largest_drift : float
-        Largest change of the shift per second, as a share.
+        Largest change of the shift per second.
 
     Returns
     -------
     PhaseVote or None
-        None where no window holds a sound.
+        None for silence.
     """
     size = round(window * rate)
     room = max(len(first) - size, 0)
@@ -93,7 +91,7 @@ def scan_phase(
 
 
 def _heights(sound: Float32Array, second: Float32Array, rate: int) -> Float32Array:
-    """Return how well a window fits at each place, from wholly before the second to after it."""
+    """Return the whitened correlation of a window with the second recording at all lags."""
     size = len(sound)
     total = len(second) + size - 1
     length = fft.next_fast_len(min(total, _BLOCK_SAMPLES) + size, real=True)
@@ -106,35 +104,34 @@ def _heights(sound: Float32Array, second: Float32Array, rate: int) -> Float32Arr
         block = padded[begin : begin + length]
         product = whitened_product(spectrum, fft.rfft(block, length), band=band)
         if product is not None:
-            found = np.abs(fft.irfft(product, length)[: min(step, total - begin)])
-            # Whitening makes each block equally loud: compare within it.
-            heights[begin : begin + len(found)] = found / max(
-                float(np.sqrt(np.mean(found**2))), 1e-30
-            )
+            lags = np.abs(fft.irfft(product, length)[: min(step, total - begin)])
+            # Whitened blocks are equally loud: normalise each.
+            lags /= max(float(np.sqrt(np.mean(lags**2))), 1e-30)
+            heights[begin : begin + len(lags)] = lags
     return heights
 
 
 def _highest(heights: Float32Array, *, spacing: int) -> IntArray:
-    left = heights.copy()
+    remaining = heights.copy()
     places = list[int]()
     for _ in range(_PEAKS_PER_WINDOW):
-        place = int(np.argmax(left))
-        if not left[place] > 0:
+        place = int(np.argmax(remaining))
+        if not remaining[place] > 0:
             break
         places.append(place)
-        left[max(place - spacing, 0) : place + spacing + 1] = 0
+        remaining[max(place - spacing, 0) : place + spacing + 1] = 0
     return np.array(places, np.int64)
 
 
 def _count_votes(times: FloatArray, delays: list[FloatArray], largest_drift: float) -> PhaseVote:
     middle = float((times[0] + times[-1]) / 2)
-    owners = np.repeat(np.arange(len(times)), [len(each) for each in delays])
+    owners = np.repeat(np.arange(len(times)), [len(of_window) for of_window in delays])
     places = np.concatenate(delays)
     away = np.abs(times[owners] - middle)
     reach = _TOLERANCE_SECONDS + largest_drift * (away[:, None] + away[None, :])
     near = np.abs(places[:, None] - places[None, :]) < reach
     votes = np.array([len(np.unique(owners[row])) for row in near])
-    # Of equal votes the one nearest the middle, where drift has moved it least.
+    # Of equal votes the one nearest the middle, where drift matters least.
     best = int(np.lexsort((away, -votes))[0])
     others = np.flatnonzero(np.abs(places - places[best]) > _PEAK_SPACING_SECONDS)
     rival = others[int(np.argmax(votes[others]))] if len(others) else best
@@ -156,44 +153,44 @@ _LOWEST_HZ, _HIGHEST_HZ = 125.0, 7000.0
 _FRAMES_AT_ONCE = 1 << 14
 
 _STRETCH_HOPS = 60 * HOPS_PER_SECOND
-"""A minute, in which clocks 300 ppm apart move by less than two hops."""
+"""A minute, in which a drift of 300 ppm is less than two hops."""
 
 _PEAK_HOPS = 30
-"""Half width of a peak: syllables make onsets resemble themselves this far."""
+"""Half width of a peak: autocorrelation of onsets by syllables."""
 
 _SHORTEST_OVERLAP = HOPS_PER_SECOND
 _OVERLAP_SHARE = 0.2
 """Least overlap that is scored: one second, and this share of the shorter recording."""
 _RIVAL_PEAK = 6.0
-"""Height above which a second peak is no accident: the highest of a million random scores is 5."""
+"""Least score of a significant second peak: the largest of a million random scores is 5."""
 
 
 @dataclass(frozen=True)
 class OnsetCorrelation:
-    """How well the onsets of two recordings agree at every shift."""
+    """Correlation of the onsets of two recordings over shifts."""
 
     shifts: FloatArray
-    """(n,): how much later a sound is in the second recording than in the first [s]; ascending."""
+    """(n,): delay of the second recording against the first [s]; ascending."""
     scores: FloatArray
-    """(n,): correlation in robust standard deviations of all shifts; NaN where too little
-    overlaps."""
+    """(n,): correlation in robust standard deviations of all shifts; NaN where the overlap is too
+    short."""
     shift: float
     """The best, at the middle of the first recording [s]."""
     drift: float
-    """How much the shift grows per second, of the few values tried."""
+    """Growth of the shift per second, of the values tried."""
     drift_step: float
-    """Distance between the values tried; 0 where one was enough."""
+    """Distance between the values tried; 0 for one value."""
     peak: float
     """Score of the best shift."""
     rival: float
-    """The shift that explains the recordings second best, away from the best [s]."""
+    """The second best shift, apart from the best peak [s]."""
     ratio: float
-    """How many times better the best is: the smaller of the ratio of the scores and, for a rival
-    that is no accident, of the correlation per second of overlap. 1 for a sound that repeats."""
+    """Best over second best: the smaller of the ratios of the scores and, for a significant second
+    peak, of the correlations per second of overlap. 1 for a sound that repeats."""
 
 
 def onset_flux(sound: Float32Array, *, rate: int) -> Float32Array:
-    """Return how strongly sound sets in, by band, a hundred times a second.
+    """Return the spectral flux of a sound by band, a hundred times a second.
 
     Parameters
     ----------
@@ -202,8 +199,8 @@ def onset_flux(sound: Float32Array, *, rate: int) -> Float32Array:
     Returns
     -------
     (24, hops) float32 array
-        Rise of the logarithmic power; each band has mean 0 and deviation 1. A band that never
-        changes is 0.
+        Positive differences of the logarithmic power; each band has mean 0 and deviation 1, or is
+        0 if it is constant.
     """
     hop, size = rate // HOPS_PER_SECOND, round(_WINDOW_SECONDS * rate)
     count = (len(sound) - size) // hop + 1
@@ -219,8 +216,7 @@ def onset_flux(sound: Float32Array, *, rate: int) -> Float32Array:
         energy = spectrum.real**2 + spectrum.imag**2
         bands = np.add.reduceat(energy[:, : edges[-1]], edges[:-1], axis=1)
         power[:, start : start + len(bands)] = bands.T
-    # A floor at the band's usual power keeps the flutter of noise small; digital silence, as where
-    # a recording has gaps, is not usual.
+    # A floor at the band's median power, without digital silence, suppresses noise.
     floor = np.empty((_BAND_COUNT, 1), np.float32)
     for band, row in enumerate(power):
         audible = row[row > 1e-9 * row.max()]
@@ -229,26 +225,25 @@ def onset_flux(sound: Float32Array, *, rate: int) -> Float32Array:
     rise -= rise.mean(axis=1, keepdims=True)
     deviation = rise.std(axis=1, keepdims=True)
     rise /= np.where(deviation > 1e-6, deviation, np.inf)
-    flux: Float32Array = rise
-    return flux
+    return np.asarray(rise)
 
 
 def correlate_onsets(
     first: Float32Array, second: Float32Array, *, largest_drift: float
 ) -> OnsetCorrelation | None:
-    """Find the shift at which onsets agree best.
+    """Return the correlation of onsets over shifts, at the best drift.
 
     Parameters
     ----------
     first, second : (bands, hops) float32 array
         From `onset_flux`.
     largest_drift : float
-        Largest change of the shift per second to try, as a share.
+        Largest change of the shift per second.
 
     Returns
     -------
     OnsetCorrelation or None
-        None where the recordings are too short, or one never changes.
+        None if the recordings are too short, or one is constant.
     """
     hops = first.shape[1], second.shape[1]
     if min(hops) < _SHORTEST_OVERLAP or not first.any() or not second.any():
@@ -285,7 +280,7 @@ def _judge(
     drift: float,
     drift_step: float,
 ) -> OnsetCorrelation:
-    # Divided by the root of the overlap, chance is equally large at every shift.
+    # Over the root of the overlap, the variance of random correlations is equal at all shifts.
     scores = products / np.sqrt(overlap)
     centre = np.nanmedian(scores)
     deviation = MAD_TO_DEVIATION * float(np.nanmedian(np.abs(scores - centre)))
@@ -298,7 +293,7 @@ def _judge(
     if len(candidates):
         second = candidates[int(np.argmax(scores[candidates]))]
         rival, ratio = float(shifts[second]), peak / max(float(scores[second]), 1e-12)
-        # What repeats agrees just as well a period further on, only over a shorter overlap.
+        # A repeating sound agrees equally well one period away, over a shorter overlap.
         real = candidates[scores[candidates] >= _RIVAL_PEAK]
         if len(real):
             agreement = products / overlap
@@ -316,8 +311,7 @@ def _stretch_products(
 ) -> tuple[list[float], list[tuple[int, Float32Array]]]:
     """Correlate each stretch of the first with all of the second.
 
-    Returns the stretches' middles, and for each the index of its first lag among all lags and the
-    products from there on.
+    Returns the middles of the stretches, and for each the index of its first lag and its products.
     """
     hops = first.shape[1]
     edges = np.linspace(0, hops, -(-hops // _STRETCH_HOPS) + 1).astype(int)
@@ -336,14 +330,14 @@ def _stretch_products(
 
 
 def _overlap(first: int, second: int) -> FloatArray:
-    """Return how many hops overlap at each lag, from the second before the first to after it."""
+    """Return the overlap at each lag [hops], from the second before the first to after it."""
     lags = np.arange(first + second - 1) - (first - 1)
     overlap = np.minimum(first, second - lags) - np.maximum(0, -lags)
     return overlap.astype(np.float64)
 
 
 def _drifts(hops: int, largest: float) -> FloatArray:
-    """Return the drifts to try: so close that between two the peak is not smeared."""
+    """Return the drifts to try, at a spacing of one hop over the recording."""
     if hops <= _STRETCH_HOPS:
         return np.zeros(1)
     count = int(np.ceil(largest * hops / 2))
@@ -360,7 +354,7 @@ def _band_edges(rate: int, length: int) -> IntArray:
     highest = min(_HIGHEST_HZ, 0.45 * rate)
     bins = np.geomspace(_LOWEST_HZ, highest, _BAND_COUNT + 1) * length / rate
     edges: IntArray = np.round(bins).astype(np.int64)
-    # Low bands may be narrower than one bin of the spectrum: each keeps at least one.
+    # Low bands may be narrower than one bin of the spectrum: each has at least one.
     for index in range(1, len(edges)):
         edges[index] = max(edges[index], edges[index - 1] + 1)
     return edges

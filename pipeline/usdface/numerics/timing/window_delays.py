@@ -1,9 +1,8 @@
-"""Delays between two recordings, to a small part of a sample, and a robust line through them.
+"""Delays between two recordings with subsample accuracy, and a robust line through them.
 
 By generalised cross-correlation with phase transform (Knapp and Carter 1976, IEEE Transactions on
-Acoustics, Speech and Signal Processing 24(4), 320-327): cross spectra that count phase alone, as
-far as speech reaches. It sharpens the peak of the direct path, which reverberation smears in a
-plain correlation.
+Acoustics, Speech and Signal Processing 24(4), 320-327) in the band of speech, in which the peak of
+the direct path is not smeared by reverberation.
 """
 
 from dataclasses import dataclass
@@ -21,7 +20,7 @@ from usdface.core.arrays import (
 )
 
 _SHORTEST_BASE = 0.3
-"""[of the points' span] Two points closer than this give no slope to judge others by."""
+"""[of the points' span] Least distance of two points that propose a line."""
 
 _MOST_ROUNDS = 6
 _AGREEING_DEVIATIONS = 6.0
@@ -49,24 +48,20 @@ def fit_robust_line(
     usual_slope: float,
     noise: float,
 ) -> RobustLine:
-    """Fit the line that most points agree on, then fit it to those by least squares.
+    """Fit a line by RANSAC over all pairs of points, and by least squares to the inliers.
 
-    Every pair of points proposes a line, so that the result depends on no random draw
-    (Fischler and Bolles 1981, made exhaustive).
+    Fischler and Bolles (1981), without random draws.
 
     Parameters
     ----------
     x, y : (n,) float array
     tolerance : float
-        Distance up to which a point may agree, in the unit of `y`; less where the others lie
-        closer to the line.
+        Largest distance of an inlier, in the unit of `y`; less if most are nearer.
     largest_slope : float
-        Steeper lines are not considered.
     usual_slope : float
-        Standard deviation of slopes expected beforehand: a few points close together should not
-        make up a steep line.
+        Prior standard deviation of slopes, against steep lines through a few close points.
     noise : float
-        Standard deviation that a point has at least, in the unit of `y`.
+        Least standard deviation of a point, in the unit of `y`.
     """
     if not len(x):
         raise ValueError("a line needs at least one point, got none")
@@ -88,7 +83,7 @@ def fit_robust_line(
 def _distances_to_best(
     x: FloatArray, y: FloatArray, tolerance: float, largest_slope: float
 ) -> FloatArray:
-    """Return how far each point is from the line through two of them that most support."""
+    """Return the distance of each point from the line through two of them with most support."""
     first, second = np.triu_indices(len(x), k=1)
     far = np.abs(x[second] - x[first]) >= _SHORTEST_BASE * np.ptp(x)
     first, second = first[far], second[far]
@@ -104,8 +99,8 @@ def _distances_to_best(
         point = through[start : start + _PAIRS_AT_ONCE, None]
         slope = slopes[start : start + _PAIRS_AT_ONCE, None]
         distance = np.abs(y - y[point] - slope * (x - x[point]))
-        # Near points count more (Torr and Zisserman 2000): or a tilt that catches one point more
-        # would win over the line on which the others lie.
+        # Near points weigh more (MSAC, Torr and Zisserman 2000), or a tilt that includes one more
+        # point would win.
         support = np.maximum(1 - distance / tolerance, 0).sum(axis=1)
         index = int(np.argmax(support))
         if support[index] > best:
@@ -124,21 +119,21 @@ def _least_squares(
 
 
 _DELAY_OVERSAMPLING = 4
-"""Positions tried per sample, before a parabola through the best three."""
+"""Positions per sample, before parabolic interpolation."""
 
 _LOUD_SHARE = 0.02
-"""[of the power of loud windows] Quieter ones hold no speech."""
+"""[of the power of loud windows] Quieter ones have no speech."""
 _LEAST_WINDOWS = 8
-"""Taken however quiet they are."""
+"""Used however quiet they are."""
 _WHITENING_EXPONENT = 0.8
-"""1 would lift frequencies at which nothing sounds."""
+"""Less than 1, which would amplify frequencies without signal."""
 
 _LOWEST_HZ, _HIGHEST_HZ = 200.0, 6000.0
 
 
 @dataclass(frozen=True)
 class WindowDelays:
-    """How much later a sound is in the second recording than in the first."""
+    """Delays of the second recording against the first, window by window."""
 
     times: FloatArray
     """(windows,): middle of each window on the clock of the first recording [s]."""
@@ -168,8 +163,8 @@ def window_delays(
     expected : (2,) tuple of float
         Delay at time 0 [s] and its growth per second.
     radius : (2,) tuple of float
-        How far around the expected delay to search: at the middle of the overlap [s], and how much
-        further per second away from it.
+        Half width of the search around the expected delay: at the middle of the overlap [s], and
+        its growth per second away from it.
     """
     size = round(window * rate)
     starts = _starts(len(first), len(second), rate, size, count, expected)
@@ -185,15 +180,15 @@ def window_delays(
         region = second[max(begin, 0) : max(begin + size + 2 * reach, 0)]
         region = np.pad(region, (max(-begin, 0), 0))
         region = np.pad(region, (0, size + 2 * reach - len(region)))
-        found = _delay(first[start : start + size] * taper, region, reach, rate)
-        if found is not None:
+        delay = _delay(first[start : start + size] * taper, region, reach, rate)
+        if delay is not None:
             times.append(seconds)
-            delays.append((guess - reach + found) / rate)
+            delays.append((guess - reach + delay) / rate)
     return WindowDelays(np.array(times), np.array(delays))
 
 
 def loud_windows(sound: Float32Array, starts: IntArray, size: int) -> IntArray:
-    """Keep the windows that hold more than the pauses do, and always some: a door may slam."""
+    """Return the starts of windows louder than pauses, at least eight."""
     if not len(starts):
         return starts
     power = np.array([np.mean(sound[start : start + size] ** 2) for start in starts.tolist()])
@@ -202,7 +197,7 @@ def loud_windows(sound: Float32Array, starts: IntArray, size: int) -> IntArray:
 
 
 def speech_band(length: int, *, rate: int) -> Float32Array:
-    """Return 1 for the frequencies of a transform of so many samples that speech has, else 0.
+    """Return 1 at the frequencies of speech of a transform of `length` samples, else 0.
 
     Returns
     -------
@@ -216,7 +211,7 @@ def speech_band(length: int, *, rate: int) -> Float32Array:
 def whitened_product(
     first: ComplexArray, second: ComplexArray, *, band: Float32Array
 ) -> ComplexArray | None:
-    """Return the cross spectrum of two sounds, its sizes nearly levelled.
+    """Return the partly whitened cross spectrum of two sounds.
 
     Parameters
     ----------
@@ -232,10 +227,10 @@ def whitened_product(
     """
     cross = first.conj() * second
     size = np.abs(cross)
-    usual = float(np.median(size))
-    if not usual > 0:
+    median = float(np.median(size))
+    if not median > 0:
         return None
-    floor = 1e-3 * usual**_WHITENING_EXPONENT
+    floor = 1e-3 * median**_WHITENING_EXPONENT
     product: ComplexArray = cross * (band / (size**_WHITENING_EXPONENT + floor))
     return product
 
@@ -243,7 +238,7 @@ def whitened_product(
 def _starts(
     first: int, second: int, rate: int, size: int, count: int, expected: tuple[float, float]
 ) -> IntArray:
-    """Return where windows begin: over all of the first that the second covers."""
+    """Return the starts of windows over the part of the first that the second covers."""
     begin = max(0, round(-expected[0] * rate))
     end = min(first, round(second - expected[0] * rate)) - size
     if end < begin:
@@ -253,13 +248,13 @@ def _starts(
 
 
 def _delay(sound: Float32Array, region: Float32Array, reach: int, rate: int) -> float | None:
-    """Return where in `region` the sound begins [samples]; None for silence."""
+    """Return the delay of the sound in `region` [samples]; None for silence."""
     length = fft.next_fast_len(len(region) + len(sound), real=True)
     spectra = fft.rfft(sound, length), fft.rfft(region, length)
     whitened = whitened_product(*spectra, band=speech_band(length, rate=rate))
     if whitened is None:
         return None
-    # Either sign: microphones and cables turn the polarity.
+    # Absolute value, as microphones and cables may invert the polarity.
     curve = np.abs(
         fft.irfft(whitened, length * _DELAY_OVERSAMPLING)[: 2 * reach * _DELAY_OVERSAMPLING + 1]
     )
