@@ -1,1 +1,1 @@
-"""What every layer shares: arrays, assets, errors, files, time."""
+"""Common to all layers: array types, assets, errors, files, rates and timecode."""

@@ -1,4 +1,4 @@
-"""Array types by element, as every signature names them; frames in runs, columns by name."""
+"""Array types, blocks and runs of frames, columns by name."""
 
 from collections.abc import Hashable, Iterable, Iterator, Sequence
 from typing import Any, TypeVar
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
 RealArray = NDArray[np.floating]
-"""Single or double precision: the result has the precision of the argument."""
+"""Single or double precision; results have that of the argument."""
 ComplexArray = NDArray[np.complex64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
@@ -22,42 +22,42 @@ MAD_TO_DEVIATION = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation, 1 / Φ⁻¹(3/4)."""
 
 _BLOCK_FRAMES = 2048
-"""[frames] Arrays of a hundred markers in so many frames stay near the processor's cache."""
+"""[frames] Arrays of a hundred markers in so many frames fit in the cache."""
 
 
 def index_of(labels: Iterable[Label]) -> dict[Label, int]:
-    """Return where each label stands in a list; of equal ones, the last."""
+    """Return the index of each label, the last of equal ones."""
     return {label: index for index, label in enumerate(labels)}
 
 
 def columns_by_name(
     values: NDArray[np.floating], names: Sequence[str], wanted: Sequence[str]
 ) -> FloatArray:
-    """Return columns in the order of other names; 0 for those that are not there.
+    """Return columns in the order of other names; 0 for missing ones.
 
     Parameters
     ----------
     values : (rows, names) float array
-        In single precision too, as samples in layers are.
+        Single or double precision.
     """
     column = index_of(names)
-    there = [index for index, name in enumerate(wanted) if name in column]
+    present = [index for index, name in enumerate(wanted) if name in column]
     out = np.zeros((len(values), len(wanted)))
-    out[:, there] = values[:, [column[wanted[index]] for index in there]]
+    out[:, present] = values[:, [column[wanted[index]] for index in present]]
     return out
 
 
 ROUNDING_SHARE = 1e-9
-"""Results that differ by less, as a share, are equal: sums of a million terms round to 2e-10."""
+"""Relative difference up to which results are equal: the rounding of a million terms is 2e-10."""
 
 _LEAST_SINGLE = np.float32(1e-9)
 
 
 def single_precision(values: NDArray[np.floating]) -> Float32Array:
-    """Return values as float32, those nearer to 0 than 1e-9 as 0.
+    """Return values as float32, with magnitudes below 1e-9 as 0.
 
-    In products they would end below what float32 holds in full (1e-38), on which processors work
-    ten times slower, and in millimetres or weights they mean nothing.
+    Their products may be denormal (below 1e-38), which is ten times slower, and they are
+    meaningless in millimetres or weights.
     """
     single = values.astype(np.float32)
     single[np.abs(single) < _LEAST_SINGLE] = 0
@@ -67,33 +67,33 @@ def single_precision(values: NDArray[np.floating]) -> Float32Array:
 def row_lengths(rows: NDArray[np.floating]) -> Any:
     """Return the length of each row, (n, k) to (n, 1), of their type.
 
-    A third of the time of `numpy.linalg.norm`, which sums short rows one by one.
+    Three times as fast as `numpy.linalg.norm` for short rows.
     """
     return np.sqrt(np.einsum("ij,ij->i", rows, rows))[:, None]
 
 
 def first_largest(values: FloatArray) -> int:
-    """Return where the largest value is; of those that differ by rounding alone, the first.
+    """Return the index of the largest value, the first of those equal within rounding.
 
-    A choice that hung on the last bit would differ between processors.
+    So that choices are the same on all processors.
     """
     top = values.max()
     return int((values >= top - ROUNDING_SHARE * abs(top)).argmax())
 
 
 def first_smallest(values: FloatArray) -> IntArray:
-    """Return for each column the row of the smallest value, by the rule of `first_largest`."""
+    """Return the row of the smallest value of each column, by the rule of `first_largest`."""
     least = values.min(axis=0)
     return np.asarray((values <= least + ROUNDING_SHARE * np.abs(least)).argmax(axis=0), np.int64)
 
 
 def hold_last_seen(positions: NDArray[np.floating], seen: BoolArray) -> None:
-    """Give unseen samples the last seen position, or before the first sighting that one; in place.
+    """Fill samples that are not visible by the previous visible one, else by the first; in place.
 
     Parameters
     ----------
     positions : (frames, markers, 3) array
-        Markers that are never seen stay as they are.
+        Markers that are never visible are unchanged.
     seen : (frames, markers) bool array
     """
     frames = np.arange(len(seen))
@@ -105,7 +105,7 @@ def hold_last_seen(positions: NDArray[np.floating], seen: BoolArray) -> None:
 
 
 def runs(mask: BoolArray) -> list[tuple[int, int]]:
-    """Return the stretches where `mask` is True as (start, stop), the stop left out."""
+    """Return the runs of True as (start, stop), the stop exclusive."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
     return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
 
@@ -116,17 +116,16 @@ def longest_run(mask: BoolArray) -> int:
 
 
 def frame_blocks(count: int, *, frames: int | None = None, at_least: int = 1) -> Iterator[slice]:
-    """Yield the frames of a take in blocks, so that intermediate arrays need no take's memory.
+    """Yield the frames of a take in blocks, which bounds the memory of intermediate arrays.
 
-    What a frame becomes must not depend on where blocks begin: what looks at neighbouring frames is
-    given them by `widened`.
+    Results must not depend on the blocks: filters use `widened` blocks.
 
     Parameters
     ----------
     frames : int, optional
-        Frames of a block; by default 2048.
+        Per block; by default 2048.
     at_least : int
-        Frames that a block has even where `frames` is less.
+        Lower limit of `frames`.
     """
     size = max(_BLOCK_FRAMES if frames is None else frames, at_least)
     for start in range(0, count, size):
@@ -134,10 +133,10 @@ def frame_blocks(count: int, *, frames: int | None = None, at_least: int = 1) ->
 
 
 def widened(block: slice, frames: int, count: int) -> slice:
-    """Return a block with so many frames more on both sides, as far as the take goes."""
+    """Return a block extended by a number of frames on both sides, within the take."""
     return slice(max(block.start - frames, 0), min(block.stop + frames, count))
 
 
 def sample_frames(count: int, most: int) -> IntArray:
-    """Return at most so many indices, spread evenly over the frames of a take or other rows."""
+    """Return at most `most` evenly spaced indices of `count` frames or other rows."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.int64))

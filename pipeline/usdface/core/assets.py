@@ -1,7 +1,7 @@
-"""The nouns that travel between the parts: frozen dataclasses of arrays.
+"""The data passed between all parts: frozen dataclasses of arrays.
 
 Lengths are millimetres, Y is up, rates are exact fractions and frames are integers; `usdio`
-converts once at the border. Nothing here reads, writes or computes.
+converts units when it reads and writes.
 """
 
 import difflib
@@ -22,15 +22,15 @@ MarkerSpace = Literal["captured", "stabilized"]
 
 
 class _Asset:
-    """Shown by what it holds, not by every number of it, and asked for its channels by name."""
+    """Base with a short representation: shapes of arrays and lengths of tuples."""
 
     def __repr__(self) -> str:
-        shown = (f"{each.name}={_short(getattr(self, each.name))}" for each in fields(self))  # type: ignore[arg-type]
+        shown = (f"{field.name}={_short(getattr(self, field.name))}" for field in fields(self))  # type: ignore[arg-type]
         return f"{type(self).__name__}({', '.join(shown)})"
 
 
 def _short(value: object) -> str:
-    """Return a value as a person wants it: the shape of an array, how many of many."""
+    """Return a short representation: the shape of an array, the length of a tuple."""
     if isinstance(value, np.ndarray):
         return f"<{' x '.join(map(str, value.shape))} {value.dtype}>"
     if isinstance(value, tuple) and len(value) > _SHOWN_ITEMS:
@@ -38,21 +38,18 @@ def _short(value: object) -> str:
     if isinstance(value, Fraction):
         return f"{float(value):g}"
     text = repr(value)
-    return (
-        text
-        if len(text) <= _LONGEST_TEXT or isinstance(value, _Asset)
-        else f"{text[:_LONGEST_TEXT]}..."
-    )
+    short = len(text) <= _LONGEST_TEXT or isinstance(value, _Asset)
+    return text if short else f"{text[:_LONGEST_TEXT]}..."
 
 
 _SHOWN_ITEMS = 3
-"""Items of a tuple that are all shown."""
+"""Longest tuple that is shown in full."""
 _LONGEST_TEXT = 80
 """Characters of any other value."""
 
 
 def _column(name: str, names: tuple[str, ...], what: str) -> int:
-    """Return where a name is; KeyError says which is meant perhaps."""
+    """Return the index of a name; a KeyError suggests similar ones."""
     if name in names:
         return names.index(name)
     near = difflib.get_close_matches(name, names, n=3) or names
@@ -66,10 +63,9 @@ class Markers(_Asset):
     names: tuple[str, ...]
     """One label per marker, unique."""
     positions: Float32Array
-    """(frames, markers, 3) [mm], Y up. A marker that is not seen keeps its last good position:
-    never NaN."""
+    """(frames, markers, 3) [mm], Y up. The last good position where not visible, never NaN."""
     visible: BoolArray
-    """(frames, markers): false where the capture did not see the marker."""
+    """(frames, markers): whether the capture measured the marker."""
     confidence: Float32Array
     """(frames, markers) [0-1]; 1 as measured, lower where a sample was repaired."""
     rigid: tuple[str, ...] = ()
@@ -77,9 +73,9 @@ class Markers(_Asset):
     neutral_frame: int = 0
     """Frame number (not index) of the neutral face; the reference pose of the head."""
     anchor: str = ""
-    """Name of the marker nearest the head's origin; empty when there is none."""
+    """Name of the marker nearest the head's origin, or empty."""
     space: MarkerSpace = "captured"
-    """Whether head motion is still in."""
+    """Whether positions have head motion ("captured") or not ("stabilized")."""
 
     @property
     def usable(self) -> BoolArray:
@@ -104,7 +100,7 @@ class WeightsClip(_Asset):
     rate: Fraction
     """Frames per second."""
     unseen: tuple[tuple[int, int], ...] = ()
-    """First and last frame of each stretch where nothing was captured: values are interpolated."""
+    """First and last frame of each stretch without capture, in which values are interpolated."""
 
     def __getitem__(self, name: str) -> Float32Array:
         """Return the values of one channel, (frames,)."""
@@ -121,17 +117,17 @@ class Video:
     file: Path
     """The movie; referred to, never copied."""
     rate: Fraction | None = None
-    """Frames per second as the file states it."""
+    """Frames per second according to the file."""
     offset: float = 0.0
     drift: float = 0.0
     """`offset`, `drift`: [s], [ppm]"""
 
     def video_time(self, take_seconds: Seconds) -> Seconds:
-        """Return moments of the take [s] on the video's clock [s]."""
+        """Return times of the take [s] on the video's clock [s]."""
         return (take_seconds - self.offset) / (1.0 + self.drift * 1e-6)
 
     def take_time(self, video_seconds: Seconds) -> Seconds:
-        """Return moments of the video [s] on the take's clock [s]."""
+        """Return times of the video [s] on the take's clock [s]."""
         return self.offset + (1.0 + self.drift * 1e-6) * video_seconds
 
 
@@ -145,31 +141,30 @@ class Event:
 
 @dataclass(frozen=True, repr=False)
 class Take(_Asset):
-    """One continuous recording of one performer; texts are empty when unknown."""
+    """One continuous recording of one performer; texts are empty if unknown."""
 
     name: str
     rate: Fraction
     """Frames per second of the capture."""
     first_frame: int
-    """Frame number of the first sample; a time code of the take is a frame number."""
+    """Frame number of the first sample; USD time codes of the take are frame numbers."""
     markers: Markers | None = None
     source: WeightsClip | None = None
-    """Blendshape weights that the capture carries (Live Link, another solver)."""
+    """Blendshape weights of the capture (Live Link, another solver)."""
     head_motion: FloatArray | None = None
-    """(frames, 4, 4): Column-vector transforms that put stabilised markers back where they were
-    captured."""
+    """(frames, 4, 4): transforms for column vectors from stabilised to captured positions."""
     video: Video | None = None
     audio: Path | None = None
     performer: str = ""
     session: str = ""
-    """Takes of one session share one application of markers."""
+    """Takes of one session have one application of markers."""
     emotion: str = ""
     timecode_start: str = ""
-    """SMPTE timecode of the first frame, empty when unknown."""
+    """SMPTE timecode of the first frame, empty if unknown."""
     events: tuple[Event, ...] = ()
     """In the order of the recording."""
     doubts: tuple[str, ...] | None = None
-    """What is odd about its markers, as ingest saw it; None where nobody has looked."""
+    """Anomalies of its markers, by ingest; None if they were not examined."""
 
     @property
     def frame_count(self) -> int:
@@ -186,12 +181,12 @@ class Take(_Asset):
 
 @dataclass(frozen=True, repr=False)
 class ShapeKey(_Asset):
-    """One sculpted position of a shape: its full target, or an in-between."""
+    """A target of a shape: the full one, or an in-between."""
 
     weight: float
-    """Where on the channel this key is reached; 1 for the full target."""
+    """The channel's weight at this key; 1 for the full target."""
     points: IntArray
-    """(n,): the points it moves."""
+    """(n,): indices of moved points."""
     offsets: FloatArray
     """(n, 3) [mm]"""
     normal_offsets: FloatArray | None = None
@@ -200,7 +195,7 @@ class ShapeKey(_Asset):
 
 @dataclass(frozen=True, repr=False)
 class MeshShape(_Asset):
-    """What one channel does to one mesh: keys in ascending weight, the full target at 1."""
+    """Keys of one channel on one mesh, in ascending weight, the full target at 1."""
 
     name: str
     keys: tuple[ShapeKey, ...]
@@ -226,44 +221,42 @@ class RigMesh(_Asset):
     subdivision: str = "none"
     """``'none'``, ``'catmullClark'``, ``'loop'`` or ``'bilinear'``."""
     visible: bool = True
-    """False when hidden or not meant for rendering (purpose guide or proxy)."""
+    """False if hidden or not for rendering (purpose guide or proxy)."""
     face_colors: FloatArray | None = None
-    """(polygons, 4): linear colour and opacity that materials give polygons; NaN where none
-    does."""
+    """(polygons, 4): linear colour and opacity by materials; NaN without one."""
     undrawn: tuple[str, ...] = ()
-    """What of its materials pictures leave out."""
+    """Parts of its materials that pictures leave out."""
 
 
 @dataclass(frozen=True, repr=False)
 class Rig(_Asset):
-    """A character's face: meshes whose BlendShapes answer to named channels."""
+    """A character's face: meshes with BlendShapes that named channels drive."""
 
     file: Path
     prim: str
     """Path of the SkelRoot."""
     shapes: tuple[str, ...]
-    """Names of the shapes that are animated, over all meshes, each once, in the order they are
-    found; without those that `combinations` drive."""
+    """Names of the animated shapes of all meshes, each once, in the order of the meshes; without
+    those that `combinations` drive."""
     meshes: tuple[RigMesh, ...]
     """Lengths in mm, Y up, whatever the stage's units are."""
     ranges: FloatArray
-    """(shapes, 2): lowest and highest weight an animator may give; 0 to 1 unless the rig says
-    otherwise."""
+    """(shapes, 2): lowest and highest weight; 0 to 1 unless the rig has others."""
     combinations: tuple[Combination, ...] = ()
-    """Shapes that others drive, parts before what they drive."""
+    """Shapes that others drive, in the order of evaluation."""
 
     @property
     def logic(self) -> RigLogic:
-        """What the animated shapes make of the combinations."""
+        """The functions by which the animated shapes drive the combinations."""
         return RigLogic(self.shapes, self.combinations)
 
     def ranges_of(self, shapes: Iterable[str]) -> FloatArray:
-        """Return the ranges of shapes, (shapes, 2); 0 to 1 of those that the rig lacks."""
-        own = dict(zip(self.shapes, self.ranges, strict=True))
-        return np.array([own.get(name, (0.0, 1.0)) for name in shapes]).reshape(-1, 2)
+        """Return the ranges of shapes, (shapes, 2); 0 to 1 for unknown ones."""
+        ranges = dict(zip(self.shapes, self.ranges, strict=True))
+        return np.array([ranges.get(name, (0.0, 1.0)) for name in shapes]).reshape(-1, 2)
 
     def check_has(self, shapes: Iterable[str], *, source: object, remedy: str) -> None:
-        """Raise InputError where the rig lacks shapes."""
+        """Raise InputError if the rig lacks shapes."""
         names = list(shapes)
         missing = [name for name in names if name not in self.shapes]
         driven = self.logic.driven & set(missing)
@@ -279,7 +272,7 @@ class Rig(_Asset):
             )
 
     def undrawn_notes(self) -> tuple[str, ...]:
-        """Return a note on what of the materials no picture shows; empty where all is shown."""
+        """Return a note on the parts of materials that pictures leave out, if there are any."""
         undrawn = dict.fromkeys(
             note for mesh in self.meshes if mesh.visible for note in mesh.undrawn
         )
@@ -288,7 +281,7 @@ class Rig(_Asset):
 
 @dataclass(frozen=True, repr=False)
 class MotionSpace(_Asset):
-    """What a performer's face does, in few numbers: principal components over whole takes."""
+    """Motion space of a performer's face: principal components over whole takes."""
 
     mean: FloatArray
     """(markers * 3,) [mm]"""
@@ -297,15 +290,14 @@ class MotionSpace(_Asset):
     variances: FloatArray
     """(dimensions,) [mm^2]"""
     total_variance: float
-    """Of all dimensions, kept or not [mm^2]."""
+    """Of all dimensions, with those left out [mm^2]."""
     sample: FloatArray
-    """(frames, dimensions): coordinates of frames spread over the takes: the motion without
-    labels."""
+    """(frames, dimensions): coordinates of frames spread over the takes."""
 
 
 @dataclass(frozen=True, repr=False)
 class References(_Asset):
-    """Frames of a take with the rig weights an animator wants there; pair *i* is at index *i*."""
+    """Frames of takes and their rig weights by an animator; pair *i* is at index *i*."""
 
     marker_names: tuple[str, ...]
     shape_names: tuple[str, ...]
@@ -318,7 +310,7 @@ class References(_Asset):
     takes: tuple[str, ...]
     """Name of each pair's take."""
     tuned: BoolArray
-    """(pairs,): true where a person set the weights; False where they are still a proposal."""
+    """(pairs,): True where a person set the weights, False where they are a proposal."""
     rigid: tuple[str, ...]
     """The markers that move with the skull alone."""
     neutral: FloatArray
@@ -326,34 +318,33 @@ class References(_Asset):
     rig_file: Path
     rig_prim: str
     combinations: tuple[Combination, ...] = ()
-    """Of the rig: shapes that `shape_names` leaves out, and layers hold as these drive them."""
+    """Of the rig: driven shapes, which are not in `shape_names`."""
     motion: MotionSpace | None = None
-    """Of the takes the pairs were selected from; None for pairs made by hand."""
+    """Of the takes from which the pairs were selected; None for pairs made by hand."""
     visemes: tuple[str, ...] = ()
     emotions: tuple[str, ...] = ()
-    """`visemes`, `emotions`: Of each pair; empty where unknown, or where none is."""
+    """`visemes`, `emotions`: Of each pair; empty if unknown or none."""
     authors: tuple[str, ...] = ()
-    """Who set the weights of each pair; empty where unknown."""
+    """Author of the weights of each pair; empty if unknown."""
     performer: str = ""
     session: str = ""
-    """`performer`, `session`: Of the take whose head space and neutral face these are; empty where
+    """`performer`, `session`: Of the take with this head space and neutral face; empty if
     unknown."""
     rate: float = 0.0
-    """Frames per second of the takes, the first's where they differ; 0 where it is not known."""
+    """Frames per second of the first take; 0 if unknown."""
     placement: Path | None = None
-    """Where the markers were placed on the rig."""
+    """The placement of the markers on the rig."""
     parts: tuple[str, ...] = ()
-    """What tells the part of the face of each shape, where its rig was looked at; see
+    """Evidence for the part of the face of each shape, if the rig was examined; see
     `usdface.model.placement.shape_parts`."""
     source_names: tuple[str, ...] = ()
     source: FloatArray | None = None
-    """(pairs, source names): weights of the takes themselves, of takes that carry weights instead
-    of markers; None where there are markers."""
+    """(pairs, source names): weights in takes that have weights instead of markers, else None."""
 
 
 @dataclass(frozen=True)
 class CandidateScore:
-    """How well one candidate predicted references it had not seen."""
+    """Cross-validation error of one candidate."""
 
     method: str
     settings: str
@@ -361,12 +352,12 @@ class CandidateScore:
     weight_rmse: float
     """Root mean square error of the weights."""
     vertex_rms_mm: float
-    """The same error as it shows on the rig's surface [mm]; NaN when no rig was given."""
+    """Root mean square error of the rig's surface [mm]; NaN without a rig."""
 
 
 @dataclass(frozen=True, repr=False)
 class TrainedMapping(_Asset):
-    """A trained function from stabilised markers to a rig's channels: all that predict needs."""
+    """A trained function from stabilised markers to a rig's channels."""
 
     method: str
     """Name of the regression, a key of `usdface.model.regressions`."""
@@ -374,59 +365,58 @@ class TrainedMapping(_Asset):
     shape_names: tuple[str, ...]
     """`marker_names`, `shape_names`: Order of the input and of the output."""
     rigid: tuple[str, ...]
-    """Markers by which another take is brought into this mapping's head space."""
+    """Markers by which takes are aligned with this mapping's head space."""
     neutral: FloatArray
     """(markers, 3): the performer's neutral face [mm]; defines that head space."""
     ranges: FloatArray
     """(shapes, 2): lowest and highest weight of each channel; predictions are limited to it."""
     arrays: dict[str, FloatArray]
-    """What the method learned, by name."""
+    """Parameters of the regression, by name."""
     settings: dict[str, float | int | str | bool] = field(default_factory=dict)
     """Hyper-parameters, given or chosen."""
     scores: tuple[CandidateScore, ...] = ()
-    """What cross-validation tried, best first."""
+    """Candidates of cross-validation, best first."""
     references: str = ""
     """The references it was trained on."""
 
 
 @dataclass(frozen=True)
 class SolveBasis:
-    """What a solve's mapping learnt from."""
+    """Training data of a solve's mapping."""
 
     pairs: int
-    """References."""
+    """Number of references."""
     tuned: int
-    """Those of them that a person has tuned."""
+    """Number of references that a person has tuned."""
     still_regions: tuple[str, ...] = ()
     """Regions of the face that no reference moves."""
     unseen_regions: tuple[str, ...] = ()
-    """Regions of the face that no marker sees."""
+    """Regions of the face without markers."""
     changed_shapes: tuple[str, ...] = ()
-    """Shapes of the rig that are not those of the training any more."""
+    """Shapes of the rig that changed since the training."""
 
 
 @dataclass(frozen=True, repr=False)
 class Performance(_Asset):
-    """The written result: weights over a rig, and how far they can be trusted."""
+    """Weights over a rig, and their reliability."""
 
     weights: WeightsClip
     rig_file: Path
     rig_prim: str
     uncertainty_mm: FloatArray | None = None
-    """(frames, regions): standard deviation of the surface around what an animator would key, of
-    the face and its regions [mm]; of the face alone in layers of earlier versions."""
+    """(frames, regions): standard deviation of the surface about that of an animator's keys, of the
+    face and its regions [mm]; of the face alone in layers of earlier versions."""
     coverage: FloatArray | None = None
-    """(frames, regions): how far the mapping's references show what the frame does [0-1]."""
+    """(frames, regions): coverage of the frame by the mapping's references [0-1]."""
     residual_mm: FloatArray | None = None
-    """(frames, regions): distance of the markers from where the weights put them, less what is
-    left at the references themselves [mm]."""
+    """(frames, regions): distance of the markers from their positions under the weights, less that
+    at the references [mm]."""
     regions: tuple[str, ...] = ()
     basis: SolveBasis | None = None
     """None in layers of earlier versions."""
     timecode_start: str = ""
     neutral_frame: int | None = None
-    """Frame of the take that shows the performer's neutral face; None where the weights were not
-    mapped from markers."""
+    """Frame of the performer's neutral face; None if the weights were not mapped from markers."""
 
     def __getitem__(self, name: str) -> Float32Array:
         """Return the weights of one shape, (frames,)."""

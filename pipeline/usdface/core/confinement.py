@@ -1,4 +1,4 @@
-"""The folder that all work is confined to, and whether a path leads out of it."""
+"""Confinement of all files to a folder."""
 
 import errno
 import os
@@ -8,25 +8,23 @@ from pathlib import Path
 from usdface.core.errors import InputError
 
 ROOT_VARIABLE = "USDFACE_ROOT"
-"""Environment variable: folder that confines every command and step, for a farm or a service that
-runs jobs of others."""
+"""Environment variable with the folder to which all commands and steps are confined, for farms and
+services."""
 
 
 def confinement_root() -> Path | None:
-    """Return the folder that the environment confines all work to; None if not set."""
+    """Return the folder to which the environment confines all files, or None."""
     folder = os.environ.get(ROOT_VARIABLE, "")
     return Path(folder) if folder else None
 
 
 def check_confined(paths: Sequence[tuple[str, Path]], root: Path) -> None:
-    """Refuse paths outside a folder: absolute, by ``..`` or by a link.
-
-    Links are followed, those of folders on the way included: what counts is where the file is.
+    """Refuse paths that lead out of a folder, after links are resolved.
 
     Parameters
     ----------
     paths : sequence of (str, Path)
-        Each with the name of what reads or writes it.
+        Each with the name of its reader or writer.
     """
     if not root.is_dir():
         raise InputError(f"{root}: no such folder, so nothing can be confined to it")
@@ -44,7 +42,7 @@ def check_confined(paths: Sequence[tuple[str, Path]], root: Path) -> None:
 
 
 def check_no_loop(path: Path) -> None:
-    """Refuse a path by a link that leads back to itself: where the file is cannot be said."""
+    """Refuse a path through a cycle of links."""
     try:
         path.stat()
     except OSError as error:
@@ -55,15 +53,14 @@ def check_no_loop(path: Path) -> None:
 
 
 def check_may_open(path: Path, *, what: str = "open") -> None:
-    """Refuse a file outside the folder that the environment confines all work to.
+    """Refuse a file outside the folder to which the environment confines all files.
 
-    Whatever named it: readers ask here as they open a file, and writers before they make one, so
-    that no way of coming by a path leads out. Without such a folder every file may be opened.
+    Called by all readers and writers before they open a file, whatever named it.
 
     Parameters
     ----------
     what : str
-        What is about to be done, for the message.
+        The operation, for the message.
     """
     root = confinement_root()
     if root is not None:

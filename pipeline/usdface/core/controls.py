@@ -1,7 +1,7 @@
-"""Control vectors: all that drives a character, and pairs of expressions that tie two characters.
+"""Control vectors of characters, and corresponding expressions of two characters.
 
-A control vector is what S11 (Song et al. 2011, section 3) calls **cv**: BlendShape weights, joint
-transforms and any float attribute (deformer controls), side by side and each as what it is.
+A control vector (**cv** in S11, Song et al. 2011, section 3) consists of BlendShape weights, joint
+transforms and float attributes (deformer controls).
 """
 
 from collections.abc import Callable
@@ -19,14 +19,14 @@ def _none(*shape: int) -> FloatArray:
 
 @dataclass(frozen=True)
 class Controls:
-    """What drives a character, over frames or pairs."""
+    """Control vectors of a character, over frames or pairs."""
 
     shapes: tuple[str, ...] = ()
     """BlendShape channels."""
     weights: FloatArray = field(default_factory=lambda: _none(0, 0))
     """(n, shapes)"""
     joints: tuple[str, ...] = ()
-    """Joint paths, as UsdSkel orders a skeleton's."""
+    """Joint paths, in the order of the UsdSkel skeleton."""
     translations: FloatArray = field(default_factory=lambda: _none(0, 0, 3))
     """(n, joints, 3): local to the parent joint [unit of the skeleton]."""
     rotations: FloatArray = field(default_factory=lambda: _none(0, 0, 4))
@@ -34,7 +34,7 @@ class Controls:
     scales: FloatArray = field(default_factory=lambda: _none(0, 0, 3))
     """(n, joints, 3)"""
     attributes: tuple[str, ...] = ()
-    """``PRIM.ATTRIBUTE``, the prim's path taken from the character's top prim."""
+    """``PRIM.ATTRIBUTE``, the prim's path relative to the character's top prim."""
     values: FloatArray = field(default_factory=lambda: _none(0, 0))
     """(n, attributes)"""
 
@@ -42,19 +42,19 @@ class Controls:
         return len(self.weights)
 
     def rows(self, chosen: slice | IntArray | list[int]) -> "Controls":
-        """Keep some of the frames or pairs."""
+        """Return some of the frames or pairs."""
         return self.mapped(lambda array: array[chosen])
 
     def mapped(self, change: Callable[..., FloatArray], *others: "Controls") -> "Controls":
-        """Return the controls with each array changed, as it is and as others have it."""
+        """Return controls whose arrays are a function of these and the corresponding others."""
         names = ("weights", "translations", "rotations", "scales", "values")
         every = (self, *others)
-        arrays = {name: change(*(getattr(each, name) for each in every)) for name in names}
+        arrays = {name: change(*(getattr(one, name) for one in every)) for name in names}
         return replace(self, **arrays)  # type: ignore[arg-type]
 
     @property
     def summary(self) -> str:
-        """How many of each there are, for people."""
+        """Numbers of shapes, joints and attributes, as text."""
         parts = [f"{len(self.shapes)} shapes"]
         if self.joints:
             parts.append(f"{len(self.joints)} joints")
@@ -64,7 +64,7 @@ class Controls:
 
 
 def bare_controls(shapes: tuple[str, ...], weights: FloatArray) -> Controls:
-    """Return controls that are BlendShape weights alone."""
+    """Return controls of BlendShape weights alone."""
     count = len(weights)
     return Controls(
         shapes=shapes,
@@ -92,13 +92,13 @@ class ControlClip:
 
 @dataclass(frozen=True)
 class ExpressionPairs:
-    """Expressions of a source beside those of a target that mean the same; pair *i* at index *i*.
+    """Corresponding expressions of a source and a target; pair *i* at index *i*.
 
-    The files of the characters are None, and the paths of their SkelRoots empty, where unknown.
+    The files of the characters are None, and the paths of their SkelRoots empty, if unknown.
     """
 
     names: tuple[str, ...]
-    """What each pair is called; empty strings where nobody said."""
+    """Name of each pair, or an empty string."""
     source_shapes: tuple[str, ...]
     source: FloatArray
     """(pairs, source shapes): the paper's matrix S (eq. 1)."""
@@ -113,7 +113,7 @@ class ExpressionPairs:
         return len(self.source)
 
     def rows(self, chosen: IntArray) -> "ExpressionPairs":
-        """Keep some of the pairs."""
+        """Return some of the pairs."""
         return replace(
             self,
             names=tuple(self.names[index] for index in chosen.tolist()),
@@ -130,10 +130,10 @@ class RetargetScore:
     settings: str
     """Readable."""
     cyclic_mm: float
-    """Source to target to source: mean distance of the source's points [mm]; root mean square of
-    the weights where no source rig is known."""
+    """Source to target to source: mean distance of the source's points [mm], or root mean square
+    error of the weights without a source rig."""
     pair_error: float
-    """Root mean square miss at the pairs themselves, each control over its range."""
+    """Root mean square residual at the pairs, each control over its range."""
 
 
 @dataclass(frozen=True)
@@ -147,15 +147,15 @@ class Retargeting:
     attributes: tuple[str, ...]
     """`shapes`, `joints`, `attributes`: Of the target."""
     mean_rotations: FloatArray
-    """(joints, 4): where joint rotations become vectors; w first."""
+    """(joints, 4): mean rotations, about which rotations are vectors; w first."""
     rest: FloatArray
     """(k,): coordinates of the control vector at the source's nearest pair to rest."""
     ranges: FloatArray
-    """(k, 2): lowest and highest coordinate that is passed on."""
+    """(k, 2): limits of the coordinates."""
     arrays: dict[str, FloatArray]
     settings: dict[str, float | int | str | bool] = field(default_factory=dict)
     scores: tuple[RetargetScore, ...] = ()
-    """What was tried, best first."""
+    """Candidates, best first."""
     pairs: str = ""
     """The pairs asset it was trained on."""
     target_rig: Path | None = None
@@ -164,7 +164,7 @@ class Retargeting:
 
 @dataclass(frozen=True)
 class EmotionalSequence:
-    """A stretch of source motion and what the target does in its place, of any other length."""
+    """A sequence of source motion, and the target motion that replaces it, of any length."""
 
     label: str
     """The emotion."""
@@ -172,15 +172,14 @@ class EmotionalSequence:
     source: FloatArray
     """(m, source shapes): the paper's S^pair (eq. 10)."""
     target: Controls
-    """The paper's T, over its own frames."""
+    """The paper's T."""
     key_weights: FloatArray
-    """(target frames,): how firmly each key is asked for, as a share of the warp's weight; 1 unless
-    set."""
+    """(target frames,): weight of each key, as a share of the warp's weight; 1 unless set."""
 
 
 @dataclass(frozen=True)
 class SequenceMatch:
-    """A place where a take holds a sequence."""
+    """An occurrence of a sequence in a take."""
 
     sequence: Path
     """The asset."""

@@ -1,4 +1,4 @@
-"""A rig's meshes as one deformable surface: weights in, points out."""
+"""A rig's meshes as one deformable surface."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from usdface.numerics.surface.triangulation import triangulate
 
 
 class Deformer:
-    """All meshes of a rig, their points one after the other, and the shapes that move them.
+    """All meshes of a rig with concatenated points, and their shapes.
 
     Attributes
     ----------
@@ -18,9 +18,9 @@ class Deformer:
     starts : (meshes + 1,) int array
         Mesh *i* owns the points ``starts[i]:starts[i + 1]``.
     triangles : (triangles, 3) int array
-        Every face of every mesh, cut into triangles.
+        Of all meshes.
     shapes : BlendShapes
-        Channels in the rig's order; combinations follow them as its logic says.
+        Channels in the rig's order, then combinations.
     """
 
     def __init__(self, rig: Rig) -> None:

@@ -1,29 +1,26 @@
-"""Errors a user can act on.
+"""Errors that a user can act on.
 
-A message has four parts: what failed, where (file, prim, frame), the value found, what to do next.
+A message has four parts: the failure, its place (file, prim, frame), the value, and the remedy.
 """
 
 
 class UsdfaceError(Exception):
-    """Base of every error this package raises on purpose.
-
-    ``exit_code`` is what the command line returns: scripts and farms rely on it.
-    """
+    """Base of the errors of this package; `exit_code` is that of the command line."""
 
     exit_code = 2
 
 
 class InputError(UsdfaceError):
-    """A file, a spec or a value from outside cannot be used."""
+    """A file, a spec or a value cannot be used."""
 
 
 class CheckFailedError(UsdfaceError):
-    """The input was read and the work was done, and what was checked is not in order."""
+    """A check was completed, and found faults."""
 
     exit_code = 1
 
 
 class CancelledError(UsdfaceError):
-    """The user or the farm asked the work to stop; nothing half done was left behind."""
+    """The user or the farm cancelled the work; no output was changed."""
 
     exit_code = 3

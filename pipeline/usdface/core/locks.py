@@ -1,6 +1,6 @@
-"""One person tunes a references asset at a time: a lock file says who, where and since when.
+"""Lock of a references asset during tuning: a file with the user, host and time.
 
-Pairs are not moved under the hand that tunes them: who writes them holds the lock meanwhile.
+Steps that write pairs hold it as well, so that pairs do not change during tuning.
 """
 
 import contextlib
@@ -18,15 +18,16 @@ from pathlib import Path
 from usdface.core.errors import InputError
 from usdface.core.side_files import open_side_file, side_stream
 from usdface.core.sidecars import journal_path, lock_path
+from usdface.core.write_lock import is_running
 
 STALE_SECONDS = 60.0
-"""A lock that nobody has renewed for this long belongs to a machine that is gone."""
+"""Age of the last renewal after which a lock is taken for abandoned."""
 
 _LONGEST_LOCK_BYTES = 4096
 """Bytes of a lock file that are read: ours have some two hundred."""
 
 _LARGEST_PROCESS_ID = 2**31 - 1
-"""Numbers of processes are 32 bits, signed; 0 and below would mean whole groups of them."""
+"""Process numbers are signed 32-bit integers; 0 and below denote groups."""
 
 _TAKE_OVER = (
     "wait until that page is closed, or take over with --take-over: what was saved there is kept"
@@ -35,7 +36,7 @@ _TAKE_OVER = (
 
 @dataclass(frozen=True)
 class Holder:
-    """Who holds a lock."""
+    """Holder of a lock."""
 
     user: str
     host: str
@@ -43,11 +44,11 @@ class Holder:
     since: str
     """Local time, ISO 8601."""
     key: str
-    """Differs each time the lock is taken: how a server knows that it is still its own."""
+    """Unique each time the lock is taken, by which a server recognises its own."""
 
 
 class TuningLock:
-    """The right to tune; renew it every few seconds while it is held."""
+    """The tuning lock; to be renewed every few seconds."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -60,7 +61,7 @@ class TuningLock:
         Parameters
         ----------
         take_over : bool
-            Take it from whoever holds it; their page then refuses changes and says why.
+            Take it from its holder, whose page then refuses changes.
         """
         holding = Holder(
             user=user_name(),
@@ -91,7 +92,7 @@ class TuningLock:
         raise InputError(f"{self.path}: someone else takes it at this moment; try again")
 
     def _create(self, text: str) -> None:
-        """Make the lock file, whole or not at all: a full disk may not leave one that is empty."""
+        """Make the lock file; remove it if the disk is full."""
         with side_stream(self.path, "xb") as stream:
             try:
                 stream.write(text.encode("utf-8"))
@@ -101,7 +102,7 @@ class TuningLock:
                 raise
 
     def holder(self) -> Holder | None:
-        """Return who holds the lock; None if nobody does, or the file says nothing."""
+        """Return the holder of the lock; None without one, or if the file is invalid."""
         try:
             with side_stream(self.path, "rb") as stream:
                 return _parse_holder(json.loads(stream.read(_LONGEST_LOCK_BYTES)))
@@ -109,13 +110,13 @@ class TuningLock:
             return None
 
     def renew(self) -> None:
-        """Say that we are still here."""
+        """Update the time of the lock, if it is still ours."""
         if self.is_ours():
             with contextlib.suppress(OSError):
                 os.utime(self.path, follow_symlinks=False)
 
     def is_ours(self) -> bool:
-        """Whether the lock is still ours: someone may have taken it over."""
+        """Whether the lock is still ours, and not taken over."""
         return self._holding is not None and self.holder() == self._holding
 
     def check(self) -> None:
@@ -130,24 +131,21 @@ class TuningLock:
         )
 
     def release(self) -> None:
-        """Give the lock back, if it is still ours."""
+        """Remove the lock, if it is still ours."""
         if self.is_ours():
             self.path.unlink(missing_ok=True)
         self._holding = None
 
     def _is_stale(self, holder: Holder) -> bool:
-        if (
-            holder.host == platform.node()
-            and os.name == "posix"
-            and not _is_running(holder.process)
-        ):
+        is_local = holder.host == platform.node() and os.name == "posix"
+        if is_local and not is_running(holder.process):
             return True
         with contextlib.suppress(OSError):
             return self._now() - self.path.lstat().st_mtime > STALE_SECONDS
         return True
 
     def _now(self) -> float:
-        """Return the time as the lock's own disk has it: a file server's clock may differ."""
+        """Return the time of the lock's file system, whose clock may differ from ours."""
         probe = self.path.with_name(f".{self.path.name}.{secrets.token_hex(4)}")
         try:
             os.close(open_side_file(probe, os.O_WRONLY | os.O_CREAT | os.O_EXCL))
@@ -165,8 +163,8 @@ class TuningLock:
 
 
 def _parse_holder(data: object) -> Holder | None:
-    """Return what a lock file says, which anybody may have written; None if it makes no sense."""
-    if not isinstance(data, dict) or data.keys() != {each.name for each in fields(Holder)}:
+    """Return the holder in a lock file; None if the file is invalid."""
+    if not isinstance(data, dict) or data.keys() != {field.name for field in fields(Holder)}:
         return None
     process = data["process"]
     texts = [value for name, value in data.items() if name != "process"]
@@ -177,18 +175,8 @@ def _parse_holder(data: object) -> Holder | None:
     return Holder(**data)
 
 
-def _is_running(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:
-        return True
-    return True
-
-
 def user_name() -> str:
-    """Return the login name, or a placeholder where the system knows none."""
+    """Return the login name, or a placeholder if the system has none."""
     try:
         return getpass.getuser()
     except (OSError, KeyError):  # a container without accounts
@@ -203,17 +191,12 @@ _WRITE_REMEDY = (
 
 @contextlib.contextmanager
 def nobody_tunes(references: Path) -> Iterator[None]:
-    """Hold a references asset while its pairs are written, so that nobody begins to tune them.
-
-    Parameters
-    ----------
-    references : Path
-        The asset that is to be written.
+    """Hold the tuning lock of a references asset while its pairs are written.
 
     Raises
     ------
     InputError
-        If somebody tunes it, or a page that crashed left changes that are not in the tuned layer.
+        If someone tunes it, or a page that crashed left changes that are not in the tuned layer.
         Nothing is changed.
     """
     lock = TuningLock(lock_path(references))
@@ -226,13 +209,13 @@ def nobody_tunes(references: Path) -> Iterator[None]:
 
 
 def check_nobody_tunes(references: Path) -> None:
-    """Refuse at the beginning what would be refused when it is to be written."""
+    """Raise the errors of `nobody_tunes` before the work begins."""
     with nobody_tunes(references):
         pass
 
 
 def check_nothing_unsaved(references: Path) -> None:
-    """Refuse to write over changes that a page left behind when it was killed."""
+    """Refuse to overwrite changes in the journal of a page that was killed."""
     journal = journal_path(references)
     if journal.is_file() and journal.stat().st_size:
         raise InputError(

@@ -1,4 +1,4 @@
-"""Where USD finds our schemas and validators; said before USD starts, which is when it looks."""
+"""Registration of our USD schemas and validators, which must precede the import of USD."""
 
 import os
 from pathlib import Path
@@ -21,12 +21,12 @@ def schema_folder() -> Path:
 
 
 def plugin_folders() -> tuple[Path, ...]:
-    """Return what belongs into PXR_PLUGINPATH_NAME: the schemas, and the validators."""
+    """Return the folders for PXR_PLUGINPATH_NAME: schemas and validators."""
     return schema_folder(), PACKAGE / "usdio" / "checks"
 
 
 def announce_plugins() -> None:
-    """Put our folders into PXR_PLUGINPATH_NAME, of this process and of those it starts."""
+    """Add our folders to PXR_PLUGINPATH_NAME, of this process and its children."""
     known = os.environ.get("PXR_PLUGINPATH_NAME", "").split(os.pathsep)
     new = [folder for folder in map(str, plugin_folders()) if folder not in known]
     os.environ["PXR_PLUGINPATH_NAME"] = os.pathsep.join(filter(None, (*known, *new)))

@@ -1,4 +1,4 @@
-"""Work in several processes: how many there may be, and how they are started and stopped."""
+"""Worker processes: their number, start and end."""
 
 import os
 import signal
@@ -16,13 +16,13 @@ GiveWork = Callable[..., Future[Any]]
 """Takes a function and its arguments, as `Executor.submit`."""
 
 _ENDING_SECONDS = 0.5
-"""In which a process may end its work, once nobody waits for it."""
+"""Time for a process to end by itself after an error."""
 
 
 def process_count(wanted: int | None = None) -> int:
-    """Return how many processes are to work: by default as many as there are cores for them.
+    """Return the number of worker processes, by default the number of usable cores.
 
-    In a DCC it is one, as another would be a DCC.
+    In a DCC it is one, as its executable would start another DCC.
     """
     names = (sys.executable or "", *(sys.orig_argv[:1] or [""]))
     if not all(Path(name).stem.lower().startswith("python") for name in names):
@@ -31,7 +31,7 @@ def process_count(wanted: int | None = None) -> int:
 
 
 def usable_cores() -> int:
-    """Return how many cores this process may use, which on a farm are fewer than there are."""
+    """Return the number of cores that this process may use."""
     try:
         return len(os.sched_getaffinity(0))
     except AttributeError:  # not on macOS or Windows
@@ -40,16 +40,15 @@ def usable_cores() -> int:
 
 @contextmanager
 def worker_processes(count: int, set_up: Callable[..., None], *given: object) -> Iterator[GiveWork]:
-    """Start processes with the first work that they are given, and end them with the block.
+    """Start processes with the first work, and end them with the block.
 
-    They are not forked, which would copy locks that ray tracer and codecs hold. Ctrl+C reaches this
-    process alone; where the block raises, theirs is over within a second.
+    They are spawned, since a fork would copy locks of the ray tracer and of codecs. Ctrl+C reaches
+    this process alone; if the block raises, the others end within a second.
 
     Parameters
     ----------
     set_up : callable
-        Called once in each, with what is given and a function that says whether nobody waits for
-        its work any more.
+        Called once in each, with the given arguments and a function that returns whether to stop.
     """
     context = get_context("spawn")
     stop, others = context.Event(), set(active_children())
@@ -57,12 +56,12 @@ def worker_processes(count: int, set_up: Callable[..., None], *given: object) ->
         count, mp_context=context, initializer=set_up, initargs=(*given, stop.is_set)
     )
 
-    def give(work: Callable[..., Any], *arguments: object) -> Future[Any]:
+    def submit(work: Callable[..., Any], *arguments: object) -> Future[Any]:
         with _without_main(), _without_interrupts():
             return pool.submit(work, *arguments)
 
     try:
-        yield give
+        yield submit
     except BaseException:
         stop.set()
         pool.shutdown(wait=False, cancel_futures=True)
@@ -77,7 +76,7 @@ def worker_processes(count: int, set_up: Callable[..., None], *given: object) ->
 
 @contextmanager
 def _without_main() -> Iterator[None]:
-    """Hide the script that runs: new processes would run it again if it has no `__main__` guard."""
+    """Hide the main script, which new processes would run again without a `__main__` guard."""
     main = sys.modules["__main__"]
     sys.modules["__main__"] = ModuleType("__main__")
     try:
@@ -88,10 +87,10 @@ def _without_main() -> Iterator[None]:
 
 @contextmanager
 def _without_interrupts() -> Iterator[None]:
-    """Let processes that are started ignore Ctrl+C, which a terminal sends to all."""
+    """Let processes started in the block ignore Ctrl+C, which a terminal sends to all."""
     try:
         handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    except ValueError:  # only the main thread may say so
+    except ValueError:  # not in the main thread
         yield
         return
     try:

@@ -1,4 +1,4 @@
-"""Where a file came from: the spec that made it and the inputs it was made from."""
+"""Provenance of files: the spec that made them and the hashes of its inputs."""
 
 import hashlib
 import json
@@ -15,14 +15,14 @@ READ_SIZE = 1 << 20
 
 @dataclass(frozen=True)
 class Provenance:
-    """What a written file carries about its own making."""
+    """Provenance stored in a written file."""
 
     step: str = ""
     """Name of the step that wrote it; empty for a file made by hand."""
     spec: str = ""
     """The step's spec as canonical JSON."""
     inputs: Mapping[str, str] = field(default_factory=dict)
-    """Hash of each input file, by the path the spec names."""
+    """Hash of each input file, by its path in the spec."""
     version: str = __version__
     """Version of this package."""
 
@@ -41,7 +41,7 @@ class Provenance:
 
 
 def canonical_json(data: Any) -> str:
-    """Write data as JSON that is equal whenever the data is."""
+    """Return JSON that is equal for equal data."""
     return json.dumps(data, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
 
 
@@ -51,9 +51,9 @@ def hash_text(text: str) -> str:
 
 
 def hash_files(files: list[Path]) -> str:
-    """Return one SHA-256 over the names and contents of files, wherever they lie.
+    """Return one SHA-256 over the names and contents of files, without their folders.
 
-    A farm's task names by absolute paths what a person names from the folder.
+    Farms have absolute paths where people use relative ones.
     """
     digests = []
     for path in files:

@@ -1,7 +1,7 @@
-"""Frame rates, ranges and SMPTE timecode: made exact, and refused where they cannot be.
+"""Exact frame rates, frame ranges and SMPTE timecode.
 
-A timecode's label counts at a base rate of at most 30 (24, 25 or 30, whole or over 1.001); a faster
-capture counts several frames to a label, as recorders do: at 120 frames per second four.
+A timecode's label counts at a base rate of at most 30 (24, 25 or 30, whole or over 1.001); faster
+captures have several frames per label, as on recorders: at 120 frames per second four.
 """
 
 import re
@@ -21,7 +21,7 @@ def label_rate(rate: Fraction) -> tuple[int, int]:
     Raises
     ------
     InputError
-        If the rate is no multiple of a rate that timecode knows.
+        If the rate is no multiple of a rate of timecode.
     """
     nominal = round(float(rate) * 1.001) if rate.denominator == 1001 else round(float(rate))
     for base in (30, 25, 24):
@@ -36,7 +36,7 @@ def label_rate(rate: Fraction) -> tuple[int, int]:
 
 
 def frames_of(timecode: str, rate: Fraction) -> int:
-    """Return how many capture frames lie between midnight and the frame a label names."""
+    """Return the capture frames from midnight to the frame of a label."""
     base, per_label = label_rate(rate)
     match = LABEL.match(timecode)
     if match is None:
@@ -58,7 +58,7 @@ def frames_of(timecode: str, rate: Fraction) -> int:
 
 
 def timecode_of(frames: int, rate: Fraction, *, drop: bool = False) -> str:
-    """Return the label of the frame that lies so many capture frames after midnight."""
+    """Return the label of a frame, counted in capture frames from midnight."""
     base, per_label = label_rate(rate)
     labels = frames // per_label
     if drop:
@@ -73,7 +73,7 @@ def timecode_of(frames: int, rate: Fraction, *, drop: bool = False) -> str:
 
 
 def shift_timecode(start: str, frames: int, rate: Fraction) -> str:
-    """Return the label of the frame so many capture frames after the one `start` names."""
+    """Return the label of the frame `frames` capture frames after that of `start`."""
     if not start:
         return ""
     return timecode_of(frames_of(start, rate) + frames, rate, drop=";" in start)
@@ -93,31 +93,30 @@ _NTSC_TOLERANCE = 0.0051
 """[Hz] 23.976 is also written 23.98."""
 
 _WHOLE_TOLERANCE = 1e-4
-"""Relative; single precision and three written decimals are both finer."""
+"""Relative; larger than the rounding of single precision and of three decimals."""
 
 _LARGEST_DENOMINATOR = 1001
 _HIGHEST_RATE = 100_000
-"""[Hz] Beyond any camera: such a number is damage."""
+"""[Hz] Higher than that of any camera."""
 
 _LARGEST_FRAME_COUNT = 10_000_000
-"""23 hours at 120 frames per second: more is a mistake, and would ask for memory nobody has."""
+"""23 hours at 120 frames per second."""
 
 FARTHEST_FRAME = 1e12
-"""Clocks of stages that count frames from their own midnight stay far below it."""
+"""Far above frame numbers counted from midnight."""
 
 FRAMES_BETWEEN_KEYS = 100
 """Most frames per sample on average: keyed animation has fewer, captures and solves have one."""
 
 UNSAMPLED_FRAMES = 100_000
-"""Frames that are accepted whatever the number of samples: reading them takes a second or two."""
+"""Frames accepted whatever the number of samples: reading them takes a second or two."""
 
 
 def exact_rate(value: float, *, where: str) -> Fraction:
-    """Return the exact rate behind a rounded one.
+    """Return the exact rate of a rounded one.
 
-    Whole numbers stay whole; multiples of 24 and 30 over 1.001 (23.976, 29.97, 59.94, 119.88, …)
-    become exact rationals; anything else becomes the nearest fraction with a denominator of at
-    most 1001.
+    A whole number, a multiple of 24 or 30 over 1.001 (23.976, 29.97, 59.94, 119.88, …), or the
+    nearest fraction with a denominator of at most 1001.
     """
     if not (isfinite(value) and 0 < value <= _HIGHEST_RATE):
         raise InputError(
@@ -138,7 +137,7 @@ def exact_rate(value: float, *, where: str) -> Fraction:
 def frames_within(
     where: object, frames: tuple[int, int] | None, first: int, last: int
 ) -> tuple[int, int]:
-    """Return the first and the last of the frames asked for, by default all; refuse others."""
+    """Return the first and the last of the chosen frames, by default all; refuse missing ones."""
     if frames is None:
         return first, last
     if not first <= frames[0] <= frames[1] <= last:
@@ -151,14 +150,14 @@ def frames_within(
 def check_frame_span(where: str, first: float, last: float, *, samples: int | None) -> None:
     """Refuse a range of frames that is not finite, or too long for the samples of its file.
 
-    Readers count frame by frame: one damaged time code would have them count for hours.
+    With one damaged time code, readers of all frames would run for hours.
 
     Parameters
     ----------
     first, last : float
-        Inclusive; what a file says, finite or not.
+        Inclusive; as in the file, perhaps not finite.
     samples : int or None
-        Time codes at which the file has a value; None where nothing in it is read by frames.
+        Number of time codes with a value; None if nothing in the file is read by frames.
     """
     if not (abs(first) < FARTHEST_FRAME and abs(last) < FARTHEST_FRAME):  # also catches NaN
         raise InputError(

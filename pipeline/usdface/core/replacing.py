@@ -1,8 +1,8 @@
-"""Write beside, then rename: whoever reads sees the old file or the new one, never half.
+"""Atomic replacement of files: write to a temporary name, then rename.
 
-Whoever writes holds a lock beside the file, so of two that write the same one wins whole and the
-other gets an error. The system releases the lock of a process that was killed, and what such a
-process left behind is removed by the next that writes the file.
+Readers see the old or the new file. Of two processes that write the same file, one is refused by a
+lock, which the system releases when a process is killed. Temporary files of a killed process are
+removed by the next one that writes the file.
 """
 
 import contextlib
@@ -29,24 +29,23 @@ from usdface.core.write_lock import (
 
 _WRITE_PERMISSIONS = 0o222
 _HANDLE_FLAGS = getattr(os, "O_PATH", os.O_RDONLY) | getattr(os, "O_NOFOLLOW", 0)
-"""How a file is opened that is not to be read, on Linux without the right to."""
+"""To open a file without reading it; Linux needs no permission for that."""
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a temporary name in the same folder; it takes the place of `path` on success.
+    """Yield a temporary path in the same folder, which replaces `path` on success.
 
     Yields
     ------
     Path
-        To write to; it ends as `path` does, so that encoders know the format.
+        To write to, with the suffix of `path`.
 
     Raises
     ------
     InputError
         If the folder is missing, `path` is a folder, either cannot be written, `path` is
-        write-protected, or another process is writing the same file. The old file, if there is
-        one, is as it was.
+        write-protected, or another process is writing the same file. The old file is unchanged.
     """
     with replacing_together([path]) as (temporary,):
         yield temporary
@@ -54,12 +53,12 @@ def replacing(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def creating(path: Path) -> Iterator[Path]:
-    """Give a temporary name as `replacing` does; what is at `path` by then is never replaced.
+    """Yield a temporary path as `replacing` does, and never replace a file.
 
     Raises
     ------
     InputError
-        If there is something, a link included; else as `replacing` does.
+        If a file or a link is at `path`, and as `replacing` does.
     """
     with replacing_together([path], new=True) as (temporary,):
         yield temporary
@@ -76,7 +75,7 @@ def write_text(path: Path, text: str) -> None:
 
 @dataclass(frozen=True)
 class _Replacement:
-    """A file that is to take another's place."""
+    """A file that is to replace another."""
 
     path: Path
     temporary: Path
@@ -86,12 +85,12 @@ class _Replacement:
 
 @dataclass(frozen=True)
 class _Group:
-    """Files of which none is renamed before all are whole."""
+    """Files of which none is renamed before all are complete."""
 
     paths: frozenset[Path]
     whole: list[_Replacement] = field(default_factory=list)
     held: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
-    """Their locks and temporaries."""
+    """Their locks and temporary files."""
 
 
 _GROUP: ContextVar[_Group | None] = ContextVar("_GROUP", default=None)
@@ -99,14 +98,14 @@ _GROUP: ContextVar[_Group | None] = ContextVar("_GROUP", default=None)
 
 @contextmanager
 def appearing_together(paths: Iterable[Path]) -> Iterator[None]:
-    """Let files that a block writes one by one take their places at its end, or none of them.
+    """Rename files that a block writes one by one at its end, all or none.
 
-    They do in the order in which they became whole; other files that it writes do at once.
+    In the order in which they were completed; other files are renamed at once.
 
     Parameters
     ----------
     paths : iterable of Path
-        Those of them that are written. None is to be read in the block.
+        Not to be read in the block.
     """
     group = _Group(frozenset(paths))
     with group.held:
@@ -115,75 +114,75 @@ def appearing_together(paths: Iterable[Path]) -> Iterator[None]:
             yield
         finally:
             _GROUP.reset(token)
-        _put_in_place(group.whole)
+        _rename(group.whole)
 
 
 @contextmanager
 def replacing_together(
     paths: Sequence[Path], *, new: bool = False, then: Callable[[Path], None] | None = None
 ) -> Iterator[tuple[Path, ...]]:
-    """Give temporary names for files that belong together; all are whole before one is renamed.
+    """Yield temporary paths of several files, which are renamed when all are complete.
 
-    A disk that fills leaves every old file. The renames follow each other in the order given, so a
-    file that refers to others comes last.
+    A full disk leaves all old files. Files are renamed in the order given, so that a file that
+    refers to others should be last.
 
     Parameters
     ----------
     paths : sequence of Path
-        The files to make or to replace; no two are the same.
+        The files to make or to replace, all different.
     new : bool
-        Make them, and replace none.
+        Replace none.
     then : callable, optional
-        Is called with each once all are in place.
+        Called with each file after all are renamed.
 
     Yields
     ------
     tuple of Path
         To write to, in the same order.
     """
-    if new and (there := [path for path in paths if os.path.lexists(path)]):
-        raise _exists_error(there[0])
+    if new and (existing := [path for path in paths if os.path.lexists(path)]):
+        raise _exists_error(existing[0])
     group = _GROUP.get()
     with contextlib.ExitStack() as stack:
         made = [_Replacement(path, *stack.enter_context(_temporary(path)), then) for path in paths]
-        yield tuple(each.temporary for each in made)
-        for each in made:
-            with _as_input_error(each.path):
-                _settle(each.path, each.temporary)
+        yield tuple(file.temporary for file in made)
+        for file in made:
+            with _as_input_error(file.path):
+                _sync(file.path, file.temporary)
         if group is not None and group.paths.issuperset(paths):
             group.whole.extend(made)
             group.held.push(stack.pop_all())
         else:
-            _put_in_place(made, new=new)
+            _rename(made, new=new)
 
 
-def _put_in_place(made: Sequence[_Replacement], *, new: bool = False) -> None:
-    for each in made:
-        with _as_input_error(each.path):
-            each.check_lock()
-    with _old_files_open([each.path for each in made]):
-        for each in made:
-            with _as_input_error(each.path):
+def _rename(made: Sequence[_Replacement], *, new: bool = False) -> None:
+    for file in made:
+        with _as_input_error(file.path):
+            file.check_lock()
+    with _old_files_open([file.path for file in made]):
+        for file in made:
+            with _as_input_error(file.path):
                 if new:
-                    _put_new(each.temporary, each.path)
+                    _rename_new(file.temporary, file.path)
                 else:
-                    each.temporary.replace(each.path)
-    for each in made:
-        if each.then is not None:
-            each.then(each.path)
+                    file.temporary.replace(file.path)
+    for file in made:
+        if file.then is not None:
+            file.then(file.path)
 
 
 @contextmanager
 def _old_files_open(paths: Sequence[Path]) -> Iterator[None]:
     """Keep files open that are about to be replaced.
 
-    The system frees the blocks of a replaced file within the rename: milliseconds each, in which a
-    process that is killed leaves new files beside old ones. While they are open, renames take
-    microseconds.
+    Otherwise the system frees the blocks of a replaced file during the rename, which takes
+    milliseconds instead of microseconds, and a process that is killed meanwhile leaves new files
+    with old ones.
     """
     with contextlib.ExitStack() as stack:
         for path in paths:
-            with contextlib.suppress(OSError):  # there is none, or it cannot be read: then slower
+            with contextlib.suppress(OSError):  # missing or not readable
                 handle = os.open(path, _HANDLE_FLAGS)
                 stack.callback(os.close, handle)
         yield
@@ -197,7 +196,7 @@ _STAMPS_BEFORE: ContextVar[Mapping[Path, _Stamp]] = ContextVar(
 
 @contextmanager
 def not_written_since(paths: Iterable[Path]) -> Iterator[None]:
-    """Keep in mind, while a block runs, which files there were when it began."""
+    """Record the times of files during a block, for `check_not_written_since`."""
     token = _STAMPS_BEFORE.set({path.absolute(): _stamp(path) for path in paths})
     try:
         yield
@@ -206,9 +205,9 @@ def not_written_since(paths: Iterable[Path]) -> Iterator[None]:
 
 
 def check_not_written_since(path: Path) -> None:
-    """Refuse a file that somebody else wrote since; for who has locked it and is about to write."""
-    seen = _STAMPS_BEFORE.get()
-    if path.absolute() in seen and _stamp(path) != seen[path.absolute()]:
+    """Refuse to replace a file, which we have locked, if another process wrote it since."""
+    before = _STAMPS_BEFORE.get()
+    if path.absolute() in before and _stamp(path) != before[path.absolute()]:
         raise InputError(
             f"{path}: another process wrote it meanwhile, and what it wrote is kept; give the "
             "command again with --overwrite to replace that"
@@ -217,14 +216,14 @@ def check_not_written_since(path: Path) -> None:
 
 def _stamp(path: Path) -> _Stamp:
     try:
-        there = path.stat()
+        status = path.stat()
     except OSError:
         return None
-    return there.st_mtime_ns, there.st_ino
+    return status.st_mtime_ns, status.st_ino
 
 
 def check_unprotected(path: Path) -> None:
-    """Refuse a file that nobody may write to: a rename would ask for the folder's rights alone."""
+    """Refuse a write-protected file; a rename needs only the folder's permissions."""
     with contextlib.suppress(OSError):
         if not path.stat().st_mode & _WRITE_PERMISSIONS:
             raise InputError(
@@ -233,11 +232,11 @@ def check_unprotected(path: Path) -> None:
             )
 
 
-def _settle(path: Path, temporary: Path) -> None:
-    """Bring a file to the disk, open to those who could read and write the one it replaces."""
+def _sync(path: Path, temporary: Path) -> None:
+    """Flush a file to the disk, with the permissions of the one it replaces."""
     handle = open_side_file(temporary, os.O_RDWR)
     try:
-        # There may be none yet; or a file system knows no permissions, as Windows' do not.
+        # Unless there is none, or without permissions, as on Windows.
         with contextlib.suppress(OSError, AttributeError):
             os.fchmod(handle, path.stat().st_mode & 0o777)
         os.fsync(handle)
@@ -248,8 +247,8 @@ def _settle(path: Path, temporary: Path) -> None:
 _NO_HARD_LINKS = (errno.EPERM, errno.ENOTSUP, errno.ENOSYS, errno.EOPNOTSUPP)
 
 
-def _put_new(temporary: Path, path: Path) -> None:
-    """Give a file its name, if nothing has it."""
+def _rename_new(temporary: Path, path: Path) -> None:
+    """Rename a file, unless the new name exists."""
     try:
         try:
             os.link(temporary, path, follow_symlinks=False)
@@ -268,10 +267,7 @@ def _exists_error(path: Path) -> InputError:
 
 @contextmanager
 def _temporary(path: Path) -> Iterator[tuple[Path, Callable[[], None]]]:
-    """Give a temporary name for a file that nobody else may write; it is gone afterwards.
-
-    Yields what checks that the lock still holds, too.
-    """
+    """Yield a temporary path of a locked file, and the check of its lock; remove it afterwards."""
     if path.is_dir():
         raise InputError(f"{path}: is a folder; give the name of a file to write")
     if not path.parent.is_dir():
@@ -286,7 +282,7 @@ def _temporary(path: Path) -> Iterator[tuple[Path, Callable[[], None]]]:
             _touch(temporary, target=path)
             yield temporary, check_lock
         finally:
-            with contextlib.suppress(OSError):  # the folder may have gone meanwhile
+            with contextlib.suppress(OSError):  # the folder may have been removed
                 temporary.unlink(missing_ok=True)
 
 
@@ -302,7 +298,7 @@ def _as_input_error(path: Path) -> Iterator[None]:
 
 
 def _touch(temporary: Path, *, target: Path) -> None:
-    """Fail here, by name, rather than deep inside an encoder."""
+    """Make the file, so that errors have its name, rather than an encoder's message."""
     try:
         os.close(open_side_file(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL))
     except OSError as error:
@@ -310,14 +306,14 @@ def _touch(temporary: Path, *, target: Path) -> None:
 
 
 def _clear_leftovers(path: Path) -> None:
-    """Remove what a killed process left; nobody else can be writing, as the lock is ours."""
+    """Remove temporary files of a killed process, while we hold the lock."""
     if shorten(path.stem, LONGEST_STEM_BYTES) != path.stem:
-        return  # another file's temporaries could have the same name
-    # While USD saves, its own temporary file lies beside ours, with other letters at its end.
+        return  # another file's temporary files could have the same name
+    # While USD saves, it has a temporary file of its own, with a suffix to our name.
     temporary = rf"\.{re.escape(path.stem)}\.{name_digest(path)}[0-9a-f]{{8}}(\.\w+)*"
     lock = rf"\.{re.escape(path.name)}\.lock\.[0-9a-f]{{32}}"
     ours = re.compile(f"{temporary}|{lock}")
-    with contextlib.suppress(OSError):  # they are only in the way; what is wrong shows on writing
-        for each in path.parent.iterdir():
-            if ours.fullmatch(each.name):
-                each.unlink(missing_ok=True)
+    with contextlib.suppress(OSError):  # harmless; errors of the folder are raised on writing
+        for file in path.parent.iterdir():
+            if ours.fullmatch(file.name):
+                file.unlink(missing_ok=True)

@@ -1,15 +1,14 @@
-"""Combination shapes: shapes of a rig that other shapes drive.
+"""Combination shapes (correctives): shapes of a rig that other shapes drive.
 
-A combination shape (corrective) has no weight of its own. With ``f_j`` the factor of its part j::
+With ``f_j`` the factor of its part j, the weight of a combination is one of::
 
     product   f_1 f_2 ...
     minimum   min(f_1, f_2, ...)
-    smooth    n / (1/f_1 + 1/f_2 + ...), the harmonic mean: a minimum without a crease
+    smooth    n / (1/f_1 + 1/f_2 + ...), the harmonic mean
 
-A part that counts in full at weight 1 has the factor ``max(w, 0)``. One that counts in full at a
-weight p below 1 is an in-between: a straight line from 0 at a weight below to 1 at p, and back to 0
-at one above; where its span is not given, at the next such weights of the same part, 0 and 1
-included. A part may be a combination itself.
+A part with its peak at weight 1 has the factor ``max(w, 0)``. One with a peak p below 1 is an
+in-between: piecewise linear, 0 outside a span and 1 at p; the span is given, or extends to the
+neighbouring peaks of the same part, with 0 and 1. A part may be a combination itself.
 
 Blender, Maya (`combinationShape`: multiplication, lowest weighting, lowest weighting smooth) and
 Simplex (`solveType`: allMul, min, and mulAvgAll, which is the harmonic mean of two parts) have
@@ -33,7 +32,7 @@ CombinationMode = Literal["product", "minimum", "smooth"]
 COMBINATION_MODES: tuple[CombinationMode, ...] = get_args(CombinationMode)
 
 _LEAST_FACTOR = 1e-12
-"""Of a weight: keeps a harmonic mean of zeros finite."""
+"""Lower limit of factors in a harmonic mean."""
 
 
 @dataclass(frozen=True)
@@ -46,17 +45,17 @@ class Combination:
     """Shapes that drive it; some may be combinations themselves."""
     mode: CombinationMode = "product"
     weights: tuple[float, ...] = ()
-    """(parts,): weight at which each part counts in full, in (0-1]; empty: 1 for all."""
+    """(parts,): peak of each part, in (0-1]; empty: 1 for all."""
     spans: tuple[tuple[float, float], ...] = ()
-    """(parts, 2): weights at which each in-between is 0 again; empty: those next to it."""
+    """(parts, 2): weights at which each in-between is 0; empty: the neighbouring peaks."""
 
     @property
     def part_weights(self) -> tuple[float, ...]:
-        """Weight at which each part counts in full: (parts,)."""
+        """Peak of each part: (parts,)."""
         return self.weights or (1.0,) * len(self.parts)
 
     def __str__(self) -> str:
-        """Write it as tables do: ``smile_jaw = smile * jaw@0.5 (minimum)``."""
+        """Return it as in tables: ``smile_jaw = smile * jaw@0.5 (minimum)``."""
         spans = self.spans or (None,) * len(self.parts)
         parts = [
             part
@@ -71,36 +70,35 @@ class Combination:
 def order_combinations(
     combinations: Iterable[Combination], shapes: Iterable[str], *, source: object
 ) -> tuple[Combination, ...]:
-    """Check combinations against a rig, and put parts before what they drive.
+    """Check combinations against a rig, and sort them topologically: parts first.
 
     Parameters
     ----------
     shapes : iterable of str
-        All shapes of the rig, driven ones included.
+        All shapes of the rig, with driven ones.
     source : object
-        What messages name.
+        Named in messages.
 
     Raises
     ------
     InputError
-        Naming every combination of shapes that are not there, that drives itself, or that is
-        stated twice.
+        With all combinations of missing shapes, in cycles, or defined twice.
     """
     given, known = list(combinations), set(shapes)
-    faults = [fault for each in given for fault in _faults(each, known)]
-    names = [each.shape for each in given]
+    faults = [fault for combination in given for fault in _faults(combination, known)]
+    names = [combination.shape for combination in given]
     faults += [f"{name} is stated {names.count(name)} times" for name in dict.fromkeys(names)
                if names.count(name) > 1]  # fmt: skip
     if not faults:
-        ordered, left = list[Combination](), given
-        while left:
-            waiting = {each.shape for each in left}
-            ready = [each for each in left if not waiting & set(each.parts)]
+        ordered, remaining = list[Combination](), given
+        while remaining:
+            waiting = {combination.shape for combination in remaining}
+            ready = [one for one in remaining if not waiting & set(one.parts)]
             if not ready:
-                faults.append(f"a cycle: {_cycle(left)}")
+                faults.append(f"a cycle: {_cycle(remaining)}")
                 break
             ordered += ready
-            left = [each for each in left if each not in ready]
+            remaining = [one for one in remaining if one not in ready]
     if faults:
         raise InputError(
             f"{source}: {pluralize(len(faults), 'combination')} cannot be used: "
@@ -143,9 +141,9 @@ def _faults(combination: Combination, known: set[str]) -> list[str]:
     return faults
 
 
-def _cycle(left: Sequence[Combination]) -> str:
-    parts = {each.shape: each.parts for each in left}
-    path = [left[0].shape]
+def _cycle(remaining: Sequence[Combination]) -> str:
+    parts = {combination.shape: combination.parts for combination in remaining}
+    path = [remaining[0].shape]
     while path[-1] not in path[:-1]:
         path.append(next(part for part in parts[path[-1]] if part in parts))
     return " <- ".join(path[path.index(path[-1]) :])
@@ -153,18 +151,18 @@ def _cycle(left: Sequence[Combination]) -> str:
 
 @dataclass(frozen=True)
 class _Step:
-    """Combinations of one mode and number of parts that can be evaluated at once."""
+    """Combinations of one mode and number of parts, evaluated together."""
 
     mode: CombinationMode
     columns: IntArray
-    """(n,): where results go."""
+    """(n,): columns of the results."""
     parts: IntArray
-    """(n, parts): columns they are read from."""
+    """(n, parts): columns of the parts."""
     low: FloatArray
     peak: FloatArray
     high: FloatArray
-    """`low`, `peak`, `high`: (n, parts): where a factor leaves 0, is 1, and is 0 again; infinite
-    `high`: it goes on along its line."""
+    """`low`, `peak`, `high`: (n, parts): weights at which a factor rises from 0, is 1, and is 0
+    again; infinite `high` for a factor that is not limited."""
 
     def factors(self, weights: FloatArray) -> FloatArray:
         """Return (frames, n, parts)."""
@@ -176,7 +174,7 @@ class _Step:
         return np.asarray(np.maximum(bent, 0.0))
 
     def slopes(self, weights: FloatArray) -> FloatArray:
-        """Return the derivative of `factors`; where it jumps, that towards larger weights."""
+        """Return the right derivative of `factors`."""
         at = weights[:, self.parts]
         finite = np.isfinite(self.high)
         down = np.where(finite, -1 / np.where(finite, self.high - self.peak, 1), 0.0)
@@ -197,7 +195,7 @@ class _Step:
 
 
 def combine(factors: FloatArray, mode: CombinationMode) -> FloatArray:
-    """Return what factors make together, along their last axis."""
+    """Return combinations of factors, along their last axis."""
     if mode == "product":
         return np.asarray(factors.prod(axis=-1))
     if mode == "minimum":
@@ -207,14 +205,14 @@ def combine(factors: FloatArray, mode: CombinationMode) -> FloatArray:
 
 
 class RigLogic:
-    """What a rig's animated shapes make of its combination shapes.
+    """The combination shapes of a rig as functions of its animated shapes.
 
     Parameters
     ----------
     shapes : sequence of str
-        Those that are animated.
+        Animated shapes.
     combinations : sequence of Combination
-        From `order_combinations`: parts before what they drive.
+        From `order_combinations`.
     """
 
     def __init__(self, shapes: Sequence[str], combinations: Sequence[Combination]) -> None:
@@ -256,12 +254,7 @@ class RigLogic:
         return out
 
     def slopes(self, weights: ArrayLike) -> FloatArray:
-        """Return what a small change of the animated shapes does to the combinations.
-
-        Returns
-        -------
-        (frames, combinations, shapes) float array
-        """
+        """Return the Jacobian of the combinations: (frames, combinations, shapes)."""
         values, links = self.link_slopes(self.evaluate(weights)), self.links
         out = np.zeros((len(values), len(self.combinations), len(self.shapes)))
         for column, (combination, shape) in enumerate(links.tolist()):
@@ -270,17 +263,14 @@ class RigLogic:
 
     @cached_property
     def links(self) -> IntArray:
-        """Which shape takes part in which combination: (links, 2), combination and shape.
-
-        One for each way through other combinations.
-        """
+        """Combination and shape of each path from a shape to a combination: (links, 2)."""
         return np.array([link[:2] for step in self._paths for link in step], np.int64).reshape(
             -1, 2
         )
 
     @cached_property
     def _paths(self) -> list[list[tuple[int, int, int, int]]]:
-        """Links of each step: combination, shape, which of its gains, and the link before or -1."""
+        """Links of each step: combination, shape, index of its gain, and previous link or -1."""
         count = len(self.shapes)
         known: dict[int, list[tuple[int, int]]] = {}
         paths, number = [], 0
@@ -288,8 +278,7 @@ class RigLogic:
             links = []
             for gain, (row, part) in enumerate(np.ndindex(step.parts.shape)):
                 column, target = int(step.parts[row, part]), int(step.columns[row])
-                ways = [(column, -1)] if column < count else known[column]
-                for shape, before in ways:
+                for shape, before in [(column, -1)] if column < count else known[column]:
                     links.append((target - count, shape, gain, before))
                     known.setdefault(target, []).append((shape, number))
                     number += 1
@@ -297,28 +286,25 @@ class RigLogic:
         return paths
 
     def link_slopes(self, values: FloatArray) -> FloatArray:
-        """Return what a small change of a shape does by each of `links`: (frames, links).
+        """Return the derivatives along `links`, by the chain rule: (frames, links).
 
         Parameters
         ----------
         values : (frames, shapes + combinations) float array
             From `evaluate`.
         """
-        done = [np.ones((len(values), 1))]
+        slopes = [np.ones((len(values), 1))]
         for step, links in zip(self._steps, self._paths, strict=True):
             gains = step.gains(step.factors(values)) * step.slopes(values)
             index = np.array(links, np.int64)
-            own = gains.reshape(len(values), -1)[:, index[:, 2]]
+            slope = gains.reshape(len(values), -1)[:, index[:, 2]]
             if (index[:, 3] >= 0).any():
-                own = own * np.concatenate(done, axis=1)[:, index[:, 3] + 1]
-            done.append(own)
-        return np.concatenate(done[1:], axis=1) if self._steps else np.zeros((len(values), 0))
+                slope = slope * np.concatenate(slopes, axis=1)[:, index[:, 3] + 1]
+            slopes.append(slope)
+        return np.concatenate(slopes[1:], axis=1) if self._steps else np.zeros((len(values), 0))
 
     def tables(self) -> list[dict[str, object]]:
-        """Return each combination as numbers, in the order of evaluation, ready for JSON.
-
-        ``high`` is None where a part goes on along its line.
-        """
+        """Return the combinations in the order of evaluation, for JSON; ``high`` may be None."""
         return [
             {
                 "shape": int(step.columns[row]),
@@ -333,25 +319,24 @@ class RigLogic:
         ]
 
     def complete(self, weights: RealArray, names: Sequence[str]) -> FloatArray:
-        """Return weights by name with combinations after them, as they are driven.
+        """Return weights by name, followed by the combinations they drive.
 
         Parameters
         ----------
         weights : (frames, names) float array
-            What is not among `names` is at 0; combinations among them are left out.
+            Missing shapes are 0; combinations among `names` are left out.
 
         Returns
         -------
         (frames, names + combinations) float array
         """
         every = self.evaluate(columns_by_name(weights, names, self.shapes))
-        kept = [column for column, name in enumerate(names) if name not in self.driven]
-        return np.concatenate([weights[:, kept], every[:, len(self.shapes) :]], axis=1)
+        free = [column for column, name in enumerate(names) if name not in self.driven]
+        return np.concatenate([weights[:, free], every[:, len(self.shapes) :]], axis=1)
 
 
 def _step(group: list[Combination], column: dict[str, int], knots: dict[str, set[float]]) -> _Step:
     supports = np.array([_supports(each, knots) for each in group])
-
     return _Step(
         mode=group[0].mode,
         columns=np.array([column[each.shape] for each in group], np.int64),
@@ -365,23 +350,23 @@ def _step(group: list[Combination], column: dict[str, int], knots: dict[str, set
 def _supports(
     combination: Combination, knots: dict[str, set[float]]
 ) -> list[tuple[float, float, float]]:
-    """Return where each part's factor leaves 0, is 1, and is 0 again."""
-    found = []
+    """Return `low`, `peak` and `high` of each part's factor."""
+    supports = []
     for index, (part, peak) in enumerate(
         zip(combination.parts, combination.part_weights, strict=True)
     ):
         if peak == 1.0:
-            found.append((0.0, 1.0, np.inf))
+            supports.append((0.0, 1.0, np.inf))
         elif combination.spans:
-            found.append((combination.spans[index][0], peak, combination.spans[index][1]))
+            supports.append((combination.spans[index][0], peak, combination.spans[index][1]))
         else:
             below = max(knot for knot in knots[part] if knot < peak)
-            found.append((below, peak, min(knot for knot in knots[part] if knot > peak)))
-    return found
+            supports.append((below, peak, min(knot for knot in knots[part] if knot > peak)))
+    return supports
 
 
 def logic_of(names: Sequence[str], combinations: Sequence[Combination]) -> RigLogic | None:
-    """Return the logic over some of a rig's shapes, those that drive included; None without any."""
+    """Return the logic over some of a rig's shapes and its drivers; None without combinations."""
     if not combinations:
         return None
     driven = {each.shape for each in combinations}

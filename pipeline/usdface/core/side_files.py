@@ -1,7 +1,7 @@
-"""Files and folders beside a file: locks, journals, temporaries, pictures. None is ever a link.
+"""Safe opening of side files: locks, journals, temporary files, pictures. None may be a link.
 
-Their names follow from the name of an output, so anybody who may write to its folder can put a
-link there first, to a file or a folder of whoever runs usdface. All of them are opened here.
+Their names are predictable from the name of an output, so that others who may write to its folder
+could put links there, to files or folders of the user.
 """
 
 import contextlib
@@ -18,32 +18,26 @@ from usdface.core.errors import InputError
 
 _NO_LINK = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0)
 _NO_WAIT = getattr(os, "O_NONBLOCK", 0)
-"""Not to wait for whoever would write to a pipe."""
+"""Not to wait for the writer of a pipe."""
 _LISTED = getattr(os, "O_DIRECTORY", 0) | _NO_LINK
-# A folder that may be entered and not listed is enough to open names in.
+# Opening names in a folder needs no permission to list it.
 _FOLDER = getattr(os, "O_PATH", os.O_RDONLY) | _LISTED
 _BY_FOLDER = os.open in os.supports_dir_fd
-"""Whether the system opens a name in an open folder; Windows does not."""
+"""Whether the system can open a name relative to an open folder; Windows cannot."""
 
 
 def open_side_file(path: Path, flags: int) -> int:
-    """Open a file beside another, and nothing that a link leads to.
+    """Open a regular file without following links, and return its descriptor.
 
     Parameters
     ----------
     flags : int
-        As `os.open` takes them.
-
-    Returns
-    -------
-    int
-        Descriptor of a regular file; close it.
+        As in `os.open`.
 
     Raises
     ------
     InputError
-        If there is a link, a pipe, a device or a folder in its place, or its folder lies outside
-        the one that all work is confined to.
+        If it is a link, a pipe, a device or a folder, or outside the folder of the confinement.
     OSError
         If it cannot be opened.
     """
@@ -62,12 +56,12 @@ def open_side_file(path: Path, flags: int) -> int:
 
 
 def side_stream(path: Path, mode: str) -> IO[Any]:
-    """Open a file beside another as a stream of bytes; see `open_side_file`."""
+    """Open a side file as a stream of bytes; see `open_side_file`."""
     return open(path, mode, opener=lambda _, flags: open_side_file(path, flags))
 
 
 def make_side_folder(folder: Path) -> None:
-    """Make a folder beside a file, if it is not there."""
+    """Make a side folder, if it does not exist."""
     try:
         with _opened_folder(folder.parent) as parent, contextlib.suppress(FileExistsError):
             os.mkdir(folder if parent is None else folder.name, dir_fd=parent)
@@ -77,14 +71,14 @@ def make_side_folder(folder: Path) -> None:
 
 
 def check_side_folder(folder: Path) -> None:
-    """Refuse a link, or a file, in the place of a folder; that it is missing is no fault."""
+    """Refuse a link or a file in the place of a folder; it may be missing."""
     with contextlib.suppress(FileNotFoundError):
         if not stat.S_ISDIR(folder.lstat().st_mode):
             raise _not_plain_error(folder, kind="folder")
 
 
 def clear_side_folder(folder: Path, pattern: str, *, keep: frozenset[str] = frozenset()) -> None:
-    """Remove the files of a folder whose names match; what others put there stays."""
+    """Remove the files of a folder whose names match."""
     check_side_folder(folder)
     try:
         with _opened_folder(folder.parent) as parent:
@@ -97,7 +91,7 @@ def clear_side_folder(folder: Path, pattern: str, *, keep: frozenset[str] = froz
 
 @contextlib.contextmanager
 def emptied_side_folder(folder: Path) -> Iterator[Path]:
-    """Make a folder, empty it of what a killed process left, and remove it with all in it."""
+    """Make a folder, or empty it after a killed process, and remove it after the block."""
     make_side_folder(folder)
     clear_side_folder(folder, ".*")
     try:
@@ -127,9 +121,9 @@ def _clear(
 
 @contextlib.contextmanager
 def _opened_folder(folder: Path) -> Iterator[int | None]:
-    """Open a folder, so that what is opened in it lies there whatever is renamed meanwhile.
+    """Open a folder, so that names are opened in it even if it is renamed.
 
-    Confined, the way from the root is walked folder by folder, and none may be a link by then.
+    Under confinement, folder by folder from the root, of which none may have become a link.
     """
     check_may_open(folder, what="write to")
     if not _BY_FOLDER:
@@ -150,8 +144,8 @@ def _opened_folder(folder: Path) -> Iterator[int | None]:
 
 
 def _not_plain_error(path: Path, *, kind: str = "file") -> InputError:
-    found = "a link" if path.is_symlink() else "something else"
+    actual = "a link" if path.is_symlink() else "something else"
     return InputError(
-        f"{path}: is {found} where usdface keeps a {kind}, and is not followed; remove it, or "
+        f"{path}: is {actual} where usdface keeps a {kind}, and is not followed; remove it, or "
         "write elsewhere"
     )

@@ -1,4 +1,4 @@
-"""What the files beside a file are called: one rule, for specs, steps and layers."""
+"""Names of files that accompany another, for specs, steps and layers."""
 
 import hashlib
 from pathlib import Path
@@ -7,7 +7,7 @@ LAYER_SUFFIXES = (".usda", ".usdc", ".usd")
 
 
 def is_usd_name(path: Path) -> bool:
-    """Whether a file has the name of a USD layer or of a package."""
+    """Whether a file name is that of a USD layer or package."""
     return path.suffix.lower() in (*LAYER_SUFFIXES, ".usdz")
 
 
@@ -32,7 +32,7 @@ def controls_path(performance: Path) -> Path:
 
 
 def head_path(performance: Path) -> Path:
-    """Return the layer with what turns a performance's head and eyes: NAME.head.usdc."""
+    """Return the layer with a performance's head and eye motion: NAME.head.usdc."""
     return performance.with_name(f"{performance.stem}.head.usdc")
 
 
@@ -42,66 +42,66 @@ def points_path(deformed: Path) -> Path:
 
 
 def parts_folder(out: Path) -> Path:
-    """Return the folder in which a farm makes the parts of a file: NAME.parts."""
+    """Return the folder of a file's parts on a farm: NAME.parts."""
     return out.with_name(f"{out.stem}.parts")
 
 
 def samples_path(asset: Path) -> Path:
-    """Return the layer with the arrays of a take or references; a binary asset holds them itself.
+    """Return the layer with the arrays of a take or references.
 
-    It is NAME.samples.usdc beside NAME.usda.
+    NAME.samples.usdc of NAME.usda; a binary asset has its own.
     """
     return asset if asset.suffix == ".usdc" else asset.with_name(f"{asset.stem}.samples.usdc")
 
 
 def proposed_path(asset: Path) -> Path:
-    """Return the layer with what was proposed of references, pairs or a binding."""
+    """Return the layer with the proposals of references, pairs or a binding."""
     return asset.with_name(f"{asset.stem}.proposed.usda")
 
 
 def corrected_path(binding: Path) -> Path:
-    """Return the layer with what people corrected of a binding."""
+    """Return the layer with corrections of a binding."""
     return binding.with_name(f"{binding.stem}.corrected.usda")
 
 
 def binding_layers(binding: Path) -> tuple[Path, Path, Path]:
-    """Return the files of a binding or a placement: the one to open, and the layers beneath it."""
+    """Return the files of a binding or a placement: the top layer and its sublayers."""
     return binding, proposed_path(binding), corrected_path(binding)
 
 
 def tuned_path(references: Path) -> Path:
-    """Return the layer with what people tuned of a references asset."""
+    """Return the layer with the tuned weights of a references asset."""
     return references.with_name(f"{references.stem}.tuned.usda")
 
 
 def coverage_path(references: Path) -> Path:
-    """Return the picture of what a selection of references covers: NAME.coverage.png."""
+    """Return the picture of the coverage of a selection: NAME.coverage.png."""
     return references.with_name(f"{references.stem}.coverage.png")
 
 
 def reference_layers(references: Path) -> tuple[Path, ...]:
-    """Return the files of a references asset: the one to open, and the layers beneath it."""
-    beneath = (tuned_path(references), proposed_path(references), samples_path(references))
-    return tuple(dict.fromkeys((references, *beneath)))
+    """Return the files of a references asset: the top layer and its sublayers."""
+    sublayers = (tuned_path(references), proposed_path(references), samples_path(references))
+    return tuple(dict.fromkeys((references, *sublayers)))
 
 
 def placement_path(references: Path) -> Path:
-    """Return the placement of markers on the rig that `select` writes beside references."""
+    """Return the placement of markers on the rig that `select` writes with references."""
     return references.with_name(f"{references.stem}.placement.usda")
 
 
 def lock_path(references: Path) -> Path:
-    """Return the file that says who tunes a references asset now."""
+    """Return the tuning lock of a references asset."""
     return references.with_name(f"{references.stem}.tuned.lock")
 
 
 def journal_path(references: Path) -> Path:
-    """Return the file of changes that are not yet in the tuned layer."""
+    """Return the journal of changes that are not yet in the tuned layer."""
     return references.with_name(f"{references.stem}.tuned.journal")
 
 
 def poses_path(references: Path) -> Path:
-    """Return the file of the poses that people saved while they tuned a references asset."""
+    """Return the file of poses saved during the tuning of a references asset."""
     return references.with_name(f"{references.stem}.poses.json")
 
 
@@ -111,17 +111,17 @@ def images_folder(references: Path) -> Path:
 
 
 def work_folder(out: Path, purpose: str) -> Path:
-    """Return the folder for what is made on the way to a file: no two files' are one, and hidden.
+    """Return a hidden folder for intermediate files of an output, unique to it.
 
     Parameters
     ----------
     purpose : str
-        What it ends in.
+        Suffix of its name.
     """
     digest = hashlib.sha256(out.name.encode("utf-8", "surrogateescape")).hexdigest()[:8]
     return out.with_name(f".{out.stem[:40]}.{digest}.{purpose}")
 
 
 def distances_path(output: Path, mesh_file: Path, surface_hash: str) -> Path:
-    """Return where the distances over a surface are cached: beside the output of a step."""
+    """Return the cache of the distances over a surface, in the folder of a step's output."""
     return output.with_name(f"{mesh_file.stem}.{surface_hash[:8]}.distances.usdc")

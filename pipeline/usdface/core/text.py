@@ -1,4 +1,4 @@
-"""Numbers and lists as messages write them; text files that people write."""
+"""Numbers and lists in messages; text and JSON files."""
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
@@ -27,21 +27,20 @@ def first_few(names: Iterable[object], *, most: int = 5) -> str:
     return ", ".join(written[:most]) + (f" and {rest} more" if rest > 0 else "")
 
 
-def frame_ranges(stretches: Iterable[tuple[int, int]], *, most: int = 5) -> str:
+def frame_ranges(stretches: Iterable[tuple[int, int]]) -> str:
     """Return stretches of frames, first and last, as ``frames 7, 12-20``."""
     written = [f"{first}" if first == last else f"{first}-{last}" for first, last in stretches]
-    return f"frame{'' if len(written) == 1 and '-' not in written[0] else 's'} " + first_few(
-        written, most=most
-    )
+    noun = "frame" if len(written) == 1 and "-" not in written[0] else "frames"
+    return f"{noun} {first_few(written)}"
 
 
 def counted(names: Sequence[object], noun: str, *, most: int = 5) -> str:
-    """Return names after their number, ``7 shapes, a, b, c, d, e and 2 more``."""
+    """Return the number of names and the first ones, ``7 shapes, a, b, c, d, e and 2 more``."""
     return f"{pluralize(len(names), noun)}, {first_few(names, most=most)}"
 
 
 def read_text(path: Path, largest_bytes: int) -> str:
-    """Read a text file of people, in UTF-8 or UTF-16."""
+    """Read a text file, in UTF-8 or UTF-16."""
     check_may_open(path)
     try:
         if path.stat().st_size > largest_bytes:
@@ -57,7 +56,7 @@ def read_text(path: Path, largest_bytes: int) -> str:
 
 
 def read_json(path: Path, largest_bytes: int) -> Any:
-    """Read a JSON file of people or of other tools."""
+    """Read a JSON file."""
     try:
         return json.loads(read_text(path, largest_bytes))
     except (ValueError, RecursionError) as error:
@@ -65,12 +64,12 @@ def read_json(path: Path, largest_bytes: int) -> Any:
 
 
 def json_text(data: Mapping[str, Any]) -> str:
-    """Return data as the text of a JSON file that people read."""
+    """Return data as indented JSON."""
     return json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def json_object(text: str) -> dict[str, Any]:
-    """Return the object that a text holds as JSON; empty where it holds none."""
+    """Return the JSON object in a text; empty if there is none."""
     try:
         data = json.loads(text)
     except (ValueError, RecursionError):
@@ -79,13 +78,7 @@ def json_object(text: str) -> dict[str, Any]:
 
 
 def aligned_rows(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Return rows as lines whose columns are aligned.
-
-    Parameters
-    ----------
-    rows : sequence of sequence of str
-        As many cells in each.
-    """
+    """Return rows of equally many cells as lines with aligned columns."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return [
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()

@@ -1,8 +1,8 @@
-"""The lock of a file that is being written: who holds it writes, and nobody else.
+"""Exclusive lock of a file that is being written.
 
-It is a file beside the other, locked by the system, which lets go when a process is killed. Where a
-file system has no locks, to make that file is to hold it: of several only one can. It is never
-written into anything that was there before.
+A separate file, locked by the system, which releases it when the process ends. On a file system
+without locks, the process that created the file holds the lock. Files that are not ours are never
+written to.
 """
 
 import contextlib
@@ -27,17 +27,17 @@ except ImportError:  # Windows: files in use cannot be replaced there, which pro
     fcntl = None  # type: ignore[assignment]
 
 LONGEST_STEM_BYTES = 80
-"""Bytes of a file's name that its temporary name repeats: names have an upper limit."""
+"""Bytes of a file's name in its temporary name, as names have a limit."""
 _LONGEST_LOCK_NAME_BYTES = 2 * LONGEST_STEM_BYTES
-"""Bytes of it that its lock's name repeats."""
+"""Bytes of a file's name in its lock's name."""
 _LONGEST_OWNER_BYTES = 400
 _MOST_TRIES = 100
-"""To have a lock that others take and give back meanwhile."""
+"""Attempts at a lock that others take and release."""
 _OWNER = re.compile(r"process (\d{1,10}) on (\S+?)(?: ([0-9a-f]{32}))?(, alone)?")
-"""What a lock holds: process, host, a key that no other lock has, and whether the file alone is the
-lock, because its owner's file system has none."""
+"""Contents of a lock file: process, host, a unique key, and ", alone" on a file system without
+locks."""
 
-# Said of file systems without locks: Lustre without -o flock, some network and FUSE mounts.
+# Errors of file systems without locks: Lustre without -o flock, some network and FUSE mounts.
 _NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS, errno.EINVAL, errno.EOPNOTSUPP)
 
 log = logging.getLogger(__name__)
@@ -45,16 +45,16 @@ log = logging.getLogger(__name__)
 
 @contextmanager
 def write_lock(path: Path) -> Iterator[Callable[[], None]]:
-    """Hold the lock of a file that is written until the block, or the process, ends.
+    """Hold the lock of a file until the block, or the process, ends.
 
     Yields
     ------
     callable
-        Raises InputError if the lock is no longer ours: for who is about to put the file there.
+        Raises InputError if the lock is no longer ours; to be called before the file is renamed.
     """
     name = path.name
     short = shorten(name, _LONGEST_LOCK_NAME_BYTES)
-    if short != name:  # names that begin alike are still of different files
+    if short != name:
         name = f"{short}.{name_digest(path)}"
     lock = path.with_name(f".{name}.lock")
     try:
@@ -77,7 +77,7 @@ def write_lock(path: Path) -> Iterator[Callable[[], None]]:
     try:
         yield check
     finally:
-        # Removed while still held: whoever waits for this very file then sees that it is gone.
+        # Removed while still locked, so that others that have opened it see that it is gone.
         with contextlib.suppress(OSError):
             if fcntl is None or _is_at(handle, lock):
                 lock.unlink(missing_ok=True)
@@ -85,12 +85,12 @@ def write_lock(path: Path) -> Iterator[Callable[[], None]]:
 
 
 def _lock(lock: Path) -> int:
-    """Return the open lock file, which is ours.
+    """Take the lock, and return its open file.
 
     Raises
     ------
     BlockingIOError
-        If another holds it; its text says who.
+        If another process holds it, with its name as text.
     """
     owner = f"process {os.getpid()} on {socket.gethostname()} {uuid.uuid4().hex}"
     for _ in range(_MOST_TRIES):
@@ -115,14 +115,14 @@ def _lock(lock: Path) -> int:
 
 
 def _open(lock: Path) -> tuple[int, bool]:
-    """Open a lock file; return it, and whether it was made now."""
+    """Open a lock file; return it, and whether it is new."""
     try:
         return open_side_file(lock, os.O_RDWR | os.O_CREAT | os.O_EXCL), True
     except FileExistsError:
         pass
     try:
-        return open_side_file(lock, os.O_RDWR), False  # as locks over NFS want it
-    except PermissionError:  # another user's, and enough to ask for it
+        return open_side_file(lock, os.O_RDWR), False  # locks over NFS need write access
+    except PermissionError:  # of another user
         return open_side_file(lock, os.O_RDONLY), False
 
 
@@ -132,7 +132,7 @@ def _locked_by_system(handle: int, lock: Path, *, is_new: bool) -> bool:
         if fcntl is not None:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
-        # Made now, and held: by one who takes it for a stale one, or is quicker.
+        # New, and locked by a process that was faster, or takes it for a stale one.
         raise BlockingIOError(error.errno, "" if is_new else _owner(handle)) from error
     except OSError as error:
         if error.errno not in _NO_LOCKS:
@@ -152,28 +152,28 @@ def _warn_of_no_locks(folder: str) -> None:
 
 
 def _remove_stale(lock: Path, handle: int, *, by_system: bool) -> None:
-    """Remove what a process left that is gone.
+    """Remove the lock of a process that has ended.
 
     Raises
     ------
     BlockingIOError
-        If it may be alive.
+        If it may be running.
     InputError
-        If that is no lock of ours.
+        If the file is no lock of ours.
     """
     text = _text(handle)
-    said = _OWNER.fullmatch(text)
-    if text and said is None:
+    owner = _OWNER.fullmatch(text)
+    if text and owner is None:
         raise InputError(f"{lock}: is no lock of usdface, and is not written over; move it away")
-    if by_system and not (said and said[4]):
-        lock.unlink()  # nobody else can have it: we hold it
+    if by_system and not (owner and owner[4]):
+        lock.unlink()  # we hold the system's lock
         return
-    if said is None or said[2] != socket.gethostname() or _is_running(int(said[1])):
+    if owner is None or owner[2] != socket.gethostname() or is_running(int(owner[1])):
         remedy = f", or a machine failed there; if it did, remove {lock.name}"
         raise BlockingIOError(errno.EWOULDBLOCK, _owner(handle) + remedy)
     aside = lock.with_name(f"{lock.name}.{uuid.uuid4().hex}")
     lock.rename(aside)
-    if not _is_at(handle, aside):  # another removed it, and made its own, since it was read
+    if not _is_at(handle, aside):  # another process has replaced it since it was read
         with contextlib.suppress(OSError):
             os.link(aside, lock)
     aside.unlink()
@@ -185,19 +185,20 @@ def _text(handle: int) -> str:
 
 
 def _owner(handle: int) -> str:
-    said = _OWNER.fullmatch(_text(handle))
-    return f" (process {said[1]} on {said[2]})" if said else ""
+    owner = _OWNER.fullmatch(_text(handle))
+    return f" (process {owner[1]} on {owner[2]})" if owner else ""
 
 
 def _is_at(handle: int, lock: Path) -> bool:
-    """Whether an open file is the one of that name."""
+    """Whether an open file is the one at a path."""
     try:
         return os.path.samestat(os.fstat(handle), lock.lstat())
     except OSError:
         return False
 
 
-def _is_running(process: int) -> bool:
+def is_running(process: int) -> bool:
+    """Whether a process of this machine exists; True if that is unknown."""
     try:
         os.kill(process, 0)
     except ProcessLookupError:
@@ -208,19 +209,19 @@ def _is_running(process: int) -> bool:
 
 
 def shorten(name: str, size: int) -> str:
-    """Return as much of a name as fits into so many bytes, whole characters alone."""
+    """Return a name truncated to a number of bytes, at a whole character."""
     if len(name.encode(errors="surrogatepass")) <= size:
         return name
     return name.encode(errors="ignore")[:size].decode(errors="ignore")
 
 
 def name_digest(path: Path) -> str:
-    """Tell a file's temporary names from those of files that differ only in how they end."""
+    """Return four hex digits that distinguish temporary names of files with the same beginning."""
     return f"{zlib.crc32(path.name.encode(errors='surrogatepass')) & 0xFFFF:04x}"
 
 
 def not_writable_error(path: Path, error: OSError) -> InputError:
-    """Return the error for a file whose folder refuses it."""
+    """Return the error for a file whose folder cannot be written to."""
     return InputError(
         f"{path}: the folder {path.parent} cannot be written to ({error.strerror}); "
         "write elsewhere or ask for the right to"

@@ -1,4 +1,4 @@
-"""The only importer of pxr: assets to and from USD layers."""
+"""Reading and writing of assets as USD layers; the only importer of pxr."""
 
 from usdface.usdio.plugin import register_schemas
 

@@ -1,4 +1,4 @@
-"""How layers are filled: prims, uniform attributes, timing, arrays; arrays read back."""
+"""Authoring and reading of prims, uniform attributes, timing and arrays."""
 
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
@@ -13,7 +13,7 @@ from usdface.core.arrays import Float32Array, FloatArray, IntArray
 from usdface.core.errors import InputError
 
 _UNSEEN = "face:source:unseen"
-"""Of weights in takes, and of what is retargeted from them."""
+"""Of weights in takes, and in performances retargeted from them."""
 
 
 def define_prim(layer: Sdf.Layer, path: Sdf.Path, type_name: str) -> Sdf.PrimSpec:
@@ -25,9 +25,9 @@ def define_prim(layer: Sdf.Layer, path: Sdf.Path, type_name: str) -> Sdf.PrimSpe
 
 
 def define_in_scope(layer: Sdf.Layer, scope: str, type_name: str) -> Sdf.PrimSpec:
-    """Define a prim of a type of ours, named by it, in a Scope that is the layer's default prim.
+    """Define a prim of one of our types, with its name, in a Scope that is the default prim.
 
-    Tools and validators want a default prim of a type that they know.
+    Tools and validators expect a default prim of a known type.
     """
     root = define_prim(layer, Sdf.Path(f"/{scope}"), "Scope")
     layer.defaultPrim = scope
@@ -35,7 +35,7 @@ def define_in_scope(layer: Sdf.Layer, scope: str, type_name: str) -> Sdf.PrimSpe
 
 
 def prim_in_scope(stage: Usd.Stage, type_name: str) -> Usd.Prim | None:
-    """Return the prim of a type in the default prim, or the default prim itself, as it was."""
+    """Return the prim of a type in the default prim, or, in older files, the default prim."""
     root = stage.GetDefaultPrim()
     prims = (root, root.GetChild(type_name)) if root else ()
     return next((prim for prim in prims if prim and prim.GetTypeName() == type_name), None)
@@ -47,20 +47,20 @@ def apply_api(prim: Sdf.PrimSpec, name: str) -> None:
 
 
 def value_of(prim: Usd.Prim, name: str) -> Any:
-    """Return an attribute's value that does not change; None where there is none."""
+    """Return an attribute's default value, or None."""
     attribute = prim.GetAttribute(name)
     return attribute.Get() if attribute else None
 
 
 def text_of(prim: Usd.Prim, name: str, time: float | None = None) -> str:
-    """Return a text or token of a prim, at a time code where one is given; empty without any."""
+    """Return a string or token of a prim, by default not at a time code; empty if missing."""
     attribute = prim.GetAttribute(name)
     when = Usd.TimeCode.Default() if time is None else time
     return str(attribute.Get(when) or "") if attribute else ""
 
 
 def names_in(attribute: Usd.Attribute) -> tuple[str, ...]:
-    """Return the texts that an attribute lists; none where it has no value or is not there."""
+    """Return the names in an array attribute; none if it has no value or is missing."""
     return tuple(map(str, attribute.Get() or ())) if attribute else ()
 
 
@@ -70,9 +70,9 @@ def author_uniform(prim: Sdf.PrimSpec, name: str, kind: Sdf.ValueTypeName, value
 
 
 def author_unseen(prim: Sdf.PrimSpec, stretches: Sequence[tuple[int, int]]) -> None:
-    """Write the first and last frame of each stretch without a capture, if there is any."""
+    """Write the first and last frame of each stretch without a capture, if there are any."""
     if stretches:
-        pairs = Vt.Vec2iArray([Gf.Vec2i(*each) for each in stretches])
+        pairs = Vt.Vec2iArray([Gf.Vec2i(*stretch) for stretch in stretches])
         author_uniform(prim, _UNSEEN, Sdf.ValueTypeNames.Int2Array, pairs)
 
 
@@ -87,20 +87,20 @@ def doubles(values: ArrayLike) -> Vt.DoubleArray:
 
 
 def vector_array(values: FloatArray) -> Vt.Vec3fArray:
-    """Return points or directions, (n, 3), as USD keeps them."""
+    """Return points or directions, (n, 3), as a USD array."""
     return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(values, dtype=np.float32))
 
 
 def index_array(values: IntArray) -> Vt.IntArray:
-    """Return indices or counts as USD keeps them."""
+    """Return indices or counts as a USD array."""
     return Vt.IntArray.FromNumpy(np.ascontiguousarray(values, dtype=np.int32))
 
 
 def paths_in(layer: Sdf.Layer) -> list[Sdf.Path]:
-    """Return the paths of all prims and properties that a layer speaks of."""
-    found: list[Sdf.Path] = []
-    layer.Traverse(Sdf.Path.absoluteRootPath, found.append)
-    return found
+    """Return the paths of all specs of a layer."""
+    paths: list[Sdf.Path] = []
+    layer.Traverse(Sdf.Path.absoluteRootPath, paths.append)
+    return paths
 
 
 def sampled_properties(layer: Sdf.Layer) -> list[Sdf.Path]:
@@ -113,7 +113,7 @@ def sampled_properties(layer: Sdf.Layer) -> list[Sdf.Path]:
 
 
 def retime_layer(layer: Sdf.Layer, rate: float) -> None:
-    """Give a layer another rate, and move its samples so that they stay where they are in time."""
+    """Change a layer's rate, and move its samples so that their times in seconds do not change."""
     factor = rate / layer.timeCodesPerSecond
     layer.timeCodesPerSecond = rate
     if factor != 1:
@@ -121,7 +121,7 @@ def retime_layer(layer: Sdf.Layer, rate: float) -> None:
 
 
 def move_samples(layer: Sdf.Layer, moved: Sdf.LayerOffset) -> None:
-    """Put a layer's samples where a layer that opens it by an offset would see them."""
+    """Move a layer's samples by a layer offset."""
     for path in sampled_properties(layer):
         times = layer.ListTimeSamplesForPath(path)
         values = [layer.QueryTimeSample(path, time) for time in times]
@@ -132,7 +132,7 @@ def move_samples(layer: Sdf.Layer, moved: Sdf.LayerOffset) -> None:
 
 
 def author_timing(layer: Sdf.Layer, *, rate: Fraction, first: float, last: float) -> None:
-    """Set rate and range: USD rescales a layer silently when one rate is missing."""
+    """Set rates and range; USD rescales layers without a rate."""
     layer.timeCodesPerSecond = float(rate)
     layer.framesPerSecond = float(rate)
     layer.startTimeCode = first
@@ -140,11 +140,11 @@ def author_timing(layer: Sdf.Layer, *, rate: Fraction, first: float, last: float
 
 
 _PREFIX = "face:array:"
-"""Before the name of each array; its shape is beside it, under the same name and ``:shape``."""
+"""Namespace of arrays; an array's shape has its name and ``:shape``."""
 
 
 def author_arrays(prim: Sdf.PrimSpec, arrays: Mapping[str, FloatArray]) -> None:
-    """Write arrays by name; read back, they are the same to the last bit."""
+    """Write arrays by name, without loss."""
     kinds = Sdf.ValueTypeNames
     for name, array in arrays.items():
         author_uniform(prim, f"{_PREFIX}{name}", kinds.DoubleArray, doubles(array))
@@ -153,7 +153,7 @@ def author_arrays(prim: Sdf.PrimSpec, arrays: Mapping[str, FloatArray]) -> None:
 
 
 def read_arrays(path: Path, prim: Usd.Prim) -> dict[str, FloatArray]:
-    """Return what `author_arrays` wrote to a prim of a trained asset."""
+    """Return the arrays that `author_arrays` wrote to a prim."""
     arrays = {}
     for attribute in prim.GetAttributes():
         name = attribute.GetName()
@@ -168,7 +168,7 @@ def read_arrays(path: Path, prim: Usd.Prim) -> dict[str, FloatArray]:
 
 
 def shaped(path: Path, value: object, shape: tuple[int, ...], name: str) -> FloatArray:
-    """Return an attribute's numbers in a shape, of which one size may be -1."""
+    """Return an attribute's numbers in a shape, one size of which may be -1."""
     array = np.array(value if value is not None else [], dtype=np.float64)
     try:
         array = array.reshape(shape)
@@ -210,8 +210,8 @@ def read_array_samples(
 class PointExtents:
     """Authors the widths and extents of a cloud of points.
 
-    Widths are one per point: with a constant width USD computes no extent, and validators that
-    compare with it fail. Extents are those of each frame.
+    One width per point, since USD computes no extents with a constant width, and its validators
+    compare them. Extents are per frame.
     """
 
     def __init__(self, prim: Sdf.PrimSpec, count: int, width: float) -> None:

@@ -1,9 +1,8 @@
-"""Does a binary layer hold together? Looked at before USD opens it.
+"""Consistency check of binary layers (crates) before USD opens them.
 
-USD sets aside memory for as many specs, paths and tokens as a binary layer (a crate) says it has,
-before it reads one: a damaged byte of a count makes gigabytes of a file of a few kilobytes. What
-is looked at here is where the parts lie and how many things each says it holds, some 300 bytes in
-all. Values are not looked at: that would be reading the file.
+USD allocates memory for the numbers of specs, paths and tokens in the file before it reads them, so
+that one damaged byte of a count takes gigabytes. Checked are the places and the counts of the
+sections, some 300 bytes; values are not.
 """
 
 import itertools
@@ -17,34 +16,32 @@ from zipfile import BadZipFile, ZipFile
 from usdface.core.errors import InputError
 
 MAGIC, HEADER_SIZE, ENTRY_SIZE = b"PXR-USDC", 88, 32
-"""What a crate begins with, and sizes [bytes]."""
+"""First bytes of a crate, and sizes of its header and of a section's entry [bytes]."""
 PARTS = ("TOKENS", "STRINGS", "FIELDS", "FIELDSETS", "PATHS", "SPECS")
-"""Every version of the format has them all; a later one may have more."""
+"""Sections of all versions of the format; later ones may have more."""
 PART_LIMIT = 64
 
 OLDEST_VERSION = (0, 4)
-"""The oldest version of the format that USD still reads; of an older one it says so itself."""
+"""The oldest version that USD reads; it refuses older ones itself."""
 NUMBERS_PER_BYTE = 4 * 255
-"""Numbers in a packed byte: each takes two bits at least, and LZ4 makes a byte of 255 at most."""
+"""Most numbers per packed byte: a number has at least two bits, and LZ4 compresses up to 255:1."""
 BYTES_PER_STRING = 4
 
 
 @dataclass(frozen=True)
 class _Part:
     name: str
-    start: int
     size: int
     count: int
 
 
 def check_crate(path: Path) -> None:
-    """Refuse a binary layer whose parts lie outside it, or claim more than they can hold.
+    """Refuse a binary layer with sections outside it, or with impossible counts.
 
     Parameters
     ----------
     path : Path
-        Any file. What is no binary layer passes; of a package, the binary layers in it are
-        looked at. What a file is called counts for nothing but packages.
+        Any file; only binary layers, and those in packages (``.usdz``), are checked.
     """
     try:
         with path.open("rb") as stream:
@@ -55,11 +52,11 @@ def check_crate(path: Path) -> None:
             for start, size, inner in spans:
                 _check_span(stream, start, size, f"{path}{inner}")
     except OSError:
-        return  # what the disk or the rights refuse is told where USD opens the file
+        return  # reported when USD opens the file
 
 
 def _files_in(stream: BinaryIO) -> Iterator[tuple[int, int, str]]:
-    """Yield where files of a package lie, and their names; of what is no package USD says so."""
+    """Yield start, size and name of the files in a package; none if it is not one."""
     try:
         with ZipFile(stream) as package:
             entries = package.infolist()
@@ -87,7 +84,7 @@ def _check_span(stream: BinaryIO, start: int, size: int, named: str) -> None:
 
 
 def _check_layer(stream: BinaryIO, start: int, size: int) -> None:
-    """Raise ValueError, saying what is wrong."""
+    """Raise ValueError with the fault, if there is one."""
     if size < HEADER_SIZE:
         raise ValueError(f"its {size} bytes end within its header")
     head = _read(stream, start, HEADER_SIZE)
@@ -102,47 +99,42 @@ def _check_layer(stream: BinaryIO, start: int, size: int) -> None:
         raise ValueError(f"its table of contents, {count} parts at {table}, ends beyond {size}")
     entries = _read(stream, start + table + 8, count * ENTRY_SIZE)
     parts = []
-    taken = [(0, HEADER_SIZE, "the header"), (table, end, "the table of contents")]
-    for name, at, length in struct.iter_unpack("<16sqq", entries):
-        called = name.rstrip(b"\0").decode("ascii", "backslashreplace")
+    spans = [(0, HEADER_SIZE, "the header"), (table, end, "the table of contents")]
+    for padded, at, length in struct.iter_unpack("<16sqq", entries):
+        name = padded.rstrip(b"\0").decode("ascii", "backslashreplace")
         if not 0 <= at <= size or not 8 <= length <= size - at:
-            raise ValueError(f"part {called} is said to be {length} at {at} of {size} bytes")
-        taken.append((at, at + length, called))
-        (holds,) = struct.unpack("<Q", _read(stream, start + at, 8))
-        parts.append(_Part(called, at, length, holds))
-    _check_overlaps(taken)
+            raise ValueError(f"part {name} is said to be {length} at {at} of {size} bytes")
+        spans.append((at, at + length, name))
+        (items,) = struct.unpack("<Q", _read(stream, start + at, 8))
+        parts.append(_Part(name, length, items))
+    for (_, end, before), (begin, _, after) in itertools.pairwise(sorted(spans)):
+        if begin < end:
+            raise ValueError(f"{before} and {after} overlap at {begin}")
     _check_counts(parts)
 
 
-def _check_overlaps(taken: list[tuple[int, int, str]]) -> None:
-    taken.sort()
-    for (_, end, before), (start, _, after) in itertools.pairwise(taken):
-        if start < end:
-            raise ValueError(f"{before} and {after} overlap at {start}")
-
-
 def _check_counts(parts: list[_Part]) -> None:
-    found = {part.name: part for part in parts}
-    missing = [name for name in PARTS if name not in found]
-    if missing or len(found) != len(parts):
+    by_name = {part.name: part for part in parts}
+    missing = [name for name in PARTS if name not in by_name]
+    if missing or len(by_name) != len(parts):
         raise ValueError(
             f"its parts are {', '.join(part.name for part in parts)}, not those of USD"
         )
     for name in PARTS:
-        part = found[name]
+        part = by_name[name]
         most = part.size * NUMBERS_PER_BYTE if name != "STRINGS" else part.size // BYTES_PER_STRING
         if part.count > most:
             raise ValueError(
                 f"part {name} of {part.size} bytes is said to hold {part.count}, {most} at most"
             )
-    specs, paths = found["SPECS"].count, found["PATHS"].count
+    specs, paths = by_name["SPECS"].count, by_name["PATHS"].count
     if specs > paths:
         raise ValueError(f"it is said to hold {specs} specs at {paths} paths")
 
 
 def _read(stream: BinaryIO, at: int, size: int) -> bytes:
     stream.seek(at)
-    found = stream.read(size)
-    if len(found) < size:
-        raise ValueError(f"it ends at {at + len(found)}, before {at + size}")
-    return found
+    data = stream.read(size)
+    if len(data) < size:
+        raise ValueError(f"it ends at {at + len(data)}, before {at + size}")
+    return data

@@ -1,4 +1,4 @@
-"""Open stages and write layers so that a reader sees the old file or the new one, never half."""
+"""Opening of stages, atomic writing of layers, their provenance and the paths in them."""
 
 import contextlib
 import functools
@@ -23,41 +23,38 @@ from usdface.usdio.reached import check_composed, check_reached
 FRAMES_IN_MEMORY = 1 << 15
 
 VALUES_IN_MEMORY = 1 << 23
-"""Long takes are saved to disk whenever this many frames or values have been written, so that
-memory stays bounded."""
+"""Frames or values after which long takes are saved to disk, which bounds the memory."""
 
 
 @contextlib.contextmanager
 def usd_errors_as_input_errors(path: Path, doing: str) -> Iterator[None]:
-    """Turn USD's own errors into an InputError that names the file; keep its chatter off stderr."""
+    """Turn USD's errors into an InputError with the file's name, and suppress them on stderr."""
     delegate = UsdUtils.CoalescingDiagnosticDelegate()
     try:
         yield
     except Tf.ErrorException as error:
         raise InputError(f"{path}: USD failed while {doing}: {usd_reason(error)}") from error
-    except UnicodeDecodeError as error:  # damage turned a name into bytes that Python cannot take
+    except UnicodeDecodeError as error:  # a damaged name
         raise InputError(f"{path}: a value that is needed for {doing} is no text") from error
     finally:
         delegate.TakeUncoalescedDiagnostics()
 
 
 def usd_reason(error: Tf.ErrorException) -> str:
-    """Return in one line what USD says first, which the others follow from.
+    """Return the first of USD's messages in one line, the cause of the others.
 
-    It may quote a broken file's bytes. What says the same at the end with its place is better.
+    Or the last, if it contains the first with its place. May quote a damaged file's bytes.
     """
     try:
-        texts = [
-            each.commentary if isinstance(each, Tf.Error) else str(each) for each in error.args
-        ]
-        first, last = (" ".join(each.split()) for each in (texts[0], texts[-1]))
+        texts = [one.commentary if isinstance(one, Tf.Error) else str(one) for one in error.args]
+        first, last = (" ".join(text.split()) for text in (texts[0], texts[-1]))
         return last if first in last else first
     except UnicodeDecodeError:
         return "it holds bytes that are no text"
 
 
 def is_layer_name(path: Path) -> bool:
-    """Whether USD would open a file of this name as a layer; a package is one."""
+    """Whether USD opens files of this name as layers or packages."""
     try:
         return bool(Usd.Stage.IsSupportedFile(str(path)))
     except UnicodeEncodeError as error:
@@ -67,7 +64,7 @@ def is_layer_name(path: Path) -> bool:
 
 
 def open_layer(path: Path) -> Sdf.Layer:
-    """Open one layer as it is on disk now."""
+    """Open one layer, or reload it from disk."""
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file in it")
     if not path.is_file():
@@ -98,13 +95,13 @@ def _check_schema(layer: Sdf.Layer, path: Path) -> None:
 
 
 def _usdface_data(layer: Sdf.Layer) -> dict[str, Any]:
-    """Return what a layer keeps under our name; nothing, where that is no dictionary."""
+    """Return our dictionary in a layer's custom data, or an empty one."""
     data = layer.customLayerData.get("usdface")
     return dict(data) if isinstance(data, dict) else {}
 
 
 def _check_rate(layer: Sdf.Layer, path: Path) -> None:
-    """Refuse rates by which USD could not place a layer's samples: it would search without end."""
+    """Refuse invalid rates, with which USD searches a layer's samples forever."""
     rate = layer.timeCodesPerSecond
     if not 0 < rate < math.inf:
         raise InputError(
@@ -114,7 +111,7 @@ def _check_rate(layer: Sdf.Layer, path: Path) -> None:
 
 
 def open_stage(path: Path) -> Usd.Stage:
-    """Open a stage from a file as it is on disk now."""
+    """Open a stage, with all layers reloaded from disk."""
     layer = open_layer(path)
     with usd_errors_as_input_errors(path, "composing it"):
         check_reached(layer)
@@ -139,7 +136,7 @@ def open_stage(path: Path) -> Usd.Stage:
 
 
 def check_layer_name(path: Path) -> None:
-    """Refuse a file name that USD would not recognise, before any work is done."""
+    """Refuse a file name that is not of a USD layer."""
     if path.suffix not in LAYER_SUFFIXES:
         raise InputError(
             f"{path}: a USD layer is written, so the name must end in {', '.join(LAYER_SUFFIXES)}"
@@ -148,22 +145,21 @@ def check_layer_name(path: Path) -> None:
 
 @contextlib.contextmanager
 def new_layer(path: Path, provenance: Provenance | None = None) -> Iterator[Sdf.Layer]:
-    """Yield an empty layer that replaces the file at `path` once the block ends without error."""
+    """Yield an empty layer that replaces the file at `path` if the block succeeds."""
     with new_layers({path: provenance}) as (layer,):
         yield layer
 
 
 @contextlib.contextmanager
 def new_layers(made: Mapping[Path, Provenance | None]) -> Iterator[tuple[Sdf.Layer, ...]]:
-    """Yield empty layers that replace files together, once the block ends without error.
+    """Yield empty layers that replace files together, if the block succeeds.
 
-    All are saved before the first takes its place, so a disk that fills leaves every old one.
+    All are saved before the first is renamed, so that a full disk leaves all old ones.
 
     Parameters
     ----------
     made : mapping of Path to Provenance or None
-        What to write, and what each layer says of its making; one that refers to others comes
-        last.
+        Paths and provenance; a layer that refers to others should be last.
     """
     paths = list(made)
     for path in paths:
@@ -181,7 +177,7 @@ def new_layers(made: Mapping[Path, Provenance | None]) -> Iterator[tuple[Sdf.Lay
 
 
 def author_provenance(layer: Sdf.Layer, provenance: Provenance | None) -> None:
-    """Let a layer say what made it; what other tools keep there stays."""
+    """Store provenance in a layer's custom data, without changing those of other tools."""
     if provenance is not None:
         layer.customLayerData = dict(layer.customLayerData) | {
             "usdface": provenance_data(provenance)
@@ -189,7 +185,7 @@ def author_provenance(layer: Sdf.Layer, provenance: Provenance | None) -> None:
 
 
 def _reload(path: Path) -> None:
-    """Let this process see a layer that was replaced on disk, if it has it open."""
+    """Reload a layer that was replaced on disk, if this process has it open."""
     stale = Sdf.Layer.Find(str(path))
     if stale is not None:
         stale.Reload(force=True)
@@ -205,21 +201,21 @@ def save_layer(layer: Sdf.Layer, path: Path) -> None:
 
 
 def provenance_data(provenance: Provenance) -> dict[str, object]:
-    """Return what ``customLayerData["usdface"]`` holds."""
+    """Return the provenance as ``customLayerData["usdface"]``."""
     return {
         "version": provenance.version,
         "schema": SCHEMA_VERSION,
         "step": provenance.step,
         "spec": provenance.spec,
         "specHash": provenance.spec_hash,
-        # A path may hold characters that a dictionary key may not: keep two lists.
+        # Two lists, since a path may have characters that a dictionary key may not.
         "inputs": Vt.StringArray(list(provenance.inputs.keys())),
         "inputHashes": Vt.StringArray(list(provenance.inputs.values())),
     }
 
 
 def read_provenance(path: Path) -> Provenance | None:
-    """Return what a layer says of its making, or None if this package did not write it."""
+    """Return a layer's provenance, or None if this package did not write it."""
     layer = open_layer(path)
     with usd_errors_as_input_errors(path, "reading what it says of its making"):
         data = _usdface_data(layer)
@@ -237,15 +233,11 @@ def read_provenance(path: Path) -> Provenance | None:
 
 
 def check_asset_name(path: Path) -> None:
-    """Refuse a file name by which no layer could refer to the file, or to one beside it.
+    """Refuse a file name that cannot be part of an asset path.
 
-    Raises
-    ------
-    InputError
-        If it has control characters, which USD takes in no path, or a backslash, which it takes for
-        a folder's end on every system.
+    Control characters are invalid in USD, and backslashes are separators on all systems.
     """
-    wrong = [each for each in path.name if each == "\\" or unicodedata.category(each) == "Cc"]
+    wrong = [char for char in path.name if char == "\\" or unicodedata.category(char) == "Cc"]
     if wrong:
         raise InputError(
             f"{str(path)!r}: {wrong[0]!r} cannot be part of a name that a USD layer refers to; "
@@ -254,20 +246,20 @@ def check_asset_name(path: Path) -> None:
 
 
 def relative_path(target: Path, layer_path: Path) -> str:
-    """Return `target` as a layer beside it should name it: relative, so that folders can move.
+    """Return the asset path of `target` relative to a layer, so that folders can be moved.
 
-    USD goes up from a folder by its name, the system by where it is: behind a link these are two
-    places. A path that leads there by both is preferred to one by the name that was given.
+    USD resolves ``..`` lexically, the system by links. A path that is valid for both is preferred
+    to one that is valid for USD alone.
     """
     named, real = Path(os.path.abspath(layer_path.parent)), layer_path.resolve().parent  # noqa: PTH100
-    ways = [os.path.relpath(target.resolve(), real), os.path.relpath(target, named)]
+    candidates = [os.path.relpath(target.resolve(), real), os.path.relpath(target, named)]
 
-    def leads(way: str, folder: Path) -> bool:
-        return Path(os.path.normpath(folder / way)).resolve() == target.resolve()
+    def leads(relative: str, folder: Path) -> bool:
+        return Path(os.path.normpath(folder / relative)).resolve() == target.resolve()
 
-    sound = [way for way in ways if leads(way, named)]
+    valid = [relative for relative in candidates if leads(relative, named)]
     check_asset_name(target)
-    relative = next((way for way in sound if leads(way, real)), (sound or ways)[0])
+    relative = next((one for one in valid if leads(one, real)), (valid or candidates)[0])
     relative = relative.replace(os.sep, "/")
     return relative if relative.startswith(".") else f"./{relative}"
 
@@ -277,10 +269,10 @@ R = TypeVar("R")
 
 
 def refusing_wrong_types(read: Callable[P, R]) -> Callable[P, R]:
-    """Turn what Python or USD says of a value of another type into an InputError for the file.
+    """Turn errors of values of a wrong type into an InputError with the file's name.
 
-    USD keeps an attribute's type as it was authored, whatever its schema says, so any value may
-    come out. The reader's first argument is a path, or has one.
+    Attributes may have other types than those of their schema. The reader's first argument is a
+    path, or has one.
     """
 
     @functools.wraps(read)

@@ -1,4 +1,4 @@
-"""A trained mapping as a typed prim: every number it needs is an attribute that USD tools see."""
+"""Reading and writing of trained mappings, as attributes of a typed prim."""
 
 import json
 import math
@@ -30,12 +30,9 @@ ATTRIBUTE = "face:mapping:alpha"
 def write_mapping(
     path: Path, mapping: TrainedMapping, *, provenance: Provenance | None = None
 ) -> None:
-    """Write a mapping; read back, it predicts the same to the last bit."""
-    tokens, numbers, string = (
-        Sdf.ValueTypeNames.TokenArray,
-        Sdf.ValueTypeNames.DoubleArray,
-        Sdf.ValueTypeNames.String,
-    )
+    """Write a mapping, without loss."""
+    kinds = Sdf.ValueTypeNames
+    tokens, numbers, string = kinds.TokenArray, kinds.DoubleArray, kinds.String
     scores = [
         {key: None if value != value else value for key, value in asdict(score).items()}
         for score in mapping.scores
@@ -44,7 +41,7 @@ def write_mapping(
         prim = define_in_scope(layer, "Mapping", "FaceMapping")
         author_units(layer)
         for name, kind, value in (
-            ("method", Sdf.ValueTypeNames.Token, mapping.method),
+            ("method", kinds.Token, mapping.method),
             ("markers", tokens, list(mapping.marker_names)),
             ("rigid", tokens, list(mapping.rigid)),
             ("channels", tokens, list(mapping.shape_names)),
@@ -104,16 +101,16 @@ def _value(path: Path, prim: Usd.Prim, name: str) -> Any:
 
 @refusing_wrong_types
 def read_alpha_keys(path: Path) -> list[tuple[float, float]]:
-    """Return (time code, alpha) for every key; one key for a value that does not change."""
+    """Return (time code, alpha) of every key; one for a constant value."""
     stage = open_stage(path)
-    found = [
+    keyed = [
         attribute
         for prim in stage.TraverseAll()
         if (attribute := prim.GetAttribute(ATTRIBUTE)) and attribute.HasAuthoredValue()
     ]
-    if len(found) != 1:
-        raise InputError(f"{path}: {len(found)} prims have a value of {ATTRIBUTE}; key it on one")
-    times = found[0].GetTimeSamples()
+    if len(keyed) != 1:
+        raise InputError(f"{path}: {len(keyed)} prims have a value of {ATTRIBUTE}; key it on one")
+    times = keyed[0].GetTimeSamples()
     if not times:
-        return [(0.0, float(found[0].Get()))]
-    return [(float(time), float(found[0].Get(time))) for time in times]
+        return [(0.0, float(keyed[0].Get()))]
+    return [(float(time), float(keyed[0].Get(time))) for time in times]

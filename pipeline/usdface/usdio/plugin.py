@@ -6,18 +6,18 @@ from usdface.core.errors import UsdfaceError
 from usdface.core.plugin_path import announce_plugins, plugin_folders
 
 SCHEMA_VERSION = 1
-"""Raised when the meaning of an attribute changes; layers carry it, newer ones are refused."""
+"""Incremented when the meaning of an attribute changes; layers with newer ones are refused."""
 
 
 def register_schemas() -> None:
-    """Make schemas and validators known to USD in this process and in those it starts."""
+    """Register schemas and validators with USD, in this process and its children."""
     announce_plugins()
     folders = list(map(str, plugin_folders()))
 
     from pxr import Plug, Usd
 
     Plug.Registry().RegisterPlugins(folders)
-    # A registry built earlier in this process (a DCC) never learns of a plug-in that comes late.
+    # A schema registry that already exists (in a DCC) ignores plug-ins registered later.
     if Usd.SchemaRegistry().FindAppliedAPIPrimDefinition("FaceTakeAPI") is None:
         raise UsdfaceError(
             "USD was in use before usdface was imported, so its schemas are not known; import "

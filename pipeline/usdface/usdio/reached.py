@@ -1,8 +1,8 @@
-"""What a layer reaches: found without opening it, looked at, and held to the confinement root.
+"""Checks of all files that a layer refers to, before USD opens them: integrity and confinement.
 
-A name in a layer may be an expression, such as ``@`"${SHOT}/rig.usda"`@``. Composition evaluates it
-with the variables of the root layer laid over those of the layer that is referenced, so one layer
-reaches other files under other roots. The walk here does so too.
+Asset paths may be expressions, such as ``@`"${SHOT}/rig.usda"`@``. Composition evaluates them with
+the variables of the root layer, and those of the referenced layer as fallbacks, so that a layer
+refers to different files under different roots.
 """
 
 import contextlib
@@ -19,24 +19,24 @@ from usdface.usdio.authoring import paths_in
 from usdface.usdio.crate import check_crate
 
 _MOST_REACHED = 20_000
-"""Layers, each counted once for every set of variables that reaches it."""
+"""Pairs of a layer and variables."""
 
 _Variables = dict[str, Any]
 
 
 def check_reached(layer: Sdf.Layer) -> list[Sdf.Layer]:
-    """Look at a layer, and at every one it is composed from, before USD opens that.
+    """Check a layer and all layers of its composition, before USD opens them.
 
     Returns
     -------
     list of Sdf.Layer
-        All of them, the layer itself first.
+        With the layer first.
 
     Raises
     ------
     InputError
-        Naming the first binary layer that does not hold together; if there is a root that confines
-        all work, also the first file outside it, be it a layer or not.
+        With the first damaged binary layer or, under confinement, the first file outside the
+        folder.
     """
     waiting = [(layer, dict(layer.expressionVariables))]
     reached = {layer.identifier: layer}
@@ -48,22 +48,22 @@ def check_reached(layer: Sdf.Layer) -> list[Sdf.Layer]:
         for asset, is_sublayer in _composed_of(above, variables):
             identifier = above.ComputeAbsolutePath(asset)
             if not _is_file(identifier):
-                continue  # what lies elsewhere is for USD, and for its resolver
+                continue  # left to USD and its resolver
             below = reached.get(identifier)
             if below is None:
                 _check_confined(above, identifier)
                 check_crate(Path(identifier))
-                with contextlib.suppress(Tf.ErrorException):  # USD says so again if it needs it
+                with contextlib.suppress(Tf.ErrorException):  # raised again by composition
                     below = Sdf.Layer.FindOrOpen(identifier)
             if below is None:
                 continue
             reached[identifier] = below
-            # Those of a referenced layer are weaker; those of a sublayer count for nothing.
-            way = variables if is_sublayer else dict(below.expressionVariables) | variables
-            key = (identifier, _key(way))
+            # Variables of a referenced layer are weaker; those of a sublayer are ignored.
+            of_layer = variables if is_sublayer else dict(below.expressionVariables) | variables
+            key = (identifier, _key(of_layer))
             if key not in seen:
                 seen.add(key)
-                waiting.append((below, way))
+                waiting.append((below, of_layer))
         if len(seen) > _MOST_REACHED:
             raise InputError(
                 f"{layer.identifier}: is composed from more than {_MOST_REACHED} layers; flatten it"
@@ -76,13 +76,7 @@ def _key(variables: _Variables) -> str:
 
 
 def check_composed(stage: Usd.Stage) -> None:
-    """Refuse a stage that was composed from a file outside the root that confines all work.
-
-    Raises
-    ------
-    InputError
-        Naming the file: a way of naming it that the walk does not know.
-    """
+    """Refuse a stage composed from a file outside the confinement, missed by `check_reached`."""
     root = confinement_root()
     if root is None:
         return
@@ -92,7 +86,7 @@ def check_composed(stage: Usd.Stage) -> None:
 
 
 def evaluated(asset: str, variables: _Variables) -> str:
-    """Return the name that an asset path stands for; empty if it is an expression without one."""
+    """Return an asset path with its expression evaluated; empty if that fails."""
     if not Sdf.VariableExpression.IsExpression(asset):
         return asset
     value = Sdf.VariableExpression(asset).Evaluate(variables).value
@@ -100,7 +94,7 @@ def evaluated(asset: str, variables: _Variables) -> str:
 
 
 def _composed_of(layer: Sdf.Layer, variables: _Variables) -> Iterator[tuple[str, bool]]:
-    """Yield what a layer names to be composed from, and whether it is a sublayer."""
+    """Yield the asset paths of a layer's composition, and whether each is a sublayer."""
     sublayers = set(layer.subLayerPaths)
     for asset in layer.GetCompositionAssetDependencies():
         if name := evaluated(asset, variables):
@@ -108,14 +102,14 @@ def _composed_of(layer: Sdf.Layer, variables: _Variables) -> Iterator[tuple[str,
 
 
 def _check_assets_confined(layer: Sdf.Layer, variables: _Variables) -> None:
-    """Refuse any name in a layer, of clips, textures and movies too, that leads out of the root."""
+    """Refuse asset paths of a layer, with clips, textures and movies, outside the confinement."""
     if confinement_root() is None:
         return
-    look = layer
+    copy = layer
     if dict(layer.expressionVariables) != variables and layer.realPath:
-        look = Sdf.Layer.OpenAsAnonymous(layer.realPath)  # evaluated there by its own variables
-        look.expressionVariables = variables
-    for names in UsdUtils.ExtractExternalReferences(look.identifier):
+        copy = Sdf.Layer.OpenAsAnonymous(layer.realPath)
+        copy.expressionVariables = variables
+    for names in UsdUtils.ExtractExternalReferences(copy.identifier):
         for name in filter(None, names):
             for file in _files_named(layer.ComputeAbsolutePath(name)):
                 _check_confined(layer, file)
@@ -139,7 +133,7 @@ def _check_confined(layer: Sdf.Layer, identifier: str) -> None:
     root = confinement_root()
     outer = Ar.SplitPackageRelativePathOuter(identifier)[0]
     if root is None or not Path(outer).is_absolute():
-        return  # the latter names what only a resolver finds
+        return  # relative ones are left to the resolver
     if not Path(outer).resolve().is_relative_to(root.resolve()):
         raise InputError(
             f"{layer.realPath or layer.identifier}: refers to {outer}, which lies outside {root}\n"
@@ -150,25 +144,22 @@ def _check_confined(layer: Sdf.Layer, identifier: str) -> None:
 def _is_file(identifier: str) -> bool:
     try:
         return Path(identifier).is_file()
-    except OSError:  # a name that is too long, a folder that may not be looked into
+    except OSError:  # the name is too long, or the folder not readable
         return False
 
 
 def _check_tree(layer: Sdf.Layer) -> None:
-    """Refuse a layer that lists prims or properties which it has not: USD ends the process there.
-
-    Text cannot say so; a binary layer whose list of specs is damaged can.
-    """
+    """Refuse a binary layer with a damaged list of specs, on which USD aborts the process."""
     if layer.GetFileFormat().formatId == "usda":
         return
     for path in paths_in(layer):
         if path.IsPrimPath():
-            there = bool(layer.GetPrimAtPath(path))
+            exists = bool(layer.GetPrimAtPath(path))
         elif path.IsPrimPropertyPath():
-            there = bool(layer.GetPropertyAtPath(path))
+            exists = bool(layer.GetPropertyAtPath(path))
         else:
-            there = not path.isEmpty  # as it is where a name is none
-        if not there:
+            exists = not path.isEmpty
+        if not exists:
             raise InputError(
                 f"{layer.identifier}: a damaged binary layer: <{path}> is listed and not there; "
                 "copy it again from where it came from, or write it again"

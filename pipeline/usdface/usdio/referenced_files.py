@@ -1,4 +1,4 @@
-"""What a USD file refers to, and the frames that it says it has."""
+"""Files that a USD file refers to, and its range of frames."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -12,20 +12,20 @@ from usdface.usdio.reached import check_reached
 
 
 def referenced_files(path: Path) -> list[Path]:
-    """Return a USD file, its layers, and the textures, movies and sounds that they name."""
+    """Return a USD file, its layers, and their textures, movies and sounds that exist."""
     layers, assets, _ = _dependencies(path)
     files = (*layers, *(asset for asset in assets if asset.is_file()), path)
     return sorted({file.resolve(): file for file in files}.values())
 
 
 def dependencies(path: Path) -> list[Path]:
-    """Return every layer a USD file is built from, itself first; textures and movies are not."""
+    """Return all layers of a USD file, with itself first."""
     layers, _, _ = _dependencies(path)
     return [path, *(layer for layer in layers if layer.resolve() != path.resolve())]
 
 
 def all_files(path: Path) -> list[Path]:
-    """Return every file that a USD file refers to, there or not, movies and textures included."""
+    """Return all files that a USD file refers to, also missing ones."""
     layers, assets, missing = _dependencies(path)
     return [*layers, *assets, *missing]
 
@@ -36,19 +36,19 @@ def _dependencies(path: Path) -> tuple[list[Path], list[Path], list[Path]]:
     with usd_errors_as_input_errors(path, "finding what it refers to"):
         reached = check_reached(layer)
         layers, assets, missing = UsdUtils.ComputeAllDependencies(layer.identifier)
-    # USD's own list evaluates expressions by the variables of each layer alone.
-    found = [each.realPath for each in (*layers, *reached)]
-    return _on_disk(found), _on_disk(assets), _on_disk(missing)
+    # USD's list evaluates expressions with the variables of each layer alone.
+    layer_files = [each.realPath for each in (*layers, *reached)]
+    return _on_disk(layer_files), _on_disk(assets), _on_disk(missing)
 
 
-def _on_disk(found: Iterable[str]) -> list[Path]:
-    """Return files once each; a package stands for what is in it."""
-    files = (Ar.SplitPackageRelativePathOuter(each)[0] for each in found)
-    return [Path(each) for each in dict.fromkeys(files) if each]
+def _on_disk(identifiers: Iterable[str]) -> list[Path]:
+    """Return distinct files, of those in packages the package."""
+    files = (Ar.SplitPackageRelativePathOuter(identifier)[0] for identifier in identifiers)
+    return [Path(file) for file in dict.fromkeys(files) if file]
 
 
 def frame_range_of(path: Path) -> tuple[int, int] | None:
-    """Return the first and last frame that a take or a performance says it has."""
+    """Return the first and last frame of a take or a performance, if it has a range."""
     layer = open_layer(path)
     with usd_errors_as_input_errors(path, "reading its range"):
         if not (layer.HasStartTimeCode() and layer.HasEndTimeCode()):
@@ -60,14 +60,11 @@ def frame_range_of(path: Path) -> tuple[int, int] | None:
 
 
 def missing_sublayers(path: Path) -> list[str]:
-    """Return the names of layers that were written with a layer, beneath it, and are gone.
-
-    What others put there is theirs to bring back, and so are edits.
-    """
+    """Return the names of missing sublayers that were written with a layer, except edits."""
     layer = open_layer(path)
-    beneath = [path.parent / asset for asset in layer.subLayerPaths]
+    sublayers = [path.parent / asset for asset in layer.subLayerPaths]
     return [
         file.name
-        for file in beneath
+        for file in sublayers
         if file.name.startswith(f"{path.stem}.") and file != edits_path(path) and not file.is_file()
     ]

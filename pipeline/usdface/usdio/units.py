@@ -1,4 +1,4 @@
-"""A stage's units and axes, and ours: millimetres, Y up."""
+"""Conversion between a stage's units and axes and ours: millimetres, Y up."""
 
 from pathlib import Path
 
@@ -13,16 +13,16 @@ from usdface.usdio.layers import open_layer
 Z_UP_TO_Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 _METRES_PER_STAGE_UNIT = 0.01
 MM_PER_STAGE_UNIT = 10.0
-"""Layers that this package writes are in centimetres, as most film rigs are."""
+"""Layers that this package writes are in centimetres, as most film rigs."""
 
 _SMALLEST_UNIT_M, _LARGEST_UNIT_M = 1e-9, 1e6
-"""Nanometres, and more than any scene is measured in."""
+"""[m] Plausible units of scenes."""
 
 
 def stage_to_ours(stage: Usd.Stage) -> FloatArray:
-    """Return the 3x3 that turns a stage's column vectors into millimetres, Y up."""
-    turn = Z_UP_TO_Y_UP if is_z_up(stage) else np.eye(3)
-    return millimetres(stage) * turn
+    """Return the (3, 3) matrix from a stage's column vectors to millimetres, Y up."""
+    rotation = Z_UP_TO_Y_UP if is_z_up(stage) else np.eye(3)
+    return millimetres(stage) * rotation
 
 
 def column_matrix(matrix: Gf.Matrix4d) -> FloatArray:
@@ -37,7 +37,7 @@ def transform_points(matrix: FloatArray, points: ArrayLike) -> FloatArray:
 
 
 def millimetres(stage: Usd.Stage) -> float:
-    """Return how many millimetres one unit of a stage is."""
+    """Return the length of a stage's unit [mm]."""
     metres = float(UsdGeom.GetStageMetersPerUnit(stage))
     if not _SMALLEST_UNIT_M <= metres <= _LARGEST_UNIT_M:  # also catches NaN
         raise InputError(
@@ -53,16 +53,16 @@ def is_z_up(stage: Usd.Stage) -> bool:
 
 
 def author_units(layer: Sdf.Layer, *, like: Path | None = None) -> None:
-    """Set centimetres and Y up on a layer, or what a file has that it references.
+    """Set centimetres and Y up on a layer, or the unit and axis of a file that it references.
 
     Parameters
     ----------
     like : Path, optional
-        A file whose prims the layer shows as they are: USD converts no units on a reference.
+        The referenced file; USD does not convert units of references.
     """
     metres, up = _METRES_PER_STAGE_UNIT, "Y"
     if like is not None:
-        other = open_layer(like)  # in a name: what a layer lends does not outlive it
+        other = open_layer(like)  # keep a reference: prims do not outlive their layer
         root = other.pseudoRoot
         metres = root.GetInfo("metersPerUnit") if root.HasInfo("metersPerUnit") else metres
         up = root.GetInfo("upAxis") if root.HasInfo("upAxis") else UsdGeom.GetFallbackUpAxis()

@@ -1,4 +1,4 @@
-"""Is a layer in order? USD's own validators, ours among them as the plug-in `usdio.checks`."""
+"""Validation of layers by USD's validators and ours, the plug-in `usdio.checks`."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,28 +13,27 @@ Severity = Literal["error", "warning"]
 _PLUGIN = "usdface.usdio.checks"
 
 _OF_A_LAYER_ALONE = tuple(f"{_PLUGIN}:{name}" for name in ("Weights", "Curves", "Edits"))
-"""What can be asked of an animation whose rig is elsewhere."""
+"""Validators of an animation without its rig."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is not in order."""
+    """A fault of a layer."""
 
     severity: Severity
     check: str
     """Name of the validator; ours begin with ``usdface:``."""
     where: str
-    """File and, where one is to blame, prim or property."""
+    """File and, if known, prim or property."""
     message: str
-    """What is wrong and how to mend it."""
+    """The fault and its remedy."""
 
 
 @refusing_wrong_types
 def validate(path: Path) -> list[Finding]:
-    """Check a USD file as it composes; an empty list means that nothing was found.
+    """Return the faults of a USD file as it composes.
 
-    A weights layer given alone, which says all it says over a rig that is not there, is looked at
-    for what its samples tell.
+    Of a weights layer without its rig, whose prims are overs, only the samples are checked.
     """
     stage = open_stage(path)
     registry = UsdValidation.ValidationRegistry()
@@ -46,11 +45,11 @@ def validate(path: Path) -> list[Finding]:
     ]
     with usd_errors_as_input_errors(path, "validating it"):
         errors = list(context.Validate(stage))
-        if loose:  # USD itself passes over what is not defined
-            own = registry.GetOrLoadValidatorsByName(list(_OF_A_LAYER_ALONE))
-            errors += UsdValidation.ValidationContext(own).Validate(loose)
-    found = [_finding(error, path) for error in errors]
-    return sorted((each for each in found if each), key=lambda each: each.severity)
+        if loose:  # USD skips undefined prims
+            validators = registry.GetOrLoadValidatorsByName(list(_OF_A_LAYER_ALONE))
+            errors += UsdValidation.ValidationContext(validators).Validate(loose)
+    findings = [finding for error in errors if (finding := _finding(error, path))]
+    return sorted(findings, key=lambda finding: finding.severity)
 
 
 def _finding(error: UsdValidation.ValidationError, path: Path) -> Finding | None:

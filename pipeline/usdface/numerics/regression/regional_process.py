@@ -63,7 +63,7 @@ def marker_relevance(sample: FloatArray, weights: FloatArray, components: FloatA
     moves = np.linalg.solve(normal, standard.T @ (sample - sample.mean(axis=0))) @ components
     length = np.linalg.norm(moves.reshape(len(moves), -1, 3), axis=2)
     share = length / np.maximum(length.max(axis=1, keepdims=True), 1e-12)
-    return np.maximum(share, LEAST_RELEVANCE)
+    return np.asarray(np.maximum(share, LEAST_RELEVANCE))
 
 
 def regional_features(

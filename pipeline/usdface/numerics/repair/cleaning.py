@@ -134,13 +134,7 @@ def clean_markers(
     outliers = find_outliers(still.positions, seen, model=model, noise=noise, rate=rate)
     good = seen & ~outliers
     progress(0.6, "head motion, from all markers")
-    _refine_pose(still, good, model)
-    noise = marker_noise(still.positions, good)
-    slips = find_slips(still.positions, good, model=model, rate=rate)
-    if slips:
-        slips = undo_slips(
-            still.positions, good, slips, neutral=neutral, rank=len(model.variances), noise=noise
-        )
+    noise, slips = _refine_pose_and_slips(still, good, model, neutral=neutral, rate=rate)
     progress(0.7, "gaps")
     model = fit_low_rank(still.positions, good, rank_limit=rank, start=model, noise=noise)
     sigma = float(np.median(noise))
@@ -165,6 +159,17 @@ def clean_markers(
         noise_mm=sigma,
         slips=slips,
     )
+
+
+def _refine_pose_and_slips(
+    still: _StabilizedTake, good: BoolArray, model: LowRankModel, *, neutral: int, rate: float
+) -> tuple[FloatArray, tuple[Slip, ...]]:
+    """Refine the head pose and correct slips, in place; return the noise and the slips."""
+    _refine_pose(still, good, model)
+    noise = marker_noise(still.positions, good)
+    slips = find_slips(still.positions, good, model=model, rate=rate)
+    rank = len(model.variances)
+    return noise, undo_slips(still.positions, good, slips, neutral=neutral, rank=rank, noise=noise)
 
 
 def _check(captured: Float32Array, seen: BoolArray, neutral: int, max_gap: int) -> None:

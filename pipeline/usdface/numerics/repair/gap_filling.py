@@ -110,7 +110,8 @@ def complete_take(
     if good.all():
         return TakeFill(filled, confidence)
     middle = max(0, (count - _TRIAL_FRAMES) // 2)
-    points, ok = (values[middle : middle + _TRIAL_FRAMES] for values in (positions, good))
+    trial = slice(middle, middle + _TRIAL_FRAMES)
+    points, ok = positions[trial], good[trial]
     prediction = predict_from_others(model, fill_missing(model, points, ok))
     limit = choose_spline_limit(points, ok, prediction, noise=noise)
     # Each block is filled with a margin of the longest gap around it.

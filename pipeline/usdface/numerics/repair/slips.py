@@ -128,6 +128,8 @@ def undo_slips(
     noise : (markers,) float array
         Standard deviation per coordinate [mm].
     """
+    if not slips:
+        return ()
     known = good.copy()
     sides = [slice(slip.row, None) if neutral < slip.row else slice(slip.row) for slip in slips]
     for slip, side in zip(slips, sides, strict=True):

@@ -58,6 +58,7 @@ def fit_robust_line(
     tolerance : float
         Largest distance of an inlier, in the unit of `y`; less if most are nearer.
     largest_slope : float
+        Of lines that points propose.
     usual_slope : float
         Prior standard deviation of slopes, against steep lines through a few close points.
     noise : float

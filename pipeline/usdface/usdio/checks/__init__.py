@@ -1,6 +1,6 @@
-"""Our validators, a plug-in of UsdValidation: any tool that asks USD for validators has them.
+"""Our validators, a plug-in of UsdValidation, available to all tools that use USD's validators.
 
-USD reads ``plugInfo.json`` beside this file and imports this module when a validator is wanted.
+USD reads ``plugInfo.json`` in this folder and imports this module when a validator is requested.
 """
 
 from collections.abc import Callable, Iterable

@@ -1,4 +1,4 @@
-"""Weights over time: rates and ranges that are stated and agree; values as faces move."""
+"""Checks of timing and of weights over time."""
 
 from collections.abc import Iterator
 
@@ -11,7 +11,7 @@ from usdface.usdio.checks.fault import Fault, Samples, is_recorded, is_solved, r
 
 
 def check_timing(stage: Usd.Stage) -> Iterator[Fault]:
-    """Look at the timing of a stage that animates weights; others are let be."""
+    """Check the timing of a stage with animated weights."""
     animated = [
         UsdSkel.Animation(prim).GetBlendShapeWeightsAttr()
         for prim in stage.TraverseAll()
@@ -88,29 +88,28 @@ def _same_rate(stage: Usd.Stage) -> Iterator[Fault]:
 
 
 RANGE_TOLERANCE = 0.02
-"""How far outside its range a weight is let pass, and how near to 0 or an end of it a weight counts
-as there: rounding and smoothing overshoot a little."""
+"""Tolerance of ranges, and of weights at 0 or at an end of the range: rounding and smoothing
+overshoot a little."""
 
 FASTEST_SECONDS = 0.02
-"""No face makes a shape's whole way at such a speed: the quickest blinks close in 50 ms, and a
-movement that starts and ends at rest is at most twice as fast as on average."""
+"""Least time of a weight from 0 to 1 at its peak speed: the fastest blinks take 50 ms, and the peak
+speed of a movement between rests is at most about twice its mean."""
 
 FROZEN_SECONDS = 0.5
 FROZEN_CHANGE = 1e-6
-"""A face held by an actor still trembles; one that does not move at all for so long is not held."""
+"""Duration, and largest change of a weight, of a frozen face; actors cannot hold so still."""
 
 STUCK_SECONDS = 2.0
-"""How long one shape may stay at one value, neither 0 nor an end of its range, while the face
-moves."""
+"""Longest time of a shape at one value, neither 0 nor an end of its range, while others move."""
 
 MOTIONLESS_SECONDS = 10.0
-"""Shapes that stay at one value other than 0 are reported for takes at least this long."""
+"""Least length of takes in which constant shapes other than 0 are reported."""
 
 SIDES = (("Left", "Right"), ("left", "right"), ("_L", "_R"), ("_l", "_r"), ("L_", "R_"))
 
 
 def check_curves(prim: Usd.Prim) -> list[Fault]:
-    """Look for weights out of range, jumps, frozen stretches, motionless shapes, swapped sides."""
+    """Find weights out of range, jumps, frozen stretches, motionless shapes and swapped sides."""
     if is_recorded(prim) or not is_solved(prim):
         return []
     samples = read_samples(prim)
@@ -125,7 +124,7 @@ def check_curves(prim: Usd.Prim) -> list[Fault]:
 
 
 def pair_sides(names: tuple[str, ...]) -> list[tuple[int, int]]:
-    """Return (left, right) columns of shapes that differ only in the side they name."""
+    """Return (left, right) columns of shapes whose names differ only in the side."""
     place = index_of(names)
     pairs = []
     for name, index in place.items():
@@ -138,10 +137,7 @@ def pair_sides(names: tuple[str, ...]) -> list[tuple[int, int]]:
 
 
 def _ranges(prim: Usd.Prim, samples: Samples) -> FloatArray:
-    """Return what each shape's BlendShape prim allows; 0 to 1 where it says nothing.
-
-    Where the rig is elsewhere, its ranges are taken to be those of the samples.
-    """
+    """Return the ranges of the BlendShape prims, by default 0 to 1; without rig, of the samples."""
     names = samples.names
     if not prim.IsDefined():
         return np.stack([samples.values.min(axis=0), samples.values.max(axis=0)], axis=1)
@@ -149,9 +145,9 @@ def _ranges(prim: Usd.Prim, samples: Samples) -> FloatArray:
     place = index_of(names)
     for mesh in prim.GetStage().Traverse():
         binding = UsdSkel.BindingAPI(mesh)
-        own = binding.GetBlendShapesAttr().Get() or []
-        targets = binding.GetBlendShapeTargetsRel().GetTargets() if own else []
-        for name, target in zip(map(str, own), targets, strict=False):
+        shapes = binding.GetBlendShapesAttr().Get() or []
+        targets = binding.GetBlendShapeTargetsRel().GetTargets() if shapes else []
+        for name, target in zip(map(str, shapes), targets, strict=False):
             shape = prim.GetStage().GetPrimAtPath(target)
             authored = shape.GetAttribute("face:range").Get() if shape else None
             if name in place and authored is not None:
@@ -179,10 +175,10 @@ def _out_of_range(samples: Samples, ranges: FloatArray) -> list[Fault]:
 
 
 def _jumps(samples: Samples) -> Iterator[Fault]:
-    """Find changes faster than any face; the worst of each shape is reported."""
+    """Find the fastest change of each shape that is faster than any face."""
     seconds = np.diff(samples.times) / samples.rate
     speed = np.abs(np.diff(samples.values, axis=0)) / seconds[:, None]
-    # At film rates a blink takes a frame or two: only what outruns even that is a jump.
+    # At film rates a blink takes a frame or two, which is no jump.
     too_fast = (speed > 1 / FASTEST_SECONDS) & (seconds[:, None] <= FASTEST_SECONDS)
     for column in np.flatnonzero(too_fast.any(axis=0)):
         row = int(np.where(too_fast[:, column], speed[:, column], 0).argmax())
@@ -213,16 +209,16 @@ def _frozen(samples: Samples) -> list[Fault]:
 
 
 def _stuck(samples: Samples, ranges: FloatArray) -> Iterator[Fault]:
-    """Find shapes that stay at a value of their own while others move; the longest of each."""
+    """Find the longest stretch of each shape at one value while others move."""
     still = np.abs(np.diff(samples.values, axis=0)) <= FROZEN_CHANGE
     moving = ~still.all(axis=1)
     inside = np.minimum(samples.values - ranges[:, 0], ranges[:, 1] - samples.values)
     inside = np.minimum(inside, np.abs(samples.values))
     for column in np.flatnonzero(still.any(axis=0)):
-        held: BoolArray = still[:, column] & moving & (inside[1:, column] > RANGE_TOLERANCE)
-        stretches = _stretches(samples, held, STUCK_SECONDS)
+        stuck: BoolArray = still[:, column] & moving & (inside[1:, column] > RANGE_TOLERANCE)
+        stretches = _stretches(samples, stuck, STUCK_SECONDS)
         if stretches:
-            first, last, seconds = max(stretches, key=lambda each: each[2])
+            first, last, seconds = max(stretches, key=lambda stretch: stretch[2])
             value = samples.values[np.searchsorted(samples.times, last), column]
             yield Fault(
                 "warning",
@@ -249,10 +245,10 @@ def _stretches(
 def _motionless(samples: Samples) -> list[Fault]:
     seconds = (samples.times[-1] - samples.times[0]) / samples.rate
     moving = np.ptp(samples.values, axis=0) > FROZEN_CHANGE
-    still = ~moving & (np.abs(samples.values[0]) > RANGE_TOLERANCE)  # what no reference keyed is 0
+    still = ~moving & (np.abs(samples.values[0]) > RANGE_TOLERANCE)  # 0: not in any reference
     if seconds < MOTIONLESS_SECONDS or not still.any() or not moving.any():
         return []
-    motionless = [name for name, each in zip(samples.names, still, strict=True) if each]
+    motionless = [samples.names[column] for column in np.flatnonzero(still)]
     return [
         Fault(
             "warning",
@@ -264,7 +260,7 @@ def _motionless(samples: Samples) -> list[Fault]:
 
 
 def _side_swaps(samples: Samples) -> list[Fault]:
-    """Find where all left shapes take up what the right ones did, and the other way round."""
+    """Find frames at which the weights of all left and right shapes are exchanged."""
     pairs = pair_sides(samples.names)
     if len(pairs) < 2:
         return []
@@ -273,15 +269,13 @@ def _side_swaps(samples: Samples) -> list[Fault]:
     stays = np.linalg.norm(np.diff(np.hstack([left, right]), axis=0), axis=1)
     swaps = np.linalg.norm(np.hstack([left[1:] - right[:-1], right[1:] - left[:-1]]), axis=1)
     rows = np.flatnonzero((stays > 0.3) & (swaps < 0.3 * stays))
-    return (
-        [
-            Fault(
-                "error",
-                samples.path,
-                f"time code {samples.times[rows[0] + 1]:g}: left and right shapes exchange their "
-                f"weights ({len(rows)} times in all); look for swapped markers and clean again",
-            )
-        ]
-        if len(rows)
-        else []
-    )
+    if not len(rows):
+        return []
+    return [
+        Fault(
+            "error",
+            samples.path,
+            f"time code {samples.times[rows[0] + 1]:g}: left and right shapes exchange their "
+            f"weights ({len(rows)} times in all); look for swapped markers and clean again",
+        )
+    ]

@@ -1,4 +1,4 @@
-"""What a check finds, and the samples that several checks look at."""
+"""Results of checks, and the samples that several checks use."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -12,14 +12,13 @@ from usdface.usdio.authoring import names_in
 
 @dataclass(frozen=True)
 class Fault:
-    """One thing that is not in order."""
+    """A fault of a prim or property; an error stops a publish."""
 
     severity: Literal["error", "warning"]
-    """Whether a publish should stop."""
     path: str
     """The prim or property."""
     message: str
-    """What is wrong, when, and how to mend it."""
+    """The fault, its time and its remedy."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +37,7 @@ class Samples:
 
 
 def read_samples(prim: Usd.Prim) -> Samples | None:
-    """Return an animation's samples; None where there are none, or they do not fit the names."""
+    """Return an animation's samples; None without any, or if they do not match the names."""
     animation = UsdSkel.Animation(prim)
     names = names_in(animation.GetBlendShapesAttr())
     attribute = animation.GetBlendShapeWeightsAttr()
@@ -59,7 +58,7 @@ def read_samples(prim: Usd.Prim) -> Samples | None:
 
 
 def is_recorded(prim: Usd.Prim) -> bool:
-    """Whether an animation is a take's or a sequence's own: kept as it is, and driving nothing."""
+    """Whether an animation is recorded data of a take, sequence or pairs, which drives no rig."""
     parent = prim.GetParent()
     if not parent:
         return False

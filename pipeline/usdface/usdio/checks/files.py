@@ -1,4 +1,4 @@
-"""What layers are made of: files that are found and relative, shapes by name, and provenance."""
+"""Checks of files, paths, names of shapes, sides, instances and provenance."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -15,11 +15,11 @@ from usdface.usdio.checks.fault import Fault, is_recorded, is_solved
 from usdface.usdio.performance.weights_layer import UNMATCHED
 
 CLEAR_SHARE = 0.2
-"""How one-sided a shape must be, of its whole movement, to count as that side's."""
+"""[of the whole displacement] Least difference between the sides of a one-sided shape."""
 
 
 def check_names(prim: Usd.Prim) -> Iterator[Fault]:
-    """Find shapes that no mesh has or that are named twice, and animations nobody follows."""
+    """Find shapes that no mesh has or that are named twice, and animations without a skeleton."""
     names = list(map(str, UsdSkel.Animation(prim).GetBlendShapesAttr().Get() or []))
     if not names or is_recorded(prim):
         return
@@ -57,7 +57,7 @@ def check_names(prim: Usd.Prim) -> Iterator[Fault]:
 
 
 def _unmatched(prim: Usd.Prim) -> Iterator[Fault]:
-    """Find what the source of a retargeting does that arrives nowhere."""
+    """Find unmatched shapes of a retargeting, interpolated frames, and weights that are all 0."""
     lost = list(map(str, prim.GetAttribute(UNMATCHED).Get() or ()))
     if lost:
         yield Fault(
@@ -85,8 +85,8 @@ def _unmatched(prim: Usd.Prim) -> Iterator[Fault]:
 
 
 def _skipped_shapes(animation: Usd.Prim, names: set[str]) -> dict[str, list[str]]:
-    """Return by mesh the shapes that an animation leaves out of those it animates."""
-    found: dict[str, list[str]] = {}
+    """Return the shapes of each animated mesh that the animation does not name."""
+    skipped: dict[str, list[str]] = {}
     for prim in animation.GetStage().Traverse():
         binding = UsdSkel.BindingAPI(prim)
         shapes = list(map(str, binding.GetBlendShapesAttr().Get() or []))
@@ -95,12 +95,12 @@ def _skipped_shapes(animation: Usd.Prim, names: set[str]) -> dict[str, list[str]
         skeleton = binding.GetInheritedSkeleton()
         source = UsdSkel.BindingAPI(skeleton).GetInheritedAnimationSource() if skeleton else None
         if source and source.GetPath() == animation.GetPath():
-            found[prim.GetName()] = [each for each in shapes if each not in names]
-    return found
+            skipped[prim.GetName()] = [shape for shape in shapes if shape not in names]
+    return skipped
 
 
 def check_instances(stage: Usd.Stage) -> Iterator[Fault]:
-    """Find what layers say below an instance: USD ignores it, so no weight would arrive."""
+    """Find opinions below instances, which USD ignores."""
     for prim in stage.Traverse():
         if not prim.IsInstance():
             continue
@@ -132,10 +132,7 @@ def _bound_shapes(animation: Usd.Prim) -> tuple[set[str], bool]:
 
 
 def check_sides(stage: Usd.Stage) -> Iterator[Fault]:
-    """Find pairs of shapes that move the sides the other way round than most pairs do.
-
-    Which way a character faces is not asked: the majority says where its left is.
-    """
+    """Find pairs of shapes whose sides are exchanged, compared with the majority of pairs."""
     for mesh in stage.Traverse():
         binding = UsdSkel.BindingAPI(mesh) if mesh.IsA(UsdGeom.Mesh) else None
         names = tuple(map(str, (binding.GetBlendShapesAttr().Get() or []) if binding else []))
@@ -161,7 +158,7 @@ def check_sides(stage: Usd.Stage) -> Iterator[Fault]:
 
 
 def _side_shares(mesh: Usd.Prim) -> list[float]:
-    """Return for each shape how far its movement lies on one side: -1 all at -x, 1 all at +x."""
+    """Return the asymmetry of each shape's displacements: -1 all at -x, 1 all at +x."""
     points = np.asarray(UsdGeom.Mesh(mesh).GetPointsAttr().Get() or [], dtype=np.float64)
     binding = UsdSkel.BindingAPI(mesh)
     out = []
@@ -190,7 +187,7 @@ def _is_ours(stage: Usd.Stage) -> bool:
 
 
 def check_absolute_paths(stage: Usd.Stage) -> Iterator[Fault]:
-    """Find paths that only this machine has; layers that are not ours are let be."""
+    """Find absolute paths in our layers."""
     if not _is_ours(stage):
         return
     for layer in _saved_layers(stage):
@@ -214,7 +211,7 @@ def check_absolute_paths(stage: Usd.Stage) -> Iterator[Fault]:
 
 
 def check_missing_files(stage: Usd.Stage) -> Iterator[Fault]:
-    """Find references and sublayers of our layers that are not where they should be."""
+    """Find missing references and sublayers of our layers."""
     if not _is_ours(stage):
         return
     for layer in _saved_layers(stage):
@@ -233,7 +230,7 @@ def check_missing_files(stage: Usd.Stage) -> Iterator[Fault]:
 
 
 def check_provenance(stage: Usd.Stage) -> Iterator[Fault]:
-    """Find solved animations of which no layer says what they were made from."""
+    """Find solved animations without provenance."""
     for prim in stage.TraverseAll():
         if not prim.IsA(UsdSkel.Animation) or not is_solved(prim):
             continue

@@ -1,4 +1,4 @@
-"""One finite weight per shape in every sample."""
+"""Checks of the numbers and values of weights, and of edits."""
 
 from pathlib import Path
 
@@ -13,14 +13,14 @@ from usdface.usdio.performance.edits import PREFIXES, read_edits
 from usdface.usdio.performance.weights_layer import WEIGHTS
 
 LARGEST_WEIGHT = 10.0
-"""Weights may pass 1, but none that an animator means is this far beyond."""
+"""Largest plausible weight."""
 
 _CHANGED_WEIGHT = 0.1
-"""Change of the solve beneath an edit that an animator should look at."""
+"""Least change of the solve beneath an edit that is reported."""
 
 
 def check_weights(prim: Usd.Prim) -> list[Fault]:
-    """Look at the count and the values of every sample."""
+    """Check the number and the values of the weights in every sample."""
     animation = UsdSkel.Animation(prim)
     names = list(map(str, animation.GetBlendShapesAttr().Get() or []))
     attribute = animation.GetBlendShapeWeightsAttr()
@@ -45,8 +45,8 @@ def check_weights(prim: Usd.Prim) -> list[Fault]:
         fault = _fault(names, np.asarray(query.Get(time)))
         if fault:
             return [Fault("error", path, f"time code {time:g}: {fault}")]
-    held = attribute.Get(Usd.TimeCode.Default())
-    fault = "" if held is None else _fault(names, np.asarray(held))
+    default = attribute.Get(Usd.TimeCode.Default())
+    fault = "" if default is None else _fault(names, np.asarray(default))
     if fault:
         return [Fault("error", path, f"its default: {fault}")]
     changed = changed_part(prim)
@@ -69,9 +69,9 @@ def _fault(names: list[str], weights: np.ndarray) -> str:
 
 
 def changed_part(prim: Usd.Prim) -> str:
-    """Return what is wrong where a part was mapped again since; empty where none was.
+    """Return the fault if a part was mapped again after `join`, else an empty string.
 
-    The frames at the seams lie in a layer of their own as well, so they tell.
+    Found by the frames at the seams, which a separate layer repeats.
     """
     clips = Usd.ClipsAPI(prim)
     assets = [str(each.resolvedPath) for each in clips.GetClipAssetPaths(CLIP_SET) or ()]
@@ -80,11 +80,11 @@ def changed_part(prim: Usd.Prim) -> str:
         return ""
     path = Sdf.Path(clips.GetClipPrimPath(CLIP_SET)).AppendProperty(WEIGHTS)
     for time in layers[0].ListTimeSamplesForPath(path):
-        wanted = layers[0].QueryTimeSample(path, time)
-        held = [(each, each.QueryTimeSample(path, time)) for each in layers[1:] if each]
-        there = [(each, value) for each, value in held if value is not None]
-        if any(value != wanted for _, value in there):
-            name = Path(there[0][0].realPath).name
+        joined = layers[0].QueryTimeSample(path, time)
+        values = [(part, part.QueryTimeSample(path, time)) for part in layers[1:] if part]
+        values = [(part, value) for part, value in values if value is not None]
+        if any(value != joined for _, value in values):
+            name = Path(values[0][0].realPath).name
             return (
                 f"time code {time:g}: {name} was mapped again since it was joined, and the other "
                 "parts were not; join again"
@@ -93,7 +93,7 @@ def changed_part(prim: Usd.Prim) -> str:
 
 
 def check_edits(prim: Usd.Prim) -> list[Fault]:
-    """Look at the edits of one animation; without edits there is nothing to find."""
+    """Check the edits of one animation."""
     path = str(prim.GetPath())
     if not any(name.startswith(PREFIXES) for name in prim.GetAuthoredPropertyNames()):
         return []

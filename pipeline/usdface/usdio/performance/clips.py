@@ -1,8 +1,8 @@
 """Weights in several layers, played as one by USD's value clips.
 
-A value clip holds its last sample until the next clip begins: half way between two frames, where
-motion blur looks, a seam would show. So the frames on both sides of every seam are also in a layer
-of their own, which is the active clip just there.
+A value clip holds its last sample until the next clip begins, which motion blur would show at
+seams. So the frames on both sides of every seam are also in another layer, the active clip between
+them.
 """
 
 import contextlib
@@ -37,7 +37,7 @@ CLIP_SET = "parts"
 
 @dataclass(frozen=True)
 class ClipPart:
-    """A layer that holds some frames of a performance's weights."""
+    """A layer with some frames of a performance's weights."""
 
     file: Path
     first_frame: int
@@ -48,7 +48,7 @@ class ClipPart:
 
 
 class PartsWriter:
-    """Appends solved frames to one part after the other; made by `writing_parts`."""
+    """Appends solved frames to consecutive parts; made by `writing_parts`."""
 
     def __init__(
         self,
@@ -91,14 +91,14 @@ class PartsWriter:
             self.next_frame += count
 
     def close(self) -> None:
-        """Finish the part that is open."""
+        """Complete the open part."""
         self._open.close()
         self.parts.append(
             ClipPart(self._file, self._first, self._last, str(self._header.animation))
         )
 
     def discard(self) -> None:
-        """Drop the part that is open; an exception is on its way."""
+        """Discard the open part while an exception is handled."""
         self._open.__exit__(*sys.exc_info())
 
     def _start(self, first: int) -> None:
@@ -134,10 +134,9 @@ def writing_parts(
 
 
 def part_path(path: Path, first: int, last: int, provenance: Provenance | None) -> Path:
-    """Return the name of a part beside a weights layer.
+    """Return the name of a part of a weights layer.
 
-    It tells what the part was made from: a new mapping never writes over a part that an old
-    performance still plays.
+    It depends on the provenance, so that a new mapping does not replace parts of an old one.
     """
     return path.with_name(
         f"{path.stem}.{first}-{last}.{_provenance_digest(provenance)}{path.suffix}"
@@ -145,13 +144,13 @@ def part_path(path: Path, first: int, last: int, provenance: Provenance | None) 
 
 
 def _provenance_digest(provenance: Provenance | None) -> str:
-    """Return eight letters that are others when the spec or an input is."""
+    """Return eight hex digits that depend on the spec and the inputs."""
     made = "" if provenance is None else f"{provenance.spec}{sorted(provenance.inputs.items())}"
     return hash_text(made)[:8]
 
 
 def clear_parts(path: Path) -> None:
-    """Remove parts beside a weights layer that it does not play any more."""
+    """Remove parts that a weights layer does not play any more."""
     played = {Path(asset).name for asset in _clip_assets(open_layer(path))}
     stem, suffix = re.escape(path.stem), re.escape(path.suffix)
     ours = re.compile(rf"{stem}\.(-?\d+--?\d+|seams)\.[0-9a-f]{{8}}{suffix}")
@@ -179,13 +178,7 @@ def write_clips(
     *,
     provenance: Provenance | None = None,
 ) -> None:
-    """Write a weights layer that plays parts, wherever they lie, as value clips.
-
-    Parameters
-    ----------
-    parts : sequence of Part
-        In order, each following on the one before.
-    """
+    """Write a weights layer that plays consecutive parts as value clips."""
     parts = [own for part in parts for own in _playable_parts(part, path, provenance)]
     seams = path.with_name(f"{path.stem}.seams.{_provenance_digest(provenance)}{path.suffix}")
     with new_layer(seams, provenance) as layer:
@@ -219,10 +212,10 @@ def write_clips(
 
 
 def _playable_parts(part: ClipPart, path: Path, provenance: Provenance | None) -> list[ClipPart]:
-    """Return the layers to play for a part: itself, or copies of those that it plays itself.
+    """Return the layers to play for a part: itself, or copies of its parts.
 
-    What a clip plays by clips of its own USD does not see. Copies, as the part's own layers go when
-    it is mapped again.
+    USD does not support nested clips. Copies, since the part's layers are removed when it is mapped
+    again.
     """
     inner = _inner_parts(part)
     if inner == [part]:
@@ -237,19 +230,16 @@ def _playable_parts(part: ClipPart, path: Path, provenance: Provenance | None) -
 
 
 def _inner_parts(part: ClipPart) -> list[ClipPart]:
-    """Return the parts that a part plays as clips itself; the part alone where it holds samples.
-
-    One level is all there is: what was written as clips plays none that have clips.
-    """
+    """Return the parts that a part plays as clips, or the part itself."""
     stage = open_stage(part.file)
     clips = Usd.ClipsAPI(stage.GetPrimAtPath(part.animation))
-    found = []
+    parts = []
     for asset in list(clips.GetClipAssetPaths(CLIP_SET) or ())[1:]:  # the first has the seams
         file = part.file.parent / asset.path
         inner = open_layer(file)
         first, last = round(inner.startTimeCode), round(inner.endTimeCode)
-        found.append(ClipPart(file, first, last, str(clips.GetClipPrimPath(CLIP_SET))))
-    return found or [part]
+        parts.append(ClipPart(file, first, last, str(clips.GetClipPrimPath(CLIP_SET))))
+    return parts or [part]
 
 
 def _copy_sample(layer: Sdf.Layer, header: WeightsHeader, part: ClipPart, frame: int) -> None:

@@ -1,6 +1,6 @@
-"""What a performance drives beside weights: layers of its own with joints, Xforms and attributes.
+"""Layers of a performance with joints, Xforms and attributes, and joining those of parts.
 
-NAME.head.usdc and NAME.controls.usdc lie above the weights of NAME.usda. Of parts they are joined.
+NAME.head.usdc and NAME.controls.usdc are sublayers of NAME.usda, stronger than its weights.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,21 +20,21 @@ _OF_JOINTS = ("translations", "rotations", "scales")
 
 
 def opens_layer(performance: Path, file: Path) -> bool:
-    """Whether a performance opens a layer beside it."""
-    layer = open_layer(performance)  # in a name: what a layer lends does not outlive it
+    """Whether a file is a sublayer of a performance."""
+    layer = open_layer(performance)  # keep a reference: prims do not outlive their layer
     return relative_path(file, performance) in list(layer.subLayerPaths)
 
 
 def turned_xforms(performance: Path) -> tuple[str, ...]:
-    """Return the paths of the Xforms that a performance's head layer turns."""
+    """Return the paths of the Xforms in a performance's head layer."""
     properties = (Sdf.Path(each) for each in _driven(performance, head_path(performance)))
     return tuple(str(each.GetPrimPath()) for each in properties if each.name == TRANSFORM)
 
 
 def driving_layers(parts: Sequence[Path], beside: Callable[[Path], Path]) -> list[Path]:
-    """Return the layers beside parts of a performance: all drive the same, or there are none.
+    """Return the driving layers of the parts of a performance; they must drive the same.
 
-    Samples of joints are arrays in the order of their names, which a joined layer has once.
+    Since samples of joints are arrays in the order of the names in the header.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def join_driving_layers(
     last_frame: int,
     provenance: Provenance | None = None,
 ) -> None:
-    """Join layers beside parts of a performance, in the order of their frames."""
+    """Join driving layers of parts of a performance, in the order of their frames."""
     if not layers:
         return
     with new_layer(path, provenance) as layer:
@@ -75,14 +75,14 @@ def _copy_samples(source: Sdf.Layer, target: Sdf.Layer) -> None:
 
 
 def _driven(performance: Path, file: Path) -> list[str]:
-    """Return what a layer of a performance drives: names of joints, paths of attributes."""
+    """Return the names of joints and the paths of attributes that a layer drives."""
     if not opens_layer(performance, file):
         return []
-    layer, found = open_layer(file), list[str]()
+    layer, driven = open_layer(file), list[str]()
     for path in paths_in(layer):
         if path.IsPropertyPath() and path.name == "joints":
-            found += map(str, layer.GetAttributeAtPath(path).default or ())
+            driven += map(str, layer.GetAttributeAtPath(path).default or ())
         elif path.IsPropertyPath() and path.name not in _OF_JOINTS:
             if layer.GetNumTimeSamplesForPath(path):
-                found.append(str(path))
-    return found
+                driven.append(str(path))
+    return driven

@@ -1,9 +1,8 @@
-"""An animator's edits: per shape, in a layer above the weights that `map` never writes.
+"""An animator's edits per shape, in a layer stronger than the weights, which `map` does not write.
 
-``face:edit:SHAPE`` is added to the weight; ``face:override:SHAPE`` is taken instead of it as far as
-``face:mask:SHAPE`` says (fully, over the samples the override has, where there is no mask).
-``face:beneath:SHAPE`` is the solved weight at the time of the edit: after another mapping it tells
-whether the edit still means what it meant.
+``face:edit:SHAPE`` is added to the weight; ``face:override:SHAPE`` replaces it by the share
+``face:mask:SHAPE`` (by default 1 over the samples of the override). ``face:beneath:SHAPE`` is the
+solved weight at the time of the edit, by which changes of the solve are detected.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -42,41 +41,33 @@ EDITED_SOLVE = "face:beneath:"
 PREFIXES = (_OFFSET, OVERRIDE, MASK, EDITED_SOLVE)
 
 EDITED_SOLVE_TOLERANCE = 1e-3
-"""The solve beneath an edit is kept as closely as this: it is only compared, never shown."""
+"""Tolerance of the stored solve beneath an edit, which is used in comparisons alone."""
 
 
 @dataclass(frozen=True)
 class ShapeEdit:
-    """What is changed of one shape over a range of frames."""
+    """Edit of one shape over a range of frames."""
 
     curve: EditCurve
     beneath: FloatArray
-    """(frames,): the solved weight when the edit was made; NaN where that is not known."""
+    """(frames,): the solved weight when the edit was made; NaN if unknown."""
 
     def during(self, part: slice) -> "ShapeEdit":
-        """Return the same edit over a part of its frames."""
+        """Return the edit over a part of its frames."""
         curve = self.curve
         cut = EditCurve(curve.offset[part], curve.override[part], curve.mask[part])
         return ShapeEdit(cut, self.beneath[part])
 
 
 def read_edits(animation: Usd.Prim, frames: IntArray) -> dict[str, ShapeEdit]:
-    """Read the edits of a performance as they compose, whichever layers they are in.
-
-    Parameters
-    ----------
-    animation : Usd.Prim
-        The animation that they change.
-    frames : (n,) int array
-        Ascending frame numbers at which they are wanted.
-    """
-    found: dict[str, dict[str, Usd.Attribute]] = {}
+    """Read the composed edits of an animation at ascending frame numbers."""
+    attributes: dict[str, dict[str, Usd.Attribute]] = {}
     for attribute in animation.GetAuthoredPropertiesInNamespace("face"):
         for prefix in PREFIXES:
             if attribute.GetName().startswith(prefix):
                 shape = attribute.GetDisplayName() or attribute.GetName().removeprefix(prefix)
-                found.setdefault(shape, {})[prefix] = attribute
-    edits = {shape: _read_shape(parts, frames) for shape, parts in found.items()}
+                attributes.setdefault(shape, {})[prefix] = attribute
+    edits = {shape: _read_shape(parts, frames) for shape, parts in attributes.items()}
     return {shape: edit for shape, edit in edits.items() if edit.curve.active.any()}
 
 
@@ -104,7 +95,7 @@ def _read_shape(parts: Mapping[str, Usd.Attribute], frames: IntArray) -> ShapeEd
 
 
 def _read_curve(attribute: Usd.Attribute | None, frames: IntArray) -> FloatArray | None:
-    """Return an attribute's value at frames, held and interpolated as USD does it."""
+    """Return an attribute's values at frames, interpolated linearly and held at the ends."""
     if attribute is None:
         return None
     times = attribute.GetTimeSamples()
@@ -113,7 +104,7 @@ def _read_curve(attribute: Usd.Attribute | None, frames: IntArray) -> FloatArray
     if first is None:
         return None
     for index, (time, value) in enumerate(samples):
-        if value is None:  # held up to where it is blocked
+        if value is None:  # a blocked sample: hold the previous value
             samples[index] = (time, samples[index - 1][1] if index else first)
     try:
         values = np.array([float(value) for _, value in samples])
@@ -122,12 +113,11 @@ def _read_curve(attribute: Usd.Attribute | None, frames: IntArray) -> FloatArray
     if not np.isfinite(values).all():
         time = samples[int(np.argmin(np.isfinite(values)))][0]
         raise InputError(f"{_where(attribute)} time code {time:g}: is not finite; correct the key")
-    curve: FloatArray = np.interp(frames, [time for time, _ in samples], values)
-    return curve
+    return np.asarray(np.interp(frames, [time for time, _ in samples], values))
 
 
 def _blocked(attribute: Usd.Attribute | None, frames: IntArray) -> np.ndarray:
-    """Return which frames a value is blocked at, from a blocked sample to the next that is not."""
+    """Return the frames from a blocked sample to the next that is not."""
     if attribute is None:
         return np.zeros(len(frames), dtype=bool)
     times = attribute.GetTimeSamples()
@@ -139,7 +129,7 @@ def _blocked(attribute: Usd.Attribute | None, frames: IntArray) -> np.ndarray:
 
 
 def _sampled(attribute: Usd.Attribute, frames: IntArray) -> np.ndarray:
-    """Return which frames lie within an attribute's samples; all, where it is constant."""
+    """Return the frames within an attribute's samples; all, if it is constant."""
     times = attribute.GetTimeSamples()
     if not times:
         return np.ones(len(frames), dtype=bool)
@@ -153,7 +143,7 @@ def _where(attribute: Usd.Attribute) -> str:
 
 
 def edited_frames(animation: Usd.Prim) -> tuple[int, int] | None:
-    """Return the first and the last frame that any edit has a sample at; None without edits."""
+    """Return the first and the last frame of the samples of edits; None without edits."""
     times = [
         time
         for attribute in animation.GetAuthoredPropertiesInNamespace("face")
@@ -167,7 +157,7 @@ def edited_frames(animation: Usd.Prim) -> tuple[int, int] | None:
 
 
 def edits_elsewhere(performance: Path, animation: Usd.Prim) -> list[str]:
-    """Return the prims of a performance's edits that are not the animation, so that none shows."""
+    """Return the prims with edits other than the animation, which have no effect."""
     layer = open_layer(edits_path(performance))
     others = [path for path in paths_in(layer) if path.IsPrimPath() and path != animation.GetPath()]
     return [
@@ -190,9 +180,8 @@ def edited_weights(
 ) -> FloatArray:
     """Return weights with edits applied, (frames, shapes) as `solved`.
 
-    Where `ranges` names a shape, its edited frames are kept within; frames that nobody edited are
-    left as they are solved. Shapes that others drive follow the edits of those, and may be edited
-    on top.
+    Edited frames are limited to `ranges`. Combinations follow the edits of their drivers, and may
+    be edited in addition.
     """
     edited, names = np.array(solved, dtype=np.float64), tuple(names)
     driven = {each.shape for each in combinations}
@@ -226,28 +215,26 @@ def write_edits(
     stamp: str | None = None,
     provenance: Provenance | None = None,
 ) -> Path:
-    """Write edits into NAME.edits.usda, and make that the strongest sublayer of NAME.usda.
+    """Write edits into NAME.edits.usda, and make it the strongest sublayer of NAME.usda.
 
-    Shapes that are not given keep what the layer says of them, as do other prims.
+    Edits of other shapes and prims are preserved.
 
     Parameters
     ----------
     performance : Path
         The layer to open.
-    animation : Usd.Prim
-        The animation that they change.
     edits : mapping of str to ShapeEdit
-        By shape; one that is active nowhere is taken out.
+        By shape; one that is active nowhere is removed.
     frames : (n,) int array
-        Frame numbers of the curves: every frame from the first to the last.
+        Consecutive frame numbers of the curves.
     stamp : str, optional
-        From `edits_stamp`, before the edits were read that these replace.
+        `edits_stamp` before the previous edits were read.
 
     Raises
     ------
     InputError
-        If a layer cannot be written, two shapes would share an attribute, a stronger layer has
-        edits of a shape, so that these would not show, or another process changed them meanwhile.
+        If a layer cannot be written, two shapes have the same attribute name, a stronger layer has
+        edits of a shape, or another process changed the edits since.
     """
     path = edits_path(performance)
     top = animation.GetStage().GetRootLayer()
@@ -257,11 +244,9 @@ def write_edits(
     asset = relative_path(path, performance)
     made: dict[Path, Provenance | None] = {path: provenance}
     if asset not in list(open_layer(performance).subLayerPaths):
-        made[performance] = (
-            None  # both or none: a change that was made and is refused is made twice
-        )
+        made[performance] = None
     with (
-        usd_errors_as_input_errors(path, "writing it"),  # a stage of it composes again
+        usd_errors_as_input_errors(path, "writing it"),  # open stages compose again
         new_layers(made) as (layer, *above),
     ):
         if stamp is not None and edits_stamp(performance) != stamp:
@@ -292,13 +277,13 @@ def write_edits(
 
 
 def edits_stamp(performance: Path) -> str:
-    """Return what differs when a performance's edits are others; empty without any."""
+    """Return a hash of a performance's edits; empty without any."""
     path = edits_path(performance)
     return hash_files([path]) if path.is_file() else ""
 
 
 def _attribute_names(shapes: Iterable[str]) -> dict[str, str]:
-    """Return what each shape is called in an attribute's name, where not every letter may stand."""
+    """Return a valid attribute name for each shape."""
     names: dict[str, str] = {}
     owner: dict[str, str] = {}
     for shape in shapes:
@@ -314,12 +299,12 @@ def _attribute_names(shapes: Iterable[str]) -> dict[str, str]:
 
 
 def _edited_elsewhere(animation: Usd.Prim, path: Path, name: str) -> frozenset[str]:
-    """Return which kinds of edits weaker layers than `path` have of a shape."""
+    """Return the kinds of edits of a shape in layers weaker than `path`."""
     local = animation.GetStage().GetLayerStack(includeSessionLayers=False)
     files = [Path(layer.realPath).resolve() for layer in local]
     own = path.resolve()
-    strength = files.index(own) if own in files else 1  # it will be the first below the top layer
-    found = set[str]()
+    strength = files.index(own) if own in files else 1  # it will be the first sublayer
+    kinds = set[str]()
     for prefix in (_OFFSET, OVERRIDE, MASK):
         attribute = animation.GetAttribute(prefix + name)
         for spec in attribute.GetPropertyStack(Usd.TimeCode.Default()) if attribute else ():
@@ -330,8 +315,8 @@ def _edited_elsewhere(animation: Usd.Prim, path: Path, name: str) -> frozenset[s
                     "that layer"
                 )
             if Path(spec.layer.realPath).resolve() != own:
-                found.add(prefix)
-    return frozenset(found)
+                kinds.add(prefix)
+    return frozenset(kinds)
 
 
 def _write_shape(
@@ -343,9 +328,9 @@ def _write_shape(
     *,
     beneath: frozenset[str],
 ) -> None:
-    """Write all attributes of a shape; `beneath` are the kinds that weaker layers have of it.
+    """Write all attributes of a shape.
 
-    What is nothing is left out, but for those: they would show through.
+    Attributes without effect are omitted, unless weaker layers have these kinds (`beneath`).
     """
     curve = edit.curve
     active = np.flatnonzero(curve.active)
@@ -364,7 +349,7 @@ def _write_shape(
     known = np.flatnonzero(curve.active & np.isfinite(edit.beneath))
     if not len(known):
         return
-    part = slice(int(known[0]), int(known[-1]) + 1)  # beyond, there was no solve to be seen
+    part = slice(int(known[0]), int(known[-1]) + 1)
     filled = np.interp(np.arange(part.start, part.stop), known, edit.beneath[known])
     keys = reduce_keys(filled[:, None], EDITED_SOLVE_TOLERANCE)
     _write_samples(prim, EDITED_SOLVE + name, shape, frames[part][keys], filled[keys])

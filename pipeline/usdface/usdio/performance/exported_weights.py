@@ -1,9 +1,9 @@
-"""Weights as Blender and Maya export them: a shape once per mesh, by names that they make up.
+"""Weights exported by Blender and Maya, with one channel per shape and mesh.
 
-Shape keys belong to a mesh there. Its exporter gives the second mesh's ``jawOpen`` a channel
-``jawOpen2``, makes identifiers of all names, and writes an animation per mesh where no armature
-holds them together. Maya's names a channel after mesh, deformer and shape:
-``_skin_Deformer_jawOpen``. Both keep the shapes' names on the BlendShape prims.
+In Blender shape keys belong to a mesh: its exporter names the channel of the second mesh's
+``jawOpen`` ``jawOpen2``, converts names to identifiers, and writes one animation per mesh unless
+they have a common armature. Maya names channels after mesh, deformer and shape:
+``_skin_Deformer_jawOpen``. BlendShape prims have the shapes' names in both.
 """
 
 import re
@@ -21,12 +21,12 @@ from usdface.usdio.performance.read import PerformanceReader, animations_of_skel
 from usdface.usdio.rig.read import channels_per_mesh
 
 MAKER = "Blender"
-"""The exporter's documentation of a layer starts with it: ``Blender v5.0.1``."""
+"""Prefix of the documentation of an exported layer: ``Blender v5.0.1``."""
 
 
 @dataclass(frozen=True)
 class MeshCurve:
-    """A shape's weights as one mesh shows them."""
+    """A shape's weights on one mesh."""
 
     mesh: str
     """The prim's name."""
@@ -36,19 +36,19 @@ class MeshCurve:
 
 @dataclass(frozen=True)
 class ExportedWeights:
-    """Weights of shapes as every mesh that has them shows them."""
+    """Weights of shapes on all meshes that have them."""
 
     names: tuple[str, ...]
     """Of the BlendShape prims: identifiers (`blender_names`)."""
     curves: tuple[tuple[MeshCurve, ...], ...]
-    """By shape; that of the mesh with the most shapes first."""
+    """By shape; the mesh with the most shapes first."""
     frames: tuple[int, ...]
     rate: Fraction
     keyed: frozenset[int]
 
 
 def blender_names(name: str) -> tuple[str, str]:
-    """Return what Blender's exporter makes of a shape key's name: from 5.0, and before."""
+    """Return the identifiers of a shape key's name by Blender's exporter: from 5.0, and before."""
     as_ascii = name.encode("utf-8").decode("ascii", errors="replace")  # a character for each byte
     return _identifier(name), _identifier(as_ascii)
 
@@ -60,22 +60,22 @@ def is_of_blender(path: Path) -> bool:
 
 @refusing_wrong_types
 def has_channels_per_mesh(path: Path) -> bool:
-    """Whether channels are named after mesh and shape, so that one shape has several."""
+    """Whether a shape has several channels, named after mesh and shape."""
     stage = open_stage(path)
     animations = list(animations_of_skeletons(stage).values())
     if len(animations) != 1:
         return False
-    found = channels_per_mesh(_meshes(stage, animations[0].GetPath()))
-    return any(len(each) > 1 for each in found.values())
+    channels = channels_per_mesh(_meshes(stage, animations[0].GetPath()))
+    return any(len(of_shape) > 1 for of_shape in channels.values())
 
 
 @refusing_wrong_types
 def read_exported_weights(path: Path) -> ExportedWeights | None:
-    """Read weights by the shapes that channels drive; None where no mesh tells."""
+    """Read weights by the shapes that channels drive; None without meshes."""
     stage = open_stage(path)
     readers = [PerformanceReader(path, animation=each) for each in _animations(stage, path)]
     first = readers[0]
-    found: list[tuple[int, str, dict[str, FloatArray]]] = []
+    by_mesh: list[tuple[int, str, dict[str, FloatArray]]] = []
     for reader in readers:
         if (reader.first_frame, reader.last_frame) != (first.first_frame, first.last_frame):
             raise InputError(
@@ -87,11 +87,11 @@ def read_exported_weights(path: Path) -> ExportedWeights | None:
         columns = dict(zip(reader.names, values.T, strict=True))
         for mesh in _meshes(stage, reader.animation.GetPath()):
             shapes = _shapes_of_channels(mesh)
-            own = {shape: columns[name] for name, shape in shapes.items() if name in columns}
-            found.append((len(own), mesh.GetPrim().GetName(), own))
+            of_mesh = {shape: columns[name] for name, shape in shapes.items() if name in columns}
+            by_mesh.append((len(of_mesh), mesh.GetPrim().GetName(), of_mesh))
     curves: dict[str, list[MeshCurve]] = {}
-    for _, mesh_name, own in sorted(found, key=lambda each: (-each[0], each[1])):
-        for shape, column in own.items():
+    for _, mesh_name, of_mesh in sorted(by_mesh, key=lambda mesh: (-mesh[0], mesh[1])):
+        for shape, column in of_mesh.items():
             curves.setdefault(shape, []).append(MeshCurve(mesh_name, column))
     if not curves:
         return None
@@ -110,33 +110,33 @@ def _identifier(name: str) -> str:
 
 
 def _animations(stage: Usd.Stage, path: Path) -> list[Sdf.Path | None]:
-    """Return the animations of the one face; None for the only one."""
-    found = [each.GetPath() for each in animations_of_skeletons(stage).values()]
-    if len(found) < 2:
+    """Return the animations of the face; None for the only one."""
+    paths = [each.GetPath() for each in animations_of_skeletons(stage).values()]
+    if len(paths) < 2:
         return [None]
-    together = found[0]
-    for each in found[1:]:
-        together = together.GetCommonPrefix(each)
-    # Below the exporter's root prim, meshes with an animation each are parts of one face.
-    alone = all(len(_meshes(stage, each)) == 1 for each in found)
-    if not alone or together.pathElementCount < 2:
+    prefix = paths[0]
+    for path_of in paths[1:]:
+        prefix = prefix.GetCommonPrefix(path_of)
+    # Below the exporter's root prim, meshes with one animation each are parts of one face.
+    one_mesh_each = all(len(_meshes(stage, each)) == 1 for each in paths)
+    if not one_mesh_each or prefix.pathElementCount < 2:
         raise InputError(
-            f"{path}: {len(found)} animations with blendShapeWeights, "
-            f"{', '.join(map(str, found))}; export one face at a time"
+            f"{path}: {len(paths)} animations with blendShapeWeights, "
+            f"{', '.join(map(str, paths))}; export one face at a time"
         )
-    return list(found)
+    return list(paths)
 
 
 def _meshes(stage: Usd.Stage, animation: Sdf.Path) -> list[UsdSkel.BindingAPI]:
-    found = []
+    bindings = []
     for prim in stage.Traverse():
         binding = UsdSkel.BindingAPI(prim)
         skeleton = binding.GetInheritedSkeleton() if binding.GetBlendShapesAttr() else None
         if skeleton and binding.GetBlendShapeTargetsRel().HasAuthoredTargets():
             source = UsdSkel.BindingAPI(skeleton.GetPrim()).GetInheritedAnimationSource()
             if source and source.GetPath() == animation:
-                found.append(binding)
-    return found
+                bindings.append(binding)
+    return bindings
 
 
 def _shapes_of_channels(mesh: UsdSkel.BindingAPI) -> dict[str, str]:

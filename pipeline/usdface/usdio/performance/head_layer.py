@@ -1,8 +1,8 @@
-"""What turns a performance's head and eyes: joints and Xforms in a layer of their own.
+"""Layer of a performance's head and eye motion, by joints and Xforms.
 
-NAME.head.usdc lies above the weights of NAME.usda: joints on the same animation prim, Xforms as
-overs that put one transform before those that the rig has. A joint below another one turns and does
-not leave its place, since a neck holds it; one without a parent, and an Xform, go with the head.
+NAME.head.usdc is a sublayer of NAME.usda, stronger than the weights: joints on the same animation
+prim, Xforms as overs with one transform before those of the rig. A joint with a parent is only
+rotated, as the neck determines its position; a root joint and an Xform are translated as well.
 """
 
 from collections.abc import Mapping
@@ -36,16 +36,16 @@ def write_head_layer(
     controls: Sdf.Layer | None = None,
     provenance: Provenance | None = None,
 ) -> None:
-    """Write what drives joints and Xforms of a performance that is being written.
+    """Write the head layer of a performance.
 
     Parameters
     ----------
     path : Path
-        The performance, which is to open the new layer.
+        The performance.
     transforms : mapping of DriveTarget to (frames, 4, 4) float array
-        From rest, in the rig's world, for column vectors [mm]. Without any nothing is written.
+        From rest, in the rig's world, for column vectors [mm]. If empty, no layer is written.
     controls : Sdf.Layer, optional
-        With the joints of a retargeting, on which it turns.
+        With the joints of a retargeting, to which the rotations are added.
     """
     if not transforms:
         return
@@ -72,7 +72,7 @@ def write_head_layer(
 
 
 def _joints_of(controls: Sdf.Layer | None, header: WeightsHeader, path: Path) -> Controls:
-    """Return the joints that a retargeting moves; none without one."""
+    """Return the joints of a retargeting, or none."""
     if controls is not None:
         stage = Usd.Stage.Open(controls)
         frames = range(header.first_frame, header.last_frame + 1)
@@ -83,8 +83,8 @@ def _joints_of(controls: Sdf.Layer | None, header: WeightsHeader, path: Path) ->
 def _turn_joints(
     below: Controls, stage: Usd.Stage, rig: Rig, transforms: Mapping[DriveTarget, FloatArray]
 ) -> Controls:
-    """Return joints as a retargeting has them, if it does, with the driven ones turned on top."""
-    from scipy.spatial.transform import Rotation  # joining starts without it
+    """Return the joints of a retargeting, or at rest, with the driven ones rotated in addition."""
+    from scipy.spatial.transform import Rotation  # imported late: joining needs none
 
     names = list(below.joints)
     places, turns, scales = (
@@ -115,14 +115,14 @@ def _turn_joints(
 
 
 def _author_xform(over: Sdf.PrimSpec, prim: Usd.Prim, world: FloatArray, first: int) -> None:
-    """Put the transforms of an Xform, in the stage's world, before those that it has."""
+    """Write the world transforms of an Xform as an operation before its others."""
     xform = UsdGeom.Xformable(prim)
-    own = [str(op) for op in xform.GetXformOpOrderAttr().Get() or ()]
+    operations = [str(op) for op in xform.GetXformOpOrderAttr().Get() or ()]
     start = int(xform.GetResetXformStack())
     parent = np.eye(4)
     if not start:
         parent = column_matrix(UsdGeom.XformCache().GetParentToWorldTransform(prim))
-    order = [*own[:start], TRANSFORM, *own[start:]]
+    order = [*operations[:start], TRANSFORM, *operations[start:]]
     author_uniform(over, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, order)
     attribute = Sdf.AttributeSpec(over, TRANSFORM, Sdf.ValueTypeNames.Matrix4d)
     local = (np.linalg.inv(parent) @ world @ parent).transpose(0, 2, 1)

@@ -1,4 +1,4 @@
-"""Read a performance: its solve, the edits above it, the rig it drives."""
+"""Reading of performances: solve, edits and rig."""
 
 import hashlib
 from fractions import Fraction
@@ -34,23 +34,24 @@ from usdface.usdio.rig.read import combinations_below
 from usdface.usdio.rig.reference import place_of, rig_of
 
 _CONFIDENCE_RANGE = (0.001, 0.9999)
-"""Of earlier versions, as read: at 0 and 1 there would be no uncertainty to tell."""
+"""Limits of the confidence of earlier versions: at 0 and 1 the uncertainty would be infinite or 0.
+"""
 
 _VERSION_STEPS = 5000
-"""Of a weight of 1: what a report shows. Smaller differences make no other version."""
+"""Steps of a weight of 1 that make different versions: the resolution of a report."""
 
 
 class PerformanceReader:
-    """A performance on disk: its header at once, its frames when asked for.
+    """A performance on disk, whose frames are read on demand.
 
     Parameters
     ----------
     path : Path
-        Any USD file that holds one face whose weights are animated.
+        Any USD file of one face with animated weights.
     animation : Sdf.Path, optional
-        The animation, where a file has several for one face.
+        The animation, if a file has several for one face.
     prim : str, optional
-        The face, or a prim above it alone, where a file has several.
+        The face, or a prim above it, if a file has several.
     """
 
     @refusing_wrong_types
@@ -79,7 +80,7 @@ class PerformanceReader:
 
     @property
     def place(self) -> str:
-        """Prim path of the rig in the performance: the animation is its child."""
+        """Parent of the animation, the rig's prim in our files."""
         return str(self.animation.GetPath().GetParentPath())
 
     @property
@@ -89,14 +90,14 @@ class PerformanceReader:
 
     @property
     def moved(self) -> float:
-        """By how many frames layer offsets move the weights from where they were mapped to."""
+        """Layer offset of the weights [frames]."""
         stack = self._weights.GetPropertyStackWithLayerOffsets(Usd.TimeCode.EarliestTime())
         sampled = (offset for spec, offset in stack if spec.HasInfo("timeSamples"))
         return float(next(sampled, Sdf.LayerOffset()).offset)
 
     @property
     def keyed_frames(self) -> frozenset[int]:
-        """Frames at which the solve has a sample of its own; it is interpolated between them."""
+        """Frames with a sample of the solve, which is interpolated between them."""
         times = self._weights.GetTimeSamples()
         return frozenset(int(time) for time in times if float(time).is_integer())
 
@@ -109,14 +110,14 @@ class PerformanceReader:
     @property
     @refusing_wrong_types
     def neutral_frame(self) -> int | None:
-        """Frame of the take that shows the performer's neutral face; None when unknown."""
+        """Frame of the performer's neutral face in the take; None if unknown."""
         frame = value_of(self.animation, NEUTRAL_FRAME)
         return None if frame is None else int(frame)
 
     @property
     @refusing_wrong_types
     def basis(self) -> SolveBasis | None:
-        """What the mapping learnt from; None when unknown."""
+        """Training data of the mapping; None if unknown."""
         counts = value_of(self.animation, PAIR_COUNTS)
         if counts is None or len(counts) != 2:
             return None
@@ -126,7 +127,7 @@ class PerformanceReader:
 
     @cached_property
     def version(self) -> str:
-        """Digest of the weights as they are shown, edits included: of all frames."""
+        """Digest of the edited weights of all frames."""
         steps = np.round(self.edited() * _VERSION_STEPS).astype("<i4")
         named = hashlib.sha256("\n".join(self.names).encode("utf-8"))
         named.update(f"\n{self.first_frame}\n".encode())
@@ -135,11 +136,11 @@ class PerformanceReader:
 
     @property
     def timecode_start(self) -> str:
-        """SMPTE timecode of the first frame; empty when unknown."""
+        """SMPTE timecode of the first frame; empty if unknown."""
         return text_of(self.animation, "face:timecode:start")
 
     def timecode_at(self, frame: int) -> str:
-        """Return the SMPTE timecode of a frame; empty when unknown."""
+        """Return the SMPTE timecode of a frame; empty if unknown."""
         try:
             return shift_timecode(self.timecode_start, frame - self.first_frame, self.rate)
         except InputError as error:
@@ -148,19 +149,19 @@ class PerformanceReader:
     @cached_property
     @refusing_wrong_types
     def edits(self) -> dict[str, ShapeEdit]:
-        """What was edited, by shape, over all frames of the performance."""
+        """Edits by shape, over all frames of the performance."""
         return read_edits(self.animation, self.frames)
 
     @cached_property
     @refusing_wrong_types
     def combinations(self) -> tuple[Combination, ...]:
-        """What of the rig other shapes drive; nothing where no rig stands in the stage."""
+        """Combinations of the rig; none without a rig in the stage."""
         place = self.stage.GetPrimAtPath(place_of(self.stage, self.animation))
         return combinations_below(place, self.path)
 
     @property
     def header(self) -> WeightsHeader:
-        """What the header of a weights layer says that stands for the performance."""
+        """The header of a weights layer of the performance."""
         place, path = place_of(self.stage, self.animation), self.animation.GetPath()
         return WeightsHeader(
             place=place,
@@ -188,7 +189,7 @@ class PerformanceReader:
         first = self.first_frame if first is None else first
         last = self.last_frame if last is None else last
         values = np.empty((last - first + 1, len(self.names)), dtype=np.float32)
-        query = Usd.AttributeQuery(self._weights)  # half the time of asking the attribute
+        query = Usd.AttributeQuery(self._weights)  # twice as fast as the attribute
         for index, frame in enumerate(range(first, last + 1)):
             row = query.Get(frame)
             if row is None or len(row) != len(self.names):
@@ -208,7 +209,7 @@ class PerformanceReader:
         )
 
     def edited(self, first: int | None = None, last: int | None = None) -> Float32Array:
-        """Return the weights as they are to be seen: solved, with the edits, as `solved` does."""
+        """Return the weights with edits, (frames, shapes) float32."""
         values = self.solved(first, last)
         if not self.edits:
             return values
@@ -220,7 +221,7 @@ class PerformanceReader:
 
     @refusing_wrong_types
     def series(self, name: str, first: int, last: int) -> FloatArray | None:
-        """Return an attribute of the animation at frames; None where it has no samples."""
+        """Return an attribute of the animation at frames; None without samples."""
         attribute = self.animation.GetAttribute(name)
         if not attribute or not attribute.GetNumTimeSamples():
             return None
@@ -232,12 +233,12 @@ class PerformanceReader:
     def uncertainty_mm(self, first: int, last: int) -> FloatArray | None:
         """Return the uncertainty at frames: (frames, regions), or of the face alone (frames, 1).
 
-        Layers of earlier versions hold a confidence instead, the probability of an error below
-        1 mm: a normal distribution has it at a standard deviation of ``1 / Phi^-1((1 + c) / 2)``.
+        Layers of earlier versions have a confidence c, the probability of an error below 1 mm, that
+        of a normal distribution with the standard deviation ``1 / Phi^-1((1 + c) / 2)``.
         """
-        found = self.series("face:uncertainty", first, last)
-        if found is not None:
-            return found
+        uncertainty = self.series("face:uncertainty", first, last)
+        if uncertainty is not None:
+            return uncertainty
         confidence = self.series("face:confidence", first, last)
         if confidence is None:
             return None
@@ -248,8 +249,8 @@ class PerformanceReader:
     def figures(self) -> tuple[FloatArray | None, FloatArray | None, FloatArray | None]:
         """Return uncertainty [mm], coverage [0-1] and residual [mm], each (frames, regions).
 
-        None where the layer has none. Layers without coverage are of earlier versions, whose
-        residual was another quantity: it is left out.
+        Or None. In earlier versions, without coverage, the residual was another quantity, and is
+        left out.
         """
         first, last = self.first_frame, self.last_frame
         coverage = self.series(COVERAGE, first, last)
@@ -258,14 +259,14 @@ class PerformanceReader:
 
 
 def find_animation(stage: Usd.Stage, path: Path, *, prim: str | None = None) -> Usd.Prim:
-    """Return the one animation with weights over time that a skeleton of the stage follows.
+    """Return the only animation with weights over time that a skeleton of the stage follows.
 
     Parameters
     ----------
     path : Path
-        What messages call it.
+        For messages.
     prim : str, optional
-        Only skeletons at or below it count; by default all do.
+        Restricts the search to skeletons at or below it.
     """
     top = Sdf.Path(prim or "/")
     found = animations_of_skeletons(stage, below=top)
@@ -292,34 +293,33 @@ def animations_of_skeletons(
     stage: Usd.Stage, *, below: Sdf.Path = Sdf.Path.absoluteRootPath
 ) -> dict[str, Usd.Prim]:
     """Return the animations with weights over time that skeletons of a stage follow, by path."""
-    found: dict[str, Usd.Prim] = {}
+    animations: dict[str, Usd.Prim] = {}
     for prim in stage.Traverse():
         if prim.IsA(UsdSkel.Skeleton) and prim.GetPath().HasPrefix(below):
             source = UsdSkel.BindingAPI(prim).GetInheritedAnimationSource()
             if source and _weight_samples(source):
-                found[str(source.GetPath())] = source
-    return found
+                animations[str(source.GetPath())] = source
+    return animations
 
 
 def read_solves(path: Path) -> list[PerformanceReader]:
-    """Return a reader of every solve that skeletons of a layer follow; none for other layers."""
+    """Return readers of the solves that skeletons of a layer follow."""
     stage = open_stage(path)
-    found = animations_of_skeletons(stage)
     return [
-        PerformanceReader(path, animation=each.GetPath())
-        for each in found.values()
-        if each.HasAPI("FaceSolveAPI")
+        PerformanceReader(path, animation=animation.GetPath())
+        for animation in animations_of_skeletons(stage).values()
+        if animation.HasAPI("FaceSolveAPI")
     ]
 
 
 def read_weights(path: Path) -> WeightsClip:
-    """Read the animated weights, edits included, of any USD file that holds one face."""
+    """Read the animated weights, with edits, of any USD file of one face."""
     reader = PerformanceReader(path)
     return WeightsClip(reader.names, reader.edited(), reader.first_frame, reader.rate)
 
 
 def read_performance(path: Path) -> Performance:
-    """Read a performance, edits included, and what it says of its rig and its trust."""
+    """Read a performance with edits."""
     reader = PerformanceReader(path)
     rig_file, rig_prim = reader.rig()
     uncertainty_mm, coverage, residual_mm = reader.figures()

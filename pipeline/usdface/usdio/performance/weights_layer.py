@@ -1,4 +1,4 @@
-"""One layer of weights over time: a SkelAnimation, and overs that make a rig's skeletons follow."""
+"""A layer of weights over time: a SkelAnimation, and overs that bind a rig's skeletons to it."""
 
 import contextlib
 from collections.abc import Callable, Iterable, Iterator
@@ -43,7 +43,7 @@ SOLVE_UNCERTAINTY = "face:uncertainty"
 COVERAGE = "face:coverage"
 RESIDUAL = "face:residual"
 FIGURES = (SOLVE_UNCERTAINTY, COVERAGE, RESIDUAL)
-"""What is sampled beside the weights: per region."""
+"""Sampled with the weights, per region."""
 
 PAIR_COUNTS = "face:solve:references"
 STILL_REGIONS = "face:solve:stillRegions"
@@ -57,17 +57,16 @@ COPY_FRAMES = 4096
 """Frames whose samples are in memory at once when they are copied."""
 
 SAMPLE_TOLERANCE_MM = 0.01
-"""Samples of `FIGURES` are left out where USD's line between those kept is as near:
-nobody sees the difference, and a sample costs as much as a frame of weights. Weights are all
-written."""
+"""Error of `FIGURES` up to which samples are left out, as USD interpolates linearly and a sample
+takes as long as a frame of weights. Weights are all written."""
 
 COVERAGE_TOLERANCE = 0.002
-"""The same of coverage, which has no unit: a verdict counts the frames above a share."""
+"""The same of coverage, which has no unit."""
 
 
 @dataclass(frozen=True)
 class WeightsHeader:
-    """What a weights layer says beside its samples."""
+    """Contents of a weights layer without its samples."""
 
     place: str
     """Prim path of the rig in the performance."""
@@ -81,23 +80,23 @@ class WeightsHeader:
     regions: tuple[str, ...] = ()
     """Names of the regions of `FIGURES`."""
     timecode_start: str = ""
-    """SMPTE timecode of the first frame, empty when unknown."""
+    """SMPTE timecode of the first frame, empty if unknown."""
     name: str = ANIMATION
     """Of the animation prim."""
     neutral_frame: int | None = None
-    """Frame of the take that shows the performer's neutral face."""
+    """Frame of the performer's neutral face in the take."""
     basis: SolveBasis | None = None
-    """What the mapping learnt from."""
+    """Training data of the mapping."""
     unmatched: tuple[str, ...] = ()
     """Shapes that move in the source of a retargeting and drive nothing."""
     unmatched_shares: tuple[float, ...] = ()
-    """Of each, in the motion of the source's face [0-1]; empty where a person chose the pairs."""
+    """Of each, in the motion of the source's face [0-1]; empty if a person chose the pairs."""
     unseen: tuple[tuple[int, int], ...] = ()
     """First and last frame of stretches of a retargeting's source without a capture."""
     held: tuple[str, ...] = ()
-    """Shapes that are written at 0, whatever is appended: joints do what they do."""
+    """Shapes written at 0, as joints have the same effect."""
     combinations: tuple[Combination, ...] = ()
-    """Written after the shapes, as these drive them."""
+    """Written after the shapes that drive them."""
 
     @property
     def written_names(self) -> tuple[str, ...]:
@@ -122,7 +121,7 @@ class WeightsWriter:
     Parameters
     ----------
     path : Path
-        What messages call the layer, which has a temporary name.
+        Final path of the layer, for messages.
     layer : Sdf.Layer
         With its header, from `author_header`.
     """
@@ -156,10 +155,10 @@ class WeightsWriter:
         Parameters
         ----------
         weights : (frames, shapes) float array
-            Of the first shapes of the header; the others are at 0.
+            Of the first shapes of the header; the others are 0.
         uncertainty_mm, coverage, residual_mm : (frames, regions) float array, optional
         keys : (keys,) int array, optional
-            Rows whose weights are written; by default all are.
+            Rows whose weights are written; by default all.
         """
         wanted = np.ones(len(weights), dtype=bool)
         if keys is not None:
@@ -194,8 +193,8 @@ class WeightsWriter:
         beside: list[tuple[Sdf.Path, Float32Array, float]],
         keys: IntArray,
     ) -> None:
-        # One attribute after the other, and names looked up once: this loop is what mapping waits
-        # for when the regression is a quick one. Nobody listens to a layer while it is written.
+        # Writing samples dominates the time of mapping with a fast regression: names are looked up
+        # once, and change notices are blocked.
         write, array, first = self._layer.SetTimeSample, Vt.FloatArray.FromNumpy, self.next_frame
         with Sdf.ChangeBlock():
             for index in keys.tolist():
@@ -213,7 +212,7 @@ class WeightsWriter:
         *,
         copied_to: Callable[[int], None] = lambda frame: None,
     ) -> None:
-        """Append frames of an animation of the same shapes, sample by sample, as they are.
+        """Append the samples of frames of an animation of the same shapes.
 
         Parameters
         ----------
@@ -226,7 +225,7 @@ class WeightsWriter:
         copied = []
         for path in (self._weights, *self._figures):
             attribute = animation.GetAttribute(path.name)
-            if attribute:  # times are asked for once: USD looks through all for any interval
+            if attribute:  # USD searches all times for every interval
                 times = np.array(attribute.GetTimeSamples())
                 copied.append((path, Usd.AttributeQuery(attribute), times))
         for start in range(first, last + 1, block):
@@ -256,8 +255,7 @@ class WeightsWriter:
         self.next_frame += frames
         self._unsaved += frames
         if self._unsaved >= self._save_frames:
-            # A saved binary layer reads its samples back from disk when asked.
-            save_layer(self._layer, self._path)
+            save_layer(self._layer, self._path)  # frees the memory of samples in a binary layer
             self._unsaved = 0
 
 
@@ -265,14 +263,14 @@ class WeightsWriter:
 def writing_weights(
     path: Path, header: WeightsHeader, rig: Rig, *, provenance: Provenance | None = None
 ) -> Iterator[WeightsWriter]:
-    """Write a weights layer frame by frame; the file appears when the block ends without error.
+    """Write a weights layer frame by frame, which replaces the file if the block succeeds.
 
     Raises
     ------
     InputError
         If the file cannot be written, or the rig's skeletons cannot be pointed at the animation.
     ValueError
-        If other frames were appended than the header says.
+        If other frames were appended than those of the header.
     """
     with new_layer(path) as layer:
         _fill(layer, header, rig, provenance)
@@ -286,7 +284,7 @@ def writing_weights(
 
 
 def _fill(layer: Sdf.Layer, header: WeightsHeader, rig: Rig, provenance: Provenance | None) -> None:
-    """Write all but the samples, through text: the tokens of a binary layer lie in its order."""
+    """Write all but the samples, by way of text, so that the order of tokens is deterministic."""
     written, parsed = Sdf.Layer.CreateAnonymous(), Sdf.Layer.CreateAnonymous()
     author_header(written, header, rig)
     author_provenance(written, provenance)
@@ -295,10 +293,9 @@ def _fill(layer: Sdf.Layer, header: WeightsHeader, rig: Rig, provenance: Provena
 
 
 def animation_name(rig: Rig) -> str:
-    """Return what a rig's animation prim is called.
+    """Return the name of a rig's animation prim.
 
-    Faces of one file stand below one prim: each has an animation of its own there, or a shot with
-    two of them would move both by the stronger one's weights.
+    Faces of one file have one parent prim, below which their animations need different names.
     """
     path = Sdf.Path(rig.prim)
     if path.pathElementCount == 1:
@@ -326,7 +323,7 @@ def make_header(
     Parameters
     ----------
     rig : Rig
-        Names the animation prim, and the place where none is given: its own top prim's.
+        Determines the name of the animation prim, and the default of `place`.
     shape_names, rate, first_frame, last_frame, place, regions, timecode_start
         As in `WeightsHeader`.
     """
@@ -344,16 +341,15 @@ def make_header(
 
 
 def every_shape(names: Iterable[str], rig: Rig) -> tuple[str, ...]:
-    """Return shapes, and behind them all others of the rig.
+    """Return shapes, followed by all others of the rig.
 
-    Importers that pair an animation's shapes with a mesh's by order (Maya's) shift all curves after
-    one that is left out.
+    Importers that match shapes by order (Maya's) need all of them.
     """
     return tuple(dict.fromkeys((*names, *rig.shapes)))
 
 
 def place_in(layer: Sdf.Layer) -> str:
-    """Return where the rig stands that a weights layer moves; empty where it says nothing of it."""
+    """Return the prim path of the rig of a weights layer; empty if unknown."""
     places = [
         str(path.GetParentPath())
         for path in paths_in(layer)

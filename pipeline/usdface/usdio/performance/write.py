@@ -1,4 +1,4 @@
-"""Write performances: a layer to open over its weights, one .usdz of all, several as one asset."""
+"""Writing of performances: top layers over weights, packages, and assets of several takes."""
 
 import contextlib
 import struct
@@ -51,16 +51,14 @@ def write_package(
     *,
     provenance: Provenance | None = None,
 ) -> None:
-    """Pack a performance with another layer of weights in place of its own.
+    """Write a ``.usdz`` of a performance, with another layer of weights.
 
     Parameters
     ----------
-    reader : PerformanceReader
-        Whose rig is packed, at the place it has there.
     weights : Path
-        Layer that animates it; what is written besides is put into its folder.
+        Layer of weights, whose folder is used for intermediate files.
     provenance : Provenance, optional
-        Kept by the package's first layer.
+        Stored in the package's first layer.
     """
     rig_file, rig_prim = reader.rig()
     source = Sdf.Path(rig_prim).GetPrefixes()[0]
@@ -107,7 +105,7 @@ def write_package(
 
 
 def _moved_layer(file: Path, moved: Sdf.LayerOffset, folder: Path) -> Path:
-    """Return a layer whose samples are where an offset moves them: USD packs layers without it."""
+    """Return a layer with a layer offset applied, which packages do not have."""
     if moved.IsIdentity():
         return file.resolve()
     copy = Sdf.Layer.CreateNew(str(folder / file.name))
@@ -118,7 +116,7 @@ def _moved_layer(file: Path, moved: Sdf.LayerOffset, folder: Path) -> Path:
 
 
 def _is_whole(target: Path) -> bool:
-    """Read a package again: USD does not say that a write failed."""
+    """Whether a package is complete; USD does not report failed writes."""
     try:
         with zipfile.ZipFile(target) as package:
             return package.testzip() is None
@@ -127,11 +125,11 @@ def _is_whole(target: Path) -> bool:
 
 
 _NO_TIME = struct.pack("<HH", 0, 0x0021)
-"""As zip has it, the first day of 1980."""
+"""1 January 1980 in zip files."""
 
 
 def _zero_times(target: Path) -> None:
-    """Take out when files were made: the same performance gives the same bytes."""
+    """Reset the times of files in a package, so that its bytes are reproducible."""
     with zipfile.ZipFile(target) as package:
         entries = package.infolist()
         directory = package.start_dir
@@ -155,18 +153,18 @@ def writing_performance(
     above: Sequence[Path] = (),
     provenance: Provenance | None = None,
 ) -> Iterator[WeightsWriter | PartsWriter]:
-    """Write a performance frame by frame; the files appear when the block ends without error.
+    """Write a performance frame by frame; the files are replaced if the block succeeds.
 
     Parameters
     ----------
     path : Path
-        The layer to open. If it exists, what others put into it (edits, further sublayers) stays.
+        The layer to open. Its other opinions and sublayers are preserved.
     header : WeightsHeader
         From `make_header`; frames are appended from its first to its last.
     part_frames : int, optional
-        Write the weights as parts of this many frames, played as value clips; one layer by default.
+        Write the weights as parts of this many frames, played as value clips; by default one layer.
     above : sequence of Path
-        As `writing_top` takes it.
+        As in `writing_top`.
     """
     weights_file = weights_path(path)
     with writing_top(path, header, rig, above=above, provenance=provenance):
@@ -190,17 +188,17 @@ def writing_top(
     shown: Usd.Stage | None = None,
     provenance: Provenance | None = None,
 ) -> Iterator[None]:
-    """Write the layer to open around what writes its weights; all appear together.
+    """Write the top layer of a performance around the writing of its weights.
 
-    It is locked from the start: nobody else can write this performance meanwhile.
+    All files are replaced together; the top layer is locked during the block.
 
     Parameters
     ----------
     above : sequence of Path
-        Which of its layers with a head and with controls are written, and opened above the weights;
-        one of an earlier run is opened no more.
+        Those of its head and controls layers that are written, as sublayers above the weights; the
+        others are removed from its sublayers.
     shown : Usd.Stage, optional
-        Has the rig at the same place: what it chose of the rig's variants is chosen here.
+        With the rig at the same place, whose variant selections are copied.
     """
     besides = (head_path(path), controls_path(path))
     with (
@@ -232,13 +230,13 @@ def writing_top(
             _open_above(layer, relative_path(each, path), weights_asset, wanted=each in above)
         edits_asset = relative_path(edits_path(path), path)
         if edits_path(path).is_file() and edits_asset not in list(layer.subLayerPaths):
-            # The layer to open was lost or made anew; what was edited is not.
+            # The top layer is new, the edits are not.
             layer.subLayerPaths.insert(0, edits_asset)
     clear_parts(weights_path(path))
 
 
 def _open_above(layer: Sdf.Layer, asset: str, other: str, *, wanted: bool) -> None:
-    """Let a layer open one just above another, moved in time as that is, or not at all."""
+    """Insert a sublayer just above another, with its layer offset, or remove it."""
     if asset in list(layer.subLayerPaths):
         layer.subLayerPaths.remove(asset)
     if wanted:
@@ -249,12 +247,12 @@ def _open_above(layer: Sdf.Layer, asset: str, other: str, *, wanted: bool) -> No
 
 @dataclass(frozen=True)
 class _Previous:
-    """What is known of a performance that is written again."""
+    """A performance that is written again."""
 
     place: str = ""
-    """Where its rig stands; empty where that is not known."""
+    """Prim path of its rig; empty if unknown."""
     files: frozenset[Path] = frozenset()
-    """What it was made from, resolved."""
+    """Its inputs, resolved."""
 
 
 def _previous(path: Path) -> _Previous:
@@ -279,17 +277,17 @@ def write_takes(
     shown: str,
     provenance: Provenance | None = None,
 ) -> None:
-    """Write an asset of several takes on one character, with a variant for each.
+    """Write an asset of several takes of one character, with a variant for each.
 
-    Each variant references the performance as it is, so that edits and new solves of a take arrive
-    without combining again. The range of the layer spans all takes: variants cannot change it.
+    Variants reference the performances, and so follow their changes. The range of the layer spans
+    all takes, as variants cannot change it.
 
     Parameters
     ----------
     takes : mapping of str to PerformanceReader
         Performances of one rig at one place and rate, by the name of the variant.
     shown : str
-        The variant that is selected.
+        The selected variant.
     """
     first = next(iter(takes.values()))
     top = Sdf.Path(first.header.place).GetPrefixes()[0]

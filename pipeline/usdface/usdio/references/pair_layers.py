@@ -1,4 +1,4 @@
-"""What every layer of pairs begins with: pair *i* at time code *i*, so that a DCC scrubs pairs."""
+"""Headers of layers of pairs, which have pair *i* at time code *i*, for scrubbing in a DCC."""
 
 from fractions import Fraction
 from pathlib import Path
@@ -11,7 +11,7 @@ from usdface.usdio.layers import open_stage
 from usdface.usdio.units import author_units
 
 PAIRS_PER_SECOND = 24
-"""Only a viewer's playback speed: pairs have no time of their own."""
+"""Playback speed of viewers."""
 
 
 def author_pair_header(layer: Sdf.Layer, root: Sdf.Path, count: int) -> None:
@@ -22,18 +22,16 @@ def author_pair_header(layer: Sdf.Layer, root: Sdf.Path, count: int) -> None:
 
 
 def open_pair_stage(path: Path, root: Sdf.Path, *, api: str, kind: str, command: str) -> Usd.Stage:
-    """Open an asset of pairs as it composes.
+    """Open the stage of an asset of pairs.
 
     Parameters
     ----------
     root : Sdf.Path
-        Where its pairs are.
+        Prim of the pairs.
     api : str
-        The schema that says so.
-    kind : str
-        What it is, for people.
-    command : str
-        What makes one.
+        Its API schema.
+    kind, command : str
+        Name of the asset and the command that makes one, for messages.
     """
     stage = open_stage(path)
     prim = stage.GetPrimAtPath(root)

@@ -1,4 +1,4 @@
-"""Read references: the pairs as they compose, and what people tuned in the tuned layer alone."""
+"""Reading of references assets."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,7 +36,7 @@ RATE = "face:reference:rate"
 
 @refusing_wrong_types
 def read_references(path: Path) -> References:
-    """Read a references asset as it composes: tuned weights where there are any, else proposals."""
+    """Read a references asset, with tuned weights where there are any, else proposals."""
     stage = open_pair_stage(
         path, ROOT, api="FaceReferencesAPI", kind="references", command="usdface select"
     )
@@ -50,10 +50,10 @@ def read_references(path: Path) -> References:
     shape_names = tuple(map(str, animation.GetBlendShapesAttr().Get()))
     weights = _stack(path, animation.GetBlendShapeWeightsAttr(), pairs, (len(shape_names),))
     markers = _stack(path, points.GetPointsAttr(), pairs, (len(marker_names), 3))
-    held = points.GetPointsAttr().GetNumTimeSamples()
-    if held != len(pairs):
+    samples = points.GetPointsAttr().GetNumTimeSamples()
+    if samples != len(pairs):
         raise InputError(
-            f"{path}: its end time code says {len(pairs)} pairs, and its samples hold {held}: "
+            f"{path}: its end time code says {len(pairs)} pairs, and its samples hold {samples}: "
             "they are of another selection; select again, which keeps what is tuned"
         )
     frames, takes, tuned = (root.GetAttribute(path.name) for path in (FRAME_PATH, TAKE, TUNED))
@@ -98,13 +98,7 @@ def read_references(path: Path) -> References:
 
 
 def read_rig_of(references: References, path: Path) -> Rig:
-    """Read the rig that references were selected for; refused where it lacks their shapes.
-
-    Parameters
-    ----------
-    path : Path
-        File of the references.
-    """
+    """Read the rig of references, and check that it has their shapes; `path` is for messages."""
     rig = read_rig(references.rig_file, prim=references.rig_prim)
     remedy = "it was selected for another rig: select again"
     rig.check_has(references.shape_names, source=path, remedy=remedy)
@@ -112,7 +106,7 @@ def read_rig_of(references: References, path: Path) -> Rig:
 
 
 def _read_rate(root: Usd.Prim, path: Path) -> float:
-    """Return the takes' rate; 0 where it is not said."""
+    """Return the takes' rate, or 0 if it is unknown."""
     rate = float(value_of(root, RATE) or 0.0)
     if not (np.isfinite(rate) and rate >= 0):
         raise InputError(f"{path}: {RATE} is {rate}, no frames per second; select again")
@@ -120,7 +114,7 @@ def _read_rate(root: Usd.Prim, path: Path) -> float:
 
 
 def _read_placement_path(root: Usd.Prim, path: Path) -> Path | None:
-    """Return the placement that the asset names, if the file is there."""
+    """Return the asset's placement, if the file exists."""
     named = value_of(root, PLACEMENT)
     if named is not None and not isinstance(named, Sdf.AssetPath):
         raise TypeError(f"{PLACEMENT} is {named!r}, no path of a file")
@@ -136,7 +130,7 @@ def _labels(root: Usd.Prim, path: Sdf.Path, pairs: range) -> tuple[str, ...]:
 
 
 def _check_layers(stage: Usd.Stage, takes: tuple[str, ...], frames: IntArray) -> None:
-    """Refuse weights that are of other frames than those the asset has there now."""
+    """Refuse layers with weights of other frames than those of the asset."""
     for layer in stage.GetLayerStack(includeSessionLayers=False)[1:]:
         times = layer.ListTimeSamplesForPath(TUNED)
         done = "tuned" if times else "proposed"
@@ -159,11 +153,11 @@ def _check_layers(stage: Usd.Stage, takes: tuple[str, ...], frames: IntArray) ->
 def _stack(
     path: Path, attribute: Usd.Attribute, pairs: range, shape: tuple[int, ...]
 ) -> FloatArray:
-    held = attribute.GetNumTimeSamples()
-    if len(pairs) > held:  # a damaged end would else be counted up to, pair by pair
+    samples = attribute.GetNumTimeSamples()
+    if len(pairs) > samples:  # the end time code may be damaged
         raise InputError(
             f"{path}: its end time code says {len(pairs)} pairs, and <{attribute.GetPath()}> holds "
-            f"{held}; restore the layer or select again"
+            f"{samples}; restore the layer or select again"
         )
     remedy = "restore the layer or select again"
     return read_array_samples(path, attribute, pairs, shape, remedy=remedy)
@@ -188,21 +182,20 @@ def _read_motion(root: Usd.Prim) -> MotionSpace | None:
 
 @dataclass(frozen=True)
 class PairNotes:
-    """What names a pair beside its markers and weights; empty where nothing is known."""
+    """Labels of a pair; empty if unknown."""
 
     frame: int = 0
     take: str = ""
     """`frame`, `take`: Frame number, and the name of its take."""
     viseme: str = ""
     emotion: str = ""
-    """`viseme`, `emotion`: What is seen there."""
     image: Path | None = None
-    """The pair's picture, where the asset names one."""
+    """The pair's picture."""
 
 
 @refusing_wrong_types
 def read_pair_notes(path: Path) -> list[PairNotes]:
-    """Return what a references asset says of each pair but its markers and weights, in order."""
+    """Return the labels of the pairs of a references asset."""
     stage = open_pair_stage(
         path, ROOT, api="FaceReferencesAPI", kind="references", command="usdface select"
     )
@@ -225,7 +218,7 @@ def read_pair_notes(path: Path) -> list[PairNotes]:
 
 
 def take_files(path: Path) -> tuple[Path, ...]:
-    """Return the takes of a references asset: selected from, or those of performances added."""
+    """Return the takes of a references asset, from its provenance and that of its performances."""
     made = read_provenance(path)
     spec = {} if made is None else json_object(made.spec)
     files = [path.parent / str(take) for take in spec.get("takes", ())]

@@ -1,4 +1,4 @@
-"""Weights of references in the layers that hold them: as tuned, and as proposed."""
+"""Weights in the tuned and the proposed layer of references."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,14 +24,14 @@ from usdface.usdio.references.read import (
 )
 
 SAME_WEIGHT = 1e-6
-"""Weights that differ by less are equal: layers hold single precision."""
+"""Difference up to which weights are equal: that of single precision."""
 
 
 @dataclass(frozen=True)
 class TunedPair:
     """Weights that a person set for one frame of a take, by shape name.
 
-    `done` says that the person has finished with the pair, not only touched it.
+    `done` if the person marked the pair as finished.
     """
 
     pair: int
@@ -45,17 +45,17 @@ class TunedPair:
 
 @refusing_wrong_types
 def read_tuned_pairs(path: Path) -> list[TunedPair]:
-    """Return what people tuned, as the tuned layer alone says it; empty without the layer."""
+    """Return the tuned pairs of a tuned layer; empty without the layer."""
     if not path.is_file():
         return []
     layer = open_layer(path)
     names = _layer_shapes(layer) or []
-    found = []
+    pairs = []
     for time in layer.ListTimeSamplesForPath(TUNED):
         if not layer.QueryTimeSample(TUNED, time):
             continue
         weights = _weights_at(layer, path, time, names, "restore the layer from its last version")
-        found.append(
+        pairs.append(
             TunedPair(
                 pair=round(time) - 1,
                 take=str(layer.QueryTimeSample(TAKE, time)),
@@ -65,22 +65,12 @@ def read_tuned_pairs(path: Path) -> list[TunedPair]:
                 author=str(layer.QueryTimeSample(AUTHOR, time) or ""),
             )
         )
-    return found
+    return pairs
 
 
 @refusing_wrong_types
 def read_proposals(path: Path, references: References) -> FloatArray:
-    """Return the proposed weights alone, in the order of a references asset's shapes.
-
-    Parameters
-    ----------
-    references : References
-        The asset the layer belongs to.
-
-    Returns
-    -------
-    (pairs, shapes) float array
-    """
+    """Return the weights of a proposed layer, in the order of the asset: (pairs, shapes)."""
     layer = open_layer(path)
     names = _layer_shapes(layer) or []
     _check_shapes(path, names, references)
@@ -115,7 +105,7 @@ def check_tuned_layer(path: Path, references: References) -> None:
             layer.QueryTimeSample(TAKE, pair + 1),
         )
         if frame is None and take is None:
-            continue  # keyed in a DCC, which knows nothing of our flags
+            continue  # keyed in a DCC, without our attributes
         expected = (int(references.frames[pair]), references.takes[pair])
         if (frame, str(take)) != expected:
             raise InputError(
@@ -127,7 +117,7 @@ def check_tuned_layer(path: Path, references: References) -> None:
 
 
 def _layer_shapes(layer: Sdf.Layer) -> list[str] | None:
-    """Return the shapes whose weights a layer has; None where it has no weights."""
+    """Return the shapes of a layer's weights; None without weights."""
     prim = layer.GetPrimAtPath(WEIGHTS_PATH)
     if prim is None or "blendShapes" not in prim.attributes:
         return None
@@ -148,7 +138,7 @@ def _weights_at(
 
 def _check_shapes(path: Path, names: list[str], references: References) -> None:
     missing = [name for name in references.shape_names if name not in names]
-    driven = {each.shape for each in references.combinations}
+    driven = {combination.shape for combination in references.combinations}
     names = [name for name in names if name not in driven]
     if missing or len(names) != len(references.shape_names):
         raise InputError(
@@ -160,26 +150,17 @@ def _check_shapes(path: Path, names: list[str], references: References) -> None:
 
 
 def find_keyed_pairs(path: Path, references: References) -> list[int]:
-    """Return the pairs whose weights are neither those proposed nor those marked as tuned.
-
-    Parameters
-    ----------
-    references : References
-        As it composes.
-    """
+    """Return the pairs whose composed weights are neither proposals nor marked as tuned."""
     check_tuned_layer(tuned_path(path), references)
-    shown = read_proposals(proposed_path(path), references).copy()
-    for each in read_tuned_pairs(tuned_path(path)):
-        shown[each.pair] = [each.weights.get(name, 0.0) for name in references.shape_names]
-    away = np.abs(references.weights - shown).max(axis=1, initial=0.0) > SAME_WEIGHT
-    return list(np.flatnonzero(away).tolist())
+    known = read_proposals(proposed_path(path), references).copy()
+    for tuned in read_tuned_pairs(tuned_path(path)):
+        known[tuned.pair] = [tuned.weights.get(name, 0.0) for name in references.shape_names]
+    differs = np.abs(references.weights - known).max(axis=1, initial=0.0) > SAME_WEIGHT
+    return list(np.flatnonzero(differs).tolist())
 
 
 def read_set_references(path: Path) -> References:
-    """Read references of which those count as tuned that a person set, on the page or in a DCC.
-
-    Where the layers beneath the asset cannot be read, those that are marked.
-    """
+    """Read references, with those keyed in a DCC as tuned too, if the sublayers can be read."""
     references = read_references(path)
     try:
         keyed = find_keyed_pairs(path, references)

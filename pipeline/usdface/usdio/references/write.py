@@ -1,9 +1,8 @@
-"""Write references: pair *i* at time code *i*, tuned and proposed weights in two layers.
+"""Writing of references: pair *i* at time code *i*, tuned and proposed weights in two layers.
 
-Time samples do not merge from layer to layer: the strongest layer that has any wins at every time
-code. So the tuned layer, once it exists, holds weights of *every* pair, and says by
-``face:reference:tuned`` which of them a person set; the others are copies of the proposals and are
-renewed with them.
+Time samples of layers do not merge: the strongest layer with any determines all. So the tuned layer
+has weights of *all* pairs, and ``face:reference:tuned`` marks those that a person set; the others
+are copies of the proposals, and are updated with them.
 """
 
 from collections.abc import Sequence
@@ -58,20 +57,20 @@ def write_references(
     images: Sequence[Path | None] = (),
     provenance: Provenance | None = None,
 ) -> None:
-    """Write a references asset and its proposals; what people tuned stays.
+    """Write a references asset with its proposals, and preserve tuned pairs.
 
-    The layers are all whole before the first of them takes its place; the asset itself is last.
+    All layers are replaced together, the asset itself last.
 
     Parameters
     ----------
     path : Path
-        The layer to open; a tuned and a proposed layer lie beneath it, and one with the arrays of
-        markers and of their motion. The tuned layer's tuned pairs stay as they are where they are
-        among `references`, at the time codes they have.
+        The layer to open; its sublayers are a tuned and a proposed layer, and one with the arrays
+        of markers and of their motion. Pairs of the tuned layer are preserved if `references` has
+        them at the same time codes.
     tuned : sequence of TunedPair, optional
-        Pairs that are tuned from now on, besides those kept.
+        Additional tuned pairs.
     images : sequence of Path or None, optional
-        The picture of each pair; named as seen from `path`, so that the folder can move.
+        The picture of each pair.
     """
     layer_paths = (tuned_path(path), proposed_path(path))
     here = list(zip(references.takes, references.frames.tolist(), strict=True))
@@ -80,8 +79,8 @@ def write_references(
         for each in _merge_tuned(layer_paths[0], tuned)
         if here[each.pair : each.pair + 1] == [(each.take, each.frame)]
     ]
-    heavy = samples_path(path)
-    made = {layer_paths[1]: provenance, heavy: provenance, path: provenance}
+    samples = samples_path(path)
+    made = {layer_paths[1]: provenance, samples: provenance, path: provenance}
     if pairs or not layer_paths[0].is_file():
         made = {layer_paths[0]: provenance if tuned else None} | made
     with new_layers(made) as layers:
@@ -91,14 +90,14 @@ def write_references(
         _author_weights(by_path[layer_paths[1]], references, references.weights)
         _author_frames(by_path[layer_paths[1]], references)
         layer = by_path[path]
-        for each in {heavy, path}:
+        for each in {samples, path}:
             author_pair_header(by_path[each], ROOT, len(references.frames))
-        # Above the tuned layer, which repeats frames and takes as they were when it was tuned.
-        beneath = [each for each in (heavy, *layer_paths) if each != path]
-        layer.subLayerPaths = [relative_path(each, path) for each in beneath]
+        # The samples are above the tuned layer, which may have frames and takes of earlier pairs.
+        sublayers = [each for each in (samples, *layer_paths) if each != path]
+        layer.subLayerPaths = [relative_path(each, path) for each in sublayers]
         _author_pairs(layer, references)
-        _author_samples(by_path[heavy], references)
-        _author_images(by_path[heavy], images, path)
+        _author_samples(by_path[samples], references)
+        _author_images(by_path[samples], images, path)
         if references.placement is not None:
             named = Sdf.AssetPath(relative_path(references.placement, path))
             root = layer.GetPrimAtPath(ROOT)
@@ -118,7 +117,7 @@ def write_tuned_weights(
     layer_path: Path,
     provenance: Provenance | None = None,
 ) -> None:
-    """Add tuned pairs to the tuned layer; pairs tuned before stay unless they are given again."""
+    """Add tuned pairs to the tuned layer, or replace them."""
     write_tuned_layer(
         references,
         _merge_tuned(layer_path, pairs),
@@ -139,7 +138,7 @@ def write_tuned_layer(
     layer_path: Path,
     provenance: Provenance | None = None,
 ) -> None:
-    """Write the tuned layer anew: exactly these pairs are tuned, the others are proposals.
+    """Write the tuned layer, in which these pairs are tuned, and the others are proposals.
 
     Parameters
     ----------
@@ -179,7 +178,7 @@ def _author_tuned_layer(layer: Sdf.Layer, references: References, pairs: list[Tu
 
 
 def _author_frames(layer: Sdf.Layer, references: References) -> None:
-    """Say which frame each pair is of: layers of two runs can be told apart."""
+    """Write the frame and the take of each pair, which identify the selection of a layer."""
     over = Sdf.CreatePrimInLayer(layer, ROOT)
     Sdf.AttributeSpec(over, FRAME_PATH.name, Sdf.ValueTypeNames.Int)
     Sdf.AttributeSpec(over, TAKE.name, Sdf.ValueTypeNames.Token)
@@ -228,7 +227,7 @@ def _author_pairs(layer: Sdf.Layer, references: References) -> None:
 
 
 def _author_samples(layer: Sdf.Layer, references: References) -> None:
-    """Write what belongs to each pair, in one file: markers never meet the frames of others."""
+    """Write the frames, labels and markers of all pairs, in one file, so that they match."""
     root = Sdf.CreatePrimInLayer(layer, ROOT)
     if references.motion is not None:
         _author_motion(root, references.motion)
@@ -242,16 +241,16 @@ def _author_samples(layer: Sdf.Layer, references: References) -> None:
     neutral = doubles(references.neutral / MM_PER_STAGE_UNIT)
     author_uniform(points, NEUTRAL, Sdf.ValueTypeNames.DoubleArray, neutral)
     extents = PointExtents(points, len(references.marker_names), 0.3)
-    placed = Sdf.AttributeSpec(points, "points", Sdf.ValueTypeNames.Point3fArray)
+    attribute = Sdf.AttributeSpec(points, "points", Sdf.ValueTypeNames.Point3fArray)
     stage_points = (references.markers / MM_PER_STAGE_UNIT).astype(np.float32)
     extents.author(layer, range(1, len(references.frames) + 1), stage_points)
     for pair, row in enumerate(stage_points):
-        layer.SetTimeSample(placed.path, pair + 1, Vt.Vec3fArray.FromNumpy(row))
+        layer.SetTimeSample(attribute.path, pair + 1, Vt.Vec3fArray.FromNumpy(row))
     _author_source(layer, references)
 
 
 def _author_source(layer: Sdf.Layer, references: References) -> None:
-    """Write the weights that the takes carry at each pair."""
+    """Write the weights of the takes at each pair."""
     if references.source is None:
         return
     animation = define_prim(layer, SOURCE_PATH, "SkelAnimation")

@@ -1,1 +1,1 @@
-"""Pairs, control vectors and sequences."""
+"""Expression pairs, control vectors, retargetings and sequences."""

@@ -1,7 +1,7 @@
-"""A performance of a whole control vector: weights, joints and attributes over one rig.
+"""Writing of performances of control vectors: weights, joints and attributes over one rig.
 
-Weights are where every performance has them. Joints and attributes lie in a layer of their own
-beside it, NAME.controls.usdc: joints on the same animation, attributes as overs on the rig's prims.
+Joints and attributes are in NAME.controls.usdc: joints on the animation of the weights, attributes
+as overs on the rig's prims.
 """
 
 import contextlib
@@ -29,11 +29,11 @@ from usdface.usdio.retarget.controls import (
 from usdface.usdio.units import author_units
 
 _FRAMES_PER_SAVE = 1 << 14
-"""Frames between two saves: saved samples are read back from disk, so that memory stays bounded."""
+"""Frames between two saves, which bounds the memory."""
 
 
 class ControlsLayer:
-    """Joints and attributes in a layer that is being written."""
+    """Appends joints and attributes to a layer."""
 
     def __init__(
         self,
@@ -66,9 +66,9 @@ class ControlsLayer:
         """Append frames of joints and attributes."""
         if controls.joints:
             set_joint_samples(self.layer, self._animation, controls, first_frame)
-        for column, place in enumerate(self._attributes):
+        for column, path in enumerate(self._attributes):
             for frame, value in enumerate(controls.values[:, column].tolist(), start=first_frame):
-                self.layer.SetTimeSample(place, frame, value)
+                self.layer.SetTimeSample(path, frame, value)
         self._unsaved += len(controls)
         if self._unsaved >= _FRAMES_PER_SAVE:
             save_layer(self.layer, self._path)
@@ -86,7 +86,7 @@ class ControlsWriter:
         self.next_frame = first_frame
 
     def append(self, controls: Controls) -> None:
-        """Append frames of every control."""
+        """Append frames of all controls."""
         self._weights.append(controls.weights)
         if self._others is not None:
             self._others.append(controls, self.next_frame)
@@ -104,16 +104,16 @@ def writing_control_performance(
     above: Sequence[Path] = (),
     provenance: Provenance | None = None,
 ) -> Iterator[ControlsWriter]:
-    """Write a performance of any controls; the files appear when the block ends without error.
+    """Write a performance of any controls; the files are replaced if the block succeeds.
 
     Parameters
     ----------
     path : Path
-        The layer to open; what others put into it stays.
+        The layer to open. Its other opinions and sublayers are preserved.
     header : WeightsHeader
-        Of the weights that will be appended, as `writing_performance` takes it.
+        Of the weights, as in `writing_performance`.
     above : sequence of Path
-        What else is written, as `writing_top` takes it.
+        As in `writing_top`.
     """
     controls_file = controls_path(path) if joints or attributes else None
     with contextlib.ExitStack() as stack:

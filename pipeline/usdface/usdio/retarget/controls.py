@@ -26,12 +26,12 @@ FLOATS = (Sdf.ValueTypeNames.Float, Sdf.ValueTypeNames.Double, Sdf.ValueTypeName
 
 
 def find_control_attributes(rig: Rig, patterns: Sequence[str]) -> tuple[str, ...]:
-    """Return the float attributes of a rig that names or patterns mean, each once.
+    """Return the float attributes of a rig that match names or patterns.
 
     Parameters
     ----------
     patterns : sequence of str
-        ``PRIM.ATTRIBUTE``, the prim's path taken from the rig's top prim; ``*`` and ``?`` as in a
+        ``PRIM.ATTRIBUTE``, the prim's path relative to the rig's top prim; ``*`` and ``?`` as in a
         shell.
     """
     stage = open_stage(rig.file)
@@ -40,8 +40,8 @@ def find_control_attributes(rig: Rig, patterns: Sequence[str]) -> tuple[str, ...
 
 
 def _match_attributes(top: Usd.Prim, patterns: Sequence[str], path: Path) -> tuple[str, ...]:
-    """Return the float attributes below a prim that names or patterns mean, each once."""
-    found: list[str] = []
+    """Return the float attributes below a prim that match names or patterns."""
+    matches: list[str] = []
     for pattern in patterns:
         if any(letter in pattern for letter in "*?["):
             names = [name for name in _all_floats(top) if fnmatchcase(name, pattern)]
@@ -50,15 +50,15 @@ def _match_attributes(top: Usd.Prim, patterns: Sequence[str], path: Path) -> tup
                     f"{path} <{top.GetPath()}>: no float attribute below it is like "
                     f"{pattern!r}; {_examples(top)}"
                 )
-            found += names
+            matches += names
         else:
             control_attribute(top, pattern, path)
-            found.append(pattern)
-    return tuple(dict.fromkeys(found))
+            matches.append(pattern)
+    return tuple(dict.fromkeys(matches))
 
 
 def control_attribute(top: Usd.Prim, name: str, path: Path) -> Usd.Attribute:
-    """Return the attribute that a control's name means below a character's top prim."""
+    """Return the attribute of a control's name, relative to a character's top prim."""
     _, dot, attribute_name = name.rpartition(".")
     target = attribute_path(top.GetPath(), name) if dot else None
     if target is None:
@@ -84,7 +84,7 @@ def control_attribute(top: Usd.Prim, name: str, path: Path) -> Usd.Attribute:
 
 
 def attribute_path(top: Sdf.Path, name: str) -> Sdf.Path | None:
-    """Return a control's property path below a top prim; None if the name cannot be one."""
+    """Return a control's property path below a top prim; None if the name is invalid."""
     place, _, attribute = name.rpartition(".")
     if not Sdf.Path.IsValidNamespacedIdentifier(attribute):
         return None
@@ -99,7 +99,7 @@ def _all_floats(top: Usd.Prim) -> list[str]:
 
 
 def _floats_of(prim: Usd.Prim, top: Usd.Prim) -> Iterator[tuple[str, Usd.Attribute]]:
-    """Yield the float attributes of a prim with their names as controls below a top prim."""
+    """Yield the float attributes of a prim, with their names relative to a top prim."""
     place = str(prim.GetPath().MakeRelativePath(top.GetPath()))
     for attribute in prim.GetAuthoredAttributes():
         if attribute.GetTypeName() in FLOATS:
@@ -114,14 +114,14 @@ def _examples(top: Usd.Prim) -> str:
 
 
 def rest_controls(rig: Rig, *, attributes: Sequence[str] = (), joints: bool = True) -> Controls:
-    """Return one row of controls: weights 0, joints at rest, attributes as the rig has them.
+    """Return one row of controls: weights 0, joints at rest, attributes of the rig.
 
     Parameters
     ----------
     attributes : sequence of str
         Names or patterns; see `find_control_attributes`.
     joints : bool
-        Whether joints are controls; a skeleton of one joint only carries the head, and is none.
+        Whether joints are controls; the joint of a skeleton with only one is not.
     """
     stage = open_stage(rig.file)
     names: tuple[str, ...] = ()
@@ -134,8 +134,8 @@ def rest_controls(rig: Rig, *, attributes: Sequence[str] = (), joints: bool = Tr
     if len(names) < 2 or len(rest) != len(names):
         names, rest = (), []
     top = stage.GetPrimAtPath(Sdf.Path(rig.prim).GetPrefixes()[0])
-    found = find_control_attributes(rig, attributes)
-    values = [control_attribute(top, name, rig.file).Get() or 0.0 for name in found]
+    attribute_names = find_control_attributes(rig, attributes)
+    values = [control_attribute(top, name, rig.file).Get() or 0.0 for name in attribute_names]
     parts = [_decompose(matrix) for matrix in rest]
     return Controls(
         shapes=rig.shapes,
@@ -144,46 +144,46 @@ def rest_controls(rig: Rig, *, attributes: Sequence[str] = (), joints: bool = Tr
         translations=np.array([part[0] for part in parts], float).reshape(1, -1, 3),
         rotations=np.array([part[1] for part in parts], float).reshape(1, -1, 4),
         scales=np.array([part[2] for part in parts], float).reshape(1, -1, 3),
-        attributes=found,
+        attributes=attribute_names,
         values=np.array(values, float).reshape(1, -1),
     )
 
 
 def _decompose(matrix: Gf.Matrix4d) -> tuple[list[float], list[float], list[float]]:
-    """Return translation, rotation (w first) and scale, as UsdSkel takes a transform apart."""
+    """Return translation, rotation (w first) and scale of a transform, as in UsdSkel."""
     translation, rotation, scale = UsdSkel.DecomposeTransform(matrix)
-    turn = [rotation.GetReal(), *rotation.GetImaginary()]
-    return list(translation), turn, [float(each) for each in scale]
+    quaternion = [rotation.GetReal(), *rotation.GetImaginary()]
+    return list(translation), quaternion, [float(factor) for factor in scale]
 
 
 NAMES = "face:controls:attributes"
-"""On an animation: the attributes that are driven beside it, as ``PRIM.ATTRIBUTE``."""
+"""Of an animation: the attributes that are driven with it, as ``PRIM.ATTRIBUTE``."""
 
 
 @dataclass(frozen=True)
 class ReadControls:
-    """Controls as a file holds them."""
+    """Controls of a file."""
 
     clip: ControlClip
     rate: Fraction
     """Frames per second."""
     timecode_start: str
-    """SMPTE timecode of the first frame, empty when unknown."""
+    """SMPTE timecode of the first frame, empty if unknown."""
 
 
 @refusing_wrong_types
 def read_control_clip(
     path: Path, *, attributes: Sequence[str] | None = None, frames: tuple[int, int] | None = None
 ) -> ReadControls:
-    """Read everything that drives the one face in a USD file.
+    """Read the control vectors of the face in a USD file.
 
     Parameters
     ----------
     attributes : sequence of str, optional
-        Those to read beside weights and joints, names or patterns; by default what the animation
-        itself names, and all that move.
+        Names or patterns of attributes; by default those that the animation names, and all that
+        are animated.
     frames : tuple of int, optional
-        First and last, inclusive; all that the animation has by default.
+        First and last, inclusive; by default all.
     """
     reader = PerformanceReader(path)
     prim = reader.animation
@@ -203,14 +203,14 @@ def read_control_clip(
 
 
 def attribute_names(animation: Usd.Prim) -> tuple[str, ...]:
-    """Return the attributes that an animation says are driven beside it."""
+    """Return the attributes that an animation names."""
     return names_in(animation.GetAttribute(NAMES))
 
 
 def moving_attributes(top: Usd.Prim) -> tuple[str, ...]:
-    """Return the float attributes below a prim that change over time: what deformers are driven by.
+    """Return the animated float attributes below a prim, such as those of deformers.
 
-    Those of animations are theirs: edits of weights, and figures of solves.
+    Without those of animations: edits of weights, and figures of solves.
     """
     return tuple(
         name
@@ -222,13 +222,13 @@ def moving_attributes(top: Usd.Prim) -> tuple[str, ...]:
 
 
 def _top_or_none(stage: Usd.Stage, animation: Usd.Prim) -> Usd.Prim | None:
-    """Return where attributes are named from; None where a layer of weights says no such place."""
+    """Return the prim to which names of attributes are relative; None if a layer has none."""
     top = animation.GetParent() if animation.GetName().startswith(ANIMATION) else None
     return top or stage.GetDefaultPrim() or None
 
 
 def top_of(stage: Usd.Stage, animation: Usd.Prim, path: Path) -> Usd.Prim:
-    """Return the prim from which attributes are named: where a performance puts its rig."""
+    """Return the prim to which names of attributes are relative: the rig of a performance."""
     if animation.GetName().startswith(ANIMATION):
         return animation.GetParent()
     top = stage.GetDefaultPrim()
@@ -254,10 +254,10 @@ def controls_at(
     controls = bare_controls(shapes, read(skel.GetBlendShapeWeightsAttr(), len(shapes)))
     joints = names_in(skel.GetJointsAttr())
     if joints:
-        # numpy sees a quaternion as it lies in memory: x, y, z, w
-        turned = read(skel.GetRotationsAttr(), len(joints), 4)[..., [3, 0, 1, 2]]
+        # Quaternions are x, y, z, w in memory.
+        quaternions = read(skel.GetRotationsAttr(), len(joints), 4)[..., [3, 0, 1, 2]]
         try:
-            rotations = normalize_quaternions(turned)
+            rotations = normalize_quaternions(quaternions)
         except ValueError as error:
             raise InputError(f"{path} <{animation.GetPath()}.rotations>: {error}") from error
         controls = replace(
@@ -268,8 +268,8 @@ def controls_at(
             scales=read(skel.GetScalesAttr(), len(joints), 3),
         )
     if attributes and top is not None:
-        found = [control_attribute(top, name, path) for name in attributes]
-        values = np.column_stack([_series(path, each, times) for each in found])
+        driven = [control_attribute(top, name, path) for name in attributes]
+        values = np.column_stack([_series(path, attribute, times) for attribute in driven])
         controls = replace(controls, attributes=tuple(attributes), values=values)
     return controls
 
@@ -286,7 +286,7 @@ def author_joints(prim: Sdf.PrimSpec, joints: tuple[str, ...]) -> None:
 def set_joint_samples(
     layer: Sdf.Layer, animation: Sdf.Path, controls: Controls, first: int
 ) -> None:
-    """Write joints over time, an attribute after the other."""
+    """Write the samples of joints, one attribute after the other."""
     write = layer.SetTimeSample
     places = [animation.AppendProperty(n) for n in ("translations", "rotations", "scales")]
     translations = np.ascontiguousarray(controls.translations, np.float32)

@@ -1,9 +1,9 @@
-"""Expression pairs: pair *i* at time code *i*, both faces in one file to scrub through.
+"""Expression pairs: pair *i* at time code *i*, with both faces in one file.
 
 ``/Pairs/Source`` and ``/Pairs/Target`` are the two characters, ``/Pairs/SourceWeights`` and
-``/Pairs/TargetControls`` the animations that pose them; deformer attributes are keyed on the
-target's own prims. What this package proposes lies in a layer of its own beneath the one to open,
-so that what people key above it stays when pairs are proposed again.
+``/Pairs/TargetControls`` their animations; deformer attributes are animated on the target's prims.
+Proposals are in a sublayer, so that keys in the layer to open are preserved when pairs are proposed
+again.
 """
 
 from dataclasses import replace
@@ -51,15 +51,10 @@ from usdface.usdio.rig.reference import (
 )
 
 _ROOT = Sdf.Path("/Pairs")
-
 _SOURCE = _ROOT.AppendChild("Source")
-
 _TARGET = _ROOT.AppendChild("Target")
-
 SOURCE_WEIGHTS = _ROOT.AppendChild("SourceWeights")
-
 TARGET_CONTROLS = _ROOT.AppendChild("TargetControls")
-
 _NAME = _ROOT.AppendProperty("face:pair:name")
 
 
@@ -71,14 +66,14 @@ def write_pairs(
     target_rig: Rig,
     provenance: Provenance | None = None,
 ) -> None:
-    """Write a pairs asset; what people keyed in the layer to open stays.
+    """Write a pairs asset, and preserve keys in the layer to open.
 
     Parameters
     ----------
     path : Path
-        The layer to open; `proposed_path` lies beneath it.
+        The layer to open, with `proposed_path` as sublayer.
     source_rig : Rig, optional
-        None of a source that is weights alone.
+        None for a source of weights alone.
     """
     samples = proposed_path(path)
     with new_layers({samples: provenance, path: provenance}) as (below, layer):
@@ -96,7 +91,7 @@ def write_pairs(
 
 @refusing_wrong_types
 def read_pairs(path: Path) -> ExpressionPairs:
-    """Read pairs as they compose."""
+    """Read the composed pairs."""
     stage = open_pair_stage(
         path, _ROOT, api="FacePairsAPI", kind="pairs", command="usdface pairs propose"
     )
@@ -126,16 +121,13 @@ def read_pairs(path: Path) -> ExpressionPairs:
 
 @refusing_wrong_types
 def keyed_above(path: Path) -> tuple[str, ...]:
-    """Return what is keyed over time in a pairs asset above the layer that this package writes.
-
-    As USD has it, samples of a stronger layer hide all that are beneath.
-    """
+    """Return the properties with samples in layers stronger than the proposals, which they hide."""
     samples = proposed_path(path).resolve()
-    found: list[str] = []
+    keyed: list[str] = []
     for layer in open_stage(path).GetLayerStack(includeSessionLayers=False):
         if Path(layer.realPath).resolve() != samples:
-            found += map(str, sampled_properties(layer))
-    return tuple(dict.fromkeys(found))
+            keyed += map(str, sampled_properties(layer))
+    return tuple(dict.fromkeys(keyed))
 
 
 def _author_samples(
@@ -192,12 +184,12 @@ def _times(
     attributes: tuple[str, ...],
     path: Path,
 ) -> list[int]:
-    """Return the time codes of the pairs: both sides must be keyed at each."""
+    """Return the time codes of the pairs, at which both sides must have keys."""
     top = stage.GetPrimAtPath(_TARGET)
     keyed = {place: _sampled(prim) for place, prim in ((_SOURCE, source), (_TARGET, target))}
     for name in attributes:
-        found = control_attribute(top, name, path)
-        keyed[_TARGET] |= {round(time) for time in found.GetTimeSamples()}
+        attribute = control_attribute(top, name, path)
+        keyed[_TARGET] |= {round(time) for time in attribute.GetTimeSamples()}
     times = sorted(keyed[_SOURCE] | keyed[_TARGET])
     if not times:
         raise InputError(f"{path}: holds no pair; key both faces at time code 1, 2, ...")
@@ -214,19 +206,17 @@ def _times(
 
 def _sampled(animation: Usd.Prim) -> set[int]:
     skel = UsdSkel.Animation(animation)
-    found: set[int] = set()
-    for attribute in (
+    attributes = (
         skel.GetBlendShapeWeightsAttr(),
         skel.GetRotationsAttr(),
         skel.GetTranslationsAttr(),
         skel.GetScalesAttr(),
-    ):
-        found |= {round(time) for time in attribute.GetTimeSamples()}
-    return found
+    )
+    return {round(time) for attribute in attributes for time in attribute.GetTimeSamples()}
 
 
 def _rig(stage: Usd.Stage, animation: Usd.Prim, place: Sdf.Path) -> tuple[Path | None, str]:
-    """Return the rig that stands at a place, also if its file is gone; None where there is none."""
+    """Return file and SkelRoot of the rig at a place, perhaps missing; None without a rig."""
     try:
         return rig_of(stage, animation)
     except InputError:
@@ -236,7 +226,7 @@ def _rig(stage: Usd.Stage, animation: Usd.Prim, place: Sdf.Path) -> tuple[Path |
 
 
 def merge_pairs(old: ExpressionPairs, new: ExpressionPairs) -> ExpressionPairs:
-    """Keep old pairs at their time codes and add those new ones whose names they lack."""
+    """Return old pairs at their time codes, followed by new ones with other names."""
     added = [i for i, name in enumerate(new.names) if name not in old.names]
     if old.source_shapes != new.source_shapes or old.target.attributes != new.target.attributes:
         raise InputError(

@@ -1,4 +1,4 @@
-"""A trained retargeting as a typed prim: every number it needs is an attribute."""
+"""Reading and writing of trained retargetings, as attributes of a typed prim."""
 
 import json
 from dataclasses import asdict
@@ -28,7 +28,7 @@ TYPE = "FaceRetargeting"
 def write_retargeting(
     path: Path, trained: Retargeting, *, provenance: Provenance | None = None
 ) -> None:
-    """Write a retargeting; read back, it predicts the same to the last bit."""
+    """Write a retargeting, without loss."""
     kinds = Sdf.ValueTypeNames
     rig = "" if trained.target_rig is None else relative_path(trained.target_rig, path)
     with new_layer(path, provenance) as layer:
@@ -56,8 +56,8 @@ def write_retargeting(
 
 
 def is_retargeting(path: Path) -> bool:
-    """Whether a USD file holds a trained retargeting."""
-    stage = open_stage(path)  # a prim does not keep its stage alive
+    """Whether a USD file is a trained retargeting."""
+    stage = open_stage(path)  # keep a reference: prims do not outlive their stage
     return prim_in_scope(stage, TYPE) is not None
 
 

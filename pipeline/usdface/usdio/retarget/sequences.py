@@ -1,4 +1,4 @@
-"""Emotional sequences, and the places of a take that hold them."""
+"""Emotional sequences, and their occurrences in takes."""
 
 from dataclasses import replace
 from fractions import Fraction
@@ -52,7 +52,7 @@ def write_sequence(
     rate: Fraction,
     provenance: Provenance | None = None,
 ) -> None:
-    """Write a sequence: source and target each from time code 1, as long as they are."""
+    """Write a sequence: source and target each from time code 1, of different lengths."""
     kinds = Sdf.ValueTypeNames
     target = sequence.target
     with new_layer(path, provenance) as layer:
@@ -129,7 +129,7 @@ def _read_side(stage: Usd.Stage, place: Sdf.Path, path: Path) -> tuple[Controls,
 def write_matches(
     path: Path, matches: tuple[SequenceMatch, ...], *, provenance: Provenance | None = None
 ) -> None:
-    """Write where a take holds sequences: a prim each, to be deactivated or moved by people."""
+    """Write occurrences of sequences, one prim each, which can be deactivated or edited."""
     kinds = Sdf.ValueTypeNames
     with new_layer(path, provenance) as layer:
         author_units(layer)
@@ -151,12 +151,12 @@ def write_matches(
 
 @refusing_wrong_types
 def read_matches(path: Path) -> tuple[SequenceMatch, ...]:
-    """Read the places that are active."""
+    """Read the active matches."""
     stage = open_stage(path)
     root = stage.GetPrimAtPath(MATCHES)
     if not root:
         raise InputError(f"{path}: no </Matches>; make the file with `usdface find-sequences`")
-    found = []
+    matches = []
     for prim in root.GetChildren():
         if not prim.HasAPI("FaceMatchAPI"):
             continue
@@ -173,7 +173,7 @@ def read_matches(path: Path) -> tuple[SequenceMatch, ...]:
                 f"{path} <{prim.GetPath()}>: frames {first}-{last} of {asset!s} are no match of a "
                 "sequence; correct it, or find sequences again"
             )
-        found.append(
+        matches.append(
             SequenceMatch(
                 sequence=path.parent / asset.path,
                 label=text_of(prim, "face:match:label"),
@@ -182,4 +182,4 @@ def read_matches(path: Path) -> tuple[SequenceMatch, ...]:
                 distance=float(prim.GetAttribute("face:match:distance").Get() or 0.0),
             )
         )
-    return tuple(found)
+    return tuple(matches)

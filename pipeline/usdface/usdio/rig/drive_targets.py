@@ -19,7 +19,7 @@ _LISTED_NAMES = 12
 
 @dataclass(frozen=True)
 class DriveTarget:
-    """What one part of a performer drives, and where it is at rest."""
+    """The joint or Xform that a part of a performer drives."""
 
     part: str
     """``head``, ``left_eye`` or ``right_eye``."""
@@ -27,36 +27,35 @@ class DriveTarget:
     """Of a joint in its skeleton, or of a prim in the rig's file."""
     is_joint: bool
     pivot: tuple[float, float, float]
-    """What it turns about, in the rig's world [mm]."""
+    """Centre of rotation, in the rig's world [mm]."""
 
 
 @dataclass(frozen=True)
 class HeadDrive:
-    """What a performer's head and eyes do on one rig."""
+    """Motion of a performer's head and eyes on one rig."""
 
     transforms: Mapping[DriveTarget, FloatArray] = field(default_factory=dict)
     """(frames, 4, 4) by target, from rest, in the rig's world [mm]."""
     held: tuple[str, ...] = ()
-    """Shapes that turn the same eyeballs, and are left at 0 for it."""
+    """Shapes that turn the same eyeballs, and are written at 0."""
     notes: tuple[str, ...] = ()
 
 
 def find_drive_target(rig: Rig, part: str, name: str) -> DriveTarget:
-    """Return the one joint or Xform of a name: a path, or the end of one."""
+    """Return the only joint or Xform with a path, or with the end of one."""
     stage = open_stage(rig.file)
     joints, xforms = _joints(stage, rig), _xforms(stage, rig)
     for paths, is_joint in ((joints, True), (xforms, False)):
         exact = [path for path in paths if path == name]
-        found = exact or [path for path in paths if f"/{path}".endswith(f"/{name.lstrip('/')}")]
-        if len(found) > 1:
+        matches = exact or [path for path in paths if f"/{path}".endswith(f"/{name.lstrip('/')}")]
+        if len(matches) > 1:
             raise InputError(
-                f"{rig.file}: {len(found)} {'joints' if is_joint else 'Xforms'} are called "
-                f"{name!r}: {first_few(found)}; give --drive {part}= the whole path of one"
+                f"{rig.file}: {len(matches)} {'joints' if is_joint else 'Xforms'} are called "
+                f"{name!r}: {first_few(matches)}; give --drive {part}= the whole path of one"
             )
-        if found:
-            if is_joint:
-                return DriveTarget(part, found[0], True, _joint_pivot(stage, rig, found[0]))
-            return DriveTarget(part, found[0], False, _xform_pivot(stage, rig, found[0]))
+        if matches:
+            pivot_of = _joint_pivot if is_joint else _xform_pivot
+            return DriveTarget(part, matches[0], is_joint, pivot_of(stage, rig, matches[0]))
     raise InputError(
         f"{rig.file}: no joint and no Xform is called {name!r}, which --drive names for the "
         f"{part}; it has the joints {first_few(joints, most=_LISTED_NAMES) or 'none'} and the "
@@ -79,8 +78,11 @@ def _joints(stage: Usd.Stage, rig: Rig) -> list[str]:
 def _xforms(stage: Usd.Stage, rig: Rig) -> list[str]:
     top = stage.GetPrimAtPath(Sdf.Path(rig.prim).GetPrefixes()[0])
     prims = Usd.PrimRange(top, Usd.TraverseInstanceProxies())
-    kept = (p for p in prims if p.IsA(UsdGeom.Xformable) and not p.IsA(UsdSkel.Skeleton))
-    return [str(prim.GetPath()) for prim in kept]
+    return [
+        str(prim.GetPath())
+        for prim in prims
+        if prim.IsA(UsdGeom.Xformable) and not prim.IsA(UsdSkel.Skeleton)
+    ]
 
 
 def joint_rest(skeleton: UsdSkel.Skeleton, joint: str) -> tuple[FloatArray, FloatArray, bool]:

@@ -1,7 +1,7 @@
-"""What materials say of a mesh's colours: of the whole mesh, and of subsets of its faces.
+"""Colours of a mesh's faces by materials of the mesh and of subsets.
 
-Pictures show constants: a material's UsdPreviewSurface, its diffuse colour and opacity. Textures
-and other shaders are not drawn, and are told, so that nobody takes plain skin for a lost texture.
+Pictures show constant diffuse colours and opacities of UsdPreviewSurface. Textures and other
+shaders are not drawn, and are listed.
 """
 
 from dataclasses import dataclass
@@ -22,14 +22,14 @@ class Look:
     """The colours of a mesh's faces."""
 
     face_colors: FloatArray | None
-    """(faces, 4): linear red, green, blue and opacity; NaN where nothing is said of a face."""
+    """(faces, 4): linear red, green, blue and opacity; NaN if unknown."""
     undrawn: tuple[str, ...]
-    """What is said in ways that pictures do not show."""
+    """Parts of materials that pictures leave out."""
 
 
 @dataclass(frozen=True)
 class _Surface:
-    """What one material says: four numbers, NaN where it does not, and what is left out."""
+    """Constant colour of a material, or NaN, and what is left out."""
 
     color: tuple[float, float, float, float]
     undrawn: str = ""
@@ -39,16 +39,15 @@ _NOTHING = (np.nan, np.nan, np.nan, np.nan)
 
 
 def read_look(prim: Usd.Prim, face_count: int) -> Look:
-    """Read what colours the faces of a mesh have by its materials, else by ``displayColor``.
+    """Return the colours of a mesh's faces by its materials, else by ``displayColor``.
 
-    Bindings of subsets (family ``materialBind``) are stronger than the mesh's own, and a material
-    is stronger than a display colour, as in a renderer. A display colour per point is not read
-    here.
+    Bindings of subsets (family ``materialBind``) are stronger than the mesh's, and materials are
+    stronger than display colours, as in a renderer. Display colours per point are not read.
     """
     colors = _display_colors(prim, face_count)
     undrawn = list[str]()
 
-    def lay_on(bound: Usd.Prim, faces: slice | np.ndarray) -> None:
+    def apply_material(bound: Usd.Prim, faces: slice | np.ndarray) -> None:
         material, _ = UsdShade.MaterialBindingAPI(bound).ComputeBoundMaterial(
             UsdShade.Tokens.preview
         )
@@ -59,7 +58,7 @@ def read_look(prim: Usd.Prim, face_count: int) -> Look:
             if surface.undrawn:
                 undrawn.append(surface.undrawn)
 
-    lay_on(prim, slice(None))
+    apply_material(prim, slice(None))
     for subset in UsdShade.MaterialBindingAPI(prim).GetMaterialBindSubsets():
         where = f"<{subset.GetPath()}>"
         if subset.GetElementTypeAttr().Get() != UsdGeom.Tokens.face:
@@ -71,13 +70,13 @@ def read_look(prim: Usd.Prim, face_count: int) -> Look:
             undrawn.append(
                 f"{where}: {len(faces) - len(inside)} of its {len(faces)} indices name no face"
             )
-        lay_on(subset.GetPrim(), inside)
+        apply_material(subset.GetPrim(), inside)
     known = not np.isnan(colors).all()
     return Look(colors if known else None, tuple(dict.fromkeys(undrawn)))
 
 
 def _display_colors(prim: Usd.Prim, face_count: int) -> FloatArray:
-    """Return a display colour of each face where the mesh has one; NaN otherwise."""
+    """Return the display colours of faces, or NaN."""
     colors = np.full((face_count, 4), np.nan)
     primvar = UsdGeom.Gprim(prim).GetDisplayColorPrimvar()
     if not (primvar and primvar.HasAuthoredValue()):
@@ -106,7 +105,7 @@ def _read_surface(material: UsdShade.Material) -> _Surface:
 
 
 def _constant(given: UsdShade.Input | None) -> tuple[Any, str]:
-    """Return an input's constant, else None and what it is connected to instead."""
+    """Return an input's constant, or None and its connection."""
     if not given:
         return None, ""
     for attribute in UsdShade.Utils.GetValueProducingAttributes(given):
@@ -119,7 +118,7 @@ def _constant(given: UsdShade.Input | None) -> tuple[Any, str]:
 
 def _connected(node: UsdShade.Shader) -> str:
     kind = node.GetShaderId()
-    if kind == PRIMVAR:  # most read displayColor, which is shown where the mesh has it
+    if kind == PRIMVAR:  # usually displayColor, which is drawn
         name = node.GetInput("varname")
         read = name.Get() if name else None
         return "" if str(read) == "displayColor" else f"its colour is primvar {read}"

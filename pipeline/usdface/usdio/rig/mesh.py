@@ -1,4 +1,4 @@
-"""Read one mesh of any USD file, rig or not, and know how to put moved points back into it."""
+"""Reading of meshes at rest, and transforms between their space and ours."""
 
 import hashlib
 from dataclasses import dataclass, replace
@@ -19,40 +19,40 @@ from usdface.usdio.units import column_matrix, stage_to_ours, transform_points
 
 @dataclass(frozen=True)
 class PlacedMesh:
-    """A mesh at rest and the per-point linear maps that carry its shapes along."""
+    """A mesh at rest and the linear maps of its offsets."""
 
     points: FloatArray
     """(n, 3) [mm]"""
     linear: FloatArray
-    """(n, 3, 3) or (3, 3): turns an offset in mesh space into ours; per point where skinning bends
-    the mesh."""
+    """(n, 3, 3) or (3, 3): from offsets in mesh space to ours; per point if skinning bends the
+    mesh."""
 
     def offsets(self, points: IntArray, offsets: FloatArray) -> FloatArray:
-        """Turn offsets of some points from mesh space into millimetres, Y up."""
+        """Return offsets of some points in millimetres, Y up, from those in mesh space."""
         if self.linear.ndim == 2:
             return np.asarray(offsets @ self.linear.T)
         return np.asarray(np.einsum("nij,nj->ni", self.linear[points], offsets))
 
     def normals(self, normals: FloatArray, points: IntArray | None = None) -> FloatArray:
-        """Turn normals, or what is added to them, into our space; unit ones stay unit.
+        """Return normals, or their offsets, in our space, of some points or of all.
 
-        Of the points given; of all by default.
+        Their lengths are preserved under rotation and uniform scale.
         """
         linear = self.linear
         if linear.ndim == 3 and points is not None:
             linear = linear[points]
         volume = np.abs(np.linalg.det(linear))
         if not np.all(volume > 0):
-            return normals  # a mesh that is flattened has no other
-        # The inverse transpose keeps normals upright where a scale is not the same all ways.
-        turn = np.linalg.inv(linear) * np.cbrt(volume)[..., None, None]
-        if turn.ndim == 2:
-            return np.asarray(normals @ turn)
-        return np.asarray(np.einsum("nji,nj->ni", turn, normals))
+            return normals  # a flattened mesh
+        # Normals transform by the inverse transpose.
+        inverse = np.linalg.inv(linear) * np.cbrt(volume)[..., None, None]
+        if inverse.ndim == 2:
+            return np.asarray(normals @ inverse)
+        return np.asarray(np.einsum("nji,nj->ni", inverse, normals))
 
 
 class RestPose:
-    """The skeletons of a SkelRoot at rest, resolved once for all its meshes."""
+    """The skeletons of a SkelRoot at rest."""
 
     def __init__(self, root: UsdSkel.Root, ours: FloatArray) -> None:
         self._root = root
@@ -64,15 +64,15 @@ class RestPose:
         cache = UsdSkel.Cache()
         predicate = Usd.TraverseInstanceProxies()
         cache.Populate(self._root, predicate)
-        found = {}
+        bindings = {}
         for binding in cache.ComputeSkelBindings(self._root, predicate):
             query = cache.GetSkelQuery(binding.GetSkeleton())
             for target in binding.GetSkinningTargets():
-                found[str(target.GetPrim().GetPath())] = (query, target)
-        return found
+                bindings[str(target.GetPrim().GetPath())] = (query, target)
+        return bindings
 
     def place(self, prim: Usd.Prim, local: FloatArray) -> PlacedMesh:
-        """Place the points of a mesh as UsdSkel does when no joint is animated."""
+        """Return the points of a mesh skinned at rest, as in UsdSkel."""
         query, target = self._bindings.get(str(prim.GetPath()), (None, None))
         if query and target and target.HasJointInfluences():
             skinned = _skin_at_rest(query, target, local)
@@ -87,7 +87,7 @@ class RestPose:
 def _skin_at_rest(
     query: UsdSkel.SkeletonQuery, target: UsdSkel.SkinningQuery, local: FloatArray
 ) -> PlacedMesh | None:
-    """Skin points in skeleton space at the rest pose; None where the binding is incomplete."""
+    """Skin points in skeleton space at the rest pose; None if the binding is incomplete."""
     rest = query.ComputeJointSkelTransforms(Usd.TimeCode.Default(), atRest=True)
     bind = query.GetJointWorldBindTransforms()
     if not rest or not bind or len(rest) != len(bind):
@@ -106,8 +106,8 @@ def _skin_at_rest(
     placed = skin(local)
     if placed is None:
         return None
-    # Linear blend skinning is affine in each point: its linear part, column by column, is what
-    # a unit step along each axis does. Steps as large as the mesh keep float32 honest.
+    # Linear blend skinning is affine in each point: its linear part has as columns the differences
+    # of a unit step along each axis. Steps of the mesh's size reduce rounding in float32.
     size = max(float(np.ptp(local, axis=0).max()), 1e-6) if len(local) else 1.0
     columns = []
     for axis in np.eye(3):
@@ -124,8 +124,8 @@ def _skin_at_rest(
 
 
 _REACH_SHARE = 0.05
-"""Of a face's diagonal: a place given farther off its surface was meant for another one. Twelve
-millimetres on a human face, on which markers stand six high."""
+"""[of a face's diagonal] Largest distance of a place from its surface: 12 mm on a human face, on
+which markers are 6 mm high."""
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ class BoundSurface:
 
     @property
     def hash(self) -> str:
-        """Hash of the surface at rest: of its points and faces, of nothing else."""
+        """Hash of the surface's points and faces at rest."""
         total = hashlib.sha256()
         total.update(np.ascontiguousarray(self.mesh.points, dtype="<f4").tobytes())
         for indices in (self.mesh.face_counts, self.mesh.face_indices):
@@ -152,9 +152,10 @@ class BoundSurface:
 
     @property
     def reach_mm(self) -> float:
-        """Largest distance from the surface of a place that is meant to be on it [mm].
+        """Largest distance of a place from the surface [mm].
 
-        Measured on what shapes move, if there are any: a rig may have a body.
+        Relative to the size of the part that shapes move, if there are any, as a rig may have a
+        body.
         """
         moved = [key.points for shape in self.mesh.shapes for key in shape.keys]
         points = self.mesh.points
@@ -185,12 +186,12 @@ def rig_surfaces(rig: Rig) -> tuple[BoundSurface, ...]:
 
 @dataclass(frozen=True)
 class FaceMesh(BoundSurface):
-    """A mesh to deform, as it is at rest; its shapes are left out."""
+    """A mesh to deform, at rest, without its shapes."""
 
     local: FloatArray
-    """(points, 3): its points as the file has them."""
+    """(points, 3): its points in the file."""
     linear: FloatArray
-    """(3, 3) or (points, 3, 3): turns a movement in the mesh's own space into ours [mm]."""
+    """(3, 3) or (points, 3, 3): from displacements in the mesh's space to ours [mm]."""
     world: FloatArray
     """(4, 4): its transform in its stage, for column vectors and in the stage's unit."""
     meters_per_unit: float
@@ -198,17 +199,17 @@ class FaceMesh(BoundSurface):
     up_axis: str
     """Of its stage: ``'Y'`` or ``'Z'``."""
     normals: str = ""
-    """How authored normals follow the surface: ``'vertex'``, ``'faceVarying'``, ``'other'`` or,
-    where there are none, ``''``."""
+    """Interpolation of authored normals: ``'vertex'``, ``'faceVarying'``, ``'other'`` or, without
+    any, ``''``."""
     normals_attribute: str = "normals"
     """``'normals'`` or ``'primvars:normals'``."""
     authored_normals: FloatArray | None = None
-    """(n, 3): per point or per corner of a face, as the file has them."""
+    """(n, 3): per point or per corner of a face, in the file."""
     others: tuple[str, ...] = ()
-    """Paths of the file's other meshes: they stay still."""
+    """Paths of the file's other meshes, which are not deformed."""
 
     def into_mesh(self, moved_mm: FloatArray) -> FloatArray:
-        """Turn movements in millimetres into the mesh's own space: (..., points, 3)."""
+        """Return displacements in the mesh's space from those in millimetres: (..., points, 3)."""
         inverse = np.linalg.inv(self.linear)
         if inverse.ndim == 2:
             return np.asarray(moved_mm @ inverse.T)
@@ -224,7 +225,7 @@ def read_face_mesh(path: Path, *, prim: str | None = None) -> FaceMesh:
     path : Path
         Any USD file with a polygon mesh.
     prim : str, optional
-        The mesh, or a prim with only one mesh below it, where the file holds several.
+        The mesh, or a prim with only one mesh below it, if the file has several.
     """
     stage = open_stage(path)
     chosen, others = _find_mesh(stage, path, prim)
@@ -267,7 +268,7 @@ def read_face_mesh(path: Path, *, prim: str | None = None) -> FaceMesh:
 
 
 def _at_rest(attribute: Usd.Attribute) -> Any:
-    """Return the default value, else the first sample: what a mesh is before it moves."""
+    """Return the default value, else the first sample."""
     value = attribute.Get()
     return attribute.Get(Usd.TimeCode.EarliestTime()) if value is None else value
 
@@ -335,7 +336,7 @@ def _check_surface(local: FloatArray, counts: IntArray, indices: IntArray, where
 def _place(
     stage: Usd.Stage, prim: Usd.Prim, local: FloatArray, world: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the points at rest in our space, and what turns a movement into our space."""
+    """Return the points at rest in our space, and the linear map of displacements."""
     ours = stage_to_ours(stage)
     root = UsdSkel.Root.Find(prim)
     if root:
@@ -347,7 +348,7 @@ def _place(
 def _authored_normals(
     geometry: UsdGeom.Mesh, point_count: int, corner_count: int
 ) -> tuple[str, str, FloatArray | None]:
-    """Return how normals follow the surface, the attribute that holds them, and their values."""
+    """Return interpolation, attribute and values of the authored normals."""
     primvar = UsdGeom.PrimvarsAPI(geometry).GetPrimvar("normals")
     if primvar and primvar.HasAuthoredValue():
         attribute, interpolation = "primvars:normals", primvar.GetInterpolation()
@@ -366,7 +367,7 @@ def _authored_normals(
 
 
 def _colors(geometry: UsdGeom.Mesh, point_count: int) -> FloatArray | None:
-    """Return a linear colour per point; where the file has them otherwise, pictures go without."""
+    """Return linear colours of points; None if the file has them with another interpolation."""
     primvar = geometry.GetDisplayColorPrimvar()
     values = primvar.ComputeFlattened() if primvar and primvar.HasAuthoredValue() else None
     if values is None:

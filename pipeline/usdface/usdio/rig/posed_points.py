@@ -1,4 +1,4 @@
-"""A performance as UsdSkel poses it: shapes and joints together, frame by frame."""
+"""Points of a performance posed by UsdSkel, with shapes and joints."""
 
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from usdface.usdio.units import column_matrix, stage_to_ours, transform_points
 
 
 class PosedRig:
-    """A performance's meshes, posed when asked for."""
+    """The meshes of a performance, posed on demand."""
 
     @refusing_wrong_types
     def __init__(self, path: Path) -> None:
@@ -25,12 +25,12 @@ class PosedRig:
         file, prim = self.reader.rig()
         self.rig: Rig = read_rig(file, prim=prim)
         self._stage = open_stage(path)
-        # A file of several faces is shown whole; the one that moves is meant.
+        # The face that moves, of a file with several.
         place = place_of(self._stage, self._stage.GetPrimAtPath(self.reader.animation.GetPath()))
         face = Sdf.Path(prim).ReplacePrefix(Sdf.Path(prim).GetPrefixes()[0], Sdf.Path(place))
         if not UsdSkel.Root(self._stage.GetPrimAtPath(face)) and not faces_below(
             self._stage.GetPseudoRoot()
-        ):  # overs alone: the rig has moved
+        ):  # only overs: the rig's file is missing
             self._stage = stage_with_rig(path, self.rig, Sdf.Path(place))
         face_path = str(face) if self._stage.GetPrimAtPath(face) else None
         root = UsdSkel.Root(find_face(self._stage, path, face_path))
@@ -45,7 +45,7 @@ class PosedRig:
         self._meshes = [
             prim for prim in Usd.PrimRange(root.GetPrim(), predicate) if prim.IsA(UsdGeom.Mesh)
         ]
-        # The rig's own units: a performance references it as it is.
+        # In the rig's units, which references do not convert.
         self._ours = stage_to_ours(open_stage(file))
         if [len(mesh.points) for mesh in self.rig.meshes] != [
             len(UsdGeom.Mesh(prim).GetPointsAttr().Get() or ()) for prim in self._meshes
@@ -54,7 +54,7 @@ class PosedRig:
 
     @refusing_wrong_types
     def points(self, frame: int) -> FloatArray:
-        """Return every mesh's points at a frame, one mesh after the other [mm], Y up."""
+        """Return the points of all meshes at a frame, concatenated [mm], Y up."""
         transforms = UsdGeom.XformCache(frame)
         weights = dict(zip(self.reader.names, self.reader.edited(frame, frame)[0], strict=True))
         return np.concatenate(
@@ -88,8 +88,8 @@ def _deform(prim: Usd.Prim, points: Vt.Vec3fArray, weights: dict[str, float]) ->
     if not names:
         return
     query = UsdSkel.BlendShapeQuery(binding)
-    own = Vt.FloatArray([float(weights.get(name, 0.0)) for name in names])
-    computed = query.ComputeSubShapeWeights(own)
+    mesh_weights = Vt.FloatArray([float(weights.get(name, 0.0)) for name in names])
+    computed = query.ComputeSubShapeWeights(mesh_weights)
     query.ComputeDeformedPoints(
         *computed,
         query.ComputeBlendShapePointIndices(),

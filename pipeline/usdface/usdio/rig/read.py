@@ -1,4 +1,4 @@
-"""Read a rig as it is found: meshes bound to BlendShapes, over any number of meshes."""
+"""Reading of rigs: meshes bound to BlendShapes, ranges and combinations."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
@@ -19,7 +19,7 @@ from usdface.usdio.rig.mesh import PlacedMesh, RestPose
 from usdface.usdio.units import stage_to_ours
 
 RANGE_ATTRIBUTE = "face:range"
-"""Optional double2 on a BlendShape prim: lowest and highest weight an animator may give."""
+"""Optional double2 of a BlendShape prim: lowest and highest weight."""
 
 COMBINATION = "FaceCombinationAPI"
 COMBINATION_PARTS = "face:combination:shapes"
@@ -37,7 +37,7 @@ def read_rig(path: Path, *, prim: str | None = None) -> Rig:
     path : Path
         A USD file with a SkelRoot, a Skeleton and meshes bound to BlendShapes.
     prim : str, optional
-        Path of the SkelRoot, or of a prim above it, where the file holds several faces.
+        Path of the SkelRoot, or of a prim above it, if the file has several faces.
     """
     stage = open_stage(path)
     root = find_face(stage, path, prim)
@@ -59,7 +59,7 @@ def read_rig(path: Path, *, prim: str | None = None) -> Rig:
 
 
 def shape_prims(root: Usd.Prim) -> Iterator[tuple[str, Usd.Prim]]:
-    """Yield the shapes of all meshes below a SkelRoot: name and BlendShape prim."""
+    """Yield name and BlendShape prim of the shapes of all meshes below a SkelRoot."""
     for mesh in _meshes_below(root):
         binding = UsdSkel.BindingAPI(mesh)
         names = binding.GetBlendShapesAttr().Get() or []
@@ -68,31 +68,30 @@ def shape_prims(root: Usd.Prim) -> Iterator[tuple[str, Usd.Prim]]:
 
 
 def shape_metadata(path: Path, prim: str, name: str) -> list[tuple[str, object]]:
-    """Return the shapes that have a value of some name, each with it.
+    """Return the shapes with some metadata, and its values.
 
     Parameters
     ----------
     prim : str
         Path of the SkelRoot.
     name : str
-        Attribute, as it is or as Blender writes custom properties (``userProperties:``), or key of
-        customData.
+        Attribute, also in Blender's namespace ``userProperties:``, or key of customData.
     """
-    stage, found = open_stage(path), dict[str, object]()
+    stage, by_shape = open_stage(path), dict[str, object]()
     for shape, each in shape_prims(stage.GetPrimAtPath(prim)):
         attributes = [each.GetAttribute(full) for full in (name, f"userProperties:{name}")]
         values = [attribute.Get() for attribute in attributes if attribute]
         value = next(filter(None, [*values, each.GetCustomDataByKey(name)]), None)
         if value is not None:
-            found[shape] = value
-    return list(found.items())
+            by_shape[shape] = value
+    return list(by_shape.items())
 
 
 def channels_per_mesh(meshes: Iterable[UsdSkel.BindingAPI]) -> dict[str, list[str]]:
-    """Return each shape's channels where these are named after mesh and shape, as Maya's are.
+    """Return each shape's channels if these are named after mesh and shape, as in Maya.
 
-    Then every channel of a mesh ends in the name of the BlendShape prim that it drives, and begins
-    with what stands for the mesh. Nothing is returned of meshes whose channels are not so.
+    That is, if every channel consists of a prefix of its mesh and the name of its BlendShape prim;
+    else nothing.
 
     Returns
     -------
@@ -103,24 +102,24 @@ def channels_per_mesh(meshes: Iterable[UsdSkel.BindingAPI]) -> dict[str, list[st
     for mesh in meshes:
         channels = list(map(str, mesh.GetBlendShapesAttr().Get() or ()))
         shapes = [each.name for each in mesh.GetBlendShapeTargetsRel().GetTargets()]
-        starts = {each.removesuffix(name) for each, name in zip(channels, shapes, strict=False)}
-        if len(starts) > 1 or starts & {"", *channels}:
+        prefixes = {each.removesuffix(name) for each, name in zip(channels, shapes, strict=False)}
+        if len(prefixes) > 1 or prefixes & {"", *channels}:
             return {}
         by_mesh.append(dict(zip(shapes, channels, strict=False)))
-    found: dict[str, list[str]] = {}
-    for own in sorted(by_mesh, key=len, reverse=True):
-        for shape, channel in own.items():
-            if channel not in found.setdefault(shape, []):
-                found[shape].append(channel)
-    return found
+    by_shape: dict[str, list[str]] = {}
+    for channel_of in sorted(by_mesh, key=len, reverse=True):
+        for shape, channel in channel_of.items():
+            if channel not in by_shape.setdefault(shape, []):
+                by_shape[shape].append(channel)
+    return by_shape
 
 
 def read_combinations(root: Usd.Prim, path: Path) -> tuple[Combination, ...]:
-    """Read which shapes below a SkelRoot others drive; see `order_combinations`.
+    """Read the combinations below a SkelRoot; see `order_combinations`.
 
-    A shape that has a channel on every mesh is driven by that of the mesh with the most shapes.
+    Channels of one shape on several meshes are driven by that of the mesh with the most shapes.
     """
-    found, names = dict[str, Combination](), set[str]()
+    combinations, names = dict[str, Combination](), set[str]()
     for name, prim in shape_prims(root):
         names.add(name)
         parts = names_in(prim.GetAttribute(COMBINATION_PARTS)) if prim else ()
@@ -133,36 +132,36 @@ def read_combinations(root: Usd.Prim, path: Path) -> tuple[Combination, ...]:
             weights=tuple(map(float, value_of(prim, COMBINATION_WEIGHTS) or ())),
             spans=tuple((low, high) for low, high in value_of(prim, COMBINATION_SPANS) or ()),
         )
-        if found.setdefault(name, combination) != combination:
+        if combinations.setdefault(name, combination) != combination:
             raise InputError(
-                f"{path} <{prim.GetPath()}>: states {combination}, another mesh {found[name]}; "
-                "make them equal"
+                f"{path} <{prim.GetPath()}>: states {combination}, another mesh "
+                f"{combinations[name]}; make them equal"
             )
     for first, *others in channels_per_mesh(map(UsdSkel.BindingAPI, _meshes_below(root))).values():
         for name in others:
-            found.setdefault(name, Combination(name, (first,)))
-    return order_combinations(found.values(), names, source=path)
+            combinations.setdefault(name, Combination(name, (first,)))
+    return order_combinations(combinations.values(), names, source=path)
 
 
 def combinations_below(top: Usd.Prim, path: Path) -> tuple[Combination, ...]:
-    """Read the combinations of the faces in a prim; nothing where the prim is not there."""
+    """Read the combinations of the faces below a prim, which may be invalid."""
     faces = faces_below(top) if top else ()
     return tuple(each for face in faces for each in read_combinations(face, path))
 
 
 def skeletons_of(root: Usd.Prim) -> list[Usd.Prim]:
-    """Return the skeletons that the meshes with BlendShapes below a SkelRoot are bound to."""
-    found: dict[str, Usd.Prim] = {}
+    """Return the skeletons of the meshes with BlendShapes below a SkelRoot."""
+    skeletons: dict[str, Usd.Prim] = {}
     for mesh in _meshes_below(root):
         if UsdSkel.BindingAPI(mesh).GetBlendShapesAttr().HasAuthoredValue():
             skeleton = UsdSkel.BindingAPI(mesh).GetInheritedSkeleton()
             if skeleton:
-                found[str(skeleton.GetPath())] = skeleton.GetPrim()
-    return list(found.values())
+                skeletons[str(skeleton.GetPath())] = skeleton.GetPrim()
+    return list(skeletons.values())
 
 
 def faces_below(top: Usd.Prim) -> list[Usd.Prim]:
-    """Return the SkelRoots with BlendShapes in a prim; one inside another belongs to that."""
+    """Return the outermost SkelRoots with BlendShapes below a prim."""
     faces = [root for root in _skel_roots(top) if any(map(_has_shapes, _meshes_below(root)))]
     return [
         each

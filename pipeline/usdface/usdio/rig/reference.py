@@ -20,7 +20,7 @@ UNITS = "xformOp:transform:units"
 
 
 def default_place(rig: Rig) -> str:
-    """Return where a rig goes when nobody says: the path of its own top prim."""
+    """Return the default place of a rig: the path of its top prim."""
     return str(Sdf.Path(rig.prim).GetPrefixes()[0])
 
 
@@ -29,15 +29,14 @@ def define_reference(
 ) -> None:
     """Define a prim that references the rig's top prim; prims above it become Xforms.
 
-    What else the prim references stays, and in its order.
+    Other references of the prim are preserved.
 
     Parameters
     ----------
     layer_path : Path
-        Where the layer goes, which may have a temporary name.
+        Final path of the layer.
     again : bool
-        Whether this was done to the layer before, perhaps with another rig: that one's reference
-        is then replaced.
+        Whether the layer has a reference to a rig, perhaps another one, which is replaced.
     """
     source = Sdf.Path(rig.prim).GetPrefixes()[0]
     for above in Sdf.Path(place).GetParentPath().GetPrefixes():
@@ -48,73 +47,69 @@ def define_reference(
     reference = Sdf.Reference(relative_path(rig.file, layer_path), source)
     references = prim.referenceList
     name = "explicitItems" if references.isExplicit else "prependedItems"
-    there = list(getattr(references, name))
-    ours = _ours_among(there, reference, rig.file, layer_path, again=again)
-    setattr(references, name, [*there[: ours.start], reference, *there[ours.stop :]])
+    existing = list(getattr(references, name))
+    ours = _index_to_replace(existing, reference, rig.file, layer_path, again=again)
+    setattr(references, name, [*existing[: ours.start], reference, *existing[ours.stop :]])
 
 
 def turn_to_our_units(layer: Sdf.Layer, place: str, rig: Rig) -> None:
-    """Turn and scale a referenced rig to centimetres, Y up, beside what the layer itself holds.
-
-    USD converts no units: a rig in metres, Z up, would lie on its back at a hundredth of its size.
-    """
+    """Rotate and scale a referenced rig to centimetres, Y up; USD does not convert units."""
     stage = open_stage(rig.file)
     ours = stage_to_ours(stage) / MM_PER_STAGE_UNIT
     if np.allclose(ours, np.eye(3)):
         return
     top = UsdGeom.Xformable(stage.GetPrimAtPath(Sdf.Path(rig.prim).GetPrefixes()[0]))
-    own = list(top.GetXformOpOrderAttr().Get() or ()) if top else []
-    turned = np.eye(4)
-    turned[:3, :3] = ours.T  # row vectors
+    operations = list(top.GetXformOpOrderAttr().Get() or ()) if top else []
+    matrix = np.eye(4)
+    matrix[:3, :3] = ours.T  # row vectors
     prim = Sdf.CreatePrimInLayer(layer, place)
     Sdf.AttributeSpec(prim, UNITS, Sdf.ValueTypeNames.Matrix4d).default = Gf.Matrix4d(
-        turned.tolist()
+        matrix.tolist()
     )
-    author_uniform(prim, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, [UNITS, *map(str, own)])
+    order = [UNITS, *map(str, operations)]
+    author_uniform(prim, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, order)
 
 
-def _ours_among(
-    there: list[Sdf.Reference],
+def _index_to_replace(
+    existing: list[Sdf.Reference],
     reference: Sdf.Reference,
     file: Path,
     layer_path: Path,
     *,
     again: bool,
 ) -> range:
-    """Return which reference is to be replaced: that to the same file, or that to another rig.
+    """Return the reference to replace: that to the same file, or that to a previous rig.
 
-    The other rig's is the first to a prim of this name, or the first of all, as we put it there.
+    The previous rig's is the first to a prim of this name, or the first.
     """
-    for index, each in enumerate(there):
+    for index, each in enumerate(existing):
         if _is_file_of(each, {file.resolve()}, layer_path):
             return range(index, index + 1)
-    if not again or not there:
+    if not again or not existing:
         return range(0)
-    names = [each.primPath for each in there]
+    names = [each.primPath for each in existing]
     first = names.index(reference.primPath) if reference.primPath in names else 0
     return range(first, first + 1)
 
 
 def remove_reference(layer: Sdf.Layer, place: str, files: Collection[Path], at: Path) -> None:
-    """Take out a rig that stood elsewhere before, and what was defined for it alone.
+    """Remove a rig from its previous place, with prims that are empty without it.
 
     Parameters
     ----------
-    place : str
-        Where it stood. What others put there stays.
     files : collection of Path
-        References to these are ours, resolved.
+        Resolved files, references to which are removed; others are preserved.
     at : Path
-        Where the layer goes, which may have a temporary name.
+        Final path of the layer.
     """
     prim = layer.GetPrimAtPath(place)
     if prim is None:
         return
     for name in ("explicitItems", "prependedItems"):
-        there = list(getattr(prim.referenceList, name))
-        kept = [each for each in there if not _is_file_of(each, files, at)]
-        if len(kept) < len(there):
-            setattr(prim.referenceList, name, kept)
+        existing = list(getattr(prim.referenceList, name))
+        others = [each for each in existing if not _is_file_of(each, files, at)]
+        if len(others) < len(existing):
+            setattr(prim.referenceList, name, others)
     if not prim.hasReferences:
         prim.ClearReferenceList()
     while prim is not None and _is_empty(prim):
@@ -125,13 +120,13 @@ def remove_reference(layer: Sdf.Layer, place: str, files: Collection[Path], at: 
 
 
 def _is_empty(prim: Sdf.PrimSpec) -> bool:
-    """Whether a prim is only there, with a type at most."""
+    """Whether a prim has no opinions but its type."""
     opinions = set(prim.ListInfoKeys()) - {"specifier", "typeName"}
     return not (opinions or prim.nameChildren or prim.properties or prim.variantSets)
 
 
 def _is_file_of(reference: Sdf.Reference, files: Collection[Path], at: Path) -> bool:
-    """Whether a reference is to one of these, as USD reads it or as the system does."""
+    """Whether a reference is to one of these files, resolved by USD or by the system."""
     if not reference.assetPath:
         return False
     named = at.parent / reference.assetPath
@@ -141,7 +136,7 @@ def _is_file_of(reference: Sdf.Reference, files: Collection[Path], at: Path) -> 
 
 
 def point_skeletons_at(layer: Sdf.Layer, place: str, rig: Rig, animation: Sdf.Path) -> None:
-    """Write overs that make the rig's skeletons follow an animation, wherever the rig is placed.
+    """Write overs that make the rig's skeletons follow an animation.
 
     Raises
     ------
@@ -164,9 +159,9 @@ def point_skeletons_at(layer: Sdf.Layer, place: str, rig: Rig, animation: Sdf.Pa
 
 
 def place_of(stage: Usd.Stage, animation: Usd.Prim) -> str:
-    """Return where the rig that an animation drives stands: the prim to reference its top prim at.
+    """Return the prim path of the rig that an animation drives: that of its top prim.
 
-    That is the animation's parent in what we write. Other tools put animations beside the rig.
+    In our files it is the animation's parent; other tools use other places.
     """
     for prim in stage.Traverse():
         if not (prim.IsA(UsdSkel.Skeleton) and _follows(prim, animation)):
@@ -185,8 +180,7 @@ def place_of(stage: Usd.Stage, animation: Usd.Prim) -> str:
 def rig_of(stage: Usd.Stage, animation: Usd.Prim) -> tuple[Path, str]:
     """Return the file and SkelRoot of the rig that an animation drives in a composed stage.
 
-    The file is the one that is referenced where the animation meets the rig, not one of those that
-    the rig is built from.
+    The outermost file with the rig and without the animation.
     """
     moved = os.environ.get(_MOVED_RIG)
     for prim in stage.Traverse():
@@ -208,16 +202,13 @@ def rig_of(stage: Usd.Stage, animation: Usd.Prim) -> tuple[Path, str]:
 
 
 _MOVED_RIG = "USDFACE_MOVED_RIG"
-"""Of the environment, which the processes that draw a movie share; empty where --rig is not given,
-and not there where a command has no --rig."""
+"""Environment variable, which worker processes inherit; empty without --rig, unset for commands
+that do not have the option."""
 
 
 @contextlib.contextmanager
 def moved_rig(rig: Path | None) -> Iterator[None]:
-    """Take the rig of every performance and of all references from one file; None changes nothing.
-
-    The prim is the one they refer to.
-    """
+    """Read the rig of all performances and references from one file, unless it is None."""
     before = os.environ.get(_MOVED_RIG)
     os.environ[_MOVED_RIG] = "" if rig is None else str(rig.resolve())
     try:
@@ -230,7 +221,7 @@ def moved_rig(rig: Path | None) -> Iterator[None]:
 
 
 def stage_with_rig(path: Path, rig: Rig, place: Sdf.Path) -> Usd.Stage:
-    """Open a performance with its rig from where that is now."""
+    """Open a performance with a reference to its rig, if its own is missing."""
     layer = Sdf.Layer.CreateAnonymous(".usda")
     layer.subLayerPaths = [str(path.resolve())]
     prim = Sdf.CreatePrimInLayer(layer, place)
@@ -241,7 +232,7 @@ def stage_with_rig(path: Path, rig: Rig, place: Sdf.Path) -> Usd.Stage:
 
 
 def missing_reference(top: Usd.Prim) -> tuple[str, str] | None:
-    """Return the first file that a prim refers to and that is gone, and the prim in it."""
+    """Return the first missing file that prims refer to, and the prim in it."""
     below = Usd.PrimRange.AllPrims(top)
     specs = (spec for prim in below for spec in prim.GetPrimStack())
     for spec in specs:
@@ -255,19 +246,18 @@ def missing_reference(top: Usd.Prim) -> tuple[str, str] | None:
 
 def _follows(skeleton: Usd.Prim, animation: Usd.Prim) -> bool:
     binding = UsdSkel.BindingAPI(skeleton)
-    own = binding.GetAnimationSourceRel()
-    if own and own.HasAuthoredTargets():
-        return animation.GetPath() in own.GetTargets()
+    relationship = binding.GetAnimationSourceRel()
+    if relationship and relationship.HasAuthoredTargets():
+        return animation.GetPath() in relationship.GetTargets()
     source = binding.GetInheritedAnimationSource()
     return bool(source) and source.GetPath() == animation.GetPath()
 
 
 @dataclass(frozen=True)
 class _Source:
-    """Where a skeleton comes from."""
+    """The rig of a skeleton."""
 
     file: Path
-    """The rig."""
     root: str
     """Its SkelRoot."""
     skeleton: Sdf.Path
@@ -279,9 +269,9 @@ def _source_of(skeleton: Usd.Prim, animation: Usd.Prim) -> _Source | None:
 
 
 def _referenced_rig(skeleton: Usd.Prim, animation: Usd.Prim) -> _Source | None:
-    """Return the outermost file, referenced or a payload, with the skeleton and no animation.
+    """Return the outermost reference or payload with the skeleton and without the animation.
 
-    One that has the animation as well is a performance, which a shot may reference in its turn.
+    One with the animation is a performance.
     """
     arcs = Usd.PrimCompositionQuery.Filter()
     arcs.arcTypeFilter = Usd.PrimCompositionQuery.ArcTypeFilter.ReferenceOrPayload
@@ -297,24 +287,22 @@ def _referenced_rig(skeleton: Usd.Prim, animation: Usd.Prim) -> _Source | None:
             opened = _open(file)
             if not opened.GetPrimAtPath(animation.GetPath().ReplacePrefix(place, target)):
                 inside = skeleton.GetPath().ReplacePrefix(place, target)
-                found = _skel_root_above(opened, inside)
-                if found:
-                    return _Source(Path(file), found, inside)
+                if root := _skel_root_above(opened, inside):
+                    return _Source(Path(file), root, inside)
     return None
 
 
 def _defining_rig(skeleton: Usd.Prim) -> _Source | None:
-    """Return the weakest file that defines a skeleton: where nothing is referenced."""
+    """Return the weakest file that defines a skeleton, for rigs that are not referenced."""
     for spec in reversed(skeleton.GetPrimStack()):
         if spec.layer.realPath and spec.specifier == Sdf.SpecifierDef:
-            found = _skel_root_above(_open(spec.layer.realPath), spec.path)
-            if found:
-                return _Source(Path(spec.layer.realPath), found, spec.path)
+            if root := _skel_root_above(_open(spec.layer.realPath), spec.path):
+                return _Source(Path(spec.layer.realPath), root, spec.path)
     return None
 
 
 def _open(file: str) -> Usd.Stage:
-    if Ar.IsPackageRelativePath(file):  # was opened, and checked, with its package
+    if Ar.IsPackageRelativePath(file):  # checked with its package
         return Usd.Stage.Open(file)
     return open_stage(Path(os.path.relpath(file)))
 
@@ -327,24 +315,25 @@ def _skel_root_above(stage: Usd.Stage, skeleton: Sdf.Path) -> str:
 
 
 def carry_variants(layer: Sdf.Layer, stage: Usd.Stage, place: str, rig: Path, top: str) -> None:
-    """Choose in a layer what a stage has of a rig's variants, where that is not the rig's own.
+    """Copy a stage's selections of a rig's variants to a layer, if they are not the rig's defaults.
 
     Parameters
     ----------
     layer : Sdf.Layer
-        Has the rig at the same place.
+        With the rig at the same place.
     place : str
-        Where the rig stands.
+        Prim path of the rig.
     rig : Path
         Its file.
     top : str
-        The prim of that file which is referenced.
+        The referenced prim of the file.
     """
-    own = open_stage(rig)
+    rig_stage = open_stage(rig)
     for prim in Usd.PrimRange(stage.GetPrimAtPath(place)):
         sets = prim.GetVariantSets()
         for name in sets.GetNames():
             choice = sets.GetVariantSelection(name)
-            there = own.GetPrimAtPath(prim.GetPath().ReplacePrefix(Sdf.Path(place), Sdf.Path(top)))
-            if not there or there.GetVariantSet(name).GetVariantSelection() != choice:
+            path = prim.GetPath().ReplacePrefix(Sdf.Path(place), Sdf.Path(top))
+            default = rig_stage.GetPrimAtPath(path)
+            if not default or default.GetVariantSet(name).GetVariantSelection() != choice:
                 Sdf.CreatePrimInLayer(layer, prim.GetPath()).variantSelections[name] = choice

@@ -1,8 +1,8 @@
-"""How joints and Xforms of a performance carry the points of its rig, beside its shapes.
+"""Motion of a rig's points by joints and Xforms of a performance, in addition to its shapes.
 
-A point p of the rig at rest, moved by shapes, goes to ``p + sum over parts of w (K p - p)``: K
-takes a joint, or a mesh, from rest to where the frame has it. That is linear blend skinning where
-joints rest as they were bound.
+A point p, displaced by shapes, is mapped to ``p + sum over parts of w (K p - p)``, with K the
+transform of a joint, or of a mesh, from rest to the frame. Linear blend skinning, if the rest pose
+is the bind pose.
 """
 
 from collections.abc import Iterator
@@ -21,21 +21,21 @@ from usdface.usdio.units import column_matrix, stage_to_ours
 
 
 class PointMotion:
-    """What carries points beside the shapes: parts, and where they are in a frame."""
+    """Rigid parts of a rig, and their transforms in a frame."""
 
     shares: sparse.csc_array
-    """(points, parts): how far each point of all meshes follows a part [0-1]."""
+    """(points, parts): skinning weights of the points of all meshes."""
     moves_as_one = False
-    """Whether one part carries all points."""
+    """Whether one part has all points."""
 
     def transforms(self, frame: int) -> FloatArray:
-        """Return each part's way from rest at a frame: (parts, 4, 4), for column vectors [mm]."""
+        """Return each part's transform from rest: (parts, 4, 4), for column vectors [mm]."""
         raise NotImplementedError
 
     def carry(self, points: FloatArray, frame: int, *, vectors: bool = False) -> FloatArray:
-        """Return points of all meshes, (points, 3) [mm], where joints and Xforms take them.
+        """Return points of all meshes, (points, 3) [mm], moved by joints and Xforms.
 
-        Vectors at the points are only turned.
+        Or `vectors` at the points, without translation.
         """
         out = np.array(points, np.float64)
         for part, transform in enumerate(self.transforms(frame)):
@@ -62,11 +62,11 @@ class RigMotion(PointMotion):
         self._rest = _Placement(open_stage(rig.file), root)
         posed = root.ReplacePrefix(source, place)
         stage = reader.stage
-        if not UsdSkel.Root(stage.GetPrimAtPath(posed)):  # overs alone: the rig has moved
+        if not UsdSkel.Root(stage.GetPrimAtPath(posed)):  # only overs: the rig's file is missing
             stage = stage_with_rig(path, rig, Sdf.Path(place))
         self._posed = _Placement(stage, posed)
         self._parts: list[tuple[Sdf.Path, int]] = []
-        """Path below the SkelRoot, and joint in its skeleton, or -1 for the prim itself."""
+        """Path relative to the SkelRoot, and joint index of its skeleton, or -1 for the prim."""
         self.shares = self._read_shares(rig)
         at_rest = self._rest.placed(self._parts, Usd.TimeCode.Default())
         self._inverse = [np.linalg.inv(each) for each in at_rest]
@@ -99,7 +99,7 @@ class RigMotion(PointMotion):
     def _shares_of(
         self, mesh: Sdf.Path, count: int
     ) -> Iterator[tuple[tuple[Sdf.Path, int], IntArray, FloatArray]]:
-        """Yield the parts that a mesh follows and that move, with points and shares of each."""
+        """Yield the moving parts of a mesh, with the points and weights of each."""
         query, target = self._rest.binding(mesh)
         if query is None or target is None or not target.HasJointInfluences():
             if self._posed.moves(mesh):
@@ -107,13 +107,13 @@ class RigMotion(PointMotion):
             return
         skeleton = query.GetPrim().GetPath().MakeRelativePath(self._rest.root)
         order = list(map(str, query.GetJointOrder()))
-        own = list(map(str, target.GetJointOrder() or order))
-        driven, carried = self._driven_joints(), self._posed.moves(skeleton)
+        mesh_joints = list(map(str, target.GetJointOrder() or order))
+        driven, skeleton_moves = self._driven_joints(), self._posed.moves(skeleton)
         moving = [
             (index, joint)
-            for index, joint in enumerate(own)
+            for index, joint in enumerate(mesh_joints)
             if joint in order
-            and (carried or any(f"{joint}/".startswith(f"{each}/") for each in driven))
+            and (skeleton_moves or any(f"{joint}/".startswith(f"{each}/") for each in driven))
         ]
         if not moving:
             return
@@ -128,21 +128,20 @@ class RigMotion(PointMotion):
                 yield (skeleton, order.index(joint)), points, share[points]
 
     def _driven_joints(self) -> list[str]:
-        """Return the joints that the performance animates; those below them follow."""
+        """Return the joints that the performance animates, without their descendants."""
         if not self._animation.GetRotationsAttr().GetNumTimeSamples():
             return []
         return list(map(str, self._animation.GetJointsAttr().Get() or ()))
 
 
 def points_following(rig: Rig, path: str, *, is_joint: bool) -> BoolArray:
-    """Return which points of all meshes follow a joint for more than half, or lie below a prim."""
+    """Return the points of all meshes with more than half their weight on a joint, or in a prim."""
     if not is_joint:
-        own = [
-            np.full(len(each.points), Sdf.Path(each.path).HasPrefix(path)) for each in rig.meshes
-        ]
-        return np.concatenate(own)
+        return np.concatenate(
+            [np.full(len(mesh.points), Sdf.Path(mesh.path).HasPrefix(path)) for mesh in rig.meshes]
+        )
     rest = _Placement(open_stage(rig.file), Sdf.Path(rig.prim))
-    found = []
+    following = []
     for mesh in rig.meshes:
         share = np.zeros(len(mesh.points))
         query, target = rest.binding(Sdf.Path(mesh.path).MakeRelativePath(rest.root))
@@ -154,12 +153,12 @@ def points_following(rig: Rig, path: str, *, is_joint: bool) -> BoolArray:
                 for each in target.ComputeVaryingJointInfluences(len(share))
             )
             share = np.where(np.isin(indices, below), weights, 0.0).sum(axis=1)
-        found.append(share > 0.5)
-    return np.concatenate(found)
+        following.append(share > 0.5)
+    return np.concatenate(following)
 
 
 class _Placement:
-    """Where the prims and joints below a SkelRoot are, in one stage."""
+    """Transforms of the prims and joints below a SkelRoot of one stage."""
 
     def __init__(self, stage: Usd.Stage, root: Sdf.Path) -> None:
         self.stage, self.root = stage, root
@@ -178,11 +177,11 @@ class _Placement:
     def binding(
         self, mesh: Sdf.Path
     ) -> tuple[UsdSkel.SkeletonQuery | None, UsdSkel.SkinningQuery | None]:
-        """Return the skeleton and the skinning of a mesh; None where it has none."""
+        """Return the skeleton and the skinning of a mesh, or None."""
         return self._bound.get(mesh.MakeAbsolutePath(self.root), (None, None))
 
     def moves(self, below: Sdf.Path) -> bool:
-        """Whether a prim, or one above it, moves over time."""
+        """Whether a prim, or an ancestor, has an animated transform."""
         prim = self.stage.GetPrimAtPath(below.MakeAbsolutePath(self.root))
         while prim and not prim.IsPseudoRoot():
             xform = UsdGeom.Xformable(prim)
@@ -192,9 +191,9 @@ class _Placement:
         return False
 
     def placed(self, parts: list[tuple[Sdf.Path, int]], time: Usd.TimeCode) -> list[FloatArray]:
-        """Return where each part is, in the stage's world: 4x4, for column vectors.
+        """Return the world transform of each part: (4, 4), for column vectors.
 
-        Joints are where skinning takes a bound point; without a time, those of the rest pose.
+        Of joints, the skinning transform; at the default time, that of the rest pose.
         """
         cache, skins = UsdGeom.XformCache(time), dict[Sdf.Path, list[FloatArray]]()
         out = []

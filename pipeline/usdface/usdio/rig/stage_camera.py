@@ -1,7 +1,7 @@
-"""A stage's camera, as it sees a character's face: in the rig's own space, whatever the shot did.
+"""A stage's camera in the space of a rig.
 
-A shot moves, scales and units its characters; pictures of a face are drawn in the space its rig is
-read in. So the camera is carried there: from the shot through the character's place in it.
+A shot may move and scale its characters, and have other units. Pictures of a face are drawn in the
+rig's space, so the camera is transformed by the inverse of the character's transform.
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ _UNITS_PER_TENTH = 0.1  # apertures and focal lengths count tenths of a scene un
 
 @dataclass(frozen=True)
 class StageView:
-    """What a stage's camera sees at one frame."""
+    """View of a stage's camera at one frame."""
 
     eye: FloatArray
     """(3,): in the rig's space [mm], Y up."""
@@ -34,25 +34,25 @@ class StageView:
     shift: tuple[float, float]
     """Lens shift, right and up [half heights]."""
     span_mm: float | None
-    """Height of what an orthographic camera sees [mm]."""
+    """Height of the view of an orthographic camera [mm]."""
     aspect: float
     """Width over height of the film."""
 
 
 class StageCamera:
-    """A camera of a stage, sampled where it is asked for; the stage is opened once.
+    """A camera of a stage, in the space of a rig.
 
     Parameters
     ----------
     rig_prim : str
-        The character: where it stands in the stage is taken off the camera.
+        The character.
     rate : Fraction
-        Of the frames asked for, per second; a stage that counts time otherwise is asked in its own.
+        Frames per second of the frame numbers; converted to the stage's rate.
 
     Attributes
     ----------
     holds_character : bool
-        False where the stage has no such character: it stands at the stage's origin then.
+        False if the stage has no such character, which is then assumed at its origin.
     """
 
     @refusing_wrong_types
@@ -67,7 +67,7 @@ class StageCamera:
         home = rig.GetPrimAtPath(rig_prim)
         self._root = _character(self._stage, path, home)
         self.holds_character = self._root is not None
-        # A character that is referenced keeps its own units: USD converts none.
+        # USD does not convert the units of a referenced character.
         unit = rig if self.holds_character else self._stage
         self._ours = stage_to_ours(unit)
         self._millimetres = millimetres(unit)
@@ -75,7 +75,7 @@ class StageCamera:
 
     @refusing_wrong_types
     def at(self, frame: int) -> StageView:
-        """Return what the camera sees at a frame."""
+        """Return the view at a frame."""
         time = Usd.TimeCode(frame * self._time_codes)
         camera = self._camera.GetCamera(time)
         placed = self._into_rig(camera.transform, time)
@@ -105,7 +105,7 @@ class StageCamera:
         )
 
     def _into_rig(self, transform: Gf.Matrix4d, time: Usd.TimeCode) -> FloatArray:
-        """Return the camera's place as the rig's own stage would have it, for column vectors."""
+        """Return the camera's transform in the rig's stage, for column vectors."""
         if self._root is None:
             return column_matrix(transform)
         world = UsdGeom.XformCache(time).GetLocalToWorldTransform(self._root)
@@ -137,13 +137,13 @@ def _camera(stage: Usd.Stage, path: Path, name: str) -> Usd.Prim:
 
 
 def _character(stage: Usd.Stage, path: Path, home: Usd.Prim) -> Usd.Prim | None:
-    """Return the SkelRoot that is composed of the rig's own; None where there is none."""
-    own = {(spec.layer.realPath, spec.path) for spec in home.GetPrimStack()}
+    """Return the SkelRoot composed of specs of the rig's; None without one."""
+    specs = {(spec.layer.realPath, spec.path) for spec in home.GetPrimStack()}
     found = [
         prim
         for prim in Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies())
         if prim.IsA(UsdSkel.Root)
-        and any((spec.layer.realPath, spec.path) in own for spec in prim.GetPrimStack())
+        and any((spec.layer.realPath, spec.path) in specs for spec in prim.GetPrimStack())
     ]
     if len(found) > 1:
         paths = first_few(f"<{prim.GetPath()}>" for prim in found)

@@ -1,4 +1,4 @@
-"""Write a rig as a UsdSkel asset that USD tools and DCCs open with its shapes working."""
+"""Writing of rigs as UsdSkel assets."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -28,38 +28,32 @@ from usdface.usdio.units import MM_PER_STAGE_UNIT, author_units
 
 @dataclass(frozen=True)
 class RigControls:
-    """What moves a rig besides its shapes."""
+    """Joints and attributes of a rig."""
 
     joints: tuple[str, ...]
     """Paths, parents before their children."""
     places: FloatArray
-    """(joints, 3): where they are at rest [mm]."""
+    """(joints, 3): at rest [mm]."""
     influences: Mapping[str, tuple[IntArray, FloatArray]]
-    """By the path of a mesh: joints that move each point and their shares, (points, k) each. Other
-    meshes follow the first joint."""
+    """By the path of a mesh: joints of each point and their weights, (points, k) each. Other meshes
+    follow the first joint."""
     attributes: tuple[str, ...]
-    """Floats, as PRIM.ATTRIBUTE from the top prim, for deformers to read."""
+    """Float attributes for deformers, as PRIM.ATTRIBUTE relative to the top prim."""
 
 
 ONE_JOINT = RigControls(("head",), np.zeros((1, 3)), {}, ())
-"""Some DCCs skip a skeleton without joints, and the shapes with it."""
+"""Some DCCs ignore skeletons without joints, with their shapes."""
 
 
-def write_rig(
-    path: Path,
-    rig: Rig,
-    *,
-    controls: RigControls = ONE_JOINT,
-    provenance: Provenance | None = None,
-) -> None:
+def write_rig(path: Path, rig: Rig, *, controls: RigControls = ONE_JOINT) -> None:
     """Write a rig: one SkelRoot with a Skeleton, and its meshes bound to it.
 
     Parameters
     ----------
     rig : Rig
-        `rig.prim` names the SkelRoot; mesh paths must lie below it.
+        `rig.prim` is the SkelRoot; mesh paths must be below it.
     """
-    with new_layer(path, provenance) as layer:
+    with new_layer(path) as layer:
         author_units(layer)
         stage = Usd.Stage.Open(layer)
         root_path = Sdf.Path(rig.prim)
@@ -131,13 +125,13 @@ def _define_mesh(stage: Usd.Stage, mesh: RigMesh, skeleton: UsdSkel.Skeleton, ri
 
 
 def from_parents(joints: tuple[str, ...], places: FloatArray) -> FloatArray:
-    """Return where joints are from their parents: (joints, 3), in the unit of places."""
-    own = places.copy()
+    """Return the positions of joints relative to their parents: (joints, 3)."""
+    relative = places.copy()
     for row, joint in enumerate(joints):
         parent = joint.rpartition("/")[0]
         if parent:
-            own[row] -= places[joints.index(parent)]
-    return own
+            relative[row] -= places[joints.index(parent)]
+    return relative
 
 
 def _moved(place: FloatArray) -> Gf.Matrix4d:
@@ -165,7 +159,7 @@ def write_logic(
     *,
     provenance: Provenance | None = None,
 ) -> None:
-    """Write a layer that opens a rig's file and states its combinations."""
+    """Write a layer over a rig's file, with its combinations."""
     source, driven = open_stage(rig.file), {each.shape: each for each in combinations}
     with new_layer(path, provenance) as layer:
         author_units(layer, like=rig.file)
@@ -190,7 +184,7 @@ def write_logic(
 
 
 def author_combination(prim: Usd.Prim, combination: Combination) -> None:
-    """Write which shapes drive a BlendShape."""
+    """Write the combination of a BlendShape."""
     prim.ApplyAPI(COMBINATION)
     tokens, doubles = Sdf.ValueTypeNames.TokenArray, Sdf.ValueTypeNames.DoubleArray
     pairs = Sdf.ValueTypeNames.Double2Array
@@ -205,7 +199,7 @@ def author_combination(prim: Usd.Prim, combination: Combination) -> None:
 
 
 def _define_keys(target: UsdSkel.BlendShape, keys: tuple[ShapeKey, ...]) -> None:
-    """Write a shape's keys over one list of points: USD shares it between in-betweens."""
+    """Write a shape's keys over one list of points, which in-betweens share in USD."""
     points = np.unique(np.concatenate([key.points for key in keys]))
     target.CreatePointIndicesAttr(index_array(points))
     for key in keys:
@@ -224,7 +218,7 @@ def _define_keys(target: UsdSkel.BlendShape, keys: tuple[ShapeKey, ...]) -> None
                 between.CreateNormalOffsetsAttr(normals)
 
 
-def _spread(own: IntArray, values: FloatArray, points: IntArray) -> FloatArray:
+def _spread(indices: IntArray, values: FloatArray, points: IntArray) -> FloatArray:
     spread = np.zeros((len(points), 3))
-    spread[np.searchsorted(points, own)] = values
+    spread[np.searchsorted(points, indices)] = values
     return spread

@@ -1,9 +1,9 @@
-"""Marker bindings as layers: the proposal, and the corrections of people.
+"""Marker bindings as layers, with proposals and corrections.
 
-The layer to open shows the mesh with a ball at every marker. It has two sublayers: the stronger
-holds corrections, which binding again keeps; the weaker holds the proposal. A marker is corrected
-by moving its ball, setting another face, other weights on the face or the index of a point, or by
-deactivating its prim, which leaves the marker out.
+The layer to open has the mesh and a sphere for every marker. Of its two sublayers the stronger has
+corrections, which are preserved when markers are bound again; the weaker has the proposal. A marker
+is corrected by moving its sphere, by another face, other weights on the face or the index of a
+point, or by deactivating its prim, which leaves the marker out.
 """
 
 from collections.abc import Callable, Mapping
@@ -25,7 +25,7 @@ from usdface.numerics.registration.surface_places import (
     places_at_points,
     polygon_weights,
 )
-from usdface.usdio.authoring import apply_api, author_uniform, define_prim
+from usdface.usdio.authoring import apply_api, author_uniform, define_prim, value_of
 from usdface.usdio.layers import (
     new_layer,
     new_layers,
@@ -41,7 +41,7 @@ _ROOT = Sdf.Path("/Binding")
 _MARKERS = _ROOT.AppendChild("Markers")
 MESH = _ROOT.AppendChild("Mesh")
 BALL_RADIUS = 0.15
-"""As large as a marker [cm]."""
+"""That of a marker [cm]."""
 
 TRANSLATE = "xformOp:translate"
 HOW_TO_CORRECT = """Corrections of a marker binding: binding again keeps this layer, and the tuning
@@ -53,10 +53,10 @@ out."""
 
 @dataclass(frozen=True)
 class ReadBinding:
-    """A binding as it composes."""
+    """A binding with corrections."""
 
     binding: MarkerBinding
-    """Sources are ``'corrected'`` where a stronger layer has an opinion."""
+    """Sources are ``'corrected'`` if a stronger layer has an opinion."""
     left_out: tuple[str, ...]
     """Markers whose prim is inactive."""
 
@@ -71,16 +71,14 @@ def write_binding(
     provenance: Provenance | None = None,
     author: Callable[[Sdf.PrimSpec], None] | None = None,
 ) -> None:
-    """Write a binding and its proposal; corrections stay as they are.
+    """Write a binding with its proposal, and preserve corrections.
 
     Parameters
     ----------
     path, corrected_path, proposed_path : Path
         The layer to open, and its two sublayers.
-    face : BoundSurface
-        The mesh of the binding.
     author : callable, optional
-        Adds to the root prim of the proposal.
+        Authors attributes of the root prim of the proposal.
     """
     stage = open_stage(face.file)
     written: dict[Path, Provenance | None] = {proposed_path: provenance, path: provenance}
@@ -103,7 +101,7 @@ def write_binding(
             relative_path(each, path) for each in (corrected_path, proposed_path)
         ]
         root = define_prim(layer, _ROOT, "Xform")
-        root.SetInfo("kind", Kind.Tokens.assembly)  # models, as rigs are, stand below no other
+        root.SetInfo("kind", Kind.Tokens.assembly)  # rigs are models, which need a group above
         apply_api(root, "FaceBindingAPI")
         asset = Sdf.AssetPath(relative_path(face.file, path))
         author_uniform(root, "face:binding:mesh", Sdf.ValueTypeNames.Asset, asset)
@@ -114,13 +112,7 @@ def write_binding(
 
 @refusing_wrong_types
 def read_binding(path: Path, face: BoundSurface) -> ReadBinding:
-    """Read a binding as it composes, corrections over proposals.
-
-    Parameters
-    ----------
-    face : BoundSurface
-        The mesh it is to be used on.
-    """
+    """Read a binding with corrections; `face` must be its surface."""
     stage = open_stage(path)
     if read_surface_hash(path) != face.hash:
         raise InputError(
@@ -193,8 +185,7 @@ def _author_proposed(layer: Sdf.Layer, binding: MarkerBinding, face: BoundSurfac
 def _prim_name(name: str, taken: set[str]) -> str:
     """Return a valid and unique name of a marker's prim.
 
-    A name in any script is unchanged: corrections are found by it, and two Japanese names made
-    ASCII would depend on which marker comes first.
+    Valid Unicode names are unchanged, as corrections are found by them.
     """
     base = unique = name if Sdf.Path.IsValidIdentifier(name) else str(Tf.MakeValidIdentifier(name))
     number = 2
@@ -206,13 +197,13 @@ def _prim_name(name: str, taken: set[str]) -> str:
 
 
 def _show_mesh(layer: Sdf.Layer, face: BoundSurface, stage: Usd.Stage, path: Path) -> None:
-    """Show the mesh among the balls by a reference, turned and sized into their space."""
+    """Add a reference to the mesh, rotated and scaled to the units of the spheres."""
     holder = define_prim(layer, MESH, "Xform")
     holder.SetInfo("kind", Kind.Tokens.group)
-    turn = np.eye(4)
-    turn[:3, :3] = stage_to_ours(stage) / MM_PER_STAGE_UNIT
+    transform = np.eye(4)
+    transform[:3, :3] = stage_to_ours(stage) / MM_PER_STAGE_UNIT
     matrix = Sdf.AttributeSpec(holder, "xformOp:transform", Sdf.ValueTypeNames.Matrix4d)
-    matrix.default = Gf.Matrix4d(*turn.T.ravel().tolist())
+    matrix.default = Gf.Matrix4d(*transform.T.ravel().tolist())
     order = Vt.TokenArray(["xformOp:transform"])
     author_uniform(holder, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, order)
     shown = Sdf.CreatePrimInLayer(layer, MESH.AppendChild("Asset"))
@@ -230,7 +221,7 @@ def _read_place(path: Path, prim: Usd.Prim, face: BoundSurface) -> _MarkerPlace:
         for key in ("face:binding:face", "face:binding:weights", TRANSLATE)
     }
     source = str(_value(prim, "face:binding:source") or "proposed")
-    if source == "corrected":  # by a correction that was taken back since
+    if source == "corrected":  # by a correction that has been removed
         source = "proposed"
     is_corrected = point is not None or any(corrected.values())
     try:
@@ -248,7 +239,7 @@ def _read_place(path: Path, prim: Usd.Prim, face: BoundSurface) -> _MarkerPlace:
             if corrected["face:binding:face"] and not corrected["face:binding:weights"]:
                 known = 0 <= number < len(counts)
                 corners = int(counts[number]) if known else 3
-                weights = np.full(corners, 1 / corners)  # a face alone stands for its middle
+                weights = np.full(corners, 1 / corners)  # by default the centre of the face
             places = place_on_polygon(mesh.points, counts, indices, face=number, weights=weights)
     except (ValueError, TypeError) as error:
         raise InputError(
@@ -264,7 +255,7 @@ def _read_place(path: Path, prim: Usd.Prim, face: BoundSurface) -> _MarkerPlace:
 
 
 def _under_ball(prim: Usd.Prim, face: BoundSurface) -> SurfacePlaces:
-    """Return the place nearest to a marker's ball, which must not be far off the mesh."""
+    """Return the place nearest to a marker's sphere, which must be near the mesh."""
     mesh, at = face.mesh, _ball(prim)
     places = nearest_places(mesh.points, mesh.face_counts, mesh.face_indices, at)
     away = float(np.linalg.norm(places.positions(mesh.points) - at))
@@ -274,7 +265,7 @@ def _under_ball(prim: Usd.Prim, face: BoundSurface) -> SurfacePlaces:
 
 
 def _ball(prim: Usd.Prim) -> FloatArray:
-    """Return where a marker's ball is: (1, 3) float array [mm]."""
+    """Return the position of a marker's sphere: (1, 3) float array [mm]."""
     at = np.array(prim.GetAttribute(TRANSLATE).Get(), np.float64).reshape(1, 3)
     if not np.isfinite(at).all():
         raise ValueError(f"its ball is at {at[0].tolist()}")
@@ -282,7 +273,7 @@ def _ball(prim: Usd.Prim) -> FloatArray:
 
 
 def _corrected(prim: Usd.Prim, name: str) -> bool:
-    """Whether a layer stronger than the proposal gives an attribute a value."""
+    """Whether a layer stronger than the proposal has a value of an attribute."""
     attribute = prim.GetAttribute(name)
     stack = attribute.GetPropertyStack() if attribute else []
     return any(spec.HasDefaultValue() for spec in stack[:-1])
@@ -291,13 +282,9 @@ def _corrected(prim: Usd.Prim, name: str) -> bool:
 def _value(prim: Usd.Prim, name: str) -> object:
     """Return an attribute's value; of an inactive prim, the strongest opinion."""
     if prim.IsActive():
-        attribute = prim.GetAttribute(name)
-        return attribute.Get() if attribute else None
-    for spec in prim.GetPrimStack():
-        if name in spec.properties and spec.properties[name].default is not None:
-            found: object = spec.properties[name].default
-            return found
-    return None
+        return value_of(prim, name)
+    specs = (spec.properties[name] for spec in prim.GetPrimStack() if name in spec.properties)
+    return next((spec.default for spec in specs if spec.default is not None), None)
 
 
 def _concatenate_places(parts: list[SurfacePlaces]) -> SurfacePlaces:
@@ -309,10 +296,10 @@ def _concatenate_places(parts: list[SurfacePlaces]) -> SurfacePlaces:
 
 
 def has_binding(path: Path) -> bool:
-    """Whether a file exists and holds a binding."""
+    """Whether a file exists and is a binding."""
     if not path.is_file():
         return False
-    layer = open_layer(path)  # a prim's spec does not keep its layer
+    layer = open_layer(path)  # keep a reference: specs do not outlive their layer
     spec = layer.GetPrimAtPath(_ROOT)
     return spec is not None and "face:binding:hash" in spec.properties
 
@@ -320,14 +307,14 @@ def has_binding(path: Path) -> bool:
 def correct_binding(
     path: Path, corrected_path: Path, places: Mapping[str, FloatArray | None], made: Provenance
 ) -> None:
-    """Correct markers of a binding in its corrected layer, in one write.
+    """Write corrections of markers to the corrected layer.
 
     Parameters
     ----------
     path, corrected_path : Path
         The layer to open, and its stronger sublayer.
     places : mapping of str to (3,) float array or None
-        Place of each marker [mm], which becomes that of its ball; None takes its correction back.
+        New position of each marker's sphere [mm]; None removes its correction.
     made : Provenance
         Of the corrections.
     """
@@ -359,7 +346,7 @@ def _marker_prims(path: Path) -> dict[str, Sdf.Path]:
 
 
 def read_surface_hash(path: Path) -> str:
-    """Return the hash of the surface that a binding was made on."""
+    """Return the hash of a binding's surface."""
     stage = open_stage(path)
     root = stage.GetDefaultPrim()
     if not root or not root.HasAPI("FaceBindingAPI"):

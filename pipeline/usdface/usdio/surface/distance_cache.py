@@ -1,4 +1,4 @@
-"""A cache of distances over a mesh as a layer, for one surface and its markers."""
+"""Cache of geodesic distances for one surface and its markers, as a layer."""
 
 import json
 from dataclasses import dataclass, field
@@ -30,16 +30,15 @@ _KINDS = {
 
 @dataclass(frozen=True)
 class CachedDistances:
-    """Arrays by name, in the precision they came in, and counts."""
+    """Arrays and counts by name."""
 
     arrays: dict[str, _CacheArray]
     """float64, float32 or bool, of any shape; lengths in millimetres."""
     counts: dict[str, int] = field(default_factory=dict)
-    """By name."""
 
 
 def write_distances(path: Path, cached: CachedDistances, *, key: str) -> None:
-    """Write distances under a key of their surface and markers."""
+    """Write distances with a key of their surface and markers."""
     kinds = Sdf.ValueTypeNames
     with new_layer(path, Provenance(step="distances")) as layer:
         author_units(layer)
@@ -57,7 +56,7 @@ def write_distances(path: Path, cached: CachedDistances, *, key: str) -> None:
 
 
 def read_distances(path: Path, *, key: str) -> CachedDistances | None:
-    """Return the distances of a key; None where the file is absent, unreadable or of another."""
+    """Return the distances of a key; None if the file is missing, damaged or of another key."""
     if not path.is_file():
         return None
     try:

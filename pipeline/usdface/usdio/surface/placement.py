@@ -1,7 +1,7 @@
-"""Placements as layers: a marker binding on a rig, with what turns the performer's motion into it.
+"""Placements as layers: a marker binding on a rig, with the map of the performer's motion.
 
-The asset is that of `usdio.surface.binding`, so that one way of correcting serves both; its surface
-is all meshes of the rig, in the rig's order.
+The asset is that of `usdio.surface.binding`, with its corrections; its surface consists of all
+meshes of the rig, in the rig's order.
 """
 
 from collections.abc import Sequence
@@ -28,28 +28,28 @@ _PREFIX = "face:placement:"
 
 @dataclass(frozen=True)
 class RigPlacement:
-    """Where a performer's markers sit on a rig, and how the motion there follows."""
+    """Places of a performer's markers on a rig, and the map of their motion."""
 
     binding: MarkerBinding
     """On all meshes of the rig as one surface."""
     neutral: FloatArray
-    """(markers, 3): the performer's neutral face that was placed [mm]."""
+    """(markers, 3): the performer's neutral face [mm]."""
     rotation: FloatArray
     """(3, 3): from the performer's space to the rig's."""
     motion_scale: float
-    """Length of a movement on the rig over that of the performer."""
+    """Amplitude of the motion on the rig over the performer's."""
     explained: float
-    """Share of the markers' motion that the shapes explain there [0-1]; NaN if unknown."""
+    """Share of the markers' motion that the shapes explain [0-1]; NaN if unknown."""
     by_labels: bool
-    """Whether labels placed the markers, or motion alone."""
+    """Whether the markers were placed by labels, or by motion alone."""
     left_out: tuple[str, ...] = ()
-    """Markers that somebody deactivated: they count in no solve, whether they are bound or not."""
+    """Deactivated markers, which no solve uses."""
 
 
 def write_placement(
     path: Path, placement: RigPlacement, rig: Rig, *, provenance: Provenance | None = None
 ) -> None:
-    """Write a placement; the corrections of an earlier one stay in their layer."""
+    """Write a placement, and preserve the layer of corrections."""
 
     def author(root: Sdf.PrimSpec) -> None:
         kinds = Sdf.ValueTypeNames
@@ -78,7 +78,7 @@ def write_placement(
 
 @refusing_wrong_types
 def read_placement(path: Path, rig: Rig) -> RigPlacement:
-    """Read a placement as it composes, corrections over what was proposed."""
+    """Read a placement, with corrections."""
     surface = rig_surfaces(rig)[0]
     read = read_binding(path, surface)
     stage = open_stage(path)
@@ -113,18 +113,18 @@ def read_placement(path: Path, rig: Rig) -> RigPlacement:
 
 @dataclass(frozen=True)
 class GivenPlaces:
-    """What people said of a binding's markers."""
+    """Places of a binding's markers by people."""
 
     corrected: dict[str, FloatArray]
     landmarks: dict[str, FloatArray]
     """`corrected`, `landmarks`: dict of str to (3,) float array: places corrected in a stronger
-    layer, and those that the binding was made with [mm]."""
+    layer, and landmarks given when the binding was made [mm]."""
     left_out: tuple[str, ...]
-    """Markers that are deactivated."""
+    """Deactivated markers."""
 
 
 def read_given_places(path: Path, rig: Rig) -> GivenPlaces:
-    """Read what people said in a binding of the rig, or of one of its meshes."""
+    """Read the corrections and landmarks of a binding on the rig, or on one of its meshes."""
     surface = _surface_of(path, rig_surfaces(rig))
     read = read_binding(path, surface)
     at = read.binding.places.positions(surface.mesh.points)
@@ -146,5 +146,5 @@ def _surface_of(path: Path, surfaces: Sequence[BoundSurface]) -> BoundSurface:
 
 
 def rig_units_to_ours(rig: Rig) -> FloatArray:
-    """Return the 3x3 that turns positions of the rig's file into millimetres, Y up."""
+    """Return the (3, 3) matrix from positions in the rig's file to millimetres, Y up."""
     return np.asarray(stage_to_ours(open_stage(rig.file)))

@@ -1,8 +1,8 @@
-"""A moving mesh: points over time as overs on the mesh's asset, in one layer or in value clips.
+"""Animated meshes: points over time as overs on the mesh's asset, in one layer or in value clips.
 
 NAME.usda is the layer to open: it references the mesh's asset and sublayers NAME.points.usdc, which
-has only overs. The samples of a long take are in value clips next to that layer, so that neither
-writing nor reading needs the memory of more than one of them.
+has only overs. The samples of a long take are in value clips, of which only one needs to be in
+memory.
 """
 
 import contextlib
@@ -27,12 +27,12 @@ from usdface.usdio.rig.reference import default_place, define_reference
 
 UNCERTAINTY = "primvars:face:uncertainty"
 UNSAVED_BYTES = 128 << 20
-"""Size of the samples that are saved to disk at once."""
+"""Size of samples after which they are saved to disk."""
 
 
 @dataclass(frozen=True)
 class PointsHeader:
-    """What holds for all frames."""
+    """Timing, place and method of an animated mesh."""
 
     rate: Fraction
     """Frames per second."""
@@ -40,27 +40,27 @@ class PointsHeader:
     last_frame: int
     """`first_frame`, `last_frame`: Inclusive."""
     place: str | None = None
-    """Prim path of the mesh's asset in the new layer; None leaves it where it is in its file."""
+    """Prim path of the mesh's asset in the new layer; by default that in its file."""
     method: str = ""
-    """How the points were computed; written on the mesh."""
+    """Method by which the points were computed; written on the mesh."""
     timecode_start: str = ""
-    """Of the first frame; empty where it is unknown."""
+    """Of the first frame; empty if unknown."""
 
 
 @dataclass(frozen=True)
 class PointsFormat:
-    """What is written of each frame."""
+    """Attributes written for each frame."""
 
     normals: bool = False
-    """Normals over time, where the mesh has authored ones that a renderer would use."""
+    """Normals over time, if the mesh has authored ones that a renderer would use."""
     uncertainty: bool = False
     """The primvar ``face:uncertainty`` [mm]."""
     clip_bytes: int = 512 << 20
-    """Takes whose samples are larger go into value clips of about this size."""
+    """Larger takes are written as value clips of about this size."""
 
 
 class PointsWriter:
-    """Appends frames of a moving mesh; made by `writing_points`."""
+    """Appends frames of an animated mesh; made by `writing_points`."""
 
     def __init__(self, face: FaceMesh, place: Sdf.Path, format_: PointsFormat) -> None:
         self._face = face
@@ -82,9 +82,8 @@ class PointsWriter:
         Parameters
         ----------
         points : (frames, points, 3) float array
-            In the mesh's own space and unit.
+            In the mesh's space and unit.
         normals : (frames, n, 3) float array, optional
-            As many as the mesh has.
         uncertainty_mm : (frames, points) float array, optional
             Predictive standard deviation.
         """
@@ -108,13 +107,12 @@ class PointsWriter:
             self._layer.SetTimeSample(self._place.AppendProperty(name), frame, value)
             self._unsaved += 4 * values.size
         if self._unsaved >= UNSAVED_BYTES:
-            # A saved binary layer reads its samples back from disk when asked.
-            self._layer.Save()
+            self._layer.Save()  # frees the memory of samples in a binary layer
             self._unsaved = 0
 
 
 class _ClipsWriter(PointsWriter):
-    """Writes one clip after the other, each closed and renamed when the next begins."""
+    """Writes consecutive clips, each of which is complete when the next begins."""
 
     def __init__(
         self,
@@ -161,10 +159,7 @@ class _ClipsWriter(PointsWriter):
         self._open = None
 
     def abandon(self, error: BaseException) -> None:
-        """Remove the clips written so far, but for those that the existing asset uses.
-
-        The same spec and inputs give clips the same names.
-        """
+        """Remove the clips written so far, unless the existing asset uses files of these names."""
         self._layer = None
         if self._open is not None:
             with contextlib.suppress(BaseException):
@@ -199,12 +194,12 @@ def writing_points(
     *,
     provenance: Provenance | None = None,
 ) -> Iterator[PointsWriter]:
-    """Write a moving mesh frame by frame; the layer to open appears when the block ends well.
+    """Write an animated mesh frame by frame; the files are replaced if the block succeeds.
 
     Parameters
     ----------
     path : Path
-        The layer to open. If it exists, other content in it stays.
+        The layer to open. Its other opinions and sublayers are preserved.
     face : FaceMesh
         The mesh at rest.
     """
@@ -238,7 +233,7 @@ def _writing_samples(
     format_: PointsFormat,
     provenance: Provenance | None,
 ) -> Iterator[PointsWriter]:
-    """Write the points layer, and its clips where the take is larger than one."""
+    """Write the points layer, and its clips if the take is larger than one."""
     frames = header.last_frame - header.first_frame + 1
     clip_frames = max(format_.clip_bytes // _frame_bytes(face, format_), 1)
     with new_layer(points_file, provenance) as layer:
@@ -282,7 +277,7 @@ def _frame_bytes(face: FaceMesh, format_: PointsFormat) -> int:
 
 
 def _key(provenance: Provenance | None) -> str:
-    """Return a name for the spec and inputs of clips, so that others are not overwritten."""
+    """Return a name that depends on the spec and inputs, so that other clips are not replaced."""
     if provenance is None:
         return "clips"
     return hash_text(provenance.spec + repr(sorted(provenance.inputs.items())))[:8]
@@ -304,9 +299,9 @@ def _author_header(layer: Sdf.Layer, face: FaceMesh, at: Sdf.Path, header: Point
 
 
 def _declare(layer: Sdf.Layer, face: FaceMesh, at: Sdf.Path, format_: PointsFormat) -> None:
-    """Write an over of the mesh with the attributes that move; none has a default value.
+    """Write an over of the mesh with its animated attributes, without default values.
 
-    A default here would be stronger than the samples of a clip.
+    Defaults would be stronger than the samples of a clip.
     """
     prim = Sdf.CreatePrimInLayer(layer, at)
     kinds = Sdf.ValueTypeNames
@@ -316,7 +311,7 @@ def _declare(layer: Sdf.Layer, face: FaceMesh, at: Sdf.Path, format_: PointsForm
         normals = Sdf.AttributeSpec(prim, face.normals_attribute, kinds.Normal3fArray)
         if format_.normals:
             normals.SetInfo("interpolation", face.normals)
-        else:  # those of the face at rest would be wrong
+        else:  # block those of the face at rest
             normals.default = Sdf.ValueBlock()
         if face.normals_attribute.startswith("primvars:"):
             indices = Sdf.AttributeSpec(prim, "primvars:normals:indices", kinds.IntArray)
@@ -358,11 +353,11 @@ def _clip_files(points_file: Path, at: Sdf.Path) -> set[Path]:
     """Return the clips and the manifest that an existing points layer uses."""
     if not points_file.is_file():
         return set()
-    layer = open_layer(points_file)  # a prim's spec does not keep its layer
+    layer = open_layer(points_file)  # keep a reference: specs do not outlive their layer
     prim = layer.GetPrimAtPath(at)
     clips = dict(prim.GetInfo("clips")).get("default") if prim and prim.HasInfo("clips") else None
     if not clips:
         return set()
-    named = [*clips.get("assetPaths", ()), clips.get("manifestAssetPath", Sdf.AssetPath())]
-    found = {points_file.parent / Path(each.path).name for each in named if each.path}
-    return {file for file in found if file.name.startswith(f"{points_file.stem}.")}
+    assets = [*clips.get("assetPaths", ()), clips.get("manifestAssetPath", Sdf.AssetPath())]
+    files = {points_file.parent / Path(asset.path).name for asset in assets if asset.path}
+    return {file for file in files if file.name.startswith(f"{points_file.stem}.")}

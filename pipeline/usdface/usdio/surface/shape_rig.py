@@ -1,7 +1,7 @@
-"""Shapes for a mesh that has none: a new rig asset that references the mesh and adds BlendShapes.
+"""Rigs for meshes without shapes: a new asset that references the mesh and adds BlendShapes.
 
-The mesh's own file is not written: its materials, texture coordinates and other meshes come along
-by reference. Shapes it had are switched off in the new asset, so that the new ones are all it has.
+The mesh's file is not written; its materials, texture coordinates and other meshes are referenced.
+Existing shapes are disabled in the new asset.
 """
 
 from dataclasses import dataclass
@@ -28,31 +28,30 @@ ASSET = "asset"
 SHAPES = "shapes"
 SKELETON = "skeleton"
 _LONGEST_NAME = 63
-"""Some DCCs cut names of shapes that are longer."""
+"""Some DCCs truncate longer names of shapes."""
 
 
 @dataclass(frozen=True)
 class NewShape:
-    """One frame's face, to be written as a shape."""
+    """The face of one frame, to be written as a shape."""
 
     name: str
-    """As people call it; made a valid prim name when it is written."""
+    """Converted to a valid prim name when it is written."""
     moved_mm: FloatArray
-    """(points, 3): from the mesh at rest [mm], Y up."""
+    """(points, 3): displacement from rest [mm], Y up."""
     take: str
-    """Name of the take it comes from."""
     frame: int
-    """In the take."""
+    """`take`, `frame`: Of the capture."""
 
 
 @dataclass(frozen=True)
 class WrittenShape:
-    """A shape as it was written."""
+    """A written shape."""
 
     name: str
     """Of the channel and of its prim."""
     points: int
-    """How many points it moves."""
+    """Number of points that it moves."""
 
 
 def shape_names(wanted: list[str]) -> list[str]:
@@ -138,7 +137,7 @@ def write_shape_rig(
 
 def _define_skeleton(layer: Sdf.Layer, path: Sdf.Path) -> None:
     prim = define_prim(layer, path, "Skeleton")
-    # Some DCCs skip a skeleton without joints, and the shapes with it.
+    # Some DCCs ignore skeletons without joints, with their shapes.
     kinds = Sdf.ValueTypeNames
     author_uniform(prim, "joints", kinds.TokenArray, Vt.TokenArray(["head"]))
     for name in ("bindTransforms", "restTransforms"):
@@ -154,13 +153,13 @@ def _reference_asset(
     reference = Sdf.Reference(relative_path(face.file, rig), source.GetPath())
     prim.referenceList.prependedItems = [reference]
     if Usd.ModelAPI(source).GetKind():
-        prim.SetInfo("kind", Kind.Tokens.subcomponent)  # it lies in a component now
+        prim.SetInfo("kind", Kind.Tokens.subcomponent)  # it is now inside a component
 
 
 def _override_asset_rig(
     layer: Sdf.Layer, source: Usd.Stage, top: Sdf.Path, place: Sdf.Path
 ) -> None:
-    """Override the SkelRoot and the shapes that the asset has: a rig has one SkelRoot."""
+    """Override the asset's SkelRoots and shapes, as a rig has one SkelRoot."""
     for prim in Usd.PrimRange(source.GetPrimAtPath(top)):
         at = prim.GetPath().ReplacePrefix(top, place)
         if prim.IsA(UsdSkel.Root):
@@ -176,7 +175,7 @@ def _override_asset_rig(
 def _bind_mesh(
     layer: Sdf.Layer, face: FaceMesh, path: Sdf.Path, skeleton: Sdf.Path, source: Usd.Stage
 ) -> FloatArray:
-    """Bind the mesh to the new skeleton at its place; return its points in the mesh's space."""
+    """Bind the mesh to the new skeleton; return its points at rest in the mesh's space."""
     prim = Sdf.CreatePrimInLayer(layer, path)
     for name in ("skel:blendShapes", "skel:blendShapeTargets"):
         if name in prim.properties:
@@ -203,7 +202,7 @@ def _bind_mesh(
     home = np.asarray(np.linalg.inv(face.world), np.float64)
     rest = transform_points(home, face.mesh.points @ np.linalg.inv(ours).T)
     if not np.allclose(rest, face.local, atol=1e-5 * max(float(np.ptp(face.local)), 1e-9)):
-        # The asset's skeleton deforms the mesh at rest and the new one does not: its points do.
+        # The asset's skeleton deforms the mesh at rest, the new one does not: write the points.
         Sdf.AttributeSpec(prim, "points", kinds.Point3fArray).default = vector_array(rest)
     return rest
 

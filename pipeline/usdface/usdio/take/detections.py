@@ -1,4 +1,4 @@
-"""What a model detects in pictures, kept in a layer until a take is made of it."""
+"""Layers with the detections of a model in pictures, from which a take is made."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -24,7 +24,7 @@ def write_detections(
     *,
     provenance: Provenance | None = None,
 ) -> None:
-    """Write arrays and lists of names; read back, they are the same to the last bit."""
+    """Write arrays and lists of names, without loss."""
     kinds = Sdf.ValueTypeNames
     with new_layer(path, provenance) as layer:
         prim = define_prim(layer, Sdf.Path(f"/{_ROOT}"), "Scope")
@@ -42,22 +42,22 @@ def write_detections(
 def read_detections(
     path: Path, arrays: tuple[str, ...], names: tuple[str, ...]
 ) -> tuple[dict[str, Float32Array], dict[str, tuple[str, ...]]]:
-    """Return the arrays and the lists of names of these names."""
+    """Return arrays and lists of names by name."""
     stage = open_stage(path)
     prim = stage.GetDefaultPrim()
     if not prim or prim.GetName() != _ROOT:
         raise InputError(f"{path}: is no part of a tracked video; {_REMEDY}")
 
     def value(name: str) -> object:
-        found = prim.GetAttribute(f"{_PREFIX}{name}").Get()
-        if found is None:
+        authored = prim.GetAttribute(f"{_PREFIX}{name}").Get()
+        if authored is None:
             raise InputError(f"{path} <{prim.GetPath()}>: {_PREFIX}{name} is missing; {_REMEDY}")
-        return found
+        return authored
 
-    found = {}
+    by_name = {}
     for name in arrays:
         flat, shape = np.array(value(name), np.float32), np.array(value(f"{name}:shape"), int)
         if shape.min(initial=0) < 0 or flat.size != np.prod(shape) or np.isnan(flat).any():
             raise InputError(f"{path} <{prim.GetPath()}>: {_PREFIX}{name} is damaged; {_REMEDY}")
-        found[name] = flat.reshape(shape)
-    return found, {name: tuple(map(str, np.array(value(name), str))) for name in names}
+        by_name[name] = flat.reshape(shape)
+    return by_name, {name: tuple(map(str, np.array(value(name), str))) for name in names}

@@ -1,4 +1,4 @@
-"""Markers and weights from USD files of other makers: Points, Skeleton joints or Xforms."""
+"""Markers and weights from USD files of other tools: Points, Skeleton joints or Xforms."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -24,23 +24,23 @@ NAME_ATTRIBUTES = (
     "primvars:labels",
     "primvars:name",
 )
-"""Where other tools keep one label per point."""
+"""Attributes in which other tools store one label per point."""
 
 FEWEST_XFORMS = 3
-"""Fewer moving Xforms than this are a camera or a prop, not a marker set."""
+"""Fewest moving Xforms of a marker set; fewer are a camera or a prop."""
 
 
 @dataclass(frozen=True)
 class ForeignTake:
-    """What a foreign USD file holds of a take."""
+    """Markers and weights of a foreign USD file."""
 
     rate: Fraction
     first_frame: int
     kind: str
-    """What the markers were found as, with their prim path; empty without markers."""
+    """Kind of the markers, with their prim path; empty without markers."""
     names: tuple[str, ...]
     positions: Float32Array
-    """(frames, markers, 3) [mm], Y up, in world space. Anything where not visible."""
+    """(frames, markers, 3) [mm], Y up, in world space. Arbitrary where not visible."""
     visible: BoolArray
     """(frames, markers)"""
     source: WeightsClip | None
@@ -48,31 +48,31 @@ class ForeignTake:
 
 @refusing_wrong_types
 def read_foreign_take(path: Path, *, prim: str | None = None) -> ForeignTake:
-    """Read markers and weights from a USD file that does not follow the take contract.
+    """Read markers and weights from a USD file that is not a take of our schema.
 
     Parameters
     ----------
     prim : str, optional
-        The prim that holds the markers, or one above it, where the file holds several sets.
+        The prim of the markers, or one above it, if the file has several sets.
     """
     stage = open_stage(path)
     top = stage.GetPseudoRoot() if prim is None else stage.GetPrimAtPath(prim)
     if not top:
         raise InputError(f"{path}: there is no prim <{prim}>; check --prim")
-    found: list[_MarkerSet] = [*_points_sets(top), *_joint_sets(top)]
-    found = found or [*_xform_sets(top)]
-    if len(found) > 1:
-        places = ", ".join(f"<{each.path}> ({each.kind})" for each in found)
-        raise InputError(f"{path}: {len(found)} sets of markers: {places}; name one with --prim")
+    sets: list[_MarkerSet] = [*_points_sets(top), *_joint_sets(top)]
+    sets = sets or [*_xform_sets(top)]
+    if len(sets) > 1:
+        places = ", ".join(f"<{each.path}> ({each.kind})" for each in sets)
+        raise InputError(f"{path}: {len(sets)} sets of markers: {places}; name one with --prim")
     weights = _weights_prim(top, path)
-    if not found and weights is None:
+    if not sets and weights is None:
         raise InputError(
             f"{path}: holds no markers (time-sampled Points, Skeleton joints or Xforms) and no "
             "blendShapeWeights; check that the file is the capture"
         )
     times = (
-        found[0].times
-        if found
+        sets[0].times
+        if sets
         else UsdSkel.Animation(weights).GetBlendShapeWeightsAttr().GetTimeSamples()
     )
     grid = _frame_grid(stage, times, path)
@@ -80,8 +80,8 @@ def read_foreign_take(path: Path, *, prim: str | None = None) -> ForeignTake:
     visible = np.zeros((len(grid.stage_times), 0), dtype=np.bool_)
     names: tuple[str, ...] = ()
     kind = ""
-    if found:
-        marker_set = found[0]
+    if sets:
+        marker_set = sets[0]
         names, kind = marker_set.names, f"{marker_set.kind} <{marker_set.path}>"
         positions = np.empty((len(grid.stage_times), len(names), 3), dtype=np.float32)
         ours = stage_to_ours(stage)
@@ -118,7 +118,7 @@ class _Grid:
 
 
 def _frame_grid(stage: Usd.Stage, times: list[float], path: Path) -> _Grid:
-    """Lay samples on whole frames: the usual spacing is the frame, missing ones are gaps."""
+    """Return the frames of samples: the median spacing is one frame, missing ones are gaps."""
     at = np.array(sorted(times))
     if len(at) < 2:
         raise InputError(f"{path}: {len(at)} time samples; a take needs at least two frames")
@@ -150,7 +150,7 @@ def _frame_grid(stage: Usd.Stage, times: list[float], path: Path) -> _Grid:
 
 
 class _MarkerSet(Protocol):
-    """Markers of one kind at one place: their names, when they are sampled, where they are."""
+    """Markers of one kind at one prim, with their names, sample times and positions."""
 
     kind: str
     path: str
@@ -199,7 +199,7 @@ class _JointSet:
         self._query = query
         self._skeleton = skeleton
         joints = [str(joint) for joint in query.GetJointOrder()]
-        # Markers are what hangs below: a root joint that only gathers them is not one.
+        # Markers are the leaves; joints above only group them.
         parents = {joint.rpartition("/")[0] for joint in joints}
         self._leaves = [index for index, joint in enumerate(joints) if joint not in parents]
         short = [joints[index].rpartition("/")[2] for index in self._leaves]
@@ -266,16 +266,16 @@ def _xform_sets(top: Usd.Prim) -> Iterator[_XformSet]:
 
 
 def _weights_prim(top: Usd.Prim, path: Path) -> Usd.Prim | None:
-    found = [
+    animations = [
         prim
         for prim in Usd.PrimRange(top)
         if prim.IsA(UsdSkel.Animation)
         and UsdSkel.Animation(prim).GetBlendShapeWeightsAttr().GetNumTimeSamples() > 1
     ]
-    if len(found) > 1:
-        places = ", ".join(f"<{prim.GetPath()}>" for prim in found)
+    if len(animations) > 1:
+        places = ", ".join(f"<{prim.GetPath()}>" for prim in animations)
         raise InputError(
-            f"{path}: {len(found)} animations with blendShapeWeights: {places}; name one, or a "
-            "prim above it and its markers, with --prim"
+            f"{path}: {len(animations)} animations with blendShapeWeights: {places}; name one, or "
+            "a prim above it and its markers, with --prim"
         )
-    return found[0] if found else None
+    return animations[0] if animations else None

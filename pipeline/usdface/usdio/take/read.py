@@ -1,4 +1,4 @@
-"""Read a take that follows our contract, whole or by ranges of frames."""
+"""Reading of takes of our schema, whole or by ranges of frames."""
 
 import functools
 from collections.abc import Iterable, Sequence
@@ -19,19 +19,19 @@ from usdface.usdio.units import column_matrix, stage_to_ours
 
 @refusing_wrong_types
 def is_take(path: Path) -> bool:
-    """Whether a USD file follows the take contract."""
-    stage = open_stage(path)  # a prim does not keep its stage alive
+    """Whether a USD file is a take of our schema."""
+    stage = open_stage(path)  # keep a reference: prims do not outlive their stage
     root = stage.GetDefaultPrim()
     return bool(root) and root.HasAPI("FaceTakeAPI")
 
 
 FARTHEST_SECONDS = 1e9
 _LARGEST_DRIFT = 990_000.0
-"""[ppm] By minus a million a video would stand still."""
+"""[ppm] At minus a million a video would stand still."""
 
 
 class TakeReader:
-    """A take on disk: its header at once, its frames when asked for."""
+    """A take on disk, whose frames are read on demand."""
 
     @refusing_wrong_types
     def __init__(self, path: Path) -> None:
@@ -62,14 +62,14 @@ class TakeReader:
         self.first_frame, self.last_frame = round(start), round(end)
 
     def _samples(self) -> int | None:
-        """Return how many samples what is read frame by frame has; None without any such."""
+        """Return the largest number of samples of what is read by frames; None without any."""
         markers, head, source = (
             self._prims[place.name] for place in (MARKERS, HEAD_MOTION, SOURCE)
         )
         counts = []
         if markers:
             counts.append(UsdGeom.Points(markers).GetPointsAttr().GetNumTimeSamples())
-        if head:  # its operations one by one: the union of their times is as long as the take
+        if head:
             operations = UsdGeom.Xformable(head).GetOrderedXformOps()
             counts += [operation.GetNumTimeSamples() for operation in operations]
         if source:
@@ -79,34 +79,34 @@ class TakeReader:
 
     @property
     def name(self) -> str:
-        """The take's name; the file's, where the take has none."""
+        """The take's name, by default the file's."""
         return str(self._value("face:take") or self.path.name.split(".")[0])
 
     @property
     def performer(self) -> str:
-        """The performer's name; empty when unknown."""
+        """The performer's name; empty if unknown."""
         return str(self._value("face:performer") or "")
 
     @property
     def session(self) -> str:
-        """The session in which the markers were put on; empty when unknown."""
+        """The session in which the markers were applied; empty if unknown."""
         return str(self._value("face:session") or "")
 
     @functools.cached_property
     def neutral_frame(self) -> int:
-        """Frame number of the neutral face; the first frame where the take names none."""
+        """Frame number of the neutral face, by default the first frame."""
         prim = self._prims[MARKERS.name]
         frame = value_of(prim, "face:markers:neutralFrame") if prim else None
         return self.first_frame if frame is None else int(frame)
 
     @functools.cached_property
     def marker_names(self) -> tuple[str, ...]:
-        """Names of the markers; empty where the take has none."""
+        """Names of the markers; empty without markers."""
         prim = self._prims[MARKERS.name]
         return names_in(prim.GetAttribute("face:markers:names")) if prim else ()
 
     def timecode_at(self, frame: int) -> str:
-        """Return the SMPTE timecode of a frame; empty where the take has none."""
+        """Return the SMPTE timecode of a frame; empty if the take has none."""
         start = str(self._value("face:timecode:start") or "")
         try:
             return shift_timecode(start, frame - self.first_frame, self.rate)
@@ -119,8 +119,7 @@ class TakeReader:
     ) -> Take:
         """Read the frames `first` to `last`, inclusive; all by default.
 
-        `head_motion` may stay on disk where it is not needed: a matrix a frame takes USD as long
-        to hand over as all the markers.
+        Without `head_motion` reading takes half the time.
         """
         first = self.first_frame if first is None else first
         last = self.last_frame if last is None else last
@@ -145,13 +144,13 @@ class TakeReader:
 
     @property
     def doubts(self) -> tuple[str, ...] | None:
-        """What is odd about its markers, as ingest saw it; None where nobody has looked."""
+        """Anomalies of its markers, by ingest; None if they were not examined."""
         written = self._value("face:doubts")
         return tuple(map(str, written)) if isinstance(written, Iterable) else None
 
     @refusing_wrong_types
     def read_markers_at(self, frames: Sequence[int]) -> Markers | None:
-        """Read the markers of some frames of the take, in ascending order, and nothing else."""
+        """Read the markers of some frames, in ascending order."""
         return self._read_markers(frames)
 
     def _value(self, name: str) -> object:
@@ -188,7 +187,7 @@ class TakeReader:
 
     def _to_ours(self, read: Float32Array) -> Float32Array:
         ours = self._ours.astype(np.float32)
-        if np.array_equal(ours, ours[0, 0] * np.eye(3)):  # a Y-up stage differs by its unit alone
+        if np.array_equal(ours, ours[0, 0] * np.eye(3)):  # a Y-up stage
             read *= ours[0, 0]
             return read
         return np.asarray((read.reshape(-1, 3) @ ours.T).reshape(read.shape))
@@ -207,8 +206,8 @@ class TakeReader:
                 )
             out[index] = value
         with np.errstate(over="ignore", invalid="ignore"):
-            doubtful = not np.isfinite(out.sum())  # one sum tells of all
-        if doubtful:
+            sum_is_finite = np.isfinite(out.sum())
+        if not sum_is_finite:
             self._check_finite(out, attribute, frames)
         return out
 
@@ -234,7 +233,7 @@ class TakeReader:
         attribute = prim.GetAttribute(name)
         if not attribute or not attribute.HasAuthoredValue():
             return np.broadcast_to(np.ones((), kind), shape)
-        # Values are written where they change, so between samples there is nothing to ask for.
+        # Values are written where they change: read no frames between samples.
         times = self._sample_times(attribute)
         if not len(times):
             times = np.array([frames[0]])
@@ -257,20 +256,20 @@ class TakeReader:
         return _between(times, values, wanted)
 
     def _query(self, attribute: Usd.Attribute) -> Usd.AttributeQuery:
-        """Return what reads an attribute in half the time: it looks for its layer only once."""
+        """Return a query, which resolves an attribute's layer once and is twice as fast."""
         if attribute.GetName() not in self._queries:
             self._queries[attribute.GetName()] = Usd.AttributeQuery(attribute)
         return self._queries[attribute.GetName()]
 
     def _sample_times(self, attribute: Usd.Attribute) -> np.ndarray:
-        """Return when an attribute has samples; USD lists them all each time, however many."""
+        """Return an attribute's sample times, cached, as USD makes a list of all each time."""
         if attribute.GetName() not in self._times:
             self._times[attribute.GetName()] = np.array(attribute.GetTimeSamples())
         return self._times[attribute.GetName()]
 
     @refusing_wrong_types
     def read_source(self, frames: range) -> WeightsClip | None:
-        """Return the channels of frames that a capture came with; None without any."""
+        """Return the channels of the capture at some frames; None without any."""
         prim = self._prims[SOURCE.name]
         if not prim:
             return None
@@ -291,12 +290,12 @@ class TakeReader:
 
     @refusing_wrong_types
     def head_motion_from_neutral(self, first: int, last: int) -> np.ndarray | None:
-        """Return how the head moved since the neutral frame, in its own space there.
+        """Return the head motion relative to the neutral frame, in the head space there.
 
         Returns
         -------
         (frames, 4, 4) float array or None
-            For column vectors [mm]; None where the take has no head motion.
+            For column vectors [mm]; None without head motion.
         """
         motion = self._read_head_motion(range(first, last + 1))
         at = min(max(self.neutral_frame, self.first_frame), self.last_frame)
@@ -358,7 +357,7 @@ class TakeReader:
         return None if asset is None else self._resolve(asset)
 
     def _resolve(self, asset: object) -> Path:
-        """Return where an asset is, or would be: it may be missing, and that is not our error."""
+        """Return the path of an asset, which may be missing."""
         resolved = str(getattr(asset, "resolvedPath", ""))
         if resolved:
             return Path(resolved)
@@ -366,18 +365,19 @@ class TakeReader:
 
 
 def _between(times: np.ndarray, values: np.ndarray, frames: np.ndarray) -> np.ndarray:
-    """Return values at frames as USD does: numbers are interpolated, the rest is held."""
+    """Return values at frames as USD does: floats interpolated linearly, others held."""
     if np.array_equal(times, frames):
         return values
     before = np.clip(np.searchsorted(times, frames, "right") - 1, 0, len(times) - 1)
     out = values[before]
     if np.issubdtype(values.dtype, np.floating):
         after = np.minimum(before + 1, len(times) - 1)
-        part = np.clip((frames - times[before]) / np.maximum(times[after] - times[before], 1), 0, 1)
-        jumps = np.append((values[1:] != values[:-1]).any(axis=1), False)
-        moving = np.flatnonzero((part > 0) & jumps[before])
-        step = values[after[moving]] - values[before[moving]]
-        out[moving] += (part[moving, None] * step).astype(values.dtype)
+        step = np.maximum(times[after] - times[before], 1)
+        share = np.clip((frames - times[before]) / step, 0, 1)
+        changes = np.append((values[1:] != values[:-1]).any(axis=1), False)
+        moving = np.flatnonzero((share > 0) & changes[before])
+        change = values[after[moving]] - values[before[moving]]
+        out[moving] += (share[moving, None] * change).astype(values.dtype)
     return out
 
 

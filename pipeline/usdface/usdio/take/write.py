@@ -1,4 +1,4 @@
-"""Write a take: a readable layer to open, and its samples in a binary one beside it."""
+"""Writing of takes: a text layer to open, and a binary sublayer with the samples."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,7 +30,7 @@ AUDIO = _ROOT.AppendChild("Audio")
 VISIBLE = "primvars:face:visible"
 MARKER_CONFIDENCE = "primvars:face:confidence"
 MARKER_WIDTH_MM = 3.0
-"""How large a viewer draws a marker: a common size of facial markers."""
+"""Size of a marker in viewers: a common one of facial markers."""
 
 
 def write_take(
@@ -41,34 +41,30 @@ def write_take(
     Parameters
     ----------
     path : Path
-        The layer to open; samples go beside it unless it is ``.usdc``.
+        The layer to open; samples are in a separate layer unless it is ``.usdc``.
     over : Path, optional
-        A take this one is made from: it stays as it is, and the new layer, stronger, sits on it.
+        The take from which this one is made; it becomes a weaker sublayer.
     """
     samples = samples_path(path)
-    beneath = [] if over is None else [relative_path(over, path)]
+    sublayers = [] if over is None else [relative_path(over, path)]
     if samples != path:
-        beneath = [relative_path(samples, path), *beneath]
-    # Both are whole, and nobody else writes either, before one takes its place.
+        sublayers = [relative_path(samples, path), *sublayers]
     with new_layers(dict.fromkeys((samples, path), provenance)) as layers:
         below, layer = layers[0], layers[-1]
         _author(below, take)
         if samples != path:
             _author_header(layer, take)
         _author_take_api(layer, take, path)
-        layer.subLayerPaths = beneath
+        layer.subLayerPaths = sublayers
 
 
 def _author_take_api(layer: Sdf.Layer, take: Take, path: Path) -> None:
-    """Write what the root prim says of a take."""
+    """Write the attributes of the root prim."""
     prim = layer.GetPrimAtPath(_ROOT)
     apply_api(prim, "FaceTakeAPI")
     prim.SetInfo("kind", Kind.Tokens.component)
-    token, string, double = (
-        Sdf.ValueTypeNames.Token,
-        Sdf.ValueTypeNames.String,
-        Sdf.ValueTypeNames.Double,
-    )
+    kinds = Sdf.ValueTypeNames
+    token, string, double = kinds.Token, kinds.String, kinds.Double
     author_uniform(prim, "face:take", string, take.name)
     for name, kind, value in (
         ("face:performer", string, take.performer),
@@ -79,21 +75,21 @@ def _author_take_api(layer: Sdf.Layer, take: Take, path: Path) -> None:
         if value:
             author_uniform(prim, name, kind, value)
     if take.doubts is not None:
-        author_uniform(prim, "face:doubts", Sdf.ValueTypeNames.StringArray, list(take.doubts))
+        author_uniform(prim, "face:doubts", kinds.StringArray, list(take.doubts))
     if take.events:
         labels = [event.label for event in take.events]
-        author_uniform(prim, "face:events:labels", Sdf.ValueTypeNames.StringArray, labels)
+        author_uniform(prim, "face:events:labels", kinds.StringArray, labels)
         times = [Sdf.TimeCode(event.frame) for event in take.events]
-        author_uniform(prim, "face:events:times", Sdf.ValueTypeNames.TimeCodeArray, times)
+        author_uniform(prim, "face:events:times", kinds.TimeCodeArray, times)
     if take.video is not None:
         asset = Sdf.AssetPath(relative_path(take.video.file, path))
-        Sdf.AttributeSpec(prim, "face:video:file", Sdf.ValueTypeNames.Asset).default = asset
+        Sdf.AttributeSpec(prim, "face:video:file", kinds.Asset).default = asset
         if take.video.rate is not None:
             author_uniform(prim, "face:video:rate", double, float(take.video.rate))
         author_uniform(prim, "face:video:offset", double, take.video.offset)
         author_uniform(prim, "face:video:drift", double, take.video.drift)
     if take.audio is not None:
-        _author_audio(layer, take, path)
+        _author_audio(layer, take.audio, take.first_frame, path)
 
 
 def _author_header(layer: Sdf.Layer, take: Take) -> None:
@@ -140,27 +136,23 @@ def _author_markers(layer: Sdf.Layer, markers: Markers, frames: np.ndarray) -> N
     confidence = Sdf.AttributeSpec(prim, MARKER_CONFIDENCE, Sdf.ValueTypeNames.FloatArray)
     for primvar in (visible, confidence):
         primvar.SetInfo("interpolation", UsdGeom.Tokens.vertex)
-    # Setting samples on the layer itself is three times faster than through the stage.
+    # Setting samples on the layer is three times as fast as through the stage.
     writers = _ChangeWriter(visible.path), _ChangeWriter(confidence.path)
     for start in range(0, len(frames), FRAMES_IN_MEMORY):
-        lot = slice(start, start + FRAMES_IN_MEMORY)
-        numbers = frames[lot].tolist()
-        placed = markers.positions[lot] / np.float32(MM_PER_STAGE_UNIT)
+        block = slice(start, start + FRAMES_IN_MEMORY)
+        numbers = frames[block].tolist()
+        positions = markers.positions[block] / np.float32(MM_PER_STAGE_UNIT)
         for index, frame in enumerate(numbers):
-            layer.SetTimeSample(points.path, frame, Vt.Vec3fArray.FromNumpy(placed[index]))
-        extents.author(layer, numbers, placed)
-        writers[0].append(layer, numbers, markers.visible[lot], Vt.BoolArray)
-        writers[1].append(layer, numbers, markers.confidence[lot], Vt.FloatArray)
+            layer.SetTimeSample(points.path, frame, Vt.Vec3fArray.FromNumpy(positions[index]))
+        extents.author(layer, numbers, positions)
+        writers[0].append(layer, numbers, markers.visible[block], Vt.BoolArray)
+        writers[1].append(layer, numbers, markers.confidence[block], Vt.FloatArray)
         if len(frames) > FRAMES_IN_MEMORY:
-            # A saved binary layer reads its samples back from disk when asked.
-            layer.Save()
+            layer.Save()  # frees the memory of samples in a binary layer
 
 
 class _ChangeWriter:
-    """Writes a value only where it changes: most frames see what the frame before saw.
-
-    The frame before a change is written too, or readers would interpolate towards the change.
-    """
+    """Writes a value where it changes, and in the frame before, against interpolation."""
 
     def __init__(self, path: Sdf.Path) -> None:
         self._path = path
@@ -176,9 +168,9 @@ class _ChangeWriter:
             changed[0] = bool((values[0] != self._last).any())
         for index in np.flatnonzero(changed).tolist():
             before = frames[index - 1] if index else self._frame
-            held = values[index - 1] if index else self._last
-            if held is not None and self._written != before:
-                self._set(layer, before, held, kind)
+            previous = values[index - 1] if index else self._last
+            if previous is not None and self._written != before:
+                self._set(layer, before, previous, kind)
             self._set(layer, frames[index], values[index], kind)
         if len(frames):
             self._last, self._frame = values[-1].copy(), frames[-1]
@@ -198,20 +190,18 @@ def _author_head_motion(layer: Sdf.Layer, motion: np.ndarray, frames: np.ndarray
         layer.SetTimeSample(transform.path, frame, Gf.Matrix4d(rows[index].tolist()))
 
 
-def _author_audio(layer: Sdf.Layer, take: Take, path: Path) -> None:
-    if take.audio is None:
-        return
+def _author_audio(layer: Sdf.Layer, audio: Path, first_frame: int, path: Path) -> None:
     prim = define_prim(layer, AUDIO, "SpatialAudio")
-    asset = Sdf.AssetPath(relative_path(take.audio, path))
+    asset = Sdf.AssetPath(relative_path(audio, path))
     author_uniform(prim, "filePath", Sdf.ValueTypeNames.Asset, asset)
     author_uniform(prim, "auralMode", Sdf.ValueTypeNames.Token, UsdMedia.Tokens.nonSpatial)
-    start = Sdf.TimeCode(take.first_frame)  # the capture's own sound starts with it
+    start = Sdf.TimeCode(first_frame)
     author_uniform(prim, "startTime", Sdf.ValueTypeNames.TimeCode, start)
 
 
 @dataclass(frozen=True)
 class VideoSync:
-    """How a video lies in its take: ``take_time = offset + (1 + drift * 1e-6) * video_time``."""
+    """Clock of a video: ``take_time = offset + (1 + drift * 1e-6) * video_time``."""
 
     offset: float
     """[s]"""
@@ -222,10 +212,9 @@ class VideoSync:
 
 
 def write_video_sync(path: Path, sync: VideoSync) -> None:
-    """Write the video's place in time into the root layer of a take.
+    """Write the video's clock into the root layer of a take.
 
-    The layer is copied, changed and put in the place of the old one at once: whoever reads sees
-    the one or the other. Its other opinions, its sublayers and what it says of its making stay.
+    The layer is replaced by a copy with these attributes.
     """
     layer = open_layer(path)
     if not layer.defaultPrim:
@@ -233,7 +222,7 @@ def write_video_sync(path: Path, sync: VideoSync) -> None:
     root = Sdf.Path.absoluteRootPath.AppendPath(layer.defaultPrim)
     with new_layer(path) as changed:
         changed.TransferContent(layer)
-        # A take made over another may say nothing of its root yet: then this is an over.
+        # An over, if a take made over another has no opinion on its root.
         prim = Sdf.CreatePrimInLayer(changed, root)
         for name, value in (
             ("face:video:offset", sync.offset),
