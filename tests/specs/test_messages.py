@@ -26,7 +26,7 @@ def job(folder: Path, keys: str) -> Path:
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
-        ("gpu: true", r"clean -> gpu: clean has no gpu any more; it runs on the processor; leave"),
+        ("gpu: true", r"clean -> gpu: gpu was removed from clean; it runs on the processor; leave"),
         ("maxgap: 7", r"clean -> maxgap: unknown key; did you mean max_gap\?$"),
         ("zzz: 7", r"clean -> zzz: unknown key; it can be take, out, rigid, "),
     ],
@@ -37,7 +37,7 @@ def test_a_key_that_cannot_be_taken_is_refused_with_advice(tmp_path, keys, messa
 
 
 def test_a_script_is_told_the_same() -> None:
-    with pytest.raises(InputError, match=r"^gpu: clean has no gpu any more; it runs on"):
+    with pytest.raises(InputError, match=r"^gpu: gpu was removed from clean; it runs on"):
         usdface.run_step("clean", take="a.usda", out="b.usda", gpu=True)
     with pytest.raises(InputError, match=r"^maxgap: unknown key; did you mean max_gap\?$"):
         usdface.run_step("clean", take="a.usda", out="b.usda", maxgap=7)
@@ -48,4 +48,4 @@ def test_an_option_that_is_gone_is_refused_with_advice(given, capsys) -> None:
     with pytest.raises(SystemExit) as stopped:
         main(["clean", *given])
     assert stopped.value.code == 2
-    assert "clean has no gpu any more; it runs on the processor" in capsys.readouterr().err
+    assert "gpu was removed from clean; it runs on the processor" in capsys.readouterr().err

@@ -201,5 +201,5 @@ def test_committed_json_schemas_are_those_of_the_models() -> None:
 def test_a_name_that_no_layer_could_hold_is_refused() -> None:
     given = {"take": "a.usda", "mapping": "b.usdc", "rig": "hero.usd", "out": "c.usda"}
     for field in ("take", "out"):
-        with pytest.raises(ValueError, match=r"'\\udcff\.usda' is not valid text"):
+        with pytest.raises(ValueError, match=r"'\\udcff\.usda' is not valid Unicode"):
             MapSpec.model_validate(given | {field: "\udcff.usda"})

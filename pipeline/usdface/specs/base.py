@@ -127,10 +127,10 @@ class Spec(BaseModel):
     """Kind of the outputs; steps of one kind may replace each other's. Default: the step's name."""
 
     sidecars: ClassVar[tuple[Sidecar, ...]] = ()
-    """Functions from the path of an output to those of the sublayers that the step writes."""
+    """Functions from the path of an output to the paths of the sublayers that the step writes."""
 
     traces: ClassVar[Sequence[str]] = ()
-    """Inputs of which the step reads the files, too, that their provenance names."""
+    """Input fields whose provenance names further files that the step reads."""
 
     cores: ClassVar[int] = 1
     """Processor cores requested from a farm."""
@@ -145,12 +145,12 @@ class Spec(BaseModel):
     """Removed fields, each with its replacement; refused with this advice."""
 
     only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {}
-    """Options that count only with certain values of another, which follow (of a list, with one of
-    them); without values, only if the other is given. Where they would be ignored they are
-    refused."""
+    """Options that need another option: ``{option: (other, values)}``, where `other` must have one
+    of `values`, or must be given if there are none. Refused where they would be ignored."""
 
     never_with: ClassVar[Mapping[str, Sequence[str]]] = {}
-    """Options that others, which follow, make void. Both together are refused."""
+    """Options without effect if one of the others is given: ``{option: others}``. Refused
+    together."""
 
     step: str
 
@@ -175,7 +175,7 @@ class Spec(BaseModel):
         return self
 
     def is_given(self, name: str) -> bool:
-        """Whether a field is something else than its default."""
+        """Whether a field differs from its default."""
         default = type(self).model_fields[name].get_default(call_default_factory=True)
         return bool(getattr(self, name) != default)
 
@@ -186,8 +186,8 @@ class Spec(BaseModel):
                 str(path).encode()
             except UnicodeEncodeError as error:
                 raise ValueError(
-                    f"{str(path)!a} is not valid text, so that no USD layer can refer to "
-                    "the file: rename it"
+                    f"{str(path)!a} is not valid Unicode, which no USD layer can refer to; rename "
+                    "the file"
                 ) from error
         return self
 
@@ -239,7 +239,7 @@ class Spec(BaseModel):
         return tuple(paths)
 
     def reads(self) -> Mapping[Path, Reads]:
-        """Return every path this spec reads, with how it is read."""
+        """Return the mark of every path this spec reads."""
         read = dict[Path, Reads]()
         for name, mark in type(self).fields_marked(Reads).items():
             value = getattr(self, name)
@@ -252,7 +252,7 @@ class Spec(BaseModel):
         return self.paths(Writes)
 
     def named_paths(self) -> Sequence[tuple[str, Path]]:
-        """Return every path that the step reads, writes or changes, each with the step's name."""
+        """Return (step, path) of every path that the step reads, writes or changes."""
         every = (*self.paths(Reads), *self.paths(Writes), *self.changes())
         return [(self.step, path) for path in dict.fromkeys(every)]
 
@@ -287,12 +287,12 @@ class WeightTableSpec(Spec):
     """A step that reads a table of weights."""
 
     weight_unit: Literal["one", "percent"] | None = None
-    """Unit of a table of weights: `one`, where 1 is the full shape, or `percent`. Needed if weights
-    are too large to be told."""
+    """Unit of a table of weights: `one`, where 1 is the full shape, or `percent`. Needed if the
+    size of the weights does not show it."""
 
 
 class MovedRigSpec(Spec):
-    """A step that finds its rig by what a performance or references refer to."""
+    """A step that uses the rig that a performance or references refer to."""
 
     rig: ReadPath | None = None
     """The rig, if its file has moved since the performance or the references were written."""

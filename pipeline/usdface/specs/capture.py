@@ -25,11 +25,11 @@ class IngestSpec(WeightTableSpec):
     """Convert capture files to a USD take.
 
     Formats are recognised by content: C3D, TRC, Vicon, Motive, Live Link Face, Face Cap,
-    iFacialMocap and OpenFace; tables of weights as CSV, JSON (Audio2Face, MediaPipe) or NumPy; or a
-    USD file with markers as Points, Skeleton joints or Xforms and
-    weights as SkelAnimation. Several files of one take, such as markers and Live Link, are merged.
-    Anything dropped or assumed is listed in the output. Given a folder, with a folder as --out,
-    every take in it is ingested; files with the same stem belong together.
+    iFacialMocap and OpenFace; tables of weights as CSV, JSON (Audio2Face, MediaPipe) or NumPy; USD
+    with markers as Points, Skeleton joints or Xforms, and weights as SkelAnimation. Several files
+    of one take, such as markers and Live Link, are merged. Data that is dropped or assumed is
+    listed in the output. Given a folder, with a folder as --out, every take in it is ingested;
+    files with the same stem form one take.
     """
 
     example = "usdface ingest kitchen.c3d --out kitchen.take.usda --video kitchen.mov --neutral 120"
@@ -50,36 +50,36 @@ class IngestSpec(WeightTableSpec):
     audio: ReadPath | None = None
     """Sound recorded with the capture. The take refers to it."""
     audio_channel: Name | None = None
-    """Analog channel of a C3D that holds the sound; by default one that is named like sound. It is
-    written to a WAV file next to the take."""
+    """Analog channel of a C3D that holds the sound, written to a WAV file next to the take.
+    Default: the channel whose name suggests sound."""
     format: Name | None = None
     """Format of the capture, if it is not recognised by content."""
     units: Units | None = None
     """Length unit of the capture, if the file does not state it or states it wrongly."""
     scale: Annotated[float, Field(gt=0, le=1e9)] | None = None
-    """Factor on all lengths, beyond --units: for scenes in units of their own. A face in units of
-    0.1 m needs `--scale 100`."""
+    """Factor on all lengths, in addition to --units, for captures in other units. A face in units
+    of 0.1 m needs `--scale 100`."""
     up: Axis | None = None
     """Up axis of the capture, if the file does not state it or states it wrongly."""
     mirrored: Literal["labels", "axes", "no"] | None = None
-    """What to mend where left and right are exchanged: `labels` exchanges the names of left and
-    right, `axes` reflects the positions (exports with left-handed axes), `no` keeps the take as it
-    is."""
+    """Correction of a capture with left and right exchanged: `labels` exchanges the names of left
+    and right, `axes` reflects the positions (exports with left-handed axes), `no` changes
+    nothing."""
     rate: Annotated[float, Field(gt=0, le=100_000)] | None = None
     """Frames per second of markers or of a table of weights, if the file does not state it or
-    states it wrongly. Tables without a column of times need it. Of a phone's recording, 59.94 where
-    its clock says 60."""
+    states it wrongly. Tables without a column of times need it. Recordings of phones: 59.94 is
+    accepted where the clock counts to 60."""
     shapes: ReadPath | None = None
     """Names of the columns of a .npy matrix of weights: a text file with one per line, a JSON list
-    or .npy. Default: NAME.names.txt, .json or .npy beside it."""
+    or .npy. Default: NAME.names.txt, .json or .npy next to the matrix."""
     frames: Frames | None = None
-    """Frames to keep, first and last, such as `800-1714`: leaves out the padding of a take.
-    Timecode and video stay in time."""
+    """Frames to keep, first and last, such as `800-1714`, without the padding of a take. Timecode
+    and video stay synchronised."""
     partial: bool = False
-    """State that the markers are meant to cover only a part of the face: one side, or one half."""
+    """The markers cover only a part of the face on purpose, such as one side."""
     only: Name | None = None
-    """For a folder: which of its captures to read, by the end or a pattern of their names, such as
-    `c3d` or `*_v2.csv`."""
+    """For a folder: captures to read, by the ending or a pattern of their names, such as `c3d` or
+    `*_v2.csv`."""
     rigid: tuple[Name, ...] = ()
     """Labels of the markers that move with the skull only."""
     neutral: int | None = None
@@ -87,13 +87,13 @@ class IngestSpec(WeightTableSpec):
     prim: PrimPath | None = None
     """Prim that holds the markers, if a USD source has several marker sets."""
     take: Name | None = None
-    """Name of the take. Default: the name of the file. Of a table of several takes: which to
+    """Name of the take. Default: the name of the file. For a table of several takes: the take to
     read."""
     performer: str = ""
     """Name of the performer."""
     session: str = ""
-    """Name of the session in which the markers were put on, such as a date. Takes of one session
-    are not searched for markers that were put on again."""
+    """Name of the session in which the markers were applied, such as a date. Takes of one session
+    are not compared for markers that were applied again."""
     emotion: str = ""
     """Emotion of the whole take, if it has one."""
     timecode: Annotated[str, Field(pattern=r"^(\d\d:\d\d:\d\d[:;]\d\d)?$")] = ""
@@ -106,7 +106,7 @@ class IngestSpec(WeightTableSpec):
             if self.video is not None:
                 way = (
                     "a video alone holds no markers: track the face in it with `usdface track "
-                    f"{self.video} --out {self.out}`, or name the capture that it was filmed with"
+                    f"{self.video} --out {self.out}`, or name the capture recorded with it"
                 )
             raise ValueError(f"no sources are given: {way}")
         return self
@@ -129,7 +129,7 @@ def _distortion_terms(terms: tuple[float, ...]) -> tuple[float, ...]:
     if len(terms) not in (0, 2, 4, 5):
         raise ValueError(
             f"{len(terms)} numbers are given; OpenCV's model has k1,k2, then p1,p2, then k3: give "
-            "2, 4 or 5 (models of 8 and more, and of fisheye lenses, are not known)"
+            "2, 4 or 5 (models of 8 or more, and of fisheye lenses, are not supported)"
         )
     return terms
 
@@ -138,17 +138,17 @@ _ONLY_OF_TAKES = (
     *("parts", "calibration", "cameras", "face", "eye_distance", "neutral", "take"),
     *("performer", "session", "emotion"),
 )
-"""Options of a take, of which a part of a video knows nothing."""
+"""Options of a take, without effect on a part of a video."""
 
 
 class TrackSpec(Spec):
     """Track a face in a video; the landmarks become the markers of a take.
 
-    Needs the extra `usdface[track]` and MediaPipe's model face_landmarker.task, which is never
-    fetched. Each picture is looked at alone, with its exact time. Landmarks are brought into space:
-    perspective is undone, and the distance between the eyes sets the scale. Pictures without a
-    face are gaps. The model's own scores of ARKit's shapes are kept as weights of the take. Clean
-    the take next, as one of optical markers.
+    Needs the extra `usdface[track]` and MediaPipe's model face_landmarker.task, which usdface does
+    not download. Each picture is analysed separately, at its exact time. Landmarks are converted to
+    positions in mm: perspective is undone, and the distance between the eyes sets the scale.
+    Pictures without a face are gaps. The model's scores of ARKit's shapes become weights of the
+    take. Clean the take next, as for optical markers.
     """
 
     example = "usdface track kitchen.mp4 --out kitchen.take.usda --model face_landmarker.task"
@@ -176,46 +176,45 @@ class TrackSpec(Spec):
     frames: Frames | None = None
     """Frames of the video to track, first and last, counted from 1 at the take's rate."""
     part: bool = False
-    """Write what the model detects in the pictures of --frames, for `track --parts` to make the
-    take of, such as on a farm; the output is no take yet."""
+    """Write the model's detections in the pictures of --frames instead of a take, for example on a
+    farm; `track --parts` makes the take from such parts."""
     parts: Annotated[tuple[FilePath, ...], Field(min_length=1), Reads()] | None = None
-    """Parts of this video, written with --part: their pictures are not looked at again, and the
+    """Parts of this video, written with --part: their pictures are not analysed again, and the
     take is the same as without. The model is needed for pictures that no part holds."""
     face: Literal["largest", "left", "right"] | None = None
-    """Which face to follow where a picture shows several, left and right as one sees them. Default:
+    """Face to track if a picture shows several, left and right as seen in the picture. Default:
     several faces are refused."""
     quality: Literal["draft", "final"] = "final"
-    """`final` looks at each picture twice, once in the mirror, which halves the speed: less noise,
-    and where both differ, less confidence."""
+    """`final` analyses each picture and its mirror image, at half the speed: less noise, and lower
+    confidence where the two differ."""
     focal_length: Annotated[float, Field(ge=8, le=2000)] | None = None
-    """Focal length of the lens in mm of a 35 mm camera, as phones state it (26 for the main camera
-    of most). Default: what the file states, else 28."""
+    """35 mm equivalent focal length of the lens, as phones state it (26 for the main camera of
+    most). Default: as stated in the file, else 28."""
     distortion: Annotated[
         tuple[Annotated[float, Field(ge=-100, le=100)], ...], AfterValidator(_distortion_terms)
     ] = ()
     """Distortion of the lens as OpenCV writes it, `k1,k2`, `k1,k2,p1,p2` or `k1,k2,p1,p2,k3`:
-    landmarks are undistorted before perspective is undone. Of a calibration of the same lens at
-    the same zoom, whose focal length goes with it. Default: none."""
+    landmarks are undistorted before perspective is undone. Take it, and the focal length, from a
+    calibration of the same lens at the same zoom. Default: none."""
     views: Annotated[tuple[FilePath, ...], Field(min_length=1), Reads()] | None = None
     """Videos of the same performance by further cameras, which start at the same time as the first:
-    their landmarks are triangulated, by the confidence of each view. With --calibration."""
+    landmarks are triangulated, weighted by the confidence of each view. With --calibration."""
     calibration: ReadPath | None = None
-    """What the lenses are and where the cameras stand: TOML of caliscope (camera_array.toml) or
-    anipose, or the same as JSON."""
+    """Lenses and positions of the cameras: TOML of caliscope (camera_array.toml) or anipose, or the
+    same as JSON."""
     cameras: tuple[Name, ...] = ()
-    """Names of the cameras in --calibration, in the order of the videos, this one first. Default:
-    the order of the file."""
+    """Names of the cameras in --calibration, in the order of the videos, the first video first.
+    Default: the order of the file."""
     eye_distance: Annotated[float, Field(ge=30, le=90)] = 63.0
     """Distance between the performer's pupils in mm, which sets the scale. The default is an
     adult's mean; nine of ten adults have 57 to 70."""
     video_rate: Annotated[float, Field(gt=0, le=100_000)] | None = None
     """Frames per second of an image sequence; of a movie of variable rate, the rate of the take."""
     neutral: int | None = None
-    """Frame number of the neutral face. Default: the frame in which the model's scores see the
-    least expression."""
+    """Frame number of the neutral face. Default: the frame with the least expression by the model's
+    scores."""
     take: Name | None = None
-    """Name of the take. Default: the name of the file. Of a table of several takes: which to
-    read."""
+    """Name of the take. Default: the name of the file."""
     performer: str = ""
     """Name of the performer."""
     session: str = ""
@@ -230,7 +229,7 @@ class TrackSpec(Spec):
 
 
 LONGEST_SHIFT = 86400.0
-"""A day, as timecode has."""
+"""Seconds: a day, the range of timecode."""
 
 
 class AlignSpec(Spec):
@@ -251,7 +250,7 @@ class AlignSpec(Spec):
     take: Annotated[FilePath, Reads(assets=True), Positional()]
     """The take, with a video and the sound of the capture (`usdface ingest --video --audio`)."""
     offset: Annotated[float, Field(ge=-LONGEST_SHIFT, le=LONGEST_SHIFT)] | None = None
-    """Set the offset by hand: take time at which the video starts, in seconds. Negative: before the
+    """Offset set by hand: take time at which the video starts, in seconds. Negative: before the
     take."""
     drift: Annotated[float, Field(ge=-2000.0, le=2000.0)] | None = None
     """With --offset: drift of the camera's clock in parts per million, positive if it is slow.
@@ -275,11 +274,11 @@ class AlignSpec(Spec):
         return self.picture or self.take.with_name(f"{self.take.stem}.align.png")
 
     def outputs(self) -> tuple[Path, ...]:
-        """Return the picture: it is drawn last, and tells that the take has been aligned."""
+        """Return the picture, which is written after the take has been aligned."""
         return (self.picture_path(),)
 
     def changes(self) -> tuple[Path, ...]:
-        """Return the picture, and the take."""
+        """Return the picture and the take."""
         return (*self.outputs(), self.take)
 
 
@@ -303,8 +302,8 @@ class CleanSpec(Spec):
     """The cleaned take to write."""
     rigid: tuple[Name, ...] = ()
     """Markers that move with the skull only. Default: those of the take; otherwise those labelled
-    as on a head band (head, band, cap), if they keep their distances; otherwise, if labels name
-    parts of the face, all markers, weighted by how far their part moves; otherwise detected."""
+    as on a head band (head, band, cap), if their distances are constant; otherwise, if labels name
+    parts of the face, all markers, weighted by the rigidity of their part; otherwise detected."""
     neutral: int | None = None
     """Frame number of the neutral face. Default: that of the take."""
     max_gap: Annotated[int, Field(ge=0)] | None = None
@@ -312,9 +311,9 @@ class CleanSpec(Spec):
     relabel: bool = True
     """Correct swapped labels and mistracked markers."""
     report: ImageOut | None = None
-    """Picture of the repairs to write: marker by marker over time."""
+    """Picture of the repairs to write, per marker over time."""
     smooth: bool = True
-    """Reduce noise, by the amount measured in the take. Blinks keep their height."""
+    """Reduce noise, by the level measured in the take. The height of blinks is preserved."""
 
 
 _PHONE_SUFFIXES = (".textgrid", ".lab", ".json")
@@ -333,12 +332,12 @@ class PhonesSpec(Spec):
 
     step: Literal["phones"] = "phones"
     audio: Annotated[FilePath, Reads(), Positional()]
-    """Sound file, movie or take. The phones of a take have take times, even if its sound is the
-    camera's."""
+    """Sound file, movie or take. The phones of a take have take times, even if its sound is that of
+    the camera."""
     transcript: ReadPath | None = None
     """Text file with the spoken words. Remarks in brackets are ignored."""
     text: Annotated[str, Field(min_length=1)] | None = None
-    """The spoken words themselves, instead of a file."""
+    """The spoken words, instead of a file."""
     out: Annotated[WritePath, AfterValidator(file_ending(_PHONE_SUFFIXES, "a file of phones"))]
     """Phones to write: .TextGrid (Praat), .lab (HTK) or .json."""
     dictionary: ReadPath | None = None

@@ -1,4 +1,4 @@
-"""Specs of the commands that are no steps of a job: submit and tune."""
+"""Specs of commands that are not steps of a job: submit and tune."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -27,7 +27,7 @@ class TuneSpec(MovedRigSpec):
     takes: Annotated[tuple[Path, ...], Reads()] = ()
     """Takes whose video is shown, if they have moved since `usdface select`."""
     notes: ReadPath | None = None
-    """Notes that a report saved, shown at the pairs whose frames they are on."""
+    """Notes saved by a report, shown at the pairs of the same frames."""
     frame: int | None = None
     """Frame of the pair to begin with. Default: the first pair."""
     port: Annotated[int, Field(ge=0, le=65535)] = 0
@@ -45,7 +45,7 @@ class SubmitSpec(Spec):
 
     Writes an Open Job Description bundle, a folder, and runs it: on this machine with `openjd run`,
     on Deadline Cloud or on OpenCue. Any task can be killed, retried or run twice: finished work is
-    skipped, and results are identical byte for byte. A worker needs usdface only.
+    skipped, and results are identical byte for byte. A worker needs only usdface.
     """
 
     example = "usdface submit kitchen.job.yaml --farm deadline"
@@ -60,8 +60,8 @@ class SubmitSpec(Spec):
     out: Path | None = None
     """Folder of the bundle. Default: next to the job, with a hash of its contents in the name."""
     chunk: Annotated[int, Field(ge=100, le=10_000_000)] = 614_400
-    """Frames per mapping task, if the number of frames is known before the job runs. The default is
-    85 minutes at 120 frames per second, of which starting the process takes about 5 %. Chunks are
+    """Frames per mapping task, if the number of frames is known before the job runs. The default,
+    85 minutes at 120 frames per second, keeps the share of process start at about 5 %. Chunks are
     fixed, so that a retry maps the same frames."""
     clips: Literal["auto", "always", "never"] = "auto"
     """`always` plays the chunks where they are, as value clips; `never` merges them into one layer;
@@ -69,7 +69,7 @@ class SubmitSpec(Spec):
     movie_chunk: Annotated[int, Field(ge=24)] | None = None
     """Frames of the take per movie task. Default: the whole movie."""
     track_chunk: Annotated[int, Field(ge=24)] | None = None
-    """Frames of a video per task that looks at its pictures. Default: the whole video."""
+    """Frames of a video per tracking task. Default: the whole video."""
     priority: Annotated[int, Field(ge=0, le=100)] | None = None
     """Priority of the job. Default: the farm's."""
     write_only: bool = False

@@ -23,12 +23,12 @@ _Change = Annotated[float, Field(ge=-10.0, le=10.0)]
 
 
 class EditSpec(Spec):
-    """Change shapes of a performance over a range of frames, without touching the solve.
+    """Change shapes of a performance over a range of frames, without changing the solve.
 
     `--add` offsets the solve and follows it when it changes; `--override` replaces it. `--notes`
-    makes the corrections that people noted in a report. A later edit takes precedence where it has
-    full strength and blends in its fades. Edits are stored in NAME.edits.usda next to the
-    performance, above its weights; mapping again keeps them.
+    applies the corrections noted in a report. A later edit takes precedence where it has full
+    strength and blends in its fades. Edits are stored in NAME.edits.usda next to the performance,
+    above its weights; mapping again keeps them.
     """
 
     example = "usdface edit kitchen.hero.usda --shape jawOpen --add 0.1 --frames 120-160 --fade 8"
@@ -47,8 +47,8 @@ class EditSpec(Spec):
     clear: bool = False
     """Remove edits, so that the solve shows again."""
     notes: ReadPath | None = None
-    """Notes that a report saved: their open corrections are made. Those noted on another version of
-    the performance are left and named, so that none is made twice."""
+    """Notes saved by a report, whose open corrections are applied. Those noted on another version
+    of the performance are listed instead, so that none is applied twice."""
     frames: Frames | None = None
     """Frames to change, as FIRST-LAST. Default: all."""
     fade: Annotated[int, Field(ge=0, le=100_000)] = 0
@@ -61,14 +61,16 @@ class EditSpec(Spec):
         given = [self.add is not None, self.override is not None, self.clear]
         if self.notes is not None:
             if any(given) or self.shape or self.frames or self.fade:
-                raise ValueError("--notes holds shapes, changes and frames: give it without others")
+                raise ValueError(
+                    "--notes holds shapes, changes and frames; leave out the other options"
+                )
             return self
         if not self.shape:
             raise ValueError("give the shapes to change by --shape, or --notes")
         if sum(given) != 1:
             raise ValueError("give one of --add, --override and --clear")
         if self.fade and self.frames is None:
-            raise ValueError("a fade needs --frames; an edit of all frames has none")
+            raise ValueError("a fade needs --frames; give them, or leave out --fade")
         return self
 
     def outputs(self) -> tuple[Path, ...]:
@@ -122,8 +124,8 @@ class BakeSpec(MovedRigSpec):
     out: LayerOut
     """The layer to write."""
     tolerance: Annotated[float, Field(gt=0.0)] | None = None
-    """Largest deviation of linear interpolation between the keys that are kept, in --unit. Default:
-    keep all frames."""
+    """Largest deviation of linear interpolation between the remaining keys, in --unit. Default: all
+    frames are keyed."""
     unit: Literal["weight", "mm"] = "weight"
     """Unit of the tolerance: `weight`, or `mm` of displacement of the face's surface."""
     limit: bool = False
@@ -135,9 +137,9 @@ class BakeSpec(MovedRigSpec):
 class CombineSpec(Spec):
     """Combine several takes of one character in one asset, a variant per take.
 
-    The variant set `take` of the character's prim chooses what it plays; each variant references
-    its performance, whose later changes arrive by themselves. The performances must be of one rig,
-    at the same place and rate.
+    The variant set `take` on the character's prim selects the performance. Each variant references
+    its performance and follows its later changes. The performances must have the same rig, prim
+    path and rate.
     """
 
     example = "usdface combine kitchen.hero.usda stairs.hero.usda --out hero.takes.usda"
@@ -149,10 +151,10 @@ class CombineSpec(Spec):
     out: LayerOut
     """The asset to write."""
     takes: tuple[Name, ...] = ()
-    """Names of the variants, one per performance. Default: the files' names without what all have
-    in common."""
+    """Names of the variants, one per performance. Default: the files' names without their common
+    parts."""
     shown: Name | None = None
-    """The take that is shown unless another is selected. Default: the first."""
+    """The variant selected by default. Default: the first."""
 
 
 class PackageSpec(MovedRigSpec):

@@ -91,13 +91,13 @@ COMMAND_SPECS: tuple[type[Spec], ...] = (
     EditsImportSpec,
     *STEP_SPECS[_BAKE:],
 )
-"""All steps with a command: those of a job, and edits, which a job must not repeat."""
+"""All steps with a command: those of a job, and edits, which are not repeatable."""
 
 SPEC_BY_STEP = {spec.step_name(): spec for spec in COMMAND_SPECS}
 
 
 def _with_takes(schema: dict[str, Any]) -> None:
-    """Add to the schema what is expanded before steps are validated."""
+    """Add `takes` and `for_each`, which are expanded before steps are validated, to the schema."""
     schema["properties"]["takes"] = TAKES_SCHEMA
     steps = schema["properties"]["steps"]
     steps["items"] = {"anyOf": [steps["items"], FOR_EACH_SCHEMA]}
@@ -135,7 +135,7 @@ class JobSpec(Spec):
             for path in step.outputs():
                 if path in made:
                     raise ValueError(
-                        f"steps {made[path]} and {number} both write {path}; give each its own"
+                        f"steps {made[path]} and {number} both write {path}; use two names"
                     )
                 made[path] = number
         for number, step in enumerate(self.steps, start=1):
@@ -145,5 +145,7 @@ class JobSpec(Spec):
                         f"step {number} reads {path} before step {made[path]} writes it; swap them"
                     )
                 if path in step.paths(Writes):
-                    raise ValueError(f"step {number} writes {path}, which it reads")
+                    raise ValueError(
+                        f"step {number} reads and writes {path}; choose another output"
+                    )
         return self

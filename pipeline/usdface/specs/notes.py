@@ -1,4 +1,4 @@
-"""Notes of a review: a file that the report writes, and what reads it back."""
+"""Notes of a review: the file that the report saves and other steps read."""
 
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -12,7 +12,7 @@ from usdface.specs.reading import validation_messages
 
 NOTES_FORMAT = 1
 LARGEST_NOTES_BYTES = 16 << 20
-"""A thousand notes, each with a drawing of a thousand points, are as large."""
+"""The size of a thousand notes, each with a drawing of a thousand points."""
 
 _Frame = Annotated[int, Field(ge=-(10**9), le=10**9)]
 _Weight = Annotated[float, Field(ge=-10.0, le=10.0)]
@@ -25,11 +25,11 @@ class NoteStroke(BaseModel):
 
     on: Literal["face", "video"]
     points: Annotated[tuple[tuple[float, float], ...], Field(max_length=100_000)]
-    """x to the right, y down, from the picture's middle; 1 is its lesser side."""
+    """x to the right, y down, from the picture's centre, in units of its shorter side."""
 
 
 class ReviewNote(BaseModel):
-    """What somebody noted on a frame. Keys that this version does not know are kept."""
+    """A note on a frame or a range of frames. Unknown keys are kept."""
 
     model_config = ConfigDict(frozen=True, extra="allow", allow_inf_nan=False)
 
@@ -40,19 +40,19 @@ class ReviewNote(BaseModel):
     text: Annotated[str, Field(max_length=4000)] = ""
     author: Annotated[str, Field(max_length=200)] = ""
     made: Annotated[str, Field(max_length=40)] = ""
-    """When it was last changed, ISO 8601."""
+    """Time of the last change, ISO 8601."""
     version: Annotated[str, Field(max_length=100)] = ""
-    """Of the performance that was shown; see `PerformanceReader.version`."""
+    """Version of the performance; see `PerformanceReader.version`."""
     done: bool = False
     shape: Annotated[str, Field(max_length=200)] | None = None
-    """A correction: the shape to change, by one of `add` and `override`."""
+    """Shape to correct, by one of `add` and `override`."""
     add: _Weight | None = None
     override: _Weight | None = None
     fade: Annotated[int, Field(ge=0, le=100_000)] = 0
     """Length of the ease-in and of the ease-out of the correction, in frames."""
     strokes: Annotated[tuple[NoteStroke, ...], Field(max_length=10_000)] = ()
     newer: int | None = None
-    """Format of the file that it is from, if that is newer: then only its text is known here."""
+    """Format of its file, if that is newer; only frame and text are read then."""
 
     @property
     def span(self) -> tuple[int, int]:
@@ -61,7 +61,7 @@ class ReviewNote(BaseModel):
 
     @property
     def is_correction(self) -> bool:
-        """Whether it says what a weight should be."""
+        """Whether it holds a correction of a weight."""
         return self.shape is not None and (self.add is None) != (self.override is None)
 
     def sentence(self) -> str:
@@ -98,8 +98,8 @@ def read_notes(path: Path, *, newer: bool = False) -> ReviewNotes:
     Parameters
     ----------
     newer : bool
-        Read the texts of a newer format, to be shown, instead of refusing it. What else such notes
-        hold is kept under `original` and has no effect.
+        Read frame and text of notes of a newer format, instead of refusing the file. The complete
+        note is kept under `original`.
     """
     given = read_json(path, LARGEST_NOTES_BYTES)
     if not isinstance(given, dict) or "usdface_notes" not in given:
@@ -108,7 +108,7 @@ def read_notes(path: Path, *, newer: bool = False) -> ReviewNotes:
     if isinstance(number, int) and number > NOTES_FORMAT:
         if not newer:
             raise InputError(
-                f"{path}: is of format {number}, and this version of usdface reads {NOTES_FORMAT}; "
+                f"{path}: has format {number}, but this version of usdface reads {NOTES_FORMAT}; "
                 "update usdface"
             )
         given = _texts_of_newer(given, number)
@@ -122,7 +122,7 @@ _TEXTS = ("id", "text", "author", "made", "version")
 
 
 def _texts_of_newer(given: dict[str, Any], number: int) -> dict[str, Any]:
-    """Return what can be shown of a newer format: where it is as here, frames and texts."""
+    """Return the notes of a newer format with frames and texts only."""
     notes = []
     rows = given.get("notes")
     for index, note in enumerate(rows if isinstance(rows, list) else []):

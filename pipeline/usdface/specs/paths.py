@@ -20,9 +20,9 @@ class Reads:
     """Marks a path that a step reads."""
 
     alone: bool = False
-    """Whether only the file itself is read, not the layers it refers to."""
+    """Whether only the file is read, without the layers it refers to."""
     assets: bool = False
-    """Whether the textures, movies, sounds and pictures that its layers name are read, too."""
+    """Whether textures, movies, sounds and pictures of its layers are read as well."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ WritePath = Annotated[FilePath, Writes()]
 
 
 def file_ending(suffixes: tuple[str, ...], what: str) -> Callable[[Path], Path]:
-    """Return a validator of a path's suffix; `what` is the kind of file, such as "a picture"."""
+    """Return a validator of a path's suffix; `what` is the kind of file, as "a picture"."""
 
     def check(path: Path) -> Path:
         if path.suffix.lower() not in suffixes:
@@ -62,7 +62,7 @@ def _one_or_several(given: Any) -> Any:
 
 
 Several = BeforeValidator(_one_or_several)
-"""Marks a list that may be given as its only item."""
+"""Marks a list that may be given as a single item."""
 
 
 def _figures_or_curves(paths: tuple[Path, ...]) -> tuple[Path, ...]:
@@ -150,7 +150,7 @@ class PathRule:
     """A folder on the submitting machine and the same folder on this one."""
 
     source: PurePath
-    """In the submitting machine's manner, whatever this machine's is."""
+    """With the separators of the submitting machine."""
     destination: Path
 
 
@@ -163,12 +163,12 @@ def read_path_rules(path: Path) -> PathRules:
     Parameters
     ----------
     path : Path
-        JSON, as ``{{Session.PathMappingRulesFile}}`` names it; ``{}`` where there are no rules.
+        JSON of Open Job Description's ``{{Session.PathMappingRulesFile}}``; ``{}`` means no rules.
 
     Returns
     -------
     tuple of PathRule
-        The deepest source first: the first that fits a path is the one to use.
+        The deepest source first; the first that contains a path applies.
     """
     data = _read_document(path)
     if not data:
@@ -177,7 +177,7 @@ def read_path_rules(path: Path) -> PathRules:
     if data.get("version") != "pathmapping-1.0" or not isinstance(listed, list):
         raise InputError(
             f"{path}: version is {data.get('version')!r}; only 'pathmapping-1.0' with a list of "
-            "path_mapping_rules is understood"
+            "path_mapping_rules is supported"
         )
     rules = [_rule(each, f"{path}: path_mapping_rules[{n}]") for n, each in enumerate(listed)]
     return tuple(sorted(rules, key=lambda rule: -len(rule.source.parts)))

@@ -32,30 +32,29 @@ class TrainSpec(MovedRigSpec):
     """Regression method: `auto`, `face_map`, `d06`, `ridge`, `rbf`, `multiquadric`, `kernel_cca`
     or `hybrid`."""
     dimensions: tuple[Annotated[int, Field(ge=1, le=1000)], ...] = ()
-    """Numbers of principal components, of which cross-validation chooses. Default: by method;
-    `d06` has the 4 of the paper, `face_map` all that move, others compare 8 to 40."""
+    """Numbers of principal components among which cross-validation chooses. Default: by method;
+    `d06` has the 4 of the paper, `face_map` all with variance, others compare 8 to 40."""
     widths: tuple[Annotated[float, Field(gt=0.0, le=1000.0)], ...] = ()
-    """Widths of Gaussian kernels, of which cross-validation chooses: multiples of the distance to
+    """Widths of Gaussian kernels among which cross-validation chooses: multiples of the distance to
     the nearest reference (`d06`, `rbf`) or of the median distance (`kernel_cca`, `hybrid`).
-    Default: by method; `d06` has 2, where the paper gives none."""
+    Default: by method; 2 for `d06`, for which the paper gives no value."""
     picture: ImageOut | None = None
     """Picture to write of the eigen-space: the takes and the references along the first three
     principal components, and the share of variance of each component (.jpg, .png or .exr)."""
+    tuned_only: bool = False
+    """Train on tuned pairs only. By default, proposed pairs are used as well."""
 
     @field_validator("dimensions", "widths", mode="before")
     @classmethod
     def _one_or_several(cls, given: Any) -> Any:
         return (given,) if isinstance(given, int | float) else given or ()
 
-    tuned_only: bool = False
-    """Train on tuned pairs only. By default, proposed pairs are used as well."""
-
 
 class MapSpec(Spec):
     """Solve the BlendShape weights of a rig for every frame of a take.
 
-    Writes the performance NAME.usda, to be opened, and NAME.weights.usdc, which holds only the
-    animation and the overs that bind the rig to it. The rig is referenced and never written.
+    Writes the performance NAME.usda, the layer to open, and NAME.weights.usdc, which holds only the
+    animation and the overs that bind the rig to it. The rig is referenced and does not change.
 
     With --baseline the blendshape equation is solved instead (Deng et al. 2006, eq. 7): from the
     rig and the take alone, without references or a mapping.
@@ -87,14 +86,14 @@ class MapSpec(Spec):
     out: LayerOut
     """The performance to write."""
     baseline: bool = False
-    """Solve by least squares on the rig's shapes at the markers' places, within the rig's ranges:
-    the baseline of sheets and reports."""
+    """Solve by least squares on the displacements of the rig's shapes at the markers, within the
+    rig's ranges: the baseline of sheets and reports."""
     unlimited: bool = False
     """With --baseline: plain least squares over all markers, as printed in the paper. Weights leave
     the rig's ranges."""
     placement: ReadPath | None = None
-    """With --baseline: where the markers are on the rig, from `usdface place`. Default: placed
-    anew."""
+    """With --baseline: placement of the markers on the rig, from `usdface place`. Default: the
+    markers are placed automatically."""
     prim: PrimPath | None = None
     """Prim path of the rig in the performance. Default: the name of the rig's default prim."""
     rig_prim: PrimPath | None = None
@@ -103,9 +102,9 @@ class MapSpec(Spec):
     """Frames to map, as FIRST-LAST. Default: all. The result of a frame does not depend on this
     range."""
     drive: Drive = ()
-    """What the take's head motion and gaze drive, as PART=NAME: `head`, `left_eye` or `right_eye`,
-    and a joint or Xform of the rig. May be given for each. Written to NAME.head.usdc, over the
-    weights."""
+    """Joint or Xform of the rig that the take's head motion or gaze drives, as PART=NAME, where
+    PART is `head`, `left_eye` or `right_eye`. May be given once per part. Written to
+    NAME.head.usdc, above the weights."""
     alpha: ReadPath | None = None
     """Share of the multiquadric in a `hybrid` mapping over time: .csv (frame, alpha), or .usd with
     a time-sampled float `face:mapping:alpha` on any prim."""
@@ -113,9 +112,8 @@ class MapSpec(Spec):
     """Frames per weights file; the files are played as value clips. Default: one layer, up to 1
     GB."""
     temporal: Literal["none", "whole", "causal", "bands"] = "none"
-    """Smooth the weights over time, within the rig's ranges: `whole` uses the frames before and
-    after, `causal` those before and --lag frames after (for streaming), `bands` the published
-    filter bank."""
+    """Smooth the weights over time, within the rig's ranges: `whole` uses all frames, `causal`
+    earlier frames and --lag later ones (for streaming), `bands` the published filter bank."""
     cutoff: Annotated[float, Field(gt=0)] | None = None
     """Frequency in Hz at which --temporal halves the amplitude; lower is smoother. Below 12 Hz
     blinks lose height. At most half the take's rate. Default: 20, or 0.4 times the rate if that is

@@ -58,7 +58,7 @@ FAULT_WORDS = {
     "model_type": "give a table of options",
     "dict_type": "give a table of options",
 }
-"""Kinds of pydantic's faults, each with the advice for it."""
+"""Advice for each kind of pydantic's errors."""
 
 
 def validation_messages(
@@ -71,21 +71,21 @@ def validation_messages(
     Parameters
     ----------
     places : sequence of str
-        Where each step stands in the file, if not in the order of `steps`.
+        Position of each step in the file, if it differs from the index in `steps`.
     """
     lines = []
     for fault in _drop_secondary_errors(error.errors()):
         place = _place(fault["loc"], places)
         reason = fault_reason(fault, spec)
         lines.append(f"{place}: {reason}" if place else reason)
-    lines = list(dict.fromkeys(lines))  # what is wrong in a loop over takes is wrong once
+    lines = list(dict.fromkeys(lines))  # a fault in a loop over takes occurs once per take
     if len(lines) == 1:
         return lines[0]
     return f"{len(lines)} faults\n" + "\n".join(f"  {line}" for line in lines)
 
 
 def _place(location: Sequence[str | int], places: Sequence[str]) -> str:
-    """Return where a fault is: its step, and the option in it."""
+    """Return step and option of a fault."""
     parts, place = list(location), ""
     if len(parts) > 1 and parts[0] == "steps" and isinstance(parts[1], int):
         index = parts[1]
@@ -142,7 +142,7 @@ def fault_reason(fault: Mapping[str, Any], spec: type[Spec] = Spec) -> str:
 
 
 def _unknown_key(location: Sequence[str | int], spec: type[Spec]) -> str:
-    """Return the advice for a key that a spec does not have; a step's name stands before it."""
+    """Return the advice for an unknown key; in a job, a step's name precedes it in `location`."""
     name = str(location[-1])
     of_step = SPEC_BY_STEP.get(str(location[-2])) if len(location) > 1 else None
     owner = of_step or spec
@@ -154,7 +154,7 @@ def _unknown_key(location: Sequence[str | int], spec: type[Spec]) -> str:
 
 def removed_message(name: str, spec: type[Spec]) -> str:
     """Return the message for a removed field."""
-    return f"{spec.step_name()} has no {name} any more; {spec.removed[name]}"
+    return f"{name} was removed from {spec.step_name()}; {spec.removed[name]}"
 
 
 def _did_you_mean(given: str, known: Sequence[str], otherwise: str = "it can be") -> str:
@@ -167,17 +167,17 @@ LARGEST_SPEC_BYTES = 16 << 20
 
 
 def read_job(path: Path, *, path_rules: PathRules = ()) -> JobSpec:
-    """Read a job from a file; a single step makes a job of one.
+    """Read a job from a file; a single step is read as a job with one step.
 
     Parameters
     ----------
     path_rules : tuple of PathRule
-        Where the paths of the machine that wrote the job lie on this one.
+        Mapping from paths of the machine that wrote the job to paths of this one.
 
     Returns
     -------
     JobSpec
-        Relative paths taken from the job's folder.
+        Relative paths are resolved against the job's folder.
     """
     data = _read_data(path)
     if not isinstance(data, dict):
@@ -205,7 +205,7 @@ def spec_text(spec: Spec, path: Path) -> str:
     data = _as_written(spec)
     if path.suffix == ".json":
         return json_text(data)
-    import yaml  # help starts without it
+    import yaml  # not at the top, so that --help starts faster
 
     return str(yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=100))
 
@@ -236,12 +236,12 @@ def _read_data(path: Path) -> Any:
         raise InputError(f"{path}: is no valid YAML or JSON: {_yaml_reason(error)}") from error
     except RecursionError as error:
         raise InputError(f"{path}: is nested too deeply for a spec") from error
-    except (ValueError, LookupError, AttributeError) as error:  # a number or a date that is none
+    except (ValueError, LookupError, AttributeError) as error:  # a malformed number or date
         raise InputError(f"{path}: holds a value that cannot be read: {error}") from error
 
 
 def _yaml_reason(error: "yaml.YAMLError") -> str:
-    """Return what is wrong in a text, with line and column from 1."""
+    """Return the reason of a YAML error, with line and column counted from 1."""
     mark, problem = getattr(error, "problem_mark", None), getattr(error, "problem", None)
     if mark is None or not problem:
         return " ".join(str(error).replace("<unicode string>", "the file").split())

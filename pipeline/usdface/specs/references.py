@@ -29,10 +29,10 @@ _Takes = Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]
 
 
 class PlaceSpec(Spec):
-    """Place a performer's markers on a rig, and draw where they are.
+    """Place a performer's markers on the surface of a rig, and draw them.
 
-    A verdict says whether the placement looks right. To correct a marker, drag it on the tuning
-    page, move its ball in the corrected layer next to the placement, or name its place with
+    A verdict states whether the placement is plausible. To correct a marker, drag it on the tuning
+    page, move its ball in the corrected layer next to the placement, or give its position with
     --landmarks. Placing again keeps corrections and places the other markers by them.
     """
 
@@ -54,7 +54,7 @@ class PlaceSpec(Spec):
     out: LayerOut
     """The placement to write."""
     landmarks: ReadPath | None = None
-    """Markers whose place on the rig is known: .csv or .json, by point or by x, y, z in the rig's
+    """Known positions of markers on the rig: .csv or .json, by point or by x, y, z in the rig's
     units; or a placement or binding, whose corrections are used."""
     picture: ImageOut | None = None
     """Picture to write of the markers on the rig, with the verdict (.jpg, .png or .exr)."""
@@ -69,12 +69,12 @@ class SelectSpec(Spec):
 
     Few frames are chosen that span the performer's motion, eyelids as well as jaw, in order of
     their gain in coverage. Tuned pairs of an earlier selection are kept at their time codes.
-    Pictures show the coverage of the takes by the pairs, and where the markers are placed on the
-    rig; look at the second before tuning.
+    Pictures show the coverage of the takes by the pairs, and the placement of the markers on the
+    rig; check the placement before tuning.
 
-    Of takes that carry weights instead of markers, such as a phone's, frames far from each other
-    are chosen, and the proposals are these weights on the rig's shapes, by names. `train-retarget`
-    learns from the pairs that are tuned.
+    If the takes carry weights instead of markers, as those of phones do, frames with distant
+    weights are chosen, and the proposals are these weights, matched to the rig's shapes by name.
+    `train-retarget` learns from the pairs once they are tuned.
     """
 
     example = (
@@ -103,8 +103,8 @@ class SelectSpec(Spec):
     """Number of pairs."""
     method: Literal["viseme", "design", "both"] = "both"
     """How frames are chosen: `viseme`, one per viseme and emotion, plus extremes; `design`, few
-    frames that span the motion; `both`, visemes if phones are given, then design. Pairs tuned so
-    far stay, and count for what they span."""
+    frames that span the motion; `both`, visemes if phones are given, then design. Tuned pairs stay,
+    and their coverage counts."""
     phones: Annotated[tuple[Path, ...], Reads()] = ()
     """Phone labels of the takes (`usdface phones`, or a TextGrid of another aligner), on the takes'
     clock: one file per take, in the same order."""
@@ -113,19 +113,19 @@ class SelectSpec(Spec):
     extremes: Annotated[int, Field(ge=0, le=1000)] = 10
     """With `viseme`: number of extreme frames added per emotion."""
     mapping: ReadPath | None = None
-    """Mapping trained on the pairs tuned so far: it proposes the weights of the others, nearer to
-    what an animator keys than the rig's geometry."""
+    """Mapping trained on the pairs tuned so far, which proposes the weights of the other pairs:
+    closer to an animator's keys than proposals from the rig's geometry."""
     placement: ReadPath | None = None
     """Placement of the markers on the rig, from `usdface place`. Default: the markers are placed,
     and the placement is written next to the references, as NAME.placement.usda; its corrections
     are kept."""
     landmarks: ReadPath | None = None
-    """Markers whose place on the rig is known; see `usdface place`. Only without --placement."""
+    """Known positions of markers on the rig; see `usdface place`. Only without --placement."""
     picture: ImageOut | None = None
     """Picture of the coverage to write. Default: next to the references."""
     names: ReadPath | None = None
-    """Table of pairs of shapes, as `usdface names` writes it, of takes that carry weights. Default:
-    by what the names mean."""
+    """For takes that carry weights: table of pairs of shapes, as `usdface names` writes it.
+    Default: matched by the meaning of the names."""
     frames: Frames | None = None
     """Choose from these frames only, as FIRST-LAST."""
     images: bool = True
@@ -139,8 +139,8 @@ class SelectSpec(Spec):
     def _active_is_gone(cls, method: object) -> object:
         if method == "active":
             raise ValueError(
-                "active is no method any more: it chose no better than design. Leave it out: a "
-                "higher --count keeps the tuned pairs, and --mapping proposes the others' weights"
+                "active was removed, as it chose no better than design. Leave it out: a higher "
+                "--count keeps the tuned pairs, and --mapping proposes the others' weights"
             )
         return method
 
@@ -170,17 +170,17 @@ class SelectSpec(Spec):
         return (*self.outputs(), *beside)
 
     def picture_path(self) -> Path:
-        """Return where the coverage is drawn."""
+        """Return the path of the picture of the coverage."""
         return self.picture or coverage_path(self.out)
 
 
 class ReferencesImportSpec(MovedRigSpec, WeightTableSpec):
     """Import tuned weights into a references asset.
 
-    Weights are matched to the rig by what the shapes' names mean and to the pairs by frame. Shapes
-    that are not in the file are 0 in pairs that nobody had tuned, and keep their weights in the
-    others. The layer of proposals is never changed, and tuned weights are replaced only at frames
-    that are in the file. The picture of the coverage that `select` drew is drawn again.
+    Weights are matched to the rig by the meaning of the shapes' names and to the pairs by frame.
+    Shapes missing from the file are set to 0 in untuned pairs, and keep their weights in tuned
+    ones. The layer of proposals does not change, and tuned weights are replaced only at the frames
+    in the file. The picture of the coverage that `select` drew is drawn again.
     """
 
     example = "usdface references import hero.references.usda --weights tuned.csv"
@@ -191,36 +191,37 @@ class ReferencesImportSpec(MovedRigSpec, WeightTableSpec):
     references: Annotated[FilePath, Reads(alone=True), Positional()]
     """The references asset written by `usdface select`."""
     weights: ReadPath
-    """Table of weights, as `ingest` reads them (.csv, .json or .npy; a `take` column tells takes
-    apart, and rows without a frame number count from 1), or .usd with an animation, at the takes'
-    frames or at the pairs' time codes (--at pairs)."""
+    """Table of weights, in the formats of `ingest` (.csv, .json or .npy; a `take` column
+    distinguishes takes, and rows without a frame number count from 1), or .usd with an animation,
+    at the takes' frames or at the pairs' time codes (--at pairs)."""
     shapes: ReadPath | None = None
-    """Names of the columns of a .npy matrix of weights, as `ingest` takes them."""
+    """Names of the columns of a .npy matrix of weights, as for `ingest`."""
     names: ReadPath | None = None
-    """Table of pairs of shapes, as `usdface names` writes it. Default: by what the names mean."""
+    """Table of pairs of shapes, as `usdface names` writes it. Default: matched by the meaning of
+    the names."""
     at: Literal["frames", "pairs", "video"] = "frames"
     """Meaning of the frame numbers: `frames` of the takes, time codes of the `pairs`, or frames of
-    another take of the same performance, which names the same `video`: then --weights is its solve,
-    such as of optical markers, for references of the video's landmarks."""
+    another take of the same performance with the same `video`: for references of the video's
+    landmarks, --weights is then the solve of that take, for example of optical markers."""
     keep_proposed: bool = False
-    """Keep the proposals of shapes that are not in the file: for keys set on top of them."""
+    """Keep the proposals of shapes missing from the file, for keys set on top of them."""
     author: str = ""
     """Who set the weights. Stored with the pairs: `train` compares the gains of several authors."""
 
     def outputs(self) -> tuple[Path, ...]:
-        """Return the layer that holds what people tuned."""
+        """Return the layer of tuned weights."""
         return (tuned_path(self.references),)
 
     def changes(self) -> tuple[Path, ...]:
-        """Return that layer, and the asset that composes it."""
+        """Return that layer and the asset that composes it."""
         return (*self.outputs(), self.references)
 
 
 class ReferencesFromEditsSpec(MovedRigSpec):
     """Add frames that an animator edited to the references, as tuned pairs.
 
-    Frames are chosen at which edits have full strength, outside their fades, and which differ from
-    one another. The existing pairs of the references do not change.
+    Frames are chosen that differ from one another, and at which edits have full strength, outside
+    their fades. The existing pairs of the references do not change.
     """
 
     example = (
@@ -237,10 +238,10 @@ class ReferencesFromEditsSpec(MovedRigSpec):
     performances: Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]
     """Edited performances. Each stores the take and the mapping it was made from."""
     take: Annotated[tuple[Path, ...], Reads()] = ()
-    """The takes they were made from, if their files have moved: one for each, in order, or one for
-    all."""
+    """The takes they were made from, if their files have moved: one per performance, in order, or
+    one for all."""
     mapping: ReadPath | None = None
-    """The mapping they were made by, if its file has moved."""
+    """The mapping they were made with, if its file has moved."""
     references: ReadPath
     """The references to add to."""
     out: LayerOut
@@ -252,8 +253,8 @@ class ReferencesFromEditsSpec(MovedRigSpec):
 class ReferencesAddSpec(MovedRigSpec):
     """Add frames of a performance to the references, to be tuned.
 
-    The weights of the performance are their proposals. Use it for frames that a review finds wrong:
-    by number, or those that people noted in a report. The existing pairs of the references do not
+    The weights of the performance become their proposals. Use it for frames that look wrong in a
+    review: given by number, or as notes of a report. The existing pairs of the references do not
     change.
     """
 
@@ -273,7 +274,7 @@ class ReferencesAddSpec(MovedRigSpec):
     take: ReadPath | None = None
     """The take it was made from, if its file has moved."""
     mapping: ReadPath | None = None
-    """The mapping it was made by, if its file has moved."""
+    """The mapping it was made with, if its file has moved."""
     references: ReadPath
     """The references to add to."""
     out: LayerOut
@@ -281,7 +282,7 @@ class ReferencesAddSpec(MovedRigSpec):
     frames: ChosenFrames | None = None
     """Frames to add, as 434,1182 or FIRST-LAST."""
     notes: ReadPath | None = None
-    """Notes that a report saved: the frames of those that are open are added."""
+    """Notes saved by a report: the frames of open notes are added."""
 
     @model_validator(mode="after")
     def _some_frames(self) -> Self:
@@ -294,8 +295,8 @@ class ReferencesCoverageSpec(MovedRigSpec):
     """Measure the coverage of takes by references.
 
     Prints the share of the motion that the pairs span, per region of the face, the frames with the
-    lowest coverage, and the frames whose tuning would add most. The picture shows the coverage over
-    time.
+    lowest coverage, and the frames that would add most coverage if tuned. The picture shows the
+    coverage over time.
     """
 
     example = (
@@ -312,14 +313,14 @@ class ReferencesCoverageSpec(MovedRigSpec):
     out: ImageOut
     """Picture to write: .jpg, .png or .exr."""
     tuned_only: bool = False
-    """Count tuned pairs only: the coverage of a mapping trained on them now."""
+    """Count tuned pairs only, as for a mapping trained with --tuned-only."""
 
 
 class ReferenceSheetSpec(MovedRigSpec):
     """Draw the reference pairs for an animator to work from, on screen or on paper.
 
-    Each pair shows the video frame, the markers and the rig at its current weights, with viseme,
-    emotion, frame and the largest weights.
+    Each pair shows the video frame, the markers and the rig at the pair's current weights, with
+    viseme, emotion, frame and the largest weights.
     """
 
     example = (

@@ -23,7 +23,7 @@ from usdface.specs.paths import (
 class PairsProposeSpec(Spec):
     """Propose pairs of corresponding expressions of two characters.
 
-    Shapes are matched by what their names mean (`usdface names` shows the pairs), the others
+    Shapes are matched by the meaning of their names (`usdface names` shows the pairs), the others
     by how they deform the face. Keyed pairs are kept, and existing pairs keep their time codes.
     """
 
@@ -35,16 +35,16 @@ class PairsProposeSpec(Spec):
 
     step: Literal["pairs-propose"] = "pairs-propose"
     source: ReadPath
-    """Rig whose performances will be retargeted; or, where there is none, a take, capture or table
-    of weights, which is matched by names alone."""
+    """Rig whose performances will be retargeted; or, without a rig, a take, capture or table of
+    weights, which is matched by name only."""
     target: ReadPath
-    """Rig that will be driven."""
+    """Rig to drive."""
     out: LayerOut
     """The pairs asset to write: pair i at time code i."""
     match: Literal["both", "name", "deformation"] = "both"
     """Match by `name`, by `deformation`, or by name first and then by deformation (`both`)."""
     names: ReadPath | None = None
-    """Table of pairs of shapes to follow instead, as `usdface names` writes it (.csv or .json)."""
+    """Table of pairs of shapes to use instead, as `usdface names` writes it (.csv or .json)."""
     attributes: tuple[Name, ...] = ()
     """Float attributes of the target to key with the shapes, as PRIM.ATTRIBUTE from its top prim. *
     matches any characters."""
@@ -115,8 +115,8 @@ class TrainRetargetSpec(Spec):
     out: LayerOut
     """The retargeting to write."""
     references: ReadPath | None = None
-    """References of takes that carry weights, by `usdface select`: what was tuned there are further
-    pairs."""
+    """References of takes that carry weights, from `usdface select`, whose tuned pairs are
+    added."""
     method: Name = "auto"
     """Regression method: `auto`, `rbf`, `kernel_cca`, `hybrid`, `additive` or `ridge`."""
     source: ReadPath | None = None
@@ -125,9 +125,9 @@ class TrainRetargetSpec(Spec):
     """Share of the multiquadric in `hybrid`, 0 to 1. Default: chosen with the method. `retarget
     --alpha` varies it over time."""
     published: bool = False
-    """With `kernel_cca` or `hybrid`: plain least squares from one reduced expression to the other,
-    over few components, as published. By default the lines are over all components, and penalised
-    as these are."""
+    """With `kernel_cca` or `hybrid`: the regression between the reduced expressions is plain least
+    squares over few components, as published. By default it uses all components, with the same
+    penalty as these."""
 
     @model_validator(mode="after")
     def _options_of_the_method(self) -> Self:
@@ -136,7 +136,7 @@ class TrainRetargetSpec(Spec):
         if self.published and self.method not in ("kernel_cca", "hybrid"):
             raise ValueError(
                 "--published is for --method kernel_cca and hybrid, and the method is "
-                f"{self.method}; the others have no such choice"
+                f"{self.method}; leave it out"
             )
         return self
 
@@ -144,11 +144,11 @@ class TrainRetargetSpec(Spec):
 class RetargetSpec(WeightTableSpec):
     """Transfer weights to one or more characters.
 
-    With --retargeting, as trained on pairs: give it and --out once per target. Without it, straight
-    to the rigs of --rig, by what the names of the shapes mean: Live Link, MetaHuman, Character
-    Creator, FACS and others (`usdface names` shows the pairs). Each target gets its own performance
-    over its rig, which is referenced and never written. Given a folder, with a folder as --out,
-    every take or capture in it is retargeted.
+    With --retargeting, a mapping trained on pairs is used: give it and --out once per target.
+    Without it, weights are transferred to the rigs of --rig by the meaning of the shapes' names:
+    Live Link, MetaHuman, Character Creator, FACS and others (`usdface names` shows the pairs). Each
+    target gets a performance of its rig, which is referenced and does not change. Given a folder,
+    with a folder as --out, every take or capture in it is retargeted.
 
     With --source-rig and --rig, the positions of the two surfaces are matched by non-negative least
     squares, without pairs or names: the baseline of Song et al. 2011, figure 2.
@@ -170,46 +170,45 @@ class RetargetSpec(WeightTableSpec):
     rig: Annotated[tuple[FilePath, ...], Reads(), Several] = ()
     """Rigs of the targets; with --retargeting, only if they have moved since training."""
     names: ReadPath | None = None
-    """Table of pairs of shapes to follow instead of the names, as `usdface names` writes it (.csv
-    or .json)."""
+    """Table of pairs of shapes to use instead of the names' meaning, as `usdface names` writes it
+    (.csv or .json)."""
     source_rig: ReadPath | None = None
-    """Rig of the source: match positions of its surface instead, the method that the paper compares
-    with."""
+    """Rig of the source: match positions of its surface instead, the baseline of the paper."""
     prim: PrimPath | None = None
     """Prim path of the rig in its performance. Default: the name of the rig's default prim."""
     drive: Drive = ()
-    """What the source's head motion and gaze drive, as PART=NAME: `head`, `left_eye` or
-    `right_eye`, and a joint or Xform of the rig. May be given for each. Written to NAME.head.usdc,
-    over the weights."""
+    """Joint or Xform of the rig that the source's head motion or gaze drives, as PART=NAME, where
+    PART is `head`, `left_eye` or `right_eye`. May be given once per part. Written to
+    NAME.head.usdc, above the weights."""
     alpha: ReadPath | None = None
     """Share of the multiquadric in a `hybrid` retargeting over time: .csv (frame, alpha), or .usd
     with a time-sampled float `face:mapping:alpha` on any prim."""
     frames: Frames | None = None
     """Frames to retarget, as FIRST-LAST. Default: all."""
     rate: Annotated[float, Field(gt=0, le=100_000)] | None = None
-    """Frames per second of a table of weights that has no column of times. Of a phone's recording,
-    59.94 where its clock says 60."""
+    """Frames per second of a table of weights that has no column of times. Recordings of phones:
+    59.94 is accepted where the clock counts to 60."""
     shapes: ReadPath | None = None
-    """Names of the columns of a .npy matrix of weights, as `ingest` takes them."""
+    """Names of the columns of a .npy matrix of weights, as for `ingest`."""
     take: Name | None = None
-    """Which take of a table that holds several."""
+    """Take to read from a table that holds several."""
 
     @model_validator(mode="after")
     def _one_of_each(self) -> Self:
         if not self.retargeting and not self.rig:
             raise ValueError(
-                "no target is given: name its rig with --rig, or what `usdface train-retarget` "
-                "wrote with --retargeting"
+                "no target is given: name its rig with --rig, or the output of `usdface "
+                "train-retarget` with --retargeting"
             )
         if self.retargeting and self.source_rig is not None:
-            raise ValueError("--source-rig matches positions, without --retargeting; give one")
+            raise ValueError("--source-rig and --retargeting are two methods; give one")
         if not self.retargeting and self.alpha is not None:
             raise ValueError("alpha blends the two parts of a trained hybrid; give --retargeting")
         trained = len(self.retargeting) or len(self.out)
         if len(self.out) != trained or len(self.rig) not in (0, len(self.out)):
             raise ValueError(
                 f"{len(self.retargeting)} retargetings, {len(self.out)} outputs and "
-                f"{len(self.rig)} rigs; give one of each for every target; either the rigs or the "
+                f"{len(self.rig)} rigs; give one of each per target; either the rigs or the "
                 "retargetings may be left out"
             )
         return self
@@ -239,7 +238,7 @@ class CyclicSpec(WeightTableSpec):
     source: ReadPath
     """Source weights: a take that carries them (Live Link), or a performance."""
     out: MeasuredOut = ()
-    """Files to write: .json for the figures, .png or .jpg for the curves. May be given twice."""
+    """Files to write: .json for figures, .png or .jpg for curves. May be given twice."""
     methods: tuple[Name, ...] = METHODS
     """Methods to compare."""
     published: bool = False
@@ -248,8 +247,7 @@ class CyclicSpec(WeightTableSpec):
     """Share of the multiquadric over time, measured as `hybrid, keyed` (figure 5 of the paper):
     .csv (frame, alpha), or .usd with a time-sampled float `face:mapping:alpha` on any prim."""
     truth: ReadPath | None = None
-    """Known weights of the target (.usd, .csv or .json). With them the direct error is measured as
-    well."""
+    """Known weights of the target (.usd, .csv or .json), to measure the direct error as well."""
     frames: Frames | None = None
     """Frames to measure, as FIRST-LAST. Default: all."""
     every: Annotated[int, Field(ge=1)] = 1
@@ -269,7 +267,7 @@ class CyclicSpec(WeightTableSpec):
 class MakeSequenceSpec(Spec):
     """Pair a range of a source's motion with the target animation that replaces it.
 
-    The two may differ in length and timing, as long as they express the same.
+    The two may differ in length and timing.
     """
 
     example = (
@@ -299,9 +297,9 @@ class MakeSequenceSpec(Spec):
 class FindSequencesSpec(Spec):
     """Find the frames of a source performance that match emotional sequences.
 
-    With `similarity`, the default, a range matches if its distance is less than half of that of the
-    best constant face; there is no threshold to set. Review the result before warping: deactivate
-    matches, or move them.
+    With `similarity`, the default, a range matches if its distance to the sequence is less than
+    half the distance of the best constant expression; there is no threshold to set. Review the
+    result before warping: deactivate matches, or move them.
     """
 
     example = (
@@ -319,14 +317,13 @@ class FindSequencesSpec(Spec):
     """The list of matches to write."""
     by: Literal["similarity", "threshold", "published", "label"] = "similarity"
     """`similarity`; `threshold`, a limit of the mean difference; `published`, a limit of the sum of
-    differences, which means another likeness for every length and number of shapes (Song et al.
-    2011, eq. 10); or `label`: the nearest range for each sequence with the take's emotion, at any
-    distance."""
+    differences, which depends on the length and the number of shapes (Song et al. 2011, eq. 10); or
+    `label`, the nearest range for each sequence with the take's emotion, at any distance."""
     threshold: Annotated[float, Field(gt=0.0)] | None = None
     """With --by threshold: largest mean difference of the weights, independent of the sequence's
     length and number of shapes. With --by published: the paper's delta. Default there: its 1.0."""
     label: Name | None = None
-    """Search only for sequences of this emotion. With --by label: use it instead of the take's."""
+    """Search only for sequences of this emotion; with --by label, instead of the take's."""
     shapes: tuple[Name, ...] = ()
     """Source shapes to compare. Default: all. * matches any characters."""
     frames: Frames | None = None
@@ -342,10 +339,10 @@ class FindSequencesSpec(Spec):
 
 
 class WarpSpec(Spec):
-    """Blend a target's own sequences into its retargeted performance.
+    """Blend keyed sequences of a target into its retargeted performance.
 
     All controls are warped: weights, joints and attributes. Outside the sequences and their blends
-    the performance does not change by a single bit.
+    the performance stays the same, bit for bit.
     """
 
     example = (
@@ -363,16 +360,17 @@ class WarpSpec(Spec):
     out: LayerOut
     """The performance to write."""
     weight: Annotated[float, Field(gt=0.0, le=1e9)] = 20.0
-    """Weight of the sequences' keys against the performance. At 1, as published, fast motion is
-    half the performance's; at 1000 it is the sequence's alone."""
+    """Weight of the sequences' keys relative to the performance. At 1, as published, fast motion is
+    the mean of both; at 1000 it is that of the sequence."""
     blend: Annotated[int, Field(ge=0, le=10_000)] = 12
-    """Frames on each side over which the performance blends into a sequence; the sequence's own
-    first and last keys count less over as many. 0 for neither, as published."""
+    """Frames on each side over which the performance blends into a sequence; the weight of the
+    sequence's first and last keys ramps over the same number of frames. 0 for neither, as
+    published."""
     timing: Literal["own", "fit"] = "own"
-    """`own` plays a sequence at its own length, from the start of the match; `fit` stretches it to
-    the match."""
+    """`own` keeps the length of a sequence, from the start of the match; `fit` stretches it to the
+    match."""
     outside: Literal["exact", "published"] = "exact"
-    """`exact` keeps frames outside to the last bit; `published` uses soft constraints of weight 1:
+    """`exact` preserves frames outside bit for bit; `published` uses soft constraints of weight 1:
     with --weight 1 and --blend 0, eq. 12 of the paper."""
     curves: ImageOut | None = None
     """Picture to write of the controls that change most, before and after."""

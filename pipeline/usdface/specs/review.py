@@ -35,7 +35,7 @@ CameraName = Annotated[
     ),
     AfterValidator(prim_path),
 ]
-"""``auto`` and ``front``, which frame the face, or the path of a camera."""
+"""``auto`` or ``front``, which frame the face, or the prim path of a camera."""
 
 SheetLayout = Literal["comparison", "worst", "strip", "characters"]
 FramePick = Literal["expression", "review", "residual", "uncertainty", "jump", "even"]
@@ -44,11 +44,11 @@ FramePick = Literal["expression", "review", "residual", "uncertainty", "jump", "
 class SheetSpec(MovedRigSpec, WeightTableSpec):
     """Draw a contact sheet of a performance.
 
-    It begins with a verdict. Layouts: `comparison` shows video, the markers on the solve, the
-    baseline (the BlendShape equation of Deng et al. 2006, eq. 7, solved as `select` proposes
-    weights), the solve, and its error against the keys or else its uncertainty; `worst`, the
-    moments to review first; `strip`, an overview of the whole shot; `characters`, several
-    performances of the same take.
+    It begins with a verdict. Layouts: `comparison` shows the video, the markers on the solve, the
+    baseline (the blendshape equation of Deng et al. 2006, eq. 7, as `map --baseline` solves it),
+    the solve, and its error against the keys or else its uncertainty; `worst`, the moments to
+    review first; `strip`, an overview of the whole shot; `characters`, several performances of the
+    same take.
     """
 
     example = (
@@ -75,13 +75,13 @@ class SheetSpec(MovedRigSpec, WeightTableSpec):
     out: ImageOut
     """Picture to write: .jpg, .png or .exr. Further pages are NAME.2.jpg and so on."""
     layout: SheetLayout = "comparison"
-    """Columns of the sheet, see above."""
+    """Columns of the sheet; see above."""
     also: tuple[ReadPath, ...] = ()
     """More performances of the same take, on this or other rigs: one column each."""
     pick: FramePick | None = None
     """How frames are chosen: `expression`, strongest expressions and some moments to review;
-    `review`, the moments to review first; `residual`, markers that the solve does not follow;
-    `uncertainty`; `jump`, largest change between frames; or `even`. Default: by layout."""
+    `review`, the moments to review first; by largest `residual`, `uncertainty`, or `jump` between
+    frames; or `even`, at equal intervals. Default: by layout."""
     rows: Annotated[int, Field(ge=1, le=10_000)] | None = None
     """Number of frames. Default: 12, or 48 for a strip."""
     page_rows: Annotated[int, Field(ge=1, le=400)] = 100
@@ -179,7 +179,7 @@ class MovieSpec(MovedRigSpec):
 class MovieJoinSpec(Spec):
     """Join movie parts (`usdface movie --frames`) without encoding them again.
 
-    The sound is encoded again from the take, so that it has no seams.
+    The sound is encoded from the take, without seams.
     """
 
     example = (
@@ -235,13 +235,13 @@ class ReportSpec(MovedRigSpec, WeightTableSpec):
     """More performances of the same take on the same rig, such as an earlier version: their curves,
     and faces to compare with."""
     notes: Annotated[tuple[Path, ...], Reads()] = ()
-    """Files of notes that reports saved. Notes on another version are shown as such. Default:
+    """Files of notes saved by reports. Notes on another version are marked as such. Default:
     NAME.notes.json next to the performance, if there is one."""
     sheet: ReadPath | None = None
     """Contact sheet to embed (.jpg or .png)."""
     references: ReadPath | None = None
-    """References whose coverage is shown. Default: those the mapping was trained on, if they still
-    exist."""
+    """References whose coverage is shown. Default: those the mapping was trained on, if their file
+    still exists."""
     baseline: bool = True
     """Draw the curves of the baseline as well."""
     camera: CameraName = "auto"
@@ -250,7 +250,7 @@ class ReportSpec(MovedRigSpec, WeightTableSpec):
     camera_stage: ReadPath | None = None
     """Stage that holds the camera, such as a shot. Default: the performance."""
     height: Annotated[int, Field(ge=120, le=1080)] = 360
-    """Height of the video in the report, in pixels; a smaller video stays as it is."""
+    """Largest height of the video in the report, in pixels."""
     worst: Annotated[int, Field(ge=1, le=100)] = 12
     """Length of the list of frames to check first."""
 
@@ -259,7 +259,7 @@ class FacesSpec(Spec):
     """Draw performances of several characters side by side, at the same frames.
 
     Use it to compare retargeted or warped performances with their source. Faces are posed by USD,
-    shapes and joints together; the frames are those that differ most.
+    with shapes and joints; the frames are those that differ most.
     """
 
     example = (
@@ -272,7 +272,7 @@ class FacesSpec(Spec):
     performances: Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]
     """Performances: one column each."""
     rig: Annotated[tuple[Path, ...], Reads()] = ()
-    """The rigs, if their files have moved: one for each performance, in order, or one for all."""
+    """The rigs, if their files have moved: one per performance, in order, or one for all."""
     out: ImageOut
     """Picture to write: .jpg, .png or .exr."""
     rows: Annotated[int, Field(ge=1, le=100)] = 6
@@ -282,13 +282,13 @@ class FacesSpec(Spec):
     tile: Annotated[int, Field(ge=64, le=2048)] = 320
     """Height of an image in pixels."""
     yaw: Annotated[float, Field(ge=-90.0, le=90.0)] = 0.0
-    """Angle of the view from the side, in degrees."""
+    """Angle of the view around the vertical axis, in degrees; 0 is the front."""
     quality: Literal["final", "draft"] = "final"
     """`draft` omits soft shadows and ambient occlusion."""
 
 
 VerdictLevel = Literal["good", "check", "bad"]
-"""Of verdicts: Good, Check, Do not use."""
+"""Levels of a verdict: Good, Check, Do not use."""
 
 Limit = Annotated[float, Field(ge=0.0)]
 
@@ -296,11 +296,10 @@ Limit = Annotated[float, Field(ge=0.0)]
 class EvaluateSpec(MovedRigSpec, WeightTableSpec):
     """Measure the error of a performance against keys or another performance.
 
-    Measures the error of the surface in mm, without gaze and tongue, which markers do not show and
-    which have figures of their own; of the weights over the shapes that markers can show, of the
-    lip distance, of blinks at their peaks, and jitter: for the whole face, per region and per
-    shape. The JSON's `vertex_*` are of the surface with gaze and tongue. Exit code 1 if a limit is
-    exceeded, so that a farm can block a publish.
+    Measures, for the whole face, per region and per shape: the error of the surface in mm, the
+    error of the weights, the error of the lip distance, the error of blinks at their peaks, and
+    jitter. Gaze and tongue, which markers cannot show, are reported separately; the JSON's
+    `vertex_*` include them. Exit code 1 if a limit is exceeded, so that a farm can block a publish.
     """
 
     example = (
@@ -321,7 +320,7 @@ class EvaluateSpec(MovedRigSpec, WeightTableSpec):
     """Frames to measure, as FIRST-LAST. Default: all."""
     unobservable: tuple[Name, ...] | None = None
     """Shapes that markers cannot show, excluded from the error of the weights. * matches any
-    characters. Default: gaze and tongue, by name or else by what they move, as for the surface."""
+    characters. Default: gaze and tongue, recognised by name or by the points they move."""
     max_weight_rmse: Limit | None = None
     """Limit of the root mean square error of the weights."""
     max_vertex_rms: Limit | None = None

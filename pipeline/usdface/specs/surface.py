@@ -15,9 +15,9 @@ Landmark = Annotated[str, Field(pattern=r"^[^=]+=\d+$", max_length=300, examples
 class BindSpec(Spec):
     """Bind a take's markers to points of a mesh, which needs no shapes and no rig.
 
-    The binding shows the mesh with a ball at each marker. To correct one, move its ball, or set
-    another face or point, in the corrected layer next to it or in a stronger layer. Binding again
-    keeps corrections.
+    The binding shows the mesh with a ball at each marker. To correct a marker, move its ball, or
+    set another face or point, in the corrected layer next to the binding or in a stronger layer.
+    Binding again keeps corrections.
     """
 
     example = (
@@ -36,7 +36,7 @@ class BindSpec(Spec):
     out: LayerOut
     """The binding to write."""
     landmarks: tuple[Landmark, ...] = ()
-    """Markers whose point on the mesh is known, as NAME=POINT,...: three or more, not on one line,
+    """Known points of markers on the mesh, as NAME=POINT,...: three or more, not on one line,
     unless the mesh has shapes to compare the motion with."""
     mesh_prim: PrimPath | None = None
     """Mesh in its file, if it holds several."""
@@ -57,7 +57,7 @@ _Positive = Annotated[float, Field(gt=0.0, le=1e6)]
 
 _FOR_SAMPLES = ("samples", "burn_in")
 _FOR_GP = ("sampler", *_FOR_SAMPLES, "covariance", "priors", "prior_spread", "length_scale")
-"""Options that only the samplers, or only the Gaussian process, have a use for."""
+"""Options of the samplers only, and of the Gaussian process only."""
 
 
 class SurfaceSpec(Spec):
@@ -70,11 +70,11 @@ class SurfaceSpec(Spec):
     take: Annotated[FilePath, Reads(), Positional()]
     """The cleaned take."""
     mesh: ReadPath
-    """The face: any USD file with a mesh. It is referenced and never written."""
+    """The face: any USD file with a mesh. It is referenced and does not change."""
     binding: ReadPath | None = None
     """Binding of the markers, from `usdface bind`. Default: the markers are bound automatically."""
     landmarks: tuple[Landmark, ...] = ()
-    """Markers whose point on the mesh is known, as NAME=POINT,...; only without --binding."""
+    """Known points of markers on the mesh, as NAME=POINT,...; only without --binding."""
     mesh_prim: PrimPath | None = None
     """Mesh in its file, if it holds several."""
     method: _Method = "gp"
@@ -82,40 +82,40 @@ class SurfaceSpec(Spec):
     every marker."""
     sampler: _Sampler = "shared"
     """Treatment of the hyper-parameters of `gp`: `hmc` averages samples for each frame and axis, as
-    published (Wang et al. 2006), `shared` samples for the whole take, which is the calmest over
-    time; `map` uses the most probable values of each frame and axis."""
+    published (Wang et al. 2006); `shared` samples for the whole take, with the least jitter; `map`
+    uses the most probable values of each frame and axis."""
     samples: Annotated[int, Field(ge=8, le=10_000)] = 200
-    """Samples that `hmc` and `shared` keep; the paper's 200."""
+    """Number of samples that `hmc` and `shared` average; 200 in the paper."""
     burn_in: Annotated[int, Field(ge=8, le=10_000)] = 40
-    """Samples before those, in which a chain tunes its step; the paper gives none."""
+    """Number of samples before those, in which a chain tunes its step; the paper gives none."""
     covariance: Literal["creased", "published"] = "creased"
-    """How the motion of points is correlated over the distance between them: `published` is eq. 7
-    of the paper, which a distance along a surface makes indefinite: its negative part is cut off,
-    and by how much is in the result. `creased` rarely needs it, and its intervals hold."""
+    """Covariance of the motion of points over their distance. `published` is eq. 7 of the paper,
+    which is indefinite for distances along a surface: its negative part is cut off, and its size
+    is in the result. `creased` is rarely indefinite, and its intervals are calibrated."""
     priors: tuple[_Positive, _Positive, _Positive, _Positive] = (9.0, 0.05, 4.0, 1.0)
     """Medians of the log-normal priors of the hyper-parameters, in mm²: motion beyond a linear
     field, noise of the markers, motion common to all, linear motion (v0, v1, a0, a1 of eq. 7). The
     paper has no priors; these suit faces of human size."""
     prior_spread: Annotated[float, Field(gt=0.0, le=10.0)] = 1.5
-    """Standard deviation of the logarithms. At 10 the priors hardly count."""
+    """Standard deviation of the logarithms. At 10 the priors are almost flat."""
     blend: Annotated[float, Field(ge=0.0, le=1.0)] = 0.39
     """Share of the distance along the surface, 0 to 1; the rest is the straight-line distance (Wang
     et al. 2006)."""
     choose_blend: bool = False
     """Choose --blend by cross-validation on the take."""
     folds: bool = True
-    """Let points inside of lips and lids follow the markers of their own side. The paper has no
-    such rule."""
+    """Let points inside of lips and lids follow the markers of the same lip or lid. The paper has
+    no such rule."""
     metric: _Metric = "dijkstra-diagonals"
     """Distance along the surface: over edges (`dijkstra`, as published), over edges and face
     diagonals, or by the heat method."""
     length_scale: Annotated[float, Field(gt=0.0, le=10_000.0)] | None = None
-    """Distance over which the motion of points is correlated, in mm; 1 in the paper's unit, which
-    it does not name. Default: fitted to the take."""
+    """Distance over which the motion of points is correlated, in mm; 1 in the paper, in a unit that
+    it does not state. Default: fitted to the take."""
     reach: Annotated[float, Field(gt=0.0, le=10_000.0)] | None = None
-    """Points farther than this from every marker do not move, in mm along the surface; motion fades
-    from half of it. 10000 for the field as published. Default: four times the marker spacing."""
-
+    """Distance from every marker beyond which points do not move, in mm along the surface; motion
+    fades from half of it. 10000 for the field as published. Default: four times the marker
+    spacing."""
     quality: Literal["draft", "final"] = "final"
     """`draft` omits soft shadows and ambient occlusion from the picture."""
 
@@ -128,21 +128,21 @@ class SurfaceSpec(Spec):
     @model_validator(mode="after")
     def _options_of_the_method(self) -> Self:
         fields = type(self).model_fields
-        for what, without in (
+        for choice, unused in (
             ("--method rbf", _FOR_GP if self.method == "rbf" else ()),
             ("--sampler map", _FOR_SAMPLES if self.sampler == "map" else ()),
         ):
-            given = [name for name in without if getattr(self, name) != fields[name].default]
+            given = [name for name in unused if getattr(self, name) != fields[name].default]
             if given:
                 options = ", ".join(f"--{name.replace('_', '-')}" for name in given)
-                raise ValueError(f"{what} does not use {options}; leave it out")
+                raise ValueError(f"{choice} does not use {options}; leave it out")
         return self
 
 
 class DeformSpec(SurfaceSpec):
     """Animate the points of a mesh that has no shapes by a take's markers.
 
-    Writes NAME.usda, to be opened, and NAME.points.usdc, which holds only overs on the mesh:
+    Writes NAME.usda, the layer to open, and NAME.points.usdc, which holds only overs on the mesh:
     points, extent, normals if the mesh has them, and the uncertainty of each point (primvar
     face:uncertainty, mm). Long takes are written as value clips.
     """
@@ -169,7 +169,7 @@ class DeformSpec(SurfaceSpec):
     prim: PrimPath | None = None
     """Prim path of the mesh's asset in the new layer. Default: the same as in its file."""
     uncertainty: bool = True
-    """Write the uncertainty of each point: a third of the file."""
+    """Write the uncertainty of each point, a third of the file's size."""
     clip_mb: Annotated[int, Field(ge=1, le=1 << 20)] = 512
     """Largest size of a points file, in MB. Longer takes are written as value clips of this
     size."""
@@ -235,13 +235,13 @@ class MakeShapesSpec(SurfaceSpec):
 
 
 class LogicSpec(WeightTableSpec):
-    """Write onto a rig which of its shapes others drive: combinations, correctives, in-betweens.
+    """Define which shapes of a rig are driven by others: combinations, correctives, in-betweens.
 
     Such shapes are evaluated, not learned: `select`, `train` and the tuning page show only the
     others, and every layer holds the evaluated weights. The logic is read from names (`A_B` where A
     and B are shapes of the rig), from a table or a Simplex definition, from metadata, or inferred
     from weights of a rig that evaluates it. The rig's file does not change: use the new asset,
-    which opens it, in its place.
+    which references it, in its place.
     """
 
     example = "usdface logic hero.usd --naming --out hero.logic.usda"
@@ -278,5 +278,5 @@ class LogicSpec(WeightTableSpec):
         if not (self.naming or self.definition or self.metadata or self.weights):
             raise ValueError("give a source: --naming, --definition, --metadata or --weights")
         if bool(self.weights) != bool(self.driven):
-            raise ValueError("--weights and --driven go together: whose logic is to be inferred?")
+            raise ValueError("--weights and --driven go together; name the driven shapes and both")
         return self

@@ -1,4 +1,4 @@
-"""Jobs of many takes: steps that are written once are expanded for each take.
+"""Jobs of many takes: steps under ``for_each: take`` are expanded for each take.
 
 ::
 
@@ -19,7 +19,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 _MOST_STEPS = 100_000
-"""Limit of steps; a day of a stage has a few thousand."""
+"""Limit of steps; a shooting day has a few thousand."""
 
 _MOST_VALUES = 1_000_000
 """Limit of values; YAML aliases can expand a few lines to billions."""
@@ -79,7 +79,7 @@ def write_out(job: Mapping[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        Without ``takes``. A job that has none comes back as it is, braces and all.
+        Without ``takes``. A job without takes is returned unchanged, including its braces.
     """
     written = dict(job)
     given = written.pop("takes", None)
@@ -110,12 +110,12 @@ def write_out(job: Mapping[str, Any]) -> dict[str, Any]:
 def step_places(job: Mapping[str, Any]) -> list[str]:
     """Return the position in the file of each step of the expanded job, counted from 1.
 
-    ``step 2.3`` is the third step of the loop that stands second.
+    ``step 2.3`` is the third step of the loop that is the job's second item.
 
     Parameters
     ----------
     job : mapping
-        One that `write_out` has written out.
+        Before `write_out`, which must have accepted it.
     """
     places: list[str] = []
     takes, steps = job.get("takes"), job.get("steps")
@@ -158,7 +158,7 @@ def _steps_of(loop: Mapping[str, Any], number: int) -> Sequence[Any]:
         raise ValueError(f"{where}: for_each allows only `steps`, not {', '.join(unknown)}")
     inner = loop.get("steps")
     if not isinstance(inner, Sequence) or isinstance(inner, str) or not inner:
-        raise ValueError(f"{where}: for_each needs `steps`, a list of what to do for every take")
+        raise ValueError(f"{where}: for_each needs `steps`, a list of steps to run per take")
     return inner
 
 
@@ -174,8 +174,8 @@ def _rows(takes: Any) -> list[Row]:
         name = row["take"]
         if not _TAKE_NAME.fullmatch(name) or name in (".", ".."):
             raise ValueError(
-                f"{where}: {name!r} cannot name a take: 1 to 200 characters, no slash, none that "
-                "does not print"
+                f"{where}: {name!r} cannot name a take: give 1 to 200 printable characters without "
+                "a slash"
             )
         if name in seen:
             raise ValueError(f"{where}: {name!r} is a duplicate; take names must be unique")
@@ -217,8 +217,8 @@ def _spread(value: Any, rows: list[Row], where: str) -> Any:
     if isinstance(value, str):
         if _names_a_value(value):
             raise ValueError(
-                f"{where}: {value!r} differs from take to take, and this step is done once; put it "
-                "under `for_each: take`"
+                f"{where}: {value!r} differs between takes, but this step runs once; move it under "
+                "`for_each: take`"
             )
         return _filled(value, {}, where)
     return value
@@ -231,7 +231,7 @@ def _names_a_value(text: str) -> bool:
 def _look_up(row: Row, name: str, where: str) -> Any:
     if name not in row:
         raise ValueError(
-            f"{where}: asks for {{{name}}}, which take {row['take']!r} does not have (it has "
-            f"{', '.join(row)}); give it one, or write {{{{{name}}}}} for plain braces"
+            f"{where}: uses {{{name}}}, but take {row['take']!r} has only {', '.join(row)}; add "
+            f"the value to the take, or write {{{{{name}}}}} for plain braces"
         )
     return row[name]

@@ -204,7 +204,7 @@ def test_phones_and_emotions_go_with_takes(shot: Shot) -> None:
         spec(shot, emotions=("joy", "anger", "fear"))
     with pytest.raises(ValidationError, match="viseme needs --phones"):
         spec(shot, method="viseme")
-    with pytest.raises(ValidationError, match="active is no method any more"):
+    with pytest.raises(ValidationError, match="active was removed"):
         spec(shot, method="active")
 
 

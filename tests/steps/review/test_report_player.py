@@ -541,7 +541,7 @@ def test_notes_of_a_newer_format_are_shown_as_such_and_have_no_effect(
     saved = json.loads((tmp_path / "saved.json").read_text(encoding="utf-8"))["notes"]
     kept = [note["original"] for note in saved if "original" in note]
     assert sorted(map(str, kept)) == sorted(map(str, newer[:2])), "nothing of it is lost"
-    with pytest.raises(InputError, match="is of format 99, and this version of usdface reads 1"):
+    with pytest.raises(InputError, match="has format 99, but this version of usdface reads 1"):
         execute(EditSpec(performance=reported / "shot.hero.usda", notes=file))
     with pytest.raises(InputError, match="none of its 0 corrections"):
         execute(EditSpec(performance=reported / "shot.hero.usda", notes=tmp_path / "saved.json"))
