@@ -1,4 +1,4 @@
-"""What scripts may rely on: run steps and jobs, check layers, read assets. See docs/python.md."""
+"""Public Python API: run steps and jobs, check layers, read assets. See docs/python.md."""
 
 import contextlib
 import csv
@@ -21,7 +21,6 @@ from usdface.runner.execute import execute
 from usdface.runner.outputs import confine
 from usdface.runner.result import StepResult
 from usdface.runner.state import StepState, job_states
-from usdface.specs.base import Spec
 from usdface.specs.job import SPEC_BY_STEP
 from usdface.specs.reading import read_job, validation_messages
 from usdface.specs.references import ReferencesImportSpec
@@ -49,26 +48,26 @@ __all__ = [
 def run_step(
     step: str, /, *, overwrite: bool = False, progress: Progress = silent, **values: Any
 ) -> StepResult:
-    """Run one step, as the command of that name does.
+    """Run one step, like the command of that name.
 
     Parameters
     ----------
     step : str
-        As in a job: ``"map"``, ``"references-import"``, ...
+        Name as in a job: ``"map"``, ``"references-import"``, ...
     overwrite : bool
-        Replace outputs, whoever wrote them and however new they are.
+        Replace existing outputs, including newer files and files of other programs.
     progress : callable
-        Called with the fraction done and what is being done.
+        Called with the fraction done and a message.
     **values
         The step's options, with underscores: ``take=..., mapping=..., rig=..., out=...``. The
         `weights` of ``references-import`` may be a table instead of a file: ``{frame: {shape:
-        weight}}``, columns by name, one of them ``frame``, or a DataFrame of such. It is written
-        next to the references, so that the result knows what it was made from.
+        weight}}``, columns by name, one of them ``frame``, or a DataFrame of such columns. It is
+        written next to the references, as the provenance of the result names it.
 
     Returns
     -------
     StepResult
-        Its `up_to_date` is true if the outputs were there, made from the same inputs and options.
+        Its `up_to_date` is true if the outputs existed, made from the same inputs and options.
 
     Raises
     ------
@@ -78,19 +77,23 @@ def run_step(
     spec = SPEC_BY_STEP.get(step)
     if spec is None:
         raise InputError(f"no step {step!r}; there are {', '.join(SPEC_BY_STEP)}")
-    with _python_words():
+    with _options_as_arguments():
         if spec is ReferencesImportSpec and not isinstance(
             values.get("weights"), str | Path | None
         ):
-            values["weights"] = _written_table(values["weights"], Path(values["references"]))
-        result = execute(_filled(spec, values), overwrite=overwrite, progress=progress)
+            values["weights"] = _write_table(values["weights"], Path(values["references"]))
+        try:
+            made = spec.model_validate(values)
+        except ValidationError as error:
+            raise InputError(validation_messages(error, spec)) from error
+        result = execute(made, overwrite=overwrite, progress=progress)
     notes = tuple(map(_in_python, result.notes))
     return replace(result, summary=_in_python(result.summary), notes=notes)
 
 
 @contextlib.contextmanager
-def _python_words() -> Iterator[None]:
-    """Raise errors as a script is written: ``overwrite=True`` for ``--overwrite``."""
+def _options_as_arguments() -> Iterator[None]:
+    """Name options in errors as Python arguments: ``overwrite=True`` for ``--overwrite``."""
     try:
         yield
     except UsdfaceError as error:
@@ -108,7 +111,7 @@ _SWITCHES = {
 
 
 def _in_python(message: str) -> str:
-    """Return a message with the options of the command line as arguments."""
+    """Return a message with command-line options replaced by Python arguments."""
     message = message.replace("--overwrite it", "--overwrite")
 
     def argument(found: re.Match[str]) -> str:
@@ -120,8 +123,8 @@ def _in_python(message: str) -> str:
     return _OPTION.sub(argument, message)
 
 
-def _written_table(table: Any, references: Path) -> Path:
-    """Write a table of weights next to the references, under a name by its content."""
+def _write_table(table: Any, references: Path) -> Path:
+    """Write a table of weights next to the references, with a hash of its content in the name."""
     if hasattr(table, "to_dict"):  # a DataFrame
         table = table.to_dict("list")
     if not isinstance(table, Mapping) or not table:
@@ -153,13 +156,6 @@ def _written_table(table: Any, references: Path) -> Path:
     return path
 
 
-def _filled(spec: type[Spec], values: dict[str, Any]) -> Spec:
-    try:
-        return spec.model_validate(values)
-    except ValidationError as error:
-        raise InputError(validation_messages(error, spec)) from error
-
-
 def run_job(
     job: Path | str, *, overwrite: bool = False, progress: Progress = silent
 ) -> list[StepResult]:
@@ -170,30 +166,30 @@ def run_job(
     InputError
         If the job cannot be read, or a step fails.
     CheckFailedError
-        If a step was done and what it checked is not in order.
+        If a check of a step failed.
     """
-    with _python_words():
+    with _options_as_arguments():
         return jobs.run_job(read_job(Path(job)), overwrite=overwrite, progress=progress)
 
 
 def check_job(job: Path | str) -> list[StepState]:
-    """Say of each step of a job file whether it is done, stale or missing; nothing is run.
+    """Return the state of each step of a job file, done, stale or missing, without running any.
 
     Raises
     ------
     InputError
-        If the job cannot be read, or cannot run; every fault is named.
+        If the job cannot be read, or cannot run; all faults are named.
     """
     return job_states(read_job(Path(job)))
 
 
 def validate(layer: Path | str) -> list[Finding]:
-    """Check a USD file with USD's validators and ours; an empty list means nothing was found.
+    """Return the findings of the validators of USD and usdface on a USD file.
 
     Raises
     ------
     InputError
-        If the file cannot be opened at all.
+        If the file cannot be opened.
     """
     return validation.validate(Path(layer))
 
@@ -210,7 +206,7 @@ def read_take(file: Path | str, *, first: int | None = None, last: int | None = 
 
 
 def read_rig(file: Path | str, *, prim: str | None = None) -> Rig:
-    """Read a rig as it is found; `prim` names the face where the file holds several.
+    """Read a rig; `prim` names the face if the file holds several.
 
     Raises
     ------
@@ -243,11 +239,11 @@ def read_mapping(file: Path | str) -> TrainedMapping:
 
 
 def read_performance(file: Path | str) -> Performance:
-    """Read a performance as it is to be seen: its solve with the edits.
+    """Read a performance: the weights of its solve with the edits.
 
     Raises
     ------
     InputError
-        If the file is no performance, or its rig is gone.
+        If the file is no performance, or its rig does not exist.
     """
     return performance_files.read_performance(Path(file))

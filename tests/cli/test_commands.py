@@ -263,8 +263,8 @@ JOB_OF_ONE = "step: bake\nperformance: a.usda\nout: b.usda\n"
     [
         ("a\\b.usda", "cannot be part of a name"),
         ("a\nb.usda", "cannot be part of a name"),
-        (f"{'x' * 250}.usda", "a name that is too long"),
-        (f"{'x' * 400}.usda", "a name that is too long"),
+        (f"{'x' * 250}.usda", "the name is too long"),
+        (f"{'x' * 400}.usda", "the name is too long"),
     ],
 )
 def test_a_name_that_nothing_could_refer_to_is_refused(
@@ -285,7 +285,7 @@ def test_a_demo_from_video_needs_a_model_before_anything_is_made(
     assert run("demo", "--from", "video", "--out", str(out)) == 2
     assert "no model is named" in capsys.readouterr().err
     assert run("demo", "--model", "x.task", "--out", str(out)) == 2
-    assert "--model is of --from video" in capsys.readouterr().err
+    assert "--model has no effect without --from video" in capsys.readouterr().err
     assert run("demo", "--from", "video", "--model", "x.task", "--out", str(out)) == 2
     assert "x.task: no such file" in capsys.readouterr().err
     assert not out.exists()

@@ -148,4 +148,4 @@ def test_what_was_tuned_is_in_the_coverage_once_the_page_is_closed(
     assert run(str(references), "--no-browser", "--json") == 0
     said = json.loads(capsys.readouterr().out)
     assert said["figures"]["tuned"] == 3
-    assert any("that of before" in note for note in said["notes"])
+    assert any("was not drawn again" in note for note in said["notes"])

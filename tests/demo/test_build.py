@@ -77,9 +77,9 @@ def _nothing_captured(*args: object) -> SimpleNamespace:
 @pytest.mark.parametrize(
     ("options", "refused"),
     [
-        ("--dog --from video", "--dog retargets a performance"),
-        ("--dog --video-lines 720", "--dog films no actor"),
-        ("--model x.task", "--model is of --from video"),
+        ("--dog --from video", "--from and --model have no effect with --dog"),
+        ("--dog --video-lines 720", "--video-lines has no effect with --dog"),
+        ("--model x.task", "--model has no effect without --from video"),
     ],
 )
 def test_options_without_effect_on_the_demo_are_refused(

@@ -109,14 +109,14 @@ def test_only_what_depends_on_a_change_runs_again(shot: Shot, monkeypatch) -> No
     states = job_states(read_job(shot / "shot.job.yaml"))
     assert [state.state for state in states] == ["done"] * 3 + ["stale"] * 4
     assert "keys.csv has changed" in states[3].reason
-    assert states[4].reason == "an earlier step makes hero.references.usda anew"
+    assert states[4].reason == "an earlier step rewrites hero.references.usda"
     assert ran(shot, monkeypatch)[0] == "references-import"
 
 
 def test_other_settings_run_that_step_and_what_follows(shot: Shot, monkeypatch) -> None:
     job = shot / "shot.job.yaml"
     job.write_text(job.read_text().replace("rows: 2", "rows: 3"))
-    assert job_states(read_job(job))[-1].reason.endswith("other settings: rows was 2, is 3")
+    assert job_states(read_job(job))[-1].reason.endswith("other options: rows was 2, is 3")
     assert ran(shot, monkeypatch) == ["sheet"]
 
 
@@ -126,7 +126,7 @@ def test_repeating_a_step_says_that_it_is_up_to_date(shot: Shot, monkeypatch) ->
     again = execute(spec)
     assert again.up_to_date
     assert again.outputs == (shot / "shot.clean.take.usda",)
-    with pytest.raises(InputError, match="newer than what it is made from"):
+    with pytest.raises(InputError, match="newer than its inputs"):
         execute(spec.model_copy(update={"max_gap": 3}))
 
 
@@ -154,7 +154,7 @@ def test_results_are_printed_as_steps_end_and_again_when_asked(shot: Shot, capsy
     code, out, err = run()
     assert code == 2
     assert "step 6 of 7, map shot.hero.usda: up to date" in out
-    assert "6 of 7 steps are done; run again to go on" in err
+    assert "6 of 7 steps are done; run again to continue" in err
     code, out, _ = run("--json")
     assert code == 2
     data = json.loads(out)
@@ -167,7 +167,7 @@ def test_folders_that_are_not_there_are_named_once_with_the_remedy(shot: Shot) -
     new = shot / "new"
     take = steps[0].model_copy(update={"out": new / "a.take.usda"})
     clean = steps[1].model_copy(update={"take": take.out, "out": new / "a.clean.take.usda"})
-    with pytest.raises(InputError, match=r"1 folder to write to not there: .*--make-folders") as no:
+    with pytest.raises(InputError, match=r"1 output folder missing: .*--make-folders") as no:
         job_states(JobSpec(job="day", steps=(take, clean)))
     assert str(no.value).count("new") == 1
 
@@ -251,7 +251,7 @@ def test_a_step_is_run_again_when_a_layer_beneath_its_output_is_gone(
     before = (shot / gone).read_bytes()
     (shot / gone).unlink()
     states = {each.spec.step: each for each in job_states(read_job(shot / "shot.job.yaml"))}
-    assert (states[step].state, states[step].reason) == ("missing", f"{gone} is not there")
+    assert (states[step].state, states[step].reason) == ("missing", f"{gone} does not exist")
     assert step in ran(shot, monkeypatch)
     assert (shot / gone).read_bytes() == before
 

@@ -63,10 +63,10 @@ def test_outputs_that_differ_in_their_ending_alone_would_share_layers(shot: Shot
     }
     before = weights_path(shot / "shot.hero.usda").read_bytes()
     twin = MapSpec.model_validate(given | {"out": shot / "shot.hero.usdc"})
-    with pytest.raises(InputError, match=r"shot\.hero\.usda: has the same layers beneath as"):
+    with pytest.raises(InputError, match=r"shot\.hero\.usda: has the same sublayers as"):
         execute(twin)
     job = JobSpec.model_validate({"job": "twins", "steps": [twin]})
-    with pytest.raises(InputError, match=r"map: .*shot\.hero\.usda: has the same layers beneath"):
+    with pytest.raises(InputError, match=r"map: .*shot\.hero\.usda: has the same sublayers"):
         run_job(job)
     assert weights_path(shot / "shot.hero.usda").read_bytes() == before
     execute(MapSpec.model_validate(given | {"out": shot / "other.usdc"}))

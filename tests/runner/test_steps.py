@@ -182,7 +182,7 @@ def test_what_lies_between_two_keyed_pairs_is_nobodys_tuning(shot: Shot) -> None
         layer.SetTimeSample("/anim.blendShapeWeights", frame, Vt.FloatArray([0.5]))
     layer.Save()
     report = run(ReferencesImportSpec(**given))
-    assert any(f"has no key there: {PAIRS - 2} pairs" in note for note in report.notes)
+    assert any(f"tuned.usd: {PAIRS - 2} pairs" in note for note in report.notes)
 
 
 def test_decimal_commas_are_refused_and_not_read_as_columns(shot: Shot) -> None:
@@ -384,7 +384,7 @@ def test_a_neutral_frame_without_the_rigid_markers_is_named_by_its_number(
 @pytest.mark.parametrize(
     ("asked", "message"),
     [
-        ({"units": "cm"}, "a USD file states its own units"),
+        ({"units": "cm"}, "a USD file states its units"),
         ({"neutral": 99_999}, "neutral frame 99999 is outside the take"),
         ({"rigid": ("nobody",)}, "rigid marker nobody not among"),
     ],
@@ -401,5 +401,5 @@ def test_a_clean_take_is_not_cleaned_again_and_keeps_its_heads_motion(shot: Shot
     from usdface.specs.capture import CleanSpec
 
     assert read_take(shot / "shot.clean.take.usda").head_motion is not None
-    with pytest.raises(InputError, match="is clean already"):
+    with pytest.raises(InputError, match="is cleaned already"):
         run(CleanSpec(take=shot / "shot.clean.take.usda", out=shot / "twice.take.usda"))

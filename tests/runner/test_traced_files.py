@@ -77,7 +77,7 @@ def test_files_are_found_in_one_order_whatever_the_hashes_of_names(shot: Shot) -
 def test_a_file_that_was_found_is_never_written_over(shot: Shot) -> None:
     spec = sheet(shot).model_copy(update={"out": shot / "shot.clean.take.usda"})
     before = (shot / "shot.clean.take.usda").read_bytes()
-    with pytest.raises(InputError, match="is read by sheet, and would be lost"):
+    with pytest.raises(InputError, match="is an input of sheet, and would be overwritten"):
         execute(spec, overwrite=True)
     assert (shot / "shot.clean.take.usda").read_bytes() == before
 
@@ -98,4 +98,4 @@ def test_new_samples_below_an_old_layer_are_not_up_to_date(shot: Shot) -> None:
     spec.out.write_bytes(old)  # as a kill between two renames leaves it
     state = step_state(spec, make_provenance(spec))
     assert state.state == "stale"
-    assert "shot.clean.take.samples.usdc is of another run" in state.reason
+    assert "shot.clean.take.samples.usdc is of another, interrupted run" in state.reason

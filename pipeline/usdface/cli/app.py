@@ -34,7 +34,7 @@ _FUNCTIONS = {
     "retarget": (names,),
     "edits": (validate,),
 }
-"""Commands that are not of a step, by the workflow that they are listed under."""
+"""Commands without a spec, by the workflow that they are listed under."""
 
 
 def _make_app() -> typer.Typer:
@@ -108,12 +108,12 @@ def _run(given: list[str]) -> NoReturn:
 
 
 def _fail_by(error: BaseException, *, verbose: bool, as_json: bool) -> NoReturn:
-    """Print what an error says, and exit with its code."""
+    """Print an error and exit with its code."""
     if isinstance(error, UsdfaceError | KeyboardInterrupt):
-        shown = isinstance(error, CheckFailedError)  # as the failures of a result
+        shown = isinstance(error, CheckFailedError)  # already in the failures of the JSON result
         _fail(str(error) or "interrupted", exit_code_of(error), as_json=as_json and not shown)
     if isinstance(error, OSError) and error.errno == errno.ENOSPC and error.filename is None:
-        _fail(str(unwritable_output(error)), 2, as_json=False)  # help, that typer prints
+        _fail(str(unwritable_output(error)), 2, as_json=False)  # --help, printed by typer
     if hasattr(error, "format_message"):
         _fail_usage(error, as_json=as_json)
     if verbose:
@@ -128,8 +128,8 @@ def _fail_by(error: BaseException, *, verbose: bool, as_json: bool) -> NoReturn:
 
 
 def _fail_usage(error: Any, *, as_json: bool) -> NoReturn:
-    """Print an error of usage, of either kind of click, and exit."""
-    from pydantic import ValidationError  # help starts without it
+    """Print a usage error of click, or of Typer's copy of it, and exit."""
+    from pydantic import ValidationError  # not at the top, so that --help starts faster
 
     if isinstance(error.__cause__, ValidationError):
         from usdface.specs.reading import fault_reason
@@ -142,9 +142,9 @@ def _fail_usage(error: Any, *, as_json: bool) -> NoReturn:
 
 
 def _fail(message: str, code: int, *, as_json: bool) -> NoReturn:
-    """Print an error, for a script as JSON on stdout too, and exit."""
+    """Print an error, with --json also as JSON on stdout, and exit."""
     if as_json:
-        with contextlib.suppress(UsdfaceError):  # the error may be that nothing can be printed
+        with contextlib.suppress(UsdfaceError):  # the error may be an unwritable stdout
             show_json({"error": message, "exit_code": code})
     show_error(message)
     sys.exit(code)

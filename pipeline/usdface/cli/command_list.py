@@ -23,7 +23,7 @@ HEADINGS = {
     "surface": "Meshes without shapes",
     "jobs": "Jobs",
 }
-"""Headings of the list of commands, by workflow: the `rich_help_panel` of each command."""
+"""Headings of the list of commands by workflow, which is a command's `rich_help_panel`."""
 
 SUMMARY_LENGTH = 500
 """Largest length of a summary in characters; click would cut it to one line."""
@@ -31,17 +31,17 @@ SUMMARY_LENGTH = 500
 
 @dataclass(frozen=True)
 class CommandMaker:
-    """A command that is made when it is used, and what a list says of it before."""
+    """A command that is created on first use, with its help for lists."""
 
     make: Callable[[], Any]
     """Returns the function of the command, or a Typer with the commands of a group."""
     help: str
-    """Its first sentence is the summary."""
+    """The first sentence is the summary."""
     workflow: str | None
     """Key of `HEADINGS`; None in a group without sections."""
 
     def listed(self, name: str) -> Any:
-        """Return a command that can be listed, not run."""
+        """Return a command that can only be listed."""
         return TyperCommand(name, help=self.help, rich_help_panel=self.workflow)
 
 
@@ -57,7 +57,7 @@ class CommandList(TyperGroup):
         self.commands = commands
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Find the command; refuse options that it had once, with advice."""
+        """Find the command; refuse removed options with advice."""
         name, command, rest = super().resolve_command(ctx, args)
         spec = getattr(getattr(command, "callback", None), "spec", None)
         if spec is not None:
@@ -65,17 +65,14 @@ class CommandList(TyperGroup):
         return name, command, rest
 
     def invoke(self, ctx: Any) -> Any:
-        """Run a command; Ctrl+C ends it like SIGTERM.
-
-        Typer would exit with 130 and without a message.
-        """
+        """Run a command; Ctrl+C raises CancelledError, where Typer would exit without a message."""
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt as interrupt:
             raise CancelledError(STOPPED) from interrupt
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """Return the names of the commands; Typer's method would make each of them."""
+        """Return the names of the commands; Typer's method would create all of them."""
         return list(self.commands)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
@@ -96,7 +93,7 @@ class CommandList(TyperGroup):
 
 
 class _MadeOnDemand(MutableMapping[str, Any]):
-    """Commands by name; each is made when it is used."""
+    """Commands by name, each created on first use."""
 
     def __init__(self, makers: Mapping[str, CommandMaker], made: Mapping[str, Any]) -> None:
         self._makers = dict(makers)
@@ -121,12 +118,12 @@ class _MadeOnDemand(MutableMapping[str, Any]):
 
 
 def commands_on_demand(makers: Mapping[str, CommandMaker]) -> Any:
-    """Return a group class whose commands are made on demand: all of them take twice as long."""
+    """Return a group class whose commands are created on demand, which halves the start-up time."""
     return type("CommandList", (CommandList,), {"on_demand": makers})
 
 
 def _command(name: str, make: Callable[[], Any]) -> Any:
-    """Return a single command or group, as Typer makes it for a group."""
+    """Create the click command or group of a function or Typer."""
     made = make()
     if isinstance(made, typer.Typer):
         return typer.main.get_group(made)

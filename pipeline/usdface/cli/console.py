@@ -27,7 +27,7 @@ STOPPED = "interrupted; no partly written files remain"
 RETRY_SECONDS = 0.05
 """Interval after which a signal during an import is sent again; imports take a second or two."""
 ENDING_SECONDS = 0.5
-"""That threads get to end by themselves, once the main thread has."""
+"""Time for other threads to end after the main thread."""
 
 LONGEST_FARM_MESSAGE = 1000
 """Characters; farms truncate or refuse longer lines."""
@@ -43,19 +43,19 @@ LEAST_FARM_SECONDS = 1.0
 """Progress is printed if either has passed since the last line."""
 
 QUIET_SECONDS = 2.0
-"""Where there is no terminal: no line before, so that short steps print none, ..."""
+"""Time before the first line without a terminal, so that short steps print none."""
 LINE_SECONDS = 10.0
-"""... and then a line each."""
+"""Interval of further lines."""
 
 
 @contextlib.contextmanager
 def progress_listener(style: ProgressStyle) -> Iterator[Listener]:
-    """Yield a listener: a bar on a terminal, lines elsewhere, or Open Job Description messages."""
+    """Yield a listener that shows a bar or lines, or prints Open Job Description messages."""
     if style == "openjd":
         try:
             yield _FarmProgress()
         except UsdfaceError as error:
-            _say_to_farm("fail", str(error))
+            _print_farm_message("fail", str(error))
             raise
     elif style == "bar" or (style == "auto" and sys.stderr.isatty()):
         with _bar() as listener:
@@ -68,14 +68,14 @@ def progress_listener(style: ProgressStyle) -> Iterator[Listener]:
 
 @contextlib.contextmanager
 def _bar() -> Iterator[Listener]:
-    # rich takes as long to import as everything else, and only a terminal needs it.
+    # rich doubles the import time, and only a terminal needs it.
     from rich.console import Console
     from rich.markup import escape
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     console = Console(stderr=True, highlight=False, soft_wrap=True)
-    # What is printed while the bar stands goes through it, unless it goes to a file.
+    # Output is redirected through the bar, unless it goes to a file.
     on_terminal = sys.stdout.isatty()
     with Progress(*columns, console=console, transient=True, redirect_stdout=on_terminal) as bar:
         task = bar.add_task("", total=1.0)
@@ -87,7 +87,7 @@ def _bar() -> Iterator[Listener]:
 
 
 class _FarmProgress:
-    """Prints Open Job Description messages; throttled, since openjd stores every line."""
+    """Prints Open Job Description messages, throttled as openjd stores every line."""
 
     def __init__(self) -> None:
         self._fraction = -math.inf
@@ -96,16 +96,16 @@ class _FarmProgress:
     def __call__(self, fraction: float, message: str) -> None:
         fraction = min(max(fraction, 0.0), 1.0)
         now = time.monotonic()
-        little = abs(fraction - self._fraction) < LEAST_FARM_PROGRESS
-        if little and now - self._when < LEAST_FARM_SECONDS and fraction < 1.0:
+        small = abs(fraction - self._fraction) < LEAST_FARM_PROGRESS
+        if small and now - self._when < LEAST_FARM_SECONDS and fraction < 1.0:
             return
         self._fraction, self._when = fraction, now
-        _say_to_farm("progress", f"{100 * fraction:.1f}")
-        _say_to_farm("status", message)
+        _print_farm_message("progress", f"{100 * fraction:.1f}")
+        _print_farm_message("status", message)
 
 
 class _LineProgress:
-    """Prints a line on stderr now and then: what a log shows of a wait."""
+    """Prints a line on stderr every few seconds, for logs."""
 
     def __init__(self) -> None:
         self._next = time.monotonic() + QUIET_SECONDS
@@ -116,10 +116,10 @@ class _LineProgress:
             typer.echo(f"{fraction:4.0%} {message}", err=True)
 
 
-def _say_to_farm(what: str, message: str) -> None:
-    """Write one line; a line break in a file name must not start a second message."""
+def _print_farm_message(kind: str, message: str) -> None:
+    """Print one line; a line break in a file name must not start a second message."""
     line = "".join(each if each.isprintable() else " " for each in message)
-    _print(f"openjd_{what}: {line[:LONGEST_FARM_MESSAGE]}\n")
+    _print(f"openjd_{kind}: {line[:LONGEST_FARM_MESSAGE]}\n")
 
 
 def echo(line: str) -> None:
@@ -132,7 +132,7 @@ def show_result(report: StepResult, *, as_json: bool) -> None:
     if as_json:
         show_json(report.as_data())
         return
-    if report.level:  # a verdict is what is left to read at the end
+    if report.level:  # a verdict is printed last, where it stays visible
         show_details(report)
     echo(styled_summary(report))
     if not report.level:
@@ -140,9 +140,9 @@ def show_result(report: StepResult, *, as_json: bool) -> None:
 
 
 def styled_summary(report: StepResult) -> str:
-    """Return the summary, in the colour of its verdict on a terminal."""
+    """Return the summary, on a terminal in the colour of its verdict."""
     plain = report.level not in _LEVEL_COLORS or not sys.stdout.isatty()
-    if plain or "NO_COLOR" in os.environ:  # a convention
+    if plain or "NO_COLOR" in os.environ:
         return report.summary
     return typer.style(report.summary, fg=_LEVEL_COLORS[report.level], bold=True)
 
@@ -163,31 +163,31 @@ def show_json(data: Any) -> None:
 
 
 def _print(text: str) -> None:
-    """Write to standard output, now: what cannot be written is an error with words, not a fault."""
+    """Write to standard output and flush; raise InputError if it cannot be written."""
     try:
         sys.stdout.write(text)
         sys.stdout.flush()
-    except BrokenPipeError:  # nobody listens any more, which typer knows how to end by
+    except BrokenPipeError:  # typer ends quietly
         raise
     except OSError as error:
         raise unwritable_output(error) from error
 
 
 def unwritable_output(error: OSError) -> InputError:
-    """Return the error that says that standard output is lost, which is not written to again."""
-    # Else Python would try again when it ends, and say so in words of its own.
+    """Return the error for an unwritable standard output, and close that."""
+    # Otherwise Python flushes it at exit and prints a second error.
     with contextlib.suppress(OSError), open(os.devnull, "w") as nowhere:  # noqa: PTH123
         os.dup2(nowhere.fileno(), sys.stdout.fileno())
     return InputError(
-        f"standard output cannot be written ({error.strerror}), so a report is lost; files that "
-        "were to be written are there. Send the output elsewhere"
+        f"standard output cannot be written ({error.strerror}), so the result is not printed; "
+        "output files are complete. Redirect the output elsewhere"
     )
 
 
 def show_error(message: str) -> None:
     """Print an error for a person; on a farm its first line becomes the task's status."""
     text = f"usdface: {message}"
-    if "NO_COLOR" not in os.environ:  # a convention; typer styles on terminals only
+    if "NO_COLOR" not in os.environ:  # typer styles only on terminals
         text = typer.style(text, fg=typer.colors.RED, bold=True)
     typer.echo(text, err=True)
 
@@ -205,7 +205,7 @@ _stopped = threading.Event()
 
 
 def was_stopped() -> bool:
-    """Return whether a signal was to end the command, whatever error a library made of it."""
+    """Return whether a signal was received, even if a library turned it into another error."""
     return _stopped.is_set()
 
 
@@ -213,8 +213,8 @@ def raise_on_signals() -> None:
     """Turn SIGTERM, which farms send once, into an exception, so that temporary files are removed.
 
     Both SIGTERM and Ctrl+C are delayed during imports: USD's loader would ignore the exception and
-    continue partly loaded. Where a library calls Python and cannot pass an exception on, the signal
-    is sent again.
+    continue partly loaded. If the exception is lost in a callback of a library, the signal is sent
+    again.
     """
 
     def send_again(signum: int) -> None:
@@ -240,15 +240,15 @@ def raise_on_signals() -> None:
     sys.unraisablehook = lost
     with contextlib.suppress(ValueError):  # only the main thread may set handlers
         signal.signal(signal.SIGTERM, stop)
-        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else it is ignored
+        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else ignored, by nohup
             signal.signal(signal.SIGINT, stop)
 
 
 def end_with_main_thread(code: int) -> None:
-    """Let the process end soon after its main thread, whatever other threads do.
+    """End the process soon after its main thread, even if other threads still run.
 
-    An exception within a thread pool's start, as MediaPipe's, leaves a worker that nobody stops;
-    the interpreter would wait for it forever.
+    An exception while a thread pool starts, such as MediaPipe's, leaves a worker running, for which
+    the interpreter would wait forever.
     """
 
     def end() -> None:

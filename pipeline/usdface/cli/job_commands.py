@@ -15,7 +15,7 @@ from usdface.specs.paths import read_path_rules
 from usdface.specs.reading import read_job
 
 COMPLETE_VARIABLE = "_USDFACE_COMPLETE"
-"""Environment variable by which a shell asks for completions."""
+"""Environment variable that shells set to request completions."""
 
 Root = Annotated[
     Path | None,
@@ -92,14 +92,14 @@ def demo(
         bool,
         typer.Option(
             "--dog",
-            help="Retarget a performance to a dog of 28 shapes, 8 joints and 36 float controls "
-            "instead, and put its own animation in.",
+            help="Instead, retarget a performance to a dog of 28 shapes, 8 joints and 36 float "
+            "controls, and warp it to keyed sequences.",
         ),
     ] = False,
     source: Annotated[
         Literal["markers", "video"],
         typer.Option(
-            "--from", help="`video` tracks the actor's face in the clip, and uses no markers."
+            "--from", help="`video` tracks the face in the actor's clip instead of using markers."
         ),
     ] = "markers",
     model: Annotated[
@@ -113,8 +113,8 @@ def demo(
     video_lines: Annotated[
         Literal["240", "480", "720"],
         typer.Option(
-            help="Height of the actor's clip in pixels; at 720, as phones film, drawing it takes "
-            "minutes."
+            help="Height of the actor's clip in pixels; at 720, typical of phones, rendering it "
+            "takes minutes."
         ),
     ] = "240",
     progress: ShowProgress = "auto",
@@ -122,7 +122,7 @@ def demo(
 ) -> None:
     """Generate a character, an actor and a take, and run a job from capture to report.
 
-    All inputs are generated. The job file stays in the folder, to be changed and run again.
+    The job file stays in the folder and can be changed and run again.
 
     Example:
 
@@ -133,7 +133,7 @@ def demo(
 
     model = _demo_model(dog, source, model, video_lines)
     # On stderr, as stdout may be JSON; before the imports, which take a second or two.
-    typer.echo(f"making a demo in {out_folder}; it takes a minute or so", err=True)
+    typer.echo(f"making a demo in {out_folder}; this takes about a minute", err=True)
     with progress_listener(progress) as listener:
         job = out_folder / (DOG_JOB_NAME if dog else JOB_NAME)
         events = showing_events(job, [], style=progress, as_json=as_json)
@@ -159,10 +159,10 @@ def completion(
         Literal["bash", "zsh", "fish"], typer.Argument(help="Your shell.", show_default=False)
     ],
 ) -> None:
-    """Print what makes a shell complete commands, options and values.
+    """Print a script with which a shell completes commands, options and values.
 
-    bash: add the line below to ~/.bashrc, with zsh for bash to ~/.zshrc. fish: usdface completion
-    fish > ~/.config/fish/completions/usdface.fish
+    bash: add the line below to ~/.bashrc; zsh: to ~/.zshrc, with zsh in place of bash. fish:
+    usdface completion fish > ~/.config/fish/completions/usdface.fish
 
     Example:
 
@@ -174,22 +174,22 @@ def completion(
 
 
 def _confine(job: JobSpec, root: Path | None) -> None:
-    """Refuse paths outside a root, for this job and for every step that it runs."""
+    """Refuse paths outside a root, now and in every step of the job."""
     if root is not None:
         os.environ[ROOT_VARIABLE] = str(root.resolve())
         check_confined(job.named_paths(), root)
 
 
 def _demo_model(dog: bool, source: str, model: Path | None, video_lines: str) -> Path | None:
-    """Return the model of the demo's tracking, None without; refuse options without effect."""
+    """Return the model for tracking, None without tracking; refuse options without effect."""
     if dog and (source == "video" or model is not None):
-        raise InputError("--dog retargets a performance, and tracks nothing; leave --from out")
+        raise InputError("--from and --model have no effect with --dog; leave them out")
     if dog and video_lines != "240":
-        raise InputError("--dog films no actor; leave --video-lines out")
+        raise InputError("--video-lines has no effect with --dog; leave it out")
     if source == "video":
         from usdface.capture.face_landmarker import named_model
 
         return named_model(model)
     if model is not None:
-        raise InputError("--model is of --from video; leave it out")
+        raise InputError("--model has no effect without --from video; leave it out")
     return None

@@ -1,4 +1,4 @@
-"""Commands that read an asset and print what it holds."""
+"""Commands that read files and print a result: describe, names, validate, edits list."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -25,7 +25,7 @@ def describe(
 ) -> None:
     """Print the method, settings and cross-validation scores of a mapping.
 
-    The first line is the share of the markers' variance that principal components hold.
+    The first line is the share of the markers' variance in the principal components.
 
     Example:
 
@@ -48,7 +48,7 @@ def names(
     ] = None,
     table: Annotated[
         Path | None,
-        typer.Option("--names", help="Table to follow instead: an edited one.", show_default=False),
+        typer.Option("--names", help="Edited table to use instead.", show_default=False),
     ] = None,
     match: Annotated[
         Literal["both", "name", "deformation"],
@@ -61,12 +61,12 @@ def names(
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Print which shapes of a source drive which shapes of a rig, by what their names mean.
+    """Print which shapes of a source drive which shapes of a rig, by the meaning of their names.
 
     Names of ARKit, ICT, Character Creator, MetaHuman, FACS, Meta, MPFB, FACEGOOD and VRoid are
-    understood, with any prefix, suffix and side. What could be either of two is named, not guessed.
-    Write the table with --out, edit it, and give it to `retarget --names`, `pairs propose --names`
-    or `references import --names`.
+    recognised, with any prefix, suffix and side. Ambiguous names are listed, not matched. Write the
+    table with --out, edit it, and give it to `retarget --names`, `pairs propose --names` or
+    `references import --names`.
 
     Example:
 
@@ -86,8 +86,8 @@ def validate(
     worst_verdict: Annotated[
         VerdictLevel | None,
         typer.Option(
-            help="Worst verdict on a solve that is no error. Default: USDFACE_WORST_VERDICT in the "
-            "environment, else check.",
+            help="Worst verdict on a solve that is accepted. Default: that of the environment "
+            "variable USDFACE_WORST_VERDICT, else check.",
             show_default=False,
         ),
     ] = None,
@@ -95,7 +95,7 @@ def validate(
 ) -> None:
     """Check USD layers with the validators of USD and usdface, and by the verdict on solves.
 
-    Each finding says how to fix it. Exit code 1 if there is an error, 0 if there are only warnings.
+    Each finding states a fix. Exit code 1 if there is an error, 0 if there are only warnings.
 
     Example:
 

@@ -1,4 +1,4 @@
-"""Run a job on the command line: results as its steps end, and those of earlier runs again."""
+"""Run a job on the command line and print the results of its steps, also of earlier runs."""
 
 import contextlib
 import hashlib
@@ -29,7 +29,7 @@ from usdface.runner.result import StepResult
 from usdface.specs.job import JobSpec
 
 _LARGEST_NOTES_BYTES = 16 << 20
-"""A larger file of notes is begun anew."""
+"""A file of notes above this size is truncated."""
 
 
 def run_and_show(
@@ -46,10 +46,9 @@ def run_and_show(
     Parameters
     ----------
     file : Path
-        The job's file: results are remembered next to it.
+        The job's file; results are stored next to it.
     again : bool
-        Print what steps that are up to date said when they were made. Farms remember nothing: their
-        jobs lie in bundles, which are compared by their files.
+        Print the stored results of steps that are up to date.
     """
     shown: list[StepResult] = []
     events = showing_events(file, shown, style=style, as_json=as_json, again=again)
@@ -60,7 +59,7 @@ def run_and_show(
         kind = CancelledError if isinstance(error, KeyboardInterrupt) else type(error)
         message, steps = str(error) or STOPPED, len(job.steps)
         if steps > 1:
-            message += f"\n{len(shown)} of {steps} steps are done; run again to go on"
+            message += f"\n{len(shown)} of {steps} steps are done; run again to continue"
         if not as_json:
             raise kind(message) from error
         show_json(_as_data(job, shown) | {"error": message, "exit_code": kind.exit_code})
@@ -88,20 +87,20 @@ def showing_events(
     as_json: bool,
     again: bool = False,
 ) -> JobEvents:
-    """Return what prints the steps of a job as they end, appends and remembers their results.
+    """Return callbacks that print and store the results of steps, and append them to `shown`.
 
     Parameters
     ----------
     file, style, as_json, again
-        As `run_and_show` takes them.
+        As for `run_and_show`.
     """
-    remembered = _Results(file)
+    stored = _StoredResults(file)
 
     def ended(step: JobStep, report: StepResult) -> None:
-        if report.fresh and style != "openjd":
-            remembered.add(step, report)
+        if report.fresh and style != "openjd":  # a farm's bundle must not change
+            stored.add(step, report)
         if report.up_to_date and again:
-            report = remembered.of(step, report)
+            report = stored.of(step, report)
         shown.append(report)
         if not as_json:
             show_step(step, report)
@@ -110,7 +109,7 @@ def showing_events(
 
 
 def _announce(style: ProgressStyle) -> Any:
-    """Return what says on stderr that a step has started, where there is no bar to say so."""
+    """Return a callback that prints on stderr that a step has started, if there is no bar."""
     quiet = style != "auto" or sys.stderr.isatty()
 
     def started(step: JobStep) -> None:
@@ -120,11 +119,10 @@ def _announce(style: ProgressStyle) -> Any:
     return started
 
 
-class _Results:
-    """What the steps of a job said, one line of JSON each in a hidden file next to the job's.
+class _StoredResults:
+    """Results of a job's steps, one line of JSON each, in a hidden file next to the job's.
 
-    A help, not a record: where it cannot be written or read, or would lie outside the folder that
-    all work is confined to, nothing is remembered.
+    Nothing is stored if the file cannot be written or read, or lies outside ``USDFACE_ROOT``.
     """
 
     def __init__(self, job: Path) -> None:
@@ -133,12 +131,12 @@ class _Results:
         self._entries: dict[str, Mapping[str, Any]] = {}
         with contextlib.suppress(OSError, ValueError, InputError):
             for line in self._open(os.O_RDONLY).splitlines():
-                with contextlib.suppress(ValueError, KeyError, TypeError):  # the last may be torn
+                with contextlib.suppress(ValueError, KeyError, TypeError):  # an incomplete line
                     entry = json.loads(line)
                     self._entries[entry["made"]] = entry
 
     def add(self, step: JobStep, report: StepResult) -> None:
-        """Remember what a step said."""
+        """Store the result of a step."""
         entry = {
             "made": self._key(step),
             "table": [report.summary, *report.table],
@@ -149,10 +147,10 @@ class _Results:
             self._open(os.O_WRONLY | os.O_CREAT | os.O_APPEND, text)
 
     def of(self, step: JobStep, report: StepResult) -> StepResult:
-        """Return the result of a step that is up to date with what it said when it was made."""
+        """Return the result of a step that is up to date with its stored table and notes."""
         entry = self._entries.get(self._key(step))
         if entry is None:
-            return replace(report, table=("nothing is remembered of when it was made",))
+            return replace(report, table=("no stored notes",))
         try:
             table, notes = tuple(map(str, entry["table"])), tuple(map(str, entry["notes"]))
         except (KeyError, TypeError):

@@ -1,7 +1,4 @@
-"""Commands generated from specs: each field is an option, and its documentation the help.
-
-Spec, JSON Schema and command line cannot differ.
-"""
+"""Commands generated from specs: each field is an option, and its docstring the help."""
 
 import inspect
 import types
@@ -29,7 +26,8 @@ ShowProgress = Annotated[
 Overwrite = Annotated[
     bool,
     typer.Option(
-        "--overwrite", help="Replace existing outputs, including newer files and files of others."
+        "--overwrite",
+        help="Replace existing outputs, including newer files and files of other programs.",
     ),
 ]
 SaveSpec = Annotated[
@@ -89,7 +87,7 @@ def options_of(spec: type[Spec]) -> list[inspect.Parameter]:
 
 
 def build_spec(spec: type[SpecType], values: dict[str, Any]) -> SpecType:
-    """Make a spec from command-line values."""
+    """Return the spec of command-line values."""
     given: dict[str, Any] = {}
     for name, field in spec.model_fields.items():
         value = values.get(name)
@@ -120,7 +118,7 @@ def command_of(spec: type[Spec], run: Callable[..., None], common: list[inspect.
 
 
 def refuse_removed_options(spec: type[Spec], arguments: list[str]) -> None:
-    """Raise InputError, with advice, if arguments name an option that a command once had."""
+    """Refuse removed options, with advice."""
     end = arguments.index("--") if "--" in arguments else len(arguments)
     for argument in arguments[:end]:
         option = argument.partition("=")[0]
@@ -131,7 +129,7 @@ def refuse_removed_options(spec: type[Spec], arguments: list[str]) -> None:
 
 
 def help_of(spec: type[Spec]) -> str:
-    """Return the help of a command: a spec's documentation and example."""
+    """Return the help of a command: docstring and example of its spec."""
     text = inspect.cleandoc(spec.__doc__ or "")
     return f"{text}\n\nExample:\n\n{spec.example}" if spec.example else text
 

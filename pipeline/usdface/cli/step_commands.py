@@ -1,4 +1,4 @@
-"""Commands that are generated from the specs of steps."""
+"""Commands generated from the specs of steps."""
 
 import json
 import webbrowser
@@ -63,7 +63,7 @@ def _run_step(
 
 
 def _folder_of_takes(spec_type: type[Spec], values: dict[str, Any]) -> Path | None:
-    """Return the folder that `ingest` or `retarget` is pointed at, if it is one."""
+    """Return the source of `ingest` or `retarget` if it is a folder."""
     if spec_type not in (IngestSpec, RetargetSpec):
         return None
     given = values.get("sources" if spec_type is IngestSpec else "source")
@@ -88,20 +88,11 @@ def _run_folder(
 
     outs = list(values.pop("out"))
     if len(outs) != 1:
-        raise InputError(f"{folder}: is a folder, so one folder is written; give one --out")
+        raise InputError(f"{folder}: is a folder, whose takes are written to one; give one --out")
     count = max(len(values.get(name) or ()) for name in ("retargeting", "rig"))
     names = tuple(outs[0] / f"all{index}.usda" for index in range(count))
     shared = build_spec(RetargetSpec, values | {"out": names})
     return retarget_folder(folder, outs[0], shared, overwrite=overwrite, progress=progress)
-
-
-def _unchunked_notes(names: list[str]) -> tuple[str, ...]:
-    if not names:
-        return ()
-    return (
-        f"not split into chunks: {first_few(names, most=3)}; the number of frames is known only "
-        "after ingest, so set `frames` in the job",
-    )
 
 
 def _submit(
@@ -115,7 +106,12 @@ def _submit(
 
     spec = build_spec(spec_type, values)
     done = submit(spec, overwrite=overwrite, quiet=as_json)
-    notes = _unchunked_notes([path.name for path in done.plan.whole])
+    notes: tuple[str, ...] = ()
+    if unsplit := [path.name for path in done.plan.whole]:
+        notes = (
+            f"not split into chunks: {first_few(unsplit, most=3)}; the number of frames is known "
+            "only after ingest, so set `frames` in the job",
+        )
     tasks = {step.name: len(step.tasks) for step in done.plan.steps}
     verb = "written" if spec.write_only else "done" if spec.farm == "openjd" else "submitted"
     summary = f"{done.job}: {pluralize(sum(tasks.values()), 'task')}, {verb}"
@@ -172,14 +168,14 @@ def _tune(spec_type: type[Spec], values: dict[str, Any], *, as_json: bool) -> No
         )
     pictures: tuple[Path, ...] = ()
     if figures["tuned"] != int(session.references.tuned.sum()):
-        pictures, undrawn = _coverage_redrawn(spec, as_json=as_json)
-        notes += undrawn
+        pictures, picture_notes = _redraw_coverage(spec, as_json=as_json)
+        notes += picture_notes
     files = (session.tuned_path, *pictures)
     show_result(StepResult(files, summary, tuple(notes), figures), as_json=as_json)
 
 
-def _coverage_redrawn(spec: TuneSpec, *, as_json: bool) -> tuple[tuple[Path, ...], list[str]]:
-    """Draw the coverage beside references again when nobody waits for the page any more."""
+def _redraw_coverage(spec: TuneSpec, *, as_json: bool) -> tuple[tuple[Path, ...], list[str]]:
+    """Draw the coverage of tuned references again, after the page has been closed."""
     from usdface.steps.references.coverage import redraw_coverage
     from usdface.usdio.rig.reference import moved_rig
 
@@ -187,7 +183,7 @@ def _coverage_redrawn(spec: TuneSpec, *, as_json: bool) -> tuple[tuple[Path, ...
         with moved_rig(spec.rig), progress_listener("none" if as_json else "auto") as listener:
             return redraw_coverage(spec.references, listener)
     except (KeyboardInterrupt, CancelledError):
-        return (), ["the coverage beside the references is that of before: it was left out"]
+        return (), ["interrupted: the picture of the coverage was not drawn again"]
 
 
 GROUPS = {
@@ -198,7 +194,7 @@ GROUPS = {
     "pairs": ("retarget", "Make pairs of corresponding expressions of two characters."),
     "edits": ("edits", "Import edits from a DCC, or list the edits of a performance."),
 }
-"""Groups of commands: the workflow each is listed under, and its summary."""
+"""Groups of commands: workflow and summary."""
 
 
 def _step_maker(spec: type[Spec]) -> CommandMaker:
@@ -207,7 +203,7 @@ def _step_maker(spec: type[Spec]) -> CommandMaker:
 
 
 def make_group(group: str) -> typer.Typer:
-    """Return a group with the commands of the steps whose names begin with its own."""
+    """Return a group with the commands of the steps named ``GROUP-...``."""
     makers = {
         spec.step_name().removeprefix(f"{group}-"): _step_maker(spec)
         for spec in COMMAND_SPECS
@@ -222,7 +218,7 @@ def make_group(group: str) -> typer.Typer:
 
 
 def top_commands(groups: dict[str, typer.Typer]) -> dict[str, CommandMaker]:
-    """Return what makes each command of the top; a group stands where its first command would."""
+    """Return the makers of top-level commands; a group is listed in place of its first command."""
     makers: dict[str, CommandMaker] = {}
     for spec in COMMAND_SPECS:
         group = spec.step_name().partition("-")[0]

@@ -28,19 +28,19 @@ Step = Callable[..., StepResult]
 
 
 def find_step(spec: type[Spec]) -> Step:
-    """Return a step's function; its module is imported only now, so that others start quickly."""
+    """Return a step's function, importing its module only now, for a quick start of others."""
     step: Step = import_module(f"usdface.steps.{spec.module}").run
     return step
 
 
 @contextlib.contextmanager
 def _one_blas_thread() -> Iterator[None]:
-    """Keep linear algebra to one thread: a sum over more of them is rounded otherwise.
+    """Limit linear algebra to one thread: rounding of sums depends on the number of threads.
 
-    The same inputs then give the same bytes in any host, whatever it set for itself.
+    The same inputs then give the same bytes, whatever limits the host process has set.
     """
     if os.environ.get("OPENBLAS_NUM_THREADS") != "1":
-        # SciPy has a library of its own, which would begin with a thread for each core.
+        # SciPy brings its own BLAS, which starts a thread per core unless it is loaded before.
         import_module("scipy.linalg")
     with threadpool_limits(1, user_api="blas"):
         yield
@@ -58,13 +58,13 @@ def execute(
     Parameters
     ----------
     overwrite : bool
-        Replace outputs whoever wrote them and however new they are.
+        Replace existing outputs, including newer files and files that usdface did not write.
 
     Raises
     ------
     InputError
         If an input is missing or cannot be used, an output must not be replaced, or a path lies
-        outside the folder that ``USDFACE_ROOT`` confines all work to.
+        outside the folder of ``USDFACE_ROOT``.
     """
     try:
         check_inputs(spec)
@@ -84,13 +84,13 @@ def execute(
         if error.errno != errno.ENAMETOOLONG:
             raise
         raise InputError(
-            f"{error.filename}: a name that is too long for this file system, or that becomes so "
-            f"with what {spec.step} writes beside it; choose a shorter one"
+            f"{error.filename}: the name is too long for this file system, or becomes so with the "
+            f"suffixes of files that {spec.step} writes next to it; choose a shorter one"
         ) from error
 
 
 def _may_be_done(spec: Spec) -> bool:
-    """Whether a step is one that a job may repeat, and its outputs are there; edits add up."""
+    """Whether a step is repeatable and its outputs exist; repeated edits would add up."""
     outputs = spec.outputs()
     repeatable = isinstance(spec, STEP_SPECS) and not spec.in_place
     return repeatable and bool(outputs) and all(path.is_file() for path in outputs)
@@ -105,23 +105,19 @@ def execute_each(
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> list[StepResult]:
-    """Run specs that write into one folder, which is made if it is not there.
-
-    What fails does not stop the others.
+    """Run specs that write into one folder, creating it if needed; failures do not stop the others.
 
     Parameters
     ----------
     folder : Path
-        What the specs read from, for messages.
+        Folder of the inputs, for messages.
     done_as : str
         The step as a participle: ``ingested``.
 
     Raises
     ------
-    InputError
-        If `out` cannot be made.
     CheckFailedError
-        If some failed; each is named with its reason.
+        If some failed, with the reason of each.
     """
     made = _make_folder(out)
     done: list[StepResult] = []
@@ -134,24 +130,24 @@ def execute_each(
             failed.append(str(error))
     if failed and not done:
         for empty in made:
-            with suppress(OSError):  # whatever lies in it stays
+            with suppress(OSError):  # not empty
                 empty.rmdir()
     if failed:
         reasons = "\n".join(f"  {message}" for message in failed)
         raise CheckFailedError(
             f"{pluralize(len(done), 'take')} of {folder} {done_as}, "
-            f"{len(failed)} could not be:\n{reasons}"
+            f"{len(failed)} failed:\n{reasons}"
         )
     return done
 
 
 def _make_folder(folder: Path) -> list[Path]:
-    """Make a folder with those above it, and return the new ones, the innermost first."""
+    """Create a folder and its parents; return the new ones, the innermost first."""
     new = [path for path in (folder, *folder.parents) if not path.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(
-            f"{folder}: cannot be made: {error.strerror}; choose another --out"
+            f"{folder}: cannot be created: {error.strerror}; choose another --out"
         ) from error
     return new

@@ -21,18 +21,18 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class JobStep:
-    """A step of a job that is run now."""
+    """The current step of a running job."""
 
     number: int
-    """From 1."""
+    """Counted from 1."""
     count: int
-    """Steps of the job."""
+    """Number of steps of the job."""
     spec: Spec
     provenance: Provenance
 
     @property
     def label(self) -> str:
-        """Number, step and file, which names the take: ``step 3 of 22, map k_001.hero.usda``."""
+        """Number, step and output: ``step 3 of 22, map k_001.hero.usda``."""
         files = (*self.spec.outputs(), *self.spec.paths(Writes))
         name = f" {files[0].name}" if files else ""
         place = f"step {self.number} of {self.count}, " if self.count > 1 else ""
@@ -40,17 +40,17 @@ class JobStep:
 
 
 def _ignore(*_: object) -> None:
-    """Do nothing; the default where nobody listens."""
+    """Do nothing."""
 
 
 @dataclass(frozen=True)
 class JobEvents:
-    """What is called as a job goes on."""
+    """Callbacks of a running job."""
 
     started: Callable[[JobStep], None] = _ignore
     """Before a step runs; not for steps that are up to date."""
     ended: Callable[[JobStep, StepResult], None] = _ignore
-    """After a step, before what it checked can fail the job, and for steps that are up to date."""
+    """After a step, also if it is up to date or one of its checks failed."""
 
 
 def run_job(
@@ -60,21 +60,19 @@ def run_job(
     overwrite: bool = False,
     events: JobEvents | None = None,
 ) -> list[StepResult]:
-    """Run what a job lacks, in order; a step whose outputs are up to date is skipped.
+    """Run the steps of a job in order, skipping those whose outputs are up to date.
 
     Parameters
     ----------
     overwrite : bool
         Replace outputs that this package did not write, or that are of another kind.
-    events : JobEvents, optional
-        Called when a step starts and when it ends.
 
     Raises
     ------
     InputError
-        If a step fails; what earlier steps wrote stays, and running again goes on from there.
+        If a step fails; outputs of earlier steps stay, and running again continues from there.
     CheckFailedError
-        If a step was done and what it checked is not in order.
+        If a check of a step failed.
     """
     events = events or JobEvents()
     reports = []
@@ -111,12 +109,14 @@ def run_job(
 
 
 def make_folders(job: JobSpec) -> None:
-    """Make the folders that a job writes to: a farm's worker may have none of them."""
+    """Create the folders that a job writes to: a farm's worker may lack them."""
     for folder in {path.parent for step in job.steps for path in step.paths(Writes)}:
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise InputError(f"{folder}: cannot be made: {error.strerror}") from error
+            raise InputError(
+                f"{folder}: cannot be created: {error.strerror}; change the job's outputs"
+            ) from error
 
 
 def _labelled(progress: Progress, label: str) -> Progress:

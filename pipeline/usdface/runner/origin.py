@@ -1,4 +1,4 @@
-"""Provenance of files: made from a spec, read back, and the files that it names found again."""
+"""Provenance of files: made from a spec, read back, and used to find a file's inputs."""
 
 import os
 from collections.abc import Sequence
@@ -20,18 +20,16 @@ from usdface.usdio.take.read import TakeReader, is_take
 LARGEST_FIGURES_BYTES = 64 << 20
 
 REFUSED = " refused"
-"""Follows a step's name in what it wrote where it refused its inputs: that is never up to date."""
+"""Suffix of a step's name in outputs written on failure, which are never up to date."""
 
 
 def provenance_of(path: Path) -> Provenance | None:
-    """Return what a file says of its making; None where it says nothing or cannot be read."""
+    """Return the provenance stored in a file; None if there is none or it cannot be read."""
     try:
         if path.suffix in (*LAYER_SUFFIXES, ".usdz"):
             return read_provenance(path)
         if path.suffix.lower() in IMAGE_SUFFIXES:
-            from usdface.media.picture.image import (
-                read_image_metadata,  # media only when there are any
-            )
+            from usdface.media.picture.image import read_image_metadata  # slow to import
 
             return _from_metadata(read_image_metadata(path))
         if path.suffix.lower() in MOVIE_SUFFIXES:
@@ -58,7 +56,7 @@ def provenance_of(path: Path) -> Provenance | None:
 
 
 def make_provenance(spec: Spec) -> Provenance:
-    """Hash a spec's inputs; paths are kept relative to the output, so that folders can move."""
+    """Hash a spec's inputs; paths are stored relative to the output, so that folders can move."""
     anchor = spec.outputs()[0].resolve().parent if spec.outputs() else Path.cwd()
     read = {**traced_files(spec), **spec.reads()}
     inputs = {_relative(path, anchor): hash_input(path, how) for path, how in read.items()}
@@ -76,14 +74,14 @@ def make_provenance(spec: Spec) -> Provenance:
 _TRACED = {"take": Reads(assets=True), "source": Reads(assets=True)} | dict.fromkeys(
     ("mapping", "references", "placement", "parts"), Reads()
 )
-"""Fields of a spec by which steps find files, and how these are read."""
+"""Fields of a stored spec by which steps find further inputs, and how these are read."""
 
 
 def traced_files(spec: Spec) -> dict[Path, Reads]:
     """Return the files that a step reads because the provenance of its inputs names them.
 
-    That of a performance names take and mapping, that of the mapping the references; a take or
-    references that the spec itself names are not looked for.
+    The provenance of a performance names take and mapping, that of a mapping the references. Files
+    that the spec itself gives are not searched for.
     """
     given = {name for name in _TRACED if getattr(spec, name, None) is not None}
     found: dict[Path, Reads] = {}
@@ -95,7 +93,7 @@ def traced_files(spec: Spec) -> dict[Path, Reads]:
             continue
         seen.add(file)
         named = spec_of(provenance_of(file))
-        for name in _TRACED:  # in their order: the same inputs have to give the same bytes
+        for name in _TRACED:  # in fixed order: provenance is part of the output's bytes
             if name in given or name not in named:
                 continue
             for path in _paths_in(named[name], file.parent):
@@ -106,7 +104,7 @@ def traced_files(spec: Spec) -> dict[Path, Reads]:
 
 
 def _paths_in(value: object, folder: Path = Path()) -> list[Path]:
-    """Return the files that a field names: one, several, or none."""
+    """Return the files of a field that may hold one path, several or none."""
     several = value if isinstance(value, list | tuple) else [value]
     return [folder / each for each in several if isinstance(each, str | Path) and str(each)]
 
@@ -134,7 +132,7 @@ def _from_metadata(metadata: dict[str, object]) -> Provenance | None:
 
 
 def _from_json(path: Path) -> Provenance | None:
-    """Read what `evaluate` and others put beside their figures."""
+    """Return the provenance in a JSON file of figures."""
     try:
         if path.stat().st_size > LARGEST_FIGURES_BYTES:
             return None
@@ -145,9 +143,10 @@ def _from_json(path: Path) -> Provenance | None:
 
 
 def hash_input(path: Path, how: Reads = Reads()) -> str:  # noqa: B008  # it is frozen
-    """Return a file's hash as provenance has it; of a layer, with the layers it is made of.
+    """Return the hash of an input for provenance.
 
-    Where a step shows or packs what layers name, textures and movies are hashed as well.
+    Layers are hashed with the layers they compose and, if the step reads them, with their textures
+    and movies.
     """
     if how.alone or not is_layer_name(path):
         return hash_files([path])
@@ -159,18 +158,12 @@ def _relative(path: Path, anchor: Path) -> str:
 
 
 def spec_of(provenance: Provenance | None) -> dict[str, Any]:
-    """Return the spec that a file was made by; empty where there is none that can be read."""
+    """Return the spec stored in provenance; empty if there is none."""
     return {} if provenance is None else json_object(provenance.spec)
 
 
 def path_made_from(file: Path, field: str) -> Path | None:
-    """Return the file that a field of a file's spec names; None if it does not, or it is gone.
-
-    Parameters
-    ----------
-    file : Path
-        What was made; paths in its provenance are relative to its folder.
-    """
+    """Return the file that a field of a file's stored spec names; None if there is no such file."""
     named = spec_of(provenance_of(file)).get(field)
     if isinstance(named, list) and len(named) == 1:
         named = named[0]
@@ -186,94 +179,93 @@ def find_take(performance: Path, given: Path | None) -> Path:
     Parameters
     ----------
     given : Path or None
-        What the command names; None leaves it to the provenance.
+        The take given to the command; None means that of the provenance.
     """
-    own = take_of_performance(performance)
+    stored = take_of_performance(performance)
     if given is None:
-        if own is None:
-            raise InputError(f"{performance}: does not say which take it is of; give it by --take")
-        if not own.is_file():
-            raise InputError(f"{performance}: its take, {own}, is gone; say where by --take")
-        return own
-    if own is None or _was_read(own, given, performance):
+        if stored is None:
+            raise InputError(f"{performance}: does not name its take; give it by --take")
+        if not stored.is_file():
+            raise InputError(
+                f"{performance}: its take, {stored}, is gone; give its new path by --take"
+            )
+        return stored
+    if stored is None or _was_read(stored, given, performance):
         return given
     raise InputError(
-        f"{given}: not the take of {performance.name}, which was mapped from {own}; leave out "
+        f"{given}: not the take of {performance.name}, which was mapped from {stored}; leave out "
         "--take, or map this take first"
     )
 
 
-def _was_read(own: Path, given: Path, performance: Path) -> bool:
-    """Whether a take is the one of a performance, `own`, by name or by content."""
+def _was_read(stored: Path, given: Path, performance: Path) -> bool:
+    """Whether the given take is the stored one of a performance, by name or by content."""
     made = provenance_of(performance)
-    return own.name == given.name or made is None or hash_input(given) in made.inputs.values()
+    return stored.name == given.name or made is None or hash_input(given) in made.inputs.values()
 
 
 def check_same_take(performance: Path, take: Path | None, others: Sequence[Path]) -> None:
-    """Refuse performances to show beside one that are of another take than it.
+    """Refuse other performances that are of another take than the first.
 
-    Takes are compared by the names they carry; one whose file is gone, or is no USD, as by
-    `find_take`. A performance that names none may be of any take at its rate.
+    Takes are compared by their stored names, or as by `find_take` if a file is missing or not USD.
+    A performance that names no take only needs the same rate.
 
     Parameters
     ----------
     take : Path or None
-        Of the performance; None leaves it to the provenance.
+        Take of the performance; None means that of the provenance.
     """
-    rate, own = PerformanceReader(performance).rate, take or take_of_performance(performance)
+    rate, first = PerformanceReader(performance).rate, take or take_of_performance(performance)
     for other in others:
-        theirs, at = take_of_performance(other), PerformanceReader(other).rate
-        of_them = f"{other}: is of another take than {performance.name}"
-        if at != rate:
+        second, other_rate = take_of_performance(other), PerformanceReader(other).rate
+        where = f"{other}: is of another take than {performance.name}"
+        if other_rate != rate:
             raise InputError(
-                f"{of_them}: it has {float(at):g} frames per second, not {float(rate):g}; leave "
-                "it out of --also"
+                f"{where}: it has {float(other_rate):g} frames per second, not {float(rate):g}; "
+                "leave it out of --also"
             )
-        if own is not None and theirs is not None and not _one_take(own, theirs, other):
+        if first is not None and second is not None and not _one_take(first, second, other):
             raise InputError(
-                f"{of_them}: of {theirs}, not of {own}; leave it out of --also, which takes "
+                f"{where}: of {second}, not of {first}; leave it out of --also, which takes "
                 "performances of one take"
             )
 
 
-def _one_take(own: Path, theirs: Path, other: Path) -> bool:
-    if all(take.is_file() and is_usd_name(take) and is_take(take) for take in (own, theirs)):
-        return TakeReader(own).name == TakeReader(theirs).name
-    return own.name == theirs.name or (own.is_file() and _was_read(theirs, own, other))
+def _one_take(first: Path, second: Path, other: Path) -> bool:
+    if all(take.is_file() and is_usd_name(take) and is_take(take) for take in (first, second)):
+        return TakeReader(first).name == TakeReader(second).name
+    return first.name == second.name or (first.is_file() and _was_read(second, first, other))
 
 
 def with_moved(
     performances: Sequence[Path], given: Sequence[Path], what: str
 ) -> list[tuple[Path, Path | None]]:
-    """Return each performance with where a file of it is now; None where it says so itself.
+    """Return (performance, given file) pairs; None for the file if the option is not given.
 
     Parameters
     ----------
     given : sequence of Path
-        One for each performance, one for all, or none.
+        One per performance, one for all, or none.
     what : str
-        They are, as the option names them: ``'take'`` or ``'rig'``.
+        Name of the option: ``'take'`` or ``'rig'``.
     """
-    count, places = len(performances), tuple(given) or (None,)
-    if len(places) not in (1, count):
+    count, files = len(performances), tuple(given) or (None,)
+    if len(files) not in (1, count):
         raise InputError(
-            f"--{what} names {pluralize(len(places), what)} for {count} performances; give one "
+            f"--{what} names {pluralize(len(files), what)} for {count} performances; give one "
             "each, or one for all"
         )
-    return list(zip(performances, places * (count // len(places)), strict=True))
+    return list(zip(performances, files * (count // len(files)), strict=True))
 
 
 def take_of_performance(performance: Path) -> Path | None:
-    """Return the take that a performance says it was made of; None where it says none.
-
-    Of one that was retargeted it is the source's.
-    """
+    """Return the take in a performance's provenance, of the source if retargeted; None if none."""
     file, seen = performance, set[Path]()
     while file not in seen:
         seen.add(file)
         spec = spec_of(provenance_of(file))
-        mapped = "take" in spec and "source" not in spec  # a table's take is no file
-        parts = spec.get("parts") or [None]  # of a joined performance all are of one take
+        mapped = "take" in spec and "source" not in spec  # the take of a table is no file
+        parts = spec.get("parts") or [None]  # the parts of a joined performance share a take
         named = spec.get("take") if mapped else spec.get("source", parts[0])
         if not isinstance(named, str) or not named:
             return None

@@ -1,4 +1,4 @@
-"""Before a step runs: are its inputs there, and may its outputs be written."""
+"""Checks before a step runs: whether inputs exist, and outputs may be written."""
 
 import contextlib
 import os
@@ -25,7 +25,7 @@ def check_confined_inputs(spec: Spec, root: Path) -> None:
 
 
 def confine(what: str, *, reads: Sequence[Path] = (), writes: Sequence[Path] = ()) -> None:
-    """Hold a command that has no spec to the folder that ``USDFACE_ROOT`` names, if it does."""
+    """Refuse paths of a command without a spec outside the folder of ``USDFACE_ROOT``, if set."""
     root = confinement_root()
     if root is not None:
         check_confined([(what, path) for path in (*reads, *writes)], root)
@@ -36,7 +36,7 @@ def _check_layers(what: str, paths: Sequence[Path], root: Path) -> None:
     top = root.resolve()
     faults = []
     for path in paths:
-        # As USD tells a layer, not by a list of endings: packages are layers, and so is X.USDA.
+        # As USD recognises layers, not by suffix: packages and X.USDA are layers.
         if path.is_file() and is_layer_name(path):
             faults += [
                 f"{what}: {path}: refers to {file}, which lies outside {root}"
@@ -44,23 +44,23 @@ def _check_layers(what: str, paths: Sequence[Path], root: Path) -> None:
                 if not file.resolve().is_relative_to(top)
             ]
     if faults:
-        raise InputError("\n".join(faults) + "\nmove the files below it, or ask for another root")
+        raise InputError("\n".join(faults) + "\nmove the files into it, or give another root")
 
 
 def check_inputs(spec: Spec) -> None:
-    """Raise InputError naming every file that a spec reads and that is not there."""
+    """Refuse a spec with missing inputs, naming all of them."""
     check_may_be_read(spec)
     if missing := missing_inputs(spec):
         raise InputError(f"{first_few(missing)}: no such file; check the path")
 
 
 def missing_inputs(spec: Spec) -> list[Path]:
-    """Return the files that a spec reads and that are not there."""
+    """Return the inputs of a spec that do not exist."""
     return [path for path in spec.paths(Reads) if not path.exists()]
 
 
 def missing_in_job(job: JobSpec) -> list[str]:
-    """Return a line for each file that a job reads, and that no earlier step of it makes."""
+    """Return a message for each input of a job that neither exists nor is made by earlier steps."""
     made: set[Path] = set()
     faults = []
     for number, spec in enumerate(job.steps, start=1):
@@ -74,31 +74,31 @@ def missing_in_job(job: JobSpec) -> list[str]:
 
 
 def check_may_be_read(spec: Spec) -> None:
-    """Raise InputError if a spec leaves the folder of ``USDFACE_ROOT``, or reads what is no file.
+    """Refuse paths outside the folder of ``USDFACE_ROOT``, and inputs that are no files.
 
-    Before anything is opened, to hash it or to use it.
+    To be called before any input is opened.
     """
     for path in (*spec.paths(Reads), *spec.paths(Writes)):
         check_no_loop(path)
     root = confinement_root()
     if root is not None:
         check_confined_inputs(spec, root)
-    # A pipe or a device may never end, or never begin.
-    odd = [path for path in spec.paths(Reads) if path.exists() and not path.is_file()]
-    if folders := [path for path in odd if path.is_dir()]:
+    # Reading a pipe or a device may block forever.
+    no_files = [path for path in spec.paths(Reads) if path.exists() and not path.is_file()]
+    if folders := [path for path in no_files if path.is_dir()]:
         raise InputError(
             f"{first_few(folders)}: a folder; {spec.step} reads files: name them, such as "
             f"{folders[0] / '*'}"
         )
-    if odd:
-        raise InputError(f"{first_few(odd)}: a pipe or a device, not a file; copy it to one")
+    if no_files:
+        raise InputError(f"{first_few(no_files)}: a pipe or a device, not a file; copy it to one")
 
 
 def check_outputs(spec: Spec, *, overwrite: bool) -> None:
-    """Raise InputError if an output cannot be written, or would replace what should be kept.
+    """Refuse outputs that cannot be written, or that would replace another file.
 
-    A file is replaced without asking only if this package wrote it, as the same kind of file, and
-    an input has changed since.
+    Without `overwrite`, a file is replaced only if this package wrote it, as the same kind of file,
+    and an input is newer.
     """
     inputs = [path for path in (*spec.paths(Reads), *traced_files(spec)) if path.exists()]
     newest_input = max((path.stat().st_mtime_ns for path in inputs), default=0)
@@ -106,13 +106,13 @@ def check_outputs(spec: Spec, *, overwrite: bool) -> None:
     for path in spec.paths(Writes):
         if path.resolve() in read:
             raise InputError(
-                f"{path}: is read by {spec.step}, and would be lost if it were written; choose "
-                "another --out"
+                f"{path}: is an input of {spec.step}, and would be overwritten; choose another "
+                "--out"
             )
         if whole := _is_layer_of(path, inputs):
             raise InputError(
-                f"{path}: is a layer of {whole}, which {spec.step} reads, and would be lost if it "
-                "were written; choose another --out"
+                f"{path}: is a layer of {whole}, an input of {spec.step}, and would be "
+                "overwritten; choose another --out"
             )
         check_asset_name(path)
         folder = path.parent
@@ -132,13 +132,13 @@ def check_outputs(spec: Spec, *, overwrite: bool) -> None:
     for path in spec.paths(Writes):
         if path.exists() and path.stat().st_mtime_ns > newest_input:
             raise InputError(
-                f"{path}: exists and is newer than what it is made from; choose another --out, or "
+                f"{path}: exists and is newer than its inputs; choose another --out, or "
                 "--overwrite it"
             )
 
 
 def check_may_be_replaced(spec: Spec) -> None:
-    """Raise InputError if an output would replace or change what somebody or another step made."""
+    """Refuse outputs that would replace files of other programs or other kinds of step."""
     for path in spec.paths(Writes):
         _check_may_be_replaced(spec, path)
 
@@ -146,13 +146,13 @@ def check_may_be_replaced(spec: Spec) -> None:
 def _check_may_be_replaced(spec: Spec, path: Path) -> None:
     if foreign := foreign_sidecar(spec, path):
         raise InputError(
-            f"{foreign}: exists and was not written by usdface, and {spec.step} writes what "
-            f"belongs to {path.name} there; choose another --out, or --overwrite it"
+            f"{foreign}: exists and was not written by usdface, and {spec.step} writes a layer of "
+            f"{path.name} there; choose another --out, or --overwrite it"
         )
     if sibling := sibling_sharing_layers(spec, path):
         raise InputError(
-            f"{sibling}: has the same layers beneath as {path.name} would have, and would show "
-            f"what {spec.step} writes; choose another --out, or --overwrite it"
+            f"{sibling}: has the same sublayers as {path.name} would have, and would change with "
+            "it; choose another --out, or --overwrite it"
         )
     if not path.exists():
         return
@@ -164,24 +164,24 @@ def _check_may_be_replaced(spec: Spec, path: Path) -> None:
         )
     if not _same_kind(made.step, spec):
         raise InputError(
-            f"{path}: exists and was written by `{made.step}`, which makes something else than "
-            f"{spec.step} does; choose another --out, or --overwrite it"
+            f"{path}: exists and was written by `{made.step}`, whose outputs {spec.step} does not "
+            "replace; choose another --out, or --overwrite it"
         )
 
 
 def _same_kind(step: str, spec: Spec) -> bool:
-    """Whether what a step wrote is what a spec would write again."""
+    """Whether the outputs of a step and of a spec are of one kind."""
     other = SPEC_BY_STEP.get(step.removesuffix(REFUSED))
     return other is not None and other.kind_of_output() == spec.kind_of_output()
 
 
 def sidecars_of(spec: Spec, path: Path) -> list[Path]:
-    """Return the layers that a step writes beneath an output."""
+    """Return the sublayers that a step writes for an output."""
     return [layer for rule in type(spec).sidecars if (layer := rule(path)) != path]
 
 
 def foreign_sidecar(spec: Spec, path: Path) -> Path | None:
-    """Return the file of somebody else where a step would write a layer beneath its output."""
+    """Return a file not written by usdface at the path of a sublayer of an output, if any."""
     foreign = (
         layer
         for layer in sidecars_of(spec, path)
@@ -191,7 +191,7 @@ def foreign_sidecar(spec: Spec, path: Path) -> Path | None:
 
 
 def sibling_sharing_layers(spec: Spec, path: Path) -> Path | None:
-    """Return the file that differs from an output in its ending alone, and so shares its layers."""
+    """Return a file that shares the sublayers of an output, as it differs only in its suffix."""
     sidecars = {layer.resolve() for layer in sidecars_of(spec, path)}
     if not sidecars or path.suffix not in LAYER_SUFFIXES:
         return None
@@ -199,17 +199,17 @@ def sibling_sharing_layers(spec: Spec, path: Path) -> Path | None:
         other = path.with_suffix(suffix)
         if other == path or not other.is_file():
             continue
-        with contextlib.suppress(InputError):  # it cannot be read, so it shows nothing
+        with contextlib.suppress(InputError):  # unreadable, so nothing can depend on it
             if sidecars & {each.resolve() for each in dependencies(other)[1:]}:
                 return other
     return None
 
 
 def _is_layer_of(path: Path, inputs: list[Path]) -> Path | None:
-    """Return the input that a file was written with: samples of a take, edits of a performance."""
+    """Return the input that a file is a sublayer of, as the samples of a take."""
     for whole in inputs:
         if path.name.startswith(f"{whole.stem}.") and path.is_file() and is_layer_name(whole):
-            with contextlib.suppress(InputError):  # what cannot be read is told when it is read
+            with contextlib.suppress(InputError):  # reported when the step reads it
                 if path.resolve() in {each.resolve() for each in dependencies(whole)[1:]}:
                     return whole
     return None

@@ -1,4 +1,4 @@
-"""What a step says when it is done."""
+"""Result of a step."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,21 +12,21 @@ class StepResult:
     """The result of a step, for people and scripts."""
 
     outputs: tuple[Path, ...]
-    """Files written; empty where the step only looked."""
+    """Files written; empty for steps that only read."""
     summary: str
-    """One line that says what came out."""
+    """The result in one line."""
     notes: tuple[str, ...] = ()
-    """What the user should know: things dropped, assumed, repaired, doubtful."""
+    """Data that was dropped, assumed, repaired or is uncertain."""
     figures: dict[str, object] = field(default_factory=dict)
-    """Numbers and names worth keeping, ready for JSON."""
+    """Measured numbers and names, ready for JSON."""
     table: tuple[str, ...] = ()
-    """Lines for people; scripts find the same in `figures`."""
+    """Lines to print; `figures` holds the same data."""
     failures: tuple[str, ...] = ()
-    """What was checked and is not in order."""
+    """Failed checks."""
     level: str = ""
-    """``'good'``, ``'check'`` or ``'bad'`` where the summary begins with the verdict on a solve."""
+    """``'good'``, ``'check'`` or ``'bad'`` if the summary begins with the verdict on a solve."""
     fresh: bool = True
-    """False where the outputs were up to date, and nothing was written."""
+    """False if the outputs were up to date, and nothing was written."""
 
     def __repr__(self) -> str:
         files = ", ".join(path.name for path in self.outputs)
@@ -35,11 +35,11 @@ class StepResult:
 
     @property
     def up_to_date(self) -> bool:
-        """Whether the outputs were there, made from the same inputs and options: nothing done."""
+        """Whether the outputs existed, made from the same inputs and options, so nothing ran."""
         return not self.fresh
 
     def require_success(self) -> None:
-        """Raise CheckFailedError, naming every failure, if there is one."""
+        """Raise CheckFailedError with all failures, if there are any."""
         if self.failures:
             raise CheckFailedError("; ".join(self.failures))
 

@@ -1,4 +1,4 @@
-"""Whether a step's outputs are there, and made from its inputs and options as they are now."""
+"""Whether a step's outputs exist and are up to date with its inputs and options."""
 
 import json
 from collections.abc import Callable, Mapping
@@ -32,53 +32,52 @@ _State = Literal["done", "stale", "missing"]
 
 @dataclass(frozen=True)
 class StepState:
-    """Where one step of a job stands."""
+    """State of one step of a job."""
 
     spec: Spec
     state: _State
-    """Whether its outputs are there, and made from the inputs as they are now."""
     reason: str
 
 
 def chunk_specs(spec: Spec, made: Provenance, path: Path) -> tuple[Spec, ...]:
-    """Return the specs by which a file that joins parts was made, if they come to a given one.
+    """Return the specs of a file that was joined from parts and is equivalent to `spec`.
 
     Parameters
     ----------
     spec : Spec
-        What would make the file whole.
+        The spec that makes the file in one run.
     made : Provenance
-        What the file says of its making.
+        Provenance of the file.
 
     Returns
     -------
     tuple of Spec
-        The join, and each part's as it should be: whether all are done is for the caller to find.
-        Empty if the file was made otherwise, or of other frames.
+        The join, then the expected spec of each part; not checked for being up to date. Empty if
+        the file was not joined, or from other frames.
     """
     join = _join_of(spec, made)
     if join is None:
         return ()
     folder = path.resolve().parent
     join = join.with_paths(lambda part: folder / part)
-    parts, stretches = list[Spec](), list[tuple[int, int]]()
+    parts, ranges = list[Spec](), list[tuple[int, int]]()
     for path_of_part in join.parts or ():
         frames = spec_of(provenance_of(path_of_part)).get("frames")
         try:
-            stretch = frame_range(frames)
+            limits = frame_range(frames)
         except (AttributeError, ValueError):
             return ()
-        if stretch is None:
+        if limits is None:
             return ()
-        stretches.append(stretch)
+        ranges.append(limits)
         if isinstance(spec, TrackSpec):
             parts.append(spec.part_spec(frames, path_of_part))
             continue
         changed = {"chunk": None} if isinstance(spec, MapSpec) else {"sound": False}
         parts.append(spec.model_copy(update={"frames": frames, "out": path_of_part, **changed}))
-    stretches.sort()
-    follow = all(one[1] + 1 == other[0] for one, other in pairwise(stretches))
-    if not follow or (stretches[0][0], stretches[-1][1]) != frames_made(spec):
+    ranges.sort()
+    consecutive = all(one[1] + 1 == other[0] for one, other in pairwise(ranges))
+    if not consecutive or (ranges[0][0], ranges[-1][1]) != frames_made(spec):
         return ()
     if isinstance(spec, TrackSpec):
         join = spec.model_copy(update={"parts": join.parts})
@@ -106,7 +105,7 @@ def _join_of(spec: Spec, made: Provenance) -> JoinSpec | MovieJoinSpec | TrackSp
 def frames_made(
     step: Spec, frames_of: Callable[[Path], tuple[int, int] | None] = frame_range_of
 ) -> tuple[int, int] | None:
-    """Return the frames that a step will have worked on; None where only the worker will know."""
+    """Return first and last frame of a step's output; None if they are not known before it runs."""
     if isinstance(step, MapSpec):
         return frame_range(step.frames) or frames_of(step.take)
     if isinstance(step, MovieSpec):
@@ -117,7 +116,7 @@ def frames_made(
 
 
 def _video_frames(step: TrackSpec) -> tuple[int, int]:
-    from usdface.capture.sample_times import picture_frames  # media only when there are any
+    from usdface.capture.sample_times import picture_frames  # slow to import
     from usdface.media.film.image_sequence import open_video
 
     asked = None if step.video_rate is None else exact_rate(step.video_rate, where="--video-rate")
@@ -128,21 +127,21 @@ def _video_frames(step: TrackSpec) -> tuple[int, int]:
 
 
 def job_states(job: JobSpec) -> list[StepState]:
-    """Say of each step whether it is done, stale or missing.
+    """Return the state of each step of a job: done, stale or missing.
 
     Raises
     ------
     InputError
-        If a step reads a file that neither exists nor is made by an earlier step, or writes where
-        it cannot; every fault is named.
+        If an input neither exists nor is made by an earlier step, or an output folder does not
+        exist; all faults are named.
     """
     faults = missing_in_job(job)
     folders = {path.parent: None for spec in job.steps for path in spec.paths(Writes)}
     missing = [folder for folder in folders if not folder.is_dir()]
     if missing:
         faults.append(
-            f"{pluralize(len(missing), 'folder')} to write to not there: {first_few(missing)}; "
-            "make them, or let `usdface run --make-folders` make them"
+            f"{pluralize(len(missing), 'output folder')} missing: {first_few(missing)}; create "
+            "them, or use `usdface run --make-folders`"
         )
     states: list[StepState] = []
     to_come: set[Path] = set()
@@ -150,7 +149,7 @@ def job_states(job: JobSpec) -> list[StepState]:
         check_may_be_read(spec)
         waits_for = [path for path in spec.paths(Reads) if path in to_come or not path.exists()]
         if waits_for and all(path.exists() for path in spec.outputs()):
-            state = StepState(spec, "stale", f"an earlier step makes {waits_for[0].name} anew")
+            state = StepState(spec, "stale", f"an earlier step rewrites {waits_for[0].name}")
         elif waits_for:
             state = StepState(spec, "missing", "waits for an earlier step")
         else:
@@ -164,12 +163,12 @@ def job_states(job: JobSpec) -> list[StepState]:
 
 
 def step_state(spec: Spec, provenance: Provenance) -> StepState:
-    """Compare what the outputs of a step say of their making with `provenance`, its present one."""
+    """Compare the provenance stored in a step's outputs with `provenance`, the current one."""
     if not spec.outputs():
-        return StepState(spec, "missing", "writes nothing that could tell it was done")
+        return StepState(spec, "missing", "writes no file that stores its provenance")
     for path in spec.outputs():
         if not path.exists():
-            return StepState(spec, "missing", f"{path.name} is not there")
+            return StepState(spec, "missing", f"{path.name} does not exist")
         made = provenance_of(path)
         if made is not None and (parts := chunk_specs(spec, made, path)):
             states = [_state_of_part(each) for each in parts]
@@ -178,34 +177,34 @@ def step_state(spec: Spec, provenance: Provenance) -> StepState:
                 StepState(spec, "done", "up to date, made in parts"),
             )
         if made is None or made.step != provenance.step:
-            return StepState(spec, "stale", f"{path.name} was made by something else")
+            return StepState(spec, "stale", f"{path.name} was not made by {provenance.step}")
         if made.spec != provenance.spec:
             changes = _changed_settings(spec_of(made), spec_of(provenance))
-            return StepState(spec, "stale", f"{path.name} was made with other settings: {changes}")
+            return StepState(spec, "stale", f"{path.name} was made with other options: {changes}")
         changed = [
             name for name, value in provenance.inputs.items() if made.inputs.get(name) != value
         ]
         if changed:
             return StepState(spec, "stale", f"{changed[0]} has changed since")
         if path.suffix in LAYER_SUFFIXES and (lost := missing_sublayers(path)):
-            return StepState(spec, "missing", f"{lost[0]} is not there")
+            return StepState(spec, "missing", f"{lost[0]} does not exist")
         if other := _layer_of_another_run(spec, path, made):
-            return StepState(spec, "stale", f"{other.name} is of another run, which was cut off")
+            return StepState(spec, "stale", f"{other.name} is of another, interrupted run")
     return StepState(spec, "done", "up to date")
 
 
 def _layer_of_another_run(spec: Spec, path: Path, made: Provenance) -> Path | None:
-    """Return a layer beneath an output that the same step made, but of other settings or inputs."""
+    """Return a sublayer of an output that the same step made with other options or inputs."""
     for layer in sidecars_of(spec, path):
-        beneath = provenance_of(layer) if layer.is_file() else None
-        if beneath is not None and beneath.step == made.step:
-            if (beneath.spec, dict(beneath.inputs)) != (made.spec, dict(made.inputs)):
+        layer_made = provenance_of(layer) if layer.is_file() else None
+        if layer_made is not None and layer_made.step == made.step:
+            if (layer_made.spec, dict(layer_made.inputs)) != (made.spec, dict(made.inputs)):
                 return layer
     return None
 
 
 def _changed_settings(was: Mapping[str, Any], now: Mapping[str, Any]) -> str:
-    """Return which options differ, each with both values; what is not there is the default."""
+    """Return the options that differ, each with both values; options not stored are the default."""
 
     def text(data: Mapping[str, Any], name: str) -> str:
         return (
@@ -223,5 +222,5 @@ def _changed_settings(was: Mapping[str, Any], now: Mapping[str, Any]) -> str:
 def _state_of_part(spec: Spec) -> StepState:
     check_may_be_read(spec)
     if missing := missing_inputs(spec):
-        return StepState(spec, "missing", f"{missing[0].name} is not there")
+        return StepState(spec, "missing", f"{missing[0].name} does not exist")
     return step_state(spec, make_provenance(spec))
