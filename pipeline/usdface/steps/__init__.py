@@ -1,1 +1,1 @@
-"""One step per file: a spec in, files written, a report out; glue only."""
+"""One step per module: reads the files of a spec, writes files, returns a result."""

@@ -51,7 +51,7 @@ def test_sound_of_others_is_kept_and_our_own_replaced(tmp_path: Path) -> None:
     sound = tmp_path / "shot.take.sound.wav"
     sound.write_bytes(b"RIFF, and hours of a sound engineer's work")
     for overwrite in (False, True):
-        with pytest.raises(InputError, match=r"sound\.wav: exists, and the take does not say"):
+        with pytest.raises(InputError, match=r"sound\.wav: exists and is not the sound"):
             execute(spec, overwrite=overwrite)
     assert sound.read_bytes().startswith(b"RIFF, and hours")
     assert not spec.out.exists()

@@ -66,29 +66,30 @@ def test_what_is_of_one_take_is_refused_for_a_folder(
 def test_one_broken_capture_does_not_stop_the_others(captures, shot: Shot) -> None:
     data = (captures / "b.c3d").read_bytes()
     (captures / "b.c3d").write_bytes(data[:4000])
-    with pytest.raises(
-        CheckFailedError, match=r"1 take of .* ingested, 1 could not be.*\n.*b\.c3d"
-    ):
+    with pytest.raises(CheckFailedError, match=r"1 take of .* ingested, 1 failed.*\n.*b\.c3d"):
         ingest_folder(captures, shot / "takes", options(shot))
     assert read_take(shot / "takes" / "a 01.take.usda").frame_count == 480
 
 
 def test_a_folder_without_captures_is_refused(shot: Shot) -> None:
     (shot / "empty").mkdir()
-    with pytest.raises(InputError, match="holds no capture file"):
+    with pytest.raises(InputError, match="holds no file of a known capture"):
         ingest_folder(shot / "empty", shot / "takes", options(shot))
 
 
 def test_files_in_no_take_are_named(captures, shot: Shot) -> None:
     (captures / "lone.mov").write_bytes(b"")
     report = ingest_folder(captures, shot / "takes", options(shot), overwrite=True)
-    assert any("in no take" in note and "lone.mov, notes.txt" in note for note in report.notes)
+    assert any(
+        "not used, as their content" in note and "lone.mov, notes.txt" in note
+        for note in report.notes
+    )
 
 
 @pytest.mark.parametrize("name", ["c.c3d", "C.TRC"])
 def test_an_empty_copy_of_a_capture_does_not_go_unseen(captures, shot: Shot, name: str) -> None:
     (captures / name).write_bytes(b"")
-    with pytest.raises(CheckFailedError, match=rf"2 takes of .* 1 could not be.*\n.*{name}"):
+    with pytest.raises(CheckFailedError, match=rf"2 takes of .* 1 failed.*\n.*{name}"):
         ingest_folder(captures, shot / "takes", options(shot), overwrite=True)
 
 

@@ -47,7 +47,7 @@ def test_timecode_lays_the_weights_where_they_belong() -> None:
     np.testing.assert_allclose(source.values[inside, 0], seconds[inside], atol=1e-6)
     np.testing.assert_allclose(source.values[~inside, 0], 0.5)
     assert any("+0.500 s" in note for note in joined.notes)
-    assert any("holding its ends: 60 frames" in note for note in joined.notes)
+    assert any("60 frames outside the recording" in note for note in joined.notes)
 
 
 def test_what_the_weights_do_not_show_lies_where_they_do() -> None:
@@ -60,7 +60,7 @@ def test_what_the_weights_do_not_show_lies_where_they_do() -> None:
 def test_without_timecode_they_start_together_and_that_is_said() -> None:
     joined = join_captures([markers_take(), weights_take("")], FILES)
     assert joined.take.source.values[120, 0] == pytest.approx(1.0)
-    assert any("taken to start together" in note for note in joined.notes)
+    assert any("assumed to start together" in note for note in joined.notes)
     assert joined.take.timecode_start == "01:00:00:00"
 
 
@@ -87,7 +87,7 @@ def test_the_timecode_of_the_weights_becomes_one_of_the_markers_rate(
     assert joined.take.timecode_start == told
     if told:
         assert shift_timecode(told, 1, at)
-    assert any("was left out" in note for note in joined.notes) == (bool(given) and not told)
+    assert any("is not stored" in note for note in joined.notes) == (bool(given) and not told)
 
 
 @pytest.mark.parametrize(
@@ -125,7 +125,7 @@ def test_the_timecode_that_the_user_names_lays_the_weights_too(tmp_path: Path) -
     assert any("the weights start +0.867 s after" in note for note in report.notes)
     assert read_take(tmp_path / "a.take.usda").timecode_start == "09:59:59:00"
     other = spec.model_copy(update={"timecode": "03:00:00:00", "out": tmp_path / "b.take.usda"})
-    with pytest.raises(InputError, match="share no moment"):
+    with pytest.raises(InputError, match="do not overlap in time"):
         execute(other)
 
 
@@ -136,7 +136,7 @@ def test_midnight_between_the_two_starts_is_no_day() -> None:
 
 
 def test_captures_of_other_moments_are_refused() -> None:
-    with pytest.raises(InputError, match="share no moment"):
+    with pytest.raises(InputError, match="do not overlap in time"):
         join_captures([markers_take(), weights_take("05:00:00:00")], FILES)
 
 

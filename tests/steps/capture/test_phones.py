@@ -188,8 +188,8 @@ def test_a_transcript_that_lacks_most_of_what_is_said_is_noticed(
         return execute(spec, overwrite=True)
 
     whole, half = aligned(" ".join(words)), aligned(" ".join(words[: len(words) // 2]))
-    assert not any("lacks much of what is said" in note for note in whole.notes)
-    assert any("lacks much of what is said" in note for note in half.notes)
+    assert not any("transcript is incomplete" in note for note in whole.notes)
+    assert any("transcript is incomplete" in note for note in half.notes)
     assert whole.figures["sound_outside_words"] < 0.35 < 0.5 < half.figures["sound_outside_words"]
 
 

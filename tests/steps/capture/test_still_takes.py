@@ -93,7 +93,7 @@ def test_markers_of_a_stream_that_froze_are_taken_for_unseen(
     names = first_few(take.markers.names[columns])
     who = "every marker" if columns == slice(None) else names
     first = take.first_frame + 201
-    said = f"in one place for {count} frames ({first}-{first + count - 1}): {who}"
+    said = f"exactly one position for {count} frames ({first}-{first + count - 1}): {who}"
     assert any(said in note for note in notes) == (seconds > 0.5)
     cleaned = read_take(out).markers
     assert cleaned is not None
@@ -128,7 +128,8 @@ def test_a_marker_that_is_stuck_is_named_and_does_not_hide_a_stream_that_froze(s
     notes = execute(CleanSpec(take=shot / "stuck.take.usda", out=out)).notes
     assert any(f"most of the take: {take.markers.names[7]};" in note for note in notes)
     assert any(
-        f"in one place for {count} frames" in note and "every marker" in note for note in notes
+        f"exactly one position for {count} frames" in note and "every marker" in note
+        for note in notes
     )
 
 

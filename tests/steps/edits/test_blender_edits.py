@@ -187,10 +187,10 @@ def test_a_change_on_a_mesh_that_does_not_count_is_said(tmp_path: Path) -> None:
     meshes = curves_of()
     meshes["teeth"]["jawOpen"][3] -= np.float32(0.15)
     report = bring_back(path, exported(tmp_path, meshes))
-    assert report.summary == "nothing differs from the performance; its edits stay as they are"
+    assert report.summary == "nothing differs from the performance; its edits do not change"
     assert report.notes == (
-        "jawOpen differs between teeth and skin, which counts, as it has the most shapes; change "
-        "it there",
+        "jawOpen differs between teeth and skin; the latter is read, as it has the most shapes; "
+        "change it there",
     )
 
 

@@ -78,12 +78,12 @@ def test_what_does_not_belong_together_is_refused(folder: Path) -> None:
     for second, message in (
         (slow, "runs at 25 frames per second, and .* at 24"),
         (away, "has the rig at </shot/Hero>"),
-        (folder / "other" / "a.usda", "two performances would be the take a"),
+        (folder / "other" / "a.usda", "two performances would be named a"),
     ):
         with pytest.raises(InputError, match=message):
             execute(CombineSpec(performances=(one, second), out=out))
     with pytest.raises(InputError, match=r"is of .*other.*rig\.usda"):
         execute(CombineSpec(performances=(one, other), out=out, takes=("a", "b")))
-    with pytest.raises(InputError, match="--shown x: is none of the takes"):
+    with pytest.raises(InputError, match="--shown x: is not one of the takes"):
         execute(CombineSpec(performances=(one,), out=out, shown="x"))
     assert not out.exists()

@@ -110,7 +110,7 @@ def test_what_is_not_to_be_used_is_published_only_where_the_studio_says_so(
     (item,) = collect_performances([hero])
     (finding,) = validate_performance(item)
     assert finding.severity == "error"
-    assert "USDFACE_WORST_VERDICT=bad lets it pass" in finding.message
+    assert "USDFACE_WORST_VERDICT=bad accepts it" in finding.message
     monkeypatch.setenv("USDFACE_WORST_VERDICT", "bad")
     (finding,) = validate_performance(item)
     assert finding.severity == "warning"

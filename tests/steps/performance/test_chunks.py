@@ -139,5 +139,7 @@ def test_corrections_of_joined_parts_are_learned_from(shot: Shot) -> None:
     )
     assert run(learned).figures["frames"] == [301]
     parts[0].unlink()
-    with pytest.raises(InputError, match=r"joined\.usda: does not say .* with the parts"):
+    with pytest.raises(
+        InputError, match=r"joined\.usda: does not name .* such parts that still exist"
+    ):
         run(learned)

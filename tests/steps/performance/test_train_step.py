@@ -74,8 +74,8 @@ def test_weights_beyond_the_range_and_pairs_that_repeat_are_told(
     )
     monkeypatch.setattr("usdface.steps.performance.train.read_set_references", lambda path: changed)
     notes = execute(TrainSpec(references=given, out=out, method="ridge")).notes
-    assert any(note.startswith("1 weight of the pairs beyond") for note in notes)
-    assert any(note.startswith("left out 1 pair that others repeat") for note in notes)
+    assert any(note.startswith("1 weight of the pairs outside") for note in notes)
+    assert any(note.startswith("left out 1 pair with the markers") for note in notes)
     assert read_mapping(out).settings["limited_weights"] == 1
 
 

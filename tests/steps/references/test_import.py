@@ -46,7 +46,7 @@ def test_rows_at_no_pair_are_named(tmp_path: Path) -> None:
     assert "(1, 2, 3, 4, 5 and 2 more)" in note
     assert "`usdface references add`" in note
     result = import_rows(path, keys_at([1, 2, PAIRS + 1]), at="pairs")
-    assert noted(result, "not imported: 1 of 3 rows number pairs that are not there (13)")
+    assert noted(result, "not imported: 1 of 3 rows have numbers of no pair (13)")
 
 
 def test_a_file_with_a_row_for_every_frame_has_no_lost_keys(tmp_path: Path) -> None:
@@ -62,7 +62,7 @@ def test_keys_that_count_at_another_rate_are_refused_with_it(tmp_path: Path) -> 
     before = read_references(path)
     slow = np.floor(before.frames / 5).astype(int).tolist()
     slow[0] = int(before.frames[0])  # one row is at a pair, as it may be by chance
-    with pytest.raises(InputError, match=r"1 of 12 rows are at pairs, and 11 would .* 24 frames"):
+    with pytest.raises(InputError, match=r"1 of 12 rows are at pairs, but 11 would .* 24 frames"):
         import_rows(path, keys_at(slow))
     assert not read_references(path).tuned.any()
     elsewhere = [int(before.frames[0]), *range(200, 211)]
@@ -79,7 +79,7 @@ def test_shapes_without_a_column_are_at_rest_where_nobody_had_tuned(tmp_path: Pa
     after = read_references(path)
     np.testing.assert_allclose(after.weights[0], [0.5, 0.0, 0.0])
     np.testing.assert_array_equal(after.weights[1:], before.weights[1:])
-    note = noted(result, "not in the file: 2 shapes, which in 1 pair not tuned before are 0")
+    note = noted(result, "not in the file: 2 shapes, which in 1 pair not tuned before are set to 0")
     assert "--keep-proposed" in note
     larger = max((blink, smile), key=lambda column: before.weights[0, column])
     assert f"(largest: {before.shape_names[larger]} {before.weights[0, larger]:.2f}," in note

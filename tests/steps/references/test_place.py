@@ -157,7 +157,7 @@ def test_a_marker_that_is_deactivated_counts_in_no_solve(shot: Shot) -> None:
     ("text", "reason"),
     [
         ("marker,point\nnobody,3\n", "no marker 'nobody'"),
-        ("marker,x,y,z\n{name},0,0,9000\n", "mm off the rig"),
+        ("marker,x,y,z\n{name},0,0,9000\n", "mm from its surface"),
         ("marker,point\n{name},-3\n", "no point -3|must be MESH:INDEX"),
         ("marker,point\n", "names no landmark"),
         ("frame,point\n1,3\n", "has no `marker` column"),

@@ -51,7 +51,7 @@ def test_coverage_as_a_command_is_what_select_said(shot: Shot) -> None:
     for name in ("coverage", "coverage_by_region", "hole_share", "growth", "next"):
         assert told.figures[name] == said[name]
     assert told.figures["of_other_takes"] == 0
-    assert f"frame {said['next'][0]['frame']} of shot next" in told.notes[0]
+    assert f"frame {said['next'][0]['frame']} of shot, coverage would" in told.notes[0]
     assert read_image_metadata(shot / "covered.png")["step"] == "references-coverage"
 
 
@@ -89,7 +89,7 @@ def test_an_import_leaves_other_pictures_and_says_why_one_is_old(shot: Shot) -> 
     (shot / "shot.clean.take.usda").rename(shot / "moved.take.usda")
     drawn = picture.read_bytes()
     (note,) = [each for each in import_keys(shot) if "coverage" in each]
-    assert note.startswith("hero.references.coverage.png does not show the pairs as they are now: ")
+    assert note.startswith("hero.references.coverage.png was not drawn again, and is out of date: ")
     assert "shot.clean.take.usda" in note
     assert picture.read_bytes() == drawn
 
@@ -235,7 +235,7 @@ def test_a_video_that_is_gone_costs_its_pictures_and_nothing_else(shot: Shot) ->
     assert any(said in note for note in sheet.notes) == bool(pairs_without)
     report = execute(spec(shot, takes=(take,)), overwrite=True)
     # No picture of a pair can be made again, so each is kept and still referred to.
-    assert any("pairs of shot keep the pictures they had, as" in note for note in report.notes)
+    assert any("pairs of shot keep their earlier pictures, as" in note for note in report.notes)
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == pictures
     named = {note.image for note in read_pair_notes(shot / "new.references.usda")}
     assert named - {None} == set(folder.iterdir())
@@ -311,7 +311,7 @@ def test_pairs_tuned_while_frames_are_chosen_are_not_moved(
         return chosen(*given)  # type: ignore[arg-type]
 
     monkeypatch.setattr(select, "in_order_of_worth", tuned_meanwhile)
-    with pytest.raises(InputError, match="tuned 12 pairs while frames were chosen"):
+    with pytest.raises(InputError, match="12 pairs tuned while frames were chosen"):
         execute(spec(shot, count=20), overwrite=True)
     after = read_references(new)
     np.testing.assert_array_equal(after.frames, kept.frames)

@@ -87,7 +87,7 @@ def test_proposals_are_the_takes_weights_and_what_is_tuned_stays(folder: Path) -
 def test_what_is_said_of_markers_is_refused(shot: Shot, folder: Path) -> None:
     with pytest.raises(InputError, match="no markers, so --mapping has no effect"):
         execute(select(folder, mapping=shot / "hero.mapping.usdc"))
-    with pytest.raises(InputError, match="6 pairs are asked for, and 1 differ"):
+    with pytest.raises(InputError, match="--count is 6, but only 1 frames differ"):
         execute(select(folder, frames="20-20"))
     (folder / "names.csv").write_text("source,target\na,b\n", encoding="utf-8")
     takes = (shot / "shot.clean.take.usda",)
@@ -95,7 +95,7 @@ def test_what_is_said_of_markers_is_refused(shot: Shot, folder: Path) -> None:
         execute(select(folder, takes=takes, names=folder / "names.csv"))
     execute(select(folder))
     given = {"references": folder / "phone.references.usda", "out": folder / "x.usdc"}
-    with pytest.raises(InputError, match=r"no markers; give it to `usdface train-retarget`"):
+    with pytest.raises(InputError, match=r"no markers; use it with `usdface train-retarget"):
         execute(TrainSpec(**given))
 
 
@@ -189,5 +189,5 @@ def test_a_still_take_has_no_pairs(folder: Path) -> None:
     still = WeightsClip(NAMES, np.zeros((60, 4), np.float32), 1, Fraction(30))
     take = Take("phone", Fraction(30), 1, source=still)
     write_take(folder / "phone.take.usda", replace(take, name="still"))
-    with pytest.raises(InputError, match="6 pairs are asked for"):
+    with pytest.raises(InputError, match="--count is 6"):
         execute(select(folder))

@@ -373,7 +373,7 @@ def test_a_package_has_the_head_where_it_was_moved_to(tmp_path: Path) -> None:
     [
         ("head=nose", ("no joint and no Xform is called 'nose'", "spine/neck/eye_L", "eyeball")),
         ("left_eye=eyeball", ("2 Xforms are called 'eyeball'", "/Hero/props/other/eyeball")),
-        ("right_eye=eye_R", ("nothing in it moves the right_eye", "eyeLook")),
+        ("right_eye=eye_R", ("has no motion of the right_eye", "eyeLook")),
         ("nose=neck", ("'nose=neck' is not PART=NAME", "head, left_eye, right_eye")),
         ("head=", ("'head=' is not PART=NAME",)),
     ],
@@ -447,7 +447,7 @@ def test_a_look_that_turns_a_driven_eyeball_is_held(
         clip = read_weights(out)
         moving[drive[-1:]] = {n for n, w in zip(clip.names, clip.values.T, strict=True) if w.any()}
         said = capsys.readouterr().out
-        assert ("held at 0, since --drive turns the same eyeballs: eyeLookOut_L" in said) == (
+        assert ("held at 0, as --drive turns the same eyeballs: eyeLookOut_L" in said) == (
             drive[-1:] == (f"left_eye={eye}",)
         )
     looks = {"jawOpen", "eyeLookOut_L", "eyeLookDown_L"}

@@ -220,7 +220,7 @@ def test_what_a_phone_did_not_capture_is_named_down_to_the_verdict(take, capsys)
     for source in ("phone.csv", "phone.take.usda"):
         assert usdface("retarget", source, "--rig", "hero.usda", "--out", f"{source}.usda") == 0
         words = "nothing was captured in frames 11-20"  # 30 alone hides nothing
-        assert f"{source}: {words}; what is written there" in capsys.readouterr().out
+        assert f"{source}: {words}; weights are interpolated there" in capsys.readouterr().out
         verdict = judge_performance(PerformanceReader(Path(f"{source}.usda")))
         assert f"{words}, which are filled" in verdict.sentence
         assert any(words in each.message for each in validate(Path(f"{source}.usda")))

@@ -63,8 +63,18 @@ def test_rate_unit_and_take_are_stated_and_the_table_is_reviewed(folder: Path) -
 @pytest.mark.parametrize(
     ("header", "row", "options", "words"),
     [
-        ("time,JawOpen,jaw_open,smile", "{n},{w},.1,.1", (), "JawOpen and jaw_open are one name"),
-        ("time,jawOpen,jaw_open,smile", "{n},{w},.1,.1", (), "jawOpen and jaw_open are one name"),
+        (
+            "time,JawOpen,jaw_open,smile",
+            "{n},{w},.1,.1",
+            (),
+            "JawOpen and jaw_open are two spellings",
+        ),
+        (
+            "time,jawOpen,jaw_open,smile",
+            "{n},{w},.1,.1",
+            (),
+            "jawOpen and jaw_open are two spellings",
+        ),
         ("frame,jawOpen,smile", "{n},{w},.1", (), "frames per second with --rate"),
         ("frame,time,jawOpen,smile", "{n},{n},{w},.1", ("--rate", 24), "two frame rates"),
         ("time,jawOpen,smile", "{n},{w}x,.1", (), "where a number is expected"),

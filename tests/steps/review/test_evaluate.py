@@ -216,7 +216,7 @@ def test_shapes_that_markers_cannot_show_are_named(finished_shot: Shot) -> None:
     assert set(usual["unobservable"]) == {*looks, "tongueOut"}
     assert set(more["unobservable"]) == {*looks, "jawOpen"}
     report = execute(spec_of(finished_shot, unobservable=("nothing*",)))
-    assert "--unobservable nothing* names no shape of the rig" in report.notes
+    assert "--unobservable nothing* matches no shape of the rig" in report.notes
 
 
 def test_looks_are_told_by_any_names() -> None:
@@ -340,9 +340,9 @@ def wrong_ending(shot: Shot) -> list[str]:
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (other_frames, ("late.csv", "9001", "share no frame")),
+        (other_frames, ("late.csv", "9001", "have no common frame")),
         (no_shape_in_common, ("names.csv", "wiggle", "rename")),
-        (frames_outside, ("share no frame in 900-999",)),
+        (frames_outside, ("have no common frame in 900-999",)),
         (another_rate, ("slow.usda", "24 frames per second", "performance's rate")),
         (wrong_ending, ("error.txt", ".json", ".png")),
     ],

@@ -71,7 +71,7 @@ def test_a_stopped_run_goes_on_where_it_stopped(shot: Shot, monkeypatch) -> None
     assert not (shot / "review.mp4").exists()
     monkeypatch.setattr(movie_step, "_draw_stretch", draw)
     report = execute(spec_of(shot, "review.mp4", frames="20-37"))
-    assert "2 of 3 stretches were there" in report.notes
+    assert "2 of 3 stretches were drawn" in report.notes
     execute(spec_of(shot, "again.mp4", frames="20-37"))
     np.testing.assert_array_equal(pictures_of(shot / "review.mp4"), pictures_of(shot / "again.mp4"))
     assert not list(shot.folder.glob(".*.stretches"))
@@ -200,7 +200,7 @@ def test_every_process_draws_as_much(shot: Shot, workers: int, last: int) -> Non
     ("change", "message"),
     [
         ({"panels": ("video", "performance")}, "has no video to show"),
-        ({"frames": "9000-9100"}, "shares no frame"),
+        ({"frames": "9000-9100"}, "has no common frame"),
     ],
 )
 def test_what_cannot_be_shown_is_said(shot: Shot, change, message) -> None:

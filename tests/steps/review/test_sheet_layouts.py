@@ -88,7 +88,7 @@ def test_a_strip_does_not_explain_lines_that_it_does_not_show(shot: Shot, monkey
     )
     execute(spec_of(shot, layout="strip"))
     execute(spec_of(shot, layout="worst", out=shot / "b.png"))
-    told = ["lines: from the solve" in " ".join(page.notes) for page in pages]
+    told = ["lines: residual" in " ".join(page.notes) for page in pages]
     assert told == ["markers" in page.columns for page in pages] == [False, True]
 
 
@@ -191,7 +191,7 @@ def test_frames_that_are_named_are_drawn_and_the_take_is_the_performances_own(sh
         quality="draft",
     )
     assert execute(named).figures["frames"] == [7, 31, 200]
-    with pytest.raises(InputError, match=r"frames 7,9000 are not all in it; it has 1-480"):
+    with pytest.raises(InputError, match=r"some of --frames 7,9000 are outside 1-480"):
         execute(named.model_copy(update={"frames": "7,9000"}), overwrite=True)
     take = shot / "shot.clean.take.usda"
     other = shot / "nose.take.usda"
@@ -199,7 +199,7 @@ def test_frames_that_are_named_are_drawn_and_the_take_is_the_performances_own(sh
     with pytest.raises(InputError, match=r"nose.take.usda: not the take of shot.hero.usda"):
         execute(named.model_copy(update={"take": other}), overwrite=True)
     take.rename(shot / "moved.usda")
-    with pytest.raises(InputError, match=r"its take, .*shot.clean.take.usda, is gone; say where"):
+    with pytest.raises(InputError, match=r"its take, .*shot.clean.take.usda, is gone; give"):
         execute(named, overwrite=True)
 
 
@@ -216,7 +216,9 @@ def test_further_pages_replace_their_own_alone(shot: Shot) -> None:
     sheet = spec_of(shot, layout="strip", rows=3, page_rows=1, quality="draft", tile=64)
     theirs = shot / "new.2.png"
     theirs.write_bytes(b"my drawing")
-    with pytest.raises(InputError, match=r"new\.2\.png: exists, and a further page of new\.png"):
+    with pytest.raises(
+        InputError, match=r"new\.2\.png: exists, and would be replaced by a page of new\.png"
+    ):
         execute(sheet)
     assert theirs.read_bytes() == b"my drawing"
     assert not (shot / "new.png").exists()
@@ -273,7 +275,7 @@ def test_a_camera_of_the_shot_gives_the_picture_its_width_and_its_view(shot, mon
         report = execute(spec_of(shot, out=shot / f"{name}.png", baseline=False, **given))
         notes[name] = report.notes
     assert notes["near"] == ()
-    assert "% of the height" in notes["far"][0]
+    assert "% of the picture's height" in notes["far"][0]
     assert notes["away"] == ("/away does not see the face at frame 1",)
     near, far = (page.rows[0].tiles[-1].pixels for page in pages[:2])
     assert near.shape == far.shape == (64, 96, 3)

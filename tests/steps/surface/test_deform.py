@@ -97,12 +97,14 @@ def make_shapes(folder: Path, **more: object) -> MakeShapesSpec:
 
 def test_a_landmark_on_the_wrong_point_is_suspected(folder: Path, scan: Scan) -> None:
     right = bind(folder, scan)
-    assert not any("wrong point" in note for note in run(right).notes)
+    assert not any("check the points of the landmarks" in note for note in run(right).notes)
     name = right.landmarks[0].partition("=")[0]
     wrong = (f"{name}={len(scan.points) - 1}", *right.landmarks[1:])
     other = folder / "other.binding.usda"
     report = run(right.model_copy(update={"landmarks": wrong, "out": other}))
-    assert any("wrong point" in note and wrong[0] in note for note in report.notes), report
+    assert any(
+        "check the points of the landmarks" in note and wrong[0] in note for note in report.notes
+    ), report
 
 
 def points_at(path: Path, frame: float) -> np.ndarray:
@@ -459,9 +461,9 @@ def test_what_deform_cannot_do_is_said(moved: Path, more: dict[str, object], mes
     ("more", "message"),
     [
         ({"shape_frames": ("7",)}, "has no frame 7; it holds 101-140"),
-        ({"shape_frames": ("110=a", "110=b")}, "frame 110 is to become two shapes"),
+        ({"shape_frames": ("110=a", "110=b")}, "frame 110 is given for two shapes"),
         ({"shape_frames": ("101",)}, "moves no point"),
-        ({"count": 500}, "the take shows only"),
+        ({"count": 500}, "faces of the take differ"),
         ({"shape_frames": ("110",), "names": Path("x.csv")}, "chosen by one of"),
     ],
 )

@@ -169,7 +169,7 @@ def test_weights_show_it(rig: Path) -> None:
     [
         pytest.param("jaw_smile_L,jaw tongue", "tongue is no shape of the rig", id="missing"),
         pytest.param("jaw,smile_L\nsmile_L,jaw", "a cycle: jaw <- smile_L <- jaw", id="cycle"),
-        pytest.param("jaw50,jaw,,half", "'half' where a weight is expected", id="text"),
+        pytest.param("jaw50,jaw,,half", "'half' is no weight", id="text"),
     ],
 )
 def test_what_cannot_be_is_named_and_nothing_written(rig: Path, table: str, message: str) -> None:

@@ -1,4 +1,4 @@
-"""Captures to cleaned takes."""
+"""From captures to cleaned takes."""
 
 _commands = ("ingest_folder",)
 _helpers = (

@@ -1,4 +1,4 @@
-"""A take in, the same take out: it now says where its video lies in time."""
+"""Measure the time offset and clock drift of a take's video, and store them in the take."""
 
 import logging
 from dataclasses import dataclass
@@ -27,12 +27,12 @@ _DAY_SECONDS = 86400
 
 @dataclass(frozen=True)
 class TimecodeShift:
-    """When a video starts in a take, by the labels of both."""
+    """Take time at which a video starts, from the timecode of both."""
 
     offset: float | None
-    """[s]; None where the labels cannot be compared."""
+    """[s]; None if the timecodes cannot be compared."""
     tolerance: float = 0.0
-    """How far the truth may be from it: each label names its frame, not the moment in it [s]."""
+    """Largest error of the offset: a label names a frame, not a moment within it [s]."""
     reason: str = ""
     """Why they cannot be compared."""
 
@@ -50,11 +50,11 @@ def timecode_shift(
     Parameters
     ----------
     take_start, video_start : str
-        SMPTE labels; empty where there is none.
+        SMPTE labels; empty if there are none.
     video_rate : Fraction or None
-        Frames per second of the video; None where it varies.
+        Frames per second of the video; None if it varies.
     first_picture : float
-        When the first picture appears on the video's clock [s].
+        Time of the first picture on the video's clock [s].
     """
     missing = [name for name, label in (("take", take_start), ("video", video_start)) if not label]
     if missing:
@@ -64,7 +64,7 @@ def timecode_shift(
         return TimecodeShift(None, reason="the video's frames are not evenly spaced")
     drop = tuple(";" in label for label in (take_start, video_start))
     if drop[0] != drop[1] or take_rate.denominator != video_rate.denominator:
-        # 23.976 and 24 both count 24 labels a second, of another second.
+        # 23.976 and 24 both count 24 labels a second, but their seconds differ.
         return TimecodeShift(
             None,
             reason=f"timecode at {_named(take_rate, drop[0])} and {_named(video_rate, drop[1])} "
@@ -76,9 +76,9 @@ def timecode_shift(
     except InputError as error:
         return TimecodeShift(None, reason=str(error))
     day = _DAY_SECONDS * (Fraction(1001, 1000) if take_rate.denominator == 1001 else 1)
-    apart = (video_time - take_time + day / 2) % day - day / 2  # across midnight too
+    difference = (video_time - take_time + day / 2) % day - day / 2  # across midnight too
     tolerance = sum((label_rate(rate)[1] / rate for rate in (take_rate, video_rate)), Fraction(0))
-    return TimecodeShift(float(apart) - first_picture, float(tolerance))
+    return TimecodeShift(float(difference) - first_picture, float(tolerance))
 
 
 def _named(rate: Fraction, drop: bool) -> str:
@@ -88,44 +88,44 @@ def _named(rate: Fraction, drop: bool) -> str:
 log = logging.getLogger(__name__)
 
 _SAMPLE_RATE = 16000
-"""Samples per second at which sounds are compared: speech ends at 7 kHz."""
+"""Samples per second at which sounds are compared: speech has no energy above 7 kHz."""
 
 UNCHECKED_CONFIDENCE = 0.5
-"""Of a timecode that no sound confirms: clocks that were never set look like any other."""
+"""Confidence of a timecode without confirmation by sound, as clocks may not have been set."""
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What is known of a shift."""
+    """Measured offsets of a video."""
 
     sound: SoundAlignment | None
-    deaf: str
+    no_sound: str
     """Why there is no sound to compare."""
     timecode: TimecodeShift
 
     @property
     def trusted(self) -> SoundAlignment | None:
-        """The shift by sound, where it is certain."""
+        """The offset by sound, if it is reliable."""
         return None if self.sound is None or self.sound.doubts else self.sound
 
     @property
     def doubts(self) -> str:
-        """Why the sound tells nothing."""
-        return self.deaf if self.sound is None else "; ".join(self.sound.doubts)
+        """Why the sound is missing or unreliable."""
+        return self.no_sound if self.sound is None else "; ".join(self.sound.doubts)
 
 
 @dataclass(frozen=True)
 class Decision:
-    """What is written, or why nothing is."""
+    """The offset to write, or the reason for writing none."""
 
     sync: VideoSync | None
     source: str
-    """What it rests on, or why nothing was accepted."""
+    """Source of the offset, or why none was accepted."""
     notes: tuple[str, ...] = ()
 
 
 def run(spec: AlignSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
-    """Find the video's shift and drift, draw the evidence, and write the take if it convinces."""
+    """Measure the video's offset and drift, draw the evidence, and write them if reliable."""
     progress(0.0, f"reading {spec.take.name}")
     picture = spec.picture_path()
     _refuse_foreign_picture(spec)
@@ -142,10 +142,10 @@ def run(spec: AlignSpec, *, provenance: Provenance, progress: Progress = silent)
         write_image(picture, draw_alignment(page), metadata=provenance_metadata(refused))
         raise CheckFailedError(
             f"{spec.take}: the video cannot be aligned: {decision.source}. Look at {picture}; set "
-            "the shift with --offset SECONDS"
+            "the offset with --offset SECONDS"
         )
     write_video_sync(spec.take, decision.sync)
-    # The take is another file now: the picture, written last, tells that it is aligned.
+    # The take's hash has changed: the picture, written last, stores the new one.
     made = make_provenance(spec)
     write_image(picture, draw_alignment(page), metadata=provenance_metadata(made))
     progress(1.0, "aligned")
@@ -159,7 +159,7 @@ def run(spec: AlignSpec, *, provenance: Provenance, progress: Progress = silent)
 
 
 def decide(spec: AlignSpec, evidence: Evidence) -> Decision:
-    """Weigh what is known: by hand, by timecode, by sound."""
+    """Choose the offset: set by hand, by timecode or by sound."""
     if spec.offset is not None:
         sync = VideoSync(spec.offset, spec.drift or 0.0, 1.0)
         return Decision(sync, "set by hand", _difference(spec.offset, evidence))
@@ -175,30 +175,28 @@ def decide(spec: AlignSpec, evidence: Evidence) -> Decision:
         sync = VideoSync(labels.offset, 0.0, UNCHECKED_CONFIDENCE)
         note = f"the timecode could not be checked against the sound: {evidence.doubts}"
         return Decision(sync, "by timecode, unchecked", (note,))
-    apart = sound.offset - labels.offset
-    if spec.by == "auto" and abs(apart) > labels.tolerance:
+    difference = abs(sound.offset - labels.offset)
+    confirmed = difference <= labels.tolerance
+    if spec.by == "auto" and not confirmed:
         return Decision(
             None,
-            f"the timecode says {labels.offset:+.3f} s and the sound {sound.offset:+.3f} s: "
-            f"{1000 * abs(apart):.0f} ms apart, where frames explain no more than "
-            f"{1000 * labels.tolerance:.0f}; choose one with --by timecode or --by sound",
+            f"the offset is {labels.offset:+.3f} s by timecode and {sound.offset:+.3f} s by sound: "
+            f"they differ by {1000 * difference:.0f} ms, more than the tolerance of timecode, "
+            f"{1000 * labels.tolerance:.0f} ms; choose one with --by timecode or --by sound",
         )
-    sync = VideoSync(labels.offset, 1e6 * sound.drift, _confirmed(sound, apart, labels))
+    confidence = UNCHECKED_CONFIDENCE
+    if confirmed:
+        confidence += (1 - UNCHECKED_CONFIDENCE) * sound.confidence
+    sync = VideoSync(labels.offset, 1e6 * sound.drift, confidence)
     return Decision(sync, "by timecode", _difference(labels.offset, evidence))
 
 
-def _confirmed(sound: SoundAlignment, apart: float, labels: TimecodeShift) -> float:
-    if abs(apart) > labels.tolerance:
-        return UNCHECKED_CONFIDENCE
-    return UNCHECKED_CONFIDENCE + (1 - UNCHECKED_CONFIDENCE) * sound.confidence
-
-
 def _difference(offset: float, evidence: Evidence) -> tuple[str, ...]:
-    """Say how far what was not taken lies from what was."""
+    """Return notes on the offsets by other sources."""
     sound, labels = evidence.trusted, evidence.timecode.offset
     others = {"sound": None if sound is None else sound.offset, "timecode": labels}
     return tuple(
-        f"the {name} says {other:+.4f} s, {1000 * (other - offset):+.1f} ms from it"
+        f"by {name} the offset is {other:+.4f} s, a difference of {1000 * (other - offset):+.1f} ms"
         for name, other in others.items()
         if other is not None and other != offset
     )
@@ -215,14 +213,14 @@ def _gather(take: Take, video: Video, progress: Progress) -> Evidence:
             first_picture=float(movie.times[0]),
         )
     if take.audio is None:
-        deaf = "the take has no sound recorded with the capture (ingest it with --audio)"
-        return Evidence(None, deaf, labels)
+        reason = "the take has no sound recorded with the capture (ingest it with --audio)"
+        return Evidence(None, reason, labels)
     if silent_pictures:
-        return Evidence(None, f"{video.file}: pictures carry no sound", labels)
+        return Evidence(None, f"{video.file}: an image sequence has no sound", labels)
     try:
-        progress(0.0, f"listening to {video.file.name}")
+        progress(0.0, f"reading the sound of {video.file.name}")
         camera = read_audio(video.file, rate=_SAMPLE_RATE)
-        progress(0.25, f"listening to {take.audio.name}")
+        progress(0.25, f"reading {take.audio.name}")
         capture = read_audio(take.audio, rate=_SAMPLE_RATE)
     except InputError as error:
         return Evidence(None, str(error), labels)
@@ -239,11 +237,11 @@ def _gather(take: Take, video: Video, progress: Progress) -> Evidence:
 def _page(take: Take, evidence: Evidence, decision: Decision) -> AlignmentPage:
     sync, sound, labels = decision.sync, evidence.sound, evidence.timecode
     facts = [f"{note[:1].upper()}{note[1:]}." for note in decision.notes]
-    if sound is None and evidence.deaf not in decision.source:
-        facts.append(f"No sound compared: {evidence.deaf}.")
+    if sound is None and evidence.no_sound not in decision.source:
+        facts.append(f"No sound compared: {evidence.no_sound}.")
     elif sound is not None:
         facts.append(
-            f"Sound: best shift {sound.peak:.1f} deviations above chance, {sound.ratio:.2f} times "
+            f"Sound: best offset {sound.peak:.1f} deviations above chance, {sound.ratio:.2f} times "
             f"the second best; {sound.agreement:.0%} of windows agree, to "
             f"{1000 * sound.deviation:.3f} ms; confidence {sound.confidence:.2f}."
         )
@@ -294,10 +292,7 @@ def _figures(decision: Decision, evidence: Evidence) -> dict[str, object]:
 
 
 def _refuse_foreign_picture(spec: AlignSpec) -> None:
-    """Never replace a picture that someone else put where ours would go by default."""
+    """Refuse to replace a picture that usdface did not write at the default path."""
     path: Path = spec.picture_path()
     if spec.picture is None and path.exists() and provenance_of(path) is None:
         raise InputError(f"{path}: was not written by usdface; move it, or name another --picture")
-
-
-__all__ = ["Decision", "Evidence", "decide", "run"]

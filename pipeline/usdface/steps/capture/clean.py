@@ -1,4 +1,4 @@
-"""A captured take in, a cleaned one out: stronger, over the captured one."""
+"""Clean a captured take; the cleaned take is a stronger layer over it."""
 
 import contextlib
 from collections.abc import Sequence
@@ -30,34 +30,34 @@ from usdface.usdio.take.read import read_take
 from usdface.usdio.take.write import write_take
 
 LONGEST_GAP_SECONDS = 2.0
-"""What is filled by default: beyond, the other markers hardly tell what one did."""
+"""Longest gap filled by default: in longer ones, other markers hardly predict the missing one."""
 
 _FEWEST_RIGID = 3
-"""Seen at once, they tell the head's pose."""
+"""Visible markers needed for the head's pose."""
 
 _SKULL_MOTION_MM = 1.0
-"""Markers that move by no more count as those of the skull."""
+"""Largest motion on the head of markers that count as those of the skull."""
 
 _PROVEN_MOTION_MM = 0.3
-"""Own motion of markers on a head band: with no more, they are used as if they were named rigid."""
+"""Largest residual motion of head-band markers that are used as rigid without being named."""
 
 _LEAST_HINTED_SHARE = 0.6
-"""Of the markers, whose labels must name a part of the face before labels are relied on."""
+"""Share of the markers whose labels must name a part of the face for labels to be used."""
 
 _SOFT_REGIONS = ("lid", "brow", "cheek", "mouth", "chin", "jaw")
 
 _COPIED_SECONDS = 0.5
-"""A marker that repeats its place to the last digit for so long is not seen: heads and noise
-tremble."""
+"""A marker at exactly one position for this long was not measured: measured positions have
+noise."""
 _STUCK_SHARE = 0.05
-"""Of the markers: more that stay in one place are still skin of a simulation without noise."""
+"""Share of the markers: if more stay at one position, the take is a simulation without noise."""
 
 _REPEATED_SHARE = 0.15
-"""Of the frames: with more that repeat the one before, a slower capture was written at this rate,
-24 frames per second at 30 (a fifth) or 60 at 120 (half)."""
+"""Share of the frames that repeat the one before, above which a slower capture was written at this
+rate: a fifth for 24 frames per second at 30, half for 60 at 120."""
 
 _LISTED_RIGID = 24
-"""A face has no more to name; of a dense cloud the rest are counted."""
+"""Names listed; further ones, of a dense set, are counted."""
 
 
 def run(spec: CleanSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
@@ -93,7 +93,7 @@ def run(spec: CleanSpec, *, provenance: Provenance, progress: Progress = silent)
         names=markers.names,
         positions=cleaned.positions,
         visible=cleaned.visible,
-        # A sample that the tracker doubts is no better for being smoothed; one that was filled is.
+        # Smoothing does not raise the tracker's confidence; filling replaces it.
         confidence=np.where(
             markers.visible, np.minimum(cleaned.confidence, markers.confidence), cleaned.confidence
         ),
@@ -122,14 +122,14 @@ def run(spec: CleanSpec, *, provenance: Provenance, progress: Progress = silent)
 
 
 def _check_captured(spec: CleanSpec, take: Take) -> Markers:
-    """Return a take's markers, or refuse one that has none or is clean already."""
+    """Return a take's markers; refuse a take that has none or is cleaned already."""
     if take.markers is None:
-        raise InputError(f"{spec.take}: has no markers to clean")
-    # A second head motion would hide the first, and the face would lose its head's.
+        raise InputError(f"{spec.take}: has no markers to clean; ingest a capture that has")
+    # A second HeadMotion would replace the first in the stronger layer.
     if take.markers.space == "stabilized" and take.head_motion is not None:
         raise InputError(
-            f"{spec.take}: is clean already, its head motion removed; clean the captured take, "
-            "the layer below it, with the options that you want"
+            f"{spec.take}: is cleaned already; clean the captured take, the layer below it, with "
+            "other options"
         )
     return take.markers
 
@@ -147,21 +147,20 @@ def _check_neutral(
     shown = int(markers.visible[row, [markers.names.index(name) for name in rigid]].sum())
     if shown < _FEWEST_RIGID:
         raise InputError(
-            f"{spec.take}: {shown} of the rigid markers {', '.join(rigid)} are seen at the neutral "
-            f"frame {neutral}, {_FEWEST_RIGID} are needed; choose another with --neutral, or name "
-            "more with --rigid"
+            f"{spec.take}: {shown} of the rigid markers {', '.join(rigid)} are visible at the "
+            f"neutral frame {neutral}, {_FEWEST_RIGID} are needed; choose another frame with "
+            "--neutral, or name more markers with --rigid"
         )
 
 
 def _head_markers(
     spec: CleanSpec, take: Take, markers: Markers, notes: list[str]
 ) -> tuple[tuple[str, ...], FloatArray | None]:
-    """Return the markers of the skull, and what takes their place where none are named.
+    """Return the rigid markers and, if all markers are used, the expected motion of each [mm].
 
-    Named markers are used as they are, and so are those that labels put on a head band, if they
-    keep their mutual distances. Otherwise labels that name parts of the face say how
-    far each marker moves by itself; only where they are silent, a set that keeps its distances is
-    sought: in one take it may be the forehead, in the next cheeks and chin.
+    In this order: named markers; markers labelled as on a head band, if their mutual distances are
+    constant; all markers, weighted by the parts of the face in their labels; a detected set of
+    constant distances, which differs between takes (the forehead in one, cheeks in another).
     """
     named = spec.rigid or markers.rigid
     unknown = [name for name in named if name not in markers.names]
@@ -180,7 +179,7 @@ def _head_markers(
             names = tuple(markers.names[worn[index]] for index in found.indices)
             notes.append(
                 f"no rigid markers were named; {first_few(names)}, of a head band by their labels, "
-                f"keep their mutual distances to {found.deviation_mm:.2f} mm and are used"
+                f"are used (their distances vary by {found.deviation_mm:.2f} mm)"
             )
             return names, None
     motion = skin_motion_mm(markers.names)
@@ -190,30 +189,30 @@ def _head_markers(
     hinted = sum(bool(label_hint(name).region) for name in markers.names)
     if len(still) > _FEWEST_RIGID and hinted >= _LEAST_HINTED_SHARE * len(markers.names):
         notes.append(
-            "no rigid markers were named; the head's pose is estimated from all markers, each "
-            f"weighted by how far its part of the face moves ({first_few(still)} count most)"
+            "no rigid markers were named; the head's pose is estimated from all markers, weighted "
+            f"by the rigidity of their part of the face ({first_few(still)} have most weight)"
         )
         return still, motion
     try:
         found = _find_rigid(take, markers)
     except ValueError as error:
         raise InputError(
-            f"{spec.take}: no rigid markers are named and none could be found: {error}"
+            f"{spec.take}: no rigid markers are named and none were detected: {error}"
         ) from error
     names = tuple(markers.names[index] for index in found.indices)
     notes.append(
-        f"no rigid markers were named; {first_few(names, most=_LISTED_RIGID)} keep their mutual "
-        f"distances to {found.deviation_mm:.2f} mm and are used"
+        f"no rigid markers were named; {first_few(names, most=_LISTED_RIGID)} were detected "
+        f"(their distances vary by {found.deviation_mm:.2f} mm)"
     )
     notes += _soft_notes(names)
     return names, None
 
 
 def _find_rigid(take: Take, markers: Markers, columns: Sequence[int] | None = None) -> RigidMarkers:
-    """Look for markers that keep their distances, among some columns or all."""
-    # A padded take is judged by the frames in which something was recorded.
+    """Detect markers of constant mutual distances, among some columns or all."""
+    # Frames without any marker are padding.
     recorded = np.flatnonzero(markers.visible.any(axis=1))
-    whole = len(recorded) == take.frame_count  # an hour of markers is not copied
+    whole = len(recorded) == take.frame_count  # then long takes are not copied
     positions, visible = markers.positions, markers.visible
     if columns is not None:
         positions, visible = positions[:, columns], visible[:, columns]
@@ -223,20 +222,20 @@ def _find_rigid(take: Take, markers: Markers, columns: Sequence[int] | None = No
 
 
 def _soft_notes(names: tuple[str, ...]) -> list[str]:
-    """Say which rigid markers sit on skin that moves, by their labels."""
+    """Return a note on rigid markers whose labels name skin that moves."""
     soft = [name for name in names if label_hint(name).region in _SOFT_REGIONS]
     if not soft:
         return []
     return [
-        f"{first_few(soft)} {'is' if len(soft) == 1 else 'are'} used as rigid, but the label names "
-        "skin that moves: the head's pose follows the face; name markers of the skull with --rigid"
+        f"{first_few(soft)} {'is' if len(soft) == 1 else 'are'} used as rigid, but labelled as on "
+        "skin that moves, which disturbs the head's pose; name markers of the skull with --rigid"
     ]
 
 
 def _without_copies(markers: Markers, take: Take) -> tuple[Markers, list[str]]:
-    """Take markers for unseen where they repeat one place, and say where; say what repeats often.
+    """Return markers with samples that repeat one position marked as not visible, and notes.
 
-    Unless several do so in the larger part of the take: a still face, or a simulation of one.
+    Nothing is marked if several markers do so for most of the take: that is a simulation.
     """
     seen, same = markers.visible, np.zeros_like(markers.visible)
     same[1:] = (markers.positions[1:] == markers.positions[:-1]).all(axis=2) & seen[1:] & seen[:-1]
@@ -250,27 +249,29 @@ def _without_copies(markers: Markers, take: Take) -> tuple[Markers, list[str]]:
         return markers, []
     notes = []
     if stuck.any():
-        dead = first_few([markers.names[marker] for marker in np.flatnonzero(stuck)])
-        notes.append(f"to the last digit in one place for most of the take: {dead}; export without")
+        names = [markers.names[marker] for marker in np.flatnonzero(stuck)]
+        notes.append(
+            f"exactly one position for most of the take: {first_few(names)}; export without them"
+        )
     frozen[:, stuck] = False
     every = np.any(frozen, axis=1) & np.all(frozen | ~seen | stuck, axis=1)
     some = frozen & ~every[:, None]
     names = [name for name, each in zip(markers.names, some.any(axis=0), strict=True) if each]
-    for rows, who in ((every, "every marker"), (some.any(axis=1), first_few(names))):
+    for rows, frozen_names in ((every, "every marker"), (some.any(axis=1), first_few(names))):
         spans = runs(np.asarray(rows))
         frames = [f"{take.first_frame + a}-{take.first_frame + b - 1}" for a, b in spans]
         if frames:
             notes.append(
-                f"to the last digit in one place for {pluralize(int(rows.sum()), 'frame')} "
-                f"({first_few(frames)}): {who}. A stream that froze, or gaps filled by holding; "
-                "taken for unseen. Export without filling"
+                f"exactly one position for {pluralize(int(rows.sum()), 'frame')} "
+                f"({first_few(frames)}): {frozen_names}. A frozen stream, or gaps filled with the "
+                "last position: treated as gaps. Export without filling"
             )
     copied = np.any(same & ~stuck, axis=1) & np.all(same | ~seen, axis=1)
     repeated = float(copied[~every].mean())
     if repeated > _REPEATED_SHARE:
         notes.append(
-            f"{repeated:.0%} of the frames repeat the one before to the last digit: captured at "
-            f"about {float(take.rate) * (1 - repeated):.3g} frames per second and written at "
-            f"{float(take.rate):.4g}; motion comes out in steps. Export at the rate of the capture"
+            f"{repeated:.0%} of the frames repeat the one before exactly: captured at about "
+            f"{float(take.rate) * (1 - repeated):.3g} frames per second and written at "
+            f"{float(take.rate):.4g}, so motion is stepped. Export at the rate of the capture"
         )
     return replace(markers, visible=seen & ~frozen), notes

@@ -1,4 +1,4 @@
-"""What is said and drawn of a cleaned take: notes, a picture of the repairs, figures."""
+"""Notes, summary, figures and picture of the repairs of a cleaned take."""
 
 import numpy as np
 
@@ -12,46 +12,47 @@ from usdface.numerics.repair.cleaning import CleanedMarkers
 from usdface.numerics.repair.slips import MOST_SLIP_MM
 
 _LANE_SECONDS = 0.05
-"""In the picture: markers of shorter repairs share a lane."""
+"""In the picture, markers with shorter repairs share a lane."""
 
-_GUESSED_SECONDS, _GUESSED_SHARE = 0.5, 0.25
-"""A gap as long as a word, and a share of the samples, from which on a take is part guess."""
+_CHECK_GAP_SECONDS, _BAD_SHARE = 0.5, 0.25
+"""Longest gap, the length of a word, and share of repaired samples, above which the verdict is
+worse."""
 
 POSE_COLOR, FILLED_COLOR, SWAPPED_COLOR = (92, 98, 110), (86, 156, 214), (232, 178, 66)
 OUTLIER_COLOR, LEFT_COLOR = (206, 96, 190), (226, 74, 66)
 
 _LISTED_SWAPS = 20
-"""More repairs than this are counted, not listed."""
+"""Repairs listed; further ones are counted."""
 
 
 def cleaning_notes(cleaned: CleanedMarkers, markers: Markers, take: Take) -> list[str]:
-    """Say what a person should know of a cleaned take."""
+    """Return notes on the repairs and what was left."""
     slips = _slip_notes(cleaned, markers, take)
     return _still_notes(cleaned) + slips + _repairs(cleaned, markers, take)
 
 
 def _still_notes(cleaned: CleanedMarkers) -> list[str]:
-    """Say that no marker moves on the head: such a take shows one expression, or is frozen."""
+    """Return a note if no marker moves on the head, as the take is static or frozen."""
     still = still_range_mm([cleaned.positions], cleaned.noise_mm)
     if still is None:
         return []
     return [
-        f"no marker moves on the head (by at most {still:.2f} mm along an axis, at "
-        f"{cleaned.noise_mm:.2f} mm of noise): the take shows one expression, and no references "
-        "can be selected from it alone; if the face did move, the capture was exported without its "
-        "motion (a static pose, a frozen stream): export and ingest it again"
+        f"no marker moves on the head (at most {still:.2f} mm along an axis, at "
+        f"{cleaned.noise_mm:.2f} mm of noise): the take shows one expression, and references "
+        "cannot be selected from it alone; if the face did move, the export lost its motion (a "
+        "static pose, a frozen stream): export and ingest it again"
     ]
 
 
 def _slip_notes(cleaned: CleanedMarkers, markers: Markers, take: Take) -> list[str]:
-    """Name the markers that moved on the skin."""
+    """Return a note on each marker that slipped on the skin."""
     return [
-        f"{markers.names[slip.marker]} moved on the skin, by {slip.distance_mm:.1f} mm near frame "
+        f"{markers.names[slip.marker]} slipped on the skin by {slip.distance_mm:.1f} mm near frame "
         f"{take.first_frame + slip.row}: "
         + (
-            "put back where it sat in the neutral frame"
+            "corrected to its position in the neutral frame"
             if slip.distance_mm <= MOST_SLIP_MM
-            else "too far to be put back; look at it, and leave it out unless its skin moved so"
+            else "too far to be corrected; check it, and leave it out unless its skin moved so far"
         )
         for slip in cleaned.slips
     ]
@@ -69,28 +70,27 @@ def _repairs(cleaned: CleanedMarkers, markers: Markers, take: Take) -> list[str]
     if cleaned.outliers.any():
         worst = int(cleaned.outliers.sum(axis=0).argmax())
         notes.append(
-            f"replaced {pluralize(int(cleaned.outliers.sum()), 'outlier')}, the most of "
+            f"replaced {pluralize(int(cleaned.outliers.sum()), 'outlier')}, most of them of "
             f"{markers.names[worst]}"
         )
-    left = ~cleaned.visible
-    if left.any():
-        names = [markers.names[i] for i in np.flatnonzero(left.any(axis=0))]
+    missing = ~cleaned.visible
+    if missing.any():
+        names = [markers.names[i] for i in np.flatnonzero(missing.any(axis=0))]
         notes.append(
-            f"{pluralize(int(left.sum()), 'sample')} in gaps too long to fill, with confidence 0 "
-            f"({first_few(names)}): raise --max-gap to fill them"
+            f"{pluralize(int(missing.sum()), 'sample')} in gaps too long to fill, with confidence "
+            f"0 ({first_few(names)}): raise --max-gap to fill them"
         )
-    doubtful = np.flatnonzero(cleaned.pose_confidence < 1.0)
-    if len(doubtful):
+    no_pose = np.flatnonzero(cleaned.pose_confidence < 1.0)
+    if len(no_pose):
         notes.append(
-            f"{pluralize(len(doubtful), 'frame')}, the first "
-            f"{take.first_frame + int(doubtful[0])}, "
-            "saw too few rigid markers; the head's pose is interpolated there"
+            f"too few rigid markers in {pluralize(len(no_pose), 'frame')}, the first "
+            f"{take.first_frame + int(no_pose[0])}; the head's pose is interpolated there"
         )
     return notes
 
 
 def repair_picture(cleaned: CleanedMarkers, markers: Markers, take: Take) -> ByteImage:
-    """Draw what was repaired, marker by marker over time."""
+    """Draw the repairs per marker over time."""
     swapped = np.zeros_like(cleaned.outliers)
     for swap in cleaned.swaps:
         swapped[swap.start : swap.stop, [swap.first, swap.second]] = True
@@ -106,7 +106,7 @@ def repair_picture(cleaned: CleanedMarkers, markers: Markers, take: Take) -> Byt
     return draw_repairs(
         markers.names,
         kinds,
-        title=f"{take.name}: what was repaired",
+        title=f"{take.name}: repairs",
         verdict=_repair_verdict(cleaned, markers, take),
         facts=(
             f"frames {take.first_frame}-{take.first_frame + take.frame_count - 1}",
@@ -120,29 +120,29 @@ def repair_picture(cleaned: CleanedMarkers, markers: Markers, take: Take) -> Byt
 
 
 def _repair_verdict(cleaned: CleanedMarkers, markers: Markers, take: Take) -> tuple[str, str]:
-    """Return the level and the sentence: how much of the take is not as it was captured."""
-    filled, left = cleaned.filled | cleaned.outliers, ~cleaned.visible
-    made = float((filled | left).mean())
-    if not made and not cleaned.swaps:
+    """Return level and sentence of the verdict, by the share of repaired samples."""
+    filled, missing = cleaned.filled | cleaned.outliers, ~cleaned.visible
+    share = float((filled | missing).mean())
+    if not share and not cleaned.swaps:
         return "good", f"{OPENINGS['good']}: nothing had to be repaired"
-    gaps = [longest_run(column) for column in (filled | left).T]
+    gaps = [longest_run(column) for column in (filled | missing).T]
     widest = int(np.argmax(gaps))
     seconds = gaps[widest] / float(take.rate)
-    words = [f"{made:.1%} of the samples were missing or wrong"]
+    words = [f"{share:.1%} of the samples were missing or wrong"]
     if seconds:
         words.append(f"the longest gap is {seconds:.2g} s, of {markers.names[widest]}")
     if cleaned.swaps:
-        words.append(f"{pluralize(len(cleaned.swaps), 'swap')} of labels undone")
-    if left.any():
-        words.append(f"{left.mean():.1%} left missing")
-    level = "good" if seconds <= _GUESSED_SECONDS and not left.any() else "check"
-    if made > _GUESSED_SHARE:
+        words.append(f"{pluralize(len(cleaned.swaps), 'label swap')} corrected")
+    if missing.any():
+        words.append(f"{missing.mean():.1%} left missing")
+    level = "good" if seconds <= _CHECK_GAP_SECONDS and not missing.any() else "check"
+    if share > _BAD_SHARE:
         level = "bad"
     return level, f"{OPENINGS[level]}: {'; '.join(words)}"
 
 
 def cleaning_summary(cleaned: CleanedMarkers, take: Take) -> str:
-    """Return what was done, in one sentence."""
+    """Return the repairs in one sentence."""
     return (
         f"{take.name}: head motion removed, {pluralize(len(cleaned.swaps), 'swap')} relabelled, "
         f"{pluralize(int(cleaned.outliers.sum()), 'outlier')} replaced, "

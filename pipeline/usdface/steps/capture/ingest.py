@@ -1,4 +1,4 @@
-"""Capture files in, one USD take out."""
+"""Convert the capture files of a take to USD."""
 
 import logging
 from dataclasses import replace
@@ -79,7 +79,7 @@ def run(spec: IngestSpec, *, provenance: Provenance, progress: Progress = silent
 
 
 def _labelled(takes: list[Take], spec: IngestSpec) -> list[Take]:
-    """Give the timecode that the user names to the capture whose frames the take will have."""
+    """Set --timecode on the capture whose frames the take will have."""
     if not spec.timecode:
         return takes
     first = next((at for at, take in enumerate(takes) if take.markers is not None), 0)
@@ -116,7 +116,7 @@ def _read_file(source: Path, spec: IngestSpec) -> Capture:
 
 
 def _unused_notes(spec: IngestSpec, take: Take, captures: list[Capture]) -> list[str]:
-    """Name the options that change nothing in these captures."""
+    """Return a note on each option without effect on these captures."""
     unused: list[tuple[str, tuple[str, ...]]] = []
     if take.markers is None:
         unused += [("marker", ("units", "scale", "up", "mirrored", "partial", "rigid", "neutral"))]
@@ -125,8 +125,8 @@ def _unused_notes(spec: IngestSpec, take: Take, captures: list[Capture]) -> list
     if all(each.suffix.lower() != ".npy" for each in spec.sources):
         unused += [(".npy table", ("shapes",))]
     return [
-        f"--{name.replace('_', '-')} has no effect: there is no {what} in {_names(spec)}"
-        for what, names in unused
+        f"--{name.replace('_', '-')} has no effect: there is no {missing} in {_names(spec)}"
+        for missing, names in unused
         for name in names
         if spec.is_given(name)
     ]
@@ -137,7 +137,7 @@ def _names(spec: IngestSpec) -> str:
 
 
 def _plausibility(spec: IngestSpec, take: Take, captures: list[Capture]) -> tuple[str, ...] | None:
-    """Return what is odd about the markers; refuse what cannot be, unless the user states it."""
+    """Return doubts about the markers; refuse impossible ones unless an option states them."""
     if take.markers is None:
         return None
     capture = next(each for each in captures if each.take.markers is not None)
@@ -155,11 +155,11 @@ def _plausibility(spec: IngestSpec, take: Take, captures: list[Capture]) -> tupl
 
 
 def _cut(spec: IngestSpec, take: Take, limits: tuple[int, int]) -> tuple[Take, list[str]]:
-    """Keep the frames that are asked for; say where another frame is neutral by that."""
+    """Keep the frames of --frames; return a note if the neutral frame changes."""
     if take.audio is not None:
         raise InputError(
-            f"{_names(spec)}: the take has sound of its own, {take.audio.name}, which would start "
-            "too early; leave out --frames"
+            f"{_names(spec)}: the take has sound, {take.audio.name}, which would start too early; "
+            "leave out --frames"
         )
     if spec.neutral is not None and not limits[0] <= spec.neutral <= limits[1]:
         raise InputError(
@@ -170,14 +170,14 @@ def _cut(spec: IngestSpec, take: Take, limits: tuple[int, int]) -> tuple[Take, l
     before, after = take.markers, cut.markers
     if before is None or after is None or before.neutral_frame == after.neutral_frame:
         return cut, []
-    return cut, [f"of the frames that are left, {after.neutral_frame} is taken as neutral"]
+    return cut, [f"the neutral frame was cut off; frame {after.neutral_frame} is used instead"]
 
 
 def _read_usd(source: Path, spec: IngestSpec) -> Capture:
     if spec.units is not None or spec.up is not None:
         raise InputError(
-            f"{source}: a USD file states its own units and up axis; author metersPerUnit and "
-            "upAxis in it instead of --units and --up (--scale works)"
+            f"{source}: a USD file states its units and up axis; author metersPerUnit and upAxis "
+            "in it instead of using --units and --up (--scale works)"
         )
     if is_take(source):
         return Capture(_with_options(read_take(source), spec, source), "usd")
@@ -199,7 +199,7 @@ def _read_usd(source: Path, spec: IngestSpec) -> Capture:
 
 
 def _with_options(take: Take, spec: IngestSpec, source: Path) -> Take:
-    """Return a take that was ingested before with the rigid markers and neutral frame asked for."""
+    """Return a USD take with scale, rate, rigid markers and neutral frame of the options."""
     markers = take.markers
     if markers is None:
         return take
@@ -224,7 +224,7 @@ def _with_options(take: Take, spec: IngestSpec, source: Path) -> Take:
 
 
 def _timecode(take: Take) -> tuple[str, tuple[str, ...]]:
-    """Return the label of the first frame, and a note where a capture's own is none."""
+    """Return the timecode of the first frame, and a note if the capture's is invalid."""
     start = take.timecode_start
     try:
         if start:
@@ -235,7 +235,7 @@ def _timecode(take: Take) -> tuple[str, tuple[str, ...]]:
 
 
 def _capture_sound(spec: IngestSpec, skipped: tuple[int, int]) -> CaptureSound | None:
-    """Take the sound out of the captures, without the frames skipped at both ends."""
+    """Extract the sound of the captures, without the frames skipped at both ends."""
     if spec.audio is not None:
         return None
     out = spec.out.with_name(f"{spec.out.stem}.sound.wav")
@@ -247,7 +247,7 @@ def _is_sound_of(path: Path, sound: Path) -> bool:
     try:
         reader = TakeReader(path)
         take = reader.read(reader.first_frame, reader.first_frame, head_motion=False)
-    except InputError:  # a damaged take is replaced, and says nothing of its sound
+    except InputError:  # a damaged take, which is replaced
         return False
     return take.audio is not None and take.audio.resolve() == sound.resolve()
 

@@ -1,4 +1,4 @@
-"""Every take in a folder: files of one stem belong together."""
+"""Ingest every take in a folder; files with the same stem form one take."""
 
 from dataclasses import dataclass
 from fnmatch import fnmatch
@@ -14,34 +14,34 @@ from usdface.runner.result import StepResult
 from usdface.specs.capture import IngestSpec
 
 CAPTURE_SUFFIXES = (".c3d", ".trc")
-"""Whatever such a file holds, it was meant as a capture: a damaged one must not go unseen."""
+"""Always treated as captures, so that a damaged file is reported."""
 AUDIO_SUFFIXES = (".wav", ".flac", ".aif", ".aiff", ".mp3", ".m4a")
 
 _FIELDS_OF_ONE_TAKE = ("take", "video", "audio", "timecode")
-"""What every take of a folder has of its own."""
+"""Options that differ between the takes of a folder."""
 
 _TAKES = (".take.usda", ".samples.usdc")
-"""What ingesting wrote before."""
+"""Endings of ingest's outputs."""
 
 
 @dataclass(frozen=True)
 class Bundle:
-    """What a folder holds of one take."""
+    """The files of one take in a folder."""
 
     name: str
-    """The files' common stem."""
+    """Common stem of the files."""
     captures: tuple[Path, ...]
     video: Path | None
     audio: Path | None
 
 
 def find_bundles(folder: Path, only: str | None = None) -> list[Bundle]:
-    """Group a folder's files by stem; files that are no capture and stand alone are left out.
+    """Group a folder's files by stem; stems without a capture are left out.
 
     Parameters
     ----------
     only : str, optional
-        End, such as ``c3d``, or pattern, such as ``*_v2.csv``, of the names of captures to use.
+        Ending (``c3d``) or pattern (``*_v2.csv``) of the names of captures to use.
     """
     pattern = only if only is None or set("*?[") & set(only) else f"*{only}"
     captures: dict[str, list[Path]] = {}
@@ -82,24 +82,20 @@ def ingest_folder(
     Parameters
     ----------
     out : Path
-        Folder for the takes; made if it is not there.
+        Folder for the takes; created if needed.
     shared : IngestSpec
-        Units, rigid markers and so on for every take; its files are not used.
+        Units, rigid markers and other options of every take; its files are not used.
 
     Raises
     ------
-    InputError
-        If `shared` names what each take has of its own, the folder holds no capture, or `out`
-        cannot be made.
     CheckFailedError
-        If a take could not be ingested; each is named with its reason.
+        If a take could not be ingested, with the reason of each.
     """
     for name in _FIELDS_OF_ONE_TAKE:
         if getattr(shared, name):
             raise InputError(
-                f"{folder}: --{name} is of one take, and a folder holds several: each is named by "
-                "its files, which tell its timecode, and video and audio of the same name go with "
-                "it; leave it out"
+                f"{folder}: --{name} is for a single take; in a folder, names and timecode come "
+                "from the captures, video and audio from files of the same name; leave it out"
             )
     bundles = _bundles(folder, shared.only)
     specs = [
@@ -140,8 +136,8 @@ def _bundles(folder: Path, only: str | None) -> list[Bundle]:
         return bundles
     if only is not None:
         raise InputError(
-            f"{folder}: no capture has a name that --only {only} fits; leave it out, or name the "
-            "end of the names, such as c3d"
+            f"{folder}: no name of a capture matches --only {only}; leave it out, or give the "
+            "ending of the names, such as c3d"
         )
     movies = [
         each.name
@@ -155,13 +151,13 @@ def _bundles(folder: Path, only: str | None) -> list[Bundle]:
             f"{Path(movies[0]).stem}.take.usda` ({first_few(movies)})"
         )
     raise InputError(
-        f"{folder}: holds no capture file that is known; name the folder that holds the "
+        f"{folder}: holds no file of a known capture format; name the folder that holds the "
         "captures, or a file with --format"
     )
 
 
 def _left_out(folder: Path, bundles: list[Bundle]) -> tuple[str, ...]:
-    """Say which files of a folder are in no take."""
+    """Return a note on the files of a folder that are in no take."""
     used = {path for each in bundles for path in (*each.captures, each.video, each.audio) if path}
     others = [
         path.name
@@ -174,7 +170,7 @@ def _left_out(folder: Path, bundles: list[Bundle]) -> tuple[str, ...]:
     if not others:
         return ()
     return (
-        f"in no take, as no capture is known by their content, or --only leaves them out: "
+        f"not used, as their content is no known capture or --only excludes them: "
         f"{first_few(others)}",
     )
 
@@ -187,7 +183,7 @@ def _is_capture(path: Path) -> bool:
         return not path.name.endswith(_TAKES)
     try:
         if recognise_format(path).name.startswith("weights-"):
-            read_capture(path)  # keys and notes of people are tables as well
+            read_capture(path)  # other tables, such as keys, are refused
     except (InputError, OSError):
         return False
     return True

@@ -1,4 +1,4 @@
-"""Captures brought into one take: joined, sides exchanged, frames left out, padded, with sound."""
+"""Join captures to one take, exchange its sides, cut frames, report padding, extract sound."""
 
 import filecmp
 import re
@@ -20,30 +20,30 @@ from usdface.core.text import pluralize
 from usdface.model.placement.label_hints import mirror_partners
 
 _LEAST_FROZEN_SECONDS = 0.25
-"""Measured positions are never equal in two frames; a longer run of copies is padding."""
+"""Measured positions are never equal in two frames; a longer run of equal ones is padding."""
 
 
-def exchange_sides(take: Take, what: str, *, where: object) -> Take:
+def exchange_sides(take: Take, mirrored: str, *, where: object) -> Take:
     """Exchange left and right of a take's markers, by their names or by their positions.
 
     Parameters
     ----------
-    what : {'labels', 'axes'}
+    mirrored : {'labels', 'axes'}
         `labels` exchanges the names of partners; `axes` reflects positions across the YZ plane.
     """
     markers = take.markers
     if markers is None:
         raise InputError(
-            f"{where}: has no markers whose sides could be exchanged; leave --mirrored"
+            f"{where}: has no markers whose sides could be exchanged; leave out --mirrored"
         )
-    if what == "axes":
+    if mirrored == "axes":
         reflected = markers.positions * np.array([-1, 1, 1], np.float32)
         return replace(take, markers=replace(markers, positions=reflected))
     partners = mirror_partners(markers.names)
     if not partners:
         raise InputError(
-            f"{where}: no label names a side that another label mirrors, as brow_L and brow_R do; "
-            "rename the markers, or reflect them with --mirrored axes"
+            f"{where}: no two labels differ in their side, such as brow_L and brow_R; rename the "
+            "markers, or reflect them with --mirrored axes"
         )
     names, rigid = (
         tuple(partners.get(name, name) for name in old) for old in (markers.names, markers.rigid)
@@ -53,7 +53,7 @@ def exchange_sides(take: Take, what: str, *, where: object) -> Take:
 
 
 def cut_frames(take: Take, limits: tuple[int, int], *, where: object) -> Take:
-    """Keep the frames from the first to the last of `limits`; timecode and video stay in time."""
+    """Keep the frames within `limits`; timecode and video offset follow."""
     end = take.first_frame + take.frame_count - 1
     first, last = frames_within(where, limits, take.first_frame, end)
     skipped = first - take.first_frame
@@ -78,7 +78,7 @@ def cut_frames(take: Take, limits: tuple[int, int], *, where: object) -> Take:
 
 
 def _cut_markers(markers: Markers, rows: slice, first: int) -> Markers:
-    """Keep rows of the markers; a neutral frame that is gone is chosen as readers choose it."""
+    """Keep rows of the markers; if the neutral frame is cut off, choose the most complete frame."""
     visible = markers.visible[rows]
     neutral = markers.neutral_frame
     if not first <= neutral < first + len(visible):
@@ -93,7 +93,7 @@ def _cut_markers(markers: Markers, rows: slice, first: int) -> Markers:
 
 
 def padding_notes(take: Take) -> list[str]:
-    """Say which frames at the ends hold no marker, or copies of one frame."""
+    """Return notes on frames at the ends that hold no marker, or copies of one frame."""
     if take.markers is None or not take.markers.visible.any():
         return []
     seen: BoolArray = np.asarray(take.markers.visible.any(axis=1), np.bool_)
@@ -110,7 +110,7 @@ def padding_notes(take: Take) -> list[str]:
 
 
 def _frozen(positions: Float32Array) -> int:
-    """Return how many frames equal the one after them, from the first on."""
+    """Return the number of frames at the start that equal the next one."""
     count = 0
     while count + 1 < len(positions) and np.array_equal(positions[count], positions[count + 1]):
         count += 1
@@ -131,14 +131,14 @@ def _padding(take: Take, first: int, last: int, words: str) -> str:
 
 SOUND_NAME = re.compile(r"audio|sound|mic|voice|speech", re.IGNORECASE)
 LEAST_RATE = 4000.0
-"""[Hz] Slower channels are force plates and switches: speech needs at least this."""
+"""[Hz] Lowest rate of sound; slower channels are force plates and switches."""
 
 _CHUNK_FRAMES = 1 << 14
 
 
 @dataclass(frozen=True)
 class CaptureSound:
-    """A sound file made from a capture, and what to say of it."""
+    """A sound file made from a capture."""
 
     file: Path
     note: str
@@ -159,22 +159,16 @@ def extract_sound(
     sources : sequence of Path
         The captures of a take, in any order; only C3D carries analog channels.
     channel : str, optional
-        Name of the channel; one that is named like sound by default.
+        Name of the channel. Default: the first whose name suggests sound.
     ours : bool
-        Whether the file that may lie there already was made by this step.
+        Whether an existing file at `out` was made by this step.
     skipped : tuple of int
         Frames of the capture to leave out at its start and end.
 
     Returns
     -------
     CaptureSound or None
-        None where there is no such channel and none was named.
-
-    Raises
-    ------
-    InputError
-        If no capture has the named channel, or the file cannot be written, or there is another
-        that is not ours.
+        None if there is no such channel and none was named.
     """
     faults = list[str]()
     for source in sources:
@@ -193,7 +187,7 @@ def extract_sound(
             frames = range(skipped[0], capture.frame_count - skipped[1])
             _write_wav(out, capture, names.index(chosen), frames, ours=ours)
             rate = capture.analog_rate
-            return CaptureSound(out, f"sound was taken from analog channel {chosen} ({rate:g} Hz)")
+            return CaptureSound(out, f"sound extracted from analog channel {chosen} ({rate:g} Hz)")
     if channel is None:
         return None
     if faults:
@@ -205,7 +199,7 @@ def extract_sound(
 
 
 def _write_wav(path: Path, capture: C3dFile, column: int, frames: range, *, ours: bool) -> None:
-    """Write 16-bit samples, the loudest at full scale; two passes keep memory bounded."""
+    """Write 16-bit samples, normalised to full scale, in several passes of bounded memory."""
     starts = frames[::_CHUNK_FRAMES]
 
     def samples(start: int) -> np.ndarray:
@@ -214,10 +208,10 @@ def _write_wav(path: Path, capture: C3dFile, column: int, frames: range, *, ours
 
     total = sum(float(np.nansum(_numbers(samples(start)))) for start in starts)
     count = max(sum(int(np.isfinite(samples(start)).sum()) for start in starts), 1)
-    middle = total / count  # a capture card's resting voltage is not sound
+    mean = total / count  # the offset voltage of the capture card
 
     def sound_from(start: int) -> np.ndarray:
-        return np.nan_to_num(_numbers(samples(start)) - middle)  # a dropped sample is silent
+        return np.nan_to_num(_numbers(samples(start)) - mean)  # dropped samples become 0
 
     loudest = max((float(np.abs(sound_from(start)).max()) for start in starts), default=0.0)
     scale = 32767.0 / loudest if loudest > 0 else 0.0
@@ -228,53 +222,48 @@ def _write_wav(path: Path, capture: C3dFile, column: int, frames: range, *, ours
             stream.setframerate(round(capture.analog_rate))
             for start in starts:
                 stream.writeframes(np.round(sound_from(start) * scale).astype("<i2").tobytes())
-        # A run that was killed before it wrote its take left the same.
+        # An identical file may be left by a run that was killed before it wrote its take.
         if not ours and path.exists() and not filecmp.cmp(path, temporary, shallow=False):
             raise InputError(
-                f"{path}: exists, and the take does not say that it is its sound; what the capture "
-                "recorded goes there: move the file away, or name it with --audio"
+                f"{path}: exists and is not the sound of this take, which is to be written there; "
+                "move the file, or use it with --audio"
             )
 
 
 def _numbers(samples: np.ndarray) -> np.ndarray:
-    """Return samples with NaN for all that is no number."""
+    """Return samples with infinite values replaced by NaN."""
     return np.where(np.isfinite(samples), samples, np.nan)
 
 
 DAY_SECONDS = Fraction(86_400)
 DROP_DAY_SECONDS = Fraction(86_400 * 30 - 2 * (24 * 60 - 24 * 6)) * Fraction(1001, 30_000)
-"""What a day of drop-frame labels lasts."""
+"""Duration of a day of drop-frame labels."""
 _LONG_SECOND = Fraction(1001, 1000)
-"""What 30 labels last at 29.97 frames per second, none left out."""
+"""Duration of 30 labels at 29.97 frames per second, without drop frame."""
 
 
 @dataclass(frozen=True)
 class Joined:
-    """One take, and what should be known about how it came together."""
+    """A take joined from captures."""
 
     take: Take
     notes: tuple[str, ...]
 
 
 def join_captures(takes: list[Take], sources: tuple[Path, ...]) -> Joined:
-    """Put the markers of one capture and the blendshape weights of another into one take.
+    """Join the markers of one capture and the blendshape weights of another to one take.
 
-    Weights are resampled to the markers' frames. Where both carry timecode it says how they lie
-    to each other; otherwise they are taken to start together, and that is noted.
-
-    Raises
-    ------
-    InputError
-        If more than one has markers, or more than one has weights, or they share no moment.
+    Weights are resampled to the markers' frames, aligned by timecode if both have it; otherwise
+    they are assumed to start together, and that is noted.
     """
     with_markers = [take for take in takes if take.markers is not None]
     with_weights = [take for take in takes if take.source is not None]
     names = ", ".join(map(str, sources))
     if len(with_markers) > 1 or len(with_weights) > 1:
-        what = "markers" if len(with_markers) > 1 else "blendshape weights"
+        repeated = "markers" if len(with_markers) > 1 else "blendshape weights"
         raise InputError(
-            f"{names}: more than one has {what}; a take is one recording: ingest them one by one, "
-            "or choose the captures of a folder with --only, such as --only c3d"
+            f"{names}: more than one has {repeated}; a take is one recording: ingest them one by "
+            "one, or choose the captures of a folder with --only, such as --only c3d"
         )
     take = (with_markers or with_weights or takes)[0]
     if not with_markers or not with_weights or with_weights[0] is take:
@@ -286,20 +275,21 @@ def join_captures(takes: list[Take], sources: tuple[Path, ...]) -> Joined:
     resampled, outside = _resample(other.source, take, shift)
     if outside == take.frame_count:
         raise InputError(
-            f"{names}: by their timecode ({take.timecode_start}, {other.timecode_start}) they "
-            "share no moment; are they of one take?"
+            f"{names}: do not overlap in time by their timecode ({take.timecode_start}, "
+            f"{other.timecode_start}); ingest them as separate takes, or correct the timecode"
         )
     notes = [note, f"weights were resampled from {float(other.source.rate):g} frames per second"]
     if outside:
         notes.append(
-            f"outside the weights' recording, and holding its ends: {pluralize(outside, 'frame')}"
+            f"{pluralize(outside, 'frame')} outside the recording of the weights hold its first or "
+            "last weights"
         )
     start = take.timecode_start or _start_at(take, other, notes)
     return Joined(replace(take, source=resampled, timecode_start=start), tuple(notes))
 
 
 def _start_at(take: Take, other: Take, notes: list[str]) -> str:
-    """Return the other's first label as a take of this one's rate has it: labels count frames."""
+    """Return the first label of another capture at the rate of a take, as labels count frames."""
     if not other.timecode_start or other.rate == take.rate:
         return other.timecode_start
     try:
@@ -307,53 +297,54 @@ def _start_at(take: Take, other: Take, notes: list[str]) -> str:
         frames = round(_reading(other) * _second(take, drop=drop) * take.rate)
         return timecode_of(frames, take.rate, drop=drop)
     except InputError as error:
-        notes.append(f"the timecode {other.timecode_start} was left out: {error}")
+        notes.append(f"the timecode {other.timecode_start} is not stored: {error}")
         return ""
 
 
 def _start_difference(take: Take, other: Take) -> tuple[float, str]:
-    """Return by how many seconds the other capture started later, and how that is known."""
+    """Return by how many seconds the other capture started later, and a note on the source."""
     if not take.timecode_start or not other.timecode_start:
-        return 0.0, "not both captures carry timecode: they are taken to start together"
+        return 0.0, "not both captures have timecode: they are assumed to start together"
     all_drop = ";" in take.timecode_start and ";" in other.timecode_start
     day = DROP_DAY_SECONDS if all_drop else DAY_SECONDS
-    apart = _reading(other) - _reading(take)
-    apart = (apart + day / 2) % day - day / 2  # recorded across midnight, too
+    difference = _reading(other) - _reading(take)
+    difference = (difference + day / 2) % day - day / 2  # recorded across midnight, too
     caveat = ""
     if _second(take) == _second(other):
-        apart *= _second(take)
+        difference *= _second(take)
     else:
         caveat = (
-            f", as the labels read: {float(take.rate):g} and {float(other.rate):g} frames per "
-            "second do not count the same seconds"
+            f", comparing labels as clock times: at {float(take.rate):g} and "
+            f"{float(other.rate):g} frames per second they do not count the same seconds"
         )
-    difference = float(apart)
-    note = f"by timecode the weights start {difference:+.3f} s after the markers{caveat}"
-    return difference, note
+    note = f"by timecode the weights start {float(difference):+.3f} s after the markers{caveat}"
+    return float(difference), note
 
 
 def _reading(take: Take) -> Fraction:
-    """Return what the first label reads as a clock, in seconds since midnight.
+    """Return the clock time of the first label, in seconds since midnight.
 
-    A phone that is jammed to 29.97 labels without drop frame writes the same labels and counts 30
-    of them a second: labels of two such rates agree as they read, not as they are counted.
+    A phone synchronised to 29.97 labels without drop frame writes the same labels but counts 30 of
+    them a second: labels of two such rates agree as clock times, not as counts.
     """
     return frames_of(take.timecode_start, take.rate) / take.rate / _second(take)
 
 
 def _second(take: Take, *, drop: bool | None = None) -> Fraction:
-    """Return how long a second lasts by a take's labels [s]; dropped labels keep it true."""
-    left_out = ";" in take.timecode_start if drop is None else drop
-    return _LONG_SECOND if take.rate.denominator == 1001 and not left_out else Fraction(1)
+    """Return the duration of a second of a take's labels [s], 1 with drop frame."""
+    is_drop = ";" in take.timecode_start if drop is None else drop
+    return _LONG_SECOND if take.rate.denominator == 1001 and not is_drop else Fraction(1)
 
 
 def _resample(clip: WeightsClip, take: Take, shift: float) -> tuple[WeightsClip, int]:
-    own = np.arange(take.frame_count) / float(take.rate)
-    given = np.arange(len(clip.values)) / float(clip.rate) + shift
+    """Return weights at a take's frames, and how many frames lie outside their recording."""
+    times = np.arange(take.frame_count) / float(take.rate)
+    clip_times = np.arange(len(clip.values)) / float(clip.rate) + shift
     values: FloatArray = np.stack(
-        [np.interp(own, given, column) for column in clip.values.T.astype(np.float64)], axis=1
+        [np.interp(times, clip_times, column) for column in clip.values.T.astype(np.float64)],
+        axis=1,
     )
-    outside = int(((own < given[0]) | (own > given[-1])).sum())
+    outside = int(((times < clip_times[0]) | (times > clip_times[-1])).sum())
     numbers = [
         [
             take.first_frame + round(((frame - clip.first_frame) / clip.rate + shift) * take.rate)

@@ -1,4 +1,4 @@
-"""Sound and transcript in, phones out."""
+"""Align a transcript with its sound, and write the phones."""
 
 from usdface.core.assets import Take, Video
 from usdface.core.errors import InputError
@@ -23,9 +23,10 @@ from usdface.speech.track_files import write_phone_track
 from usdface.usdio.take.read import read_take
 
 LARGEST_TRANSCRIPT_BYTES = 1 << 20
-"""A day of speech."""
+"""The size of a day of speech."""
 
 NAMED_WORDS = 8
+"""Words listed in a note; further ones are counted."""
 
 
 def run(spec: PhonesSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
@@ -34,7 +35,7 @@ def run(spec: PhonesSpec, *, provenance: Provenance, progress: Progress = silent
     if spec.transcript is not None:
         text = read_text(spec.transcript, LARGEST_TRANSCRIPT_BYTES)
     words = _words(spec, text or "")
-    own = {} if spec.dictionary is None else read_dictionary(spec.dictionary)
+    pronunciations = {} if spec.dictionary is None else read_dictionary(spec.dictionary)
     progress(0.0, "reading the sound")
     take = read_take(spec.audio) if is_usd_name(spec.audio) else None
     if take is None:
@@ -44,27 +45,29 @@ def run(spec: PhonesSpec, *, provenance: Provenance, progress: Progress = silent
     else:
         video = _video(spec, take)
         samples = read_audio(video.file, rate=SPEECH_SAMPLE_RATE)
-    found = align_phones(samples, words, pronunciations=own, progress=part(progress, 0.1, 0.95))
+    found = align_phones(
+        samples, words, pronunciations=pronunciations, progress=part(progress, 0.1, 0.95)
+    )
     outside = share_outside(samples, found.track.words, rate=SPEECH_SAMPLE_RATE)
     track = found.track if video is None else _on_take_clock(found.track, video)
     origin = provenance_metadata(provenance)
     write_phone_track(spec.out, track, origin=origin)
     progress(1.0, "done")
-    said = [span for span in track.phones if viseme_of(span.label) != "pau"]
-    visemes = sorted({viseme_of(span.label) or "" for span in said})
+    spoken = [span for span in track.phones if viseme_of(span.label) != "pau"]
+    visemes = sorted({viseme_of(span.label) or "" for span in spoken})
     return StepResult(
         (spec.out,),
-        f"{len(said)} phones of {len(track.words)} words in {track.duration:.1f} s, "
+        f"{len(spoken)} phones of {len(track.words)} words in {track.duration:.1f} s, "
         f"{len(visemes)} of the 14 visemes of speech",
         tuple(_notes(found, outside)),
         {
-            "phones": len(said),
+            "phones": len(spoken),
             "sound_outside_words": round(outside, 3),
             "words": len(track.words),
             "visemes": visemes,
             "score": round(found.score, 2),
             "beam": found.beam,
-            "guessed": {word: " ".join(said) for word, said in found.guessed.items()},
+            "guessed": {word: " ".join(phones) for word, phones in found.guessed.items()},
             "doubtful_words": [
                 {"word": span.label, "seconds": round(span.start, 2)}
                 for span in found.doubtful_words
@@ -91,7 +94,7 @@ def _video(spec: PhonesSpec, take: Take) -> Video:
 
 
 def _on_take_clock(track: PhoneTrack, video: Video) -> PhoneTrack:
-    """Move spans onto the take's clock; what lies before its first frame is left out."""
+    """Convert spans to take time, without those before its first frame."""
 
     def moved(spans: tuple[Span, ...]) -> tuple[Span, ...]:
         placed = (
@@ -112,26 +115,26 @@ def _notes(found: PhoneAlignment, outside: float) -> list[str]:
     notes = []
     if outside > INCOMPLETE_SHARE:
         notes.append(
-            f"{outside:.0%} of the sound lies outside the words: the transcript lacks much of what "
-            "is said, or is of something else; write down every word"
+            f"{outside:.0%} of the sound lies outside the words: the transcript is incomplete or "
+            "of another recording; write down every word"
         )
     if found.guessed:
-        shown = [f"{word} ({' '.join(said)})" for word, said in found.guessed.items()]
+        shown = [f"{word} ({' '.join(phones)})" for word, phones in found.guessed.items()]
         notes.append(
-            "in no dictionary, and guessed from the letters: "
+            "in no dictionary, and pronounced by letter-to-sound rules: "
             f"{counted(shown, 'word', most=NAMED_WORDS)}; give their phones with --dictionary"
         )
     if found.score < DOUBTFUL_SCORE:
         notes.append(
-            f"the words hardly fit the sound (score {found.score:.0f} a frame): look at the phones "
-            "before you rely on them"
+            f"the words fit the sound poorly (score {found.score:.0f} a frame): check the phones "
+            "before using them"
         )
     if found.beam:
         notes.append(
-            "some of what is said is not in the transcript, or the other way round: the words "
-            "were found only by a wider search"
+            "the alignment needed a wider search: the transcript may lack spoken words or hold "
+            "others; check it"
         )
     if found.doubtful_words:
         shown = [f"{span.label} ({span.start:.1f} s)" for span in found.doubtful_words]
-        notes.append(f"at a bad fit: {counted(shown, 'word', most=NAMED_WORDS)}")
+        notes.append(f"poorly aligned: {counted(shown, 'word', most=NAMED_WORDS)}")
     return notes

@@ -1,4 +1,4 @@
-"""A video in, a take of the face's landmarks out."""
+"""Track the face in a video, and write a take of its landmarks."""
 
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ from usdface.capture.face_landmarker import KNOWN_MODELS
 from usdface.capture.face_landmarks import LANDMARKS
 from usdface.capture.face_tracking import FaceFollower, FaceTrack
 from usdface.capture.marker_take import CaptureHeader, CaptureOptions, build_marker_take
-from usdface.core.arrays import BoolArray, Float32Array
+from usdface.core.arrays import Float32Array
 from usdface.core.assets import Take, Video, WeightsClip
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
@@ -42,7 +42,7 @@ from usdface.usdio.take.write import write_take
 
 @dataclass(frozen=True)
 class _Clip:
-    """A video, looked at."""
+    """A video with its tracked face."""
 
     video: VideoReader | ImageSequence
     timing: PictureTiming
@@ -50,7 +50,7 @@ class _Clip:
 
 
 def run(spec: TrackSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
-    """Track the face in a video and write a take, or what the model detects for one."""
+    """Track the face in a video and write a take, or with --part the model's detections."""
     rate = None if spec.video_rate is None else exact_rate(spec.video_rate, where="--video-rate")
     with detections_folder(spec.out) as folder, ExitStack() as open_files:
         paths = (spec.video, *(spec.views or ()))
@@ -58,8 +58,8 @@ def run(spec: TrackSpec, *, provenance: Provenance, progress: Progress = silent)
         timings = [settle_timing(spec, video, rate) for video in videos]
         if other := [each.rate for each in timings if each.rate != timings[0].rate]:
             raise InputError(
-                f"the videos have {timings[0].rate} and {other[0]} frames per second; cameras "
-                "that are joined run at one rate"
+                f"the videos have {timings[0].rate} and {other[0]} frames per second; record all "
+                "cameras at one rate"
             )
         detector = PictureDetector(spec, provenance, folder, open_files)
         if spec.part:
@@ -110,7 +110,7 @@ def _write(
     provenance: Provenance,
     progress: Progress,
 ) -> StepResult:
-    """Make the take of what was tracked, and write it."""
+    """Build the take from the tracked faces, and write it."""
     views = []
     for number, (clip, camera) in enumerate(zip(clips, cameras, strict=True), start=1):
         timing = clip.timing
@@ -124,10 +124,11 @@ def _write(
         notes += joined
     if detector.digest not in KNOWN_MODELS:
         notes.append(
-            f"the model is not the version that was measured (SHA-256 {detector.digest[:16]}…)"
+            f"the model differs from the version that usdface was tested with (SHA-256 "
+            f"{detector.digest[:16]}…)"
         )
     take, built = _build_take(spec, view, clip.timing, detector.score_names)
-    # The rate is the video's own: no option corrects it.
+    # The rate is that of the video, so it is not checked.
     found = judge_markers(take.markers, None) if take.markers else ()
     doubts = settle_findings(found, where=spec.video)
     start = _timecode(clip.video.timecode, take)
@@ -162,12 +163,12 @@ def _build_take(
         LANDMARKS.names,
         view.positions,
         view.visible.copy(),
-        # None is rigid: `clean` weights each landmark by how far its part of the face moves.
+        # None is rigid: `clean` weights each landmark by the rigidity of its part of the face.
         CaptureOptions(neutral=neutral),
     )
     markers = built.take.markers
     assert markers is not None
-    # Of a profile, landmarks that are never seen are no markers.
+    # Landmarks that are never visible, as in a profile, are no markers.
     columns = [LANDMARKS.names.index(name) for name in markers.names]
     confidence = np.where(markers.visible, view.confidence[:, columns], 0).astype(np.float32)
     take = replace(
@@ -186,15 +187,17 @@ def _build_take(
 def _neutral_frame(
     spec: TrackSpec, view: FaceView, names: tuple[str, ...]
 ) -> tuple[int, list[str]]:
-    """Return the frame of the face at rest, and a note where nobody named it."""
+    """Return the frame of the neutral face, and a note if it was chosen by the model's scores."""
     neutral = spec.neutral
     if neutral is None:
-        neutral = _least_expression(view.scores, view.present, names) + view.first_frame
-        return neutral, [f"frame {neutral} shows the least expression, and is taken as neutral"]
+        expressive = [at for at, name in enumerate(names) if not name.startswith(("eyeLook", "_"))]
+        expression = view.scores[:, expressive].sum(axis=1)
+        neutral = int(np.argmin(np.where(view.present, expression, np.inf))) + view.first_frame
+        return neutral, [f"frame {neutral} has the least expression, and is used as neutral"]
     row = neutral - view.first_frame
     if not (0 <= row < len(view.present) and view.present[row]):
         raise InputError(
-            f"{spec.video}: no face is seen at the neutral frame {neutral}; name another"
+            f"{spec.video}: no face is visible at the neutral frame {neutral}; name another"
         )
     return neutral, []
 
@@ -202,7 +205,7 @@ def _neutral_frame(
 def _with_gaze(
     names: tuple[str, ...], view: FaceView, neutral: int
 ) -> tuple[tuple[str, ...], Float32Array]:
-    """Put where the eyes look, once for both and over blinks, in the place of the scored looks."""
+    """Replace the scores of looks by one gaze of both eyes, interpolated over blinks."""
     looks = [names.index(name) for name in LOOK_SHAPES]
     others = [at for at in range(len(names)) if at not in looks]
     usable = view.present[:, None] & ~view.closed
@@ -211,15 +214,8 @@ def _with_gaze(
     return (*(names[at] for at in others), *LOOK_SHAPES), values
 
 
-def _least_expression(scores: Float32Array, present: BoolArray, names: tuple[str, ...]) -> int:
-    """Return the row whose face is nearest to rest by the model's scores, the gaze apart."""
-    counted = [at for at, name in enumerate(names) if not name.startswith(("eyeLook", "_"))]
-    expression = scores[:, counted].sum(axis=1)
-    return int(np.argmin(np.where(present, expression, np.inf)))
-
-
 def _timecode(start: str, take: Take) -> str:
-    """Return the timecode of the first tracked frame; empty where the video's is none."""
+    """Return the timecode of the first tracked frame; empty if the video's is invalid."""
     if not start or take.first_frame != FIRST_VIDEO_FRAME:
         return ""
     try:

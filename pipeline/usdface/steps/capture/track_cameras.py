@@ -1,4 +1,4 @@
-"""The cameras of tracked videos: from a calibration, from options, or as the file states."""
+"""Cameras of tracked videos: from a calibration, from options, or from the file's metadata."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,19 +15,19 @@ from usdface.numerics.rigid.perspective import PinholeCamera
 from usdface.specs.capture import TrackSpec
 
 DEFAULT_FOCAL_LENGTH = 28.0
-"""[mm] of a 35 mm camera: phones film with 23 to 31 mm, more with the picture stabilised."""
+"""35 mm equivalent [mm]: phones film with 23 to 31 mm, more with stabilised pictures."""
 _FILM_DIAGONAL = float(np.hypot(36.0, 24.0))
 """[mm]"""
 
 
 _SAME_SHAPE = 0.01
-"""Relative difference of width over height from which on a picture was cropped."""
+"""Relative difference of the aspect ratio above which a picture was cropped."""
 
 
 def settle_cameras(
     spec: TrackSpec, videos: Sequence[VideoReader | ImageSequence]
 ) -> tuple[list[CalibratedCamera], list[str]]:
-    """Return the camera of each video, and where it comes from."""
+    """Return the camera of each video, and notes on its source."""
     if spec.calibration is None:
         camera, note = _lens(spec, videos[0])
         return [CalibratedCamera(camera, None, None)], [note]
@@ -47,8 +47,7 @@ def settle_cameras(
         where = f"{spec.calibration}: camera {name}"
         if len(videos) > 1 and known[name].pose is None:
             raise InputError(
-                f"{where} says nothing of where it stands; calibrate the cameras together, so that "
-                "each has a rotation and a translation"
+                f"{where} has no rotation and translation; calibrate the cameras together"
             )
         cameras.append(_at_size(known[name], video, where))
     pairs = [
@@ -60,7 +59,7 @@ def settle_cameras(
 def _at_size(
     found: CalibratedCamera, video: VideoReader | ImageSequence, where: str
 ) -> CalibratedCamera:
-    """Return a camera for pictures of another size than those that it was calibrated with."""
+    """Return a calibrated camera scaled to the size of a video's pictures."""
     width, height = _picture_size(video)
     camera = found.camera
     if found.size is not None and found.size != (width, height):
@@ -68,8 +67,8 @@ def _at_size(
         if abs(across / down - 1) > _SAME_SHAPE:
             raise InputError(
                 f"{video.path}: is {width} × {height}, and {where} was calibrated at "
-                f"{found.size[0]} × {found.size[1]}; give the video as it was filmed, neither "
-                "cropped nor turned, or name its camera with --cameras"
+                f"{found.size[0]} × {found.size[1]}; give the original video, neither cropped nor "
+                "rotated, or name its camera with --cameras"
             )
         center = (camera.center[0] * across, camera.center[1] * down)
         camera = replace(camera, focal_pixels=camera.focal_pixels * across, center=center)
@@ -85,19 +84,18 @@ def _picture_size(video: VideoReader | ImageSequence) -> tuple[int, int]:
 
 
 def _lens(spec: TrackSpec, video: VideoReader | ImageSequence) -> tuple[PinholeCamera, str]:
-    """Return the camera that options or the file name, and where its focal length comes from."""
+    """Return the camera of options or the file's metadata, and a note on its focal length."""
     width, height = _picture_size(video)
-    focal, note = spec.focal_length, ""
+    focal = spec.focal_length
     if focal is None and isinstance(video, VideoReader):
         focal = video.focal_length
+    note = f"perspective undone for a 35 mm equivalent focal length of {focal or 0:g} mm"
     if focal is None:
         focal = DEFAULT_FOCAL_LENGTH
         note = (
-            f"the file states no focal length; {focal:g} mm of a 35 mm camera assumed: name the "
-            "lens with --focal-length, as perspective is undone by it"
+            f"the file states no focal length; {focal:g} mm (35 mm equivalent) is assumed for "
+            "undoing perspective: give it with --focal-length"
         )
-    else:
-        note = f"perspective undone for a focal length of {focal:g} mm of a 35 mm camera"
     pixels = focal / _FILM_DIAGONAL * float(np.hypot(width, height))
     camera = PinholeCamera(pixels, (width / 2, height / 2), spec.distortion)
     terms = ",".join(f"{term:g}" for term in spec.distortion)
@@ -106,14 +104,14 @@ def _lens(spec: TrackSpec, video: VideoReader | ImageSequence) -> tuple[PinholeC
 
 
 def _check_unfolded(where: str, camera: PinholeCamera, width: int, height: int) -> None:
-    """Refuse a distortion by which some of the picture would show no place."""
+    """Refuse a distortion that is not invertible within the picture."""
     across, down = np.meshgrid(np.linspace(0, width, 33), np.linspace(0, height, 33))
     grid = np.stack([across.ravel(), down.ravel()], axis=1)
     folded = np.isnan(camera.undistort(grid)).any(axis=1)
     if folded.any():
         nearest = grid[folded][np.linalg.norm(grid[folded] - camera.center, axis=1).argmin()]
         raise InputError(
-            f"{where} with a focal length of {camera.focal_pixels:.0f} pixels shows no place at "
-            f"{nearest[0]:.0f}, {nearest[1]:.0f}, where it folds the picture; give the terms in "
+            f"{where} with a focal length of {camera.focal_pixels:.0f} pixels cannot be inverted "
+            f"at {nearest[0]:.0f}, {nearest[1]:.0f}, where it folds the picture; give the terms in "
             "OpenCV's order, k1,k2,p1,p2,k3, with the focal length of the same calibration"
         )

@@ -1,4 +1,4 @@
-"""The pictures of a video, looked at now, by a run that was stopped, or in parts on a farm."""
+"""Detection of faces in the pictures of a video, resumable and in parts on a farm."""
 
 import contextlib
 import os
@@ -28,23 +28,23 @@ from usdface.usdio.take.detections import read_detections, write_detections
 FIRST_VIDEO_FRAME = 1
 
 _STRETCH_PICTURES = 240
-"""Looked at between two files that a later run goes on from: a few seconds are lost at most."""
+"""Pictures per file of detections: an interrupted run loses a few seconds at most."""
 _STRETCH_FILES = r"\.?[0-9a-f]{16}\..*"
-"""Names in the folder of these files, those that are being written included."""
+"""Names of these files, including temporary ones."""
 _ARRAYS = ("pictures", "counts", "landmarks", "scores")
 _NAMES = ("madeFrom", "scoreNames")
 
 
 @dataclass(frozen=True)
 class PictureTiming:
-    """Which pictures are looked at, and where each lies on the take's even frames."""
+    """The pictures to analyse, and the take frame of each."""
 
     rate: Fraction
     """Frames per second of the take."""
     pictures: IntArray
     """(pictures,): index in the video."""
     frames: FloatArray
-    """(pictures,): frame of each picture from `first_frame`, whole where pictures are even."""
+    """(pictures,): frame from `first_frame`; whole numbers if the video's rate is constant."""
     first_frame: int
     start_seconds: float
     """Time of the frame `first_frame` on the video's clock [s]."""
@@ -54,33 +54,34 @@ class PictureTiming:
 def settle_timing(
     spec: TrackSpec, video: VideoReader | ImageSequence, wanted: Fraction | None
 ) -> PictureTiming:
-    """Lay pictures on even frames by their own times, never by counting."""
+    """Return the take frame of each picture, by its time stamp."""
     notes = []
     times = video.times
     rate, frames = picture_frames(times, wanted or video.rate)
     if not (wanted or video.rate):
         notes.append(
-            f"pictures come unevenly, {1 / float(np.median(np.diff(times))):.3g} per second at the "
-            f"median: brought to {rate} frames per second by their times; another with --video-rate"
+            f"the video's rate varies, with a median of {1 / float(np.median(np.diff(times))):.3g} "
+            f"pictures per second: resampled to {rate} frames per second; choose another rate with "
+            "--video-rate"
         )
     limits = frame_range(spec.frames)
     pictures = np.arange(len(times))
     if limits is not None:
-        # Parts follow each other: what lies between the frames of two is the earlier one's.
+        # A picture between the last frame of a part and the first of the next is in the former.
         counted = FIRST_VIDEO_FRAME + (np.floor(frames) if spec.part else frames)
         pictures = pictures[(counted >= limits[0]) & (counted <= limits[1])]
         if not len(pictures):
             last = FIRST_VIDEO_FRAME + int(frames[-1])
             raise InputError(
-                f"{spec.video}: --frames {spec.frames} holds none of its frames, "
-                f"{FIRST_VIDEO_FRAME} to {last}"
+                f"{spec.video}: --frames {spec.frames} is outside its frames, "
+                f"{FIRST_VIDEO_FRAME} to {last}; give some of these"
             )
     first = int(np.ceil(frames[pictures[0]]))
     first_frame, last = FIRST_VIDEO_FRAME + first, FIRST_VIDEO_FRAME + int(frames[pictures[-1]])
     if spec.neutral is not None and not first_frame <= spec.neutral <= last:
         raise InputError(
-            f"{spec.video}: --neutral {spec.neutral} is none of the frames to track, {first_frame} "
-            f"to {last}"
+            f"{spec.video}: --neutral {spec.neutral} is outside the frames to track, {first_frame} "
+            f"to {last}; give one of these"
         )
     return PictureTiming(
         rate=rate,
@@ -94,9 +95,9 @@ def settle_timing(
 
 @contextlib.contextmanager
 def detections_folder(out: Path) -> Iterator[Path]:
-    """Give a folder beside an output for what was detected; a run that is killed leaves it.
+    """Yield a folder next to an output for detections, from which a killed run is resumed.
 
-    The next run goes on from there. It is removed at the end, and where input is refused.
+    It is removed at the end, and if input is refused.
     """
     folder = work_folder(out, "detections")
     try:
@@ -108,14 +109,14 @@ def detections_folder(out: Path) -> Iterator[Path]:
 
 
 def _remove(folder: Path) -> None:
-    with contextlib.suppress(OSError):  # somebody put something there, or there is none
+    with contextlib.suppress(OSError):  # does not exist, or holds other files
         clear_side_folder(folder, _STRETCH_FILES)
         folder.rmdir()
 
 
 @dataclass(frozen=True)
 class _Stretch:
-    """Pictures that follow each other, and the file that holds what is detected in them."""
+    """Consecutive pictures, and the file of their detections."""
 
     pictures: IntArray
     file: Path | None
@@ -123,21 +124,21 @@ class _Stretch:
 
 
 class PictureDetector:
-    """Looks at the pictures of a video, but for those that parts or a stopped run hold.
+    """Detects faces in the pictures of a video that no part or interrupted run holds.
 
     Parameters
     ----------
     folder : Path
-        Of `detections_folder`.
+        From `detections_folder`.
     open_files : ExitStack
-        Closes the model, which is loaded when the first picture has to be looked at.
+        Closes the model, which is loaded for the first picture.
 
     Attributes
     ----------
     digest : str
         SHA-256 of the model.
     score_names : tuple of str
-        Empty until a face was found.
+        Empty until a face was detected.
     """
 
     def __init__(
@@ -163,7 +164,7 @@ class PictureDetector:
         timing: PictureTiming,
         progress: Progress,
     ) -> Iterator[PictureFaces]:
-        """Yield the faces of one picture of a video after the other."""
+        """Yield the faces in each picture of a video."""
         self._video = path
         parts = [self._part_pictures(path) for path in self._parts]
         owner = np.full(len(timing.pictures), -1)
@@ -173,7 +174,7 @@ class PictureDetector:
             self._check_model()
         stretches = list(self._stretches(timing.pictures, owner))
         if isinstance(video, ImageSequence) or len(stretches) == 1:
-            # Of a sequence one picture is hashed: whether others changed is not known.
+            # Only one picture of a sequence is hashed, so changes of others would not be noticed.
             stretches = [
                 each if each.is_part else _Stretch(each.pictures, None) for each in stretches
             ]
@@ -192,7 +193,7 @@ class PictureDetector:
     def write(
         self, out: Path, pictures: IntArray, faces: list[PictureFaces], **about: Provenance
     ) -> None:
-        """Write what was detected in some pictures."""
+        """Write the detections in some pictures."""
         every = [face for each in faces for face in (*each.direct, *each.mirrored)]
         arrays = {
             "pictures": pictures,
@@ -215,21 +216,19 @@ class PictureDetector:
         self._model = named_model(self._spec.model)
         digest = check_model(self._model)
         if self.digest not in ("", digest):
-            raise InputError(f"{self._model}: the parts were made with another model; name that")
+            raise InputError(
+                f"{self._model}: the parts were made with another model; give that with --model"
+            )
         self.digest = digest
 
     def _part_pictures(self, path: Path) -> IntArray:
-        """Return which pictures a part holds, and check that it is one of this video."""
+        """Return the pictures of a part, after checking that it is of this video."""
         arrays, names = read_detections(path, _ARRAYS[:1], _NAMES)
         made = names["madeFrom"]
-        known = (
-            self._video_hash(),
-            self._spec.quality,
-            self.digest or made[-1],
-        )
-        if made != known:
-            what = ("video", "--quality", "model")
-            other = next(name for name, a, b in zip(what, made, known, strict=True) if a != b)
+        expected = (self._video_hash(), self._spec.quality, self.digest or made[-1])
+        if made != expected:
+            kinds = ("video", "--quality", "model")
+            other = next(kind for kind, a, b in zip(kinds, made, expected, strict=True) if a != b)
             raise InputError(
                 f"{path}: was made with another {other} than this take, or it has changed since; "
                 "make the part again"
@@ -257,7 +256,7 @@ class PictureDetector:
             assert stretch.file is not None
             return self._read(stretch.file, stretch.pictures)
         if stretch.file is not None and stretch.file.is_file():
-            with contextlib.suppress(InputError):  # damaged: looked at again
+            with contextlib.suppress(InputError):  # damaged, so detected again
                 return self._read(stretch.file, stretch.pictures)
         faces = []
         for number, index in enumerate(stretch.pictures.tolist()):
@@ -291,7 +290,7 @@ class PictureDetector:
             and (not len(landmarks) or landmarks.shape[1:] == (len(LANDMARKS.names), 3))
         )
         if not fitting or not np.isin(wanted, pictures).all():
-            raise InputError(f"{path}: its arrays do not fit each other; make the part again")
+            raise InputError(f"{path}: its arrays are inconsistent; make the part again")
         self.score_names = names["scoreNames"] or self.score_names
         faces = [FaceFinding(*each) for each in zip(landmarks, scores, strict=True)]
         split = [faces[end - count : end] for end, count in zip(ends, counts.ravel(), strict=True)]

@@ -1,4 +1,4 @@
-"""What each camera shows of a face, on a take's even frames; of several cameras, joined."""
+"""Positions of a face's landmarks at a take's frames, from one camera or triangulated."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,21 +23,21 @@ from usdface.steps.capture.track_notes import eye_columns
 from usdface.steps.capture.track_pictures import PictureTiming
 
 _LONGEST_BRIDGED = 2.5
-"""[frames] Between two pictures that are interpolated: one may be missing."""
+"""Largest distance in frames of two pictures to interpolate between: one may be missing."""
 _PROFILE_SINE = 0.17
-"""Sine of 10 degrees: skin turned further away than that beyond the silhouette is not seen."""
+"""Sine of 10 degrees: skin turned away further than that beyond the silhouette is not visible."""
 _HIDDEN_WEIGHT = 0.1
-"""Of a landmark behind the silhouette, a guess: as the least confidence of one in sight."""
+"""Weight of a landmark behind the silhouette: the lowest confidence of a visible one."""
 _USUAL_DISAGREEMENT = 0.1
-"""Of a face's breadth: 0.03 on a drawn face seen from 25 degrees apart, as landmarks are not the
-same spots of skin from everywhere; 0.2 with the cameras exchanged."""
+"""Share of a face's breadth: 0.03 on a drawn face with views 25 degrees apart, as landmarks mark
+different skin from each side; 0.2 with the cameras exchanged."""
 
 _RIGID = np.array([LANDMARKS.names.index(name) for name in LANDMARKS.rigid])
 
 
 @dataclass(frozen=True)
 class FaceView:
-    """A face over a take's even frames, as one camera sees it or several together."""
+    """A face at a take's frames, from one camera or several."""
 
     first_frame: int
     positions: Float32Array
@@ -47,9 +47,9 @@ class FaceView:
     visible: BoolArray
     """(frames, landmarks)"""
     present: BoolArray
-    """(frames,): where there is a face."""
+    """(frames,): whether there is a face."""
     scores: Float32Array
-    """(frames, scores): the model's own weights."""
+    """(frames, scores): the model's scores of shapes [0-1]."""
     closed: BoolArray
     """(frames, 2): whether the right and the left eye are closed."""
 
@@ -57,7 +57,7 @@ class FaceView:
 def measure_view(
     track: FaceTrack, timing: PictureTiming, camera: PinholeCamera, eye_distance_mm: float
 ) -> FaceView:
-    """Bring landmarks into a camera's space and onto even frames."""
+    """Return a tracked face in camera space, at the take's frames."""
     seen = track.seen
     space = unproject_head(
         track.positions.astype(np.float64),
@@ -80,10 +80,10 @@ def measure_view(
 def join_views(
     views: Sequence[FaceView], cameras: Sequence[CalibratedCamera], *, eye_distance_mm: float
 ) -> tuple[FaceView, list[str]]:
-    """Join what synchronous cameras see, in the space of the first; return it with notes.
+    """Join the views of synchronous cameras in the space of the first; return it with notes.
 
-    Landmarks are triangulated; then each camera's own head is laid onto the triangulated one, and
-    the mean is taken. What a camera sees counts by its confidence, and little where hidden.
+    Landmarks are triangulated, then each view is aligned with the triangulated head and the views
+    are averaged, weighted by confidence, with a low weight where hidden.
     """
     first = max(view.first_frame for view in views)
     stop = min(view.first_frame + len(view.present) for view in views)
@@ -99,7 +99,7 @@ def join_views(
     joined = np.asarray(present.sum(axis=0) >= 2)
     if not joined.any():
         raise InputError(
-            "no frame in which two cameras see a face; do the videos start at the same time?"
+            "no frame in which two cameras see a face; cut the videos to the same start"
         )
     poses = _relative(cameras)
     heads, weights = heads[:, joined], trust[:, joined]
@@ -120,7 +120,9 @@ def join_views(
     notes = []
     if (~joined & present.any(axis=0)).any():
         count = int((~joined & present.any(axis=0)).sum())
-        notes.append(f"only one camera sees a face in {count} of {len(joined)} frames: gaps")
+        notes.append(
+            f"only one camera sees a face in {count} of {len(joined)} frames, which are gaps"
+        )
     scores = sum(view.scores * each[:, None] for view, each in zip(cut, present, strict=True))
     return FaceView(
         first,
@@ -147,7 +149,7 @@ def _rows_of(view: FaceView, first: int, stop: int) -> FaceView:
 
 
 def _relative(cameras: Sequence[CalibratedCamera]) -> list[CameraPose]:
-    """Return the cameras' poses in the space of the first."""
+    """Return the poses of the cameras relative to the first."""
     poses = [each.pose for each in cameras if each.pose is not None]
     base = poses[0]
     relative = []
@@ -158,20 +160,20 @@ def _relative(cameras: Sequence[CalibratedCamera]) -> list[CameraPose]:
 
 
 def _check_agreement(points: FloatArray, mean: FloatArray) -> None:
-    """Refuse cameras from which no face is triangulated, but one that is bent or inside out."""
+    """Refuse cameras whose triangulated face differs from that of each view."""
     skull = points[:, _RIGID], mean[:, _RIGID]
     off = np.linalg.norm(skull[0] - skull[1], axis=2).mean(axis=1)
     share = float(np.median(off / np.ptp(skull[1][..., 0], axis=1)))
     if not share <= _USUAL_DISAGREEMENT:
         raise InputError(
-            f"the cameras disagree about the face, by {100 * share:.0f} % of its breadth where 3 % "
-            "is usual; check that the videos start together and that --cameras names theirs in "
-            "this order, or calibrate again"
+            f"the cameras disagree about the face by {100 * share:.0f} % of its breadth (usually "
+            "3 %); check that the videos start together and that --cameras has their order, or "
+            "calibrate again"
         )
 
 
 def _even_rows(frames: FloatArray, seen: BoolArray) -> tuple[IntArray, BoolArray]:
-    """Return the take's frames from 0, and in which a face is seen in pictures nearby."""
+    """Return the take's frames from 0, and whether adjacent pictures show a face."""
     rows = np.arange(int(np.floor(frames[-1])) + 1)
     before = np.clip(np.searchsorted(frames, rows + 1e-6) - 1, 0, len(frames) - 1)
     after = np.where(frames[before] >= rows - 1e-6, before, np.minimum(before + 1, len(frames) - 1))
@@ -190,8 +192,7 @@ def _on_frames(values: FloatArray, frames: FloatArray, rows: IntArray) -> Float3
 def _turned_away(positions: Float32Array) -> BoolArray:
     """Return which landmarks lie behind the silhouette: (frames, landmarks).
 
-    The head is taken for an upright cylinder about an axis between the ears; a landmark that lies
-    beyond its edge as the camera sees it is a guess of the model.
+    The head is approximated by an upright cylinder about an axis between the ears.
     """
     ears = positions[:, [LANDMARKS.column(234), LANDMARKS.column(454)]].astype(np.float64)
     axis = ears.mean(axis=1)
@@ -206,7 +207,7 @@ def _turned_away(positions: Float32Array) -> BoolArray:
 
 
 def _behind_lids(closed: BoolArray) -> BoolArray:
-    """Return which landmarks a closed eye hides, its iris: (frames, landmarks)."""
+    """Return which landmarks closed eyes hide, their irises: (frames, landmarks)."""
     hidden = [
         closed[:, 0] if name.startswith("iris_R") else closed[:, 1] & name.startswith("iris_L")
         for name in LANDMARKS.names

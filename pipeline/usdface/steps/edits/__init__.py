@@ -1,3 +1,3 @@
-"""Edits of a performance, and its publishing."""
+"""Editing and publishing of performances."""
 
 _commands = ("list_", "validate")

@@ -1,4 +1,4 @@
-"""Compose solve and edits into the weights that are published."""
+"""Compose solve and edits into the layer of weights to publish."""
 
 from dataclasses import replace
 
@@ -19,10 +19,10 @@ from usdface.usdio.performance.weights_layer import writing_weights
 from usdface.usdio.rig.read import read_rig
 
 _BLOCK_FRAMES = 4096
-"""Frames that are composed at once; their ends are keys, so that memory stays bounded."""
+"""Frames per block, to bound memory; keys are reduced within blocks."""
 
 SURFACE_FRAMES = 8
-"""Frames whose surface is compared at once."""
+"""Frames per comparison of surfaces, to bound memory."""
 
 
 def run(spec: BakeSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
@@ -30,9 +30,9 @@ def run(spec: BakeSpec, *, provenance: Provenance, progress: Progress = silent) 
     reader = PerformanceReader(spec.performance, prim=spec.prim)
     file, prim = reader.rig()
     rig = read_rig(file, prim=prim)
-    # A performance of before the rig had its logic lacks what is driven.
-    lacking = tuple(each for each in rig.combinations if each.shape not in reader.names)
-    header = replace(reader.header, combinations=lacking)
+    # Performances made before the rig had its logic lack the driven shapes.
+    missing = tuple(each for each in rig.combinations if each.shape not in reader.names)
+    header = replace(reader.header, combinations=missing)
     kept = 0
     with writing_weights(spec.out, header, rig, provenance=provenance) as writer:
         surface = _Surface(rig, reader.names) if spec.unit == "mm" and spec.tolerance else None
@@ -53,7 +53,9 @@ def run(spec: BakeSpec, *, provenance: Provenance, progress: Progress = silent) 
     notes = []
     unknown = sorted(set(reader.edits) - set(reader.names))
     if unknown:
-        notes.append(f"edits of {first_few(unknown)} find no such shape and were left out")
+        notes.append(
+            f"edits of shapes that the performance lacks were left out: {first_few(unknown)}"
+        )
     edited = len(set(reader.edits) & set(reader.names))
     summary = f"{pluralize(header.frame_count, 'frame')}, {pluralize(edited, 'shape')} edited"
     if spec.tolerance:
@@ -69,7 +71,7 @@ def run(spec: BakeSpec, *, provenance: Provenance, progress: Progress = silent) 
 def baked_weights(
     reader: PerformanceReader, rig: Rig, first: int, last: int, *, limit: bool = False
 ) -> FloatArray:
-    """Return the edited weights of some frames, within the rig's ranges if so wanted."""
+    """Return the edited weights of some frames, with `limit` clamped to the rig's ranges."""
     if not limit:
         return reader.edited(first, last).astype(np.float64)
     part = slice(first - reader.first_frame, last + 1 - reader.first_frame)
@@ -95,14 +97,14 @@ def _keys(spec: BakeSpec, weights: FloatArray, surface: "_Surface | None") -> In
 
 
 class _Surface:
-    """How far weights move a face, to know when a line between keys is near enough."""
+    """Deviation of the surface between two sets of weights."""
 
     def __init__(self, rig: Rig, names: tuple[str, ...]) -> None:
         self._deformer = Deformer(rig)
         place = index_of(names)
-        # Column -1 is one of zeros, for shapes of the rig that the performance does not drive.
+        # Column -1 is zero, for shapes of the rig that the performance lacks.
         self._columns = np.array([place.get(name, -1) for name in rig.shapes])
-        self._reach = np.zeros(len(names))  # mm per unit of weight, of the point that moves most
+        self._reach = np.zeros(len(names))  # largest mm per unit of weight, over points
         for channel, name in enumerate(rig.shapes):
             if name in place:
                 self._reach[place[name]] = self._steepest(rig, channel)
@@ -123,21 +125,21 @@ class _Surface:
         return float((moved / np.diff(knots)).max())
 
     def deviation(self, true: FloatArray, tolerance: float) -> Deviation:
-        """Return the measure that `reduce_keys` asks for."""
+        """Return the measure of deviation for `reduce_keys` [mm]."""
 
         def measure(part: slice, weights: FloatArray) -> FloatArray:
-            # No point moves further than all shapes together can move one: often that is enough.
-            far = np.abs(weights - true[part]) @ self._reach
-            doubtful = np.flatnonzero(far > tolerance)
-            doubtful = doubtful[np.argsort(-far[doubtful], kind="stable")]
-            far = np.minimum(far, tolerance)
-            for start in range(0, len(doubtful), SURFACE_FRAMES):
-                rows = doubtful[start : start + SURFACE_FRAMES]
-                apart = self._points(weights[rows]) - self._points(true[part][rows])
-                far[rows] = np.linalg.norm(apart, axis=2).max(axis=1)
-                if far[rows].max() > tolerance:
-                    break  # there is a key to set; the other frames are looked at again after it
-            return far
+            # The sum of the shapes' largest displacements is a bound, and often sufficient.
+            deviation = np.abs(weights - true[part]) @ self._reach
+            beyond = np.flatnonzero(deviation > tolerance)
+            beyond = beyond[np.argsort(-deviation[beyond], kind="stable")]
+            deviation = np.minimum(deviation, tolerance)
+            for start in range(0, len(beyond), SURFACE_FRAMES):
+                rows = beyond[start : start + SURFACE_FRAMES]
+                difference = self._points(weights[rows]) - self._points(true[part][rows])
+                deviation[rows] = np.linalg.norm(difference, axis=2).max(axis=1)
+                if deviation[rows].max() > tolerance:
+                    break  # a key is set there, and the other frames are measured again
+            return deviation
 
         return measure
 

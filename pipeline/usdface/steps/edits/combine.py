@@ -1,4 +1,4 @@
-"""Performances of one character in, one asset with a variant per take out."""
+"""Combine performances of one character in an asset with a variant per take."""
 
 import re
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ def run(spec: CombineSpec, *, provenance: Provenance, progress: Progress = silen
     _check_alike(spec, readers)
     shown = spec.shown or names[0]
     if shown not in names:
-        raise InputError(f"--shown {shown}: is none of the takes, {first_few(names)}")
+        raise InputError(f"--shown {shown}: is not one of the takes {first_few(names)}; name one")
     progress(0.5, f"writing {spec.out.name}")
     write_takes(
         spec.out,
@@ -30,11 +30,9 @@ def run(spec: CombineSpec, *, provenance: Provenance, progress: Progress = silen
     )
     progress(1.0, "written")
     edited = [name for name, each in zip(names, readers, strict=True) if each.edits]
-    notes = (
-        (f"edits of {first_few(edited)} show in usdface; other tools play them once baked",)
-        if edited
-        else ()
-    )
+    notes: tuple[str, ...] = ()
+    if edited:
+        notes = (f"edits of {first_few(edited)} show only in usdface until they are baked",)
     return StepResult(
         (spec.out,),
         f"{pluralize(len(names), 'take')} of one character, variants `{VARIANT_SET}`: "
@@ -51,7 +49,7 @@ def run(spec: CombineSpec, *, provenance: Provenance, progress: Progress = silen
 
 
 def _names(spec: CombineSpec) -> list[str]:
-    """Return a variant's name for each performance: its file's without what all have in common."""
+    """Return a variant name per performance; by default the file's name without common endings."""
     given = list(spec.takes)
     if given and len(given) != len(spec.performances):
         raise InputError(
@@ -66,7 +64,7 @@ def _names(spec: CombineSpec) -> list[str]:
     names = [re.sub(r"[^A-Za-z0-9_|-]", "_", name) for name in names]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        raise InputError(f"two performances would be the take {twice[0]}; name them with --takes")
+        raise InputError(f"two performances would be named {twice[0]}; name them with --takes")
     return names
 
 
@@ -83,7 +81,7 @@ def _check_alike(spec: CombineSpec, readers: Sequence[PerformanceReader]) -> Non
         if reader.rate != first.rate:
             raise InputError(
                 f"{other}: runs at {float(reader.rate):g} frames per second, and {path} at "
-                f"{float(first.rate):g}; one asset has one rate, so combine takes of the same"
+                f"{float(first.rate):g}; combine takes of the same rate"
             )
         if reader.header.place != first.header.place:
             raise InputError(

@@ -1,4 +1,4 @@
-"""Fold a change into the edits of a performance."""
+"""Add a change of shapes over a range of frames to the edits of a performance."""
 
 import difflib
 from dataclasses import dataclass
@@ -33,37 +33,36 @@ from usdface.usdio.performance.edits import (
 from usdface.usdio.performance.read import PerformanceReader
 
 FARTHEST_BEYOND = UNSAMPLED_FRAMES // 4
-"""How far from a performance an edit's end is still written as an end: on both sides so far, the
-span is one that needs no samples to bear it out."""
+"""Largest distance of an edit's end from the performance; with it on both sides, the span of frames
+is still below the limit of `check_frame_span`."""
 
 
 @dataclass(frozen=True)
 class _Change:
-    """What is to be done to some shapes over a range of frames."""
+    """A change of some shapes over a range of frames; without `add` and `override`, a clearing."""
 
     shapes: tuple[str, ...]
     add: float | None = None
     override: float | None = None
-    """Neither: cleared."""
     frames: tuple[int, int] | None = None
-    """None: all."""
+    """None means all."""
     fade: int = 0
 
     @property
     def reach(self) -> tuple[int, int] | None:
-        """The frames around it that it holds still; None where it is of all frames."""
+        """Last unchanged frame before and first one after the change; None for all frames."""
         if self.frames is None:
             return None
         return self.frames[0] - self.fade - 1, self.frames[1] + self.fade + 1
 
     def mask(self, frames: IntArray) -> FloatArray:
-        """Return how much of it each frame has."""
+        """Return the strength of the change at frames [0-1]."""
         if self.frames is None:
             return np.ones(len(frames))
         return fade_mask(frames, *self.frames, fade=self.fade)
 
     def folded(self, curve: EditCurve, mask: FloatArray) -> EditCurve:
-        """Return an edit with the change folded in."""
+        """Return an edit with the change applied."""
         if self.add is not None:
             return add_to_edit(curve, self.add, mask)
         if self.override is not None:
@@ -72,15 +71,15 @@ class _Change:
 
 
 def run(spec: EditSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
-    """Change the shapes named over the frames named, and keep all other edits."""
+    """Write the changed edits, keeping all others."""
     stamp = edits_stamp(spec.performance)
     reader = PerformanceReader(spec.performance, prim=spec.prim)
     notes: list[str] = []
     changes = _changes(spec, reader, notes)
     for change in changes:
         _check_change(spec, change, reader)
-    # A change of all frames holds beyond the performance's ends, as a take mapped further needs it;
-    # one of some frames ends where it was told to, though the performance may end there, too.
+    # A change of all frames also holds beyond the performance, in case more of the take is mapped;
+    # a change of a range ends with the range, even at the end of the performance.
     reaches = [change.reach for change in changes if change.reach is not None]
     reach = (min(a for a, _ in reaches), max(b for _, b in reaches)) if reaches else None
     frames = all_frames(reader, reach=reach)
@@ -94,10 +93,10 @@ def run(spec: EditSpec, *, provenance: Provenance, progress: Progress = silent) 
         for shape in change.shapes:
             fresh = ShapeEdit(no_edit(len(frames)), np.full(len(frames), np.nan))
             old = changed.get(shape, edits.get(shape, fresh))
-            beneath = np.full(len(frames), np.nan)  # of a shape that the solve has no more
+            solve = np.full(len(frames), np.nan)  # if the solve no longer has the shape
             if shape in reader.names:
-                beneath = solved[:, reader.names.index(shape)]
-            changed[shape] = renewed(old, change.folded(old.curve, mask), beneath, mask > 0)
+                solve = solved[:, reader.names.index(shape)]
+            changed[shape] = renewed(old, change.folded(old.curve, mask), solve, mask > 0)
     path = write_edits(
         spec.performance, reader.animation, changed, frames, stamp=stamp, provenance=provenance
     )
@@ -112,7 +111,7 @@ def run(spec: EditSpec, *, provenance: Provenance, progress: Progress = silent) 
 
 
 def _changes(spec: EditSpec, reader: PerformanceReader, notes: list[str]) -> list[_Change]:
-    """Return what is asked for: one change, or the open corrections of a file of notes."""
+    """Return the change of the options, or the open corrections of --notes."""
     if spec.notes is None:
         return [_Change(spec.shape, spec.add, spec.override, frame_range(spec.frames), spec.fade)]
     corrections = [note for note in read_notes(spec.notes).notes if note.is_correction]
@@ -120,9 +119,9 @@ def _changes(spec: EditSpec, reader: PerformanceReader, notes: list[str]) -> lis
     old = [note for note in corrections if not note.done and note.version != reader.version]
     if old:
         notes.append(
-            f"{spec.notes}: noted on another version of {spec.performance.name}, and left: "
-            f"{first_few([note.sentence() for note in old], most=3)}; look at them in a report, "
-            "where they can be made notes on this version"
+            f"{spec.notes}: not applied, as noted on another version of {spec.performance.name}: "
+            f"{first_few([note.sentence() for note in old], most=3)}; open them in a report, where "
+            "they can be changed to notes on this version"
         )
     if not wanted:
         raise InputError(
@@ -142,23 +141,23 @@ def _check_change(spec: EditSpec, change: _Change, reader: PerformanceReader) ->
     first, last = change.frames or (reader.first_frame, reader.last_frame)
     if last < reader.first_frame or first > reader.last_frame:
         raise InputError(
-            f"{spec.performance}: frames {first}-{last} are not in the performance, which has "
-            f"{reader.first_frame}-{reader.last_frame}"
+            f"{spec.performance}: frames {first}-{last} are outside the performance, "
+            f"{reader.first_frame}-{reader.last_frame}; give some of these"
         )
 
 
 def _summary(spec: EditSpec, changes: list[_Change]) -> str:
     if spec.notes is not None:
         shapes = dict.fromkeys(shape for change in changes for shape in change.shapes)
-        return f"{pluralize(len(changes), 'correction')} of {', '.join(shapes)} made"
+        return f"{pluralize(len(changes), 'correction')} of {', '.join(shapes)} applied"
     done = "cleared" if spec.clear else ("added to" if spec.add is not None else "overridden")
     return f"{', '.join(spec.shape)} {done}"
 
 
 def all_frames(reader: PerformanceReader, *, reach: tuple[int, int] | None = None) -> IntArray:
-    """Return every frame that the performance has, that an edit reaches, or that one is to reach.
+    """Return all frames of the performance, its edits and a new change.
 
-    Of the last, those far beyond the performance are left out: a curve holds there what it ends in.
+    Frames of a change far beyond the performance are left out: curves hold their last value.
     """
     first, last = reader.first_frame, reader.last_frame
     if reach is not None:
@@ -173,7 +172,7 @@ def all_frames(reader: PerformanceReader, *, reach: tuple[int, int] | None = Non
 
 
 def solved_over(reader: PerformanceReader, frames: IntArray) -> FloatArray:
-    """Return the solve at frames, NaN where the performance has none, (frames, shapes)."""
+    """Return the solve at frames, NaN outside the performance, (frames, shapes)."""
     out = np.full((len(frames), len(reader.names)), np.nan)
     start = reader.first_frame - int(frames[0])
     solved = reader.solved()
@@ -182,7 +181,7 @@ def solved_over(reader: PerformanceReader, frames: IntArray) -> FloatArray:
 
 
 def renewed(old: ShapeEdit, curve: EditCurve, solved: FloatArray, now: BoolArray) -> ShapeEdit:
-    """Return an edit whose solve beneath is today's wherever it was changed just now."""
+    """Return an edit with a new curve, and the current solve stored where `now` is true."""
     fresh = now | ~np.isfinite(old.beneath)
     beneath = np.where(fresh & np.isfinite(solved), solved, old.beneath)
     return ShapeEdit(curve, np.where(curve.active, beneath, np.nan))
@@ -200,7 +199,7 @@ def _check_shapes(spec: EditSpec, change: _Change, reader: PerformanceReader) ->
 
 
 def _range_notes(spec: EditSpec, shapes: tuple[str, ...]) -> list[str]:
-    """Say where the edited weights leave 0 to 1: meant or not, it is seen at once."""
+    """Return a note on each shape whose edited weights are outside 0 to 1."""
     again = PerformanceReader(spec.performance, prim=spec.prim)
     edited = again.edited()
     notes = []
@@ -215,6 +214,6 @@ def _range_notes(spec: EditSpec, shapes: tuple[str, ...]) -> list[str]:
             low, high = values[beyond].min(), values[beyond].max()
             notes.append(
                 f"{shape} is outside 0 to 1 at {pluralize(int(beyond.sum()), 'frame')} "
-                f"({low:.2f} to {high:.2f}); `usdface bake --limit` keeps it within the rig's range"
+                f"({low:.2f} to {high:.2f}); `usdface bake --limit` clamps it to the rig's range"
             )
     return notes

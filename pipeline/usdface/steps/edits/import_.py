@@ -1,4 +1,4 @@
-"""Take an animation that was changed in another tool as edits."""
+"""Import an animation changed in another tool as edits."""
 
 import numpy as np
 
@@ -31,18 +31,18 @@ from usdface.usdio.performance.read import PerformanceReader
 def run(
     spec: EditsImportSpec, *, provenance: Provenance, progress: Progress = silent
 ) -> StepResult:
-    """Set edits so that the performance shows what the file shows, at the frames that it has.
+    """Set edits so that the performance equals the file at its frames.
 
-    Where it shows that already, its edits stay as they are, overrides and masks included.
+    Where they are equal already, edits do not change, including overrides and masks.
     """
     stamp = edits_stamp(spec.performance)
     reader = PerformanceReader(spec.performance, prim=spec.prim)
     table = read_weight_table(spec.changed, known=reader.names, unit=spec.weight_unit)
     table.check_rate(reader.rate, file=spec.changed, performance=spec.performance)
     driven = {each.shape for each in reader.combinations}
-    own = [name for name in reader.names if name not in driven]
-    known = table.shapes_among(own, file=spec.changed, owner="in the performance")
-    # What is said of the last frame is not meant for those that a longer take would add.
+    editable = [name for name in reader.names if name not in driven]
+    known = table.shapes_among(editable, file=spec.changed, owner="in the performance")
+    # An edit of the last frame must not extend to frames that are mapped later.
     frames = all_frames(reader, reach=(reader.first_frame - 1, reader.last_frame + 1))
     given = _rows(spec, reader, table)
     progress(0.3, "comparing with the solve")
@@ -54,31 +54,31 @@ def run(
     elsewhere: dict[str, list[str]] = {}
     differing = np.zeros(len(rows), dtype=bool)
     for shape in known:
-        beneath = solved[:, reader.names.index(shape)]
+        solve = solved[:, reader.names.index(shape)]
         before = shown[rows, reader.names.index(shape)]
         now = weights_meant(table, shape, given[:, 1], before)
-        wanted = now - beneath[rows]
+        offset = now - solve[rows]
         meshes = changed_elsewhere(
             table,
             shape,
             given[:, 1],
             meant=now,
             shown=before,
-            solved=beneath[rows],
+            solved=solve[rows],
             least=spec.least,
         )
         if meshes:
             elsewhere[shape] = meshes
-        meant = np.abs(now - before) > spec.least
-        if not meant.any():
+        differs = np.abs(now - before) > spec.least
+        if not differs.any():
             continue
         old = edits.get(shape, ShapeEdit(no_edit(len(frames)), np.full(len(frames), np.nan)))
-        differing |= meant
+        differing |= differs
         touched = np.zeros(len(frames), dtype=bool)
-        touched[rows[meant]] = True
-        offset = np.where(np.abs(wanted) > spec.least, wanted, 0.0)[meant]
-        curve = _replaced(old.curve, rows[meant], offset)
-        changed[shape] = renewed(old, curve, beneath, touched)
+        touched[rows[differs]] = True
+        offset = np.where(np.abs(offset) > spec.least, offset, 0.0)[differs]
+        curve = _replaced(old.curve, rows[differs], offset)
+        changed[shape] = renewed(old, curve, solve, touched)
     notes = (
         *table.numbering_notes(spec.changed),
         *_notes(reader, table),
@@ -87,15 +87,15 @@ def run(
     if not changed:
         return StepResult(
             (),
-            "nothing differs from the performance; its edits stay as they are",
+            "nothing differs from the performance; its edits do not change",
             notes,
             {"frames": 0, "shapes": []},
         )
     count = int(differing.sum())
     if 2 * count > len(rows) > 1:
         notes += (
-            "most frames differ: if the take was mapped again after this file was baked, what the "
-            "new solve changed is taken for edits, too; bake again, change that and import it",
+            "most frames differ: if the take was mapped again after this file was baked, changes "
+            "of the solve are imported as edits; bake again, change that file and import it",
         )
     path = write_edits(
         spec.performance, reader.animation, changed, frames, stamp=stamp, provenance=provenance
@@ -110,15 +110,15 @@ def run(
     )
 
 
-def _replaced(curve: EditCurve, rows: FloatArray, wanted: FloatArray) -> EditCurve:
-    """Return a curve that at some frames is an offset alone."""
+def _replaced(curve: EditCurve, rows: FloatArray, offsets: FloatArray) -> EditCurve:
+    """Return a curve with only an offset at some rows."""
     offset, mask = curve.offset.copy(), curve.mask.copy()
-    offset[rows], mask[rows] = wanted, 0.0
+    offset[rows], mask[rows] = offsets, 0.0
     return EditCurve(offset, curve.override, mask)
 
 
 def _rows(spec: EditsImportSpec, reader: PerformanceReader, table: WeightTable) -> np.ndarray:
-    """Return (frame number, row of the table) of the frames that both have."""
+    """Return (frame number, row of the table) of the common frames."""
     pairs = [
         (frame, row)
         for row, frame in enumerate(table.frames)
@@ -127,8 +127,8 @@ def _rows(spec: EditsImportSpec, reader: PerformanceReader, table: WeightTable) 
     if not pairs:
         raise InputError(
             f"{spec.changed} (frames {min(table.frames)}-{max(table.frames)}) and "
-            f"{spec.performance} (frames {reader.first_frame}-{reader.last_frame}) share no frame; "
-            "was the animation shifted in the other tool?"
+            f"{spec.performance} (frames {reader.first_frame}-{reader.last_frame}) have no common "
+            "frame; if the animation was shifted in the other tool, shift it back"
         )
     return np.array(pairs, dtype=np.int64)
 
@@ -138,7 +138,7 @@ def _notes(reader: PerformanceReader, table: WeightTable) -> tuple[str, ...]:
     unknown = [name for name in table.names if name not in reader.names]
     if unknown:
         notes.append(
-            f"left out {pluralize(len(unknown), 'shape')} that the performance does not have: "
+            f"left out {pluralize(len(unknown), 'shape')} that the performance lacks: "
             f"{first_few(unknown)}"
         )
     outside = sum(not reader.first_frame <= f <= reader.last_frame for f in table.frames)

@@ -1,4 +1,4 @@
-"""List what was edited of a performance, and where the solve has changed since."""
+"""List the edits of a performance, and where the solve has changed since."""
 
 from pathlib import Path
 
@@ -11,11 +11,11 @@ from usdface.steps.inputs.edit_ranges import NOTABLE_CHANGE, EditedRange, find_e
 from usdface.usdio.performance.read import PerformanceReader
 
 _LISTED_RANGES = 60
-"""Ranges that are printed; where an import left thousands, nobody reads the small ones."""
+"""Largest number of printed ranges; an import can make thousands."""
 
 
 def list_edit_ranges(performance: Path, *, prim: str | None = None) -> StepResult:
-    """Return what was edited of a performance, and where the solve beneath has changed since."""
+    """Return the edited ranges of a performance, and changes of the solve since the edits."""
     confine("edits list", reads=[performance])
     reader = PerformanceReader(performance, prim=prim)
     ranges = find_edited_ranges(reader)
@@ -23,8 +23,7 @@ def list_edit_ranges(performance: Path, *, prim: str | None = None) -> StepResul
     table = tuple(
         f"{each.shape} {each.first}-{each.last}: {each.change:+.2f}"
         + (
-            f", the solve beneath has since changed by {each.solve_change:+.2f} at frame "
-            f"{each.solve_frame}"
+            f"; the solve has since changed by {each.solve_change:+.2f} at frame {each.solve_frame}"
             if abs(each.solve_change) > NOTABLE_CHANGE
             else ""
         )
@@ -37,7 +36,7 @@ def list_edit_ranges(performance: Path, *, prim: str | None = None) -> StepResul
     shapes = {each.shape for each in ranges}
     summary = f"{pluralize(len(ranges), 'edited range')} of {pluralize(len(shapes), 'shape')}"
     if changed:
-        summary += f", {changed} over a solve that changed much since"
+        summary += f"; the solve of {changed} has changed since"
     figures = [
         {
             "shape": each.shape,
@@ -53,5 +52,5 @@ def list_edit_ranges(performance: Path, *, prim: str | None = None) -> StepResul
 
 
 def _weight(edited: EditedRange) -> float:
-    """How much there is to see of a range: what was edited, or what the solve did beneath."""
+    """Return the larger of the edit and the change of the solve."""
     return float(np.nanmax(np.abs([edited.change, edited.solve_change])))

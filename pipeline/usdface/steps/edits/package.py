@@ -13,7 +13,7 @@ from usdface.usdio.performance.write import write_package
 
 
 def run(spec: PackageSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
-    """Bake the edits in, and pack the result with the rig and all that it refers to."""
+    """Bake the edits, and pack the weights with the rig and its dependencies."""
     reader = PerformanceReader(spec.performance, prim=spec.prim)
     with (
         replacing(spec.out) as temporary,

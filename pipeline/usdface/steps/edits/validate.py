@@ -1,4 +1,4 @@
-"""Look for what is not in order in layers."""
+"""Validate USD layers and the verdict on their solves."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -12,7 +12,7 @@ from usdface.usdio.validation import Finding, validate
 
 
 def check_layer(layer: Path, *, worst: VerdictLevel | None = None) -> list[Finding]:
-    """Return what USD's validators, ours and `verdict_findings` find in a layer."""
+    """Return the findings of all validators and of `verdict_findings` on a layer."""
     return sorted([*validate(layer), *verdict_findings(layer, worst)], key=lambda f: f.severity)
 
 

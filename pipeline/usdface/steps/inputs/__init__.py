@@ -1,1 +1,1 @@
-"""What several workflows read."""
+"""Inputs shared by several workflows."""

@@ -1,4 +1,4 @@
-"""Cleaned takes of one performer: one order of markers, one head space; their fit to a rig."""
+"""Read cleaned takes of one performer in a common marker order and head space."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -22,7 +22,7 @@ from usdface.usdio.take.read import TakeReader, read_take
 
 
 def take_head_space(take: TakeReader, mapping: TrainedMapping) -> HeadSpace:
-    """Find how a take's markers become a mapping's, from frames spread over all of it."""
+    """Find the transform from a take's markers to those of a mapping, from frames all over it."""
     count = take.last_frame - take.first_frame + 1
     picks = np.linspace(take.first_frame, take.last_frame, min(count, SAMPLE_FRAMES)).astype(int)
     if take.first_frame <= take.neutral_frame <= take.last_frame:
@@ -42,7 +42,7 @@ def take_head_space(take: TakeReader, mapping: TrainedMapping) -> HeadSpace:
 
 
 def read_markers(take: TakeReader, first: int, last: int) -> Markers:
-    """Read the markers of frames that follow each other."""
+    """Read the markers of consecutive frames."""
     return read_markers_at(take, range(first, last + 1))
 
 
@@ -56,23 +56,23 @@ def read_markers_at(take: TakeReader, frames: Sequence[int]) -> Markers:
 
 FEWEST_RIGID = 3
 MIDDLE_FRAMES = 20_000
-"""Enough for a median to a hundredth of the noise."""
+"""Frames for a median, accurate to a hundredth of the noise."""
 
 
 @dataclass(frozen=True)
 class CleanedTakes:
-    """Frames of several takes as if of one."""
+    """Several takes with common markers, concatenated."""
 
     marker_names: tuple[str, ...]
-    """Those that every take has."""
+    """The markers that every take has."""
     rigid: tuple[str, ...]
     neutral: FloatArray
     """(markers, 3): neutral face of the first take [mm]."""
     positions: tuple[Float32Array, ...]
-    """tuple of (frames, markers, 3) float32 arrays: one a take, in the first take's head space and
-    with its neutral face [mm]."""
+    """Per take, (frames, markers, 3): in the head space and with the neutral face of the first
+    take [mm]."""
     usable: tuple[BoolArray, ...]
-    """tuple of (frames, markers) bool arrays: where a position was measured or repaired."""
+    """Per take, (frames, markers): whether a position was measured or repaired."""
     frames: IntArray
     """(frames,): frame numbers, over all takes."""
     takes: tuple[str, ...]
@@ -80,9 +80,9 @@ class CleanedTakes:
     dropped: tuple[str, ...]
     """Markers that some take lacks."""
     sources: tuple[Take, ...]
-    """What else each take says, without its samples."""
+    """The takes without their samples."""
     neutrals: tuple[TakeNeutral, ...]
-    """Of each take against the first one's; that difference is taken out of `positions`."""
+    """Difference of each take's neutral face from the first one's, removed from `positions`."""
 
     def places(self, rows: IntArray) -> list[tuple[int, int]]:
         """Return the take of each row of all frames, and its row in that take."""
@@ -91,10 +91,7 @@ class CleanedTakes:
         return list(zip(take.tolist(), (rows - starts[take]).tolist(), strict=True))
 
     def find_rows(self, frames: list[tuple[str, int]]) -> list[int | None]:
-        """Return the row of each take and frame; None where there is none.
-
-        A take's frames follow one another without a gap, so nothing is searched.
-        """
+        """Return the row of each take and frame; None if there is none."""
         starts = np.cumsum([0, *(len(clip) for clip in self.positions)]).tolist()
         first = {
             source.name: (start, end, int(self.frames[start]))
@@ -125,7 +122,7 @@ def read_cleaned(path: Path, *, need_markers: bool = True) -> Take:
     Parameters
     ----------
     need_markers : bool
-        False takes one of weights as well, such as a phone's.
+        False accepts takes of weights as well, as those of phones.
     """
     take = read_take(path, head_motion=False)
     if take.markers is None:
@@ -165,7 +162,7 @@ def read_cleaned_takes(paths: tuple[Path, ...]) -> CleanedTakes:
     positions, usable = [], []
     for cloud in clouds:
         known = cloud.usable
-        if cloud.names == names:  # nothing to pick: an hour of markers is not copied
+        if cloud.names == names:  # then long takes are not copied
             positions.append(cloud.positions)
             usable.append(known)
         else:
@@ -198,9 +195,9 @@ def _onto_first(
     positions: list[Float32Array],
     usable: list[BoolArray],
 ) -> tuple[TakeNeutral, ...]:
-    """Bring every take to the first one's head space and neutral face, in place of its positions.
+    """Replace positions by those in the head space and with the neutral face of the first take.
 
-    Each is compared with all takes before it: expressions that two share, a third may lack.
+    Each take is compared with all before it, since two takes may share no expression.
     """
     marker_names, rigid = names
     neutrals = [TakeNeutral(marker_names, np.zeros_like(neutral))]
@@ -233,7 +230,7 @@ def _onto_first(
                 session=take.session,
             )
         except InputError as error:
-            raise InputError(f"{paths[index]}, beside {paths[0]}: {error}") from error
+            raise InputError(f"{paths[index]}, with {paths[0]}: {error}") from error
         positions[index] = space.move(positions[index])
         neutrals.append(space.neutral)
     return tuple(neutrals)
@@ -242,7 +239,7 @@ def _onto_first(
 def _spread_frames(
     positions: list[Float32Array], usable: list[BoolArray]
 ) -> tuple[FloatArray, BoolArray]:
-    """Return frames spread over takes, as many of each, and where they can be used."""
+    """Return an equal number of frames of each take, and which markers are usable there."""
     share = -(-SAMPLE_FRAMES // len(positions))
     rows = [sample_frames(len(clip), share) for clip in positions]
     frames = [clip[row].astype(np.float64) for clip, row in zip(positions, rows, strict=True)]
@@ -256,18 +253,18 @@ def _check_marker_sets(
     names: tuple[str, ...],
     rigid: tuple[str, ...],
 ) -> None:
-    """Refuse takes of other marker sets: one performer's markers and landmarks of his video."""
+    """Refuse takes of different marker sets, such as markers and landmarks of a video."""
     least = min(len(cloud.names) for cloud in clouds)
     if len(names) < MINIMUM_SHARE * least:
         counts = ", ".join(str(len(cloud.names)) for cloud in clouds)
         raise InputError(
             f"{', '.join(map(str, paths))}: takes of several marker sets, of {counts} markers with "
-            f"{len(names)} labels in common; even of one performer a mapping reads one marker set: "
-            "select from the takes of each set by themselves"
+            f"{len(names)} labels in common; a mapping reads one marker set: select from the takes "
+            "of each set separately"
         )
     if len(rigid) < FEWEST_RIGID:
         raise InputError(
-            f"{', '.join(map(str, paths))}: {len(rigid)} rigid markers in common, at least "
+            f"{', '.join(map(str, paths))}: {len(rigid)} common rigid markers, at least "
             f"{FEWEST_RIGID} are needed; clean the takes with --rigid"
         )
 
@@ -277,7 +274,7 @@ def _check_names(paths: tuple[Path, ...], takes: list[Take]) -> None:
     for path, take in zip(paths, takes, strict=True):
         if take.name in seen:
             raise InputError(
-                f"{path} and {seen[take.name]} are both named {take.name!r}; pairs are told apart "
+                f"{path} and {seen[take.name]} are both named {take.name!r}; pairs are identified "
                 "by take and frame: ingest one of them with --take NAME"
             )
         seen[take.name] = path
@@ -291,7 +288,7 @@ def _check_performers(paths: tuple[Path, ...], takes: list[Take]) -> None:
         shown = ", ".join(f"{path}: {performer}" for performer, path in stated.items())
         raise InputError(
             f"takes of {len(stated)} performers ({shown}); a mapping is of one performer: select "
-            "from each performer's takes by themselves, or correct the name with `usdface ingest "
+            "from each performer's takes separately, or correct the name with `usdface ingest "
             "--performer`"
         )
 
@@ -300,13 +297,7 @@ _SAMPLE_FRAMES = 64
 
 
 def plausibility_notes(takes: CleanedTakes, paths: tuple[Path, ...], rig: Rig) -> list[str]:
-    """Return what is odd about takes and the rig.
-
-    Raises
-    ------
-    InputError
-        If a take that was not judged at ingest cannot be a human face's, or the rig's head lies.
-    """
+    """Return doubts about takes and the rig; refuse takes that cannot be of a human face."""
     notes = [f"{rig.file.name}: {doubt}" for doubt in check_rig_stands(rig)]
     for index, (path, source) in enumerate(zip(paths, takes.sources, strict=True)):
         doubts = source.doubts
@@ -321,7 +312,7 @@ def plausibility_notes(takes: CleanedTakes, paths: tuple[Path, ...], rig: Rig) -
 
 
 def bound_take_notes(take: TakeReader) -> list[str]:
-    """Return what is odd about a take, by frames spread over it where ingest has not judged it."""
+    """Return doubts about a take: those of ingest, else by frames spread over it."""
     if take.doubts is not None:
         return list(take.doubts)
     frames = np.unique(np.linspace(take.first_frame, take.last_frame, _SAMPLE_FRAMES).astype(int))

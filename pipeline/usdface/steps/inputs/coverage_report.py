@@ -1,4 +1,4 @@
-"""Coverage of takes by references: measured and drawn, for selection, its own step and reports."""
+"""Measure and draw the coverage of takes by references."""
 
 from dataclasses import dataclass, replace
 
@@ -35,15 +35,15 @@ from usdface.usdio.references.read import read_rig_of
 from usdface.usdio.references.weight_layers import read_set_references
 
 FURTHER_FRAMES = 10
-"""How many frames to look ahead."""
+"""Number of frames to suggest."""
 
 LEAST_MARKERS = 0.5
-"""Share of a take's markers that references must have to be laid on it."""
+"""Smallest share of a take's markers that references must have."""
 
 
 @dataclass(frozen=True)
 class Covered:
-    """What pairs cover of takes, and what would help."""
+    """Coverage of takes by pairs, and its growth with further frames."""
 
     coverage: Coverage
     growth: Growth
@@ -51,7 +51,7 @@ class Covered:
 
 @dataclass(frozen=True)
 class PairFaces:
-    """Faces of pairs: those of frames of the takes, or of other takes."""
+    """Features and displacements of pairs, of these takes or others."""
 
     features: FloatArray
     """(pairs, d)"""
@@ -60,14 +60,14 @@ class PairFaces:
 
     @classmethod
     def at(cls, scene: SelectionScene, rows: IntArray) -> "PairFaces":
-        """Return those of frames of the takes."""
+        """Return those at rows of the takes."""
         return cls(features_at(scene.features, rows), scene.displacements(rows))
 
 
 def cover(
     scene: SelectionScene, pairs: PairFaces, rows: IntArray, *, candidates: BoolArray
 ) -> Covered:
-    """Measure the coverage of all frames by pairs; `rows` are those that are frames themselves."""
+    """Measure the coverage of all frames by pairs; `rows` are the frames that are pairs."""
     free = candidates.copy()
     free[rows] = False
     points = region_points(scene.parts, scene.equation.deltas)
@@ -104,7 +104,7 @@ def coverage_picture(
     title: str,
     pairs: int | None = None,
 ) -> ByteImage:
-    """Draw coverage; `pairs` counts those of other takes as well, which have no row."""
+    """Draw coverage; `pairs` is the number of pairs including those of other takes."""
     coverage = covered.coverage
     lanes = [ErrorCurve("whole face", 100 * (1 - coverage.covered))]
     if len(coverage.regions) > 1:
@@ -160,23 +160,22 @@ def coverage_figures(covered: Covered, takes: CleanedTakes) -> dict[str, object]
 
 @dataclass(frozen=True)
 class MeasuredCoverage:
-    """What pairs cover of takes, and which they are."""
+    """Coverage of takes by the pairs of references."""
 
     covered: Covered
     takes: CleanedTakes
     pairs: IntArray
-    """(pairs,): those that count, from 0."""
+    """(pairs,): indices of the pairs that count."""
     rows: IntArray
     """(n,): rows of the takes that are pairs."""
     tuned: IntArray
-    """(m,): those of `rows` that a person has tuned."""
+    """(m,): the tuned ones of `rows`."""
     tuned_count: int
-    """Pairs that a person has tuned, those of other takes as well."""
+    """Number of tuned pairs, including those of other takes."""
     notes: tuple[str, ...]
-    """What to know of the measure."""
 
     def picture(self, title: str) -> ByteImage:
-        """Draw it."""
+        """Draw the coverage."""
         return coverage_picture(
             self.covered,
             self.takes,
@@ -188,7 +187,7 @@ class MeasuredCoverage:
 
 
 def measure_pairs(spec: ReferencesCoverageSpec, *, progress: Progress) -> MeasuredCoverage:
-    """Measure what the pairs cover of the takes; nothing is written."""
+    """Measure the coverage of the takes by the pairs."""
     progress(0.0, "reading the takes")
     references = read_set_references(spec.references)
     pairs = _counted(spec, references)
@@ -204,32 +203,32 @@ def measure_pairs(spec: ReferencesCoverageSpec, *, progress: Progress) -> Measur
     notes = tuple(scene.notes)
     if not count:
         notes += (
-            "no pair is tuned: each counts by its markers, as if its weights followed them; a "
-            "mapping learns the weights, so its verdict may say less. Tune them first",
+            "no pair is tuned: pairs count by their markers, as if their weights fitted them; the "
+            "coverage of a mapping trained on proposals may be lower. Tune them first",
         )
     return MeasuredCoverage(covered, takes, pairs, placed.rows, tuned, count, notes)
 
 
 @dataclass(frozen=True)
 class _Placed:
-    """Pairs among the frames of takes."""
+    """Pairs and their frames in the takes."""
 
     faces: PairFaces
     is_here: np.ndarray
     """(pairs,): whether the pair is a frame of the takes."""
     rows: IntArray
-    """(n,): rows of those that are."""
+    """(n,): rows of those pairs."""
 
 
 def _counted(spec: ReferencesCoverageSpec, references: References) -> IntArray:
-    """Return which pairs count."""
+    """Return the indices of the pairs that count."""
     if not spec.tuned_only:
         return np.arange(len(references.frames), dtype=np.int64)
     pairs = np.flatnonzero(references.tuned)
     if not len(pairs):
         raise InputError(
-            f"{spec.references}: none of its {len(references.frames)} pairs is tuned, so there is "
-            "nothing that covers; leave out --tuned-only to see what its pairs would cover"
+            f"{spec.references}: none of its {len(references.frames)} pairs is tuned; leave out "
+            "--tuned-only for the coverage by all pairs"
         )
     return pairs
 
@@ -237,7 +236,7 @@ def _counted(spec: ReferencesCoverageSpec, references: References) -> IntArray:
 def _with_markers_of(
     takes: CleanedTakes, references: References, spec: ReferencesCoverageSpec
 ) -> CleanedTakes:
-    """Return takes with the markers that the references have as well."""
+    """Return takes with only the markers of the references."""
     columns = [i for i, name in enumerate(takes.marker_names) if name in references.marker_names]
     names = tuple(takes.marker_names[i] for i in columns)
     rigid = tuple(name for name in takes.rigid if name in names)
@@ -245,7 +244,7 @@ def _with_markers_of(
         raise InputError(
             f"{spec.references}: has {len(names)} of the takes' {len(takes.marker_names)} markers, "
             f"{len(rigid)} of them rigid; at least {LEAST_MARKERS:.0%} and {FEWEST_RIGID} rigid "
-            "ones are needed. Give takes of the marker set it was selected from"
+            "ones are needed. Give takes of the marker set that the references were selected from"
         )
     if len(names) == len(takes.marker_names):
         return takes
@@ -260,7 +259,7 @@ def _with_markers_of(
 
 
 def _place(scene: SelectionScene, references: References, pairs: IntArray) -> _Placed:
-    """Find pairs among the takes' frames; those of other takes count by their own markers."""
+    """Find the pairs among the takes' frames; pairs of other takes use the references' markers."""
     places = [(references.takes[pair], int(references.frames[pair])) for pair in pairs.tolist()]
     found = scene.takes.find_rows(places)
     is_here = np.array([row is not None for row in found], dtype=np.bool_)
@@ -277,7 +276,7 @@ def _place(scene: SelectionScene, references: References, pairs: IntArray) -> _P
 
 
 def _in_head_space(takes: CleanedTakes, references: References) -> FloatArray:
-    """Return the markers of all pairs where the takes' head is, in the order of the takes'."""
+    """Return the markers of all pairs in the head space and marker order of the takes."""
     columns = [references.marker_names.index(name) for name in takes.marker_names]
     space = takes_head_space(face_of_references(references), takes)
     return space.restore(references.markers)[:, columns]

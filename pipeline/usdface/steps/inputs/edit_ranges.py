@@ -1,4 +1,4 @@
-"""What became of a performance's edits: listed, and looked at again after another mapping."""
+"""Edited ranges of a performance, and notes on edits after mapping again."""
 
 from dataclasses import dataclass
 from itertools import starmap
@@ -13,8 +13,7 @@ from usdface.usdio.performance.edits import edited_frames, edits_elsewhere, read
 from usdface.usdio.performance.read import PerformanceReader
 
 NOTABLE_CHANGE = 0.1
-"""Change of the solved weight beneath an edit that an animator should look at: a tenth of a shape's
-whole way is seen at once."""
+"""Change of the solved weight below an edit that is reported: a tenth of a shape is visible."""
 
 
 @dataclass(frozen=True)
@@ -24,14 +23,13 @@ class EditedRange:
     shape: str
     first: int
     last: int
-    """`first`, `last`: Frame numbers, inclusive."""
+    """Inclusive."""
     change: float
-    """What the edits change at most, with its sign."""
+    """Largest change of the weight by the edits, signed."""
     solve_change: float
-    """How far the solve beneath is from where it was when the edit was made, at most, with its
-    sign; NaN where that is not known."""
+    """Largest change of the solve since the edit was made, signed; NaN if not known."""
     solve_frame: int
-    """Frame of the latter."""
+    """Frame of `solve_change`."""
 
 
 def find_edited_ranges(reader: PerformanceReader) -> list[EditedRange]:
@@ -76,7 +74,7 @@ def edits_beyond(reader: PerformanceReader) -> list[str]:
 
 
 def edit_notes(performance: Path) -> list[str]:
-    """Say how a new solve meets the edits above it: where it changed much, what finds no shape."""
+    """Return notes on edits kept above a new solve: where it changed, and edits without effect."""
     if not edits_path(performance).is_file():
         return []
     reader = PerformanceReader(performance)
@@ -88,26 +86,26 @@ def edit_notes(performance: Path) -> list[str]:
         else []
     )
     notes += [
-        f"{each.shape} {each.first}-{each.last}: the solve beneath the edit changed by up to "
-        f"{each.solve_change:+.2f} at frame {each.solve_frame}; look at the edit again"
+        f"{each.shape} {each.first}-{each.last}: the solve below the edit changed by up to "
+        f"{each.solve_change:+.2f} at frame {each.solve_frame}; check the edit"
         for each in ranges
         if abs(each.solve_change) > NOTABLE_CHANGE
     ]
     beyond = edits_beyond(reader)
     if beyond:
         notes.append(
-            f"edits beyond frames {reader.first_frame}-{reader.last_frame} do not show: "
-            f"{first_few(beyond)}; they are kept, and show again when those frames are mapped"
+            f"edits outside frames {reader.first_frame}-{reader.last_frame} have no effect: "
+            f"{first_few(beyond)}; they are kept for when those frames are mapped"
         )
     unknown = sorted(set(reader.edits) - set(reader.names))
     if unknown:
         notes.append(
-            f"edits of {first_few(unknown)} find no such shape in this solve; they are kept, and "
-            "show again when the shape does"
+            f"edits of shapes missing from this solve have no effect: {first_few(unknown)}; they "
+            "are kept for when the shapes are solved"
         )
     notes += [
-        f"edits at <{path}> find no animation there; they are kept: map with that --prim again, or "
-        "move them"
+        f"edits at <{path}> have no effect, as there is no animation; they are kept: map with that "
+        "--prim again, or move them"
         for path in edits_elsewhere(performance, reader.animation)
     ]
     return notes

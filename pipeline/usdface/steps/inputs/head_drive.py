@@ -1,4 +1,4 @@
-"""What turns the head and the eyes of a rig: a take's head motion and gaze, by named targets."""
+"""Drive joints or Xforms of a rig by the head motion and gaze of a take."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -32,30 +32,30 @@ _REMEDY = {
 }
 
 _TURNED_SHARE = 0.05
-"""Of an eyeball's size: a look that moves it farther turns it. 30 degrees move its front by a
-quarter of it."""
+"""Displacement, as a share of an eyeball's size, above which a shape turns the eyeball; 30 degrees
+move its front by a quarter."""
 
 _FARTHEST_DEGREES = {HEAD: 60.0, **dict.fromkeys(EYES, 45.0)}
-"""Beyond which angles are rather in degrees than that far."""
+"""Rotation above which the source's angles are probably degrees instead of radians."""
 
 
 @dataclass(frozen=True)
 class HeadSource:
-    """How a performer's head and eyes move, over frames."""
+    """Motion of a performer's head and eyes."""
 
     path: Path
     turns: Mapping[str, FloatArray]
-    """(frames, 3, 3) by part: about the axes of a face."""
+    """(frames, 3, 3) by part: rotation about the axes of a face."""
     motion: FloatArray | None = None
-    """(frames, 4, 4): of the head since the neutral frame, in its space there [mm]; None where its
-    place is not known."""
+    """(frames, 4, 4): head motion since the neutral frame, in its space there [mm]; None if only
+    rotations are known."""
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Of the head in that space [mm]."""
+    """Centre of the head in that space [mm]."""
 
     def transforms(
         self, rig: Rig, targets: Sequence[DriveTarget], onto: FloatArray | None = None
     ) -> dict[DriveTarget, FloatArray]:
-        """Return what moves each target from rest, (frames, 4, 4), in the rig's world [mm].
+        """Return the transform of each target from rest, (frames, 4, 4), in the rig's world [mm].
 
         Parameters
         ----------
@@ -63,24 +63,24 @@ class HeadSource:
             Similarity from the performer's space to the rig's. By default the performer is upright
             and looks along Z, as tracked and stabilised faces do.
         """
-        axes, made = face_axes(rig), dict[DriveTarget, FloatArray]()
+        axes, transforms = face_axes(rig), dict[DriveTarget, FloatArray]()
         for target in targets:
             if target.part == HEAD and self.motion is not None:
-                laid = self._upright_onto(rig, axes) if onto is None else onto
-                made[target] = laid @ self.motion @ np.linalg.inv(laid)
+                to_rig = self._upright_onto(rig, axes) if onto is None else onto
+                transforms[target] = to_rig @ self.motion @ np.linalg.inv(to_rig)
             elif target.part in self.turns:
-                made[target] = turn_about(self.turns[target.part], axes, target.pivot)
+                transforms[target] = turn_about(self.turns[target.part], axes, target.pivot)
             else:
                 raise InputError(
-                    f"{self.path}: nothing in it moves the {target.part}, which --drive asks for: "
-                    f"that {_REMEDY[target.part]}; leave out --drive {target.part}="
+                    f"{self.path}: has no motion of the {target.part} for --drive: that "
+                    f"{_REMEDY[target.part]}; leave out --drive {target.part}="
                 )
-        return made
+        return transforms
 
     def drive(
         self, rig: Rig, targets: Sequence[DriveTarget], onto: FloatArray | None = None
     ) -> HeadDrive:
-        """Return what moves the targets; see `transforms`."""
+        """Return transforms, held shapes and notes of the targets; see `transforms`."""
         held = doubled_looks(rig, targets)
         notes = []
         for target in targets:
@@ -94,8 +94,8 @@ class HeadSource:
                 )
         if held:
             notes.append(
-                f"held at 0, since --drive turns the same eyeballs: {first_few(held)}; what else "
-                "they move, such as lids, is still"
+                f"held at 0, as --drive turns the same eyeballs: {first_few(held)}; lids that they "
+                "move do not follow the gaze"
             )
         return HeadDrive(self.transforms(rig, targets, onto), held, tuple(notes))
 
@@ -106,9 +106,9 @@ class HeadSource:
 
 
 def doubled_looks(rig: Rig, targets: Sequence[DriveTarget]) -> tuple[str, ...]:
-    """Return the shapes that turn eyeballs which a target turns as well: gaze would be doubled.
+    """Return the shapes that turn eyeballs of targets, by which gaze would be doubled.
 
-    A look of both eyes counts where both are driven. Looks that move lids alone are none.
+    A shape of both eyes counts if both are driven. Shapes that only move lids do not count.
     """
     eyes = {each.part: each for each in targets if each.part in EYES}
     looks = look_shapes(rig.shapes)
@@ -135,7 +135,7 @@ def doubled_looks(rig: Rig, targets: Sequence[DriveTarget]) -> tuple[str, ...]:
 
 
 def named_targets(rig: Rig, drive: Sequence[str]) -> tuple[DriveTarget, ...]:
-    """Return what ``PART=NAME`` mean on a rig."""
+    """Return the targets of ``PART=NAME`` on a rig."""
     named = (each.partition("=") for each in drive)
     targets = tuple(find_drive_target(rig, part, name) for part, _, name in named)
     parts: dict[str, str] = {}
@@ -143,14 +143,14 @@ def named_targets(rig: Rig, drive: Sequence[str]) -> tuple[DriveTarget, ...]:
         other = parts.setdefault(each.path, each.part)
         if other != each.part:
             raise InputError(
-                f"{rig.file}: --drive turns {each.path} by the {other} and by the {each.part}; "
-                "name one of them for it"
+                f"{rig.file}: --drive names {each.path} for the {other} and the {each.part}; name "
+                "it for one part"
             )
     return targets
 
 
 def weights_head_source(path: Path, names: Sequence[str], weights: FloatArray) -> HeadSource:
-    """Return the head and eyes of channels, (frames, channels)."""
+    """Return the motion of head and eyes from channels, (frames, channels)."""
     try:
         angles = look_angles(names, weights) | recorded_angles(names, weights)
     except ValueError as error:
@@ -159,8 +159,8 @@ def weights_head_source(path: Path, names: Sequence[str], weights: FloatArray) -
 
 
 def take_head_source(take: TakeReader, first: int, last: int) -> HeadSource:
-    """Return the head and eyes of a take's frames; channels of the head go before HeadMotion."""
-    # The signs of angles are those of the whole take, whatever part is asked for.
+    """Return the motion of head and eyes of a take; channels take precedence over HeadMotion."""
+    # The signs of angles are estimated from the whole take.
     channels = take.read_source(range(take.first_frame, take.last_frame + 1))
     turns: Mapping[str, FloatArray] = {}
     if channels is not None:
@@ -174,7 +174,7 @@ def take_head_source(take: TakeReader, first: int, last: int) -> HeadSource:
     markers = take.read_markers_at([at])
     if markers is None:
         return HeadSource(take.path, turns, motion)
-    # Those that are not seen are kept where they last were: better than no place where none is.
+    # If no marker is visible, the positions of all are used.
     seen = markers.visible[0] | ~markers.visible[0].any()
     x, y, z = markers.positions[0][seen].mean(axis=0).tolist()
     return HeadSource(take.path, turns, motion, (x, y, z))

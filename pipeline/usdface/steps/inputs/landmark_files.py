@@ -1,4 +1,4 @@
-"""Places of markers on a rig that people give: a table, or the corrections of a binding."""
+"""Read known positions of markers on a rig: from a table, or corrections of a binding."""
 
 import math
 from collections.abc import Sequence
@@ -24,14 +24,14 @@ _FORM = (
 
 
 def read_landmarks(path: Path, names: Sequence[str], rig: Rig) -> dict[str, FloatArray]:
-    """Return the place on the rig of each marker that a file names [mm].
+    """Return the position on the rig of each marker in a file [mm].
 
     Parameters
     ----------
     path : Path
         .csv with the columns ``marker`` and ``point``, or ``marker``, ``x``, ``y``, ``z``; .json
-        with a point or [x, y, z] by marker; or USD, whose corrections are taken. A point is an
-        index, ``MESH:INDEX`` where the rig has several meshes; x, y, z are in the rig's units.
+        with a point or [x, y, z] by marker; or USD, whose corrections are used. A point is an
+        index, ``MESH:INDEX`` if the rig has several meshes; x, y, z are in the rig's units.
     """
     if is_usd_name(path):
         places = read_given_places(path, rig)
@@ -39,8 +39,8 @@ def read_landmarks(path: Path, names: Sequence[str], rig: Rig) -> dict[str, Floa
         given = {name: at for name, at in every.items() if name in names}
         if not given:
             raise InputError(
-                f"{path}: corrects none of the takes' markers; move the balls of some, or leave "
-                "out --landmarks"
+                f"{path}: has no corrections of the takes' markers; move the balls of some, or "
+                "leave out --landmarks"
             )
         return given
     faults: list[str] = []
@@ -52,7 +52,7 @@ def read_landmarks(path: Path, names: Sequence[str], rig: Rig) -> dict[str, Floa
             )
             continue
         if name in found:
-            faults.append(f"{where}: {name} is there twice; keep one")
+            faults.append(f"{where}: {name} is a duplicate; keep one")
             continue
         try:
             found[name] = _place(value, rig)
@@ -66,7 +66,7 @@ def read_landmarks(path: Path, names: Sequence[str], rig: Rig) -> dict[str, Floa
 
 
 def _rows(path: Path) -> list[tuple[str, str, object]]:
-    """Return where each row is, its marker and its value."""
+    """Return (location, marker, value) of each row."""
     if path.suffix.lower() == ".json":
         data = read_json(path, _LARGEST_BYTES)
         if not isinstance(data, dict):
@@ -82,7 +82,7 @@ def _rows(path: Path) -> list[tuple[str, str, object]]:
 
 
 def _place(value: object, rig: Rig) -> FloatArray:
-    """Return a place on the rig [mm]."""
+    """Return a position on the rig [mm]."""
     if isinstance(value, list):
         return _at_position(value, rig)
     mesh_name, _, number = str(value).strip().rpartition(":")
@@ -114,7 +114,7 @@ def _at_position(value: Sequence[object], rig: Rig) -> FloatArray:
     away = float(np.linalg.norm(on_it.positions(mesh.points)[0] - at))
     if away > surface.reach_mm:
         raise ValueError(
-            f"{given[0]:g}, {given[1]:g}, {given[2]:g} is {away:.0f} mm off the rig, in the rig's "
-            "own units and axes"
+            f"{given[0]:g}, {given[1]:g}, {given[2]:g}, in the rig's units and axes, is {away:.0f} "
+            "mm from its surface"
         )
     return np.asarray(at)

@@ -15,16 +15,16 @@ from usdface.numerics.registration.face_skin import sample_face_skin
 from usdface.numerics.registration.skin_placement import TYPICAL_SIZE_MM
 
 _LEAST_KNOWN = 0.8
-"""Share of the landmarks in rows that a take must have for its labels to be those of `track`."""
+"""Share of the landmarks in rows above which a take is one of `track`."""
 
 
 def marker_lines(labels: Sequence[str], positions: ArrayLike) -> IntArray:
-    """Return the markers that lines join: (lines, 2); none where labels do not tell any.
+    """Return the markers joined by lines, (lines, 2), as far as labels show neighbours.
 
     Parameters
     ----------
     positions : (markers, 3) array
-        At rest; see `rows_by_label`. Landmarks of `track` are joined as the mesh has them.
+        At rest; see `rows_by_label`. Landmarks of `track` are joined as in MediaPipe's mesh.
     """
     place = index_of(labels)
     named = [name for row in LANDMARK_ROWS for name in row]
@@ -38,21 +38,21 @@ def marker_lines(labels: Sequence[str], positions: ArrayLike) -> IntArray:
 def lines_on_rig(
     labels: Sequence[str], equation: BlendshapeEquation, deformer: Deformer, shapes: Sequence[str]
 ) -> IntArray:
-    """Return lines as `marker_lines` does; where labels are silent, by where markers are placed.
+    """Return lines as `marker_lines` does, or by the markers' placement if labels show none.
 
     Parameters
     ----------
     shapes : sequence of str
         Names of the rig's shapes.
     """
-    told = marker_lines(labels, equation.neutral)
-    if len(told):
-        return told
+    by_label = marker_lines(labels, equation.neutral)
+    if len(by_label):
+        return by_label
     try:
         offsets = deformer.shapes.target_offsets()
         skin = sample_face_skin(deformer.neutral, deformer.triangles, offsets)
-    except ValueError:  # no face that shapes move
-        return told
+    except ValueError:  # no skin that shapes move
+        return by_label
     places = equation.virtual.places(deformer.neutral) @ skin.frame.T
     unit = skin.size_mm / TYPICAL_SIZE_MM
     return _lines(rows_by_place(places, find_landmarks(skin, shapes), unit=unit))

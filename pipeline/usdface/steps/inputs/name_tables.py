@@ -1,4 +1,4 @@
-"""Which source shape drives which target shape: by what names mean, or by an edited table."""
+"""Tables of pairs of shapes: reading, writing, and checks of ambiguous names."""
 
 import csv
 import io
@@ -19,59 +19,59 @@ from usdface.model.retarget.name_matching import Transfer
 LARGEST_NAMES_BYTES = 16 << 20
 COLUMNS = ("source", "target", "weight")
 LARGEST_SHARE = 10.0
-"""Of a source's weight that a target takes; beyond it a table holds percent, or a slip."""
+"""Largest weight in a table; larger ones are percent or typing errors."""
 
 
 def check_no_name_twice(path: Path, names: Iterable[str], transfer: Transfer) -> None:
-    """Refuse names that differ in capitals and separators alone, where one keeps another out."""
+    """Refuse ambiguous names that differ only in capitals and separators."""
     spelled: dict[str, str] = {}
     doubtful = {each.partition(": ")[0] for each in transfer.ambiguous}
     for name in names:
-        # A double one may be a sign: FACEGOOD's `Scale__X` is the way back of `Scale_X`.
+        # Double separators are kept: FACEGOOD's `Scale__X` is the inverse of `Scale_X`.
         letters = re.sub(r"(?<![\W_])[\W_](?![\W_])", "", name).lower()
         other = spelled.setdefault(letters, name)
         if other != name and {name, other} & doubtful:
             raise InputError(
-                f"{path}: {other} and {name} are one name twice, and which of them is meant cannot "
-                "be told; take one out, or pair them with --names"
+                f"{path}: {other} and {name} are two spellings of one name; remove one, or pair "
+                "them with --names"
             )
 
 
 def transfer_by_table(path: Path, source: Sequence[str], target: Sequence[str]) -> Transfer:
-    """Match as a table says that `usdface names` wrote and somebody edited."""
+    """Return the transfer of a table written by `usdface names`, possibly edited."""
     rows = _read_rows(path)
     row_of, column_of = index_of(source), index_of(target)
     matrix = np.zeros((len(source), len(target)))
     stated: dict[tuple[str, str], str] = {}
     absent = []
-    for where, theirs, ours, weight in rows:
-        if ours not in column_of:
+    for where, first, second, weight in rows:
+        if second not in column_of:
             raise InputError(
-                f"{path} {where}: {ours!r} is no shape of the target (it has "
+                f"{path} {where}: {second!r} is no shape of the target (it has "
                 f"{first_few(target, most=3)}); correct the name, or leave the row out"
             )
-        if (theirs, ours) in stated:
+        if (first, second) in stated:
             raise InputError(
-                f"{path} {where}: {theirs} and {ours} are a pair in {stated[theirs, ours]} too; "
+                f"{path} {where}: {first} and {second} are a pair in {stated[first, second]} too; "
                 "keep one row"
             )
-        stated[theirs, ours] = where
-        if theirs in row_of:
-            matrix[row_of[theirs], column_of[ours]] = weight
+        stated[first, second] = where
+        if first in row_of:
+            matrix[row_of[first], column_of[second]] = weight
         else:
-            absent.append(theirs)
+            absent.append(first)
     if not matrix.any():
         raise InputError(
-            f"{path}: none of its {pluralize(len(rows), 'row')} is of a shape of the source, which "
-            f"has {first_few(source, most=3)}; is it the table of another source?"
+            f"{path}: none of its {pluralize(len(rows), 'row')} names a shape of the source, which "
+            f"has {first_few(source, most=3)}; give the table of this source"
         )
     notes = tuple(f"{name}, of {path.name}: is no shape of this source" for name in absent)
-    by = dict.fromkeys((theirs for _, theirs, _, _ in rows), "table")
+    by = dict.fromkeys((first for _, first, _, _ in rows), "table")
     return Transfer(tuple(source), tuple(target), matrix, by, notes)
 
 
 def write_name_table(path: Path, transfer: Transfer) -> None:
-    """Write a map as CSV or JSON, to be edited and given back."""
+    """Write a transfer as an editable CSV or JSON table."""
     rows = transfer.rows()
     if path.suffix.lower() == ".json":
         text = json_text({"pairs": rows})
@@ -115,6 +115,6 @@ def _checked(path: Path, where: str, row: dict[str, object]) -> tuple[str, str, 
     if not abs(weight) <= LARGEST_SHARE:
         raise InputError(
             f"{path} {where}: weight {given!r} of {source} is no number from -{LARGEST_SHARE:g} to "
-            f"{LARGEST_SHARE:g}; 1 passes a weight on as it is"
+            f"{LARGEST_SHARE:g}; 1 keeps the weight"
         )
     return where, source, target, weight

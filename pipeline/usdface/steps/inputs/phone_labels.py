@@ -17,12 +17,12 @@ from usdface.speech.track_files import read_phone_track, unknown_symbols
 from usdface.steps.inputs.cleaned_takes import CleanedTakes
 
 MARGIN_SECONDS = 5.0
-"""By how much phones may outlast their take before they are thought to be of another."""
+"""Time by which phones may exceed their take; beyond it they are those of another."""
 
 
 @dataclass(frozen=True)
 class PhoneLabels:
-    """What is known of the frames of all takes."""
+    """Phones, visemes and emotions at the frames of all takes."""
 
     segments: tuple[Segment, ...]
     """Every phone that has a frame."""
@@ -34,7 +34,7 @@ class PhoneLabels:
 
 
 def read_phone_labels(spec: SelectSpec, takes: CleanedTakes) -> PhoneLabels:
-    """Read the phones of every take and lay them on its frames."""
+    """Read the phones of every take, and label its frames."""
     segments: list[Segment] = []
     visemes: list[str] = []
     emotions: list[str] = []
@@ -77,14 +77,14 @@ def read_phone_labels(spec: SelectSpec, takes: CleanedTakes) -> PhoneLabels:
         start += count
     if unmarked and (spec.phones or len(takes.sources) > 1):
         notes.append(
-            f"no emotion is marked in {first_few(unmarked)}: its frames count as one; say it "
-            "with --emotions, at `usdface ingest --emotion`, or in a tier `emotions`"
+            f"no emotion is marked in {first_few(unmarked)}, so all frames count as one emotion; "
+            "give it with --emotions, with `usdface ingest --emotion`, or in a tier `emotions`"
         )
     return PhoneLabels(tuple(segments), tuple(visemes), tuple(emotions), tuple(notes))
 
 
 def _labels(track: PhoneTrack, seconds: Sequence[float]) -> list[str]:
-    """Return the phone at each moment; silences keep a mark, moments outside have none."""
+    """Return the phone at each time, ``sil`` in silence; empty outside of all phones."""
     if not track.phones:
         return [""] * len(seconds)
     starts = np.array([span.start for span in track.phones])
@@ -99,18 +99,12 @@ def _labels(track: PhoneTrack, seconds: Sequence[float]) -> list[str]:
 
 
 def labels_at(phones: Path | None, take: Take, frames: IntArray) -> tuple[str, ...]:
-    """Return the phone and the viseme of each frame, such as ``M  /b/ /p/ /m/``.
+    """Return phone, viseme and emotion of each frame, such as ``M  /b/ /p/ /m/``.
 
     Parameters
     ----------
     phones : Path or None
-        On the take's clock; None leaves every label empty.
-    frames : (frames,) int array
-
-    Returns
-    -------
-    tuple of str
-        Empty outside of the phones; with the emotion, where one is marked.
+        In take time; with None every label is empty.
     """
     if phones is None:
         return ("",) * len(frames)

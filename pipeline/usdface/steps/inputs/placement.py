@@ -1,4 +1,4 @@
-"""Where a performer's markers sit on a rig: placed once, judged, drawn, and used everywhere."""
+"""Placement of a performer's markers on a rig: computed, judged, drawn, and read back."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -42,18 +42,19 @@ from usdface.usdio.surface.placement import (
 )
 
 _SAMPLE_FRAMES = 2000
-"""Frames spread over the takes that a placement may look at."""
+"""Frames of the takes that a placement uses, evenly spread."""
 
 _LEAST_COMMON_SHARE = 0.8
-"""Of the markers: a placement that knows fewer was made for another marker set."""
+"""Share of the markers that a placement must hold, or it is one of another marker set."""
 
 _SAME_FACE_SHARE = 0.1
-"""Of the size of a face: two neutrals of a performer differ by 1 to 2 mm of 55, faces by more."""
+"""Largest difference of neutral faces of one performer, as a share of the face's size: they differ
+by 1 to 2 mm of 55, other faces by more."""
 
 
 @dataclass(frozen=True)
 class PlacedTakes:
-    """A placement of takes' markers on a rig, and whether it looks right."""
+    """A placement of takes' markers on a rig, and the verdict on it."""
 
     placement: RigPlacement
     verdict: PlacementVerdict
@@ -83,14 +84,14 @@ class PlacementScene:
             raise InputError(f"the markers cannot be placed on {rig.file}: {error}") from error
 
     def place(self, *, out: Path, landmarks: Mapping[str, FloatArray]) -> PlacedTakes:
-        """Place the markers, with landmarks and the corrections of an earlier placement kept.
+        """Place the markers, keeping landmarks and the corrections of an earlier placement.
 
         Parameters
         ----------
         out : Path
-            Where the placement will be written; corrections are read from there.
+            Path of the placement; corrections of an existing one are kept.
         landmarks : mapping of str to (3,) float array
-            Places that are known [mm]; corrections take precedence.
+            Known positions [mm]; corrections take precedence.
         """
         takes, rig, mesh = self._takes, self._rig, self._mesh
         given = read_given_places(out, rig) if has_binding(out) else GivenPlaces({}, {}, ())
@@ -158,7 +159,7 @@ class PlacementScene:
 
 
 def _bound(placement: RigPlacement) -> dict[str, int]:
-    """Return the row of every marker that counts."""
+    """Return the row of every marker that the placement does not leave out."""
     return {
         name: row
         for row, name in enumerate(placement.binding.names)
@@ -174,7 +175,7 @@ def place_takes(
 
 
 def judge_stored(path: Path, takes: CleanedTakes, rig: Rig) -> PlacedTakes:
-    """Read a placement that is given, and judge it for takes."""
+    """Read a placement, and judge it for takes."""
     placement = read_placement_of(path, rig, takes.marker_names, takes.neutral)
     return PlacementScene(takes, rig).judge(placement)
 
@@ -182,14 +183,13 @@ def judge_stored(path: Path, takes: CleanedTakes, rig: Rig) -> PlacedTakes:
 def read_placement_of(
     path: Path, rig: Rig, names: tuple[str, ...], neutral: FloatArray
 ) -> RigPlacement:
-    """Read a placement that is given for a performer's markers on a rig."""
+    """Read a placement; refuse one of another marker set or face."""
     placement = read_placement(path, rig)
     missing = _missing(placement, names)
     if missing:
         raise InputError(
-            f"{path}: places {len(names) - len(missing)} of the takes' "
-            f"{len(names)} markers, and not {first_few(missing)}; run `usdface place` "
-            "with these takes"
+            f"{path}: places {len(names) - len(missing)} of the takes' {len(names)} markers, "
+            f"without {first_few(missing)}; run `usdface place` with these takes"
         )
     if not knows_markers(placement, names, neutral):
         raise InputError(
@@ -204,7 +204,7 @@ def _missing(placement: RigPlacement, names: tuple[str, ...]) -> list[str]:
 
 
 def knows_markers(placement: RigPlacement, names: tuple[str, ...], neutral: FloatArray) -> bool:
-    """Whether a placement is of these markers, on this performer's face."""
+    """Whether a placement is of these markers and this performer's face."""
     row_of = _bound(placement)
     bound = [marker for marker, name in enumerate(names) if name in row_of]
     if len(_missing(placement, names)) > (1 - _LEAST_COMMON_SHARE) * len(names):
@@ -222,9 +222,9 @@ def knows_markers(placement: RigPlacement, names: tuple[str, ...], neutral: Floa
 def virtual_markers(
     placement: RigPlacement, names: tuple[str, ...], neutral: FloatArray
 ) -> VirtualMarkers:
-    """Return a placement as markers of a take, in their order and head space.
+    """Return the virtual markers of a placement, in the order and head space of a take.
 
-    Markers that the placement leaves out lie at the first one's place; see `placed_equation`.
+    Markers that the placement leaves out get the place of the first; see `placed_equation`.
 
     Parameters
     ----------
@@ -261,10 +261,10 @@ def placed_equation(
     visible: BoolArray,
     rigid: tuple[int, ...],
 ) -> BlendshapeEquation:
-    """Return the equation of markers as they are placed, or place them where nothing is known.
+    """Return the blendshape equation of placed markers; place them first if there is no placement.
 
-    Parameters are those of `set_up_equation`. Markers that the placement leaves out are trusted as
-    little as those of the skull.
+    Parameters are those of `set_up_equation`. Markers that the placement leaves out are treated as
+    rigid.
     """
     if placement is None or not knows_markers(placement, labels, neutral):
         return set_up_equation(
@@ -290,21 +290,19 @@ def placed_equation(
 
 
 def stored_placement(references: References, rig: Rig) -> RigPlacement | None:
-    """Return the placement that references were selected with; None where there is none."""
+    """Return the placement that references were selected with; None if there is none."""
     if references.placement is None:
         return None
     return read_placement(references.placement, rig)
 
 
 def registered_places(references: References, rig: Rig) -> FloatArray | None:
-    """Return where the placement of references puts their markers, if it can be relied on.
-
-    It can where labels or a person placed them.
+    """Return the positions of the references' markers placed by labels or by a person.
 
     Returns
     -------
     (markers, 3) float array or None
-        On the rig's neutral, NaN where it cannot [mm].
+        On the rig's neutral, NaN for other markers [mm].
     """
     placement = stored_placement(references, rig)
     if placement is None or not knows_markers(
@@ -322,11 +320,10 @@ def registered_places(references: References, rig: Rig) -> FloatArray | None:
 
 
 def placement_of_performance(performance: Path, rig: Rig) -> RigPlacement | None:
-    """Return the placement of the references that a performance was mapped from, if it is there.
+    """Return the placement of the references that a performance was mapped from, if it exists.
 
-    It is found by provenance: performance, mapping, references; of a baseline, the placement it
-    was given. Where a file is gone or was made for another rig, markers are placed anew: a picture
-    needs none of them.
+    It is found by provenance: performance, mapping, references; for a baseline, its placement. None
+    if a file is missing or was made for another rig.
     """
     mapping = path_made_from(performance, "mapping")
     references = None if mapping is None else path_made_from(mapping, "references")
@@ -342,7 +339,7 @@ def placement_of_performance(performance: Path, rig: Rig) -> RigPlacement | None
 def draw_placement(
     placed: PlacedTakes, rig: Rig, *, title: str, quality: Quality = "final"
 ) -> ByteImage:
-    """Draw the markers on the rig under the verdict."""
+    """Draw the markers on the rig with the verdict."""
     placement, verdict = placed.placement, placed.verdict
     row_of = _bound(placement)
     names, rows = tuple(row_of), list(row_of.values())
@@ -367,13 +364,13 @@ def draw_placement(
 
 
 def placement_notes(placed: PlacedTakes) -> tuple[str, ...]:
-    """Return what a step notes of a placement besides its verdict."""
+    """Return a note on markers that the placement leaves out."""
     left_out = placed.placement.left_out
     return (f"left out by the placement: {counted(left_out, 'marker')}",) if left_out else ()
 
 
 def placement_figures(placed: PlacedTakes) -> dict[str, object]:
-    """Return the verdict as a step's result carries it."""
+    """Return the verdict as plain data."""
     verdict, sources = placed.verdict, placed.placement.binding.sources
     return {
         "verdict": verdict.level,

@@ -1,4 +1,4 @@
-"""Takes seen through a rig: what selection and coverage both work on."""
+"""Takes and a rig in one feature space, for selection and coverage."""
 
 from dataclasses import dataclass
 
@@ -21,13 +21,13 @@ from usdface.steps.inputs.placement import placed_equation
 from usdface.usdio.surface.placement import RigPlacement
 
 _USABLE_SHARE = 0.9
-"""A frame with fewer markers than this is no example to learn from."""
+"""Share of the markers that a frame needs to be selected."""
 
 _MOTION_FRAMES = 60_000
-"""Frames from which the space of the motion is measured."""
+"""Frames used to fit the space of the motion."""
 
 _BLOCK_FRAMES = 2048
-"""Small enough that a block stays near the processor between centring and projecting."""
+"""Frames per block: a block fits in the processor's cache."""
 
 
 @dataclass(frozen=True)
@@ -38,24 +38,24 @@ class SelectionScene:
     rig: Rig
     deformer: Deformer
     parts: tuple[str, ...]
-    """What tells the part of the face of each shape; see `shape_parts`."""
+    """Part of the face of each shape; see `shape_parts`."""
     motion: MotionSpace
     equation: BlendshapeEquation
     space: SelectionSpace
     features: Float32Array
-    """(frames, d): of every frame of the takes; half the memory and time of double precision, and
-    rounded far below what markers are known to."""
+    """(frames, d): of every frame of the takes; single precision, at half the memory and time,
+    rounds far below the noise of markers."""
     stand_ins: CandidateMarkers
 
     @property
     def notes(self) -> list[str]:
-        """What to know of weights that are proposed or measured here."""
+        """Notes on the weights proposed or measured here."""
         lids = self.equation.lids
         note = "" if lids is None else lids.note(self.rig.shapes)
         return [each for each in (note, missing_parts_note(self.parts)) if each]
 
     def positions(self, rows: IntArray) -> FloatArray:
-        """Return markers at rows of all takes, without putting the takes together."""
+        """Return the markers at rows of all takes."""
         return self.takes.positions_at(rows).astype(np.float64)
 
     def usable(self, rows: IntArray) -> BoolArray:
@@ -63,26 +63,26 @@ class SelectionScene:
         return self.takes.usable_at(rows)
 
     def displacements(self, rows: IntArray) -> FloatArray:
-        """Return how far markers are from the neutral at rows of all takes, at the rig's size."""
+        """Return the displacements of markers at rows of all takes, at the rig's size."""
         return self.equation.motion(self.takes.positions_at(rows))
 
     def coordinates_of(self, positions: FloatArray) -> FloatArray:
-        """Return stabilised markers, (frames, markers, 3), in the motion space."""
+        """Return the coordinates in the motion space of markers, (frames, markers, 3)."""
         return _coordinates(self.motion, positions)
 
 
 def set_up_scene(
     takes: CleanedTakes, rig: Rig, *, placement: RigPlacement | None, progress: Progress
 ) -> SelectionScene:
-    """Measure the motion, place the markers on the rig and bring every frame into one space.
+    """Fit the motion space, place the markers on the rig and compute the features of all frames.
 
     Parameters
     ----------
     placement : RigPlacement or None
-        Where the markers are; without one they are placed.
+        None places the markers.
     """
     progress(0.2, "measuring the motion")
-    # Of an hour every eighth frame says as much of how a face moves as all of them.
+    # Adjacent frames hardly differ: of an hour, every eighth is used.
     step = -(-len(takes.frames) // _MOTION_FRAMES)
     motion = fit_motion_space([clip[::step] for clip in takes.positions])
     progress(0.35, "placing the markers on the rig")
@@ -109,7 +109,7 @@ def set_up_scene(
 
 
 def candidate_frames(takes: CleanedTakes, frames: str | None) -> BoolArray:
-    """Return which frames of all takes may be tuned: with most markers, within a range."""
+    """Return which frames of all takes may be selected: with most markers, within a range."""
     markers = len(takes.marker_names)
     seen = np.concatenate([np.count_nonzero(each, axis=1) for each in takes.usable])
     candidates: BoolArray = seen >= _USABLE_SHARE * markers
@@ -120,10 +120,7 @@ def candidate_frames(takes: CleanedTakes, frames: str | None) -> BoolArray:
 
 
 def _features(takes: CleanedTakes, motion: MotionSpace, space: SelectionSpace) -> Float32Array:
-    """Return every frame's features, straight from its markers.
-
-    A long recording's coordinates would be another large array, and another pass over it.
-    """
+    """Return the features of every frame, without storing its coordinates in between."""
     projection = motion.components.T @ space.projection
     mean = motion.mean.astype(np.float32)
     narrow, offset = projection.astype(np.float32), space.offset.astype(np.float32)
@@ -134,7 +131,7 @@ def _features(takes: CleanedTakes, motion: MotionSpace, space: SelectionSpace) -
         for first in range(0, len(clip), _BLOCK_FRAMES):
             part = clip[first : first + _BLOCK_FRAMES].reshape(-1, len(mean))
             rows = slice(start + first, start + first + len(part))
-            # Centred first: of hundreds of millimetres single precision would lose the last digits.
+            # Centred first, as single precision would lose digits of large coordinates.
             np.subtract(part, mean, out=centred[: len(part)])
             np.matmul(centred[: len(part)], narrow, out=out[rows])
             out[rows] -= offset
@@ -164,12 +161,12 @@ def _coordinates(motion: MotionSpace, positions: FloatArray) -> FloatArray:
 
 
 _GLANCE_FRAMES = 2000
-"""Frames spread over a take by which its head is put where the mapping's was."""
+"""Frames used to find the head space, evenly spread."""
 
 
 @dataclass(frozen=True)
 class TakesPrediction:
-    """A mapping laid on takes that were brought together."""
+    """A mapping applied to takes in a common head space."""
 
     mapping: TrainedMapping
     takes: CleanedTakes
@@ -187,12 +184,12 @@ class TakesPrediction:
 
 
 def takes_prediction(mapping: TrainedMapping, takes: CleanedTakes) -> TakesPrediction:
-    """Lay a mapping on takes that share one head space."""
+    """Return the prediction of a mapping for takes."""
     return TakesPrediction(mapping, takes, takes_head_space(face_of_mapping(mapping), takes))
 
 
 def takes_head_space(face: PerformerFace, takes: CleanedTakes) -> HeadSpace:
-    """Find the head space of takes that share one, by frames spread over them."""
+    """Find the transform from the common head space of takes to that of a face."""
     rows = sample_frames(len(takes.frames), _GLANCE_FRAMES)
     first = takes.sources[0]
     return find_head_space(

@@ -1,4 +1,4 @@
-"""The verdict on performances, by what their layers hold: for checks, publishes and joins."""
+"""The verdict on performances, by the figures that their layers store."""
 
 import os
 from dataclasses import replace
@@ -16,12 +16,12 @@ from usdface.usdio.take.read import is_take
 from usdface.usdio.validation import Finding
 
 WORST_VERDICT = "USDFACE_WORST_VERDICT"
-"""Environment variable: the worst verdict that a studio lets pass, `VerdictLevel`."""
+"""Environment variable: worst verdict that is accepted, a `VerdictLevel`."""
 
 
 def judge_performance(reader: PerformanceReader) -> SolveVerdict | None:
-    """Judge a performance by what its layer holds; None where nothing is known of its error."""
-    from usdface.steps.inputs.source_motion import describe_retarget  # starts slowly
+    """Judge a performance by its layer's figures; None if it has none and is no retarget."""
+    from usdface.steps.inputs.source_motion import describe_retarget  # slow to import
 
     uncertainty_mm, coverage, residual_mm = reader.figures()
     retarget = describe_retarget(reader.path)
@@ -42,9 +42,9 @@ def judge_performance(reader: PerformanceReader) -> SolveVerdict | None:
 
 
 def bad_source(performance: Path) -> str:
-    """Name the performance that one was retargeted from where it is not to be used; else empty.
+    """Return the name of a retarget's source performance if its verdict is bad, else ``''``.
 
-    Nothing is said of sources that are gone, or that are takes.
+    Sources that are missing or takes are not judged.
     """
     from usdface.steps.inputs.source_motion import find_retargeted
 
@@ -54,19 +54,19 @@ def bad_source(performance: Path) -> str:
         if source is None or not is_usd_name(source) or is_take(source):
             return ""
         verdict = judge_performance(PerformanceReader(source))
-    except InputError:  # damaged, or outside of what may be read
+    except InputError:  # damaged, or outside USDFACE_ROOT
         return ""
     return source.name if verdict is not None and verdict.level == "bad" else ""
 
 
 def verdict_findings(path: Path, worst: VerdictLevel | None = None) -> list[Finding]:
-    """Return the verdict on every solve of a layer where it is measured and not good.
+    """Return a finding for each solve of a layer whose verdict is not good.
 
     Parameters
     ----------
     worst : 'good', 'check' or 'bad', optional
-        What is worse is an error, the rest a warning. By default as `WORST_VERDICT` says, else
-        ``'check'``.
+        Verdicts that are worse are errors, others warnings. Default: that of the environment
+        variable `WORST_VERDICT`, else ``'check'``.
     """
     levels = list(OPENINGS)
     limit = levels.index(_worst_level(worst))
@@ -81,14 +81,14 @@ def verdict_findings(path: Path, worst: VerdictLevel | None = None) -> list[Find
         fails = levels.index(verdict.level) > limit
         words = "; ".join(filter(None, [verdict.sentence, verdict.advice]))
         if fails:
-            words += f" ({WORST_VERDICT}={verdict.level} lets it pass)"
+            words += f" ({WORST_VERDICT}={verdict.level} accepts it)"
         where = f"{path} <{reader.animation.GetPath()}>"
         found.append(Finding("error" if fails else "warning", "usdface:Verdict", where, words))
     return found
 
 
 def with_verdict(result: StepResult, verdict: SolveVerdict | None) -> StepResult:
-    """Return what a step says of a performance, behind the verdict on it."""
+    """Return a step's result with the verdict on its performance in the summary."""
     if verdict is None:
         return result
     to_do = [f"to do: {verdict.advice}"] if verdict.advice else []
@@ -105,6 +105,7 @@ def _worst_level(given: VerdictLevel | None) -> str:
     level = given or os.environ.get(WORST_VERDICT) or "check"
     if level not in get_args(VerdictLevel):
         raise InputError(
-            f"{WORST_VERDICT}={level}: is no verdict; set it to {', '.join(get_args(VerdictLevel))}"
+            f"{WORST_VERDICT}={level}: is no verdict; set it to "
+            f"{' or '.join(get_args(VerdictLevel))}"
         )
     return level

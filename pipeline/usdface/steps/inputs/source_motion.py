@@ -1,4 +1,4 @@
-"""Source weights from a take, a performance or a capture, brought to shapes that are asked for."""
+"""Read source weights from a take, a performance or a capture, and match them to other shapes."""
 
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -31,10 +31,10 @@ from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import TakeReader, is_take
 
 _LEAST_GAP_SECONDS = 0.1
-"""A blink lasts as long: shorter gaps hide nothing that anybody sees."""
+"""Shortest gap that is reported, the length of a blink."""
 
 MOVING_WEIGHT = 0.02
-"""Weight beyond which a shape counts as used by a performance."""
+"""Weight above which a shape counts as moving."""
 
 
 @dataclass(frozen=True)
@@ -51,13 +51,13 @@ class SourceMotion:
     emotion: str = ""
     """Of the take, empty when unknown."""
     driven: frozenset[str] = frozenset()
-    """Shapes that others drive, on the source's rig or the target's: they are not missed."""
+    """Shapes that others drive, on the source's rig or the target's; they need no counterpart."""
     notes: tuple[str, ...] = ()
-    """What a capture's reader assumed or filled."""
+    """Assumptions of a capture's reader."""
     unseen: tuple[tuple[int, int], ...] = ()
-    """First and last frame of stretches of `_LEAST_GAP_SECONDS` where nothing was captured."""
+    """First and last frame of gaps of at least `_LEAST_GAP_SECONDS`."""
     rig: tuple[Path, str] | None = None
-    """File and SkelRoot of the source's rig, where known."""
+    """File and SkelRoot of the source's rig, if known."""
 
     @property
     def last_frame(self) -> int:
@@ -66,7 +66,7 @@ class SourceMotion:
 
     @property
     def moving(self) -> tuple[str, ...]:
-        """Shapes that are used; rotations of the head and the eyes, and driven shapes, are none."""
+        """Shapes that move, without driven shapes and rotations of the head and the eyes."""
         used = np.abs(self.weights).max(axis=0, initial=0.0) > MOVING_WEIGHT
         named = zip(self.names, used, strict=True)
         return tuple(
@@ -75,10 +75,10 @@ class SourceMotion:
 
     @cached_property
     def shares(self) -> dict[str, float]:
-        """Share of each moving shape in the face's motion, the largest first; gaze has none.
+        """Share of each moving shape in the face's motion, the largest first; 0 for gaze.
 
-        By the mean square of its weight, times that of how far it moves the rig's surface, where
-        the rig is known.
+        Mean square of its weight times, if the rig is known, the squared displacement of its
+        surface.
         """
         motion = (self.weights**2).mean(axis=0) * self._reach()
         looks = look_shapes(self.names)
@@ -90,7 +90,7 @@ class SourceMotion:
         }
 
     def _reach(self) -> FloatArray:
-        """Return the squared distance that each shape moves the rig's surface; 1 without a rig."""
+        """Return the squared displacement of the rig's surface by each shape; 1 without a rig."""
         if self.rig is None or not self.rig[0].is_file():
             return np.ones(len(self.names))
         rig = read_rig(self.rig[0], prim=self.rig[1])
@@ -107,7 +107,7 @@ def read_source_motion(
     Parameters
     ----------
     **stated
-        What the user says about a capture file, or None: fields of `CaptureOptions`.
+        Options of a capture file, or None: fields of `CaptureOptions`.
     """
     stated = {name: value for name, value in stated.items() if value is not None}
     is_layer = is_usd_name(path)
@@ -117,7 +117,7 @@ def read_source_motion(
     if stated and (capture is None or capture.format != "weights"):
         option = next(iter(stated)).replace("_", "-")
         raise InputError(
-            f"{path}: --{option} is of a table of weights, and this says it itself; leave it out"
+            f"{path}: --{option} is for tables of weights, and this file states it; leave it out"
         )
     if capture is not None:
         take = capture.take
@@ -152,15 +152,15 @@ def read_source_motion(
 def source_transfer(
     path: Path, motion: SourceMotion, wanted: tuple[str, ...], names: Path | None = None
 ) -> tuple[Transfer, tuple[str, ...]]:
-    """Return how a motion's shapes drive others, and what to tell of that.
+    """Return the transfer from a motion's shapes to others, and notes.
 
-    Names that are the same go first; the rest is matched by what they mean, so that Live Link's
-    ``EyeBlinkLeft`` drives a rig's ``eyeBlink_L``.
+    Equal names are matched first, the others by meaning: Live Link's ``EyeBlinkLeft`` drives a
+    rig's ``eyeBlink_L``.
 
     Parameters
     ----------
     names : Path, optional
-        Table of pairs to follow instead.
+        Table of pairs to use instead.
     """
     if names is None:
         transfer = transfer_by_names(motion.names, wanted)
@@ -173,10 +173,9 @@ def source_transfer(
         what = pluralize(len(lost), "moving shape" if matched else "shape")
         raise InputError(
             f"{path}: none of its {what} ({first_few(lost, most=3)}) "
-            f"has a counterpart among {first_few(wanted, most=3)}, so nothing would move; are they "
-            "of another character? `usdface names RIG SOURCE --out FILE.csv` writes the table, and "
-            "--names takes it back edited"
-            + "".join(f". {note}" for note in meaning_notes(transfer))
+            f"has a counterpart among {first_few(wanted, most=3)}, so nothing would move; write a "
+            "table of pairs with `usdface names RIG SOURCE --out FILE.csv`, edit it and give it "
+            "with --names" + "".join(f". {note}" for note in meaning_notes(transfer))
         )
     return transfer, _transfer_notes(path, transfer, motion)
 
@@ -190,10 +189,7 @@ def source_columns(
 
 
 def find_retargeted(performance: Path) -> Path | None:
-    """Return the layer that `retarget` wrote: a performance, or what it was baked from; else None.
-
-    Of a baked one that is None too where it is gone.
-    """
+    """Return the performance that `retarget` wrote, or that one was baked from; None otherwise."""
     made = provenance_of(performance)
     if made is not None and made.step == "bake":
         baked = path_made_from(performance, "performance")
@@ -202,10 +198,10 @@ def find_retargeted(performance: Path) -> Path | None:
 
 
 def describe_retarget(performance: Path) -> str:
-    """Say what a performance was retargeted by; empty where it was not retargeted.
+    """Return a description of the retargeting of a performance; ``''`` if it is no retarget.
 
-    Retargeting and pairs are found by provenance; how many pairs there are is left out where they
-    cannot be read.
+    Retargeting and pairs are found by provenance; the number of pairs is omitted if they cannot be
+    read.
     """
     retargeted = find_retargeted(performance)
     if retargeted is None:
@@ -227,7 +223,7 @@ def describe_retarget(performance: Path) -> str:
 
 
 def _pair_words(trained: Path) -> str:
-    """Say how many pairs a retargeting learnt from, and how many of them a person tuned."""
+    """Return the number of pairs of a retargeting, and how many are tuned."""
     named = [path_made_from(trained, name) for name in ("pairs", "references")]
     pairs, references = named
     try:
@@ -240,13 +236,13 @@ def _pair_words(trained: Path) -> str:
     made = None if pairs is None else provenance_of(pairs)
     if made is None:
         return "pairs"
-    if not proposed or made.step != "pairs-propose":  # samples above hide all that are beneath
+    if not proposed or made.step != "pairs-propose":  # keys in a stronger layer hide proposals
         return f"{count + tuned} pairs, keyed by hand"
     return f"{count + tuned} pairs, {tuned or 'none'} of them tuned"
 
 
 def unmatched_moving(transfer: Transfer, motion: SourceMotion) -> tuple[str, ...]:
-    """Return the shapes that move and drive nothing, those that move the face most first."""
+    """Return moving shapes without a counterpart, the largest motion first."""
     lost = set(motion.moving) - set(transfer.matched)
     return tuple(name for name in motion.shares if name in lost) if lost else ()
 
@@ -254,7 +250,7 @@ def unmatched_moving(transfer: Transfer, motion: SourceMotion) -> tuple[str, ...
 def _rig_of(performance: PerformanceReader) -> tuple[Path, str] | None:
     try:
         return performance.rig()
-    except InputError:  # weights without a rig, or one that is gone
+    except InputError:  # no rig, or its file is missing
         return None
 
 
@@ -274,8 +270,8 @@ def _transfer_notes(path: Path, transfer: Transfer, motion: SourceMotion) -> tup
 def _of_take(path: Path, take: Take, first: int, last: int) -> SourceMotion:
     if take.source is None:
         raise InputError(
-            f"{path}: the take carries no blendshape weights; retarget the performance that "
-            "`usdface map` made of it"
+            f"{path}: the take has no blendshape weights; map it with `usdface map` and retarget "
+            "the performance"
         )
     start = first - take.source.first_frame
     return SourceMotion(
@@ -292,7 +288,7 @@ def _of_take(path: Path, take: Take, first: int, last: int) -> SourceMotion:
 def _gaps(
     stretches: tuple[tuple[int, int], ...], first: int, last: int, rate: Fraction
 ) -> tuple[tuple[int, int], ...]:
-    """Return what of stretches lies between two frames, and is long enough to matter."""
+    """Return the parts of frame ranges between two frames that are long enough to report."""
     within = ((max(start, first), min(end, last)) for start, end in stretches)
     least = _LEAST_GAP_SECONDS * rate
     return tuple((start, end) for start, end in within if end - start + 1 >= least)

@@ -1,4 +1,4 @@
-"""Pairs of a references asset that an animator set: on the page, in a DCC, or earlier."""
+"""Tuned pairs of a references asset: set on the tuning page, in a DCC, or imported."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,25 +29,19 @@ _LISTED_CONFLICTS = 5
 
 @dataclass(frozen=True)
 class PlacedPair:
-    """A tuned pair: its place, its row among all frames, and what was tuned.
-
-    `is_keyed` says that a DCC keyed it, which marks no pair as tuned.
-    """
+    """A tuned pair and its frame."""
 
     pair: int
+    """Index in the asset."""
     row: int
+    """Row among the frames of all takes."""
     tuned: TunedPair
     is_keyed: bool = False
+    """Keyed by a DCC, which does not mark it as tuned."""
 
 
 def find_placed_pairs(spec: SelectSpec, takes: CleanedTakes, rig: Rig) -> list[PlacedPair]:
-    """Find the frames of tuned pairs again; they must not move, or their weights would lie.
-
-    Raises
-    ------
-    InputError
-        If one is of a take that is not given, or of another rig, or there is no room for it.
-    """
+    """Find the frames of tuned pairs; refuse those of other takes or rigs, or beyond --count."""
     layer = tuned_path(spec.out)
     marked = {each.pair: each for each in read_tuned_pairs(layer)}
     keyed = _keyed_pairs(spec.out, marked)
@@ -58,8 +52,8 @@ def find_placed_pairs(spec: SelectSpec, takes: CleanedTakes, rig: Rig) -> list[P
     if missing:
         raise InputError(
             f"{layer}: pair {missing[0].pair + 1} was tuned for frame {missing[0].frame} of "
-            f"{missing[0].take}, which is not among the takes given; give that take as well, or "
-            "write to another --out"
+            f"{missing[0].take}, which is not given; give that take as well, or write to another "
+            "--out"
         )
     beyond = [each for each in tuned if each.pair >= spec.count]
     if beyond:
@@ -81,10 +75,9 @@ def find_placed_pairs(spec: SelectSpec, takes: CleanedTakes, rig: Rig) -> list[P
 
 
 def _keyed_pairs(out: Path, marked: dict[int, TunedPair]) -> dict[int, TunedPair]:
-    """Return pairs of the asset there is whose weights are neither proposed nor marked as tuned.
+    """Return pairs of an existing asset that a DCC keyed; none if it cannot be read.
 
-    A DCC that opened the asset keyed them. An asset that cannot be read tells nothing: to select
-    again is how that is repaired.
+    Their weights differ from the proposals, and are not marked as tuned.
     """
     if not out.is_file():
         return {}
@@ -107,7 +100,7 @@ def _keyed_pairs(out: Path, marked: dict[int, TunedPair]) -> dict[int, TunedPair
 
 
 def rows_in_place(count: int, kept: list[PlacedPair], chosen: IntArray) -> list[int]:
-    """Return the row of each pair: kept ones where they are, chosen ones in the gaps."""
+    """Return the row of each pair: tuned pairs keep their index, chosen ones fill the others."""
     place = {each.pair: each.row for each in kept}
     free = iter(chosen.tolist())
     rows = []
@@ -120,7 +113,7 @@ def rows_in_place(count: int, kept: list[PlacedPair], chosen: IntArray) -> list[
 
 
 def tuned_conflicts(path: Path) -> tuple[list[str], list[dict[str, object]]]:
-    """Return what contradicts itself among the tuned pairs of an asset: for people, and as data."""
+    """Return contradictions among the tuned pairs of an asset, as texts and as data."""
     references = read_set_references(path)
     if not references.marker_names:
         return [], []

@@ -1,4 +1,4 @@
-"""Weights by frame from files of any tool: CSV, JSON or USD."""
+"""Read weights by frame from tables (CSV, JSON, NumPy) or USD of any tool."""
 
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
@@ -37,34 +37,31 @@ class WeightTable:
     weights: FloatArray
     """(frames, shapes)"""
     rate: Fraction | None = None
-    """Frames per second; None where the file does not say."""
+    """Frames per second; None if the file does not state it."""
     keyed: frozenset[int] = frozenset()
-    """Frames that the file itself holds; at the others, of USD, it is interpolated."""
+    """Frames with samples in the file; others, of USD, are interpolated."""
     meshes: tuple[str, ...] = ()
-    """By shape, the mesh whose weights these are, of a tool that keys shapes on every mesh apart;
-    empty of other tools."""
+    """The mesh of each shape's weights, if the tool keys shapes per mesh; otherwise empty."""
     elsewhere: Mapping[str, Mapping[str, FloatArray]] = field(default_factory=dict)
-    """By shape and mesh, the weights of the other meshes that have it."""
+    """By shape and mesh, the weights on the other meshes."""
     takes: tuple[str, ...] = ()
-    """Take of each row; empty of a file that does not say."""
+    """Take of each row; empty if the file does not state it."""
     cut: bool = False
-    """Whether weights beyond `CUT_TO` come back as its ends."""
+    """Whether the tool clamps weights to `CUT_TO`."""
     numbered: bool = True
-    """Whether the file numbers its frames; else they count from 1."""
+    """Whether the file numbers its frames; otherwise they count from 1."""
 
     def columns(self, names: tuple[str, ...]) -> FloatArray:
-        """Return the weights in another order of shapes; 0 for those the table lacks."""
+        """Return the weights in another order of shapes; 0 for missing shapes."""
         return columns_by_name(self.weights, self.names, names)
 
     def shapes_among(self, names: Sequence[str], *, file: Path, owner: str) -> list[str]:
-        """Return the shapes that others have as well.
+        """Return the table's shapes that are among `names`; refuse a table without any.
 
         Parameters
         ----------
-        file : Path
-            That the table was read from.
         owner : str
-            Of the other shapes, as the message says it: ``in the performance``.
+            Owner of `names`, for the message: ``in the performance``.
         """
         known = [name for name in self.names if name in names]
         if not known:
@@ -76,10 +73,7 @@ class WeightTable:
         return known
 
     def renamed(self, transfer: Transfer) -> "WeightTable":
-        """Return the table by the shapes that its own drive.
-
-        Where no name changes, it stays as it is.
-        """
+        """Return the table with the shapes that its shapes drive; unchanged if no name differs."""
         if all(name in transfer.target for name in self.names):
             return self
         columns = np.flatnonzero((transfer.matrix != 0).any(axis=0))
@@ -95,7 +89,7 @@ class WeightTable:
     def by_meaning(
         self, shapes: Sequence[str], *, leave: Collection[str] = ()
     ) -> tuple["WeightTable", Transfer]:
-        """Return the table by the shapes that its names mean; as it is where none has a meaning.
+        """Return the table with names matched by meaning, and the transfer; unchanged if none is.
 
         Parameters
         ----------
@@ -108,18 +102,18 @@ class WeightTable:
         return (table if table.names else self), transfer
 
     def numbering_notes(self, file: Path) -> list[str]:
-        """Return what to tell of frames that the file does not number."""
+        """Return a note if the file does not number its frames."""
         if self.numbered:
             return []
         rate = "" if self.rate is None else f" at {float(self.rate):g} frames per second"
         return [
             f"{file.name} has no column of frames: its {pluralize(len(self.frames), 'row')} count "
-            f"from frame 1{rate}, as `ingest` has them"
+            f"from frame 1{rate}, as for `ingest`"
         ]
 
     def check_rate(self, rate: Fraction, *, file: Path, performance: Path) -> None:
-        """Raise InputError if the file says another rate than the performance's."""
-        # Rounded times tell 120 of 119.88, and frames of either have the same numbers.
+        """Refuse a file with another rate than the performance's."""
+        # 120 and 119.88 cannot be distinguished by rounded times, and number frames alike.
         if self.rate is not None and abs(self.rate / rate - 1) > Fraction(1, 500):
             raise InputError(
                 f"{file}: runs at {float(self.rate):g} frames per second, {performance} at "
@@ -139,9 +133,9 @@ def read_weight_table(
     Parameters
     ----------
     known : tuple of str
-        Shapes that are expected: where a tool made identifiers of these names, they are undone.
+        Expected shapes: names that a tool changed to identifiers are restored.
     unit : {'one', 'percent'}, optional
-        Of a table; told where left out, and refused where it cannot be.
+        Unit of a table. Default: detected, and refused if ambiguous.
     shapes : Path, optional
         Names of the columns of a .npy matrix; see `read_weight_samples`.
     """
@@ -149,7 +143,7 @@ def read_weight_table(
         if unit is not None or shapes is not None:
             option = "shapes" if unit is None else "weight-unit"
             raise InputError(
-                f"{path}: --{option} is of a table of weights, and this file says it; leave it out"
+                f"{path}: --{option} is for tables of weights, this file states it; leave it out"
             )
         blender = is_of_blender(path)
         exported = read_exported_weights(path) if blender else _renamed_by_a_tool(path, known)
@@ -163,11 +157,11 @@ def read_weight_table(
 
 
 def _recorded_table(path: Path) -> WeightTable | None:
-    """Read what a recorder wrote, by the frames of its take; None of tables, which say less."""
+    """Read a recorder's file by the frames of its take; None for plain tables."""
     try:
         found = recognise_format(path)
     except InputError:
-        return None  # the table's reader says what is wrong
+        return None  # the table's reader raises the error
     take = None if found.read is read_weight_take else read_capture(path).take
     if take is None or take.source is None:
         return None
@@ -192,7 +186,7 @@ def _table_of(path: Path, unit: str | None, shapes: Path | None) -> WeightTable:
     (take, twice), count = Counter(zip(takes, frames, strict=True)).most_common(1)[0]
     if count > 1:
         where = f" of take {take}" if take else ""
-        raise InputError(f"{path}: frame {twice}{where} is there {count} times; keep one row")
+        raise InputError(f"{path}: frame {twice}{where} occurs {count} times; keep one row")
     values = in_fractions(path, samples.values, unit, samples.names, [])
     return WeightTable(
         samples.names,
@@ -206,7 +200,7 @@ def _table_of(path: Path, unit: str | None, shapes: Path | None) -> WeightTable:
 
 
 def _renamed_by_a_tool(path: Path, known: tuple[str, ...]) -> ExportedWeights | None:
-    """Return weights by what their channels drive, where these have names that nobody expects."""
+    """Return weights by the shapes that channels of unknown names drive; None if not needed."""
     reader = PerformanceReader(path)
     if set(reader.names) & set(known):
         return None
@@ -241,19 +235,19 @@ def _exported_table(exported: ExportedWeights, known: tuple[str, ...], *, cut: b
 
 
 CUT_TO = (0.0, 1.0)
-"""Blender's sliders after an import: weights beyond come back as these."""
+"""Range of Blender's sliders, to which weights are clamped."""
 CUT_WITHIN = 1e-5
-"""float32 and its round trip."""
+"""Rounding of float32."""
 
 
 def weights_meant(table: WeightTable, name: str, rows: IntArray, shown: FloatArray) -> FloatArray:
-    """Return a shape's weights at some rows, those that a tool had cut as they are shown.
+    """Return a shape's weights at some rows, undoing the clamping of a tool.
 
     Parameters
     ----------
     shown : (n,) float array
-        What the shape is now. Where that lies beyond `CUT_TO` and the tool's weight is at the end,
-        it was cut and not changed.
+        Current weights. Where they lie outside `CUT_TO` and the table's weight is at its end, the
+        weight was clamped and not changed.
     """
     weights: FloatArray = table.weights[rows, table.names.index(name)]
     if not table.cut:
@@ -272,9 +266,9 @@ def changed_elsewhere(
     solved: FloatArray,
     least: float,
 ) -> list[str]:
-    """Return the meshes on which a shape was changed at a frame where the mesh that counts was not.
+    """Return the meshes on which a shape was changed where the mesh that is read was not.
 
-    A mesh that shows the solve was left as it was given.
+    Meshes whose weights equal the solve were not changed.
     """
     found = []
     still = np.abs(meant - shown) <= least
@@ -287,22 +281,21 @@ def changed_elsewhere(
 
 
 def elsewhere_notes(table: WeightTable, found: Mapping[str, list[str]]) -> tuple[str, ...]:
-    """Return what to tell of shapes that were changed on meshes that do not count, by shape."""
+    """Return notes on shapes that were changed on meshes that are not read."""
     return tuple(
-        f"{name} differs between {', '.join(meshes)} and {table.meshes[table.names.index(name)]}, "
-        "which counts, as it has the most shapes; change it there"
+        f"{name} differs between {', '.join(meshes)} and {table.meshes[table.names.index(name)]}; "
+        "the latter is read, as it has the most shapes; change it there"
         for name, meshes in list(found.items())[:5]
     )
 
 
 def read_alpha(path: Path, frames: IntArray) -> FloatArray:
-    """Return alpha at frames: straight between its keys, held before the first and after the last.
+    """Return alpha at frames, interpolated linearly and held at the ends.
 
     Parameters
     ----------
     path : Path
         .csv with the columns ``frame`` and ``alpha``, or USD; see `read_alpha_keys`.
-    frames : (n,) int array
     """
     keys = read_alpha_keys(path) if is_usd_name(path) else _read_keys(path)
     for frame, alpha in keys:

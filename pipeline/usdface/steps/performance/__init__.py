@@ -1,4 +1,4 @@
-"""References to a mapping, takes to performances."""
+"""From references to a mapping, and from takes to performances."""
 
 _commands = ("describe",)
 

@@ -1,4 +1,4 @@
-"""The blendshape equation as a performance: a cleaned take and a rig in, weights out."""
+"""Write the baseline, the solve of the blendshape equation, as a performance."""
 
 from dataclasses import replace
 
@@ -34,14 +34,12 @@ def write_baseline(
     provenance: Provenance,
     progress: Progress,
 ) -> StepResult:
-    """Solve every frame by the rig's shapes and write the performance as it goes.
+    """Solve the blendshape equation of every frame, block by block, and write the performance.
 
     Parameters
     ----------
-    blocks : list of range
-        Frames that are solved together.
     frames : (first, last)
-        Those of them that are written.
+        Frames to write; `blocks` may begin earlier and end later.
     part_frames : int or None
         Frames of each weights file; None for one file.
     """
@@ -79,18 +77,14 @@ def write_baseline(
     share = outside / (count * len(rig.shapes))
     return StepResult(
         (spec.out, weights_path(spec.out)),
-        f"{pluralize(count, 'frame')} by the blendshape equation; the markers are "
-        f"{residual:.2f} mm from where the weights put them",
+        f"{pluralize(count, 'frame')} of the baseline; residual {residual:.2f} mm at the markers",
         (*check_rig_stands(rig), *_notes(spec, equation, rig, share), *edit_notes(spec.out)),
         {"frames": count, "residual_mm": residual, "outside_ranges": share},
     )
 
 
 def _equation(spec: MapSpec, take: TakeReader, rig: Rig) -> BlendshapeEquation:
-    """Set the equation up by the frames that a whole take is sampled at, and no others in memory.
-
-    Chunks of a take are then solved alike, and as sheets solve it.
-    """
+    """Set up the equation from frames sampled over the whole take, so that chunks are equal."""
     count = take.last_frame - take.first_frame + 1
     picks = take.first_frame + sample_frames(count, MOTION_FRAMES)
     sample = read_markers_at(take, picks.tolist())
@@ -120,9 +114,9 @@ def _solve(equation: BlendshapeEquation, markers: Markers, *, unlimited: bool) -
 def _notes(spec: MapSpec, equation: BlendshapeEquation, rig: Rig, outside: float) -> list[str]:
     if spec.unlimited:
         return [
-            f"{outside:.0%} of the weights are outside the rig's ranges, as the equation has them; "
-            "without --unlimited it is solved within the ranges, which errs less than limiting "
-            "these weights"
+            f"{outside:.0%} of the weights are outside the rig's ranges; without --unlimited the "
+            "equation is solved within the ranges, which is more accurate than clamping these "
+            "weights"
         ]
     note = "" if equation.lids is None else equation.lids.note(rig.shapes)
     return [note] if note else []

@@ -1,4 +1,4 @@
-"""Say what a mapping is."""
+"""Describe a trained mapping or retargeting."""
 
 import math
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ from usdface.usdio.retarget.retargeting import is_retargeting, read_retargeting
 
 
 def describe_mapping(path: Path, *, picture: Path | None = None) -> StepResult:
-    """Return a mapping's method and settings, and a table of the best of each method tried.
+    """Return method, settings and cross-validation scores of a mapping.
 
     Parameters
     ----------
@@ -58,8 +58,8 @@ def _draw(mapping: TrainedMapping, path: Path, picture: Path) -> None:
     references = path_made_from(path, "references")
     if references is None:
         raise InputError(
-            f"{path}: its references are not where they were, and the picture shows them; put them "
-            "back, or train again with --picture"
+            f"{path}: its references, which the picture shows, are gone; put them back, or train "
+            "again with --picture"
         )
     drawn = eigenspace_picture(mapping, read_references(references), f"eigen-space of {path.stem}")
     write_image(picture, drawn)
@@ -88,7 +88,7 @@ def _table(
     head: tuple[str, ...],
     tried: Sequence[tuple[str, ...]],
 ) -> tuple[str, ...]:
-    """Return settings and what was tried as columns: of each method the best, which is first."""
+    """Return settings and scores as aligned lines, with the best, first score of each method."""
     best = {row[0]: row for row in reversed(tried)}
     rows = [row for row in tried if best[row[0]] is row]
     lines = aligned_rows(
@@ -101,7 +101,5 @@ def _table(
     if rows:
         lines += ["", "cross-validation, the best of each method:", *aligned_rows([head, *rows])]
     if len(rows) < len(tried):
-        lines.append(
-            f"worse: {pluralize(len(tried) - len(rows), 'other setting')}; --json lists them"
-        )
+        lines.append(f"and {pluralize(len(tried) - len(rows), 'other setting')}; --json lists them")
     return tuple(lines)

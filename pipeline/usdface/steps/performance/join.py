@@ -1,4 +1,4 @@
-"""Make one performance of parts that were mapped separately."""
+"""Join performances of consecutive frame ranges."""
 
 import itertools
 from dataclasses import replace
@@ -23,7 +23,7 @@ from usdface.usdio.rig.read import read_rig
 
 
 def run(spec: JoinSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
-    """Merge the parts, or play them as value clips, whichever their size asks for."""
+    """Merge the parts, or play them as value clips, by --clips and their size."""
     readers = sorted(map(PerformanceReader, spec.parts), key=lambda each: each.first_frame)
     headers = [reader.header for reader in readers]
     _check_parts(readers, headers)
@@ -38,8 +38,8 @@ def run(spec: JoinSpec, *, provenance: Provenance, progress: Progress = silent) 
         progress((last - whole.first_frame + 1) / whole.frame_count, f"joined to frame {last}")
 
     files = [each.path for each in readers]
-    beside = {each(spec.out): driving_layers(files, each) for each in (head_path, controls_path)}
-    above = [layer for layer, of_parts in beside.items() if of_parts]
+    driving = {each(spec.out): driving_layers(files, each) for each in (head_path, controls_path)}
+    above = [layer for layer, of_parts in driving.items() if of_parts]
     if clips or above:
         _check_not_moved(readers)
     with writing_top(spec.out, whole, rig, above=above, provenance=provenance):
@@ -55,12 +55,12 @@ def run(spec: JoinSpec, *, provenance: Provenance, progress: Progress = silent) 
                         reader.last_frame,
                         copied_to=report,
                     )
-        for layer, of_parts in beside.items():
+        for layer, of_parts in driving.items():
             join_driving_layers(layer, of_parts, last_frame=whole.last_frame, provenance=provenance)
     notes = edit_notes(spec.out)
     notes += [
-        f"{reader.path}: its edits of {first_few(sorted(reader.edits))} stay there; edits "
-        "belong to the joined performance"
+        f"{reader.path}: its edits of {first_few(sorted(reader.edits))} are not joined; edit the "
+        "joined performance"
         for reader in readers
         if reader.edits
     ]
@@ -75,7 +75,7 @@ def run(spec: JoinSpec, *, provenance: Provenance, progress: Progress = silent) 
 
 
 def _check_parts(readers: list[PerformanceReader], headers: list[WeightsHeader]) -> None:
-    """Raise InputError naming every part that does not fit the first, or leaves a gap."""
+    """Refuse parts that do not fit the first, overlap, or leave a gap, naming all of them."""
     faults = []
     for reader, header in zip(readers[1:], headers[1:], strict=True):
         for what, found, wanted in (
@@ -104,13 +104,13 @@ def _check_parts(readers: list[PerformanceReader], headers: list[WeightsHeader])
 
 
 def _check_not_moved(readers: list[PerformanceReader]) -> None:
-    """Refuse parts that layer offsets move: their layers have samples where these were mapped."""
+    """Refuse parts with layer offsets, as their layers' samples stay at the mapped frames."""
     moved = next((reader for reader in readers if reader.moved), None)
     if moved is not None:
         raise InputError(
-            f"{moved.path}: layer offsets move it by {moved.moved:g} frames, where what is played "
-            "as clips, or drives joints, cannot be joined; take the offsets out, and move what is "
-            "joined"
+            f"{moved.path}: layer offsets move it by {moved.moved:g} frames, which value clips and "
+            "layers that drive joints do not support; remove the offsets, and move the joined "
+            "performance"
         )
 
 
@@ -118,6 +118,7 @@ def _part(reader: PerformanceReader) -> ClipPart:
     file = weights_path(Path(reader.path))
     if not file.is_file():
         raise InputError(
-            f"{file}: no such file; a part is played from where `map` wrote its weights"
+            f"{file}: no such file; value clips play the parts' weights from where `map` wrote "
+            "them: put it back, or map the part again"
         )
     return ClipPart(file, reader.first_frame, reader.last_frame, str(reader.animation.GetPath()))

@@ -1,4 +1,4 @@
-"""A cleaned take and a mapping in, a performance out; a take of any length in bounded memory."""
+"""Map a cleaned take to a performance, in blocks, so that memory is bounded."""
 
 import os
 from collections import deque
@@ -40,20 +40,20 @@ from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import TakeReader
 
 MAX_WORKERS = 4
-"""Threads: the one that writes keeps no more of them busy."""
+"""Largest number of prediction threads; the writing thread cannot consume the output of more."""
 
 Block = Callable[[], MappedMarkers]
-"""Brings the markers of some frames into the mapping's space, in the thread that predicts them."""
+"""Returns the markers of some frames in the mapping's space; called in a prediction thread."""
 
 QUEUE_DEPTH = 2
-"""Blocks, beside those being predicted, that wait to be written: memory stays bounded."""
+"""Predicted blocks that wait to be written, to bound memory."""
 
 
 def predict_pipelined(mapping: TrainedMapping, blocks: Iterator[Block]) -> Iterator[Prediction]:
     """Yield the prediction of each block, in order, while threads predict the next ones.
 
-    Arithmetic on arrays leaves Python free, and writing samples is Python: threads do both at
-    once. What comes out does not depend on who is faster, nor on how many there are.
+    Array arithmetic releases the interpreter lock, which writing samples needs. The result does not
+    depend on the number of threads.
     """
     predictor = WeightPredictor(mapping)
 
@@ -65,17 +65,17 @@ def predict_pipelined(mapping: TrainedMapping, blocks: Iterator[Block]) -> Itera
 
     workers = min(MAX_WORKERS, os.cpu_count() or 1)
     with ThreadPoolExecutor(max_workers=workers, thread_name_prefix="predict") as pool:
-        under_way: deque[Future[Prediction]] = deque()
+        pending: deque[Future[Prediction]] = deque()
         for block in blocks:
-            under_way.append(pool.submit(predict, block))
-            if len(under_way) >= workers + QUEUE_DEPTH:
-                yield under_way.popleft().result()
-        while under_way:
-            yield under_way.popleft().result()
+            pending.append(pool.submit(predict, block))
+            if len(pending) >= workers + QUEUE_DEPTH:
+                yield pending.popleft().result()
+        while pending:
+            yield pending.popleft().result()
 
 
 def check_blend(path: Path, mapping: TrainedMapping) -> None:
-    """Refuse to blend what has only one part."""
+    """Refuse --alpha for a mapping that is no hybrid."""
     if mapping.method != "hybrid":
         raise InputError(
             f"{path}: alpha blends the two parts of a hybrid, and this mapping is "
@@ -86,10 +86,7 @@ def check_blend(path: Path, mapping: TrainedMapping) -> None:
 def predict_with_keyed_blend(
     mapping: TrainedMapping, placed: Iterator[Block], alpha: Path, blocks: list[range]
 ) -> Iterator[Prediction]:
-    """Yield the prediction of each block, with the share that `alpha` keys at each frame.
-
-    Both parts are predicted, which takes twice the time of a constant blend.
-    """
+    """Yield the prediction of each block, with the share of `alpha` at each frame."""
     keyed = [read_alpha(alpha, np.arange(block.start, block.stop)) for block in blocks]
     parts = [
         predict_pipelined(replace(mapping, settings=mapping.settings | {"alpha": share}), each)
@@ -101,35 +98,36 @@ def predict_with_keyed_blend(
 
 
 BLOCK_FRAMES = 1024
-"""Blocks are counted from the take's first frame, whichever frames are asked for: sums of another
-length round differently, and frames mapped in separate runs would not fit exactly."""
+"""Frames per block. Blocks are counted from the take's first frame, so that a frame's result does
+not depend on the range that is mapped: sums of other lengths round differently."""
 
 LARGEST_LAYER_BYTES = 1 << 30
 PART_BYTES = 1 << 27
-"""Weights that take more than the first are written in parts of about the second."""
+"""Weights above `LARGEST_LAYER_BYTES` are written in parts of about `PART_BYTES`."""
 
 _LISTED_FRAMES = 1000
 
 _CONSTANT_MM, _CONSTANT_SHARE = 0.3, 0.5
-"""What every frame of a take leaves over, root mean square over markers, and its share of all that
-is left over, from which on it is worth a note: twice the noise of a cleaned marker, and half."""
+"""Root mean square over markers of the mean residual of a take, and its share of the whole
+residual, above which it is noted: twice the noise of a cleaned marker, and half."""
 
 
 @dataclass
 class _Written:
-    """What was written, for the report: one array per block."""
+    """Figures of the written frames, one array per block."""
 
     uncertainty_mm: list[FloatArray] = field(default_factory=list)
     coverage: list[FloatArray] = field(default_factory=list)
     residual_mm: list[FloatArray] = field(default_factory=list)
     few_markers: list[BoolArray] = field(default_factory=list)
-    left_sum: FloatArray | float = 0.0
-    left_squares: float = 0.0
+    residual_sum: FloatArray | float = 0.0
+    """Sum over frames of each marker's residual vector."""
+    residual_squares: float = 0.0
 
     def add(self, solved: Prediction, rows: slice) -> None:
-        left = solved.left_mm[rows].astype(np.float64)
-        self.left_sum = self.left_sum + left.sum(axis=0)
-        self.left_squares += float((left**2).sum())
+        residual = solved.left_mm[rows].astype(np.float64)
+        self.residual_sum = self.residual_sum + residual.sum(axis=0)
+        self.residual_squares += float((residual**2).sum())
         self.uncertainty_mm.append(solved.uncertainty[rows])
         self.coverage.append(solved.coverage[rows])
         self.residual_mm.append(solved.residual_mm[rows])
@@ -137,7 +135,7 @@ class _Written:
 
 
 def run(spec: MapSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
-    """Map every frame of a take and write the performance as it goes."""
+    """Map every frame of a take, block by block, and write the performance."""
     if spec.mapping is None:
         return _run_baseline(spec, provenance, progress)
     mapping = read_mapping(spec.mapping)
@@ -202,7 +200,7 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress = silent) -
             progress((done - first + 1) / (last - first + 1), f"mapped to frame {done}")
         write_head_layer(spec.out, header, rig, driven.transforms, provenance=provenance)
     notes += [*driven.notes, *_marker_notes(space), *space.neutral.notes(take.name)]
-    notes += _left_over_notes(written)
+    notes += _constant_residual_notes(written)
     notes += _few_marker_notes(first, np.concatenate(written.few_markers))
     notes += edit_notes(spec.out)
     return _report(spec, header, written, notes, space.neutral.figures())
@@ -232,10 +230,10 @@ def _driven(
     rig: Rig,
     frames: tuple[int, int],
 ) -> HeadDrive:
-    """Return what the take's head and eyes do on the rig."""
+    """Return the transforms of --drive."""
     if not spec.drive:
         return HeadDrive()
-    from usdface.model.retarget.head_pose import performer_onto_rig  # mapping starts without these
+    from usdface.model.retarget.head_pose import performer_onto_rig  # slow to import
     from usdface.steps.inputs.head_drive import named_targets, take_head_source
 
     targets = named_targets(rig, spec.drive)
@@ -244,7 +242,9 @@ def _driven(
     try:
         onto = performer_onto_rig(mapping, rig) @ into_mapping
     except ValueError as error:
-        raise InputError(f"{spec.mapping}: how the performer lies on the rig: {error}") from error
+        raise InputError(
+            f"{spec.mapping}: the performer cannot be aligned with the rig: {error}"
+        ) from error
     return take_head_source(take, *frames).drive(rig, targets, onto)
 
 
@@ -253,7 +253,7 @@ def _run_baseline(spec: MapSpec, provenance: Provenance, progress: Progress) -> 
     first, last = frames_within(
         spec.take, frame_range(spec.frames), take.first_frame, take.last_frame
     )
-    from usdface.steps.performance.baseline import write_baseline  # mapping starts without it
+    from usdface.steps.performance.baseline import write_baseline  # slow to import
 
     return write_baseline(
         spec,
@@ -268,14 +268,14 @@ def _run_baseline(spec: MapSpec, provenance: Provenance, progress: Progress) -> 
 
 
 def _blocks(take: TakeReader, first: int, last: int) -> Iterator[range]:
-    """Yield the whole blocks of the take that hold the frames asked for."""
+    """Yield the whole blocks of the take that contain frames from first to last."""
     start = first - (first - take.first_frame) % BLOCK_FRAMES
     for block in range(start, last + 1, BLOCK_FRAMES):
         yield range(block, min(block + BLOCK_FRAMES, take.last_frame + 1))
 
 
 def _window(take: TakeReader, block: range, margin: int) -> range:
-    """Return a block with frames around it, as far as the take goes."""
+    """Return a block with a margin of frames on both sides, within the take."""
     return range(
         max(block.start - margin, take.first_frame), min(block.stop + margin, take.last_frame + 1)
     )
@@ -294,7 +294,7 @@ def _check_rig(spec: MapSpec, mapping: TrainedMapping, rig: Rig) -> tuple[str, .
         raise InputError(
             f"{spec.rig}: none of the mapping's {len(missing)} shapes ("
             f"{first_few(missing, most=3)}) is on this rig, which has "
-            f"{first_few(rig.shapes, most=3)}; is it the rig the mapping was trained for?"
+            f"{first_few(rig.shapes, most=3)}; give the rig that the mapping was trained for"
         )
     rig.check_has(
         [name for name in missing if name in rig.logic.driven],
@@ -314,27 +314,27 @@ def _marker_notes(space: HeadSpace) -> list[str]:
     if space.missing:
         notes.append(
             f"the take lacks {len(space.missing)} of the mapping's markers: "
-            f"{first_few(space.missing)}; they are estimated from the others, with more uncertainty"
+            f"{first_few(space.missing)}; they are estimated from the others, with higher "
+            "uncertainty"
         )
     if space.extra:
-        notes.append(f"unknown to the mapping, and not used: {counted(space.extra, 'marker')}")
+        notes.append(f"not used, as the mapping lacks them: {counted(space.extra, 'marker')}")
     return notes
 
 
-def _left_over_notes(written: _Written) -> list[str]:
-    """Name what of the take the references cannot explain as a whole."""
-    notes = []
+def _constant_residual_notes(written: _Written) -> list[str]:
+    """Return a note if most of the residual is the same in every frame."""
     frames = sum(map(len, written.uncertainty_mm))
-    mean = np.asarray(written.left_sum) / max(frames, 1)
+    mean = np.asarray(written.residual_sum) / max(frames, 1)
     constant_mm = float(np.sqrt((mean**2).sum(axis=-1).mean()))
-    share = frames * float((mean**2).sum()) / max(written.left_squares, 1e-12)
-    if constant_mm > _CONSTANT_MM and share > _CONSTANT_SHARE:
-        notes.append(
-            f"{share:.0%} of what the weights leave over at the markers is the same in every "
-            f"frame, {constant_mm:.2f} mm: this take differs from the references' as a whole; key "
-            "one frame of this take and add it to the references"
-        )
-    return notes
+    share = frames * float((mean**2).sum()) / max(written.residual_squares, 1e-12)
+    if constant_mm <= _CONSTANT_MM or share <= _CONSTANT_SHARE:
+        return []
+    return [
+        f"{share:.0%} of the residual is the same in every frame, {constant_mm:.2f} mm: this take "
+        "differs as a whole from those of the references; key one frame of it and add that to the "
+        "references"
+    ]
 
 
 def _few_marker_notes(first: int, few_markers: BoolArray) -> list[str]:
@@ -343,8 +343,8 @@ def _few_marker_notes(first: int, few_markers: BoolArray) -> list[str]:
         return []
     return [
         f"fewer than {MINIMUM_SHARE:.0%} of the mapping's markers in "
-        f"{pluralize(len(frames), 'frame')} ({first_few(frames)}): their weights are a guess; "
-        "fill them in the take, or key them as edits"
+        f"{pluralize(len(frames), 'frame')} ({first_few(frames)}): weights there are unreliable; "
+        "fill the markers in the take, or key the frames as edits"
     ]
 
 

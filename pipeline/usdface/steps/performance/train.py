@@ -1,4 +1,4 @@
-"""References in, a mapping out."""
+"""Train a mapping on references."""
 
 from dataclasses import replace
 from itertools import compress
@@ -35,16 +35,16 @@ from usdface.usdio.references.read import read_rig_of
 from usdface.usdio.references.weight_layers import read_proposals, read_set_references
 
 _SHOWN_MM = 0.5
-"""Largest motion of a marker at a full shape: with less, markers do not tell the shape."""
+"""Largest displacement of a marker by a full shape, below which markers do not show the shape."""
 
 
 def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
-    """Learn the mapping that the references show."""
+    """Train the mapping, write it, and with --picture draw the eigen-space."""
     references = read_set_references(spec.references)
     if references.source is not None:
         raise InputError(
-            f"{spec.references}: its takes carry weights and no markers; give it to `usdface "
-            "train-retarget` with --references"
+            f"{spec.references}: its takes have weights and no markers; use it with `usdface "
+            "train-retarget --references`"
         )
     notes = []
     tuned = references.tuned
@@ -116,13 +116,13 @@ def _unkeyed_notes(unkeyed: list[str]) -> list[str]:
     if not unkeyed:
         return []
     return [
-        f"0 in every pair: {counted(unkeyed, 'shape')}. They stay near 0 in what is solved, unless "
-        "the other shapes cannot follow the markers; tune frames that show those the performer uses"
+        f"0 in every pair: {counted(unkeyed, 'shape')}. They stay near 0 in the solve, unless the "
+        "other shapes cannot follow the markers; tune frames that show those the performer uses"
     ]
 
 
 def _proposal_error(spec: TrainSpec, mapping: TrainedMapping, references: References) -> FloatArray:
-    """Return what tells the error of weights learnt from proposals; see `proposal_error`."""
+    """Return the error of weights trained on proposals; see `proposal_error`."""
     low, high = mapping.ranges.T
     shown = np.clip((references.weights - low) / (high - low), 0.0, 1.0)
     proposals = None
@@ -133,7 +133,7 @@ def _proposal_error(spec: TrainSpec, mapping: TrainedMapping, references: Refere
 
 
 def _driven_skin(deformer: Deformer, points: IntArray) -> FloatArray:
-    """Return what combinations at 1 do to points: (combinations, points, 3) [mm]."""
+    """Return the offsets of points by combinations at 1: (combinations, points, 3) [mm]."""
     columns = (3 * points[:, None] + np.arange(3)).ravel()
     moved = deformer.shapes.combination_offsets().tocsc()[:, columns].toarray()
     return np.asarray(moved.reshape(len(moved), len(points), 3))
@@ -171,7 +171,7 @@ def in_betweens(
 
 
 def describe_figures(mapping: TrainedMapping) -> dict[str, object]:
-    """Return what a mapping is, as plain data."""
+    """Return method, settings and scores of a mapping as plain data."""
     return {
         "method": mapping.method,
         "markers": len(mapping.marker_names),
@@ -192,25 +192,26 @@ def describe_figures(mapping: TrainedMapping) -> dict[str, object]:
 
 
 def _correction_notes(mapping: TrainedMapping, references: References) -> list[str]:
-    """Name what of the pairs was corrected or left out, and what no figure tells."""
+    """Return notes on corrected or omitted pairs, and on shapes that markers do not show."""
     notes = list(filter(None, [missing_parts_note(references.parts)]))
     limited = int(mapping.settings.get("limited_weights", 0))
     if limited:
         notes.append(
-            f"{pluralize(limited, 'weight')} of the pairs beyond the shape's range on the rig, "
-            "limited to it; tune them again if that is not meant"
+            f"{pluralize(limited, 'weight')} of the pairs outside the shape's range on the rig, "
+            "clamped to it; tune these pairs again if that is not intended"
         )
     still = str(mapping.settings.get("still_regions", ""))
     if still:
         notes.append(
-            f"no reference moves the {still.replace(',', ', ')}: there the rig's geometry alone "
-            "says what markers mean; tune frames in which they move"
+            f"no reference moves the {still.replace(',', ', ')}: weights there follow from the "
+            "rig's geometry only; tune frames in which they move"
         )
-    dark = str(mapping.settings.get("unseen_regions", ""))
-    if dark:
+    unmarked = str(mapping.settings.get("unseen_regions", ""))
+    if unmarked:
         notes.append(
-            f"no marker sees the {dark.replace(',', ' and the ')}: weights there are guessed from "
-            "the rest of the face; key them with `usdface edit`, or capture them with markers"
+            f"no marker is on the {unmarked.replace(',', ' and the ')}: weights there are "
+            "extrapolated from the rest of the face; key them with `usdface edit`, or capture "
+            "them with markers"
         )
     unseen = [
         references.shape_names[column]
@@ -220,27 +221,27 @@ def _correction_notes(mapping: TrainedMapping, references: References) -> list[s
     if unseen:
         notes.append(
             f"markers do not show gaze and tongue: {first_few(unseen, most=2)} "
-            f"{'is' if len(unseen) == 1 else 'are'} guessed from what the face did beside in the "
-            "references, and no uncertainty tells; key them with `usdface edit`"
+            f"{'is' if len(unseen) == 1 else 'are'} inferred from the rest of the face, and not "
+            "included in the uncertainty; key them with `usdface edit`"
         )
-    off = float(mapping.settings.get("key_error", 0.0))
-    if off:
+    key_error = float(mapping.settings.get("key_error", 0.0))
+    if key_error:
         notes.append(
-            f"the markers say that keys are off by about {off:.0%} of themselves, or err as much "
-            "themselves, as landmarks of a video do; face_map moves keys towards the markers, "
-            "other methods take them as they are"
+            f"keys and markers differ by about {key_error:.0%} of the keys, as with inaccurate "
+            "keys or landmarks of a video; face_map corrects keys towards the markers, other "
+            "methods do not"
         )
     notes += _gain_notes(mapping)
     contradicted = str(mapping.settings.get("contradicted", ""))
     if contradicted:
         notes.append(
-            f"markers contradict the keys of {first_few(contradicted.split('; '))}: look at these "
-            "pairs again"
+            f"markers contradict the keys of {first_few(contradicted.split('; '))}: check these "
+            "pairs"
         )
     repeated = len(references.frames) - int(mapping.settings["pairs"])
     if repeated:
         notes.append(
-            f"left out {pluralize(repeated, 'pair')} that others repeat, markers and weights alike"
+            f"left out {pluralize(repeated, 'pair')} with the markers and weights of another"
         )
     return notes
 
@@ -264,17 +265,17 @@ def _gain_notes(mapping: TrainedMapping) -> list[str]:
 
 
 def _untuned_note(spec: TrainSpec, tuned: int, pairs: int) -> str:
-    """Say what a mapping is worth that learnt from proposals, and what to do."""
+    """Return the note on a mapping trained on proposals."""
     if not tuned:
         return (
-            f"an untuned start: all {pairs} pairs are proposals, so this mapping repeats what the "
-            "rig's geometry makes of the markers, faults included, and its cross-validated error "
-            "is the distance from proposals. Tune a dozen or two (`usdface tune "
+            f"an untuned start: all {pairs} pairs are proposals from the rig's geometry, so this "
+            "mapping reproduces them with their errors, and its cross-validated error is the "
+            "distance from proposals. Tune a dozen or two (`usdface tune "
             f"{spec.references}`), then train with --tuned-only"
         )
     return (
-        f"{pairs - tuned} of {pairs} pairs are proposals that nobody has tuned; with --tuned-only "
-        f"only the {pluralize(tuned, 'tuned pair')} would be learnt from"
+        f"{pairs - tuned} of {pairs} pairs are untuned proposals; --tuned-only trains on the "
+        f"{pluralize(tuned, 'tuned pair')} only"
     )
 
 
@@ -316,7 +317,7 @@ def variance_shares(mapping: TrainedMapping) -> FloatArray:
 
 
 def variance_line(mapping: TrainedMapping) -> str:
-    """Say how much of the motion the first components hold, and those that the mapping uses."""
+    """Return the share of the variance in the first components and in those that are used."""
     shares = variance_shares(mapping)
     first = shares[:PAPER_DIMENSIONS]
     listed = ", ".join(f"{100 * share:.2f}" for share in first)

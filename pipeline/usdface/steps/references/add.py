@@ -1,4 +1,4 @@
-"""Add frames that a review found wrong to the references, as pairs that are yet to be tuned."""
+"""Add frames of a performance to the references, as pairs to be tuned."""
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.references.read import read_references
 
 MOST_FRAMES = 1000
-"""Frames added at once: ten times what `select` chooses by default."""
+"""Largest number of frames to add: ten times the default of `select`."""
 
 
 def run(
@@ -38,12 +38,12 @@ def run(
     captured, seen = captured_at(take, mapping, old, frames)
     if not seen.any():
         raise InputError(
-            f"{spec.performance}: frames {first_few(frames.tolist())} lack a marker, and a pair "
-            "needs all of them; choose other frames"
+            f"{spec.performance}: frames {first_few(frames.tolist())} lack a marker, and pairs "
+            "need all markers; choose other frames"
         )
     if not seen.all():
         notes.append(f"left out, missing a marker: frames {first_few(frames[~seen].tolist())}")
-    progress(0.8, f"looked at {pluralize(len(frames), 'frame')}")
+    progress(0.8, f"read {pluralize(len(frames), 'frame')}")
     references = _with_pairs(old, reader, take.name, frames[seen], captured[seen])
     files = write_extended(spec, references, notes, provenance, part(progress, 0.8, 1.0))
     added = frames[seen].tolist()
@@ -63,7 +63,7 @@ def _new_frames(
     take: str,
     notes: list[str],
 ) -> IntArray:
-    """Return the frames asked for that are in the performance and no pairs yet, ascending."""
+    """Return the given frames that are in the performance and not yet pairs, ascending."""
     wanted = set(frame_list(spec.frames) or ())
     if spec.frames is not None and not wanted:
         first, last = frame_range(spec.frames) or (0, -1)
@@ -73,8 +73,8 @@ def _new_frames(
     beyond = sorted(f for f in wanted if not reader.first_frame <= f <= reader.last_frame)
     if beyond:
         notes.append(
-            f"not in {spec.performance.name}, which has {reader.first_frame}-{reader.last_frame}: "
-            f"frames {first_few(beyond)}"
+            f"outside {spec.performance.name}, {reader.first_frame}-{reader.last_frame}: frames "
+            f"{first_few(beyond)}"
         )
     known = {f for name, f in zip(old.takes, old.frames.tolist(), strict=True) if name == take}
     pairs = sorted(wanted & known)
@@ -87,8 +87,8 @@ def _new_frames(
         )
     if len(frames) > MOST_FRAMES:
         raise InputError(
-            f"{spec.performance}: {len(frames)} frames are too many to tune, of at most "
-            f"{MOST_FRAMES}; let `usdface select` choose those that tell most"
+            f"{spec.performance}: {len(frames)} frames are too many to tune, at most {MOST_FRAMES} "
+            "are added; choose frames with `usdface select`"
         )
     return np.array(frames, dtype=np.int64)
 
@@ -99,8 +99,8 @@ def _with_pairs(
     missing = [name for name in reader.names if name not in old.shape_names]
     if missing:
         raise InputError(
-            f"{reader.path}: its shapes {first_few(missing)} are not in the references; are these "
-            "the references its mapping was trained on?"
+            f"{reader.path}: its shapes {first_few(missing)} are not in the references; give the "
+            "references that its mapping was trained on"
         )
     weights = np.zeros((len(frames), len(old.shape_names)))
     columns = [old.shape_names.index(name) for name in reader.names]

@@ -1,4 +1,4 @@
-"""References and takes in, a picture of what they cover out."""
+"""Measure and draw the coverage of takes by references."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from usdface.specs.references import ReferencesCoverageSpec
 from usdface.steps.inputs.coverage_report import coverage_figures, measure_pairs, next_frames
 
 _NAMED_FRAMES = 3
-"""Further frames that are named in words; all are in the figures and the picture."""
+"""Suggested frames listed in notes; figures and picture have all."""
 
 
 def run(
@@ -23,7 +23,7 @@ def run(
     provenance: Provenance,
     progress: Progress = silent,
 ) -> StepResult:
-    """Measure what the pairs cover of the takes, and draw it."""
+    """Measure the coverage of the takes by the pairs, and draw it."""
     measured = measure_pairs(spec, progress=progress)
     covered, takes, pairs = measured.covered, measured.takes, measured.pairs
     progress(0.9, f"writing {spec.out.name}")
@@ -34,11 +34,11 @@ def run(
     notes = []
     if len(measured.rows) < len(pairs):
         notes.append(
-            f"{len(pairs) - len(measured.rows)} of {len(pairs)} pairs are of other takes; they "
+            f"{len(pairs) - len(measured.rows)} of {len(pairs)} pairs are of other takes, and "
             "count by their markers"
         )
     notes += [
-        f"frame {each.frame} of {each.take} next: {each.share:.0%} of the motion would be covered"
+        f"with frame {each.frame} of {each.take}, coverage would be {each.share:.0%} of the motion"
         for each in next_frames(covered, takes)[:_NAMED_FRAMES]
     ]
     notes += measured.notes
@@ -57,19 +57,19 @@ def run(
 
 
 def redraw_coverage(references: Path, progress: Progress) -> tuple[tuple[Path, ...], list[str]]:
-    """Draw the picture that `select` left beside references again, of the pairs as they are now.
+    """Draw `select`'s picture of the coverage again, of the current pairs.
 
-    It stays the output of `select`, whose provenance it keeps, also where pairs were added since.
+    The picture keeps the provenance of `select`.
 
     Returns
     -------
     files : tuple of Path
-        The picture; empty where there is none, or it cannot be drawn.
+        The picture; empty if there is none, or it cannot be drawn.
     notes : list of str
-        Why it cannot.
+        Why it cannot be drawn.
     """
-    own = spec_of(provenance_of(references))
-    picture = references.parent / str(own.get("picture") or coverage_path(references).name)
+    made = spec_of(provenance_of(references))
+    picture = references.parent / str(made.get("picture") or coverage_path(references).name)
     origin = provenance_of(picture) if picture.is_file() else None
     if origin is None or origin.step != "select":
         return (), []
@@ -79,7 +79,7 @@ def redraw_coverage(references: Path, progress: Progress) -> tuple[tuple[Path, .
     try:
         measured = measure_pairs(spec, progress=progress)
     except InputError as error:
-        return (), [f"{picture.name} does not show the pairs as they are now: {error}"]
+        return (), [f"{picture.name} was not drawn again, and is out of date: {error}"]
     image = measured.picture(references.stem)
     write_image(picture, image, metadata=provenance_metadata(origin))
     return (picture,), []

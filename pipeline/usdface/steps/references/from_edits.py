@@ -1,4 +1,4 @@
-"""Turn frames that an animator corrected into tuned pairs."""
+"""Add edited frames of performances to the references, as tuned pairs."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -37,16 +37,17 @@ from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import TakeReader
 
 LEAST_CHANGE = 0.02
-"""A change of every weight below this teaches nothing."""
+"""Smallest change of a weight by which a frame counts as edited."""
 
 FULL_STRENGTH = 0.8
-"""Share of an edit's peak from which a frame counts as meant, not as its fade."""
+"""Share of an edit's peak above which a frame is not in a fade."""
 
 MINOR_SHARE = 0.25
-"""Edits below this share of a frame's largest do not count."""
+"""Edits below this share of a frame's largest change are ignored."""
 
 EDITED_SHARE = 0.5
-"""The same of all edits of a frame together, where no frame has every one at full strength."""
+"""Mean share of their peaks above which a frame counts, if no frame has all edits at full
+strength."""
 
 
 def run(
@@ -55,26 +56,26 @@ def run(
     provenance: Provenance,
     progress: Progress = silent,
 ) -> StepResult:
-    """Add the corrected frames to the references as pairs, and mark them as tuned."""
+    """Add the edited frames to the references as tuned pairs."""
     old = read_references(spec.references)
     notes: list[str] = []
-    lessons: list[_Lessons] = []
+    edited: list[_EditedFrames] = []
     takes = with_moved(spec.performances, spec.take, "take")
     for index, (performance, take) in enumerate(takes):
         moved = MovedInputs(take, spec.mapping)
-        lessons.append(_learn(spec, performance, old, moved, notes))
-        progress(0.8 * (index + 1) / len(spec.performances), f"looked at {performance.name}")
-    references = _together(old, lessons, notes)
+        edited.append(_edited_frames(spec, performance, old, moved, notes))
+        progress(0.8 * (index + 1) / len(spec.performances), f"read {performance.name}")
+    references = _with_edited(old, edited, notes)
     added = len(references.frames) - len(old.frames)
-    if not any(len(each.frames) for each in lessons):
+    if not any(len(each.frames) for each in edited):
         raise InputError(
-            f"{', '.join(map(str, spec.performances))}: no frame was corrected by more than "
-            f"{LEAST_CHANGE:g} with its markers seen; edit the performance first"
+            f"{', '.join(map(str, spec.performances))}: no frame with all its markers was edited "
+            f"by more than {LEAST_CHANGE:g}; edit the performance first"
         )
     files = write_extended(spec, references, notes, provenance, part(progress, 0.8, 1.0))
     return StepResult(
         files,
-        f"{pluralize(added, 'corrected frame')} added to {pluralize(len(old.frames), 'pair')}",
+        f"{pluralize(added, 'edited frame')} added to {pluralize(len(old.frames), 'pair')}",
         tuple(notes),
         {
             "added": added,
@@ -86,70 +87,71 @@ def run(
 
 
 @dataclass(frozen=True)
-class _Lessons:
-    """What one performance teaches: frames with their markers and the weights wanted there."""
+class _EditedFrames:
+    """Edited frames of a performance."""
 
     take: str
     frames: IntArray
     captured: FloatArray
-    """(frames, ...): markers of the frames, or the weights that the take carries."""
+    """(frames, ...): markers, or weights of a take without markers."""
     weights: FloatArray
+    """(frames, shapes): edited weights."""
 
 
-_NO_LESSONS = _Lessons("", np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 0)))
+_NO_FRAMES = _EditedFrames("", np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 0)))
 
 
-def _learn(
+def _edited_frames(
     spec: ReferencesFromEditsSpec,
     performance: Path,
     old: References,
     moved: MovedInputs,
     notes: list[str],
-) -> _Lessons:
+) -> _EditedFrames:
     reader = PerformanceReader(performance)
     driven = {each.shape for each in old.combinations}
     missing = [name for name in reader.names if name not in {*old.shape_names, *driven}]
     if missing:
         raise InputError(
-            f"{performance}: its shapes {first_few(missing)} are not in {spec.references}; "
-            "are these the references its mapping was trained on?"
+            f"{performance}: its shapes {first_few(missing)} are not in {spec.references}; give "
+            "the references that its mapping was trained on"
         )
     edited = reader.edited().astype(np.float64)
     changes = np.abs(edited - reader.solved())
-    own = [reader.names.index(name) for name in reader.edits]
+    columns = [reader.names.index(name) for name in reader.edits]
     curves = [edit.curve for edit in reader.edits.values()]
-    change, rows = changes.max(axis=1), np.flatnonzero(meant_frames(curves, changes[:, own].T))
+    rows = np.flatnonzero(meant_frames(curves, changes[:, columns].T))
     if not len(rows):
-        notes.append(f"{performance}: no frame was corrected; nothing to learn from it")
-        return _NO_LESSONS
+        notes.append(f"{performance}: no frame was edited")
+        return _NO_FRAMES
     take, mapping = made_from(performance, old, moved)
     captured, seen = captured_at(take, mapping, old, reader.frames[rows])
     rows, captured = rows[seen], captured[seen]
     if not seen.all():
         notes.append(
             f"{performance}: left out, missing a marker: "
-            f"{pluralize(int((~seen).sum()), 'corrected frame')}"
+            f"{pluralize(int((~seen).sum()), 'edited frame')}"
         )
     if not len(rows):
-        return _NO_LESSONS
-    chosen = spread_out(edited[rows], change[rows], spec.count)
+        return _NO_FRAMES
+    chosen = spread_out(edited[rows], changes.max(axis=1)[rows], spec.count)
     if len(chosen) < len(rows):
-        notes.append(f"{performance}: taken {len(chosen)} of {len(rows)} corrected frames")
+        notes.append(f"{performance}: used {len(chosen)} of {len(rows)} edited frames")
     weights = columns_by_name(edited[rows[chosen]], reader.names, old.shape_names)
-    return _Lessons(take.name, reader.frames[rows[chosen]], captured[chosen], weights)
+    return _EditedFrames(take.name, reader.frames[rows[chosen]], captured[chosen], weights)
 
 
 def meant_frames(edits: Sequence[EditCurve], changes: FloatArray) -> BoolArray:
-    """Return the corrected frames at which every edit that counts is near its full strength.
+    """Return the edited frames at which all larger edits are near full strength.
 
-    In a fade the weight is half the solve's and half the animator's: nobody wants exactly that.
-    Curves of a DCC seldom peak at the same frame. Where no frame has all at their peaks, those are
-    returned at which the edits are near them on average, each counted by how much it changes.
+    Weights in a fade are a blend with the solve that no animator keyed. If no frame has all edits
+    near their peaks, as curves of a DCC rarely peak together, frames are returned at which the
+    mean strength, weighted by change, is high.
 
     Parameters
     ----------
     changes : (edits, frames) float array
-        How far each moves its weight at each frame.
+        Absolute change of the weight by each edit.
     """
     share = np.ones_like(changes)
     for row, edit in enumerate(edits):
@@ -158,11 +160,11 @@ def meant_frames(edits: Sequence[EditCurve], changes: FloatArray) -> BoolArray:
             share[row, stretch] = strength[stretch] / strength[stretch].max()
     largest = changes.max(axis=0, initial=0.0)
     counts = changes > MINOR_SHARE * largest
-    meant: BoolArray = ((share >= FULL_STRENGTH) | ~counts).all(axis=0) & (largest > LEAST_CHANGE)
-    if not meant.any():
-        whole = changes.sum(axis=0)
-        meant = ((changes * share).sum(axis=0) > EDITED_SHARE * whole) & (largest > LEAST_CHANGE)
-    return meant
+    full: BoolArray = ((share >= FULL_STRENGTH) | ~counts).all(axis=0) & (largest > LEAST_CHANGE)
+    if not full.any():
+        total = changes.sum(axis=0)
+        full = ((changes * share).sum(axis=0) > EDITED_SHARE * total) & (largest > LEAST_CHANGE)
+    return full
 
 
 def spread_out(weights: FloatArray, change: FloatArray, count: int) -> IntArray:
@@ -178,12 +180,12 @@ def spread_out(weights: FloatArray, change: FloatArray, count: int) -> IntArray:
 def captured_at(
     take: TakeReader, mapping: TrainedMapping | None, old: References, frames: IntArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Return what a take captured at frames, as references have it, and which frames can be used.
+    """Return the captured data of frames for references, and which frames are complete.
 
     Returns
     -------
     (frames, markers, 3) or (frames, source names) float array, (frames,) bool array
-        Markers [mm]; without a mapping, the weights that the take carries.
+        Markers [mm]; without a mapping, the take's weights.
     """
     if mapping is not None:
         return _markers_at(take, mapping, old, frames)
@@ -226,8 +228,8 @@ def _markers_at(
     missing = [name for name in old.marker_names if name not in mapping.marker_names]
     if missing:
         raise InputError(
-            f"{take.path}: its mapping does not know the references' markers "
-            f"{first_few(missing)}; give the references that it was trained on"
+            f"{take.path}: its mapping lacks the references' markers {first_few(missing)}; give "
+            "the references that it was trained on"
         )
     space = take_head_space(take, mapping)
     order = [mapping.marker_names.index(name) for name in old.marker_names]
@@ -247,14 +249,12 @@ def write_extended(
     provenance: Provenance,
     progress: Progress,
 ) -> tuple[Path, ...]:
-    """Write references that have more pairs than before; what is tuned stays.
-
-    The coverage beside them is drawn again.
+    """Write extended references, keeping tuned pairs, and draw the coverage again.
 
     Returns
     -------
     tuple of Path
-        All that was written.
+        All written files.
     """
     rig = read_rig(references.rig_file, prim=references.rig_prim)
     images = [note.image for note in read_pair_notes(spec.references)]
@@ -265,8 +265,8 @@ def write_extended(
         write_references(
             spec.out, references, rig, tuned=tuned, images=images, provenance=provenance
         )
-    pictures, undrawn = redraw_coverage(spec.out, progress)
-    notes += undrawn
+    pictures, picture_notes = redraw_coverage(spec.out, progress)
+    notes += picture_notes
     progress(1.0, "written")
     return (*reference_layers(spec.out), *pictures)
 
@@ -274,7 +274,7 @@ def write_extended(
 def _tuned_by_hand(
     spec: ReferencesFromEditsSpec | ReferencesAddSpec, references: References, notes: list[str]
 ) -> list[TunedPair]:
-    """Return the pairs that are tuned, as somebody tuned them in the asset that is replaced."""
+    """Return the tuned pairs; weights tuned by hand in the replaced asset take precedence."""
     by_hand = {} if spec.out.resolve() == spec.references.resolve() else _by_hand(spec.out)
     tuned, kept = [], 0
     for pair, take in enumerate(references.takes):
@@ -289,33 +289,33 @@ def _tuned_by_hand(
             author = references.authors[pair] if references.authors else ""
             tuned.append(TunedPair(pair, take, frame, weights, author=author))
     if kept:
-        notes.append(f"{spec.out}: kept as somebody tuned them there: {pluralize(kept, 'pair')}")
+        notes.append(f"{spec.out}: kept as tuned there: {pluralize(kept, 'pair')}")
     return tuned
 
 
 def _by_hand(out: Path) -> dict[tuple[str, int], dict[str, float]]:
-    """Return weights, by take and frame, that differ from what an asset was written with."""
+    """Return the weights of an asset, by take and frame, that differ from its proposals."""
     if not out.is_file():
         return {}
     try:
-        there = read_references(out)
-        written = read_proposals(proposed_path(out), there)
-    except InputError:  # damaged, so that nobody could tune it
+        existing = read_references(out)
+        proposals = read_proposals(proposed_path(out), existing)
+    except InputError:  # damaged
         return {}
-    away = np.abs(there.weights - written).max(axis=1, initial=0.0) > SAME_WEIGHT
+    differs = np.abs(existing.weights - proposals).max(axis=1, initial=0.0) > SAME_WEIGHT
     return {
-        (there.takes[pair], int(there.frames[pair])): dict(
-            zip(there.shape_names, there.weights[pair].tolist(), strict=True)
+        (existing.takes[pair], int(existing.frames[pair])): dict(
+            zip(existing.shape_names, existing.weights[pair].tolist(), strict=True)
         )
-        for pair in np.flatnonzero(away).tolist()
+        for pair in np.flatnonzero(differs).tolist()
     }
 
 
 def _left_out(out: Path, references: References) -> list[str]:
-    """Name what was tuned in the asset that is replaced and is no pair of the new one."""
-    here = set(zip(references.takes, references.frames.tolist(), strict=True))
+    """Return a note on tuned pairs of the replaced asset that the new one lacks."""
+    new = set(zip(references.takes, references.frames.tolist(), strict=True))
     gone = [
-        each for each in read_tuned_pairs(tuned_path(out)) if (each.take, each.frame) not in here
+        each for each in read_tuned_pairs(tuned_path(out)) if (each.take, each.frame) not in new
     ]
     if not gone:
         return []
@@ -326,27 +326,25 @@ def _left_out(out: Path, references: References) -> list[str]:
     ]
 
 
-def _together(old: References, lessons: list[_Lessons], notes: list[str]) -> References:
-    keys = zip(old.takes, old.frames.tolist(), strict=True)
-    known = index_of(keys)
+def _with_edited(old: References, edited: list[_EditedFrames], notes: list[str]) -> References:
+    """Return references with edited frames as new pairs, or as new weights of existing pairs."""
+    known = index_of(zip(old.takes, old.frames.tolist(), strict=True))
     weights, tuned = old.weights.copy(), old.tuned.copy()
     new: dict[tuple[str, int], tuple[FloatArray, FloatArray]] = {}
     renewed = 0
-    for each in lessons:
+    for each in edited:
         for row, frame in enumerate(each.frames.tolist()):
             key = (each.take, frame)
             pair = known.get(key)
-            if pair is None:  # of a frame corrected in two performances, the later one counts
+            if pair is None:  # of a frame edited in two performances, the later one counts
                 new[key] = (each.captured[row], each.weights[row])
             else:
                 weights[pair], tuned[pair] = each.weights[row], True
                 renewed += 1
     if renewed:
-        notes.append(
-            f"pairs already, with new weights now: {pluralize(renewed, 'corrected frame')}"
-        )
-    together = replace(old, weights=weights, tuned=tuned)
-    for (take, number), (captured, corrected) in new.items():
+        notes.append(f"existing pairs with new weights: {pluralize(renewed, 'edited frame')}")
+    extended = replace(old, weights=weights, tuned=tuned)
+    for (take, number), (captured, row_weights) in new.items():
         frames = np.array([number], dtype=np.int64)
-        together = with_pairs(together, take, frames, captured[None], corrected[None], tuned=True)
-    return together
+        extended = with_pairs(extended, take, frames, captured[None], row_weights[None], tuned=True)
+    return extended

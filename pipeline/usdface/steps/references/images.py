@@ -1,4 +1,4 @@
-"""The video frame of each pair, kept as a picture beside the references."""
+"""Store the video frame of each pair as an image next to the references."""
 
 import os
 import re
@@ -18,12 +18,12 @@ from usdface.specs.references import SelectSpec
 
 @dataclass(frozen=True)
 class PairImages:
-    """Pictures of pairs."""
+    """Images of pairs."""
 
     files: tuple[Path | None, ...]
-    """One a pair; None where there is none."""
+    """Per pair; None if it has no image."""
     notes: tuple[str, ...]
-    """Why there is none, once for each take."""
+    """Reasons for missing images, per take."""
 
 
 def write_pair_images(
@@ -33,19 +33,18 @@ def write_pair_images(
     *,
     metadata: Mapping[str, object],
 ) -> PairImages:
-    """Write a picture for every pair whose take has a video that shows it.
+    """Write an image for every pair whose take has a video that shows it.
 
-    A picture lasts where a video moves or is archived: whoever tunes still sees what was captured,
-    also after another selection.
+    Images stay available if the video is moved or archived.
 
     Parameters
     ----------
     path : Path
-        The references asset; pictures lie in `images_folder` of it, named by take and frame.
+        The references asset; images are stored in its `images_folder`, named by take and frame.
     sources : tuple of Take
-        Need no samples.
+        Without samples.
     metadata : mapping
-        Kept in each picture.
+        Stored in each image.
     """
     files: list[Path | None] = [None] * len(references.frames)
     notes = []
@@ -61,18 +60,18 @@ def write_pair_images(
         else:
             try:
                 shown = _write_take(folder, references, take, pairs, metadata)
-                theirs = [
+                foreign = [
                     pair
                     for pair in pairs
                     if pair not in shown and _path(folder, references, take, pair).exists()
                 ]
-                if theirs:
-                    names = [_path(folder, references, take, pair).name for pair in theirs]
+                if foreign:
+                    names = [_path(folder, references, take, pair).name for pair in foreign]
                     notes.append(
-                        f"{first_few(names)} in {folder.name}: not written by select, and stays; "
-                        "the pair has no picture: move the file away"
+                        f"{first_few(names)} in {folder.name}: not written by select, so the pair "
+                        "has no picture; move the file away"
                     )
-                if unseen := len(pairs) - len(shown) - len(theirs):
+                if unseen := len(pairs) - len(shown) - len(foreign):
                     notes.append(
                         f"the video of {take.name} does not show {unseen} of {len(pairs)} pairs"
                     )
@@ -88,7 +87,7 @@ def _unread(take: Take, kept: int, pairs: int, error: Exception) -> str:
     if not kept:
         return f"the pairs of {take.name} have no pictures: {error}"
     return (
-        f"{kept} of {pairs} pairs of {take.name} keep the pictures they had, as the video cannot "
+        f"{kept} of {pairs} pairs of {take.name} keep their earlier pictures, as the video cannot "
         f"be read: {error}"
     )
 
@@ -96,13 +95,13 @@ def _unread(take: Take, kept: int, pairs: int, error: Exception) -> str:
 def _existing_pictures(
     folder: Path, references: References, take: Take, pairs: list[int]
 ) -> dict[int, Path]:
-    """Return the pictures there are of earlier selections, of frames that can be read no more."""
+    """Return the existing images of earlier selections."""
     files = {pair: _path(folder, references, take, pair) for pair in pairs}
     return {pair: file for pair, file in files.items() if file.is_file()}
 
 
 def _path(folder: Path, references: References, take: Take, pair: int) -> Path:
-    """Return where the picture of a pair lies."""
+    """Return the path of a pair's image."""
     name = re.sub(r"[^\w.-]", "_", take.name)
     return folder / f"{name}.{int(references.frames[pair])}.jpg"
 
@@ -114,7 +113,7 @@ def _write_take(
     pairs: list[int],
     metadata: Mapping[str, object],
 ) -> dict[int, Path]:
-    """Write the pictures of one take's pairs, in the order of the video; return those there are."""
+    """Write the images of one take's pairs, in the order of the video; return those written."""
     if take.video is None:
         return {}
     shown = {}
@@ -135,7 +134,7 @@ def _write_take(
 
 
 def remove_unused_images(path: Path, files: tuple[Path | None, ...]) -> None:
-    """Remove the pictures of pairs that are gone, and nothing that somebody else put there."""
+    """Remove images of former pairs that `select` wrote."""
     used = {file.name for file in files if file is not None}
     folder = images_folder(path)
     check_side_folder(folder)
@@ -147,7 +146,7 @@ def remove_unused_images(path: Path, files: tuple[Path | None, ...]) -> None:
 
 
 def _is_ours(file: Path) -> bool:
-    """Say whether a file is named as a pair's picture, and says that a selection wrote it."""
+    """Whether a file is a pair's image by its name and provenance."""
     if not re.fullmatch(r"[\w.-]+\.-?\d+\.jpg", file.name):
         return False
     try:

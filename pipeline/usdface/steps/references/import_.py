@@ -1,4 +1,4 @@
-"""Bring tuned weights into a references asset, by frame and shape name."""
+"""Import tuned weights into a references asset, by frame and shape name."""
 
 from collections.abc import Sequence, Set
 from dataclasses import replace
@@ -29,10 +29,10 @@ _USUAL_RATES = (24.0, 25.0, 30.0, 50.0, 60.0, 24 / 1.001, 30 / 1.001, 60 / 1.001
 """[frames/s]"""
 
 _RATE_SHARE = 0.9
-"""Of a table's rows at pairs, if they count at another rate: these are the keys of the pairs."""
+"""Share of a table's rows that must be at pairs at another rate for the table to have that rate."""
 
 _CHANCE_PROBABILITY = 0.01
-"""Probability that as many rows anywhere in their range would be at pairs."""
+"""Largest probability that as many random rows would be at pairs."""
 
 
 def run(
@@ -48,7 +48,7 @@ def run(
     )
     _check_rate(spec, given)
     if spec.at == "video":
-        given = _at_moments_of_pairs(spec, references, given)
+        given = _at_times_of_pairs(spec, references, given)
     combinations = {each.shape for each in references.combinations}
     if spec.names is None:
         table, transfer = given.by_meaning(references.shape_names, leave=combinations)
@@ -62,13 +62,13 @@ def run(
     write_tuned_weights(
         references, pairs, layer_path=tuned_path(spec.references), provenance=provenance
     )
-    pictures, undrawn = redraw_coverage(spec.references, part(progress, 0.1, 1.0))
+    pictures, picture_notes = redraw_coverage(spec.references, part(progress, 0.1, 1.0))
     progress(1.0, "imported")
     tuned = set(np.flatnonzero(references.tuned).tolist()) | {pair.pair for pair in pairs}
     count = len(references.frames)
     texts, conflicts = tuned_conflicts(spec.references)
     notes = [
-        *undrawn,
+        *picture_notes,
         *_row_notes(spec, table, pairs, unmatched),
         *meaning_notes(transfer),
         *given.numbering_notes(spec.weights),
@@ -77,8 +77,8 @@ def run(
     ]
     if len(tuned) < count:
         notes.append(
-            f"still proposals that nobody tuned: {pluralize(count - len(tuned), 'pair')}; "
-            "`usdface train` with --tuned-only leaves them out"
+            f"still untuned proposals: {pluralize(count - len(tuned), 'pair')}; `usdface train` "
+            "with --tuned-only leaves them out"
         )
     return StepResult(
         (tuned_path(spec.references), *pictures),
@@ -102,29 +102,29 @@ def _row_notes(
     pairs: list[TunedPair],
     unmatched: list[tuple[int, str]],
 ) -> list[str]:
-    """Say which rows no pair took, and which pairs have no key of their own."""
+    """Return notes on rows that match no pair, and on pairs with interpolated weights."""
     notes = []
     if unmatched:
         listed = first_few([f"{frame} of {take}" if take else frame for frame, take in unmatched])
-        said = (
-            f"number pairs that are not there ({listed})"
+        reason = (
+            f"have numbers of no pair ({listed})"
             if spec.at == "pairs"
-            else f"are at frames that are no pairs ({listed}): make pairs of these frames by "
+            else f"are at frames that are no pairs ({listed}): add pairs at these frames with "
             "`usdface references add`, and import again"
         )
         notes.append(
-            f"not imported: {len(unmatched)} of {pluralize(len(table.frames), 'row')} {said}"
+            f"not imported: {len(unmatched)} of {pluralize(len(table.frames), 'row')} {reason}"
         )
     between = sum(_key(spec, pair) not in table.keyed for pair in pairs)
     if between:
         notes.append(
-            f"interpolated, as {spec.weights.name} has no key there: {pluralize(between, 'pair')}"
+            f"interpolated between keys of {spec.weights.name}: {pluralize(between, 'pair')}"
         )
     return notes
 
 
 def _column_notes(given: WeightTable, combinations: Set[str], matched: Sequence[str]) -> list[str]:
-    """Name the columns that set no shape."""
+    """Return notes on columns that set no shape."""
     notes = []
     driven = [name for name in given.names if name in combinations]
     if driven:
@@ -132,7 +132,7 @@ def _column_notes(given: WeightTable, combinations: Set[str], matched: Sequence[
     unknown = [name for name in given.names if name not in {*matched, *driven}]
     if unknown:
         notes.append(
-            f"left out {pluralize(len(unknown), 'column')}, of no shape of the rig: "
+            f"left out {pluralize(len(unknown), 'column')} that match no shape of the rig: "
             f"{first_few(unknown)}"
         )
     return notes
@@ -141,7 +141,7 @@ def _column_notes(given: WeightTable, combinations: Set[str], matched: Sequence[
 def _missing_notes(
     spec: ReferencesImportSpec, references: References, table: WeightTable, pairs: list[TunedPair]
 ) -> list[str]:
-    """Say what shapes that the file lacks are in the pairs, where they are or were not at rest."""
+    """Return notes on the weights of shapes missing from the file."""
     missing = [name for name in references.shape_names if name not in table.names]
     if not missing:
         return []
@@ -157,7 +157,7 @@ def _missing_notes(
         done = (
             "keep their proposals, which count as tuned"
             if spec.keep_proposed
-            else "are 0, as in the scene that the keys are of; --keep-proposed keeps the proposals"
+            else "are set to 0; --keep-proposed keeps the proposals"
         )
         notes.append(
             f"not in the file: {pluralize(len(missing), 'shape')}, which in "
@@ -172,7 +172,7 @@ def _missing_notes(
 
 
 def _check_rate(spec: ReferencesImportSpec, table: WeightTable) -> None:
-    """Refuse rows that count at another rate than the pairs' takes, where these are there."""
+    """Refuse a table with another rate than the pairs' takes, as far as these exist."""
     takes = spec_of(provenance_of(spec.references)).get("takes", [])
     for name in takes if spec.at == "frames" and not table.numbered else ():
         take = spec.references.parent / str(name)
@@ -180,22 +180,22 @@ def _check_rate(spec: ReferencesImportSpec, table: WeightTable) -> None:
             table.check_rate(TakeReader(take).rate, file=spec.weights, performance=take)
 
 
-def _at_moments_of_pairs(
+def _at_times_of_pairs(
     spec: ReferencesImportSpec, references: References, table: WeightTable
 ) -> WeightTable:
-    """Return the weights at the moments of the pairs, by the video that both takes name."""
+    """Return the weights at the times of the pairs, by the common video of both takes."""
     takes = spec_of(provenance_of(spec.references)).get("takes", [])
     solved = take_of_performance(spec.weights)
     if solved is None or len(takes) != 1:
-        what = spec.references if solved is not None else spec.weights
+        unclear = spec.references if solved is not None else spec.weights
         raise InputError(
-            f"{what}: does not say which one take it is of, so that --at video knows no video; "
-            "give --weights that `usdface map` made, and references of one take"
+            f"{unclear}: does not name a single take, whose video --at video needs; give "
+            "--weights made by `usdface map`, and references of one take"
         )
     own, other = (_timed_take(path) for path in (spec.references.parent / str(takes[0]), solved))
     if own[1].file.resolve() != other[1].file.resolve():
         raise InputError(
-            f"{spec.weights}: its take names the video {other[1].file}, and the pairs' take "
+            f"{spec.weights}: its take has the video {other[1].file}, and the pairs' take "
             f"{own[1].file}; track or ingest the same performance with the same video"
         )
     seconds = (references.frames - own[0].first_frame) / float(own[0].rate)
@@ -205,8 +205,8 @@ def _at_moments_of_pairs(
     inside = (at >= numbers[0]) & (at <= numbers[-1])
     if not inside.any():
         raise InputError(
-            f"{spec.weights}: none of the {len(at)} pairs lies in its frames "
-            f"{table.frames[0]}-{table.frames[-1]} by the video; is the take aligned with it?"
+            f"{spec.weights}: none of the {len(at)} pairs is within its frames "
+            f"{table.frames[0]}-{table.frames[-1]} by the video; align both takes with it"
         )
     weights = np.stack(
         [np.interp(at[inside], numbers, column) for column in table.weights.T], axis=1
@@ -222,8 +222,7 @@ def _timed_take(path: Path) -> tuple[TakeReader, Video]:
     video = take.read(take.first_frame, take.first_frame, head_motion=False).video
     if video is None:
         raise InputError(
-            f"{path}: names no video, so that nothing tells its moments; ingest it with --video "
-            "and align it"
+            f"{path}: has no video, which --at video needs; ingest it with --video and align it"
         )
     return take, video
 
@@ -235,12 +234,12 @@ def _key(spec: ReferencesImportSpec, pair: TunedPair) -> int:
 def _unmatched_rows(
     spec: ReferencesImportSpec, references: References, table: WeightTable, *, matched: int
 ) -> list[tuple[int, str]]:
-    """Return frame and take of the keys at no pair; none of a file with a row for every frame.
+    """Return frame and take of the keys at no pair; none for a file with a row for every frame.
 
     Raises
     ------
     InputError
-        If no row is at a pair, or nearly all would be if they counted at another rate.
+        If no row is at a pair, or nearly all would be at another rate.
     """
     takes = table.takes if spec.at == "frames" and table.takes else ("",) * len(table.frames)
     rows = list(zip(table.frames, takes, strict=True))
@@ -259,7 +258,7 @@ def _unmatched_rows(
         raise InputError(
             f"{spec.weights}: none of its {len(table.frames)} frames "
             f"({table.frames[0]}-{table.frames[-1]}) is one of the {len(references.frames)} pairs; "
-            "is --at right?"
+            "check --at and the take"
         )
     return unmatched
 
@@ -267,22 +266,22 @@ def _unmatched_rows(
 def _check_counting(
     spec: ReferencesImportSpec, references: References, table: WeightTable, matched: int
 ) -> None:
-    """Refuse rows of which nearly all are at pairs if their frames count at another rate."""
+    """Refuse rows of which nearly all are at pairs at another rate."""
     rows = np.unique(table.frames)
     for rate in _USUAL_RATES if references.rate else ():
         if abs(rate / references.rate - 1) < 0.002:
             continue
-        # A tool rounds to its frame, or cuts.
+        # Tools round or truncate to a frame.
         places = references.frames * (rate / references.rate)
         near = np.unique([np.floor(places), np.ceil(places)])
         found = int(np.isin(rows, near).sum())
         by_chance = min(len(near) / (np.ptp(rows) + 1), 1.0)
         if found >= _RATE_SHARE * len(rows) and by_chance**found < _CHANCE_PROBABILITY:
             raise InputError(
-                f"{spec.weights}: {matched} of {pluralize(len(rows), 'row')} are at pairs, and "
-                f"{found} would be if the file counted {rate:.5g} frames per second, where the "
-                f"pairs' takes count {references.rate:.5g}; export it at their rate, or number its "
-                "rows by pair and give --at pairs"
+                f"{spec.weights}: {matched} of {pluralize(len(rows), 'row')} are at pairs, but "
+                f"{found} would be at {rate:.5g} frames per second, and the pairs' takes have "
+                f"{references.rate:.5g}; export it at their rate, or number its rows by pair and "
+                "give --at pairs"
             )
 
 
@@ -300,15 +299,15 @@ def _pairs(
     )
     if spec.at == "frames" and len(set(references.takes)) > 1 and not by_take:
         raise InputError(
-            f"{spec.references}: its pairs are of {len(set(references.takes))} takes, so a frame "
-            "number alone does not tell which; add a `take` column, or number the rows by pair and "
-            "use --at pairs"
+            f"{spec.references}: its pairs are of {len(set(references.takes))} takes, so frame "
+            "numbers are ambiguous; add a `take` column, or number the rows by pair and use --at "
+            "pairs"
         )
     if by_take and not set(table.takes) & set(references.takes):
         raise InputError(
-            f"{spec.weights}: its takes ({first_few(dict.fromkeys(table.takes), most=3)}) are none "
-            f"of the pairs' ({first_few(dict.fromkeys(references.takes), most=3)}); correct the "
-            "`take` column"
+            f"{spec.weights}: none of its takes ({first_few(dict.fromkeys(table.takes), most=3)}) "
+            f"is one of the pairs' ({first_few(dict.fromkeys(references.takes), most=3)}); correct "
+            "the `take` column"
         )
     pairs = []
     for pair, number in enumerate(keys.tolist()):
@@ -316,7 +315,7 @@ def _pairs(
         if key not in row_of:
             continue
         if spec.at != "frames" and key not in table.keyed:
-            continue  # between two pairs lies nothing that anybody meant
+            continue  # values between keys of pairs mean nothing
         weights = dict(zip(references.shape_names, references.weights[pair].tolist(), strict=True))
         if not (references.tuned[pair] or spec.keep_proposed):
             weights |= dict.fromkeys(weights.keys() - set(known), 0.0)

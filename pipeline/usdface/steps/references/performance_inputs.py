@@ -1,4 +1,4 @@
-"""The take and the mapping that a performance was made from, also where these have moved."""
+"""Find the take and the mapping that a performance was made from."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +13,7 @@ from usdface.usdio.take.read import TakeReader
 
 @dataclass(frozen=True)
 class MovedInputs:
-    """Where a performance's take and mapping are now; None where it says so itself."""
+    """New paths of a performance's take and mapping; None uses those of its provenance."""
 
     take: Path | None = None
     mapping: Path | None = None
@@ -22,7 +22,7 @@ class MovedInputs:
 def made_from(
     performance: Path, old: References, moved: MovedInputs
 ) -> tuple[TakeReader, TrainedMapping | None]:
-    """Return the take and the mapping that a performance, or its parts, say they were made from.
+    """Return take and mapping by the provenance of a performance or its parts.
 
     References of takes that carry weights have no mapping.
     """
@@ -30,8 +30,8 @@ def made_from(
         source = _spec_of(performance, "retarget").get("source")
         if moved.take is None and not isinstance(source, str):
             raise InputError(
-                f"{performance}: does not say from which take it was retargeted; give a "
-                "performance that `usdface retarget` wrote of a take"
+                f"{performance}: does not name the take it was retargeted from; give it by "
+                "--take, or give a performance that `usdface retarget` wrote of a take"
             )
         named = performance.resolve().parent / str(source)
         return TakeReader(moved.take or _present(performance, "take", named)), None
@@ -48,9 +48,9 @@ def made_from(
     for name, given in (("take", moved.take), ("mapping", moved.mapping)):
         if given is None and name not in spec:
             raise InputError(
-                f"{performance}: does not say from which {name} it was made; say it by --{name}, "
-                "or give a performance that `usdface map` wrote, or one joined of such parts, "
-                "with the parts still there"
+                f"{performance}: does not name the {name} it was made from; give it by --{name}, "
+                "or give a performance that `usdface map` wrote, or one joined from such parts "
+                "that still exist"
             )
         named = file.resolve().parent / str(spec.get(name))
         paths[name] = given or _present(performance, name, named)
@@ -61,11 +61,11 @@ def _present(performance: Path, what: str, file: Path) -> Path:
     if file.is_file():
         return file
     raise InputError(
-        f"{performance}: its {what}, {file}, is gone; put it back, or say where it is by --{what}"
+        f"{performance}: its {what}, {file}, is gone; put it back, or give its new path by --{what}"
     )
 
 
 def _spec_of(file: Path, step: str) -> dict[str, object]:
-    """Return the spec that a file was made by; empty where it was made by another step."""
+    """Return the spec of a file made by `step`; empty if another step made it."""
     made = read_provenance(file)
     return spec_of(made) if made is not None and made.step == step else {}

@@ -1,4 +1,4 @@
-"""Takes and a rig in, the place of every marker on the rig out, judged and drawn."""
+"""Place the markers of takes on a rig, with a verdict and a picture."""
 
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
@@ -21,7 +21,7 @@ from usdface.usdio.surface.placement import write_placement
 
 
 def run(spec: PlaceSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
-    """Place the markers, keep the corrections of an earlier placement, write and draw both."""
+    """Place the markers, keeping earlier corrections, and write and draw the placement."""
     progress(0.0, "reading the takes")
     takes = read_cleaned_takes(spec.takes)
     rig = read_rig(spec.rig, prim=spec.prim)

@@ -78,7 +78,7 @@ from usdface.usdio.surface.placement import RigPlacement, write_placement
 
 @dataclass(frozen=True)
 class _Selection:
-    """What is chosen from, and for what."""
+    """Inputs of the choice of frames."""
 
     spec: SelectSpec
     scene: SelectionScene
@@ -93,18 +93,20 @@ class _Selection:
 
     @property
     def wanted(self) -> int:
-        """How many pairs are to be found."""
+        """Number of pairs to choose."""
         return self.spec.count - len(self.kept)
 
 
 def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
-    """Choose pairs, propose weights to start from, write the asset and draw its coverage."""
+    """Choose pairs, propose their weights, write the asset and draw its coverage."""
     progress(0.0, "reading the takes")
     check_nobody_tunes(spec.out)
     if carry_weights_alone(spec.takes):
         return _run_on_weights(spec, provenance, progress)
     if spec.names is not None:
-        raise InputError(f"{first_few(spec.takes)}: has markers, so --names has no effect")
+        raise InputError(
+            f"{first_few(spec.takes)}: has markers, so --names has no effect; leave it out"
+        )
     takes = read_cleaned_takes(spec.takes)
     _check_something_moves(spec, takes)
     rig = read_rig(spec.rig, prim=spec.prim)
@@ -128,7 +130,7 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
     images = PairImages((), ())
     metadata = provenance_metadata(provenance)
     if spec.images:
-        progress(0.75, "keeping the video frames of the pairs")
+        progress(0.75, "storing the video frames of the pairs")
         images = write_pair_images(spec.out, references, takes.sources, metadata=metadata)
     progress(0.85, f"writing {spec.out.name}")
     written = (*binding_layers(placement_path(spec.out)), *reference_layers(spec.out))
@@ -199,7 +201,7 @@ def _run_on_weights(spec: SelectSpec, provenance: Provenance, progress: Progress
     found = select_by_weights(spec, rig, progress)
     references, images = found.references, PairImages((), ())
     if spec.images:
-        progress(0.6, "keeping the video frames of the pairs")
+        progress(0.6, "storing the video frames of the pairs")
         metadata = provenance_metadata(provenance)
         images = write_pair_images(spec.out, references, found.takes.sources, metadata=metadata)
     progress(0.9, f"writing {spec.out.name}")
@@ -235,31 +237,31 @@ def _run_on_weights(spec: SelectSpec, provenance: Provenance, progress: Progress
 
 
 def _check_something_moves(spec: SelectSpec, takes: CleanedTakes) -> None:
-    """Refuse takes of one expression, before the markers are placed: their pairs would be noise."""
+    """Refuse takes of a single expression, whose frames differ only by noise."""
     clip, usable = takes.positions[0], takes.usable[0]
     still = still_range_mm(takes.positions, measurement_noise(clip, usable))
     if still is not None:
         raise InputError(
-            f"{first_few(spec.takes)}: no marker moves on the head (by at most {still:.2f} mm "
-            f"along an axis, in {len(takes.frames)} frames), so there are no expressions to "
-            "select; give takes of a moving face. If the face did move, the capture was "
-            "exported without its motion: export and ingest it again"
+            f"{first_few(spec.takes)}: no marker moves on the head (at most {still:.2f} mm along "
+            f"an axis, in {len(takes.frames)} frames), so there are no expressions to select; give "
+            "takes of a moving face. If the face did move, the export lost its motion: export and "
+            "ingest it again"
         )
 
 
 def _check_tuning_is_as_read(spec: SelectSpec, kept: list[PlacedPair]) -> None:
-    """Refuse to write where pairs were tuned while frames were chosen."""
+    """Refuse to write if pairs were tuned since they were read."""
     now = {(each.pair, each.take, each.frame) for each in read_tuned_pairs(tuned_path(spec.out))}
     before = {(each.tuned.pair, each.tuned.take, each.tuned.frame) for each in kept}
     if now - before:
         raise InputError(
-            f"{tuned_path(spec.out)}: somebody tuned {pluralize(len(now - before), 'pair')} while "
-            "frames were chosen; nothing was changed. Select again, which keeps what is tuned"
+            f"{tuned_path(spec.out)}: {pluralize(len(now - before), 'pair')} tuned while frames "
+            "were chosen; nothing was changed. Select again, which keeps tuned pairs"
         )
 
 
 def _mapping_for(spec: SelectSpec, rig: Rig) -> TrainedMapping:
-    """Read a mapping that is to say something of this rig."""
+    """Read the mapping; refuse one for another rig."""
     if spec.mapping is None:
         raise InputError("no mapping is given")
     mapping = read_mapping(spec.mapping)
@@ -269,7 +271,7 @@ def _mapping_for(spec: SelectSpec, rig: Rig) -> TrainedMapping:
 
 
 def _place(spec: SelectSpec, takes: CleanedTakes, rig: Rig) -> PlacedTakes:
-    """Return the placement that is given, or place the markers by landmarks and corrections."""
+    """Return the placement of --placement, or place the markers by landmarks and corrections."""
     if spec.placement is not None:
         return judge_stored(spec.placement, takes, rig)
     landmarks = {}
@@ -279,7 +281,7 @@ def _place(spec: SelectSpec, takes: CleanedTakes, rig: Rig) -> PlacedTakes:
 
 
 def _draw_placement(spec: SelectSpec, placed: PlacedTakes, rig: Rig, made: Provenance) -> None:
-    """Draw the placement beside the references."""
+    """Draw the placement next to the references."""
     title = f"{spec.out.stem} on {rig.file.stem}"
     picture = draw_placement(placed, rig, title=title, quality="draft")
     write_image(_placement_picture(spec), picture, metadata=provenance_metadata(made))
@@ -303,21 +305,21 @@ def _set_up(
     free[[each.row for each in kept]] = False
     if int(free.sum()) < spec.count - len(kept):
         raise InputError(
-            f"{spec.count} pairs are asked for and {int(free.sum()) + len(kept)} frames can be "
-            "used; lower --count, widen --frames or give more takes"
+            f"--count is {spec.count}, but only {int(free.sum()) + len(kept)} frames can be used; "
+            "lower it, widen --frames or give more takes"
         )
     scene = set_up_scene(takes, rig, placement=placement, progress=progress)
     return _Selection(spec, scene, spoken, kept, candidates)
 
 
 def _choose(selection: _Selection) -> ReferenceChoice:
-    """Choose the frames that are to be found, by the method asked for."""
+    """Choose the frames that are not tuned yet, by --method."""
     spec = selection.spec
     spoken = ReferenceChoice(np.zeros(0, dtype=np.int64))
     if selection.spoken.segments and spec.method in ("viseme", "both"):
         spoken = choose_visemes(
             selection.scene.features,
-            # With both, half of the pairs are left to design, whatever is spoken.
+            # With both, half of the pairs are chosen by design.
             selection.wanted if spec.method == "viseme" else selection.wanted // 2,
             segments=selection.spoken.segments,
             emotion_of=selection.spoken.emotion_of,
@@ -347,7 +349,7 @@ def _choose(selection: _Selection) -> ReferenceChoice:
 
 
 def _propose(selection: _Selection, mapped: TakesPrediction | None, rows: IntArray) -> FloatArray:
-    """Return weights to start from: the mapping's where there is one, else the rig's geometry."""
+    """Return proposed weights, from the mapping if there is one, else from the rig's geometry."""
     scene = selection.scene
     positions = scene.positions(rows)
     weights = scene.equation.propose(positions, visible=scene.usable(rows))

@@ -1,4 +1,4 @@
-"""What `select` has to say of its choice."""
+"""Notes of `select`."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,7 +16,7 @@ from usdface.steps.inputs.tuned_pairs import PlacedPair
 
 
 def _neutral_notes(scene: SelectionScene) -> list[str]:
-    """Say if the first take's neutral frame, which is the performer's, is not neutral."""
+    """Return a note if the first take's neutral frame shows an expression."""
     takes = scene.takes
     rows = np.flatnonzero(takes.usable[0].all(axis=1))
     found = find_better_neutral(scene.equation, takes.positions[0], rows)
@@ -24,10 +24,9 @@ def _neutral_notes(scene: SelectionScene) -> list[str]:
         return []
     name, frame = takes.sources[0].name, int(takes.frames[found.row])
     return [
-        f"{name}: its neutral frame is not neutral: from frame {frame} the rig's shapes explain "
-        f"the take to {found.residual_mm:.1f} mm, from the neutral frame to "
-        f"{found.stated_mm:.1f} mm. Clean the take with --neutral {frame}, "
-        "or a frame in which the face is at rest"
+        f"{name}: its neutral frame is not neutral: the residual of the rig's shapes is "
+        f"{found.stated_mm:.1f} mm with it, and {found.residual_mm:.1f} mm with frame {frame}. "
+        f"Clean the take with --neutral {frame}, or another frame of the face at rest"
     ]
 
 
@@ -38,7 +37,7 @@ def selection_notes(
     kept: Sequence[PlacedPair],
     choice: ReferenceChoice,
 ) -> list[str]:
-    """Say what was left out, kept and chosen, and what of it is doubtful."""
+    """Return notes on omitted markers, neutral faces, kept pairs, visemes and proposals."""
     takes = scene.takes
     notes, dropped = list(spoken.notes), takes.dropped
     if dropped:
@@ -52,25 +51,23 @@ def selection_notes(
         notes.append(f"kept in place: {pluralize(len(kept), 'tuned pair')}")
     keyed = sum(each.is_keyed for each in kept)
     if keyed:
-        notes.append(
-            f"keyed in the asset itself, and tuned from now on: {pluralize(keyed, 'pair')}"
-        )
+        notes.append(f"keyed in the asset, and now marked as tuned: {pluralize(keyed, 'pair')}")
     if spoken.segments and spec.method in ("viseme", "both"):
         notes += _viseme_notes(spoken, choice)
     if spec.method == "both" and not spec.phones:
         notes.append(
-            "no phones are given, so frames were chosen by design alone; that costs nothing in "
-            "accuracy, but pairs carry no viseme"
+            "no phones are given, so frames were chosen by design only; accuracy is the same, but "
+            "pairs have no viseme"
         )
     if spec.mapping is None:
         notes += scene.notes
     else:
-        notes.append("weights to start from are the mapping's own predictions")
+        notes.append("the proposals are predictions of the mapping")
     return notes
 
 
 def _viseme_notes(labels: PhoneLabels, choice: ReferenceChoice) -> list[str]:
-    """Count what was chosen as what, and name the visemes that are not spoken."""
+    """Return notes on how many frames were chosen by which rule, and on missing visemes."""
     visemes, extremes = len(choice.visemes), len(choice.extremes)
     rest = len(choice.rows) - visemes - extremes
     notes = [
@@ -81,7 +78,7 @@ def _viseme_notes(labels: PhoneLabels, choice: ReferenceChoice) -> list[str]:
     silent = [viseme_label(viseme) for viseme in VISEMES if viseme not in spoken]
     if silent:
         notes.append(
-            f"nobody speaks {pluralize(len(silent), 'viseme')} of {len(VISEMES)}: "
+            f"not spoken: {pluralize(len(silent), 'viseme')} of {len(VISEMES)}: "
             f"{first_few(silent, most=len(VISEMES))}"
         )
     some = [f"{v} {e}".strip() for e, v in choice.missing if v in spoken]
@@ -91,13 +88,7 @@ def _viseme_notes(labels: PhoneLabels, choice: ReferenceChoice) -> list[str]:
 
 
 def next_step(out: Path, count: int, kept: int) -> list[str]:
-    """Say what to do where weights are proposals that nobody has seen.
-
-    Parameters
-    ----------
-    count, kept : int
-        Of pairs: all, and those that are tuned.
-    """
+    """Return the next step if some of `count` pairs are proposals; `kept` of them are tuned."""
     rest = count - kept
     if not rest:
         return []
@@ -107,7 +98,7 @@ def next_step(out: Path, count: int, kept: int) -> list[str]:
             "--tuned-only"
         ]
     return [
-        "an untuned start: all weights are proposals of the rig's geometry, which knows nothing of "
-        f"this performer. Next: `usdface tune {out}`; tune the first dozen or two (they are "
-        "in order of worth), then `usdface train` with --tuned-only"
+        "an untuned start: all weights are proposals from the rig's geometry. Next: `usdface tune "
+        f"{out}`; tune the first dozen or two (pairs are in order of their gain in coverage), then "
+        "`usdface train` with --tuned-only"
     ]

@@ -1,4 +1,4 @@
-"""References and their takes in, a sheet to tune by out."""
+"""Draw reference pairs as a sheet for tuning."""
 
 from contextlib import ExitStack
 from pathlib import Path
@@ -38,7 +38,7 @@ from usdface.usdio.references.weight_layers import read_set_references
 from usdface.usdio.take.read import read_take
 
 _LEAST_SHOWN_WEIGHT = 0.05
-"""Weights below are not worth naming."""
+"""Smallest weight that is listed."""
 
 _Video = VideoReader | ImageSequence
 
@@ -51,7 +51,7 @@ def run(
     references = read_set_references(spec.references)
     rig = read_rig_of(references, spec.references)
     pairs = _pairs(spec, references)
-    undrawn, blind, written = rig.undrawn_notes(), 0, []
+    undrawn, without_video, written = rig.undrawn_notes(), 0, []
     with ExitStack() as open_files:
         pictures = _PairPictures(spec, references, rig, open_files)
         facts = [
@@ -69,7 +69,7 @@ def run(
             for pair in pairs[number * PAGE_PAIRS : (number + 1) * PAGE_PAIRS]:
                 progress(0.2 + 0.75 * number / pages, f"drawing pair {pair + 1}")
                 rows.append(pictures.row(pair))
-            blind += sum(row.video is None for row in rows)
+            without_video += sum(row.video is None for row in rows)
             page = compose_reference_sheet(
                 tuple(rows),
                 title=spec.references.stem
@@ -84,7 +84,9 @@ def run(
             write_image(file, page, metadata=provenance_metadata(provenance))
             written.append(file)
     progress(1.0, "done")
-    notes = (*((f"no video frame for {pluralize(blind, 'pair')}",) if blind else ()), *undrawn)
+    notes = tuple(undrawn)
+    if without_video:
+        notes = (f"no video frame for {pluralize(without_video, 'pair')}", *notes)
     tuned = int(references.tuned[pairs].sum())
     return StepResult(
         tuple(written),
@@ -95,7 +97,7 @@ def run(
 
 
 class _PairPictures:
-    """Draws single pairs; holds what all of them share, videos opened on a stack."""
+    """Draws single pairs with common renderer, cameras and open videos."""
 
     def __init__(
         self, spec: ReferenceSheetSpec, references: References, rig: Rig, open_files: ExitStack
@@ -129,7 +131,7 @@ class _PairPictures:
 
     @property
     def stand_in_eyes(self) -> bool:
-        """Whether the rig has no eyes and some were put in."""
+        """Whether the rig has no eyes and stand-ins are drawn."""
         return self._renderer.eyes_put_in
 
     def row(self, pair: int) -> ReferenceRow:
@@ -145,7 +147,7 @@ class _PairPictures:
             markers = draw_markers(
                 references.markers[pair], **size, frame=self._cloud, lines=self._lines
             )
-            if not references.tuned[pair]:  # a right key may be farther from the markers
+            if not references.tuned[pair]:  # the residual of a correct key may be larger
                 residual_mm = float(self._residual_mm[pair])
         return ReferenceRow(
             number=pair + 1,
@@ -177,8 +179,8 @@ def _takes(files: tuple[Path, ...], references: References) -> dict[str, Take]:
     unknown = [name for name in found if name not in references.takes]
     if unknown:
         raise InputError(
-            f"no pair is of take {unknown[0]!r}, but of {', '.join(sorted(set(references.takes)))}"
-            "; give the takes the references were selected from"
+            f"no pair is of take {unknown[0]!r}; give the takes that the references were selected "
+            f"from, {', '.join(sorted(set(references.takes)))}"
         )
     return found
 
@@ -189,7 +191,8 @@ def _pairs(spec: ReferenceSheetSpec, references: References) -> list[int]:
     pairs = [pair - 1 for pair in range(max(limits[0], 1), last + 1)]
     if not pairs:
         raise InputError(
-            f"{spec.references}: has pairs 1-{len(references.frames)}, none of {spec.pairs}"
+            f"{spec.references}: has pairs 1-{len(references.frames)}; --pairs {spec.pairs} are "
+            "none of them"
         )
     return pairs
 
@@ -205,7 +208,7 @@ def _open_video(take: Take, stack: ExitStack) -> _Video | None:
 def _video_picture(
     take: Take | None, video: _Video | None, frame: int
 ) -> tuple[ByteImage | None, str]:
-    """Find the camera's picture of a pair, by the clock that aligns the two."""
+    """Return the video frame of a pair, or the reason why there is none."""
     if take is None or take.video is None or video is None:
         return None, "no video"
     seconds = (frame - take.first_frame) / float(take.rate)
@@ -217,7 +220,7 @@ def _video_picture(
 
 
 def _archived_picture(image: Path | None) -> ByteImage | None:
-    """Return the picture that `select` archived, where the asset names it and it still exists."""
+    """Return the image that `select` stored, if it still exists."""
     try:
         return None if image is None else read_picture(image)
     except InputError:

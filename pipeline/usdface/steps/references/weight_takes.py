@@ -1,4 +1,4 @@
-"""Choose pairs of takes that carry weights instead of markers, such as a phone's."""
+"""Choose pairs of takes that carry weights instead of markers, as those of phones."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,12 +24,12 @@ from usdface.steps.inputs.tuned_pairs import PlacedPair, find_placed_pairs, rows
 from usdface.usdio.take.read import TakeReader
 
 _OF_MARKERS = ("phones", "extremes", "mapping", "placement", "landmarks", "picture")
-"""Options of `select` that say something of markers, or of what is chosen by them."""
+"""Options of `select` that need markers."""
 
 
 @dataclass(frozen=True)
 class WeightSelection:
-    """Pairs of takes of weights, with the takes' weights on the rig as proposals."""
+    """Pairs of takes of weights, whose proposals are the takes' weights on the rig."""
 
     references: References
     kept: list[PlacedPair]
@@ -39,7 +39,7 @@ class WeightSelection:
 
 
 def carry_weights_alone(paths: tuple[Path, ...]) -> bool:
-    """Whether no take has markers and every one has weights; then pairs are chosen by these."""
+    """Whether all takes have weights and no markers."""
     readers = map(TakeReader, paths)
     return all(
         not each.marker_names and each.read_source(range(each.first_frame, each.first_frame + 1))
@@ -48,12 +48,12 @@ def carry_weights_alone(paths: tuple[Path, ...]) -> bool:
 
 
 def select_by_weights(spec: SelectSpec, rig: Rig, progress: Progress) -> WeightSelection:
-    """Choose frames far from each other in weights, by names on the rig: greedy k-centre."""
+    """Choose frames of distant weights, matched to the rig by name, by greedy k-centre."""
     given = [name for name in _OF_MARKERS if spec.is_given(name)]
     if given:
         raise InputError(
-            f"{first_few(spec.takes)}: carries weights and no markers, so --{given[0]} has no "
-            "effect; leave it out"
+            f"{first_few(spec.takes)}: has weights and no markers, so --{given[0]} has no effect; "
+            "leave it out"
         )
     motions = [read_source_motion(path) for path in spec.takes]
     takes = _without_markers(spec, motions)
@@ -90,7 +90,7 @@ def select_by_weights(spec: SelectSpec, rig: Rig, progress: Progress) -> WeightS
 
 
 def _without_markers(spec: SelectSpec, motions: list[SourceMotion]) -> CleanedTakes:
-    """Return the takes as if of no markers: frames, names, videos."""
+    """Return the takes as `CleanedTakes` without markers."""
     sources = []
     for path in spec.takes:
         reader = TakeReader(path)
@@ -98,7 +98,10 @@ def _without_markers(spec: SelectSpec, motions: list[SourceMotion]) -> CleanedTa
         sources.append(replace(take, source=None))
     names = [take.name for take in sources]
     if len(set(names)) < len(names):
-        raise InputError(f"{first_few(spec.takes)}: two takes have one name; give each its own")
+        raise InputError(
+            f"{first_few(spec.takes)}: two takes have the same name; ingest one of them with "
+            "--take NAME"
+        )
     counts = [len(motion.weights) for motion in motions]
     return CleanedTakes(
         marker_names=(),
@@ -117,13 +120,13 @@ def _without_markers(spec: SelectSpec, motions: list[SourceMotion]) -> CleanedTa
 def _on_rig(
     spec: SelectSpec, motions: list[SourceMotion], rig: Rig
 ) -> tuple[FloatArray, tuple[str, ...]]:
-    """Return the takes' weights on the rig's shapes, within their ranges, and what to tell."""
+    """Return the takes' weights on the rig's shapes, within their ranges, and notes."""
     rows: list[FloatArray] = []
     notes: list[str] = []
     for path, motion in zip(spec.takes, motions, strict=True):
-        transfer, said = source_transfer(path, motion, rig.shapes, spec.names)
+        transfer, transfer_notes = source_transfer(path, motion, rig.shapes, spec.names)
         rows.append(motion.weights @ transfer.matrix)
-        notes += said
+        notes += transfer_notes
     low, high = rig.ranges.T
     return np.clip(np.concatenate(rows), np.minimum(low, 0.0), high), tuple(dict.fromkeys(notes))
 
@@ -131,7 +134,7 @@ def _on_rig(
 def _far_apart(
     spec: SelectSpec, weights: FloatArray, already: IntArray, free: IntArray
 ) -> IntArray:
-    """Return rows for the pairs that are not tuned yet, the most different first."""
+    """Return rows for the pairs that are not tuned yet, the most distant first."""
     wanted = spec.count - len(already)
     free = free[~np.isin(free, already)]
     rows = np.concatenate([already, free])
@@ -145,6 +148,6 @@ def _far_apart(
             return rows[chosen]
         free = rows[chosen]
     raise InputError(
-        f"{spec.count} pairs are asked for, and {len(free) + len(already)} differ; lower --count, "
+        f"--count is {spec.count}, but only {len(free) + len(already)} frames differ; lower it, "
         "widen --frames or give more takes"
     )

@@ -1,4 +1,4 @@
-"""From one face to another."""
+"""Retargeting of weights from one character to another."""
 
 _commands = ("names", "retarget_folder")
 _helpers = ("sequence_rate",)

@@ -1,4 +1,4 @@
-"""Pairs and a performance in; the round-trip error of each method out."""
+"""Measure the round-trip error of each retargeting method on a performance."""
 
 from functools import partial
 from pathlib import Path
@@ -42,16 +42,16 @@ from usdface.usdio.retarget.pairs import read_pairs
 from usdface.usdio.rig.read import read_rig
 
 _FACES_MARGIN, _FACES_TEXT, _LARGEST_FACE = 36, 30, 320
-"""Of the row of faces below the curves [pixels]."""
+"""Layout of the row of faces below the curves [pixels]."""
 _FACES_HEAD = TextStyle(size=18, color=BRIGHT, weight="bold")
 _FACES_LABEL = TextStyle(size=16, color=SOFT)
 
 _NO_ERROR_MM = 0.005
-"""Of a round trip: what two decimals show as nothing."""
+"""Round-trip error that rounds to 0.00 mm."""
 
 
 def run(spec: CyclicSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
-    """Measure every method and write what was asked for."""
+    """Measure every method and write figures and curves."""
     for method in spec.methods:
         if method not in ("auto", POSITIONS):
             find_retarget_method(method)
@@ -60,7 +60,7 @@ def run(spec: CyclicSpec, *, provenance: Provenance, progress: Progress = silent
     source_rig = _rig(spec, pairs.source_rig, pairs.source_prim, "source")
     target_rig = _rig(spec, pairs.target_rig, pairs.target_prim, "target")
     motion = read_source_motion(spec.source, frame_range(spec.frames))
-    weights, said = source_columns(spec.source, motion, pairs.source_shapes)
+    weights, source_notes = source_columns(spec.source, motion, pairs.source_shapes)
     picks = np.arange(0, len(weights), spec.every)
     variant = CyclicVariant(
         truth=None if spec.truth is None else _truth(spec, spec.truth, motion, picks, pairs),
@@ -80,17 +80,17 @@ def run(spec: CyclicSpec, *, provenance: Provenance, progress: Progress = silent
     if spec.alpha is not None:
         methods += (KEYED,)
     found = measure(methods=methods, progress=progress)
-    notes = [*said, *pair_notes(pairs)]
+    notes = [*source_notes, *pair_notes(pairs)]
     if POSITIONS in spec.methods:
         try:
             found += measure(methods=(POSITIONS,))
         except InputError as error:
-            if spec.methods != METHODS:  # asked for by name, not by default
+            if spec.methods != METHODS:  # given explicitly
                 raise
             notes.append(f"positions were not matched: {error}")
     figures = _figures(spec, found, picks + motion.first_frame)
-    asked = columns_by_name(weights[picks], pairs.source_shapes, source_rig.shapes)
-    _write(spec, found, figures, motion, (source_rig, asked), provenance)
+    source_weights = columns_by_name(weights[picks], pairs.source_shapes, source_rig.shapes)
+    _write(spec, found, figures, motion, (source_rig, source_weights), provenance)
     best = _least(found)
     return StepResult(
         spec.out,
@@ -105,12 +105,12 @@ def run(spec: CyclicSpec, *, provenance: Provenance, progress: Progress = silent
 def _rig(spec: CyclicSpec, file: Path | None, prim: str, side: str) -> Rig:
     if file is None:
         raise InputError(
-            f"{spec.pairs}: has no {side} rig, and errors in mm need one; propose pairs from a rig "
+            f"{spec.pairs}: has no {side} rig, which errors in mm need; propose pairs from a rig "
             "instead of weights (`usdface pairs propose --source RIG --target RIG`)"
         )
     if not file.is_file():
         raise InputError(
-            f"{spec.pairs}: its {side} rig, {file}, is gone, and errors in mm need it; put it back"
+            f"{spec.pairs}: its {side} rig, {file}, which errors in mm need, is gone; put it back"
         )
     return read_rig(file, prim=prim)
 
@@ -127,7 +127,7 @@ def _truth(
     missing = [frame for frame in frames if frame not in row_of]
     if missing:
         raise InputError(
-            f"{path}: holds nothing at {len(missing)} of the frames to measure, the first "
+            f"{path}: has no weights at {len(missing)} of the frames to measure, the first "
             f"{missing[0]}; narrow --frames"
         )
     return table.columns(pairs.target.shapes)[[row_of[frame] for frame in frames]]
@@ -174,7 +174,7 @@ def _write(
     source: tuple[Rig, FloatArray],
     provenance: Provenance,
 ) -> None:
-    """Write the files asked for; `source`: its rig, and its weights in the rig's order."""
+    """Write figures and curves; `source` is the rig and the weights of its shapes."""
     made = provenance_metadata(provenance)
     for path in spec.out:
         if path.suffix.lower() == ".json":
@@ -187,9 +187,7 @@ def _write(
                 f"least error {best.mean_vertex_mm.mean():.2f} mm with {best.method}",
             )
             if best.mean_vertex_mm.mean() < _NO_ERROR_MM and best.direct_mm is None:
-                facts += (
-                    "a map that undoes itself returns everywhere: measure it against --truth",
-                )
+                facts += ("an invertible map has no round-trip error: measure it against --truth",)
             picture = draw_motion_curves(
                 title,
                 facts,
@@ -203,11 +201,11 @@ def _write(
 
 
 def _draw_returned(
-    found: tuple[CyclicError, ...], rig: Rig, asked: FloatArray, first_frame: int, step: int
+    found: tuple[CyclicError, ...], rig: Rig, weights: FloatArray, first_frame: int, step: int
 ) -> ByteImage:
-    """Draw the source's face and what comes back of it, at the frame where most is lost."""
+    """Draw the source's face and each round trip at the frame of the largest mean error."""
     at = int(np.mean([each.mean_vertex_mm for each in found], axis=0).argmax())
-    faces = [("source", asked[at])]
+    faces = [("source", weights[at])]
     faces += [
         (f"{each.method} {each.mean_vertex_mm[at]:.2f} mm", each.returned[at]) for each in found
     ]
@@ -215,21 +213,21 @@ def _draw_returned(
     tile = min((FIGURE_WIDTH - 2 * margin) // len(faces) - gap, _LARGEST_FACE)
     page = new_picture(FIGURE_WIDTH, tile + 2 * _FACES_TEXT + margin, PAGE)
     frame = first_frame + step * at
-    draw_text(page, f"frame {frame}: most is lost", x=margin, y=0, style=_FACES_HEAD)
+    draw_text(page, f"frame {frame}: largest error", x=margin, y=0, style=_FACES_HEAD)
     renderer = FaceRenderer(rig.meshes)
     camera = frame_rig(rig.meshes, yaw_degrees=facing_degrees(rig), hair=True)
     deformer = Deformer(rig)
-    for number, (label, weights) in enumerate(faces):
+    for number, (label, face_weights) in enumerate(faces):
         x = margin + number * (tile + gap)
         draw_text(page, label, x=x, y=_FACES_TEXT, style=_FACES_LABEL, max_width=tile)
-        points = deformer.points(weights[None])[0]
+        points = deformer.points(face_weights[None])[0]
         face = renderer.render(points, camera=camera, width=tile, height=tile)
         page[2 * _FACES_TEXT : 2 * _FACES_TEXT + tile, x : x + tile] = face
     return page
 
 
 def _panels(found: tuple[CyclicError, ...]) -> tuple[Panel, ...]:
-    """Return one plot of all cyclic errors, and one of direct errors where the truth is known."""
+    """Return a plot of all round-trip errors, and with --truth one of direct errors."""
     colors = [SERIES_COLORS[index % len(SERIES_COLORS)] for index in range(len(found))]
 
     def curves(values: list[FloatArray]) -> tuple[Curve, ...]:

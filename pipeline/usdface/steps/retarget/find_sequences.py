@@ -1,4 +1,4 @@
-"""A source performance and sequences in, the places where it holds them out."""
+"""Find the frames of a source performance that match emotional sequences."""
 
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -29,25 +29,25 @@ from usdface.usdio.retarget.sequences import write_matches
 class _RatedMatch:
     match: SequenceMatch
     nearness: float
-    """Distance over the threshold: comparable between sequences."""
+    """Distance divided by the threshold, comparable between sequences."""
 
 
 def run(
     spec: FindSequencesSpec, *, provenance: Provenance, progress: Progress = silent
 ) -> StepResult:
-    """Look for every sequence; where two of them overlap, keep the nearer."""
+    """Search for every sequence; of overlapping matches, keep the nearest."""
     motion = read_source_motion(spec.source, frame_range(spec.frames))
     sequences, notes = _read_sequences(spec, motion)
     found: list[_RatedMatch] = []
     for number, (path, sequence) in enumerate(sequences, start=1):
-        here, said = _find(spec, path, sequence, motion)
-        found += here
-        notes += said
-        progress(number / len(sequences), f"looked for {sequence.label}")
+        matches, match_notes = _find(spec, path, sequence, motion)
+        found += matches
+        notes += match_notes
+        progress(number / len(sequences), f"searched for {sequence.label}")
     kept, dropped = _without_overlaps(found)
     notes += [
-        f"frames {d.first_frame}-{d.last_frame} are like {d.label} ({d.sequence.name}) as well, "
-        "and less so than the sequence kept there"
+        f"frames {d.first_frame}-{d.last_frame} also match {d.label} ({d.sequence.name}), at a "
+        "larger distance than the sequence kept there"
         for d in dropped
     ]
     write_matches(spec.out, kept, provenance=provenance)
@@ -83,9 +83,7 @@ def _read_sequences(
     sequences = [(path, sequence) for path, (sequence, _) in read.items()]
     label = spec.label or (motion.emotion if spec.by == "label" else None)
     if spec.by == "label" and not label:
-        raise InputError(
-            f"{spec.source}: says nothing of its emotion, so --by label needs --label NAME"
-        )
+        raise InputError(f"{spec.source}: states no emotion, so --by label needs --label NAME")
     if label:
         wanted = [each for each in sequences if each[1].label.lower() == label.lower()]
         if not wanted:
@@ -97,7 +95,7 @@ def _read_sequences(
             raise InputError(
                 f"{path}: the sequence {sequence.label!r} is {len(sequence.source)} frames long, "
                 f"and {spec.source} has {len(motion.weights)} ({motion.first_frame}-"
-                f"{motion.last_frame}); look in a longer take or cut the sequence"
+                f"{motion.last_frame}); search a longer take or shorten the sequence"
             )
     return sequences, [note for path, _ in sequences if (note := read[path][1])]
 
@@ -111,7 +109,7 @@ def _find(
     try:
         matches = _search(spec, taken, wanted)
     except ValueError as error:
-        raise InputError(f"{path}: {error}; compare other --shapes or cut it anew") from error
+        raise InputError(f"{path}: {error}; compare other --shapes or cut it again") from error
     length = len(wanted)
     found = []
     for start, distance in zip(matches.starts.tolist(), matches.distances.tolist(), strict=True):
@@ -121,7 +119,7 @@ def _find(
     if not found:
         notes = (
             *notes,
-            f"{path.name}: nothing in the take is within {matches.threshold:.3f} of it",
+            f"{path.name}: no frames of the take are within {matches.threshold:.3f} of it",
         )
     return found, list(notes)
 
@@ -144,8 +142,8 @@ def _columns(spec: FindSequencesSpec, path: Path, sequence: EmotionalSequence) -
     ]
     if not chosen:
         raise InputError(
-            f"{path}: none of its {len(sequence.source_shapes)} shapes is one of --shapes "
-            f"{', '.join(spec.shapes)}"
+            f"{path}: none of its {len(sequence.source_shapes)} shapes matches --shapes "
+            f"{', '.join(spec.shapes)}; correct the patterns"
         )
     return chosen
 

@@ -1,4 +1,4 @@
-"""A stretch of the source and one of the target in, a sequence out."""
+"""Pair a range of source motion with a target animation, as a sequence."""
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from usdface.usdio.retarget.sequences import write_sequence
 def run(
     spec: MakeSequenceSpec, *, provenance: Provenance, progress: Progress = silent
 ) -> StepResult:
-    """Cut both sides out and write them side by side."""
+    """Cut both ranges and write the sequence."""
     source = read_source_motion(spec.source, frame_range(spec.source_frames))
     attributes = spec.attributes or None
     read = read_control_clip(
@@ -29,11 +29,11 @@ def run(
     target = read.clip.controls
     for path, count in ((spec.source, len(source.weights)), (spec.target, len(target))):
         if count < 2:
-            raise InputError(f"{path}: {count} frame is no sequence; give at least 2")
+            raise InputError(f"{path}: has {count} frame; a sequence needs at least 2")
     if mean_face_distance(source.weights) == 0.0:
         raise InputError(
-            f"{spec.source}: frames {source.first_frame}-{source.last_frame} stand still, so "
-            "nothing would tell them from a face at rest; choose a stretch that moves"
+            f"{spec.source}: frames {source.first_frame}-{source.last_frame} do not move, and "
+            "would match any face at rest; choose frames that move"
         )
     factor = read.rate / source.rate
     alike = abs(source.rate - read.rate) < RATES_ALIKE
@@ -54,7 +54,7 @@ def run(
             f"frames per second; the source is resampled to {len(weights)} frames"
         )
     if target.attributes and not spec.attributes:
-        notes.append(f"with the attributes that move: {first_few(target.attributes)}")
+        notes.append(f"including the attributes that move: {first_few(target.attributes)}")
     return StepResult(
         (spec.out,),
         f"{spec.label}: {len(weights)} frames of {len(source.names)} source shapes, "

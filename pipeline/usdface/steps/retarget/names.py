@@ -1,4 +1,4 @@
-"""Say which shapes of a source drive which shapes of a rig."""
+"""List which shapes of a source drive which shapes of a rig."""
 
 from pathlib import Path
 
@@ -24,18 +24,18 @@ def list_names(
     out: Path | None = None,
     overwrite: bool = False,
 ) -> StepResult:
-    """Match a source's shapes with a rig's, and write the table if asked to.
+    """Match a source's shapes with a rig's; with `out`, write the table.
 
     Parameters
     ----------
     source : Path, optional
         A rig, a take, a performance, or a capture or table of weights. Default: ARKit's 52 names.
     names : Path, optional
-        A table to follow instead of the names.
+        Table to use instead of matching.
     by : {'both', 'name', 'deformation'}
-        What is compared; deformation only between rigs.
+        Criteria; deformation only between rigs.
     out : Path, optional
-        Where the table goes, .csv or .json.
+        Path of the table, .csv or .json.
     """
     files = [each for each in (rig, source, names) if each is not None]
     confine("names", reads=files, writes=[] if out is None else [out])

@@ -1,4 +1,4 @@
-"""Two animations in, pairs of what both hold at the same frames out."""
+"""Make pairs from the common frames of two animations."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +24,7 @@ def run(
     spec: PairsImportSpec, *, provenance: Provenance, progress: Progress = silent
 ) -> StepResult:
     """Read both sides, pair them by frame, and write the asset."""
-    _check_nothing_hides(spec.out)
+    _check_no_keys(spec.out)
     source_rig = read_rig(spec.source_rig, prim=spec.source_prim)
     target_rig = read_rig(spec.target_rig, prim=spec.target_prim)
     given = read_weight_table(spec.source, unit=spec.weight_unit)
@@ -57,8 +57,8 @@ def run(
     notes = [*meaning_notes(transfer), *given.numbering_notes(spec.source)]
     if unknown:
         notes.append(
-            f"left out {pluralize(len(unknown), 'column')}, of no shape of {spec.source_rig}: "
-            f"{first_few(unknown)}"
+            f"left out {pluralize(len(unknown), 'column')} that match no shape of "
+            f"{spec.source_rig}: {first_few(unknown)}"
         )
     unused = unused_shapes(pairs)
     if unused:
@@ -72,13 +72,13 @@ def run(
     )
 
 
-def _check_nothing_hides(out: Path) -> None:
-    """Refuse an asset with keys of its own: they would be seen instead of what is imported."""
+def _check_no_keys(out: Path) -> None:
+    """Refuse an existing asset with keys in a stronger layer, which would hide imported pairs."""
     keyed = keyed_above(out) if out.is_file() else ()
     if keyed:
         raise InputError(
             f"{out}: keys made in it by hand, of {pluralize(len(keyed), 'attribute')} "
-            f"({first_few(keyed, most=3)}), would hide what is imported; nothing was changed. "
+            f"({first_few(keyed, most=3)}), would hide the imported pairs; nothing was changed. "
             "Write to another --out, or remove these keys"
         )
 
@@ -98,12 +98,11 @@ def _read_target(spec: PairsImportSpec, rig: Rig) -> tuple[list[int], Controls]:
 
 
 def _without_driven(clip: ControlClip, rig: Rig) -> ControlClip:
-    """Leave out what other shapes of the rig drive: it is evaluated."""
-    held = clip.controls
-    kept = [index for index, name in enumerate(held.shapes) if name not in rig.logic.driven]
-    shapes = tuple(held.shapes[index] for index in kept)
-    controls = replace(held, shapes=shapes, weights=held.weights[:, kept])
-    return replace(clip, controls=controls)
+    """Return a clip without the shapes that others drive, which are evaluated."""
+    old = clip.controls
+    columns = [index for index, name in enumerate(old.shapes) if name not in rig.logic.driven]
+    shapes = tuple(old.shapes[index] for index in columns)
+    return replace(clip, controls=replace(old, shapes=shapes, weights=old.weights[:, columns]))
 
 
 def _check_sides(spec: PairsImportSpec, source: tuple[int, ...], target: list[int]) -> None:
@@ -113,8 +112,7 @@ def _check_sides(spec: PairsImportSpec, source: tuple[int, ...], target: list[in
     ):
         missing = sorted(set(these) - set(those))
         if missing:
-            numbers = first_few(missing)
             raise InputError(
-                f"{path}: {len(missing)} pairs have no {side} side: it holds nothing at frames "
-                f"{numbers}; key both sides at the same frames"
+                f"{path}: {len(missing)} pairs have no {side}: it has no keys at frames "
+                f"{first_few(missing)}; key both animations at the same frames"
             )

@@ -1,4 +1,4 @@
-"""Two characters in, pairs of expressions that mean the same out."""
+"""Propose pairs of corresponding expressions of two characters."""
 
 from pathlib import Path
 
@@ -39,8 +39,8 @@ def run(
     matches, notes = _match(spec, shapes, source, target, progress)
     if not matches:
         raise InputError(
-            f"{spec.source} and {spec.target}: no shape of the one is like one of the other; key "
-            "pairs by hand and bring them in with `usdface pairs import`"
+            f"{spec.source} and {spec.target}: no shapes correspond; key pairs by hand and import "
+            "them with `usdface pairs import`"
         )
     rest = rest_controls(target, attributes=spec.attributes, joints=spec.joints)
     pairs = _pairs(shapes, source, target, matches, rest)
@@ -57,7 +57,7 @@ def run(
             notes.append(
                 f"left out {pluralize(len(merged) - kept, 'new pair')} "
                 f"({first_few(merged.names[kept:], most=3)}): keys made by hand, of {keyed[0]}, "
-                "hide what lies beneath at every time code; key them there, or propose to another "
+                "hide proposals at every time code; key these pairs there, or propose to another "
                 "--out"
             )
         pairs = old if keyed else merged
@@ -71,25 +71,25 @@ def run(
             "key expressions that use them"
         )
     if kept:
-        notes.append(f"kept {pluralize(kept, 'pair')} at the time codes they had")
+        notes.append(f"kept {pluralize(kept, 'pair')} at their time codes")
     return StepResult(
         (spec.out, proposed_path(spec.out)),
         f"{len(pairs)} pairs of {len(shapes)} source shapes and {pairs.target.summary}; "
-        "starting points to be tuned",
+        "proposals to be tuned",
         tuple(notes),
         {"pairs": len(pairs), "names": list(pairs.names), "dead": list(dead)},
     )
 
 
 def source_shapes(path: Path, *, prim: str | None = None) -> tuple[tuple[str, ...], Rig | None]:
-    """Return the shapes of a source, and the rig if it is one.
+    """Return the shapes of a source, and the rig if the source is one.
 
     Parameters
     ----------
     path : Path
         A rig, a take, a performance, or a capture or table of weights.
     prim : str, optional
-        Face in the file, if it is a rig of several.
+        Face in a rig's file with several.
     """
     if not is_usd_name(path):
         if recognise_format(path).read is read_weight_take:  # names need no rate, unit or take
@@ -114,28 +114,24 @@ def match_rigs(
     by: str = "both",
     progress: Progress = silent,
 ) -> tuple[NameMatching, list[str]]:
-    """Match shapes by what their names mean, and what is left by how it deforms the face.
+    """Match shapes by the meaning of their names, the others by deformation; return notes too.
 
     Parameters
     ----------
     by : {'both', 'name', 'deformation'}
-
-    Returns
-    -------
-    NameMatching, list of str
-        The matches, and notes for people.
     """
     progress(0.1, "matching names")
     named = NameMatching(()) if by == "deformation" else name_matching(source.shapes, target.shapes)
     matches, how = list(named.matches), dict(named.by)
     notes = [f"matched {pluralize(len(matches), 'shape')} by name"] if matches else []
     if by != "name":
-        progress(0.2, "laying one face onto the other")
+        progress(0.2, "registering the faces")
         driven: dict[str, list[tuple[str, float]]] = {}
         for each in _alike(source, target, by, matches, notes):
             driven.setdefault(each.source, []).append((each.target, each.share))
             notes.append(
-                f"{each.source} and {each.target} move the faces alike ({each.similarity:.2f})"
+                f"matched by deformation: {each.source} and {each.target} (similarity "
+                f"{each.similarity:.2f})"
             )
         matches += [NameMatch(s, ((s, 1.0),), tuple(parts)) for s, parts in driven.items()]
         how |= dict.fromkeys(driven, "deformation")
@@ -161,10 +157,13 @@ def _match(
         if source is not None:
             found, notes = match_rigs(source, target, by=spec.match, progress=progress)
         elif spec.match == "deformation":
-            raise InputError(f"{spec.source}: is no rig, so what its shapes do is not known")
+            raise InputError(
+                f"{spec.source}: is no rig, so its shapes cannot be compared by deformation; use "
+                "--match name"
+            )
         else:
             found = name_matching(shapes, target.shapes)
-            notes = ["the source is no rig: its shapes are matched by name alone"]
+            notes = ["the source is no rig: its shapes are matched by name only"]
         named = list(found.matches)
         if found.ambiguous:
             doubts = first_few(found.ambiguous, most=3)
@@ -192,7 +191,7 @@ def _rows_as_matches(transfer: Transfer) -> list[NameMatch]:
 def _alike(
     source: Rig, target: Rig, by: str, named: list[NameMatch], notes: list[str]
 ) -> tuple[ShapeMatch, ...]:
-    """Match by deformation what names left; where names sufficed, a face that fails is a note."""
+    """Match the remaining shapes by deformation; if names matched some, a failure is a note."""
     used = {name for match in named for name, _ in match.source}
     driven = {name for match in named for name, _ in match.target}
     try:
@@ -205,7 +204,7 @@ def _alike(
     except InputError as error:
         if by == "deformation" or not named:
             raise
-        notes.append(f"what shapes do could not be compared: {error}")
+        notes.append(f"deformations could not be compared: {error}")
         return ()
 
 

@@ -1,4 +1,4 @@
-"""One performance in, a performance of every target out."""
+"""Retarget weights to one or more characters."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -45,20 +45,20 @@ _CHUNK_FRAMES = 8192
 
 @dataclass(frozen=True)
 class _Target:
-    """A character, and what brings weights to it."""
+    """A character, and the method of retargeting to it."""
 
     rig: Rig
     trained: Retargeting | None
-    """None where names alone do."""
+    """None for retargeting by names or positions."""
     transfer: Transfer
-    """From the source's shapes to those that were trained on, or to the rig's."""
+    """From the source's shapes to those of the training, or of the rig."""
     notes: tuple[str, ...]
     unmatched: tuple[str, ...]
-    """Shapes of the source that move and drive nothing."""
+    """Moving shapes of the source without a counterpart."""
     unpaired: tuple[str, ...] = ()
-    """Shapes of the source that move and that no pair uses."""
+    """Moving shapes of the source that no pair uses."""
     surfaces: Correspondence | None = None
-    """Of the source's rig and this one, where positions are matched."""
+    """Between the source's rig and this one, to match positions."""
 
     @property
     def method(self) -> str:
@@ -99,8 +99,8 @@ def run(spec: RetargetSpec, *, provenance: Provenance, progress: Progress = sile
     notes = [f"{spec.source.name}: {note}" for note in motion.notes]
     if motion.unseen:
         notes.append(
-            f"{spec.source.name}: nothing was captured in {frame_ranges(motion.unseen)}; what is "
-            "written there is interpolated"
+            f"{spec.source.name}: nothing was captured in {frame_ranges(motion.unseen)}; weights "
+            "are interpolated there"
         )
     outputs: list[Path] = []
     for index, target in enumerate(targets):
@@ -109,8 +109,8 @@ def run(spec: RetargetSpec, *, provenance: Provenance, progress: Progress = sile
         header = _header(spec, motion, target)
         header = replace(header, held=heads[index].held)
         _write(out, header, motion, target, heads[index], alpha, share, provenance)
-        said = (*target.notes, *heads[index].notes, *edit_notes(out))
-        notes += [f"{out.name}: {note}" for note in said]
+        target_notes = (*target.notes, *heads[index].notes, *edit_notes(out))
+        notes += [f"{out.name}: {note}" for note in target_notes]
         outputs += [out, weights_path(out)]
         if target.trained and (target.trained.joints or target.trained.attributes):
             outputs.append(controls_path(out))
@@ -145,7 +145,7 @@ def run(spec: RetargetSpec, *, provenance: Provenance, progress: Progress = sile
 def _surface_target(
     spec: RetargetSpec, source_rig: Path, rig: Rig, motion: SourceMotion
 ) -> _Target:
-    """Return a target whose surface is matched with the source's."""
+    """Return a target retargeted by matching positions of the surfaces."""
     source = read_rig(source_rig)
     transfer, notes = source_transfer(spec.source, motion, source.shapes, spec.names)
     unmatched = unmatched_moving(transfer, motion)
@@ -165,7 +165,7 @@ def _target(spec: RetargetSpec, index: int, motion: SourceMotion) -> _Target:
     trained = read_retargeting(path)
     file = spec.rig[index] if spec.rig else trained.target_rig
     if file is None or not file.is_file():
-        raise InputError(f"{path}: its target's rig {file or ''} is not there; name it with --rig")
+        raise InputError(f"{path}: its target's rig {file or ''} is gone; name it with --rig")
     rig = read_rig(file, prim=None if spec.rig else trained.target_prim or None)
     rig.check_has(trained.shapes, source=path, remedy="train again for this rig")
     if spec.alpha is not None and trained.method != "hybrid":
@@ -178,24 +178,24 @@ def _target(spec: RetargetSpec, index: int, motion: SourceMotion) -> _Target:
     if dead:
         notes = (
             *notes,
-            f"{len(dead)} source shapes move in this performance and no pair uses them, so the "
-            f"target does not follow: {first_few(dead)}",
+            f"{len(dead)} source shapes move but are in no pair, so the target does not follow: "
+            f"{first_few(dead)}",
         )
     unmatched = unmatched_moving(transfer, motion)
     return _Target(rig, trained, transfer, notes, unmatched, unpaired=dead)
 
 
 def _heads(spec: RetargetSpec, motion: SourceMotion, targets: list[_Target]) -> list[HeadDrive]:
-    """Return for each target what the source's head and eyes do on it."""
+    """Return the transforms of --drive for each target."""
     if not spec.drive:
         return [HeadDrive() for _ in targets]
-    found = [named_targets(each.rig, spec.drive) for each in targets]
+    driven = [named_targets(each.rig, spec.drive) for each in targets]
     if spec.source.suffix.lower() in LAYER_SUFFIXES and is_take(spec.source):
         take = TakeReader(spec.source)
         head = take_head_source(take, motion.first_frame, motion.last_frame)
     else:
         head = weights_head_source(spec.source, motion.names, motion.weights)
-    return [head.drive(each.rig, own) for each, own in zip(targets, found, strict=True)]
+    return [head.drive(each.rig, parts) for each, parts in zip(targets, driven, strict=True)]
 
 
 def _header(spec: RetargetSpec, motion: SourceMotion, target: _Target) -> WeightsHeader:
@@ -210,12 +210,12 @@ def _header(spec: RetargetSpec, motion: SourceMotion, target: _Target) -> Weight
     )
     lost = set(target.unmatched) | set(target.unpaired)
     shares = {name: share for name, share in motion.shares.items() if name in lost}
-    chosen = spec.names is not None  # a table says what is left out
+    by_table = spec.names is not None  # then shapes are left out on purpose
     return replace(
         header,
         unmatched=tuple(shares),
         unseen=motion.unseen,
-        unmatched_shares=() if chosen else tuple(shares.values()),
+        unmatched_shares=() if by_table else tuple(shares.values()),
     )
 
 
@@ -255,7 +255,7 @@ def _write(
 def _dead(
     spec: RetargetSpec, trained: Retargeting, motion: SourceMotion, transfer: Transfer
 ) -> tuple[str, ...]:
-    """Return source shapes that move here though no pair used them; refuse where all are."""
+    """Return moving source shapes that no pair uses; refuse a motion of such shapes only."""
     columns = motion.weights @ transfer.matrix
     moving = np.abs(columns).max(axis=0, initial=0.0) > MOVING_WEIGHT
     unused = trained.arrays.get("unused", np.zeros(len(trained.source_shapes))) > 0
@@ -266,14 +266,14 @@ def _dead(
     )
     if names and not (moving & ~unused).any():
         raise InputError(
-            f"{spec.source}: moves {first_few(names, most=3)} alone, which no pair of the "
+            f"{spec.source}: moves only {first_few(names, most=3)}, which no pair of the "
             "retargeting uses, so nothing would move; key pairs for them and train again"
         )
     return names
 
 
 def _beyond(rig: Rig, motion: SourceMotion, transfer: Transfer) -> list[str]:
-    """Name shapes that pass their range because several sources add up on them."""
+    """Return a note on shapes that exceed their range as several sources add up on them."""
     several = (transfer.matrix != 0).sum(axis=0) > 1
     if not several.any():
         return []
@@ -285,7 +285,7 @@ def _beyond(rig: Rig, motion: SourceMotion, transfer: Transfer) -> list[str]:
     if not names:
         return []
     return [
-        f"several source shapes add up on {pluralize(len(names), 'shape')} and pass its range: "
-        f"{first_few(names, most=3)}; MetaHuman's rig limits its controls itself, for another rig "
-        "lower the weights with --names"
+        f"several source shapes add up on {pluralize(len(names), 'shape')} beyond its range: "
+        f"{first_few(names, most=3)}; MetaHuman's rig clamps its controls, for other rigs lower "
+        "the weights with --names"
     ]

@@ -1,4 +1,4 @@
-"""Every take of a folder onto the same characters."""
+"""Retarget every take of a folder to the same characters."""
 
 from pathlib import Path
 
@@ -20,7 +20,7 @@ _OF_WEIGHTS = (
 """Formats whose captures carry weights."""
 
 _OF_TABLES = ("rate", "weight_unit", "shapes", "take")
-"""Options that count for the tables of a folder; takes and recorders' files say it themselves."""
+"""Options for the tables of a folder; takes and recorders' files state them."""
 
 
 def retarget_folder(
@@ -36,31 +36,29 @@ def retarget_folder(
     Parameters
     ----------
     out : Path
-        Folder for the performances, ``TAKE.RIG.usda``; made if it is not there.
+        Folder for the performances, ``TAKE.RIG.usda``; created if needed.
     shared : RetargetSpec
         Targets and options for every take; its source and outputs are not used.
 
     Raises
     ------
-    InputError
-        If the folder holds none, `shared` names frames, or `out` cannot be made.
     CheckFailedError
-        If a take could not be retargeted; each is named with its reason.
+        If a take could not be retargeted, with the reason of each.
     """
     for name in ("frames", "alpha"):
         if getattr(shared, name):
-            raise InputError(f"{folder}: --{name} is of one take, and a folder holds several")
+            raise InputError(f"{folder}: --{name} is for a single take; leave it out for a folder")
     sources = _takes(folder)
     if not sources:
         raise InputError(
-            f"{folder}: holds no take ({TAKE_END}) and no capture that is known; name the folder "
+            f"{folder}: holds no take ({TAKE_END}) and no capture with weights; name the folder "
             "that holds them"
         )
     targets = [path.name.partition(".")[0] for path in shared.rig or shared.retargeting]
     if len(set(targets)) < len(targets):
         raise InputError(
-            f"{folder}: performances are named after their targets, and {', '.join(targets)} are "
-            "not different; retarget to one of them at a time"
+            f"{folder}: performances are named after their targets, and two of "
+            f"{', '.join(targets)} are equal; retarget to one of them at a time"
         )
     tables = {source for source in sources.values() if _is_table(source)}
     specs = [
@@ -94,7 +92,7 @@ def _is_table(source: Path) -> bool:
 
 
 def _takes(folder: Path) -> dict[str, Path]:
-    """Return sources by stem; a take goes before the capture that it was made from."""
+    """Return sources by stem; a take takes precedence over a capture of the same stem."""
     found: dict[str, Path] = {}
     for path in sorted(folder.iterdir()):
         if path.is_file() and path.name.endswith(TAKE_END) and not path.name.startswith("."):

@@ -1,4 +1,4 @@
-"""Sequences at the rate of what they are used with."""
+"""Resample sequences to another rate."""
 
 from dataclasses import replace
 from fractions import Fraction
@@ -11,22 +11,15 @@ from usdface.numerics.motion.laplacian_warp import stretch_motion
 from usdface.usdio.retarget.sequences import read_sequence, sequence_rate
 
 RATES_ALIKE = 1e-3
-"""Frames per second that a rate may lose where a layer holds it as a float."""
+"""Largest difference of equal rates [frames/s]: layers store them as floats."""
 
 
 def read_sequence_at(path: Path, rate: Fraction) -> tuple[EmotionalSequence, str]:
-    """Read a sequence as it lasts at another rate.
-
-    Returns
-    -------
-    sequence : EmotionalSequence
-    note : str
-        What to tell of it; empty where it runs at the rate.
-    """
-    sequence, own = read_sequence(path), sequence_rate(path)
-    if abs(own - rate) < RATES_ALIKE:
+    """Read a sequence, resampled to `rate`; return it with a note, empty if rates are equal."""
+    sequence, stored = read_sequence(path), sequence_rate(path)
+    if abs(stored - rate) < RATES_ALIKE:
         return sequence, ""
-    factor = rate / own
+    factor = rate / stored
     resampled = replace(
         sequence,
         source=motion_at_rate(sequence.source, factor),
@@ -34,8 +27,8 @@ def read_sequence_at(path: Path, rate: Fraction) -> tuple[EmotionalSequence, str
         key_weights=motion_at_rate(sequence.key_weights[:, None], factor)[:, 0],
     )
     note = (
-        f"{path.name} runs at {float(own):g} frames per second, and this at {float(rate):g}: it is "
-        f"resampled, its {len(sequence.source)} and {len(sequence.target)} frames to "
+        f"{path.name} runs at {float(stored):g} frames per second, and is resampled to "
+        f"{float(rate):g}: {len(sequence.source)} and {len(sequence.target)} frames become "
         f"{len(resampled.source)} and {len(resampled.target)}"
     )
     return resampled, note
@@ -47,6 +40,6 @@ def motion_at_rate(motion: FloatArray, factor: Fraction) -> FloatArray:
 
 
 def controls_at_rate(controls: Controls, factor: Fraction) -> Controls:
-    """Return controls at another rate; rotations through their vectors."""
+    """Return controls at another rate; rotations are interpolated as rotation vectors."""
     space = control_space(controls)
     return space.decode(motion_at_rate(space.encode(controls), factor))

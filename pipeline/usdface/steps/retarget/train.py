@@ -1,4 +1,4 @@
-"""Expression pairs in, a retargeting out."""
+"""Train a retargeting on expression pairs."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -33,27 +33,27 @@ from usdface.usdio.retarget.retargeting import write_retargeting
 from usdface.usdio.rig.read import read_rig
 
 _LOST_WEIGHT = 0.1
-"""A shape that reaches it is seen."""
+"""Smallest weight of a source shape whose loss is reported."""
 
 LISTED_CONFLICTS = 5
-"""How many of a kind a note names."""
+"""Conflicts listed in notes."""
 
 
 def run(
     spec: TrainRetargetSpec, *, provenance: Provenance, progress: Progress = silent
 ) -> StepResult:
-    """Learn what the pairs show."""
+    """Train the retargeting and write it."""
     pairs = read_pairs(spec.pairs)
-    unlearnt: list[str] = []
+    notes: list[str] = []
     if spec.references is not None:
-        pairs, unlearnt = _with_tuned(pairs, spec.references)
+        pairs, notes = _with_tuned(pairs, spec.references)
     check_pairs(pairs, str(spec.pairs))
-    notes = unlearnt + pair_notes(pairs)
+    notes += pair_notes(pairs)
     performance = None
     if spec.source is not None:
         motion = read_source_motion(spec.source)
-        performance, said = source_columns(spec.source, motion, pairs.source_shapes)
-        notes += said
+        performance, source_notes = source_columns(spec.source, motion, pairs.source_shapes)
+        notes += source_notes
     surface = source_surface(pairs)
     if surface is None:
         notes.append(
@@ -85,23 +85,20 @@ def run(
 
 
 def _with_tuned(pairs: ExpressionPairs, path: Path) -> tuple[ExpressionPairs, list[str]]:
-    """Add what was tuned in references: the take's weights at a frame, and the target's there.
-
-    Return with them what is to be said of source shapes that no pair has.
-    """
+    """Add the tuned pairs of references; return a note on source shapes that no pair has."""
     references, target = read_set_references(path), pairs.target
     tuned = np.flatnonzero(references.tuned)
     if references.source is None:
         raise InputError(
-            f"{path}: its takes have markers; `usdface train` learns from them. Give references of "
-            "takes that carry weights"
+            f"{path}: its takes have markers, for `usdface train`; give references of takes that "
+            "carry weights"
         )
     if not len(tuned):
         raise InputError(f"{path}: no pair is tuned; tune some, or leave out --references")
     if target.joints or target.attributes:
         raise InputError(
-            f"{path}: holds weights alone, and the target's pairs key {target.summary}; key these "
-            "frames in the pairs"
+            f"{path}: holds only weights, but the pairs key {target.summary} of the target; key "
+            "these frames in the pairs"
         )
     missing = [name for name in target.shapes if name not in references.shape_names]
     if missing:
@@ -109,7 +106,7 @@ def _with_tuned(pairs: ExpressionPairs, path: Path) -> tuple[ExpressionPairs, li
             f"{path}: of another rig than the pairs: it has no {first_few(missing)}; select again "
             "for the pairs' target"
         )
-    # What is in no pair, as the turn of a head, explains no correction.
+    # Shapes in no pair, such as head rotation, do not explain corrections.
     used = np.flatnonzero(pairs.source.any(axis=0))
     shapes = tuple(pairs.source_shapes[index] for index in used.tolist())
     transfer = transfer_by_names(references.source_names, shapes)
@@ -123,7 +120,7 @@ def _with_tuned(pairs: ExpressionPairs, path: Path) -> tuple[ExpressionPairs, li
     ]
     notes = [
         f"{path.name}: {pluralize(len(lost), 'source shape')} of the tuned frames "
-        f"{'is' if len(lost) == 1 else 'are'} in no pair, and not learnt from them: "
+        f"{'is' if len(lost) == 1 else 'are'} in no pair, and not used: "
         f"{first_few(lost)}; add pairs in which they move (`usdface pairs propose --names`)"
     ]
     extended = replace(
@@ -140,7 +137,7 @@ def _with_tuned(pairs: ExpressionPairs, path: Path) -> tuple[ExpressionPairs, li
 
 
 def source_surface(pairs: ExpressionPairs) -> FloatArray | None:
-    """Return what source shapes do to the source's surface; None where its rig is not known."""
+    """Return the displacements of the source's surface per shape; None without its rig."""
     if pairs.source_rig is None or not pairs.source_rig.is_file():
         return None
     rig = read_rig(pairs.source_rig, prim=pairs.source_prim)
@@ -150,7 +147,7 @@ def source_surface(pairs: ExpressionPairs) -> FloatArray | None:
 
 
 def target_ranges(pairs: ExpressionPairs) -> FloatArray | None:
-    """Return the limits of the target's weights, widened to what the pairs use."""
+    """Return the ranges of the target's weights, extended to the weights of the pairs."""
     if pairs.target_rig is None or not pairs.target_rig.is_file():
         return None
     rig = read_rig(pairs.target_rig, prim=pairs.target_prim)
@@ -160,7 +157,7 @@ def target_ranges(pairs: ExpressionPairs) -> FloatArray | None:
 
 
 def pair_notes(pairs: ExpressionPairs) -> list[str]:
-    """Say what is doubtful about pairs, though they can be learned from."""
+    """Return notes on conflicting pairs and unused shapes and controls."""
     notes = []
     for each in find_pair_conflicts(pairs)[:LISTED_CONFLICTS]:
         notes.append(

@@ -1,4 +1,4 @@
-"""A target's performance and where its sequences go in, the warped performance out."""
+"""Blend keyed sequences into a target's performance."""
 
 import math
 from dataclasses import dataclass
@@ -48,14 +48,14 @@ _CHUNK_FRAMES = 8192
 
 @dataclass(frozen=True)
 class _Placement:
-    """A sequence and the frames of the performance that it takes."""
+    """A sequence and the frames of the performance that it replaces."""
 
     match: SequenceMatch
     sequence: EmotionalSequence
     first_frame: int
     frame_count: int
     rate_note: str = ""
-    """What to tell of the sequence's own rate."""
+    """Note if the sequence was resampled."""
 
     @property
     def last_frame(self) -> int:
@@ -63,7 +63,7 @@ class _Placement:
 
 
 def run(spec: WarpSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
-    """Warp every control round the sequences and write the result."""
+    """Warp every control to the sequences and write the performance."""
     progress(0.0, "reading")
     reader = PerformanceReader(spec.performance)
     rig_file, rig_prim = reader.rig()
@@ -77,8 +77,7 @@ def run(spec: WarpSpec, *, provenance: Provenance, progress: Progress = silent) 
     keep = math.inf if spec.outside == "exact" else PUBLISHED_KEEP
     after = warp_motion(before, insertions, blend=spec.blend, keep=keep)
     _limit(after, before, insertions, rig, space)
-    # Where nothing changed, the controls are taken as they were: a rotation that goes through its
-    # vector and back would not be the same to the last bit.
+    # Unchanged frames keep their controls, as rotations change by rounding when converted.
     warped = _replace_changed(read.clip.controls, space.decode(after), after != before)
     progress(0.6, "writing")
     _write(spec, rig, reader.header.place, read, warped, part(progress, 0.6, 0.95), provenance)
@@ -92,7 +91,7 @@ def run(spec: WarpSpec, *, provenance: Provenance, progress: Progress = silent) 
     return StepResult(
         (*outputs, *([spec.curves] if spec.curves else [])),
         f"{pluralize(len(placements), 'sequence')} in {len(before)} frames; "
-        f"{pluralize(changed, 'frame')} changed, the others are as they were",
+        f"{pluralize(changed, 'frame')} changed",
         (
             *filter(None, dict.fromkeys(each.rate_note for each in placements)),
             *_beyond_notes(placements),
@@ -123,8 +122,7 @@ def _placements(spec: WarpSpec, read: ReadControls) -> list[_Placement]:
     matches = read_matches(spec.matches)
     if not matches:
         raise InputError(
-            f"{spec.matches}: holds no active match, so there is nothing to warp; find sequences "
-            "again or activate one"
+            f"{spec.matches}: holds no active match; find sequences again or activate one"
         )
     first, last = read.clip.first_frame, read.clip.last_frame
     sequences: dict[Path, tuple[EmotionalSequence, str]] = {}
@@ -139,13 +137,13 @@ def _placements(spec: WarpSpec, read: ReadControls) -> list[_Placement]:
         where = f"{match.sequence.name} at frame {match.first_frame}"
         if count > last - first + 1:
             raise InputError(
-                f"{where}: {count} frames are more than all of {spec.performance}, which has "
-                f"{first}-{last}; leave it out"
+                f"{where}: has {count} frames, more than {spec.performance} ({first}-{last}); "
+                "deactivate the match"
             )
         stop = match.first_frame + count - 1
         if match.first_frame < first or stop > last:
             raise InputError(
-                f"{where}: would take frames {match.first_frame}-{stop}, and {spec.performance} "
+                f"{where}: would replace frames {match.first_frame}-{stop}, but {spec.performance} "
                 f"has {first}-{last}; deactivate the match, move it, or use --timing fit"
             )
         placed.append(_Placement(match, sequence, match.first_frame, count, note))
@@ -160,7 +158,7 @@ def _placements(spec: WarpSpec, read: ReadControls) -> list[_Placement]:
 
 
 def _beyond_notes(placements: list[_Placement]) -> list[str]:
-    """Name frames behind a match that a longer sequence replaces."""
+    """Return a note on frames after a match that a longer sequence replaces."""
     beyond = [
         f"{each.match.last_frame + 1}-{each.last_frame} ({each.sequence.label} at "
         f"{each.first_frame}-{each.match.last_frame})"
@@ -176,13 +174,13 @@ def _beyond_notes(placements: list[_Placement]) -> list[str]:
 
 
 def _head_notes(performance: Path) -> list[str]:
-    """Say what is not carried: Xforms are no controls, as joints are."""
+    """Return a note on animated Xforms, which are not warped."""
     xforms = turned_xforms(performance)
     if not xforms:
         return []
     return [
-        f"not carried, as Xforms are no controls: how {first_few(xforms)} turned; "
-        f"{head_path(performance).name} has it"
+        f"not warped nor written, as Xforms are no controls: {first_few(xforms)}; their motion is "
+        f"in {head_path(performance).name}"
     ]
 
 
@@ -190,43 +188,43 @@ def _check_controls(
     match: SequenceMatch, sequence: EmotionalSequence, controls: Controls, performance: Path
 ) -> None:
     target = sequence.target
-    for what, theirs, ours in (
+    for kind, needed, available in (
         ("shapes", target.shapes, controls.shapes),
         ("joints", target.joints, controls.joints),
         ("attributes", target.attributes, controls.attributes),
     ):
-        unknown = [name for name in theirs if name not in ours]
+        unknown = [name for name in needed if name not in available]
         if unknown:
             raise InputError(
-                f"{match.sequence}: {len(unknown)} of its {what} are not in {performance}: "
-                f"{first_few(unknown)}; is it of another character?"
+                f"{match.sequence}: {len(unknown)} of its {kind} are not in {performance}: "
+                f"{first_few(unknown)}; give sequences of the same character"
             )
 
 
 def _insertion(
     spec: WarpSpec, each: _Placement, read: ReadControls, space: ControlSpace, before: FloatArray
 ) -> Insertion:
-    """Turn a sequence into keys in the performance's own controls and coordinates.
+    """Return a sequence as keys of the performance's controls.
 
-    Controls that the sequence does not hold ask for what the performance has there.
+    Controls that the sequence lacks keep the performance's values.
     """
     target = each.sequence.target
     start = each.first_frame - read.clip.first_frame
     rows = slice(start, start + each.frame_count)
-    own = ControlSpace(
+    sequence_space = ControlSpace(
         target.shapes,
         target.joints,
         target.attributes,
         space.mean_rotations[[space.joints.index(name) for name in target.joints]],
     )
-    motion = own.encode(target)
+    motion = sequence_space.encode(target)
     weights = each.sequence.key_weights[:, None]
     if len(motion) != each.frame_count:
         motion = stretch_motion(motion, each.frame_count)
         weights = stretch_motion(weights, each.frame_count)
     keys = before[rows].copy()
     place = index_of(space.names)
-    keys[:, [place[name] for name in own.names]] = motion
+    keys[:, [place[name] for name in sequence_space.names]] = motion
     ease = min(spec.blend, each.frame_count // 4)
     eased = ease_weights(each.frame_count, spec.weight, ease=ease)
     return Insertion(start, keys, eased * np.maximum(weights[:, 0], 0.0))
@@ -239,12 +237,12 @@ def _limit(
     rig: Rig,
     space: ControlSpace,
 ) -> None:
-    """Keep weights within what the rig, the performance and the sequences have: no overshoot."""
+    """Clamp weights to the ranges of the rig, the performance and the sequences together."""
     count = len(space.shapes)
-    own = rig.ranges_of(space.shapes)
+    ranges = rig.ranges_of(space.shapes)
     parts = [before[:, :count], *(each.keys[:, :count] for each in insertions)]
-    low = np.min([own[:, 0], *(part.min(axis=0) for part in parts)], axis=0)
-    high = np.max([own[:, 1], *(part.max(axis=0) for part in parts)], axis=0)
+    low = np.min([ranges[:, 0], *(part.min(axis=0) for part in parts)], axis=0)
+    high = np.max([ranges[:, 1], *(part.max(axis=0) for part in parts)], axis=0)
     np.clip(after[:, :count], low, high, out=after[:, :count])
 
 

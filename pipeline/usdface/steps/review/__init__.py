@@ -1,4 +1,4 @@
-"""Sheets, movies, reports and figures to judge a performance by."""
+"""Sheets, movies, reports and error measures of performances."""
 
 _helpers = (
     "clock",

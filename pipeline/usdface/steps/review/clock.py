@@ -1,4 +1,4 @@
-"""Which frame of a take each picture of a movie shows, and the sound on that clock."""
+"""Mapping from a movie's pictures to frames of the take, timecode and sound."""
 
 import math
 from dataclasses import dataclass
@@ -13,33 +13,34 @@ from usdface.core.rates import frames_of, timecode_of
 from usdface.media.film.sound import read_audio
 
 HIGHEST_RATE = 60
-"""[pictures per second] More no review screen shows."""
+"""[pictures per second] Highest rate of review screens."""
 
 
 @dataclass(frozen=True)
 class MovieClock:
-    """The pictures of a movie beside the frames of its take."""
+    """Rates and range of a movie."""
 
     rate: Fraction
+    """Pictures per second."""
     take_rate: Fraction
-    """`rate`, `take_rate`: Pictures, and frames, per second."""
+    """Frames per second."""
     first_frame: int
-    """Frame number that the first picture shows."""
+    """Frame number of the first picture."""
     frame_count: int
-    """Frames that the movie spans."""
+    """Number of frames of the take."""
 
     @property
     def picture_count(self) -> int:
-        """Pictures that begin while the frames last."""
+        """Number of pictures that start within the frames."""
         return max(math.ceil(self.frame_count * self.rate / self.take_rate), 1)
 
     def row(self, picture: int) -> int:
-        """Return the row of the frame seen nearest the moment a picture begins."""
+        """Return the row of the frame nearest to the start of a picture."""
         nearest = math.floor(picture * self.take_rate / self.rate + Fraction(1, 2))
         return min(nearest, self.frame_count - 1)
 
     def timecode(self, take_start: str, take_first: int, picture: int = 0) -> str:
-        """Return the label of a picture at the movie's own rate; empty where unknown."""
+        """Return the timecode of a picture at the movie's rate; empty if unknown."""
         if not take_start:
             return ""
         frames = frames_of(take_start, self.take_rate) + self.first_frame - take_first
@@ -48,11 +49,11 @@ class MovieClock:
             first = math.floor(frames / self.take_rate * self.rate)
             return timecode_of(first + picture, self.rate, drop=drop)
         except InputError:
-            return ""  # a rate that timecode has no labels for
+            return ""  # timecode does not support the rate
 
 
 def movie_rate(take: Take) -> Fraction:
-    """Return the rate of a take's video, else its own, halved until a screen can show it."""
+    """Return the rate of a take's video, else of the take, halved until at most `HIGHEST_RATE`."""
     rate = take.video.rate if take.video is not None and take.video.rate is not None else take.rate
     while rate > HIGHEST_RATE:
         rate /= 2
@@ -63,17 +64,17 @@ SAMPLE_RATE = 48000
 
 
 def take_sound(take: Take, clock: MovieClock, notes: list[str]) -> Float32Array | None:
-    """Return the sound that belongs to a movie's pictures: the capture's own, else the camera's.
+    """Return the sound of a movie's pictures: that of the capture, else of the camera.
 
     Parameters
     ----------
     notes : list of str
-        What could not be had is added here.
+        A note is appended if the sound cannot be read.
 
     Returns
     -------
     (samples,) float32 array or None
-        Mono at `SAMPLE_RATE`, as long as the pictures; silent where there is none.
+        Mono at `SAMPLE_RATE`, as long as the pictures, padded with silence.
     """
     start = (clock.first_frame - take.first_frame) / float(take.rate)
     count = round(float(clock.picture_count / clock.rate) * SAMPLE_RATE)
@@ -84,7 +85,7 @@ def take_sound(take: Take, clock: MovieClock, notes: list[str]) -> Float32Array 
 
 
 def recorded_sound(take: Take, notes: list[str], rate: int = SAMPLE_RATE) -> Float32Array | None:
-    """Return the whole sound of a take, on its file's own clock; see `take_sound`."""
+    """Return the whole sound file of a take; see `take_sound`."""
     file = take.audio
     if file is None and take.video is not None and take.video.file.is_file():
         file = take.video.file
@@ -98,10 +99,9 @@ def recorded_sound(take: Take, notes: list[str], rate: int = SAMPLE_RATE) -> Flo
 def sound_between(
     take: Take, recorded: Float32Array, first: float, last: float, rate: int = SAMPLE_RATE
 ) -> Float32Array:
-    """Return a take's sound between two moments [s] of the take, silent where there is none."""
-    moments = first + np.arange(round((last - first) * rate)) / rate
+    """Return a take's sound between two take times [s], padded with silence."""
+    times = first + np.arange(round((last - first) * rate)) / rate
     if take.audio is None and take.video is not None:
-        moments = take.video.video_time(moments)
-    at = moments * rate
-    samples = np.interp(at, np.arange(len(recorded)), recorded, left=0.0, right=0.0)
+        times = take.video.video_time(times)
+    samples = np.interp(times * rate, np.arange(len(recorded)), recorded, left=0.0, right=0.0)
     return samples.astype(np.float32)

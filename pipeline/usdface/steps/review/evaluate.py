@@ -1,4 +1,4 @@
-"""A performance and what it should have been in; figures, curves and a verdict out."""
+"""Measure the error of a performance against keys."""
 
 from dataclasses import dataclass, replace
 
@@ -34,7 +34,7 @@ from usdface.usdio.rig.read import read_rig
 
 @dataclass(frozen=True)
 class _Comparison:
-    """Both sides over the frames they share, in the rig's order of shapes."""
+    """Weights of both sides at their common frames, in the rig's order of shapes."""
 
     frames: IntArray
     solved: FloatArray
@@ -44,7 +44,7 @@ class _Comparison:
 
 
 def run(spec: EvaluateSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
-    """Measure the performance and write what was asked for."""
+    """Measure the performance and write figures and curves."""
     progress(0.0, "reading")
     performance = read_performance(spec.performance)
     rig = read_rig(performance.rig_file, prim=performance.rig_prim)
@@ -84,26 +84,26 @@ def _compare(
     driven = truth.shapes_among(rig.shapes, file=spec.against, owner=f"on {rig.file}")
     solved_frames = np.arange(clip.first_frame, clip.first_frame + len(clip.values), dtype=np.int64)
     truth_frames = np.array(truth.frames, dtype=np.int64)
-    frames, mine, other = np.intersect1d(
+    frames, solved_rows, truth_rows = np.intersect1d(
         solved_frames, truth_frames, assume_unique=True, return_indices=True
     )
     limits = frame_range(spec.frames)
     if limits is not None:
         inside = (frames >= limits[0]) & (frames <= limits[1])
-        frames, mine, other = frames[inside], mine[inside], other[inside]
+        frames, solved_rows, truth_rows = frames[inside], solved_rows[inside], truth_rows[inside]
     if not len(frames):
         within = f" in {spec.frames}" if spec.frames else ""
         raise InputError(
             f"{spec.performance} (frames {solved_frames[0]}-{solved_frames[-1]}) and "
-            f"{spec.against} (frames {truth_frames.min()}-{truth_frames.max()}) share no "
-            f"frame{within}; are they of one take?"
+            f"{spec.against} (frames {truth_frames.min()}-{truth_frames.max()}) have no common "
+            f"frame{within}; give keys of the same take"
         )
     names = np.array(rig.shapes)
     either = np.isin(names, clip.names) | np.isin(names, driven)
     return _Comparison(
         frames=frames,
-        solved=columns_by_name(clip.values[mine], clip.names, rig.shapes),
-        truth=columns_by_name(truth.weights[other], truth.names, rig.shapes),
+        solved=columns_by_name(clip.values[solved_rows], clip.names, rig.shapes),
+        truth=columns_by_name(truth.weights[truth_rows], truth.names, rig.shapes),
         compared=either,
         notes=(
             *meaning_notes(transfer),
@@ -128,7 +128,7 @@ def _unknown_notes(spec: EvaluateSpec, given: WeightTable, transfer: Transfer) -
 def _notes(
     spec: EvaluateSpec, solved: tuple[str, ...], truth: tuple[str, ...], rig: Rig
 ) -> tuple[str, ...]:
-    """Say which shapes only one side drives: there the other counts as 0."""
+    """Return notes on shapes that one side lacks, which count as 0."""
     notes = []
     for label, these, those in (
         (spec.performance, truth, solved),
@@ -144,12 +144,12 @@ def _notes(
 
 
 def _observable(spec: EvaluateSpec, rig: Rig) -> tuple[BoolArray | None, tuple[str, ...]]:
-    """Return which of the rig's shapes count, and a note for each pattern that names none."""
+    """Return which of the rig's shapes count, and a note for each pattern without a match."""
     if spec.unobservable is None:
         return None, ()
     seen = shapes_with_motion(rig.shapes, spec.unobservable)
     notes = [
-        f"--unobservable {pattern} names no shape of the rig"
+        f"--unobservable {pattern} matches no shape of the rig"
         for pattern in spec.unobservable
         if shapes_with_motion(rig.shapes, [pattern]).all()
     ]
@@ -163,7 +163,7 @@ def _write(
     failed: tuple[str, ...],
     provenance: Provenance,
 ) -> None:
-    # What failed is never up to date: run again, a job stops here again.
+    # Without a spec, failed results are never up to date, so that a job fails again.
     made = provenance_metadata(replace(provenance, spec="") if failed else provenance)
     for path in spec.out:
         if path.suffix.lower() == ".json":

@@ -1,4 +1,4 @@
-"""What an evaluation says, as lines for people, data for scripts and a page to draw."""
+"""An evaluation as lines of text, plain data and a picture's contents."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -22,24 +22,24 @@ WORST_SHAPES = 10
 
 
 def shapes_with_motion(shapes: Sequence[str], unobservable: Sequence[str]) -> BoolArray:
-    """Return which shapes markers can show: those that no pattern names.
+    """Return which shapes markers can show: those that match no pattern.
 
-    A pattern names shapes as they are called, and in ARKit's words as what they mean.
+    Patterns match the shape's name and, if its meaning is known, ARKit's name of the motion.
     """
     meanings = read_meanings(shapes)
-    called = [
+    aliases = [
         (name.lower(), *([meanings[name].motion] if meanings[name].understood else []))
         for name in shapes
     ]
     hidden = [
         any(fnmatchcase(each, pattern.lower()) for each in names for pattern in unobservable)
-        for names in called
+        for names in aliases
     ]
     return np.logical_not(np.array(hidden, dtype=np.bool_))
 
 
 def evaluation_summary(evaluation: Evaluation) -> str:
-    """Return one line that says how good the performance is."""
+    """Return the main errors in one line."""
     unseen = evaluation.unseen_mm
     without = f" without {' and '.join(unseen)}" if unseen else ""
     facts = [
@@ -56,7 +56,7 @@ def _unseen_facts(evaluation: Evaluation) -> list[str]:
 
 
 def evaluation_table(evaluation: Evaluation) -> tuple[str, ...]:
-    """Return the figures as lines of a table: by region, then what eyes see, then by shape."""
+    """Return the figures as lines of a table: by region, lips, blinks and jitter, by shape."""
     lines = [f"{'region':<17}{'weights':>9}{'mean mm':>9}{'p95 mm':>9}{'largest mm':>11}"]
     parts: list[tuple[str, float, SurfaceError]] = [
         ("face", evaluation.weight_rmse, evaluation.skin)
@@ -74,7 +74,7 @@ def evaluation_table(evaluation: Evaluation) -> tuple[str, ...]:
         when_closed = (
             "" if math.isnan(closed) else f"; {closed:+.2f} mm where they should be closed"
         )
-        lines.append(f"lips: distance off by {evaluation.lips.rms_mm:.2f} mm{when_closed}")
+        lines.append(f"lips: error of the distance {evaluation.lips.rms_mm:.2f} mm{when_closed}")
     if not math.isnan(evaluation.blink_bias):
         lines.append(f"blinks at their peaks: {evaluation.blink_bias:+.3f}")
     if not math.isnan(evaluation.jitter):
@@ -91,7 +91,7 @@ def evaluation_table(evaluation: Evaluation) -> tuple[str, ...]:
 
 
 def evaluation_figures(evaluation: Evaluation) -> dict[str, object]:
-    """Return every figure as plain data; None where one is not known."""
+    """Return every figure as plain data; None for unknown ones."""
     lips = evaluation.lips
     return {
         "frames": {
@@ -150,7 +150,7 @@ def _skin_figures(skin: SurfaceError) -> dict[str, float]:
 
 
 def evaluation_page(evaluation: Evaluation, *, title: str) -> EvaluationPage:
-    """Return the page that shows the errors over time and by shape."""
+    """Return the contents of the picture of errors over time and by shape."""
     frames = evaluation.frames
     curves = [ErrorCurve("face", _over_time(frames, evaluation.skin.frames_mm))]
     curves += [
@@ -191,7 +191,7 @@ def evaluation_page(evaluation: Evaluation, *, title: str) -> EvaluationPage:
 
 
 def failures(spec: EvaluateSpec, figures: Mapping[str, object]) -> tuple[str, ...]:
-    """Return which of a spec's limits are passed; a figure that is not known passes none."""
+    """Return a message for each limit that is exceeded, or whose figure is unknown."""
     limits = (
         ("weight_rmse", "error of the weights", spec.max_weight_rmse, ""),
         ("skin_rms_mm", "error of the surface", spec.max_vertex_rms, " mm"),
@@ -213,7 +213,7 @@ def failures(spec: EvaluateSpec, figures: Mapping[str, object]) -> tuple[str, ..
 
 
 def worst_frames(evaluation: Evaluation) -> tuple[int, ...]:
-    """Return the frames whose skin errs most, none a neighbour of another."""
+    """Return the frames of the largest skin error, at a distance from each other."""
     error = evaluation.skin.frames_mm
     apart = max(len(error) // (3 * WORST_FRAMES), 1)
     chosen: list[int] = []
@@ -226,13 +226,13 @@ def worst_frames(evaluation: Evaluation) -> tuple[int, ...]:
 
 
 def _by_surface(evaluation: Evaluation) -> list[int]:
-    """Return columns of shapes, what shows most first."""
+    """Return the columns of shapes, the largest surface error first."""
     order: list[int] = np.lexsort((-evaluation.shapes.rmse, -evaluation.shape_mm)).tolist()
     return order
 
 
 def _over_time(frames: IntArray, values: FloatArray) -> FloatArray:
-    """Spread values over all frames from first to last; NaN where nothing was compared."""
+    """Return values at all frames from first to last; NaN at frames not compared."""
     out = np.full(int(frames[-1] - frames[0]) + 1, np.nan)
     out[frames - frames[0]] = values
     return out

@@ -1,4 +1,4 @@
-"""Performances of several characters in, one sheet with all of their faces out."""
+"""Draw performances of several characters side by side."""
 
 from dataclasses import replace
 
@@ -22,14 +22,14 @@ from usdface.usdio.rig.posed_points import PosedRig
 from usdface.usdio.rig.reference import moved_rig
 
 MOVES_MM, MOVES_SHARE = 2.0, 0.2
-"""Points that go further than both between the frames belong in the picture, [mm] and of the
-furthest: an open jaw pulls the neck after it."""
+"""Displacement [mm], and share of the largest displacement, above which points must be within the
+picture; both exclude a neck that an open jaw pulls."""
 
 _MARGIN_FACTOR = 1.06
-"""Between what moves and the picture's edge."""
+"""Size of the picture relative to the moving points."""
 
 MOST_POSES = 4000
-"""Frames among which those that differ most are looked for."""
+"""Frames among which the most different are chosen."""
 
 
 def run(spec: FacesSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
@@ -39,9 +39,9 @@ def run(spec: FacesSpec, *, provenance: Provenance, progress: Progress = silent)
     chosen = _most_different(actors[0], frames, spec.rows)
     rows = []
     columns = [_Column(actor, chosen, spec) for actor in actors]
-    further = max(column.needed_share() for column in columns)
-    for column in columns:  # all alike, so that the faces keep one size
-        column.step_back(further)
+    factor = max(column.distance_factor() for column in columns)
+    for column in columns:  # a common factor, so that faces have the same size
+        column.scale_distance(factor)
     first = actors[0].reader
     for number, frame in enumerate(chosen.tolist()):
         rows.append(
@@ -52,7 +52,7 @@ def run(spec: FacesSpec, *, provenance: Provenance, progress: Progress = silent)
         progress((number + 1) / len(chosen), f"drew frame {frame}")
     page = SheetPage(
         title=" · ".join(dict.fromkeys(actor.rig.file.stem for actor in actors)),
-        facts=(f"frames {frames[0]}-{frames[-1]}", "the frames that differ most from each other"),
+        facts=(f"frames {frames[0]}-{frames[-1]}", "the frames that differ most"),
         columns=tuple(path.stem for path in spec.performances),
         rows=tuple(rows),
         first_frame=int(frames[0]),
@@ -69,7 +69,7 @@ def run(spec: FacesSpec, *, provenance: Provenance, progress: Progress = silent)
 
 
 def _actors(spec: FacesSpec) -> list[PosedRig]:
-    """Open every performance, with its rig from where that is now."""
+    """Open every performance, with --rig if its rig has moved."""
     actors = []
     for path, rig in with_moved(spec.performances, spec.rig, "rig"):
         with moved_rig(rig):
@@ -78,7 +78,7 @@ def _actors(spec: FacesSpec) -> list[PosedRig]:
 
 
 class _Column:
-    """One character's pictures: its camera and renderer are set up once."""
+    """Draws one character, with its camera and renderer."""
 
     def __init__(self, actor: PosedRig, frames: IntArray, spec: FacesSpec) -> None:
         self._spec = spec
@@ -87,15 +87,15 @@ class _Column:
         yaw = spec.yaw + facing_degrees(actor.rig)
         face = frame_rig(actor.rig.meshes, yaw_degrees=yaw)
         self._with_hair = frame_rig(actor.rig.meshes, yaw_degrees=yaw, hair=True)
-        # As far away as fits the face, so that faces are of one size; aimed at face and hair.
-        away = np.subtract(face.eye, face.target)
-        x, y, z = (self._with_hair.target + away).tolist()
+        # The distance fits the face, for faces of equal size; the target is face and hair.
+        offset = np.subtract(face.eye, face.target)
+        x, y, z = (self._with_hair.target + offset).tolist()
         self._camera = replace(face, eye=(x, y, z), target=self._with_hair.target)
 
-    def needed_share(self) -> float:
-        """Return how many times further away hair and all that moves are in the picture.
+    def distance_factor(self) -> float:
+        """Return the factor on the camera's distance for hair and moving points to be visible.
 
-        Ears turn by joints, which no frame of the rig at rest shows.
+        Joints may move points out of the picture, such as ears.
         """
         posed = np.stack(list(self._posed.values()))
         moved = np.ptp(posed, axis=0).max(axis=1)
@@ -108,17 +108,17 @@ class _Column:
         shown = np.vstack(
             [posed[:, moving].reshape(-1, 3), target + half_height / _MARGIN_FACTOR * up]
         )
-        away = shown - np.array(camera.target)
-        across = np.maximum(np.abs(away @ right), np.abs(away @ up))
-        # Distance from which each point is just inside.
-        needed = _MARGIN_FACTOR * across / wide + away @ back
+        offset = shown - np.array(camera.target)
+        across = np.maximum(np.abs(offset @ right), np.abs(offset @ up))
+        # Smallest distance at which each point is visible.
+        needed = _MARGIN_FACTOR * across / wide + offset @ back
         distance = float(np.linalg.norm(np.subtract(camera.eye, camera.target)))
         return max(float(needed.max()) / distance, 1.0)
 
-    def step_back(self, share: float) -> None:
-        """Move the camera so many times as far away."""
+    def scale_distance(self, factor: float) -> None:
+        """Scale the camera's distance."""
         target = np.array(self._camera.target)
-        x, y, z = (target + share * np.subtract(self._camera.eye, target)).tolist()
+        x, y, z = (target + factor * np.subtract(self._camera.eye, target)).tolist()
         self._camera = replace(self._camera, eye=(x, y, z))
 
     def tile(self, frame: int) -> Tile:
@@ -145,12 +145,15 @@ def _shared(spec: FacesSpec, actors: list[PosedRig]) -> IntArray:
             for actor in actors
         )
         within = f" in {spec.frames}" if spec.frames else ""
-        raise InputError(f"the performances share no frame{within}: {ranges}")
+        raise InputError(
+            f"the performances have no common frame{within}: {ranges}; widen --frames, or leave "
+            "one of them out"
+        )
     return np.arange(first, last + 1, dtype=np.int64)
 
 
 def _most_different(actor: PosedRig, frames: IntArray, count: int) -> IntArray:
-    """Return frames spread over what the face does: each the furthest from those before."""
+    """Return the most different frames, by farthest-point selection of weights."""
     picks = frames[:: -(-len(frames) // MOST_POSES)]
     weights: FloatArray = actor.reader.edited(int(frames[0]), int(frames[-1])).astype(np.float64)
     poses = weights[picks - frames[0]]

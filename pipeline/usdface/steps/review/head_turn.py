@@ -1,4 +1,4 @@
-"""The head turned as the performer's is beside it in the video."""
+"""Turn the drawn head like the performer's in the video."""
 
 from dataclasses import replace
 
@@ -19,14 +19,14 @@ from usdface.usdio.take.read import TakeReader
 
 
 class HeadTurn(PointMotion):
-    """A whole rig that turns about the middle of its face.
+    """Rotation of a whole rig about the centre of its face.
 
     Parameters
     ----------
     axes : (3, 3) float array
-        Columns: the axes of the turns, in the rig's space.
+        Columns: axes of the rotations, in the rig's space.
     turns : (frames, 3, 3) float array or None
-        From the take's first frame on; None where its HeadMotion says how the head turns.
+        Rotations from the take's first frame; None reads the take's HeadMotion.
     """
 
     moves_as_one = True
@@ -40,25 +40,20 @@ class HeadTurn(PointMotion):
         self._centre = face_centre(rig)
 
     def transforms(self, frame: int) -> FloatArray:
-        """Return the turn at a frame: (1, 4, 4) [mm]."""
+        """Return the rotation at a frame: (1, 4, 4) [mm]."""
         if self._turns is not None:
             turn = self._turns[frame - self._take.first_frame]
-        else:  # a matrix is as slow to read as hundreds of weights: those that are shown
+        else:  # matrices are slow to read, so only those of drawn frames are
             motion = self._take.head_motion_from_neutral(frame, frame)
             turn = np.eye(3) if motion is None else motion[0, :3, :3]
         return turn_about(turn[None], self._axes, self._centre.tolist())
 
 
 def turned_as_video(shot: Shot, camera: str) -> Shot:
-    """Return a shot whose head turns as the performer's, so that face and video are one view.
+    """Return a shot whose head turns like the performer's, for the same view as the video.
 
-    A shot without video, or whose rig has joints or Xforms that move, is returned as it is; so is
-    one whose take does not say how the head turns, or how the performer lies on the rig.
-
-    Parameters
-    ----------
-    camera : str
-        As asked for; only the automatic one goes by the video.
+    The shot is returned unchanged if the camera is not automatic, it has no video, its rig has
+    moving joints or Xforms, or head motion or orientation of the performer are unknown.
     """
     if camera != AUTO_CAMERA or shot.take.video is None or shot.take_file is None:
         return shot
@@ -78,7 +73,7 @@ def turned_as_video(shot: Shot, camera: str) -> Shot:
 
 
 def _performer_axes(shot: Shot) -> FloatArray | None:
-    """Return the axes of the take's head space on the rig, by where markers were placed."""
+    """Return the axes of the take's head space on the rig, by the placement of its markers."""
     markers = shot.take.markers
     placement = placement_of_performance(shot.performance_file, shot.rig)
     if markers is None or placement is None:

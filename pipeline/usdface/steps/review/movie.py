@@ -1,4 +1,4 @@
-"""A review movie, drawn in parallel in stretches that a later run can take up again."""
+"""Draw a review movie, in parallel and resumable."""
 
 import contextlib
 import json
@@ -31,21 +31,21 @@ from usdface.steps.review.pictures import ShotPictures
 from usdface.steps.review.shot import Shot, open_shot
 
 STRETCH_PICTURES = 48
-"""Drawn and encoded by one process at a time, and lost at most when a run is stopped; fewer where
-that gives every process as many."""
+"""Largest number of pictures per stretch, the unit of work of a process and of an interrupted run;
+fewer if all processes then get an equal number."""
 
 _STRETCHES = r"\.?[0-9a-f]{16}\..*"
-"""Names in the folder of stretches, those of files that are being written included."""
+"""Names of the files of stretches, including temporary ones."""
 
 _SLATE_SECONDS = 3
-"""From the performance's first frame: how long the verdict is written over the panels."""
+"""Duration of the verdict over the panels, from the performance's first frame."""
 
 LABELS: dict[PanelKind, str] = {"video": "video", "markers": "markers", "performance": "solve"}
 
 
 @dataclass(frozen=True)
 class _Plan:
-    """What every stretch is drawn by; small enough to send to another process."""
+    """Options common to all stretches, sent to worker processes."""
 
     spec: MovieSpec
     panels: tuple[PanelKind, ...]
@@ -54,7 +54,7 @@ class _Plan:
 
 @dataclass(frozen=True)
 class _Stretch:
-    """Pictures `start` to `stop` of a movie, and the file they go to."""
+    """Pictures `start` to `stop` of a movie, and their file."""
 
     start: int
     stop: int
@@ -63,17 +63,17 @@ class _Stretch:
 
 @dataclass(frozen=True)
 class _Studio:
-    """What a process draws stretches with, one after the other."""
+    """State of a process that draws stretches."""
 
     plan: _Plan
     shot: Shot
     pictures: ShotPictures
     stopped: Callable[[], bool] = lambda: False
-    """Asked after every picture: whether nobody waits for the rest."""
+    """Whether the main process has stopped; called for every picture."""
 
 
 def run(spec: MovieSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
-    """Draw the movie, stretch by stretch, and join them with the sound."""
+    """Draw the stretches of the movie, and join them with the sound."""
     progress(0.0, "reading")
     shot = open_shot(spec.performance, spec.take, frames=spec.frames, video=spec.video)
     take = shot.take
@@ -90,11 +90,14 @@ def run(spec: MovieSpec, *, provenance: Provenance, progress: Progress = silent)
     workers = process_count(spec.workers)
     stretches = _stretches(spec, clock, folder, provenance, workers)
     make_side_folder(folder)
-    # Those of another spec or of older inputs.
+    # Stretches of another spec or of older inputs are removed.
     clear_side_folder(folder, _STRETCHES, keep=frozenset(each.file.name for each in stretches))
     waiting = [stretch for stretch in stretches if not stretch.file.is_file()]
     if len(waiting) < len(stretches):
-        notes.append(f"{len(stretches) - len(waiting)} of {len(stretches)} stretches were there")
+        notes.append(
+            f"resumed: {len(stretches) - len(waiting)} of {len(stretches)} stretches were drawn "
+            "before"
+        )
     if "performance" in panels:
         notes += [
             *shot.camera(spec.camera, spec.camera_stage).notes(clock.first_frame),
@@ -118,14 +121,14 @@ def run(spec: MovieSpec, *, provenance: Provenance, progress: Progress = silent)
         comment=json.dumps(comment),
     )
     clear_side_folder(folder, _STRETCHES)
-    with contextlib.suppress(OSError):  # somebody put something there
+    with contextlib.suppress(OSError):  # holds other files
         folder.rmdir()
     progress(1.0, "done")
     seconds = clock.picture_count / float(rate)
     return StepResult(
         (spec.out,),
         f"{pluralize(clock.picture_count, 'picture')} at {float(rate):g} per second "
-        f"({seconds:.1f} s), {' beside '.join(panels)}, "
+        f"({seconds:.1f} s), {' and '.join(panels)}, "
         f"{'with' if sound is not None else 'without'} sound",
         tuple(notes),
         {
@@ -150,19 +153,18 @@ def _panels(spec: MovieSpec, take: Take, notes: list[str]) -> tuple[PanelKind, .
     if take.video is not None:
         return ("video", "performance")
     if take.markers is None:
-        notes.append("the take has neither video nor markers: the performance is shown alone")
+        notes.append("the take has neither video nor markers: only the performance is shown")
         return ("performance",)
-    notes.append("the take has no video: its markers are shown in its place")
+    notes.append("the take has no video: its markers are shown instead")
     return ("markers", "performance")
 
 
 def _stretches(
     spec: MovieSpec, clock: MovieClock, folder: Path, provenance: Provenance, workers: int
 ) -> list[_Stretch]:
-    """Cut the movie into stretches of equal length, as many for each process.
+    """Split the movie into stretches of equal length, an equal number per process.
 
-    A stretch's name tells what it was made from and which pictures it holds, so that none is
-    mistaken.
+    A stretch's name has a hash of its provenance and the numbers of its pictures.
     """
     made_from = provenance_metadata(provenance) | {"rate": str(clock.rate)}
     key = hash_text(canonical_json(made_from))[:16]
@@ -195,7 +197,7 @@ def _draw_all(
             for future in done:
                 future.result()
             share = 1 - len(left) / len(stretches)
-            progress(0.02 + 0.95 * share, f"{len(left)} stretches left to draw")
+            progress(0.02 + 0.95 * share, f"{len(left)} stretches to draw")
 
 
 def _open_studio(plan: _Plan, shot: Shot, open_files: ExitStack) -> _Studio:
@@ -211,7 +213,7 @@ def _open_studio(plan: _Plan, shot: Shot, open_files: ExitStack) -> _Studio:
 
 
 _shared: _Studio | None = None
-"""What a worker process holds on to from stretch to stretch."""
+"""State of a worker process."""
 
 
 def _set_up(plan: _Plan, stopped: Callable[[], bool]) -> None:
@@ -241,11 +243,11 @@ def _pictures(studio: _Studio, stretch: _Stretch) -> Iterator[ByteImage]:
         widths["performance"] = pictures.face_width
     title = f"{shot.take.name}  ·  {shot.rig.file.stem}"
     uncertainty = shot.face_uncertainty_mm()
-    verdict = judge_solve(shot.evidence_at(slice(None)))  # whatever part is drawn
+    verdict = judge_solve(shot.evidence_at(slice(None)))  # of the whole performance
     slate_end = shot.performance.weights.first_frame + _SLATE_SECONDS * shot.take.rate
     for number in range(stretch.start, stretch.stop):
         if studio.stopped():
-            raise CancelledError("nobody waits for this movie any more")
+            raise CancelledError("the main process has stopped")
         row = plan.clock.row(number)
         frame = int(shot.frames[row])
         panels = []
@@ -259,7 +261,7 @@ def _pictures(studio: _Studio, stretch: _Stretch) -> Iterator[ByteImage]:
             else:
                 pixels = pictures.face(row, shot.weights[row])
             panels.append(MoviePanel(widths[panel], pixels, LABELS[panel], missing))
-        # What a player shows of the file: the take's own labels may count at another rate.
+        # The label that players show; the take's timecode may have another rate.
         label = plan.clock.timecode(shot.take.timecode_start, shot.take.first_frame, number)
         yield compose_movie_frame(
             panels,

@@ -1,4 +1,4 @@
-"""Parts of a movie, made on several machines, as one."""
+"""Join parts of a movie without encoding them again."""
 
 import json
 import math
@@ -22,18 +22,19 @@ from usdface.usdio.take.read import TakeReader
 
 
 def run(spec: MovieJoinSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
-    """Join the parts' pictures; the sound is put in whole."""
+    """Join the pictures of the parts, and encode the sound."""
     progress(0.0, "reading")
     parts_info = [_read_part(path.name, read_movie_comment(path)) for path in spec.parts]
     rate = parts_info[0].rate
     for path, part, before in zip(spec.parts[1:], parts_info[1:], parts_info[:-1], strict=True):
         if part.rate != rate:
             raise InputError(
-                f"{path}: has {float(part.rate):g} pictures a second, not {float(rate):g}"
+                f"{path}: has {float(part.rate):g} pictures a second, not {float(rate):g}; draw "
+                "all parts with the same --rate"
             )
         if part.first <= before.first:
             raise InputError(
-                f"{path}: begins at frame {part.first}, before the part that it follows; name the "
+                f"{path}: begins at frame {part.first}, before the part given before it; give the "
                 "parts in order"
             )
     pictures = [part.pictures for part in parts_info]
@@ -43,12 +44,12 @@ def run(spec: MovieJoinSpec, *, provenance: Provenance, progress: Progress = sil
     if spec.take is not None:
         reader = TakeReader(spec.take)
         take = reader.read(reader.first_frame, reader.first_frame)
-        _check_nothing_between(spec.parts, parts_info, take.rate)
-        pictures = _in_step(parts_info, take.rate)
+        _check_consecutive(spec.parts, parts_info, take.rate)
+        pictures = _synchronised_counts(parts_info, take.rate)
         if sum(pictures) < count:
             notes.append(
-                f"{pluralize(count - sum(pictures), 'picture')} at the ends of parts left out, so "
-                "that sound and picture stay together: parts were no whole number of pictures long"
+                f"{pluralize(count - sum(pictures), 'picture')} at the ends of parts left out, to "
+                "keep sound and picture synchronous: parts lasted no whole number of pictures"
             )
         count = sum(pictures)
         clock = MovieClock(
@@ -85,20 +86,22 @@ def run(spec: MovieJoinSpec, *, provenance: Provenance, progress: Progress = sil
 
 @dataclass(frozen=True)
 class _Part:
-    """What a part says of itself; `movies` were joined to make it, each of whole pictures."""
+    """Metadata of a part."""
 
     rate: Fraction
     first: int
+    """Frame number of the first picture."""
     pictures: int
     movies: int
+    """Number of movies that were joined to make it."""
 
 
-def _check_nothing_between(
+def _check_consecutive(
     parts: tuple[Path, ...], parts_info: Sequence[_Part], take_rate: Fraction
 ) -> None:
-    """Refuse parts that leave frames out or show some twice.
+    """Refuse parts with frames missing between them, or shown twice.
 
-    The last picture of a part may last longer than its frames, so less than one is no fault.
+    The last picture of a part may last longer than its frames: less than a picture is ignored.
     """
     for path, part, before in zip(parts[1:], parts_info[1:], parts_info[:-1], strict=True):
         shown = part.first - before.first
@@ -108,18 +111,18 @@ def _check_nothing_between(
         end = before.first + math.floor(before.pictures * take_rate / part.rate)
         low, high = sorted((end, part.first))
         frames = f"frame {low}" if high - low == 1 else f"frames {low}-{high - 1}"
-        what = "in no part" if surplus < 0 else "in both parts"
+        fault = "in no part" if surplus < 0 else "in both parts"
         raise InputError(
             f"{path}: begins at frame {part.first}, and the part before ends with frame "
-            f"{end - 1}: {frames} would be {what}; give parts that follow one another"
+            f"{end - 1}: {frames} would be {fault}; give consecutive parts"
         )
 
 
-def _in_step(parts_info: Sequence[_Part], take_rate: Fraction) -> list[int]:
-    """Return how many pictures of each part to show, so that each begins nearest its moment.
+def _synchronised_counts(parts_info: Sequence[_Part], take_rate: Fraction) -> list[int]:
+    """Return the number of pictures to use of each part, so that each part starts on time.
 
-    A part that is no whole number of pictures long has its last one for less than a picture's time;
-    shown in full, these would add up, and the sound would run ahead of the pictures.
+    If parts last no whole number of pictures, the excess of their last pictures would add up to a
+    delay of the pictures.
     """
     shown: list[int] = []
     for part, after in pairwise(parts_info):
@@ -140,6 +143,6 @@ def _read_part(name: str, comment: str) -> _Part:
             raise ValueError
     except (ValueError, KeyError, TypeError, ArithmeticError, RecursionError) as error:
         raise InputError(
-            f"{name}: does not say which frames it shows; give parts that `usdface movie` made"
+            f"{name}: does not state its frames; give parts made by `usdface movie`"
         ) from error
     return _Part(rate, first, count, movies)

@@ -1,4 +1,4 @@
-"""The pictures that sheets and movies are made of: video, markers and faces of one shot."""
+"""Draw single frames of a shot for sheets and movies: video, markers and faces."""
 
 from contextlib import ExitStack
 from types import TracebackType
@@ -30,14 +30,14 @@ from usdface.steps.inputs.marker_lines import lines_on_rig, marker_lines
 from usdface.steps.review.shot import Shot, ShotCamera
 
 _LAST_PICTURES = 2
-"""Of the face: the solve, drawn below markers, and the baseline beside it."""
+"""Cached pictures of the face: the solve, which is drawn twice, and the baseline."""
 
 FRAMED_BY = 2000
-"""Frames of a take that its markers are framed by."""
+"""Largest number of frames used to frame the markers of a take."""
 
 
 def _frame_of(take: Take) -> tuple[MarkersFrame | None, IntArray]:
-    """Return what part of space a take's markers are in, for all of its parts, and their lines."""
+    """Return the frame of the markers of a whole take, and their lines."""
     if take.markers is None:
         return None, np.zeros((0, 2), np.int64)
     step = max(take.frame_count // FRAMED_BY, 1)
@@ -48,7 +48,7 @@ def _frame_of(take: Take) -> tuple[MarkersFrame | None, IntArray]:
 
 
 def repaired_markers(take: Take, frame: int) -> BoolArray:
-    """Return which markers of a frame are not as they were measured: filled or corrected."""
+    """Return which markers of a frame are filled or corrected."""
     markers = take.markers
     if markers is None:
         raise InputError(f"{take.name}: has no markers")
@@ -57,7 +57,7 @@ def repaired_markers(take: Take, frame: int) -> BoolArray:
 
 
 class ShotPictures:
-    """Draws single frames of a shot; holds what all frames share. A context: it opens the video.
+    """Draws single frames of a shot; as a context manager, keeps its video open.
 
     Parameters
     ----------
@@ -65,9 +65,9 @@ class ShotPictures:
         Of every picture [pixels].
     quality : {'draft', 'final'}
     display : callable, optional
-        How rendered light is shown, see `display_view`.
+        Display transform of renders; see `display_view`.
     camera : ShotCamera, optional
-        What faces are drawn by; framed on the face by default.
+        Default: the automatic camera.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class ShotPictures:
 
     @property
     def stand_in_eyes(self) -> bool:
-        """Whether the rig has no eyes and some were put in: a sheet should say so."""
+        """Whether the rig has no eyes and stand-ins are drawn."""
         return self._renderer.eyes_put_in
 
     @property
@@ -104,7 +104,7 @@ class ShotPictures:
 
     @property
     def video_aspect(self) -> float:
-        """Width over height of the video's pictures; 16 to 9 where none can be decoded."""
+        """Aspect ratio of the video's pictures; 16:9 if the first cannot be decoded."""
         try:
             picture = None if self._video is None else self._video.frame_at(0.0)
         except InputError:
@@ -127,7 +127,7 @@ class ShotPictures:
         self._open.close()
 
     def video(self, frame: int) -> Tile:
-        """Find the video's picture at a frame of the take, by the clock that aligns the two."""
+        """Return the video's picture at a frame of the take."""
         take = self._shot.take
         if take.video is None or self._video is None:
             return Tile(None, caption="no video")
@@ -155,14 +155,14 @@ class ShotPictures:
         )
 
     def markers_on_face(self, row: int, equation: BlendshapeEquation) -> ByteImage:
-        """Draw the solve of a row with the performer's markers where they sit on the character.
+        """Draw the solve of a row with the performer's markers on the character.
 
-        A line runs from where the solve takes a marker's place on the skin to the marker. Markers
-        that were repaired are orange and hollow.
+        A line leads from a marker's point on the solved surface to the marker, its residual.
+        Repaired markers are orange and hollow.
         """
         shot, frame = self._shot, int(self._shot.frames[row])
         repaired = repaired_markers(shot.take, frame)
-        still = shot.motion is None or not shot.motion.moves_as_one  # of a jaw they know nothing
+        still = shot.motion is None or not shot.motion.moves_as_one  # markers ignore joints
         picture = self._draw(row, shot.weights[row], still=still)
         posed = shot.deformer.points(shot.weights[row][None])[0]
         motion = character_motion(equation.virtual, shot.positions[row][None], equation.neutral)[0]
@@ -189,7 +189,7 @@ class ShotPictures:
         return picture
 
     def face(self, row: int, weights: FloatArray) -> ByteImage:
-        """Draw the rig at one set of weights, (shapes,), as a row's frame sees it."""
+        """Draw the rig at weights, (shapes,), with camera and joints of a row's frame."""
         return self._draw(row, weights)
 
     def _draw(self, row: int, weights: FloatArray, *, still: bool = False) -> ByteImage:
@@ -198,7 +198,7 @@ class ShotPictures:
         frame = int(shot.frames[row])
         camera = self._camera.at(frame, still=still)
         seen = (camera, weights.tobytes(), None if still else frame)
-        if seen not in self._last:  # a sheet shows the solve twice, and a still face stays
+        if seen not in self._last:  # sheets show the solve twice, and faces may not move
             sculpted = self._normals.at(weights)
             if sculpted is not None and not still:
                 sculpted = shot.carry(row, sculpted, vectors=True)

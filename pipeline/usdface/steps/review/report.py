@@ -1,4 +1,4 @@
-"""The report: one page with the face, the video, curves and what to know of a performance."""
+"""Write the HTML report of a performance."""
 
 from collections.abc import Iterator
 from contextlib import suppress
@@ -13,10 +13,9 @@ from usdface.core.replacing import write_text
 from usdface.core.side_files import emptied_side_folder
 from usdface.core.sidecars import work_folder
 from usdface.core.text import pluralize
-from usdface.media.face.camera import Camera
 from usdface.media.film.image_sequence import open_video
 from usdface.media.film.movie import video_encoder, write_movie
-from usdface.media.page.face_payload import FacePayload, pack_face
+from usdface.media.page.face_payload import pack_face
 from usdface.media.page.report_page import (
     PagePicture,
     ReviewPage,
@@ -55,14 +54,14 @@ from usdface.steps.review.scoring import (
 from usdface.steps.review.shot import Shot, open_shot
 
 LONGEST_FRAMES = 36_000
-"""Ten minutes at 60 frames per second: a longer page would not open."""
+"""Ten minutes at 60 frames per second; browsers do not open longer reports."""
 
 LARGEST_SHEET_BYTES = 64 << 20
 SHEET_TYPES = {".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".png": "image/png"}
 
 
 def run(spec: ReportSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
-    """Gather everything and write the page."""
+    """Collect the contents of the report and write it."""
     progress(0.0, "reading")
     check_same_take(spec.performance, spec.take, spec.also)
     shot = open_shot(spec.performance, spec.take, frames=spec.frames, video=spec.video)
@@ -90,13 +89,8 @@ def run(spec: ReportSpec, *, provenance: Provenance, progress: Progress = silent
     )
 
 
-def _face(shot: Shot, camera: Camera, parts: tuple[str, ...]) -> FacePayload:
-    shares = None if shot.motion is None else shot.motion.shares
-    return pack_face(shot.rig, camera=camera, shares=shares, parts=parts)
-
-
 def _clock(spec: ReportSpec, shot: Shot) -> MovieClock:
-    # A picture for each frame of the take: the page's video then changes where the sheet's does.
+    # One picture per frame of the take, so that video frames match those of the sheet.
     clock = MovieClock(
         rate=shot.take.rate,
         take_rate=shot.take.rate,
@@ -105,8 +99,8 @@ def _clock(spec: ReportSpec, shot: Shot) -> MovieClock:
     )
     if len(shot.frames) > LONGEST_FRAMES:
         raise InputError(
-            f"{spec.performance}: {len(shot.frames)} frames are too many for a page, which "
-            f"holds {LONGEST_FRAMES}; show parts of it with --frames"
+            f"{spec.performance}: {len(shot.frames)} frames are too many for a report, at most "
+            f"{LONGEST_FRAMES}; show parts of it with --frames"
         )
     return clock
 
@@ -119,11 +113,11 @@ def _page(
     provenance: Provenance,
     progress: Progress,
 ) -> ReviewPage:
-    """Measure, pack and draw what the page shows; what could not be had is added to the notes."""
+    """Return the contents of the report; notes on missing parts are appended."""
     take, rig, ruler = shot.take, shot.rig, ShotRuler(shot)
     keys = read_keys(spec.against, shot, spec.weight_unit)
-    pictures, review_notes = _sheet(spec), page_notes(spec, shot)  # refused before long work
-    said = labels_at(spec.phones, take, shot.frames) if spec.phones else ()
+    pictures, review_notes = _sheet(spec), page_notes(spec, shot)  # errors before long work
+    spoken = labels_at(spec.phones, take, shot.frames) if spec.phones else ()
     progress(0.05, "placing the markers on the rig")
     equation = set_up_shot_baseline(shot) if take.markers is not None else None
     signals, parts = ruler.signals(keys, equation), ruler.skin.parts
@@ -137,10 +131,11 @@ def _page(
     movie = _movie(spec, shot, clock, notes, part(progress, 0.25, 0.93))
     coverage = show_coverage(spec, shot, notes, part(progress, 0.93, 0.97))
     if coverage is not None:
-        tables = (*tables[:-1], *coverage.listings, tables[-1])  # provenance is last
+        tables = (*tables[:-1], *coverage.listings, tables[-1])  # provenance stays last
         pictures = (*pictures, coverage.picture)
     moments = review_moments(signals, spec.worst, rate=float(take.rate))
     curves = page_curves(spec, shot, keys, baseline)
+    shares = None if shot.motion is None else shot.motion.shares
     return ReviewPage(
         title=f"{take.name} on {rig.file.stem}",
         verdict=(verdict.level, verdict.sentence, verdict.advice),
@@ -154,13 +149,15 @@ def _page(
         strips=page_strips(signals),
         worst=tuple((each.row, each.region, each.reason) for each in moments),
         listings=tables,
-        face=_face(shot, view.at(clock.first_frame, still=True), parts),
+        face=pack_face(
+            rig, camera=view.at(clock.first_frame, still=True), shares=shares, parts=parts
+        ),
         carried=page_motion(shot),
         moves_as_one=shot.motion is not None and shot.motion.moves_as_one,
         movie=movie,
         movie_type=_movie_kind()[1],
         pictures=pictures,
-        said=said,
+        said=spoken,
         origin=provenance_metadata(provenance),
         markers=None if equation is None else page_markers(shot, equation),
         heat=page_heat(signals, curves),
@@ -193,10 +190,10 @@ def _movie_kind() -> tuple[str, str]:
 def _movie(
     spec: ReportSpec, shot: Shot, clock: MovieClock, notes: list[str], progress: Progress
 ) -> bytes:
-    """Return the camera's pictures on the clock of the page; empty without a video."""
+    """Return the take's video at the report's frames, encoded; empty without a video."""
     take = shot.take
     if take.video is None:
-        notes.append("the take has no video: the page shows the face alone")
+        notes.append("the take has no video: the report shows only the face")
         return b""
     sound = take_sound(take, clock, notes)
     with emptied_side_folder(work_folder(spec.out, "video")) as folder:
@@ -215,16 +212,16 @@ def _movie(
 def _camera_pictures(
     spec: ReportSpec, shot: Shot, clock: MovieClock, progress: Progress
 ) -> Iterator[ByteImage]:
-    """Yield the video's picture at each frame of the take: the same array while it stays."""
+    """Yield the video's picture at each frame of the take; repeated pictures are the same array."""
     take = shot.take
     if take.video is None:
         raise InputError(f"{take.name}: has no video")
     shown = tile = None
     with open_video(take.video.file, take.video.rate) as video:
         lines, columns = spec.height, spec.height * 16 // 9
-        with suppress(InputError):  # of a sequence whose first picture is damaged
+        with suppress(InputError):  # the first picture of a sequence may be damaged
             lines, columns = video.frame(0).shape[:2]
-        height = min(spec.height, lines)  # pages enlarge what is smaller
+        height = min(spec.height, lines)  # browsers enlarge smaller videos
         width = 2 * round(height * columns / lines / 2)
         for picture, frame in enumerate(shot.frames.tolist()):
             if picture % 60 == 0:
@@ -251,7 +248,10 @@ def _sheet(spec: ReportSpec) -> tuple[PagePicture, ...]:
         return ()
     kind = SHEET_TYPES.get(spec.sheet.suffix.lower())
     if kind is None:
-        raise InputError(f"{spec.sheet}: browsers show {', '.join(SHEET_TYPES)}; make the sheet so")
+        raise InputError(
+            f"{spec.sheet}: browsers show only {', '.join(SHEET_TYPES)}; draw the sheet as one of "
+            "these"
+        )
     if spec.sheet.stat().st_size > LARGEST_SHEET_BYTES:
         raise InputError(f"{spec.sheet}: is larger than 64 MB; make it with fewer rows")
     return (PagePicture("Contact sheet", "Contact sheet", spec.sheet.read_bytes(), kind),)

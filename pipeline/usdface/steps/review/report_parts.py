@@ -1,4 +1,4 @@
-"""What a report's player works with: curves, markers and colours on the face, notes, commands."""
+"""Contents of a report's player: curves, markers, colours on the face, notes, commands."""
 
 import os
 import shlex
@@ -36,7 +36,7 @@ from usdface.usdio.rig.read import read_rig
 def page_curves(
     spec: ReportSpec, shot: Shot, truth: FloatArray | None, baseline: FloatArray | None
 ) -> tuple[WeightCurves, ...]:
-    """Return every set of weights there is; the first is what is published."""
+    """Return all sets of weights; the first is the one that is published."""
     reader = PerformanceReader(shot.performance_file)
     kind = "edited" if reader.edits else "solve"
     curves = [WeightCurves(kind, shot.weights, kind)]
@@ -55,22 +55,22 @@ def page_curves(
 
 
 def _version_weights(file: Path, shot: Shot) -> FloatArray:
-    """Return another performance's weights at a shot's frames; NaN where it has none."""
+    """Return another performance's weights at a shot's frames; NaN outside its range."""
     other = read_performance(file)
     shapes = read_rig(other.rig_file, prim=other.rig_prim).shapes
     if set(shapes) != set(shot.rig.shapes):
-        strange = sorted(set(shapes) ^ set(shot.rig.shapes))
+        other_shapes = sorted(set(shapes) ^ set(shot.rig.shapes))
         raise InputError(
-            f"{file}: is on a rig with other shapes ({first_few(strange, most=3)}); --also takes "
-            "performances on the same rig, `usdface faces` draws several characters"
+            f"{file}: is on a rig with other shapes ({first_few(other_shapes, most=3)}); --also "
+            "takes performances on the same rig, `usdface faces` draws several characters"
         )
     clip = other.weights
     last = clip.first_frame + len(clip.values)
     inside = (shot.frames >= clip.first_frame) & (shot.frames < last)
     if not inside.any():
         raise InputError(
-            f"{file}: has none of the frames {shot.frames[0]}-{shot.frames[-1]}; is it of the "
-            "same take?"
+            f"{file}: has none of the frames {shot.frames[0]}-{shot.frames[-1]}; give performances "
+            "of the same take"
         )
     weights = np.full((len(shot.frames), len(shot.rig.shapes)), np.nan)
     weights[inside] = weights_in_rig_order(other, shot.rig, shot.frames[inside])
@@ -78,7 +78,7 @@ def _version_weights(file: Path, shot: Shot) -> FloatArray:
 
 
 def page_strips(signals: ReviewSignals) -> tuple[Strip, ...]:
-    """Return what is known of the solve over time, on the scales of all pictures."""
+    """Return error, uncertainty and coverage over time, on the scales of all pictures."""
     evidence = signals.evidence
     strips = []
     if evidence.error_mm is not None:
@@ -92,7 +92,7 @@ def page_strips(signals: ReviewSignals) -> tuple[Strip, ...]:
 
 
 def page_markers(shot: Shot, equation: BlendshapeEquation) -> PageMarkers | None:
-    """Return the markers that show the face's motion, where they lie on the character."""
+    """Return the markers on the character, without rigid ones."""
     markers = shot.take.markers
     if markers is None:
         return None
@@ -115,20 +115,20 @@ def page_markers(shot: Shot, equation: BlendshapeEquation) -> PageMarkers | None
 
 
 def _among(shown: IntArray, lines: IntArray) -> IntArray:
-    """Return lines between some of the markers, by their numbers among these."""
+    """Return the lines between some of the markers, by their indices among these."""
     inside = np.isin(lines, shown).all(axis=1)
     return np.searchsorted(shown, lines[inside])
 
 
 def page_motion(shot: Shot) -> FloatArray | None:
-    """Return where joints and Xforms take the face: (pictures, parts, 3, 4) [mm]."""
+    """Return the transforms of joints and Xforms: (pictures, parts, 3, 4) [mm]."""
     if shot.motion is None:
         return None
     return np.stack([shot.motion.transforms(frame)[:, :3] for frame in shot.frames.tolist()])
 
 
 def page_heat(signals: ReviewSignals, curves: tuple[WeightCurves, ...]) -> PageHeat | None:
-    """Return what is painted on the face: the error against keys, else the uncertainty."""
+    """Return the values painted on the face: the error against keys, else the uncertainty."""
     kinds = [curve.kind for curve in curves]
     if "keys" in kinds:
         return PageHeat("error", KEYS_RANGE_MM, against=kinds.index("keys"))
@@ -142,12 +142,12 @@ def page_heat(signals: ReviewSignals, curves: tuple[WeightCurves, ...]) -> PageH
 
 
 def page_notes(spec: ReportSpec, shot: Shot) -> PageNotes:
-    """Return the notes that the page begins with: of each, the one changed last."""
+    """Return the initial notes of the report, the latest version of each."""
     files = spec.notes
-    beside = notes_path(spec.performance)
-    if not files and beside.is_file():
-        confine("report", reads=[beside])
-        files = (beside,)
+    default = notes_path(spec.performance)
+    if not files and default.is_file():
+        confine("report", reads=[default])
+        files = (default,)
     latest = dict[str, dict[str, Any]]()
     for file in files:
         for note in read_notes(file, newer=True).notes:
@@ -158,18 +158,18 @@ def page_notes(spec: ReportSpec, shot: Shot) -> PageNotes:
         performance=shot.performance_file.name,
         take=shot.take.name,
         version=PerformanceReader(shot.performance_file).version,
-        file=beside.name,
+        file=default.name,
         notes=tuple(sorted(latest.values(), key=lambda note: int(note["frame"]))),
     )
 
 
 def page_commands(spec: ReportSpec, shot: Shot, references: Path | None) -> PageCommands:
-    """Return the command lines that take a frame to the tuning page, from the page's folder."""
+    """Return the command lines that add a frame to the references and tune it."""
     if references is None:
         return PageCommands()
     try:
         pairs = read_references(references)
-    except InputError:  # that it cannot be used is said where its coverage is shown
+    except InputError:  # reported with the coverage
         return PageCommands()
     names = [_from_page(path, spec) for path in (spec.performance, references)]
     return PageCommands(

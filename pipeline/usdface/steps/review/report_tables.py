@@ -1,4 +1,4 @@
-"""What a report tells in tables: errors, repairs, edits, and provenance."""
+"""Tables of a report: errors, repairs, edits, coverage and provenance."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,7 +28,7 @@ INPUT_DIGITS = 12
 
 
 def evaluate_shown(shot: Shot, truth: FloatArray | None) -> Evaluation | None:
-    """Measure a shot against the truth at the frames that have one; None without any."""
+    """Measure a shot against keys at the frames that have them; None without keys."""
     if truth is None:
         return None
     known = ~np.isnan(truth).any(axis=1)
@@ -149,7 +149,7 @@ def _provenance(shot: Shot, page: Provenance) -> Listing:
 
 @dataclass(frozen=True)
 class ShownCoverage:
-    """What a page shows of coverage by the references, as they are now."""
+    """Tables and picture of the current coverage by the references."""
 
     listings: tuple[Listing, ...]
     picture: PagePicture
@@ -158,12 +158,12 @@ class ShownCoverage:
 def show_coverage(
     spec: ReportSpec, shot: Shot, notes: list[str], progress: Progress
 ) -> ShownCoverage | None:
-    """Measure how the references cover a shot; None where they are not known.
+    """Measure the coverage of a shot by its references; None if they are not known.
 
     Parameters
     ----------
     notes : list of str
-        Added to, where references are known and cannot be used.
+        A note is appended if the references cannot be used.
     """
     references = spec.references or find_references(shot.performance_file)
     if references is None or shot.take.markers is None:
@@ -196,7 +196,7 @@ def show_coverage(
 
 
 def find_references(performance: Path) -> Path | None:
-    """Return the references that a performance was trained on; None if not there."""
+    """Return the references that a performance's mapping was trained on, if they exist."""
     mapping = path_made_from(performance, "mapping")
     mapping = mapping or path_made_from(performance, "retargeting")
     return None if mapping is None else path_made_from(mapping, "references")
@@ -206,7 +206,7 @@ def _shares(measured: MeasuredCoverage, references: Path) -> Listing:
     coverage = measured.covered.coverage
     rows = [
         ("pairs", f"{len(measured.pairs)}"),
-        ("of them frames of this take, tuned", f"{len(measured.tuned)}"),
+        ("tuned pairs of this take", f"{len(measured.tuned)}"),
         ("frames covered", f"{1 - coverage.hole_share:.0%}"),
         ("motion covered", f"{coverage.share:.0%}"),
     ]

@@ -1,4 +1,4 @@
-"""What a review judges: weights over a shot's frames, and how far each is off."""
+"""Errors of weights over a shot's frames, and the choice of frames to review."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -28,21 +28,21 @@ from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.steps.review.shot import Shot
 
 _BASELINE_FRAMES = 20_000
-"""Frames at which a long shot's baseline is solved: more than a sheet's curve can show."""
+"""Largest number of frames at which a long shot's baseline is solved, enough for a curve."""
 
 _MEASURED_GAPS = 200
-"""Frames whose lips are measured on the rig, of those whose shapes say that they are open."""
+"""Largest number of frames whose lip distance is measured on the rig's surface."""
 
 
 @dataclass(frozen=True)
 class ShotRuler:
-    """What differences of weights do to the skin of a shot's rig."""
+    """Distances of the skin of a shot's rig between sets of weights."""
 
     shot: Shot
 
     @cached_property
     def skin(self) -> SkinRuler:
-        """What errors and jumps are measured by: gaze and tongue are left out."""
+        """Measure of the skin, without gaze and tongue."""
         return SkinRuler(self.shot.rig, self.shot.deformer)
 
     @property
@@ -51,11 +51,11 @@ class ShotRuler:
         return tuple(self.skin.points)
 
     def distances(self, weights: FloatArray, truth: FloatArray) -> FloatArray:
-        """Return how far the skin is from the keys': (frames, regions) [mm]."""
+        """Return the distance of the skin from the keys': (frames, regions) [mm]."""
         return region_distances(self.skin.differences(weights, truth), self.skin.grams)
 
     def evidence(self, truth: FloatArray | None) -> SolveEvidence:
-        """Return what the shot is judged by: see `signals`."""
+        """Return the evidence of the shot's verdict; see `signals`."""
         if truth is None:
             return self.shot.evidence()
         return self.shot.evidence(self.regions, self.distances(self.shot.weights, truth))
@@ -63,14 +63,14 @@ class ShotRuler:
     def signals(
         self, truth: FloatArray | None, equation: BlendshapeEquation | None = None
     ) -> ReviewSignals:
-        """Return what the shot's frames are judged and ranked by.
+        """Return the signals by which the shot's frames are judged and ranked.
 
         Parameters
         ----------
         truth : (frames, shapes) float array or None
-            The keys; NaN where there are none.
+            The keys; NaN at frames without keys.
         equation : BlendshapeEquation, optional
-            To see where the performer's lips are closed.
+            To detect closed lips of the performer.
         """
         shot = self.shot
         evidence = self.evidence(truth)
@@ -91,35 +91,35 @@ class ShotRuler:
 
 
 def lip_gaps(shot: Shot, equation: BlendshapeEquation, lips: Lips) -> FloatArray:
-    """Return how far lips are open where the performer's are closed: (frames,) [mm]."""
+    """Return the lip distance where the performer's lips are closed, else 0: (frames,) [mm]."""
     motion = character_motion(equation.virtual, shot.positions, equation.neutral)
     direction = lips.pairs.direction
-    parted = ((motion[:, lips.upper] - motion[:, lips.lower]) @ direction).mean(axis=1)
-    about = np.where(parted < CONTACT_MM, shot.weights[:, lips.columns] @ lips.opening, 0.0)
-    rows = np.argsort(-about, kind="stable")[:_MEASURED_GAPS]
-    rows = rows[about[rows] > CONTACT_MM]
-    gaps = np.zeros(len(about))
+    captured = ((motion[:, lips.upper] - motion[:, lips.lower]) @ direction).mean(axis=1)
+    estimate = np.where(captured < CONTACT_MM, shot.weights[:, lips.columns] @ lips.opening, 0.0)
+    rows = np.argsort(-estimate, kind="stable")[:_MEASURED_GAPS]
+    rows = rows[estimate[rows] > CONTACT_MM]
+    gaps = np.zeros(len(estimate))
     measured = lip_gap_mm(shot.deformer, lips, shot.weights[rows])
-    shown = np.maximum(parted[rows], 0.0) + CONTACT_MM
-    gaps[rows] = np.maximum(measured - shown, 0.0)
+    expected = np.maximum(captured[rows], 0.0) + CONTACT_MM
+    gaps[rows] = np.maximum(measured - expected, 0.0)
     return gaps
 
 
 @dataclass(frozen=True)
 class Score:
-    """Weights over the frames that a sheet may show, and how far they are off."""
+    """Weights over a shot's frames, and their error or uncertainty."""
 
     label: str
     weights: FloatArray
     """(frames, shapes): in the rig's order."""
     error_mm: FloatArray
-    """(frames,): of the skin against the keys, else the uncertainty; NaN where it is not known."""
+    """(frames,): of the skin against the keys, else the uncertainty; NaN if unknown."""
     against_truth: bool = False
-    """Whether the error is one against keys."""
+    """Whether the error is against keys."""
 
 
 def set_up_shot_baseline(shot: Shot) -> BlendshapeEquation:
-    """Bind a shot's markers to its rig, as the baseline needs them."""
+    """Return the blendshape equation of a shot's markers on its rig."""
     take, markers = shot.take, shot.take.markers
     if markers is None:
         raise InputError(f"{take.name}: has no markers")
@@ -136,12 +136,12 @@ def set_up_shot_baseline(shot: Shot) -> BlendshapeEquation:
 
 
 def solve_baseline(equation: BlendshapeEquation, shot: Shot, rows: IntArray) -> FloatArray:
-    """Solve a shot as `select` proposes weights, but for lips that touch: (frames, shapes).
+    """Solve the baseline of a shot: (frames, shapes).
 
     Parameters
     ----------
     rows : (n,) int array
-        Rows that are shown. In a long shot the others hold the weights of a row shortly before.
+        Rows that are shown. In a long shot, others repeat the weights of a row shortly before.
     """
     positions = shot.positions
     step = -(-len(positions) // _BASELINE_FRAMES)
@@ -152,7 +152,7 @@ def solve_baseline(equation: BlendshapeEquation, shot: Shot, rows: IntArray) -> 
 
 
 def read_keys(file: Path | None, shot: Shot, unit: str | None = None) -> FloatArray | None:
-    """Return what the weights should have been; NaN at frames the file does not have."""
+    """Return the keys at a shot's frames, (frames, shapes); NaN at frames missing from the file."""
     if file is None:
         return None
     rig, frames = shot.rig, shot.frames
@@ -160,7 +160,7 @@ def read_keys(file: Path | None, shot: Shot, unit: str | None = None) -> FloatAr
     given.check_rate(shot.take.rate, file=file, performance=shot.performance_file)
     table, _ = given.by_meaning(rig.shapes, leave=rig.logic.driven)
     if not set(table.names) & set(rig.shapes):
-        raise InputError(f"{file}: names none of the rig's shapes; is it the right file?")
+        raise InputError(f"{file}: names none of the rig's shapes; give keys of {rig.file.name}")
     row_of = index_of(table.frames)
     known = table.columns(rig.shapes)
     truth = np.full((len(frames), len(rig.shapes)), np.nan)
@@ -168,12 +168,14 @@ def read_keys(file: Path | None, shot: Shot, unit: str | None = None) -> FloatAr
         if frame in row_of:
             truth[index] = known[row_of[frame]]
     if np.isnan(truth).all():
-        raise InputError(f"{file}: has none of the frames {frames[0]}-{frames[-1]}")
+        raise InputError(
+            f"{file}: has none of the frames {frames[0]}-{frames[-1]}; give keys of this take"
+        )
     return truth
 
 
 def score(label: str, shot: Shot, weights: FloatArray, truth: FloatArray | None) -> Score:
-    """Measure weights against the keys; without them only the shot's own have an uncertainty."""
+    """Measure weights against keys; without keys, the shot's own weights have an uncertainty."""
     if truth is not None:
         error = ShotRuler(shot).distances(weights, truth)[:, 0]
         return Score(label, weights, error, against_truth=True)
@@ -184,18 +186,18 @@ def score(label: str, shot: Shot, weights: FloatArray, truth: FloatArray | None)
 
 
 def surface_distance(shot: Shot, difference: FloatArray) -> FloatArray:
-    """Return the RMS distance of the surface that differences of weights make, (frames,) [mm]."""
+    """Return the RMS displacement of the surface by weight differences, (frames,) [mm]."""
     squared = ((difference @ shot.deformer.shapes.gram()) * difference).sum(axis=1)
     return np.asarray(np.sqrt(np.maximum(squared, 0.0)))
 
 
 def range_mm(*, keyed: bool) -> float:
-    """Return the end of the scale of colours, one of all pictures with keys or without."""
+    """Return the end of the colour scale, the same in all pictures with or without keys."""
     return KEYS_RANGE_MM if keyed else UNKEYED_RANGE_MM
 
 
 def coverage_curves(shot: Shot) -> tuple[ErrorCurve, ...]:
-    """Return how much of each frame's motion references do not cover; none where it is unknown."""
+    """Return the share of each frame's motion that is not covered; empty if unknown."""
     coverage = shot.evidence().coverage
     if coverage is None:
         return ()
@@ -203,12 +205,12 @@ def coverage_curves(shot: Shot) -> tuple[ErrorCurve, ...]:
 
 
 WORST_SHARE = 6
-"""Among expressions, one frame in so many is a worst one; of two and more at least one."""
+"""Among expressions, one frame in `WORST_SHARE` is a worst one, at least one of two."""
 
 
 @dataclass(frozen=True)
 class ChosenFrame:
-    """A row of the shot, and why it was chosen; empty where it shows what the face does."""
+    """A row of the shot, and the reason for its choice; empty for an expression."""
 
     row: int
     reason: str = ""
@@ -222,16 +224,16 @@ def choose_frames(
     signals: ReviewSignals,
     rate: float,
 ) -> list[ChosenFrame]:
-    """Choose frames, in order of time and spread over it.
+    """Choose frames at a distance from each other, in order of time.
 
     Parameters
     ----------
     pick : {'expression', 'review', 'residual', 'uncertainty', 'jump', 'even'}
-        What makes a frame worth it; ``'expression'`` takes some of the moments to review first too.
+        Criterion; ``'expression'`` includes some of the worst frames.
     count : int
-        Fewer where there are fewer frames or, of moments to review, fewer that stand apart.
+        Largest number of frames.
     strength : (frames,) float array
-        How far the face is from neutral.
+        Distance of the face from neutral.
     rate : float
         Frames per second.
     """
@@ -269,7 +271,7 @@ def _chosen_moment(moment: Moment) -> ChosenFrame:
 
 
 def _strongest(strength: FloatArray, count: int, apart: int) -> list[int]:
-    """Return the strongest row of each of so many stretches of time."""
+    """Return the strongest row of each of `count` equal time intervals."""
     chosen: list[int] = []
     for stretch in np.array_split(np.arange(len(strength)), count):
         free = [row for row in stretch if all(abs(row - other) >= apart for other in chosen)]
@@ -280,10 +282,9 @@ def _strongest(strength: FloatArray, count: int, apart: int) -> list[int]:
 def _largest(
     values: FloatArray, count: int, apart: int, *, taken: list[int] | None = None
 ) -> list[int]:
-    """Return rows by falling value, none near another or one that is taken, up to `count` of both.
+    """Return rows by decreasing value until there are `count` with those taken.
 
-    One bad moment is one row, not all of them; where the shot is too short for that, rows that are
-    near others fill up.
+    Rows are at least `apart` rows from each other and from those taken, as far as possible.
     """
     known = list(taken or ())
     chosen: list[int] = []

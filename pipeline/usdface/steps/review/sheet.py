@@ -1,4 +1,4 @@
-"""Contact sheets: video, markers, baseline, performances, differences."""
+"""Draw a contact sheet of performances."""
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
@@ -40,15 +40,15 @@ from usdface.steps.review.sheet_columns import (
 from usdface.steps.review.shot import Shot, ShotCamera
 
 HELPED_PIXELS = 800_000
-"""Of a column, for which a process more is worth its start."""
+"""Pixels of a column per worker process; fewer do not make up for its start."""
 
 FIGURE_KEYS = {"solve": "usdface", "baseline": "equation"}
-"""Of the labels on a sheet: scripts read these keys from ``--json``, so they stay."""
+"""Keys of ``--json`` for labels of a sheet, kept for existing scripts."""
 
 
 @dataclass(frozen=True)
 class _Desk:
-    """What rows are drawn with, in this process or in another."""
+    """State of a process that draws rows."""
 
     comparison: SheetComparison
     cameras: list[ShotCamera]
@@ -75,7 +75,7 @@ def run(spec: SheetSpec, *, provenance: Provenance, progress: Progress = silent)
         give_work = None
         if helpers:
             give_work = open_files.enter_context(worker_processes(helpers, _set_up, spec))
-            give_work(int)  # so that they read while this process does
+            give_work(int)  # starts the processes, so that they read at the same time
         desk = _open_desk(spec, open_files, progress)
         page = _page(spec, desk.comparison, desk.columns, desk.pictures)
         written = _write_pages(spec, page, desk, give_work, progress, provenance)
@@ -96,23 +96,23 @@ def _open_desk(spec: SheetSpec, open_files: ExitStack, progress: Progress) -> _D
 
 
 def _helpers(spec: SheetSpec) -> int:
-    """Return how many processes are to draw beside this one: no more than farms are told of."""
+    """Return the number of worker processes, within the cores requested from farms."""
     pixels = row_count(spec) * _tile_height(spec) ** 2
     return min(process_count(), spec.cores, 1 + pixels // HELPED_PIXELS) - 1
 
 
 _desk: _Desk | None = None
-"""Of a process that draws for another."""
+"""State of a worker process."""
 
 
 def _set_up(spec: SheetSpec, stopped: Callable[[], bool]) -> None:
-    def go_on(share: float, message: str) -> None:
+    def cancel_if_stopped(share: float, message: str) -> None:
         if stopped():
-            raise CancelledError("nobody waits for this sheet any more")
+            raise CancelledError("the main process has stopped")
 
     global _desk
-    with suppress(UsdfaceError):  # the process that waits finds it itself, and says so
-        _desk = _open_desk(spec, ExitStack(), go_on)
+    with suppress(UsdfaceError):  # the main process raises the same error
+        _desk = _open_desk(spec, ExitStack(), cancel_if_stopped)
 
 
 def _draw(number: int) -> SheetRow | None:
@@ -122,13 +122,13 @@ def _draw(number: int) -> SheetRow | None:
 def _rows(
     desk: _Desk, numbers: range, give_work: GiveWork | None, progress: Progress
 ) -> Iterator[SheetRow]:
-    """Draw rows, from the first on; helpers draw from the last on."""
-    given, count = dict[int, Future[SheetRow | None]](), len(desk.comparison.chosen)
-    with suppress(BrokenProcessPool):  # a helper less, not a sheet less
-        given |= {each: give_work(_draw, each) for each in numbers[::-1] if give_work is not None}
+    """Draw rows from the first on, while worker processes draw from the last on."""
+    pending, count = dict[int, Future[SheetRow | None]](), len(desk.comparison.chosen)
+    with suppress(BrokenProcessPool):  # then this process draws all rows
+        pending |= {each: give_work(_draw, each) for each in numbers[::-1] if give_work is not None}
     for number in numbers:
         progress(0.2 + 0.75 * number / count, f"drawing row {number + 1} of {count}")
-        row, work = None, given.get(number)
+        row, work = None, pending.get(number)
         if work is not None and not work.cancel():
             with suppress(BrokenProcessPool):
                 row = work.result()
@@ -188,7 +188,7 @@ def _page(
 
 
 def _verdict_lines(verdicts: dict[str, SolveVerdict]) -> tuple[str, ...]:
-    """Return a page's level and sentences: of the worst solve, with what to do, then the others."""
+    """Return level, sentence and advice of the worst verdict, then the sentences of the others."""
     worst = worst_verdict(verdicts)
     advice = [f"To do: {worst.advice}"] if worst.advice else []
     rest = [
@@ -207,10 +207,9 @@ def _write_pages(
     progress: Progress,
     provenance: Provenance,
 ) -> tuple[Path, ...]:
-    """Draw and write page by page, so that thousands of tiles are not held at once.
+    """Draw and write page by page, to bound memory.
 
-    The first page carries the name that was asked for. All appear together; those of an earlier
-    sheet of this name that had more go.
+    All pages are renamed together; further pages of an earlier sheet are removed.
     """
     shot, count = desk.comparison.shots[0], len(desk.comparison.chosen)
     pages = -(-count // spec.page_rows)
@@ -218,7 +217,7 @@ def _write_pages(
     for file in files[1:]:
         if file.exists() and not _is_page_of(file, spec.out):
             raise InputError(
-                f"{file}: exists, and a further page of {spec.out.name} would replace it; move it "
+                f"{file}: exists, and would be replaced by a page of {spec.out.name}; move it "
                 "away, or choose another --out"
             )
     with appearing_together(files):
@@ -246,7 +245,7 @@ def _page_file(out: Path, number: int) -> Path:
 
 
 def _is_page_of(file: Path, out: Path) -> bool:
-    """Whether a file is a page of the sheet of a name, and not one of its own or of others."""
+    """Whether a file is a further page of the sheet `out`."""
     made = provenance_of(file) if file.is_file() else None
     return made is not None and made.step == "sheet" and spec_of(made).get("out") == out.name
 
@@ -278,16 +277,16 @@ def _notes(spec: SheetSpec, comparison: SheetComparison, *, stand_in_eyes: bool)
         notes.append(f"mean: {', '.join(means)}")
     elif shot.take.markers is None:
         with_video = "" if shot.take.video is None else "compare with the video, or "
-        notes = [f"the take is one of weights: {with_video}give keys (--against)"]
+        notes = [f"the take has weights and no markers: {with_video}give keys (--against)"]
     elif shot.performance.uncertainty_mm is None:
-        notes = ["the uncertainty is not known: the performance was not mapped by this version"]
+        notes = ["uncertainty unknown: the performance was not mapped by this version"]
     if spec.layout != "strip" and comparison.equation is not None:
         notes.append(
-            "dots: the markers on the character, hollow where they were repaired; lines: from the "
-            "solve to them, in blue along lips, lids and brows"
+            "dots: markers on the character, hollow if repaired; white lines: residual; blue "
+            "lines: lips, lids and brows"
         )
     if any(comparison.labels):
-        notes.append("beside frames: phone and viseme")
+        notes.append("next to frames: phone and viseme")
     if stand_in_eyes:
         notes.append("the rig has no eyes: stand-ins are drawn")
     if any(each.rig.undrawn_notes() for each in shots):
@@ -296,7 +295,7 @@ def _notes(spec: SheetSpec, comparison: SheetComparison, *, stand_in_eyes: bool)
 
 
 def _unseen_mm(comparison: SheetComparison) -> dict[str, float]:
-    """Return how far gaze and tongue are off the keys by themselves; nothing without keys."""
+    """Return the errors of gaze and tongue against the keys; empty without keys."""
     if comparison.truth is None:
         return {}
     weights = comparison.shots[0].weights
@@ -310,9 +309,9 @@ def _result(
     verdict = worst_verdict(comparison.verdicts)
     known = [each for each in scores if np.isfinite(each.error_mm).any()]
     means = {each.label: float(np.nanmean(each.error_mm)) for each in known}
-    what = {True: "off the keys", False: "uncertainty"}
+    kinds = {True: "off the keys", False: "uncertainty"}
     listed = ", ".join(
-        f"{each.label} {means[each.label]:.2f} mm {what[each.against_truth]}" for each in known
+        f"{each.label} {means[each.label]:.2f} mm {kinds[each.against_truth]}" for each in known
     )
     return StepResult(
         written,

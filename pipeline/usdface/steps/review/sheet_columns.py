@@ -1,4 +1,4 @@
-"""What a sheet compares: shots over their shared frames, the frames chosen, and its columns."""
+"""Contents of a contact sheet: shots, scores, chosen frames and columns."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -44,30 +44,30 @@ OTHER_ROWS, OTHER_TILE = 12, 320
 
 @dataclass(frozen=True)
 class SheetComparison:
-    """What a sheet shows: shots, their weights with errors, and the frames chosen."""
+    """Shots, their weights with errors, and the chosen frames."""
 
     shots: list[Shot]
-    """The performance first, then those beside it."""
+    """The performance, then those of --also."""
     ruler: ShotRuler
-    """Of the first."""
+    """Of the first shot."""
     signals: ReviewSignals
-    """Of the first."""
+    """Of the first shot."""
     equation: BlendshapeEquation | None
     """None for a take without markers."""
     truth: FloatArray | None
-    """(frames, shapes): the keys; NaN at frames that have none."""
+    """(frames, shapes): the keys; NaN at frames without keys."""
     scores: list[Score]
     chosen: list[ChosenFrame]
     """Rows of the sheet."""
     labels: tuple[str, ...]
-    """Phone and viseme of each chosen frame; empty where unknown."""
+    """Phone and viseme of each chosen frame; empty if unknown."""
     verdicts: dict[str, SolveVerdict]
-    """Of every performance, by its label."""
+    """By label of the performance."""
 
 
 @dataclass(frozen=True)
 class SheetColumn:
-    """Something drawn for every row."""
+    """Heading of a column, and the function that draws a row of it."""
 
     head: str
     draw: Callable[[int], Tile]
@@ -101,7 +101,7 @@ def compare_shots(spec: SheetSpec, progress: Progress) -> SheetComparison:
 
 
 def row_count(spec: SheetSpec) -> int:
-    """Return how many frames are shown."""
+    """Return the number of frames to show."""
     listed = frame_list(spec.frames)
     if listed is not None:
         return len(listed)
@@ -109,7 +109,7 @@ def row_count(spec: SheetSpec) -> int:
 
 
 def _open_shots(spec: SheetSpec) -> list[Shot]:
-    """Open every performance over the frames that all of them have."""
+    """Open every performance over the common frames."""
     check_same_take(spec.performance, spec.take, spec.also)
     files = (spec.performance, *spec.also)
     listed = frame_list(spec.frames)
@@ -121,10 +121,14 @@ def _open_shots(spec: SheetSpec) -> list[Shot]:
     first = max(int(shot.frames[0]) for shot in shots)
     last = min(int(shot.frames[-1]) for shot in shots)
     if last < first:
-        raise InputError(f"{', '.join(map(str, files))}: share no frame of {shots[0].take.name}")
+        raise InputError(
+            f"{', '.join(map(str, files))}: have no common frame of {shots[0].take.name}; leave "
+            "one of them out of --also"
+        )
     if listed is not None and (listed[0] < first or listed[-1] > last):
         raise InputError(
-            f"{spec.performance}: frames {spec.frames} are not all in it; it has {first}-{last}"
+            f"{spec.performance}: some of --frames {spec.frames} are outside {first}-{last}; leave "
+            "them out"
         )
     return [
         replace(
@@ -137,7 +141,7 @@ def _open_shots(spec: SheetSpec) -> list[Shot]:
 
 
 def _same_face(shot: Shot, other: Shot) -> bool:
-    """Say whether weights of one mean the same on the other."""
+    """Whether both shots have the same rig and face."""
     faces = [(each.rig.file.resolve(), each.rig.prim) for each in (shot, other)]
     return faces[0] == faces[1]
 
@@ -159,7 +163,7 @@ def _choose(spec: SheetSpec, shot: Shot, signals: ReviewSignals) -> list[ChosenF
 def sheet_columns(
     spec: SheetSpec, comparison: SheetComparison, pictures: list[ShotPictures]
 ) -> list[SheetColumn]:
-    """Return what the layout puts side by side."""
+    """Return the columns of the layout."""
     shot, drawn = comparison.shots[0], pictures[0]
     columns: list[SheetColumn] = []
     if shot.take.video is not None:
@@ -191,36 +195,36 @@ def _face(pictures: ShotPictures, judged: Score) -> Callable[[int], Tile]:
 
 
 def _errors(pictures: ShotPictures, comparison: SheetComparison) -> Callable[[int], Tile]:
-    """Return what paints how far the skin is from the keys'; gaze and tongue are the keys'."""
+    """Return a function that paints the error of the skin, with gaze and tongue of the keys."""
     shot, truth = comparison.shots[0], comparison.truth
 
     def draw(row: int) -> Tile:
         if truth is None or np.isnan(truth[row]).any():
-            return Tile(None, caption="nothing keyed here")
-        seen = shot.weights[row].copy()
+            return Tile(None, caption="no keys here")
+        weights = shot.weights[row].copy()
         left_out = comparison.ruler.skin.left_out
-        seen[left_out] = truth[row, left_out]
-        ours, theirs = (np.asarray(shot.deformer.points(w[None])[0]) for w in (seen, truth[row]))
-        away = np.linalg.norm(ours - theirs, axis=-1)
-        picture = pictures.painted(row, seen, away, high=range_mm(keyed=True))
-        return Tile(picture, caption=f"max {away.max():.1f} mm")
+        weights[left_out] = truth[row, left_out]
+        solved, keyed = (shot.deformer.points(w[None])[0] for w in (weights, truth[row]))
+        error = np.linalg.norm(solved - keyed, axis=-1)
+        picture = pictures.painted(row, weights, error, high=range_mm(keyed=True))
+        return Tile(picture, caption=f"max {error.max():.1f} mm")
 
     return draw
 
 
 def _uncertainties(pictures: ShotPictures, comparison: SheetComparison) -> Callable[[int], Tile]:
-    """Return what paints the uncertainty of each part of the face."""
+    """Return a function that paints the uncertainty of each region."""
     shot, evidence = comparison.shots[0], comparison.signals.evidence
     points = {name: comparison.ruler.skin.points.get(name) for name in evidence.regions[1:]}
 
     def draw(row: int) -> Tile:
         if evidence.uncertainty_mm is None:
             return Tile(None)
-        said = evidence.uncertainty_mm[row]
-        values = np.full(len(shot.deformer.neutral), np.nan)  # no region: unknown
-        for (_, own), value in zip(points.items(), said[1:], strict=False):
-            if own is not None:
-                values[own] = value
+        uncertainty = evidence.uncertainty_mm[row]
+        values = np.full(len(shot.deformer.neutral), np.nan)  # unknown outside of regions
+        for region, value in zip(points.values(), uncertainty[1:], strict=False):
+            if region is not None:
+                values[region] = value
         picture = pictures.painted(row, shot.weights[row], values, high=range_mm(keyed=False))
         coverage = evidence.coverage
         covered = "" if coverage is None else f"motion covered {coverage[row, 0]:.0%}"

@@ -1,4 +1,4 @@
-"""A shot: performance, take and rig over the frames they share, and where it is seen from."""
+"""A shot: performance, take and rig over their common frames, and its cameras."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,10 +27,10 @@ from usdface.usdio.rig.rig_motion import PointMotion, RigMotion
 from usdface.usdio.rig.stage_camera import StageCamera, StageView
 
 WIDEST_ASPECT = 3.0
-"""Width over height at which a picture is cut: wider film would leave a face of few pixels."""
+"""Largest aspect ratio; wider pictures are cropped, as the face would be small."""
 
 SMALL_SHARE = 0.2
-"""Of the picture's height; a face that is lower cannot be judged by lips and lids."""
+"""Height of a face, as a share of the picture's, below which lips and lids cannot be judged."""
 
 
 class ShotCamera:
@@ -41,9 +41,9 @@ class ShotCamera:
     name : str
         ``'auto'``, ``'front'`` or the path of a camera.
     stage : Path, optional
-        The stage that holds it; the performance by default.
+        The stage of the camera; the performance by default.
     motion : PointMotion, optional
-        What the automatic camera follows.
+        Motion that the automatic camera follows.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class ShotCamera:
         return _as_camera(self._stage.at(frame), self._framed)
 
     def _followed(self, motion: PointMotion, frame: int) -> Camera:
-        """Keep a face that goes somewhere in the picture; how it turns is seen."""
+        """Return the camera translated with the face, without its rotation."""
         points = np.concatenate([mesh.points for mesh in self._rig.meshes])
         step = (motion.carry(points, frame) - points)[self._face].mean(axis=0)
         return replace(
@@ -91,19 +91,19 @@ class ShotCamera:
         )
 
     def width(self, height: int, frame: int) -> int:
-        """Return how wide pictures of a height are: square, or as the camera's film at a frame."""
+        """Return the width of pictures: square, or by the aspect of the stage's camera."""
         if self._stage is None:
             return height
         return max(round(height * min(self._stage.at(frame).aspect, WIDEST_ASPECT)), 1)
 
     def notes(self, frame: int) -> tuple[str, ...]:
-        """Return what to know of the camera, by how it sees the face at a frame."""
+        """Return notes on the view of the face by the stage's camera at a frame."""
         if self._stage is None:
             return ()
         found = []
         if not self._stage.holds_character:
             found.append(
-                f"{self._rig.file.name} is not in the camera's stage: it is drawn at its origin"
+                f"{self._rig.file.name} is not in the camera's stage, and drawn at its origin"
             )
         height = 1000
         width = self.width(height, frame)
@@ -114,14 +114,14 @@ class ShotCamera:
         elif np.ptp(seen[:, 1]) < SMALL_SHARE * height:
             share = 100 * np.ptp(seen[:, 1]) / height
             found.append(
-                f"the face is {share:.0f}% of the height of what {self._name} sees at frame "
+                f"the face is {share:.0f}% of the picture's height by {self._name} at frame "
                 f"{frame}: judge lips and lids with --camera auto"
             )
         return tuple(found)
 
 
 def _as_camera(view: StageView, framed: Camera) -> Camera:
-    """Turn a stage's view into a camera that aims at the depth of the face."""
+    """Return a stage's view as a camera whose target is at the depth of the face."""
     reach = float(np.subtract(framed.target, view.eye) @ view.forward)
     aim = view.eye + (reach if reach > 0 else 1000.0) * view.forward
     return Camera(
@@ -147,7 +147,7 @@ def _triple(vector: FloatArray) -> tuple[float, float, float]:
 
 @dataclass(frozen=True)
 class Shot:
-    """A performance, the take it came from and the face that acts it, over shared frames."""
+    """A performance, its take and its rig over their common frames."""
 
     performance_file: Path
     take: Take
@@ -159,27 +159,24 @@ class Shot:
     weights: FloatArray
     """(frames, shapes): in the rig's order."""
     motion: PointMotion | None = None
-    """What carries the points beside the shapes: joints and Xforms, or the performer's head; None
-    where none moves."""
+    """Motion of points in addition to shapes: joints and Xforms, or the performer's head; None if
+    none moves."""
     take_file: Path | None = None
-    """None where the take is no USD."""
+    """None if the take is not USD."""
 
     def pose(self, row: int, weights: FloatArray, *, still: bool = False) -> FloatArray:
-        """Return the rig's points at weights, (shapes,), where a row's joints and Xforms are.
-
-        A still head is where it rests.
-        """
+        """Return the rig's points at weights, (shapes,), moved by a row's joints unless `still`."""
         points = self.deformer.points(weights[None])[0]
         return points if still else self.carry(row, points)
 
     def carry(self, row: int, points: FloatArray, *, vectors: bool = False) -> FloatArray:
-        """Return points, or directions at them, where a row's joints and Xforms take them."""
+        """Return points, or directions at them, moved by a row's joints and Xforms."""
         if self.motion is None:
             return points
         return self.motion.carry(points, int(self.frames[row]), vectors=vectors)
 
     def camera(self, name: str = AUTO_CAMERA, stage: Path | None = None) -> ShotCamera:
-        """Return where its pictures are taken from; see `ShotCamera`."""
+        """Return a camera of the shot; see `ShotCamera`."""
         return ShotCamera(
             self.performance_file,
             self.performance,
@@ -191,7 +188,7 @@ class Shot:
 
     @property
     def positions(self) -> FloatArray:
-        """Markers of the shared frames, (frames, markers, 3) [mm]."""
+        """Markers at the common frames, (frames, markers, 3) [mm]."""
         markers = self.take.markers
         if markers is None:
             raise InputError(f"{self.take.name}: has no markers")
@@ -199,14 +196,14 @@ class Shot:
 
     @property
     def neutral_row(self) -> int:
-        """Row of the take's neutral; where its own frame is not neutral, of another."""
+        """Row of the take's neutral frame, or of the one that mapping used instead."""
         frame, take = self.performance.neutral_frame, self.take
         if frame is None and take.markers is not None:
             frame = take.markers.neutral_frame
         return min(max((frame or 0) - take.first_frame, 0), take.frame_count - 1)
 
     def face_uncertainty_mm(self) -> FloatArray | None:
-        """Return the face's uncertainty at the shared frames, (frames,) [mm]; None if unknown."""
+        """Return the face's uncertainty at the common frames, (frames,) [mm]; None if unknown."""
         uncertainty = self.performance.uncertainty_mm
         if uncertainty is None:
             return None
@@ -216,14 +213,14 @@ class Shot:
     def evidence(
         self, regions: tuple[str, ...] | None = None, error_mm: FloatArray | None = None
     ) -> SolveEvidence:
-        """Return what is known of the solve at the shared frames.
+        """Return the evidence of the verdict at the common frames.
 
         Parameters
         ----------
         regions : tuple of str, optional
-            Of the error against keys, which then decides; by default those of the mapping.
+            Regions of `error_mm`.
         error_mm : (frames, regions) float array, optional
-            [mm]
+            Error against keys [mm], which replaces the uncertainty.
         """
         rows = self.frames - self.performance.weights.first_frame
         evidence = self.evidence_at(rows)
@@ -233,7 +230,7 @@ class Shot:
         return evidence
 
     def evidence_at(self, rows: IntArray | slice) -> SolveEvidence:
-        """Return what the performance and its files say of some of its frames, by row."""
+        """Return the evidence at some rows of the performance."""
         known = self.performance
         figures = (known.uncertainty_mm, known.coverage, known.residual_mm)
         uncertainty, coverage, residual = (None if each is None else each[rows] for each in figures)
@@ -251,7 +248,7 @@ class Shot:
         )
 
     def timecode(self, frame: int) -> str:
-        """Return the SMPTE label of a frame; empty when the take has none."""
+        """Return the timecode of a frame; empty if the take has none."""
         return shift_timecode(
             self.take.timecode_start, frame - self.take.first_frame, self.take.rate
         )
@@ -264,25 +261,24 @@ def open_shot(
     frames: str | None = None,
     video: Path | None = None,
 ) -> Shot:
-    """Read a performance with the take it was made from: of markers, or of weights.
+    """Read a performance with the take it was made from.
 
     Parameters
     ----------
     take_file : Path, optional
-        See `find_take`; a performance that was made of none is shown by itself.
+        See `find_take`; a performance without a take is shown on its own.
     frames : str, optional
-        FIRST-LAST, to use no others.
+        Frames to use, as FIRST-LAST.
     video : Path, optional
-        Where the take's video is now.
+        New path of the take's video.
     """
     keyed = take_file is None and take_of_performance(performance_file) is None
     take_file = performance_file if keyed else find_take(performance_file, take_file)
     moved = PerformanceReader(performance_file).moved
     if moved and not keyed:
         raise InputError(
-            f"{performance_file}: a layer offset moves its weights by {moved:+g} frames, so its "
-            f"frames are not those of {take_file}; show the performance as it was mapped, without "
-            "the offset"
+            f"{performance_file}: a layer offset moves its weights by {moved:+g} frames, so they "
+            f"do not match those of {take_file}; give the performance without the offset"
         )
     performance = read_performance(performance_file)
     if keyed:
@@ -299,9 +295,9 @@ def open_shot(
         first, last = max(first, limits[0]), min(last, limits[1] + 1)
     if last <= first:
         raise InputError(
-            f"{performance_file}: shares no frame with {take_file}"
+            f"{performance_file}: has no common frame with {take_file}"
             + (f" in {frames}" if frames else "")
-            + "; is it the take it was mapped from?"
+            + "; give the take it was mapped from"
         )
     numbers = np.arange(first, last, dtype=np.int64)
     weights = weights_in_rig_order(performance, rig, numbers)
@@ -320,7 +316,7 @@ def open_shot(
 
 
 def _read_take(file: Path, performance: Path) -> Take:
-    """Read a take, or the capture of weights that a performance was retargeted from."""
+    """Read a take, or the capture that a performance was retargeted from."""
     if is_usd_name(file):
         return read_cleaned(file, need_markers=False)
     spec = spec_of(provenance_of(performance))
@@ -333,7 +329,7 @@ def _read_take(file: Path, performance: Path) -> Take:
 
 
 def _keyed_take(file: Path, performance: Performance) -> Take:
-    """Return the weights of a performance that was made of no take, such as an animator's."""
+    """Return the weights of a performance without a take, such as an animator's, as a take."""
     clip = performance.weights
     return Take(
         name=file.name.split(".")[0],
@@ -345,43 +341,47 @@ def _keyed_take(file: Path, performance: Performance) -> Take:
 
 
 def _with_video(file: Path, take: Take, moved: Path | None) -> Take:
-    """Return a take with the video where it is now."""
+    """Return a take with the new path of its video; refuse a missing video."""
     if take.video is None:
         if moved is not None:
-            raise InputError(f"{file}: has no video that {moved} could be; ingest with --video")
+            raise InputError(
+                f"{file}: has no video, so --video {moved} has no effect; ingest the take with "
+                "--video"
+            )
         return take
     if moved is not None:
         return replace(take, video=replace(take.video, file=moved))
     if not take.video.file.is_file():
         raise InputError(
-            f"{file}: its video, {take.video.file}, is gone; put it back, or say where by --video"
+            f"{file}: its video, {take.video.file}, is gone; put it back, or give its new path by "
+            "--video"
         )
     return take
 
 
 def weights_in_rig_order(performance: Performance, rig: Rig, frames: IntArray) -> FloatArray:
-    """Return (frames, shapes) weights; 0 for shapes that the performance does not drive."""
+    """Return (frames, shapes) weights; 0 for shapes that the performance lacks."""
     clip = performance.weights
     return columns_by_name(clip.values[frames - clip.first_frame], clip.names, rig.shapes)
 
 
 def version_labels(files: list[Path], *, taken: set[str]) -> list[str]:
-    """Return what each further performance is called: its name, with its folder where need be.
+    """Return unique labels of performances: file names, with their folder if ambiguous.
 
     Parameters
     ----------
     taken : set of str
-        Names that are used already.
+        Labels in use.
     """
     stems = [file.stem.split(".usd")[0] for file in files]
     used, labels = set(taken), list[str]()
     for file, stem in zip(files, stems, strict=True):
-        alone = stems.count(stem) == 1 and stem not in used
-        label = wanted = stem if alone else f"{file.resolve().parent.name}/{stem}"
+        unique = stems.count(stem) == 1 and stem not in used
+        label = base = stem if unique else f"{file.resolve().parent.name}/{stem}"
         number = 1
         while label in used:
             number += 1
-            label = f"{wanted} ({number})"
+            label = f"{base} ({number})"
         used.add(label)
         labels.append(label)
     return labels

@@ -1,4 +1,4 @@
-"""A take and a mesh in, the place of every marker on the mesh out."""
+"""Bind the markers of a take to points of a mesh."""
 
 from dataclasses import replace
 
@@ -25,12 +25,12 @@ from usdface.usdio.surface.binding import has_binding, read_binding, write_bindi
 from usdface.usdio.take.read import TakeReader
 
 _SUSPECT_SHARE = 0.25
-"""Share of doubtful markers [0-1] from which a landmark is suspected. On the demo's face 4 of 102
-are doubtful, and 44 if one of three landmarks is on the neck."""
+"""Share of uncertain markers [0-1] above which a landmark is probably wrong. On the demo's face 4
+of 102 are uncertain, and 44 if one of three landmarks is on the neck."""
 
 
 def run(spec: BindSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
-    """Propose a binding, keep the corrections of an earlier one, and write both."""
+    """Propose a binding, keep the corrections of an earlier one, and write it."""
     progress(0.0, "reading")
     face = read_face_mesh(spec.mesh, prim=spec.mesh_prim)
     take = TakeReader(spec.take)
@@ -80,7 +80,7 @@ def run(spec: BindSpec, *, provenance: Provenance, progress: Progress = silent) 
 def _corrections(
     spec: BindSpec, sample: TakeSample, face: FaceMesh
 ) -> tuple[dict[int, FloatArray], tuple[str, ...]]:
-    """Return the corrected places of an earlier binding [mm], and the markers left out of it."""
+    """Return the corrected positions of an earlier binding [mm], and the markers it leaves out."""
     if not has_binding(spec.out):
         return {}, ()
     before = read_binding(spec.out, face)
@@ -100,20 +100,20 @@ def _doubts(binding: MarkerBinding) -> tuple[str, ...]:
 
 
 def _verdict(binding: MarkerBinding) -> tuple[str, str]:
-    """Return the level and the sentence: which markers somebody should look at."""
+    """Return level and sentence of the verdict, by the number of uncertain markers."""
     doubtful = [binding.names[index] for index in _doubtful(binding)]
     count = len(binding.names)
     if not doubtful:
-        return "good", f"{OPENINGS['good']}: all {count} markers lie where their neighbours say"
+        return "good", f"{OPENINGS['good']}: all {count} markers agree with their neighbours"
     level = "bad" if len(doubtful) > _SUSPECT_SHARE * count else "check"
     return level, (
-        f"{OPENINGS[level]}: {len(doubtful)} of {count} markers may lie elsewhere (beside them: "
-        f"how sure): {first_few(doubtful)}"
+        f"{OPENINGS[level]}: {len(doubtful)} of {count} markers may be misplaced (confidence is "
+        f"next to them): {first_few(doubtful)}"
     )
 
 
 def _doubtful(binding: MarkerBinding) -> list[int]:
-    """Return the markers in doubt, the most doubtful first."""
+    """Return the indices of uncertain markers, the lowest confidence first."""
     order = np.argsort(binding.confidence).tolist()
     return [index for index in order if binding.confidence[index] < DOUBTFUL_CONFIDENCE]
 
@@ -134,22 +134,23 @@ def _report(
     notes = []
     if doubtful:
         notes.append(
-            f"doubtful: {counted(doubtful, 'marker')}; check and correct them in "
+            f"uncertain: {counted(doubtful, 'marker')}; check and correct them in "
             f"{corrected_path(spec.out).name}"
         )
     if spec.landmarks and len(doubtful) > _SUSPECT_SHARE * len(binding.names):
         notes.append(
-            f"{len(doubtful)} of {len(binding.names)} markers are doubtful: is a landmark on the "
-            f"wrong point? {', '.join(spec.landmarks)}"
+            f"{len(doubtful)} of {len(binding.names)} markers are uncertain: check the points of "
+            f"the landmarks {', '.join(spec.landmarks)}"
         )
     if left_out:
         notes.append(f"still left out: {counted(left_out, 'marker')}")
     if face.others:
-        notes.append(f"{len(face.others)} other meshes of {spec.mesh.name} carry no marker")
+        notes.append(f"{len(face.others)} other meshes of {spec.mesh.name} have no markers")
     outputs = binding_layers(spec.out)
     return StepResult(
         outputs if spec.picture is None else (*outputs, spec.picture),
-        f"{len(binding.names)} markers on {len(face.mesh.points)} points, {len(doubtful)} doubtful",
+        f"{len(binding.names)} markers on {len(face.mesh.points)} points, {len(doubtful)} of them "
+        "uncertain",
         tuple(notes),
         {
             "markers": len(binding.names),

@@ -1,4 +1,4 @@
-"""A cleaned take and a mesh in, the mesh moving over time out; any take in bounded memory."""
+"""Animate the points of a mesh by a cleaned take, in bounded memory."""
 
 import numpy as np
 
@@ -23,11 +23,11 @@ from usdface.usdio.surface.point_cache import PointsFormat, PointsHeader, writin
 from usdface.usdio.take.read import TakeReader
 
 _CHUNK_FRAMES = 2048
-"""Frames whose markers are read at once."""
+"""Frames of markers per read, to bound memory."""
 
 
 def run(spec: DeformSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
-    """Move every point of the mesh at every frame of the take, and write it as it goes."""
+    """Deform the mesh at every frame of the take, and write its points."""
     take = TakeReader(spec.take)
     first, last = frames_within(
         spec.take, frame_range(spec.frames), take.first_frame, take.last_frame
@@ -77,7 +77,7 @@ def run(spec: DeformSpec, *, provenance: Provenance, progress: Progress = silent
 
 
 def _normal_turner(face: FaceMesh) -> NormalTurner | None:
-    """Return what rotates the mesh's authored normals; None where no renderer would use them."""
+    """Return the rotation of the mesh's authored normals; None if renderers ignore them."""
     if face.authored_normals is None or face.mesh.subdivision != "none":
         return None
     return turner_of(

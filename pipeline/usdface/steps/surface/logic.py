@@ -1,4 +1,4 @@
-"""Write onto a rig which of its shapes others drive."""
+"""Define which shapes of a rig are driven by others."""
 
 from fnmatch import fnmatchcase
 
@@ -22,11 +22,11 @@ from usdface.usdio.rig.read import read_rig, shape_metadata
 from usdface.usdio.rig.write import write_logic
 
 _MOST_ROWS = 2000
-"""Of weights from which logic is inferred: more say no more."""
+"""Rows of weights used for inference, evenly spread."""
 
 
 def run(spec: LogicSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
-    """Read the logic, check it against the rig and write it over the rig."""
+    """Read the logic, check it against the rig and write an asset over the rig."""
     rig = read_rig(spec.rig, prim=spec.prim)
     shapes = (*rig.shapes, *(each.shape for each in rig.combinations))
     sources = []
@@ -44,8 +44,8 @@ def run(spec: LogicSpec, *, provenance: Provenance, progress: Progress = silent)
     new = merged(sources)
     if not new:
         raise InputError(
-            f"{spec.rig}: none of its {pluralize(len(shapes), 'shape')} is a combination by what "
-            "was given; nothing was written"
+            f"{spec.rig}: none of its {pluralize(len(shapes), 'shape')} is a combination by the "
+            "given sources; nothing was written. Give another source"
         )
     stated = {each.shape for each in new}
     kept = [each for each in rig.combinations if each.shape not in stated]
@@ -78,14 +78,14 @@ def _figures(combination: Combination) -> dict[str, object]:
 
 
 def _inferred(spec: LogicSpec, shapes: tuple[str, ...]) -> tuple[tuple[Combination, ...], str]:
-    """Infer the logic of the shapes that the patterns name from weights."""
+    """Infer the logic of the shapes of --driven from weights."""
     if spec.weights is None:
         return (), ""
     driven = [name for name in shapes if any(fnmatchcase(name, each) for each in spec.driven)]
     if not driven:
         raise InputError(
-            f"{spec.rig}: --driven names none of its shapes ({first_few(shapes, most=3)}); name "
-            "those whose logic is to be inferred"
+            f"{spec.rig}: --driven matches none of its shapes ({first_few(shapes, most=3)}); name "
+            "the driven shapes"
         )
     table = read_weight_table(spec.weights, known=shapes, unit=spec.weight_unit)
     table.shapes_among(driven, file=spec.weights, owner="among those driven")
@@ -100,5 +100,5 @@ def _inferred(spec: LogicSpec, shapes: tuple[str, ...]) -> tuple[tuple[Combinati
     left = [name for name in driven if name not in {each.shape for each in found}]
     note = f"inferred {len(found)} of {len(driven)} from {pluralize(len(rows), 'row')}"
     if left:
-        note += f"; {first_few(left)} stay animated: at rest there, or by no rule that is known"
+        note += f"; {first_few(left)} stay animated, as they are at rest or follow no known rule"
     return found, note

@@ -1,4 +1,4 @@
-"""Where a rig's logic is read from: the names of its shapes, a table, a Simplex definition."""
+"""Read the logic of a rig from shape names, a table, a Simplex definition or metadata."""
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
@@ -11,14 +11,14 @@ from usdface.core.rig_logic import Combination, CombinationMode
 from usdface.core.text import first_few, pluralize, read_json
 
 _LARGEST_BYTES = 1 << 26
-"""Of a definition: rigs of a thousand shapes take a few MB."""
+"""Limit of a definition's size; a rig of a thousand shapes needs a few MB."""
 
 _MOST_SPLITS = 1 << 12
-"""Ways to split a name that are looked at."""
+"""Limit of the number of ways to split a name."""
 
 _SIDE = re.compile(r"_(?:[LRlr]|[Ll]eft|[Rr]ight)$")
 _INBETWEEN = re.compile(r"(?P<part>.+?)_?(?P<percent>[1-9][05])$")
-"""A shape with two digits, a multiple of 5: the percentage at which it counts in full."""
+"""A shape whose name ends in a percentage, a multiple of 5, at which it has full effect."""
 
 _SIMPLEX_MODES: dict[str, CombinationMode] = {
     "None": "minimum",
@@ -28,7 +28,7 @@ _SIMPLEX_MODES: dict[str, CombinationMode] = {
     "mulAvgExt": "smooth",
     "mulAvgAll": "smooth",
 }
-"""Of two parts; of more only min and allMul are among our modes."""
+"""For two parts; for more parts only min and allMul are supported."""
 
 
 def combinations_of_names(shapes: Sequence[str]) -> tuple[Combination, ...]:
@@ -46,8 +46,8 @@ def combinations_of_names(shapes: Sequence[str]) -> tuple[Combination, ...]:
         best = [way for way in ways.values() if len(way) == finest]
         if len(best) > 1:
             raise InputError(
-                f"{name} can be read as {' or as '.join(' and '.join(way) for way in best)}; "
-                "state it in a table"
+                f"{name} is ambiguous: {' or '.join(' and '.join(way) for way in best)}; state it "
+                "in a table (--definition)"
             )
         between = _INBETWEEN.fullmatch(short)
         if best:
@@ -69,20 +69,20 @@ def _check_parts(name: str, short: str, known: dict[str, str]) -> None:
     if any(there) and not all(there):
         missing = pieces[there.index(False)]
         raise InputError(
-            f"{name}: {missing} is no shape of the rig, so that it is no combination by its name; "
-            "rename it, or state it in a table (--definition)"
+            f"{name}: {missing} is no shape of the rig, so the name is no combination; rename it, "
+            "or state it in a table (--definition)"
         )
 
 
 def _common_prefix(shapes: Sequence[str]) -> str:
-    """Return what all names begin with, up to an underscore."""
+    """Return the common prefix of all names, up to an underscore."""
     first, last = min(shapes, default=""), max(shapes, default="")
     count = next((i for i, (a, b) in enumerate(zip(first, last, strict=False)) if a != b), 0)
     return first[: first.rfind("_", 0, count) + 1]
 
 
 def _splits(name: str, known: dict[str, str]) -> Iterator[tuple[str, ...]]:
-    """Yield the ways to read a name as two shapes or more."""
+    """Yield the ways to split a name into two or more shapes."""
     side = _SIDE.search(name)
     pieces = name.split("_")
     for ending in ("",) if side is None else ("", side.group()):
@@ -148,7 +148,7 @@ def _number(text: str, where: str) -> float:
     try:
         return float(text)
     except ValueError as error:
-        raise InputError(f"{where}: {text!r} where a weight is expected") from error
+        raise InputError(f"{where}: {text!r} is no weight; give a number") from error
 
 
 def _span(text: str, where: str) -> tuple[float, float]:
@@ -177,27 +177,27 @@ def _simplex(data: dict[str, Any], path: Path) -> tuple[Combination, ...]:
             if abs(float(at)) not in (0.0, 1.0):
                 raise InputError(
                     f"{path}: {shapes[int(shape)]} is at {float(at):g} of its progression, where "
-                    "Simplex fades the shape at 1 out, which no combination does; make it an "
-                    "in-between of that shape, or state it in a table"
+                    "Simplex reduces the shape at 1, which combinations do not support; make it "
+                    "an in-between of that shape, or state it in a table"
                 )
     found = []
     for combo in data["combos"]:
         named = dict(zip(("name", "prog", "pairs"), combo, strict=False)) if first else combo
-        if not named.get("enabled", True):  # Simplex leaves it at 0
+        if not named.get("enabled", True):  # 0 in Simplex
             continue
         name, pairs, solve = str(named["name"]), named["pairs"], str(named.get("solveType"))
         others = [value for _, value in pairs if abs(float(value)) != 1.0]
         if others:
             raise InputError(
                 f"{path}: combo {name} has a slider at {others[0]:g}: Simplex interpolates such "
-                "combos over triangles, which has no mode here; state it in a table"
+                "combos over triangles, which is not supported; state it in a table"
             )
         if solve not in _SIMPLEX_MODES or (
             len(pairs) > 2 and solve not in ("None", "min", "allMul")
         ):
             raise InputError(
-                f"{path}: combo {name} of {len(pairs)} sliders is solved by {solve}, which is none "
-                "of product, minimum and smooth; state it in a table"
+                f"{path}: combo {name} of {len(pairs)} sliders has the solver {solve}, which is "
+                "not supported (product, minimum and smooth are); state it in a table"
             )
         parts = tuple(
             shape_at(sliders[int(slider)], float(value), f"slider {slider} of {name}")
@@ -209,18 +209,22 @@ def _simplex(data: dict[str, Any], path: Path) -> tuple[Combination, ...]:
 
 
 def combinations_of_metadata(values: Iterable[tuple[str, object]]) -> tuple[Combination, ...]:
-    """Read combinations from what exporters put on shapes: their drivers, as a list or as text.
+    """Read combinations from metadata of exporters: the drivers of each shape.
 
     Parameters
     ----------
     values : iterable of (str, object)
-        Shape, and the value: names, or names in a text, apart by spaces, commas, ``*`` or ``+``.
+        Shape, and its drivers: a list of names, or text separated by spaces, commas, ``*`` or
+        ``+``.
     """
     found = []
     for shape, value in values:
         parts = re.split(r"[\s,;*+]+", value.strip()) if isinstance(value, str) else value
         if not isinstance(parts, Iterable):
-            raise InputError(f"{shape}: its metadata is {value!r}, not the names of shapes")
+            raise InputError(
+                f"{shape}: its metadata is {value!r}, not names of shapes; name another with "
+                "--metadata"
+            )
         found.append(Combination(shape, tuple(map(str, parts))))
     return tuple(found)
 

@@ -1,4 +1,4 @@
-"""Frames of a take, chosen and named, become the shapes of a mesh that has none."""
+"""Make a BlendShape rig of a mesh from frames of a take."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +31,7 @@ _USABLE_SHARE = 0.9
 """Share of visible markers [0-1] below which a frame is not chosen."""
 
 CANDIDATE_FRAMES = 4000
-"""Frames spread over a take among which the most different are found."""
+"""Frames of a take among which the most different are chosen, evenly spread."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class ShapeFrame:
 
 
 def given_frames(spec: MakeShapesSpec, take: TakeReader) -> tuple[ShapeFrame, ...]:
-    """Return the frames that the spec names, in its order; none where it leaves the choice."""
+    """Return the frames of the options, in their order; empty if none are given."""
     if spec.names is not None:
         chosen = _from_csv(spec.names)
     elif spec.references is not None:
@@ -55,13 +55,13 @@ def given_frames(spec: MakeShapesSpec, take: TakeReader) -> tuple[ShapeFrame, ..
     ]
     if outside:
         raise InputError(
-            f"{take.path}: has no frame {first_few(outside)}; it holds "
+            f"{take.path}: has no frame {first_few(outside)}; give frames within "
             f"{take.first_frame}-{take.last_frame}"
         )
     seen: set[int] = set()
     for each in chosen:
         if each.frame in seen:
-            raise InputError(f"frame {each.frame} is to become two shapes; give it once")
+            raise InputError(f"frame {each.frame} is given for two shapes; give it once")
         seen.add(each.frame)
     return chosen
 
@@ -81,8 +81,8 @@ def choose_shape_frames(
     rows = allowed[pivoted_selection(displacements[allowed].reshape(len(allowed), -1), count)]
     if len(rows) < count:
         raise InputError(
-            f"the take shows only {len(rows)} faces that differ from the neutral one and from each "
-            f"other, {count} are asked for; lower --count"
+            f"--count is {count}, but only {len(rows)} faces of the take differ from the neutral "
+            "one and from each other; lower it"
         )
     chosen = sorted(frames[row] for row in rows.tolist())
     return tuple(ShapeFrame(frame, f"frame_{frame}") for frame in chosen)
@@ -100,11 +100,11 @@ def _from_csv(path: Path) -> tuple[ShapeFrame, ...]:
             frame = int(str(row["frame"]).strip())
         except ValueError as error:
             raise InputError(
-                f"{path} {where}: frame {row['frame']!r} is no whole number"
+                f"{path} {where}: frame {row['frame']!r} is no whole number; correct it"
             ) from error
         found.append(ShapeFrame(frame, str(row["name"] or "").strip() or f"frame_{frame}"))
     if not found:
-        raise InputError(f"{path}: needs a row with a frame and a name for each shape")
+        raise InputError(f"{path}: has no rows; give a frame and a name for each shape")
     return tuple(found)
 
 
@@ -122,7 +122,7 @@ def _from_references(path: Path, take: TakeReader) -> tuple[ShapeFrame, ...]:
 
 
 def run(spec: MakeShapesSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
-    """Choose frames, move the mesh there, and write the rig."""
+    """Choose frames, deform the mesh, and write the rig."""
     take = TakeReader(spec.take)
     chosen = given_frames(spec, take)
     plan = plan_surface(spec, take, out=spec.out, progress=part(progress, 0.0, 0.6))

@@ -1,4 +1,4 @@
-"""Pictures of moved meshes: metrics compared, and shapes."""
+"""Pictures of deformed meshes: comparison of metrics, and shapes."""
 
 import contextlib
 from collections.abc import Sequence
@@ -30,16 +30,16 @@ from usdface.usdio.surface.shape_rig import NewShape
 from usdface.usdio.take.read import TakeReader
 
 _NO_NOISE = HyperPrior(medians=(9.0, 1e-6, 4.0, 1.0), spread=(1.5, 0.05, 1.5, 1.5))
-"""Noise v1 of about 1e-6 mm^2: the surface meets every marker, as an interpolant does."""
+"""Noise v1 of about 1e-6 mm², with which the surface interpolates every marker."""
 
 _MOVING_SHARE = 0.15
-"""Of the largest motion [0-1]: markers that move less need not be in the picture."""
+"""Share of the largest motion [0-1] above which markers must be in the picture."""
 
 _RESULT = "this result"
 _SD_NOTE = "standard deviation of each point, and its root mean square"
 _FOLD_NOTES = {
-    True: "points inside of lips and lids follow their own side, in all but the Euclidean column",
-    False: "points inside of lips and lids are treated as all others, as published",
+    True: "points inside of lips and lids follow their own side, except in the Euclidean column",
+    False: "points inside of lips and lids are treated like others, as published",
 }
 
 
@@ -83,7 +83,7 @@ def write_comparison(
             f"{len(plan.columns)} markers",
             f"{len(rest)} points",
             f"left-out markers {plan.model.diagnostics.left_out_rms_mm:.2f} mm",
-            *((f"markers shaken by {spec.picture_noise:g} mm",) if spec.picture_noise else ()),
+            *((f"noise of {spec.picture_noise:g} mm added",) if spec.picture_noise else ()),
         ),
         notes=(
             f"{', '.join(columns[2:])}: both distances blended, geodesic {plan.model.blend:.0%}",
@@ -97,7 +97,7 @@ def write_comparison(
 def _compared_models(
     spec: DeformSpec, plan: SurfacePlan, moved: FloatArray
 ) -> tuple[tuple[str, ...], tuple[SurfaceModel, ...]]:
-    """Return what is compared: each metric alone, the blend without and with smoothing."""
+    """Return the compared models: each metric, the blend without and with smoothing."""
     options = replace(surface_options(spec), sampler="shared", blend=plan.model.blend)
 
     def fit(of: GpOptions) -> SurfaceModel:
@@ -107,7 +107,7 @@ def _compared_models(
     if spec.method == "rbf":
         return ("Euclidean", "geodesic", _RESULT), (*alone, plan.model)
     result = plan.model
-    if spec.picture_noise:  # the model must be fitted to the noise to smooth it
+    if spec.picture_noise:  # fitted to the noisy markers, to smooth them
         result = fit(replace(options, sampler=spec.sampler))
     columns = ("Euclidean", "geodesic", "unsmoothed", _RESULT)
     return columns, (*alone, fit(replace(options, prior=_NO_NOISE)), result)
@@ -122,7 +122,7 @@ def write_shapes_picture(
     sd_mm: Float32Array | None,
     provenance: Provenance,
 ) -> None:
-    """Draw shapes, by the names that they were written with."""
+    """Draw shapes with their names."""
     if spec.picture is None:
         return
     rest = plan.face.mesh.points
@@ -165,7 +165,7 @@ def _write(
 
 
 def still_meshes(face: FaceMesh) -> list[RigMesh]:
-    """Read the file's other meshes; a picture does without one that cannot be drawn."""
+    """Read the file's other meshes, without those that cannot be drawn."""
     found = []
     for path in face.others:
         with contextlib.suppress(InputError):
@@ -174,7 +174,7 @@ def still_meshes(face: FaceMesh) -> list[RigMesh]:
 
 
 def _moving(plan: SurfacePlan) -> BoolArray:
-    """Return which markers move with the face; others of the head would make the face small."""
+    """Return which markers move with the face, by which the picture is framed."""
     moved = plan.displacements(plan.sample.positions)
     far = np.linalg.norm(moved, axis=2).max(axis=0)
     return np.asarray(far >= _MOVING_SHARE * far.max(), np.bool_)

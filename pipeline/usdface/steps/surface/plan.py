@@ -1,4 +1,4 @@
-"""A take and a mesh, ready to move it: binding, proportions, distances, regression."""
+"""Prepare the deformation of a mesh by a take: binding, proportions, distances, model."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -40,7 +40,7 @@ from usdface.usdio.surface.distance_cache import CachedDistances, read_distances
 from usdface.usdio.take.read import TakeReader
 
 _REACH_SPACINGS = 4.0
-"""Default reach of the markers, in the median distance from a marker to its nearest."""
+"""Default reach of the markers, as a multiple of the median distance between neighbours."""
 
 _SAMPLE_FRAMES = 400
 """Frames of a `TakeSample`."""
@@ -48,16 +48,16 @@ _SAMPLE_FRAMES = 400
 
 @dataclass(frozen=True)
 class TakeSample:
-    """Frames spread over a take, which binding and fitting need."""
+    """Frames spread over a take, for binding and fitting."""
 
     names: tuple[str, ...]
-    """Of the markers."""
+    """Names of the markers."""
     rigid: tuple[int, ...]
-    """Markers that move with the skull alone."""
+    """Indices of the rigid markers."""
     neutral: FloatArray
     """(markers, 3) [mm]"""
     frames: tuple[int, ...]
-    """Their numbers."""
+    """Frame numbers."""
     positions: FloatArray
     """(frames, markers, 3) [mm]"""
     visible: BoolArray
@@ -82,7 +82,7 @@ def sample_take(take: TakeReader) -> TakeSample:
 
 
 def spread_frames(take: TakeReader, most: int) -> list[int]:
-    """Return at most so many frames, spread evenly over a take."""
+    """Return at most `most` frames, spread evenly over a take."""
     count = take.last_frame - take.first_frame + 1
     picks = np.linspace(take.first_frame, take.last_frame, min(count, most))
     return list(map(int, np.unique(picks.astype(int))))
@@ -95,7 +95,7 @@ def bind_take(
     pinned: dict[int, FloatArray] | None = None,
     sources: dict[int, str] | None = None,
 ) -> MarkerBinding:
-    """Propose a binding, with the shapes of the mesh where its file is a rig."""
+    """Propose a binding, using the shapes of the mesh if its file is a rig."""
     return propose_binding(
         add_shapes(face),
         names=sample.names,
@@ -121,7 +121,7 @@ def add_shapes(face: FaceMesh) -> RigMesh:
 def landmark_places(
     landmarks: tuple[str, ...], names: tuple[str, ...], face: FaceMesh, take: Path
 ) -> dict[int, FloatArray]:
-    """Return where each named marker is on the mesh, from NAME=POINT."""
+    """Return the position of each landmark NAME=POINT on the mesh [mm], by marker index."""
     faults, found = [], {}
     for landmark in landmarks:
         name, _, number = landmark.rpartition("=")
@@ -143,36 +143,33 @@ def landmark_places(
                 continue
             found[names.index(name)] = at.positions(face.mesh.points)[0]
     if faults:
-        raise InputError("; ".join(faults))
+        raise InputError(f"{'; '.join(faults)}; correct --landmarks")
     return found
 
 
 @dataclass(frozen=True)
 class SurfacePlan:
-    """A mesh and the model that moves it by a take."""
+    """A mesh and the model that deforms it by a take."""
 
     face: FaceMesh
-    """The mesh."""
     sample: TakeSample
-    """Of the take."""
     columns: IntArray
-    """(markers,): the take's markers that are bound, in the binding's order."""
+    """(markers,): indices of the take's bound markers, in the binding's order."""
     places: SurfacePlaces
-    """Of the bound markers on the mesh."""
+    """Places of the bound markers on the mesh."""
     proportions: Proportions
-    """From the performer's face to the mesh's."""
+    """From the performer's face to the mesh."""
     distances: SurfaceDistances
     """From the bound markers to the mesh."""
     model: SurfaceModel
     """Fitted to the sample."""
     fade: Float32Array
-    """(points, 1): factor of each point's motion [0-1]; 0 far from every marker, where the model
+    """(points, 1): factor on each point's motion [0-1]; 0 far from every marker, where the model
     extrapolates."""
     notes: tuple[str, ...]
-    """For the user."""
 
     def displacements(self, positions: FloatArray | Float32Array) -> FloatArray:
-        """Return how far frames move the bound markers, in the mesh's proportions [mm].
+        """Return the displacements of the bound markers, in the mesh's proportions [mm].
 
         Parameters
         ----------
@@ -187,12 +184,12 @@ class SurfacePlan:
         return self.displacements(read_markers(take, first, last).positions)
 
     def deform(self, displacements: FloatArray) -> SurfaceMotion:
-        """Move the whole mesh at a few frames."""
+        """Deform the mesh at a few frames."""
         moved = self.model.deform(displacements)
         return SurfaceMotion(moved.mean * self.fade, moved.sd)
 
     def stream(self, displacements: FloatArray) -> Iterator[SurfaceMotion]:
-        """Move the whole mesh at many frames, some at a time."""
+        """Deform the mesh at many frames, block by block."""
         for moved in self.model.stream(displacements):
             yield SurfaceMotion(moved.mean * self.fade, moved.sd)
 
@@ -200,12 +197,12 @@ class SurfacePlan:
 def plan_surface(
     spec: SurfaceSpec, take: TakeReader, *, out: Path, progress: Progress
 ) -> SurfacePlan:
-    """Read, bind, measure and fit.
+    """Read mesh and take, bind the markers, measure distances and fit the model.
 
     Parameters
     ----------
     out : Path
-        Distances are cached beside it.
+        Distances are cached next to it.
     """
     progress(0.0, "reading")
     face = read_face_mesh(spec.mesh, prim=spec.mesh_prim)
@@ -217,7 +214,7 @@ def plan_surface(
     if len(bound) < FEWEST_MARKERS:
         raise InputError(
             f"{spec.take}: {len(bound)} of its {len(sample.names)} markers are bound to "
-            f"{spec.mesh}; at least {FEWEST_MARKERS} are needed: bind this take's markers"
+            f"{spec.mesh}, at least {FEWEST_MARKERS} are needed; bind this take's markers"
         )
     if len(bound) < len(binding.names):
         missing = [name for name in binding.names if name not in sample.names]
@@ -232,7 +229,7 @@ def plan_surface(
             weight=binding.confidence[bound],
         )
     except ValueError as error:
-        raise InputError(f"{spec.take} does not lie on {spec.mesh}: {error}") from error
+        raise InputError(f"{spec.take} cannot be aligned with {spec.mesh}: {error}") from error
     progress(0.3, "measuring distances over the mesh")
     distances = _distances(spec, face, places, out, part(progress, 0.3, 0.6))
     notes.extend(distances.unreached.describe())
@@ -247,7 +244,7 @@ def plan_surface(
 
 
 def surface_options(spec: SurfaceSpec) -> GpOptions:
-    """Return the options of the model that the spec asks for."""
+    """Return the model's options of a spec."""
     spread = spec.prior_spread
     return GpOptions(
         sampler=spec.sampler,
@@ -262,14 +259,14 @@ def surface_options(spec: SurfaceSpec) -> GpOptions:
 
 
 _LARGEST_RHAT = 1.1
-"""Above it chains have not mixed (Gelman et al. 2013, section 11.5)."""
+"""Value above which chains have not mixed (Gelman et al. 2013, section 11.5)."""
 
 _LEAST_CUT = 5e-4
-"""Share of the covariance's norm below which what was cut off is rounding."""
+"""Share of the covariance's norm below which the part cut off is rounding."""
 
 
 def sampler_figures(model: SurfaceModel) -> dict[str, object]:
-    """Return how well the hyper-parameters were sampled; None where they were not."""
+    """Return diagnostics of the sampled hyper-parameters; None if they were not sampled."""
     quality = model.diagnostics
     return {
         name: None if np.isnan(value) else value
@@ -283,7 +280,7 @@ def sampler_figures(model: SurfaceModel) -> dict[str, object]:
 
 
 def sampler_notes(model: SurfaceModel) -> list[str]:
-    """Say how well the hyper-parameters were sampled, and what was cut off the covariance."""
+    """Return notes on the sampling of hyper-parameters and the clipping of the covariance."""
     quality, notes = model.diagnostics, []
     if not np.isnan(quality.acceptance):
         notes.append(
@@ -302,7 +299,7 @@ def sampler_notes(model: SurfaceModel) -> list[str]:
 def fit_surface(
     spec: SurfaceSpec, distances: SurfaceDistances, displacements: FloatArray, options: GpOptions
 ) -> SurfaceModel:
-    """Fit the model that the spec asks for; of the options `rbf` takes those that it has."""
+    """Fit the model of --method; `rbf` uses only some of the options."""
     if spec.method == "rbf":
         rbf = RbfOptions(blend=options.blend, folds=options.folds)
         return fit_rbf_surface(distances, displacements, rbf)
@@ -319,19 +316,19 @@ def _bind(spec: SurfaceSpec, sample: TakeSample, face: FaceMesh) -> tuple[Marker
     else:
         pinned = landmark_places(spec.landmarks, sample.names, face, spec.take)
         binding = bind_take(sample, face, pinned=pinned, sources=dict.fromkeys(pinned, "landmark"))
-        notes.append("the markers were bound again; `usdface bind` shows where, to be corrected")
+        notes.append("the markers were bound automatically; check them with `usdface bind`")
     doubtful = int((binding.confidence < DOUBTFUL_CONFIDENCE).sum())
     if doubtful:
         notes.append(
-            f"at doubtful places: {pluralize(doubtful, 'marker')}; look with `usdface bind`"
+            f"at uncertain places: {pluralize(doubtful, 'marker')}; check them with `usdface bind`"
         )
     if face.others:
-        notes.append(f"{len(face.others)} other meshes of {spec.mesh.name} stay as they are")
+        notes.append(f"{len(face.others)} other meshes of {spec.mesh.name} do not move")
     return binding, notes
 
 
 def _fade(distances: SurfaceDistances, reach: float | None) -> Float32Array:
-    """Return 1 near the markers and 0 beyond their reach [mm], with a smooth step between."""
+    """Return a factor per point: 1 near the markers, 0 beyond their reach [mm], smooth between."""
     if reach is None:
         others = distances.geodesic_between + np.diag(
             np.full(len(distances.geodesic_between), np.inf)
