@@ -66,13 +66,14 @@ def test_a_single_step_is_a_job_of_one(tmp_path: Path) -> None:
 def test_a_saved_spec_reads_back_the_same(tmp_path: Path, name: str, index: int) -> None:
     spec = JobSpec.model_validate(yaml.safe_load(JOB)).steps[index]
     path = write(tmp_path, spec_text(spec, Path(name)), name)
-    assert read_job(path).steps == (spec.anchored(tmp_path),)
+    assert read_job(path).steps == (spec.with_paths(lambda each: tmp_path / each),)
 
 
 def test_a_saved_job_reads_back_the_same(tmp_path: Path) -> None:
     job = JobSpec.model_validate(yaml.safe_load(JOB))
     path = write(tmp_path, spec_text(job, Path("j.yaml")))
-    assert read_job(path).steps == tuple(step.anchored(tmp_path) for step in job.steps)
+    anchored = (step.with_paths(lambda each: tmp_path / each) for step in job.steps)
+    assert read_job(path).steps == tuple(anchored)
 
 
 @pytest.mark.parametrize(

@@ -73,12 +73,6 @@ def _as_data(job: JobSpec, shown: list[StepResult]) -> dict[str, object]:
     return {"job": job.job, "steps": [report.as_data() for report in shown]}
 
 
-def show_step(step: JobStep, report: StepResult) -> None:
-    """Print the result of a job's step under its number, name and file."""
-    echo(f"{step.label}: {'up to date' if report.up_to_date else styled_summary(report)}")
-    show_details(report)
-
-
 def showing_events(
     file: Path,
     shown: list[StepResult],
@@ -103,20 +97,15 @@ def showing_events(
             report = stored.of(step, report)
         shown.append(report)
         if not as_json:
-            show_step(step, report)
-
-    return JobEvents(_announce(style), ended)
-
-
-def _announce(style: ProgressStyle) -> Any:
-    """Return a callback that prints on stderr that a step has started, if there is no bar."""
-    quiet = style != "auto" or sys.stderr.isatty()
+            echo(f"{step.label}: {'up to date' if report.up_to_date else styled_summary(report)}")
+            show_details(report)
 
     def started(step: JobStep) -> None:
-        if not quiet and step.count > 1:
+        shows_bar = sys.stderr.isatty()
+        if style == "auto" and not shows_bar and step.count > 1:
             typer.echo(f"{step.label} ...", err=True)
 
-    return started
+    return JobEvents(started, ended)
 
 
 class _StoredResults:

@@ -71,7 +71,7 @@ def execute(
         if not overwrite and _may_be_done(spec):
             provenance = provenance or make_provenance(spec)
             if step_state(spec, provenance).state == "done":
-                summary = f"{spec.step}: up to date; --overwrite makes it anew"
+                summary = f"{spec.step}: up to date; --overwrite runs it again"
                 return StepResult(spec.outputs(), summary, fresh=False)
         with not_written_since(() if overwrite else spec.paths(Writes)):
             check_outputs(spec, overwrite=overwrite)
@@ -104,7 +104,7 @@ def execute_each(
     done_as: str,
     overwrite: bool = False,
     progress: Progress = silent,
-) -> list[StepResult]:
+) -> StepResult:
     """Run specs that write into one folder, creating it if needed; failures do not stop the others.
 
     Parameters
@@ -138,7 +138,12 @@ def execute_each(
             f"{pluralize(len(done), 'take')} of {folder} {done_as}, "
             f"{len(failed)} failed:\n{reasons}"
         )
-    return done
+    return StepResult(
+        tuple(path for result in done for path in result.outputs),
+        f"{pluralize(len(done), 'take')} of {folder}",
+        tuple(line for result in done for line in (result.summary, *result.notes)),
+        {"takes": [result.as_data() for result in done]},
+    )
 
 
 def _make_folder(folder: Path) -> list[Path]:

@@ -18,12 +18,6 @@ from usdface.usdio.layers import check_asset_name, is_layer_name
 from usdface.usdio.referenced_files import all_files, dependencies
 
 
-def check_confined_inputs(spec: Spec, root: Path) -> None:
-    """Refuse a spec with a path outside a folder, or with a layer that refers to one."""
-    check_confined(spec.named_paths(), root)
-    _check_layers(spec.step, spec.paths(Reads), root)
-
-
 def confine(what: str, *, reads: Sequence[Path] = (), writes: Sequence[Path] = ()) -> None:
     """Refuse paths of a command without a spec outside the folder of ``USDFACE_ROOT``, if set."""
     root = confinement_root()
@@ -82,7 +76,8 @@ def check_may_be_read(spec: Spec) -> None:
         check_no_loop(path)
     root = confinement_root()
     if root is not None:
-        check_confined_inputs(spec, root)
+        check_confined(spec.named_paths(), root)
+        _check_layers(spec.step, spec.paths(Reads), root)
     # Reading a pipe or a device may block forever.
     no_files = [path for path in spec.paths(Reads) if path.exists() and not path.is_file()]
     if folders := [path for path in no_files if path.is_dir()]:
@@ -162,17 +157,12 @@ def _check_may_be_replaced(spec: Spec, path: Path) -> None:
             f"{path}: exists and was not written by usdface; choose another --out, or --overwrite "
             "it"
         )
-    if not _same_kind(made.step, spec):
+    writer = SPEC_BY_STEP.get(made.step.removesuffix(REFUSED))
+    if writer is None or writer.kind_of_output() != spec.kind_of_output():
         raise InputError(
             f"{path}: exists and was written by `{made.step}`, whose outputs {spec.step} does not "
             "replace; choose another --out, or --overwrite it"
         )
-
-
-def _same_kind(step: str, spec: Spec) -> bool:
-    """Whether the outputs of a step and of a spec are of one kind."""
-    other = SPEC_BY_STEP.get(step.removesuffix(REFUSED))
-    return other is not None and other.kind_of_output() == spec.kind_of_output()
 
 
 def sidecars_of(spec: Spec, path: Path) -> list[Path]:

@@ -260,10 +260,6 @@ class Spec(BaseModel):
         """Return all files that the step changes."""
         return self.outputs()
 
-    def anchored(self, folder: Path) -> Self:
-        """Return the spec with relative paths resolved against a folder."""
-        return self.with_paths(lambda path: folder / path)
-
     def relative_to(self, folder: Path) -> Self:
         """Return the spec with paths relative to a folder, to be saved there."""
         return self.with_paths(

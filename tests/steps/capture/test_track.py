@@ -141,14 +141,14 @@ def test_frames_without_a_face_are_gaps_and_frames_are_chosen(tracked, tmp_path)
     with pytest.raises(InputError, match="no face is visible at the neutral frame 7; name another"):
         tracked(video, lambda n: [] if 5 <= n < 9 else one_head(n), neutral=7)
     result, _ = tracked(video, lambda n: [] if n < 20 else one_head(n))
-    assert any("stands on its head" in note for note in result.notes)
+    assert any("is upside down" in note for note in result.notes)
     slow = clip(tmp_path / "slow.mp4", 12, rate=10)
     result, _ = tracked(slow, one_head)
     assert any("10 pictures per second: blinks" in note for note in result.notes)
     assert not any("--rate" in note for note in result.notes)
     with pytest.raises(InputError, match=r"--frames 90-99 is outside its frames, 1 to 30"):
         tracked(video, one_head, frames="90-99")
-    with pytest.raises(InputError, match=r"--neutral 5 is none of the frames to track, 11 to 30"):
+    with pytest.raises(InputError, match=r"--neutral 5 is outside the frames to track, 11 to 30"):
         tracked(video, one_head, frames="11-30", neutral=5)
     with pytest.raises(InputError, match=r"no face in any of 30 pictures; .*ffmpeg"):
         tracked(video, lambda n: [])

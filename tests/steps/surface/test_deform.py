@@ -460,7 +460,7 @@ def test_what_deform_cannot_do_is_said(moved: Path, more: dict[str, object], mes
 @pytest.mark.parametrize(
     ("more", "message"),
     [
-        ({"shape_frames": ("7",)}, "has no frame 7; it holds 101-140"),
+        ({"shape_frames": ("7",)}, "has no frame 7; give frames within 101-140"),
         ({"shape_frames": ("110=a", "110=b")}, "frame 110 is given for two shapes"),
         ({"shape_frames": ("101",)}, "moves no point"),
         ({"count": 500}, "faces of the take differ"),

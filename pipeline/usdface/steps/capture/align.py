@@ -3,7 +3,6 @@
 import logging
 from dataclasses import dataclass
 from fractions import Fraction
-from pathlib import Path
 
 from usdface.core.assets import Take, Video
 from usdface.core.errors import CheckFailedError, InputError
@@ -128,7 +127,10 @@ def run(spec: AlignSpec, *, provenance: Provenance, progress: Progress = silent)
     """Measure the video's offset and drift, draw the evidence, and write them if reliable."""
     progress(0.0, f"reading {spec.take.name}")
     picture = spec.picture_path()
-    _refuse_foreign_picture(spec)
+    if spec.picture is None and picture.exists() and provenance_of(picture) is None:
+        raise InputError(
+            f"{picture}: was not written by usdface; move it, or name another --picture"
+        )
     reader = TakeReader(spec.take)
     take = reader.read(reader.first_frame, reader.first_frame)
     if take.video is None:
@@ -289,10 +291,3 @@ def _figures(decision: Decision, evidence: Evidence) -> dict[str, object]:
             "doubts": list(sound.doubts),
         }
     return figures
-
-
-def _refuse_foreign_picture(spec: AlignSpec) -> None:
-    """Refuse to replace a picture that usdface did not write at the default path."""
-    path: Path = spec.picture_path()
-    if spec.picture is None and path.exists() and provenance_of(path) is None:
-        raise InputError(f"{path}: was not written by usdface; move it, or name another --picture")

@@ -1,6 +1,6 @@
 """Ingest every take in a folder; files with the same stem form one take."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 from pathlib import Path
 
@@ -111,7 +111,7 @@ def ingest_folder(
         )
         for bundle in bundles
     ]
-    done = execute_each(
+    result = execute_each(
         specs,
         folder=folder,
         out=out,
@@ -119,15 +119,7 @@ def ingest_folder(
         overwrite=overwrite,
         progress=progress,
     )
-    return StepResult(
-        tuple(path for report in done for path in report.outputs),
-        f"{pluralize(len(done), 'take')} of {folder}",
-        (
-            *(line for report in done for line in (report.summary, *report.notes)),
-            *_left_out(folder, bundles),
-        ),
-        {"takes": [report.as_data() for report in done]},
-    )
+    return replace(result, notes=(*result.notes, *_left_out(folder, bundles)))
 
 
 def _bundles(folder: Path, only: str | None) -> list[Bundle]:

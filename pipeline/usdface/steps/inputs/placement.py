@@ -167,13 +167,6 @@ def _bound(placement: RigPlacement) -> dict[str, int]:
     }
 
 
-def place_takes(
-    takes: CleanedTakes, rig: Rig, *, out: Path, landmarks: Mapping[str, FloatArray]
-) -> PlacedTakes:
-    """Place takes' markers on a rig; see `PlacementScene.place`."""
-    return PlacementScene(takes, rig).place(out=out, landmarks=landmarks)
-
-
 def judge_stored(path: Path, takes: CleanedTakes, rig: Rig) -> PlacedTakes:
     """Read a placement, and judge it for takes."""
     placement = read_placement_of(path, rig, takes.marker_names, takes.neutral)

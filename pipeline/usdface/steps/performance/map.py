@@ -74,15 +74,6 @@ def predict_pipelined(mapping: TrainedMapping, blocks: Iterator[Block]) -> Itera
             yield pending.popleft().result()
 
 
-def check_blend(path: Path, mapping: TrainedMapping) -> None:
-    """Refuse --alpha for a mapping that is no hybrid."""
-    if mapping.method != "hybrid":
-        raise InputError(
-            f"{path}: alpha blends the two parts of a hybrid, and this mapping is "
-            f"{mapping.method}; train with --method hybrid"
-        )
-
-
 def predict_with_keyed_blend(
     mapping: TrainedMapping, placed: Iterator[Block], alpha: Path, blocks: list[range]
 ) -> Iterator[Prediction]:
@@ -141,8 +132,11 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress = silent) -
     mapping = read_mapping(spec.mapping)
     rig = read_rig(spec.rig, prim=spec.rig_prim)
     notes = list(_check_rig(spec, mapping, rig))
-    if spec.alpha is not None:
-        check_blend(spec.mapping, mapping)
+    if spec.alpha is not None and mapping.method != "hybrid":
+        raise InputError(
+            f"{spec.mapping}: alpha blends the two parts of a hybrid, and this mapping is "
+            f"{mapping.method}; train with --method hybrid"
+        )
     take = TakeReader(spec.take)
     first, last = frames_within(
         spec.take, frame_range(spec.frames), take.first_frame, take.last_frame

@@ -88,8 +88,13 @@ def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress = silent)
     )
     write_mapping(spec.out, mapping, provenance=provenance)
     unkeyed = _unkeyed_shapes(references, mapping)
-    notes += [*_unkeyed_notes(unkeyed), *_correction_notes(mapping, references)]
-    notes.append(variance_line(mapping))
+    if unkeyed:
+        notes.append(
+            f"0 in every pair: {counted(unkeyed, 'shape')}. They stay near 0 in the solve, unless "
+            "the other shapes cannot follow the markers; tune frames that show those the performer "
+            "uses"
+        )
+    notes += [*_correction_notes(mapping, references), variance_line(mapping)]
     outputs = [spec.out]
     if spec.picture is not None:
         picture = eigenspace_picture(mapping, references, f"eigen-space of {spec.references.stem}")
@@ -110,15 +115,6 @@ def _unkeyed_shapes(references: References, mapping: TrainedMapping) -> list[str
     moved_mm[unseen_shapes(references.parts or references.shape_names)] = 0.0
     order = np.argsort(-moved_mm, kind="stable").tolist()
     return [references.shape_names[column] for column in order if moved_mm[column] > _SHOWN_MM]
-
-
-def _unkeyed_notes(unkeyed: list[str]) -> list[str]:
-    if not unkeyed:
-        return []
-    return [
-        f"0 in every pair: {counted(unkeyed, 'shape')}. They stay near 0 in the solve, unless the "
-        "other shapes cannot follow the markers; tune frames that show those the performer uses"
-    ]
 
 
 def _proposal_error(spec: TrainSpec, mapping: TrainedMapping, references: References) -> FloatArray:

@@ -17,7 +17,7 @@ from usdface.steps.references.from_edits import (
     with_pairs,
     write_extended,
 )
-from usdface.steps.references.performance_inputs import MovedInputs, made_from
+from usdface.steps.references.performance_inputs import made_from
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.references.read import read_references
 
@@ -32,8 +32,7 @@ def run(
     old = read_references(spec.references)
     reader = PerformanceReader(spec.performance)
     notes: list[str] = []
-    moved = MovedInputs(spec.take, spec.mapping)
-    take, mapping = made_from(spec.performance, old, moved)
+    take, mapping = made_from(spec.performance, old, take=spec.take, mapping=spec.mapping)
     frames = _new_frames(spec, reader, old, take.name, notes)
     captured, seen = captured_at(take, mapping, old, frames)
     if not seen.any():

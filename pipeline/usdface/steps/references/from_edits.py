@@ -23,7 +23,7 @@ from usdface.specs.references import ReferencesAddSpec, ReferencesFromEditsSpec
 from usdface.steps.inputs.cleaned_takes import read_markers, take_head_space
 from usdface.steps.inputs.source_motion import read_source_motion
 from usdface.steps.references.coverage import redraw_coverage
-from usdface.steps.references.performance_inputs import MovedInputs, made_from
+from usdface.steps.references.performance_inputs import made_from
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.references.read import read_pair_notes, read_references
 from usdface.usdio.references.weight_layers import (
@@ -61,9 +61,8 @@ def run(
     notes: list[str] = []
     edited: list[_EditedFrames] = []
     takes = with_moved(spec.performances, spec.take, "take")
-    for index, (performance, take) in enumerate(takes):
-        moved = MovedInputs(take, spec.mapping)
-        edited.append(_edited_frames(spec, performance, old, moved, notes))
+    for index, (performance, moved_take) in enumerate(takes):
+        edited.append(_edited_frames(spec, performance, old, moved_take, notes))
         progress(0.8 * (index + 1) / len(spec.performances), f"read {performance.name}")
     references = _with_edited(old, edited, notes)
     added = len(references.frames) - len(old.frames)
@@ -105,7 +104,7 @@ def _edited_frames(
     spec: ReferencesFromEditsSpec,
     performance: Path,
     old: References,
-    moved: MovedInputs,
+    moved_take: Path | None,
     notes: list[str],
 ) -> _EditedFrames:
     reader = PerformanceReader(performance)
@@ -124,7 +123,7 @@ def _edited_frames(
     if not len(rows):
         notes.append(f"{performance}: no frame was edited")
         return _NO_FRAMES
-    take, mapping = made_from(performance, old, moved)
+    take, mapping = made_from(performance, old, take=moved_take, mapping=spec.mapping)
     captured, seen = captured_at(take, mapping, old, reader.frames[rows])
     rows, captured = rows[seen], captured[seen]
     if not seen.all():

@@ -77,19 +77,15 @@ def write_pair_images(
                     )
             except (InputError, OSError) as error:
                 shown = _existing_pictures(folder, references, take, pairs)
-                notes.append(_unread(take, len(shown), len(pairs), error))
+                kept = f"{len(shown)} of {len(pairs)} pairs of {take.name} keep their earlier"
+                notes.append(
+                    f"{kept} pictures, as the video cannot be read: {error}"
+                    if shown
+                    else f"the pairs of {take.name} have no pictures: {error}"
+                )
         for pair, file in shown.items():
             files[pair] = file
     return PairImages(tuple(files), tuple(notes))
-
-
-def _unread(take: Take, kept: int, pairs: int, error: Exception) -> str:
-    if not kept:
-        return f"the pairs of {take.name} have no pictures: {error}"
-    return (
-        f"{kept} of {pairs} pairs of {take.name} keep their earlier pictures, as the video cannot "
-        f"be read: {error}"
-    )
 
 
 def _existing_pictures(

@@ -1,6 +1,5 @@
 """Find the take and the mapping that a performance was made from."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
 from usdface.core.assets import References, TrainedMapping
@@ -11,30 +10,27 @@ from usdface.usdio.mapping import read_mapping
 from usdface.usdio.take.read import TakeReader
 
 
-@dataclass(frozen=True)
-class MovedInputs:
-    """New paths of a performance's take and mapping; None uses those of its provenance."""
-
-    take: Path | None = None
-    mapping: Path | None = None
-
-
 def made_from(
-    performance: Path, old: References, moved: MovedInputs
+    performance: Path, old: References, *, take: Path | None, mapping: Path | None
 ) -> tuple[TakeReader, TrainedMapping | None]:
     """Return take and mapping by the provenance of a performance or its parts.
 
     References of takes that carry weights have no mapping.
+
+    Parameters
+    ----------
+    take, mapping : Path or None
+        New paths of moved files, instead of those of the provenance.
     """
     if old.source is not None:
         source = _spec_of(performance, "retarget").get("source")
-        if moved.take is None and not isinstance(source, str):
+        if take is None and not isinstance(source, str):
             raise InputError(
                 f"{performance}: does not name the take it was retargeted from; give it by "
                 "--take, or give a performance that `usdface retarget` wrote of a take"
             )
         named = performance.resolve().parent / str(source)
-        return TakeReader(moved.take or _present(performance, "take", named)), None
+        return TakeReader(take or _present(performance, "take", named)), None
     file, spec = performance, _spec_of(performance, "map")
     seen = set[Path]()
     while not spec and file not in seen:
@@ -45,7 +41,7 @@ def made_from(
             if part.is_file():
                 file, spec = part, _spec_of(part, "map")
     paths: dict[str, Path] = {}
-    for name, given in (("take", moved.take), ("mapping", moved.mapping)):
+    for name, given in (("take", take), ("mapping", mapping)):
         if given is None and name not in spec:
             raise InputError(
                 f"{performance}: does not name the {name} it was made from; give it by --{name}, "

@@ -11,8 +11,8 @@ from usdface.specs.references import PlaceSpec
 from usdface.steps.inputs.cleaned_takes import plausibility_notes, read_cleaned_takes
 from usdface.steps.inputs.landmark_files import read_landmarks
 from usdface.steps.inputs.placement import (
+    PlacementScene,
     draw_placement,
-    place_takes,
     placement_figures,
     placement_notes,
 )
@@ -30,7 +30,7 @@ def run(spec: PlaceSpec, *, provenance: Provenance, progress: Progress = silent)
     if spec.landmarks is not None:
         landmarks = read_landmarks(spec.landmarks, takes.marker_names, rig)
     progress(0.2, "placing the markers on the rig")
-    placed = place_takes(takes, rig, out=spec.out, landmarks=landmarks)
+    placed = PlacementScene(takes, rig).place(out=spec.out, landmarks=landmarks)
     write_placement(spec.out, placed.placement, rig, provenance=provenance)
     outputs = [*binding_layers(spec.out)]
     if spec.picture is not None:

@@ -43,9 +43,9 @@ from usdface.steps.inputs.landmark_files import read_landmarks
 from usdface.steps.inputs.phone_labels import PhoneLabels, read_phone_labels
 from usdface.steps.inputs.placement import (
     PlacedTakes,
+    PlacementScene,
     draw_placement,
     judge_stored,
-    place_takes,
     placement_figures,
     placement_notes,
 )
@@ -277,7 +277,7 @@ def _place(spec: SelectSpec, takes: CleanedTakes, rig: Rig) -> PlacedTakes:
     landmarks = {}
     if spec.landmarks is not None:
         landmarks = read_landmarks(spec.landmarks, takes.marker_names, rig)
-    return place_takes(takes, rig, out=placement_path(spec.out), landmarks=landmarks)
+    return PlacementScene(takes, rig).place(out=placement_path(spec.out), landmarks=landmarks)
 
 
 def _draw_placement(spec: SelectSpec, placed: PlacedTakes, rig: Rig, made: Provenance) -> None:

@@ -1,5 +1,6 @@
 """Retarget every take of a folder to the same characters."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from usdface.capture.sniff import recognise_format
@@ -60,7 +61,11 @@ def retarget_folder(
             f"{folder}: performances are named after their targets, and two of "
             f"{', '.join(targets)} are equal; retarget to one of them at a time"
         )
-    tables = {source for source in sources.values() if _is_table(source)}
+    tables = {
+        source
+        for source in sources.values()
+        if not source.name.endswith(TAKE_END) and recognise_format(source).read is read_weight_take
+    }
     specs = [
         shared.model_copy(
             update=({} if source in tables or not tables else dict.fromkeys(_OF_TABLES))
@@ -71,7 +76,7 @@ def retarget_folder(
         )
         for stem, source in sources.items()
     ]
-    done = execute_each(
+    result = execute_each(
         specs,
         folder=folder,
         out=out,
@@ -79,16 +84,7 @@ def retarget_folder(
         overwrite=overwrite,
         progress=progress,
     )
-    return StepResult(
-        tuple(path for report in done for path in report.outputs),
-        f"{pluralize(len(done), 'take')} of {folder} on {pluralize(len(targets), 'target')}",
-        tuple(line for report in done for line in (report.summary, *report.notes)),
-        {"takes": [report.as_data() for report in done]},
-    )
-
-
-def _is_table(source: Path) -> bool:
-    return not source.name.endswith(TAKE_END) and recognise_format(source).read is read_weight_take
+    return replace(result, summary=f"{result.summary} on {pluralize(len(targets), 'target')}")
 
 
 def _takes(folder: Path) -> dict[str, Path]:

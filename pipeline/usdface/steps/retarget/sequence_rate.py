@@ -5,7 +5,7 @@ from fractions import Fraction
 from pathlib import Path
 
 from usdface.core.arrays import FloatArray
-from usdface.core.controls import Controls, EmotionalSequence
+from usdface.core.controls import EmotionalSequence
 from usdface.model.retarget.control_space import control_space
 from usdface.numerics.motion.laplacian_warp import stretch_motion
 from usdface.usdio.retarget.sequences import read_sequence, sequence_rate
@@ -20,10 +20,11 @@ def read_sequence_at(path: Path, rate: Fraction) -> tuple[EmotionalSequence, str
     if abs(stored - rate) < RATES_ALIKE:
         return sequence, ""
     factor = rate / stored
+    space = control_space(sequence.target)  # rotations are resampled as rotation vectors
     resampled = replace(
         sequence,
         source=motion_at_rate(sequence.source, factor),
-        target=controls_at_rate(sequence.target, factor),
+        target=space.decode(motion_at_rate(space.encode(sequence.target), factor)),
         key_weights=motion_at_rate(sequence.key_weights[:, None], factor)[:, 0],
     )
     note = (
@@ -37,9 +38,3 @@ def read_sequence_at(path: Path, rate: Fraction) -> tuple[EmotionalSequence, str
 def motion_at_rate(motion: FloatArray, factor: Fraction) -> FloatArray:
     """Return a motion at another rate, `factor` times as high: (frames, n)."""
     return stretch_motion(motion, max(round((len(motion) - 1) * factor) + 1, 2))
-
-
-def controls_at_rate(controls: Controls, factor: Fraction) -> Controls:
-    """Return controls at another rate; rotations are interpolated as rotation vectors."""
-    space = control_space(controls)
-    return space.decode(motion_at_rate(space.encode(controls), factor))

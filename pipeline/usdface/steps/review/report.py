@@ -23,6 +23,7 @@ from usdface.media.page.report_page import (
 )
 from usdface.media.picture.tiles import empty_tile, fit_picture
 from usdface.model.review.moments import review_moments
+from usdface.model.review.verdict import judge_solve
 from usdface.numerics.measure.face_regions import region_of_shape
 from usdface.runner.origin import check_same_take, provenance_metadata
 from usdface.runner.result import StepResult
@@ -121,7 +122,7 @@ def _page(
     progress(0.05, "placing the markers on the rig")
     equation = set_up_shot_baseline(shot) if take.markers is not None else None
     signals, parts = ruler.signals(keys, equation), ruler.skin.parts
-    verdict = ruler.verdict(signals)
+    verdict = judge_solve(signals.evidence)
     rows = np.arange(len(shot.frames))
     baseline = solve_baseline(equation, shot, rows) if spec.baseline and equation else None
     tables = listings(shot, evaluate_shown(shot, keys), provenance)

@@ -18,7 +18,7 @@ from usdface.model.review.moments import (
     review_moments,
     surface_jumps,
 )
-from usdface.model.review.verdict import SolveEvidence, SolveVerdict, judge_solve
+from usdface.model.review.verdict import SolveEvidence
 from usdface.model.selection.baseline import BlendshapeEquation
 from usdface.model.selection.lip_contact import CONTACT_MM, Lips, find_lips, lip_gap_mm
 from usdface.numerics.registration.virtual_markers import character_motion
@@ -84,10 +84,6 @@ class ShotRuler:
         on_lips = len(np.union1d(lips.pairs.upper, lips.pairs.lower))
         share = on_lips / len(shot.deformer.neutral)
         return ReviewSignals(evidence, jumps, lip_gaps(shot, equation, lips), share, self.regions)
-
-    def verdict(self, signals: ReviewSignals) -> SolveVerdict:
-        """Judge the shot."""
-        return judge_solve(signals.evidence)
 
 
 def lip_gaps(shot: Shot, equation: BlendshapeEquation, lips: Lips) -> FloatArray:

@@ -91,7 +91,7 @@ def compare_shots(spec: SheetSpec, progress: Progress) -> SheetComparison:
         scores.insert(0, score("baseline", shot, solved, truth))
     others = [each.performance_file for each in shots[1:]]
     labels = version_labels(others, taken={"baseline", "solve"})
-    verdicts = {"solve": ruler.verdict(signals)}
+    verdicts = {"solve": judge_solve(signals.evidence)}
     for other, label in zip(shots[1:], labels, strict=True):
         known = truth if _same_face(other, shot) else None
         scores.append(score(label, other, other.weights, known))

@@ -59,6 +59,7 @@ class ShotCamera:
         self._rig = rig
         self._motion = motion
         reach = motion_weights(rig.meshes)
+        self._points = np.concatenate([mesh.points for mesh in rig.meshes])
         self._face = reach > 0 if reach.any() else np.ones(len(reach), bool)
         self._framed = frame_rig(rig.meshes, yaw_degrees=facing_degrees(rig), hair=True)
         self._name = name
@@ -82,8 +83,7 @@ class ShotCamera:
 
     def _followed(self, motion: PointMotion, frame: int) -> Camera:
         """Return the camera translated with the face, without its rotation."""
-        points = np.concatenate([mesh.points for mesh in self._rig.meshes])
-        step = (motion.carry(points, frame) - points)[self._face].mean(axis=0)
+        step = (motion.carry(self._points, frame) - self._points)[self._face].mean(axis=0)
         return replace(
             self._framed,
             eye=_triple(self._framed.eye + step),
@@ -107,7 +107,7 @@ class ShotCamera:
             )
         height = 1000
         width = self.width(height, frame)
-        seen = self.at(frame).project(_face_points(self._rig), width=width, height=height)
+        seen = self.at(frame).project(self._points[self._face], width=width, height=height)
         inside = (seen[:, 2] > 0) & np.all((seen[:, :2] > 0) & (seen[:, :2] < (width, height)), 1)
         if not inside.any():
             found.append(f"{self._name} does not see the face at frame {frame}")
@@ -132,12 +132,6 @@ def _as_camera(view: StageView, framed: Camera) -> Camera:
         shift=view.shift,
         span_mm=view.span_mm,
     )
-
-
-def _face_points(rig: Rig) -> FloatArray:
-    points = np.concatenate([mesh.points for mesh in rig.meshes])
-    reach = motion_weights(rig.meshes)
-    return points[reach > 0] if np.any(reach > 0) else points
 
 
 def _triple(vector: FloatArray) -> tuple[float, float, float]:

@@ -61,7 +61,10 @@ def run(spec: BindSpec, *, provenance: Provenance, progress: Progress = silent) 
                 BoundMarkers(
                     binding.names,
                     at,
-                    _doubts(binding),
+                    tuple(
+                        f"{each:.0%}" if each < DOUBTFUL_CONFIDENCE else ""
+                        for each in binding.confidence
+                    ),
                     np.array([source != "proposed" for source in binding.sources]),
                 ),
                 title=f"{TakeReader(spec.take).name} on {spec.mesh.stem}",
@@ -93,10 +96,6 @@ def _corrections(
         if source == "corrected" and name in sample.names
     }
     return corrected, before.left_out
-
-
-def _doubts(binding: MarkerBinding) -> tuple[str, ...]:
-    return tuple(f"{c:.0%}" if c < DOUBTFUL_CONFIDENCE else "" for c in binding.confidence)
 
 
 def _verdict(binding: MarkerBinding) -> tuple[str, str]:
