@@ -37,11 +37,31 @@ CameraName = Annotated[
 ]
 """``auto`` or ``front``, which frame the face, or the prim path of a camera."""
 
+
+class ShotSpec(MovedRigSpec):
+    """Options common to `sheet`, `movie` and `report`."""
+
+    only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {"camera_stage": ("camera", ())}
+    traces: ClassVar[Sequence[str]] = ("performance",)
+
+    performance: Annotated[FilePath, Reads(), Positional()]
+    """The performance to show."""
+    take: ShownPath | None = None
+    """The take it was made from. Default: the one its provenance names."""
+    video: ReadPath | None = None
+    """The take's video, if its file has moved."""
+    camera: CameraName = "auto"
+    """Camera of the face: `auto` frames the face, turned as the performer's head where the take has
+    a video; `front` does not turn it; a prim path is a camera of the stage."""
+    camera_stage: ReadPath | None = None
+    """Stage that holds the camera, such as a shot. Default: the performance."""
+
+
 SheetLayout = Literal["comparison", "worst", "strip", "characters"]
 FramePick = Literal["expression", "review", "residual", "uncertainty", "jump", "even"]
 
 
-class SheetSpec(MovedRigSpec, WeightTableSpec):
+class SheetSpec(ShotSpec, WeightTableSpec):
     """Draw a contact sheet of a performance.
 
     It begins with a verdict. Layouts: `comparison` shows the video, the markers on the solve, the
@@ -58,20 +78,13 @@ class SheetSpec(MovedRigSpec, WeightTableSpec):
     cores = 2
     memory_mib = 4096
     only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
+        **ShotSpec.only_with,
         "baseline": ("layout", ("comparison", "worst")),
         "difference": ("layout", ("comparison", "worst")),
-        "camera_stage": ("camera", ()),
         "weight_unit": ("against", ()),
     }
-    traces: ClassVar[Sequence[str]] = ("performance",)
 
     step: Literal["sheet"] = "sheet"
-    performance: Annotated[FilePath, Reads(), Positional()]
-    """The performance to draw."""
-    take: ShownPath | None = None
-    """The take it was made from. Default: the one its provenance names."""
-    video: ReadPath | None = None
-    """The take's video, if its file has moved."""
     out: ImageOut
     """Picture to write: .jpg, .png or .exr. Further pages are NAME.2.jpg and so on."""
     layout: SheetLayout = "comparison"
@@ -101,11 +114,6 @@ class SheetSpec(MovedRigSpec, WeightTableSpec):
     """Draw the baseline, in layouts that have it."""
     difference: bool = True
     """Draw the error against the keys, or the uncertainty, in layouts that have it."""
-    camera: CameraName = "auto"
-    """Camera of the renders: `auto` frames the face, turned as the performer's head where the take
-    has a video; `front` does not turn it; a prim path is a camera of the stage."""
-    camera_stage: ReadPath | None = None
-    """Stage that holds the camera, such as a shot. Default: the performance."""
     view: Annotated[str, Field(min_length=1, max_length=200)] | None = None
     """View of the OpenColorIO configuration ($OCIO, otherwise the built-in one) for the renders, as
     VIEW or DISPLAY/VIEW. Default: sRGB."""
@@ -125,7 +133,7 @@ PanelKind = Literal["video", "markers", "performance"]
 MovieOut = Annotated[WritePath, AfterValidator(file_ending(MOVIE_SUFFIXES, "a movie"))]
 
 
-class MovieSpec(MovedRigSpec):
+class MovieSpec(ShotSpec):
     """Make a review movie: video and performance side by side, with sound and timecode.
 
     Every frame is a key frame, so that players can scrub. An interrupted run is resumed.
@@ -138,18 +146,8 @@ class MovieSpec(MovedRigSpec):
     makes = "movie"
     cores = 4
     memory_mib = 8192
-    only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
-        "camera_stage": ("camera", ()),
-    }
-    traces: ClassVar[Sequence[str]] = ("performance",)
 
     step: Literal["movie"] = "movie"
-    performance: Annotated[FilePath, Reads(), Positional()]
-    """The performance to draw."""
-    take: ShownPath | None = None
-    """The take it was made from. Default: the one its provenance names."""
-    video: ReadPath | None = None
-    """The take's video, if its file has moved."""
     out: MovieOut
     """Movie to write: .mp4, .mov, .mkv or .webm."""
     frames: Frames | None = None
@@ -167,11 +165,6 @@ class MovieSpec(MovedRigSpec):
     """`final` adds soft shadows and ambient occlusion, and takes ten times as long."""
     workers: Annotated[int, Field(ge=0, le=256)] = 0
     """Number of rendering processes. Default: the number of cores."""
-    camera: CameraName = "auto"
-    """Camera of the renders: `auto` frames the face, turned as the performer's head where the take
-    has a video; `front` does not turn it; a prim path is a camera of the stage."""
-    camera_stage: ReadPath | None = None
-    """Stage that holds the camera, such as a shot. Default: the performance."""
     sound: bool = True
     """Include the take's sound."""
 
@@ -200,7 +193,7 @@ class MovieJoinSpec(Spec):
 PAGE_SUFFIXES = (".html", ".htm")
 
 
-class ReportSpec(MovedRigSpec, WeightTableSpec):
+class ReportSpec(ShotSpec, WeightTableSpec):
     """Write an HTML report of a performance that opens from disk, offline.
 
     The face plays in 3D, synchronised with the video. The report shows the curves of every shape,
@@ -210,18 +203,11 @@ class ReportSpec(MovedRigSpec, WeightTableSpec):
     example = "usdface report kitchen.hero.usda --take kitchen.clean.take.usda --out kitchen.html"
     module = "review.report"
     only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
-        "camera_stage": ("camera", ()),
+        **ShotSpec.only_with,
         "weight_unit": ("against", ()),
     }
-    traces: ClassVar[Sequence[str]] = ("performance",)
 
     step: Literal["report"] = "report"
-    performance: Annotated[FilePath, Reads(), Positional()]
-    """The performance to show."""
-    take: ShownPath | None = None
-    """The take it was made from. Default: the one its provenance names."""
-    video: ReadPath | None = None
-    """The take's video, if its file has moved."""
     out: Annotated[WritePath, AfterValidator(file_ending(PAGE_SUFFIXES, "a page"))]
     """Report to write: .html."""
     frames: Frames | None = None
@@ -244,11 +230,6 @@ class ReportSpec(MovedRigSpec, WeightTableSpec):
     still exists."""
     baseline: bool = True
     """Draw the curves of the baseline as well."""
-    camera: CameraName = "auto"
-    """Initial camera of the face: `auto` frames it, turned as the performer's head where the take
-    has a video; `front` does not turn it; a prim path is a camera of the stage."""
-    camera_stage: ReadPath | None = None
-    """Stage that holds the camera, such as a shot. Default: the performance."""
     height: Annotated[int, Field(ge=120, le=1080)] = 360
     """Largest height of the video in the report, in pixels."""
     worst: Annotated[int, Field(ge=1, le=100)] = 12

@@ -89,13 +89,14 @@ def _lens(spec: TrackSpec, video: VideoReader | ImageSequence) -> tuple[PinholeC
     focal = spec.focal_length
     if focal is None and isinstance(video, VideoReader):
         focal = video.focal_length
-    note = f"perspective undone for a 35 mm equivalent focal length of {focal or 0:g} mm"
     if focal is None:
         focal = DEFAULT_FOCAL_LENGTH
         note = (
             f"the file states no focal length; {focal:g} mm (35 mm equivalent) is assumed for "
             "undoing perspective: give it with --focal-length"
         )
+    else:
+        note = f"perspective undone for a 35 mm equivalent focal length of {focal:g} mm"
     pixels = focal / _FILM_DIAGONAL * float(np.hypot(width, height))
     camera = PinholeCamera(pixels, (width / 2, height / 2), spec.distortion)
     terms = ",".join(f"{term:g}" for term in spec.distortion)
