@@ -22,7 +22,22 @@ from usdface.specs.paths import (
 _Change = Annotated[float, Field(ge=-10.0, le=10.0)]
 
 
-class EditSpec(Spec):
+class _EditedSpec(Spec):
+    """Options common to `edit` and `edits import`."""
+
+    makes = "edits"
+
+    performance: Annotated[FilePath, Reads(alone=True), Positional()]
+    """The performance to edit."""
+    prim: PrimPath | None = None
+    """Face to edit, if the layer holds several: its prim, or an ancestor of that face only."""
+
+    def outputs(self) -> tuple[Path, ...]:
+        """Return the layer that holds the edits."""
+        return (edits_path(self.performance),)
+
+
+class EditSpec(_EditedSpec):
     """Change shapes of a performance over a range of frames, without changing the solve.
 
     `--add` offsets the solve and follows it when it changes; `--override` replaces it. `--notes`
@@ -33,11 +48,8 @@ class EditSpec(Spec):
 
     example = "usdface edit kitchen.hero.usda --shape jawOpen --add 0.1 --frames 120-160 --fade 8"
     module = "edits.edit"
-    makes = "edits"
 
     step: Literal["edit"] = "edit"
-    performance: Annotated[FilePath, Reads(alone=True), Positional()]
-    """The performance to edit."""
     shape: tuple[Name, ...] = ()
     """Names of the shapes to change."""
     add: _Change | None = None
@@ -53,8 +65,6 @@ class EditSpec(Spec):
     """Frames to change, as FIRST-LAST. Default: all."""
     fade: Annotated[int, Field(ge=0, le=100_000)] = 0
     """Length of the ease-in before the range and of the ease-out after it, in frames."""
-    prim: PrimPath | None = None
-    """Face to edit, if the layer holds several: its prim, or an ancestor of that face only."""
 
     @model_validator(mode="after")
     def _one_change(self) -> Self:
@@ -73,12 +83,8 @@ class EditSpec(Spec):
             raise ValueError("a fade needs --frames; give them, or leave out --fade")
         return self
 
-    def outputs(self) -> tuple[Path, ...]:
-        """Return the layer that holds the edits."""
-        return (edits_path(self.performance),)
 
-
-class EditsImportSpec(WeightTableSpec):
+class EditsImportSpec(_EditedSpec, WeightTableSpec):
     """Import an animation changed in another tool as edits: its difference from the solve.
 
     Shapes are matched by name and frames by number. At the frames in the file the performance then
@@ -87,21 +93,12 @@ class EditsImportSpec(WeightTableSpec):
 
     example = "usdface edits import kitchen.hero.usda --changed kitchen.animator.usd"
     module = "edits.import_"
-    makes = "edits"
 
     step: Literal["edits-import"] = "edits-import"
-    performance: Annotated[FilePath, Reads(alone=True), Positional()]
-    """The performance to edit."""
     changed: ReadPath
     """.usd with an animation, or .csv or .json (a `frame` column, then one column per shape)."""
     least: Annotated[float, Field(gt=0.0, le=1.0)] = 0.002
     """Smallest difference in weight that counts as an edit; smaller ones are rounding."""
-    prim: PrimPath | None = None
-    """Face to edit, if the layer holds several: its prim, or an ancestor of that face only."""
-
-    def outputs(self) -> tuple[Path, ...]:
-        """Return the layer that holds the edits."""
-        return (edits_path(self.performance),)
 
 
 class BakeSpec(MovedRigSpec):

@@ -112,7 +112,7 @@ def test_mapping_again_keeps_every_edit_and_says_where_the_solve_changed(shot: S
     )
     (held,) = [e for e in list_edits(path).figures["edits"] if e["shape"] == "jawOpen"]
     moved = abs(held["solve_change"])
-    told = [note for note in notes if note.startswith("jawOpen 92-208: the solve beneath")]
+    told = [note for note in notes if note.startswith("jawOpen 92-208: the solve below")]
     assert bool(told) == (moved > 0.1)
 
 
@@ -289,8 +289,8 @@ def test_a_large_change_beneath_an_edit_is_named_by_frame(shot: Shot) -> None:
     layer.Save()
     notes = remap(shot).notes
     (note,) = [note for note in notes if "solve below" in note]
-    assert note.startswith("jawOpen 100-200: the solve beneath the edit changed by up to +0.")
-    assert note.endswith("look at the edit again")
+    assert note.startswith("jawOpen 100-200: the solve below the edit changed by up to +0.")
+    assert note.endswith("check the edit")
 
 
 def test_edits_are_found_again_when_the_layer_to_open_was_deleted(shot: Shot) -> None:

@@ -67,7 +67,7 @@ def test_takes_of_two_performers_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"takes of 2 performers .*first.*Kim.*second.*Lee"):
         read_cleaned_takes((first, second))
     wide = write(tmp_path, "wide", from_neutral(1) * [1.12, 1.0, 1.0])
-    with pytest.raises(InputError, match=r"wide.take.usda, beside .*of another performer"):
+    with pytest.raises(InputError, match=r"wide.take.usda, with .*of another performer"):
         read_cleaned_takes((first, wide))
 
 

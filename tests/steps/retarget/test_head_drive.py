@@ -398,7 +398,7 @@ def test_a_joint_is_driven_by_one_part(tmp_path: Path, capsys: pytest.CaptureFix
     out, source = tmp_path / "shot.hero.usda", write_source(tmp_path / "shot.csv")
     both = ("--drive", "left_eye=eye_L", "--drive", "right_eye=eye_L")
     assert usdface("retarget", source, "--rate", 30, "--rig", rig.file, *both, "--out", out) == 2
-    assert "eye_L by the left_eye and by the right_eye" in capsys.readouterr().err
+    assert "eye_L for the left_eye and the right_eye" in capsys.readouterr().err
     assert not out.exists()
 
 

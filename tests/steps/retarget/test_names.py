@@ -130,7 +130,7 @@ def test_a_table_that_was_written_says_the_same_as_the_names(take: np.ndarray) -
         ),
         ("source,target,weight\nJawOpen,hero_bs_jawOpen,half\n", "weight 'half' of JawOpen"),
         ("source,target\nA,hero_bs_smile\nA,hero_bs_smile\n", "line 3: A and hero_bs_smile are"),
-        ("source,target\nSmirk,hero_bs_smile\n", "none of its 1 row is of a shape of the source"),
+        ("source,target\nSmirk,hero_bs_smile\n", "none of its 1 row names a shape of the source"),
         ("from,to\nA,B\n", "has no `source` column"),
         ("source,target\n,hero_bs_smile\n", "line 2: a pair needs a source and a target"),
     ],
@@ -193,7 +193,7 @@ def test_a_take_of_a_folder_that_fails_does_not_stop_the_others(take: np.ndarray
     phone_csv(Path("day/good.csv"), take)
     phone_csv(Path("day/bad.csv"), take[:, 4:5], ("CheekPuff",))
     assert usdface("retarget", "day", "--rig", "hero.usda", "--out", "made") == 1
-    assert "1 take of day retargeted, 1 could not be" in capsys.readouterr().err
+    assert "1 take of day retargeted, 1 failed" in capsys.readouterr().err
     assert Path("made/good.hero.usda").exists()
     assert not Path("made/bad.hero.usda").exists()
 

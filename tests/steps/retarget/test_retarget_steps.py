@@ -272,7 +272,7 @@ def test_cyclic_names_the_rig_that_its_pairs_lack(trained: Stall, capsys) -> Non
     assert usdface("cyclic", "x.pairs.usda", "--source", "shot.usda", "--out", "c.json") == 2
     told = capsys.readouterr().err
     assert "x.pairs.usda: its source rig, " in told
-    assert "human.usda, is gone" in told
+    assert "is gone; put it back" in told
     (trained / "weights.csv").write_text("frame,jawOpen,eyeBlink\n1,0,0\n2,1,0\n3,0,1\n")
     line = "pairs propose --source weights.csv --target beast.usda --match name --out w.pairs.usda"
     assert usdface(*line.split()) == 0
@@ -360,7 +360,7 @@ def test_attributes_that_move_are_carried(performed: Stall, capsys) -> None:
     layer.GetAttributeAtPath("/Beast/FaceSolve.face:controls:attributes").default = []
     layer.Save()  # as another tool writes it: attributes that move, and no list of them
     assert usdface(*make.split(), "--out", "a.sequence.usda") == 0
-    assert "with the attributes that move: rig/lattice.dfm" in capsys.readouterr().out
+    assert "including the attributes that move: rig/lattice.dfm" in capsys.readouterr().out
     assert usdface(*make.split(), "--out", "b.sequence.usda", "--attributes", "rig/lattice.*") == 0
     for name in ("a", "b"):
         held = read_sequence(Path(f"{name}.sequence.usda")).target
@@ -710,7 +710,7 @@ def another_source(stall: Stall) -> str:
         (overlapping, "joy at 150-210 and joy at 180-240 overlap"),
         (all_deactivated, "holds no active match"),
         (another_character, "3 of its joints are not in shot.usda"),
-        (standing_still, "stand still"),
+        (standing_still, "do not move"),
         (beyond_the_source, "frames 250-400 are not all there; it has 101-300"),
         (unknown_label, "no sequence is labelled 'grief'; there are joy"),
         (no_label, "needs --label"),

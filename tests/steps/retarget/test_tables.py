@@ -197,4 +197,4 @@ def test_what_a_take_says_itself_is_not_stated(
     assert usdface("ingest", "t.csv", "--rate", 24, "--out", "t.take.usda") == 0
     line = ("retarget", "t.take.usda", "--rate", 24, "--rig", "human.usda", "--out", "p.usda")
     assert usdface(*line) == 2
-    assert "--rate is of a table of weights" in capsys.readouterr().err
+    assert "--rate is for tables of weights" in capsys.readouterr().err

@@ -195,7 +195,7 @@ def test_keys_in_percent_are_the_same_keys(
     np.testing.assert_allclose(
         read_keys(keys, shot, "percent"), read_keys(finished_shot / "keys.csv", shot), atol=1e-12
     )
-    with pytest.raises(InputError, match="--weight-unit is of a table of weights"):
+    with pytest.raises(InputError, match="--weight-unit is for tables of weights"):
         execute(spec_of(finished_shot, against=performance, weight_unit="one"))
     for command in ("sheet", "report"):
         out = tmp_path / ("x.png" if command == "sheet" else "x.html")

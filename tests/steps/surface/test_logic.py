@@ -66,7 +66,7 @@ def test_names_say_it_where_all_parts_are_shapes(rig: Path) -> None:
 def test_a_constant_prefix_is_no_part_and_two_readings_are_refused() -> None:
     found = combinations_of_names(("hero_bs_a", "hero_bs_b", "hero_bs_a_b"))
     assert found == (Combination("hero_bs_a_b", ("hero_bs_a", "hero_bs_b")),)
-    with pytest.raises(InputError, match=r"a_b_c can be read as .*; state it in a table"):
+    with pytest.raises(InputError, match=r"a_b_c is ambiguous: .*; state it in a table"):
         combinations_of_names(("a", "b_c", "a_b", "c", "a_b_c"))
 
 
