@@ -173,77 +173,35 @@ def run_job(
 
 
 def check_job(job: Path | str) -> list[StepState]:
-    """Return the state of each step of a job file, done, stale or missing, without running any.
-
-    Raises
-    ------
-    InputError
-        If the job cannot be read, or cannot run; all faults are named.
-    """
+    """Return the state of each step of a job file, done, stale or missing, without running any."""
     return job_states(read_job(Path(job)))
 
 
 def validate(layer: Path | str) -> list[Finding]:
-    """Return the findings of the validators of USD and usdface on a USD file.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be opened.
-    """
+    """Return the findings of the validators of USD and usdface on a USD file."""
     return validation.validate(Path(layer))
 
 
 def read_take(file: Path | str, *, first: int | None = None, last: int | None = None) -> Take:
-    """Read a take, or its frames `first` to `last`, inclusive.
-
-    Raises
-    ------
-    InputError
-        If the file is no take, or lacks the frames.
-    """
+    """Read a take, or its frames `first` to `last`, inclusive."""
     return take_files.read_take(Path(file), first=first, last=last)
 
 
 def read_rig(file: Path | str, *, prim: str | None = None) -> Rig:
-    """Read a rig; `prim` names the face if the file holds several.
-
-    Raises
-    ------
-    InputError
-        If the file holds no rig.
-    """
+    """Read a rig; `prim` names the face if the file holds several."""
     return rig_files.read_rig(Path(file), prim=prim)
 
 
 def read_references(file: Path | str) -> References:
-    """Read a references asset: tuned weights where there are any, else proposals.
-
-    Raises
-    ------
-    InputError
-        If the file is no references asset.
-    """
+    """Read a references asset: tuned weights where there are any, else proposals."""
     return references_files.read_references(Path(file))
 
 
 def read_mapping(file: Path | str) -> TrainedMapping:
-    """Read a trained mapping.
-
-    Raises
-    ------
-    InputError
-        If the file is no mapping.
-    """
+    """Read a trained mapping."""
     return mapping_files.read_mapping(Path(file))
 
 
 def read_performance(file: Path | str) -> Performance:
-    """Read a performance: the weights of its solve with the edits.
-
-    Raises
-    ------
-    InputError
-        If the file is no performance, or its rig does not exist.
-    """
+    """Read a performance: the weights of its solve with the edits."""
     return performance_files.read_performance(Path(file))

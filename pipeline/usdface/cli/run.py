@@ -81,13 +81,7 @@ def showing_events(
     as_json: bool,
     again: bool = False,
 ) -> JobEvents:
-    """Return callbacks that print and store the results of steps, and append them to `shown`.
-
-    Parameters
-    ----------
-    file, style, as_json, again
-        As for `run_and_show`.
-    """
+    """Return callbacks that print and store the results of steps, and append them to `shown`."""
     stored = _StoredResults(file)
 
     def ended(step: JobStep, report: StepResult) -> None:

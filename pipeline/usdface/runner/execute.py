@@ -107,17 +107,7 @@ def execute_each(
 ) -> StepResult:
     """Run specs that write into one folder, creating it if needed; failures do not stop the others.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the inputs, for messages.
-    done_as : str
-        The step as a participle: ``ingested``.
-
-    Raises
-    ------
-    CheckFailedError
-        If some failed, with the reason of each.
+    `done_as` is the step as a participle for the message of failures, such as ``ingested``.
     """
     made = _make_folder(out)
     done: list[StepResult] = []

@@ -174,13 +174,7 @@ def path_made_from(file: Path, field: str) -> Path | None:
 
 
 def find_take(performance: Path, given: Path | None) -> Path:
-    """Return the take that a performance was mapped from.
-
-    Parameters
-    ----------
-    given : Path or None
-        The take given to the command; None means that of the provenance.
-    """
+    """Return the given take if a performance was mapped from it, by default its stored take."""
     stored = take_of_performance(performance)
     if given is None:
         if stored is None:
@@ -205,15 +199,10 @@ def _was_read(stored: Path, given: Path, performance: Path) -> bool:
 
 
 def check_same_take(performance: Path, take: Path | None, others: Sequence[Path]) -> None:
-    """Refuse other performances that are of another take than the first.
+    """Refuse other performances that are of another take than the first, by default its stored one.
 
     Takes are compared by their stored names, or as by `find_take` if a file is missing or not USD.
     A performance that names no take only needs the same rate.
-
-    Parameters
-    ----------
-    take : Path or None
-        Take of the performance; None means that of the provenance.
     """
     rate, first = PerformanceReader(performance).rate, take or take_of_performance(performance)
     for other in others:
@@ -240,15 +229,7 @@ def _one_take(first: Path, second: Path, other: Path) -> bool:
 def with_moved(
     performances: Sequence[Path], given: Sequence[Path], what: str
 ) -> list[tuple[Path, Path | None]]:
-    """Return (performance, given file) pairs; None for the file if the option is not given.
-
-    Parameters
-    ----------
-    given : sequence of Path
-        One per performance, one for all, or none.
-    what : str
-        Name of the option: ``'take'`` or ``'rig'``.
-    """
+    """Return each performance with its file, or the common one, of option `what`, else None."""
     count, files = len(performances), tuple(given) or (None,)
     if len(files) not in (1, count):
         raise InputError(

@@ -42,18 +42,8 @@ class StepState:
 def chunk_specs(spec: Spec, made: Provenance, path: Path) -> tuple[Spec, ...]:
     """Return the specs of a file that was joined from parts and is equivalent to `spec`.
 
-    Parameters
-    ----------
-    spec : Spec
-        The spec that makes the file in one run.
-    made : Provenance
-        Provenance of the file.
-
-    Returns
-    -------
-    tuple of Spec
-        The join, then the expected spec of each part; not checked for being up to date. Empty if
-        the file was not joined, or from other frames.
+    The join, then the expected spec of each part, not checked for being up to date. Empty if the
+    file was not joined, or from other frames.
     """
     join = _join_of(spec, made)
     if join is None:
@@ -127,14 +117,7 @@ def _video_frames(step: TrackSpec) -> tuple[int, int]:
 
 
 def job_states(job: JobSpec) -> list[StepState]:
-    """Return the state of each step of a job: done, stale or missing.
-
-    Raises
-    ------
-    InputError
-        If an input neither exists nor is made by an earlier step, or an output folder does not
-        exist; all faults are named.
-    """
+    """Return the state of each step of a job; refuse missing inputs and output folders together."""
     faults = missing_in_job(job)
     folders = {path.parent: None for spec in job.steps for path in spec.paths(Writes)}
     missing = [folder for folder in folders if not folder.is_dir()]

@@ -95,11 +95,8 @@ class ReviewNotes(BaseModel):
 def read_notes(path: Path, *, newer: bool = False) -> ReviewNotes:
     """Read the notes that a report saved.
 
-    Parameters
-    ----------
-    newer : bool
-        Read frame and text of notes of a newer format, instead of refusing the file. The complete
-        note is kept under `original`.
+    With `newer`, of a newer format only frame and text are read; the complete note is kept under
+    `original`.
     """
     given = read_json(path, LARGEST_NOTES_BYTES)
     if not isinstance(given, dict) or "usdface_notes" not in given:

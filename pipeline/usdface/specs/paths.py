@@ -158,18 +158,7 @@ PathRules = tuple[PathRule, ...]
 
 
 def read_path_rules(path: Path) -> PathRules:
-    """Read the path mapping rules of a farm's session.
-
-    Parameters
-    ----------
-    path : Path
-        JSON of Open Job Description's ``{{Session.PathMappingRulesFile}}``; ``{}`` means no rules.
-
-    Returns
-    -------
-    tuple of PathRule
-        The deepest source first; the first that contains a path applies.
-    """
+    """Read Open Job Description's ``Session.PathMappingRulesFile``, the deepest source first."""
     data = _read_document(path)
     if not data:
         return ()

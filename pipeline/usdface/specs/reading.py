@@ -167,17 +167,9 @@ LARGEST_SPEC_BYTES = 16 << 20
 
 
 def read_job(path: Path, *, path_rules: PathRules = ()) -> JobSpec:
-    """Read a job from a file; a single step is read as a job with one step.
+    """Read a job, or a single step as a job; paths are resolved against the job's folder.
 
-    Parameters
-    ----------
-    path_rules : tuple of PathRule
-        Mapping from paths of the machine that wrote the job to paths of this one.
-
-    Returns
-    -------
-    JobSpec
-        Relative paths are resolved against the job's folder.
+    `path_rules` map paths of the machine that wrote the job to paths of this one.
     """
     data = _read_data(path)
     if not isinstance(data, dict):

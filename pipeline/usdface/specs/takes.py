@@ -69,18 +69,7 @@ FOR_EACH_SCHEMA: dict[str, Any] = {
 
 
 def write_out(job: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a job's data with its takes expanded to plain steps.
-
-    Parameters
-    ----------
-    job : mapping
-        As read from YAML or JSON; not yet validated.
-
-    Returns
-    -------
-    dict
-        Without ``takes``. A job without takes is returned unchanged, including its braces.
-    """
+    """Return a job's data with its takes expanded to plain steps; unchanged if it has none."""
     written = dict(job)
     given = written.pop("takes", None)
     steps = written.get("steps")
@@ -108,14 +97,9 @@ def write_out(job: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def step_places(job: Mapping[str, Any]) -> list[str]:
-    """Return the position in the file of each step of the expanded job, counted from 1.
+    """Return the position in the file of each step of the job expanded by `write_out`.
 
     ``step 2.3`` is the third step of the loop that is the job's second item.
-
-    Parameters
-    ----------
-    job : mapping
-        Before `write_out`, which must have accepted it.
     """
     places: list[str] = []
     takes, steps = job.get("takes"), job.get("steps")

@@ -36,13 +36,7 @@ class Bundle:
 
 
 def find_bundles(folder: Path, only: str | None = None) -> list[Bundle]:
-    """Group a folder's files by stem; stems without a capture are left out.
-
-    Parameters
-    ----------
-    only : str, optional
-        Ending (``c3d``) or pattern (``*_v2.csv``) of the names of captures to use.
-    """
+    """Group a folder's files by stem, without stems that have no capture matching `only`."""
     pattern = only if only is None or set("*?[") & set(only) else f"*{only}"
     captures: dict[str, list[Path]] = {}
     media: dict[tuple[str, tuple[str, ...]], Path] = {}
@@ -77,20 +71,7 @@ def ingest_folder(
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> StepResult:
-    """Ingest every take in a folder; one that fails does not stop the others.
-
-    Parameters
-    ----------
-    out : Path
-        Folder for the takes; created if needed.
-    shared : IngestSpec
-        Units, rigid markers and other options of every take; its files are not used.
-
-    Raises
-    ------
-    CheckFailedError
-        If a take could not be ingested, with the reason of each.
-    """
+    """Ingest every take in a folder to `out`, with the options of `shared` but not its files."""
     for name in _FIELDS_OF_ONE_TAKE:
         if getattr(shared, name):
             raise InputError(

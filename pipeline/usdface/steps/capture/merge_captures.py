@@ -24,13 +24,7 @@ _LEAST_FROZEN_SECONDS = 0.25
 
 
 def exchange_sides(take: Take, mirrored: str, *, where: object) -> Take:
-    """Exchange left and right of a take's markers, by their names or by their positions.
-
-    Parameters
-    ----------
-    mirrored : {'labels', 'axes'}
-        `labels` exchanges the names of partners; `axes` reflects positions across the YZ plane.
-    """
+    """Exchange left and right of a take's markers: names (`labels`) or positions (`axes`)."""
     markers = take.markers
     if markers is None:
         raise InputError(

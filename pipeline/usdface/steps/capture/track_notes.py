@@ -54,10 +54,7 @@ def check_faces(video: Path, track: FaceTrack) -> None:
 def track_notes(track: FaceTrack, *, rate: Fraction, frames: IntArray) -> list[str]:
     """Return notes on low rates, missing, covered and small faces, and cuts.
 
-    Parameters
-    ----------
-    frames : (pictures,) int array
-        The take's frame of each picture.
+    `frames` are the take's frames of the pictures.
     """
     notes = []
     if rate < _BLINK_RATE:

@@ -117,13 +117,7 @@ class CleanedTakes:
 
 
 def read_cleaned(path: Path, *, need_markers: bool = True) -> Take:
-    """Read a take that has markers and no head motion.
-
-    Parameters
-    ----------
-    need_markers : bool
-        False accepts takes of weights as well, as those of phones.
-    """
+    """Read a take without head motion that has markers or, if they are not needed, weights."""
     take = read_take(path, head_motion=False)
     if take.markers is None:
         if not need_markers and take.source is not None:

@@ -38,13 +38,7 @@ def marker_lines(labels: Sequence[str], positions: ArrayLike) -> IntArray:
 def lines_on_rig(
     labels: Sequence[str], equation: BlendshapeEquation, deformer: Deformer, shapes: Sequence[str]
 ) -> IntArray:
-    """Return lines as `marker_lines` does, or by the markers' placement if labels show none.
-
-    Parameters
-    ----------
-    shapes : sequence of str
-        Names of the rig's shapes.
-    """
+    """Return lines as `marker_lines` does, or by the markers' placement if labels show none."""
     by_label = marker_lines(labels, equation.neutral)
     if len(by_label):
         return by_label

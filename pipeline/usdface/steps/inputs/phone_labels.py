@@ -99,13 +99,7 @@ def _labels(track: PhoneTrack, seconds: Sequence[float]) -> list[str]:
 
 
 def labels_at(phones: Path | None, take: Take, frames: IntArray) -> tuple[str, ...]:
-    """Return phone, viseme and emotion of each frame, such as ``M  /b/ /p/ /m/``.
-
-    Parameters
-    ----------
-    phones : Path or None
-        In take time; with None every label is empty.
-    """
+    """Return phone, viseme and emotion of each frame, such as ``M  /b/ /p/ /m/``, else ``''``."""
     if phones is None:
         return ("",) * len(frames)
     track = read_phone_track(phones)

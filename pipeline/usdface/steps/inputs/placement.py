@@ -84,15 +84,7 @@ class PlacementScene:
             raise InputError(f"the markers cannot be placed on {rig.file}: {error}") from error
 
     def place(self, *, out: Path, landmarks: Mapping[str, FloatArray]) -> PlacedTakes:
-        """Place the markers, keeping landmarks and the corrections of an earlier placement.
-
-        Parameters
-        ----------
-        out : Path
-            Path of the placement; corrections of an existing one are kept.
-        landmarks : mapping of str to (3,) float array
-            Known positions [mm]; corrections take precedence.
-        """
+        """Place the markers, keeping landmarks [mm] and the corrections of a placement at `out`."""
         takes, rig, mesh = self._takes, self._rig, self._mesh
         given = read_given_places(out, rig) if has_binding(out) else GivenPlaces({}, {}, ())
         names = takes.marker_names
@@ -217,12 +209,8 @@ def virtual_markers(
 ) -> VirtualMarkers:
     """Return the virtual markers of a placement, in the order and head space of a take.
 
-    Markers that the placement leaves out get the place of the first; see `placed_equation`.
-
-    Parameters
-    ----------
-    neutral : (markers, 3) float array
-        The performer's neutral face in the take's head space [mm].
+    `neutral`: the performer's neutral face in that space, (markers, 3) [mm]. Markers that the
+    placement leaves out get the place of the first; see `placed_equation`.
     """
     row_of = _bound(placement)
     rows = [row_of.get(name, 0) for name in names]
@@ -292,10 +280,7 @@ def stored_placement(references: References, rig: Rig) -> RigPlacement | None:
 def registered_places(references: References, rig: Rig) -> FloatArray | None:
     """Return the positions of the references' markers placed by labels or by a person.
 
-    Returns
-    -------
-    (markers, 3) float array or None
-        On the rig's neutral, NaN for other markers [mm].
+    On the rig's neutral, NaN for other markers, (markers, 3) [mm]; None without a placement.
     """
     placement = stored_placement(references, rig)
     if placement is None or not knows_markers(

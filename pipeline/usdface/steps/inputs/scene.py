@@ -74,13 +74,7 @@ class SelectionScene:
 def set_up_scene(
     takes: CleanedTakes, rig: Rig, *, placement: RigPlacement | None, progress: Progress
 ) -> SelectionScene:
-    """Fit the motion space, place the markers on the rig and compute the features of all frames.
-
-    Parameters
-    ----------
-    placement : RigPlacement or None
-        None places the markers.
-    """
+    """Fit the motion space, place the markers on the rig and compute the features of all frames."""
     progress(0.2, "measuring the motion")
     # Adjacent frames hardly differ: of an hour, every eighth is used.
     step = -(-len(takes.frames) // _MOTION_FRAMES)

@@ -56,13 +56,7 @@ class WeightTable:
         return columns_by_name(self.weights, self.names, names)
 
     def shapes_among(self, names: Sequence[str], *, file: Path, owner: str) -> list[str]:
-        """Return the table's shapes that are among `names`; refuse a table without any.
-
-        Parameters
-        ----------
-        owner : str
-            Owner of `names`, for the message: ``in the performance``.
-        """
+        """Return the table's shapes that are among `names`; `owner` of these, for the message."""
         known = [name for name in self.names if name in names]
         if not known:
             raise InputError(
@@ -89,13 +83,7 @@ class WeightTable:
     def by_meaning(
         self, shapes: Sequence[str], *, leave: Collection[str] = ()
     ) -> tuple["WeightTable", Transfer]:
-        """Return the table with names matched by meaning, and the transfer; unchanged if none is.
-
-        Parameters
-        ----------
-        leave : collection of str
-            Names that are not matched, such as those of shapes that others drive.
-        """
+        """Return the table with names, except `leave`, matched by meaning, and the transfer."""
         names = tuple(name for name in self.names if name not in leave)
         transfer = transfer_by_names(names, shapes)
         table = self.renamed(transfer)
@@ -290,13 +278,7 @@ def elsewhere_notes(table: WeightTable, found: Mapping[str, list[str]]) -> tuple
 
 
 def read_alpha(path: Path, frames: IntArray) -> FloatArray:
-    """Return alpha at frames, interpolated linearly and held at the ends.
-
-    Parameters
-    ----------
-    path : Path
-        .csv with the columns ``frame`` and ``alpha``, or USD; see `read_alpha_keys`.
-    """
+    """Return alpha at frames from .csv (frame, alpha) or USD, interpolated and held at ends."""
     keys = read_alpha_keys(path) if is_usd_name(path) else _read_keys(path)
     for frame, alpha in keys:
         if not 0.0 <= alpha <= 1.0:

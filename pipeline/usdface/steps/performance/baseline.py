@@ -34,15 +34,7 @@ def write_baseline(
     provenance: Provenance,
     progress: Progress,
 ) -> StepResult:
-    """Solve the blendshape equation of every frame, block by block, and write the performance.
-
-    Parameters
-    ----------
-    frames : (first, last)
-        Frames to write; `blocks` may begin earlier and end later.
-    part_frames : int or None
-        Frames of each weights file; None for one file.
-    """
+    """Solve the blendshape equation block by block, and write the frames from first to last."""
     first, last = frames
     progress(0.0, "placing the markers on the rig")
     equation = _equation(spec, take, rig)

@@ -19,13 +19,7 @@ from usdface.usdio.retarget.retargeting import is_retargeting, read_retargeting
 
 
 def describe_mapping(path: Path, *, picture: Path | None = None) -> StepResult:
-    """Return method, settings and cross-validation scores of a mapping.
-
-    Parameters
-    ----------
-    picture : Path, optional
-        Picture of the eigen-space to write.
-    """
+    """Return method, settings and scores of a mapping; draw its eigen-space to `picture`."""
     confine("describe", reads=[path], writes=[] if picture is None else [picture])
     if is_retargeting(path):
         return _describe_retargeting(path)

@@ -57,16 +57,9 @@ def run(
 
 
 def redraw_coverage(references: Path, progress: Progress) -> tuple[tuple[Path, ...], list[str]]:
-    """Draw `select`'s picture of the coverage again, of the current pairs.
+    """Draw `select`'s picture of the coverage again, of the current pairs, with its provenance.
 
-    The picture keeps the provenance of `select`.
-
-    Returns
-    -------
-    files : tuple of Path
-        The picture; empty if there is none, or it cannot be drawn.
-    notes : list of str
-        Why it cannot be drawn.
+    Returns the picture, if there is one, and a note if it cannot be drawn.
     """
     made = spec_of(provenance_of(references))
     picture = references.parent / str(made.get("picture") or coverage_path(references).name)

@@ -179,12 +179,9 @@ def spread_out(weights: FloatArray, change: FloatArray, count: int) -> IntArray:
 def captured_at(
     take: TakeReader, mapping: TrainedMapping | None, old: References, frames: IntArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Return the captured data of frames for references, and which frames are complete.
+    """Return the captured markers [mm] of frames, and which frames are complete.
 
-    Returns
-    -------
-    (frames, markers, 3) or (frames, source names) float array, (frames,) bool array
-        Markers [mm]; without a mapping, the take's weights.
+    Without a mapping, the take's weights, in the order of the references' source names.
     """
     if mapping is not None:
         return _markers_at(take, mapping, old, frames)
@@ -248,13 +245,7 @@ def write_extended(
     provenance: Provenance,
     progress: Progress,
 ) -> tuple[Path, ...]:
-    """Write extended references, keeping tuned pairs, and draw the coverage again.
-
-    Returns
-    -------
-    tuple of Path
-        All written files.
-    """
+    """Write extended references, keeping tuned pairs; draw the coverage again; return the files."""
     rig = read_rig(references.rig_file, prim=references.rig_prim)
     images = [note.image for note in read_pair_notes(spec.references)]
     images += [None] * (len(references.frames) - len(images))

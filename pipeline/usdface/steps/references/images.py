@@ -35,16 +35,7 @@ def write_pair_images(
 ) -> PairImages:
     """Write an image for every pair whose take has a video that shows it.
 
-    Images stay available if the video is moved or archived.
-
-    Parameters
-    ----------
-    path : Path
-        The references asset; images are stored in its `images_folder`, named by take and frame.
-    sources : tuple of Take
-        Without samples.
-    metadata : mapping
-        Stored in each image.
+    Images, named by take and frame, stay available if the video is moved or archived.
     """
     files: list[Path | None] = [None] * len(references.frames)
     notes = []

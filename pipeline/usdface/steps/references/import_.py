@@ -236,10 +236,7 @@ def _unmatched_rows(
 ) -> list[tuple[int, str]]:
     """Return frame and take of the keys at no pair; none for a file with a row for every frame.
 
-    Raises
-    ------
-    InputError
-        If no row is at a pair, or nearly all would be at another rate.
+    Refuses a table without rows at pairs, or whose rows would be at pairs at another rate.
     """
     takes = table.takes if spec.at == "frames" and table.takes else ("",) * len(table.frames)
     rows = list(zip(table.frames, takes, strict=True))

@@ -13,14 +13,9 @@ from usdface.usdio.take.read import TakeReader
 def made_from(
     performance: Path, old: References, *, take: Path | None, mapping: Path | None
 ) -> tuple[TakeReader, TrainedMapping | None]:
-    """Return take and mapping by the provenance of a performance or its parts.
+    """Return take and mapping, from new paths or by the provenance of a performance or its parts.
 
     References of takes that carry weights have no mapping.
-
-    Parameters
-    ----------
-    take, mapping : Path or None
-        New paths of moved files, instead of those of the provenance.
     """
     if old.source is not None:
         source = _spec_of(performance, "retarget").get("source")

@@ -24,19 +24,7 @@ def list_names(
     out: Path | None = None,
     overwrite: bool = False,
 ) -> StepResult:
-    """Match a source's shapes with a rig's; with `out`, write the table.
-
-    Parameters
-    ----------
-    source : Path, optional
-        A rig, a take, a performance, or a capture or table of weights. Default: ARKit's 52 names.
-    names : Path, optional
-        Table to use instead of matching.
-    by : {'both', 'name', 'deformation'}
-        Criteria; deformation only between rigs.
-    out : Path, optional
-        Path of the table, .csv or .json.
-    """
+    """Match a source's shapes, by default ARKit's, with a rig's; write the table to `out`."""
     files = [each for each in (rig, source, names) if each is not None]
     confine("names", reads=files, writes=[] if out is None else [out])
     _check_out(out, overwrite=overwrite)

@@ -82,15 +82,7 @@ def run(
 
 
 def source_shapes(path: Path, *, prim: str | None = None) -> tuple[tuple[str, ...], Rig | None]:
-    """Return the shapes of a source, and the rig if the source is one.
-
-    Parameters
-    ----------
-    path : Path
-        A rig, a take, a performance, or a capture or table of weights.
-    prim : str, optional
-        Face in a rig's file with several.
-    """
+    """Return the shapes of a rig, take, performance, capture or table, and the rig if it is one."""
     if not is_usd_name(path):
         if recognise_format(path).read is read_weight_take:  # names need no rate, unit or take
             return read_weight_samples(path).names, None
@@ -114,12 +106,7 @@ def match_rigs(
     by: str = "both",
     progress: Progress = silent,
 ) -> tuple[NameMatching, list[str]]:
-    """Match shapes by the meaning of their names, the others by deformation; return notes too.
-
-    Parameters
-    ----------
-    by : {'both', 'name', 'deformation'}
-    """
+    """Match shapes by name, deformation or both, names first; return the matches and notes."""
     progress(0.1, "matching names")
     named = NameMatching(()) if by == "deformation" else name_matching(source.shapes, target.shapes)
     matches, how = list(named.matches), dict(named.by)

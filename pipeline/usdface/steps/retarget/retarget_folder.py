@@ -32,19 +32,9 @@ def retarget_folder(
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> StepResult:
-    """Retarget every take and every capture of a folder; one that fails does not stop the others.
+    """Retarget every take and capture of a folder, to ``TAKE.RIG.usda`` in `out`.
 
-    Parameters
-    ----------
-    out : Path
-        Folder for the performances, ``TAKE.RIG.usda``; created if needed.
-    shared : RetargetSpec
-        Targets and options for every take; its source and outputs are not used.
-
-    Raises
-    ------
-    CheckFailedError
-        If a take could not be retargeted, with the reason of each.
+    `shared` has the targets and options; its source and outputs are not used.
     """
     for name in ("frames", "alpha"):
         if getattr(shared, name):

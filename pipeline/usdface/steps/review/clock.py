@@ -64,17 +64,9 @@ SAMPLE_RATE = 48000
 
 
 def take_sound(take: Take, clock: MovieClock, notes: list[str]) -> Float32Array | None:
-    """Return the sound of a movie's pictures: that of the capture, else of the camera.
+    """Return the sound of a movie's pictures, mono at `SAMPLE_RATE`, padded with silence.
 
-    Parameters
-    ----------
-    notes : list of str
-        A note is appended if the sound cannot be read.
-
-    Returns
-    -------
-    (samples,) float32 array or None
-        Mono at `SAMPLE_RATE`, as long as the pictures, padded with silence.
+    That of the capture, else of the camera; a note is appended if it cannot be read.
     """
     start = (clock.first_frame - take.first_frame) / float(take.rate)
     count = round(float(clock.picture_count / clock.rate) * SAMPLE_RATE)

@@ -158,13 +158,7 @@ class ShownCoverage:
 def show_coverage(
     spec: ReportSpec, shot: Shot, notes: list[str], progress: Progress
 ) -> ShownCoverage | None:
-    """Measure the coverage of a shot by its references; None if they are not known.
-
-    Parameters
-    ----------
-    notes : list of str
-        A note is appended if the references cannot be used.
-    """
+    """Measure the coverage of a shot by its references; None, with a note, if not possible."""
     references = spec.references or find_references(shot.performance_file)
     if references is None or shot.take.markers is None:
         return None

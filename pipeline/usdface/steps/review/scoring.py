@@ -63,15 +63,7 @@ class ShotRuler:
     def signals(
         self, truth: FloatArray | None, equation: BlendshapeEquation | None = None
     ) -> ReviewSignals:
-        """Return the signals by which the shot's frames are judged and ranked.
-
-        Parameters
-        ----------
-        truth : (frames, shapes) float array or None
-            The keys; NaN at frames without keys.
-        equation : BlendshapeEquation, optional
-            To detect closed lips of the performer.
-        """
+        """Return the signals by which frames are ranked; `equation` detects closed lips."""
         shot = self.shot
         evidence = self.evidence(truth)
         keys = self.skin.differences(shot.weights, np.zeros_like(shot.weights))
@@ -132,12 +124,9 @@ def set_up_shot_baseline(shot: Shot) -> BlendshapeEquation:
 
 
 def solve_baseline(equation: BlendshapeEquation, shot: Shot, rows: IntArray) -> FloatArray:
-    """Solve the baseline of a shot: (frames, shapes).
+    """Solve the baseline of a shot, (frames, shapes).
 
-    Parameters
-    ----------
-    rows : (n,) int array
-        Rows that are shown. In a long shot, others repeat the weights of a row shortly before.
+    In a long shot, rows that are not shown repeat the weights of a row shortly before.
     """
     positions = shot.positions
     step = -(-len(positions) // _BASELINE_FRAMES)
@@ -220,18 +209,9 @@ def choose_frames(
     signals: ReviewSignals,
     rate: float,
 ) -> list[ChosenFrame]:
-    """Choose frames at a distance from each other, in order of time.
+    """Choose at most `count` frames, at a distance from each other, in order of time.
 
-    Parameters
-    ----------
-    pick : {'expression', 'review', 'residual', 'uncertainty', 'jump', 'even'}
-        Criterion; ``'expression'`` includes some of the worst frames.
-    count : int
-        Largest number of frames.
-    strength : (frames,) float array
-        Distance of the face from neutral.
-    rate : float
-        Frames per second.
+    `strength`: distance of the face from neutral. ``'expression'`` includes some worst frames.
     """
     frames, evidence = len(strength), signals.evidence
     count = min(count, frames)

@@ -209,12 +209,7 @@ class Shot:
     ) -> SolveEvidence:
         """Return the evidence of the verdict at the common frames.
 
-        Parameters
-        ----------
-        regions : tuple of str, optional
-            Regions of `error_mm`.
-        error_mm : (frames, regions) float array, optional
-            Error against keys [mm], which replaces the uncertainty.
+        With `error_mm`, (frames, regions), the error against keys replaces the uncertainty.
         """
         rows = self.frames - self.performance.weights.first_frame
         evidence = self.evidence_at(rows)
@@ -360,13 +355,7 @@ def weights_in_rig_order(performance: Performance, rig: Rig, frames: IntArray) -
 
 
 def version_labels(files: list[Path], *, taken: set[str]) -> list[str]:
-    """Return unique labels of performances: file names, with their folder if ambiguous.
-
-    Parameters
-    ----------
-    taken : set of str
-        Labels in use.
-    """
+    """Return unique labels of performances, none of `taken`: names, if ambiguous with folder."""
     stems = [file.stem.split(".usd")[0] for file in files]
     used, labels = set(taken), list[str]()
     for file, stem in zip(files, stems, strict=True):

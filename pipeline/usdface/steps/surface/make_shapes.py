@@ -69,14 +69,7 @@ def given_frames(spec: MakeShapesSpec, take: TakeReader) -> tuple[ShapeFrame, ..
 def choose_shape_frames(
     frames: list[int], displacements: FloatArray, usable: BoolArray, *, count: int
 ) -> tuple[ShapeFrame, ...]:
-    """Choose the frames of a take that differ most from each other and from the neutral face.
-
-    Parameters
-    ----------
-    displacements : (frames, markers, 3) float array
-        From the neutral face [mm].
-    usable : (frames, markers) bool array
-    """
+    """Choose the frames of a take that differ most from each other and from the neutral face."""
     allowed = np.flatnonzero(usable.mean(axis=1) >= _USABLE_SHARE)
     rows = allowed[pivoted_selection(displacements[allowed].reshape(len(allowed), -1), count)]
     if len(rows) < count:

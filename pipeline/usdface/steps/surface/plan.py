@@ -171,10 +171,7 @@ class SurfacePlan:
     def displacements(self, positions: FloatArray | Float32Array) -> FloatArray:
         """Return the displacements of the bound markers, in the mesh's proportions [mm].
 
-        Parameters
-        ----------
-        positions : (frames, markers, 3) float array
-            All markers of the take, stabilised [mm].
+        `positions`: all markers of the take, stabilised, (frames, markers, 3) [mm].
         """
         moved = positions[:, self.columns].astype(np.float64) - self.sample.neutral[self.columns]
         return np.asarray(moved @ self.proportions.linear.T)
@@ -197,13 +194,7 @@ class SurfacePlan:
 def plan_surface(
     spec: SurfaceSpec, take: TakeReader, *, out: Path, progress: Progress
 ) -> SurfacePlan:
-    """Read mesh and take, bind the markers, measure distances and fit the model.
-
-    Parameters
-    ----------
-    out : Path
-        Distances are cached next to it.
-    """
+    """Read mesh and take, bind, measure distances (cached next to `out`) and fit the model."""
     progress(0.0, "reading")
     face = read_face_mesh(spec.mesh, prim=spec.mesh_prim)
     sample = sample_take(take)
