@@ -17,7 +17,7 @@ from benchmarks import crosstake
 from benchmarks._damage import DAMAGES
 from tests.conftest import SHARED_DATA
 from usdface.model.review.moments import MOMENT_SECONDS, ReviewSignals, review_moments
-from usdface.model.review.verdict import SolveVerdict
+from usdface.model.review.verdict import SolveVerdict, judge_solve
 from usdface.runner.execute import execute
 from usdface.specs.capture import CleanSpec, IngestSpec
 from usdface.specs.performance import MapSpec, TrainSpec
@@ -56,12 +56,11 @@ def run() -> None:
             signals = ruler.signals(None, set_up_shot_baseline(shot))
             keyed = ruler.signals(truth)
             ranked[take] = rank(shot, signals, keyed)
-            verdicts[take] = ruler.verdict(signals)
-            verdicts[f"{take}, with keys"] = ruler.verdict(keyed)
+            verdicts[take] = judge_solve(signals.evidence)
+            verdicts[f"{take}, with keys"] = judge_solve(keyed.evidence)
         for take, performance in _recorded_takes(Path(name)):
             shot = open_shot(performance)
-            ruler = ShotRuler(shot)
-            verdicts[take] = ruler.verdict(ruler.signals(None))
+            verdicts[take] = judge_solve(ShotRuler(shot).evidence(None))
     _print(verdicts, ranked)
 
 

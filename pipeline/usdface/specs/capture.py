@@ -114,7 +114,7 @@ class IngestSpec(WeightTableSpec):
     @model_validator(mode="after")
     def _offset_needs_video(self) -> Self:
         if self.video is None and (self.video_offset or self.video_rate is not None):
-            raise ValueError("video_offset or video_rate is given without a video")
+            raise ValueError("video_offset or video_rate is given without a video; give one")
         if self.audio is not None and self.audio_channel is not None:
             raise ValueError("audio and audio_channel are both given; keep one")
         if self.audio is not None and self.frames is not None:

@@ -32,7 +32,7 @@ class Writes:
 
 def _names_a_file(path: Path) -> Path:
     if not path.name:
-        raise ValueError(f"{str(path)!r} names no file")
+        raise ValueError(f"{str(path)!r} names no file; give the path of one")
     return path
 
 
@@ -100,7 +100,7 @@ FRAMES_PATTERN = r"^-?\d+--?\d+$"
 def _in_order(frames: str) -> str:
     first, last = _split_frames(frames)
     if last < first:
-        raise ValueError(f"the last frame, {last}, precedes the first, {first}")
+        raise ValueError(f"the last frame, {last}, precedes the first, {first}; swap them")
     return frames
 
 

@@ -214,7 +214,9 @@ def _read_data(path: Path) -> Any:
 
     try:
         if path.stat().st_size > LARGEST_SPEC_BYTES:
-            raise InputError(f"{path}: {path.stat().st_size} bytes are too large for a spec")
+            raise InputError(
+                f"{path}: {path.stat().st_size} bytes are too large for a spec; split the job"
+            )
         if not (path.is_file() or path.is_dir()):
             raise InputError(f"{path}: is a pipe or a device; write the spec to a file")
         text = path.read_text(encoding="utf-8")

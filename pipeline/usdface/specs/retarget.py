@@ -132,7 +132,9 @@ class TrainRetargetSpec(Spec):
     @model_validator(mode="after")
     def _options_of_the_method(self) -> Self:
         if self.alpha is not None and self.method != "hybrid":
-            raise ValueError(f"--alpha is for --method hybrid, and the method is {self.method}")
+            raise ValueError(
+                f"--alpha is for --method hybrid, and the method is {self.method}; leave it out"
+            )
         if self.published and self.method not in ("kernel_cca", "hybrid"):
             raise ValueError(
                 "--published is for --method kernel_cca and hybrid, and the method is "

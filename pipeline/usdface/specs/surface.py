@@ -122,7 +122,7 @@ class SurfaceSpec(Spec):
     @model_validator(mode="after")
     def _landmarks_are_for_binding(self) -> Self:
         if self.landmarks and self.binding is not None:
-            raise ValueError("--landmarks cannot be used with --binding, which has its own")
+            raise ValueError("--landmarks cannot be used with --binding; leave one of them out")
         return self
 
     @model_validator(mode="after")
@@ -230,7 +230,10 @@ class MakeShapesSpec(SurfaceSpec):
     def _one_way_to_choose(self) -> Self:
         ways = [bool(self.shape_frames), self.names is not None, self.references is not None]
         if sum(ways) > 1:
-            raise ValueError("frames are chosen by one of --shape-frames, --names and --references")
+            raise ValueError(
+                "frames are chosen by one of --shape-frames, --names and --references; leave out "
+                "the others"
+            )
         return self
 
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
@@ -263,16 +264,15 @@ def join_captures(takes: list[Take], sources: tuple[Path, ...]) -> Joined:
     if not with_markers or not with_weights or with_weights[0] is take:
         return Joined(take, ())
     other = with_weights[0]
-    if other.source is None:
-        raise InputError(f"{names}: no blendshape weights to join")
+    clip = cast(WeightsClip, other.source)
     shift, note = _start_difference(take, other)
-    resampled, outside = _resample(other.source, take, shift)
+    resampled, outside = _resample(clip, take, shift)
     if outside == take.frame_count:
         raise InputError(
             f"{names}: do not overlap in time by their timecode ({take.timecode_start}, "
             f"{other.timecode_start}); ingest them as separate takes, or correct the timecode"
         )
-    notes = [note, f"weights were resampled from {float(other.source.rate):g} frames per second"]
+    notes = [note, f"weights were resampled from {float(clip.rate):g} frames per second"]
     if outside:
         notes.append(
             f"{pluralize(outside, 'frame')} outside the recording of the weights hold its first or "

@@ -12,6 +12,7 @@ from usdface.core.text import pluralize
 from usdface.media.charts.coverage import CoveragePage, NextFrame, draw_coverage
 from usdface.media.picture.error_strip import ErrorCurve
 from usdface.model.mapping.coverage import CoverageModel
+from usdface.model.mapping.motion_space import marker_coordinates
 from usdface.model.mapping.performer_face import face_of_references
 from usdface.model.mapping.regions import membership, region_points
 from usdface.model.selection.coverage import (
@@ -270,7 +271,7 @@ def _place(scene: SelectionScene, references: References, pairs: IntArray) -> _P
     features[is_here], displacements[is_here] = faces.features, faces.displacements
     if not is_here.all():
         markers = _in_head_space(scene.takes, references)[pairs[~is_here]]
-        features[~is_here] = scene.space.features(scene.coordinates_of(markers))
+        features[~is_here] = scene.space.features(marker_coordinates(scene.motion, markers))
         displacements[~is_here] = scene.equation.motion(markers)
     return _Placed(PairFaces(features, displacements), is_here, rows)
 

@@ -106,7 +106,7 @@ def _at_position(value: Sequence[object], rig: Rig) -> FloatArray:
     except ValueError:
         given = []
     if len(given) != 3 or not all(map(math.isfinite, given)):
-        raise ValueError(f"{value} is neither a point nor x, y, z")
+        raise ValueError(f"{value} is neither a point nor x, y, z; give one of these")
     at = rig_units_to_ours(rig) @ given
     surface = rig_surfaces(rig)[0]
     mesh = surface.mesh
@@ -115,6 +115,6 @@ def _at_position(value: Sequence[object], rig: Rig) -> FloatArray:
     if away > surface.reach_mm:
         raise ValueError(
             f"{given[0]:g}, {given[1]:g}, {given[2]:g}, in the rig's units and axes, is {away:.0f} "
-            "mm from its surface"
+            "mm from its surface; give a position on it"
         )
     return np.asarray(at)

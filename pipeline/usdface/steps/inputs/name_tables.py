@@ -88,7 +88,7 @@ def _read_rows(path: Path) -> list[tuple[str, str, str, float]]:
     is_json = path.suffix.lower() == ".json"
     rows = _json_rows(path) if is_json else csv_rows(path, COLUMNS[:2])
     if not rows:
-        raise InputError(f"{path}: holds no pair of names")
+        raise InputError(f"{path}: holds no pair of names; write one with `usdface names --out`")
     return [_checked(path, where, row) for where, row in rows]
 
 

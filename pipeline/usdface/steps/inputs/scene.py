@@ -9,7 +9,7 @@ from usdface.core.assets import Markers, MotionSpace, Rig, TrainedMapping
 from usdface.core.deformer import Deformer
 from usdface.core.progress import Progress
 from usdface.model.mapping.head_space import HeadSpace, find_head_space
-from usdface.model.mapping.motion_space import fit_motion_space
+from usdface.model.mapping.motion_space import fit_motion_space, marker_coordinates
 from usdface.model.mapping.performer_face import PerformerFace, face_of_mapping
 from usdface.model.mapping.predict import predict_weights
 from usdface.model.placement.shape_parts import missing_parts_note, shape_parts
@@ -58,17 +58,9 @@ class SelectionScene:
         """Return the markers at rows of all takes."""
         return self.takes.positions_at(rows).astype(np.float64)
 
-    def usable(self, rows: IntArray) -> BoolArray:
-        """Return which markers were measured or repaired at rows of all takes."""
-        return self.takes.usable_at(rows)
-
     def displacements(self, rows: IntArray) -> FloatArray:
         """Return the displacements of markers at rows of all takes, at the rig's size."""
         return self.equation.motion(self.takes.positions_at(rows))
-
-    def coordinates_of(self, positions: FloatArray) -> FloatArray:
-        """Return the coordinates in the motion space of markers, (frames, markers, 3)."""
-        return _coordinates(self.motion, positions)
 
 
 def set_up_scene(
@@ -94,7 +86,7 @@ def set_up_scene(
         features=space.features(motion.sample),
         weights=weights,
         of_rows=lambda rows: stand_in(
-            _coordinates(motion, takes.positions_at(rows).astype(np.float64))
+            marker_coordinates(motion, takes.positions_at(rows).astype(np.float64))
         ),
         gram=deformer.shapes.gram(),
     )
@@ -147,11 +139,6 @@ def _equation(
         visible=takes.usable[0] if one else np.concatenate(takes.usable),
         rigid=tuple(takes.marker_names.index(name) for name in takes.rigid),
     )
-
-
-def _coordinates(motion: MotionSpace, positions: FloatArray) -> FloatArray:
-    packed = positions.reshape(len(positions), -1)
-    return np.asarray((packed - motion.mean) @ motion.components.T)
 
 
 _GLANCE_FRAMES = 2000

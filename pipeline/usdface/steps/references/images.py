@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from usdface.core.assets import References, Take
+from usdface.core.assets import References, Take, Video
 from usdface.core.errors import InputError
 from usdface.core.side_files import check_side_folder, make_side_folder
 from usdface.core.sidecars import images_folder
@@ -50,7 +50,7 @@ def write_pair_images(
             shown = _existing_pictures(folder, references, take, pairs)
         else:
             try:
-                shown = _write_take(folder, references, take, pairs, metadata)
+                shown = _write_take(folder, references, take, take.video, pairs, metadata)
                 foreign = [
                     pair
                     for pair in pairs
@@ -97,19 +97,17 @@ def _write_take(
     folder: Path,
     references: References,
     take: Take,
+    video: Video,
     pairs: list[int],
     metadata: Mapping[str, object],
 ) -> dict[int, Path]:
     """Write the images of one take's pairs, in the order of the video; return those written."""
-    if take.video is None:
-        return {}
     shown = {}
-    with open_video(take.video.file, take.video.rate) as video:
+    with open_video(video.file, video.rate) as movie:
         for pair in sorted(pairs, key=lambda each: int(references.frames[each])):
             frame = int(references.frames[pair])
             seconds = (frame - take.first_frame) / float(take.rate)
-            at = take.video.video_time(seconds)
-            picture = video.frame_at(at)
+            picture = movie.frame_at(video.video_time(seconds))
             if picture is None:
                 continue
             make_side_folder(folder)

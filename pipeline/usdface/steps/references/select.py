@@ -115,7 +115,7 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
     placed = _place(spec, takes, rig)
     spoken = read_phone_labels(spec, takes)
     kept = find_placed_pairs(spec, takes, rig)
-    mapping = None if spec.mapping is None else _mapping_for(spec, rig)
+    mapping = None if spec.mapping is None else _mapping_for(spec.mapping, rig)
     selection = _set_up(spec, takes, rig, placed.placement, spoken, kept, progress)
     progress(0.5, "choosing frames")
     mapped = None if mapping is None else takes_prediction(mapping, takes)
@@ -260,13 +260,11 @@ def _check_tuning_is_as_read(spec: SelectSpec, kept: list[PlacedPair]) -> None:
         )
 
 
-def _mapping_for(spec: SelectSpec, rig: Rig) -> TrainedMapping:
+def _mapping_for(path: Path, rig: Rig) -> TrainedMapping:
     """Read the mapping; refuse one for another rig."""
-    if spec.mapping is None:
-        raise InputError("no mapping is given")
-    mapping = read_mapping(spec.mapping)
+    mapping = read_mapping(path)
     remedy = "it was trained for another rig: give the mapping of this one"
-    rig.check_has(mapping.shape_names, source=spec.mapping, remedy=remedy)
+    rig.check_has(mapping.shape_names, source=path, remedy=remedy)
     return mapping
 
 
@@ -352,7 +350,7 @@ def _propose(selection: _Selection, mapped: TakesPrediction | None, rows: IntArr
     """Return proposed weights, from the mapping if there is one, else from the rig's geometry."""
     scene = selection.scene
     positions = scene.positions(rows)
-    weights = scene.equation.propose(positions, visible=scene.usable(rows))
+    weights = scene.equation.propose(positions, visible=scene.takes.usable_at(rows))
     lips = find_lips(scene.equation, scene.deformer, scene.rig.shapes)
     if lips is not None:
         weights = keep_lip_contact(scene.equation, scene.deformer, lips, positions, weights)

@@ -6,6 +6,7 @@ from contextlib import suppress
 import numpy as np
 
 from usdface.core.arrays import ByteImage
+from usdface.core.assets import Video
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
@@ -201,7 +202,7 @@ def _movie(
         file = folder / f"video{_movie_kind()[0]}"
         write_movie(
             file,
-            _camera_pictures(spec, shot, clock, progress),
+            _camera_pictures(spec, shot, take.video, clock, progress),
             rate=clock.rate,
             audio=sound,
             sample_rate=SAMPLE_RATE,
@@ -211,28 +212,26 @@ def _movie(
 
 
 def _camera_pictures(
-    spec: ReportSpec, shot: Shot, clock: MovieClock, progress: Progress
+    spec: ReportSpec, shot: Shot, video: Video, clock: MovieClock, progress: Progress
 ) -> Iterator[ByteImage]:
     """Yield the video's picture at each frame of the take; repeated pictures are the same array."""
     take = shot.take
-    if take.video is None:
-        raise InputError(f"{take.name}: has no video")
     shown = tile = None
-    with open_video(take.video.file, take.video.rate) as video:
+    with open_video(video.file, video.rate) as movie:
         lines, columns = spec.height, spec.height * 16 // 9
         with suppress(InputError):  # the first picture of a sequence may be damaged
-            lines, columns = video.frame(0).shape[:2]
+            lines, columns = movie.frame(0).shape[:2]
         height = min(spec.height, lines)  # browsers enlarge smaller videos
         width = 2 * round(height * columns / lines / 2)
         for picture, frame in enumerate(shot.frames.tolist()):
             if picture % 60 == 0:
                 progress(picture / clock.picture_count, f"video picture {picture}")
             seconds = (frame - take.first_frame) / float(take.rate)
-            index = video.index_at(take.video.video_time(seconds))
+            index = movie.index_at(video.video_time(seconds))
             if tile is None or index != shown:
                 pixels, missing = None, "no video here"
                 try:
-                    pixels = None if index is None else video.frame(index)
+                    pixels = None if index is None else movie.frame(index)
                 except InputError:
                     missing = "cannot be decoded"
                 shown = index

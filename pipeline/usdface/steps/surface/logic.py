@@ -1,6 +1,7 @@
 """Define which shapes of a rig are driven by others."""
 
 from fnmatch import fnmatchcase
+from pathlib import Path
 
 from usdface.core.arrays import columns_by_name
 from usdface.core.errors import InputError
@@ -38,7 +39,7 @@ def run(spec: LogicSpec, *, provenance: Provenance, progress: Progress = silent)
         sources.append(combinations_of_metadata(shape_metadata(spec.rig, rig.prim, spec.metadata)))
     notes = []
     if spec.weights is not None:
-        inferred, note = _inferred(spec, shapes)
+        inferred, note = _inferred(spec, spec.weights, shapes)
         sources.append(inferred)
         notes.append(note)
     new = merged(sources)
@@ -77,18 +78,18 @@ def _figures(combination: Combination) -> dict[str, object]:
     }
 
 
-def _inferred(spec: LogicSpec, shapes: tuple[str, ...]) -> tuple[tuple[Combination, ...], str]:
+def _inferred(
+    spec: LogicSpec, weights: Path, shapes: tuple[str, ...]
+) -> tuple[tuple[Combination, ...], str]:
     """Infer the logic of the shapes of --driven from weights."""
-    if spec.weights is None:
-        return (), ""
     driven = [name for name in shapes if any(fnmatchcase(name, each) for each in spec.driven)]
     if not driven:
         raise InputError(
             f"{spec.rig}: --driven matches none of its shapes ({first_few(shapes, most=3)}); name "
             "the driven shapes"
         )
-    table = read_weight_table(spec.weights, known=shapes, unit=spec.weight_unit)
-    table.shapes_among(driven, file=spec.weights, owner="among those driven")
+    table = read_weight_table(weights, known=shapes, unit=spec.weight_unit)
+    table.shapes_among(driven, file=weights, owner="among those driven")
     rows = table.weights[:: -(-len(table.weights) // _MOST_ROWS)]
     free = tuple(name for name in shapes if name not in driven and name in table.names)
     found = infer_combinations(
