@@ -138,14 +138,10 @@ def _driven_skin(deformer: Deformer, points: IntArray) -> FloatArray:
 def in_betweens(
     rig: Rig, deformer: Deformer, points: IntArray, names: tuple[str, ...]
 ) -> tuple[tuple[Combination, ...], FloatArray]:
-    """Return a shape's in-betweens as combinations of one part, and what each does to points.
+    """Return in-betweens as combinations of one part, and their offsets, (n, points, 3) [mm].
 
     At weight w a shape moves the skin by ``w full + sum_p hat_p(w) (in-between_p - p full)``, where
     ``hat_p`` is 1 at the in-between's weight p and 0 at its neighbours.
-
-    Returns
-    -------
-    tuple of Combination, (in-betweens, points, 3) float array
     """
     weights: dict[str, set[float]] = {}
     for mesh in rig.meshes:
@@ -243,7 +239,7 @@ def _correction_notes(mapping: TrainedMapping, references: References) -> list[s
 
 
 def _gain_notes(mapping: TrainedMapping) -> list[str]:
-    """Say that keys of some pairs are larger than those of others, and whose."""
+    """Return a note if keys of some pairs are larger than those of others, by author."""
     deviation = float(mapping.settings.get("gain_deviation", 0.0))
     if not deviation:
         return []
@@ -251,12 +247,11 @@ def _gain_notes(mapping: TrainedMapping) -> list[str]:
     whose = (
         f"mean gain by author: {gains.replace(';', ',')}"
         if gains
-        else "say who set them with `usdface references import --author`, and this note names them"
+        else "give the authors with `usdface references import --author` to list their gains"
     )
     return [
-        f"keys of the same expressions differ in gain from pair to pair, by {deviation:.0%} "
-        f"(standard deviation), as those of several animators do; face_map learns their mean; "
-        f"{whose}"
+        f"keys of the same expressions differ in gain between pairs, with a standard deviation of "
+        f"{deviation:.0%}, as those of several animators do; face_map uses their mean; {whose}"
     ]
 
 
