@@ -364,7 +364,7 @@ def test_nothing_in_the_data_becomes_part_of_the_page(shot: Shot) -> None:
     ("change", "message"),
     [
         ({"frames": "9000-9100"}, "has no common frame"),
-        ({"sheet": "hero.usdc"}, r"browsers show \.jpg"),
+        ({"sheet": "hero.usdc"}, r"browsers show only \.jpg"),
     ],
 )
 def test_what_cannot_be_shown_is_said(shot: Shot, change: dict[str, str], message: str) -> None:
