@@ -71,7 +71,7 @@ def test_a_stopped_run_goes_on_where_it_stopped(shot: Shot, monkeypatch) -> None
     assert not (shot / "review.mp4").exists()
     monkeypatch.setattr(movie_step, "_draw_stretch", draw)
     report = execute(spec_of(shot, "review.mp4", frames="20-37"))
-    assert "2 of 3 stretches were drawn" in report.notes
+    assert "resumed: 2 of 3 stretches were drawn before" in report.notes
     execute(spec_of(shot, "again.mp4", frames="20-37"))
     np.testing.assert_array_equal(pictures_of(shot / "review.mp4"), pictures_of(shot / "again.mp4"))
     assert not list(shot.folder.glob(".*.stretches"))
