@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pxr import Sdf, Usd, UsdGeom, Vt
+from pydantic import ValidationError
 
 from tests.steps.small_shot import PAIRS, Shot
 from usdface.core.errors import InputError
@@ -182,7 +183,7 @@ def test_what_lies_between_two_keyed_pairs_is_nobodys_tuning(shot: Shot) -> None
         layer.SetTimeSample("/anim.blendShapeWeights", frame, Vt.FloatArray([0.5]))
     layer.Save()
     report = run(ReferencesImportSpec(**given))
-    assert any(f"tuned.usd: {PAIRS - 2} pairs" in note for note in report.notes)
+    assert any(note.endswith(f"sparse.usda: {PAIRS - 2} pairs") for note in report.notes)
 
 
 def test_decimal_commas_are_refused_and_not_read_as_columns(shot: Shot) -> None:
@@ -213,7 +214,9 @@ def test_keys_are_matched_by_meaning_take_and_unit(shot: Shot) -> None:
     given = {"references": asset, "weights": table, "weight_unit": "percent"}
     report = run(ReferencesImportSpec(**given))
     assert report.figures["pairs"] == 1
-    assert any("left out 1 column, of no shape of the rig: smirk" in note for note in report.notes)
+    assert any(
+        "left out 1 column without a shape of the rig: smirk" in note for note in report.notes
+    )
     after = read_references(asset).weights
     assert after[0, jaw] == pytest.approx(0.45)
     assert after[1, jaw] == before.weights[1, jaw]
@@ -254,7 +257,7 @@ def test_an_untuned_start_is_named_and_imports_count_all_that_is_tuned(shot: Sho
     trained = run(TrainSpec(references=asset, out=shot / "untuned.mapping.usdc"))
     for report in (selected, trained):
         assert any(note.startswith("an untuned start: all ") for note in report.notes)
-        assert any("--tuned-only" in note for note in report.notes)
+        assert any("`usdface tune " in note for note in report.notes)
     for count, frame in enumerate(read_references(asset).frames[:2].tolist(), start=1):
         table = shot / f"tuned{count}.csv"
         table.write_text(f"frame,jawOpen\n{frame},0.25\n")
@@ -310,7 +313,7 @@ def test_mapping_a_part_equals_that_part_of_the_whole(shot: Shot) -> None:
     assert Sdf.Layer.FindOrOpen(str(weights_path(shot / "part.usda"))).defaultPrim == "shot"
 
 
-def test_training_on_tuned_pairs_only_leaves_proposals_out(shot: Shot) -> None:
+def test_training_leaves_proposals_out_once_enough_pairs_are_tuned(shot: Shot) -> None:
     run(
         SelectSpec(
             takes=(shot / "shot.clean.take.usda",),
@@ -320,11 +323,25 @@ def test_training_on_tuned_pairs_only_leaves_proposals_out(shot: Shot) -> None:
         )
     )
     train = TrainSpec(references=shot / "hero.references.usda", out=shot / "a.usdc", method="ridge")
-    every = run(train)
-    tuned = run(train.model_copy(update={"out": shot / "b.usdc", "tuned_only": True}))
-    assert "4 of 28 pairs are proposals" in every.notes[0]
+    every = run(train.model_copy(update={"all_pairs": True}))
+    assert every.notes[0].startswith(f"trained on {PAIRS} tuned pairs and 4 untuned proposals")
+    assert read_mapping(shot / "a.usdc").settings["pairs"] == PAIRS + 4
+    usual = run(train.model_copy(update={"out": shot / "b.usdc"}))
+    assert usual.notes[0].startswith(
+        f"trained on the {PAIRS} tuned pairs; 4 untuned proposals left"
+    )
     assert read_mapping(shot / "b.usdc").settings["pairs"] == PAIRS
-    assert not any("proposals" in note for note in tuned.notes)
+    only = run(train.model_copy(update={"out": shot / "c.usdc", "tuned_only": True}))
+    assert not any("proposals" in note for note in only.notes)
+    few = shot / "few.references.usda"
+    run(SelectSpec(takes=(shot / "shot.clean.take.usda",), rig=shot / "hero.usdc", out=few))
+    frames = read_references(few).frames[:7]
+    (shot / "few.csv").write_text("frame,jawOpen\n" + "".join(f"{f},0.25\n" for f in frames))
+    run(ReferencesImportSpec(references=few, weights=shot / "few.csv"))
+    mixed = run(train.model_copy(update={"references": few, "out": shot / "d.usdc"}))
+    assert mixed.notes[0].startswith("trained on 7 tuned pairs and ")
+    with pytest.raises(ValidationError, match="exclude each other"):
+        TrainSpec.model_validate(train.model_dump() | {"tuned_only": True, "all_pairs": True})
 
 
 @pytest.mark.parametrize("suffix", ["jpg", "png", "exr"])

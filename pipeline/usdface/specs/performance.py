@@ -42,7 +42,15 @@ class TrainSpec(MovedRigSpec):
     """Picture to write of the eigen-space: the takes and the references along the first three
     principal components, and the share of variance of each component (.jpg, .png or .exr)."""
     tuned_only: bool = False
-    """Train on tuned pairs only. By default, proposed pairs are used as well."""
+    """Train on tuned pairs only, however few they are. Default: if at least 8 pairs are tuned."""
+    all_pairs: bool = False
+    """Train on proposals as well, even if 8 or more pairs are tuned."""
+
+    @model_validator(mode="after")
+    def _one_choice_of_pairs(self) -> Self:
+        if self.tuned_only and self.all_pairs:
+            raise ValueError("tuned_only and all_pairs exclude each other; give one of them")
+        return self
 
     @field_validator("dimensions", "widths", mode="before")
     @classmethod

@@ -314,7 +314,7 @@ class ReferencesCoverageSpec(MovedRigSpec):
     out: ImageOut
     """Picture to write: .jpg, .png or .exr."""
     tuned_only: bool = False
-    """Count tuned pairs only, as for a mapping trained with --tuned-only."""
+    """Count tuned pairs only, as for a mapping trained on them."""
 
 
 class ReferenceSheetSpec(MovedRigSpec):

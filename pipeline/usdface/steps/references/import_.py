@@ -78,7 +78,7 @@ def run(
     if len(tuned) < count:
         notes.append(
             f"still untuned proposals: {pluralize(count - len(tuned), 'pair')}; `usdface train` "
-            "with --tuned-only leaves them out"
+            "leaves them out once 8 pairs are tuned"
         )
     return StepResult(
         (tuned_path(spec.references), *pictures),
@@ -132,7 +132,7 @@ def _column_notes(given: WeightTable, combinations: Set[str], matched: Sequence[
     unknown = [name for name in given.names if name not in {*matched, *driven}]
     if unknown:
         notes.append(
-            f"left out {pluralize(len(unknown), 'column')} that match no shape of the rig: "
+            f"left out {pluralize(len(unknown), 'column')} without a shape of the rig: "
             f"{first_few(unknown)}"
         )
     return notes

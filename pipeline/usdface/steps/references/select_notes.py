@@ -93,12 +93,9 @@ def next_step(out: Path, count: int, kept: int) -> list[str]:
     if not rest:
         return []
     if kept:
-        return [
-            f"next: tune some of the {pluralize(rest, 'proposal')}, then `usdface train` with "
-            "--tuned-only"
-        ]
+        return [f"next: tune some of the {pluralize(rest, 'proposal')}, then `usdface train`"]
     return [
         "an untuned start: all weights are proposals from the rig's geometry. Next: `usdface tune "
         f"{out}`; tune the first dozen or two (pairs are in order of their gain in coverage), then "
-        "`usdface train` with --tuned-only"
+        "`usdface train`, which leaves out the rest"
     ]
