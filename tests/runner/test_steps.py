@@ -221,7 +221,7 @@ def test_keys_are_matched_by_meaning_take_and_unit(shot: Shot) -> None:
     assert after[0, jaw] == pytest.approx(0.45)
     assert after[1, jaw] == before.weights[1, jaw]
     table.write_text(rows.replace(take, "nowhere"))
-    with pytest.raises(InputError, match=r"takes \(nowhere, elsewhere\) are none of the pairs'"):
+    with pytest.raises(InputError, match=r"takes \(nowhere, elsewhere\) is one of the pairs'"):
         run(ReferencesImportSpec(**given))
 
 
