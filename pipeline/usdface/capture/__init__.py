@@ -1,1 +1,1 @@
-"""Readers of capture formats: a file in, a `usdface.core.assets.Take` out; one format a file."""
+"""Readers of capture formats, one module each: from a file to a `usdface.core.assets.Take`."""

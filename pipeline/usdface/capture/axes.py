@@ -1,4 +1,4 @@
-"""Units and axes of a capture brought to millimetres with Y up."""
+"""Conversion of a capture's units and axes to millimetres with Y up."""
 
 import numpy as np
 
@@ -25,10 +25,10 @@ _MM_PER_UNIT = {
     "feet": 304.8,
 }
 _CUT_LENGTH = 4
-"""C3D texts are as wide as the writer made the parameter; some made room for four letters."""
+"""Some programs truncate the unit in a C3D file to four letters."""
 _AXES = {"X": 0, "Y": 1, "Z": 2}
 Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-"""Rotation that stands a Z-up capture upright."""
+"""Rotation from Z up to Y up."""
 _UPRIGHT = {
     "y": np.eye(3),
     "z": Z_UP,
@@ -37,11 +37,11 @@ _UPRIGHT = {
     "-y": np.diag([1.0, -1.0, -1.0]),
     "-z": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
 }
-"""Rotations that bring an axis to Y; which way the face then looks does not matter."""
+"""Rotations that map an axis to +Y; the heading of the face is arbitrary."""
 
 
 def mm_per_unit(units: str, *, where: str) -> float:
-    """Return how many millimetres one unit is."""
+    """Return the millimetres per unit."""
     key = units.strip().lower()
     scale = _MM_PER_UNIT.get(key, _MM_PER_UNIT.get(key.removesuffix("s")))
     if scale is None and len(key) == _CUT_LENGTH:  # "mete", "mill", "cent" and so on
@@ -56,7 +56,7 @@ def mm_per_unit(units: str, *, where: str) -> float:
 
 
 def rotation_to_y_up(*, up: str, where: str) -> FloatArray:
-    """Return the rotation that brings `up`, such as 'y', 'z' or '-x', to Y."""
+    """Return the rotation that maps `up`, such as 'y', 'z' or '-x', to +Y."""
     if up.lower() not in _UPRIGHT:
         raise InputError(f"{where}: up axis {up!r}; it must be one of {', '.join(_UPRIGHT)}")
     return _UPRIGHT[up.lower()]

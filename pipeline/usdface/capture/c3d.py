@@ -1,8 +1,7 @@
 """C3D, the exchange format of optical capture: points, analog channels and events.
 
-Our own reader, because takes run to hundreds of thousands of frames: samples are read in the
-stretches asked for, so a long take costs no more memory than its result, and takes of more than
-65,535 frames are read whole.
+Written for takes of hundreds of thousands of frames: samples are read by range, so memory is
+bounded by the size of the result, and takes of more than 65,535 frames are read completely.
 
 References
 ----------
@@ -37,18 +36,18 @@ _CHUNK_BYTES = 32 << 20
 
 @dataclass(frozen=True)
 class C3dPoints:
-    """A stretch of point samples, in the file's own units and axes."""
+    """Point samples of a range of frames, in the units and axes of the file."""
 
     positions: Float32Array
-    """(frames, points, 3): as stored, also where a point was not seen."""
+    """(frames, points, 3): as stored, also where a point is occluded."""
     residuals: Float32Array
-    """(frames, points): reconstruction residual in the file's units; negative where the point was
-    not seen, NaN where the number stored is no residual."""
+    """(frames, points): reconstruction residual in the file's units; negative where the point is
+    occluded, NaN where the stored number is not a residual."""
 
 
 @dataclass(frozen=True)
 class C3dEvent:
-    """A marked moment: its label, whose it is, and seconds from the first frame's clock."""
+    """An event: label, context (such as the subject or side) and time [s]; 0 is frame 1."""
 
     label: str
     context: str
@@ -57,7 +56,7 @@ class C3dEvent:
 
 @dataclass(frozen=True)
 class C3dFile:
-    """An opened C3D file: what it holds is read, its samples are read on demand."""
+    """An opened C3D file: its parameters are read, its samples on demand."""
 
     path: Path
     layout: C3dLayout
@@ -68,7 +67,7 @@ class C3dFile:
     units: str
     x_screen: str
     y_screen: str
-    """`units`, `x_screen`, `y_screen`: Empty where the file does not say."""
+    """`units`, `x_screen`, `y_screen`: empty if not stated."""
 
     @property
     def frame_count(self) -> int:
@@ -81,7 +80,7 @@ class C3dFile:
         return self.layout.rate * self.layout.analog_per_frame if self.layout.analog_count else 0.0
 
     def read_points(self, start: int = 0, stop: int | None = None) -> C3dPoints:
-        """Read the points of frames `start` to `stop`, by index from 0, the last left out.
+        """Read the points of frames `start` to `stop` (exclusive), counted from 0.
 
         Raises
         ------
@@ -103,7 +102,7 @@ class C3dFile:
         return C3dPoints(positions, residuals)
 
     def read_analog(self, start: int = 0, stop: int | None = None) -> Float32Array:
-        """Read the analog samples of point frames `start` to `stop`, scaled to their units.
+        """Read the analog samples of frames `start` to `stop` (exclusive), in physical units.
 
         Returns
         -------
@@ -127,7 +126,7 @@ class C3dFile:
         return samples
 
     def events(self) -> tuple[C3dEvent, ...]:
-        """Return the events: of the EVENT group, else those of the header."""
+        """Return the events of the EVENT group, or else of the header."""
         parameters = self.layout.parameters
         times = parameters.numbers("EVENT:TIMES")
         labels, contexts = parameters.texts("EVENT:LABELS"), parameters.texts("EVENT:CONTEXTS")
@@ -156,7 +155,7 @@ class C3dFile:
         )
 
     def _analog_calibration(self) -> tuple[Float32Array, Float32Array]:
-        """Return scale and offset per channel; a channel without them is passed as stored."""
+        """Return scale and offset per channel; 1 and 0 where not stated."""
         parameters, count = self.layout.parameters, self.layout.analog_count
         scale, offset = np.ones(count, np.float32), np.zeros(count, np.float32)
         general = parameters.number("ANALOG:GEN_SCALE")
@@ -175,16 +174,16 @@ class C3dFile:
         return [frames[at : at + step] for at in range(0, len(frames), step)]
 
     def _read_items(self, frames: range) -> NDArray[np.generic]:
-        """Read all numbers of some frames, as stored."""
+        """Read the stored numbers of some frames: (frames, items)."""
         layout = self.layout
         stride = layout.frame_items * layout.item_size
         raw = bytearray(stride * len(frames))
         with self.path.open("rb") as file:
             file.seek(layout.data_start + stride * frames.start)
-            found = file.readinto(raw)
-        if found < len(raw):
+            size = file.readinto(raw)
+        if size < len(raw):
             raise InputError(
-                f"{self.path} frame {layout.first_frame + frames.start + found // stride}: "
+                f"{self.path} frame {layout.first_frame + frames.start + size // stride}: "
                 "the file ended while it was read; wait until it is fully written and read it again"
             )
         items: NDArray[np.generic]
@@ -198,7 +197,7 @@ class C3dFile:
 
 
 def open_c3d(path: Path) -> C3dFile:
-    """Open a C3D file and check that it holds what it promises."""
+    """Open a C3D file and check its layout against its size."""
     layout = read_layout(path)
     parameters = layout.parameters
     return C3dFile(
@@ -215,7 +214,7 @@ def open_c3d(path: Path) -> C3dFile:
 def _residuals(words: NDArray[np.generic], scale: float) -> Float32Array:
     """Decode the fourth number of a point: cameras in the high byte, the residual in the low one.
 
-    Negative, also as an unsigned word: the point was not seen. What 16 bits cannot hold: NaN.
+    A negative number, also stored as unsigned, means occluded: -1. Beyond 16 bits: NaN.
     """
     values = words.astype(np.float32)
     with np.errstate(invalid="ignore"):
@@ -237,7 +236,7 @@ _CHUNK_FRAMES = 8192
 
 
 def is_c3d(head: bytes) -> bool:
-    """Tell a C3D file by its first bytes."""
+    """Return whether a file is a C3D file, from its first bytes."""
     # 0x50 is also a P: a text that has it second holds no NUL, a header has many.
     return len(head) >= 2 and head[1] == 0x50 and head[0] > 0 and b"\0" in head[:512]
 
@@ -272,7 +271,7 @@ def read_c3d_take(path: Path, options: CaptureOptions) -> Capture:
         visible[rows] = points.residuals[:, columns] >= 0
         odd[rows] = np.isnan(points.residuals[:, columns])
     if odd.any() and not visible.any():
-        # Some writers store something else there, in every sample: then the position must tell.
+        # Some programs store no residual in any sample.
         visible = odd
         notes.append(
             "no sample has a residual that the format knows; points were taken as seen where they "
@@ -296,14 +295,14 @@ def read_c3d_take(path: Path, options: CaptureOptions) -> Capture:
 
 
 def _events(file: C3dFile) -> tuple[Event, ...]:
-    """Return the marked moments by frame: second 0 is frame 1, also of a file cut later."""
+    """Return the events by frame number: second 0 is frame 1, also in a trimmed file."""
     rate = file.layout.rate
-    found = [
+    events = [
         Event(f"{event.context} {event.label}".strip(), 1 + event.seconds * rate)
         for event in file.events()
         if np.isfinite(event.seconds)
     ]
-    return tuple(sorted(found, key=lambda event: event.frame))
+    return tuple(sorted(events, key=lambda event: event.frame))
 
 
 def _rotation(file: C3dFile, options: CaptureOptions, notes: list[str]) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Where the samples of a C3D file lie, checked against its size."""
+"""Layout of the samples in a C3D file, checked against the file's size."""
 
 import math
 from dataclasses import dataclass
@@ -14,13 +14,13 @@ from usdface.core.errors import InputError
 BLOCK_BYTES = 512
 C3D_MAGIC = 0x50
 _LARGEST_UINT16 = 0xFFFF
-"""What a 16-bit frame count shows when the take is longer."""
+"""Value of a 16-bit frame count if the take is longer."""
 _REPAIR = "export the take again from the capture software, or copy the file again"
 
 
 @dataclass(frozen=True)
 class C3dLayout:
-    """Everything needed to read any stretch of samples."""
+    """Counts, types and offsets needed to read samples."""
 
     processor: Processor
     parameters: Parameters
@@ -28,7 +28,7 @@ class C3dLayout:
     """The first block; holds the events of old files."""
     point_count: int
     analog_count: int
-    """`point_count`, `analog_count`: Points per frame; analog channels."""
+    """`point_count`, `analog_count`: points per frame, analog channels."""
     analog_per_frame: int
     """Analog samples of each channel per point frame."""
     first_frame: int
@@ -36,11 +36,11 @@ class C3dLayout:
     rate: float
     """Point frames per second, as stored."""
     scale: float
-    """Negative when samples are stored as floats, else the unit of the integers."""
+    """Negative if samples are stored as floats, else the unit of the integers."""
     data_start: int
     """Byte offset of the first frame."""
     notes: tuple[str, ...]
-    """Contradictions that were settled."""
+    """Contradictions and the reading that was chosen."""
 
     @property
     def item_size(self) -> int:
@@ -84,14 +84,14 @@ def read_layout(path: Path) -> C3dLayout:
 
 
 def _section_size(blocks: int, start: int, data_start: int, file_size: int) -> int:
-    """Return how many bytes to parse: some writers leave the block count 0 or too small."""
+    """Return the number of bytes to parse; some programs write a block count that is too small."""
     return min(max(blocks * BLOCK_BYTES, data_start - BLOCK_BYTES - start), file_size - start)
 
 
 def _settle_layout(
     path: Path, size: int, header: bytes, processor: Processor, parameters: Parameters
 ) -> C3dLayout:
-    """Combine header and parameters; where they differ the note says which was believed."""
+    """Combine header and parameters; where they differ, a note states which was used."""
     words = [int(word) for word in np.frombuffer(header, processor.unsigned, 10)]
     header_floats = processor.floats(header[:24])
     notes = list(parameters.notes)
@@ -148,7 +148,7 @@ def _finite(number: float | None) -> float | None:
 
 
 class _Frame(NamedTuple):
-    """How one frame may be stored, by header or parameters."""
+    """A candidate for the layout of one frame."""
 
     points: int
     channels: int
@@ -172,11 +172,10 @@ def _settle_frame(
     scale: float,
     header_scale: float,
 ) -> _Frame:
-    """Return how frames are stored.
+    """Return the layout of one frame.
 
-    Header and parameters say so twice, and programs write either wrong. Where the samples of what
-    is usually right do not end in the file's last block, those of another reading may; `room` is
-    the bytes that the file has for them.
+    Header and parameters both state it, and programs write either wrong. The first candidate whose
+    samples end in the last block of the file is chosen; `room` is the size of the data [bytes].
     """
     point_counts = [words[1]]
     if (used := parameters.unsigned("POINT:USED")) is not None:
@@ -187,19 +186,19 @@ def _settle_frame(
     stated = _analog_stated(parameters)
     analog = _analog_readings(stated, parameters, words[2], words[9])
     readings = [
-        _Frame(points, channels, per_frame, each)
+        _Frame(points, channels, per_frame, signed_scale)
         for points in point_counts
         for channels, per_frame in analog
-        for each in scales
+        for signed_scale in scales
     ]
     counts = _frame_counts(parameters, words)
     fitting = [
-        each
-        for each in readings
-        if any(0 <= room - count * _stride(each) < BLOCK_BYTES for count in counts)
+        reading
+        for reading in readings
+        if any(0 <= room - count * _stride(reading) < BLOCK_BYTES for count in counts)
     ]
-    # Where nothing fits, the sign is told by whether there is room for floats: twice as much.
-    roomy = [each for each in readings if counts and counts[0] * _stride(each) <= room]
+    # If none fits, the sign follows from the size: floats take twice the bytes of integers.
+    roomy = [reading for reading in readings if counts and counts[0] * _stride(reading) <= room]
     chosen = (fitting or (roomy if len(scales) > 1 else []) or readings)[0]
     by_size = " by the file's size" if fitting else ""
     if len(point_counts) > 1:
@@ -227,7 +226,7 @@ def _analog_text(reading: tuple[int, int]) -> str:
 
 
 def _frame_counts(parameters: Parameters, words: list[int]) -> list[int]:
-    """Return how many frames there may be, by all that counts them; the header's first."""
+    """Return the frame counts that the file states, the header's first."""
     first = parameters.long("TRIAL:ACTUAL_START_FIELD")
     last = parameters.long("TRIAL:ACTUAL_END_FIELD")
     counts = (
@@ -240,7 +239,7 @@ def _frame_counts(parameters: Parameters, words: list[int]) -> list[int]:
 
 
 def _analog_stated(parameters: Parameters) -> tuple[int, int] | None:
-    """Return channels and samples per frame by the parameters, as far as they say."""
+    """Return channels and samples per frame from the parameters, if they state both."""
     channels = parameters.unsigned("ANALOG:USED") or 0
     point_rate = _finite(parameters.number("POINT:RATE"))
     analog_rate = _finite(parameters.number("ANALOG:RATE"))
@@ -253,10 +252,10 @@ def _analog_stated(parameters: Parameters) -> tuple[int, int] | None:
 def _analog_readings(
     stated: tuple[int, int] | None, parameters: Parameters, total: int, per_frame: int
 ) -> list[tuple[int, int]]:
-    """Return channels and samples per frame as they may be, the header's reading first.
+    """Return the candidates for channels and samples per frame, the header's first.
 
-    By the format the header's third word, `total`, is the product of both; some programs write the
-    channels alone there.
+    In the format, the header's third word, `total`, is the product of both; some programs write
+    the channels only.
     """
     channels = parameters.unsigned("ANALOG:USED") or 0
     if total == 0:
@@ -283,12 +282,12 @@ def _settle_frames(
     *,
     padding: int,
 ) -> tuple[int, int]:
-    """Return the first frame's number and how many frames there are.
+    """Return the number of the first frame and the frame count.
 
-    The header counts in 16 bits. Longer takes say their length in TRIAL:ACTUAL_END_FIELD or in
-    POINT:LONG_FRAMES; where neither does, a count that is full or that has wrapped around is
-    recognised by the room the file has, less the `padding` frames that its last block may hold.
-    A library that cuts a take may leave TRIAL as it was: then the header counts.
+    The header counts in 16 bits. Longer takes state their length in TRIAL:ACTUAL_END_FIELD or in
+    POINT:LONG_FRAMES; without these, a saturated or wrapped count is detected from the file's size,
+    less the `padding` frames that its last block may hold. Programs that trim a take may leave
+    TRIAL unchanged: then the header is used.
     """
     frames = parameters.unsigned("POINT:FRAMES")
     counted = last - first + 1
@@ -338,5 +337,5 @@ def _settle_frames(
 
 
 def _cut_short(number: int, word: int) -> bool:
-    """Tell whether 16 bits may show a number like this: its low bits, or as many as there are."""
+    """Return whether `word` is `number` in 16 bits: wrapped or saturated."""
     return word in (number & _LARGEST_UINT16, min(number, _LARGEST_UINT16))

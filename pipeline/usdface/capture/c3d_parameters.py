@@ -1,8 +1,8 @@
 """The parameter section of a C3D file: groups of named values that describe the data.
 
-Every offset and count is checked against the section before it is used. Real files hold damaged
-parameters behind sound ones, so the first damaged record ends the reading and is noted: what the
-data needs is either already there, or its absence is reported by name.
+Every offset and count is checked against the section before it is used. Real files have damaged
+parameters after valid ones, so the first damaged record ends the reading with a note: required
+parameters are either read by then, or reported as missing by name.
 """
 
 import math
@@ -27,7 +27,7 @@ class Processor:
 
     name: str
     order: str
-    """Of integers, and of floats but for DEC."""
+    """Of integers, and of floats except for DEC."""
 
     @property
     def integer(self) -> np.dtype[np.int16]:
@@ -42,8 +42,8 @@ class Processor:
     def floats(self, raw: bytes | bytearray | memoryview) -> Float32Array:
         """Decode 32-bit floats.
 
-        DEC machines stored VAX F floats: the two 16-bit words the other way round and an exponent
-        that is larger by two, so the swapped words read as IEEE are four times the value.
+        DEC machines stored VAX F floats: the 16-bit words are swapped and the exponent is larger by
+        two, so the words in order, read as IEEE, are four times the value.
         """
         if self.name != "DEC":
             return np.frombuffer(raw, f"{self.order}f4").astype(np.float32, copy=False)
@@ -68,12 +68,12 @@ class Parameters:
     values: Mapping[str, Value]
     """Integers keep their sign as stored; see `unsigned` for counts."""
     notes: tuple[str, ...] = ()
-    """What could not be read."""
+    """Parameters that could not be read."""
 
     def numbers(self, name: str) -> FloatArray:
-        """Return the numbers of a parameter and its continuations, flat; empty when absent or text.
+        """Return the numbers of a parameter and its continuations (see `texts`), flat.
 
-        Scales of channels and times of events are continued as labels are, see `texts`.
+        Empty if absent or text.
         """
         found: list[FloatArray] = []
         while isinstance(value := self.values.get(_part(name, len(found) + 1)), np.ndarray):
@@ -93,7 +93,7 @@ class Parameters:
         return int(number) + 0x10000 if -0x8000 <= number < 0 else int(number)
 
     def long(self, name: str) -> int | None:
-        """Return a 32-bit count that is stored as two 16-bit words, the low one first."""
+        """Return a 32-bit count stored as two 16-bit words, the low one first."""
         words = self.numbers(name)
         if words.size < 2 or not np.isfinite(words).all():
             return None
@@ -123,7 +123,7 @@ def _part(name: str, number: int) -> str:
 
 @dataclass(frozen=True)
 class _Record:
-    """One group or parameter as it lies in the section."""
+    """One group or parameter in the section."""
 
     name: str
     group: int
@@ -137,9 +137,9 @@ def parse_parameters(section: bytes, *, processor: Processor) -> Parameters:
     Parameters
     ----------
     section : bytes
-        From the section's first byte to the start of the data, or further.
+        Up to the start of the data, or longer.
     processor : Processor
-        How integers and floats are stored.
+        Byte order of integers and floats.
     """
     groups: dict[int, str] = {}
     found: dict[tuple[int, str], Value] = {}

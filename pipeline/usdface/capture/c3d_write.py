@@ -28,16 +28,16 @@ def write_c3d(
     analog: ArrayLike | None = None,
     analog_labels: Sequence[str] = (),
 ) -> None:
-    """Write a take of points; frames may outnumber the 65,535 that the header can count.
+    """Write a take of points, also with more than the 65,535 frames of the header's count.
 
     Parameters
     ----------
     path : Path
-        Written in place.
+        Not replaced atomically.
     positions : (frames, points, 3) array_like
         [mm], Y up, +X to the right of the screen.
     visible : (frames, points) array_like of bool
-        Where False the point is written as not seen: residual -1 at the origin.
+        Occluded points are written with residual -1 at the origin.
     first_frame : int
         Frame number of the first sample; the format counts from 1.
     analog : (frames * k, channels) array_like, optional
@@ -66,7 +66,7 @@ def write_c3d(
     other_groups = _trial_group(first_frame, frame_count) + _analog_group(
         analog_labels, float(rate) * per_frame
     )
-    data_block = 2  # the parameters begin there; where they end depends on their length alone
+    data_block = 2  # the second pass has the length of the section
     for _ in range(2):
         points_group = _points_group(labels, frame_count, float(rate), data_block)
         section = _parameter_section(points_group + other_groups)

@@ -1,4 +1,4 @@
-"""Calibrations of cameras, as caliscope, anipose and others that use OpenCV write them."""
+"""Camera calibrations, as written by caliscope, anipose and other programs that use OpenCV."""
 
 import math
 import tomllib
@@ -18,7 +18,7 @@ from usdface.numerics.rigid.perspective import PinholeCamera
 _LARGEST_BYTES = 4 << 20
 _ROTATION_TOLERANCE = 1e-3
 _TERM_COUNT = 5
-"""k1, k2, p1, p2, k3; terms beyond are of other models."""
+"""k1, k2, p1, p2, k3; further terms belong to other distortion models."""
 
 
 @dataclass(frozen=True)
@@ -27,9 +27,9 @@ class CalibratedCamera:
 
     camera: PinholeCamera
     size: tuple[int, int] | None
-    """Width and height of the pictures that it was calibrated with [pixels]."""
+    """Width and height of the calibration pictures [pixels]."""
     pose: CameraPose | None
-    """None where the file says only what the lens is."""
+    """None if the file states intrinsics only."""
 
 
 def read_calibration(path: Path) -> dict[str, CalibratedCamera]:
@@ -37,8 +37,8 @@ def read_calibration(path: Path) -> dict[str, CalibratedCamera]:
 
     ``matrix`` is OpenCV's 3 × 3 camera matrix [pixels], ``distortions`` k1, k2, p1, p2, k3,
     ``size`` width and height; ``rotation`` (3 × 3, or an axis times an angle in radians) and
-    ``translation`` bring the world to the camera's space, x to the right, y down, z along the
-    view. A camera is called by its ``name``, else as its table is.
+    ``translation`` map world to camera space, x to the right, y down, z along the view. A camera's
+    name is its ``name`` or else its table's.
     """
     try:
         if path.suffix.lower() == ".json":
@@ -68,8 +68,8 @@ def _camera(table: dict[str, Any], where: str) -> CalibratedCamera:
     terms = _numbers(table.get("distortions", [0.0]), (-1,), f"{where}: distortions")
     if table.get("fisheye") is True or np.any(terms[_TERM_COUNT:]):
         raise InputError(
-            f"{where}: its distortion is a fisheye lens's, or has more terms than k1, k2, p1, p2, "
-            "k3; calibrate with these, or undistort the pictures before"
+            f"{where}: fisheye distortion, or more terms than k1, k2, p1, p2, k3; calibrate with "
+            "these, or undistort the pictures before"
         )
     if not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
         raise InputError(f"{where}: matrix has no focal length in its diagonal; calibrate again")
@@ -91,7 +91,7 @@ def _camera(table: dict[str, Any], where: str) -> CalibratedCamera:
     if shape == (3,):
         turn = Rotation.from_rotvec(turn).as_matrix()
     if np.abs(turn @ turn.T - np.eye(3)).max() > _ROTATION_TOLERANCE or np.linalg.det(turn) < 0:
-        raise InputError(f"{where}: rotation turns nothing: it is no rotation; calibrate again")
+        raise InputError(f"{where}: rotation is not a rotation matrix; calibrate again")
     shift = _numbers(table["translation"], (3,), f"{where}: translation")
     return CalibratedCamera(camera, size, CameraPose(turn, shift))
 

@@ -1,4 +1,4 @@
-"""Weights as a reader found them, made into a take: no frame missing, nothing silent."""
+"""From the weight samples of a file to a take: missing frames are interpolated and reported."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,15 +15,15 @@ from usdface.core.rates import exact_rate
 from usdface.core.text import frame_ranges, pluralize
 
 _FIRST_FRAME = 1
-"""Where takes start whose format does not number frames, as optical takes do."""
+"""Number of the first frame for formats without frame numbers, as in optical takes."""
 
 _CLOCK_ERROR = 0.002
-"""Relative, by which a rate may be restated: 60 is 59.94 by one in a thousand."""
+"""Largest relative difference of a stated rate; 60 and 59.94 differ by 0.001."""
 
 _FROZEN_SECONDS = 0.5
-"""A device that repeats all values to the last digit for so long does not see: noise trembles."""
+"""Duration of identical rows from which a stream counts as frozen: measured values have noise."""
 _MOST_UNSEEN = 0.5
-"""Of the frames: with more, a table has keys, or a face that is meant to be still."""
+"""Share of the frames; with more, the table holds keys, or a face that is meant to be still."""
 
 
 def build_channel_take(
@@ -37,9 +37,7 @@ def build_channel_take(
     timecode_start: str = "",
     first_frame: int = _FIRST_FRAME,
 ) -> Capture:
-    """Make a take of weights; frames that are missing are interpolated, and reported.
-
-    Options for markers (units, axes, rigid set, neutral frame) have nothing to act on here.
+    """Return a take of weights; missing frames are interpolated and reported.
 
     Parameters
     ----------
@@ -48,7 +46,7 @@ def build_channel_take(
     """
     found = [*notes, *_describe_times(times, first_frame)]
     seen = np.ones(len(values), dtype=bool)
-    if format_name != "weights":  # curves that somebody made may well stand still
+    if format_name != "weights":  # authored curves may be constant
         seen = ~_frozen_rows(values, times)
     if not seen.all():
         numbers = first_frame + times.frames.astype(np.int64)
@@ -75,9 +73,9 @@ def build_channel_take(
 
 
 def with_stated_rate(capture: Capture, rate: float, *, where: object) -> Capture:
-    """Return weights of a device at the rate that the user says its clock meant: 59.94 for 60.
+    """Return weights of a device at the nominal rate that the user states, such as 59.94 for 60.
 
-    Its frames stay: labels of 59.94 frames per second without drop frame count to 60.
+    Frame numbers stay: non-drop-frame labels at 59.94 frames per second count to 60.
     """
     stated, source = exact_rate(rate, where="--rate"), capture.take.source
     measured = capture.take.rate
@@ -94,20 +92,20 @@ def with_stated_rate(capture: Capture, rate: float, *, where: object) -> Capture
 def fill_frames(
     values: FloatArray, frames: FloatArray, seen: BoolArray | None = None
 ) -> Float32Array:
-    """Return one row per whole frame, linear between the samples around it.
+    """Return one row per whole frame between the first and the last sample, by interpolation.
 
     Parameters
     ----------
     values : (samples, channels) float64 array
     frames : (samples,) float64 array
-        Ascending; where each sample lies. A sample at a whole frame is kept as it is.
+        Frame of each sample, ascending.
     seen : (samples,) bool array, optional
-        Others are interpolated.
+        Samples to use.
 
     Returns
     -------
     (frames, channels) float32 array
-        From the whole frame at or after the first sample to that at or before the last.
+        Linear between samples; a sample at a whole frame is unchanged.
     """
     grid = np.arange(np.ceil(frames[0]), np.floor(frames[-1]) + 1)
     filled = np.empty((len(grid), values.shape[1]), np.float32)
@@ -121,7 +119,7 @@ def fill_frames(
 
 
 def _frozen_rows(values: FloatArray, times: SampleTimes) -> BoolArray:
-    """Return which rows are copies of the one before, in runs as long as `_FROZEN_SECONDS`."""
+    """Return the rows that repeat the one before, in runs of at least `_FROZEN_SECONDS`."""
     same = np.zeros(len(values), dtype=bool)
     same[1:] = (values[1:] == values[:-1]).all(axis=1)
     for start, stop in runs(same):
@@ -132,14 +130,14 @@ def _frozen_rows(values: FloatArray, times: SampleTimes) -> BoolArray:
 def _unseen_stretches(
     frames: FloatArray, end: float, first_frame: int
 ) -> tuple[tuple[int, int], ...]:
-    """Return the stretches without a sample within a frame, in frame numbers.
+    """Return the ranges of frames that have no sample within one frame, as frame numbers.
 
     Parameters
     ----------
     frames : (samples,) float64 array
         Ascending; the first is that of the take.
     end : float
-        Frame of the take's last sample, seen or not.
+        Frame of the take's last sample, usable or not.
     """
     origin = np.ceil(frames[0])
     grid = np.arange(origin, np.floor(end) + 1)
@@ -153,7 +151,7 @@ def _unseen_stretches(
 
 
 def describe_missing(frames: FloatArray, first_frame: int = _FIRST_FRAME) -> list[str]:
-    """Say which frames are missing between samples at whole frames, if any."""
+    """Return a note with the missing frames between samples at whole frames, if any."""
     skipped = (np.diff(frames) - 1).astype(np.int64)
     if not skipped.any():
         return []
@@ -169,7 +167,7 @@ def describe_missing(frames: FloatArray, first_frame: int = _FIRST_FRAME) -> lis
 
 
 def _describe_times(times: SampleTimes, first_frame: int) -> list[str]:
-    """Say what was done to bring samples to whole frames."""
+    """Return notes on how samples were brought to whole frames."""
     rate = float(times.rate)
     if not times.even:
         return [f"samples came unevenly; resampled by their times to {rate:g} frames per second"]

@@ -1,8 +1,8 @@
-"""Text as Bannaflak's Face Cap app records it: weights, head and eye rotations.
+"""Text files of Bannaflak's Face Cap app: weights, head and eye rotations.
 
 Lines begin with ``info``, ``bs`` (names of the shapes) or ``k`` (a sample): time, head position,
-head rotation, rotations of the left and the right eye, weights. The file calls its times
-nanoseconds; they are milliseconds.
+head rotation, rotations of the left and the right eye, weights. Times are in milliseconds, although
+the file says nanoseconds.
 """
 
 from pathlib import Path
@@ -34,7 +34,7 @@ _SECONDS_PER_MS = 1e-3
 
 
 def is_face_cap(head: bytes) -> bool:
-    """Tell a Face Cap recording by its first bytes."""
+    """Return whether a file is a Face Cap recording, from its first bytes."""
     lines = head_lines(head, _HEAD_LINES)
     return (
         bool(lines)

@@ -1,11 +1,10 @@
-"""Where the eyes look, by the model's own scores; closed eyes look where they looked before.
+"""Gaze direction from the scores of the face landmark model.
 
-The model scores how far each eye looks in, out, up and down (`LOOK_SHAPES`), from the landmarks of
-lids and irises of many people. Where the iris lies against the corners of the eye says less: lids
-cover it in looks down, so that of those less than half is seen. Both eyes get the mean of both:
-how far they converge, 3.6 degrees at 1 m, is less than the noise of one. Behind a closed lid the
-model guesses the iris, and guesses it low: such samples are gaps, so that a blink is never read as
-a look down, and of a wink the open eye says where both look.
+The model scores for each eye looks in, out, up and down (`LOOK_SHAPES`). These are more accurate
+than the iris relative to the corners of the eye, which misses more than half of looks down, where
+lids cover the iris. Both eyes get the mean of both: convergence, 3.6 degrees at 1 m, is below the
+noise of one eye. Behind a closed lid the model estimates the iris too low: such samples are gaps,
+so that blinks are not looks down, and in a wink the open eye determines the direction.
 
 References
 ----------
@@ -21,18 +20,17 @@ from usdface.capture.face_landmarks import LANDMARKS
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 
 FULL_LOOK_DEGREES = 30.0
-"""Of a weight of 1: how far eyes turn before the head follows (Stahl 1999, Experimental Brain
-Research 126: 20 to 35)."""
+"""Rotation of the eye at weight 1: the range before the head follows (Stahl 1999, Experimental
+Brain Research 126: 20 to 35)."""
 LOOK_SHAPES = tuple(
     f"eyeLook{way}{side}" for side in ("Right", "Left") for way in ("In", "Out", "Up", "Down")
 )
 """ARKit's names, in the order of `GazeAngles.look_weights`."""
 
 _CLOSED_SHARE = 0.4
-"""Of the usual aperture: a look down leaves more than half of it, a lid on its way covers the iris
-below."""
+"""Share of the median aperture below which the lid covers the iris; looks down leave over half."""
 _NEUTRAL_REACH = 3
-"""Frames on either side of the neutral one whose mean is a look straight ahead."""
+"""Frames on either side of the neutral frame, averaged as the look straight ahead."""
 
 
 def _eye(side: str) -> dict[str, IntArray]:
@@ -48,7 +46,7 @@ _EYES = (_eye("R"), _eye("L"))
 
 @dataclass(frozen=True)
 class GazeAngles:
-    """The direction of both eyes, against the neutral frame."""
+    """Direction of both eyes relative to the neutral frame."""
 
     yaw: FloatArray
     """(frames,): to the performer's left [degrees]"""
@@ -64,7 +62,7 @@ class GazeAngles:
 
 
 def closed_eyes(positions: FloatArray | Float32Array, seen: BoolArray) -> BoolArray:
-    """Return where the right and the left eye are closed, or nearly: (frames, 2).
+    """Return whether the right and the left eye are closed or nearly so: (frames, 2).
 
     Parameters
     ----------
@@ -78,22 +76,22 @@ def closed_eyes(positions: FloatArray | Float32Array, seen: BoolArray) -> BoolAr
         width = (positions[:, eye["eye_outer"]] - positions[:, eye["eye_inner"]]).mean(axis=1)
         aperture = np.linalg.norm(lids.mean(axis=1), axis=1) / np.linalg.norm(width, axis=1)
         low = aperture < _CLOSED_SHARE * np.median(aperture[seen])
-        # a picture beside a closed one is blurred
+        # frames next to a closed one are motion-blurred
         closed[:, side] = low | np.append(low[1:], False) | np.insert(low[:-1], 0, False)
     return closed
 
 
 def gaze_angles(looks: FloatArray | Float32Array, usable: BoolArray, neutral: int) -> GazeAngles:
-    """Return where the eyes look.
+    """Return the gaze direction.
 
     Parameters
     ----------
     looks : (frames, 8) float array
-        The model's weights of `LOOK_SHAPES`.
+        The model's scores of `LOOK_SHAPES`.
     usable : (frames, 2) bool array
-        Where the right and the left eye are seen open; the angles are interpolated elsewhere.
+        Whether the right and the left eye are seen open; angles are interpolated elsewhere.
     neutral : int
-        Row in which the eyes look straight ahead.
+        Row of the look straight ahead.
     """
     frames = np.arange(len(looks))
     known = usable.sum(axis=1)
@@ -108,5 +106,5 @@ def gaze_angles(looks: FloatArray | Float32Array, usable: BoolArray, neutral: in
         rest = seen & near if (seen & near).any() else seen
         for axis, angle in enumerate((left, up) if seen.any() else ()):
             angles[axis] += np.where(seen, angle - angle[rest].mean(), 0.0)
-    yaw, pitch = (np.interp(frames, at, each[at] / known[at]) for each in angles)
+    yaw, pitch = (np.interp(frames, at, angle[at] / known[at]) for angle in angles)
     return GazeAngles(yaw, pitch)

@@ -1,8 +1,7 @@
 """MediaPipe's face landmark model, run on single pictures.
 
-The model is a file of the user's and is never fetched. Each picture is looked at alone: the
-tracker's own mode for video filters over time, which costs accuracy that smoothing of a whole take
-keeps.
+The user supplies the model file; it is never downloaded. Pictures are detected independently:
+MediaPipe's video mode filters over time, less accurately than smoothing of the whole take.
 """
 
 import contextlib
@@ -13,7 +12,6 @@ import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -29,7 +27,7 @@ MODEL_VARIABLE = "USDFACE_FACE_MODEL"
 KNOWN_MODELS = {
     "64184e229b263107bc2b804c6625db1341ff2bb731874b0bcc2fe6544e0bc9ff": "face_landmarker, float16/1"
 }
-"""SHA-256 of the models that the measured accuracy is of."""
+"""SHA-256 of the models whose accuracy was measured."""
 
 MODEL_ADVICE = (
     "tracking needs MediaPipe's face landmark model, face_landmarker.task (3.8 MB, Apache 2.0, "
@@ -38,7 +36,7 @@ MODEL_ADVICE = (
 )
 
 _PARTS = ("face_detector.tflite", "face_landmarks_detector.tflite", "face_blendshapes.tflite")
-"""What the bundle of this task holds."""
+"""Members of the model bundle."""
 
 _LARGEST_MODEL_BYTES = 256 << 20
 _MOST_FACES = 4
@@ -49,15 +47,15 @@ class FaceFinding:
     """One face in one picture."""
 
     landmarks: FloatArray
-    """(478, 3): x to the right and y down [pixels], z away from the camera in the same unit, from
-    the middle of the head."""
+    """(478, 3): x to the right, y down, z away from the camera and 0 at the centre of the head
+    [pixels]."""
     scores: FloatArray
-    """(scores,): the model's own weights of ARKit's shapes [0-1], in the order of
+    """(scores,): the model's weights of ARKit's shapes [0-1], in the order of
     `FaceLandmarker.score_names`."""
 
 
 def named_model(path: Path | None) -> Path:
-    """Return the model that the user names, or else his environment."""
+    """Return `path`, or else the path in the environment variable."""
     named = path or os.environ.get(MODEL_VARIABLE)
     if not named:
         raise InputError(f"no model is named: {MODEL_ADVICE}")
@@ -65,7 +63,7 @@ def named_model(path: Path | None) -> Path:
 
 
 def check_model(path: Path) -> str:
-    """Check that a file is a face landmark model, whole; return its SHA-256."""
+    """Check that a file is a complete face landmark model; return its SHA-256."""
     if not path.is_file():
         raise InputError(f"{path}: no such file; {MODEL_ADVICE}")
     size = path.stat().st_size
@@ -92,7 +90,7 @@ def check_model(path: Path) -> str:
 
 
 class FaceLandmarker:
-    """The model, loaded; use it in a ``with`` block.
+    """The loaded model, a context manager.
 
     Parameters
     ----------
@@ -102,14 +100,14 @@ class FaceLandmarker:
     Attributes
     ----------
     score_names : tuple of str
-        ARKit's names of the shapes that the model scores; known once a face was found.
+        ARKit's names of the scored shapes; empty until a face has been found.
     """
 
     def __init__(self, model: Path) -> None:
         try:
             import mediapipe
             from mediapipe.tasks.python import BaseOptions, vision
-        except (ImportError, OSError) as error:  # OSError: its own library lacks one of the system
+        except (ImportError, OSError) as error:  # OSError: a system library is missing
             raise InputError(
                 f"tracking needs MediaPipe, which cannot be imported ({error}); install "
                 "usdface[track] (340 MB on disk, Apache 2.0), or ingest the landmarks of another "
@@ -126,7 +124,7 @@ class FaceLandmarker:
         try:
             with _without_library_log():
                 self._landmarker = vision.FaceLandmarker.create_from_options(options)
-                self.find_faces(np.zeros((64, 64, 3), np.uint8))  # the first speaks of its own
+                self.find_faces(np.zeros((64, 64, 3), np.uint8))  # the first call logs
         except (RuntimeError, ValueError) as error:
             raise InputError(
                 f"{model}: MediaPipe {mediapipe.__version__} does not load it ({error}); "
@@ -136,12 +134,7 @@ class FaceLandmarker:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self._landmarker.close()
 
     def find_faces(self, picture: ByteImage) -> list[FaceFinding]:
@@ -171,7 +164,7 @@ class FaceLandmarker:
 
 @contextlib.contextmanager
 def _without_library_log() -> Iterator[None]:
-    """Keep what MediaPipe's library logs, past Python, off the terminal."""
+    """Suppress what MediaPipe's C++ library writes to standard error."""
     before = os.dup(2)
     with tempfile.TemporaryFile() as sink:
         os.dup2(sink.fileno(), 2)

@@ -1,8 +1,7 @@
-"""The landmarks of MediaPipe's face mesh that a take keeps as markers, and what they are called.
+"""Landmarks of MediaPipe's face mesh that are used as markers, with their names.
 
-The mesh numbers 468 points of the face and 10 of the irises. The markers lie on what moves (lips,
-lids, brows, cheeks, jaw) and on what shows the head's pose; the rest lie between them, and the
-model has no detail there.
+The mesh has 468 points of the face and 10 of the irises. The markers are those of moving parts
+(lips, lids, brows, cheeks, jaw) and of the head's pose; the model has no detail between them.
 
 References
 ----------
@@ -19,7 +18,7 @@ import numpy as np
 from usdface.core.arrays import IntArray
 
 LANDMARK_COUNT = 478
-"""Of one face: 468 of the mesh, then 5 of each iris."""
+"""468 of the mesh, then 5 of each iris."""
 
 _MIDDLE = {
     "forehead": (10, 151, 9),
@@ -115,35 +114,35 @@ RIGID_PARTS = (
     *("nose_bridge", "nose_tip", "nose", "eye_inner", "eye_outer", "temple"),
     *("forehead", "forehead_outer"),
 )
-"""Where skin moves over the skull by no more than a millimetre (`label_hints.skin_motion_mm`), so
-that size tells how far away the head is. The noise of the landmarks is as large, and many count
-more than the stillest few."""
+"""Parts where skin moves over the skull by at most a millimetre (`label_hints.skin_motion_mm`), for
+the distance of the head. Landmark noise is as large, so many points are better than the few with
+the least motion."""
 
 
 @dataclass(frozen=True)
 class LandmarkSet:
-    """The landmarks of the mesh that are markers, in the order of a take."""
+    """Landmarks of the mesh that are markers, in the order of a take."""
 
     names: tuple[str, ...]
-    """Part of the face, side, and a number within the part, the same on both sides:
-    ``lip_upper_L4``; without a side in the middle, ``nose_bridge_1``."""
+    """Part of the face, side, and a number within the part, the same on both sides, such as
+    ``lip_upper_L4``; no side in the middle: ``nose_bridge_1``."""
     indices: IntArray
     """(markers,): numbers in the mesh."""
     mirror: IntArray
-    """(markers,): position in this set of the landmark at the same place of the other side."""
+    """(markers,): index in this set of the corresponding landmark on the other side."""
 
     def columns(self, *parts: str) -> IntArray:
-        """Return the positions in this set of the landmarks of some parts, both sides."""
+        """Return the indices in this set of the landmarks of some parts, both sides."""
         part_of = [re.sub(r"_[LR]?\d+$", "", name) for name in self.names]
         return np.array([at for at, part in enumerate(part_of) if part in parts], np.int64)
 
     def column(self, index: int) -> int:
-        """Return the position in this set of a landmark of the mesh."""
+        """Return the index in this set of a landmark of the mesh."""
         return int(np.flatnonzero(self.indices == index)[0])
 
     @property
     def rigid(self) -> tuple[str, ...]:
-        """Names of the markers that stay next to the skull, to about a millimetre."""
+        """Names of the markers that move with the skull, within about a millimetre."""
         return tuple(self.names[column] for column in self.columns(*RIGID_PARTS))
 
 
@@ -179,7 +178,7 @@ _ROWS = (
     (336, 296, 334, 293, 300),
     (285, 295, 282, 283, 276),
 )
-"""Edges of the lips, outer and inner, of the lids and of the brows, as the mesh numbers them."""
+"""Mesh numbers along the outer and inner edges of the lips, the lids and the brows."""
 
 LANDMARK_ROWS = tuple(
     tuple(LANDMARKS.names[LANDMARKS.column(index)] for index in row) for row in _ROWS

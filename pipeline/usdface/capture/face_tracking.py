@@ -1,4 +1,4 @@
-"""One face followed through pictures, chosen where there are several; each is measured twice."""
+"""Tracking of one face through pictures, from detections in each picture and its mirror image."""
 
 from dataclasses import dataclass
 from typing import Literal, Protocol
@@ -13,30 +13,30 @@ from usdface.core.errors import InputError
 FaceChoice = Literal["largest", "left", "right"]
 
 _SAME_FACE = 0.5
-"""Of a face's breadth: two findings whose middles lie further apart are of two faces."""
+"""Distance of two detections [face breadths] above which they are two faces."""
 _BACKGROUND_SHARE = 0.5
-"""Of the breadth of the broadest face: who is twice as far from the camera is not who is filmed,
-and detectors take hair and patterns for small faces."""
+"""Breadth relative to the broadest face below which a detection is ignored: a person at twice the
+distance, or hair and patterns detected as small faces."""
 _LASTING_PICTURES = 12
-"""Half a second of a slow camera: a second face that is gone sooner is hair, or a pattern."""
+"""Half a second at 24 pictures per second: shorter second faces are false detections."""
 _DOUBTED_RATIO = 3.0
-"""Times the median over the take: 1 in 500 differences of two Gaussian measurements in a plane
-(Rayleigh) is larger."""
+"""Difference relative to the median over the take above which confidence falls: exceeded by 1 in
+500 differences of two Gaussian measurements in a plane (Rayleigh)."""
 _USUAL_BREADTHS = 0.01
-"""Of a face's breadth: so far apart both are at most at 95 of 100 landmarks of recorded clips. What
-is more is no measure of what is usual: a hand may be there throughout."""
+"""Upper limit of the median difference [face breadths]: 95 % of the landmarks of recorded clips are
+below. Larger medians come from occlusion throughout the take."""
 _LEAST_CONFIDENCE = 0.1
 _CUT_BREADTHS = 1.0
-"""Of a face's breadth, from one picture to the next: heads move by a tenth."""
+"""Displacement between two pictures [face breadths] that is a cut; heads move by 0.1."""
 _CUT_SHAPE = 0.03
-"""Of a face's breadth, by which landmarks of the skull come to lie otherwise: 0.018 at most in
-1,400 pictures of four heads that turn, 0.039 from one person to another."""
+"""Change of the skull's landmarks between two pictures [face breadths, RMS] that is a cut: at most
+0.018 in 1,400 pictures of four turning heads, 0.039 between two persons."""
 _CUT_LOG_SIZE = float(np.log(1.2))
-"""Of the face's size: 4 % at most in the same pictures."""
+"""Change of log size between two pictures that is a cut; at most 4 % in the same pictures."""
 
 
 class FaceFinder(Protocol):
-    """What finds faces in a picture, as `FaceLandmarker` does."""
+    """A face detector, such as `FaceLandmarker`."""
 
     @property
     def score_names(self) -> tuple[str, ...]:
@@ -48,15 +48,15 @@ class FaceFinder(Protocol):
 
 @dataclass(frozen=True)
 class PictureFaces:
-    """The faces in a picture: of each the landmarks of `LANDMARKS`, in single precision."""
+    """The faces in a picture, with the landmarks of `LANDMARKS` in single precision."""
 
     direct: list[FaceFinding]
     mirrored: list[FaceFinding]
-    """Those in its mirror image, back in the picture's place."""
+    """Detected in the mirror image, mirrored back."""
 
 
 def detect_faces(finder: FaceFinder, picture: ByteImage, *, mirrored: bool) -> PictureFaces:
-    """Return the faces in a picture, and with `mirrored` those in its mirror image."""
+    """Return the faces in a picture, and if `mirrored` those in its mirror image."""
     direct = [_markers(face) for face in finder.find_faces(picture)]
     if not (mirrored and direct):
         return PictureFaces(direct, [])
@@ -69,7 +69,7 @@ def detect_faces(finder: FaceFinder, picture: ByteImage, *, mirrored: bool) -> P
 
 
 def _markers(face: FaceFinding) -> FaceFinding:
-    """Return a face's landmarks that are markers, as precise as they are kept."""
+    """Return a face's landmarks of `LANDMARKS`, rounded to single precision."""
     landmarks, scores = face.landmarks[LANDMARKS.indices], face.scores
     return FaceFinding(
         landmarks.astype(np.float32).astype(np.float64),
@@ -85,22 +85,22 @@ class FaceTrack:
     """(pictures, markers, 3): x to the right, y down, z away from the camera [pixels]; NaN without
     a face."""
     difference: Float32Array
-    """(pictures, markers): between the picture and its mirror image, across the line of sight
-    [pixels]; NaN where the mirror image shows no face."""
+    """(pictures, markers): between picture and mirror image, in the image plane [pixels]; NaN
+    without a face in the mirror image."""
     scores: Float32Array
-    """(pictures, scores): the model's own weights, the mean of those of the picture and of its
-    mirror image; NaN without a face."""
+    """(pictures, scores): the model's weights, mean of picture and mirror image; NaN without a
+    face."""
 
     @property
     def seen(self) -> BoolArray:
-        """(pictures,): where there is a face."""
+        """(pictures,): whether there is a face."""
         return np.isfinite(self.positions[:, 0, 0])
 
     def jumps(self) -> BoolArray:
-        """Return the pictures before which the face changes as none does by itself: (pictures,).
+        """Return the first pictures after a cut: (pictures,) bool.
 
-        It lies elsewhere, has another size, or landmarks of the skull lie otherwise to each other:
-        a cut, perhaps to another person in the same place.
+        A cut changes the position, the size, or the relative positions of the skull's landmarks
+        (another person) by more than motion does.
         """
         rows = np.flatnonzero(self.seen)
         jumps = np.zeros(len(self.positions), bool)
@@ -110,7 +110,7 @@ class FaceTrack:
         step = np.abs(np.diff(at.mean(axis=1)))
         centred = at[:, skull] - at[:, skull].mean(axis=1, keepdims=True)
         before, after = centred[:-1], centred[1:]
-        # The similarity of least squares: one complex number turns and scales.
+        # Least-squares similarity: a complex factor rotates and scales.
         similarity = (before.conj() * after).sum(axis=1) / (np.abs(before) ** 2).sum(axis=1)
         away = np.abs(after - similarity[:, None] * before)
         shape = np.sqrt((away**2).mean(axis=1)) / breadth
@@ -120,7 +120,7 @@ class FaceTrack:
         return jumps
 
     def mirror_difference(self) -> float:
-        """Return the median of `difference`, in breadths of the face; 0 where nothing is found."""
+        """Return the median of `difference` [face breadths]; 0 without detections."""
         found = self.difference[np.isfinite(self.difference)]
         return float(np.median(found)) / self._breadth() if len(found) else 0.0
 
@@ -129,10 +129,10 @@ class FaceTrack:
         return float(np.median(np.ptp(self.positions[self.seen, :, 0], axis=1)))
 
     def confidence(self) -> Float32Array:
-        """Return how far each sample can be trusted: (pictures, markers) [0-1].
+        """Return the confidence of each sample: (pictures, markers) [0-1].
 
-        1 where the two measurements differ as they usually do at this landmark, falling with the
-        square of the difference beyond: a hand before the mouth, hair, a blurred picture.
+        ``min(1, (3 m / d)**2)`` for a difference d whose median over the take is m: lower where a
+        hand or hair covers the face and in blurred pictures.
         """
         difference = self.difference.astype(np.float64)
         found = np.isfinite(difference).all(axis=1)
@@ -150,16 +150,16 @@ class FaceTrack:
 
 
 class FaceFollower:
-    """Measures one face in picture after picture.
+    """Follows one face from picture to picture.
 
     Parameters
     ----------
     choice : FaceChoice or None
-        Which face to begin with where there are several, left and right in the picture; None
-        refuses them.
+        Face to start with if there are several; left and right of the picture. None refuses
+        several.
     mirrored : bool
-        Whether each picture is looked at a second time in the mirror: the mean of both has less
-        noise, and what differs is doubtful.
+        Whether mirror images are detected too: their mean with the picture has less noise, their
+        difference gives the confidence.
     """
 
     def __init__(self, choice: FaceChoice | None, *, mirrored: bool) -> None:
@@ -167,17 +167,17 @@ class FaceFollower:
         self._mirrored = mirrored
         self._last: FloatArray | None = None
         self._others: list[FloatArray] = []
-        """Other faces, where each was last seen."""
+        """Last positions of the other faces."""
         self._crowded_pictures = 0
         self._rows: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray | None]] = []
 
     def look(self, found: PictureFaces, *, where: str) -> bool:
-        """Measure the face in the next picture; return whether there is one.
+        """Add the face of the next picture; return whether there is one.
 
         Raises
         ------
         InputError
-            If there are several faces, at first or for half a second, and none was chosen.
+            If no face was chosen and there are several, at the start or for half a second.
         """
         faces = _distinct(found.direct)
         marker_count = len(LANDMARKS.names)
@@ -212,12 +212,12 @@ class FaceFollower:
         return True
 
     def track(self, score_names: tuple[str, ...]) -> FaceTrack:
-        """Return what was measured so far.
+        """Return the pictures so far.
 
         Parameters
         ----------
         score_names : tuple of str
-            As of `FaceFinder`: a mirror image is scored with left and right exchanged.
+            Of the `FaceFinder`; scores of mirror images have left and right exchanged.
         """
         other = [score_names.index(_other_side(name)) for name in score_names]
         scores = [
@@ -232,7 +232,7 @@ class FaceFollower:
         )
 
     def _pick(self, faces: list[FaceFinding]) -> FaceFinding | None:
-        """Return the face that is followed; None where only others are found."""
+        """Return the tracked face; None if only others are detected."""
         if not faces:
             return None
         if self._last is not None:
@@ -257,7 +257,7 @@ def _other_side(name: str) -> str:
 
 
 def _distinct(faces: list[FaceFinding]) -> list[FaceFinding]:
-    """Leave out small findings, and those that lie on another: the detector finds some twice."""
+    """Remove small detections and duplicates."""
     distinct: list[FaceFinding] = []
     least = _BACKGROUND_SHARE * max((_breadth(face.landmarks) for face in faces), default=0.0)
     for face in faces:
@@ -274,7 +274,7 @@ def _breadth(landmarks: FloatArray) -> float:
 
 
 def _distance(one: FloatArray, other: FloatArray | None) -> float:
-    """Return how far apart two faces lie in the picture [pixels]."""
+    """Return the distance between the centres of two faces [pixels]."""
     if other is None:
         return 0.0
     return float(np.linalg.norm(one[:, :2].mean(axis=0) - other[:, :2].mean(axis=0)))

@@ -1,8 +1,8 @@
-"""Text as the iFacialMocap app streams it, saved: weights, head and eye rotations.
+"""Saved streams of the iFacialMocap app: weights, head and eye rotations.
 
 A frame is ``name-value|…|=head#six numbers|rightEye#three|leftEye#three|``, weights from 0 to 100,
-angles in degrees; a line break or ``___iFacialMocap`` ends it. The second version of the protocol
-writes ``&`` for ``-``. Nothing says when a frame was taken: the app sends 60 a second.
+angles in degrees; a line break or ``___iFacialMocap`` ends it. Version 2 of the protocol writes
+``&`` for ``-``. Frames have no times: the app sends 60 per second.
 """
 
 import re
@@ -30,7 +30,7 @@ _ROTATIONS = {part: [f"{part}Rotation{axis}" for axis in "XYZ"] for part in _PAR
 
 
 def is_ifacialmocap(head: bytes) -> bool:
-    """Tell a saved iFacialMocap stream by its first bytes."""
+    """Return whether a file is a saved iFacialMocap stream, from its first bytes."""
     lines = head_lines(head, 1)
     return bool(lines) and _START.match(lines[0]) is not None and "=head#" in lines[0]
 

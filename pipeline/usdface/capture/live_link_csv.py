@@ -1,8 +1,8 @@
-"""CSV as Epic's Live Link Face app records it: weights, head and eye rotations.
+"""CSV files of Epic's Live Link Face app: weights, head and eye rotations.
 
-One header line, then a timecode ``HH:MM:SS:FF.fff`` per row. The timecode counts at a base of its
-own, often twice the rate at which rows come: the rate is told from the steps between rows. A row
-without values (a count of 0) is a frame in which the app saw no face.
+One header line, then a timecode ``HH:MM:SS:FF.fff`` per row. The timecode base is often twice the
+rate of the rows, so the rate is taken from the steps between rows. A row without values (a count of
+0) is a frame without a face.
 """
 
 import re
@@ -33,18 +33,18 @@ _TITLES = ("timecode", "blendshapecount")
 _BASES = (24, 25, 30, 48, 50, 60, 100, 120)
 _DAY_SECONDS = 24 * 60 * 60
 _TWO_RATES_SHARE = 0.2
-"""So many rows at half or twice the usual step are not dropped frames: the device changed speed."""
+"""Share of rows at half or twice the median step above which the device has changed its rate."""
 _ROTATIONS = ("Yaw", "Pitch", "Roll")
 
 
 @dataclass(frozen=True)
 class _Rows:
-    """What the rows hold, before they are placed in time."""
+    """Content of the rows."""
 
     whole: list[int]
-    """Seconds of each timecode since midnight."""
+    """Timecode: seconds since midnight."""
     parts: list[float]
-    """Frames of each timecode within its second."""
+    """Timecode: frames within the second."""
     values: list[list[float]]
     lines: list[int]
     lost: int
@@ -54,14 +54,14 @@ class _Rows:
 
 
 def is_live_link_csv(head: bytes) -> bool:
-    """Tell a Live Link Face recording by its first bytes."""
+    """Return whether a file is a Live Link Face recording, from its first bytes."""
     lines = head_lines(head, 1)
     titles = re.split(r"[,;\t]", lines[0].lower()) if lines else []
     return tuple(title.strip('" ') for title in titles[:2]) == _TITLES
 
 
 def read_live_link_csv(path: Path, options: CaptureOptions) -> Capture:
-    """Read weights and rotations as channels, by the names in the header."""
+    """Read weights and rotations as channels, named by the header."""
     lines = read_lines(path)
     header, delimiter, titles = read_header(lines)
     if tuple(title.lower() for title in titles[:2]) != _TITLES or len(titles) < 3:
@@ -100,7 +100,7 @@ def read_live_link_csv(path: Path, options: CaptureOptions) -> Capture:
 
 def _read_rows(path: Path, lines: Iterator[TableLine], titles: list[str], delimiter: str) -> _Rows:
     rows = _Rows([], [], [], [], 0, 0)
-    before = lost = latest = 0  # rows without a face: before the first with one, since, lately
+    before = lost = latest = 0  # rows without a face: at the start, in between, since the last
     for line in lines:
         cells = split_cells(line, delimiter)
         if not any(cells):
@@ -139,7 +139,7 @@ def _read_timecode(cell: str, line: TableLine) -> tuple[int, float]:
 
 
 def _settle_base(rows: _Rows, notes: list[str], where: str) -> int:
-    """Return how many frames a second of the timecode has: where it turns to 0 tells."""
+    """Return the frames per second of the timecode, from where it wraps to 0."""
     whole, parts = np.array(rows.whole), np.array(rows.parts)
     turns = np.diff(whole) == 1
     within = np.diff(parts)[np.diff(whole) == 0]
@@ -160,7 +160,7 @@ def _settle_base(rows: _Rows, notes: list[str], where: str) -> int:
 
 
 def _unwrap(rows: _Rows, base: int) -> FloatArray:
-    """Return seconds since the first midnight, through later ones."""
+    """Return seconds since the first midnight, continuous across later ones."""
     seconds: FloatArray = np.array(rows.whole) + np.array(rows.parts) / base
     midnights = np.diff(seconds) < -_DAY_SECONDS / 2
     seconds[1:] += _DAY_SECONDS * np.cumsum(midnights)
@@ -184,7 +184,7 @@ def _check_one_rate(seconds: FloatArray, rows: _Rows, where: str) -> None:
 
 def _start(seconds: float, times: SampleTimes, notes: list[str]) -> str:
     """Return the SMPTE label of the first row, at the rate of the rows."""
-    # Timecodes carry three decimals: a hair below a frame is that frame.
+    # Timecodes have three decimals: rounding may put a frame just below.
     frames = int(seconds * float(times.rate) + 1e-3)
     try:
         return timecode_of(frames, times.rate)

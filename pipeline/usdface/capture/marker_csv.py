@@ -1,4 +1,4 @@
-"""A plain table of markers: frame numbers, times or both, then NAME.x, NAME.y, NAME.z."""
+"""Tables of markers: frame numbers, times or both, then NAME.x, NAME.y, NAME.z."""
 
 import re
 from fractions import Fraction
@@ -40,7 +40,7 @@ _X = re.compile(r"(.+)[._: ]x", re.IGNORECASE)
 
 
 def is_marker_csv(head: bytes) -> bool:
-    """Tell a table of markers by its first bytes, whatever its column of frames is called."""
+    """Return whether a file is a table of markers, from its first bytes."""
     lines = head_lines(head, 1)
     if not lines:
         return False
@@ -87,13 +87,7 @@ def read_marker_csv(path: Path, options: CaptureOptions) -> Capture:
         up_note="the table does not say which axis is up; Y assumed",
     )
     return build_table_take(
-        CaptureHeader(
-            path,
-            "marker-csv",
-            rate,
-            first_frame,
-            notes=notes,
-        ),
+        CaptureHeader(path, "marker-csv", rate, first_frame, notes=notes),
         MarkerTable(
             list(triples), list(triples.values()), table.values, frames, to_mm, where=header.where
         ),
@@ -106,8 +100,7 @@ def _frames(
 ) -> tuple[int, IntArray, Fraction]:
     """Return the first frame number, the frame of each row from 0, and the frames per second.
 
-    Where the rate is stated, times are not needed; where frames are not numbered, times number
-    them.
+    A stated rate makes times unnecessary; without frame numbers, times determine them.
     """
     seconds, where = index_seconds(at, table.values), str(path)
     stated = None if options.rate is None else exact_rate(options.rate, where="--rate")

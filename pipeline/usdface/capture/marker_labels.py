@@ -1,4 +1,4 @@
-"""Marker labels as capture systems write them, reduced to the names a take keeps."""
+"""From marker labels of capture systems to the unique marker names of a take."""
 
 import difflib
 import re
@@ -15,23 +15,23 @@ _SUGGESTION_COUNT = 5
 
 @dataclass(frozen=True)
 class MarkerLabels:
-    """Which columns of a capture are markers."""
+    """The labelled columns of a capture."""
 
     names: tuple[str, ...]
-    """Unique, subject prefixes taken off."""
+    """Unique, without subject prefixes."""
     columns: tuple[int, ...]
     """Column of each name."""
     dropped: tuple[str, ...]
-    """Labels of points that no one has labelled."""
+    """Generated labels of unlabelled points."""
     subjects: tuple[str, ...]
-    """Prefixes that were taken off."""
+    """Prefixes that were removed."""
     empty: tuple[str, ...]
-    """Names given to markers whose label is empty: `marker_` and the column, from 1."""
+    """Names given to markers with an empty label: `marker_` and the column, from 1."""
     numbered: tuple[str, ...]
-    """Names given to markers whose label stands more than once: numbered in the file's order."""
+    """Names given to markers with a repeated label: numbered in the file's order."""
 
     def notes(self) -> list[str]:
-        """Say what was left out, taken off and named anew, if anything."""
+        """Return notes on columns left out and names changed, if any."""
         found = []
         if self.dropped:
             found.append(
@@ -53,12 +53,12 @@ class MarkerLabels:
 
 
 def settle_labels(labels: Sequence[str], *, where: str) -> MarkerLabels:
-    """Take subject prefixes off, leave unlabelled points out, and make every name unique.
+    """Remove subject prefixes and unlabelled points, and make every name unique.
 
     Raises
     ------
     InputError
-        If two subjects have a marker of the same name, or if no label is left.
+        If two subjects have a marker of the same name, or if no point is labelled.
     """
     found: list[tuple[str, int]] = []
     dropped: list[str] = []
@@ -109,7 +109,7 @@ def settle_labels(labels: Sequence[str], *, where: str) -> MarkerLabels:
 
 
 def _unused(name: str, used: set[str]) -> str:
-    """Return a name that ends in a number, counted on until it is unused; it is used then."""
+    """Increase the number at the end of `name` until it is unused; add the result to `used`."""
     stem, _, number = name.rpartition("_")
     count = int(number)
     while f"{stem}_{count}" in used:
@@ -118,17 +118,15 @@ def _unused(name: str, used: set[str]) -> str:
     return f"{stem}_{count}"
 
 
-def match_labels(
-    wanted: Sequence[str], names: Sequence[str], *, where: str, role: str
-) -> tuple[str, ...]:
-    """Return `wanted` as the take names them, with or without the subject's prefix."""
+def match_labels(wanted: Sequence[str], names: Sequence[str], *, where: str) -> tuple[str, ...]:
+    """Return the take's names of `wanted`, which may have a subject's prefix."""
     known = set(names)
     found = tuple(name if name in known else name.rpartition(":")[2] for name in wanted)
     missing = [name for name in found if name not in known]
     if missing:
         near = difflib.get_close_matches(missing[0], names, n=_SUGGESTION_COUNT) or list(names)
         raise InputError(
-            f"{where}: {role} {first_few(missing)} not among the {len(names)} markers; "
+            f"{where}: rigid marker {first_few(missing)} not among the {len(names)} markers; "
             f"did you mean {first_few(near)}?"
         )
     return tuple(dict.fromkeys(found))

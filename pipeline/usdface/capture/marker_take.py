@@ -1,4 +1,4 @@
-"""Markers as a reader found them, made into a take: nothing missing, nothing silent."""
+"""From the marker samples of a file to a take; what was dropped or assumed is reported."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,51 +16,51 @@ from usdface.core.rates import exact_rate
 from usdface.core.text import first_few, pluralize
 
 FARTHEST_MM = 1e5
-"""No capture volume is larger than 100 m: a sample beyond is damage, and is not seen."""
+"""Distance from the origin beyond which a sample is damaged: capture volumes are below 100 m."""
 
 _CHUNK_ROWS = 8192
 
 
 @dataclass(frozen=True)
 class CaptureOptions:
-    """What the user says about a capture, where the file is silent or wrong."""
+    """The user's statements about a capture; each overrides the file."""
 
     units: str | None = None
-    """Overrules the file: ``'mm'``, ``'cm'``, ``'m'``, ``'in'``, …"""
+    """``'mm'``, ``'cm'``, ``'m'``, ``'in'``, …"""
     scale: float | None = None
-    """Factor on lengths, beyond the units."""
+    """Factor on lengths, in addition to the units."""
     up: str | None = None
-    """Overrules the file: ``'y'``, ``'z'``, ``'-x'``, …"""
+    """``'y'``, ``'z'``, ``'-x'``, …"""
     rate: float | None = None
-    """Frames per second; overrules the file."""
+    """Frames per second."""
     rigid: tuple[str, ...] = ()
-    """Names of the markers that move with the skull alone."""
+    """Names of the markers that move with the skull only."""
     neutral: int | None = None
     """Frame number of the neutral face."""
     weight_unit: str | None = None
-    """Of weights: ``'one'`` or ``'percent'``."""
+    """Unit of weights: ``'one'`` or ``'percent'``."""
     shapes: Path | None = None
     """File with the names of a matrix's columns."""
     take: str | None = None
-    """Which take of a table that holds several."""
+    """Name of the take to read from a table of several."""
 
 
 @dataclass(frozen=True)
 class Capture:
-    """A capture file, read."""
+    """The content of a capture file."""
 
     take: Take
     format: str
     """Key of the reader, such as ``'c3d'``."""
     notes: tuple[str, ...] = ()
-    """What was dropped, repaired or assumed, one sentence each."""
+    """Samples dropped, repairs and assumptions, one sentence each."""
     axes: FloatArray | None = None
-    """(3, 3): rotation that brought the file's axes to Y up, if markers had to be turned."""
+    """(3, 3): rotation from the file's axes to Y up; None without markers."""
 
 
 @dataclass(frozen=True)
 class CaptureHeader:
-    """What a reader knows of a capture beside its samples."""
+    """Data of a capture other than its samples."""
 
     path: Path
     """The capture; its stem names the take."""
@@ -71,29 +71,29 @@ class CaptureHeader:
     first_frame: int
     """Frame number of the first sample."""
     timecode_start: str = ""
-    """SMPTE timecode of the first frame, empty when unknown."""
+    """SMPTE timecode of the first frame, empty if unknown."""
     notes: Sequence[str] = ()
-    """What the reader has noted so far."""
+    """The reader's notes so far."""
     to_mm: FloatArray | None = None
-    """(3, 3): what brought the file's units and axes to mm, Y up."""
+    """(3, 3): from the file's units and axes to mm, Y up; already applied."""
 
 
 @dataclass(frozen=True)
 class MarkerTable:
-    """Markers that stand in columns X, Y, Z of a table."""
+    """Markers in columns X, Y, Z of a table."""
 
     labels: Sequence[str]
-    """As written, subject prefixes included."""
+    """As in the file, with subject prefixes."""
     columns: Sequence[int]
     """Column of each label's X; Y and Z follow."""
     values: FloatArray
-    """(rows, columns): NaN where a marker was not seen."""
+    """(rows, columns): NaN where a marker is occluded."""
     frames: IntArray
     """(rows,): frame of each row from 0, ascending."""
     to_mm: FloatArray
-    """(3, 3): brings the table's units and axes to mm, Y up."""
+    """(3, 3): from the table's units and axes to mm, Y up."""
     where: str
-    """File and place of the labels, for messages."""
+    """File and line of the labels, for messages."""
 
 
 def build_marker_take(
@@ -103,15 +103,15 @@ def build_marker_take(
     visible: BoolArray,
     options: CaptureOptions,
 ) -> Capture:
-    """Make a take of markers that are already in mm with Y up.
+    """Return a take of markers in mm with Y up.
 
     Parameters
     ----------
     positions : (frames, markers, 3) float32 array
-        [mm]; changed in place. Anything where not visible.
+        [mm]; changed in place. Arbitrary where not visible.
     visible : (frames, markers) bool array
-        Changed in place: samples that are not finite, alike on all axes or beyond `FARTHEST_MM` are
-        not seen whatever the file says.
+        Changed in place: samples that are not finite, have three equal coordinates or are beyond
+        `FARTHEST_MM` become invisible.
     """
     path, first_frame = header.path, header.first_frame
     found = [*header.notes]
@@ -134,7 +134,7 @@ def build_marker_take(
         positions=positions,
         visible=visible,
         confidence=_confidence(visible),
-        rigid=match_labels(options.rigid, names, where=str(path), role="rigid marker"),
+        rigid=match_labels(options.rigid, names, where=str(path)),
         neutral_frame=neutral_frame,
     )
     take = Take(
@@ -151,7 +151,7 @@ def build_marker_take(
 
 
 def _settle_rate(header: CaptureHeader, options: CaptureOptions, notes: list[str]) -> Fraction:
-    """Return the rate that the user states, or else the file."""
+    """Return the rate stated by the user, or else by the file."""
     if options.rate is None:
         return header.rate
     stated = exact_rate(options.rate, where="--rate")
@@ -164,14 +164,14 @@ def _settle_rate(header: CaptureHeader, options: CaptureOptions, notes: list[str
 
 
 def _confidence(visible: BoolArray) -> Float32Array:
-    """Return 1 where seen, 0 elsewhere; without memory of its own where all is seen."""
+    """Return 1 where visible, else 0; a broadcast view if all are visible."""
     if visible.all():
         return np.broadcast_to(np.float32(1), visible.shape)
     return visible.astype(np.float32)
 
 
 def _hide_impossible(positions: Float32Array, visible: BoolArray) -> list[str]:
-    """Mark samples no camera can have seen as unseen, and say how many there were."""
+    """Mark impossible samples as invisible; return notes with their numbers."""
     counts = np.zeros(3, np.int64)
     for start in range(0, len(positions), _CHUNK_ROWS):  # temporaries stay small on long takes
         rows = slice(start, start + _CHUNK_ROWS)
@@ -180,7 +180,7 @@ def _hide_impossible(positions: Float32Array, visible: BoolArray) -> list[str]:
         with np.errstate(invalid="ignore"):
             reach = np.maximum(np.maximum(size[..., 0], size[..., 1]), size[..., 2])
             broken = seen & ~np.isfinite(reach)
-            # 0, 0, 0 or -9999.99 three times, as programs write what they did not see
+            # programs write 0, 0, 0 or -9999.99 three times for an occluded marker
             alike = seen & (size[..., 0] == size[..., 1]) & (size[..., 1] == size[..., 2])
             far = seen & ~broken & ~alike & (reach > FARTHEST_MM)
         counts += [broken.sum(), alike.sum(), far.sum()]
@@ -202,7 +202,7 @@ def _settle_neutral(
 ) -> int:
     last_frame = first_frame + len(visible) - 1
     if neutral is None:
-        neutral = first_frame + int(np.argmax(visible.sum(axis=1)))  # the first with the most seen
+        neutral = first_frame + int(np.argmax(visible.sum(axis=1)))
         notes.append(
             f"no neutral frame named; frame {neutral}, the first with the most markers seen, used"
         )
@@ -215,9 +215,9 @@ def _settle_neutral(
 
 
 def build_table_take(header: CaptureHeader, table: MarkerTable, options: CaptureOptions) -> Capture:
-    """Make a take of the markers of a table.
+    """Return a take of the markers of a table.
 
-    Frames without a row are gaps of every marker, and are reported.
+    Frames without a row are gaps of all markers, and are reported.
     """
     labels = settle_labels(table.labels, where=table.where)
     notes = [*header.notes, *labels.notes()]
@@ -250,20 +250,20 @@ def settle_space(
     field: str,
     up_note: str = "",
 ) -> FloatArray:
-    """Return the matrix to mm with Y up, from what the file states, assumes or the user says.
+    """Return the matrix from the file's units and axes to mm with Y up.
 
     Parameters
     ----------
     stated_units : str
-        Empty where the file does not say; then mm.
+        Units in the file; empty if not stated, then mm.
     assumed_up : {'y', 'z'}
         The format's convention.
     notes : list of str
-        Added to.
+        Assumptions are appended.
     where, field : str
-        File, and what its units are called there, for notes and messages.
+        File, and the name of its units there, for notes and messages.
     up_note : str
-        Added to `notes` when the convention decides; nothing when empty.
+        Note if the convention decides; none if empty.
     """
     scale = settle_units(stated_units, options, notes, where=where, field=field)
     if options.up is None and up_note:
@@ -275,7 +275,7 @@ def settle_space(
 def settle_units(
     stated: str, options: CaptureOptions, notes: list[str], *, where: str, field: str
 ) -> float:
-    """Return millimetres per unit, from what the file states or the user says, and his factor."""
+    """Return millimetres per unit of the file, times the user's factor."""
     scale = 1.0 if options.scale is None else options.scale
     if options.units is not None:
         if stated and stated.lower() != options.units.lower():

@@ -1,8 +1,8 @@
-"""CSV as OptiTrack Motive exports it: markers.
+"""CSV files exported by OptiTrack Motive: markers.
 
-The first line holds keys and values. Header rows follow, which ones depends on the version: kinds
-(``Marker``, ``Rigid Body``, …), names, identifiers, parents, ``Position`` or ``Rotation``; the last
-begins with ``Frame`` and holds the axes. An empty cell is a marker that was not seen.
+The first line holds keys and values. The header rows depend on the version: kinds (``Marker``,
+``Rigid Body``, …), names, identifiers, parents, ``Position`` or ``Rotation``; the last begins with
+``Frame`` and holds the axes. An empty cell is an occluded marker.
 """
 
 import re
@@ -44,14 +44,14 @@ _TIMECODE = re.compile(r"(\d\d:\d\d:\d\d[:;]\d\d)(?:\.(\d+))?")
 
 
 def is_motive_csv(head: bytes) -> bool:
-    """Tell a Motive export by its first bytes."""
+    """Return whether a file is a Motive export, from its first bytes."""
     lines = head_lines(head, 1)
     return bool(lines) and lines[0].lstrip('"').startswith("Format Version")
 
 
 @dataclass(frozen=True)
 class _Header:
-    """What the header rows say of each column; all of one length."""
+    """The header rows, padded to one length."""
 
     first_line: TableLine
     stated: dict[str, str]
@@ -67,8 +67,7 @@ class _Header:
 def read_motive_csv(path: Path, options: CaptureOptions) -> Capture:
     """Read the measured markers of a Motive export.
 
-    Rigid bodies, bones and the markers solved from them are left out: those are where the solver
-    expects a marker, not where one was seen.
+    Rigid bodies, bones and the markers solved from them are left out: they are not measurements.
     """
     lines = read_lines(path)
     header = _read_header(lines)
@@ -134,7 +133,7 @@ def read_motive_csv(path: Path, options: CaptureOptions) -> Capture:
 def _read_header(lines: Iterator[TableLine]) -> _Header:
     first = next(lines)
     delimiter = sniff_delimiter(first.text) or ","
-    # Keys are looked for, as a take's name may hold commas.
+    # A take's name may contain commas, so that keys are searched for.
     stated = {
         key: value for key, value in pairwise(split_cells(first, delimiter)) if key in _STATED
     }
@@ -191,13 +190,13 @@ def _holds(cells: list[str], *wanted: str) -> bool:
 
 
 def _rate(stated: dict[str, str], line: TableLine) -> Fraction | None:
-    """Return the rate that rows were exported at; else the capture's."""
+    """Return the rate of the exported rows, or else of the capture."""
     key = next((key for key in _RATES if stated.get(key)), None)
     return None if key is None else read_rate(stated[key], line, key)
 
 
 def _timecode(stamp: str, rate: Fraction, notes: list[str]) -> str:
-    """Return the SMPTE label of the first frame; nothing, with a note, where it is none."""
+    """Return the SMPTE timecode of the first frame; empty, with a note, if it is invalid."""
     match = _TIMECODE.fullmatch(stamp)
     if match is not None:
         try:

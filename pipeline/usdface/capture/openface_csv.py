@@ -1,7 +1,7 @@
-"""CSV as OpenFace's FeatureExtraction writes it: 3-D landmarks and action units from video.
+"""CSV files of OpenFace's FeatureExtraction: 3-D landmarks and action units from video.
 
-Landmarks ``X_0``, ``Y_0``, ``Z_0``, … are in millimetres from the camera, Y down and Z away from
-it; action unit intensities ``AU01_r``, … run from 0 to 5. Rows without success hold no face.
+Landmarks ``X_0``, ``Y_0``, ``Z_0``, … are in millimetres from the camera, Y down, Z away from it;
+intensities of action units ``AU01_r``, … are 0 to 5. Rows with success 0 hold no face.
 """
 
 import re
@@ -43,7 +43,7 @@ _TO_Y_UP = np.diag([1.0, -1.0, -1.0])
 
 
 def is_openface_csv(head: bytes) -> bool:
-    """Tell an OpenFace table by its first bytes."""
+    """Return whether a file is an OpenFace table, from its first bytes."""
     lines = head_lines(head, 1)
     titles = {title.strip('" ') for title in re.split(r"[,;\t]", lines[0])} if lines else set()
     return titles.issuperset(_NEEDED)
@@ -51,7 +51,7 @@ def is_openface_csv(head: bytes) -> bool:
 
 @dataclass(frozen=True)
 class _Columns:
-    """Where each title stands, the landmarks' numbers and the action units' names."""
+    """Columns by title, numbers of the landmarks, and names of the action units."""
 
     titles: list[str]
     at: dict[str, int]
@@ -60,7 +60,7 @@ class _Columns:
 
     @property
     def others(self) -> int:
-        """How many columns are left out."""
+        """Number of columns that are not read."""
         used = len(_NEEDED) + 3 * len(self.landmarks) + len(self.units) + ("face_id" in self.at)
         return len(self.titles) - used
 
@@ -146,7 +146,7 @@ def _rows_with_face(success: FloatArray, path: Path, notes: list[str]) -> BoolAr
 
 
 def _one_face(table: NumberTable, face_column: int | None, notes: list[str]) -> NumberTable:
-    """Keep the face that is seen in most rows."""
+    """Return the rows of the face with the most rows."""
     if face_column is None:
         return table
     faces = table.values[:, face_column]
@@ -169,7 +169,7 @@ def _read_units(
     *,
     path: Path,
 ) -> WeightsClip:
-    """Return intensities as weights, as long as the markers; without a face, interpolated."""
+    """Return intensities as weights for all frames, interpolated where there is no face."""
     at = [columns.at[f"{unit}_r"] for unit in columns.units]
     values = table.values[:, at][seen] / _HIGHEST_INTENSITY
     finite = np.isfinite(values)
@@ -186,7 +186,7 @@ def _read_units(
 
 
 def _add(capture: Capture, source: WeightsClip | None, confidence: FloatArray) -> Capture:
-    """Put weights and the tracker's confidence into a take of markers."""
+    """Add weights and the tracker's confidence to a take of markers."""
     take = capture.take
     if take.markers is not None:
         seen = take.markers.confidence * np.clip(confidence, 0, 1)[:, None]

@@ -1,4 +1,4 @@
-"""When samples were taken: the rate behind written times, and the frame each sample belongs to."""
+"""Sample times: the frame rate behind times in a file, and the frame of each sample."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,51 +17,51 @@ _INDEX_TITLES = {
     "take": ("take", "take_name", "clip"),
     "timecode": ("timecode", "tc"),
 }
-"""What tables call the columns that say which sample a row is."""
+"""Titles of columns that index the rows of a table, by kind."""
 DEVICE_RATES = (15, 20, 24, 25, 30, 48, 50, 60, 90, 100, 120, 240)
-"""What cameras and phones are set to; their clocks are close to it, never exact."""
+"""Nominal rates of cameras and phones [Hz]."""
 _CLOCK_ERROR = 0.005
-"""Relative; phones measured are within 0.001."""
+"""Largest relative deviation from a nominal rate; measured phones are within 0.001."""
 _NTSC_CLOCK_ERROR = 5e-5
-"""The same, to take 59.94 for what a clock kept in step with video says; 60 is 1e-3 off."""
+"""Largest relative deviation from 59.94 and alike, of clocks locked to video; 60 is 1e-3 off."""
 
 _UNEVEN_FRAMES = 0.3
-"""[frames] A step this far from a whole number of frames is not even."""
+"""Deviation of a step from a whole number of frames that counts as uneven [frames]."""
 _UNEVEN_SHARE = 0.02
 _LONGEST_SECONDS = 1e10
 """Times may count from 1970."""
 _LOWEST_RATE = 1.0
-"""[Hz] No face is captured slower; times in milliseconds look like that."""
+"""Lowest rate of a capture [Hz]; below it, times are in milliseconds."""
 _LARGEST_RATIO = 10
-"""Frames a take may have for each sample in it: with more missing, frame numbers are damaged."""
+"""Frames per sample above which frame numbers count as damaged."""
 
 
 @dataclass(frozen=True)
 class SampleTimes:
-    """Samples on a clock of even frames."""
+    """Positions of samples on a clock of even frames."""
 
     rate: Fraction
     """Frames per second."""
     frames: FloatArray
-    """(samples,): where each sample lies, in frames from the first; whole numbers where `even`."""
+    """(samples,): frames since the first sample; whole numbers if `even`."""
     even: bool
-    """Whether samples came at whole frames, some perhaps missing."""
+    """Whether samples are at whole frames, perhaps with some missing."""
     clock_error: float = 0.0
-    """How much faster than `rate` samples came by their own clock, relative; 0 unless `even`."""
+    """Relative excess of the measured rate over `rate`; 0 unless `even`."""
 
 
 def settle_device_times(seconds: FloatArray, lines: IntArray, *, where: str) -> SampleTimes:
-    """Find the frame rate a device ran at and the frame of each of its samples.
+    """Return the nominal frame rate of a device and the frame of each of its samples.
 
-    Frames are counted from one sample to the next, so a device whose clock is a little off keeps
-    one sample per frame however long the take. Samples that come unevenly stay at their times.
+    Frames are counted from sample to sample, so that clock drift does not accumulate over a long
+    take. Unevenly spaced samples keep their times.
 
     Parameters
     ----------
     seconds : (samples,) float64 array
         [s]
     lines : (samples,) int array
-        Where each is in its file, for messages.
+        Line of each sample in its file, for messages.
     """
     check_ascending(seconds, lines, where=where)
     if len(seconds) < 2:
@@ -70,7 +70,7 @@ def settle_device_times(seconds: FloatArray, lines: IntArray, *, where: str) -> 
     step = float(np.median(steps))
     counts = np.rint(steps / step)
     if counts.min() >= 1:
-        step = float(steps.sum() / counts.sum())  # times are rounded: many tell the step better
+        step = float(steps.sum() / counts.sum())  # the mean is less affected by rounding of times
         counts = np.rint(steps / step)
     even = (
         counts.min() >= 1
@@ -112,7 +112,7 @@ def settle_frame_numbers(
 
 
 def rate_of_times(seconds: FloatArray, frames: IntArray, *, where: str) -> Fraction:
-    """Return the simplest rate that rounded times of numbered frames allow."""
+    """Return the simplest rate consistent with rounded times of numbered frames."""
     low, measured, high = _rate_limits(seconds, frames, where=where)
     if high < _LOWEST_RATE:
         raise InputError(
@@ -135,18 +135,13 @@ def check_rate(
     *,
     where: str,
 ) -> None:
-    """Refuse a file whose header and times tell two frame rates.
+    """Refuse a header and times whose frame rates differ by more than rounding and one per cent.
 
     Parameters
     ----------
     seconds : (rows,) float64 array
         [s]
     frames : (rows,) int array
-
-    Raises
-    ------
-    InputError
-        If they differ by more than rounding and one per cent.
     """
     if np.isnan(seconds).all() or (seconds == seconds[0]).all():  # without times, or one frame
         return
@@ -170,7 +165,7 @@ def check_ascending(values: FloatArray, lines: IntArray, *, where: str) -> None:
 
 
 def check_span(frames: FloatArray, lines: IntArray, *, where: str) -> None:
-    """Refuse samples so far apart that most of a take would be missing."""
+    """Refuse samples so sparse that most frames of the take would be missing."""
     if frames[-1] > _LARGEST_RATIO * (len(frames) + 100):
         row = int(np.argmax(np.diff(frames))) + 1
         raise InputError(
@@ -182,7 +177,7 @@ def check_span(frames: FloatArray, lines: IntArray, *, where: str) -> None:
 def _rate_limits(
     seconds: FloatArray, frames: IntArray, *, where: str
 ) -> tuple[float, float, float]:
-    """Return the lowest, the measured and the highest rate that such rounded times can mean."""
+    """Return the lowest, the measured and the highest rate consistent with rounded times."""
     usable = len(seconds) > 1 and bool((np.abs(seconds) < _LONGEST_SECONDS).all())  # and not NaN
     span = float(seconds[-1] - seconds[0]) if usable else 0.0
     if span <= 0:
@@ -204,14 +199,14 @@ def _rate_limits(
 
 
 def picture_frames(times: FloatArray, rate: Fraction | None) -> tuple[Fraction, FloatArray]:
-    """Return the rate of a video, and where each picture lies in frames from the first.
+    """Return the rate of a video, and the position of each picture in frames from the first.
 
     Parameters
     ----------
     times : (pictures,) float array
         [s]
     rate : Fraction or None
-        None where pictures come unevenly: then a device's rate near their median.
+        None for uneven pictures: then the nominal rate nearest to their median.
     """
     if rate is None:
         step = float(np.median(np.diff(times)))
@@ -223,13 +218,13 @@ def picture_frames(times: FloatArray, rate: Fraction | None) -> tuple[Fraction, 
 
 
 def index_kind(title: str) -> str:
-    """Return ``'frame'``, ``'time'``, ``'ms'``, ``'take'`` or ``'timecode'``; empty for others."""
+    """Return ``'frame'``, ``'time'``, ``'ms'``, ``'take'`` or ``'timecode'``, or else ``''``."""
     lowered = title.strip().lower()
     return next((kind for kind, names in _INDEX_TITLES.items() if lowered in names), "")
 
 
 def index_seconds(at: Mapping[str, int], values: FloatArray) -> FloatArray | None:
-    """Return the times of rows [s] by the columns of their kinds; None where there are none."""
+    """Return the times of rows [s], given the column of each kind; None without times."""
     if "ms" in at:
         return values[:, at["ms"]] * 1e-3
     if "time" not in at:
@@ -237,7 +232,7 @@ def index_seconds(at: Mapping[str, int], values: FloatArray) -> FloatArray | Non
     times = values[:, at["time"]]
     if len(times) < 2:
         return times
-    # No face is captured once a second or slower: steps of one and more are milliseconds.
+    # Steps of one and more are milliseconds: captures are faster than 1 Hz.
     steps = np.diff(times)
     if "frame" in at:  # keys are farther apart than frames
         steps = steps / np.maximum(np.diff(values[:, at["frame"]]), 1.0)

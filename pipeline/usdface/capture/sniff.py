@@ -1,4 +1,4 @@
-"""Tell a capture's format by its content, and read it."""
+"""Detection of a capture's format from its content, and reading."""
 
 import re
 from collections.abc import Callable
@@ -58,7 +58,7 @@ _LANDMARKS: tuple[tuple[re.Pattern[bytes], str], ...] = (
 _SCORES = re.compile(
     rb'"(categoryName|category_name|(face_?)?blendshapes"\s*:(?!\s*\[[\s\[\]]*\]))', re.IGNORECASE
 )
-"""What holds weights; not a list of them that is empty."""
+"""JSON keys of weights, other than an empty list of them."""
 _FRAME_LOG = (
     "is the frame log of Live Link Face, which holds no weights: ingest the CSV of weights beside "
     f"it, with the MOV as --video; without such a CSV, {_TRACK_IT}"
@@ -98,7 +98,7 @@ FORMATS: tuple[CaptureFormat, ...] = (
         read_weight_take,
     ),
 )
-"""In the order they are tried: the surest marks first."""
+"""In the order in which they are tried: the most specific first."""
 
 
 def read_capture(path: Path, *, format: str | None = None, **stated: Any) -> Capture:
@@ -107,9 +107,9 @@ def read_capture(path: Path, *, format: str | None = None, **stated: Any) -> Cap
     Parameters
     ----------
     format : str, optional
-        Name of one of `FORMATS`; told from the content when left out, whatever the extension.
+        Name of one of `FORMATS`; default: detected from the content, whatever the extension.
     **stated
-        What the user says about the capture: fields of `CaptureOptions`.
+        Fields of `CaptureOptions`.
     """
     path = Path(path)
     options = CaptureOptions(**stated | {"rigid": tuple(stated.get("rigid", ()))})
@@ -123,7 +123,7 @@ def read_capture(path: Path, *, format: str | None = None, **stated: Any) -> Cap
 
 
 def recognise_format(path: Path) -> CaptureFormat:
-    """Tell a file's format by its first bytes."""
+    """Return the format of a file, from its first bytes."""
     check_may_open(path)
     with path.open("rb") as file:
         head = file.read(_HEAD_BYTES)
@@ -136,7 +136,7 @@ def recognise_format(path: Path) -> CaptureFormat:
         raise InputError(f"{path}: the file is empty (0 bytes); copy or export the capture again")
     refused = next((advice for pattern, advice in _LANDMARKS if pattern.match(head)), None)
     if _SCORES.search(head):
-        refused = None  # landmarks and weights: the weights are read
+        refused = None  # of landmarks with weights, the weights are read
     for candidate in FORMATS:
         table = candidate.name.startswith("weights-")
         if not (table and refused) and candidate.recognise(head):
@@ -150,7 +150,7 @@ def recognise_format(path: Path) -> CaptureFormat:
 
 
 def _readable(head: bytes) -> str:
-    """Return the first characters of a file for a message, whatever they are."""
+    """Return the first characters of a file in printable form."""
     text = head[:24].decode("ascii", errors="replace")
     return repr(text.replace("\ufffd", "?"))
 

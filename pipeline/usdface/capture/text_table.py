@@ -1,6 +1,6 @@
-"""Text that capture programs write, read with suspicion: limits, encodings, numbers in place.
+"""Text files of capture programs: encodings, size limits, cells and tables of numbers.
 
-Every fault is an `InputError` that names the file, the line, the column and the value found.
+Every fault is an `InputError` with the file, line, column and value.
 """
 
 import csv
@@ -20,7 +20,7 @@ from usdface.core.rates import exact_rate
 from usdface.core.text import first_few, pluralize, read_text
 
 LARGEST_BYTES = 4 << 30
-"""Ten hours of 100 markers at 120 frames per second are about this much text."""
+"""About ten hours of 100 markers at 120 frames per second."""
 LONGEST_LINE = 1 << 20
 MOST_LINES = 10_000_000
 DELIMITERS = ("\t", ",", ";")
@@ -30,7 +30,7 @@ _MISSING = re.compile(
     r"(?:n/?a|#n/a|null|none|[+-]?(?:nan\((?:s|q)?nan\)|nan\(ind\)|1\.#(?:[sq]nan|ind)0*))?",
     re.IGNORECASE,
 )
-"""What R, pandas, SPSS, spreadsheets and C on Windows write where nothing was seen."""
+"""Missing values as written by R, pandas, SPSS, spreadsheets and C on Windows."""
 _LONGEST_QUOTE = 40
 
 
@@ -53,23 +53,22 @@ class NumberTable:
     """Rows of numbers under named columns."""
 
     values: FloatArray
-    """(rows, columns): NaN where a cell is empty or says so; of columns kept as text no number
-    means anything."""
+    """(rows, columns): NaN where a cell is empty or missing; undefined in text columns."""
     lines: IntArray
-    """(rows,): where each row is in its file."""
+    """(rows,): line of each row in its file."""
     texts: dict[int, list[str]] = field(default_factory=dict)
-    """Cells of the columns that were kept as text, by column."""
+    """Cells of the text columns, by column."""
 
 
 def head_lines(head: bytes, count: int) -> list[str]:
-    """Return the first lines of a file's first bytes as text; none if they are not text."""
+    """Return the first lines of `head` as text; none if it is not text."""
     encoding = _encoding(head)
     text = head.decode(encoding, errors="replace")
     return [] if "\0" in text else text.splitlines()[:count]
 
 
 def read_lines(path: Path) -> Iterator[TableLine]:
-    r"""Read a text file line by line: UTF-8 or UTF-16, any line ends, empty lines included."""
+    r"""Yield all lines of a text file: UTF-8 or UTF-16, with any line ends."""
     size = path.stat().st_size
     if size == 0:
         raise InputError(f"{path}: the file is empty (0 bytes); export the take again")
@@ -92,7 +91,7 @@ def read_lines(path: Path) -> Iterator[TableLine]:
 
 
 def split_cells(line: TableLine, delimiter: str | None) -> list[str]:
-    """Split a line at a delimiter, or at white space where that is None; quotes are taken off."""
+    """Split a line at a delimiter, or at white space if None; quotes are removed."""
     if delimiter is None:
         return line.text.split()
     if '"' not in line.text:
@@ -105,7 +104,7 @@ def split_cells(line: TableLine, delimiter: str | None) -> list[str]:
 
 
 def without_empty_tail(cells: Sequence[str]) -> list[str]:
-    """Drop the empty cells after the last one that holds something."""
+    """Return the cells up to the last that is not empty."""
     count = len(cells)
     while count and not cells[count - 1]:
         count -= 1
@@ -113,7 +112,7 @@ def without_empty_tail(cells: Sequence[str]) -> list[str]:
 
 
 def sniff_delimiter(text: str) -> str | None:
-    """Return the delimiter that a header uses most; None where it uses white space alone."""
+    """Return the most frequent delimiter of a header; None if it has white space only."""
     best = max(DELIMITERS, key=text.count)
     return best if best in text else None
 
@@ -128,7 +127,7 @@ def read_header(lines: Iterator[TableLine]) -> tuple[TableLine, str, list[str]]:
 
 
 def read_rate(text: str, line: TableLine, title: str) -> Fraction:
-    """Read frames per second from a header, which a decimal comma may write."""
+    """Read frames per second from a header, also with a decimal comma."""
     try:
         rate = float(text.replace(",", "."))
     except ValueError as error:
@@ -140,7 +139,7 @@ def read_rate(text: str, line: TableLine, title: str) -> Fraction:
 
 
 def check_columns(columns: Sequence[str], line: TableLine) -> None:
-    """Refuse empty and doubled column names."""
+    """Refuse empty and repeated column names."""
     seen: dict[str, int] = {}
     for index, name in enumerate(columns):
         if not name:
@@ -171,11 +170,11 @@ def parse_cells(
     columns : sequence of str
         Name of each cell's column, for messages.
     delimiter : str or None
-        Unless it is the comma, numbers may have a decimal comma.
+        Unless it is a comma, numbers may have a decimal comma.
     gaps : bool
-        Whether an empty cell, ``NaN`` or ``NA`` means that nothing was seen; else it is refused.
+        Whether an empty cell, ``NaN`` or ``NA`` is a gap; else it is refused.
     first_column : int
-        Which column of the line `cells` starts at, from 0; for messages.
+        Column of the line of the first cell, from 0; for messages.
     """
     if len(cells) != len(columns):
         if len(without_empty_tail(cells)) > len(columns) or len(cells) < len(columns):
@@ -186,7 +185,7 @@ def parse_cells(
             )
         cells = cells[: len(columns)]
     try:
-        # Beside digits float() takes '1_0': the slow way refuses that.
+        # float() accepts '1_0', which is refused below.
         numbers = [float(cell) for cell in cells] if "_" not in line.text else []
     except ValueError:
         numbers = []
@@ -218,10 +217,10 @@ def read_number_table(
 
     Parameters
     ----------
-    lines : iterable of Line
-        Those after the header; empty ones are skipped.
+    lines : iterable of TableLine
+        After the header; empty lines are skipped.
     texts : sequence of int
-        Columns to keep as text.
+        Columns to read as text.
     stop_at_empty : bool
         Whether an empty line ends the table.
     """
@@ -247,7 +246,7 @@ def read_number_table(
 
 
 def without_repeated_rows(table: NumberTable, notes: list[str]) -> NumberTable:
-    """Leave out rows that say the same as the one before, frame number and all; note where."""
+    """Remove rows identical to the one before, including the frame number; note the lines."""
     same = np.zeros(len(table.values), dtype=bool)
     before, after = table.values[:-1], table.values[1:]
     same[1:] = ((before == after) | (np.isnan(before) & np.isnan(after))).all(axis=1)
@@ -306,7 +305,7 @@ _LARGEST_CSV_BYTES = 1 << 30
 
 
 def csv_rows(path: Path, columns: Sequence[str]) -> list[tuple[str, dict[str, object]]]:
-    """Read the rows of a table that has these columns, each with where it stands."""
+    """Read the rows of a table that must have `columns`, each with its line for messages."""
     lines = read_text(path, _LARGEST_CSV_BYTES).splitlines()
     reader = csv.DictReader(lines, delimiter=sniff_delimiter(next(iter(lines), "")) or ",")
     header = reader.fieldnames or []
@@ -322,7 +321,7 @@ def csv_rows(path: Path, columns: Sequence[str]) -> list[tuple[str, dict[str, ob
     try:
         for row in reader:
             surplus = row.pop(None, None) or []
-            if any(value.strip() for value in surplus):  # all that stand before it are in doubt
+            if any(value.strip() for value in surplus):  # the other cells may be shifted
                 raise InputError(
                     f"{path} line {reader.line_num}: has {len(header) + len(surplus)} values for "
                     f"{len(header)} columns; write decimals with a point, not a comma"

@@ -1,7 +1,7 @@
-"""TRC, the track-row-column text of Motion Analysis and OpenSim: markers.
+"""TRC files (track row column) of Motion Analysis and OpenSim: markers.
 
-Five header lines: the kind of file, names and values of what it holds, marker names over every
-third column, and the columns' axes. The delimiter is told from the second line.
+Five header lines: kind of file, names and values of its properties, marker names over every third
+column, and axes of the columns. The delimiter is detected in the second line.
 """
 
 import re
@@ -35,7 +35,7 @@ _AXIS = re.compile(r"[XYZ]\d*", re.IGNORECASE)
 
 
 def is_trc(head: bytes) -> bool:
-    """Tell a TRC file by its first bytes."""
+    """Return whether a file is a TRC file, from its first bytes."""
     lines = head_lines(head, 1)
     return bool(lines) and lines[0].startswith("PathFileType")
 
@@ -82,7 +82,7 @@ def read_trc(path: Path, options: CaptureOptions) -> Capture:
 
 
 def _labels(titles: TableLine, axes: TableLine, delimiter: str | None) -> list[str]:
-    """Return the marker names; they stand over every third column after frame and time."""
+    """Return the marker names, which are over every third column after frame and time."""
     names = split_cells(titles, delimiter)
     marks = [cell for cell in split_cells(axes, delimiter) if cell]
     if not marks or len(marks) % 3 or not all(_AXIS.fullmatch(mark) for mark in marks):
@@ -98,7 +98,7 @@ def _labels(titles: TableLine, axes: TableLine, delimiter: str | None) -> list[s
         )
     labels = names[2:] if delimiter is None else names[2::3]
     if any(names[at] for at in range(2, len(names)) if (at - 2) % 3) and delimiter is not None:
-        labels = [name for name in names[2:] if name]  # doubled delimiters: by order alone
+        labels = [name for name in names[2:] if name]  # doubled delimiters: only the order counts
     if len(without_empty_tail(labels)) > count:
         raise InputError(
             f"{titles.where}: {len(without_empty_tail(labels))} marker names over {count} markers; "
@@ -108,25 +108,25 @@ def _labels(titles: TableLine, axes: TableLine, delimiter: str | None) -> list[s
 
 
 class _UnnamedMarkers:
-    """Takes the columns of markers without a name off the rows.
+    """Removes the columns of unnamed markers from the rows.
 
-    Cortex and EVaRT write them behind the named ones, in each row as many as were seen. They are
-    told from a damaged row by coming in threes. Between commas they are not: there each number with
-    a decimal comma adds a column.
+    Cortex and EVaRT append the visible ones to each row. A multiple of three extra cells is
+    distinguished from a damaged row; not with comma delimiters, where each decimal comma adds a
+    cell.
     """
 
     def __init__(self, columns: int, delimiter: str | None) -> None:
         self._columns, self._delimiter = columns, delimiter
         self.most = 0
-        """The largest number of them in a row."""
+        """The largest number of unnamed markers in a row."""
 
     def left_out(self, lines: Iterator[TableLine]) -> Iterator[TableLine]:
-        """Yield the lines without them."""
+        """Yield the lines without unnamed markers."""
         if self._delimiter is None or self._delimiter == ",":
             yield from lines
             return
         for line in lines:
-            # counting is quick; only a line that may be longer is split
+            # counting is faster than splitting
             if line.text.count(self._delimiter) >= self._columns:
                 cells = without_empty_tail(split_cells(line, self._delimiter))
                 count, rest = divmod(len(cells) - self._columns, 3)
@@ -138,7 +138,7 @@ class _UnnamedMarkers:
 
 
 def _header(keys: list[str], values: list[str]) -> dict[str, str]:
-    """Return the header's values by name; doubled delimiters are one where the counts say so."""
+    """Return the header's values by name; doubled delimiters are merged if counts then agree."""
     keys, values = without_empty_tail(keys), without_empty_tail(values)
     stated = [value for value in values if value]
     if len(values) != len(keys) or not all(keys):
@@ -161,7 +161,7 @@ def _check_counts(header: dict[str, str], markers: int, unnamed: int, rows: int)
 
 
 def _states_count(text: str, count: int) -> bool:
-    """Tell whether a header's cell is this count, however it is written, or nothing."""
+    """Return whether a header's cell is empty or equals `count`."""
     try:
         return not text or float(text) == count
     except ValueError:

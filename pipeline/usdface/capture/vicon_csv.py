@@ -1,8 +1,8 @@
-"""CSV as Vicon Nexus and Tracker export it: markers.
+"""CSV files exported by Vicon Nexus and Tracker: markers.
 
-Blocks stand one below the other, each with a title (``Trajectories``, ``Devices``, …), its rate on
-the next line, ``subject:marker`` over every third column, ``Frame,Sub Frame,X,Y,Z,…``, units, rows,
-and an empty line at the end.
+Blocks follow each other, each with a title (``Trajectories``, ``Devices``, …), its rate on the next
+line, ``subject:marker`` over every third column, ``Frame,Sub Frame,X,Y,Z,…``, units, rows, and an
+empty line.
 """
 
 import re
@@ -42,7 +42,7 @@ _TITLE = "trajectories"
 
 
 def is_vicon_csv(head: bytes) -> bool:
-    """Tell a Vicon export by its first bytes."""
+    """Return whether a file is a Vicon export, from its first bytes."""
     return any(_COLUMNS.match(line) for line in head_lines(head, _HEAD_LINES))
 
 
@@ -90,19 +90,19 @@ class _BlockHeader:
     axes: list[str]
     """Title of every column: ``Frame``, ``Sub Frame``, ``X``, ``Y``, ``Z``, ..."""
     names: list[str]
-    """What stands above them: ``subject:marker`` over every X."""
+    """Cells above the titles: ``subject:marker`` over every X."""
     names_line: TableLine
     starts: list[int]
     """Column of each marker's X."""
     unit: str
-    """Of all positions; empty where none is stated."""
+    """Of all positions; empty if not stated."""
     unit_line: TableLine
     first_row: TableLine | None
-    """The line after the titles where that holds no units but is a row already."""
+    """The line after the titles if it is a row rather than units."""
 
     @property
     def columns(self) -> list[str]:
-        """What messages call each column."""
+        """Names of the columns in messages."""
         return [
             *self.axes[:2],
             *(f"{self._name(at)} {self.axes[at]}" for at in range(2, len(self.axes))),
@@ -110,7 +110,7 @@ class _BlockHeader:
 
     @property
     def labels(self) -> list[str]:
-        """Of the markers, as written."""
+        """Labels of the markers, as in the file."""
         return [self._name(at) for at in self.starts]
 
     def _name(self, at: int) -> str:
@@ -118,7 +118,7 @@ class _BlockHeader:
 
 
 def _read_block(path: Path, lines: Iterator[TableLine], options: CaptureOptions) -> Capture:
-    """Read the block whose title was the line before."""
+    """Read the block whose title has just been read."""
     header = _read_block_header(path, lines)
     notes = []
     others = len(header.axes) - 2 - 3 * len(header.starts)

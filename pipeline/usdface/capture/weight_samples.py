@@ -2,8 +2,8 @@
 
 CSV: one row per frame, a column per shape, and a column of frames or times (``Frame``, ``time_s``,
 ``timestamp_ms``), between commas, semicolons or tabs. JSON: rows of the same; lists of MediaPipe's
-``{categoryName, score}``; or names and a matrix, as Audio2Face (``facsNames``, ``weightMat``) and
-others write. ``.npy``: a matrix, with names in a file beside it.
+``{categoryName, score}``; or names and a matrix, as written by Audio2Face (``facsNames``,
+``weightMat``) and others. ``.npy``: a matrix, with the names in a second file.
 """
 
 import re
@@ -65,24 +65,24 @@ _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)(e[+-]?\d+)?", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class WeightSamples:
-    """Weights as a file has them."""
+    """Weights as stored in a file."""
 
     names: tuple[str, ...]
     values: FloatArray
     """(rows, shapes)"""
     lines: IntArray
-    """(rows,): line or row of each in its file, for messages."""
+    """(rows,): line or row number in the file, for messages."""
     frames: FloatArray | None = None
-    """(rows,): frame numbers, where the file has them."""
+    """(rows,): frame numbers, if the file has them."""
     seconds: FloatArray | None = None
     """(rows,) [s]"""
     takes: tuple[str, ...] = ()
-    """Name of each row's take; empty where the file has no such column."""
+    """Name of each row's take; empty if the file has no such column."""
     rate: Fraction | None = None
-    """Frames per second that the file states."""
+    """Frames per second stated by the file."""
 
     def rows(self, chosen: IntArray) -> "WeightSamples":
-        """Keep some of the rows."""
+        """Return a copy with some of the rows."""
         return replace(
             self,
             values=self.values[chosen],
@@ -94,7 +94,10 @@ class WeightSamples:
 
 
 def is_weight_csv(head: bytes) -> bool:
-    """Tell a table of numbers below names by its first bytes; try it last."""
+    """Return whether a file is a table of numbers below names, from its first bytes.
+
+    The least specific format: try it last.
+    """
     lines = [line for line in head_lines(head, 3) if line.strip()]
     if len(lines) < 2:
         return False
@@ -112,24 +115,24 @@ def is_weight_csv(head: bytes) -> bool:
 
 
 def is_weight_json(head: bytes) -> bool:
-    """Tell JSON of weights by its first character, and the keys that it is told by."""
+    """Return whether a file is JSON of weights, from its first character and its keys."""
     text = "\n".join(head_lines(head, 1000)).lstrip()
     return text[:1] in ("[", "{") and _JSON_KEYS.search(text) is not None
 
 
 def is_weight_npy(head: bytes) -> bool:
-    """Tell a NumPy array by its first bytes."""
+    """Return whether a file is a NumPy array, from its first bytes."""
     return head.startswith(b"\x93NUMPY")
 
 
 def read_weight_samples(path: Path, *, shapes: Path | None = None) -> WeightSamples:
-    """Read a table of weights as it is.
+    """Read a table of weights in the file's units.
 
     Parameters
     ----------
     shapes : Path, optional
         File with the names of a matrix's columns: one per line, or a JSON list, or ``.npy``.
-        Default: ``NAME.names.txt``, ``.json`` or ``.npy`` beside it.
+        Default: ``NAME.names.txt``, ``.json`` or ``.npy`` in the same folder.
     """
     check_may_open(path)
     with path.open("rb") as file:
@@ -193,23 +196,23 @@ def _read_json(path: Path) -> WeightSamples:
 
 
 def _named_rows(path: Path, names: list[Any], matrix: list[Any]) -> list[dict[str, Any]]:
-    """Return rows of weights by name, with the frame or time that each has beside its weights."""
+    """Return rows of weights by name, with each row's frame or time."""
     if not all(isinstance(name, str) for name in names):
         raise InputError(f"{path}: its list of names holds more than names; export it again")
     _check_unique(path, names)
     rows = []
     for index, row in enumerate(matrix):
-        beside = {}
+        index_cells = {}
         weights = row
         if isinstance(row, dict):
-            beside = {name: value for name, value in row.items() if index_kind(name)}
+            index_cells = {name: value for name, value in row.items() if index_kind(name)}
             weights = next((row[key] for key in _ROW_KEYS if key in row), None)
         if not isinstance(weights, list) or len(weights) != len(names):
             count = len(weights) if isinstance(weights, list) else 0
             raise InputError(
                 f"{path} row {index + 1}: {count} weights for {len(names)} names; export it again"
             )
-        rows.append(beside | dict(zip(names, weights, strict=True)))
+        rows.append(index_cells | dict(zip(names, weights, strict=True)))
     return rows
 
 
@@ -244,12 +247,12 @@ def _json_rows(path: Path, data: list[Any]) -> WeightSamples:
     faces = np.flatnonzero([any(not index_kind(name) for name in row) for row in rows])
     if 0 < len(faces) < len(rows) and frames is None and seconds is None:
         frames = lines.astype(np.float64)
-    # A picture without a face is no face at rest: its row is left out, as a dropped frame is.
+    # A row without a face is a gap, not a face at rest.
     return WeightSamples(tuple(names), values, lines, frames, seconds, takes).rows(faces)
 
 
 def _flat(path: Path, index: int, row: Any) -> dict[str, Any]:
-    """Return a row as shapes by name: nested weights and lists of categories are laid open."""
+    """Return a row as values by name: nested weights and lists of categories are flattened."""
     if isinstance(row, list):
         return _categories(path, index, row)
     key = next((key for key in _ROW_KEYS if isinstance(row.get(key), dict | list)), None)
@@ -279,13 +282,13 @@ def _categories(path: Path, index: int, row: list[Any]) -> dict[str, Any]:
                 f"{path} row {index + 1}: holds {str(each)[:40]!r}; a list must be of "
                 "{categoryName, score}, as MediaPipe writes"
             )
-        if name != "_neutral":  # MediaPipe's first category is no shape
+        if name != "_neutral":  # MediaPipe's first category is not a shape
             found[name] = each["score"]
     return found
 
 
 def read_cell(path: Path, where: str, column: str, value: object) -> float:
-    """Return the number that a cell of a table holds; refuse one that is not finite."""
+    """Return the number in a cell of a table; refuse one that is not finite."""
     try:
         number = float(str(value)) if not isinstance(value, bool) else float("nan")
     except ValueError:
@@ -342,7 +345,7 @@ def _names(path: Path) -> list[str]:
 
 def _load(path: Path) -> Any:
     check_may_open(path)
-    try:  # mapped: a damaged header must not ask for more memory than the file has
+    try:  # mapped: a damaged header must not allocate more memory than the file has
         return np.load(path, mmap_mode="r", allow_pickle=False)
     except (ValueError, OSError, EOFError, SyntaxError, TypeError, KeyError, TokenError) as error:
         raise InputError(

@@ -1,4 +1,4 @@
-"""Tables of weights as takes: one of those that a table holds, its unit, and when each row is."""
+"""From a table of weights to a take: choice of the take, unit, and times of the rows."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -24,9 +24,9 @@ from usdface.core.rates import FARTHEST_FRAME, exact_rate
 from usdface.core.text import first_few, pluralize
 
 LARGEST_FRACTION = 2.0
-"""Weights pass 1 by a little where a shape is pushed; beyond this the unit has to be stated."""
+"""Largest weight without a stated unit: weights exceed 1 slightly in extreme expressions."""
 _OTHER_RATE = 1.2
-"""Ratio of a stated rate to that of the times beyond which it is the rate of something else."""
+"""Ratio between a stated rate and that of the times above which the times are used."""
 _PER_UNIT = {"one": 1.0, "percent": 0.01}
 
 
@@ -49,9 +49,9 @@ def read_weight_take(path: Path, options: CaptureOptions) -> Capture:
 
 
 def row_frames(path: Path, samples: WeightSamples) -> tuple[IntArray, Fraction | None]:
-    """Return the frame of each row as `ingest` numbers it, and the rate where the file tells it.
+    """Return the frame of each row, numbered as by `ingest`, and the rate if the file gives it.
 
-    Without numbers a take begins at frame 1; rows follow each other, or lie at their times.
+    Without frame numbers, takes begin at frame 1 and rows are consecutive or at their times.
     """
     if samples.frames is not None:
         whole = np.isfinite(samples.frames) & (np.abs(samples.frames) < FARTHEST_FRAME)
@@ -81,7 +81,7 @@ def row_frames(path: Path, samples: WeightSamples) -> tuple[IntArray, Fraction |
 
 
 def _rate_beside(path: Path, samples: WeightSamples, frames: IntArray) -> Fraction | None:
-    """Return the rate of numbered rows that have times too; None where either does not ascend."""
+    """Return the rate of numbered rows with times; None unless both ascend."""
     times = samples.seconds
     if times is None or len(frames) < 2 or not (np.diff(frames) > 0).all():
         return None
@@ -91,7 +91,7 @@ def _rate_beside(path: Path, samples: WeightSamples, frames: IntArray) -> Fracti
 def in_fractions(
     path: Path, values: FloatArray, unit: str | None, names: Sequence[str], notes: list[str]
 ) -> FloatArray:
-    """Return weights as fractions of 1; percent is asked about, not believed."""
+    """Return weights as fractions of 1; values in percent require a stated unit."""
     if unit is not None:
         if unit == "percent":
             notes.append("weights read as percent, as stated")
@@ -122,7 +122,7 @@ def _one_take(path: Path, samples: WeightSamples, take: str | None) -> WeightSam
 def _times(
     path: Path, samples: WeightSamples, rate: float | None, notes: list[str]
 ) -> tuple[int, SampleTimes]:
-    """Return the first frame number, and where each row lies."""
+    """Return the first frame number, and the frames of the rows."""
     stated = samples.rate if rate is None else exact_rate(rate, where="--rate")
     where, source = str(path), "--rate" if rate is not None else "the file"
     if rate is None and samples.frames is None and samples.seconds is not None and samples.rate:

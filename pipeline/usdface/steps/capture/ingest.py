@@ -210,7 +210,7 @@ def _with_options(take: Take, spec: IngestSpec, source: Path) -> Take:
         clip = None if take.source is None else replace(take.source, rate=rate)
         take = replace(take, rate=rate, source=clip)
     if spec.rigid:
-        named = match_labels(spec.rigid, markers.names, where=str(source), role="rigid marker")
+        named = match_labels(spec.rigid, markers.names, where=str(source))
         markers = replace(markers, rigid=named)
     if spec.neutral is not None:
         last = take.first_frame + take.frame_count - 1
