@@ -149,7 +149,7 @@ def test_what_is_missing_of_a_picture_is_not_shown_as_black(
         ({"rate": 2**31 - 1}, "its sound is of 2147483647 Hz"),
         ({"channels": 65535}, "cannot be read as a movie or sound"),
         ({"channels": 65535, "align": 65535}, "cannot be read as a movie or sound"),
-        ({"bits": 0}, "its sound is of an unknown packing"),
+        ({"bits": 0}, "its sound is of an unknown codec"),
         ({"data": 2**32 - 1}, ""),
     ],
     ids=str,

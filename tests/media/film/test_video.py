@@ -16,7 +16,9 @@ from tests.media.bar_code import (
 from usdface.core.errors import InputError
 from usdface.media.film import movie as movie_writer
 from usdface.media.film import video
-from usdface.media.film.video import VideoReader, read_audio, write_movie
+from usdface.media.film.movie import write_movie
+from usdface.media.film.sound import read_audio
+from usdface.media.film.video import VideoReader
 
 FILM = Fraction(24000, 1001)
 needs_h264 = pytest.mark.skipif(

@@ -115,7 +115,7 @@ def test_any_failed_write_is_an_error_and_not_the_end_of_the_process(
 
 def test_more_metadata_than_jpeg_holds_is_refused_by_name(tmp_path: Path) -> None:
     said = {"inputs": {f"take.{number}.usda": "ab" * 32 for number in range(1000)}}
-    with pytest.raises(InputError, match=r"sheet\.jpg: .* bytes, and JPEG holds 65000"):
+    with pytest.raises(InputError, match=r"sheet\.jpg: .* bytes, more than the 65000 of JPEG"):
         write_image(tmp_path / "sheet.jpg", PICTURE, metadata=said)
     write_image(tmp_path / "sheet.png", PICTURE, metadata=said)
     assert read_image_metadata(tmp_path / "sheet.png") == said

@@ -1,1 +1,1 @@
-"""Curves and evidence as pictures."""
+"""Charts of curves, coverage, errors and repairs."""

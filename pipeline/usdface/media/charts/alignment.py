@@ -1,4 +1,4 @@
-"""The evidence of an alignment on one picture: what fits where, and which windows agree."""
+"""Chart of an alignment: correlation over the shift, and delay by window."""
 
 from __future__ import annotations
 
@@ -47,38 +47,38 @@ _FACT_STYLE = TextStyle(size=16, color=SOFT)
 
 @dataclass(frozen=True)
 class ShiftMark:
-    """A shift that someone or something claims."""
+    """A candidate for the shift of the video."""
 
     label: str
     """Its source."""
     offset: float
     """Of the video [s]."""
     chosen: bool = False
-    """Whether this is the one that is written."""
+    """Whether this shift is written."""
 
 
 @dataclass(frozen=True)
 class AlignmentPage:
-    """What the picture shows."""
+    """Content of the chart."""
 
     title: str
     verdict: str
-    """The result, or why there is none."""
+    """The result, or the reason for the refusal."""
     accepted: bool
     facts: tuple[str, ...] = ()
     """Lines below the verdict."""
     sound: SoundAlignment | None = None
-    """Evidence of the sound, if there was any to hear."""
+    """Alignment by sound, if both have some."""
     marks: tuple[ShiftMark, ...] = ()
 
 
 def draw_alignment(page: AlignmentPage) -> ByteImage:
-    """Return the picture: (height, 1280, 3) uint8 array, sRGB."""
+    """Return the chart: (height, 1280, 3) uint8 array, sRGB."""
     color = GREEN if page.accepted else ORANGE
     verdict = TextStyle(size=17, color=color)
     width = _PAGE_WIDTH - 2 * _PAGE_MARGIN
-    said = page.verdict[:1].upper() + page.verdict[1:]
-    lines = [(line, verdict) for line in wrap_text(said, verdict, max_width=width)]
+    sentence = page.verdict[:1].upper() + page.verdict[1:]
+    lines = [(line, verdict) for line in wrap_text(sentence, verdict, max_width=width)]
     for fact in page.facts:
         lines += [(line, _FACT_STYLE) for line in wrap_text(fact, _FACT_STYLE, max_width=width)]
     head = 72 + _LINE_HEIGHT * len(lines) + 16
@@ -101,7 +101,7 @@ def _draw_correlation(figure: Figure, page: AlignmentPage, sound: SoundAlignment
     correlation = sound.correlation
     if correlation is None:
         return
-    # A correlation holds at the middle of the video; marks are given at its start.
+    # The correlation's shift is that at the middle of the video; marks are at its start.
     middle = -float(correlation.shifts[0]) / 2
     marks = [
         (mark.label, mark.offset + sound.drift * middle, GREEN if mark.chosen else VIOLET)
@@ -140,12 +140,12 @@ def _draw_correlation(figure: Figure, page: AlignmentPage, sound: SoundAlignment
 
 
 def _mark(axes: Axes, at: float, color: Color, label: str, *, line: int = 0) -> None:
-    """Draw a shift down the axes, its name beside it; `line` keeps names apart."""
+    """Draw a shift as a vertical line with its label, on text line `line`."""
     low, high = axes.get_xlim()
     share = (at - low) / (high - low)
     if not 0 <= share <= 1:
         return
-    # Below the curve: a peak must stay in sight.
+    # Below the curve, so that a peak stays visible.
     axes.axvline(at, color=display_color(color), linewidth=2, alpha=0.7, zorder=1.5)
     fits = share * axes.bbox.width + 6 + text_width(label, _FACT_STYLE) < axes.bbox.width
     shift = (8.0 if fits else -8.0, -18.0 - 20 * line)
@@ -160,7 +160,7 @@ def _draw_windows(figure: Figure, sound: SoundAlignment, y: int) -> None:
     centre = float(np.median(windows.delays - sound.drift * windows.times))
     delays_ms = 1000 * (windows.delays - centre)
     agreeing = delays_ms[sound.agreeing]
-    # Where hardly any agree, the scatter of all is what there is to see.
+    # If too few agree, the axis covers the scatter of all windows.
     base = agreeing if sound.agreement >= LEAST_AGREEMENT else delays_ms
     reach = max(1.4 * float(np.ptp(base)) / 2, 0.1)
     middle = (float(base.max()) + float(base.min())) / 2

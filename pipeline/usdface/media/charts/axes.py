@@ -1,6 +1,6 @@
-"""Axes on a page, drawn by matplotlib: one unit is one pixel, and no display or state is used.
+"""Axes on a page, drawn by matplotlib (Agg) in pixels.
 
-Matplotlib is imported where a figure is made, so that a step that draws nothing does not wait.
+Matplotlib is imported only when a figure is made, because its import is slow.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ if TYPE_CHECKING:
 LABEL_PIXELS = 14
 CAPTION_PIXELS = 15
 _PIXELS_PER_INCH = 72
-"""Points per inch: font sizes and line widths are then pixels."""
+"""Equal to points per inch, so that font sizes and line widths are in pixels."""
 _TICK_STEPS = [1, 2, 5, 10]
 _GAP_STEPS = 3.0
-"""Medians of the step between samples: a longer step is a gap in the curve."""
+"""Step between samples, relative to the median step, above which a curve is interrupted."""
 
 
 def new_figure(width: int, height: int) -> Figure:
-    """Return an empty figure of a size [pixels], in the colour of pages."""
+    """Return an empty figure in the page colour, with its size in pixels."""
     from matplotlib.figure import Figure
 
-    # A little more, because matplotlib rounds down.
+    # matplotlib rounds down
     size = ((width + 1e-3) / _PIXELS_PER_INCH, (height + 1e-3) / _PIXELS_PER_INCH)
     return Figure(figsize=size, dpi=_PIXELS_PER_INCH, facecolor=display_color(PAGE))
 
@@ -54,7 +54,7 @@ def render(figure: Figure) -> ByteImage:
 
     canvas: Any = FigureCanvasAgg(figure)
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph .* missing from font")  # a box is drawn
+        warnings.filterwarnings("ignore", "Glyph .* missing from font")  # drawn as a box
         canvas.draw()
     return np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])
 
@@ -68,18 +68,18 @@ def add_axes(
     up: str = "",
     whole: bool = False,
 ) -> Axes:
-    """Add axes with a grid, a caption above them and round numbers beside them.
+    """Add axes with a grid, a caption and tick labels.
 
     Parameters
     ----------
     box : (x, y, width, height)
-        Where the axes lie, from the upper left corner [pixels].
+        Position from the upper left corner, and size [pixels].
     caption : str
-        What is shown.
+        Written above.
     across, up : str
-        What the axes mean, with unit.
+        Labels of the axes, with unit.
     whole : bool
-        Whether across only whole numbers mean something: frames.
+        Ticks only at whole numbers across, such as frames.
     """
     from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 
@@ -137,16 +137,16 @@ def add_label(
     Parameters
     ----------
     text : str
-        One line; dollars are dollars, not mathematics.
+        One line; dollar signs are literal.
     at : (x, y)
         Shares of the axes' width and height, from the lower left [0-1].
     shift : (x, y)
-        From there, upwards [pixels].
+        Offset from `at`, y upwards [pixels].
     anchor : {'left', 'center', 'right'}
     bold : bool
         For captions.
     ground : tuple of int, optional
-        Colour of a box below the letters, where curves pass.
+        Colour of a box behind the label.
     """
     box = None
     if ground is not None:
@@ -169,17 +169,16 @@ def add_label(
 
 
 def plot_curve(axes: Axes, values: FloatArray, heights: FloatArray, color: Color) -> None:
-    """Draw a curve over what the axes span; a single sample is a dot.
+    """Draw a curve within the limits of the axes; a single sample is a dot.
 
     Parameters
     ----------
     axes : matplotlib.axes.Axes
-        With its limits set.
+        With limits set.
     values : (n,) float array
         Ascending.
     heights : (n,) float array
-        NaN where there is nothing to show: gaps between compared frames are bridged, longer ones
-        stay open.
+        NaN is skipped: regular gaps between samples are bridged, longer ones stay open.
     """
     left, right = axes.get_xlim()
     shown = np.isfinite(heights) & (values >= left) & (values <= right)
@@ -190,7 +189,7 @@ def plot_curve(axes: Axes, values: FloatArray, heights: FloatArray, color: Color
     if len(values) > 1:
         steps = np.diff(values)
         gaps = np.flatnonzero(steps > _GAP_STEPS * np.median(steps)) + 1
-        values, heights = (np.insert(each, gaps, np.nan) for each in (values, heights))
+        values, heights = np.insert(values, gaps, np.nan), np.insert(heights, gaps, np.nan)
     values, heights = _column_extremes(values, heights, round(axes.bbox.width))
     axes.plot(values, heights, color=display_color(color), linewidth=2, solid_joinstyle="round")
 
@@ -198,7 +197,7 @@ def plot_curve(axes: Axes, values: FloatArray, heights: FloatArray, color: Color
 def plot_points(
     axes: Axes, values: FloatArray, heights: FloatArray, color: Color, *, hollow: bool = False
 ) -> None:
-    """Draw dots; those above or below the axes lie on their edge."""
+    """Draw dots; those above or below the axes are drawn on the edge."""
     axes.plot(
         values,
         np.clip(heights, *axes.get_ylim()),
@@ -213,14 +212,14 @@ def plot_points(
 
 
 def label_ends(axes: Axes, labels: Sequence[tuple[str, float, Color]]) -> None:
-    """Name curves at the right of the axes, beside their ends and apart from each other.
+    """Label curves to the right of the axes, at their ends and without overlap.
 
     Parameters
     ----------
     axes : matplotlib.axes.Axes
-        With its limits set.
+        With limits set.
     labels : sequence of (text, height, color)
-        Height at the curve's end, in data.
+        Height of the curve's end, in data coordinates.
     """
     low, high = axes.get_ylim()
     tall = round(axes.bbox.height)
@@ -234,13 +233,13 @@ def label_ends(axes: Axes, labels: Sequence[tuple[str, float, Color]]) -> None:
 
 
 def display_color(color: Color) -> tuple[float, float, float]:
-    """Return sRGB bytes as matplotlib takes them."""
+    """Return a colour as shares of 1, for matplotlib."""
     return color[0] / 255, color[1] / 255, color[2] / 255
 
 
 @lru_cache(maxsize=1)
 def font_families() -> list[str]:
-    """Return matplotlib's own font, and this machine's for letters that it lacks."""
+    """Return matplotlib's font, and if installed an East Asian one for letters it lacks."""
     from matplotlib import font_manager
 
     file = east_asian_font_file()
@@ -254,7 +253,7 @@ def font_families() -> list[str]:
 def _column_extremes(
     values: FloatArray, heights: FloatArray, columns: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the lowest and the highest sample of each half pixel, where there are many more."""
+    """Return the lowest and the highest sample of each half pixel if there are many more."""
     if len(values) <= 8 * columns:
         return values, heights
     edges = np.linspace(0, len(values), 2 * columns, endpoint=False).astype(np.int64)

@@ -1,4 +1,4 @@
-"""How well references cover takes, as one picture: where, how it grew, what to tune next."""
+"""Chart of coverage: over the takes, by number of references, and the frames to tune next."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _TABLE_WIDTH = 560
 _TABLE_COLUMNS = (("take", 0), ("frame", 200), ("motion covered", 275), ("of all, once tuned", 415))
 _ROW_HEIGHT = 26
 WORST_PERCENT = 50.0
-"""Of the motion, at the top of a lane: half of it is then not determined."""
+"""Share of the motion that is not determined, at the top of a lane [%]."""
 
 _CAPTION_STYLE = TextStyle(size=18, color=BRIGHT, weight="bold")
 _TEXT_STYLE = TextStyle(size=16, color=SOFT)
@@ -52,40 +52,40 @@ _DIM_STYLE = TextStyle(size=16, color=DIM)
 
 @dataclass(frozen=True)
 class NextFrame:
-    """A frame to tune: the one that the references determine least."""
+    """A frame to tune: the one with the least coverage."""
 
     take: str
     """Its name."""
     frame: int
-    """On the take's clock."""
+    """Frame number in the take."""
     covered: float
     """Share of its motion that the references determine [0-1]."""
     share: float
-    """Coverage of the takes once it and those before it are tuned [0-1]."""
+    """Coverage of the takes after it and the frames before it are tuned [0-1]."""
 
 
 @dataclass(frozen=True)
 class CoveragePage:
-    """What the picture shows."""
+    """Content of the chart."""
 
     title: str
     facts: tuple[str, ...]
     lanes: tuple[ErrorCurve, ...]
-    """What is not covered, frame by frame over all takes, of the face and its parts [%]."""
+    """Motion of the face and its parts that is not covered, per frame over all takes [%]."""
     takes: tuple[tuple[str, int], ...]
     """Name and number of frames of each take, in order."""
     first_frame: int
-    """Frame number of the first frame, where there is one take."""
+    """Frame number of the first frame, used if there is one take."""
     marks: tuple[int, ...]
-    """Where among the frames of all takes the references are."""
+    """References, as indices into the frames of all takes."""
     growth: FloatArray
     """(pairs + 1,): coverage with 0, 1, 2 ... pairs [0-1]."""
     next_frames: tuple[NextFrame, ...] = ()
-    """Each the least covered once those before are tuned."""
+    """Each the least covered after those before it are tuned."""
 
 
 def draw_coverage(page: CoveragePage) -> ByteImage:
-    """Draw what references do not cover, how coverage grew, and the frames to tune next."""
+    """Draw the uncovered motion over time, coverage by reference, and the frames to tune next."""
     if not page.lanes or not len(page.growth):
         raise InputError("coverage to draw needs at least one lane and a curve")
     strips = strip_height(len(page.lanes))
@@ -103,7 +103,7 @@ def draw_coverage(page: CoveragePage) -> ByteImage:
     first = page.first_frame if len(page.takes) == 1 else 0
     marks = tuple((first + mark, "") for mark in page.marks)
     strip = ErrorStrip(page.lanes, first, WORST_PERCENT, marks, unit="%")
-    # The strip leaves room for numbers above its lanes, which these marks have none of.
+    # The strip has room for labels above its lanes; these marks have no labels.
     lanes_top = y + takes - 20
     draw_error_strip(picture, strip, x=_PAGE_MARGIN, y=lanes_top, width=inner)
     if takes:
@@ -116,7 +116,7 @@ def draw_coverage(page: CoveragePage) -> ByteImage:
 def _draw_takes(
     picture: ByteImage, takes: Sequence[tuple[str, int]], *, y: int, height: int
 ) -> None:
-    """Name the takes above the lanes, with a line where one ends."""
+    """Write the takes' names above the lanes, with a line at the start of each."""
     left = _PAGE_MARGIN + LABEL_WIDTH
     across = _PAGE_WIDTH - _PAGE_MARGIN - left
     total = sum(count for _, count in takes)

@@ -1,7 +1,6 @@
-"""The space of principal components as a picture: takes, references, and what each axis explains.
+"""Chart of the space of principal components: takes, references, and explained variance.
 
-Figure 3 of Deng et al. (2006) shows the first three axes in perspective; here each pair of them is
-seen straight on.
+Figure 3 of Deng et al. (2006) shows the first three axes in perspective; here each pair has a plot.
 """
 
 from dataclasses import dataclass
@@ -26,9 +25,9 @@ _PAGE_MARGIN = 36
 _PLOT_WIDTH, _PLOT_HEIGHT = 640, 400
 _ROW_HEIGHT = _PLOT_HEIGHT + 110
 _ROOM_SHARE = 0.05
-"""Of the range of a component, left free around it."""
+"""Margin around the range of a component, relative to it."""
 _MOST_COMPONENTS = 20
-"""Whose variance is drawn; few takes have more that anybody sees."""
+"""Components in the variance plot; further ones are small in most takes."""
 
 
 @dataclass(frozen=True)
@@ -38,15 +37,15 @@ class Eigenspace:
     title: str
     facts: tuple[str, ...]
     takes: FloatArray
-    """(frames, dimensions): frames spread over the takes [mm]."""
+    """(frames, dimensions): a sample of the takes' frames [mm]."""
     references: FloatArray
     """(pairs, dimensions) [mm]"""
     shares: FloatArray
-    """(dimensions,): of the markers' variance [0-1]."""
+    """(dimensions,): shares of the markers' variance [0-1]."""
 
 
 def draw_eigenspace(space: Eigenspace) -> ByteImage:
-    """Draw the first three components, two by two, and the variance of all."""
+    """Draw the first three components in pairs, and the cumulative variance."""
     top = _PAGE_MARGIN + HEADER_HEIGHT + 30
     figure = new_figure(_PAGE_WIDTH, top + 2 * _ROW_HEIGHT + _PAGE_MARGIN)
     second = _PAGE_WIDTH // 2

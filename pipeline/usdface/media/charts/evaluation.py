@@ -1,4 +1,4 @@
-"""A performance's errors as one picture: over time by region, between the lips, shape by shape."""
+"""Chart of a performance's errors: over time by region, lip distance, and by shape."""
 
 from __future__ import annotations
 
@@ -67,14 +67,14 @@ class ShapeBar:
     """As on the rig."""
     rmse: float
     bias: float
-    """`rmse`, `bias`: Root mean square and mean error of its weight."""
+    """`rmse`, `bias`: root mean square and mean error of its weight."""
     surface_mm: float
-    """What that error alone does to the surface, root mean square [mm]."""
+    """Root mean square displacement of the surface by this shape's error [mm]."""
 
 
 @dataclass(frozen=True)
 class EvaluationPage:
-    """What the picture shows."""
+    """Content of the chart."""
 
     title: str
     verdict: tuple[str, str]
@@ -88,14 +88,14 @@ class EvaluationPage:
     """Frames to mark."""
     lips_keys: FloatArray | None = None
     lips_solve: FloatArray | None = None
-    """`lips_keys`, `lips_solve`: (frames,): the distance between the lips [mm]; NaN at frames that
-    were not compared."""
+    """`lips_keys`, `lips_solve`: (frames,): distance of the lips [mm]; NaN at frames that were not
+    compared."""
     shapes: tuple[ShapeBar, ...] = ()
     """In the order to show."""
 
 
 def draw_evaluation(page: EvaluationPage) -> ByteImage:
-    """Draw the picture: (height, width, 3) uint8 array, sRGB."""
+    """Return the chart: (height, width, 3) uint8 array, sRGB."""
     if not page.curves:
         raise InputError(f"{page.title}: no error curve to draw")
     shapes = page.shapes[:MOST_SHAPES]
@@ -135,7 +135,7 @@ def draw_evaluation(page: EvaluationPage) -> ByteImage:
 def _draw_lips(
     figure: Figure, keys: FloatArray, solve: FloatArray, first_frame: int, *, y: int
 ) -> None:
-    """Draw both distances over the frames: where the solve lies above, the mouth stays open."""
+    """Draw both distances over the frames; the solve above the keys is a mouth left open."""
     frames = np.arange(first_frame, first_frame + len(keys), dtype=np.float64)
     both = np.concatenate([keys, solve])
     both = both[np.isfinite(both)]

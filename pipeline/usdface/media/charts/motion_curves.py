@@ -1,4 +1,4 @@
-"""Curves of controls before and after, and of errors of several methods: sheets to judge motion."""
+"""Charts of controls before and after a change, and of the errors of several methods."""
 
 from __future__ import annotations
 
@@ -35,7 +35,10 @@ _PANEL_GAP = 74
 _AXIS_WIDTH = 76
 MOST_WINDOWS = 4
 SAME_CHANGE_CORRELATION = 0.995
-"""Correlation of their changes beyond which two controls, left and right, are drawn once."""
+"""Correlation of changes above which two controls, such as left and right, are drawn once."""
+MOST_PANELS = 8
+CONTEXT_FRAMES = 40
+"""Frames shown before and after each span."""
 
 _SPAN_COLOR: Color = (58, 66, 84)
 _SPAN_LABEL_COLOR: Color = (180, 196, 228)
@@ -44,11 +47,11 @@ _LABEL_STYLE = TextStyle(size=16)
 
 @dataclass(frozen=True)
 class FrameSpan:
-    """An interval to shade: a sequence that was put in."""
+    """An interval to shade: an inserted sequence."""
 
     first_frame: int
     last_frame: int
-    """`first_frame`, `last_frame`: Both inside."""
+    """`first_frame`, `last_frame`: inclusive."""
     label: str
     """Of the sequence."""
 
@@ -60,7 +63,7 @@ class Curve:
     label: str
     """Written at its end."""
     values: FloatArray
-    """(frames,): NaN where there is none."""
+    """(frames,): NaN is skipped."""
     color: Color
     """sRGB bytes."""
 
@@ -71,32 +74,32 @@ class Panel:
 
     caption: str
     unit: str
-    """`caption`, `unit`: Written above it."""
+    """`caption`, `unit`: written above the plot."""
     curves: tuple[Curve, ...]
     """The last is drawn on top."""
 
 
 def before_and_after(
-    names: Sequence[str], before: FloatArray, after: FloatArray, *, count: int = 8
+    names: Sequence[str], before: FloatArray, after: FloatArray
 ) -> tuple[Panel, ...]:
-    """Return a panel for each of the controls that change most, those that change alike once.
+    """Return panels of the `MOST_PANELS` controls that change most.
+
+    Of controls with the same change (`SAME_CHANGE_CORRELATION`), one has a panel.
 
     Parameters
     ----------
     names : sequence of str
         One for each control.
     before, after : (frames, controls) float arrays
-    count : int
-        Of panels at most.
     """
     change = after - before
     span = np.maximum(np.ptp(before, axis=0), np.ptp(after, axis=0))
-    # Weights are judged by what they do, angles and lengths by their own span.
+    # Changes are absolute for weights, and relative to their range for angles and lengths.
     size = np.minimum(np.abs(change).max(axis=0), np.abs(change).max(axis=0) / (span + 1e-9))
     unit = change / np.maximum(np.linalg.norm(change, axis=0), 1e-12)
     chosen: list[int] = []
     for index in np.argsort(-size, kind="stable").tolist():
-        if len(chosen) == count or size[index] < 1e-6:
+        if len(chosen) == MOST_PANELS or size[index] < 1e-6:
             break
         if all(abs(unit[:, index] @ unit[:, other]) < SAME_CHANGE_CORRELATION for other in chosen):
             chosen.append(index)
@@ -114,11 +117,14 @@ def before_and_after(
 
 
 def windows_around(
-    spans: Sequence[FrameSpan], *, first_frame: int, last_frame: int, context: int = 40
+    spans: Sequence[FrameSpan], *, first_frame: int, last_frame: int
 ) -> tuple[tuple[int, int], ...]:
-    """Return the stretches to look at: each span with some context, at most `MOST_WINDOWS`."""
+    """Return the frame ranges of the first `MOST_WINDOWS` spans, with `CONTEXT_FRAMES`."""
     return tuple(
-        (max(span.first_frame - context, first_frame), min(span.last_frame + context, last_frame))
+        (
+            max(span.first_frame - CONTEXT_FRAMES, first_frame),
+            min(span.last_frame + CONTEXT_FRAMES, last_frame),
+        )
         for span in spans[:MOST_WINDOWS]
     )
 
@@ -139,15 +145,15 @@ def draw_motion_curves(
     Parameters
     ----------
     title, facts, panels
-        From above; there is at least one panel.
+        From the top; at least one panel.
     first_frame, step : int
-        Frame number of each curve's first value, and frames from one value to the next.
+        Frame number of each curve's first value, and frames between values.
     windows : sequence of (first, last) frame
-        What to show of the curves; all by default.
+        Ranges to show; default: all frames.
     spans : sequence of FrameSpan
-        Shaded in every panel, named in the first row.
+        Shaded in every panel, labelled in the first row.
     from_zero : bool
-        Let every panel start at 0: for errors.
+        Whether every panel starts at 0, for errors.
     """
     if not panels:
         raise InputError(f"{title}: nothing changes, so there is no curve to draw")
@@ -188,13 +194,13 @@ def _draw_panel(
     high = max(float(values.max()), low + 1e-6)
     room = 0.06 * (high - low)
     axes.set_xlim(window[0] - 0.5, window[1] + 0.5)
-    axes.set_ylim(low - room, high + room)  # a curve at 0 is not the frame's edge
+    axes.set_ylim(low - room, high + room)  # keeps a curve at 0 off the edge
     for curve in panel.curves:
         plot_curve(axes, frames, curve.values, curve.color)
 
 
 def _shade(axes: Axes, spans: Sequence[FrameSpan], *, named: bool) -> None:
-    """Shade spans, and write what they are called on a ground of their own: curves pass there."""
+    """Shade spans; if `named`, write their labels on a background that covers curves."""
     low, high = axes.get_xlim()
     for span in spans:
         left, right = max(span.first_frame - 0.5, low), min(span.last_frame + 0.5, high)
@@ -211,7 +217,7 @@ def _shade(axes: Axes, spans: Sequence[FrameSpan], *, named: bool) -> None:
 
 
 def _label_curves(axes: Axes, panel: Panel, frames: FloatArray) -> None:
-    """Name the curves where the last window ends."""
+    """Label the curves at the end of the last window."""
     inside = frames <= axes.get_xlim()[1]
     ends = []
     for curve in panel.curves:

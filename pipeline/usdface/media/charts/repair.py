@@ -1,4 +1,4 @@
-"""What cleaning repaired, marker by marker over a take: where, how much and what kind."""
+"""Chart of repaired samples over a take, by marker and kind of repair."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,10 +20,10 @@ REPAIR_MARGIN = 28
 MARKER_LABEL_WIDTH = 190
 _ROW_HEIGHT = 17
 HEAD_HEIGHT = 190
-"""Title, facts, the verdict and the key of colours."""
+"""Height of title, facts, verdict and colour key [pixels]."""
 _VERDICT_HEIGHT = 34
 MOST_LANES = 120
-"""Of markers on their own: those with most repairs."""
+"""Lanes of single markers, those with the most repairs."""
 _LABEL_STYLE = TextStyle(size=14, color=SOFT)
 _NOTE_STYLE = TextStyle(size=16, color=DIM)
 
@@ -50,10 +50,10 @@ def draw_repairs(
     first_frame: int,
     least_frames: int = 1,
 ) -> ByteImage:
-    """Draw a lane for each marker that was repaired for long, most repairs first.
+    """Draw a lane for each marker with long repairs, sorted by number of repairs.
 
-    The others, and those beyond `MOST_LANES`, share the last. A column is coloured if any of its
-    frames was repaired, so that single samples show.
+    Other markers, and those beyond `MOST_LANES`, share the last lane. A column is coloured if any
+    of its frames was repaired, so that single samples are visible.
 
     Parameters
     ----------
@@ -62,13 +62,13 @@ def draw_repairs(
     kinds : sequence of RepairKind
         Later ones are drawn over earlier ones.
     title, facts
-        Written above.
+        Written at the top.
     verdict : tuple of str
         ``'good'``, ``'check'`` or ``'bad'``, and the sentence.
     first_frame : int
         Frame number of the first row of each kind.
     least_frames : int
-        Repairs in a row, from which on a marker has a lane of its own.
+        Length of a repair [frames] from which a marker has its own lane.
     """
     frames = len(kinds[0].where) if kinds else 0
     if not frames or any(kind.where.shape != (frames, len(names)) for kind in kinds):

@@ -1,4 +1,4 @@
-"""A pinhole camera, and one that finds the face by itself."""
+"""A pinhole camera, and automatic framing of a face."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,37 +10,37 @@ from usdface.core.arrays import BoolArray, Float32Array, FloatArray, row_lengths
 from usdface.core.assets import RigMesh
 
 FACE_REACH = 0.45
-"""A point is of the face if some shape moves it this share of what the shape moves at most.
+"""Displacement of a point, relative to the largest of the same shape, from which it is of the face.
 
-Relative to each shape, the forehead counts (brows move millimetres) and the neck does not, though
-an open jaw drags it further than that.
+Relative to each shape, the forehead is included (brows move millimetres) and the neck is not,
+although an open jaw moves it further.
 """
 
 
 _FACE_MARGIN = 1.12
-"""Room about a face; 1 touches it."""
+"""Height of the picture over that of the face."""
 
 _HAIR_SHARE = 0.5
-"""Of a face's height: hair and hats that reach higher are cut."""
+"""Height of hair and hats in the picture, relative to the face; more is cut."""
 
 
 @dataclass(frozen=True)
 class Camera:
-    """Where a picture is taken from; rows run down, columns to the right."""
+    """A camera; rows of its pictures run down, columns to the right."""
 
     eye: tuple[float, float, float]
     target: tuple[float, float, float]
     """`eye`, `target`: [mm]"""
     fov_degrees: float = 16.0
-    """Vertical field of view [degrees]; narrow, as a portrait lens is."""
+    """Vertical field of view [degrees]; narrow, like a portrait lens."""
     up: tuple[float, float, float] = (0.0, 1.0, 0.0)
     """Direction that is up in the picture."""
     shift: tuple[float, float] = (0.0, 0.0)
-    """Where the picture's middle lies off the axis, right and up [half heights]; a lens shift."""
+    """Lens shift: offset of the picture's centre from the axis, right and up [half heights]."""
     span_mm: float | None = None
-    """Height of what an orthographic camera sees [mm]; None for perspective."""
+    """Height of an orthographic view [mm]; None for perspective."""
     framed_width: float = 1.0
-    """Width of what was framed over the picture's height: pages as narrow still hold it."""
+    """Width of the framed points over the picture's height: the narrowest aspect that shows all."""
 
     def axes(self) -> FloatArray:
         """Return the rows right, up and backward (from the target to the eye), orthonormal."""
@@ -51,7 +51,7 @@ class Camera:
         return np.stack([right, np.cross(backward, right), backward])
 
     def directions(self, pixels: FloatArray, *, width: int, height: int) -> Float32Array:
-        """Return unit rays through picture positions: (n, 3) float32.
+        """Return unit directions of the rays through picture positions: (n, 3) float32.
 
         Parameters
         ----------
@@ -70,7 +70,7 @@ class Camera:
         return np.asarray(rays, np.float32)
 
     def origins(self, pixels: FloatArray, *, width: int, height: int) -> Float32Array:
-        """Return where the rays of `directions` begin, (n, 3) float32 array [mm]."""
+        """Return the origins of the rays of `directions`: (n, 3) float32 [mm]."""
         if self.span_mm is None:
             return np.asarray(np.broadcast_to(self.eye, (len(pixels), 3)), np.float32)
         right, up, _ = self.axes()
@@ -81,7 +81,7 @@ class Camera:
     def _off_axis(
         self, pixels: FloatArray, width: int, height: int
     ) -> tuple[FloatArray, FloatArray]:
-        """Return how far right and up of the axis picture positions lie [half heights]."""
+        """Return picture positions relative to the axis, right and up [half heights]."""
         x = (2 * pixels[:, 0] - width) / height + self.shift[0]
         return x, 1 - 2 * pixels[:, 1] / height + self.shift[1]
 
@@ -106,12 +106,13 @@ class Camera:
 
 
 def motion_weights(meshes: Sequence[RigMesh]) -> FloatArray:
-    """Return how much of a shape's motion each point takes part in, of all meshes in a row.
+    """Return the largest relative displacement of each point, all meshes concatenated.
 
     Returns
     -------
     (points,) float array
-        [0-1]: 1 where some shape moves nothing further; 0 for hair, shoulders and clothing.
+        Maximum over the shapes of displacement / largest displacement of the shape [0-1]; 0 for
+        hair, shoulders and clothing.
     """
     reach = [np.zeros(len(mesh.points)) for mesh in meshes]
     furthest: dict[str, float] = {}
@@ -138,21 +139,19 @@ def frame_face(
 ) -> Camera:
     """Return a camera that frames the face; Y is up and the face looks along +Z.
 
-    A head may come with neck, shoulders and hair: what the BlendShapes move is the face.
-
     Parameters
     ----------
     points : (n, 3) array
         [mm]
     weights : (n,) array, optional
-        How much each point moves (`motion_weights`), or a mask of the points to frame.
-        Without it, or where nothing moves, all points are framed.
+        `motion_weights`, which exclude neck, shoulders and hair, or a mask of the points to frame.
+        Default, or if all are 0: all points.
     yaw_degrees : float
-        The camera's place round the face: positive goes to the character's left (+X) [degrees].
+        Position of the camera around the face, positive to the character's left (+X).
     aspect : float
         Width of the picture over its height.
     hair : bool
-        Whether what stands above the face is in the picture too, up to half a face.
+        Whether to include hair above the face, up to half the face's height.
     """
     cloud = np.asarray(points, np.float64)
     if cloud.ndim != 2 or cloud.shape[1:] != (3,) or not len(cloud):
@@ -171,9 +170,9 @@ def frame_face(
     width, height = np.maximum(high - low, 1e-6)[:2]
     span = _FACE_MARGIN * max(height, width / aspect)
     half = np.tan(np.radians(Camera.fov_degrees / 2))
-    # The plane of the widest part decides the scale: the middle of the depth is close to it.
+    # The scale holds at the centre of the depth, close to the plane of the widest part.
     distance = span / 2 / half + (high[2] - low[2]) / 2
-    # Chins want less room than foreheads.
+    # More room above the forehead than below the chin.
     middle = (low + high) / 2 + [0.0, 0.03 * span, 0.0]
     target = middle @ axes
     across = float(2 * _FACE_MARGIN * np.abs(sides - middle[0]).max() / span)
@@ -185,10 +184,7 @@ def frame_face(
 
 
 def frame_rig(meshes: Sequence[RigMesh], *, yaw_degrees: float = 0.0, hair: bool = False) -> Camera:
-    """Return a camera that keeps a rig's face in the picture, an open jaw included.
-
-    Options are those of `frame_face`.
-    """
+    """Return a camera that frames a rig's face in all shapes; options as in `frame_face`."""
     rest = np.concatenate([mesh.points for mesh in meshes])
     weights = motion_weights(meshes)
     posed, taken = [rest], [weights]

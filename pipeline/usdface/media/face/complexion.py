@@ -1,4 +1,4 @@
-"""Colours for a rig that has none: skin, eyes, teeth, and a dark inside of the mouth."""
+"""Default colours of a rig: skin, eyes, teeth, and a dark inside of the mouth."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,17 +13,17 @@ from usdface.media.face.features import ColorBand, find_bands
 from usdface.media.face.mesh_topology import Sparse, polygon_edges
 from usdface.media.face.parts import FacePart, Pieces
 
-_CLOSED, _OPEN = 0.015, 0.09  # of the sky seen at rest: inside of a mouth below, skin above
+_CLOSED, _OPEN = 0.015, 0.09  # visible share of the sky at rest: inside of a mouth, and skin
 
 
 LEAST_OPACITY = 0.5
-"""Faces below this opacity are not drawn: corneas and tear lines would hide what is judged."""
+"""Faces below this opacity are not drawn: corneas and tear lines would hide eyes and lids."""
 
-_PALE_LUMINANCE = 0.25  # linear green of an eye from which it is a white without an iris
+_PALE_LUMINANCE = 0.25  # linear green above which an eye of one colour has no iris
 
 
 def tone(mesh: RigMesh) -> FloatArray | None:
-    """Return the one colour that all opaque faces of a mesh have by material; None without."""
+    """Return the material colour of all opaque faces of a mesh; None if they differ."""
     if mesh.face_colors is None:
         return None
     opaque = mesh.face_colors[~(mesh.face_colors[:, 3] < LEAST_OPACITY), :3]
@@ -33,7 +33,7 @@ def tone(mesh: RigMesh) -> FloatArray | None:
 
 
 def faces_painted(mesh: RigMesh) -> FloatArray:
-    """Return the colour of each face that is not that of its points, (faces, 3); else NaN."""
+    """Return colours by face where materials differ within a mesh: (faces, 3); else NaN."""
     colors = np.full((len(mesh.face_counts), 3), np.nan)
     if mesh.face_colors is not None and tone(mesh) is None:
         colors[:] = mesh.face_colors[:, :3]
@@ -41,7 +41,7 @@ def faces_painted(mesh: RigMesh) -> FloatArray:
 
 
 def is_plain_eye(colors: FloatArray) -> bool:
-    """Whether an eye's own colours, (n, 3), are one pale colour, so that its iris is not there."""
+    """Return whether an eye's colours, (n, 3), are absent or one pale colour: without an iris."""
     if not len(colors) or np.isnan(colors).all():
         return True
     one = np.ptp(colors, axis=0).max() < 0.02  # NaN compares false: partly painted is painted
@@ -55,18 +55,18 @@ class Complexion:
     colors: FloatArray
     """(points, 3): linear."""
     bands: tuple[ColorBand, ...]
-    """Lips and brows, where the rig has no colours of its own."""
+    """Lips and brows, if the rig has no colours."""
     bare: FloatArray
-    """(points,): how much of the bands' colour each point takes [0-1]."""
+    """(points,): opacity of the bands at each point [0-1]."""
 
 
 def paint(meshes: Sequence[RigMesh], pieces: Pieces, *, exposure: FloatArray) -> Complexion:
-    """Colour every point: as the rig does where it has colours.
+    """Return colours of all points: the rig's, or else those of its parts.
 
     Parameters
     ----------
     exposure : (points,) float array
-        How much of the sky each point sees, mouth shut [0-1].
+        Visible share of the sky with the mouth shut [0-1].
     """
     palette = np.zeros((len(FacePart), 3))
     palette[FacePart.SKIN], palette[FacePart.EYE] = shading.SKIN, shading.SCLERA
@@ -88,7 +88,7 @@ def paint(meshes: Sequence[RigMesh], pieces: Pieces, *, exposure: FloatArray) ->
     for mesh in meshes:
         own = slice(first, first + len(mesh.points))
         one = tone(mesh)
-        if one is not None:  # of what the mesh is most; teeth in a head of one material stay teeth
+        if one is not None:  # for the mesh's largest part; teeth in a head of one material stay
             most = np.bincount(parts[own]).argmax() if len(parts[own]) else FacePart.SKIN
             toned = parts[own] == most
             shade = inside[own, None] * (most == FacePart.SKIN)
@@ -101,13 +101,13 @@ def paint(meshes: Sequence[RigMesh], pieces: Pieces, *, exposure: FloatArray) ->
 
 
 def _step(value: FloatArray) -> FloatArray:
-    """Climb smoothly from 0 to 1."""
+    """Return the smoothstep function of values in [0, 1]."""
     limited = np.clip(value, 0, 1)
     return np.asarray(limited**2 * (3 - 2 * limited))
 
 
 def _neighbours(meshes: Sequence[RigMesh]) -> Sparse:
-    """Return the symmetric (points, points) matrix that is 1 where an edge joins two points."""
+    """Return the symmetric (points, points) adjacency matrix."""
     pairs, first = [], 0
     for mesh in meshes:
         pairs.append(polygon_edges(mesh.face_counts, mesh.face_indices) + first)
@@ -121,7 +121,7 @@ def _neighbours(meshes: Sequence[RigMesh]) -> Sparse:
 
 
 def _spread(values: FloatArray, links: Sparse, *, times: int) -> FloatArray:
-    """Average each point with its neighbours: counting rays is noisy."""
+    """Average each point with its neighbours, against the noise of ray counts."""
     degree = np.maximum(np.asarray(links.sum(axis=1)).reshape(-1), 1)
     for _ in range(times):
         values = 0.5 * values + 0.5 * np.asarray(links @ values) / degree

@@ -1,11 +1,11 @@
-"""Share noisy light between neighbouring pixels that look at the same bit of surface."""
+"""Denoising of light: averages over neighbouring pixels of the same surface."""
 
 import numpy as np
 
 from usdface.core.arrays import Float32Array, IntArray
 
-_LEAST_COSINE = 0.8  # cosine between two normals of the same bit of surface
-# Over five pixels these add up every direction of a 4 by 4 block the same number of times.
+_LEAST_COSINE = 0.8  # between normals of pixels that are averaged
+# Weights over five pixels that count every pattern of a 4 by 4 block equally.
 _TAPER = {0: 1.0, 1: 1.0, 2: 0.5}
 
 
@@ -18,7 +18,7 @@ def denoise(
     shape: tuple[int, int],
     tolerance: float,
 ) -> Float32Array:
-    """Average values over blocks of pixels, never across an edge of the form: (n, k) float32.
+    """Average values over blocks of pixels, except across edges of the surface: (n, k) float32.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ def denoise(
     shape : tuple of int
         Height and width of the picture.
     tolerance : float
-        How far off a pixel's tangent plane a neighbour may lie [mm].
+        Largest distance of a neighbour from a pixel's tangent plane [mm].
     """
     if not len(rays):
         return values
@@ -38,8 +38,8 @@ def denoise(
     box = (slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1))
     grid = (rows - rows.min(), columns - columns.min())
     height, width = box[0].stop - box[0].start, box[1].stop - box[1].start
-    # Planes of pixels: slices of them line up neighbours without a copy. No hit, no normal, and
-    # no normal is like no other.
+    # Slices of image planes align neighbours without a copy. Pixels without a hit have a zero
+    # normal, which fails the test of the cosine.
     normal = np.zeros((3, height, width), np.float32)
     place = np.zeros((3, height, width), np.float32)
     given = np.zeros((values.shape[1], height, width), np.float32)
@@ -49,7 +49,7 @@ def denoise(
     for dy in range(3):
         for dx in range(-2, 3):
             if dy == 0 and dx <= 0:
-                continue  # every pair once; it shares both ways
+                continue  # every pair once, in both directions
             share = np.float32(_TAPER[dy] * _TAPER[abs(dx)])
             here, there = _aligned(dy, dx, height, width)
             n, m = normal[:, *here], normal[:, *there]
@@ -68,7 +68,7 @@ def denoise(
 def _aligned(
     dy: int, dx: int, height: int, width: int
 ) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
-    """Return the slices that put each pixel on the one dy below and dx to the right of it."""
+    """Return slices of each pixel and of its neighbour dy below and dx to the right."""
     left, right = max(-dx, 0), max(dx, 0)
     here = (slice(0, max(height - dy, 0)), slice(left, max(width - right, left)))
     there = (slice(dy, max(height, dy)), slice(right, max(width - left, right)))

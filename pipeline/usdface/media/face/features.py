@@ -1,12 +1,12 @@
-"""Lips and brows of a face without colours, found by what its shapes do.
+"""Lips and brows of a face without colours, located by its shapes.
 
-A mouth is a line in plain skin, and a raised brow a shade on it: neither can be judged. Lips lie
-along the line at which the opening jaw parts the skin, brows along the ridge of what the shapes of
-the brows move, above the eyes. How thick they are is a share of the mouth and of the eyes'
-distance, as in most adults.
+In plain skin, a mouth is a line and a raised brow a slight shade, which are hard to judge. Lips lie
+along the line where the jaw opener parts the skin, brows along the largest motion of the brow
+shapes above the eyes. Their thickness is a share of the mouth's width and of the eyes' distance,
+typical of adults.
 
-Both are bands of colour on the resting face. Pictures and pages look up where on it each pixel
-lies, so that a band is as sharp on few points as on many, and moves with the skin.
+Both are bands of colour on the resting face, evaluated per pixel: sharp at any resolution of the
+mesh, and moving with the skin.
 """
 
 from collections.abc import Iterable, Sequence
@@ -24,23 +24,23 @@ from usdface.numerics.measure.face_regions import jaw_opener, shapes_by_region
 from usdface.numerics.measure.performance_error import find_lip_pairs
 
 _UPPER_LIP, _LOWER_LIP = 0.26, 0.32
-"""[of the mouth's half width] Height of the red in the middle."""
+"""Height of the lips in the middle [half widths of the mouth]."""
 _LIP_EDGE = 0.10
-"""[of the same] Over which red becomes skin."""
+"""Width of the transition to skin [half widths of the mouth]."""
 _BROW_INNER, _BROW_OUTER = -0.21, 0.33
-"""[of the eyes' distance] Ends of a brow, from the eye's middle outwards."""
+"""Ends of a brow, from the eye's centre outwards [distances of the eyes]."""
 _BROW_BAND = (0.16, 0.75)
-"""[of the same] Above the eye's middle: where a brow is looked for."""
+"""Range above the eye's centre that is searched for a brow [distances of the eyes]."""
 _BROW_HALF = 0.045
-"""[of the same] Half of a brow's height, at its thickest."""
+"""Half of a brow's largest height [distances of the eyes]."""
 _BROW_EDGE = 0.06
-"""[of the same] Over which it becomes skin."""
+"""Width of the transition to skin [distances of the eyes]."""
 _RIDGE_POWER = 8
-"""Of the share of a shape's largest motion: the ridge counts, not its slopes."""
+"""Exponent of the relative motion in the fit, which gives weight to its maximum."""
 _LEAST_LINE = 6
-"""Points of a line of the mouth, or of a brow's ridge, that tell where it runs."""
+"""Points needed to fit the line of a mouth or of a brow."""
 BAND_ROWS = 17
-"""Samples of a band from end to end; the pages' shader has as many."""
+"""Samples of a band from end to end, as in the shader of pages."""
 
 
 @dataclass(frozen=True)
@@ -50,15 +50,15 @@ class ColorBand:
     ends: tuple[float, float]
     """The least and the largest x [mm]."""
     rows: Float32Array
-    """(BAND_ROWS, 4) [mm]: at equal steps of x, y of the curve, how far the colour reaches above
-    and below it, and z that it lies before."""
+    """(BAND_ROWS, 4) [mm]: at equal steps of x: y of the curve, reach of the colour above and below
+    it, and least z."""
     edge: float
-    """[mm] Over which the colour fades, half of it beyond the reach."""
+    """Width over which the colour fades, centred on the reach [mm]."""
     color: Float32Array
     """(3,): linear."""
 
     def meets(self, corners: FloatArray) -> BoolArray:
-        """Return which triangles the band may lie on, from (n, 3, 3) corners at rest [mm]."""
+        """Return the triangles that may meet the band, from (n, 3, 3) corners at rest [mm]."""
         curve, above, below, least = self.rows.T
         room = self.edge / 2
         low = (self.ends[0], float((curve - below).min()) - room, float(least.min()))
@@ -67,7 +67,7 @@ class ColorBand:
         return np.asarray(reaches.all(axis=1))
 
     def share(self, rest: Float32Array) -> Float32Array:
-        """Return how much of the colour there is at points of the resting face [0-1].
+        """Return the opacity of the colour at points of the resting face [0-1].
 
         Parameters
         ----------
@@ -89,12 +89,12 @@ class ColorBand:
 def find_bands(
     meshes: Sequence[RigMesh], eyeballs: Iterable[Eyeball], skin: BoolArray
 ) -> tuple[ColorBand, ...]:
-    """Return the lips and the brows that are found.
+    """Return the bands of the lips and the brows that can be located.
 
     Parameters
     ----------
     skin : (points,) bool array
-        Where they may lie, of the points of all meshes in a row.
+        Points of skin, all meshes concatenated.
     """
     points = np.concatenate([mesh.points for mesh in meshes])
     names, offsets = _offsets(meshes)
@@ -103,7 +103,7 @@ def find_bands(
 
 
 def _band(x: FloatArray, rows: Sequence[ArrayLike], edge: float, color: Float32Array) -> ColorBand:
-    """Make a band of samples from one end to the other, either way; nothing is left at its ends."""
+    """Return a band of samples in ascending or descending x, with zero height at its ends."""
     order = np.argsort(x)
     curve, above, below, least = (np.broadcast_to(row, x.shape) for row in rows)
     inner = (np.arange(len(x)) > 0) & (np.arange(len(x)) < len(x) - 1)
@@ -113,7 +113,7 @@ def _band(x: FloatArray, rows: Sequence[ArrayLike], edge: float, color: Float32A
 
 
 def _offsets(meshes: Sequence[RigMesh]) -> tuple[tuple[str, ...], sparse.csr_array]:
-    """Return the names of all shapes, and what each at 1 does to all points."""
+    """Return the names of all shapes, and their offsets at weight 1: (shapes, 3 * points)."""
     names = tuple(dict.fromkeys(shape.name for mesh in meshes for shape in mesh.shapes))
     row_of, first = {name: row for row, name in enumerate(names)}, 0
     rows, columns, values = [np.zeros(0, int)], [np.zeros(0, int)], [np.zeros(0)]
@@ -130,7 +130,7 @@ def _offsets(meshes: Sequence[RigMesh]) -> tuple[tuple[str, ...], sparse.csr_arr
 
 
 def _motion(offsets: sparse.csr_array, shape: int) -> FloatArray:
-    """Return how far a shape moves each point [mm]."""
+    """Return the displacement of each point by a shape [mm]."""
     moved = np.asarray(offsets[[shape]].toarray(), float).reshape(-1, 3)
     return np.asarray(np.linalg.norm(moved, axis=1))
 

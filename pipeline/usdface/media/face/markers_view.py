@@ -1,4 +1,4 @@
-"""A marker cloud from the front: near dots bright and large, unseen ones hollow, rows joined."""
+"""Front view of a marker cloud: near dots bright and large, occluded ones hollow."""
 
 from dataclasses import dataclass
 
@@ -15,14 +15,14 @@ _FAR, _NEAR = np.array([74, 92, 112]), np.array([150, 208, 255])
 _UNSEEN = (214, 122, 84)
 _LARGEST_DOT = 4.2
 _DOT_SHARE = 0.28
-"""Radius of the largest dot: at most so much of the distance between neighbours, so that the lines
-between landmarks of a video are seen."""
+"""Largest radius of a dot relative to the distance of neighbours, so that lines between landmarks
+are visible."""
 _LINE = (104, 140, 176)
 
 
 @dataclass(frozen=True)
 class MarkersFrame:
-    """What part of the head's space a tile shows: one for a whole sheet, so that tiles compare."""
+    """Framing of a marker cloud; one for a whole sheet, so that tiles have the same scale."""
 
     center: FloatArray
     """(3,) [mm]"""
@@ -31,28 +31,28 @@ class MarkersFrame:
     depth: float
     """From the furthest to the nearest marker [mm]."""
     spacing: float = np.inf
-    """Between neighbouring markers, seen from the front, median [mm]."""
+    """Median distance of neighbouring markers in the front view [mm]."""
 
 
 def frame_markers(
     positions: ArrayLike, *, aspect: float = 1.0, margin: float = 1.16
 ) -> MarkersFrame:
-    """Return the frame that holds a cloud over all of its frames but stray ones.
+    """Return the framing of a cloud over all of its frames, except outliers.
 
     Parameters
     ----------
     positions : (..., 3) array
-        [mm], head motion taken out.
+        [mm], without head motion.
     aspect : float
         Width of the tile over its height.
     margin : float
-        Room about the cloud; 1 touches it.
+        Height of the tile over that of the cloud.
     """
     cloud = np.asarray(positions, np.float64).reshape(-1, 3)
     cloud = cloud[np.isfinite(cloud).all(axis=1)]
     if not len(cloud):
         raise InputError("markers to draw: there is no position; check the take's markers")
-    # A marker lost for a moment must not shrink the face to a speck.
+    # Percentiles, because a single outlier would shrink the face.
     low, high = np.percentile(cloud, [0.2, 99.8], axis=0)
     span = np.maximum(high - low, 1e-6)
     return MarkersFrame(
@@ -64,7 +64,7 @@ def frame_markers(
 
 
 def _spacing(positions: FloatArray) -> float:
-    """Return the median distance to the nearest marker, in the frame that shows most."""
+    """Return the median distance to the nearest marker, in the frame with the most markers."""
     frames = positions.reshape(-1, *positions.shape[-2:])[..., :2]
     seen: BoolArray = np.asarray(np.isfinite(frames).all(axis=2), bool)
     best = int(seen.sum(axis=1).argmax())
@@ -90,15 +90,15 @@ def draw_markers(
     Parameters
     ----------
     positions : (markers, 3) array
-        [mm], head motion taken out, Y up, the face looking along +Z.
+        [mm], without head motion, Y up, the face looking along +Z.
     width, height : int
         [pixels]
     frame : MarkersFrame, optional
-        Without it the tile fits this one cloud.
+        Default: fits this cloud.
     visible : (markers,) bool array, optional
-        False is drawn hollow.
+        Occluded markers are drawn hollow.
     lines : (lines, 2) int array, optional
-        Markers to join, such as those along a lip.
+        Markers to join by lines, such as along a lip.
     """
     cloud = np.asarray(positions, np.float64)
     if cloud.ndim != 2 or cloud.shape[1] != 3:
@@ -140,15 +140,15 @@ def draw_markers(
 def draw_marker_lines(
     picture: ByteImage, at: FloatArray, lines: ArrayLike, *, size: float, color: Color = _LINE
 ) -> None:
-    """Join markers that are shown, to be drawn over.
+    """Draw lines between markers.
 
     Parameters
     ----------
     at : (markers, 2) array
-        Where markers are [pixels]; NaN where one is not known.
+        Positions in the picture [pixels]; NaN if unknown.
     lines : (lines, 2) int array
     size : float
-        Of a picture 320 high 1.
+        Scale of the picture: height / 320.
     """
     for one, other in np.asarray(lines, np.int64).reshape(-1, 2).tolist():
         if np.isfinite(at[[one, other]]).all():

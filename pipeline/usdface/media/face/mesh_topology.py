@@ -1,4 +1,4 @@
-"""Polygons: their edges, pieces, triangles and smooth normals; most of it is of no pose."""
+"""Polygon meshes: edges, connected pieces, triangles and smooth normals."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -13,7 +13,7 @@ from usdface.core.errors import InputError
 from usdface.numerics.surface.triangulation import triangulate
 
 Sparse = Any
-"""A scipy CSR array; its stubs cannot say of what."""
+"""A SciPy CSR array, which is untyped."""
 
 
 def check_topology(mesh: RigMesh) -> None:
@@ -34,7 +34,7 @@ def check_topology(mesh: RigMesh) -> None:
 
 
 def polygon_edges(face_counts: IntArray, face_indices: IntArray) -> IntArray:
-    """Return the two points of every side of every polygon, in the order of the corners.
+    """Return both points of each side of each polygon, in the order of the corners.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def polygon_edges(face_counts: IntArray, face_indices: IntArray) -> IntArray:
     Returns
     -------
     (corners, 2) int array
-        An edge between two polygons is there twice.
+        Edges between two polygons occur twice.
     """
     starts = np.cumsum(face_counts) - face_counts
     corner = np.arange(len(face_indices))
@@ -55,7 +55,7 @@ def polygon_edges(face_counts: IntArray, face_indices: IntArray) -> IntArray:
 
 
 def components(face_counts: IntArray, face_indices: IntArray, *, point_count: int) -> IntArray:
-    """Return the number of the connected piece that each point belongs to: (points,) int array.
+    """Return the connected piece of each point: (points,) int array.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def components(face_counts: IntArray, face_indices: IntArray, *, point_count: in
 
 
 def normal_operator(triangles: IntArray, *, point_count: int) -> Sparse:
-    """Return the (points, triangles) matrix that adds triangle normals at their corners."""
+    """Return the (points, triangles) matrix that sums triangle normals at their corners."""
     count = len(triangles)
     columns = np.repeat(np.arange(count), 3)
     ones = np.ones(3 * count, np.float32)
@@ -81,7 +81,7 @@ def normal_operator(triangles: IntArray, *, point_count: int) -> Sparse:
 
 
 def vertex_normals(points: FloatArray, triangles: IntArray, operator: Sparse) -> FloatArray:
-    """Return unit normals, the mean of the triangles about a point weighted by their area.
+    """Return unit normals: area-weighted means of the triangles at each point.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def vertex_normals(points: FloatArray, triangles: IntArray, operator: Sparse) ->
     Returns
     -------
     (points, 3) float array
-        Zero where no triangle with an area meets the point.
+        Zero for points without a triangle of positive area.
     """
     a, b, c = (points[triangles[:, k]] for k in range(3))
     summed = np.asarray(operator @ np.cross(b - a, c - a))
@@ -102,7 +102,7 @@ def vertex_normals(points: FloatArray, triangles: IntArray, operator: Sparse) ->
 
 
 LEAST_ANGLE = np.radians(0.5)
-"""Between the means of opposite normals; light then steps by less than a byte."""
+"""Angle between the means of opposite normals, below which shading differs by less than a byte."""
 
 
 @dataclass(frozen=True)
@@ -110,10 +110,9 @@ class Cut:
     """Polygons as triangles."""
 
     middles: Sparse
-    """(new points, points): new points = middles @ points; they are counted on from the last
-    point."""
+    """(new points, points): new points = middles @ points, appended to the points."""
     corners: IntArray
-    """(new points, 4): the points whose mean each is."""
+    """(new points, 4): each new point is the mean of these."""
     triangles: IntArray
     """(triangles, 3)"""
     faces: IntArray
@@ -123,11 +122,11 @@ class Cut:
 def cut_polygons(
     points: FloatArray, face_counts: IntArray, face_indices: IntArray, *, least_edge: float
 ) -> Cut:
-    """Cut polygons into triangles, long quads over a bend about their middle.
+    """Cut polygons into triangles, and long bent quads into four around their centre.
 
-    Cut along a diagonal, a quad takes the light of two of its corners and not of the others: where
-    the normals of the two pairs differ, a row of long quads looks like a comb, as it does between
-    jaw and neck. With a point in the middle, lit as the mean of all four, it looks like the bend.
+    A quad cut along a diagonal is shaded by two of its corners only: where the normals of the two
+    diagonals differ, a row of long quads shows a saw-tooth pattern, for instance between jaw and
+    neck. A centre point with the mean normal of all four corners avoids this.
 
     Parameters
     ----------
@@ -136,7 +135,7 @@ def cut_polygons(
     face_counts : (faces,) int array
     face_indices : (corners,) int array
     least_edge : float
-        Quads without a longer edge are cut along a diagonal, as all other polygons are.
+        Quads without a longer edge are cut along a diagonal.
     """
     triangles, faces = triangulate(face_counts, face_indices)
     bent = _bent(points, triangles, face_counts, face_indices, least_edge)
@@ -162,7 +161,7 @@ def _bent(
     face_indices: IntArray,
     least_edge: float,
 ) -> BoolArray:
-    """Return which polygons are long quads whose diagonals are lit differently."""
+    """Return whether each polygon is a long quad whose diagonals have different normals."""
     normals = vertex_normals(points, triangles, normal_operator(triangles, point_count=len(points)))
     rows = np.flatnonzero(face_counts == 4)
     starts = (np.cumsum(face_counts) - face_counts)[rows]

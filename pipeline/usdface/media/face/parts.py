@@ -1,7 +1,7 @@
-"""What each piece of a head is: skin, eye, tooth … from names where they tell, else from form.
+"""Classification of a head's pieces (skin, eye, tooth …) by name, or else by form.
 
-A rig needs no preparation to be looked at. Many heads are one mesh without colours in which eyes,
-teeth and lashes are loose pieces; painted as skin, teeth glow and lids cannot be judged.
+Rigs are drawn without preparation. Many heads are one mesh without colours in which eyes, teeth and
+lashes are separate pieces, which need their own shading.
 """
 
 import re
@@ -17,7 +17,7 @@ from usdface.media.face.mesh_topology import components, polygon_edges
 
 
 class FacePart(IntEnum):
-    """How a piece is shaded."""
+    """Part of the face, which determines shading."""
 
     SKIN = 0
     EYE = 1
@@ -29,7 +29,7 @@ class FacePart(IntEnum):
 
 @dataclass(frozen=True)
 class Eyeball:
-    """The sphere that fits an eye at rest."""
+    """The sphere fitted to an eye at rest."""
 
     center: FloatArray
     """(3,) [mm]"""
@@ -39,17 +39,17 @@ class Eyeball:
 
 @dataclass(frozen=True)
 class Pieces:
-    """The connected pieces of the visible meshes, and what each is."""
+    """The connected pieces of the visible meshes, classified."""
 
     of_point: IntArray
-    """(points,): piece of every point, of all meshes in a row."""
+    """(points,): piece of each point, all meshes concatenated."""
     parts: IntArray
-    """(pieces,): a `FacePart` for each piece."""
+    """(pieces,): `FacePart` of each piece."""
     eyeballs: dict[int, Eyeball]
     """By piece."""
 
 
-# Whole words and word starts in a prim's name; the first that fits decides.
+# Patterns of a prim's name; the first match is used.
 _NAMES: tuple[tuple[str, FacePart], ...] = (
     (r"cornea|tear|wet|lacrimal|occlusion|eyeblend|eye_?shadow|lens", FacePart.HIDDEN),
     (r"lash|brow|hair|beard|mustache|moustache|stubble", FacePart.HAIR),
@@ -61,15 +61,15 @@ _NAMES: tuple[tuple[str, FacePart], ...] = (
     ),
 )
 _SPHERE_MISFIT = (
-    0.06  # of the radius; measured eyeballs with a cornea reach 0.045, lashes start there
+    0.06  # largest residual over the radius: 0.045 for eyeballs with a cornea, more for lashes
 )
-_EYE_SHEET = 2.7  # of an eye's radius, from its middle: how far lash cards reach
-_CLOSED_IN = 0.15  # of the sky seen at rest, by pieces that live in the mouth
-_TOOTH_SIZE = 0.26  # of the head's width
+_EYE_SHEET = 2.7  # largest distance of lash cards from the eye's centre [radii]
+_CLOSED_IN = 0.15  # visible share of the sky at rest below which a piece is in the mouth
+_TOOTH_SIZE = 0.26  # largest diagonal of teeth over the head's width
 
 
 def part_from_name(path: str) -> FacePart | None:
-    """Return what a prim's own name says it is; None where it does not say."""
+    """Return the part that a prim's name indicates, or None."""
     name = path.rsplit("/", 1)[-1].lower()
     for pattern, part in _NAMES:
         if re.search(pattern, name):
@@ -78,14 +78,14 @@ def part_from_name(path: str) -> FacePart | None:
 
 
 def find_pieces(meshes: Sequence[RigMesh], *, exposure: FloatArray) -> Pieces:
-    """Tell the pieces of a head apart.
+    """Classify the pieces of a head.
 
     Parameters
     ----------
     meshes : sequence of RigMesh
         At rest.
     exposure : (points,) float array
-        How much of the sky each point sees at rest [0-1], all meshes in a row.
+        Visible share of the sky at rest [0-1], all meshes concatenated.
     """
     labels, named = _label(meshes)
     points = np.concatenate([mesh.points for mesh in meshes])
@@ -124,7 +124,7 @@ def find_pieces(meshes: Sequence[RigMesh], *, exposure: FloatArray) -> Pieces:
 
 
 def _label(meshes: Sequence[RigMesh]) -> tuple[IntArray, list[FacePart | None]]:
-    """Count the pieces; a mesh whose name says what it is stays whole, unless it is eyes."""
+    """Return piece labels and parts by name; a mesh of a named part, except eyes, is one piece."""
     labels, named = [], list[FacePart | None]()
     for mesh in meshes:
         part = part_from_name(mesh.path)
@@ -139,7 +139,7 @@ def _label(meshes: Sequence[RigMesh]) -> tuple[IntArray, list[FacePart | None]]:
 
 
 def _on_border(mesh: RigMesh) -> FloatArray:
-    """Return which points lie on an open edge."""
+    """Return whether each point is on an open edge."""
     sides = np.sort(polygon_edges(mesh.face_counts, mesh.face_indices), axis=1)
     edges, uses = np.unique(sides, axis=0, return_counts=True)
     border = np.zeros(len(mesh.points), bool)
@@ -153,10 +153,10 @@ def _width(points: FloatArray) -> float:
 
 
 def _fit_eyeball(cloud: FloatArray, head_width: float, *, certain: bool) -> Eyeball | None:
-    """Fit a sphere by least squares; None where the piece is not nearly one.
+    """Fit a sphere by least squares; None if the piece is not nearly spherical.
 
-    What its name calls an eye may have a flat back or a hollow iris: the quarter of its points that
-    are farthest from the first sphere is left out of a second.
+    Pieces named as eyes (`certain`) may have a flat back or a hollow iris: the fit is repeated
+    without the quarter of the points with the largest residuals.
     """
     if len(cloud) < 20:
         return None
@@ -175,7 +175,7 @@ def _fit_eyeball(cloud: FloatArray, head_width: float, *, certain: bool) -> Eyeb
 
 
 def _fit_sphere(cloud: FloatArray) -> tuple[FloatArray, float]:
-    """Return centre and radius of the sphere nearest to points, by least squares."""
+    """Return centre and radius of the least-squares sphere."""
     middle = cloud.mean(axis=0)
     local = cloud - middle
     system = np.column_stack([2 * local, np.ones(len(local))])
@@ -185,7 +185,7 @@ def _fit_sphere(cloud: FloatArray) -> tuple[FloatArray, float]:
 
 
 def _in_pairs(balls: dict[int, Eyeball], *, certain: FloatArray) -> dict[int, Eyeball]:
-    """Keep eyes that have a partner of their size beside them; one alone is an ornament."""
+    """Keep eyes with a partner of the same size; a single sphere is an ornament."""
 
     def has_partner(piece: int) -> bool:
         own = balls[piece]
@@ -200,7 +200,7 @@ def _in_pairs(balls: dict[int, Eyeball], *, certain: FloatArray) -> dict[int, Ey
 
 
 def _outermost(balls: dict[int, Eyeball]) -> tuple[dict[int, Eyeball], list[int]]:
-    """Of nested spheres (sclera in cornea) keep the largest: we paint the iris on it."""
+    """Split nested spheres (sclera in cornea) into the largest, which get an iris, and the rest."""
     inner = [
         piece
         for piece, ball in balls.items()
@@ -214,9 +214,9 @@ def _outermost(balls: dict[int, Eyeball]) -> tuple[dict[int, Eyeball], list[int]
 
 
 def _near_eye(cloud: FloatArray, eyeballs: dict[int, Eyeball]) -> bool:
-    """Return whether an open sheet belongs to an eye: a tear line, a shadow catcher, a lash card.
+    """Return whether an open sheet belongs to an eye: a tear line, shadow catcher or lash card.
 
-    In a real shader all of these are clear, or clear between hairs; drawn solid they mask the lid.
+    Production shaders make these transparent; drawn opaque, they would hide the lid.
     """
     return any(
         np.linalg.norm(cloud - ball.center, axis=1).max() < _EYE_SHEET * ball.radius

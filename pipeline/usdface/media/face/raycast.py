@@ -1,7 +1,7 @@
-"""Cast rays at one pose of a face and gather the light that comes back.
+"""Ray casting of one pose of a face.
 
-One ray through each pixel finds the form; occlusion and shadow of neighbours on the same surface
-are shared; pixels on an edge are then sampled again. So the cost goes where the eye looks.
+One ray per pixel finds the surface; occlusion and shadow are averaged over neighbours on the same
+surface; pixels on edges are supersampled.
 """
 
 from dataclasses import dataclass
@@ -17,13 +17,13 @@ from usdface.media.face.surface import Surface
 from usdface.media.face.tracing import PATTERN_COUNT, RayHits, Tracer, light_seen, sky_seen
 
 IRIS_ANGLE = 0.50
-"""Half angle of the iris from the eyeball's middle [rad]: 11.7 mm across on a 12 mm eye."""
+"""Half angle of the iris at the eyeball's centre [rad]: 11.7 mm across for a radius of 12 mm."""
 PUPIL_ANGLE = 0.20
 
 
 @dataclass(frozen=True)
 class Effort:
-    """How many rays a picture is worth: to the sky and the key light, and again on edges."""
+    """Rays per pixel to the sky and the key light, and samples and rays on edges."""
 
     sky_rays: int
     light_rays: int
@@ -36,15 +36,15 @@ EFFORT = {
     "draft": Effort(2, 1, 4, 2, 1),
     "final": Effort(4, 2, 8, 3, 2),
 }
-_CONTRAST_STEP = 0.05  # step of linear light between neighbours from which a pixel is sampled again
+_CONTRAST_STEP = 0.05  # difference between neighbours from which a pixel is supersampled
 _TOP, _BOTTOM = 0.060, 0.022  # background, linear
-_BACK_ALBEDO = 0.04  # albedo of a back face
-_HOLE_LIGHT = 0.006  # seen through an eye hole that has no eye behind it
+_BACK_ALBEDO = 0.04  # factor on the albedo of a back face
+_HOLE_LIGHT = 0.006  # light in an eye hole without an eye
 
 
 @dataclass(frozen=True)
 class View:
-    """All that one picture is drawn from."""
+    """Inputs of one picture."""
 
     surface: Surface
     camera: Camera
@@ -58,23 +58,23 @@ class View:
     colors: Float32Array
     """`normals`, `colors`: (drawn points, 3): unit normals; linear colours."""
     heat: bool
-    """True where the colours are values to be read, not skin."""
+    """Whether the colours are a heat map."""
 
     @property
     def tolerance(self) -> float:
-        """How far apart two points of the same bit of surface may lie, off its plane [mm]."""
+        """Largest distance of neighbours from each other's tangent plane [mm]."""
         return 4e-3 * self.surface.size
 
     @property
     def key(self) -> Float32Array:
-        """Direction towards the key light, in the world."""
+        """Unit direction towards the key light in world space."""
         world = shading.KEY_DIRECTION.astype(np.float64) @ self.camera.axes()
         return np.asarray(world / np.linalg.norm(world), np.float32)
 
 
 @dataclass(frozen=True)
 class _Samples:
-    """Where rays met the face, before light."""
+    """Surface samples at ray hits, before lighting."""
 
     found: RayHits
     normals: Float32Array
@@ -139,7 +139,7 @@ def draw(view: View) -> Float32Array:
 
 
 def _sample(view: View, pixels: FloatArray) -> _Samples:
-    """Cast rays through picture positions and read the surface where they meet it."""
+    """Cast rays through picture positions and sample the surface at their hits."""
     directions = view.camera.directions(pixels, width=view.width, height=view.height)
     origins = view.camera.origins(pixels, width=view.width, height=view.height)
     found = view.tracer.find(origins, directions)
@@ -155,7 +155,7 @@ def _sample(view: View, pixels: FloatArray) -> _Samples:
         own = view.surface.painted[found.triangles]
         known = ~np.isnan(own[:, 0])
         albedo[known] = own[known]
-    # The back of the skin, seen through an eye hole: inside of the head, no surface to judge.
+    # Back of the skin, visible through an eye hole.
     albedo[away] *= _BACK_ALBEDO
     if not view.heat:
         _paint_irises(view.surface, found, corners, albedo)
@@ -173,7 +173,7 @@ def _mix(values: Float32Array, corners: IntArray, shares: Float32Array) -> Float
 def _paint_irises(
     surface: Surface, found: RayHits, corners: IntArray, albedo: Float32Array
 ) -> None:
-    """Colour eyes by the angle from their gaze at rest: sharp on the coarsest eyeball."""
+    """Colour eyes by the angle from the gaze at rest, independently of the mesh's resolution."""
     which = surface.eyes[found.triangles]
     rows = np.flatnonzero(which >= 0)
     if not len(rows):
@@ -191,7 +191,7 @@ def _paint_irises(
 
 
 def _paint_bands(surface: Surface, found: RayHits, corners: IntArray, albedo: Float32Array) -> None:
-    """Colour lips and brows by where on the resting face they lie."""
+    """Colour lips and brows by position on the resting face."""
     if not surface.bands:
         return
     rows = np.flatnonzero(surface.bare[corners].any(axis=1))
@@ -205,7 +205,7 @@ def _paint_bands(surface: Surface, found: RayHits, corners: IntArray, albedo: Fl
 def _occlusion(
     view: View, samples: _Samples, patterns: IntArray, *, sky: int, light: int
 ) -> Float32Array:
-    """Return the shares of sky and of key light that each sample sees, as two columns."""
+    """Return the visible shares of sky and key light of each sample: (n, 2)."""
     size = view.surface.size
     start = samples.found.positions + np.float32(1.5e-3 * size) * samples.normals
     seen = np.zeros((len(start), 2), np.float32)
@@ -232,7 +232,7 @@ def _occlusion(
 def _light(view: View, samples: _Samples, seen: Float32Array) -> Float32Array:
     axes = view.camera.axes().astype(np.float32).T
     facing = samples.normals @ view.key
-    # Behind the terminator skin glows through; there a cast shadow would cut a hard line.
+    # Beyond the terminator, subsurface light replaces the cast shadow, whose edge would be hard.
     sure = np.clip((facing + 0.05) / 0.25, 0, 1)
     openness, lit = seen[:, 0], seen[:, 1]
     hits = shading.Hits(
@@ -247,7 +247,7 @@ def _light(view: View, samples: _Samples, seen: Float32Array) -> Float32Array:
 
 
 def background(height: int, width: int) -> Float32Array:
-    """Return the studio wall behind every tile, a little lighter on top, as linear light."""
+    """Return the background of all tiles, a vertical gradient: linear light."""
     column = np.linspace(_TOP, _BOTTOM, height, dtype=np.float32)
     tint = np.array([0.96, 1.0, 1.06], np.float32)
     return np.ascontiguousarray(
@@ -256,7 +256,7 @@ def background(height: int, width: int) -> Float32Array:
 
 
 def _edges(picture: Float32Array) -> BoolArray:
-    """Return where light steps between neighbours, in display terms."""
+    """Return the pixels whose encoded light differs from a neighbour's."""
     shown = np.sqrt(np.clip(picture, 0, 1))
     mask = np.zeros(picture.shape[:2], bool)
     down = _largest_channel(np.abs(np.diff(shown, axis=0))) > _CONTRAST_STEP
@@ -269,13 +269,13 @@ def _edges(picture: Float32Array) -> BoolArray:
 
 
 def _largest_channel(colors: Float32Array) -> Float32Array:
-    red, green, blue = np.moveaxis(colors, -1, 0)  # max() takes pixels one by one
+    red, green, blue = np.moveaxis(colors, -1, 0)  # faster than max(axis=-1)
     return np.asarray(np.maximum(np.maximum(red, green), blue))
 
 
 @dataclass(frozen=True)
 class _Known:
-    """What the first rays found, by pixel: light there is smooth already."""
+    """Denoised results of the first rays, by pixel."""
 
     samples: _Samples
     seen: Float32Array
@@ -283,7 +283,7 @@ class _Known:
 
 
 def _resample(view: View, edges: IntArray, near_hole: BoolArray, known: _Known) -> Float32Array:
-    """Average several samples in each of the given pixels."""
+    """Return the mean of several samples in each of the given pixels."""
     count = view.effort.edge_samples
     plastic = 1.32471795724474602596
     steps = np.arange(count)
@@ -311,13 +311,13 @@ def _resample(view: View, edges: IntArray, near_hole: BoolArray, known: _Known) 
 def _borrow(
     view: View, samples: _Samples, owner: IntArray, known: _Known
 ) -> tuple[Float32Array, IntArray]:
-    """Take shares of light from the pixel or a neighbour on the same bit of surface.
+    """Copy shares of light from the pixel or a neighbour on the same surface.
 
     Returns
     -------
     seen : (n, 2) float32 array
     unknown : (m,) int array
-        Samples that no pixel near by has seen the surface of.
+        Samples without such a pixel.
     """
     seen = np.zeros((len(owner), 2), np.float32)
     open_rows = np.arange(len(owner))

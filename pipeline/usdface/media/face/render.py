@@ -1,4 +1,4 @@
-"""Draw a posed face: ray-cast, softly lit, with shadow and ambient occlusion. No GPU, no window."""
+"""Pictures of a posed face, ray-cast on the CPU with soft shadow and ambient occlusion."""
 
 from collections.abc import Sequence
 from typing import Literal
@@ -21,20 +21,19 @@ Quality = Literal["draft", "final"]
 _MAX_PIXELS = 8192 * 8192
 
 _LEAST_KNOWN = 0.5
-"""Of the weight of a drawn point's neighbours: with less of it known, its value is not."""
+"""Least total weight of known values at a drawn point; below, its value is unknown."""
 
 
 class FaceRenderer:
-    """A rig ready to be drawn in any pose; keeps all that no pose changes.
+    """Draws a rig in any pose; data independent of the pose is computed once.
 
     Parameters
     ----------
     meshes : sequence of RigMesh
-        Hidden meshes are left out. Coarse Catmull-Clark cages are subdivided. Where a mesh has no
-        colours, pieces that are eyes, teeth, lashes or the inside of the mouth are recognised.
+        Hidden meshes are skipped. Coarse Catmull-Clark cages are subdivided. In meshes without
+        colours, eyes, teeth, lashes and the inside of the mouth are recognised.
     display : callable, optional
-        Turns light into bytes, see `display_view`; plain sRGB by default. Heat maps are data and
-        always plain.
+        Encodes light as bytes, see `display_view`; default: sRGB, which heat maps always use.
     """
 
     def __init__(self, meshes: Sequence[RigMesh], *, display: DisplayView | None = None) -> None:
@@ -46,17 +45,17 @@ class FaceRenderer:
 
     @property
     def point_count(self) -> int:
-        """Number of points of all meshes in a row, drawn or not."""
+        """Number of points of all meshes, drawn or not."""
         return sum(self._sizes)
 
     @property
     def surface(self) -> Surface:
-        """What the rig was recognised to be."""
+        """The drawn surface, with parts and colours."""
         return self._surface
 
     @property
     def eyes_put_in(self) -> bool:
-        """Whether the rig has lids and no eyes, so that balls stand in: a sheet should say so."""
+        """Whether stand-in eyes were added to a rig with lids and no eyes."""
         return self._surface.eyes_put_in
 
     def render(
@@ -76,15 +75,15 @@ class FaceRenderer:
         Parameters
         ----------
         points : (points, 3) array or sequence of one such array per mesh
-            [mm]; of every mesh the renderer was given, in its order.
+            [mm]; all meshes of the rig, in order.
         width, height : int
             [pixels]
         quality : {'draft', 'final'}
-            Draft for movies and previews, final for what is looked at long.
+            Draft for movies and previews, final for still pictures.
         values : (points,) array, optional
-            Painted in place of colours, as a heat map; NaN is grey.
+            Drawn as a heat map in place of colours; NaN is grey.
         value_range : tuple of float
-            Values drawn in the ramp's first and last colour.
+            Values of the ramp's first and last colour.
         sculpted : (points, 3) array, optional
             Added to the surface's unit normals, see `SculptedNormals`.
 
@@ -120,13 +119,13 @@ class FaceRenderer:
         return (bytes_from_linear if view.heat else self._display)(draw(view))
 
     def _tracer(self, fine: Float32Array) -> Tracer:
-        """Return the last tracer where the pose is the last: sheets paint the face they show."""
+        """Return a tracer of a pose; the last is cached, for a picture and its heat map."""
         if self._traced is None or not np.array_equal(self._traced[0], fine):
             self._traced = fine, Tracer(fine, self._triangles)
         return self._traced[1]
 
     def _subdivided(self, values: FloatArray) -> FloatArray:
-        """Carry values to the drawn points: means of what is known, NaN where most is not."""
+        """Interpolate values at the drawn points: means of the known, NaN where most are not."""
         known = ~np.isnan(values)
         given = _finite(np.where(known, values, 0.0), (self.point_count,), "values")
         if known.all():
@@ -136,7 +135,7 @@ class FaceRenderer:
         return np.where(share < _LEAST_KNOWN, np.nan, means)
 
     def _gather(self, points: Sequence[ArrayLike] | ArrayLike) -> FloatArray:
-        """Put the points of all meshes in a row and check them."""
+        """Concatenate the points of all meshes and check them."""
         shape = (self.point_count, 3)
         if isinstance(points, np.ndarray) and points.shape == shape:
             return _finite(points.astype(np.float64), shape, "points")

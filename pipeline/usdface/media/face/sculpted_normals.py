@@ -1,10 +1,9 @@
-"""Normals that a rig says itself: authored ones, and the ``normalOffsets`` of its shapes.
+"""Authored normals of a rig and the ``normalOffsets`` of its shapes.
 
-Pictures take normals from the posed surface. Where a mesh has normals of its own, their difference
-from the surface's at rest is added in every pose; and where a key of a shape has normal offsets,
-so is what they differ by from what the surface does as the key moves it. At rest and at each key
-that leaves exactly what was sculpted, as UsdSkel adds it up; between them, and for shapes without
-normal offsets, normals follow the surface instead of staying behind.
+Pictures use normals of the posed surface, plus corrections: authored normals minus those of the
+surface at rest, and for each key with normal offsets, the offsets minus the change of the surface's
+normals at that key. The result equals UsdSkel's at rest and at each key; between keys, and for
+shapes without normal offsets, normals follow the surface.
 """
 
 import numpy as np
@@ -18,19 +17,19 @@ from usdface.numerics.surface.triangulation import triangulate
 
 
 class SculptedNormals:
-    """What a rig's own normals add to those of its surface; worked out once.
+    """Corrections of the surface's normals by a rig's authored normals.
 
     Parameters
     ----------
     rig : Rig
-        Normals of subdivided meshes do not count: their limit surface has its own.
+        Normals of subdivided meshes are ignored: the limit surface has its own.
     deformer : Deformer
         Of the same rig.
 
     Attributes
     ----------
     any : bool
-        Whether there is something to add.
+        Whether any correction is not zero.
     """
 
     def __init__(self, rig: Rig, deformer: Deformer) -> None:
@@ -68,7 +67,7 @@ class SculptedNormals:
         self.any = bool(values) or bool(self._rest.any())
 
     def at(self, weights: FloatArray) -> FloatArray | None:
-        """Return what is added to unit normals at one set of weights; None where nothing is.
+        """Return the correction of unit normals at one set of weights; None if there is none.
 
         Parameters
         ----------
@@ -88,19 +87,19 @@ class SculptedNormals:
 
 
 class _MeshSurface:
-    """A mesh's normals by its faces, at rest and moved."""
+    """Normals of a mesh's surface, at rest and posed."""
 
     def __init__(self, mesh: RigMesh) -> None:
         self._mesh = mesh
         self._triangles, _ = triangulate(mesh.face_counts, mesh.face_indices)
         self._operator = normal_operator(self._triangles, point_count=len(mesh.points))
         self.rest: FloatArray = self._normals(mesh.points)
-        # Left-handed meshes are wound the other way; their normals point outward all the same.
+        # Authored normals of left-handed meshes oppose the winding.
         aligned = 1.0 if mesh.normals is None else float(np.sum(self.rest * mesh.normals))
         self.sign = -1.0 if aligned < 0 else 1.0
 
     def moved(self, points: IntArray, offsets: FloatArray) -> FloatArray:
-        """Return unit normals with some points moved."""
+        """Return unit normals with offsets added to some points."""
         posed = self._mesh.points.copy()
         posed[points] += offsets
         return self._normals(posed)

@@ -1,7 +1,7 @@
-"""Light on a face: key, fill and two rims that travel with the camera, skin that is not plastic.
+"""Shading: key, fill and two rim lights fixed to the camera, and approximate subsurface light.
 
-All colours are linear. Directions are given in the camera's axes (right, up, towards the eye), so
-that a face turned to any side is lit as the next one on the sheet is.
+All colours are linear. Directions are in the camera's axes (right, up, towards the eye), so that
+all views of a sheet are lit alike.
 """
 
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ PUPIL = np.array([0.006, 0.006, 0.006], np.float32)
 
 KEY_DIRECTION = np.array([-0.42, 0.46, 0.78], np.float32)
 KEY_SPREAD = 0.09
-"""Radius of the key light over its distance: how soft its shadow is."""
+"""Radius of the key light over its distance, which softens its shadow."""
 
 
 @dataclass(frozen=True)
@@ -43,15 +43,15 @@ LIGHTS = (
 )
 _SKY = np.array([0.30, 0.315, 0.345], np.float32)
 _GROUND = np.array([0.15, 0.13, 0.12], np.float32)
-# How far light wraps past the terminator, by channel: red travels furthest under skin.
+# Extent of light beyond the terminator, by channel: red scatters furthest in skin.
 _SKIN_WRAP = np.array([0.34, 0.17, 0.10], np.float32)
-# Shallow occlusion is bright again where light bounces in it, and redder: a power by channel.
+# Exponent of ambient visibility by channel, for reddish interreflection in shallow occlusion.
 _SKIN_BOUNCE = np.array([0.80, 1.08, 1.18], np.float32)
 
 
 @dataclass(frozen=True)
 class Hits:
-    """What a bundle of rays met."""
+    """Surface samples to shade."""
 
     normals: Float32Array
     """(n, 3): unit, towards the camera, in its axes."""
@@ -62,9 +62,9 @@ class Hits:
     parts: IntArray
     """(n,)"""
     openness: Float32Array
-    """(n,): how much of the sky is seen [0-1]."""
+    """(n,): visible share of the sky [0-1]."""
     lit: Float32Array
-    """(n,): how much of the key light is seen [0-1]."""
+    """(n,): visible share of the key light [0-1]."""
 
 
 # Specular strength and Blinn exponent of each part, in the order of `FacePart`.
@@ -73,12 +73,12 @@ _SHINE = np.array([26.0, 420.0, 70.0, 40.0, 20.0, 1.0], np.float32)
 
 
 def shade(hits: Hits, *, plain: bool = False) -> Float32Array:
-    """Return the light that leaves each hit towards the camera.
+    """Return the light from each hit towards the camera.
 
     Parameters
     ----------
     plain : bool
-        Leave out highlights and colour of light, so that a heat map keeps its colours.
+        Without highlights and coloured light, so that a heat map keeps its colours.
 
     Returns
     -------
@@ -102,7 +102,7 @@ def shade(hits: Hits, *, plain: bool = False) -> Float32Array:
         reach = hits.lit if number == 0 else hits.openness
         diffuse = np.clip((facing[:, None] + wrap) / (1 + wrap), 0, None)
         total += hits.albedo * diffuse * color * reach[:, None]
-        if number == 0:  # one light in each eye, as in a portrait
+        if number == 0:  # a single highlight
             half = views + direction
             half /= row_lengths(half)
             lobe = np.clip(np.einsum("ij,ij->i", normals, half), 0, 1) ** shine
@@ -124,7 +124,7 @@ def _ambient(normals: Float32Array) -> Float32Array:
 
 
 def _tone(light: Float32Array) -> Float32Array:
-    """Roll highlights off above 0.6 so that none burns out; below, light stays as it is."""
+    """Compress light above 0.6 into the range below 1; below 0.6 it is unchanged."""
     knee = np.float32(0.6)
     over = np.maximum(light - knee, 0)
     room = 1 - knee

@@ -1,8 +1,7 @@
-"""Eyeballs for a rig that has lids and no eyes: lids are judged by how much of an iris they cover.
+"""Stand-in eyeballs for a rig with lids and no eyes, so that the closure of lids can be judged.
 
-Some face meshes end at the rims of the lids, and the eyes live in another asset. Drawn so, one
-looks through the face. The balls that are put in look straight ahead and follow the skull; they
-are drawn and never written.
+Some face meshes end at the rims of the lids, and the eyes are in another asset. The stand-ins look
+straight ahead and follow the skull; they are drawn, never written.
 """
 
 from collections.abc import Sequence
@@ -17,32 +16,26 @@ from usdface.core.assets import RigMesh
 from usdface.media.face.mesh_topology import Sparse, polygon_edges
 
 _SHARE_OF_OPENING = 0.52  # radius over the width between the corners of the lids
-_LEAST_BLINK = 0.10  # of the largest motion in a blink, by the rim of a lid
-_OPENING = (0.05, 0.45)  # width of an eye hole over the face's
-_CLEARANCE_SHARE = 0.02  # of the radius, between ball and lids
+_LEAST_BLINK = 0.10  # mean motion of a lid's rim in a blink over the largest motion
+_OPENING = (0.05, 0.45)  # range of an eye hole's width over the face's
+_CLEARANCE_SHARE = 0.02  # gap between ball and lids over the radius
 _ANCHOR_COUNT = 64
 _ROWS, _COLUMNS = 24, 48
 
 
 @dataclass(frozen=True)
 class StandIns:
-    """Eyeballs and how they hang on a rig's points."""
+    """Eyeballs and their attachment to a rig's points."""
 
     meshes: tuple[RigMesh, ...]
     """Named as eyes, at rest."""
     matrix: Sparse
-    """(ball points, points): ball points = matrix @ points, exact under any rigid motion of the
+    """(ball points, points): ball points = matrix @ points, exact under rigid motion of the
     head."""
 
 
 def fit_stand_in_eyes(meshes: Sequence[RigMesh]) -> StandIns | None:
-    """Put a ball behind every hole whose rim blinks.
-
-    Returns
-    -------
-    StandIns or None
-        None where there is no pair of such holes.
-    """
+    """Return eyeballs behind the two holes whose rims move in a blink; None without such a pair."""
     rest = np.concatenate([mesh.points for mesh in meshes])
     blink = np.concatenate([_blink_offsets(mesh) for mesh in meshes])
     moved = np.linalg.norm(blink, axis=1)
@@ -74,7 +67,7 @@ def _blink_offsets(mesh: RigMesh) -> FloatArray:
 
 
 def _holes(meshes: Sequence[RigMesh]) -> list[IntArray]:
-    """Return the points of every closed border, over all meshes in a row."""
+    """Return the points of each connected border, as indices into all meshes concatenated."""
     holes, first = list[IntArray](), 0
     for mesh in meshes:
         edges, uses = np.unique(
@@ -97,7 +90,7 @@ def _holes(meshes: Sequence[RigMesh]) -> list[IntArray]:
 def _behind_lids(
     rest: FloatArray, blink: FloatArray, moved: FloatArray, hole: IntArray, *, radius: float
 ) -> FloatArray:
-    """Return where a ball may lie as far forward as no lid, open or shut, cuts into it."""
+    """Return the foremost centre at which no lid, open or shut, intersects the ball."""
     low, high = rest[hole].min(axis=0), rest[hole].max(axis=0)
     middle = (low + high) / 2
     near = np.linalg.norm((rest - middle)[:, :2], axis=1) < 1.1 * radius
@@ -106,7 +99,7 @@ def _behind_lids(
     flat = np.linalg.norm((swept - middle)[:, :2], axis=1)
     inside = flat < 0.98 * radius
     front = np.sqrt(radius**2 - flat[inside] ** 2)
-    # A few points of the rim's inner side may dip in: the ball must not sink for their sake.
+    # A percentile, because a few points on the inner side of the rim may intersect.
     depth = np.percentile(swept[inside, 2] - front, 4)
     return np.array([middle[0], middle[1], depth - _CLEARANCE_SHARE * radius])
 
@@ -135,7 +128,7 @@ def _ball(path: str, center: FloatArray, radius: float) -> RigMesh:
 
 
 def _stillness(meshes: Sequence[RigMesh]) -> FloatArray:
-    """Return how far all shapes together move each point [mm]."""
+    """Return the sum of the displacements of each point over all shapes [mm]."""
     total = [np.zeros(len(mesh.points)) for mesh in meshes]
     for own, mesh in zip(total, meshes, strict=True):
         for shape in mesh.shapes:
@@ -145,7 +138,7 @@ def _stillness(meshes: Sequence[RigMesh]) -> FloatArray:
 
 
 def _hang(balls: FloatArray, rest: FloatArray, moved: FloatArray) -> Sparse:
-    """Express points as affine combinations of points that no shape moves, or hardly any."""
+    """Return points as affine combinations of the points that the shapes move least."""
     still = np.argsort(moved, kind="stable")[: max(len(rest) // 10, min(len(rest), _ANCHOR_COUNT))]
     anchors = np.sort(still)[:: max(len(still) // _ANCHOR_COUNT, 1)]
 

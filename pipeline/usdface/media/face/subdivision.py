@@ -1,6 +1,6 @@
-"""One Catmull-Clark step as a matrix: a coarse cage is drawn as a DCC shows it, at any pose.
+"""Catmull-Clark subdivision as a matrix.
 
-The step depends on the topology alone, so posing the fine mesh costs one sparse product.
+The matrix depends on the topology only: posing the fine mesh is one sparse product.
 """
 
 from dataclasses import dataclass
@@ -17,14 +17,13 @@ class Subdivision:
     """A finer mesh over the same surface."""
 
     matrix: Sparse
-    """(fine points, points): fine points = matrix @ points. The first rows belong to the cage's own
-    points."""
+    """(fine points, points): fine points = matrix @ points; those of the cage's points first."""
     face_counts: IntArray
     """(fine faces,): all 4."""
     face_indices: IntArray
     """(4 * fine faces,)"""
     parents: IntArray
-    """(fine faces,): the cage polygon each fine one lies in."""
+    """(fine faces,): cage polygon of each fine face."""
 
 
 def catmull_clark(
@@ -32,13 +31,13 @@ def catmull_clark(
 ) -> Subdivision:
     """Return one step of Catmull-Clark subdivision, with creases along borders.
 
-    Border edges are creases and a border point of a single face stays where it is, as USD's
-    ``interpolateBoundary = edgeAndCorner`` asks.
+    Border edges are creases, and a border point of a single face is fixed: USD's
+    ``interpolateBoundary = edgeAndCorner``.
 
     Parameters
     ----------
     face_counts : (faces,) int array
-        Polygons of fewer than three corners are left out.
+        Polygons of fewer than three corners are ignored.
     face_indices : (corners,) int array
 
     References
@@ -92,7 +91,7 @@ def _edge_points(
     face_matrix: Sparse,
     point_count: int,
 ) -> Sparse:
-    """Mean of both ends and both face points inside; the middle on a border."""
+    """Edge points: mean of both ends and both face points inside, of the ends on a border."""
     inside = np.bincount(edge_of_corner, minlength=len(edges)) == 2
     rows = np.repeat(np.arange(len(edges)), 2)
     ends = np.where(inside, 0.25, 0.5)
@@ -114,7 +113,7 @@ def _moved_points(
     face_matrix: Sparse,
     point_count: int,
 ) -> Sparse:
-    """Inside (Q + 2R + (n - 3)S) / n; on a border (e1 + 6S + e2) / 8; corners stay."""
+    """Vertex points: (Q + 2R + (n - 3)S) / n inside, (e1 + 6S + e2) / 8 on a border, or S."""
     border_edges = edges[np.bincount(edge_of_corner, minlength=len(edges)) != 2]
     border_degree = np.bincount(border_edges.ravel(), minlength=point_count)
     faces_about = np.bincount(points, minlength=point_count)
@@ -123,7 +122,7 @@ def _moved_points(
 
     valence = np.maximum(faces_about, 1).astype(np.float64)
     share = np.where(inside, 1 / valence**2, 0.0)
-    # R is the mean of the edge middles: half of it is the point itself.
+    # R is the mean of the edge midpoints, half of which is the point itself.
     ends = np.concatenate([edges[:, 0], edges[:, 1]])
     others = np.concatenate([edges[:, 1], edges[:, 0]])
     shape = (point_count, point_count)

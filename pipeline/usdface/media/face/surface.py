@@ -1,4 +1,4 @@
-"""What a rig looks like before it moves: finer polygons, what each piece is, and its colours."""
+"""The drawn surface of a rig at rest: refined polygons, parts and colours."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -24,20 +24,20 @@ from usdface.media.face.subdivision import catmull_clark
 from usdface.media.face.tracing import PATTERN_COUNT, Tracer, sky_seen, traced_triangles
 
 COARSE_POINTS = 6000
-"""Subdivide a Catmull-Clark cage of fewer points; finer ones look smooth at sheet size."""
+"""Catmull-Clark cages of fewer points are subdivided; finer ones look smooth at sheet size."""
 
-_EXPOSURE_RAYS = 48  # to colour by: below, the inside of the mouth has a ragged edge
-_SORTING_RAYS = 12  # to tell pieces apart, by their median
-_PROBE_COUNT = 2000  # points that decide which way normals point
+_EXPOSURE_RAYS = 48  # for colours: with fewer, the edge of the mouth's inside is ragged
+_SORTING_RAYS = 12  # for the classification of pieces by their median
+_PROBE_COUNT = 2000  # points that determine the orientation of normals
 
 
 LONG_EDGE = 0.02
-"""Of the height of all that is drawn: edges of quads that a picture shows in many pixels."""
+"""Length of a long quad edge, relative to the height of the drawn meshes."""
 
 
 @dataclass(frozen=True)
 class Middles:
-    """Drawn points in the middle of four others, lit as the mean of them."""
+    """Drawn points at the centre of a quad, with the mean normal of its corners."""
 
     points: IntArray
     """(n,)"""
@@ -47,42 +47,40 @@ class Middles:
 
 @dataclass(frozen=True)
 class Surface:
-    """The drawn triangles of a rig and all about them that no pose changes."""
+    """The drawn triangles of a rig and their properties independent of the pose."""
 
     matrix: Sparse
-    """(drawn points, points): drawn points = matrix @ points; points are those of all meshes in a
-    row."""
+    """(drawn points, points): drawn points = matrix @ points, all meshes concatenated."""
     triangles: IntArray
     """(triangles, 3)"""
     normals: Sparse
-    """(drawn points, triangles): adds triangle normals at their corners."""
+    """(drawn points, triangles): sums triangle normals at their corners."""
     middles: Middles
     parts: IntArray
-    """(triangles,): a `FacePart` each."""
+    """(triangles,): `FacePart` of each."""
     albedo: Float32Array
     """(drawn points, 3): linear."""
     painted: Float32Array
-    """(triangles, 3): the colour that a material gives this very triangle; NaN where `albedo`
-    holds."""
+    """(triangles, 3): colour by material; NaN where `albedo` applies."""
     bands: tuple[ColorBand, ...]
     """Lips and brows, over `albedo`."""
     bare: Float32Array
-    """(drawn points,): how much of the bands' colour each takes [0-1]; 0 where none is near."""
+    """(drawn points,): opacity of the bands [0-1]; 0 away from them."""
     rest: Float32Array
     """(drawn points, 3) [mm]"""
     eyes: IntArray
-    """(triangles,): row of `eye_centers` on eyes without colours of their own, else -1."""
+    """(triangles,): row of `eye_centers` on eyes without their own iris, else -1."""
     eye_centers: Float32Array
     """(eyes, 3) [mm]"""
     size: float
-    """Height of the drawn surface at rest [mm]; scales distances of light."""
+    """Height of the drawn surface at rest [mm]; scales the reach of occlusion."""
     outward: float
-    """+1 if normals point out of the head, -1 if the mesh is wound the other way."""
+    """+1 if normals point out of the head, -1 if the winding is reversed."""
     eyes_put_in: bool
-    """True where the rig has no eyes and balls stand in for them."""
+    """Whether stand-in eyes were added."""
 
     def normals_at(self, fine: FloatArray) -> FloatArray:
-        """Return unit normals of the drawn points in a pose; zero where no triangle is.
+        """Return unit normals of the drawn points in a pose; zero for points without a triangle.
 
         Parameters
         ----------
@@ -125,7 +123,7 @@ def build_surface(meshes: Sequence[RigMesh]) -> Surface:
     if not kept.any():
         kept = parts != FacePart.HIDDEN
     triangles, painted = drawn.triangles[kept], painted[kept]
-    # Without lash cards and tear lines: they hide skin that is seen.
+    # Lash cards and tear lines would occlude visible skin.
     shown = replace(drawn, triangles=triangles, corner_of_triangle=drawn.corner_of_triangle[kept])
     exposure = _rest_exposure(visible, shown, rays=_EXPOSURE_RAYS)
     cage = np.concatenate([mesh.points for mesh in visible])
@@ -154,27 +152,27 @@ def build_surface(meshes: Sequence[RigMesh]) -> Surface:
 
 @dataclass(frozen=True)
 class _Drawn:
-    """Triangles over a mesh, finer than its cage where that is coarse."""
+    """Triangles of a mesh, subdivided if its cage is coarse."""
 
     matrix: Sparse
     triangles: IntArray
-    corner_of_triangle: IntArray  # a cage point that each triangle belongs to
-    face_of_triangle: IntArray  # the cage's polygon that it lies in
+    corner_of_triangle: IntArray  # a cage point of the piece of each triangle
+    face_of_triangle: IntArray  # the cage polygon of each triangle
     face_count: int
-    row_of_point: IntArray  # the drawn point that each cage point became
+    row_of_point: IntArray  # the drawn point of each cage point
     middles: Middles
 
 
 @dataclass(frozen=True)
 class _Exposure:
-    """How much sky each cage point sees [0-1], and whether normals point out (1) or in (-1)."""
+    """Visible share of the sky of each cage point [0-1], and orientation of normals (+1 or -1)."""
 
     seen: FloatArray
     outward: float
 
 
 def _recognise(meshes: Sequence[RigMesh]) -> tuple[_Drawn, Pieces]:
-    """Refine the meshes and tell their pieces apart."""
+    """Refine the meshes and classify their pieces."""
     heights = np.concatenate([mesh.points[:, 1] for mesh in meshes])
     least = LONG_EDGE * float(np.ptp(heights))
     drawn = _concatenate([_refine(mesh, least_edge=least) for mesh in meshes])
@@ -183,14 +181,14 @@ def _recognise(meshes: Sequence[RigMesh]) -> tuple[_Drawn, Pieces]:
 
 
 def _clear(mesh: RigMesh) -> BoolArray:
-    """Return which polygons one looks through."""
+    """Return whether each polygon is transparent."""
     if mesh.face_colors is None:
         return np.zeros(len(mesh.face_counts), bool)
     return np.asarray(mesh.face_colors[:, 3] < LEAST_OPACITY)
 
 
 def _plain_eye(meshes: Sequence[RigMesh], pieces: Pieces, piece: int, painted: FloatArray) -> bool:
-    """Whether an eye lacks an iris of its own: by its points' colours and by its faces'."""
+    """Return whether an eye has no iris in the colours of its points and faces."""
     colors = np.concatenate(
         [
             np.full(mesh.points.shape, np.nan) if mesh.colors is None else mesh.colors
@@ -201,7 +199,7 @@ def _plain_eye(meshes: Sequence[RigMesh], pieces: Pieces, piece: int, painted: F
 
 
 def _of_points_too(albedo: FloatArray, triangles: IntArray, painted: FloatArray) -> Float32Array:
-    """Give points the mean colour of the painted triangles about them, as pages show them."""
+    """Return `albedo` with the mean colour of the painted triangles at their points, for pages."""
     known = np.flatnonzero(~np.isnan(painted[:, 0]))
     if len(known):
         corners = triangles[known].ravel()
@@ -215,7 +213,7 @@ def _of_points_too(albedo: FloatArray, triangles: IntArray, painted: FloatArray)
 def _near_bands(
     bare: FloatArray, bands: Sequence[ColorBand], rest: FloatArray, triangles: IntArray
 ) -> Float32Array:
-    """Keep values at the corners of triangles that a band may lie on; elsewhere 0."""
+    """Return `bare` at the corners of triangles that may meet a band, else 0."""
     near = np.zeros(len(bare), bool)
     for band in bands:
         near[triangles[band.meets(rest[triangles])]] = True
@@ -245,7 +243,7 @@ def _refine(mesh: RigMesh, *, least_edge: float) -> _Drawn:
         cage_corner[cut.faces],
         cage_face[cut.faces],
         len(mesh.face_counts),
-        np.arange(count),  # both keep the cage's points first
+        np.arange(count),  # subdivision and cutting keep the cage's points first
         Middles(first + np.arange(len(cut.corners)), cut.corners),
     )
 
@@ -275,7 +273,7 @@ def _concatenate(drawn: Sequence[_Drawn]) -> _Drawn:
 
 
 def _selection(meshes: Sequence[RigMesh], visible: Sequence[RigMesh]) -> Sparse:
-    """Return the matrix that takes the points of the visible meshes from those of all."""
+    """Return the matrix that selects the points of the visible meshes."""
     shown = {id(mesh) for mesh in visible}
     taken = np.concatenate([np.full(len(m.points), id(m) in shown) for m in meshes])
     columns = np.flatnonzero(taken)
@@ -286,10 +284,10 @@ def _selection(meshes: Sequence[RigMesh], visible: Sequence[RigMesh]) -> Sparse:
 
 
 def _rest_exposure(meshes: Sequence[RigMesh], drawn: _Drawn, *, rays: int) -> _Exposure:
-    """Find how much sky each point sees, eyes open or shut, and which way normals point.
+    """Return the visible share of the sky of each point, and the orientation of normals.
 
-    A lid that is folded away at rest is skin all the same: it is seen in a blink. What neither
-    pose shows is the inside of the mouth and of the sockets.
+    The maximum of the pose at rest and of a blink: lids folded away at rest are skin; occluded in
+    both are the inside of the mouth and of the sockets.
     """
     rest = np.concatenate([mesh.points for mesh in meshes])
     posed = _Posed(rest, drawn)
@@ -326,7 +324,7 @@ class _Posed:
         self._tracer = Tracer(fine.astype(np.float32), traced_triangles(drawn.triangles))
 
     def sky_over(self, which: IntArray, *, outward: float, rays: int) -> FloatArray:
-        """Return how much sky some of the cage's points see [0-1]."""
+        """Return the visible share of the sky of some cage points [0-1]."""
         aim = np.float32(outward) * self._aim[which]
         seen = sky_seen(
             self._tracer,

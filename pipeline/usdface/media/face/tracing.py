@@ -1,7 +1,7 @@
-"""Rays against triangles (Embree), and how many rays see the sky or the key light.
+"""Ray tracing of triangles (Embree), and visible shares of the sky and the key light.
 
-Directions come from low-discrepancy tables, not from a random generator: the same pose gives the
-same picture, byte for byte, on every machine of the farm.
+Directions come from low-discrepancy tables rather than a random generator: the same pose gives the
+same bytes on every machine.
 """
 
 from dataclasses import dataclass
@@ -14,39 +14,39 @@ from numpy.typing import NDArray
 from usdface.core.arrays import BoolArray, Float32Array, IntArray, row_lengths
 
 PATTERN_COUNT = 16
-"""Neighbouring pixels of a 4 by 4 block take different directions; a filter shares them."""
+"""Sets of directions: one per pixel of a 4 by 4 block, averaged by the denoiser."""
 
 
 @dataclass(frozen=True)
 class RayHits:
-    """The first triangle that each ray met; rays that met none are left out."""
+    """First hit of each ray; rays without a hit are omitted."""
 
     rays: IntArray
-    """(n,): which rays these are."""
+    """(n,): indices of the rays."""
     triangles: IntArray
     """(n,)"""
     barycentric: Float32Array
-    """(n, 3): share of each corner."""
+    """(n, 3): weight of each corner."""
     positions: Float32Array
     """(n, 3) [mm]"""
 
 
 def traced_triangles(triangles: IntArray) -> NDArray[np.object_]:
-    """Return triangles, (n, 3), as (n,) tuples: embreex reads rows of numbers half as fast."""
+    """Return (n, 3) triangles as (n,) tuples, which embreex reads twice as fast."""
     rows = np.empty(len(triangles), dtype=object)
     rows[:] = list(zip(*triangles.T.tolist(), strict=True))
     return rows
 
 
 class Tracer:
-    """One pose of a surface, ready for rays.
+    """Ray tracer of one pose of a surface.
 
     Parameters
     ----------
     points : (points, 3) float array
         [mm]
     triangles : (triangles,) array
-        As `traced_triangles` returns them.
+        From `traced_triangles`.
     """
 
     def __init__(self, points: Float32Array, triangles: NDArray[np.object_]) -> None:
@@ -54,7 +54,7 @@ class Tracer:
         TriangleMesh(self._scene, np.ascontiguousarray(points, np.float32), triangles)
 
     def find(self, origins: Float32Array, directions: Float32Array) -> RayHits:
-        """Return what each ray meets first; both (n, 3), directions unit."""
+        """Return the first hit of each ray; both (n, 3), unit directions."""
         origins = np.ascontiguousarray(origins)
         met = self._scene.run(origins, np.ascontiguousarray(directions), output=1)
         rays = np.flatnonzero(met["primID"] >= 0)
@@ -69,7 +69,7 @@ class Tracer:
     def blocked(
         self, origins: Float32Array, directions: Float32Array, *, reach: float
     ) -> BoolArray:
-        """Return which rays meet anything within `reach` lengths of their direction."""
+        """Return whether each ray has a hit within `reach` lengths of its direction."""
         distances = np.full(len(origins), reach, np.float32)
         met = self._scene.run(origins, directions, dists=distances, query="OCCLUDED")
         return np.asarray(met != -1)
@@ -84,16 +84,16 @@ def sky_seen(
     ray_count: int,
     reach: float,
 ) -> Float32Array:
-    """Return the share of cosine-weighted rays that leave each point freely.
+    """Return the unoccluded share of cosine-weighted rays from each point.
 
     Parameters
     ----------
     positions, normals : (n, 3) float32 arrays
-        Positions lie a little off the surface.
+        Positions slightly above the surface.
     patterns : (n,) int array
-        Which of the `PATTERN_COUNT` sets of directions each point takes.
+        Set of directions of each point, below `PATTERN_COUNT`.
     reach : float
-        Further things do not darken [mm].
+        Largest distance of occluders [mm].
 
     Returns
     -------
@@ -103,7 +103,7 @@ def sky_seen(
     table = _sphere_table(ray_count)
     free = np.zeros(len(positions), np.float32)
     for rays in table.transpose(1, 0, 2):
-        # Normal plus a point of the unit sphere is cosine-weighted; 0.99 keeps it off zero.
+        # Normal plus a point on the unit sphere is cosine-weighted; 0.99 avoids zero length.
         directions = normals + np.float32(0.99) * rays[patterns]
         directions /= row_lengths(directions)
         free += ~tracer.blocked(positions, directions, reach=reach)
@@ -119,13 +119,13 @@ def light_seen(
     patterns: IntArray,
     ray_count: int,
 ) -> Float32Array:
-    """Return the share of a round distant light that each point sees [0-1]: (n,) float32.
+    """Return the visible share of a distant disc light from each point [0-1]: (n,) float32.
 
     Parameters
     ----------
     positions : (n, 3) float32 array
     direction : (3,) float32 array
-        Towards the light's middle, unit.
+        Towards the light's centre, unit.
     spread : float
         The light's radius over its distance.
     patterns, ray_count
@@ -145,9 +145,9 @@ def light_seen(
 
 
 def _sequence(ray_count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return (patterns, rays) points that fill the unit square evenly: R2 (Roberts 2018)."""
+    """Return (patterns, rays) coordinates of low-discrepancy points: R2 (Roberts 2018)."""
     index = np.arange(PATTERN_COUNT)[:, None] + PATTERN_COUNT * np.arange(ray_count)[None, :]
-    # Shuffle which pattern sits where in a block, so that neighbours differ most.
+    # Permuted so that patterns of neighbours in a block differ most.
     index = (index * 7) % (PATTERN_COUNT * ray_count) if ray_count % 7 else index
     plastic = 1.32471795724474602596
     return (0.5 + index / plastic) % 1.0, (0.5 + index / plastic**2) % 1.0

@@ -1,1 +1,1 @@
-"""Movies, image sequences and sound, read and written."""
+"""Reading and writing of movies, image sequences and sound."""

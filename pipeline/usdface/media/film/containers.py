@@ -1,4 +1,4 @@
-"""Open a movie or sound file that someone else made, trusting nothing in it."""
+"""Safe opening of movie and sound files."""
 
 from pathlib import Path
 from typing import Any
@@ -10,16 +10,16 @@ from usdface.core.confinement import check_may_open
 from usdface.core.errors import InputError
 
 MAX_PIXELS = 8192 * 8192
-"""Of one picture of a movie."""
+"""Largest size of a movie's pictures."""
 
-# Playlists and scripts (hls, concat, …) name other files and hosts: none of them is here, and no
-# protocol but plain files is allowed.
+# Without playlists and scripts (hls, concat, …), which name other files and hosts; the only
+# protocol allowed is plain files.
 _FORMATS = (
     "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mxf,mpegts,mpeg,mpegvideo,"
     "wav,w64,aiff,flac,mp3,ogg,caf,aac"
 )
 
-# From 19, PyAV keeps bytes that are no text in a form of its own; before, it had to be told.
+# PyAV 19 decodes invalid bytes with surrogateescape; earlier versions need the option.
 _LENIENT: dict[str, Any] = (
     {"metadata_errors": "surrogateescape"} if int(av.__version__.partition(".")[0]) < 19 else {}
 )
@@ -35,20 +35,17 @@ def open_media(path: Path) -> Any:
     options = {
         "protocol_whitelist": "file",
         "format_whitelist": _FORMATS,
-        "max_pixels": str(MAX_PIXELS),  # to open a file, FFmpeg unpacks some of its pictures
+        "max_pixels": str(MAX_PIXELS),  # FFmpeg decodes pictures when it opens a file
     }
     try:
-        # Absolute, so that no name is taken for a protocol.
+        # Absolute, so that a name is not parsed as a protocol.
         return av.open(str(path.absolute()), options=options, **_LENIENT)
     except (av.error.FFmpegError, OSError, ValueError) as error:
         raise unreadable(path, error) from error
 
 
 def words_of(holder: Any) -> dict[str, str]:
-    """Return what a container or a stream says of itself, by keys in lower case.
-
-    Bytes that are no text become question marks: they could not be printed.
-    """
+    """Return metadata of a container or stream by lower-case key; invalid bytes as ``?``."""
     return {
         str(key).lower(): str(value).encode("utf-8", "surrogateescape").decode("utf-8", "replace")
         for key, value in holder.metadata.items()
@@ -56,7 +53,7 @@ def words_of(holder: Any) -> dict[str, str]:
 
 
 def unreadable(path: Path, error: Exception, *, where: str = "") -> InputError:
-    """Return the error for a file that the decoder gave up on."""
+    """Return the error for a file that cannot be decoded."""
     reason = getattr(error, "strerror", None) or str(error)
     return InputError(
         f"{path}:{where} cannot be read as a movie or sound ({reason}); it may be cut short or of "
@@ -65,5 +62,5 @@ def unreadable(path: Path, error: Exception, *, where: str = "") -> InputError:
 
 
 def start_seconds(container: Any) -> float:
-    """Return the time stamp that players call zero: the first of any stream [s]."""
+    """Return the time stamp that players show as zero: the first of all streams [s]."""
     return 0.0 if container.start_time is None else float(container.start_time) / av.time_base

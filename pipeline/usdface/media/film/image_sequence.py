@@ -1,4 +1,4 @@
-"""Numbered pictures on disk, read as if they were a movie."""
+"""Numbered pictures on disk, with the interface of a movie."""
 
 import re
 from fractions import Fraction
@@ -20,23 +20,23 @@ _NUMBERED = re.compile(r"^(.*?)(\d+)(\.[^.]+)$")
 
 
 class ImageSequence:
-    """Pictures whose names differ in their number only; missing numbers hold the one before.
+    """Pictures whose names differ in their number only; a missing one repeats the one before.
 
     Parameters
     ----------
     first : Path
         Any picture of the sequence.
     rate : Fraction
-        Pictures per second: files do not say.
+        Pictures per second.
 
     Attributes
     ----------
     path : Path
         The first picture.
     times : (pictures,) float array
-        When each appears [s].
+        Start of each picture [s].
     duration : float
-        When the last goes [s].
+        End of the last picture [s].
     """
 
     def __init__(self, first: Path, rate: Fraction) -> None:
@@ -64,25 +64,23 @@ class ImageSequence:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        """Pictures are opened one by one: nothing is held."""
+        """Do nothing: pictures are opened one by one."""
 
     def index_at(self, seconds: float) -> int | None:
-        """Return which picture is on screen at a time, None before and after the sequence."""
+        """Return the index of the picture at a time, None before and after the sequence."""
         moment = seconds + 1e-6
         if not self.times[0] <= moment < self.duration:
             return None
         return int(np.searchsorted(self.times, moment, side="right")) - 1
 
     def frame_at(self, seconds: float) -> ByteImage | None:
-        """Return the picture on screen at a time, None before and after the sequence."""
+        """Return the picture at a time, None before and after the sequence."""
         index = self.index_at(seconds)
         return None if index is None else self.frame(index)
 
     def frame(self, index: int) -> ByteImage:
         """Return one picture by its index."""
-        return self._read(self._files[index])
-
-    def _read(self, path: Path) -> ByteImage:
+        path = self._files[index]
         check_may_open(path)
         picture = oiio.ImageInput.open(str(path))
         if picture is None:

@@ -1,4 +1,4 @@
-"""Write a review movie that scrubs: every frame a key frame, colours tagged, time code kept."""
+"""Writing of review movies: every frame a key frame, tagged colours, timecode."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from fractions import Fraction
@@ -17,25 +17,25 @@ from usdface.media.film.containers import open_media, words_of
 
 _H264 = ("libx264", "libopenh264", "h264_videotoolbox", "h264_mf")
 _OPTIONS = {
-    # A fixed quantiser looks at no neighbour: a picture is the same in whichever part it is made.
+    # With a fixed quantiser, a picture does not depend on the chunk in which it is encoded.
     "libx264": {"qp": "19", "preset": "veryfast", "g": "1"},
     "libopenh264": {"g": "1", "b": "20M"},
     "libvpx-vp9": {"crf": "24", "b": "0", "cpu-used": "6", "row-mt": "1", "g": "1"},
-    # What every encoder understands.
+    # Common to all encoders.
     "other": {"g": "1"},
 }
 MOVIE_FORMATS = {".mp4": "mp4", ".mov": "mov", ".mkv": "matroska", ".webm": "webm"}
 _PROXY_OPTIONS = {
-    # No pictures that wait for later ones: a page seeks to exactly the frame it names.
+    # Without B-frames, a page seeks exactly.
     "libx264": {"crf": "26", "preset": "veryfast", "g": "15", "bf": "0"},
     "libvpx-vp9": {"crf": "34", "b": "0", "cpu-used": "6", "row-mt": "1", "g": "15"},
     "other": {"g": "15"},
 }
 _BT709_CODE = 1
 _ENCODER_THREADS = 4
-"""Encoders write other bytes with other numbers of threads, and would take one for each core."""
+"""Fixed, because the encoded bytes depend on it; the default is one per core."""
 _AAC_BLOCK = 1024
-"""Samples that AAC takes at a time."""
+"""Samples per AAC frame."""
 
 
 def write_movie(
@@ -49,36 +49,35 @@ def write_movie(
     comment: str = "",
     proxy: bool = False,
 ) -> None:
-    """Encode pictures, and sound if there is some, into a movie that replaces `path` at the end.
+    """Encode pictures and optional sound into a movie that replaces `path` atomically.
 
-    H.264 where this machine can encode it, else VP9. Pictures of odd size grow by one row or
-    column, as both need even sizes.
+    H.264 if an encoder is available, else VP9. Pictures are padded to even sizes.
 
     Parameters
     ----------
     path : Path
         ``.mp4``, ``.mov``, ``.mkv`` or ``.webm``.
     frames : iterable of (height, width, 3) uint8 array
-        sRGB, all of one size. Taken one by one: a generator keeps memory small.
+        sRGB, all of one size. Consumed one by one, so that a generator saves memory.
     rate : Fraction
         Frames per second.
     audio : (samples,) float array, optional
-        Mono [-1 to 1], from the first frame on.
+        Mono [-1 to 1], starting at the first frame.
     sample_rate : int
         Samples per second of `audio`.
     timecode : str
-        SMPTE time of the first frame, ``HH:MM:SS:FF``, or ``;`` before FF for drop-frame.
+        SMPTE timecode of the first frame, ``HH:MM:SS:FF``, or ``;`` before FF for drop-frame.
     comment : str
-        Kept in the file; see `read_movie_comment`.
+        Stored in the file; see `read_movie_comment`.
     proxy : bool
-        A third of the size, for a page: every fifteenth picture is a key frame, and a picture that
-        is given again, the same array, stays on screen instead of being encoded again.
+        A third of the size, for a page: every fifteenth picture is a key frame, and a repeated
+        array is not encoded again.
 
     Raises
     ------
     InputError
-        If the extension is unknown, there is no frame, sizes differ, the time code is malformed or
-        the folder cannot be written. An old file is left as it was.
+        If the extension is unknown, there is no frame, sizes differ, the timecode is malformed or
+        the folder cannot be written. An existing file is then unchanged.
     """
     file = Path(path)
     container_format = movie_format(file)
@@ -111,7 +110,7 @@ def write_movie(
 
 
 def movie_format(file: Path) -> str:
-    """Return the container of a movie's name."""
+    """Return the container format for a movie's extension."""
     found = MOVIE_FORMATS.get(file.suffix.lower())
     if found is None:
         raise InputError(f"{file}: movies end in {', '.join(MOVIE_FORMATS)}; rename it")
@@ -119,19 +118,13 @@ def movie_format(file: Path) -> str:
 
 
 def read_movie_comment(file: Path) -> str:
-    """Return what `write_movie` was told to keep in a file; empty where there is nothing."""
+    """Return the comment stored by `write_movie`; empty if there is none."""
     with open_media(file) as container:
         return words_of(container).get("comment", "")
 
 
 def video_encoder(container_format: str) -> str:
-    """Return the encoder that a container gets on this machine.
-
-    Raises
-    ------
-    InputError
-        If this build of PyAV has neither H.264 nor VP9.
-    """
+    """Return the encoder available for a container; raise `InputError` without H.264 and VP9."""
     names = ("libvpx-vp9",) if container_format == "webm" else (*_H264, "libvpx-vp9")
     for name in names:
         if name in av.codecs_available:
@@ -157,9 +150,9 @@ def _encode(
     context = video.codec_context
     context.time_base = 1 / rate
     context.thread_count = _ENCODER_THREADS
-    # Tagged as BT.709: no player then re-maps what is made to look right on an sRGB screen.
+    # Tagged as BT.709, so that players do not convert the sRGB colours.
     context.color_primaries = context.color_trc = context.colorspace = _BT709_CODE
-    context.color_range = 1  # limited, as broadcast and every player expect
+    context.color_range = 1  # limited, as players expect
     sound = None if audio is None else SoundTrack(container, audio, sample_rate)
     for number, picture in _changes(pictures) if proxy else enumerate(pictures):
         padded = _padded(picture, size)
@@ -175,7 +168,7 @@ def _encode(
 
 
 def _changes(pictures: Iterator[ByteImage]) -> Iterator[tuple[int, ByteImage]]:
-    """Return the pictures that differ from the one before, numbered; and the last, for its end."""
+    """Yield numbered pictures that are not the same array as the one before, and the last one."""
     shown: ByteImage | None = None
     number, held = -1, False
     for number, picture in enumerate(pictures):
@@ -200,7 +193,7 @@ def _padded(picture: ByteImage, size: tuple[int, int]) -> ByteImage:
 
 
 def _same_size(file: Path, first: ByteImage, rest: Iterator[ByteImage]) -> Iterator[ByteImage]:
-    """Pass pictures on, refusing one that does not fit the movie."""
+    """Yield the pictures; refuse one of another size or type than the first."""
     number, picture = 0, first
     while True:
         if picture.shape != first.shape or picture.dtype != np.uint8 or picture.ndim != 3:
@@ -217,12 +210,12 @@ def _same_size(file: Path, first: ByteImage, rest: Iterator[ByteImage]) -> Itera
 
 
 class SoundTrack:
-    """One row of samples on its way into a container.
+    """An audio stream of a container.
 
     Parameters
     ----------
     samples : (samples,) float32 array
-        Mono [-1 to 1], from the first picture on.
+        Mono [-1 to 1], starting at the first picture.
     """
 
     def __init__(self, container: Any, samples: Float32Array, sample_rate: int) -> None:
@@ -234,11 +227,11 @@ class SoundTrack:
         self._done = 0
 
     def encode_until(self, seconds: Fraction) -> None:
-        """Encode the whole blocks that begin before a moment."""
+        """Encode all full blocks up to a time."""
         self._encode(min(int(seconds * self._rate), len(self._samples)), last=False)
 
     def finish(self) -> None:
-        """Encode what is left."""
+        """Encode the remaining samples."""
         self._encode(len(self._samples), last=True)
         self._container.mux(self._stream.encode())
 

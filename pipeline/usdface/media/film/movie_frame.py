@@ -1,4 +1,4 @@
-"""One picture of a review movie: panels side by side, and below them what a note would quote."""
+"""Pictures of a review movie: panels side by side above a bar with title, frame and timecode."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from usdface.media.picture.text import TextStyle, draw_text, text_width, wrap_te
 from usdface.media.picture.tiles import empty_tile, fit_picture
 
 BAR_SHARE = 0.075
-"""Of the panels' height: letters stay legible when the movie is shown at a third of its size."""
+"""Height of the bar over that of the panels: text is legible at a third of the movie's size."""
 LEAST_BAR = 26
 
 _BAR_COLOR: Color = (14, 15, 17)
@@ -27,18 +27,18 @@ _PANEL_GAP = 2
 
 @dataclass(frozen=True)
 class MoviePanel:
-    """One of the pictures that stand side by side."""
+    """One of the pictures side by side."""
 
     width: int
-    """Its place in every picture of the movie [pixels]."""
+    """[pixels]"""
     pixels: ByteImage | None
-    """(h, w, 3): of any size; None where there is nothing, and `missing` says why."""
+    """(h, w, 3): of any size; None if there is none, with the reason in `missing`."""
     label: str
     missing: str = ""
 
 
 def movie_size(widths: Sequence[int], height: int) -> tuple[int, int]:
-    """Return (width, height) of the whole picture; both even, as encoders need them."""
+    """Return (width, height) of the whole picture, both even for encoders."""
     width = sum(widths) + _PANEL_GAP * (len(widths) - 1)
     total = height + _bar_height(height)
     return width + width % 2, total + total % 2
@@ -62,17 +62,17 @@ def compose_movie_frame(
     title : str
         Shot and character, at the left of the bar.
     clock : str
-        Frame number and timecode, at its right.
+        Frame number and timecode, at the right.
     uncertainty_mm : float, optional
-        [mm] Shown as a colour between the two.
+        [mm] Shown as number and colour in the bar.
     verdict : tuple of str
-        ``'good'``, ``'check'`` or ``'bad'``, whose colour runs along the bar, and the sentence,
-        which is written over the panels where it is given.
+        ``'good'``, ``'check'`` or ``'bad'``, shown as the colour of the bar's upper edge, and
+        optional sentences, written over the panels.
 
     Returns
     -------
     (height + bar, width, 3) uint8 array
-        sRGB, of the size that `movie_size` tells.
+        sRGB, of size `movie_size`.
     """
     width, total = movie_size([panel.width for panel in panels], height)
     picture = new_picture(width, total, _BAR_COLOR)
@@ -85,7 +85,7 @@ def compose_movie_frame(
         else:
             tile = fit_picture(panel.pixels, width=panel.width, height=height)
         picture[:height, x : x + panel.width] = tile
-        # On its own ground: the picture behind may be as light as the letters.
+        # With a background: the picture may be as light as the letters.
         label = TextStyle(size=small.size, color=BRIGHT)
         ground = text_width(panel.label, label) + 12
         fill_box(picture, x, 0, min(ground, panel.width), small.size + 9, _BAR_COLOR)
@@ -103,7 +103,7 @@ def compose_movie_frame(
 def _draw_sentence(
     picture: ByteImage, bottom: int, verdict: tuple[str, ...], style: TextStyle
 ) -> None:
-    """Write a verdict's sentence on a ground of its own above the bar."""
+    """Write a verdict's sentences with a background, above the bar."""
     width = picture.shape[1] - 32
     lines = [line for text in verdict[1:] for line in wrap_text(text, style, max_width=width)]
     step = round(1.4 * style.size)

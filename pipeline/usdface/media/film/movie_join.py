@@ -1,4 +1,4 @@
-"""Movies of the same kind put one after the other without decoding them."""
+"""Concatenation of movies of the same kind without decoding."""
 
 from collections.abc import Sequence
 from fractions import Fraction
@@ -27,30 +27,25 @@ def join_movies(
     timecode: str = "",
     comment: str = "",
 ) -> int:
-    """Write the pictures of several movies as one.
+    """Write the pictures of several movies as one; return their number.
 
     Parameters
     ----------
     path : Path
         The movie to write.
     parts : sequence of Path
-        Movies of `write_movie`, of one size, rate and encoder, in order. Their sound is left out.
+        Movies of `write_movie`, of one size, rate and encoder, in order. Their sound is ignored.
     pictures : sequence of int, optional
-        How many of each part's, from its first; all by default.
+        Number of pictures from the start of each part; default: all.
     audio, sample_rate, timecode, comment
-        As for `write_movie`, of the whole.
+        Of the whole, as for `write_movie`.
     rate : Fraction, optional
-        Pictures per second; as the first part states it by default, which some containers round.
-
-    Returns
-    -------
-    int
-        Number of pictures written.
+        Pictures per second; default: as stated by the first part, which some containers round.
 
     Raises
     ------
     InputError
-        If a part is no movie, or parts differ in kind. An old file is left as it was.
+        If a part is not a movie, or parts differ in kind. An existing file is then unchanged.
     """
     if not parts:
         raise InputError(f"{path}: there is no part to join; give at least one")
@@ -77,7 +72,7 @@ def join_movies(
 
 
 class _Joined:
-    """A movie that packets of others are written into, counted from 0."""
+    """A movie to which packets of others are copied, numbered from 0."""
 
     def __init__(self, container: Any, rate: Fraction) -> None:
         self.count = 0
@@ -89,7 +84,7 @@ class _Joined:
     def add(
         self, part: Path, most: int | None, audio: Float32Array | None, sample_rate: int
     ) -> None:
-        """Copy the pictures of a part, `most` of them; the first decides what streams are like."""
+        """Copy the pictures of a part, at most `most`; the first part defines the streams."""
         end = None if most is None else self.count + most
         with open_media(part) as source:
             video = source.streams.video[0]
@@ -106,7 +101,7 @@ class _Joined:
             self._sound = SoundTrack(self._container, audio, sample_rate)
 
     def _copy(self, packet: Any) -> None:
-        # One packet is one picture, in order: counted, no rounding adds up.
+        # One packet is one picture: counting avoids the accumulation of rounding.
         packet.pts = packet.dts = self.count
         packet.duration = 1
         packet.time_base = 1 / self._rate
@@ -117,13 +112,13 @@ class _Joined:
             self._sound.encode_until(Fraction(self.count) / self._rate)
 
     def finish(self) -> None:
-        """Write what is left of the sound."""
+        """Write the rest of the sound."""
         if self._sound is not None:
             self._sound.finish()
 
 
 def _check_kinds(parts: Sequence[Path]) -> Fraction:
-    """Refuse parts of different kinds; return the rate that the first states."""
+    """Refuse parts of different kinds; return the rate stated by the first."""
     kinds = []
     for part in parts:
         with open_media(part) as source:
@@ -137,7 +132,7 @@ def _check_kinds(parts: Sequence[Path]) -> Fraction:
 
 
 def _kind(part: Path, source: Any) -> tuple[str, int, int, Fraction, bytes]:
-    """Return what must be alike for packets to stand in one stream."""
+    """Return codec, size, rate and codec data, which must be equal within one stream."""
     if not source.streams.video:
         raise InputError(f"{part}: holds no pictures; give parts that `usdface movie` made")
     stream = source.streams.video[0]

@@ -1,4 +1,4 @@
-"""Read the sound of a movie or a sound file as one row of samples."""
+"""Reading of the sound of a movie or sound file as mono samples."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,10 +13,10 @@ from usdface.core.errors import InputError
 from usdface.media.film.containers import open_media, start_seconds, unreadable
 
 MAX_HOURS = 4
-_MAX_GAP = 0.02  # seconds by which sound may differ from its time stamps before silence is put in
-_MAX_SILENCE = 600.0  # seconds: a jump beyond is a damaged time stamp, not a pause
+_MAX_GAP = 0.02  # gap in the time stamps above which silence is inserted [s]
+_MAX_SILENCE = 600.0  # gap above which time stamps count as damaged [s]
 _RATES = range(1000, 768_001)
-"""[Hz] Fewer samples a second hold no speech, and a few of them would become hours."""
+"""[Hz] Lower rates hold no speech, and a small file would be hours long."""
 
 
 def read_audio(path: Path | str, *, rate: int = 16000) -> Float32Array:
@@ -32,8 +32,8 @@ def read_audio(path: Path | str, *, rate: int = 16000) -> Float32Array:
     Returns
     -------
     (samples,) float32 array
-        [-1 to 1]; all channels averaged. Sample zero is time zero of the file: silence is put in
-        before sound that begins later than the picture, and where the recording has gaps.
+        [-1 to 1]; mean of all channels. Sample 0 is time 0 of the file: silence is inserted before
+        sound that begins later than the picture, and in gaps of the recording.
     """
     file = Path(path)
     if not 1000 <= rate <= 384000:
@@ -55,15 +55,15 @@ def _sound_stream(file: Path, container: Any) -> Any:
     stream = container.streams.audio[0]
     context = stream.codec_context
     if context is None or context.sample_rate not in _RATES:
-        found = "an unknown packing" if context is None else f"{context.sample_rate} Hz"
+        kind = "an unknown codec" if context is None else f"{context.sample_rate} Hz"
         raise InputError(
-            f"{file}: its sound is of {found}, which is not read; export WAV at 48000 Hz"
+            f"{file}: its sound is of {kind}, which is not read; export WAV at 48000 Hz"
         )
     return stream
 
 
 def _blocks(file: Path, container: Any, stream: Any, rate: int) -> Iterator[Float32Array]:
-    """Yield decoded sound, with silence where its time stamps leave a gap."""
+    """Yield decoded sound, with silence in gaps of the time stamps."""
     start = start_seconds(container)
     resampler = av.AudioResampler("fltp", "mono", rate)
     longest = MAX_HOURS * 3600 * rate

@@ -1,7 +1,7 @@
-"""Read the exact frame that a movie shows at a given time.
+"""Reading of the exact frame that a movie shows at a given time.
 
-Players and OpenCV count frames or trust the rate; a phone's variable rate, B-frames and edit lists
-make both wrong. Here every time stamp is read first, and a frame is the one that carries its own.
+Counting frames or trusting the stated rate fails with variable rates of phones, B-frames and edit
+lists. Here all time stamps are read first, and frames are identified by their time stamps.
 """
 
 from collections.abc import Iterator
@@ -23,20 +23,16 @@ from usdface.media.film.containers import (
     unreadable,
     words_of,
 )
-from usdface.media.film.movie import write_movie
-from usdface.media.film.sound import read_audio
-
-__all__ = ["MAX_FRAMES", "MAX_PIXELS", "VideoReader", "read_audio", "write_movie"]
 
 MAX_FRAMES = 5_000_000
-"""23 hours at 60 frames a second: more is a broken index, not a take."""
+"""23 hours at 60 frames per second; more is a damaged index."""
 
-_MISSING_SHARE = 0.02  # of the frames a header promises that may be absent
+_MISSING_SHARE = 0.02  # share of the header's frame count that may be missing
 
 
 @dataclass(frozen=True)
 class _Index:
-    """Every frame of a stream, in the order it is shown."""
+    """Time stamps of the frames of a stream, in display order."""
 
     stamps: IntArray
     keys: IntArray
@@ -44,22 +40,22 @@ class _Index:
 
 
 class VideoReader:
-    """A movie whose frames are found by time; use it in a ``with`` block.
+    """A movie with access to frames by time, a context manager.
 
     Attributes
     ----------
     rate : Fraction or None
-        Frames per second; None where frames are not evenly spaced.
+        Frames per second; None for variable rates.
     times : (frames,) float array
-        When each frame appears [s]; zero is where players start the file, sound included.
+        Start of each frame [s]; 0 is where players start the file, including its sound.
     duration : float
-        When the last frame goes [s].
+        End of the last frame [s].
     width, height : int
-        As shown: rotated, with square pixels [pixels].
+        As displayed: rotated, with square pixels [pixels].
     timecode : str
-        The SMPTE start time the file carries; empty without one.
+        SMPTE start time; empty if not stated.
     focal_length : float or None
-        Of the lens, as phones state it [mm of a 35 mm camera].
+        Stated by phones [mm, 35 mm equivalent].
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -79,8 +75,7 @@ class VideoReader:
         self._stream = stream
         if stream.codec_context is None:
             raise InputError(
-                f"{self.path}: its pictures are packed in a way that nothing here unpacks; export "
-                "H.264 or ProRes"
+                f"{self.path}: there is no decoder for its pictures; export H.264 or ProRes"
             )
         width, height = stream.codec_context.width, stream.codec_context.height
         if not 0 < width * height <= MAX_PIXELS:
@@ -89,7 +84,7 @@ class VideoReader:
                 "are read: export a smaller movie"
             )
         stream.thread_type = "AUTO"
-        # A picture says its size again, and may say another than the header.
+        # Pictures state their size again, which may differ from the header's.
         stream.codec_context.options = {"max_pixels": str(MAX_PIXELS)}
         self._index = _table_of_contents(stream, self.path) or _read_index(
             self._container, stream, self.path
@@ -114,20 +109,20 @@ class VideoReader:
         self.close()
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._decoded = None
         self._container.close()
 
     def index_at(self, seconds: float) -> int | None:
-        """Return the index in `times` of the frame on screen, None before and after the movie."""
-        # Half a tick: containers round time stamps, some to whole milliseconds.
+        """Return the index in `times` of the frame at a time, None before and after the movie."""
+        # Half a tick, because containers round time stamps.
         moment = seconds + self._tick / 2
         if not self.times[0] <= moment < self.duration + self._tick / 2:
             return None
         return int(np.searchsorted(self.times, moment, side="right")) - 1
 
     def frame_at(self, seconds: float) -> ByteImage | None:
-        """Return the frame on screen at a time, None before and after the movie.
+        """Return the frame at a time, None before and after the movie.
 
         Parameters
         ----------
@@ -156,7 +151,7 @@ class VideoReader:
         return self._shown[1]
 
     def _decode(self, stamp: int, seconds: float) -> Any:
-        """Decode forward to the frame with this time stamp, from the key frame before it."""
+        """Decode the frame with a time stamp, from the key frame before it or the last position."""
         keys = self._index.keys
         key = int(keys[max(int(np.searchsorted(keys, stamp, side="right")) - 1, 0)])
         try:
@@ -185,9 +180,9 @@ class VideoReader:
         )
 
     def _is_ahead(self, position: int, key: int, stamp: int) -> bool:
-        """Return whether decoding on from a position leads to a frame, past no more than needed.
+        """Return whether decoding on from a position is no longer than from the key frame.
 
-        Seeking to a key frame that comes next anyway would throw away what decoders have ahead.
+        Seeking to a key frame that is next anyway would discard frames that are decoded ahead.
         """
         stamps = self._index.stamps
         after = min(int(np.searchsorted(stamps, position, side="right")), len(stamps) - 1)
@@ -195,10 +190,10 @@ class VideoReader:
 
 
 def _table_of_contents(stream: Any, path: Path) -> _Index | None:
-    """Take time stamps from the file's own table, where that is sure to be right.
+    """Return the index stored in the file, for codecs with key frames only; else None.
 
-    It tells decoding times. Where every frame stands alone (ProRes, DNxHD, MJPEG) these are the
-    times of showing, and tens of gigabytes need not be read to learn them.
+    It holds decoding times, which equal display times for ProRes, DNxHD and MJPEG; files of tens of
+    gigabytes then need not be read.
     """
     entries = getattr(stream, "index_entries", None)  # not in every PyAV
     if not stream.codec.intra_only or entries is None or len(entries) < max(stream.frames, 2):
@@ -216,7 +211,7 @@ def _table_of_contents(stream: Any, path: Path) -> _Index | None:
 
 
 def _read_index(container: Any, stream: Any, path: Path) -> _Index:
-    """Read the time stamps of all packets, without decoding any."""
+    """Read the time stamps of all packets, without decoding."""
     stamps, keys = list[int](), list[int]()
     count = 0
     last = (-1, 0)
@@ -249,7 +244,7 @@ def _read_index(container: Any, stream: Any, path: Path) -> _Index:
 
 
 def _even_rate(stamps: IntArray, base: Fraction, stated: Fraction | None) -> Fraction | None:
-    """Return the stated rate if every stamp lies on its grid, to one tick of rounding."""
+    """Return the stated rate if all time stamps agree within rounding, else None."""
     if not stated or len(stamps) < 2:
         return None if not stated else Fraction(stated)
     rate = Fraction(stated)
@@ -259,10 +254,10 @@ def _even_rate(stamps: IntArray, base: Fraction, stated: Fraction | None) -> Fra
 
 
 def _upright(frame: Any) -> ByteImage:
-    """Convert to sRGB bytes, with square pixels, the way up that the camera was held."""
+    """Convert to sRGB bytes, upright and with square pixels."""
     options: dict[str, Any] = {"format": "rgb24"}
     if int(frame.colorspace) == 2 and frame.height >= 720:
-        # Unspecified: players assume BT.709 from HD on, the converter BT.601.
+        # Unspecified: players assume BT.709 for HD, the converter BT.601.
         options["src_colorspace"] = "ITU709"
     aspect = frame.sample_aspect_ratio if hasattr(frame, "sample_aspect_ratio") else None
     if aspect and aspect != 1 and Fraction(1, 4) < aspect < 4:
@@ -274,18 +269,17 @@ def _upright(frame: Any) -> ByteImage:
 
 def _timecode(container: Any) -> str:
     for holder in (container, *container.streams):
-        said = words_of(holder).get("timecode")  # Matroska shouts
-        if said:
-            return said
+        if timecode := words_of(holder).get("timecode"):
+            return timecode
     return ""
 
 
 _FOCAL_LENGTHS = (8.0, 2000.0)
-"""[mm] Of lenses, from fisheye to the longest."""
+"""Plausible focal lengths, from fisheye to telephoto [mm]."""
 
 
 def _focal_length(container: Any) -> float | None:
-    """Return what phones write of their lens, in whichever of their manners."""
+    """Return the 35 mm equivalent focal length that phones write under various keys, or None."""
     for holder in (container, *container.streams):
         for key, value in words_of(holder).items():
             if "focal_length" in key and "35mm" in key:

@@ -1,6 +1,6 @@
-"""Markers on the surface they are bound to, from the front and both sides, under a verdict.
+"""Picture of markers bound to a surface, from the front and both sides, with a verdict.
 
-Names stand beside the face, joined to their markers by lines, so that none lies on another.
+Names are listed beside the face and joined to their markers by lines.
 """
 
 from collections.abc import Sequence
@@ -32,7 +32,7 @@ _NAMES_WIDTH = 128
 """Width of the list of names beside a face [pixels]."""
 
 _NAME_GAP = 24
-"""Room between the names and the face, for lines to fan out [pixels]."""
+"""Gap between the names and the face, for lines [pixels]."""
 
 _NAME_SIZE = 13
 _NAME_LINE = 15.0
@@ -40,7 +40,7 @@ _NAME_MARGIN = 14
 
 _FRONT_WIDTH, _SIDE_WIDTH = 460, 236
 _VIEW_HEIGHT = 660
-"""Of the views [pixels]: with the names, the page is 1600 wide."""
+"""[pixels]; with the names, the page is 1600 wide."""
 
 _DOUBT: Color = (255, 128, 72)
 _LINE: Color = (92, 98, 108)
@@ -50,18 +50,18 @@ _SIDE_DEGREES = 62.0
 
 @dataclass(frozen=True)
 class BoundMarkers:
-    """What the picture shows of a binding."""
+    """A binding to draw."""
 
     names: tuple[str, ...]
     positions: FloatArray
     """(markers, 3): on the surface [mm]."""
     doubts: tuple[str, ...]
-    """Why somebody should look at a marker, in a word or two; empty where there is no reason."""
+    """Reason to check each marker, in a word or two, or empty."""
     placed: BoolArray
-    """(markers,): true where a person placed the marker."""
+    """(markers,): whether a person placed the marker."""
     wanted: dict[int, FloatArray] = field(default_factory=dict)
-    """dict of int to (3,) float array: where a marker in doubt was expected [mm]: a ring is drawn
-    there."""
+    """dict of int to (3,) float array: expected position of a doubtful marker, drawn as a ring
+    [mm]."""
 
 
 def draw_binding(
@@ -74,16 +74,16 @@ def draw_binding(
     yaw_degrees: float = 0.0,
     quality: Quality = "final",
 ) -> ByteImage:
-    """Draw the picture: the front with every name, and the two sides with the names they add.
+    """Draw the front with all names, and both sides with the names of their outer markers.
 
     Parameters
     ----------
     meshes : sequence of RigMesh
         At rest; hidden ones are not drawn.
     verdict : tuple of str
-        ``'good'``, ``'check'`` or ``'bad'``, and the sentence; without one there is no such line.
+        ``'good'``, ``'check'`` or ``'bad'``, and the sentence, or empty.
     yaw_degrees : float
-        How far the face is turned from looking along +Z [degrees].
+        Heading of the face, 0 along +Z.
     quality : {'draft', 'final'}
 
     Returns
@@ -119,7 +119,7 @@ def draw_binding(
 
 
 def _near_markers(points: FloatArray, at: FloatArray) -> FloatArray:
-    """Return 1 for points of the face, 0 for neck and shoulders that carry no marker."""
+    """Return 1 for points within the markers' bounding box, else 0 (neck and shoulders)."""
     box = np.ptp(at, axis=0).max() * 0.12
     low, high = at.min(axis=0) - box, at.max(axis=0) + box
     inside: FloatArray = ((points >= low) & (points <= high)).all(axis=1).astype(np.float64)
@@ -133,11 +133,10 @@ class _View:
     camera: Camera
     width: int
     columns: tuple[bool, bool]
-    """Whether names stand to its left, and to its right."""
+    """Whether names are listed on the left, and on the right."""
     seen: BoolArray
     named: BoolArray
-    """`seen`, `named`: (markers,): which markers the surface does not hide, and which of all are
-    named here."""
+    """`seen`, `named`: (markers,): visible markers, and those named in this view."""
 
 
 def _view(
@@ -150,8 +149,8 @@ def _view(
     )
     columns = (True, True) if front else (side < 0, side > 0)
     seen = named = _seen(points, camera, markers.positions)
-    if not front:  # a side names what the front shows badly: markers on this side of the face
-        # Its names stand on its outer edge; a lens shift puts the face off the middle.
+    if not front:  # a side names its outer markers, which the front shows badly
+        # Its names are on its outer edge; a lens shift moves the face off the centre.
         shift = np.sign(side) * (_NAMES_WIDTH + _NAME_GAP) / _VIEW_HEIGHT
         camera = replace(camera, shift=(float(shift), 0.0))
         right = np.array([np.cos(np.radians(facing)), 0.0, -np.sin(np.radians(facing))])
@@ -184,7 +183,7 @@ def _draw_view(
 
 
 def _seen(points: FloatArray, camera: Camera, at: FloatArray) -> BoolArray:
-    """Say which markers the surface does not hide, by a depth buffer of its points."""
+    """Return the markers that are visible in a depth buffer of the surface's points."""
     cells = 160
     cloud = camera.project(points, width=cells, height=cells)
     own = camera.project(at, width=cells, height=cells)
@@ -204,7 +203,7 @@ def _draw_names(
     named: BoolArray,
     columns: tuple[bool, bool],
 ) -> None:
-    """Write names in the columns there are: left, right, or both."""
+    """Write names in the left column, the right column, or both."""
     height, width = panel.shape[:2]
     middle = float(np.median(at[named, 0])) if named.any() else width / 2
     for left in (True, False):
@@ -238,7 +237,7 @@ def _write_name(
     room = _NAMES_WIDTH - 4
     long = min(text_width(text, style), room)
     start = x - long - 3 if left else x - 3
-    # A wide head reaches under the names.
+    # A wide head may reach the names.
     fill_box(panel, start, row - 8, long + 6, 16, PAGE, cover=0.55)
     draw_text(
         panel,

@@ -1,4 +1,4 @@
-"""Boxes, dots and lines on a picture, antialiased, and rows of labels kept apart."""
+"""Drawing of boxes, antialiased dots and lines, and spacing of labels."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,7 +15,7 @@ def new_picture(width: int, height: int, color: Color) -> ByteImage:
 def fill_box(
     picture: ByteImage, x: int, y: int, width: int, height: int, color: Color, *, cover: float = 1.0
 ) -> None:
-    """Fill a rectangle in place; what lies outside is cut off."""
+    """Fill a rectangle in place, clipped to the picture; `cover` is the opacity."""
     rows, columns = slice(max(y, 0), max(y + height, 0)), slice(max(x, 0), max(x + width, 0))
     if cover >= 1:
         picture[rows, columns] = color
@@ -42,7 +42,7 @@ def draw_dot(
     *,
     hollow: bool = False,
 ) -> None:
-    """Draw a disc, or a ring as thick as a quarter of its radius, at a fraction of a pixel."""
+    """Draw a disc, or a ring a quarter of its radius thick, with subpixel position."""
     window, columns, rows = _window(picture, x - radius, y - radius, x + radius, y + radius)
     distance = np.hypot(columns - x, rows - y)
     cover = np.clip(radius + 0.5 - distance, 0, 1)
@@ -78,21 +78,21 @@ def draw_line(
 def spread_rows(
     rows: FloatArray, *, spacing: float, height: float, margin: float = 0.0
 ) -> FloatArray:
-    """Move ascending rows of labels apart, as little as keeps them from touching: (n,).
+    """Return rows of labels with a minimum spacing, nearest to the desired ones: (n,).
 
     Parameters
     ----------
     rows : (n,) float array
-        Where labels are wanted, ascending [pixels].
+        Desired rows, ascending [pixels].
     spacing : float
         Least distance of two rows [pixels].
     height, margin : float
-        Of the picture, and what stays free at its ends [pixels].
+        Of the picture, and free space at its ends [pixels].
     """
     if not len(rows):
         return rows
     steps = spacing * np.arange(len(rows))
-    # Least squares under order: pool neighbours that would overlap (Ayer et al. 1955).
+    # Isotonic regression: pool adjacent violators (Ayer et al. 1955).
     pools: list[tuple[float, int]] = []
     for value in (np.clip(rows, margin, height - margin) - steps).tolist():
         total, count = value, 1
@@ -108,7 +108,7 @@ def spread_rows(
 def _window(
     picture: ByteImage, left: float, top: float, right: float, bottom: float
 ) -> tuple[ByteImage, Float32Array, Float32Array]:
-    """Return the part of a picture a form touches, and the centres of its columns and rows."""
+    """Return a view of a rectangle of the picture, and the centres of its columns and rows."""
     height, width = picture.shape[:2]
     x0, x1 = (int(np.clip(v, 0, width)) for v in (np.floor(left) - 1, np.ceil(right) + 2))
     y0, y1 = (int(np.clip(v, 0, height)) for v in (np.floor(top) - 1, np.ceil(bottom) + 2))

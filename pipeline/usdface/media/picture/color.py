@@ -1,4 +1,4 @@
-"""Colours of pictures: sRGB, the palette, and a ramp for errors that colour-blind eyes read too."""
+"""Colours of pictures: sRGB, the palette, and a colour-blind-safe ramp for errors."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -9,7 +9,7 @@ Color = tuple[int, int, int]
 """sRGB bytes."""
 
 PAGE: Color = (22, 23, 26)
-"""What pictures lie on."""
+"""Background of pages."""
 PANEL: Color = (31, 33, 37)
 LANE: Color = (33, 35, 39)
 GRID: Color = (44, 47, 53)
@@ -22,8 +22,8 @@ BRIGHT: Color = (244, 245, 247)
 
 BLUE: Color = (120, 200, 255)
 ORANGE: Color = (255, 178, 92)
-"""Blue and orange, which most kinds of colour blindness keep apart: of two curves, the one that is
-given or was before, and the one that is solved, proposed or came after."""
+"""Blue for the curve that is given or before, orange for the one that is solved or after; most
+kinds of colour blindness distinguish them."""
 GREEN: Color = (129, 210, 132)
 RED: Color = (240, 104, 96)
 VIOLET: Color = (188, 160, 246)
@@ -31,16 +31,16 @@ VERDICT_COLORS = {"good": GREEN, "check": ORANGE, "bad": RED}
 """By the level of a verdict."""
 
 SERIES_COLORS = (ORANGE, BLUE, GREEN, (236, 132, 152), VIOLET, (220, 216, 120), DIM)
-"""Of more than two curves, in this order; labels name every curve as well."""
+"""Colours of more than two curves, in this order."""
 
 KEYS_RANGE_MM = 1.0
 UNKEYED_RANGE_MM = 3.0
-"""What the last colour of `heat_ramp` stands for in every picture [mm]: an error against keys that
-anybody sees, and an uncertainty of three times as much."""
+"""Value of the last colour of `heat_ramp` in all pictures [mm]: an obvious error against keys, and
+an uncertainty of three times as much."""
 
-# Lightness, chroma and hue [degrees] in OKLCh. Lightness climbs evenly, so the ramp survives a
-# grey print; blue to yellow is the axis that the common kinds of colour blindness keep. It starts
-# bright enough to be read as text on a dark page and to show the form it is painted on.
+# Lightness, chroma and hue [degrees] in OKLCh. Lightness increases linearly, for grey prints; blue
+# to yellow is distinguished with the common kinds of colour blindness. The first colour is legible
+# as text on a dark page and shows the shading of the surface below.
 _RAMP = np.array(
     [
         [0.44, 0.110, 264.0],
@@ -53,7 +53,7 @@ _RAMP = np.array(
 
 
 def srgb_from_linear(linear: ArrayLike) -> FloatArray:
-    """Encode linear light [0-1] with the sRGB curve; values outside are limited."""
+    """Encode linear light with the sRGB curve, clipped to [0, 1]."""
     light = np.clip(np.asarray(linear, np.float64), 0.0, 1.0)
     return np.asarray(
         np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
@@ -70,24 +70,24 @@ _ENCODE = np.round(srgb_from_linear(np.arange(4096) / 4095) * 255).astype(np.uin
 
 
 def bytes_from_linear(linear: Float32Array | FloatArray) -> ByteImage:
-    """Encode linear light as sRGB bytes, by table: exact to one code but in the deepest blacks."""
+    """Encode linear light as sRGB bytes, by table: within one code except near black."""
     index = np.clip(linear * 4095 + 0.5, 0, 4095).astype(np.uint16)
     return _ENCODE[index]
 
 
 def heat_ramp(values: ArrayLike, *, low: float = 0.0, high: float = 1.0) -> FloatArray:
-    """Return linear colours that climb from blue to yellow in even steps of lightness.
+    """Return colours from blue (`low`) to yellow (`high`), linear in lightness; NaN is grey.
 
     Parameters
     ----------
     values : (...) array
     low, high : float
-        Values at and beyond these take the first and the last colour.
+        Values beyond are clipped.
 
     Returns
     -------
     (..., 3) float array
-        Linear light [0-1]. NaN is grey.
+        Linear light [0-1].
     """
     given = np.asarray(values, np.float64)
     span = max(high - low, 1e-12)
@@ -98,13 +98,13 @@ def heat_ramp(values: ArrayLike, *, low: float = 0.0, high: float = 1.0) -> Floa
     return np.asarray(np.where(np.isnan(given)[..., None], 0.18, ramp), np.float64)
 
 
-def _ramp_table(steps: int = 256) -> FloatArray:
-    """Linear colours along the ramp, mixed in OKLab (Ottosson 2020) between its knots."""
+def _ramp_table() -> FloatArray:
+    """Return 256 linear colours of the ramp, interpolated in OKLab (Ottosson 2020)."""
     angle = np.radians(_RAMP[:, 2])
     knots = np.stack(
         [_RAMP[:, 0], _RAMP[:, 1] * np.cos(angle), _RAMP[:, 1] * np.sin(angle)], axis=1
     )
-    at = np.linspace(0, len(knots) - 1, steps)
+    at = np.linspace(0, len(knots) - 1, 256)
     lab = np.stack([np.interp(at, np.arange(len(knots)), knots[:, k]) for k in range(3)], axis=1)
     to_cone = np.array(
         [

@@ -1,4 +1,4 @@
-"""What a screen shows of rendered light: a view of an OpenColorIO configuration."""
+"""Display transforms of rendered light: views of an OpenColorIO configuration."""
 
 import os
 from collections.abc import Callable
@@ -14,24 +14,19 @@ from usdface.media.picture.image import reason_of
 
 BUILT_IN = "ocio://default"
 _RENDERED = "lin_rec709"
-"""The renderer's colours; configurations know them by this alias or lack them."""
+"""Alias of the renderer's colour space in configurations."""
 
 DisplayView = Callable[[ArrayLike], ByteImage]
 
 
 def display_view(name: str | None) -> DisplayView:
-    """Return the function that turns rendered light into bytes for a screen.
+    """Return the function from rendered light, (height, width, 3) linear Rec.709, to bytes.
 
     Parameters
     ----------
     name : str or None
-        A view of the configuration's default display, or ``DISPLAY/VIEW``. The configuration is
-        that of ``$OCIO``, else the one built into OpenColorIO. None is plain sRGB.
-
-    Returns
-    -------
-    callable
-        From (height, width, 3) linear Rec.709 to sRGB bytes.
+        A view of the configuration's default display, or ``DISPLAY/VIEW``; None is sRGB. The
+        configuration is that of ``$OCIO``, or else the one built into OpenColorIO.
     """
     if name is None:
         return lambda light: bytes_from_linear(np.asarray(light, np.float32))

@@ -1,4 +1,4 @@
-"""Errors over a whole take as coloured columns, with the frames of a sheet marked."""
+"""Strips of errors over a take as coloured columns, with marked frames."""
 
 from dataclasses import dataclass
 
@@ -22,21 +22,21 @@ _AXIS_STYLE = TextStyle(size=16, color=DIM, weight="mono")
 
 @dataclass(frozen=True)
 class ErrorCurve:
-    """One method's error on every frame of a take."""
+    """An error over the frames of a take."""
 
     label: str
-    """Written at the left of its lane."""
+    """Written to the left of its lane."""
     values: FloatArray
-    """(frames,): NaN where there is none."""
+    """(frames,): NaN where unknown."""
     high: float | None = None
-    """At the top of its lane; that of the strip by default."""
+    """Error at the top of its lane; default: that of the strip."""
     unit: str | None = None
-    """That of the strip by default."""
+    """Default: that of the strip."""
 
 
 @dataclass(frozen=True)
 class ErrorStrip:
-    """One lane a curve, above a frame axis."""
+    """Lanes of curves above a frame axis."""
 
     curves: tuple[ErrorCurve, ...]
     """From the top."""
@@ -47,19 +47,19 @@ class ErrorStrip:
     marks: tuple[tuple[int, str], ...] = ()
     """tuple of (frame, label): frames to mark."""
     unit: str = "mm"
-    """Of all curves that name none."""
+    """Of curves without their own."""
     scale: float = 1.0
     """Of labels and lanes."""
 
 
 def strip_height(curve_count: int, scale: float = 1.0) -> int:
-    """Return how much room the strips take [pixels]."""
+    """Return the height of a strip [pixels]."""
     lanes = curve_count * round(scale * (LANE_HEIGHT + _LANE_GAP))
     return round(scale * _MARK_HEIGHT) + lanes + round(scale * _AXIS_HEIGHT)
 
 
 def draw_error_strip(page: ByteImage, strip: ErrorStrip, *, x: int, y: int, width: int) -> None:
-    """Draw a strip from its upper left corner; a column shows the largest error of its frames."""
+    """Draw a strip at its upper left corner; a column shows the largest error of its frames."""
     size = strip.scale
     left = x + round(size * LABEL_WIDTH)
     inner = width - round(size * LABEL_WIDTH)
@@ -114,7 +114,7 @@ def _draw_lane(area: ByteImage, values: FloatArray, count: int, high: float) -> 
 
 
 def _column_maxima(values: FloatArray, width: int, *, count: int) -> FloatArray:
-    """Return the largest error of the frames under each column; NaN where all are unknown."""
+    """Return the largest error of the frames of each column; NaN if all are unknown."""
     first = np.arange(width) * count // width
     last = np.maximum((np.arange(width) + 1) * count // width, first + 1)
     padded = np.full(count + 1, -np.inf)
@@ -134,7 +134,7 @@ def draw_frame_axis(
     count: int,
     scale: float = 1.0,
 ) -> None:
-    """Write round frame numbers below the lanes."""
+    """Draw ticks at round frame numbers."""
     style = _AXIS_STYLE.scaled(scale)
     wanted = max(round(width / (160 * scale)), 1)
     raw = max(count / wanted, 1)

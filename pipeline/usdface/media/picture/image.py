@@ -1,4 +1,4 @@
-"""Pictures on disk and in memory: written with their provenance, and read back."""
+"""Reading and writing of pictures, with provenance as metadata."""
 
 import errno
 import io
@@ -29,20 +29,20 @@ JPEG_QUALITY = 92
 """Of 100."""
 _PNG_LEVEL = 4
 """Of 9: fast, and nearly as small."""
-# Lossless or nearly lossless packing of what OpenImageIO writes.
+# Compression by OpenImageIO, lossless or nearly so.
 _COMPRESSION = {".exr": "dwaa:45", ".tif": "zip", ".tiff": "zip"}
-# Pillow encodes these in memory. OpenImageIO writes them by libraries that do not tell of a failed
-# write: libpng goes on, and libjpeg ends the process, which may be a DCC.
+# Encoded in memory by Pillow. OpenImageIO's libraries mishandle failed writes: libpng ignores them,
+# and libjpeg ends the process, which may be a DCC.
 _IN_MEMORY: dict[str, Literal["jpeg", "png"]] = {".jpg": "jpeg", ".jpeg": "jpeg", ".png": "png"}
 _MAX_JPEG = 65500
 _MAX_JPEG_METADATA = 65000
-"""Bytes: a segment of JPEG has 65,533, its header and the name of the software included."""
+"""Bytes; a JPEG segment has 65,533, including its header and the name of the software."""
 _EXIF_DESCRIPTION, _EXIF_SOFTWARE = 0x010E, 0x0131
 _MAX_METADATA = 16 << 20
 _LEAST_ROOM = 64 << 10
 
 MAX_VALUES = 1 << 29
-"""Of one picture, all channels: 16,384 by 8,192 pixels of four."""
+"""Largest picture: 16,384 by 8,192 pixels of four channels."""
 _DROP_BIT = 1 << 6
 
 
@@ -54,26 +54,26 @@ def write_image(
     timecode: str | None = None,
     rate: Fraction | None = None,
 ) -> None:
-    """Write a picture in the format its name ends in; it replaces an old one only when complete.
+    """Write a picture in the format of its extension; an existing file is replaced atomically.
 
     Parameters
     ----------
     path : Path
-        ``.jpg``, ``.png``, ``.tif``, or ``.exr``: linear half floats.
+        ``.jpg``, ``.png``, ``.tif``, or ``.exr`` (linear half floats).
     pixels : (height, width, 3) uint8 array
         sRGB.
     metadata : mapping, optional
-        Kept as JSON in ImageDescription, the one field that all four formats keep.
+        Stored as JSON in ImageDescription, the one field common to the four formats.
     timecode : str, optional
-        SMPTE time of the picture, ``HH:MM:SS:FF``; in EXR also as ``smpte:TimeCode``.
+        SMPTE timecode of the picture, ``HH:MM:SS:FF``; in EXR also as ``smpte:TimeCode``.
     rate : Fraction, optional
         Frames per second; in EXR also as ``FramesPerSecond``.
 
     Raises
     ------
     InputError
-        If the extension is unknown, the time code malformed, the picture not of bytes, or the file
-        cannot be written. An old file is left as it was.
+        If the extension is unknown, the timecode malformed, the picture not of bytes, or the file
+        cannot be written. An existing file is then unchanged.
     """
     file = Path(path)
     suffix = file.suffix.lower()
@@ -102,13 +102,7 @@ def write_image(
 
 
 def read_image_metadata(path: Path | str) -> dict[str, Any]:
-    """Return the metadata that `write_image` put in; empty if someone else made the picture.
-
-    Returns
-    -------
-    dict
-        Also ``timecode`` and ``rate`` where they were given.
-    """
+    """Return the metadata, timecode and rate stored by `write_image`; empty for other pictures."""
     file = Path(path)
     check_may_open(file)
     if not file.is_file():
@@ -118,31 +112,31 @@ def read_image_metadata(path: Path | str) -> dict[str, Any]:
         raise InputError(f"{file}: cannot be read as a picture ({reason_of(oiio)}); write it again")
     try:
         spec = source.spec()
-        said = spec.getattribute("ImageDescription")  # in a damaged header of any type
-        description = said if isinstance(said, str) else ""
+        caption = spec.getattribute("ImageDescription")  # of any type if damaged
+        description = caption if isinstance(caption, str) else ""
         packed = spec.getattribute("smpte:TimeCode")
-    except UnicodeDecodeError:  # a caption in another tool's letters
+    except UnicodeDecodeError:  # a caption in another encoding
         description, packed = "", None
     finally:
         source.close()
-    # A caption that someone typed is none.
-    found = json_object(description) if len(description) <= _MAX_METADATA else {}
-    if "timecode" not in found and isinstance(packed, (tuple, list)):
-        found["timecode"] = unpack_timecode(int(packed[0]))
-    return found
+    # A typed caption is not JSON: empty.
+    metadata = json_object(description) if len(description) <= _MAX_METADATA else {}
+    if "timecode" not in metadata and isinstance(packed, (tuple, list)):
+        metadata["timecode"] = unpack_timecode(int(packed[0]))
+    return metadata
 
 
 _SOFTWARE = f"usdface {__version__}"
 
 
 def _description(metadata: Mapping[str, Any], timecode: str | None, rate: Fraction | None) -> str:
-    """Return what a picture says of itself, in ASCII: EXIF promises no more."""
-    said = dict(metadata)
+    """Return a picture's metadata as JSON in ASCII, as EXIF requires."""
+    fields = dict(metadata)
     if timecode is not None:
-        said["timecode"] = timecode
+        fields["timecode"] = timecode
     if rate is not None:
-        said["rate"] = f"{rate.numerator}/{rate.denominator}"
-    return json.dumps(said, sort_keys=True, ensure_ascii=True)
+        fields["rate"] = f"{rate.numerator}/{rate.denominator}"
+    return json.dumps(fields, sort_keys=True, ensure_ascii=True)
 
 
 def _encoded(file: Path, pixels: ByteImage, description: str) -> bytes:
@@ -150,15 +144,15 @@ def _encoded(file: Path, pixels: ByteImage, description: str) -> bytes:
     stream = io.BytesIO()
     image = Image.fromarray(np.ascontiguousarray(pixels))
     if _IN_MEMORY[file.suffix.lower()] == "png":
-        said = PngImagePlugin.PngInfo()
-        said.add_text("Description", description)
-        said.add_text("Software", _SOFTWARE)
-        image.save(stream, "png", compress_level=_PNG_LEVEL, pnginfo=said)
+        chunks = PngImagePlugin.PngInfo()
+        chunks.add_text("Description", description)
+        chunks.add_text("Software", _SOFTWARE)
+        image.save(stream, "png", compress_level=_PNG_LEVEL, pnginfo=chunks)
         return stream.getvalue()
     if len(description) > _MAX_JPEG_METADATA:
         raise InputError(
-            f"{file}: what it says of its making has {len(description)} bytes, and JPEG holds "
-            f"{_MAX_JPEG_METADATA}; write .png"
+            f"{file}: its provenance has {len(description)} bytes, more than the "
+            f"{_MAX_JPEG_METADATA} of JPEG; write .png"
         )
     exif = Image.Exif()
     exif[_EXIF_DESCRIPTION], exif[_EXIF_SOFTWARE] = description, _SOFTWARE
@@ -199,14 +193,14 @@ def _specification(
 
 
 def _see_that_there_is_room(file: Path, temporary: Path, raw_bytes: int) -> None:
-    """Refuse a full disk before a library meets it, halfway through."""
+    """Refuse a full disk before writing starts."""
     if not hasattr(os, "posix_fallocate"):
         return
     try:
         with temporary.open("wb") as stream:
             os.posix_fallocate(stream.fileno(), 0, raw_bytes + _LEAST_ROOM)
     except OSError as error:
-        if error.errno in (errno.EINVAL, errno.EOPNOTSUPP):  # a file system that cannot promise
+        if error.errno in (errno.EINVAL, errno.EOPNOTSUPP):  # not supported by the file system
             return
         raise InputError(
             f"{file}: cannot be written ({error.strerror}): it may need "
@@ -235,7 +229,7 @@ def encode_image(
         sRGB.
     kind : {'jpeg', 'png'}
     max_height : int, optional
-        Taller pictures are made smaller [pixels].
+        Taller pictures are scaled down [pixels].
     """
     height, width = pixels.shape[:2]
     scale = min((max_height or height) / height, 1.0)
@@ -244,7 +238,7 @@ def encode_image(
     image = Image.fromarray(scale_picture(np.ascontiguousarray(pixels), *size))
     if kind == "png":
         image.save(stream, "png")
-    else:  # colour as fine as brightness: thin coloured lines stay sharp
+    else:  # full chroma resolution, for thin coloured lines
         image.save(stream, "jpeg", quality=JPEG_QUALITY, subsampling=0)
     return stream.getvalue()
 
@@ -262,7 +256,7 @@ def read_picture(path: Path) -> ByteImage:
             "be shown; write it smaller"
         )
     pixels = buffer.get_pixels("uint8")
-    if buffer.has_error or pixels is None or pixels.ndim != 3:  # what is missing would be black
+    if buffer.has_error or pixels is None or pixels.ndim != 3:  # missing rows would be black
         raise InputError(
             f"{path}: cannot be read as a picture ({reason_of(buffer)}): it may be cut short or "
             "damaged; copy or write it again"
@@ -272,10 +266,7 @@ def read_picture(path: Path) -> ByteImage:
 
 
 def reason_of(source: Any) -> str:
-    """Return why OpenImageIO failed, which may quote a broken file's bytes.
-
-    Asking is also what keeps the library from printing it.
-    """
+    """Return OpenImageIO's error in printable characters, which also stops it from printing it."""
     try:
         text = str(source.geterror())
     except UnicodeDecodeError:
@@ -284,7 +275,7 @@ def reason_of(source: Any) -> str:
 
 
 def pack_timecode(label: str) -> int:
-    """Return a label as binary-coded decimal, hours in the highest byte.
+    """Return a timecode as binary-coded decimal, hours in the highest byte.
 
     Parameters
     ----------
@@ -301,7 +292,7 @@ def pack_timecode(label: str) -> int:
 
 
 def unpack_timecode(packed: int) -> str:
-    """Return the label of a packed timecode; flags other than drop-frame are ignored."""
+    """Return a packed timecode as text; flags other than drop-frame are ignored."""
     hours, minutes, seconds, frames = (
         packed >> shift & mask for shift, mask in ((24, 0x3F), (16, 0x7F), (8, 0x7F), (0, 0x3F))
     )

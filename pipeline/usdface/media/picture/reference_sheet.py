@@ -1,4 +1,4 @@
-"""A sheet of references: what was filmed and captured beside the rig as it is keyed now."""
+"""Sheet of references: video and markers of each pair beside the rig with its weights."""
 
 from dataclasses import dataclass
 
@@ -32,16 +32,16 @@ FOOT_HEIGHT = 54
 _ROW_GAP = 26
 _TITLE_HEIGHT = 100
 PAGE_PAIRS = 6
-"""On a page: on landscape A4, and on a screen of 1600 pixels, its letters are read."""
+"""Pairs per page, legible on landscape A4 and on a screen of 1600 pixels."""
 
 _WRITING_LINES, _WRITING_LINE = 3, 46
-"""Below each pair on paper; on A4 some 7 mm from line to line, as in ruled books."""
+"""Ruled lines below each pair on paper, and their distance [pixels]; about 7 mm on A4."""
 
 PAGE_ASPECT = 1.414
 """Of a landscape page."""
 
 WALL_TOLERANCE = 6
-"""Steps of a byte by which a pixel may differ from the wall behind a face and still be wall."""
+"""Largest difference of a pixel from the background that counts as background [bytes]."""
 
 
 @dataclass(frozen=True)
@@ -49,25 +49,24 @@ class ReferenceRow:
     """One pair."""
 
     number: int
-    """Its time code in the asset, from 1."""
+    """Time code of the pair in the asset, from 1."""
     place: str
     """Take, frame and timecode."""
     said: str
-    """Viseme and emotion; empty where unknown."""
+    """Viseme and emotion, or empty."""
     tuned: bool
     video: ByteImage | None
     """(h, w, 3)"""
     missing: str
-    """Why there is no video."""
+    """Reason if there is no video."""
     markers: ByteImage | None
-    """(h, w, 3); None of a take that carries weights."""
+    """(h, w, 3); None for a take of weights."""
     face: ByteImage
-    """(h, w, 3): `markers` and `face` are drawn on dark ground."""
+    """(h, w, 3): `markers` and `face` have a dark background."""
     weights: tuple[tuple[str, float], ...]
     """The strongest shapes, strongest first."""
     residual_mm: float | None
-    """Distance of the markers from the rig under proposed weights [mm]; None of keys, which it does
-    not judge, and without markers."""
+    """Residual of proposed weights [mm]; None for tuned pairs and without markers."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +119,7 @@ def compose_reference_sheet(
     tile : int
         Height of every picture [pixels].
     paper : bool
-        Dark on white: what is drawn on a dark wall is put on the page's own white.
+        Dark on white, with the background of drawn pictures removed.
 
     Returns
     -------
@@ -205,8 +204,8 @@ def _draw_row(
     label = "tuned" if row.tuned else "proposal"
     end = x + block - text_width(label, state)
     draw_text(page, label, x=end, y=y + 6, style=state)
-    told = "   ".join(part for part in (row.said, row.place) if part)
-    draw_text(page, told, x=at, y=y + 5, style=text, max_width=max(end - at - 10, 0))
+    caption = "   ".join(part for part in (row.said, row.place) if part)
+    draw_text(page, caption, x=at, y=y + 5, style=text, max_width=max(end - at - 10, 0))
     drawn = [row.face] if row.markers is None else [row.markers, row.face]
     pictures = [row.video, *drawn][-len(widths) :]
     at, top = x, y + _HEAD_HEIGHT
@@ -258,14 +257,14 @@ def _draw_weights(
 
 
 def on_paper(picture: ByteImage, *, ink: bool) -> ByteImage:
-    """Take a picture off its dark wall and put it on white.
+    """Replace the dark background of a picture by white.
 
     Parameters
     ----------
     picture : (h, w, 3) uint8 array
-        Drawn on the studio wall.
+        Drawn on `background`.
     ink : bool
-        Lines and dots: drawn in ink where they were light, instead of as they are.
+        Whether to invert light lines and dots to dark ink.
     """
     height, width = picture.shape[:2]
     if ink:
@@ -276,12 +275,12 @@ def on_paper(picture: ByteImage, *, ink: bool) -> ByteImage:
         return np.repeat(gray[:, :, None], 3, axis=2)
     wall = bytes_from_linear(background(height, width)).astype(np.int16)
     is_wall = np.abs(picture.astype(np.int16) - wall).max(axis=2) <= WALL_TOLERANCE
-    # Wall seen through an open mouth is a hole in nothing: only what reaches the edge is behind.
+    # Only background that is connected to the picture's edge is replaced.
     parts, _ = ndimage.label(is_wall)
     edge = np.concatenate([parts[0], parts[-1], parts[:, 0], parts[:, -1]])
     behind = np.isin(parts, edge[edge > 0])
     rim = ndimage.binary_dilation(behind) & ~behind
     out = picture.astype(np.int16)
-    out[rim] += (255 - wall[rim]) // 2  # half of what a pixel on the rim shows is wall
+    out[rim] += (255 - wall[rim]) // 2  # rim pixels are about half background
     out[behind] = 255
     return np.clip(out, 0, 255).astype(np.uint8)

@@ -1,7 +1,6 @@
-"""A contact sheet: what was captured beside what was solved, frame by frame, with its error.
+"""Contact sheets: captured frames beside solved ones, with errors.
 
-A sheet is composed from data alone. Its parts (header, error strip, legend, rows of tiles) are
-functions of their own, so that another layout is another order of calls.
+Header, error strip, legend and rows of tiles are separate functions, which charts use as well.
 """
 
 from collections.abc import Sequence
@@ -114,7 +113,7 @@ def compose_sheet(spec: SheetPage) -> ByteImage:
 
 
 def round_range(errors: FloatArray) -> float:
-    """Return a round number that nearly all errors stay below; 1 when there are none."""
+    """Return a round number above the 98th percentile of errors; 1 if there are none."""
     finite = errors[np.isfinite(errors)]
     if not len(finite) or finite.max() <= 0:
         return 1.0
@@ -128,7 +127,7 @@ def round_range(errors: FloatArray) -> float:
 def draw_header(
     page: ByteImage, title: str, facts: Sequence[str], *, margin: int, scale: float = 1.0
 ) -> int:
-    """Write title and facts at the top of a page; return the row where the next part begins."""
+    """Write title and facts at the top of a page; return the row below."""
     width, y = page.shape[1] - 2 * margin, margin - 8
     draw_text(page, title, x=margin, y=y, style=_TITLE_STYLE.scaled(scale), max_width=width)
     y += round(scale * TITLE_HEIGHT)
@@ -148,17 +147,12 @@ def draw_verdict(
     scale: float = 1.0,
     x: int = PAGE_MARGIN,
 ) -> int:
-    """Write a verdict in its colour, which also runs down the page's left edge.
+    """Write a verdict and a bar on the page's left edge in its colour; return the row below.
 
     Parameters
     ----------
     verdict : sequence of str
-        As in `SheetPage`; nothing is drawn where it is empty.
-
-    Returns
-    -------
-    int
-        The row where the next part begins.
+        As in `SheetPage`; may be empty.
     """
     if not verdict:
         return y
@@ -182,10 +176,7 @@ def draw_legend(
     high: str,
     scale: float = 1.0,
 ) -> None:
-    """Draw the ramp with its ends, and notes beside it, each on a line of its own.
-
-    Nothing has a colour on the ramp where `high` is empty: the notes stand alone.
-    """
+    """Draw the ramp from 0 to `high` unless that is empty, and the notes, one per line."""
     bar, style, end = legend_bar(width), TEXT_STYLE.scaled(scale), x
     if high:
         ramp = bytes_from_linear(heat_ramp(np.linspace(0, 1, bar)))
@@ -209,7 +200,7 @@ def _draw_group(
     x: int,
     high: float,
 ) -> None:
-    """Draw column heads and the rows below them."""
+    """Draw a block of rows below its column heads."""
     y, style = layout.head_height, _COLUMN_STYLE.scaled(layout.scale)
     at = x
     for label, width in zip(spec.columns, layout.column_widths, strict=True):
@@ -269,7 +260,7 @@ def _draw_row(
 def _draw_row_head(
     page: ByteImage, layout: Layout, row: SheetRow, number: int, *, x: int, y: int
 ) -> None:
-    """Write a row's number, frame and note; a note too long stands whole on lines of its own."""
+    """Write a row's number, frame and note; a long note is wrapped below."""
     scale, wide = layout.scale, badge_width(number, layout.scale)
     fill_box(page, x, y + 2, wide, round(24 * scale), RULE)
     code, dim = CODE_STYLE.scaled(scale), DIM_STYLE.scaled(scale)
@@ -287,7 +278,7 @@ def _draw_row_head(
 
 
 def _value_label(value: float, unit: str, style: TextStyle, *, room: int) -> tuple[str, TextStyle]:
-    """Return an error's label as large as there is room for; never a part of its digits."""
+    """Return an error's label and the largest style that fits; digits are never cut."""
     number = f"{value:.2f}" if np.isfinite(value) else "no value"
     whole = f"{number} {unit}" if np.isfinite(value) else number
     sizes = [replace(style, size=size) for size in (style.size, 17, 14)]

@@ -1,4 +1,4 @@
-"""What goes on a contact sheet, and how large everything on it is."""
+"""Content and layout of a contact sheet."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ from usdface.media.picture.error_strip import ErrorCurve, strip_height
 from usdface.media.picture.text import TextStyle, text_width, wrap_text
 
 BEST_ASPECT = 1.5
-"""Width over height that fills a screen and a landscape page alike."""
+"""Width over height, between those of a screen and a landscape page."""
 
 PAGE_MARGIN = 36
 TILE_GUTTER = 6
@@ -25,21 +25,21 @@ _LEGEND_HEIGHT = 42
 LEGEND_LINE = 24
 READ_WIDTH = 1600
 READ_LETTER = 12
-"""On a sheet shown so wide the smallest letters are so high [pixels]: they are still read."""
+"""Least height of letters on a sheet scaled to `READ_WIDTH` [pixels]."""
 
 _SMALLEST_STYLE = 16
 VERDICT_STYLE = TextStyle(size=23, color=BRIGHT, weight="bold")
 VERDICT_LINE = 30
 VERDICT_SCALE = 0.78
-"""Of charts, where a verdict has one line."""
+"""Scale of verdicts on charts, which have one line."""
 CODE_STYLE = TextStyle(size=17, color=TEXT, weight="mono")
 TEXT_STYLE = TextStyle(size=17, color=SOFT)
 DIM_STYLE = TextStyle(size=17, color=DIM)
 BADGE_GAP, LABEL_GAP = 12, 20
 
-LEGEND_LETTERS = 110  # of one line of notes; more go to lines of their own
-LEGEND_LETTER = 8  # [pixels] the width of one, about
-LEAST_WIDTH = 800  # for the title and the strip above a few small tiles
+LEGEND_LETTERS = 110  # most letters in a line of notes
+LEGEND_LETTER = 8  # approximate width of a letter [pixels]
+LEAST_WIDTH = 800  # for title and strip above a few small tiles
 TITLE_HEIGHT = 60
 FACTS_HEIGHT = 34
 
@@ -49,12 +49,11 @@ class Tile:
     """One picture of a row."""
 
     pixels: ByteImage | None
-    """(h, w, 3): sRGB, of any size. None leaves the tile empty, with `caption` in it as the
-    reason."""
+    """(h, w, 3): sRGB, of any size. None: an empty tile with `caption` as the reason."""
     caption: str = ""
-    """Written below it."""
+    """Written below."""
     value: float | None = None
-    """Its error, in the sheet's unit; written below it beside its colour on the ramp."""
+    """Error in the sheet's unit; written below with its colour on the ramp."""
 
 
 @dataclass(frozen=True)
@@ -63,45 +62,45 @@ class SheetRow:
 
     frame: int
     timecode: str
-    """Empty when unknown."""
+    """Empty if unknown."""
     tiles: tuple[Tile, ...]
-    """One for each column."""
+    """One per column."""
     note: str = ""
-    """Why this frame is shown, if there is a reason."""
+    """Reason for showing this frame, or empty."""
     said: str = ""
-    """What is said there: phone, viseme, emotion; empty when unknown."""
+    """Phone, viseme and emotion, or empty."""
 
 
 @dataclass(frozen=True)
 class SheetPage:
-    """All that is on a sheet."""
+    """Content of a sheet."""
 
     title: str
     """The shot or the performance."""
     columns: tuple[str, ...]
     """Heads of the columns."""
     rows: tuple[SheetRow, ...]
-    """In the order to read them."""
+    """In reading order."""
     verdict: tuple[str, ...] = ()
-    """``'good'``, ``'check'`` or ``'bad'``, and lines that say why and what to do; or none."""
+    """``'good'``, ``'check'`` or ``'bad'``, the reason and what to do; or empty."""
     facts: tuple[str, ...] = ()
-    """Take, performer, mapping … one line, set apart by dots."""
+    """Take, performer, mapping …, on one line."""
     curves: tuple[ErrorCurve, ...] = ()
-    """Errors over the whole take; none leaves the strip out."""
+    """Errors over the whole take, drawn as a strip."""
     first_frame: int = 0
     """Frame number of each curve's first value."""
     notes: tuple[str, ...] = ()
-    """Legend: what marks and colours mean, where the numbers come from."""
+    """Legend: meaning of marks and colours, sources of the numbers."""
     unit: str = "mm"
     """Of all errors."""
     high: float | None = None
-    """Error in the ramp's last colour; chosen from the curves and rows when None."""
+    """Error in the ramp's last colour; None: chosen from curves and rows."""
     tile_height: int = 320
     """[pixels]"""
     comparable: bool = True
-    """Whether values of a row measure one thing, so that the smallest is the best."""
+    """Whether the values of a row are the same quantity; the smallest is then bold."""
     groups: int | None = None
-    """How many blocks of rows stand side by side; None lets the sheet's shape decide."""
+    """Number of blocks of rows side by side; None: chosen by the aspect of the sheet."""
 
 
 @dataclass(frozen=True)
@@ -114,11 +113,11 @@ class Layout:
     rows_per_group: int
     head_height: int
     head_lines: int = 1
-    """Above the tiles of a row."""
+    """Text lines above the tiles of a row."""
 
     @property
     def scale(self) -> float:
-        """Of letters and what holds them: a wide sheet is shown smaller."""
+        """Scale of text, larger on wide sheets, which are shown smaller."""
         return max(self.width * READ_LETTER / (READ_WIDTH * _SMALLEST_STYLE), 1.0)
 
     @property
@@ -138,7 +137,7 @@ class Layout:
 
     @property
     def row_height(self) -> int:
-        """From one row's head to the next one's."""
+        """Distance from one row's head to the next [pixels]."""
         return (self.head_lines + 1) * self.caption_height + self.tile_height + _ROW_GAP
 
     @property
@@ -159,7 +158,7 @@ class Layout:
 
 
 def check_sheet(spec: SheetPage) -> None:
-    """Refuse a sheet that cannot be laid out."""
+    """Refuse a sheet without rows, with missing tiles or with an invalid tile size."""
     if not spec.rows or not spec.columns:
         raise InputError("a sheet needs rows and columns; select at least one frame")
     for row in spec.rows:
@@ -173,30 +172,30 @@ def check_sheet(spec: SheetPage) -> None:
 
 
 def all_errors(spec: SheetPage) -> FloatArray:
-    """Return every error on the sheet, those of the strips included."""
+    """Return all errors of tiles and strips."""
     shown = [t.value for row in spec.rows for t in row.tiles if t.value is not None]
     curves = [curve.values for curve in spec.curves]
     return np.concatenate([np.array(shown, float), *curves])
 
 
 def has_legend(spec: SheetPage) -> bool:
-    """Whether there is anything to explain."""
+    """Return whether the sheet has notes or errors."""
     return bool(spec.notes or len(all_errors(spec)))
 
 
 def legend_bar(width: int) -> int:
-    """Return how long the ramp is on a sheet so wide within its margins [pixels]."""
+    """Return the length of the ramp, given the width within the margins [pixels]."""
     return min(240, width // 4)
 
 
 def verdict_lines(verdict: Sequence[str], width: int, scale: float) -> list[str]:
-    """Return a verdict on as many lines as it needs on a sheet so wide."""
+    """Return a verdict wrapped to a sheet of `width`."""
     style, room = VERDICT_STYLE.scaled(scale), width - 2 * PAGE_MARGIN
     return [line for text in verdict[1:] for line in wrap_text(text, style, max_width=room)]
 
 
 def legend_lines(notes: Sequence[str], width: int, scale: float = 1.0) -> tuple[str, ...]:
-    """Return notes on as many lines as they need to be read on a sheet so wide; at least one."""
+    """Return notes joined and wrapped to a sheet of `width`; at least one line."""
     inner = width - 2 * PAGE_MARGIN
     room = int((inner - legend_bar(inner) - 120 * scale) / (scale * LEGEND_LETTER))
     room = min(max(room, 20), LEGEND_LETTERS)
@@ -211,7 +210,7 @@ def legend_lines(notes: Sequence[str], width: int, scale: float = 1.0) -> tuple[
 
 
 def lay_out(spec: SheetPage) -> Layout:
-    """Find the sizes; of all ways to stand rows side by side, the one nearest `BEST_ASPECT`."""
+    """Return the layout whose number of groups gives the aspect nearest to `BEST_ASPECT`."""
     widths = tuple(
         round(_column_aspect(spec.rows, column) * spec.tile_height)
         for column in range(len(spec.columns))
@@ -223,17 +222,17 @@ def lay_out(spec: SheetPage) -> Layout:
         replace(one, head_height=_head_height(spec, one), head_lines=_head_lines(spec, one))
         for one in bare
     ]
-    # Of two equal shapes the one with fewer groups reads better; min keeps the first.
+    # Of equal aspects, min keeps the first, with fewer groups.
     return min(layouts, key=lambda one: abs(np.log(one.width / one.height / BEST_ASPECT)))
 
 
 def badge_width(number: int, scale: float) -> int:
-    """Return how wide the box of a row's number is."""
+    """Return the width of the box of a row's number [pixels]."""
     return max(text_width(str(number), CODE_STYLE.scaled(scale)) + 12, round(26 * scale))
 
 
 def row_labels(row: SheetRow) -> list[tuple[str, TextStyle]]:
-    """Return what stands beside a row's number, but for its note."""
+    """Return the labels beside a row's number, without its note."""
     labels = (
         (f"frame {row.frame}", CODE_STYLE),
         (row.timecode, CODE_STYLE),
@@ -243,7 +242,7 @@ def row_labels(row: SheetRow) -> list[tuple[str, TextStyle]]:
 
 
 def wrapped_note(row: SheetRow, number: int, layout: Layout) -> list[str]:
-    """Return the lines of a note that has no room beside the row's labels; none where it has."""
+    """Return the lines of a note that does not fit beside the row's labels; else none."""
     scale, style = layout.scale, DIM_STYLE.scaled(layout.scale)
     used = badge_width(number, scale) + BADGE_GAP + text_width(row.note, style)
     used += sum(text_width(text, one.scaled(scale)) + LABEL_GAP for text, one in row_labels(row))
@@ -269,12 +268,12 @@ def _head_height(spec: SheetPage, one: Layout) -> int:
 
 
 def header_height(scale: float = 1.0, *, facts: bool = True) -> int:
-    """Return the height of title, facts and the rule below them, from a page's margin on."""
+    """Return the height of title, facts and the rule below, from the page margin."""
     return round(scale * (TITLE_HEIGHT + (FACTS_HEIGHT if facts else 0) + 10))
 
 
 def _column_aspect(rows: Sequence[SheetRow], column: int) -> float:
-    """Return the width over height of a column: that of its widest picture, within reason."""
+    """Return the width over height of a column's widest picture, limited to 0.6 to 16:9."""
     shapes = [r.tiles[column].pixels for r in rows]
     aspects = [p.shape[1] / p.shape[0] for p in shapes if p is not None]
     return float(np.clip(max(aspects, default=1.0), 0.6, 16 / 9))

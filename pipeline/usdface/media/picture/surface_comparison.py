@@ -1,7 +1,7 @@
-"""One frame a row: what each way of measuring distance makes of the same markers, and how sure.
+"""Rows of a sheet that compares deformations of a mesh by the same markers, with uncertainty.
 
-As Figures 3, 4 and 6 of Wang et al. 2006: Euclidean beside geodesic beside blended distance, an
-interpolant that keeps the markers' noise beside the regression that smooths it.
+As Figures 3, 4 and 6 of Wang et al. (2006): Euclidean, geodesic and blended distance, and
+interpolation, which keeps the markers' noise, beside regression, which smooths it.
 """
 
 from collections.abc import Iterator, Sequence
@@ -24,9 +24,9 @@ class ComparedFrame:
     frame: int
     timecode: str
     surfaces: tuple[FloatArray, ...]
-    """tuple of (points, 3) float arrays: the mesh as each way moves it [mm]."""
+    """tuple of (points, 3) float arrays: the mesh deformed by each method [mm]."""
     uncertainty_mm: FloatArray | None = None
-    """(points,): of the last of them: standard deviation of each point [mm]."""
+    """(points,): standard deviation of the last surface's points [mm]."""
     note: str = ""
 
 
@@ -38,28 +38,21 @@ def draw_compared(
     near: FloatArray,
     yaw_degrees: float,
     size: int = 320,
-    high_mm: float = UNKEYED_RANGE_MM,
     quality: Quality = "final",
 ) -> Iterator[SheetRow]:
-    """Draw rows: a face for each way, and the last one's uncertainty as a heat map.
+    """Yield rows with a face for each method, and the last one's uncertainty as a heat map.
 
     Parameters
     ----------
     still : sequence of RigMesh
-        What stays as it is: eyes, teeth, hair.
+        Meshes that are not deformed: eyes, teeth, hair.
     near : (markers, 3) float array
-        Places on the mesh that the picture must show [mm].
+        Positions on the mesh to frame [mm].
     yaw_degrees : float
-        The camera's place round the head.
+        Position of the camera around the head.
     size : int
-        Of a picture [pixels].
-    high_mm : float
-        Uncertainty in the ramp's last colour [mm].
+        Width and height of a picture [pixels].
     quality : {'draft', 'final'}
-
-    Yields
-    ------
-    SheetRow
     """
     renderer = FaceRenderer([mesh, *still])
     others = np.concatenate([np.zeros((0, 3)), *(each.points for each in still)])
@@ -93,7 +86,7 @@ def draw_compared(
                 height=size,
                 quality=quality,
                 values=np.concatenate([each.uncertainty_mm, np.zeros(len(others))]),
-                value_range=(0.0, high_mm),
+                value_range=(0.0, UNKEYED_RANGE_MM),
             )
             inside = each.uncertainty_mm[shown > 0]
             tiles.append(Tile(heat, value=float(np.sqrt((inside**2).mean()))))

@@ -1,4 +1,4 @@
-"""Letters on pictures, drawn by Pillow with the DejaVu fonts that matplotlib brings along."""
+"""Text on pictures, drawn by Pillow with the DejaVu fonts of matplotlib."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -33,33 +33,33 @@ _EAST_ASIAN_FONTS = (
     "Hiragino Sans GB.ttc",
     "Arial Unicode.ttf",
 )
-"""File names of fonts that draw what DejaVu lacks; the first that this machine has is used."""
+"""Fonts for letters that DejaVu lacks; the first installed one is used."""
 
 _EM_SHARE = 0.88
-"""Of a style's size: DejaVu's letters are larger than most fonts' of the same size."""
+"""Font size over a style's size: DejaVu's letters are larger than those of most fonts."""
 
 
 @dataclass(frozen=True)
 class TextStyle:
-    """How a label looks."""
+    """Size, colour and weight of a label."""
 
     size: int = 16
-    """Height of the letters' body [pixels]."""
+    """Height of the font's body [pixels]."""
     color: Color = (222, 224, 228)
     """sRGB bytes."""
     weight: Weight = "regular"
-    """``mono`` for numbers that stand below each other."""
+    """``mono`` for columns of numbers."""
 
     def scaled(self, scale: float) -> "TextStyle":
-        """Return it in another size."""
+        """Return the style with its size multiplied by `scale`."""
         return replace(self, size=round(scale * self.size))
 
 
 @lru_cache(maxsize=3)
 def font_file(weight: Weight) -> Path:
     """Return the file of a font."""
-    found = find_spec("matplotlib")  # found, not imported: that takes a second
-    folder = Path((found and found.origin) or "").parent / "mpl-data" / "fonts" / "ttf"
+    spec = find_spec("matplotlib")  # importing it would take a second
+    folder = Path((spec and spec.origin) or "").parent / "mpl-data" / "fonts" / "ttf"
     file = folder / _FONT_FILES[weight]
     if not file.is_file():
         raise InputError(f"{file}: no such font; install the matplotlib wheel, which brings it")
@@ -68,7 +68,7 @@ def font_file(weight: Weight) -> Path:
 
 @lru_cache(maxsize=1)
 def east_asian_font_file() -> Path | None:
-    """Return a font of this machine with Chinese and Japanese letters; None if there is none."""
+    """Return an installed font with Chinese and Japanese letters, or None."""
     for name in _EAST_ASIAN_FONTS:
         try:
             return Path(str(ImageFont.truetype(name, 16).path))
@@ -79,20 +79,20 @@ def east_asian_font_file() -> Path | None:
 
 @lru_cache(maxsize=8192)
 def text_mask(text: str, *, size: int, weight: Weight = "regular") -> Float32Array:
-    """Return how much of each pixel the letters cover; drawn once, as labels repeat.
+    """Return the coverage of each pixel by a label, cached.
 
     Parameters
     ----------
     text : str
         One line.
     size : int
-        Height of the letters' body [pixels].
+        Height of the font's body [pixels].
     weight : {'regular', 'bold', 'mono'}
 
     Returns
     -------
     (height, width) float32 array
-        [0-1]; read-only. The base line lies at ``round(1.02 * size)``.
+        [0-1]; read-only. The baseline is at row ``round(1.02 * size)``.
     """
     runs, starts = _placed_runs(text, size, weight)
     mask = np.zeros((round(size * 1.35), _width(starts)), np.float32)
@@ -103,14 +103,14 @@ def text_mask(text: str, *, size: int, weight: Weight = "regular") -> Float32Arr
 
 
 def text_width(text: str, style: TextStyle) -> int:
-    """Return how wide a label will be [pixels]; nothing is drawn."""
+    """Return the width of a label [pixels]."""
     return _width(_placed_runs(text, style.size, style.weight)[1])
 
 
 def _placed_runs(
     text: str, size: int, weight: Weight
 ) -> tuple[list[tuple[str, ImageFont.FreeTypeFont]], FloatArray]:
-    """Return the runs of a line, and where each begins and the last ends [pixels]."""
+    """Return the runs of a line by font, and their starts and the last end [pixels]."""
     line = "".join(" " if letter.isspace() else letter for letter in text)
     runs = _runs(line, size, weight) if line.strip() else []
     return runs, np.cumsum([0.0, *(font.getlength(run) for run, font in runs)])
@@ -121,7 +121,7 @@ def _width(starts: FloatArray) -> int:
 
 
 def wrap_text(text: str, style: TextStyle, *, max_width: int) -> list[str]:
-    """Return a text on as many lines as it needs; at least one."""
+    """Return the lines of a wrapped text; at least one."""
     lines, line = list[str](), ""
     for word in text.split():
         longer = f"{line} {word}" if line else word
@@ -142,7 +142,7 @@ def draw_text(
     anchor: Anchor = "left",
     max_width: int | None = None,
 ) -> int:
-    """Draw a label into a picture; what lies outside is cut off.
+    """Draw a label, clipped to the picture; return its width [pixels].
 
     Parameters
     ----------
@@ -151,17 +151,10 @@ def draw_text(
     text : str
         One line.
     x, y : int
-        Where `anchor` of the label's top edge goes [pixels].
-    style : TextStyle
-        Size, colour and weight.
+        Position of `anchor` on the label's top edge [pixels].
     anchor : {'left', 'middle', 'right'}
     max_width : int, optional
-        Longer labels are cut in the middle, with an ellipsis [pixels].
-
-    Returns
-    -------
-    int
-        The label's width [pixels].
+        Longer labels are shortened in the middle, with an ellipsis [pixels].
     """
     if max_width is not None:
         text = shortened(text, style, max_width=max_width)
@@ -179,7 +172,7 @@ def draw_text(
 
 
 def shortened(text: str, style: TextStyle, *, max_width: int) -> str:
-    """Return the text, cut in the middle if it is too wide: names differ at both ends."""
+    """Return the text, shortened in the middle if it is too wide."""
     if text_width(text, style) <= max_width:
         return text
     fits, too_long = 0, len(text)
@@ -199,12 +192,12 @@ def _cut(text: str, length: int) -> str:
 
 @lru_cache(maxsize=256)
 def _font(file: Path, size: int) -> ImageFont.FreeTypeFont:
-    # The basic layout is on every machine; Raqm, where present, would move letters by a pixel.
+    # Basic layout for equal results on all machines: Raqm may shift letters by a pixel.
     return ImageFont.truetype(str(file), size, layout_engine=ImageFont.Layout.BASIC)
 
 
 def _runs(line: str, size: int, weight: Weight) -> list[tuple[str, ImageFont.FreeTypeFont]]:
-    """Split a line where letters need another font."""
+    """Split a line into runs of one font."""
     main, other = font_file(weight), east_asian_font_file()
     pixels = max(round(size * _EM_SHARE), 1)
     if other is None or line.isascii():
@@ -221,7 +214,7 @@ def _runs(line: str, size: int, weight: Weight) -> list[tuple[str, ImageFont.Fre
 
 @lru_cache(maxsize=4096)
 def _is_missing(letter: str, file: Path) -> bool:
-    """Whether a font draws its box for a letter that it has not."""
+    """Return whether a font lacks a letter and draws its box instead."""
     if letter.isascii():
         return False
     font = _font(file, 24)

@@ -1,4 +1,4 @@
-"""Fit any picture into the box a sheet has for it, or say that there is none."""
+"""Tiles of a sheet: pictures scaled to fit, and empty tiles."""
 
 import numpy as np
 from PIL import Image
@@ -15,7 +15,7 @@ _HATCH: Color = (37, 39, 44)
 def fit_picture(
     picture: ByteImage, *, width: int, height: int, color: Color = (16, 17, 19)
 ) -> ByteImage:
-    """Scale a picture to fit a box as a whole, with bars where shapes differ.
+    """Scale a picture to fit a box, with bars if the aspects differ.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def fit_picture(
 
 
 def empty_tile(width: int, height: int, message: str) -> ByteImage:
-    """Return a hatched tile that says why there is nothing in it."""
+    """Return a hatched tile with a message."""
     rows, columns = np.mgrid[:height, :width]
     tile = new_picture(width, height, PANEL)
     tile[(rows + columns) % 12 < 3] = _HATCH
@@ -64,7 +64,7 @@ def empty_tile(width: int, height: int, message: str) -> ByteImage:
 
 
 def scale_picture(picture: ByteImage, width: int, height: int) -> ByteImage:
-    """Resample a picture by a three-lobed Lanczos filter, wide enough to shrink."""
+    """Resample a picture with an antialiased three-lobed Lanczos filter."""
     if picture.shape[:2] == (height, width):
         return picture
     image = Image.fromarray(picture).resize((width, height), Image.Resampling.LANCZOS)
