@@ -60,7 +60,7 @@ def test_a_damaged_line_in_the_middle_is_named_and_nothing_is_cut(journal: Journ
     lines = journal.path.read_bytes().splitlines(keepends=True)
     damaged = b"".join([lines[0], b"{}\n", lines[2]])
     journal.path.write_bytes(damaged)
-    with pytest.raises(InputError, match=r"line 2 is no change of weights; nothing was changed"):
+    with pytest.raises(InputError, match=r"line 2 is not a change of weights; nothing was changed"):
         journal.replay()
     assert journal.path.read_bytes() == damaged
 

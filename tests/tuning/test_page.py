@@ -399,7 +399,7 @@ def test_a_pose_is_saved_and_put_onto_a_pair_whole_or_in_part(asset: Path, conte
     opened.wait(closed)  # the focus leaves a dialog a moment after it has closed
     page.keyboard.press("s")
     dialog = page.locator("#poseDialog")
-    dialog.get_by_text("None is saved yet").wait_for()
+    dialog.get_by_text("No poses saved").wait_for()
     dialog.locator("input").fill(' <b>sly</b> "smile" ')
     dialog.locator(".save").click()
     name = '<b>sly</b> "smile"'
@@ -423,7 +423,7 @@ def test_a_pose_is_saved_and_put_onto_a_pair_whole_or_in_part(asset: Path, conte
     opened.saved()
     page.keyboard.press("s")
     dialog.get_by_role("button", name=f"Remove {name}").click()
-    dialog.get_by_text("None is saved yet").wait_for()
+    dialog.get_by_text("No poses saved").wait_for()
     assert json.loads(poses_path(asset).read_text("utf-8")) == {"usdface_poses": 1, "poses": {}}
     poses_path(asset).write_text("{", encoding="utf-8")
     page.keyboard.press("Escape")
@@ -482,7 +482,7 @@ def test_a_long_message_is_one_line_beside_the_count_of_pairs(desk: Desk) -> Non
     page.set_viewport_size({"width": 1000, "height": 700})
     page.evaluate("tune.tell('ready')")
     before = [page.locator(each).bounding_box() for each in ("#progress", "#status", "#film")]
-    text = "The mouth is solved for the markers; held: " + ", ".join(["mouthSmileLeft"] * 40)
+    text = "The mouth is solved for the markers; kept: " + ", ".join(["mouthSmileLeft"] * 40)
     page.evaluate("(text) => tune.tell(text)", text)
     after = [page.locator(each).bounding_box() for each in ("#progress", "#status", "#film")]
     assert after == before

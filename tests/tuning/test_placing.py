@@ -128,7 +128,7 @@ def test_a_part_is_solved_again_while_sliders_that_were_set_hold(
     far = opened.page.evaluate("tune.millimetres")
     title.locator("button", has_text="Solve").click()
     message = opened.page.locator("#message")
-    message.filter(has_text="mouth is solved for the markers; held").wait_for()
+    message.filter(has_text="mouth is solved for the markers; kept").wait_for()
     row = np.array(opened.page.evaluate("[...tune.state.row()]"))
     rest = [shape for shape in range(len(names)) if shape not in mouth]
     assert row[mouth[0]] == pytest.approx(0.9, abs=1e-6), "set by hand"
@@ -167,7 +167,7 @@ def test_a_proposal_is_judged_by_its_residual_and_a_key_is_not(
     assert shown == sum(mm > 1 for mm in off) > 0
     opened.page.keyboard.press("d")
     assert table.locator("caption").inner_text() == "Distance of markers, mm RMS"
-    assert "No measure of a key" in table.locator("tfoot").inner_text()
+    assert "Not an error of keys" in table.locator("tfoot").inner_text()
     assert opened.page.locator(".tile:visible").count() == shown - 1
     colors = np.reshape(opened.page.evaluate("[...tune.residual.colors]"), (-1, 3))
     assert (colors[:, 0] <= colors[:, 2]).all(), "no red: how far, not how good"

@@ -374,7 +374,7 @@ def test_notes_of_a_file_join_those_of_the_page(page: Any, tmp_path: Path) -> No
     page.wait_for_selector("#notes li >> nth=1")
     words = page.inner_text("#notes")
     assert "better" in words
-    assert "not in these frames" in words
+    assert "outside this report" in words
     page.set_input_files("#file", write_notes(tmp_path / "c.json", [{"id": "c"}]))
     page.wait_for_selector("#fault:visible")
     assert "c.json: cannot be read as notes" in page.inner_text("#fault")

@@ -1,1 +1,1 @@
-"""Pages for a browser."""
+"""Web pages and their data."""

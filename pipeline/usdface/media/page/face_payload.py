@@ -1,9 +1,8 @@
-"""A rig as one compact blob for the web viewer (``web/face_viewer.js``), and the files beside it.
+"""A rig as compressed binary data for the web viewer (``web/face_viewer.js``).
 
-Inside a page the face is moved by the page itself, so the blob holds the neutral, the triangles
-and what every key of every shape moves. All lengths are whole micrometres: rounding is at most
-0.5 µm an axis. Arrays are differenced and deflated, since neighbours in a mesh are neighbours in
-space. ``docs/face_viewer.md`` shows how a page embeds it.
+The page deforms the face itself: the data holds the neutral, the triangles and the offsets of each
+key of each shape, in whole micrometres (rounding at most 0.5 µm per axis). Arrays are stored as
+differences of neighbours and deflated. ``docs/face_viewer.md`` shows how a page embeds it.
 """
 
 import base64
@@ -32,18 +31,18 @@ from usdface.media.picture.color import bytes_from_linear
 from usdface.numerics.measure.face_regions import blinks, jaw_opener, region_of_shape
 
 PAYLOAD_FORMAT = 4
-"""Version of the blob; the viewer refuses others."""
+"""Version of the data; the viewer refuses others."""
 
 STEPS_PER_MM = 1000.0
-_SHARE_STEPS = 32_000  # of 1
+_SHARE_STEPS = 32_000  # steps per 1 of the parts' weights
 _NARROW = np.iinfo(np.int16).max
 _SKY_RAYS = 40
 _OPEN_SHARE = 0.6
-_SKY_AVERAGES = 6  # over neighbours: counting rays is noisy, and stripes follow a mesh's rows
-# Which directions a point takes, in no order that a row of a mesh could follow.
+_SKY_AVERAGES = 6  # averages over neighbours, against the noise of ray counts
+# Set of directions of each point, random, because a regular order causes stripes along mesh rows.
 _PATTERN_OF = np.random.default_rng(0).integers(0, PATTERN_COUNT, 4093)
-_FLAT_FOV = 2.0  # [degrees]
-_SKY_REACH = 0.28  # of the head's height, as in the ray-cast pictures
+_FLAT_FOV = 2.0  # field of view in place of an orthographic camera [degrees]
+_SKY_REACH = 0.28  # reach of occlusion over the head's height, as in the ray-cast pictures
 _WEB = Path(__file__).parents[1] / "web"
 _VIEWER = (
     "face_model.js",
@@ -57,42 +56,41 @@ _LINKS = re.compile(r"^(import .*? from \"\./.*?\"|export \{.*?\});\n", re.MULTI
 
 @dataclass(frozen=True)
 class FacePayload:
-    """What a page needs to show a rig in any pose."""
+    """A rig as data of the web viewer."""
 
     header: dict[str, Any]
-    """Ready for JSON: counts, shapes, tracks, camera, and where each array lies in `data`."""
+    """Counts, shapes, tracks, camera, and position of each array in `data`, for JSON."""
     data: bytes
     """All arrays, deflated (zlib)."""
 
     def header_json(self) -> str:
-        """Return the header as JSON that may stand inside a ``<script>`` element."""
+        """Return the header as JSON for a ``<script>`` element."""
         return json_in_script(self.header)
 
     def data_base64(self) -> str:
-        """Return the blob as text, for pages that are opened as files and may not fetch."""
+        """Return the data as base64 text, for pages opened from disk, which cannot fetch."""
         return base64.b64encode(self.data).decode("ascii")
 
 
 def json_in_script(data: Mapping[str, Any]) -> str:
-    """Return data as JSON that may stand inside a ``<script>`` element."""
+    """Return data as JSON for a ``<script>`` element, with ``<`` escaped."""
     return json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
 
 
 def read_web_file(name: str) -> bytes:
-    """Return one of the files that pages are made of, such as ``face_viewer.js``."""
+    """Return a source file of the pages, such as ``face_viewer.js``."""
     return (_WEB / name).read_bytes()
 
 
 def viewer_source(*scripts: str) -> str:
-    """Return the viewer as the text of one ES module, for pages that may not load others.
+    """Return the viewer and a page's scripts as one ES module, for pages that cannot load files.
 
-    It can stand in a ``<script type="module">`` with the page's own code after it, which then uses
-    `FaceViewer`, `unpackFace` and `bytesFromBase64` without importing them.
+    Scripts use `FaceViewer`, `unpackFace` and `bytesFromBase64` without importing them.
 
     Parameters
     ----------
     *scripts : str
-        Files of the page's own code, that follow.
+        Source files of the page, appended.
     """
     parts = [read_web_file(name).decode("utf-8") for name in (*_VIEWER, *scripts)]
     return "\n".join(_LINKS.sub("", part) for part in parts)
@@ -107,25 +105,24 @@ def pack_face(
 ) -> FacePayload:
     """Pack a rig for the web viewer.
 
-    What is drawn is what `usdface.media.face.render` draws: hidden meshes and lash cards left out,
-    coarse cages subdivided, eyes, teeth and the inside of the mouth coloured where the rig has no
-    colours of its own.
+    The surface is that of `usdface.media.face.render`: without hidden meshes and lash cards, coarse
+    cages subdivided, eyes, teeth and the inside of the mouth coloured if the rig has no colours.
 
     Parameters
     ----------
     camera : Camera, optional
-        Where the face is first seen from; by default it frames the head, hair included, from the
-        front. Its place, aim and field of view are kept; roll and lens shift are not.
+        Initial view; default: the head with hair from the front. Roll and lens shift are ignored.
+    shares : sparse array, optional
+        (points, parts): weights of the moving parts (joints, Xforms) that carry each point.
     parts : tuple of str, optional
-        What tells the part of the face of each shape, see
-        `usdface.model.placement.shape_parts.shape_parts`; the shapes' names where it is not given.
+        Text that tells the region of each shape, see
+        `usdface.model.placement.shape_parts.shape_parts`; default: the shapes' names.
 
     Returns
     -------
     FacePayload
-        ``header["tracks"]`` list the keys in the order of
-        ``Deformer(rig).shapes.key_offsets``, so that markers glued to the rig can use the same
-        key weights.
+        ``header["tracks"]`` lists the keys in the order of ``Deformer(rig).shapes.key_offsets``, so
+        that markers attached to the rig can use the same key weights.
     """
     surface = build_surface(rig.meshes)
     deformer = Deformer(rig)
@@ -168,7 +165,7 @@ def pack_face(
 
 
 def _middles(surface: Surface, used: IntArray) -> IntArray:
-    """Return each drawn point that lies in a quad's middle, and its four corners."""
+    """Return each used point at the centre of a quad, and its four corners: (n, 5)."""
     middles = surface.middles
     rows = np.concatenate([middles.points[:, None], middles.corners], axis=1)
     return rows[np.isin(middles.points, used)]
@@ -176,20 +173,20 @@ def _middles(surface: Surface, used: IntArray) -> IntArray:
 
 @dataclass(frozen=True)
 class _Keys:
-    """What every key moves, one after the other."""
+    """Offsets of all keys, concatenated."""
 
     points: NDArray[np.int32]
     """(n,): differenced within each key."""
     narrow: NDArray[np.int16]
     wide: NDArray[np.int32]
     """`narrow`, `wide`: (m,) int16 and int32 arrays: offsets [µm], each key's x, then y, then z,
-    differenced; keys that move something more than 32 mm are wide."""
+    differenced; keys with offsets above 32 mm are wide."""
     counts: list[int]
     is_wide: list[bool]
 
     @classmethod
     def of(cls, deformer: Deformer, matrix: sparse.csr_array) -> "_Keys":
-        """Carry each key of the rig to the drawn points, in whole micrometres."""
+        """Compute the offsets of the drawn points for each key of the rig."""
         cage = deformer.shapes.key_offsets.tocsc()
         axes = [sparse.csr_array(cage[:, axis::3] @ matrix.T) for axis in range(3)]
         points, narrow, wide = (list[NDArray[np.int64]]() for _ in range(3))
@@ -199,7 +196,7 @@ class _Keys:
             offsets = _micrometres(dense)
             moved = np.flatnonzero(offsets.any(axis=0))
             planes = np.diff(offsets[:, moved], prepend=0, axis=1).ravel()
-            # Differences wrap like the sums that undo them, so the offsets decide the width.
+            # Differences wrap modulo the type, so the width follows from the offsets.
             far = bool(np.abs(offsets).max(initial=0) > _NARROW)
             (wide if far else narrow).append(planes)
             points.append(np.diff(moved, prepend=0))
@@ -227,7 +224,7 @@ def _shapes(rig: Rig, parts: tuple[str, ...]) -> list[dict[str, Any]]:
 
 
 def _tracks(rig: Rig, keys: _Keys) -> list[dict[str, Any]]:
-    """List the keys of each mesh's shape, ascending, as the deformer orders them."""
+    """Return the keys of each mesh's shapes, ascending, in the deformer's order."""
     channels = index_of((*rig.shapes, *(each.shape for each in rig.combinations)))
     tracks, first = list[dict[str, Any]](), 0
     for shape in (shape for mesh in rig.meshes for shape in mesh.shapes):
@@ -245,16 +242,16 @@ def _tracks(rig: Rig, keys: _Keys) -> list[dict[str, Any]]:
 
 
 def _colors(rig: Rig, deformer: Deformer, surface: Surface) -> NDArray[np.uint8]:
-    """Return red, green, blue (sRGB) and openness of every drawn point."""
+    """Return red, green, blue (sRGB) and visible share of the sky of every drawn point: bytes."""
     paint = bytes_from_linear(surface.albedo[None])[0]
     opened = np.round(255 * np.clip(_openness(rig, deformer, surface), 0, 1)).astype(np.uint8)
     return np.concatenate([paint, opened[:, None]], axis=1)
 
 
 def _openness(rig: Rig, deformer: Deformer, surface: Surface) -> Float32Array:
-    """Return how much sky each point sees in the pose that opens it most [0-1].
+    """Return the largest visible share of the sky of each point [0-1].
 
-    At rest, eyes shut and mouth open: a lid in a blink is lit, and teeth are dim, not black.
+    Of the poses at rest, eyes shut and mouth open: lids are lit in a blink, and teeth not black.
     """
     poses = np.zeros((3, len(rig.shapes)))
     poses[1, blinks(rig.shapes)] = 1.0
@@ -265,14 +262,14 @@ def _openness(rig: Rig, deformer: Deformer, surface: Surface) -> Float32Array:
     for index, cage in enumerate(deformer.points(poses)):
         if index and not poses[index].any():
             continue
-        # What sees the sky at rest is skin, and no pose makes it more so.
+        # Points that are open at rest need no other pose.
         rows = np.flatnonzero(best < _OPEN_SHARE)
         best[rows] = np.maximum(best[rows], _sky_of(surface, cage, rows))
     return _averaged(best, surface)
 
 
 def _sky_of(surface: Surface, cage: FloatArray, rows: IntArray) -> Float32Array:
-    """Return how much sky some drawn points see in one pose of the rig [0-1]."""
+    """Return the visible share of the sky of some drawn points in one pose of the rig [0-1]."""
     fine = np.asarray(surface.matrix @ cage)
     normals = surface.normals_at(fine)[rows]
     aim = (surface.outward * normals).astype(np.float32)
@@ -287,7 +284,7 @@ def _sky_of(surface: Surface, cage: FloatArray, rows: IntArray) -> Float32Array:
 
 
 def _averaged(values: Float32Array, surface: Surface) -> Float32Array:
-    """Average each point with the triangles about it."""
+    """Average each point with its adjacent triangles."""
     operator = normal_operator(surface.triangles, point_count=len(values))
     uses = np.maximum(np.asarray(operator.sum(axis=1)).ravel(), 1)
     for _ in range(_SKY_AVERAGES):
@@ -297,7 +294,7 @@ def _averaged(values: Float32Array, surface: Surface) -> Float32Array:
 
 
 def _of_points(of_triangles: IntArray, surface: Surface, *, fill: int) -> IntArray:
-    """Carry what is known of triangles to their points; pieces share no points."""
+    """Return values of triangles at their points, which pieces do not share."""
     values = np.full(len(surface.rest), fill, np.int64)
     values[surface.triangles] = of_triangles[:, None]
     return values
@@ -315,7 +312,7 @@ def _band(band: ColorBand) -> dict[str, Any]:
 def _camera(camera: Camera) -> dict[str, Any]:
     back = np.subtract(camera.eye, camera.target)
     distance, fov = float(np.linalg.norm(back)), camera.fov_degrees
-    if camera.span_mm is not None:  # the page has perspective only: a lens so long that it is flat
+    if camera.span_mm is not None:  # the page has perspective only: approximated by a long lens
         fov = _FLAT_FOV
         distance = camera.span_mm / 2 / float(np.tan(np.radians(fov / 2)))
     back = back / np.linalg.norm(back)
@@ -334,7 +331,7 @@ def _micrometres(lengths: FloatArray | Float32Array) -> NDArray[np.int64]:
 
 
 def _planes(positions: NDArray[np.int64]) -> NDArray[np.int32]:
-    """Return all x, then all y, then all z, each but the first as the step from its neighbour."""
+    """Return all x, then all y, then all z, each as the difference from its predecessor."""
     return np.diff(positions.T, prepend=0, axis=1).astype(np.int32)
 
 
@@ -343,7 +340,7 @@ def _concatenated(parts: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
 
 
 def _joined(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> FacePayload:
-    """Lay arrays one after the other, the widest numbers first so that all are aligned."""
+    """Concatenate arrays, the widest types first so that all are aligned."""
     ordered = sorted(arrays.items(), key=lambda item: -item[1].dtype.itemsize)
     blocks = [
         np.ascontiguousarray(array, array.dtype.newbyteorder("<")).tobytes() for _, array in ordered

@@ -1,8 +1,7 @@
-"""A performance as one page that opens from disk: data, viewer and player in a single file.
+"""The report page: data, viewer and player of a performance in a single HTML file.
 
-A page opened as a file may fetch nothing, so all that it shows is inside it: arrays as base64, the
-movie as a blob, scripts and styles in place. Its policy allows its own script, by hash, and nothing
-else: no network, no evaluation, no frames.
+A page opened from disk cannot fetch, so it contains everything: arrays and movie as base64, scripts
+and styles inline. Its content security policy allows its own script and style, by hash, only.
 """
 
 import base64
@@ -31,10 +30,10 @@ from usdface.media.page.face_payload import (
 from usdface.media.picture.color import bytes_from_linear, heat_ramp
 
 WEIGHT_STEPS = 5000
-"""Weights are told in steps of 0.0002: a shape of 30 mm then moves in steps of 6 micrometres."""
+"""Steps per 1 of weights: 0.0002 is 6 µm of a shape of 30 mm."""
 
 _MARKER_STEPS = 100
-"""Of a millimetre: a tenth of what a capture resolves, up to 327 mm from rest."""
+"""Steps per millimetre of markers: a tenth of a capture's resolution, up to 327 mm from rest."""
 
 _SCRIPTS = (
     "report_page.js",
@@ -48,7 +47,7 @@ _PLACE = re.compile("@[A-Z]+@")
 
 _ORIGIN = re.compile('<meta name="usdface" content="([^"]*)">')
 _HEAD_CHARACTERS = 1 << 20
-"""Where what made a page is looked for: it stands before everything else."""
+"""Characters at the start of a page that contain its provenance."""
 
 
 @dataclass(frozen=True)
@@ -56,16 +55,16 @@ class WeightCurves:
     """One set of weights over the page's pictures."""
 
     name: str
-    """What the page calls it."""
+    """Label on the page."""
     values: FloatArray
-    """(pictures, shapes): NaN where there is nothing."""
+    """(pictures, shapes): NaN where missing."""
     kind: str = "solve"
     """``'solve'``, ``'edited'``, ``'baseline'``, ``'keys'`` or ``'version'``: its colour."""
 
 
 @dataclass(frozen=True)
 class Strip:
-    """A figure over time, such as the residual; NaN where there is none."""
+    """A quantity over time, such as the residual; NaN where missing."""
 
     name: str
     values: FloatArray
@@ -80,24 +79,25 @@ class PageMarkers:
 
     names: tuple[str, ...]
     rest: FloatArray
-    """(markers, 3): places on the rig at rest [mm]."""
+    """(markers, 3): positions on the rig at rest [mm]."""
     motion: FloatArray
-    """(pictures, markers, 3): from there; NaN where a marker is not known [mm]."""
+    """(pictures, markers, 3): displacement of the markers from rest; NaN if occluded [mm]."""
     key_deltas: FloatArray
-    """(keys, markers, 3): what each key of ``Deformer(rig).shapes`` does to the places [mm]."""
+    """(keys, markers, 3): displacement of the positions by each key of ``Deformer(rig).shapes``
+    [mm]."""
     lines: IntArray
-    """(lines, 2): markers that lines join."""
+    """(lines, 2): markers joined by lines."""
 
 
 @dataclass(frozen=True)
 class PageHeat:
-    """What may be painted on the face: a figure of each region, or the distance of two curves."""
+    """The heat map of the face: a value per region, or the distance between two sets of curves."""
 
     name: str
     high_mm: float
-    """What the last colour stands for [mm]."""
+    """Value of the last colour [mm]."""
     against: int | None = None
-    """Index of the curves from which the distance is shown."""
+    """Index of the curves to which the distance is shown."""
     regions: tuple[str, ...] = ()
     values: FloatArray | None = None
     """(pictures, regions) [mm]"""
@@ -105,31 +105,31 @@ class PageHeat:
 
 @dataclass(frozen=True)
 class PageCommands:
-    """Command lines that take a frame to the tuning page."""
+    """Command lines for tuning a frame of the page."""
 
     add: str = ""
     tune: str = ""
-    """Empty where the references are not known."""
+    """`add`, `tune`: empty if the references are unknown."""
     pairs: tuple[int, ...] = ()
-    """Frames that are references already."""
+    """Frames that are references."""
 
 
 @dataclass(frozen=True)
 class PageNotes:
-    """Notes that a page begins with, and what it says of its performance in those it writes."""
+    """Notes shown initially, and what identifies the performance in saved notes."""
 
     performance: str = ""
     take: str = ""
     version: str = ""
     file: str = "notes.json"
-    """What the page calls the file that it saves."""
+    """Default name of the saved file."""
     notes: tuple[Mapping[str, Any], ...] = ()
-    """As `usdface.specs.notes.ReviewNote` has them."""
+    """Fields of `usdface.specs.notes.ReviewNote`."""
 
 
 @dataclass(frozen=True)
 class Listing:
-    """A table below the player: its head, its rows, and frames that rows link to."""
+    """A table below the player; rows link to frames."""
 
     title: str
     head: tuple[str, ...]
@@ -143,7 +143,7 @@ class PagePicture:
 
     title: str
     alt: str
-    """What it shows, for those who do not see it."""
+    """Alternative text."""
     data: bytes
     kind: str
     """Such as ``'image/png'``."""
@@ -151,62 +151,62 @@ class PagePicture:
 
 @dataclass(frozen=True)
 class ReviewPage:
-    """All that is in a page."""
+    """Content of a page."""
 
     title: str
     verdict: tuple[str, str, str]
-    """``'good'``, ``'check'`` or ``'bad'``; why; and what to do, or nothing."""
+    """``'good'``, ``'check'`` or ``'bad'``; the reason; and what to do, or empty."""
     facts: tuple[str, ...]
     rate: float
-    """Pictures per second: those of the take. The movie may have fewer."""
+    """Pictures per second of the take; the movie may have fewer."""
     frames: Sequence[int]
     """Frame number of each picture."""
     timecodes: Sequence[str]
-    """As many, or none."""
+    """One per picture, or empty."""
     shapes: tuple[str, ...]
     """Names of the columns of all curves."""
     regions: tuple[str, ...]
     """Region of each shape."""
     curves: tuple[WeightCurves, ...]
-    """The first poses the face."""
+    """The first set poses the face."""
     strips: tuple[Strip, ...]
     worst: tuple[tuple[int, str, str], ...]
-    """tuple of (picture, region, reason): moments to review first, the worst first."""
+    """tuple of (picture, region, reason): to review first, in this order."""
     listings: tuple[Listing, ...]
     face: FacePayload
-    """Its shapes are matched by name."""
+    """Shapes are matched by name."""
     movie: bytes = b""
-    """Video on the clock of the pictures; empty without."""
+    """Video synchronous with the pictures, or empty."""
     movie_type: str = "video/mp4"
     """Such as ``'video/mp4'``."""
     pictures: tuple[PagePicture, ...] = ()
     """Such as a contact sheet."""
     said: Sequence[str] = ()
-    """What is said in each picture; or none."""
+    """Phone or word in each picture, or empty."""
     origin: Mapping[str, object] | None = None
-    """What made it, for those who make it again."""
+    """Provenance."""
     markers: PageMarkers | None = None
     carried: FloatArray | None = None
-    """(pictures, parts, 3, 4): where joints and Xforms take the face, by the parts of `face` [mm];
-    None where none moves."""
+    """(pictures, parts, 3, 4): transforms by joints and Xforms of the parts of `face` [mm]; None if
+    none moves."""
     moves_as_one: bool = False
-    """Whether one part carries the whole face, and so the markers on it."""
+    """Whether one part carries the whole face and the markers."""
     heat: PageHeat | None = None
-    """Without it nothing is painted."""
+    """Heat map, if any."""
     left_out: tuple[str, ...] = ()
-    """Shapes that turn the eyes or move the tongue: no matter of the skin."""
+    """Shapes of gaze and tongue, ignored in distances of the skin."""
     notes: PageNotes = PageNotes()
     commands: PageCommands = PageCommands()
 
 
 def read_page_origin(path: Path) -> str:
-    """Return what a page says of its making, as JSON; empty where it says nothing."""
+    """Return the provenance of a page as JSON; empty if it has none."""
     try:
         with path.open(encoding="utf-8") as stream:
-            found = _ORIGIN.search(stream.read(_HEAD_CHARACTERS))
+            origin = _ORIGIN.search(stream.read(_HEAD_CHARACTERS))
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: is no page that can be read: {error}") from error
-    return html.unescape(found[1]) if found else ""
+        raise InputError(f"{path}: cannot be read as a page: {error}") from error
+    return html.unescape(origin[1]) if origin else ""
 
 
 def build_page(page: ReviewPage) -> str:
@@ -232,7 +232,7 @@ def build_page(page: ReviewPage) -> str:
         "@SCRIPT@": script,
     }
     text = read_web_file("report.html").decode("utf-8")
-    # One pass, so that nothing inside the data is taken for a place to fill.
+    # One pass, so that placeholders within the data are not replaced.
     return _PLACE.sub(lambda place: parts[place[0]], text)
 
 
@@ -284,7 +284,7 @@ def _data(page: ReviewPage) -> Mapping[str, Any]:
 
 
 def _compared(curves: Sequence[WeightCurves]) -> int | None:
-    """Return which curves the errors of the shapes are counted from; None without any."""
+    """Return the index of the curves that shape errors are relative to, or None."""
     kinds = [curve.kind for curve in curves]
     ranked = (kinds.index(kind) for kind in ("keys", "version", "baseline") if kind in kinds)
     return next(ranked, None)
@@ -316,20 +316,20 @@ def _markers(markers: PageMarkers | None) -> Mapping[str, Any] | None:
 
 
 def _arrays(page: ReviewPage) -> Iterator[str]:
-    """Yield curves and markers as elements of numbers, deflated."""
+    """Yield curves and markers as ``<script>`` elements of deflated arrays."""
     for index, curve in enumerate(page.curves):
         yield _array(f"curve-{index}", _steps(curve.values.T, WEIGHT_STEPS))
     if page.carried is not None:
         yield _array("carried", page.carried.astype("<f4"))
     if page.markers is not None:
         motion = _steps(page.markers.motion, _MARKER_STEPS).reshape(len(page.frames), -1)
-        # Differences in time wrap like the sums that undo them.
+        # Differences wrap modulo the type; so do the sums that restore them.
         yield _array("markerMotion", np.diff(motion, axis=0, prepend=np.zeros_like(motion[:1])))
         yield _array("markerDeltas", page.markers.key_deltas.astype("<f4"))
 
 
 def _steps(values: FloatArray, per_unit: int) -> NDArray[np.int16]:
-    """Return values as 16-bit steps; the lowest number is no value."""
+    """Return values as 16-bit steps; the lowest number is NaN."""
     most = np.iinfo(np.int16).max
     steps = np.clip(np.round(np.nan_to_num(values) * per_unit), -most, most).astype("<i2")
     steps[np.isnan(values)] = np.iinfo(np.int16).min
@@ -342,7 +342,7 @@ def _array(name: str, values: NDArray[Any]) -> str:
 
 
 def _ramp() -> str:
-    """Return the colours of the scale, as a style has them."""
+    """Return the colours of the ramp in CSS."""
     colors = bytes_from_linear(heat_ramp(np.linspace(0, 1, 9))).tolist()
     return ", ".join(f"rgb({red} {green} {blue})" for red, green, blue in colors)
 

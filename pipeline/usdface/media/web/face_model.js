@@ -1,10 +1,10 @@
-// A packed face (media/face_payload.py) as arrays, and the pose that weights give it.
-// Lengths are millimetres. No dependency, no build step.
+// Unpacking of a face (media/page/face_payload.py), and its deformation by weights.
+// Lengths are in millimetres. No dependencies, no build step.
 
 const FORMAT = 4;
 const SKIN = 0; // of FacePart in media/face/parts.py
-const SHARE = 1 / 32000; // of a part that carries a point
-const MM = 1e-3; // the payload counts micrometres
+const SHARE = 1 / 32000; // step of skinning weights
+const MM = 1e-3; // lengths in the data are micrometres
 const TYPES = {
   i1: Int8Array,
   u1: Uint8Array,
@@ -12,7 +12,7 @@ const TYPES = {
   i4: Int32Array,
 };
 
-/** Turn base64 text into bytes, for pages that carry their data inside. */
+/** Decode base64 text, for pages that contain their data. */
 export function bytesFromBase64(text) {
   const raw = atob(text.trim());
   const bytes = new Uint8Array(raw.length);
@@ -33,7 +33,7 @@ export async function unpackFace(header, data) {
   const stream = new Blob([data]).stream().pipeThrough(new DecompressionStream("deflate"));
   const buffer = await new Response(stream).arrayBuffer();
   if (buffer.byteLength !== header.bytes) {
-    throw new Error(`the face has ${buffer.byteLength} bytes where ${header.bytes} are promised`);
+    throw new Error(`the face has ${buffer.byteLength} bytes, ${header.bytes} expected`);
   }
   const array = (name) => {
     const { type, start, count } = header.arrays[name];
@@ -47,7 +47,7 @@ function sum(values) {
   return values;
 }
 
-/** Undo the payload's planes of differences: x x x … y y y … to x y z x y z …, in place types. */
+/** Integrate planes of differences, x x x … y y y …, and interleave them to x y z x y z …. */
 function interleave(planes, count, Type) {
   const out = new Type(3 * count);
   for (let axis = 0; axis < 3; axis++) {
@@ -95,7 +95,7 @@ export class FaceModel {
     this.pose(new Float32Array(this.shapes.length));
   }
 
-  /** Where points are painted by: on skin, where they rest; on an eye, from its middle. */
+  /** Positions for colouring: at rest on skin, relative to the centre on an eye. */
   #rest(eyes, centers) {
     const rest = new Float32Array(3 * this.pointCount);
     for (let i = 0; i < this.pointCount; i++) {
@@ -131,9 +131,9 @@ export class FaceModel {
   }
 
   /**
-   * Turn channel weights into key weights: combinations as core/rig_logic.py evaluates them, then
-   * UsdSkel's rule: straight lines between neighbouring keys, the neutral being a key at 0, and on
-   * along the outermost line.
+   * Convert channel weights to key weights: combinations as in core/rig_logic.py, then UsdSkel's
+   * rule: linear between neighbouring keys, with the neutral as a key at 0, and linear beyond the
+   * outermost.
    * @param {ArrayLike<number>} weights one per shape
    * @param {Float32Array} [out]
    */
@@ -155,7 +155,7 @@ export class FaceModel {
     return out;
   }
 
-  /** Put the weights of combinations after those of the shapes. */
+  /** Append the weights of combinations to those of the shapes. */
   #combine(weights) {
     const { channels } = this;
     for (let i = 0; i < this.shapes.length; i++) channels[i] = weights[i];
@@ -181,14 +181,14 @@ export class FaceModel {
   }
 
   /**
-   * Take points with joints and Xforms in the poses that follow; null leaves them at rest.
-   * @param {null | Float32Array} transforms three rows of four numbers for each part [mm]
+   * Set the transforms of joints and Xforms for the following poses; null for rest.
+   * @param {null | Float32Array} transforms three rows of four numbers per part [mm]
    */
   carry(transforms) {
     this.carried = transforms;
   }
 
-  /** Add what each part does to the points that follow it: linear blend skinning. */
+  /** Apply the transforms by linear blend skinning. */
   #carry() {
     const { carried, carriers, positions, pointCount } = this;
     if (!carried) return;
@@ -205,7 +205,7 @@ export class FaceModel {
     }
   }
 
-  /** Move points and normals to where the weights put them. */
+  /** Compute points and normals for weights. */
   pose(weights) {
     const begun = performance.now();
     const { positions, triangles, normals } = this;
@@ -239,7 +239,7 @@ export class FaceModel {
       const vx = positions[c] - ax;
       const vy = positions[c + 1] - ay;
       const vz = positions[c + 2] - az;
-      const x = uy * vz - uz * vy; // as long as the triangle is large: the shader makes it unit
+      const x = uy * vz - uz * vy; // proportional to the area; normalised in the shader
       const y = uz * vx - ux * vz;
       const z = ux * vy - uy * vx;
       normals[a] += x;
@@ -257,7 +257,7 @@ export class FaceModel {
     this.timings.normals = performance.now() - moved;
   }
 
-  /** Turn points in the middle of a quad as its four corners are: no diagonal of it shows. */
+  /** Give the centre point of a quad the mean normal of its corners. */
   #smoothMiddles() {
     const { middles, normals } = this;
     for (let row = 0; row < middles.length; row += 5) {
@@ -278,13 +278,13 @@ export class FaceModel {
     }
   }
 
-  /** How far along a ray the skin of the pose is first met; null where it is not. */
+  /** Distance along a ray to the posed skin; null without a hit. */
   hit(from, along) {
     const { positions, triangles, parts } = this;
     let nearest = null;
     const [dx, dy, dz] = along;
     for (let t = 0; t < triangles.length; t += 3) {
-      if (parts[triangles[t]] !== SKIN) continue; // eyes and teeth carry no marker
+      if (parts[triangles[t]] !== SKIN) continue; // eyes and teeth have no markers
       const a = 3 * triangles[t];
       const b = 3 * triangles[t + 1];
       const c = 3 * triangles[t + 2];
@@ -315,7 +315,7 @@ export class FaceModel {
     return nearest;
   }
 
-  /** How much a shape moves each point, 0 to 255 of its own largest motion. */
+  /** Displacement of each point by a shape, 0 to 255 relative to the largest. */
   reach(shape) {
     const far = new Float32Array(this.pointCount);
     let most = 0;

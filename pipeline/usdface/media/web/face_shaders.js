@@ -1,13 +1,13 @@
-// Light on a face, as media/shading.py has it for pictures: key, fill and two rims that travel with
-// the camera, skin that is not plastic, irises painted by angle. All light is linear until the end.
-// Varyings are centroid: at the rim of a small triangle they would be sampled outside of it.
+// Shading as in media/face/shading.py: key, fill and two rim lights fixed to the camera, approximate
+// subsurface light, procedural irises. Light is linear until the output. Varyings are centroid,
+// because samples at the edge of a small triangle may lie outside of it.
 
 export const FACE_VERTEX = `#version 300 es
 layout(location=0) in vec3 position;
 layout(location=1) in vec3 normal;
 layout(location=2) in vec4 paint;   // sRGB, openness
 layout(location=3) in float part;
-layout(location=4) in vec3 rest;    // on an eye: from its middle
+layout(location=4) in vec3 rest;    // on an eye: relative to its centre
 layout(location=5) in float reach;
 layout(location=6) in float bare;
 uniform mat4 view;
@@ -22,7 +22,7 @@ centroid out float vBare;
 flat out int vPart;
 void main() {
   vec4 seen = view * vec4(position, 1.0);
-  vNormal = mat3(view) * normalize(normal); // unit, or large triangles outweigh small ones
+  vNormal = mat3(view) * normalize(normal); // unit, for unweighted interpolation
   vPosition = seen.xyz;
   vColor = pow(paint.rgb, vec3(2.2));
   vOpen = paint.a;
@@ -47,7 +47,7 @@ uniform mat4 projection;
 uniform float tint;
 uniform int heat;
 uniform vec3 ramp[5];
-const int ROWS = 17; // of a band, as media/face/features.py has them
+const int ROWS = 17; // BAND_ROWS in media/face/features.py
 uniform int bandCount;
 uniform vec3 bandSpans[3];  // least and largest x, edge [mm]
 uniform vec3 bandColors[3];
@@ -99,11 +99,11 @@ vec3 lamp(vec3 n, vec3 albedo, vec3 wrap, vec3 direction, vec3 light, float reac
 void main() {
   vec3 v = normalize(-vPosition);
   vec3 n = normalize(vNormal);
-  // Seen from behind, as the back of the head through a mouth without an inside: dark. Not
-  // gl_FrontFacing: it is a guess for triangles smaller than a pixel, and leaves specks.
+  // Back faces, such as the back of the head through an open mouth, are dark. gl_FrontFacing is
+  // unreliable for triangles smaller than a pixel.
   bool behind = dot(n, v) < -0.25;
   if (behind) n = -n;
-  float open = clamp(vOpen, 0.0, 1.0); // at a triangle's edge it may be sampled beyond its corners
+  float open = clamp(vOpen, 0.0, 1.0); // extrapolated at a triangle's edge
   bool skin = vPart == SKIN;
   vec3 albedo = skin ? banded(vColor) : dot(vRest, vRest) > 0.0 ? iris(vColor) : vColor;
   albedo = clamp(albedo, 0.0, 1.0) * (behind ? 0.04 : 1.0);
@@ -112,7 +112,7 @@ void main() {
   vec3 light = albedo * opened * mix(GROUND, SKY, 0.5 + 0.5 * n.y);
   vec3 key = normalize(vec3(-0.42, 0.46, 0.78));
   vec3 keyLight = vec3(1.20, 1.13, 1.05);
-  // Without cast shadows: what sees little sky sees little of the key.
+  // In place of cast shadows, the key light is reduced with the visible sky.
   float lit = smoothstep(0.05, 0.65, open);
   light += lamp(n, albedo, wrap, key, keyLight, lit);
   light += lamp(n, albedo, wrap, vec3(0.85, 0.05, 0.45), vec3(0.20, 0.235, 0.28), open);
@@ -127,7 +127,7 @@ void main() {
   float luma = dot(light, vec3(0.21, 0.72, 0.07));
   float reach = clamp(vReach, 0.0, 1.0);
   if (heat == 0) light = mix(light, TINT * (0.15 + luma), 0.75 * tint * reach);
-  else if (skin) { // colours of the scale, shaded a little so that the form is seen
+  else if (skin) { // colours of the ramp, slightly shaded
     float at = 4.0 * max(255.0 * reach - 1.0, 0.0) / 254.0;
     int below = min(int(at), 3);
     vec3 value = mix(ramp[below], ramp[below + 1], at - float(below));
@@ -136,8 +136,8 @@ void main() {
   vec3 shown = mix(12.92 * light, 1.055 * pow(light, vec3(1.0 / 2.4)) - 0.055,
                    step(0.0031308, light));
   color = vec4(shown, 1.0);
-  // Not the depth that the triangle's slope gives each sample: a triangle that is nearly edge on
-  // has so steep a one that the rim of an eye came out before the skin over it, as specks.
+  // Depth at the centroid: the depth slope of triangles seen edge on is so steep that extrapolated
+  // samples at the rim of an eye would be in front of the skin.
   gl_FragDepth = 0.5 - 0.5 * (projection[2].z * vPosition.z + projection[3].z) / vPosition.z;
 }`;
 
@@ -150,7 +150,7 @@ uniform float diameter;
 out vec4 vColor;
 void main() {
   vec3 seen = (view * vec4(position, 1.0)).xyz;
-  seen *= 1.0 - 4.0 / length(seen); // 4 mm nearer: a marker just under the skin is seen
+  seen *= 1.0 - 4.0 / length(seen); // 4 mm nearer, for markers just below the skin
   gl_Position = projection * vec4(seen, 1.0);
   gl_PointSize = diameter;
   vColor = paint;

@@ -1,10 +1,10 @@
-// A face in WebGL2: weights in, picture out. Shared by the tuning page and the report.
+// Viewer of a face in WebGL2, shared by the tuning page and the report.
 //
 //   const face = await unpackFace(header, bytes);
 //   const viewer = new FaceViewer(canvas, face);
 //   viewer.setWeights(weights);            // Float32Array, one per shape of face.names
 //
-// See docs/face_viewer.md for embedding, also into pages that are opened as files.
+// See docs/face_viewer.md for embedding, also into pages opened from disk.
 
 import { FaceModel, bytesFromBase64, unpackFace } from "./face_model.js";
 import { FACE_FRAGMENT, FACE_VERTEX, MARK_FRAGMENT, MARK_VERTEX } from "./face_shaders.js";
@@ -37,7 +37,7 @@ function compile(gl, vertex, fragment) {
   return { program, uniforms };
 }
 
-/** Draws a FaceModel into a canvas; draws again only when something changed. */
+/** Draws a FaceModel into a canvas, on changes only. */
 export class FaceViewer {
   /**
    * @param {HTMLCanvasElement} canvas sized by CSS; give it tabindex="0" for the keyboard
@@ -63,7 +63,7 @@ export class FaceViewer {
     }
     this.gl = gl;
     this.listeners = {
-      webglcontextlost: (event) => event.preventDefault(), // else it never comes back
+      webglcontextlost: (event) => event.preventDefault(), // required for restoration
       webglcontextrestored: () => {
         this.#upload();
         this.invalidate();
@@ -90,12 +90,12 @@ export class FaceViewer {
   }
 
   /**
-   * Lay markers over the face, or take them off with null.
+   * Show markers over the face; null removes them.
    * @param {null | {
    *   points: Float32Array,      x y z of each marker [mm], in the rig's space
-   *   targets?: Float32Array,    where each should be; a line is drawn to it
-   *   lines?: ArrayLike<number>, pairs of markers that a thin line joins, such as those of a lip
-   *   names?: string[],          drawn beside the markers while `labels` is true
+   *   targets?: Float32Array,    expected positions, joined to the markers by lines
+   *   lines?: ArrayLike<number>, pairs of markers joined by thin lines, such as along a lip
+   *   names?: string[],          drawn if `labels` is true
    *   colors?: Float32Array,     r g b of each, 0 to 1
    *   labels?: boolean,
    *   diameter?: number,         [CSS pixels]
@@ -106,7 +106,7 @@ export class FaceViewer {
     this.invalidate();
   }
 
-  /** Tint what a shape moves; null takes the tint off. */
+  /** Tint the points that a shape moves; null removes the tint. */
   highlight(shape) {
     if (this.reachShape === shape) return;
     this.reachShape = shape;
@@ -116,25 +116,25 @@ export class FaceViewer {
   }
 
   /**
-   * Paint the skin with values; null takes the paint off. Not together with `highlight`.
+   * Show a heat map on the skin; null removes it. Not together with `highlight`.
    * @param {null | {
    *   values: Float32Array,  one per point; NaN is grey
-   *   high: number,          what the last colour stands for; the first stands for 0
+   *   high: number,          value of the last colour; the first is 0
    *   ramp: number[][],      five colours, r g b in linear light
    * }} heat
    */
   paint(heat) {
     this.heat = heat;
-    const known = (v) => 1 + 254 * Math.min(Math.max(v / heat.high, 0), 1); // 0 is not known
+    const known = (v) => 1 + 254 * Math.min(Math.max(v / heat.high, 0), 1); // 0 is unknown
     this.reach = heat && Uint8Array.from(heat.values, (v) => (Number.isNaN(v) ? 0 : known(v)));
     this.reachChanged = true;
     this.invalidate();
   }
 
   /**
-   * Draw a second pose as well; null leaves it out.
+   * Compare with a second pose; null for none.
    * @param {null | {weights: Float32Array, how: "wipe" | "onion", share: number}} compared
-   *   `share`: of the width that shows the first pose, or how opaque it is [0-1]
+   *   `share`: share of the width, or opacity, of the first pose [0-1]
    */
   compare(compared) {
     this.compared = compared;
@@ -142,13 +142,13 @@ export class FaceViewer {
     this.invalidate();
   }
 
-  /** Frame the face from where we are. */
+  /** Frame the face from the current direction. */
   frameFace() {
     this.camera.frame();
     this.invalidate();
   }
 
-  /** Frame the face from the front, or from elsewhere [degrees]. */
+  /** Frame the face from a direction, by default the front [degrees]. */
   resetView(yaw = FRONT, pitch = 0, roll = 0) {
     this.camera.reset(...[yaw, pitch, roll].map((degrees) => (degrees * Math.PI) / 180));
     this.invalidate();
@@ -164,7 +164,7 @@ export class FaceViewer {
     }
   }
 
-  /** Draw now. `renderMillis` says how long the script took, from weights to commands. */
+  /** Draw now; `renderMillis` is the script's time, from weights to commands. */
   draw() {
     const { gl, canvas } = this;
     if (gl.isContextLost()) return;
@@ -192,7 +192,7 @@ export class FaceViewer {
     this.onDraw?.(this);
   }
 
-  /** Where a point of the rig is on the canvas: [x, y] in CSS pixels, and how far away [mm]. */
+  /** Project a point of the rig to the canvas: x, y [CSS pixels] and depth [mm]. */
   project(x, y, z) {
     const [v, p] = [this.view, this.projection];
     const eye = [0, 1, 2].map((k) => v[k] * x + v[4 + k] * y + v[8 + k] * z + v[12 + k]);
@@ -211,7 +211,7 @@ export class FaceViewer {
     const eye = [(2 * x) / clientWidth - 1, 1 - (2 * y) / clientHeight, -1];
     eye[0] /= p[0];
     eye[1] /= p[5];
-    // The view is a rotation and a shift: its transpose turns a ray back into the rig's space.
+    // The view's rotation is orthonormal: its transpose maps a ray to the rig's space.
     const turn = (a) => [0, 1, 2].map((k) => v[4 * k] * a[0] + v[4 * k + 1] * a[1] + v[4 * k + 2] * a[2]);
     const from = turn([-v[12], -v[13], -v[14]]);
     const along = turn(eye);
@@ -220,8 +220,8 @@ export class FaceViewer {
   }
 
   /**
-   * Draw a pose, framed from the front, without showing it.
-   * @returns {ImageData} with transparent ground, for thumbnails
+   * Draw a pose, framed from the front, into a thumbnail.
+   * @returns {ImageData} with transparent background
    */
   thumbnail(weights, width, height) {
     const { gl } = this;
@@ -268,7 +268,7 @@ export class FaceViewer {
     return upright(pixels, width, height);
   }
 
-  /** Let go of the canvas. */
+  /** Release the canvas and its WebGL context. */
   dispose() {
     cancelAnimationFrame(this.request);
     this.release();
@@ -359,7 +359,7 @@ export class FaceViewer {
     gl.drawElements(gl.TRIANGLES, this.face.triangles.length, gl.UNSIGNED_INT, 0);
   }
 
-  /** Two poses: side by side of a line, or the first over the second. The first is posed last. */
+  /** Draw two poses: on either side of a line, or the first over the second. The first is posed last. */
   #drawCompared(width, height) {
     const { gl } = this;
     const { weights, how, share } = this.compared;
@@ -378,7 +378,7 @@ export class FaceViewer {
       gl.scissor(0, 0, line, height);
       this.#drawFace(width, height);
     } else {
-      // Depth first: what lies behind the nearest skin must not shine through.
+      // Depth first, so that only the nearest surface is blended.
       gl.colorMask(false, false, false, false);
       this.#drawFace(width, height);
       gl.colorMask(true, true, true, true);
@@ -393,7 +393,7 @@ export class FaceViewer {
     gl.disable(gl.SCISSOR_TEST);
   }
 
-  /** Markers before the skin in full, those behind it as a hint; lines to where they should be. */
+  /** Draw markers and lines, opaque before the skin and faint behind it. */
   #drawMarks(ratio) {
     const { gl, marks } = this;
     const { program, uniforms } = this.programs.mark;
@@ -436,9 +436,9 @@ export class FaceViewer {
   }
 }
 
-const ROW = [0.08, 0.32, 0.62, 0.9]; // r g b, and how opaque: to be seen on skin
+const ROW = [0.08, 0.32, 0.62, 0.9]; // r g b and opacity, visible on skin
 
-/** Lines between markers, by their numbers. */
+/** Vertices of lines between markers, by their indices. */
 function joined(points, lines) {
   const out = { points: new Float32Array(3 * lines.length), colors: new Float32Array(4 * lines.length) };
   for (let i = 0; i < lines.length; i++) {
@@ -448,7 +448,7 @@ function joined(points, lines) {
   return out;
 }
 
-/** Interleave starts and ends for lines. */
+/** Vertices of lines from points to targets. */
 function between(points, targets, colors) {
   const count = points.length / 3;
   const out = { points: new Float32Array(6 * count), colors: new Float32Array(8 * count) };
@@ -460,7 +460,7 @@ function between(points, targets, colors) {
   return out;
 }
 
-/** Turn what WebGL reads (bottom row first, premultiplied) into an ImageData. */
+/** Convert WebGL's pixels (bottom row first, premultiplied) to an ImageData. */
 function upright(pixels, width, height) {
   const image = new ImageData(width, height);
   for (let row = 0; row < height; row++) {

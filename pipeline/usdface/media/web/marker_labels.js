@@ -1,10 +1,10 @@
-// Names beside markers: text on a plain canvas that lies over the face and lets the mouse through.
+// Names of markers, drawn on a 2-D canvas over the face.
 
 const FONT = '10px ui-monospace, "SF Mono", Menlo, Consolas, "DejaVu Sans Mono", monospace';
 
 const HALF_LINE = 6;
 
-/** A text layer over a viewer's canvas; made when first needed. */
+/** A text layer over a viewer's canvas. */
 export class MarkerLabels {
   constructor(canvas) {
     this.over = canvas;
@@ -14,7 +14,7 @@ export class MarkerLabels {
     canvas.after(this.canvas);
   }
 
-  /** Draw names; those whose marker is on the far side of the head are left out. */
+  /** Draw the names of markers on the near side of the head. */
   draw(viewer, ratio) {
     const { canvas, over } = this;
     Object.assign(canvas.style, {
@@ -39,12 +39,12 @@ export class MarkerLabels {
     const taken = [];
     marks.names
       .map((name, i) => [name, viewer.project(...marks.points.subarray(3 * i, 3 * i + 3))])
-      .sort((a, b) => a[1][2] - b[1][2]) // the nearest first: they are what is looked at
+      .sort((a, b) => a[1][2] - b[1][2]) // the nearest first
       .forEach(([name, [x, y, depth]]) => {
         if (depth > middle) return;
         const box = [x + 6, y - HALF_LINE, x + 9 + pen.measureText(name).width, y + HALF_LINE];
         const hit = (b) => box[0] < b[2] && b[0] < box[2] && box[1] < b[3] && b[1] < box[3];
-        if (taken.some(hit)) return; // zoom in to read it
+        if (taken.some(hit)) return;
         taken.push(box);
         pen.strokeText(name, x + 7, y);
         pen.fillText(name, x + 7, y);

@@ -2,12 +2,12 @@
 
 const STEP = Math.PI / 36;
 
-/** Where a face is seen from: angles, distance, and the point looked at [mm, radians]. */
+/** A camera by angles, distance and target [mm, radians]. */
 export class OrbitCamera {
   /**
    * @param {{target: number[], distance: number, fov: number, framedWidth: number, yaw?: number,
-   *   pitch?: number}} home frames the face.
-   * `roll` turns the picture [radians], clockwise.
+   *   pitch?: number}} home initial view, which frames the face.
+   * `roll` rotates the picture clockwise [radians].
    */
   constructor(home, size) {
     this.home = home;
@@ -15,7 +15,7 @@ export class OrbitCamera {
     this.reset();
   }
 
-  /** Frame the face from where it is first seen, or from elsewhere. */
+  /** Frame the face from a direction, by default the initial one. */
   reset(yaw = this.home.yaw ?? 0, pitch = this.home.pitch ?? 0, roll = 0) {
     this.yaw = yaw;
     this.pitch = pitch;
@@ -23,7 +23,7 @@ export class OrbitCamera {
     this.frame();
   }
 
-  /** Frame the face from where we are. */
+  /** Frame the face from the current direction. */
   frame() {
     this.target = [...this.home.target];
     this.distance = this.home.distance;
@@ -39,7 +39,7 @@ export class OrbitCamera {
     this.distance = Math.max(0.15 * distance, Math.min(5 * distance, this.distance * factor));
   }
 
-  /** Shift what is looked at by shares of the picture's height. */
+  /** Shift the target by shares of the picture's height. */
   pan(right, up) {
     const span = 2 * this.distance * Math.tan((this.home.fov * Math.PI) / 360);
     const view = this.view();
@@ -52,7 +52,7 @@ export class OrbitCamera {
   view() {
     const [cy, sy] = [Math.cos(this.yaw), Math.sin(this.yaw)];
     const [cp, sp] = [Math.cos(this.pitch), Math.sin(this.pitch)];
-    // Rows: right, up, backward. Positive yaw shows the character's left, positive pitch its crown.
+    // Rows: right, up, backward. Positive yaw shows the character's left, positive pitch the top.
     const [cr, sr] = [Math.cos(this.roll), Math.sin(this.roll)];
     const [right, up] = [[cy, 0, -sy], [-sy * sp, cp, -cy * sp]];
     const axes = [
@@ -68,7 +68,7 @@ export class OrbitCamera {
     return new Float32Array([...columns.flatMap((column) => [...column, 0]), ...at, 1]);
   }
 
-  /** Camera to picture; a picture too narrow for what was framed sees more of the height. */
+  /** Camera to picture; narrow pictures have a larger field of view, so that the face fits. */
   projection(aspect) {
     const half = Math.tan((this.home.fov * Math.PI) / 360) / Math.min(aspect / this.home.framedWidth, 1);
     const near = Math.max(this.distance - 4 * this.size, 0.05 * this.distance);
@@ -84,9 +84,9 @@ export class OrbitCamera {
 }
 
 /**
- * Let a canvas steer a camera. Drag turns (left), shifts (middle, right, or with Shift), the wheel
- * and two fingers zoom, double click frames; with the keyboard: arrows, Shift + arrows, + − F 0.
- * @returns {() => void} takes the listeners off again
+ * Control a camera by a canvas. Drag turns (left) or shifts (middle, right, or with Shift), wheel
+ * and two fingers zoom, double click frames; keyboard: arrows, Shift + arrows, + − F 0.
+ * @returns {() => void} removes the listeners
  */
 export function steer(canvas, camera, changed) {
   const fingers = new Map();

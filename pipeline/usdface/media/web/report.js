@@ -7,7 +7,7 @@ import { Stage } from "./report_face.js";
 import { Notes } from "./report_notes.js";
 
 const FASTEST = 4;
-const QUIET_MS = 350; // readers hear where the player stands once it stands
+const QUIET_MS = 350; // until a frame is announced to screen readers
 
 class Report {
   constructor(face, curves) {
@@ -31,7 +31,7 @@ class Report {
     this.notes = new Notes(new Map([["face", byId("facePane")], ["video", byId("videoPane")]]), this.#player());
   }
 
-  /** Show a picture: the video follows, or led where it plays. */
+  /** Show a picture; the video seeks to it unless it is the source. */
   show(picture, { fromVideo = false } = {}) {
     const at = Math.min(Math.max(Math.round(picture), 0), count - 1);
     if (at === this.picture) return;
@@ -41,7 +41,7 @@ class Report {
     const frame = data.frames[at], code = data.timecodes[at] ?? "";
     byId("clock").textContent = `${code}  ${frame}`.trim();
     byId("said").textContent = data.labels[data.said[at]] ?? "";
-    clearTimeout(this.naming); // browsers refuse an address that changes with every frame
+    clearTimeout(this.naming); // browsers limit changes of the address
     this.naming = setTimeout(() => this.#settled(), QUIET_MS);
     const scrub = byId("scrub");
     scrub.value = at;
@@ -81,7 +81,7 @@ class Report {
     this.show(this.picture + by);
   }
 
-  /** One seek at a time; while one is on its way only the newest is remembered. */
+  /** Seek the video; during a seek, only the newest request is queued. */
   seek(picture) {
     if (this.seeking) { this.wanted = picture; return; }
     const to = (picture + 0.5) / data.rate;
@@ -92,7 +92,7 @@ class Report {
 
   seeked() {
     this.seeking = false;
-    this.#restart(); // a video that plays on is the clock from here
+    this.#restart(); // a playing video is the clock from here
     if (this.wanted !== null) {
       const picture = this.wanted;
       this.wanted = null;
@@ -100,7 +100,7 @@ class Report {
     }
   }
 
-  /** Play, at `speed`, forward or back; the video leads where it can. */
+  /** Play forward or in reverse; the video is the clock when it plays forward. */
   play(on = !this.playing, { way = 1, speed = Number(byId("speed").value) } = {}) {
     this.playing = on;
     this.way = way;
@@ -118,13 +118,13 @@ class Report {
     if (on) this.ticking = requestAnimationFrame((now) => this.#tick(now));
   }
 
-  /** J and L: play back or on; again, twice as fast. */
+  /** J and L: play in reverse or forward; pressed again, twice as fast. */
   shuttle(way) {
     const faster = this.playing && this.way === way;
     this.play(true, { way, speed: faster ? Math.min(2 * this.speed, FASTEST) : Number(byId("speed").value) });
   }
 
-  /** Set one end of the range that is looped to where the player stands. */
+  /** Set one end of the range to the current picture. */
   mark(end) {
     const [first, last] = this.range ?? [0, count - 1];
     const at = this.picture;
@@ -157,7 +157,7 @@ class Report {
       tell("the video cannot be played by this browser; the face and the curves still can");
       this.video = null;
     });
-    this.mediaTime = null; // of the picture that is seen, where the browser says so
+    this.mediaTime = null; // of the displayed picture, if the browser reports it
     const follow = (_now, { mediaTime }) => {
       this.mediaTime = mediaTime;
       video.requestVideoFrameCallback(follow);
@@ -173,7 +173,7 @@ class Report {
       const link = node("a", { href: `#${frame}` }, still, node("span", {}, `${frame} ${region}`.trim()), node("span", {}, data.timecodes[picture] ?? ""), node("small", {}, reason));
       byId("worst").append(node("li", {}, link));
     }
-    if (!data.worst.length) byId("worst").append(node("li", {}, "nothing stands out"));
+    if (!data.worst.length) byId("worst").append(node("li", {}, "no outstanding moments"));
   }
 
   fromAddress(hash = location.hash) {
@@ -208,9 +208,9 @@ class Report {
       const zoom = image.parentElement;
       zoom.addEventListener("click", () => zoom.setAttribute("aria-expanded", String(zoom.parentElement.classList.toggle("full"))));
     }
-    // Not the address as it is now: resting on a frame may have named that one in between.
+    // Not the current address, which a settled frame may have changed in between.
     addEventListener("hashchange", ({ newURL }) => this.fromAddress(new URL(newURL).hash));
-    // A link to the frame in the address changes nothing there, and still goes to it.
+    // A link to the frame that is in the address causes no hashchange.
     addEventListener("click", ({ target, ctrlKey, metaKey, shiftKey }) => {
       const link = target.closest?.("a[href^='#']");
       if (link && !(ctrlKey || metaKey || shiftKey)) this.fromAddress(link.hash);
@@ -220,7 +220,7 @@ class Report {
     addEventListener("beforeprint", () => this.keepStill());
   }
 
-  /** A graphics context is empty on paper: put a picture in its place. */
+  /** Replace the WebGL canvas, which prints empty, by a picture. */
   keepStill() {
     this.plots.drawAll();
     const still = byId("still");
@@ -230,7 +230,7 @@ class Report {
     still.getContext("2d").putImageData(image, 0, 0);
   }
 
-  /** What the notes know of the player. */
+  /** Interface of the player for the notes. */
   #player() {
     const report = this;
     return {
@@ -253,7 +253,7 @@ class Report {
     return this.looping && this.range ? this.range : [0, count - 1];
   }
 
-  /** Count time from here. */
+  /** Start the clock at the current picture. */
   #restart() {
     this.from = this.picture;
     this.begun = performance.now();
@@ -263,11 +263,11 @@ class Report {
   #tick(now) {
     if (!this.playing) return;
     const led = this.video && this.way > 0;
-    const seconds = Math.max(now - this.begun, 0) / 1000; // a frame's clock may be a little behind
+    const seconds = Math.max(now - this.begun, 0) / 1000; // the frame's time stamp may be earlier
     let at = this.from + this.way * Math.floor(seconds * data.rate * this.speed);
     if (led) at = this.seeking ? this.picture : Math.floor((this.mediaTime ?? this.video.currentTime) * data.rate + 1e-3);
     const [first, last] = this.#limits();
-    if (this.looping && !led) { // a loop may be shorter than what a screen takes for a picture
+    if (this.looping && !led) { // a loop may be shorter than a refresh of the screen
       const span = last - first + 1;
       at = first + ((((at - first) % span) + span) % span);
       this.show(at);
@@ -279,7 +279,7 @@ class Report {
     this.ticking = requestAnimationFrame((next) => this.#tick(next));
   }
 
-  /** The end: again from the start of the loop, or rest on the last picture. */
+  /** At the end: restart the loop, or pause on the last picture. */
   #arrive() {
     const [first, last] = this.#limits();
     this.show(this.way > 0 ? last : first, { fromVideo: true });
@@ -288,7 +288,7 @@ class Report {
     this.play(true, { way: this.way, speed: this.speed });
   }
 
-  /** The player rests: the address names the frame, and readers hear of it. */
+  /** After a pause: put the frame into the address, and announce it to screen readers. */
   #settled() {
     const frame = data.frames[this.picture];
     history.replaceState(null, "", `#${frame}`);
@@ -307,7 +307,7 @@ class Report {
     if (this.range) this.plots.zoomTo(...this.range);
   }
 
-  /** The command that takes the shown frame to the tuning page. */
+  /** Show the command that opens the frame in the tuning page. */
   #command(frame) {
     const { add, tune, pairs } = data.commands;
     byId("copy").parentElement.hidden = !tune;
@@ -320,7 +320,7 @@ class Report {
     const text = byId("command").value;
     try {
       await navigator.clipboard.writeText(text);
-    } catch { // not allowed here: select it, to be copied by hand
+    } catch { // no permission: select the text, to be copied by hand
       byId("command").select();
       document.execCommand?.("copy");
     }
@@ -339,7 +339,7 @@ class Report {
       return;
     }
     if (target.matches?.("input:not([type=range], [type=checkbox]), textarea")) return;
-    // What a key means something to keeps it: a button its space, a list its letters, a face its arrows.
+    // Keys of the focused element: space of a button, letters of a list, arrows of the face.
     if (event.key === " " && target.matches?.("button, input, select") && target !== byId("scrub")) return;
     if (target.matches?.("select")) return;
     if (target === byId("face") && /^(Arrow|[+=\-0f]$)/i.test(event.key)) return;
@@ -382,7 +382,7 @@ try {
   report.wire();
   report.show(0);
   report.fromAddress();
-  globalThis.report = report; // for scripts that look at the page, tests among them
+  globalThis.report = report; // for tests
   document.body.dataset.ready = "true";
 } catch (error) {
   tell(`this page cannot be shown: ${error.message}`);

@@ -1,19 +1,19 @@
-// Curves and figures over time: a ruler, a window that zooms, a legend that hides, rows in order.
+// Plots over time: ruler, zoom, strips, legend, and sorted rows of curves.
 
 import { NOTHING, announce, byId, count, data, node } from "./report_page.js";
 
-const COLUMNS = 1200; // as many as a wide screen shows
-const LEAST_SPAN = 12; // pictures of the closest look
+const COLUMNS = 1200; // most points of a line, for a wide screen
+const LEAST_SPAN = 12; // pictures at the largest zoom
 const TICK_PX = 90;
-const LEAST_MOTION = 0.01; // of a shape that counts as moving
+const LEAST_MOTION = 0.01; // range of a shape's weight from which it counts as moving
 
-/** A strip's value at a picture, as it is read. */
+/** A strip's value at a picture as text. */
 export function stripValue({ unit, values }, picture, unknown) {
   const value = values[picture];
   return value === null ? unknown : unit === "%" ? `${Math.round(value)}%` : value.toFixed(2);
 }
 
-/** A line through values, its ups and downs kept where there are more values than columns. */
+/** Path of a line through values; with many values, through minimum and maximum of each column. */
 function line(value, low, high, [from, to], fill = false) {
   const [begin, end] = [Math.max(0, Math.floor(from) - 1), Math.min(count, Math.ceil(to) + 2)];
   const step = Math.max(1, Math.ceil((end - begin) / COLUMNS));
@@ -35,7 +35,7 @@ function line(value, low, high, [from, to], fill = false) {
   return fill && path ? `${path}L${last} 1L${first} 1Z` : path;
 }
 
-/** Emits `seek` (detail: picture) and `range` (detail: [first, last]) where a plot is dragged. */
+/** Emits `seek` (detail: picture) and `range` (detail: [first, last]) when a plot is dragged. */
 export class Curves extends EventTarget {
   constructor(curves) {
     super();
@@ -52,13 +52,13 @@ export class Curves extends EventTarget {
     new ResizeObserver(() => this.#ticks()).observe(byId("ruler"));
   }
 
-  /** Weight of a shape in a set of curves at a picture; null where there is none. */
+  /** Weight of a shape in a set of curves at a picture; null if missing. */
   weight(curve, shape, picture) {
     const step = this.curves[curve].values[shape * count + picture];
     return step === NOTHING ? null : step / data.steps;
   }
 
-  /** Follow the player: the line at the picture, the figures beside the plots. */
+  /** Move the cursor to a picture and show the values there. */
   show(picture, curve) {
     this.picture = picture;
     this.shownCurve = curve;
@@ -69,7 +69,7 @@ export class Curves extends EventTarget {
     byId("numbers").textContent = `numbers: ${data.curves[curve].name}`;
   }
 
-  /** Show a stretch of time, as long as it may be. */
+  /** Show a range of time, limited to the take. */
   zoomTo(from, to) {
     const whole = Math.max(count - 1, 1);
     const span = Math.min(Math.max(to - from, Math.min(LEAST_SPAN, whole)), whole);
@@ -90,7 +90,7 @@ export class Curves extends EventTarget {
     this.zoomTo(0, count);
   }
 
-  /** Zoom about a picture; below 1 is closer. */
+  /** Zoom around a picture; factors below 1 zoom in. */
   zoom(factor, about = this.picture) {
     const [from, to] = this.window;
     this.zoomTo(about - (about - from) * factor, about + (to - about) * factor);
@@ -102,13 +102,13 @@ export class Curves extends EventTarget {
     this.zoomTo(from + shift, to + shift);
   }
 
-  /** Mark the stretch that is looped; null marks none. */
+  /** Mark the looped range; null for none. */
   mark(range) {
     this.range = range;
     this.#place();
   }
 
-  /** Put the rows in an order: by region, name, motion or error. */
+  /** Sort the rows by region, name, motion or error. */
   sort(order) {
     const rows = this.rows.filter(({ head }) => !head);
     const rank = {
@@ -132,7 +132,7 @@ export class Curves extends EventTarget {
     this.filter();
   }
 
-  /** Show the shapes that are looked for; of those at rest only when asked. */
+  /** Show the shapes that match the search; shapes at rest only if chosen. */
   filter() {
     const wanted = byId("find").value.trim().toLowerCase(), quiet = byId("quiet").checked;
     let head = null, any = false;
@@ -152,13 +152,13 @@ export class Curves extends EventTarget {
     this.#tabTo(shown.find((each) => each.row.tabIndex === 0) ?? shown[0]);
   }
 
-  /** Draw all that is not hidden, for paper. */
+  /** Draw all rows that are not hidden, for printing. */
   drawAll() {
     for (const each of this.rows) if (!each.head && !each.row.hidden) this.#drawRow(each);
     for (const plot of this.plots) this.#draw(plot);
   }
 
-  /** Mean distance of the face's curve from the one it is compared with. */
+  /** Mean absolute difference of a shape's weight from the compared curves. */
   #error(row) {
     if (row.error === undefined) {
       const [ours, other] = [this.curves[0], this.curves[data.compared]];
@@ -339,7 +339,7 @@ export class Curves extends EventTarget {
       value: (i) => this.weight(index, entry.shape, i),
       path: node("path", { class: `k-${kind} c${index}` }),
     }));
-    entry.drawn = this.#plot(lines.reverse(), low, high); // the first lies on top
+    entry.drawn = this.#plot(lines.reverse(), low, high); // the first on top
     const into = node("span", { class: "value" });
     entry.row.append(entry.drawn.box, into);
     const values = (i) => this.weight(this.shownCurve, entry.shape, i)?.toFixed(3) ?? "–";
@@ -348,7 +348,7 @@ export class Curves extends EventTarget {
     return undefined;
   }
 
-  /** One row is a stop of the Tab key; the arrows go on from there. */
+  /** Make one row the stop of the Tab key; arrows move from there. */
   #tabTo(entry) {
     for (const each of this.rows) if (!each.head) each.row.tabIndex = each === entry ? 0 : -1;
   }

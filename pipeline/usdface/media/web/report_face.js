@@ -1,4 +1,4 @@
-// What is drawn on the face: the pose, another beside or below it, markers, and colours of a scale.
+// The face of the report: pose, comparison with a second pose, markers, and heat maps.
 
 import { byId, count, data, inflate, node } from "./report_page.js";
 
@@ -6,7 +6,7 @@ const SKIN_PART = 0; // of FacePart in media/face/parts.py
 const MISSING = -32768;
 const SEEN = [0.47, 0.78, 1];
 
-/** Where the performer's markers lie on the character, and where the pose takes their places. */
+/** Captured markers on the character, and their positions in the pose. */
 class PlacedMarkers {
   constructor(face, header, motion, keyDeltas) {
     Object.assign(this, header, { face, motion, keyDeltas });
@@ -17,7 +17,7 @@ class PlacedMarkers {
     this.colors = new Float32Array(this.size).map((_, i) => SEEN[i % 3]);
   }
 
-  /** What FaceViewer.setMarkers takes; `carried` is where the head is, three rows of four numbers. */
+  /** Argument of FaceViewer.setMarkers; `carried` is the head's transform, three rows of four numbers. */
   overlay(weights, picture, carried) {
     const { points, targets, motion, keyDeltas, size } = this;
     targets.set(this.rest);
@@ -27,14 +27,14 @@ class PlacedMarkers {
     for (let i = 0; i < size; i++) {
       const step = motion[picture * size + i];
       points[i] = step === MISSING ? NaN : this.rest[i] + step / this.steps;
-      if (step === MISSING) targets[i] = NaN; // a line to nowhere
+      if (step === MISSING) targets[i] = NaN; // no line
     }
     if (carried) for (const each of [points, targets]) carry(each, carried);
     return { points, targets, colors: this.colors, names: this.names, lines: this.lines, diameter: 6 };
   }
 }
 
-/** Take points, x y z each, along with a part that moves, in place. */
+/** Transform points, x y z each, in place. */
 function carry(points, [a, b, c, x, d, e, f, y, g, h, i, z]) {
   for (let p = 0; p < points.length; p += 3) {
     const [u, v, w] = points.subarray(p, p + 3);
@@ -54,7 +54,7 @@ export class Stage {
     this.#fill();
   }
 
-  /** Unpack the motion of the head and the markers, where the page has some. */
+  /** Unpack the motion of the head and the markers, if any. */
   async load() {
     byId("headLabel").hidden = !data.carried;
     if (data.carried) this.carried = new Float32Array(await inflate("carried"));
@@ -85,7 +85,7 @@ export class Stage {
     return this.markers !== null && byId("markers").checked;
   }
 
-  /** Where the head is. Markers go with a head that moves as one; beside joints it is held still. */
+  /** Transforms of the head, or null; null with markers unless the head moves rigidly. */
   #carriedAt(picture) {
     byId("head").disabled = this.#marked && !data.movesAsOne;
     if (!this.carried || !byId("head").checked || byId("head").disabled) return null;
@@ -124,7 +124,7 @@ export class Stage {
 
   #controls() {
     const compared = this.other !== null;
-    // Away from a baseline is no error: of it there is no map.
+    // The difference from a baseline is not an error, and has no map.
     const known = compared && data.curves[this.other].kind !== "baseline";
     byId("how").querySelector("[value=difference]").disabled = !known;
     if (!known && byId("how").value === "difference") byId("how").value = "wipe";
@@ -137,7 +137,7 @@ export class Stage {
     const name = data.curves[this.curve].name;
     if (this.other === null) return name;
     const other = data.curves[this.other].name;
-    return { wipe: `${name} | ${other}`, onion: `${name} over ${other}`, difference: `${name}, away from ${other}` }[byId("how").value];
+    return { wipe: `${name} | ${other}`, onion: `${name} over ${other}`, difference: `difference of ${name} from ${other}` }[byId("how").value];
   }
 
   #paint(weights, other, how) {
@@ -153,12 +153,12 @@ export class Stage {
     this.viewer.paint({ values, high, ramp: data.ramp });
   }
 
-  /** How far two poses are apart at each point of the skin [mm]; eyes and teeth count 0. */
+  /** Distance of two poses at each point of the skin [mm]; 0 for eyes and teeth. */
   #distances(weights, against) {
     const { face } = this.viewer;
     this.values ??= new Float32Array(face.pointCount);
     this.leftOut ??= data.leftOut.map((name) => face.names.indexOf(name)).filter((at) => at >= 0);
-    const skin = Float32Array.from(against); // gaze and tongue are no matter of the skin
+    const skin = Float32Array.from(against); // without shapes of gaze and tongue
     for (const at of this.leftOut) skin[at] = weights[at];
     face.pose(skin);
     this.held ??= new Float32Array(face.positions.length);
@@ -173,7 +173,7 @@ export class Stage {
     return this.values;
   }
 
-  /** What is said of the part of the face that each point belongs to. */
+  /** Value of each point's region at the picture. */
   #regionValues(heat) {
     this.owners ??= owners(this.viewer.face, heat.regions);
     this.values ??= new Float32Array(this.viewer.face.pointCount);
@@ -185,10 +185,10 @@ export class Stage {
   }
 }
 
-const LEAST_REACH = 0.1; // of a shape's largest motion: points that move less belong to no part
-const CARRIED = 0.85; // of the jaw: what it carries along, the lower lip above all, is not its own
+const LEAST_REACH = 0.1; // relative motion below which a point belongs to no region
+const CARRIED = 0.85; // factor on the jaw's motion, which also carries the lower lip
 
-/** The region whose shapes move each point most, as `points_by_region` has it; −1 for none. */
+/** The region whose shapes move each point most, as in `points_by_region`; −1 for none. */
 function owners(face, regions) {
   const best = new Float32Array(face.pointCount).fill(255 * LEAST_REACH);
   const owner = new Int8Array(face.pointCount).fill(-1);

@@ -1,4 +1,4 @@
-// Notes on frames: typed, drawn, or a correction that the face shows at once; saved as JSON.
+// Notes on frames: text, drawings, or corrections with a preview on the face; saved as JSON.
 
 import { announce, button, byId, data, node, pictureOf, tell } from "./report_page.js";
 
@@ -10,7 +10,7 @@ const INK = "#ffdb4d";
 const stamp = () => new Date().toISOString();
 const newId = () => `${Date.now().toString(36)}-${Math.random().toString(36).slice(2, 8)}`;
 
-/** Notes of two sources as one list: of a note that is in both, the one changed last. */
+/** Merge two lists of notes; of a note in both, the version changed last is kept. */
 function merged(one, other) {
   const byName = new Map(one.map((note) => [note.id, note]));
   for (const note of other) {
@@ -20,7 +20,7 @@ function merged(one, other) {
   return [...byName.values()].sort((a, b) => a.frame - b.frame);
 }
 
-/** What can be shown of a newer format, as specs/notes.py has it: frames and texts. */
+/** Frames and texts of notes in a newer format, as in specs/notes.py. */
 function textsOfNewer(notes, newer) {
   return notes.filter((note) => typeof note === "object" && note !== null).map((note, index) => {
     const shown = { id: `newer-${index}`, frame: Number.isInteger(note.frame) ? note.frame : 0, newer, original: note };
@@ -29,12 +29,12 @@ function textsOfNewer(notes, newer) {
   });
 }
 
-/** Notes as a file holds them; throws where it is no such file. */
+/** Parse a file of notes; throws if it is not one. */
 function readNotes(text) {
   const file = JSON.parse(text);
   const format = file?.usdface_notes;
   if (!(Number.isInteger(format) && format >= FORMAT_OF_NOTES) || !Array.isArray(file.notes)) {
-    throw new Error("it holds no notes of a usdface report");
+    throw new Error("not a file of notes of a usdface report");
   }
   if (format > FORMAT_OF_NOTES) return textsOfNewer(file.notes, format);
   const fits = ({ id, frame, text: words }) => typeof id === "string" && Number.isInteger(frame) && typeof (words ?? "") === "string";
@@ -44,7 +44,7 @@ function readNotes(text) {
 
 /** Emits `seek` (detail: picture), `changed`, and `preview` when the correction in the form changes. */
 export class Notes extends EventTarget {
-  /** @param panes {Map<string, HTMLElement>} what is drawn on, by name: face, video */
+  /** @param panes {Map<string, HTMLElement>} elements to draw on, by name: face, video */
   constructor(panes, player) {
     super();
     this.player = player; // {picture, range, view(): camera, look(camera)}
@@ -59,7 +59,7 @@ export class Notes extends EventTarget {
     this.fill();
   }
 
-  /** What a correction in the form, or in the note that is shown, does to a weight here. */
+  /** The correction in the form if it applies to a picture, else null. */
   correction(picture) {
     const { change } = this;
     const frame = data.frames[picture];
@@ -67,17 +67,17 @@ export class Notes extends EventTarget {
     return change;
   }
 
-  /** Follow the player: ink of notes at the frame, and which of them are marked. */
+  /** Show the drawings of the frame's notes, and mark these notes. */
   show(picture) {
     this.picture = picture;
     const frame = data.frames[picture];
     const here = this.notes.filter((note) => frame >= note.frame && frame <= (note.last ?? note.frame));
     for (const [id, item] of this.items) item.setAttribute("aria-current", String(here.some((note) => note.id === id)));
-    // Ink belongs to one frame; a line on the next would point elsewhere.
+    // Drawings are of one frame; on others they would point elsewhere.
     this.#ink([...this.strokes, ...here.filter((note) => note.frame === frame && !note.done).flatMap((note) => note.strokes ?? [])]);
   }
 
-  /** Open the form, to type. */
+  /** Open the form. */
   open() {
     byId("noteForm").hidden = false;
     this.#where();
@@ -95,7 +95,7 @@ export class Notes extends EventTarget {
     this.show(this.player.picture);
   }
 
-  /** Let the pointer draw on face and video, or turn the face again. */
+  /** Switch the pointer between drawing on face and video and turning the face. */
   draw(on = !this.drawing) {
     this.drawing = on;
     byId("draw").setAttribute("aria-pressed", String(on));
@@ -118,7 +118,7 @@ export class Notes extends EventTarget {
     this.show(this.player.picture ?? 0);
   }
 
-  /** Write the file: where the browser can, to a place that is asked for; else as a download. */
+  /** Save a file: to a chosen place if the browser can, else as a download. */
   async save() {
     const text = this.text();
     const blob = new Blob([text], { type: "application/json" });
@@ -148,7 +148,7 @@ export class Notes extends EventTarget {
     return `${JSON.stringify({ usdface_notes: FORMAT_OF_NOTES, performance, take, notes: this.notes }, null, 1)}\n`;
   }
 
-  /** Take over the notes of a file; those of this page stay. */
+  /** Add the notes of a file. */
   async load(file) {
     try {
       if (file.size > LARGEST_NOTES) throw new Error("it is larger than 16 MB");
@@ -167,13 +167,13 @@ export class Notes extends EventTarget {
     try {
       const kept = localStorage.getItem(this.key);
       return kept ? readNotes(kept) : [];
-    } catch { return []; } // no storage here
+    } catch { return []; } // no storage
   }
 
   #changed() {
     try {
       localStorage.setItem(this.key, this.text());
-    } catch { /* no storage here: the page says that notes are not saved */ }
+    } catch { /* no storage: the page shows that notes are not saved */ }
     this.fill();
     this.dispatchEvent(new Event("changed"));
   }
@@ -207,7 +207,7 @@ export class Notes extends EventTarget {
     });
   }
 
-  /** Frames that the form's note is of. */
+  /** First and last frame of the note in the form. */
   #frames() {
     const { range, picture } = this.player;
     if (range && byId("noteRange").checked) return range.map((at) => data.frames[at]);
@@ -215,7 +215,7 @@ export class Notes extends EventTarget {
     return [frame, this.editing?.last ?? frame];
   }
 
-  /** Say which frames the form is of. */
+  /** Show the frames of the note in the form. */
   #where() {
     const { range } = this.player;
     byId("noteRangeLabel").hidden = !range;
@@ -256,7 +256,7 @@ export class Notes extends EventTarget {
       note.strokes = this.strokes;
       note.view = this.player.view();
     }
-    try { localStorage.setItem("usdface-author", author); } catch { /* no storage here */ }
+    try { localStorage.setItem("usdface-author", author); } catch { /* no storage */ }
     this.notes = merged(this.notes.filter(({ id }) => id !== note.id), [note]);
     this.close();
     this.#changed();
@@ -278,13 +278,13 @@ export class Notes extends EventTarget {
     const facts = node("small", {}, from);
     const old = note.version !== data.version;
     if (old && !note.newer) facts.append(" ", node("em", {}, "on another version"));
-    if (note.newer) facts.append(" ", node("em", {}, "of a newer version of usdface, shown without what that adds"));
-    if (!inside) facts.append(" ", node("em", {}, "not in these frames"));
+    if (note.newer) facts.append(" ", node("em", {}, "written by a newer version of usdface, shown in part"));
+    if (!inside) facts.append(" ", node("em", {}, "outside this report"));
     const done = node("input", { type: "checkbox", "aria-label": `Done: ${note.text ?? ""}` });
     done.checked = Boolean(note.done);
     done.addEventListener("change", () => this.#change(note, { done: done.checked }));
     const actions = note.newer ? [] : [node("label", {}, done, " done"), button("Edit", "Edit this note", () => this.#edit(note))];
-    if (old && !note.newer) actions.push(button("Still stands", "Make it a note on this version", () => this.#change(note, { version: data.version })));
+    if (old && !note.newer) actions.push(button("Still valid", "Make it a note on this version", () => this.#change(note, { version: data.version })));
     actions.push(button("Delete", "Delete this note", () => {
       this.notes = this.notes.filter(({ id }) => id !== note.id);
       this.#changed();
@@ -313,7 +313,7 @@ export class Notes extends EventTarget {
     this.open();
   }
 
-  /** Lay ink over a pane: lines in shares of the picture, which keep their place at any size. */
+  /** Add a drawing layer to a pane; coordinates are relative to the picture. */
   #overlay(name, pane) {
     const svg = node("svg", { class: "ink", "aria-hidden": "true" });
     pane.append(svg);
@@ -339,7 +339,7 @@ export class Notes extends EventTarget {
     new ResizeObserver(() => this.show(this.player.picture ?? 0)).observe(pane);
   }
 
-  /** Where shares are counted from in a pane [CSS pixels]: its middle; a unit is the picture's least side. */
+  /** Coordinate frame of drawings [CSS pixels]: origin at the pane's centre, unit the picture's shorter side. */
   #frame(name) {
     const { pane } = this.inks.get(name);
     const [width, height] = [pane.clientWidth, pane.clientHeight];

@@ -1,8 +1,8 @@
-// What the parts of the report share: its data, and ways to make and find elements.
+// Shared by the report's scripts: data, and helpers for elements.
 
 export const data = JSON.parse(document.getElementById("data").textContent);
 export const count = data.frames.length;
-export const NOTHING = -32768; // of weights in steps
+export const NOTHING = -32768; // missing weight
 export const byId = (id) => document.getElementById(id);
 
 const SVG = "http://www.w3.org/2000/svg";
@@ -21,18 +21,18 @@ export function button(label, title, action) {
   return made;
 }
 
-/** A fault stays on the page. */
+/** Show an error permanently; an empty message hides it. */
 export function tell(message) {
   byId("fault").textContent = message;
   byId("fault").hidden = !message;
 }
 
-/** Say something in the line below the transport, which readers read out. */
+/** Show a message below the transport, a live region of screen readers. */
 export function announce(message) {
   byId("live").textContent = message;
 }
 
-/** The picture of a frame, or of the nearest one that the page has. */
+/** The picture of a frame, or of the nearest one. */
 export function pictureOf(frame) {
   const first = data.frames[0]; // frames are consecutive
   return Math.min(Math.max(Math.round(frame) - first, 0), count - 1);

@@ -1,12 +1,12 @@
-// Parts of a page that are one stop of the Tab key, of reports and of the tuning page.
+// Groups of elements that are one stop of the Tab key.
 
 const STOPS = "button, a[href], input[type=checkbox], summary";
 
 /**
- * Make the buttons and links of a part one stop of the Tab key; ↑ and ↓ lead to the others.
+ * Make the buttons and links of a part one stop of the Tab key; ↑ and ↓ move between them.
  * @param {Element} part
- * @param {string} [stops] selects other elements than buttons and links
- * @param {Element} [among] where ↑ and ↓ lead, beyond the part
+ * @param {string} [stops] selector of the elements, default buttons and links
+ * @param {Element} [among] element within which ↑ and ↓ move, default the part
  */
 export function oneTabStop(part, stops = STOPS, among = part) {
   const all = (within = part) => [...within.querySelectorAll(stops)];
@@ -21,7 +21,7 @@ export function oneTabStop(part, stops = STOPS, among = part) {
     event.preventDefault();
     present[(at + way + present.length) % present.length].focus();
   });
-  // What was the stop may have gone, and others may have come, when somebody tabs.
+  // Elements may have been added or removed since the last Tab.
   addEventListener("keydown", (event) => {
     const present = shown();
     if (event.key !== "Tab" || present.includes(document.activeElement)) return;

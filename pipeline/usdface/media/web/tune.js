@@ -1,4 +1,4 @@
-// The tuning page: ties the face, the sliders, the pairs and the server together.
+// The tuning page: connects face, sliders, pairs and server.
 
 import { FaceViewer, bytesFromBase64, unpackFace } from "./face_viewer.js";
 import { FilmStrip } from "./tune_film.js";
@@ -21,7 +21,7 @@ async function ask(path) {
   return response;
 }
 
-/** Send JSON as the guard wants it; the answer has a `reason` where it was refused. */
+/** Send JSON with the guard's header; the answer has a `reason` if it was refused. */
 async function post(path, body) {
   try {
     const response = await fetch(path, {
@@ -54,8 +54,8 @@ async function main() {
   outbox.revision = sent.revision;
   const recovered = outbox.recover();
   const page = new Page(known, state, outbox, pick("region"));
-  if (recovered) page.tell(`${recovered} values that could not be sent before were taken up again`);
-  globalThis.tune = page; // for tests and for the curious
+  if (recovered) page.tell(`${recovered} unsent values of an earlier session were restored`);
+  globalThis.tune = page; // for tests
   state.go(known.first);
   const markers = ask("/markers.json"); // the server places them while the face is fetched
   markers.catch(() => {});
@@ -81,7 +81,7 @@ class Page {
       (shape) => this.viewer?.highlight(shape === null ? null : known.columns[shape]),
       {
         Solve: {
-          title: "Solve this part for the markers again, while sliders that you set hold",
+          title: "Solve this part for the markers; sliders set by hand are kept",
           act: (shapes, part) => this.solve(shapes, part),
         },
         "Copy…": {
@@ -94,7 +94,7 @@ class Page {
     this.poses.addEventListener("save", ({ detail: { name } }) => this.keepPose(name, this.posed()));
     this.poses.addEventListener("remove", ({ detail: { name } }) => this.keepPose(name, null));
     this.poses.addEventListener("apply", ({ detail }) => this.applyPose(detail));
-    this.panel.offer("Solve", false); // until the markers are there
+    this.panel.offer("Solve", false); // until the markers are loaded
     this.film = new FilmStrip($("film"), state, (pair) => this.pick(pair));
     this.wiping = new Wipe($("wipePicture"), $("wipeLine"));
     const pictures = [$("picture"), $("wipePicture").firstChild];
@@ -162,35 +162,35 @@ class Page {
     this.residual = new Residual(this.viewer.face, markers);
   }
 
-  /** Send where a marker was dropped; what comes back is where all of them are. */
+  /** Send the new position of a marker; the answer holds the positions of all. */
   async place(dropped) {
     const answer = await post("/place", dropped);
     if (answer.reason) {
       this.placing.load(this.residual);
-      this.tell(`${dropped.marker} stays where it was: ${answer.reason}`);
+      this.tell(`${dropped.marker} is not moved: ${answer.reason}`);
     } else {
       this.unpackMarkers(answer);
       this.placing.load(answer);
-      const what = dropped.at ? "corrected" : "back where it was proposed";
-      this.tell(`${dropped.marker} is ${what} (${answer.placement}). Select again to place the others by it and to propose anew`);
+      const what = dropped.at ? "corrected" : "reset to the proposal";
+      this.tell(`${dropped.marker} is ${what} (${answer.placement}). Select again to update the other markers and the proposals`);
     }
     this.pose();
   }
 
-  /** Solve a part's shapes for the markers; those that a person set hold, and all other parts. */
+  /** Solve a part's shapes for the markers, except those set by hand. */
   async solve(shapes, part) {
     const { state } = this;
     const { current: pair, names } = state;
     const held = state.touched(shapes);
     const free = shapes.filter((shape) => !held.includes(shape));
-    if (!free.length) return this.tell(`Every slider of the ${part} is set by hand; reset those that may move`);
+    if (!free.length) return this.tell(`Every slider of the ${part} is set by hand; reset those to solve`);
     this.tell(`Solving the ${part} …`, 0);
     const weights = this.posed();
     const answer = await post("/solve", { pair, weights, free: free.map((shape) => names[shape]) });
     if (answer.reason) return this.tell(`The ${part} is not solved: ${answer.reason}`);
     state.putSolved(new Map(free.map((shape) => [shape, answer.weights[names[shape]]])), pair);
     const which = held.map((shape) => names[shape]);
-    this.tell(`The ${part} is solved for the markers${held.length ? `; held: ${which.join(", ")}` : ""}`);
+    this.tell(`The ${part} is solved for the markers${held.length ? `; kept: ${which.join(", ")}` : ""}`);
   }
 
   togglePlacing() {
@@ -198,12 +198,12 @@ class Page {
     this.placing.on = !this.placing.on;
     $("placeMarkers").setAttribute("aria-pressed", this.placing.on);
     document.querySelector("#face").classList.toggle("placing", this.placing.on);
-    if (this.placing.on) this.tell("Drag a marker to where it sits on the performer; double click takes a correction back; K leaves", 0);
+    if (this.placing.on) this.tell("Drag a marker to its position on the performer; double click resets it; K ends", 0);
     else this.hush();
     this.pose();
   }
 
-  /** Weights of the references as the rig orders its shapes. */
+  /** Weights of the references in the order of the rig's shapes. */
   onRig(row) {
     this.weights.fill(0);
     this.known.columns.forEach((column, shape) => {
@@ -312,7 +312,7 @@ class Page {
 
   async keepPose(name, weights) {
     const answer = await post("/poses", { name, weights });
-    if (answer.reason) this.tell(`The poses are as they were: ${answer.reason}`);
+    if (answer.reason) this.tell(`The poses are not changed: ${answer.reason}`);
     else this.poses.show(answer.poses);
   }
 
@@ -323,15 +323,15 @@ class Page {
     state.endGesture();
     const shapes = group?.shapes ?? [...state.names.keys()];
     state.set(new Map(shapes.map((shape) => [shape, pose[state.names[shape]] ?? 0])));
-    this.tell(`${name} is put onto ${group ? `the ${part || "other shapes"}` : "the whole face"}; Ctrl+Z takes it back`);
+    this.tell(`${name} is applied to ${group ? `the ${part || "other shapes"}` : "the whole face"}; Ctrl+Z undoes it`);
   }
 
-  /** Choose a pair to copy all shapes or a part's from, or stop choosing. */
+  /** Start or end the choice of a pair to copy all shapes, or a part's, from. */
   choose(on = !this.picking, shapes = undefined, part = "face") {
     this.picking = on;
     this.copied = shapes;
     $("film").classList.toggle("picking", on);
-    if (on) this.tell(`Click the pair to copy the ${part} from; Esc leaves`, 0);
+    if (on) this.tell(`Click the pair to copy the ${part} from; Esc cancels`, 0);
     else this.hush();
   }
 
@@ -352,7 +352,7 @@ class Page {
     this.panel.paint();
     this.pose();
     this.buttons();
-    this.tell("The weights were changed elsewhere; yours were laid over them");
+    this.tell("The weights were changed elsewhere; your changes were applied to them");
   }
 
   tell(text, seconds = 6) {
@@ -377,14 +377,14 @@ class Page {
     this.pose();
     if (this.wiping.on) {
       this.matchCamera();
-      this.tell("Wheel and drag over the video fit it to the face, for all pairs; double click as it was; W leaves");
+      this.tell("Wheel and drag align the video with the face, for all pairs; double click resets it; W ends");
     } else {
       this.view(0);
       this.hush();
     }
   }
 
-  /** See the face as a camera before the neutral one sees the performer's; frontal if not known. */
+  /** Turn the view as the performer's head relative to the neutral frame; frontal if unknown. */
   matchCamera() {
     const [yaw, pitch, roll] = this.state.pairs[this.state.current].head ?? [0, 0, 0];
     this.viewer?.resetView(-yaw, pitch, -roll);
@@ -431,7 +431,7 @@ class Page {
     $("search").addEventListener("keydown", (event) => { if (event.key === "Enter") this.panel.enter(); });
     $("sieve").addEventListener("change", ({ target }) => {
       this.film.sieve(target.value);
-      this.pose(); // residuals of other pairs were measured with the same colours
+      this.pose(); // measuring other pairs has overwritten the colours
       target.blur();
     });
     $("before").addEventListener("pointerdown", () => this.hold(true));

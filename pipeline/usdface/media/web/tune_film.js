@@ -1,4 +1,4 @@
-// A strip of all pairs: each a small face, its number, and whether it is tuned or done.
+// Strip of all pairs: thumbnail, number and state of each.
 
 const [WIDTH, HEIGHT] = [76, 78];
 const SETTLE_MS = 350;
@@ -50,20 +50,20 @@ export class FilmStrip {
     state.addEventListener("pair", () => this.#mark());
   }
 
-  /** Offer to show proposals by residual; `residual(pair)` returns distances by part [mm]. */
+  /** Add filters by residual to a menu; `residual(pair)` returns distances by part [mm]. */
   measure(residual, parts, menu) {
     this.residual = residual;
     const words = (part) => `proposals, ${part || "residual"} over ${OFF_MM} mm`;
     menu.append(...["", ...parts].map((part) => new Option(words(part), `off ${part}`)));
   }
 
-  /** Begin drawing faces; `draw(pair, width, height)` returns ImageData. */
+  /** Start drawing thumbnails; `draw(pair, width, height)` returns ImageData. */
   start(draw) {
     this.draw = draw;
     this.#later();
   }
 
-  /** Draw every face again. */
+  /** Redraw all thumbnails. */
   refresh() {
     this.tiles.forEach((_, index) => this.stale.add(index));
     this.paint();
@@ -83,8 +83,8 @@ export class FilmStrip {
   }
 
   /**
-   * Show all pairs, or those `todo`, `done` or `noted`; or `off PART`, proposals that nobody changed
-   * where a part of the face, or without one the whole, is off by more than `OFF_MM`.
+   * Show all pairs, or those `todo`, `done` or `noted`; or `off PART`, unchanged proposals with a
+   * residual above `OFF_MM` of a part of the face, or without a part of the whole.
    */
   sieve(which) {
     this.which = which;
@@ -107,7 +107,7 @@ export class FilmStrip {
       .filter(Boolean)
       .join(" · ");
     const canvas = document.createElement("canvas");
-    const ratio = 2; // drawn larger than shown: small faces have edges finer than a pixel
+    const ratio = 2; // supersampled
     canvas.width = WIDTH * ratio;
     canvas.height = HEIGHT * ratio;
     const what = document.createElement("span");
@@ -133,7 +133,7 @@ export class FilmStrip {
     });
   }
 
-  /** Draw one face when nothing else is to be done, then the next. */
+  /** Draw thumbnails one by one while the browser is idle. */
   #later() {
     if (this.waiting || !this.draw) return;
     const pair = [...this.seen].find((each) => this.stale.has(each));

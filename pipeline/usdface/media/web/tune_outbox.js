@@ -1,12 +1,12 @@
-// Changes on their way to the server: the newest value of each shape, one request in flight.
-// What is not acknowledged is kept in the browser too, and sent when the page is opened again.
+// Queue of changes to the server: the newest value of each shape, one request at a time.
+// Unacknowledged changes are stored in the browser and sent when the page is opened again.
 
 const RETRY_MS = 1500;
 const SLOWEST_MS = 15000;
 
 /** Emits `status` (detail: kind 'saved' | 'busy' | 'bad', text) and `outdated` (read the state). */
 export class Outbox extends EventTarget {
-  /** @param {string} name of the asset: what the browser keeps changes under */
+  /** @param {string} name of the asset, key of the stored changes */
   constructor(state, name) {
     super();
     this.state = state;
@@ -32,7 +32,7 @@ export class Outbox extends EventTarget {
     return !this.waiting.size && !this.flying;
   }
 
-  /** Lay what is not acknowledged yet over a state that was just read. */
+  /** Apply unacknowledged changes to a state that was just read. */
   overlay() {
     for (const batch of [this.flying, this.waiting]) {
       for (const [pair, { weights, done }] of batch ?? []) {
@@ -42,7 +42,7 @@ export class Outbox extends EventTarget {
     }
   }
 
-  /** Take back what an earlier page could not send; returns how many values. */
+  /** Restore unsent changes of an earlier page; returns the number of values. */
   recover() {
     let found = 0;
     let kept = [];
@@ -58,7 +58,7 @@ export class Outbox extends EventTarget {
         .map(([name, value]) => [this.state.names.indexOf(name), value])
         .filter(([shape, value]) => shape >= 0 && this.state.row(change.pair)[shape] !== value);
       found += known.length;
-      this.state.set(new Map(known), null, change.pair); // as any other change: it can be undone
+      this.state.set(new Map(known), null, change.pair); // can be undone
       if (typeof change.done === "boolean") this.state.setDone(change.done, change.pair);
     }
     return found;
@@ -85,7 +85,7 @@ export class Outbox extends EventTarget {
     if (!this.flying && !this.timer) this.#send();
   }
 
-  /** Keep what is not acknowledged where a crash of the page does not reach. */
+  /** Store unacknowledged changes in the browser. */
   #keep() {
     try {
       if (this.isEmpty) localStorage.removeItem(this.key);
@@ -94,7 +94,7 @@ export class Outbox extends EventTarget {
         localStorage.setItem(this.key, JSON.stringify(all));
       }
     } catch {
-      // A browser that keeps nothing: the page itself still does.
+      // No storage: changes are kept in the page only.
     }
   }
 
@@ -128,7 +128,7 @@ export class Outbox extends EventTarget {
     else this.#say("saved", "saved");
   }
 
-  /** Returns what went wrong; nothing if the changes are on disk. */
+  /** Returns the fault, or null if the changes are on disk. */
   async #post(changes) {
     let response;
     try {
@@ -155,14 +155,14 @@ export class Outbox extends EventTarget {
     return null;
   }
 
-  /** Someone else changed the weights: read them, and lay ours over them. */
+  /** After a change by someone else: read the weights and apply ours to them. */
   async #catchUp() {
     await new Promise((resolve) => {
       this.dispatchEvent(new CustomEvent("outdated", { detail: { resolve } }));
     });
   }
 
-  /** Values that changed while they were under way are newer. */
+  /** Queue unsent values again, unless they have changed since. */
   #putBack(pair, { weights, done }) {
     const entry = this.#entry(pair);
     for (const [shape, value] of weights) {

@@ -1,11 +1,11 @@
-// Correcting where markers sit: the face at rest, and markers that are dragged over its skin.
+// Correction of marker positions by dragging them over the face at rest.
 
 const GRAB_PX = 14;
-const BEHIND_MM = 40; // farther from the eye than another under the pointer: hidden by the face
+const BEHIND_MM = 40; // depth behind the nearest marker from which others are hidden by the face
 const PROPOSED = [0.47, 0.78, 1];
 const CORRECTED = [0.51, 0.82, 0.52];
 
-/** Emits `placed` (detail: marker, at) when a marker was dropped, or taken back (at is null). */
+/** Emits `placed` (detail: marker, at) when a marker is dropped, or reset (at is null). */
 export class PlacementTool extends EventTarget {
   /** @param {FaceViewer} viewer shows the face at rest while the tool is on */
   constructor(viewer, markers) {
@@ -23,7 +23,7 @@ export class PlacementTool extends EventTarget {
     listen("dblclick", (event) => this.#takeBack(event));
   }
 
-  /** Take over where the server has the markers. */
+  /** Load the positions of the markers from the server's data. */
   load({ names, rest, corrected, lines }) {
     this.names = names;
     this.lines = lines;
@@ -32,7 +32,7 @@ export class PlacementTool extends EventTarget {
     this.colors = new Float32Array(corrected.flatMap((is) => (is ? CORRECTED : PROPOSED)));
   }
 
-  /** What FaceViewer.setMarkers takes. */
+  /** Argument of FaceViewer.setMarkers. */
   overlay() {
     const { points, names, colors, lines } = this;
     return { points, names, colors, lines, labels: true, diameter: 10 };
@@ -43,7 +43,7 @@ export class PlacementTool extends EventTarget {
     return [event.clientX - box.left, event.clientY - box.top];
   }
 
-  /** The marker under the pointer: the nearest to it that is not behind the head. */
+  /** The marker nearest to the pointer that is not behind the head, or -1. */
   #under(event) {
     const [x, y] = this.#at(event);
     const near = this.names.map((_, marker) => {
@@ -73,7 +73,7 @@ export class PlacementTool extends EventTarget {
     const [x, y] = this.#at(event);
     this.moved ||= Math.hypot(x - this.start[0], y - this.start[1]) > 3;
     const at = this.moved ? this.viewer.pick(x, y) : null;
-    if (!at) return; // off the face it stays at the edge
+    if (!at) return; // off the face
     this.points.set(at, 3 * this.grabbed);
     this.viewer.setMarkers(this.overlay());
   }

@@ -1,4 +1,4 @@
-// Poses saved under a name: put onto a pair, whole or of one part of the face.
+// Dialog of named poses, which are applied to a pair or to a part of the face.
 
 /** Emits `save` (detail: name) , `remove` (detail: name) and `apply` (detail: name, part). */
 export class PoseDialog extends EventTarget {
@@ -49,7 +49,7 @@ export class PoseDialog extends EventTarget {
       item.append(button);
       return button;
     });
-    apply.title = "Put this pose onto the pair";
+    apply.title = "Apply this pose to the pair";
     apply.addEventListener("click", () => {
       this.dialog.close();
       this.#tell("apply", { name, part: this.part.value });

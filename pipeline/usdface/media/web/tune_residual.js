@@ -1,6 +1,6 @@
-// How far the rig's markers are from the captured ones, live, by part of the face. A proposal is
-// judged by it. A key is not: it follows the performer's face, whose skin does not move as the
-// character's, and a right one is often farther from the markers than what was solved for them.
+// Residual of the rig's markers by part of the face. It measures proposals, but not keys: the
+// character's skin moves differently from the performer's, and correct keys often have a larger
+// residual than a solve.
 
 const GOOD_MM = 0.5;
 const BAD_MM = 3;
@@ -27,7 +27,7 @@ function tone(mm, isKey) {
 
 const css = (color) => `rgb(${color.map((value) => Math.round(255 * value)).join(" ")})`;
 
-/** Markers glued to the rig, by the same keys as the face. */
+/** Markers attached to the rig, deformed by the same keys as the face. */
 export class Residual {
   /** @param {{names, regions, lines: number[], rest: Float32Array, keyDeltas: Float32Array, targets: Float32Array}} markers */
   constructor(face, markers) {
@@ -45,8 +45,8 @@ export class Residual {
   }
 
   /**
-   * Where weights put the markers, in `bound`; and distances by region [mm], the whole under ''.
-   * `isKey`: a person set the weights; colours then say how far, not how good.
+   * Compute the markers' positions, `bound`; return RMS distances by region [mm], '' for the whole.
+   * `isKey`: whether the weights are keys; colours are then neutral rather than a rating.
    */
   measure(weights, pair, isKey = false) {
     const { bound, keyDeltas, face } = this;
@@ -75,14 +75,14 @@ export class Residual {
     return new Map([...sums].map(([part, [sum, n]]) => [part, Math.sqrt(sum / Math.max(n, 1))]));
   }
 
-  /** What FaceViewer.setMarkers takes, after `measure`. */
+  /** Argument of FaceViewer.setMarkers, after `measure`. */
   overlay(pair, labels) {
     const { names, colors, bound, lines } = this;
     return { points: this.target(pair), targets: bound, names, colors, lines, labels };
   }
 }
 
-/** The table over the face: a row a region. */
+/** Table over the face, with a row per region. */
 export class ResidualTable {
   constructor(table, parts) {
     this.table = table;

@@ -1,4 +1,4 @@
-// A slider and a number per shape, grouped by part of the face, left beside right.
+// Panel with a slider and a number per shape, grouped by part of the face.
 
 import { oneTabStop } from "./tab_stops.js";
 
@@ -6,7 +6,7 @@ const ORDER = ["brows", "lids", "cheeks and nose", "mouth", "jaw", ""];
 const TITLES = { "": "other" };
 const ACTIVE = 5e-4;
 
-/** Order shapes so that a partner follows its shape. */
+/** Order shapes so that each is followed by its mirror partner. */
 function besides(shapes, mirror) {
   const out = [];
   for (const shape of shapes) {
@@ -18,7 +18,7 @@ function besides(shapes, mirror) {
   return out;
 }
 
-/** Whether the letters of each word of a query come in a name, in that order: jw op finds jawOpen. */
+/** Whether a name contains the letters of each word in order: jw op matches jawOpen. */
 function matches(name, query) {
   return query.split(/\s+/).every((word) => {
     let at = 0;
@@ -80,14 +80,14 @@ export class ShapePanel {
     this.#sieve();
   }
 
-  /** Go to the first slider that is shown. */
+  /** Focus the first visible slider. */
   enter() {
     const first = this.rows.find(({ element, group }) => !element.hidden && !group.details.hidden);
     first?.range.focus();
     first?.element.scrollIntoView({ block: "nearest" });
   }
 
-  /** Bring rows to what the weights are. */
+  /** Update rows from the weights. */
   paint(shapes = this.state.names.keys()) {
     for (const shape of shapes) this.#paintRow(this.rows[shape]);
     for (const group of this.groups) this.#count(group);
@@ -154,7 +154,7 @@ export class ShapePanel {
     }
     range.step = 0.001;
     number.step = 0.01;
-    number.tabIndex = -1; // Enter on the slider leads here, and back
+    number.tabIndex = -1; // reached by Enter on the slider
     let back = null;
     range.addEventListener("input", () => state.slide(shape, range.valueAsNumber));
     range.addEventListener("change", () => state.endGesture());

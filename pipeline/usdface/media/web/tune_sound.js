@@ -1,11 +1,11 @@
-// The sound around a pair's frame: whole while it plays, a moment of it while the slider is dragged.
+// Sound around a pair's frame: continuous during playback, short grains while scrubbing.
 
 const REACH_S = 1; // before and after the frame
 const GRAIN_S = 0.12;
 
 export class PairSound {
   constructor() {
-    this.heard = []; // where it was played from, for tests and for the curious
+    this.heard = []; // start times, for tests
   }
 
   /** Fetch a pair's sound; resolves to whether there is any. */
@@ -22,14 +22,14 @@ export class PairSound {
     try {
       const response = await fetch(`/sound/${pair}.wav`);
       if (response.status !== 200) return null;
-      this.context ??= new AudioContext(); // a hand is on the page: browsers allow it
+      this.context ??= new AudioContext(); // allowed after a user gesture
       return await this.context.decodeAudioData(await response.arrayBuffer());
     } catch {
-      return null; // pictures go on without
+      return null; // pictures play without sound
     }
   }
 
-  /** Play from some seconds after the frame, for a moment or to the end. */
+  /** Play from a time relative to the frame [s], by default one grain. */
   async play(after, seconds = GRAIN_S) {
     const { pair } = this;
     const buffer = await this.buffer;

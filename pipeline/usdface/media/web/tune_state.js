@@ -1,13 +1,13 @@
-// The pairs' weights, one change at a time: what is shown, what is undone, what differs.
+// State of the tuning page: weights, proposals, undo and redo.
 
-const SAME = 1e-6; // as usdface.tuning.session
-const SEEN = 5e-4; // what three decimals show
+const SAME = 1e-6; // as in usdface.tuning.session
+const SEEN = 5e-4; // visible with three decimals
 
 /** Emits `weights` (detail: pair, shapes), `done` (detail: pair) and `pair` (the current one). */
 export class TuneState extends EventTarget {
   /**
    * @param {{names: string[], low: number[], high: number[], mirror: number[], sided: boolean[]}} shapes
-   * @param {object[]} pairs what each shows
+   * @param {object[]} pairs descriptions of the pairs
    */
   constructor(shapes, pairs) {
     super();
@@ -21,7 +21,7 @@ export class TuneState extends EventTarget {
     this.solved = new Map(); // pair → Map shape → value
   }
 
-  /** Take over what the server has. */
+  /** Load the server's state. */
   load({ weights, proposals, done }) {
     this.weights = weights;
     this.proposals = proposals;
@@ -41,12 +41,12 @@ export class TuneState extends EventTarget {
     return Math.abs(this.row(pair)[shape] - this.proposal(pair)[shape]);
   }
 
-  /** Whether a shape can be seen to differ from its proposal. */
+  /** Whether a shape differs visibly from its proposal. */
   differs(shape, pair = this.current) {
     return this.#away(shape, pair) > SEEN;
   }
 
-  /** Shapes of a pair that differ from its proposal, however little. */
+  /** Shapes of a pair that differ from the proposal. */
   changed(pair = this.current) {
     return this.names.map((_, shape) => shape).filter((shape) => this.#away(shape, pair) > SAME);
   }
@@ -55,13 +55,13 @@ export class TuneState extends EventTarget {
     return this.done[pair] || this.names.some((_, shape) => this.#away(shape, pair) > SAME);
   }
 
-  /** Shapes that a person set: they differ from the proposal, and not by what was solved. */
+  /** Shapes set by hand: different from the proposal and from the last solve. */
   touched(shapes, pair = this.current) {
     const row = this.row(pair), solved = this.solved.get(pair);
     return shapes.filter((shape) => this.differs(shape, pair) && solved?.get(shape) !== row[shape]);
   }
 
-  /** Set what was solved for the markers; it is free to be solved again. */
+  /** Set solved weights, which do not count as set by hand. */
   putSolved(values, pair) {
     this.endGesture();
     this.set(values, null, pair);
@@ -76,7 +76,7 @@ export class TuneState extends EventTarget {
     this.dispatchEvent(new CustomEvent("pair"));
   }
 
-  /** Set one shape within its range, and with linked sides its mirror image; a drag is one undo. */
+  /** Set one shape within its range, and its partner if sides are linked; a drag is one undo step. */
   slide(shape, value) {
     const partner = this.mirror[shape];
     const both = this.linked && partner !== shape && this.sided[shape] && this.sided[partner];
@@ -90,7 +90,7 @@ export class TuneState extends EventTarget {
     const row = this.row(pair);
     const step = { pair, before: new Map(), after: new Map() };
     for (const [shape, value] of values) {
-      const single = Math.fround(value); // as layers hold it
+      const single = Math.fround(value); // as stored in layers
       if (single === row[shape] || !Number.isFinite(single)) continue;
       step.before.set(shape, row[shape]);
       step.after.set(shape, single);
@@ -132,7 +132,7 @@ export class TuneState extends EventTarget {
     this.set(new Map(this.mirror.map((partner, shape) => [shape, row[partner]])));
   }
 
-  /** Take the weights of another pair: of all shapes, or of some. */
+  /** Copy the weights of another pair, of all or some shapes. */
   copyFrom(pair, shapes = this.names.keys()) {
     this.endGesture();
     const row = this.row(pair);

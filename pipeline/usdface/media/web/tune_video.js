@@ -1,12 +1,11 @@
-// The pair's video frame: fetched as it is needed, zoomed and shifted to look at a mouth closely;
-// the second before and after it, with its sound.
+// The pair's video frame with zoom and pan, and the second before and after it, with sound.
 
 import { PairSound } from "./tune_sound.js";
 
 const KEPT = 12;
 
 export class VideoPane {
-  /** @param {HTMLImageElement[]} images all that show the picture; the first is steered here */
+  /** @param {HTMLImageElement[]} images elements that show the picture; the first has zoom and pan */
   constructor(images, placeholder, note, after, button) {
     Object.assign(this, { images, placeholder, note, after, button });
     this.sound = new PairSound();
@@ -20,13 +19,13 @@ export class VideoPane {
     this.fit = steerPicture(images[0].parentElement, images[0]);
   }
 
-  /** Show a pair's picture, or say why there is none; its neighbours are fetched ahead. */
+  /** Show a pair's picture, or the reason if there is none; neighbours are prefetched. */
   async show(pair, pairs) {
     this.stop();
     this.pair = pair;
     this.after.value = 0;
     const answer = await this.#fetch(pair, pairs);
-    if (this.pair !== pair) return; // the animator is further on
+    if (this.pair !== pair) return; // another pair has been chosen
     for (const image of this.images) image.hidden = !answer.url;
     this.placeholder.hidden = Boolean(answer.url);
     if (answer.url) this.#put(answer.url);
@@ -37,7 +36,7 @@ export class VideoPane {
     for (const next of [pair + 1, pair - 1]) if (pairs[next]) this.#fetch(next, pairs);
   }
 
-  /** Follow the slider; moments that it has left meanwhile are not asked for. */
+  /** Follow the slider; skips times that it has passed. */
   async #scrub() {
     if (this.scrubbing) return;
     this.scrubbing = true;
@@ -61,7 +60,7 @@ export class VideoPane {
     for (const image of this.images) image.src = url;
   }
 
-  /** Play from where the slider is to its end, with sound, and return to the frame; or stop. */
+  /** Play from the slider's position to its end, with sound, and return to the frame; or stop. */
   async play() {
     if (this.playing) return this.stop();
     const { after } = this;
@@ -106,9 +105,9 @@ export class VideoPane {
 }
 
 /**
- * Let the wheel zoom a picture, a drag shift it, a double click fit it.
- * @param {{loose?: boolean}} options `loose` shifts and shrinks it beyond its stage
- * @returns {() => void} fits it
+ * Zoom a picture by the wheel, shift it by dragging, and fit it by a double click.
+ * @param {{loose?: boolean}} options `loose` permits shifts and sizes beyond the stage
+ * @returns {() => void} fits the picture
  */
 export function steerPicture(stage, image, { loose = false } = {}) {
   let zoom, shift;

@@ -1,4 +1,4 @@
-// The video over the face, up to a line: the face is turned as the performer's head is.
+// Wipe between video and face, with the face turned like the performer's head.
 
 import { steerPicture } from "./tune_video.js";
 
@@ -6,8 +6,8 @@ const STEP = 0.02;
 
 export class Wipe {
   /**
-   * @param {HTMLElement} picture holds the pair's image, over the face
-   * @param {HTMLElement} line is dragged; a slider for the keyboard
+   * @param {HTMLElement} picture contains the pair's image, over the face
+   * @param {HTMLElement} line draggable, and a slider for the keyboard
    */
   constructor(picture, line) {
     Object.assign(this, { picture, line, on: false });
@@ -32,7 +32,7 @@ export class Wipe {
     this.move(0.5);
   }
 
-  /** Put the line at a share of the width: video on its left, the face on its right. */
+  /** Move the line to a share of the width; video on its left, the face on its right. */
   move(share) {
     this.share = Math.max(0, Math.min(1, share));
     const percent = 100 * this.share;
