@@ -1,7 +1,7 @@
 """The built-in performance: speech with coarticulation, moods, blinks, gaze, brows and head motion.
 
-All curves are sums of smooth bumps and ramps, as a body moves: a lip takes 60 to 120 ms to get
-somewhere, a lid 70 ms to fall and twice that to rise, a mood a third of a second to show.
+All curves are sums of smooth bumps and ramps with natural durations: 60 to 120 ms for lips, 70 ms
+for closing and twice that for opening lids, a third of a second for moods.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,10 +27,10 @@ from usdface.demo.script import (
 )
 
 FIRST_FRAME = 1
-"""Frame number of the first sample: captures count from one."""
+"""Frame number of the first sample, as in captures."""
 
 _BLINKS = (1.42, 3.72, 5.28, 7.12, 7.78, 9.42, 11.05, 11.5, 12.86, 14.2)
-_GAZES = (  # when the eyes jump [s], to where [degrees to the person's left, up]
+_GAZES = (  # time of a saccade [s] and its target [degrees to the person's left, up]
     (0.0, 0.0, 0.0),
     (0.62, 3.0, 1.0),
     (1.44, -9.0, -3.0),
@@ -50,7 +50,7 @@ _GAZES = (  # when the eyes jump [s], to where [degrees to the person's left, up
     (14.22, 0.0, 0.0),
 )
 _FULL_GAZE = 28.0  # degrees at which a look shape is at 1
-_BEATS = (  # what the face does between the sentences: shape, from, to [s], how much
+_BEATS = (  # motion between the sentences: shape, start, stop [s], weight
     ("browOuterUpLeft", 2.85, 3.55, 0.75),
     ("mouthSmileLeft", 2.9, 3.6, 0.30),
     ("mouthRight", 2.95, 3.65, 0.32),
@@ -89,26 +89,20 @@ _PARTING_LIPS = tuple(
 
 @dataclass(frozen=True)
 class ActedPerformance:
-    """Everything the actor does."""
+    """Weights and head motion of the actor."""
 
     weights: WeightsClip
     """ARKit names, [0-1]."""
     neutral_frame: int
-    """Frame number at which the face is at rest."""
+    """Frame number of the face at rest."""
     rotation: FloatArray
     """(frames, 3): head pitch, yaw, roll [degrees]."""
     translation: FloatArray
-    """(frames, 3): of the neck's top [mm]."""
+    """(frames, 3): of the top of the neck [mm]."""
 
 
 def performance(rate: int = 120) -> ActedPerformance:
-    """Act the script.
-
-    Returns
-    -------
-    ActedPerformance
-        15 s. The same numbers on every call.
-    """
+    """Return the performance of the script: 15 s, deterministic."""
     time = np.arange(round(DURATION_SECONDS * rate) + 1) / rate
     curves: dict[str, FloatArray] = {}
     speech, closure, activity = _speech(time)
@@ -118,9 +112,9 @@ def performance(rate: int = 120) -> ActedPerformance:
     _add(curves, _gaze(time))
     _add(curves, _blinks(time))
     _share_lids(curves)
-    for name in _PARTING_LIPS:  # lips that must touch win over a mood that bares teeth
+    for name in _PARTING_LIPS:  # closed lips take precedence over moods
         curves[name] *= 1.0 - 0.85 * closure
-    # A sneer lifts the upper lip some 4 mm, a seventh of what an open jaw parts the lips.
+    # A sneer lifts the upper lip by about 4 mm, a seventh of the opening by jawOpen.
     sneer = 0.5 * (curves["noseSneerLeft"] + curves["noseSneerRight"])
     curves["mouthClose"] = closure * (curves["jawOpen"] + 0.13 * sneer)
     names = tuple(sorted(name for name, curve in curves.items() if np.max(curve) > 0.02))
@@ -141,11 +135,10 @@ def _add(curves: dict[str, FloatArray], more: Mapping[str, FloatArray]) -> None:
 
 
 def _speech(time: FloatArray) -> tuple[dict[str, FloatArray], FloatArray, FloatArray]:
-    """Curves of the mouth, how far the lips are shut, and how much it speaks [0-1].
+    """Return curves of the mouth, closure of the lips, and speech activity [0-1].
 
-    Each sound claims the mouth around its middle and the claims are averaged, after Cohen and
-    Massaro (1993), "Modeling coarticulation in synthetic visual speech": neighbours colour each
-    other, and lips that must touch win.
+    Visemes are averaged with dominance functions around the middle of each sound, after Cohen and
+    Massaro (1993), "Modeling coarticulation in synthetic visual speech"; closed lips dominate.
     """
     claims: list[tuple[float, float, float, Mapping[str, float]]] = []
     for sound in timed_phones():
@@ -176,13 +169,13 @@ def _speech(time: FloatArray) -> tuple[dict[str, FloatArray], FloatArray, FloatA
             closure = np.maximum(
                 closure, np.exp(-(((time - middle) / (0.018 + 0.42 * length)) ** 4))
             )
-    # A mouth about to speak or just silent rests: silence claims what no sound does.
+    # Silence has a constant dominance, so that the mouth rests between sentences.
     activity = total / (total + 0.12)
     return {name: curve / (total + 0.12) for name, curve in curves.items()}, closure, activity
 
 
 def _moods(time: FloatArray, activity: FloatArray) -> dict[str, FloatArray]:
-    """Each mood's face, coming and going, alive while it lasts, making room for speech."""
+    """Return curves of the moods with drift, reduced around the mouth during speech."""
     rng = np.random.default_rng(11)
     curves: dict[str, FloatArray] = {}
     for line in LINES:
@@ -210,7 +203,7 @@ def _beats(time: FloatArray) -> dict[str, FloatArray]:
 
 
 def _blinks(time: FloatArray) -> dict[str, FloatArray]:
-    """Lids fall in 75 ms, rest for 25 and rise in 130; the right one a hair later."""
+    """Return blinks: lids close in 75 ms, rest for 25 and open in 130, the right one 4 ms later."""
     curves = {}
     for side, late in (("Left", 0.0), ("Right", 0.004)):
         lids = np.zeros_like(time)
@@ -223,7 +216,7 @@ def _blinks(time: FloatArray) -> dict[str, FloatArray]:
 
 
 def _share_lids(curves: dict[str, FloatArray]) -> None:
-    """Take back the blinks where other shapes close the eye already: lids meet, never cross."""
+    """Reduce blinks where other shapes close the eye, so that lids do not cross."""
     for side in ("Left", "Right"):
         shut = sum(
             lid_closing(name) * np.clip(curves[name + side], 0.0, 1.0)
@@ -235,7 +228,7 @@ def _share_lids(curves: dict[str, FloatArray]) -> None:
 
 
 def _gaze(time: FloatArray) -> dict[str, FloatArray]:
-    """Saccades of some 45 ms between fixations that tremble a little."""
+    """Return gaze: saccades of about 45 ms between fixations with small drift."""
     rng = np.random.default_rng(5)
     yaw, pitch = np.zeros_like(time), np.zeros_like(time)
     for (_, x0, y0), (start, x1, y1) in pairwise(_GAZES):
@@ -257,7 +250,7 @@ def _gaze(time: FloatArray) -> dict[str, FloatArray]:
 
 
 def _head_motion(time: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Pitch, yaw, roll [degrees] and translation [mm]: poses by mood, nods on stresses, sway."""
+    """Return pitch, yaw, roll [degrees] and translation [mm]: poses, nods on stresses, sway."""
     rng = np.random.default_rng(3)
     poses = np.array(  # time, pitch, yaw, roll, x, y, z
         [
@@ -294,13 +287,13 @@ def _head_motion(time: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _bump(time: FloatArray, start: float, stop: float) -> FloatArray:
-    """Rise, hold and fall between two times, smoothly."""
+    """Return a smooth pulse between two times."""
     ramp = min(0.16, 0.45 * (stop - start))
     return smooth_step(start, start + ramp, time) * smooth_step(stop, stop - 1.3 * ramp, time)
 
 
 def _drift(rng: np.random.Generator, time: FloatArray, frequency: float) -> FloatArray:
-    """Wander slowly about zero with unit size: a few sines of unrelated periods."""
+    """Return slow drift around zero of about unit size: three sines of unrelated periods."""
     waves: Sequence[FloatArray] = [
         np.sin(2.0 * np.pi * (frequency * factor * time + rng.random()))
         for factor in (0.41, 1.0, 1.73)

@@ -1,4 +1,4 @@
-"""Write what a first walk through the pipeline needs: rig, capture, filmed clip, keys."""
+"""Generation of the demo's inputs: rig, capture, video and keys."""
 
 import csv
 from collections.abc import Iterator
@@ -32,27 +32,30 @@ SIZE = (216, 240)
 """Width and height of the clip [pixels]."""
 
 OFFSET_SECONDS = -0.4
-"""Take time of the clip's first frame: the camera ran before the capture did."""
+"""Take time of the clip's first frame: the camera started before the capture."""
 
 TAIL_SECONDS = 0.25
-"""How long the camera went on after the capture."""
+"""Length of the clip after the end of the capture."""
+
+_WORKER_COUNT = 2
+"""Processes that draw the clip."""
 
 _SAMPLE_RATE = 48000
 _FIELD_DEGREES = 14.2
 CAMERA = Camera(
     eye=(190.0, 1512.0, 1290.0), target=(60.0, 1503.0, 150.0), fov_degrees=_FIELD_DEGREES
 )
-"""That films the actor."""
+"""Camera of the actor's clip."""
 
 
 FOCAL_LENGTH = float(
     np.hypot(36.0, 24.0) / np.hypot(*SIZE) * SIZE[1] / 2 / np.tan(np.radians(_FIELD_DEGREES) / 2)
 )
-"""Of the camera's lens, as `track` takes it [mm of a 35 mm camera]."""
+"""Of `CAMERA`, as expected by `track` [mm, 35 mm equivalent]."""
 
 
 class Studio:
-    """The actor in front of a camera; kept by each process that draws."""
+    """The actor in front of a camera; one per drawing process."""
 
     def __init__(self, head: DemoHead, camera: Camera = CAMERA) -> None:
         self._camera = camera
@@ -72,12 +75,12 @@ class Studio:
 
 
 def _lighter(head: DemoHead) -> tuple[IntArray, DemoHead]:
-    """Leave out the skin's last refinement, too fine for a small picture.
+    """Remove the skin's last refinement, which is too fine for a small picture.
 
-    Returns the points that are kept, which lie where they lay, and the head made of them.
+    Returns the indices of the kept points, and the head made of them.
     """
     skin = np.all(head.parts[head.faces] == HeadPart.SKIN, axis=1)
-    # Refining cuts a quad into four, one at each corner, and each begins with that corner.
+    # Refinement cuts a quad into four, each of which begins with a corner of the quad.
     coarse = np.concatenate([head.faces[skin][:, 0].reshape(-1, 4), head.faces[~skin]])
     kept, faces = np.unique(coarse, return_inverse=True)
     own = np.arange(len(kept))
@@ -105,12 +108,12 @@ def write_clip(
     workers: int = 1,
     progress: Progress = silent,
 ) -> None:
-    """Film the actor's performance.
+    """Write a movie of the actor's performance with sound.
 
     Parameters
     ----------
     path : Path
-        ``.mp4`` or another movie that `usdface.media.film.movie` writes.
+        ``.mp4`` or another format of `usdface.media.film.movie`.
     size : tuple of int
         Width and height [pixels].
     """
@@ -167,7 +170,7 @@ def _track(pictures: Iterator[ByteImage], count: int, progress: Progress) -> Ite
             progress(number / count, "filming the actor")
 
 
-_studio: Studio | None = None  # of this process, where it is one of several that draw
+_studio: Studio | None = None  # of a drawing process
 
 
 def _open_studio(head: DemoHead, camera: Camera) -> None:
@@ -183,7 +186,7 @@ def _film(pose: FloatArray, weights: FloatArray, size: tuple[int, int]) -> ByteI
 
 @dataclass(frozen=True)
 class DemoInputs:
-    """The files of the built-in demo and what a user would have to know about them."""
+    """The files of the demo, and facts that a user would know."""
 
     rig: Path
     """The character: a UsdSkel asset."""
@@ -194,22 +197,21 @@ class DemoInputs:
     animator_weights: Path
     """CSV: `frame` (of the capture), then one column per shape of the rig."""
     phones: Path
-    """What is said, and in which mood: phone labels on the capture's clock."""
+    """Phones and moods, on the capture's clock."""
     rigid_markers: tuple[str, ...]
-    """Names of the markers that move with the skull alone."""
+    """Names of the markers that move with the skull only."""
     neutral_frame: int
-    """Frame of the capture at which the face is at rest."""
+    """Frame of the capture with the face at rest."""
     video_offset_seconds: float
     """Take time of the video's first frame [s]."""
     truth: WeightsClip
-    """The animator's weights on every frame, of the shapes that the performance uses."""
+    """The animator's weights on every frame, of the animated shapes."""
 
 
 def write_demo_inputs(
     folder: Path,
     *,
     video_lines: int = SIZE[1],
-    workers: int = 2,
     progress: Progress = silent,
 ) -> DemoInputs:
     """Generate the demo's inputs.
@@ -248,7 +250,7 @@ def write_demo_inputs(
     video_file = folder / "actor.mp4"
     size = (2 * round(video_lines * SIZE[0] / SIZE[1] / 2), video_lines)
     filming = part(progress, 0.2, 1.0)
-    write_clip(video_file, actor, acted, size=size, workers=workers, progress=filming)
+    write_clip(video_file, actor, acted, size=size, workers=_WORKER_COUNT, progress=filming)
     return DemoInputs(
         rig=rig_file,
         capture=capture_file,
@@ -277,7 +279,7 @@ def weights_on_video(truth: WeightsClip) -> WeightsClip:
 
 
 def write_weights(path: Path, weights: WeightsClip, shapes: tuple[str, ...]) -> None:
-    """Write what an animator keys: every shape of the rig, those left alone at 0."""
+    """Write weights of all shapes of the rig as CSV; 0 where not keyed."""
     keyed = columns_by_name(weights.values, weights.names, shapes)
     with path.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)

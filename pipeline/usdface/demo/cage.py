@@ -1,7 +1,7 @@
-"""The cage of the head: a grid, and the rings that run round the mouth and the eye into both.
+"""The cage of the head: a grid, with rings of points around the mouth and the eye.
 
 The grid has rows from the neck to the crown and columns from the midline to the nape; two blocks
-of it stay open for the rings.
+are left open for the rings.
 """
 
 import numpy as np
@@ -17,7 +17,7 @@ MOUTH_ROWS, MOUTH_COLUMNS = (6, 8), (0, 3)
 
 
 def lay_grid(half: HalfCage, style: Style, form: Form) -> IntArray:
-    """Place the grid's points; those inside the two blocks stay -1."""
+    """Place the grid's points on the form; return their indices, -1 inside the two blocks."""
     guess, aim = _grid_guess(style)
     flat, towards = guess.reshape(-1, 3), aim.reshape(-1, 3)
     start = flat - 160.0 * towards / np.linalg.norm(towards, axis=1, keepdims=True)
@@ -36,7 +36,7 @@ def lay_grid(half: HalfCage, style: Style, form: Form) -> IntArray:
 
 
 def _grid_guess(style: Style) -> tuple[FloatArray, FloatArray]:
-    """Return starting positions of the grid and the directions in which they look for the form."""
+    """Return starting positions and directions of the rays that place the grid on the form."""
     s, e, n, m = style.skull, style.eye, style.nose, style.mouth
     ex, ey = e.center[:2]
     low, base = m.height - m.lower - 8.0, n.base[0]
@@ -71,7 +71,7 @@ def _grid_guess(style: Style) -> tuple[FloatArray, FloatArray]:
     )
     inner, outer = ex - e.half_width - 3.0, ex + e.half_width + 4.0
     eye_columns = np.linspace(inner, outer, 5)
-    # Per row: x of columns 0 to 6, where the rays run straight back.
+    # Per row: x of columns 0 to 6, whose rays run straight back.
     mouth_x = [0.0, 9.0, 18.0, m.half_width + 5.0]
     wide = np.array([0.0, 6.5, 15.0, 24.0, 35.0, 46.0, 56.0])
     across = np.tile(wide, (ROW_COUNT, 1))
@@ -113,7 +113,7 @@ def _grid_guess(style: Style) -> tuple[FloatArray, FloatArray]:
     azimuth = np.radians([66.0, 88.0, 112.0, 146.0, 180.0])
     guess[:, 7:, 2] = -10.0
     aim[:, 7:, 0], aim[:, 7:, 2] = -np.sin(azimuth), -np.cos(azimuth)
-    # The neck and the underside of the jaw are met on the way in to the neck's own axis.
+    # Rays to the neck and the underside of the jaw run towards the neck's axis.
     neck = np.radians([0, 9, 19, 30, 42, 54, 66, 80, 97, 118, 148, 180])
     guess[:3, :, 0], guess[:3, :, 2] = 0.0, -20.0
     aim[:3, :, 0], aim[:3, :, 2] = -np.sin(neck), -np.cos(neck)
@@ -127,7 +127,7 @@ def _grid_guess(style: Style) -> tuple[FloatArray, FloatArray]:
 
 
 def _swept_crown(guess: FloatArray, aim: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Aim the rows over the forehead at the middle of the skull, evenly over its top."""
+    """Aim the rows above the forehead at the centre of the skull, evenly spaced over its top."""
     middle = np.array([0.0, 30.0, -12.0])
     azimuth = np.radians([0.0, 9.0, 18.0, 28.0, 39.0, 51.0, 63.0, 75.0, 92.0, 114.0, 147.0, 180.0])
     for row in range(16, ROW_COUNT):
@@ -142,7 +142,7 @@ def _swept_crown(guess: FloatArray, aim: FloatArray) -> tuple[FloatArray, FloatA
 
 
 def _nose_points(style: Style) -> list[tuple[int, int, tuple[float, float, float]]]:
-    """Row, column and position of the points whose place the form alone does not give."""
+    """Return row, column and position of points of the nose, which are placed explicitly."""
     n = style.nose
     (tip_y, tip_z), (base_y, base_z) = n.tip, n.base
     wx, wy, wz = n.wing
@@ -163,7 +163,7 @@ def _nose_points(style: Style) -> list[tuple[int, int, tuple[float, float, float
 
 
 def lay_grid_faces(half: HalfCage, grid: IntArray) -> None:
-    """Join the grid's points by quads but in the blocks; close the crown, sink the nostril."""
+    """Add quads of the grid outside the blocks, of the crown and of the nostril."""
     for r in range(ROW_COUNT - 1):
         for c in range(_COLUMN_COUNT - 1):
             in_eye = EYE_ROWS[0] <= r < EYE_ROWS[1] and EYE_COLUMNS[0] <= c < EYE_COLUMNS[1]
@@ -171,7 +171,7 @@ def lay_grid_faces(half: HalfCage, grid: IntArray) -> None:
             if in_eye or in_mouth or (r, c) == (8, 1):
                 continue
             half.strip([grid[r, c], grid[r, c + 1]], [grid[r + 1, c], grid[r + 1, c + 1]])
-    # Close the crown: the front half of the top ring meets its back half.
+    # The crown: joins the front half of the top ring to its back half.
     top = [int(i) for i in grid[-1]]
     middle = _COLUMN_COUNT // 2
     half.strip(top[:middle], top[: middle - 1 : -1])
@@ -180,7 +180,7 @@ def lay_grid_faces(half: HalfCage, grid: IntArray) -> None:
 
 
 def _nostril(half: HalfCage, rim: list[int]) -> None:
-    """Sink a pit into the quad between columella and wing."""
+    """Add the nostril as a pit in the quad between columella and wing."""
     corners = np.array([half.points[i] for i in rim])
     middle = corners.mean(axis=0)
     ring = rim
@@ -202,7 +202,7 @@ def _nostril(half: HalfCage, rim: list[int]) -> None:
 
 
 def lay_mouth(half: HalfCage, style: Style, form: Form, grid: IntArray) -> None:
-    """Rings from the outside of the lips to the back of the mouth, from upper to lower middle."""
+    """Add rings from around the lips to the back of the mouth, from upper to lower midline."""
     m = style.mouth
     r0, r1, c1 = MOUTH_ROWS[0], MOUTH_ROWS[1], MOUTH_COLUMNS[1]
     outer = [*grid[r1, : c1 + 1], grid[r0 + 1, c1], *grid[r0, : c1 + 1][::-1]]
@@ -265,7 +265,7 @@ def lay_mouth(half: HalfCage, style: Style, form: Form, grid: IntArray) -> None:
         ]
         half.strip(ring, previous)
         previous = ring
-    # The back of the mouth: a row of points between the upper and the lower half of the last ring.
+    # The back of the mouth: a row between the upper and the lower half of the last ring.
     ends = np.array([half.points[i] for i in previous])
     row = 0.5 * (ends[:4] + ends[:4:-1])
     deepest = [half.point(p, settle=0.0, mouth_ring=-5.0) for p in row]
@@ -275,7 +275,7 @@ def lay_mouth(half: HalfCage, style: Style, form: Form, grid: IntArray) -> None:
 
 
 def lay_eye(half: HalfCage, style: Style, grid: IntArray) -> None:
-    """Rings from the socket's rim over the crease and the lid to behind the eyeball."""
+    """Add rings from the rim of the socket over crease and lid to behind the eyeball."""
     e = style.eye
     r0, r1, (c0, c1) = EYE_ROWS[0], EYE_ROWS[1], EYE_COLUMNS
     upper = [int(i) for i in grid[r1, c0 : c1 + 1]]
@@ -292,7 +292,7 @@ def lay_eye(half: HalfCage, style: Style, grid: IntArray) -> None:
     def lid(
         grow_x: float, grow_up: float, grow_down: float, radius: float | FloatArray
     ) -> FloatArray:
-        """Points on a sphere round the eye, the opening grown by so much [mm]."""
+        """Return points on a sphere around the eye, with the opening enlarged [mm]."""
         x = across * e.half_width + np.sign(across) * grow_x * np.abs(across) ** 2
         y = high * opening + np.where(side > 0, grow_up, -grow_down) * np.sqrt(np.abs(high)) + tilt
         flat = np.stack([x, y], axis=1)

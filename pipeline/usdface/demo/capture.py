@@ -1,8 +1,8 @@
-"""A simulated capture: the actor's face with markers on it, moving in a room full of cameras.
+"""A simulated optical capture of the actor's face.
 
-The actor is not the character: the proportions differ, the shapes are stronger or weaker, mixed a
-little, and skin yields less the further it is pulled. So the truth (the performance's weights, what
-an animator keys on the character) is not a linear function of the markers.
+The actor differs from the character: other proportions, stronger or weaker and slightly mixed
+shapes, and skin that stretches less the further it is pulled. The truth (the weights that an
+animator keys on the character) is therefore not a linear function of the markers.
 """
 
 from dataclasses import dataclass
@@ -17,30 +17,24 @@ from usdface.demo.half_cage import Mark
 from usdface.demo.head import DemoHead, HeadPart
 
 MARKER_RADIUS = 1.5
-"""Half the diameter of a marker: its centre lies so far off the skin [mm]."""
+"""Distance of a marker's centre from the skin [mm]."""
 
 MARKER_COUNT = 102
 
 
 @dataclass(frozen=True)
 class MarkerSet:
-    """Markers glued to a head."""
+    """Markers attached to a head."""
 
     names: tuple[str, ...]
     points: IntArray
     """(markers,): the head's point under each marker."""
     rigid: tuple[str, ...]
-    """Names of those that move with the skull alone."""
+    """Names of the markers that move with the skull only."""
 
 
 def demo_markers(head: DemoHead) -> MarkerSet:
-    """Choose the points of the skin that carry the markers.
-
-    Returns
-    -------
-    MarkerSet
-        `MARKER_COUNT` markers, 10 of them rigid; left and right mirror each other.
-    """
+    """Return `MARKER_COUNT` markers, 10 of them rigid, symmetric in left and right."""
     skin = _Picker(head)
     eye, nose, mouth, skull = (getattr(head.style, k) for k in ("eye", "nose", "mouth", "skull"))
     ex, ey = eye.center[:2]
@@ -120,7 +114,7 @@ def demo_markers(head: DemoHead) -> MarkerSet:
 
 
 def _pair_names(name: str) -> tuple[str, str]:
-    """Rigid markers are numbered through, all others carry their side."""
+    """Return the names of a left and right pair: numbered if rigid, else with the side."""
     if name.startswith("head_"):
         number = int(name.removeprefix("head_"))
         return f"head_{number}", f"head_{number + 1}"
@@ -136,7 +130,7 @@ def _natural(name: str) -> tuple[str, int]:
 
 
 class _Picker:
-    """Finds points of the skin by where they are."""
+    """Finds points of the skin by position."""
 
     def __init__(self, head: DemoHead) -> None:
         self._head = head
@@ -154,17 +148,17 @@ class _Picker:
         return best
 
     def on_front(self, x: float, y: float) -> int:
-        """Choose the point seen from the front at this place; on the midline where x is 0."""
+        """Return the front point nearest to x, y; on the midline if x is 0."""
         p = self._head.points
         allowed = self._open & (p[:, 2] > 12.0)
         if x == 0.0:
             allowed &= p[:, 0] == 0.0
-        # Of two points behind each other (nose over lip) the one in front carries the marker.
+        # Prefers points in front, such as the nose over the lip.
         distance = np.hypot(p[:, 0] - x, p[:, 1] - y)
         return self._nearest(distance - 0.02 * p[:, 2], allowed)
 
     def on_lip(self, across: float, side: int) -> int:
-        """Choose a point on the border of the red."""
+        """Return a point on the border of a lip."""
         p, marks = self._head.points, self._head.marks
         ring = np.abs(marks[:, Mark.MOUTH_RING] - 2.0) < 0.3
         allowed = (
@@ -174,14 +168,14 @@ class _Picker:
         return self._nearest(np.abs(p[:, 0] - across * self._head.style.mouth.half_width), allowed)
 
     def on_lid(self, side: int, across: float) -> int:
-        """Choose a point on the outer skin of a lid, near its edge."""
+        """Return a point on the outer skin of a lid, near its edge."""
         p, marks, eye = self._head.points, self._head.marks, self._head.style.eye
         ring = (marks[:, Mark.EYE_RING] > 0.35) & (marks[:, Mark.EYE_RING] < 0.9)
         allowed = ring & (side * marks[:, Mark.EYE_SIDE] > 0.3) & (p[:, 0] > 0.0)
         return self._nearest(np.abs(p[:, 0] - eye.center[0] - across * eye.half_width), allowed)
 
     def on_ear(self, height: float) -> int:
-        """Choose the outermost point of the left ear's upper or lower end."""
+        """Return the outermost point of the left ear's upper or lower end."""
         p = self._head.points
         allowed = (self._head.parts == HeadPart.EARS) & (p[:, 0] > 0.0)
         middle = float(np.mean(p[allowed, 1]))
@@ -192,29 +186,29 @@ class _Picker:
 NOISE_MM = 0.15
 """Standard deviation of a measured position, per axis."""
 
-_STANDING = (60.0, 1520.0, 140.0)  # the actor's head in the room [mm]
-_NECK = (0.0, -105.0, -25.0)  # about which the head turns [mm]
-_SKIN_LIMIT = 70.0  # a pull of this many mm arrives as tanh(1) of it
+_STANDING = (60.0, 1520.0, 140.0)  # position of the actor's head in the room [mm]
+_NECK = (0.0, -105.0, -25.0)  # centre of the head's rotation [mm]
+_SKIN_LIMIT = 70.0  # a displacement d [mm] becomes L tanh(d / L)
 
 
 @dataclass(frozen=True)
 class SimulatedCapture:
-    """What the capture system recorded, and what really was."""
+    """The recorded capture, and the truth."""
 
     markers: MarkerSet
     positions: Float32Array
-    """(frames, markers, 3): as captured: head motion, noise and swapped labels in [mm], Y up. Not
-    seen: anything."""
+    """(frames, markers, 3): with head motion, noise and swapped labels, Y up [mm]; arbitrary if
+    occluded."""
     visible: BoolArray
     """(frames, markers)"""
     head_motion: FloatArray
     """(frames, 4, 4): true pose of the head in the room [mm]."""
     swaps: tuple[tuple[int, int, str, str], ...]
-    """First and last frame index of each stretch in which two labels are exchanged."""
+    """First and last frame index of each interval of two swapped labels, and the labels."""
 
 
 class ActorFace:
-    """The actor's face as it really moves; keeps its own shapes for some of its points."""
+    """The actor's face at some of its points, with the actor's deviations from the shapes."""
 
     def __init__(self, head: DemoHead, points: IntArray | None = None) -> None:
         which = np.arange(len(head.points)) if points is None else points
@@ -225,7 +219,7 @@ class ActorFace:
         self._keys = [tuple((w, offsets[which]) for w, offsets in head.shapes[n]) for n in names]
         self._gain = rng.uniform(0.86, 1.14, len(names))
         self._bend = rng.uniform(-0.16, 0.16, len(names))
-        # No muscle moves alone: each carries a little of three others along.
+        # Each shape activates three others slightly.
         mixed = np.eye(len(names))
         for row, name in enumerate(names):
             free = [k for k, other in enumerate(names) if _may_follow(name, other)]
@@ -234,12 +228,12 @@ class ActorFace:
         self._mixed = mixed
 
     def pose(self, weights: FloatArray) -> FloatArray:
-        """Points of the face [mm], head still, for weights in the order of the head's shapes."""
+        """Return points without head motion [mm], for weights in the order of the shapes."""
         bent = weights * (1.0 + self._bend * (1.0 - weights))
-        gain = self._gain + (1.0 - self._gain) * smooth_step(0.6, 1.0, weights)  # full is full
-        felt = np.clip((bent * gain) @ self._mixed, 0.0, 1.0)
+        gain = self._gain + (1.0 - self._gain) * smooth_step(0.6, 1.0, weights)  # 1 at weight 1
+        mixed = np.clip((bent * gain) @ self._mixed, 0.0, 1.0)
         moved = np.zeros_like(self._rest)
-        for weight, keys in zip(felt, self._keys, strict=True):
+        for weight, keys in zip(mixed, self._keys, strict=True):
             if weight > 1e-4:
                 moved += _between(keys, float(weight))
         length = np.linalg.norm(moved, axis=1, keepdims=True) / _SKIN_LIMIT
@@ -247,7 +241,7 @@ class ActorFace:
         return self._rest + moved
 
     def ordered(self, names: tuple[str, ...], values: FloatArray) -> FloatArray:
-        """Bring (frames, channels) weights into the order that `pose` takes."""
+        """Return (frames, channels) weights in the order of `pose`."""
         full = np.zeros((len(values), len(self._names)))
         for column, name in enumerate(names):
             full[:, self._names.index(name)] = values[:, column]
@@ -255,7 +249,7 @@ class ActorFace:
 
 
 def _may_follow(name: str, other: str) -> bool:
-    """Flesh near the mouth follows flesh near the mouth, brows follow brows; eyes stay free."""
+    """Return whether a shape may activate another: within the mouth region, or within the brows."""
     regions = (("mouth", "cheek", "nose"), ("brow",))
     return name != other and any(
         name.startswith(region) and other.startswith(region) for region in regions
@@ -263,7 +257,7 @@ def _may_follow(name: str, other: str) -> bool:
 
 
 def _between(keys: tuple[tuple[float, FloatArray], ...], weight: float) -> FloatArray:
-    """Offsets of one shape at a weight, from key to key in straight lines."""
+    """Return the offsets of a shape at a weight, linear between keys."""
     low, start = 0.0, np.zeros_like(keys[0][1])
     for high, stop in keys:
         if weight <= high or high == keys[-1][0]:
@@ -275,7 +269,7 @@ def _between(keys: tuple[tuple[float, FloatArray], ...], weight: float) -> Float
 def simulate_capture(
     head: DemoHead, acted: ActedPerformance, markers: MarkerSet
 ) -> SimulatedCapture:
-    """Record the actor's performance with noise, gaps and mislabelled stretches."""
+    """Simulate the capture of a performance with noise, gaps and swapped labels."""
     rng = np.random.default_rng(102)
     face = ActorFace(head, markers.points)
     weights = face.ordered(acted.weights.names, acted.weights.values.astype(np.float64))
@@ -291,7 +285,7 @@ def simulate_capture(
 
 
 def head_poses(acted: ActedPerformance) -> FloatArray:
-    """Where the actor's head is in the room: (frames, 4, 4), for points in the head's own space."""
+    """Return the poses of the actor's head in the room, (frames, 4, 4) [mm]."""
     turn = Rotation.from_euler("YXZ", acted.rotation[:, [1, 0, 2]], degrees=True).as_matrix()
     poses = np.tile(np.eye(4), (len(turn), 1, 1))
     poses[:, :3, :3] = turn
@@ -313,7 +307,7 @@ def _normals(head: DemoHead) -> FloatArray:
 def _dropouts(
     rng: np.random.Generator, frame_count: int, markers: MarkerSet, *, keep_clear: int
 ) -> BoolArray:
-    """Lose markers as capture does: single frames, short gaps, a few of up to half a second."""
+    """Return visibility with gaps: single frames, short ones, and a few of up to half a second."""
     visible = np.ones((frame_count, len(markers.names)), bool)
     visible[rng.random(visible.shape) < 0.0015] = False
     for length, gaps in ((8, 40), (20, 16), (60, 6)):
@@ -321,7 +315,7 @@ def _dropouts(
             start = int(rng.integers(0, frame_count - length))
             lost = int(rng.integers(len(markers.names)))
             visible[start : start + int(rng.integers(length // 2, length + 1)), lost] = False
-    # Lids and lips hide from the cameras more than the rest; the whole upper lip once.
+    # Lids are occluded more often, and once the whole upper lip.
     for prefix, start, stop in (("lid_upper_L", 940, 962), ("lip_upper_", 1180, 1192)):
         hidden = [k for k, name in enumerate(markers.names) if name.startswith(prefix)]
         visible[start:stop, hidden] = False
@@ -330,7 +324,7 @@ def _dropouts(
 
 
 def _swap_labels(world: FloatArray, markers: MarkerSet) -> tuple[tuple[int, int, str, str], ...]:
-    """Exchange two labels twice, in place."""
+    """Swap two pairs of labels in place; return the intervals."""
     swaps = ((610, 668, "lip_upper_L2", "lip_upper_L3"), (1290, 1333, "brow_R3", "brow_R4"))
     for first, last, one, other in swaps:
         a, b = markers.names.index(one), markers.names.index(other)

@@ -1,4 +1,4 @@
-"""What is set into the skin: eyeballs, teeth, tongue, ears, brows, lashes (left halves); hair."""
+"""Pieces of the head other than skin: eyeballs, teeth, tongue, ears, brows, lashes (left), hair."""
 
 from dataclasses import dataclass
 
@@ -23,13 +23,13 @@ class Piece:
 
 
 def smooth_step(start: float, stop: float, x: FloatArray) -> FloatArray:
-    """Smooth ramp from 0 at start to 1 at stop; a falling one where start > stop."""
+    """Return a smooth ramp from 0 at `start` to 1 at `stop`; falling if start > stop."""
     t = np.clip((x - start) / (stop - start), 0.0, 1.0)
     return t * t * (3.0 - 2.0 * t)
 
 
 def eyeball(style: Style) -> Piece:
-    """Build a sphere of rings about the gaze, close together where the colour changes."""
+    """Build an eyeball of rings around the gaze, denser where the colour changes."""
     eye, iris = style.eye, np.array(style.palette.iris)
     border = np.arcsin(eye.iris)
     pupil = 0.46 * border
@@ -73,12 +73,12 @@ _TOOTH_HEIGHTS = {True: (9.6, 8.6, 9.4, 8.2, 7.6, 7.0), False: (8.6, 8.6, 9.0, 8
 
 
 def teeth(style: Style, *, front: float, upper: bool) -> Piece:
-    """Build one dental arch with a tooth for every bulge, and the gum above it.
+    """Build one dental arch with teeth and gum.
 
     Parameters
     ----------
     front : float
-        z of the foremost tooth [mm].
+        z of the front teeth [mm].
     """
     widths = 0.92 * np.array(_TOOTH_WIDTHS[upper])
     samples = np.array([0.0, 0.12, 0.35, 0.65, 0.88])
@@ -88,7 +88,7 @@ def teeth(style: Style, *, front: float, upper: bool) -> Piece:
     height = np.repeat(_TOOTH_HEIGHTS[upper], len(samples))
     swell = np.sin(np.pi * inside) ** 0.45
     tight = 0.0 if upper else 2.2
-    # The arch as a half ellipse, walked by its arc length.
+    # The arch is a half ellipse, sampled by arc length.
     fine = np.linspace(0.0, 0.5 * np.pi, 400)
     arch = np.stack([(25.0 - tight) * np.sin(fine), (36.0 - tight) * (np.cos(fine) - 1.0)], axis=1)
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(arch, axis=0), axis=1))])
@@ -98,7 +98,7 @@ def teeth(style: Style, *, front: float, upper: bool) -> Piece:
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     sign = 1.0 if upper else -1.0
     edge = style.mouth.height + (-2.8 if upper else -2.2)
-    rows = (  # part of the tooth's height from its edge, out of the arch, how much the teeth part
+    rows = (  # share of the tooth's height from its edge, offset out of the arch, depth of gaps
         (1.9, -2.5, 0.0),
         (1.35, 0.4, 0.25),
         (1.02, 0.3, 0.9),
@@ -134,7 +134,7 @@ def tongue(style: Style, *, front: float) -> Piece:
     )
     width = np.sin(along) ** 0.75
     x = 16.0 * width * np.sin(0.5 * across)
-    y = 5.0 * np.cos(0.5 * across) * width * np.sign(1.0) - 1.4 * np.exp(-((x / 3.0) ** 2)) * width
+    y = 5.0 * np.cos(0.5 * across) * width - 1.4 * np.exp(-((x / 3.0) ** 2)) * width
     under = across > 0.75 * np.pi
     y = np.where(under, -4.0 * width, y)
     z = 34.0 * (np.cos(along) - 1.0)
@@ -145,7 +145,7 @@ def tongue(style: Style, *, front: float) -> Piece:
 
 
 def ear(style: Style, form: Form) -> Piece:
-    """Build a shell of rings set into the side of the head: concha, antihelix, helix and back."""
+    """Build an ear as a shell of rings: concha, antihelix, helix and back."""
     reach = np.array(
         [0.03, 0.25, 0.40, 0.50, 0.58, 0.66, 0.74, 0.82, 0.90, 0.97, 1.0, 0.97, 0.84, 0.6]
     )
@@ -181,13 +181,13 @@ def ear(style: Style, form: Form) -> Piece:
 
 
 def brow(style: Style, form: Form) -> Piece:
-    """Build a tapering pad of hair on the ridge over the eye."""
+    """Build a brow as a tapering pad above the eye."""
     e, s = style.eye, style.skull
     rows, columns = 33, 9
     along, across = np.linspace(0.0, 1.0, rows)[:, None], np.linspace(-1.0, 1.0, columns)[None]
     half = 3.1 * np.minimum(1.0, np.sqrt(0.02 + along / 0.22)) * (1.0 - 0.82 * along**1.8)
     x = e.center[0] - e.half_width * 0.98 + e.half_width * 2.3 * along
-    x = x - 1.6 * across * (1.0 - along)  # the inner end leans as its hairs do
+    x = x - 1.6 * across * (1.0 - along)  # the inner end is slanted
     arch = 8.0 * np.sin(np.pi * np.minimum(0.02 + 0.80 * along, 1.0)) ** 1.1
     y = e.center[1] + s.brow_height + 0.5 + arch - 7.0 * along**2 + half * across
     flat = np.stack([x, y, np.full_like(x, 200.0)], axis=-1).reshape(-1, 3)
@@ -199,7 +199,7 @@ def brow(style: Style, form: Form) -> Piece:
 
 
 def lashes(style: Style, rim: FloatArray) -> Piece:
-    """Build a fringe on the edge of the upper lid, longest towards the outer corner.
+    """Build lashes on the edge of the upper lid, longest towards the outer corner.
 
     Parameters
     ----------
@@ -254,7 +254,7 @@ _PARTING_X = 20.0
 
 
 def hair_cap(style: Style, form: Form) -> Piece:
-    """Grow the hair of a style on its sculpted head.
+    """Build the hair of a style on its head.
 
     Parameters
     ----------
@@ -263,7 +263,7 @@ def hair_cap(style: Style, form: Form) -> Piece:
     """
     azimuth = np.linspace(-180.0, 180.0, _COLUMNS, endpoint=False)
     line = PchipInterpolator(_LINE_AZIMUTH, _LINE_HEIGHT)(np.abs(azimuth))
-    # The fringe hangs into the forehead on one side of the parting.
+    # The fringe covers the forehead on one side of the parting.
     line -= 8.0 * np.exp(-(((azimuth + 24.0) / 20.0) ** 2)) - 5.0 * np.exp(
         -(((azimuth - 17.0) / 9.0) ** 2)
     )
@@ -293,7 +293,7 @@ def hair_cap(style: Style, form: Form) -> Piece:
 def _thickness(
     along: FloatArray, azimuth: FloatArray, scalp: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """How far the hair stands off the scalp [mm], and the ridge of each lock [0-1]."""
+    """Return the height of the hair above the scalp [mm], and the profile of locks [0-1]."""
     x, y, z = scalp[..., 0], scalp[..., 1], scalp[..., 2]
     crown = smooth_step(1.0, 0.72, along)
     swept = smooth_step(85.0, 20.0, np.abs(azimuth + 18.0)) * crown

@@ -1,8 +1,8 @@
-"""A dog-like character, made of the built-in head: 28 shapes, 8 joints, 36 float controls.
+"""A dog-like character, derived from the built-in head: 28 shapes, 8 joints, 36 float controls.
 
-The stand-in for the characters of Song et al. (2011): another face in other proportions, with ears
-that joints turn and a lattice that a deformer would read. What it should do for a source's weights
-is a formula, bent as an animator would bend it, so that retargeting can be measured against it.
+It stands in for the characters of Song et al. (2011): other proportions, ears with joints, and
+attributes of a lattice deformer. Its controls for a source's weights are a nonlinear formula, the
+truth against which retargeting is measured.
 """
 
 from dataclasses import replace
@@ -52,7 +52,7 @@ DOG_SHAPES = {
     "outerBrowRaiser_L": "browOuterUpLeft",
     "outerBrowRaiser_R": "browOuterUpRight",
 }
-"""The dog's shapes, named as FACS does, and the demo's shapes they are made of."""
+"""The dog's shapes with FACS names, and the human shapes they are made of."""
 
 JOINTS = (
     "head",
@@ -77,7 +77,7 @@ PLACES_MM = np.array(
         [0.0, 95.0, -10.0],
     ]
 )
-"""Where the joints are [mm]."""
+"""Positions of the joints [mm]."""
 
 LATTICE = tuple(
     f"dfm:point{row}{column}:{axis}" for row in range(3) for column in range(4) for axis in "xyz"
@@ -86,7 +86,7 @@ DOG_ATTRIBUTES = tuple(f"rig/lattice.{name}" for name in LATTICE)
 
 
 def warp_to_dog(points: FloatArray) -> FloatArray:
-    """Pull a muzzle out of a human face, and flatten what is behind it."""
+    """Deform points of a human face so that they form a muzzle."""
     x, y, z = points.T
     lies = np.exp(-((x / 36.0) ** 4)) * np.exp(-(((y + 58.0) / 46.0) ** 4))
     ahead = np.clip((z - 45.0) / 55.0, 0.0, 1.0)
@@ -135,7 +135,7 @@ def write_dog(path: Path) -> Rig:
 
 
 def expressions(names: tuple[str, ...]) -> tuple[tuple[str, ...], FloatArray]:
-    """Return 34 source expressions by name: rest, what the dog can do, and four moods."""
+    """Return names and weights of 34 source expressions: rest, single shapes, and five moods."""
     wanted = [motion_and_side(shape) for shape in DOG_SHAPES.values()]
     singles = [[name for name in names if motion_and_side(name) == each] for each in wanted]
     singles[list(DOG_SHAPES).index("innerBrowRaiser")] = _of(names, "browinnerup")
@@ -159,7 +159,7 @@ def expressions(names: tuple[str, ...]) -> tuple[tuple[str, ...], FloatArray]:
 
 
 def act(names: tuple[str, ...], weights: FloatArray) -> Controls:
-    """Return what the dog should do for source weights: the truth that pairs are keyed from."""
+    """Return the dog's controls for source weights: the truth, from which pairs are keyed."""
     shapes = np.stack(
         [
             weights[:, np.isin(names, _like(names, human))].sum(axis=1)
@@ -168,7 +168,7 @@ def act(names: tuple[str, ...], weights: FloatArray) -> Controls:
         axis=1,
     )
     shapes /= np.maximum([len(_like(names, human)) for human in DOG_SHAPES.values()], 1)
-    bent = 1.1 * np.tanh(1.6 * shapes) / np.tanh(1.6)  # a cartoon's early, strong onset
+    bent = 1.1 * np.tanh(1.6 * shapes) / np.tanh(1.6)  # a steep onset, as in cartoons
 
     def level(*motions: str) -> FloatArray:
         found = [weights[:, np.isin(names, _of(names, motion))] for motion in motions]
@@ -256,17 +256,17 @@ def _dog_mesh(mesh: RigMesh, parts: IntArray) -> RigMesh:
 
 
 def _ear(points: FloatArray) -> FloatArray:
-    """Stand a human ear up: higher, further in and larger."""
+    """Deform a human ear to a larger, erect one."""
     side = np.sign(points[:, :1])
     middle = np.array([74.0, -8.0, -14.0])
-    own = (points * np.r_[1.0, 1.0, 1.0] - side * middle * [1, 0, 0]) - middle * [0, 1, 1]
+    own = (points - side * middle * [1, 0, 0]) - middle * [0, 1, 1]
     grown = own * [1.3, 2.2, 1.6]
     place = [side * 66.0, np.full_like(side, 88.0), np.full_like(side, -14.0)]
     return np.asarray(grown + np.concatenate(place, 1))
 
 
 def _coat(points: FloatArray, colors: FloatArray, ears: BoolArray) -> FloatArray:
-    """Brown fur, a paler muzzle and a black nose."""
+    """Return colours of brown fur, a pale muzzle and a black nose."""
     brown, pale = np.array([0.30, 0.17, 0.08]), np.array([0.62, 0.47, 0.32])
     muzzle = np.clip((points[:, 2] - 75.0) / 45.0, 0, 1)[:, None]
     coat = brown * (1 - muzzle) + pale * muzzle
@@ -278,7 +278,7 @@ def _coat(points: FloatArray, colors: FloatArray, ears: BoolArray) -> FloatArray
 
 
 def _influences(points: FloatArray, of_ear: BoolArray) -> tuple[IntArray, FloatArray]:
-    """Return three joints for each point and their shares: the ears bend, the rest follows."""
+    """Return three joints per point and their weights: ears bend, the rest follows the head."""
     owner = np.zeros((len(points), 3), np.int64)
     share = np.zeros((len(points), 3))
     share[:, 0] = 1.0

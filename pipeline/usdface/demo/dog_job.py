@@ -1,4 +1,4 @@
-"""The demo of retargeting: a human performance on a dog, and the dog's own timing (S11)."""
+"""Demo of retargeting: a human performance on a dog, with its timing (Song et al. 2011)."""
 
 from fractions import Fraction
 from pathlib import Path
@@ -37,23 +37,23 @@ from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
 
 _STEP_FRAMES = 4
-"""Of the performance's 120 frames a second, every so many: 30 a second are enough to animate on."""
+"""Step from the performance's 120 to 30 frames per second."""
 
 _SMILE = range(121, 156)
-"""Frames of the human that the dog's own animation replaces: the mood turns to happiness."""
+"""Frames that the dog's own animation replaces: the change of mood to happiness."""
 _DOG_FRAMES = 56
-"""Of that animation: the dog takes longer."""
+"""Length of that animation [frames]."""
 
 _HEADER = """\
-# From a human face to a dog: run it with `usdface run`, look it over with `usdface check`.
-# Pairs, regression, performance, the dog's own happiness in place of the actor's, round-trip error.
+# From a human face to a dog: run it with `usdface run`, check it with `usdface check`.
+# Pairs, regression, performance, the dog's animation of happiness, round-trip error.
 """
 
 
 def run_dog_demo(
     folder: Path, *, progress: Progress = silent, events: JobEvents | None = None
 ) -> StepResult:
-    """Make both characters, pairs and a sequence in a folder, and run the job."""
+    """Write both characters, pairs and a sequence to a folder, and run the job."""
     confine("demo", writes=[folder])
     job_file = folder / DOG_JOB_NAME
     make_folder(folder, job_file)
@@ -76,7 +76,7 @@ def run_dog_demo(
 
 
 def write_dog_inputs(folder: Path, *, progress: Progress = silent) -> None:
-    """Write a human and a dog, the human's performance, 34 pairs of poses, and the dog's smile."""
+    """Write a human and a dog, the human's performance, 34 pairs, and the dog's smile."""
     progress(0.0, "sculpting the human")
     write_rig(folder / "human.usdc", demo_rig())
     human = read_rig(folder / "human.usdc")
@@ -96,9 +96,9 @@ def write_dog_inputs(folder: Path, *, progress: Progress = silent) -> None:
 
 
 def _dog_smile(human: Rig, weights: FloatArray) -> Controls:
-    """Return the dog's own happiness: it winces first, overshoots, and settles where the actor is.
+    """Return the dog's animation of happiness: a wince, an overshoot, and the actor's end pose.
 
-    Its ends are what the actor does there, so that the performance passes into it.
+    Its first and last frames equal the actor's, for a continuous transition.
     """
     start = _SMILE.start - 1
     first, last = weights[start], weights[start + _DOG_FRAMES - 1]
@@ -139,7 +139,7 @@ def _write_dog(path: Path, rig: Rig, controls: Controls) -> None:
 
 
 def dog_job() -> JobSpec:
-    """Return the job, its paths relative to the folder."""
+    """Return the job, with paths relative to the folder."""
     human, talk, dog = Path("human.usdc"), Path("talk.human.usda"), Path("talk.dog.usda")
     pairs, trained = Path("human_dog.pairs.usda"), Path("human_dog.retarget.usdc")
     smile, matches = Path("smile.sequence.usda"), Path("talk.matches.usda")

@@ -1,7 +1,7 @@
-"""Displacement fields on a head: soft handles, turning lids, the hinge of the jaw, lips.
+"""Displacement fields on a head: soft pushes, rotation of lids, hinge of the jaw, lips.
 
-Every field is computed in the frame of the left side, over |x|, so that left and right shapes are
-exact mirror images. Fields are (points, 3) float arrays in mm.
+Fields are (points, 3) float arrays [mm], computed over |x| in the frame of the left side, so that
+left and right shapes are exact mirror images.
 """
 
 from collections.abc import Mapping
@@ -15,7 +15,7 @@ from usdface.demo.half_cage import Mark
 from usdface.demo.head import DemoHead, HeadPart, lip_rim, lower_lid_edge, upper_lid_edge
 
 BLINK_MEETS = 0.16
-"""Where the lids of a blink meet, as a part of the eye's opening from the lower lid's edge."""
+"""Height at which the lids of a blink meet, as a share of the opening from the lower lid's edge."""
 
 LID_TURNS: Mapping[str, tuple[float, float]] = MappingProxyType(
     {
@@ -30,13 +30,13 @@ LID_TURNS: Mapping[str, tuple[float, float]] = MappingProxyType(
         "browDown": (0.18, 0.0),
     }
 )
-"""Turn of the upper and of the lower lid, in what a blink turns them; negative opens."""
+"""Rotation of the upper and the lower lid relative to a blink; negative opens."""
 
 Push = tuple[float, float, float]
 
 
 class FaceFields:
-    """The fields of one head; keeps the weights that all of them share."""
+    """The fields of one head, with weights that they share."""
 
     def __init__(self, head: DemoHead) -> None:
         style = head.style
@@ -48,7 +48,7 @@ class FaceFields:
         inside = np.interp(ring, [-5.0, -4.0, -3.0, -2.0, -1.0, 0.0], [0, 0.05, 0.25, 0.7, 0.95, 1])
         soft = np.isin(head.parts, (HeadPart.SKIN, HeadPart.BROWS)) * smooth_step(0.0, 40.0, self.z)
         self.soft = np.where(ring < 0.0, inside, soft)
-        """How far flesh follows a handle [0-1]: all in front, nothing at the back."""
+        """Softness of the skin [0-1]: 1 in front, 0 at the back."""
         self.off_lid = smooth_step(0.8, 3.6, self.eye_ring)
         self._lip_weights(ring)
         self._lid_angles()
@@ -57,15 +57,15 @@ class FaceFields:
         mouth = self.style.mouth
         across = self.x / mouth.half_width
         self.above_line = self.y - (mouth.height + mouth.curve * np.minimum(across, 1.2) ** 2)
-        """Height over the line where the lips meet [mm]."""
+        """Height above the line of the lips [mm]."""
         self.open_width = np.maximum(1.0 - np.minimum(across, 1.0) ** 2, 0.0) ** 0.55
-        """1 in the middle of the lips, 0 in the corners, round like an open mouth."""
+        """1 in the middle of the lips, 0 in the corners."""
         reach = smooth_step(4.3, 1.6, ring) * self.soft
         self.upper = reach * np.clip(self.lip_side, 0.0, 1.0)
         self.lower = reach * np.clip(-self.lip_side, 0.0, 1.0)
         self.lips = smooth_step(3.6, 1.6, ring) * self.soft
 
-        # The jaw: its flesh parts from the upper face along a line from the mouth to the ear.
+        # The jaw's skin is separated from the upper face by a line from the mouth to the ear.
         parted = np.clip(self.lip_side, -1.0, 1.0) * self.open_width * smooth_step(4.6, 1.0, ring)
         line = self.above_line - 0.38 * np.maximum(78.0 - self.z, 0.0)
         down = np.clip(line / 24.0 + parted, -1.0, 1.0)
@@ -73,7 +73,7 @@ class FaceFields:
         bag = 0.5 - 0.5 * np.clip(self.lip_side, -1.0, 1.0) * self.open_width**0.5
         skin = self.head.parts == HeadPart.SKIN
         self.jaw = np.where(skin, np.where(ring < -0.5, bag, flesh), 0.0)
-        """How far each point moves with the jaw [0-1]."""
+        """Weight of each point in the jaw's motion [0-1]."""
         self.jaw[np.isin(self.head.parts, (HeadPart.LOWER_TEETH, HeadPart.TONGUE))] = 1.0
 
     def _lid_angles(self) -> None:
@@ -101,14 +101,14 @@ class FaceFields:
     def push(
         self, cx: float, cy: float, rx: float, ry: float, by: Push, mask: FloatArray | float = 1.0
     ) -> FloatArray:
-        """Displace by so much, with a Gaussian falloff of radii rx, ry round (cx, cy)."""
+        """Displace by `by`, with a Gaussian falloff of radii rx, ry around (cx, cy)."""
         fall = np.exp(-(((self.x - cx) / rx) ** 2) - ((self.y - cy) / ry) ** 2)
         return np.outer(self.soft * fall * mask, by)
 
     def fold(
         self, start: tuple[float, float], stop: tuple[float, float], width: float, depth: float
     ) -> FloatArray:
-        """Press in a crease along a line, with a roll of flesh on its outer side."""
+        """Press a crease along a line, with a bulge on its outer side."""
         axis = np.subtract(stop, start)
         offset = np.column_stack([self.x, self.y]) - start
         along = np.clip(offset @ axis / (axis @ axis), 0.0, 1.0)
@@ -122,7 +122,7 @@ class FaceFields:
         return np.outer(amount, (0.25, 0.0, 1.0))
 
     def lids(self, upper: float, lower: float) -> FloatArray:
-        """Turn the lids about the eyeball: 1 and 1 close the eye, negative values open it."""
+        """Rotate the lids around the eyeball: 1 and 1 close the eye, negative values open it."""
         turn = upper * self.close_upper + lower * self.raise_lower
         angle = self.angle + turn
         center = self.style.eye.center
@@ -133,7 +133,7 @@ class FaceFields:
         return moved
 
     def gaze(self, outwards: float, upwards: float) -> FloatArray:
-        """Turn the eyeball by degrees."""
+        """Rotate the eyeball [degrees]."""
         yaw, pitch = np.radians([outwards, upwards])
         turn_y = np.array(
             [[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]]
@@ -147,7 +147,7 @@ class FaceFields:
         return moved
 
     def hinge(self, degrees: float) -> FloatArray:
-        """Open the jaw about the axis through its joints in front of the ears."""
+        """Rotate the jaw around the axis through its joints [degrees]."""
         turn = np.radians(degrees)
         y, z = self.y + 20.0, self.z + 2.0
         moved = np.zeros_like(self.head.points)
@@ -156,7 +156,7 @@ class FaceFields:
         return self.jaw[:, None] * moved
 
     def lip_gap(self, opened: FloatArray) -> FloatArray:
-        """Return what a pose puts between the lips at each point's x: lower minus upper [mm]."""
+        """Return the gap between the lips in a pose at each point's x: lower minus upper [mm]."""
         head = self.head
         rims = [lip_rim(head.points, head.marks, upper=up) for up in (True, False)]
         signed = head.points[:, 0]
@@ -170,6 +170,6 @@ class FaceFields:
 
 
 def lid_closing(name: str) -> float:
-    """Return how much of the eye's opening a shape without its side closes at weight 1."""
+    """Return the share of the eye's opening that a shape (name without side) closes at weight 1."""
     upper, lower = LID_TURNS[name]
     return (1.0 - BLINK_MEETS) * upper + BLINK_MEETS * lower

@@ -1,6 +1,6 @@
-"""The left half of a cage, its mirror image, and the refinement of the whole.
+"""The left half of a cage, its mirror image, and subdivision.
 
-Everything on the head is built once, for x >= 0, and mirrored exactly.
+The head is built for x >= 0 and mirrored exactly.
 """
 
 from dataclasses import dataclass
@@ -14,12 +14,12 @@ from usdface.media.face.subdivision import catmull_clark
 
 
 class Mark(IntEnum):
-    """Columns of the attributes that the cage's points carry."""
+    """Columns of the attributes of the cage's points."""
 
     SETTLE = 0
-    """1 where the point belongs on the sculpted form, 0 where the cage itself is the form."""
+    """1 for points projected to the sculpted form, 0 for points that stay."""
     MOUTH_RING = 1
-    """0 where the lips meet, 1 fullest lip, 2 border of the red, 4 outermost; below 0 inside."""
+    """0 where the lips meet, 1 fullest lip, 2 border of the lip, 4 outermost; below 0 inside."""
     MOUTH_SIDE = 2
     """+1 upper lip, -1 lower lip, 0 corner and elsewhere."""
     EYE_RING = 3
@@ -31,7 +31,7 @@ class Mark(IntEnum):
 
 
 NO_RING = 9.0
-"""Ring number of points that belong to no ring."""
+"""Ring number of points outside all rings."""
 
 
 class HalfCage:
@@ -43,7 +43,7 @@ class HalfCage:
         self.faces: list[tuple[int, int, int, int]] = []
 
     def point(self, position: FloatArray, **marks: float) -> int:
-        """Add a point; marks by their lower-case names. Returns its index."""
+        """Add a point with marks by lower-case name; return its index."""
         values = np.zeros(len(Mark))
         values[Mark.SETTLE] = 1.0
         values[[Mark.MOUTH_RING, Mark.EYE_RING]] = NO_RING
@@ -58,13 +58,13 @@ class HalfCage:
         self.marks[index][mark] = value
 
     def strip(self, first: list[int], second: list[int]) -> None:
-        """Join two rows of the same length by quads that look out if the second lies above."""
+        """Join two rows of the same length by quads that face outwards if the second is above."""
         for k in range(len(first) - 1):
             self.faces.append((first[k], first[k + 1], second[k + 1], second[k]))
 
 
 MIDLINE_TOLERANCE = 1e-6
-"""Points nearer to the midline than this are shared by both halves [mm]."""
+"""Distance from the midline below which points are shared by both halves [mm]."""
 
 
 @dataclass(frozen=True)
@@ -76,13 +76,13 @@ class Whole:
     faces: IntArray
     """(faces, 4)"""
     mirror: IntArray
-    """(points,): index of each point's mirror image; points on the midline are their own."""
+    """(points,): index of each point's mirror image; itself on the midline."""
     source: IntArray
-    """(points,): the point of the half that each one was made from."""
+    """(points,): index of each point in the half."""
 
 
 def mirror_half(points: FloatArray, faces: IntArray) -> Whole:
-    """Mirror the left half of a mesh; points on the midline become exact and shared."""
+    """Mirror the left half of a mesh; points on the midline are set to x = 0 and shared."""
     count = len(points)
     middle = np.abs(points[:, 0]) < MIDLINE_TOLERANCE
     image = np.where(middle, np.arange(count), count + np.cumsum(~middle) - 1)
@@ -96,7 +96,7 @@ def mirror_half(points: FloatArray, faces: IntArray) -> Whole:
 
 
 def grid_faces(rows: int, columns: int, *, closed: bool = False, flip: bool = False) -> IntArray:
-    """Quads over a grid of points; `closed` joins the last column to the first."""
+    """Return the quads of a grid of points; `closed` joins the last column to the first."""
     ids = np.arange(rows * columns).reshape(rows, columns)
     if closed:
         ids = np.concatenate([ids, ids[:, :1]], axis=1)
@@ -107,37 +107,37 @@ def grid_faces(rows: int, columns: int, *, closed: bool = False, flip: bool = Fa
 
 @dataclass(frozen=True)
 class Refinement:
-    """A finer mesh and how its points follow from the cage's."""
+    """A subdivided mesh."""
 
     matrix: sparse.csr_array
-    """(fine points, points): rows sum to 1: it carries positions and any attribute that varies
-    smoothly."""
+    """(fine points, points): applies to positions and attributes; rows sum to 1."""
     faces: IntArray
     """(fine faces, 4)"""
     mirror: IntArray
     """(fine points,): index of each fine point's mirror image."""
 
 
-def refine(faces: IntArray, mirror: IntArray, *, levels: int) -> Refinement:
-    """Subdivide a cage by Catmull and Clark's rules, borders as smooth curves of their own.
+REFINEMENT_LEVELS = 2
+
+
+def refine(faces: IntArray, mirror: IntArray) -> Refinement:
+    """Subdivide a cage by Catmull and Clark's rules, with borders as creases.
 
     Parameters
     ----------
     faces : (faces, 4) int array
     mirror : (points,) int array
-        The cage's topology must be symmetric under it.
-    levels : int
-        Of subdivision.
+        The topology must be symmetric under it.
     """
     count = len(mirror)
     matrix = sparse.eye_array(count, format="csr")
-    for _ in range(levels):
+    for _ in range(REFINEMENT_LEVELS):
         step = catmull_clark(
             np.full(len(faces), 4, np.int64), faces.ravel(), point_count=matrix.shape[0]
         )
         matrix = sparse.csr_array(step.matrix @ matrix)
         faces = step.face_indices.reshape(-1, 4)
-    # A point and its mirror image have the same weights on mirrored cage points: equal labels.
+    # Random labels of the cage identify mirror images: both have the same weights, mirrored.
     label = np.random.default_rng(0).random(count)
     labels, images = (np.asarray(matrix @ values) for values in (label, label[mirror]))
     by_label, by_image = np.argsort(labels), np.argsort(images)

@@ -1,4 +1,4 @@
-"""The whole built-in head of a style: skin, eyes, teeth, tongue, ears, brows, lashes and hair."""
+"""The built-in head of a style: skin, eyes, teeth, tongue, ears, brows, lashes and hair."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -16,18 +16,13 @@ from usdface.demo.sculpt import Form, Style, head_form, settle
 
 
 def skin_colors(style: Style, points: FloatArray, marks: FloatArray) -> FloatArray:
-    """Paint the skin.
+    """Return linear colours of the skin: (points, 3).
 
     Parameters
     ----------
     points : (points, 3) float array
         [mm]
     marks : (points, len(Mark)) float array
-
-    Returns
-    -------
-    (points, 3) float array
-        Linear.
     """
     x, y, z = np.abs(points[:, 0]), points[:, 1], points[:, 2]
     eye, nose, mouth = style.eye, style.nose, style.mouth
@@ -78,7 +73,7 @@ def _mix(color: FloatArray, other: FloatArray, amount: FloatArray) -> FloatArray
 
 
 class HeadPart(IntEnum):
-    """Which piece of the head a point belongs to."""
+    """Pieces of the head."""
 
     SKIN = 0
     EARS = 1
@@ -93,7 +88,7 @@ class HeadPart(IntEnum):
 
 @dataclass(frozen=True)
 class DemoHead:
-    """All pieces of one head in a row, and the shapes that move them."""
+    """All pieces of a head, concatenated, with shapes."""
 
     style: Style
     points: FloatArray
@@ -101,21 +96,20 @@ class DemoHead:
     faces: IntArray
     """(faces, 4)"""
     parts: IntArray
-    """(points,): a `HeadPart` for each point."""
+    """(points,): `HeadPart` of each point."""
     marks: FloatArray
-    """(points, len(Mark)): what the loops of the cage say about each point; see `Mark`."""
+    """(points, len(Mark)): see `Mark`."""
     colors: FloatArray
     """(points, 3): linear."""
     mirror: IntArray
-    """(points,): index of each point's mirror image; hair is not symmetric and is its own."""
+    """(points,): index of each point's mirror image; itself for hair, which is not symmetric."""
     anchors: IntArray
-    """(points,): the point whose motion each one follows: lashes the edge of the lid, all others
-    their own."""
+    """(points,): the point that each one follows: the edge of the lid for lashes, else itself."""
     shapes: Mapping[str, tuple[tuple[float, FloatArray], ...]] = field(default_factory=dict)
-    """For each shape its in-betweens and, at weight 1, its target: (weight, offsets [mm])."""
+    """Keys of each shape, ascending to weight 1: (weight, offsets [mm])."""
 
     def posed(self, weights: Mapping[str, float]) -> FloatArray:
-        """Return the points with shapes at these weights; in-betweens as UsdSkel blends them."""
+        """Return the points for weights of shapes, with in-betweens as in UsdSkel."""
         moved = self.points.copy()
         for name, weight in weights.items():
             keys = ((0.0, np.zeros_like(self.points)), *self.shapes[name])
@@ -158,14 +152,14 @@ def bare_head(style: Style) -> DemoHead:
 
 
 def _skin(style: Style, form: Form) -> DemoHead:
-    """Refine the cage, lay it on the sculpted form and paint it."""
+    """Return the skin: the subdivided cage, projected to the sculpted form and coloured."""
     cage = build_cage(style, form)
-    fine = refine(cage.faces, cage.mirror, levels=2)
+    fine = refine(cage.faces, cage.mirror)
     points, marks = fine.matrix @ cage.points, fine.matrix @ cage.marks
     amount = np.clip(1.3 * marks[:, Mark.SETTLE] - 0.15, 0.0, 1.0)
     smooth = _neighbour_mean(fine.faces, len(points))
     points = settle(form, points, amount)
-    for _ in range(6):  # where the form folds sharply, points pile up: spread them again
+    for _ in range(6):  # spreads points that accumulate at sharp folds
         points += 0.6 * amount[:, None] * (smooth @ points - points)
     points = settle(form, points, 0.8 * amount)
     points = _close_lips(style, points, marks)
@@ -184,15 +178,15 @@ def _skin(style: Style, form: Form) -> DemoHead:
 
 
 def _neighbour_mean(faces: IntArray, count: int) -> sparse.csr_array:
-    """Matrix that takes each point to the mean of the points its edges lead to."""
+    """Return the matrix of the mean over each point's neighbours."""
     ends = np.concatenate([faces, np.roll(faces, 1, axis=1)], axis=1).ravel()
     others = np.concatenate([np.roll(faces, 1, axis=1), faces], axis=1).ravel()
-    beside = sparse.csr_array((np.ones(len(ends)), (ends, others)), shape=(count, count))
-    return sparse.csr_array(sparse.diags_array(1.0 / beside.sum(axis=1)) @ beside)
+    adjacency = sparse.csr_array((np.ones(len(ends)), (ends, others)), shape=(count, count))
+    return sparse.csr_array(sparse.diags_array(1.0 / adjacency.sum(axis=1)) @ adjacency)
 
 
 def lip_rim(points: FloatArray, marks: FloatArray, *, upper: bool) -> IntArray:
-    """Return indices of the points where one lip meets the other, from right to left corner."""
+    """Return indices of a lip's points that touch the other lip, from right to left corner."""
     side = marks[:, Mark.MOUTH_SIDE]
     on_rim = np.abs(marks[:, Mark.MOUTH_RING]) < 1e-6
     found = np.flatnonzero(on_rim & ((side > 1e-6) if upper else (side < -1e-6)))
@@ -200,7 +194,7 @@ def lip_rim(points: FloatArray, marks: FloatArray, *, upper: bool) -> IntArray:
 
 
 def _close_lips(style: Style, points: FloatArray, marks: FloatArray) -> FloatArray:
-    """Refining rounds the lips and parts them: bring both rims onto one line again."""
+    """Close the lips, whose rims subdivision has separated."""
     upper, lower = lip_rim(points, marks, upper=True), lip_rim(points, marks, upper=False)
     x = points[:, 0]
     top, bottom = (np.interp(x, points[r, 0], points[r, 1]) for r in (upper, lower))
@@ -215,7 +209,7 @@ def _close_lips(style: Style, points: FloatArray, marks: FloatArray) -> FloatArr
 
 
 def _clear_eyeball(style: Style, points: FloatArray, marks: FloatArray) -> FloatArray:
-    """Keep the lids, inside and out, off the eyeball."""
+    """Move points of the lids that are too close to the eyeball outwards."""
     center = np.array(style.eye.center)
     ring = marks[:, Mark.EYE_RING]
     to_left = np.ones_like(points)
@@ -267,11 +261,11 @@ def _with_piece(head: DemoHead, part: HeadPart, whole: Whole, colors: FloatArray
 
 @dataclass(frozen=True)
 class Cage:
-    """The control cage of the skin, left half first: quads with edge loops round eyes and mouth.
+    """The control cage of the skin, left half first: quads with edge loops around eyes and mouth.
 
-    A grid of rows (neck to crown) and columns (midline round the ear to the nape) has two blocks
-    cut out; each is filled with rings that run round the eye and the mouth, so that lids and lips
-    open along loops. The rings' points carry the marks that the shapes need.
+    A grid of rows (neck to crown) and columns (midline to nape) with rings around the eye and the
+    mouth in place of two blocks, so that lids and lips open along loops. The marks of the rings are
+    used by the shapes.
     """
 
     points: FloatArray
@@ -285,15 +279,11 @@ class Cage:
 
 
 def build_cage(style: Style, form: Form) -> Cage:
-    """Lay the cage of a style over its sculpted form."""
+    """Return the cage of a style on its sculpted form."""
     half = HalfCage()
     grid = lay_grid(half, style, form)
     lay_grid_faces(half, grid)
     lay_mouth(half, style, form, grid)
     lay_eye(half, style, grid)
-    return _mirrored(half)
-
-
-def _mirrored(half: HalfCage) -> Cage:
     whole = mirror_half(np.array(half.points), np.array(half.faces))
     return Cage(whole.points, whole.faces, np.array(half.marks)[whole.source], whole.mirror)

@@ -1,4 +1,4 @@
-"""The demo: generate its inputs, write its job as a user would, and run it."""
+"""The demo: generates its inputs, writes its job, and runs it."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -36,10 +36,10 @@ from usdface.usdio.references.read import read_references
 from usdface.usdio.rig.read import read_rig
 
 _PAIR_COUNT = 50
-"""Enough to see the method work; the paper tuned 100."""
+"""Number of references; the paper used 100."""
 
 INPUTS_SHARE = 0.4
-"""How much of the demo's time its inputs take."""
+"""Share of the demo's time that its inputs take."""
 
 
 def run_demo(
@@ -50,15 +50,15 @@ def run_demo(
     progress: Progress = silent,
     events: JobEvents | None = None,
 ) -> StepResult:
-    """Make the demo in a folder, and say how large its error is.
+    """Make the demo in a folder; the result states its error.
 
     Parameters
     ----------
     folder : Path
-        Made if it is not there. A demo that is there is brought up to date.
+        Created if missing. An existing demo is brought up to date.
     model : Path, optional
-        Face landmark model of `track`: the face is then tracked in the clip, and the markers of
-        the capture are not used.
+        Face landmark model of `track`: the face is then tracked in the clip instead of using the
+        captured markers.
     video_lines : int
         Height of the actor's clip [pixels], even.
     events : JobEvents, optional
@@ -104,13 +104,13 @@ def run_demo(
 
 
 _HEADER = """\
-# The demo's job: run it with `usdface run`, look it over with `usdface check`.
-# Steps whose outputs are up to date are skipped; change a line and only what depends on it runs.
+# The demo's job: run it with `usdface run`, check it with `usdface check`.
+# Steps whose outputs are up to date are skipped: after a change, only dependent steps run.
 """
 
 
 def make_folder(folder: Path, job_file: Path) -> None:
-    """Make a folder for a demo whose job file is to be there."""
+    """Create a demo's folder; refuse one with other files and without the job file."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         strangers = any(folder.iterdir()) and not job_file.exists()
@@ -123,7 +123,7 @@ def make_folder(folder: Path, job_file: Path) -> None:
 
 
 def _take(inputs: DemoInputs, folder: Path, model: Path | None) -> IngestSpec | TrackSpec:
-    """Return the step that makes the take: of the actor's markers, or of his face in the clip."""
+    """Return the step that makes the take, from the actor's markers or, with `model`, the clip."""
     out, video = Path("demo.take.usda"), inputs.video.relative_to(folder)
     if model is None:
         return IngestSpec(
@@ -142,7 +142,7 @@ def _take(inputs: DemoInputs, folder: Path, model: Path | None) -> IngestSpec | 
         video=video,
         out=out,
         model=model.absolute(),
-        face="largest",  # in some pictures the model takes drawn hair for another
+        face="largest",  # the model detects hair as a second face in some pictures
         frames=f"{truth.first_frame}-{last}",
         focal_length=FOCAL_LENGTH,
         neutral=truth.first_frame + int(NEUTRAL_TIME * truth.rate),
@@ -151,7 +151,7 @@ def _take(inputs: DemoInputs, folder: Path, model: Path | None) -> IngestSpec | 
 
 
 def _job(inputs: DemoInputs, folder: Path, model: Path | None) -> JobSpec:
-    """Return the job a user would have written, its paths relative to the folder."""
+    """Return the job, with paths relative to the folder."""
 
     def local(path: Path) -> Path:
         return path.relative_to(folder)
@@ -166,10 +166,10 @@ def _job(inputs: DemoInputs, folder: Path, model: Path | None) -> JobSpec:
             _take(inputs, folder, model),
             CleanSpec(take=take, out=clean),
             SelectSpec(takes=(clean,), rig=rig, out=references, count=_PAIR_COUNT),
-            # In a studio an animator tunes the proposals; here the keys are known.
+            # In a studio, an animator tunes the proposals; here the keys are known.
             ReferencesImportSpec(references=references, weights=local(inputs.animator_weights)),
             TrainSpec(references=references, out=mapping),
-            # at 120 frames per second noise of the markers is quicker than any face
+            # at 120 frames per second, marker noise is faster than facial motion
             MapSpec(
                 take=clean,
                 mapping=mapping,
@@ -195,7 +195,7 @@ def _job(inputs: DemoInputs, folder: Path, model: Path | None) -> JobSpec:
 
 
 def _error_of_other_frames(inputs: DemoInputs, folder: Path) -> FloatArray:
-    """Return the error of the skin in every frame that is no reference [mm]; see `SkinRuler`."""
+    """Return the error of the skin in all frames that are not references [mm]; see `SkinRuler`."""
     rig, truth = read_rig(inputs.rig), inputs.truth
     solved = read_performance(folder / "demo.character.usda").weights
     weights, wanted = (

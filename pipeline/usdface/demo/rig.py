@@ -1,4 +1,4 @@
-"""The built-in head as a rig: the 52 shapes of ARKit, in meshes that an outliner shows by name."""
+"""The built-in head as a rig: the 52 shapes of ARKit, in named meshes."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -18,18 +18,12 @@ JAW_OPEN_DEGREES = 17.0
 
 
 def make_head(style: Style) -> DemoHead:
-    """Build the head of a style with all its shapes.
-
-    Returns
-    -------
-    DemoHead
-        About 19,000 points, 52 shapes; the blinks have in-betweens.
-    """
+    """Build the head of a style: 19,000 points and 52 shapes, with in-betweens of blinks."""
     return with_shapes(bare_head(style))
 
 
 def with_shapes(head: DemoHead) -> DemoHead:
-    """Sculpt the shapes of a head at rest."""
+    """Add the shapes to a head at rest."""
     fields = FaceFields(head)
     shapes: dict[str, Keys] = {}
     for name, field in {
@@ -56,7 +50,7 @@ def with_shapes(head: DemoHead) -> DemoHead:
 
 
 def _sign(head: DemoHead) -> FloatArray:
-    """Turn a field of the left frame to the side of each point, softly over the midline."""
+    """Return factors that mirror a field of the left frame at x < 0, smooth across the midline."""
     x = head.points[:, 0]
     hard = np.isin(head.parts, (HeadPart.EYES, HeadPart.LASHES))
     sign = np.where(hard, np.sign(x), np.tanh(x / 2.5))
@@ -64,7 +58,7 @@ def _sign(head: DemoHead) -> FloatArray:
 
 
 def _sided(head: DemoHead, field: FloatArray) -> FloatArray:
-    """Keep the left side of a field."""
+    """Return the left side of a field."""
     x = head.points[:, 0]
     left = np.where(
         np.isin(head.parts, (HeadPart.EYES, HeadPart.LASHES)), x > 0.0, smooth_step(-5.5, 5.5, x)
@@ -78,7 +72,7 @@ def _flipped(head: DemoHead, field: FloatArray) -> FloatArray:
 
 
 def _followed(head: DemoHead, keys: Keys) -> Keys:
-    """Lashes turn with their lid already; what else moves the lid's edge moves them too."""
+    """Move lashes that a field does not move with the edge of the lid."""
     lash = head.parts == HeadPart.LASHES
     done = []
     for weight, field in keys:
@@ -101,7 +95,7 @@ def _brow_pairs(f: FaceFields) -> dict[str, FloatArray]:
     by = ey + f.style.skull.brow_height + 2.0
 
     def brow(x: float, width: float, by_mm: tuple[float, float, float]) -> FloatArray:
-        hanging = np.exp(-((np.minimum(f.y - by + 5.0, 0.0) / 9.0) ** 2))  # spares the fold below
+        hanging = np.exp(-((np.minimum(f.y - by + 5.0, 0.0) / 9.0) ** 2))  # without the fold below
         return f.push(x, by, width, 15.0, by_mm, f.off_lid * hanging)
 
     frown = f.fold((4.0, by - 6.0), (5.5, by + 9.0), 2.4, 1.4)
@@ -135,7 +129,7 @@ def _eye_pairs(f: FaceFields) -> dict[str, FloatArray]:
 
 
 def _lid_bulge(f: FaceFields, outwards: float) -> FloatArray:
-    """Lids give a little to the side that the eye turns to."""
+    """Move the lids slightly to the side of the gaze."""
     eye = f.style.eye
     near = np.exp(-(((f.x - eye.center[0]) / eye.half_width) ** 2)) * smooth_step(
         3.0, 1.0, f.eye_ring
@@ -197,15 +191,15 @@ def _whole(f: FaceFields) -> dict[str, FloatArray]:
     round_mouth = f.soft * np.exp(-((f.x / (1.25 * w)) ** 4) - ((f.above_line / 21.0) ** 2))
     gather = round_mouth * f.x
     wide_open = f.hinge(JAW_OPEN_DEGREES)
-    # An opening mouth is pulled in at its corners and its cheeks grow long.
+    # Opening pulls the corners of the mouth inwards and stretches the cheeks.
     wide_open += f.push(w + 2.0, my - 8.0, 14, 22, (-3.6, 0.8, 1.6))
     closing = f.lip_gap(wide_open)
     tall = np.maximum(np.abs(f.above_line) - 7.0, 0.0)
-    # Lips part by their side; round the corners, where they have none, flesh parts by height.
+    # Lips part by side; around the corners, which have no side, skin parts by height.
     by_height = np.clip(f.above_line / 7.0, -1.0, 1.0)
     parted = by_height + smooth_step(0.0, 0.6, f.lips) * (np.clip(4.0 * side, -1, 1) - by_height)
     share = np.where(parted > 0.0, 0.40 * parted, 0.60 * parted)
-    # The jaw swings back as it drops: the lower lip alone makes up for that, over the teeth.
+    # The jaw moves back as it opens, which only the lower lip compensates.
     forward = np.minimum(parted, 0.0)
     near = f.soft * np.exp(-((tall / 13.0) ** 2))
     upper_cone, lower_cone = f.upper * f.open_width, f.lower * f.open_width
@@ -238,7 +232,7 @@ def _whole(f: FaceFields) -> dict[str, FloatArray]:
 
 
 def _rolled(f: FaceFields, lip: FloatArray, sign: float) -> FloatArray:
-    """Curl a lip in over its teeth: the red turns about the line where the lips meet."""
+    """Curl a lip inwards over the teeth, around the line of the lips."""
     width = (0.35 + 0.65 * f.open_width) * lip
     return np.column_stack(
         [0 * width, -0.42 * width * f.above_line - 0.2 * sign * width, -3.6 * width]
@@ -273,17 +267,11 @@ MESHES = {
 """Mesh names and the parts of the head in each, in drawing order."""
 
 SMALLEST_OFFSET = 1e-4
-"""Points that a shape moves less than this are left out of it [mm]."""
+"""Least displacement of a point in a sparse shape [mm]."""
 
 
 def demo_rig(style: Style = CHARACTER) -> Rig:
-    """Build a style's head as a rig.
-
-    Returns
-    -------
-    Rig
-        `Rig.file` is empty until the rig is written.
-    """
+    """Build a style's head as a rig; `Rig.file` is empty until it is written."""
     return rig_from_head(make_head(style))
 
 
@@ -304,7 +292,7 @@ def rig_from_head(head: DemoHead) -> Rig:
 
 
 def mesh_points(head: DemoHead) -> dict[str, IntArray]:
-    """Which of the head's points each mesh of its rig holds, in the mesh's order."""
+    """Return the head's points of each mesh of its rig, in the mesh's order."""
     return {
         name: np.flatnonzero(np.isin(head.parts, [int(part) for part in parts]))
         for name, parts in MESHES.items()

@@ -1,6 +1,6 @@
-"""What the actor says, in which mood, and how each sound looks and how long it lasts.
+"""Script of the performance: sentences, moods, durations and visemes of sounds.
 
-The moods are the four of Deng et al. (2006): neutral, happiness, anger, sadness.
+The moods are those of Deng et al. (2006): neutral, happiness, anger, sadness.
 """
 
 from collections.abc import Mapping
@@ -19,19 +19,19 @@ class SpokenLine:
     emotion: str
     start: float
     stop: float
-    """`start`, `stop`: Interval of the mood [s]."""
+    """`start`, `stop`: interval of the mood [s]."""
     speech: float
-    """When the first sound begins [s]."""
+    """Start of the first sound [s]."""
     text: str
     phones: tuple[tuple[str, int], ...]
     """ARPAbet phone and duration [ms], in order."""
     stresses: tuple[float, ...]
-    """When brows and head accent a word [s]."""
+    """Times of accents by brows and head [s]."""
 
 
 @dataclass(frozen=True)
 class TimedPhone:
-    """One sound of the script and when it is heard [s]."""
+    """One sound of the script with its times [s]."""
 
     phone: str
     start: float
@@ -40,7 +40,7 @@ class TimedPhone:
 
 
 def _phones(text: str) -> tuple[tuple[str, int], ...]:
-    """Read ``PHONE:milliseconds`` items."""
+    """Parse ``PHONE:milliseconds`` items."""
     items = (item.split(":") for item in text.split())
     return tuple((phone, int(duration)) for phone, duration in items)
 
@@ -49,7 +49,7 @@ DURATION_SECONDS = 15.0
 """Length of the performance [s]."""
 
 NEUTRAL_TIME = 0.25
-"""When the face is at rest [s]."""
+"""Time of the face at rest [s]."""
 
 LINES = (
     SpokenLine(
@@ -104,20 +104,20 @@ LINES = (
 
 
 def timed_phones() -> tuple[TimedPhone, ...]:
-    """All sounds of the script with their times, silences left out."""
-    found = []
+    """Return all sounds of the script with their times, without silences."""
+    sounds = []
     for line in LINES:
         time = line.speech
         for phone, duration in line.phones:
             stop = time + duration / 1000.0
             if phone != "SIL":
-                found.append(TimedPhone(phone, time, stop, line.emotion))
+                sounds.append(TimedPhone(phone, time, stop, line.emotion))
             time = stop
-    return tuple(found)
+    return tuple(sounds)
 
 
 def spoken_phones() -> PhoneTrack:
-    """Return sounds, silences and moods as labels on the capture's clock."""
+    """Return sounds, silences and moods on the capture's clock."""
     phones: list[Span] = []
     end = 0.0
     for sound in timed_phones():
@@ -134,7 +134,7 @@ def spoken_phones() -> PhoneTrack:
 
 
 def both(**weights: float) -> dict[str, float]:
-    """Give each shape to the left and the right side."""
+    """Return weights of the left and the right side of each shape."""
     return {name + side: value for name, value in weights.items() for side in ("Left", "Right")}
 
 
@@ -160,7 +160,7 @@ VISEME_SHAPES: Mapping[str, Weights] = MappingProxyType(
         "UU": {"mouthPucker": 0.68, "mouthFunnel": 0.24, "jawOpen": 0.12},
     }
 )
-"""How each group of sounds looks on the mouth."""
+"""Weights of each viseme."""
 
 VISEME_OF_PHONE: Mapping[str, str] = MappingProxyType(
     {
@@ -184,7 +184,7 @@ VISEME_OF_PHONE: Mapping[str, str] = MappingProxyType(
 GLIDES: Mapping[str, str] = MappingProxyType(
     {"AW": "UU", "AY": "IY", "OW": "UU", "EY": "IY", "OY": "IY"}
 )
-"""Where the second half of a diphthong goes."""
+"""Viseme of the second half of a diphthong."""
 
 EMOTIONS: Mapping[str, Weights] = MappingProxyType(
     {
@@ -218,4 +218,4 @@ EMOTIONS: Mapping[str, Weights] = MappingProxyType(
         | {"browInnerUp": 0.92, "mouthShrugLower": 0.42, "mouthRollLower": 0.12},
     }
 )
-"""What each mood does to the whole face at its strongest."""
+"""Weights of each mood at full strength."""

@@ -1,10 +1,10 @@
-"""Two people in numbers, and the heads sculpted from them: soft unions of ellipsoids and capsules.
+"""Proportions of two people, and their heads as signed distance functions.
 
-The form is a function of position whose zero set is the skin, without the lips and the edges of
-the lids, which `usdface.demo.cage` places by hand. It knows nothing of topology.
+The form is a smooth union of ellipsoids and capsules, whose zero set is the skin without the lips
+and the edges of the lids, which `usdface.demo.cage` adds.
 
-Proportions are in millimetres, Y up, Z forward, X towards the person's left; the origin lies
-between the eyes, on the axis through the ears. Only the left half is described.
+Proportions are in millimetres, Y up, Z forward, X towards the person's left; the origin is between
+the eyes, on the axis through the ears. Only the left half is described.
 """
 
 from collections.abc import Callable
@@ -19,7 +19,7 @@ Vec = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Skull:
-    """Bone and fat under the skin: centres and radii of the blobs that make the bare head."""
+    """Centres and radii of the forms of the bare head."""
 
     cranium: Vec = (0.0, 38.0, -12.0)
     cranium_radii: Vec = (76.0, 80.0, 94.0)
@@ -74,7 +74,7 @@ class Nose:
 
 @dataclass(frozen=True)
 class Mouth:
-    """Where the lips meet, how high each lip is and how far it stands out."""
+    """Line, heights and fullness of the lips."""
 
     height: float = -67.0
     half_width: float = 23.0
@@ -97,7 +97,7 @@ class HeadColors:
 
 @dataclass(frozen=True)
 class Style:
-    """One person: everything `usdface.demo.head.make_head` needs to know."""
+    """The proportions and colours of one person."""
 
     name: str
     skull: Skull = field(default_factory=Skull)
@@ -171,13 +171,13 @@ Form = Callable[[FloatArray], FloatArray]
 
 
 def _lengths(vectors: FloatArray) -> FloatArray:
-    """Return what `numpy.linalg.norm` does over the last axis of three, in a third of the time."""
+    """Return lengths of vectors, three times as fast as `numpy.linalg.norm`."""
     x, y, z = np.moveaxis(vectors, -1, 0)
     return np.asarray(np.sqrt(x * x + y * y + z * z))
 
 
 def ellipsoid(points: FloatArray, center: Vec, radii: Vec) -> FloatArray:
-    """Approximate signed distance to an ellipsoid; exact on its surface."""
+    """Return the approximate signed distance to an ellipsoid; exact on its surface."""
     scaled = (points - center) / radii
     near, gradient = _lengths(scaled), _lengths(scaled / radii)
     distance: FloatArray = near * (near - 1.0) / np.maximum(gradient, 1e-6)
@@ -187,7 +187,7 @@ def ellipsoid(points: FloatArray, center: Vec, radii: Vec) -> FloatArray:
 def capsule(
     points: FloatArray, start: Vec, stop: Vec, start_radius: float, stop_radius: float
 ) -> FloatArray:
-    """Signed distance to a capsule whose radius changes along its axis (approximate)."""
+    """Return the approximate signed distance to a capsule with a linearly varying radius."""
     axis = np.subtract(stop, start)
     offset = points - start
     along = np.clip(offset @ axis / (axis @ axis), 0.0, 1.0)
@@ -197,13 +197,13 @@ def capsule(
 
 
 def blend(first: FloatArray, second: FloatArray, rounding: float) -> FloatArray:
-    """Union of two forms with a fillet of about `rounding` mm (cubic, so curvature is smooth)."""
+    """Return the union of two forms with a cubic fillet of about `rounding` mm."""
     overlap = np.maximum(rounding - np.abs(first - second), 0.0) / rounding
     return np.minimum(first, second) - overlap**3 * rounding / 6.0
 
 
 def carve(form: FloatArray, tool: FloatArray, rounding: float) -> FloatArray:
-    """Take the tool away from the form, with a softened edge."""
+    """Return the difference of two forms with a fillet."""
     return -blend(-form, tool, rounding)
 
 
@@ -217,7 +217,7 @@ def head_form(style: Style) -> Form:
     """
 
     def distance(points: FloatArray) -> FloatArray:
-        p = points * (1.0, 1.0, 1.0)
+        p = np.array(points, float)
         p[..., 0] = np.abs(p[..., 0])
         d = _skull(style, p)
         d = _face(style, d, p)
@@ -288,16 +288,16 @@ def _eye(style: Style, d: FloatArray, p: FloatArray) -> FloatArray:
 
 
 LID_THICKNESS = 2.2
-"""How far the outer skin of the lids stands off the eyeball [mm]."""
+"""Distance of the outer skin of the lids from the eyeball [mm]."""
 
 
 def trace(form: Form, origins: FloatArray, directions: FloatArray) -> FloatArray:
-    """First points where rays from outside meet the form: (n, 3).
+    """Return the first intersections of rays from outside with the form: (n, 3).
 
     Parameters
     ----------
     origins, directions : (n, 3) float arrays
-        Directions need not be normalised; a ray that misses ends where it came nearest.
+        Directions need not be normalised; a ray that misses ends at its nearest point.
     """
     unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
     points = np.array(origins, dtype=float)
@@ -311,7 +311,7 @@ def trace(form: Form, origins: FloatArray, directions: FloatArray) -> FloatArray
 
 
 def settle(form: Form, points: FloatArray, amount: FloatArray) -> FloatArray:
-    """Move points along the form's gradient onto its surface, each by its amount (0 stays)."""
+    """Move points along the form's gradient towards its surface, by a share `amount` each [0-1]."""
     step = 0.05
     moved = np.array(points)
     for _ in range(4):

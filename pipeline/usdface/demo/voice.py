@@ -1,7 +1,6 @@
-"""How the script sounds: a buzzing source shaped by formants.
+"""Synthetic voice of the script: a pulsed source with formants.
 
-Not meant to be understood, but to have what a recording has: rhythm, pitch, hiss, closures and
-silence.
+It has the rhythm, pitch, fricatives, closures and silences of a recording, but is not intelligible.
 """
 
 from collections.abc import Mapping
@@ -14,8 +13,8 @@ from usdface.core.arrays import Float32Array, FloatArray
 from usdface.demo.details import smooth_step
 from usdface.demo.script import DURATION_SECONDS, GLIDES, TimedPhone, timed_phones
 
-_WINDOW_SAMPLES = 1024  # samples of one spectral frame, half of them new
-_ROOM_LEVEL = 10.0 ** (-62.0 / 20.0)  # the room
+_WINDOW_SAMPLES = 1024  # length of a spectral frame, with an overlap of one half
+_ROOM_LEVEL = 10.0 ** (-62.0 / 20.0)  # background noise, -62 dB
 
 # First three formants of an adult's vowels and voiced sounds [Hz].
 _FORMANTS: Mapping[str, tuple[int, int, int]] = MappingProxyType(
@@ -48,7 +47,7 @@ _FORMANTS: Mapping[str, tuple[int, int, int]] = MappingProxyType(
 )
 _DEFAULT = (450, 1500, 2500)
 _GLIDE_PHONES = {"UU": "UW", "IY": "IY"}
-# Band of the hiss [Hz] and its strength.
+# Band [Hz] and level of fricatives.
 _HISS: Mapping[str, tuple[float, float, float]] = MappingProxyType(
     {
         "S": (4500, 9000, 0.30),
@@ -76,20 +75,14 @@ _LOUD = {"neutral": 0.8, "happiness": 1.0, "anger": 1.15, "sadness": 0.6}
 
 
 def speak(sample_rate: int = 48000) -> Float32Array:
-    """Synthesise the script.
-
-    Returns
-    -------
-    (samples,) float32 array
-        Mono [-1 to 1], from the performance's first frame to its last.
-    """
+    """Return the sound of the script, mono, as long as the performance: (samples,) [-1 to 1]."""
     count = round(DURATION_SECONDS * sample_rate)
     time = np.arange(count) / sample_rate
     rng = np.random.default_rng(440)
     phones = timed_phones()
     pitch, voicing = _melody(time, phones)
     phase = np.cumsum(pitch) / sample_rate
-    # Rounded pulses: strong low harmonics that fall by some 12 dB per octave, as of vocal folds.
+    # Rounded pulses with harmonics that fall by about 12 dB per octave, like vocal folds.
     pulse = np.maximum(np.sin(2.0 * np.pi * phase), 0.0) ** 6
     source = (pulse - 0.2) * voicing + 0.02 * rng.standard_normal(count) * voicing
     voiced = _shaped(source, phones, sample_rate)
@@ -114,7 +107,7 @@ def speak(sample_rate: int = 48000) -> Float32Array:
 
 
 def _melody(time: FloatArray, phones: tuple[TimedPhone, ...]) -> tuple[FloatArray, FloatArray]:
-    """Pitch [Hz] and strength of the voice over time."""
+    """Return pitch [Hz] and level of the voice over time."""
     pitch = np.full_like(time, 115.0)
     voicing = np.zeros_like(time)
     for emotion, base in _PITCH.items():
@@ -134,7 +127,7 @@ def _melody(time: FloatArray, phones: tuple[TimedPhone, ...]) -> tuple[FloatArra
 
 
 def _gate(time: FloatArray, phones: list[TimedPhone], ramp: float) -> FloatArray:
-    """1 while one of the sounds lasts, with soft ends."""
+    """Return 1 during the sounds, with soft ends, else 0."""
     gate = np.zeros_like(time)
     for p in phones:
         first, last = np.searchsorted(time, [p.start - ramp, p.stop + ramp])
@@ -147,7 +140,7 @@ def _gate(time: FloatArray, phones: list[TimedPhone], ramp: float) -> FloatArray
 
 
 def _shaped(source: FloatArray, phones: tuple[TimedPhone, ...], sample_rate: int) -> FloatArray:
-    """Let the source sound through the formants of each moment (overlapping windows)."""
+    """Return the source filtered by the formants over time, with overlapping windows."""
     knots, values = [0.0], [_DEFAULT]
     for p in phones:
         formants = _FORMANTS.get(p.phone)
@@ -180,7 +173,7 @@ def _shaped(source: FloatArray, phones: tuple[TimedPhone, ...], sample_rate: int
 def _band(
     spectrum: NDArray[np.complex128], frequency: FloatArray, low: float, high: float, count: int
 ) -> FloatArray:
-    """Return unit noise between two frequencies."""
+    """Return normalised noise between two frequencies [Hz]."""
     edge = smooth_step(0.8 * low, low, frequency) * smooth_step(1.15 * high, high, frequency)
     band = np.fft.irfft(spectrum * edge, count)
     scaled: FloatArray = band / max(float(np.std(band)) * 3.0, 1e-9)
