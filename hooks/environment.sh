@@ -1,4 +1,4 @@
-# Source this in bash, zsh or dash: what DCCs and publish tools need to find usdface's hooks and schemas.
+# Source this in bash, zsh or dash: sets the paths of usdface's hooks and schemas for DCCs and publish tools.
 #     . "$(python3 -c 'import usdface, pathlib; print(pathlib.Path(usdface.__file__).parent)')/hooks/environment.sh"
 # In a checkout: USDFACE_HOOKS=/path/to/hooks . /path/to/hooks/environment.sh
 
@@ -16,8 +16,8 @@ case ":${PYBLISHPLUGINPATH:-}:" in
     *) export PYBLISHPLUGINPATH="$USDFACE_HOOKS/pyblish${PYBLISHPLUGINPATH:+:$PYBLISHPLUGINPATH}" ;;
 esac
 
-# For hosts whose Python has usdface: elsewhere USD would fail to load the validators.
-# They lie in the package: beside the hooks in a wheel, below pipeline/ in a checkout.
+# Only for hosts whose Python has usdface: in others, USD fails to load the validators.
+# They are next to the hooks in a wheel, below pipeline/ in a checkout.
 for USDFACE_PLUGIN in schemas/usdface usdio/checks pipeline/usdface/usdio/checks; do
     [ -f "$USDFACE_HOOKS/../$USDFACE_PLUGIN/plugInfo.json" ] || continue
     USDFACE_PLUGIN=$(cd "$USDFACE_HOOKS/../$USDFACE_PLUGIN" && pwd)

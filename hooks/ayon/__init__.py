@@ -1,4 +1,4 @@
-"""AYON: what AYON finds where this folder is an add-on's client folder."""
+"""AYON: client folder of an add-on."""
 
 from .usdface_addon import UsdfaceAddon
 

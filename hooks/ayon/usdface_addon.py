@@ -1,7 +1,7 @@
-"""AYON: the add-on that tells AYON where usdface's publish plug-ins are.
+"""AYON: an add-on with usdface's publish plug-ins.
 
-Copy this folder into an add-on as its client folder, or make its class part of the studio's own
-add-on. The client folder must not be called usdface: AYON imports it by its name.
+Copy this folder into an add-on as its client folder, or add its class to the studio's add-on. The
+client folder must not be named usdface, because AYON imports it by name.
 """
 
 from pathlib import Path
@@ -24,9 +24,9 @@ class UsdfaceAddon(AYONAddon, IPluginPaths):
         return __version__
 
     def get_plugin_paths(self):
-        """Return plug-in folders by kind, as AYON before 1.1 asks for them."""
+        """Return plug-in folders by kind, for AYON before 1.1."""
         return {"publish": self.get_publish_plugin_paths(None)}
 
     def get_publish_plugin_paths(self, host_name):
-        """Return the folder of publish plug-ins; they are the same in every host."""
+        """Return the folder of publish plug-ins, the same for all hosts."""
         return [str(PLUGINS / "publish")]

@@ -1,34 +1,29 @@
-"""Blender: does a performance open with its shapes animated.
+"""Blender: check that a performance opens with animated shapes.
 
     blender --background --python check_performance.py -- kitchen.hero.usda
 
-Where Blender is a Python module, ``python check_performance.py -- FILE`` does the same.
+With Blender as a Python module: ``python check_performance.py -- FILE``.
 
-Imports the file as an artist would and looks at every shape key on two frames and between. Ends
-with 0 if shapes move, with 1 if none does, with 2 if the file cannot be imported.
+Imports the file and evaluates all shape keys on a sample of frames. The exit code is 0 if shapes
+move, 1 if none does, 2 if the file cannot be imported.
 """
 
 import sys
 
 LOOKED_AT = 24
-"""Frames, spread over the performance."""
+"""Number of sampled frames."""
 
 SMALLEST_MOVE = 1e-4
-"""Weights that change by less than this stand still."""
+"""Least range of weights that counts as motion."""
 
 
 def moving_shapes(bpy):
-    """Return how far each shape key of the scene moves over its frames.
+    """Return the range of weights of each moving shape key, by ``mesh.shape``.
 
     Parameters
     ----------
     bpy : module
-        Blender's own.
-
-    Returns
-    -------
-    dict of str to float
-        Largest weight less smallest, by ``mesh.shape``; shapes that stand still are left out.
+        Blender's.
     """
     scene = bpy.context.scene
     first, last = scene.frame_start, scene.frame_end
@@ -37,10 +32,8 @@ def moving_shapes(bpy):
     for frame in [*range(first, last, step), last]:
         scene.frame_set(frame)
         for mesh in bpy.data.meshes:
-            keys = (
-                mesh.shape_keys.key_blocks[1:] if mesh.shape_keys else ()
-            )  # the first is the rest
-            for key in keys:
+            # the first key is the rest
+            for key in mesh.shape_keys.key_blocks[1:] if mesh.shape_keys else ():
                 low, high = seen.get(f"{mesh.name}.{key.name}", (key.value, key.value))
                 span = (min(low, key.value), max(high, key.value))
                 seen[f"{mesh.name}.{key.name}"] = span
@@ -48,18 +41,7 @@ def moving_shapes(bpy):
 
 
 def check(bpy, file):
-    """Import a file into an empty scene and say what moves in it.
-
-    Parameters
-    ----------
-    bpy : module
-    file : str
-
-    Returns
-    -------
-    int
-        The exit code.
-    """
+    """Import a file into an empty scene and report its moving shapes; return the exit code."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     try:
         result = bpy.ops.wm.usd_import(filepath=file, set_frame_range=True)
@@ -72,8 +54,8 @@ def check(bpy, file):
     scene = bpy.context.scene
     if not len(bpy.data.meshes):
         sys.stderr.write(
-            f"{file}: opens without a mesh: a layer of weights, baked or not, is no character; "
-            "give Blender the performance, a published version or what `usdface package` wrote\n"
+            f"{file}: opens without a mesh: a layer of weights has no character; give the "
+            "performance, a published version or the output of `usdface package`\n"
         )
         return 1
     sys.stdout.write(

@@ -1,10 +1,10 @@
-r"""Kitsu: a published version becomes a revision of a shot's task, with sheet and movie to review.
+r"""Kitsu: post a published version to a shot's task as a revision, with sheet and movie.
 
     python publish_to_kitsu.py publish/kitchen.hero/v003 --project Kitchen --sequence SQ01 \
         --shot SH010 --task Facial --status wfa
 
-Where Kitsu is and who asks comes from the environment, never from arguments that others can list:
-KITSU_URL (…/api), and KITSU_TOKEN or KITSU_LOGIN with KITSU_PASSWORD.
+Address and login come from the environment, because arguments are visible to other users: KITSU_URL
+(…/api), and KITSU_TOKEN or KITSU_LOGIN with KITSU_PASSWORD.
 """
 
 import argparse
@@ -20,35 +20,22 @@ from usdface.publish.integrate import read_manifest
 from usdface.specs.notes import read_notes
 
 PREVIEWS = ("movie", "sheet")
-"""Roles of a version's files that reviewers see, the main one first."""
+"""Roles of the uploaded files, the main preview first."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """Where in Kitsu a version belongs.
-
-    Attributes
-    ----------
-    project, sequence, shot : str
-        Names.
-    task_type : str
-        Name of the task's type, such as Facial.
-    """
+    """Names of a task in Kitsu."""
 
     project: str
     sequence: str
     shot: str
     task_type: str
+    """Such as Facial."""
 
 
 def connect():
-    """Return a client that is logged in as the environment says.
-
-    Raises
-    ------
-    InputError
-        If the environment does not say, or Kitsu refuses.
-    """
+    """Return a client that is logged in by the environment's variables."""
     url = os.environ.get("KITSU_URL", "")
     token, login = os.environ.get("KITSU_TOKEN"), os.environ.get("KITSU_LOGIN")
     if not url or not (token or login):
@@ -61,28 +48,28 @@ def connect():
             gazu.set_token(token, client=client)
         else:
             gazu.log_in(login, os.environ.get("KITSU_PASSWORD", ""), client=client)
-    except Exception as error:  # whatever the network or the server makes of it
+    except Exception as error:  # of the network or the server
         raise InputError(f"{url}: refuses the login: {type(error).__name__}") from error
     return client
 
 
 def publish_to_kitsu(folder, task, *, status, client, comment="", notes=None):
-    """Post a version to a task: status, comment, previews at the version's number.
+    """Post a version to a task: status, comment, and previews with the version's number.
 
-    What is there already is not posted again, so that a publish can be retried: a comment is found
-    by the version that it names, and only the previews that it lacks are added.
+    Can be retried: an existing comment is found by the version it names, and only missing previews
+    are added.
 
     Parameters
     ----------
     folder : Path
-        A version that `integrate_performance` made.
+        A version made by `integrate_performance`.
     task : Task
     status : str
         Short name of the status to set, such as wfa.
     client : gazu.client.KitsuClient
     comment : str
     notes : Path, optional
-        Notes that a report saved: those that are open follow the comment, a line each.
+        Notes saved by a report; open ones follow the comment, one per line.
 
     Returns
     -------
@@ -92,9 +79,9 @@ def publish_to_kitsu(folder, task, *, status, client, comment="", notes=None):
     Raises
     ------
     InputError
-        If the version, or anything that `task` names, is not there.
+        If the version, or a name of `task`, does not exist.
     """
-    named, version, said, verdict, files = _read_version(folder)
+    named, version, described, verdict, files = _read_version(folder)
     found = _find_task(task, client)
     new_status = _named(
         gazu.task.get_task_status_by_short_name(status, client=client), "status", status
@@ -103,13 +90,13 @@ def publish_to_kitsu(folder, task, *, status, client, comment="", notes=None):
     posted = _comment_that_starts(start, found, client)
     is_new = posted is None
     if is_new:
-        text = start + "\n".join([comment or said or "published", *verdict, *_lines(notes)])
+        text = start + "\n".join([comment or described or "published", *verdict, *_lines(notes)])
         posted = gazu.task.add_comment(found, new_status, comment=text, client=client)
     return _add_missing_previews(files, found, posted, version, client) or is_new
 
 
 def _read_version(folder):
-    """Return a version's name, number, comment, verdict, and files to show, which are there."""
+    """Return a version's name, number, comment, verdict, and existing files to upload."""
     manifest = read_manifest(folder)
     named, version = manifest.get("name"), manifest.get("version")
     if not isinstance(named, str) or type(version) is not int:
@@ -119,7 +106,7 @@ def _read_version(folder):
         if role in manifest["files"]:
             entry = manifest["files"][role]
             name = entry.get("name") if isinstance(entry, dict) else None
-            # A version's files lie in its folder: what else a manifest names is not uploaded.
+            # Only files in the version's folder are uploaded, whatever the manifest names.
             file = folder / Path(name).name if isinstance(name, str) else folder
             if not file.is_file():
                 raise InputError(f"{folder}: the {role} {name!r} is not in it; publish again")
@@ -130,7 +117,7 @@ def _read_version(folder):
 
 
 def _lines(notes):
-    """Return the open notes as lines of a comment; those on another version say so."""
+    """Return the open notes as lines of a comment; those on another version are marked."""
     if notes is None:
         return []
     found = [note for note in read_notes(notes).notes if not note.done]
@@ -149,14 +136,14 @@ def _comment_that_starts(start, task, client):
 
 
 def _add_missing_previews(files, task, comment, version, client):
-    """Upload what a comment does not show yet; return whether there was anything."""
+    """Upload the previews that a comment lacks; return whether there were any."""
     own = {each if isinstance(each, str) else each["id"] for each in comment.get("previews") or ()}
     there = [
         each
         for each in (gazu.task.all_previews_for_task(task, client=client) if own else ())
         if each["id"] in own
     ]
-    # Kitsu keeps the name of what was uploaded; a preview without one waits for its file.
+    # Kitsu stores the name of an uploaded file; a preview without a name has no file yet.
     uploaded = {each.get("original_name") for each in there}
     waiting = [each for each in there if not each.get("original_name")]
     main = there[0] if there else None
@@ -206,7 +193,7 @@ def _named(found, what, name):
 
 
 def main(arguments=None):
-    """Run from the command line; the exit code is usdface's: 0 done, 2 bad input."""
+    """Run from the command line; return the exit code: 0 done, 2 bad input."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("version", type=Path, help="folder of a published version")
     for name in ("project", "sequence", "shot", "task", "status"):

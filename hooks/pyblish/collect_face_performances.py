@@ -1,4 +1,4 @@
-"""Pyblish: find face performances, in what the host says or in USDFACE_PUBLISH."""
+"""Pyblish: collect face performances from the host's context or USDFACE_PUBLISH."""
 
 import os
 from pathlib import Path
@@ -7,10 +7,10 @@ import pyblish.api
 
 
 class CollectFacePerformances(pyblish.api.ContextPlugin):
-    """Make an instance of every performance to publish.
+    """Create an instance for each performance to publish.
 
-    Files or folders come from ``context.data["usdface"]`` (a list of paths that a host's own
-    collector puts there) or from the environment's USDFACE_PUBLISH.
+    Files or folders come from ``context.data["usdface"]`` (a list of paths set by a host's
+    collector) or from the environment variable USDFACE_PUBLISH.
     """
 
     label = "Collect face performances"

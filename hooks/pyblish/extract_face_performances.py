@@ -1,4 +1,4 @@
-"""Pyblish: weights with edits composed in, a layer to open, and a sheet."""
+"""Pyblish: extract weights with edits, a layer to open, and a sheet."""
 
 import os
 from pathlib import Path
@@ -7,11 +7,11 @@ import pyblish.api
 
 
 class ExtractFacePerformance(pyblish.api.InstancePlugin):
-    """Make the files of a version beside where it will be.
+    """Make the files of a version in a temporary folder.
 
-    The folder of publishes comes from ``context.data["usdfaceRoot"]`` or the environment's
-    USDFACE_PUBLISH_ROOT; what is made for review from ``instance.data["usdfaceReview"]``, a
-    `usdface.publish.ReviewOptions`.
+    The folder of publishes is ``context.data["usdfaceRoot"]`` or the environment variable
+    USDFACE_PUBLISH_ROOT; ``instance.data["usdfaceReview"]``, a `usdface.publish.ReviewOptions`,
+    sets the pictures for review.
     """
 
     label = "Extract face performance"

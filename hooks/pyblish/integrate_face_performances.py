@@ -1,10 +1,10 @@
-"""Pyblish: the extracted files become a version."""
+"""Pyblish: integrate the extracted files as a version."""
 
 import pyblish.api
 
 
 class IntegrateFacePerformance(pyblish.api.InstancePlugin):
-    """Give the files the next version number; what has not changed is not published again."""
+    """Publish the files as the next version; unchanged ones are not published again."""
 
     label = "Integrate face performance"
     order = pyblish.api.IntegratorOrder
@@ -19,19 +19,19 @@ class IntegrateFacePerformance(pyblish.api.InstancePlugin):
             instance.data["usdfaceExtracted"], comment=instance.context.data.get("comment", "")
         )
         instance.data["usdfacePublished"] = published
-        state = "is published" if published.is_new else "is what was published already"
+        state = "is published" if published.is_new else "was published already"
         self.log.info("%s v%03d %s: %s", published.name, published.version, state, published.folder)
 
 
 class DiscardFacePerformance(pyblish.api.ContextPlugin):
-    """Leave nothing behind where a publish stopped between extraction and integration."""
+    """Remove extracted files of a publish that stopped before integration."""
 
     label = "Tidy up face performances"
     order = pyblish.api.IntegratorOrder + 0.49
     hosts = ["*"]  # noqa: RUF012
 
     def process(self, context):
-        """Remove what was extracted and not integrated."""
+        """Remove extracted files without a version."""
         for instance in context:
             if "usdfaceExtracted" in instance.data and "usdfacePublished" not in instance.data:
                 instance.data["usdfaceExtracted"].discard()

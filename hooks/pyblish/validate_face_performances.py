@@ -1,10 +1,10 @@
-"""Pyblish: is a face performance fit to be published."""
+"""Pyblish: validate face performances."""
 
 import pyblish.api
 
 
 class ValidateFacePerformance(pyblish.api.InstancePlugin):
-    """Pass USD's own validators and usdface's; warnings are logged, errors stop the publish."""
+    """Run USD's and usdface's validators; warnings are logged, errors stop the publish."""
 
     label = "Validate face performance"
     order = pyblish.api.ValidatorOrder
@@ -12,7 +12,7 @@ class ValidateFacePerformance(pyblish.api.InstancePlugin):
     hosts = ["*"]  # noqa: RUF012
 
     def process(self, instance):
-        """Look at the instance's performance."""
+        """Validate the instance's performance."""
         from usdface.core.errors import CheckFailedError
         from usdface.publish import validate_performance
 

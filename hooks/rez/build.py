@@ -1,4 +1,4 @@
-"""Rez: put usdface and what it needs into the package that is being built; package.py runs it."""
+"""Rez: install usdface and its dependencies into the package being built; run by package.py."""
 
 import os
 import shutil
@@ -8,20 +8,14 @@ from pathlib import Path
 
 
 def main():
-    """Install by pip, where rez installs at all; elsewhere there is nothing to build.
-
-    Returns
-    -------
-    int
-        pip's exit code.
-    """
+    """Install by pip if rez installs; return pip's exit code."""
     if os.environ.get("REZ_BUILD_INSTALL") != "1":
         sys.stdout.write("nothing to build; `rez build --install` installs usdface\n")
         return 0
     checkout = Path(os.environ["REZ_BUILD_SOURCE_PATH"]).parents[1]
     target = Path(os.environ["REZ_BUILD_INSTALL_PATH"], "python")
     if target.exists():
-        shutil.rmtree(target)  # pip would keep what is there, and say so in a warning only
+        shutil.rmtree(target)  # pip would keep existing files, with a warning only
     pip = [sys.executable, "-m", "pip", "install", "--no-compile", "--target"]
     return subprocess.run([*pip, str(target), str(checkout)], check=False).returncode
 

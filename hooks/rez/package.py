@@ -15,12 +15,12 @@ tools = ["usdface"]
 build_command = "python {root}/build.py"
 
 with scope("config") as config:  # noqa: F821
-    config.build_directory = "../../build/rez"  # here it would be taken into the wheel
+    config.build_directory = "../../build/rez"  # outside of the wheel's sources
 
 
 @early()  # noqa: F821
 def variants():
-    """Return what compiled parts are made for: the newest Python there is, and this platform."""
+    """Return the variant of compiled parts: the newest available Python, and this platform."""
     from rez.packages import get_latest_package
     from rez.system import system
 
@@ -31,7 +31,7 @@ def variants():
 
 
 def commands():
-    """Set what a shell needs to find the package, its hooks and its schemas."""
+    """Set the paths of the package, its hooks and its schemas."""
     env.PYTHONPATH.append("{root}/python")  # noqa: F821
     env.PATH.append("{root}/python/bin")  # noqa: F821
     env.USDFACE_HOOKS = "{root}/python/usdface/hooks"  # noqa: F821

@@ -1,6 +1,6 @@
-"""Toolkit: files dropped into the publisher that are face performances become items.
+"""Toolkit: collect face performances among files dropped into the publisher.
 
-A collector hook for tk-multi-publish2, made to stand after the app's own:
+A collector hook for tk-multi-publish2, to be added after the app's:
 ``collector: "{self}/collector.py:{config}/usdface/collect_face_performance.py"``.
 """
 
@@ -14,22 +14,10 @@ LAYERS = (".usda", ".usdc", ".usd")
 
 
 class FacePerformanceCollector(HookBaseClass):
-    """Make an item ``usdface.performance`` of every performance; leave other files to the rest."""
+    """Create an item ``usdface.performance`` for each performance; others go to the base class."""
 
     def process_file(self, settings, parent_item, path):
-        """Look at one file.
-
-        Parameters
-        ----------
-        settings : dict
-        parent_item : item
-            Under which the new one goes.
-        path : str
-
-        Returns
-        -------
-        item or None
-        """
+        """Create the item of a file below `parent_item`."""
         item = self._performance(parent_item, Path(path)) if path.endswith(LAYERS) else None
         return super().process_file(settings, parent_item, path) if item is None else item
 
@@ -40,8 +28,8 @@ class FacePerformanceCollector(HookBaseClass):
         try:
             (found,) = collect_performances([path])
         except UsdfaceError as error:
-            self.logger.debug("%s is no face performance: %s", path, error)
+            self.logger.debug("%s is not a face performance: %s", path, error)
             return None
         item = parent_item.create_item("usdface.performance", "Face Performance", found.name)
-        item.properties["path"] = str(path)  # and nothing that JSON cannot hold: trees are saved
+        item.properties["path"] = str(path)  # serialisable as JSON: trees are saved
         return item

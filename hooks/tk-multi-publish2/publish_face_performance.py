@@ -1,8 +1,8 @@
 """Toolkit: publish a face performance as a version, and register it.
 
-A publish plug-in for tk-multi-publish2, made to stand after the app's own:
-``hook: "{self}/publish_file.py:{config}/usdface/publish_face_performance.py"``. What is kept in an
-item's properties is what JSON can hold: publishers save their trees, to go on in another process.
+A publish plug-in for tk-multi-publish2, to be added after the app's:
+``hook: "{self}/publish_file.py:{config}/usdface/publish_face_performance.py"``. Properties of items
+are serialisable as JSON, because publishers save their trees to continue in another process.
 """
 
 from pathlib import Path
@@ -13,7 +13,7 @@ HookBaseClass = sgtk.get_hook_baseclass()
 
 
 class FacePerformancePublishPlugin(HookBaseClass):
-    """Make a version of an item ``usdface.performance``; the base class registers it."""
+    """Publish an item ``usdface.performance`` as a version; the base class registers it."""
 
     @property
     def name(self):
@@ -22,20 +22,20 @@ class FacePerformancePublishPlugin(HookBaseClass):
 
     @property
     def description(self):
-        """What the publisher shows beside the item."""
+        """Description in the publisher."""
         return (
-            "Weights with the animator's edits composed in, a layer to open and a contact sheet "
-            "become a new version. What equals the newest version is not published again."
+            "Publishes weights with the animator's edits, a layer to open and a contact sheet as a "
+            "new version, unless they equal the newest version."
         )
 
     @property
     def settings(self):
-        """The base class's settings, and ours."""
+        """Settings of the base class, and of this plug-in."""
         return dict(super().settings or {}) | {
             "Publish Root": {
                 "type": "str",
                 "default": "",
-                "description": "Folder of publishes; each performance has one of its own in it.",
+                "description": "Folder of publishes, with a folder for each performance.",
             },
             "Sheet": {
                 "type": "bool",
@@ -51,15 +51,15 @@ class FacePerformancePublishPlugin(HookBaseClass):
 
     @property
     def item_filters(self):
-        """Kinds of items that this plug-in takes."""
+        """Accepted types of items."""
         return ["usdface.performance"]
 
     def accept(self, settings, item):
-        """Take every performance."""
+        """Accept all performances."""
         return {"accepted": True, "checked": True}
 
     def validate(self, settings, item):
-        """Say whether the item is fit to be published."""
+        """Return whether the item can be published."""
         from usdface.publish import collect_performances, validate_performance
 
         if not settings["Publish Root"].value:
@@ -76,7 +76,7 @@ class FacePerformancePublishPlugin(HookBaseClass):
         return fit
 
     def publish(self, settings, item):
-        """Make the version, then let the base class register it, unless that was done before."""
+        """Make the version; the base class registers it unless it is registered already."""
         from usdface.publish import (
             ReviewOptions,
             collect_performances,
@@ -98,7 +98,7 @@ class FacePerformancePublishPlugin(HookBaseClass):
         item.properties["usdfaceVersion"] = published.version
         item.properties["usdfaceFolder"] = str(published.folder)
         item.local_properties["publish_path"] = str(published.files["performance"])
-        # The base class copies what `path` names over what it publishes, were they not the same.
+        # The base class would copy `path` to `publish_path` if they differed.
         item.local_properties["path"] = item.local_properties["publish_path"]
         item.local_properties["publish_name"] = published.name
         item.local_properties["publish_version"] = published.version
@@ -112,10 +112,10 @@ class FacePerformancePublishPlugin(HookBaseClass):
         if item.properties["usdfaceRegistered"]:
             super().publish(settings, item)
         else:
-            self.logger.info("v%03d holds the same already", published.version)
+            self.logger.info("v%03d is the same already", published.version)
 
     def finalize(self, settings, item):
-        """Say where the version is."""
+        """Log the folder of the version."""
         if item.properties["usdfaceRegistered"]:
             super().finalize(settings, item)
         folder = item.properties["usdfaceFolder"]
@@ -128,7 +128,7 @@ class FacePerformancePublishPlugin(HookBaseClass):
         )
 
     def _registered(self, item):
-        """Say whether the server has the version: a publish may have broken off before that."""
+        """Return whether the server has the version, which an interrupted publish may lack."""
         known = self.parent.util.get_conflicting_publishes(
             item.context,
             item.local_properties["publish_path"],

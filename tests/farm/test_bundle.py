@@ -142,7 +142,7 @@ def test_a_bundle_that_cannot_be_replaced_is_kept(tmp_path: Path, monkeypatch) -
 
 def test_a_folder_with_something_else_is_never_replaced(tmp_path: Path) -> None:
     (tmp_path / "thesis.txt").write_text("years of work")
-    with pytest.raises(InputError, match="exists and is no bundle"):
+    with pytest.raises(InputError, match="exists and is not a bundle"):
         write_bundle(tmp_path, compose_bundle("j", plan("x")), overwrite=True)
     assert (tmp_path / "thesis.txt").is_file()
     with pytest.raises(InputError, match="does not exist; make it first"):

@@ -167,7 +167,7 @@ def test_what_is_published_already_is_not_registered_again(
     assert len(server.publishes) == 1
     assert server.finalized == ["shot.hero"]
     assert item.properties["sg_publish_data"]["id"] == 1
-    assert "v001 holds the same already" in caplog.text
+    assert "v001 is the same already" in caplog.text
 
 
 def test_a_version_whose_registration_broke_off_is_registered_the_next_time(

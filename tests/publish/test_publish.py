@@ -247,7 +247,7 @@ def test_what_cannot_be_published_is_refused(shot: Shot, tmp_path: Path) -> None
         collect_performances([shot / "hero.usdc"])
     other = tmp_path / "shot.hero.usda"
     shutil.copy(shot / "shot.hero.usda", other)
-    with pytest.raises(InputError, match="has the name of"):
+    with pytest.raises(InputError, match="has the same name as"):
         collect_performances([shot / "shot.hero.usda", other])
     with pytest.raises(InputError, match="is this a published version"):
         read_manifest(tmp_path)

@@ -74,8 +74,8 @@ def test_a_short_textgrid_of_the_montreal_aligner_is_read(tmp_path: Path, encodi
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
-        ("x.wav", "", "is no file of phones"),
-        ("x.lab", "0 1 sil\n", "none that is said"),
+        ("x.wav", "", "is not a file of phones"),
+        ("x.lab", "0 1 sil\n", "phones are silence"),
         ("x.lab", "0 1\nhello\n", "line 2: 'hello' is no label"),
         ("x.lab", "0.0 0.5 ah\n0.3 0.6 b\n", "begins before 'ah' ends"),
         ("x.lab", "0.0 0.5 Ж\n0.5 0.6 Щ\n", "100% of its phones are in no alphabet"),
@@ -84,8 +84,8 @@ def test_a_short_textgrid_of_the_montreal_aligner_is_read(tmp_path: Path, encodi
         ("x.lab", "0.1 0.3 ah\n0.3 inf b\n", "'b' lasts from 0.3 to inf s"),
         ("x.lab", "nan 0.3 ah\n0.3 0.6 b\n", "'ah' lasts from nan to 0.3 s"),
         ("x.json", '{"phones": [{"start": 1}]}', "is not"),
-        ("x.json", '{"tiers": {"phones": {"entries": [[0]]}}}', "no lists of .start, end, label"),
-        ("x.TextGrid", "not a grid", "is no TextGrid that can be read"),
+        ("x.json", '{"tiers": {"phones": {"entries": [[0]]}}}', "not lists of .start, end, label"),
+        ("x.TextGrid", "not a grid", "cannot be read as a TextGrid"),
         ("x.TextGrid", SHORT.replace("phones", "notes"), "no tier of phones, only 'Anna - notes'"),
     ],
 )

@@ -1,9 +1,8 @@
-"""A bundle: the folder that a farm is given. The same job makes the same bytes.
+"""Job bundles for farms (Open Job Description, jobtemplate-2023-09); equal jobs give equal bytes.
 
-In its template (Open Job Description, jobtemplate-2023-09) stands nothing that a user named: tasks
-are told apart by number and find their spec in a file of the bundle. So no name, whatever is in it,
-is ever read as ``{{an expression}}`` or as a part of a command. The job's name goes in as a
-parameter's value, which is not read either.
+The template contains no names given by users: tasks are numbered and find their spec in a file of
+the bundle, so that no name can be evaluated as ``{{an expression}}`` or as part of a command. The
+job's name is the value of a parameter, which is not evaluated.
 """
 
 import hashlib
@@ -24,11 +23,11 @@ from usdface.specs.paths import Reads, Writes
 from usdface.specs.reading import spec_text
 
 TASKS = "tasks"
-"""Folder of the bundle: STEP/NUMBER.yaml is the spec of one task."""
+"""Folder of the bundle with the tasks' specs, STEP/NUMBER.yaml."""
 
 LONGEST_JOB_NAME = 128
 NOTIFY_SECONDS = 30
-"""Between the one SIGTERM a task gets and its end: time to remove what is half written."""
+"""Time from SIGTERM to the end of a task, for the removal of temporary files."""
 
 
 def check_job_name(name: str) -> None:
@@ -36,7 +35,7 @@ def check_job_name(name: str) -> None:
     if not name.isprintable() or not name.strip() or len(name) > LONGEST_JOB_NAME:
         raise InputError(
             f"job: {name!r} cannot name a job on a farm; give it 1 to {LONGEST_JOB_NAME} "
-            "characters that print"
+            "printable characters"
         )
 
 
@@ -46,7 +45,7 @@ def job_template(name: str, steps: Sequence[FarmStep]) -> dict[str, Any]:
     Parameters
     ----------
     name : str
-        The job's; shown on the farm, character by character as it is.
+        Shown on the farm, verbatim.
     """
     check_job_name(name)
     return {
@@ -123,15 +122,14 @@ Files = Mapping[str, str]
 def compose_bundle(
     name: str, steps: Sequence[FarmStep], *, carried: Iterable[Path] = ()
 ) -> dict[str, str]:
-    """Return what stands in a bundle's files.
+    """Return the contents of a bundle's files, by path.
 
     Parameters
     ----------
     steps : sequence of FarmStep
         With absolute paths.
     carried : iterable of Path
-        Files that the tasks read and that no task makes: a farm without shared storage copies them
-        to its workers.
+        Input files that no task makes, which a farm without shared storage copies to its workers.
     """
     files = {TEMPLATE: MARK + _yaml(job_template(name, steps))}
     files["asset_references.yaml"] = MARK + _yaml(_asset_references(steps, carried))
@@ -143,7 +141,7 @@ def compose_bundle(
 
 
 def bundle_hash(files: Files) -> str:
-    """Return eight hex digits that differ when anything in a bundle does."""
+    """Return eight hex digits of the hash of a bundle."""
     total = hashlib.sha256()
     for place, text in sorted(files.items()):
         total.update(f"{place}\0{len(text)}\0{text}".encode())
@@ -151,19 +149,19 @@ def bundle_hash(files: Files) -> str:
 
 
 def write_bundle(folder: Path, files: Files, *, overwrite: bool = False) -> None:
-    """Write a bundle; it appears whole or not at all, and one that is there already is kept.
+    """Write a bundle atomically; an equal one is kept.
 
     Raises
     ------
     InputError
-        If the folder holds something else, or another bundle that `overwrite` does not allow to
-        replace, or cannot be written.
+        If the folder cannot be written, or holds something else, or without `overwrite` another
+        bundle.
     """
     if _equals(folder, files):
         return
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         if not _is_bundle(folder):
-            raise InputError(f"{folder}: exists and is no bundle; choose another --out")
+            raise InputError(f"{folder}: exists and is not a bundle; choose another --out")
         if not overwrite:
             raise InputError(
                 f"{folder}: holds the bundle of another job, which may still be running; choose "
@@ -176,9 +174,9 @@ def write_bundle(folder: Path, files: Files, *, overwrite: bool = False) -> None
 
 
 def _put(folder: Path, files: Files) -> None:
-    """Write a bundle beside its folder, then let the two change places."""
+    """Write a bundle to a temporary folder, then swap the two."""
     made = folder.with_name(f".{folder.name}.bundle")
-    shutil.rmtree(made, ignore_errors=True)  # of a process that was killed
+    shutil.rmtree(made, ignore_errors=True)  # left by a killed process
     old, new = made / "old", made / "new"
     try:
         made.mkdir()

@@ -1,4 +1,4 @@
-"""What can run at once: a job's steps as tasks, many frames in several, and the steps that join."""
+"""Plan of a job on a farm: steps as parallel tasks, with long ones in chunks that are joined."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,32 +19,32 @@ FrameRange = tuple[int, int]
 """First and last frame, inclusive."""
 
 CHUNK_LIMIT = 10_000
-"""Of one step; a season of takes has fewer, and a frame number that slipped would have millions."""
+"""Largest number of chunks of a step; a wrong frame number would make millions."""
 
 
 @dataclass(frozen=True)
 class ChunkSizes:
-    """How many frames one task works on, and what becomes of its parts."""
+    """Frames per task of each step."""
 
     map: int
     movie: int | None = None
-    """None leaves a movie in one piece."""
+    """None: not split."""
     track: int | None = None
-    """None leaves a video in one piece."""
+    """None: not split."""
     clips: Literal["auto", "always", "never"] = "auto"
-    """Whether the parts of a performance stay where they are, as value clips."""
+    """Whether the parts of a performance are kept as value clips."""
 
 
 def in_chunks(step: Spec, sizes: ChunkSizes, frames: FrameRange | None) -> list[Spec]:
-    """Return the tasks that do what a step does: the step itself, or its chunks and their join.
+    """Return the tasks of a step: the step itself, or its chunks and their join.
 
-    Boundaries depend on the frames and the size alone, so that a task that is retried, or a job
-    that is submitted again, makes the same files.
+    Boundaries depend on frames and size only, so that retries and repeated submissions make the
+    same files.
 
     Parameters
     ----------
     frames : (first, last), optional
-        None where they are not known yet: then the step stays whole.
+        None if unknown: then the step is not split.
     """
     size = None
     if isinstance(step, MapSpec):
@@ -75,8 +75,8 @@ def _chunks(frames: FrameRange, size: int) -> list[str]:
     count = -(-(last - first + 1) // size)
     if count > CHUNK_LIMIT:
         raise InputError(
-            f"frames {first}-{last} are {count} chunks of {size}, more than {CHUNK_LIMIT}: no farm "
-            "takes so many tasks; correct the frames, or make the chunks larger"
+            f"frames {first}-{last} are {count} chunks of {size}, more than {CHUNK_LIMIT}, too "
+            "many for a farm; correct the frames, or make the chunks larger"
         )
     return [f"{start}-{min(start + size - 1, last)}" for start in range(first, last + 1, size)]
 
@@ -91,43 +91,42 @@ def _part_names(out: Path, count: int) -> tuple[Path, ...]:
 
 @dataclass(frozen=True)
 class FarmStep:
-    """Tasks of one kind that do not wait for one another."""
+    """Independent tasks of one kind."""
 
     name: str
     """Unique in the plan; letters, digits and hyphens only."""
     kind: str
-    """The step that every task runs."""
+    """Step of all tasks."""
     tasks: tuple[Spec, ...]
-    """Each for a worker of its own; paths absolute."""
+    """With absolute paths; each may run on another worker."""
     needs: tuple[str, ...]
-    """Names of the farm steps to be done before."""
+    """Names of the farm steps it depends on."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A job as a farm runs it."""
+    """The farm steps of a job."""
 
     steps: tuple[FarmStep, ...]
-    """Each after those it needs."""
+    """In topological order."""
     whole: tuple[Path, ...] = ()
-    """Performances that are mapped in one piece, as the frames of their takes are not known yet."""
+    """Performances that are not split, because the frames of their takes are unknown."""
 
 
 def plan_job(
     job: JobSpec, *, sizes: ChunkSizes, frames_of: Callable[[Path], FrameRange | None]
 ) -> Plan:
-    """Return what of a job can run at once.
+    """Return the farm steps of a job.
 
-    Tasks are gathered by what they run and by how many tasks must come before them, so that the
-    same step of every take is one farm step, and nothing in it waits for anything else in it.
+    Tasks are grouped by step and by depth in the graph of dependencies, so that the same step of
+    all takes is one farm step, whose tasks are independent.
 
     Parameters
     ----------
     job : JobSpec
         With absolute paths, one spelling for each file.
     frames_of : callable
-        First and last frame of a take or a performance as it lies there now; None where that is
-        not known.
+        First and last frame of an existing take or performance; None if unknown.
     """
     tasks, whole = _tasks(job, sizes, frames_of)
     before = _tasks_before(tasks)
@@ -156,11 +155,11 @@ def plan_job(
 def _tasks(
     job: JobSpec, sizes: ChunkSizes, frames_of: Callable[[Path], FrameRange | None]
 ) -> tuple[list[Spec], list[Path]]:
-    made = {path for step in job.steps for path in _changed(step)}
+    made = {path for step in job.steps for path in step.changes()}
     ranges: dict[Path, FrameRange] = {}
 
     def known_frames(path: Path) -> FrameRange | None:
-        # What this job makes anew may have other frames than what lies there today.
+        # Files that this job makes may get other frames than the existing ones.
         return ranges.get(path) if path in made else frames_of(path)
 
     tasks: list[Spec] = []
@@ -176,7 +175,7 @@ def _tasks(
 
 
 def _tasks_before(tasks: list[Spec]) -> list[set[int]]:
-    """Return which earlier tasks each must wait for: those that make, or still read, its files."""
+    """Return the earlier tasks that each depends on: those that write or read its files."""
     writer: dict[Path, int] = {}
     readers: dict[Path, set[int]] = {}
     before: list[set[int]] = []
@@ -186,20 +185,20 @@ def _tasks_before(tasks: list[Spec]) -> list[set[int]]:
         for path in reads:
             if path in writer:
                 waits.add(writer[path])
-        for path in _changed(task):
+        changes = set(task.changes())
+        for path in changes:
             if path in writer:
                 waits.add(writer[path])
             waits |= readers.pop(path, set())
         for path in reads:
             readers.setdefault(path, set()).add(index)
-        for path in _changed(task):
-            writer[path] = index
+        writer |= dict.fromkeys(changes, index)
         before.append(waits - {index})
     return before
 
 
 def _names(tasks: list[Spec], depth: list[int]) -> list[str]:
-    """Name each task's farm step: its kind, with a number where the kind comes again later."""
+    """Return the name of each task's farm step: its kind, numbered from the second depth on."""
     depths: dict[str, list[int]] = {}
     for task, level in zip(tasks, depth, strict=True):
         if level not in depths.setdefault(task.step, []):
@@ -211,7 +210,3 @@ def _names(tasks: list[Spec], depth: list[int]) -> list[str]:
         number = 1 + depths[task.step].index(level)
         names.append(task.step if number == 1 else f"{task.step}-{number}")
     return names
-
-
-def _changed(spec: Spec) -> set[Path]:
-    return set(spec.changes())

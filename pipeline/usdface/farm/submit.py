@@ -1,7 +1,7 @@
-"""From a job's file to a farm.
+"""Submission of a job to a farm.
 
-Farms' own commands are called with lists of arguments: no shell ever reads a name. OpenCue gets an
-outline with a layer per farm step and a frame per task.
+The farms' commands are called with lists of arguments, without a shell. OpenCue gets an outline
+with a layer per farm step and a frame per task.
 """
 
 import importlib
@@ -40,22 +40,21 @@ from usdface.specs.reading import read_job
 from usdface.usdio.referenced_files import frame_range_of, referenced_files
 
 _FRAME = "#IFRAME#"
-"""What OpenCue replaces by a frame's number when it runs a command."""
+"""Placeholder of the frame number in commands of OpenCue."""
 
 
 def build_outline(
     name: str, steps: Sequence[FarmStep], bundle: Path, *, priority: int | None = None
 ) -> Any:
-    """Return the launcher of a bundle's outline; nothing is sent yet.
+    """Return the launcher of a bundle's outline, without sending it.
 
-    Commands reach a worker's shell as text, so the bundle's path is quoted; nothing else in them
-    comes from data. OpenCue knows no path mapping: workers must see the files where this machine
-    does.
+    Workers run commands in a shell, so the bundle's path, their only variable part, is quoted.
+    OpenCue has no path mapping: paths must be the same on workers.
 
     Parameters
     ----------
     name : str
-        The job's; what OpenCue does not allow in a name becomes ``_``.
+        Of the job; characters that OpenCue does not allow become ``_``.
 
     Raises
     ------
@@ -66,7 +65,7 @@ def build_outline(
     if _FRAME[:2] in str(bundle):
         raise InputError(f"{bundle}: {_FRAME[:2]!r} in a path means a frame to OpenCue; rename it")
     longest = max(len(step.tasks) for step in steps)
-    # A layer whose frames lie outside the outline's is dropped without a word.
+    # Layers with frames outside the outline's range would be dropped silently.
     job = outline.Outline(name=_allowed(name), frame_range=f"1-{longest}")
     for step in steps:
         needs = SPEC_BY_STEP.get(step.kind, Spec)
@@ -87,7 +86,7 @@ def build_outline(
 
 
 def submit_outline(launcher: Any) -> None:
-    """Send an outline to OpenCue; workers run our command alone, they need no pyoutline.
+    """Send an outline to OpenCue; workers need usdface but not pyoutline.
 
     Raises
     ------
@@ -96,7 +95,7 @@ def submit_outline(launcher: Any) -> None:
     """
     try:
         launcher.launch(use_pycuerun=False)
-    except Exception as error:  # pyoutline hands on whatever its transport raises
+    except Exception as error:  # pyoutline passes on errors of its transport
         raise CheckFailedError(f"OpenCue: {type(error).__name__}: {error}") from error
 
 
@@ -118,29 +117,29 @@ def _allowed(name: str) -> str:
 
 
 _STOP_SECONDS = 60.0
-"""What a farm's command gets to stop its tasks when it is terminated."""
+"""Time for a farm's command to stop its tasks after termination."""
 
-_RUN_AGAIN = "what was done stays done, and submitting again goes on from there"
+_RUN_AGAIN = "finished tasks are kept, and submitting again continues"
 _NOT_TAKEN = (
-    "the job was not submitted, and what deadline says above is why; `deadline config` names farm, "
-    "queue and known asset paths"
+    "the job was not submitted for the reason above; `deadline config` sets farm, queue and known "
+    "asset paths"
 )
 
 
 def run_bundle(bundle: Path, *, quiet: bool = False) -> None:
-    """Run every step of a bundle on this machine, one task after the other, with `openjd`.
+    """Run all tasks of a bundle on this machine, one after the other, with `openjd`.
 
     Parameters
     ----------
     quiet : bool
-        Send what the command says to standard error, so that ours stays readable for scripts.
+        Redirect the command's output to standard error, for scripts that parse ours.
 
     Raises
     ------
     InputError
         If `openjd` is not installed.
     CheckFailedError
-        If a task fails; what was done stays done, and running again goes on from there.
+        If a task fails; finished tasks are kept, and running again continues.
     """
     openjd = _find_command(
         "openjd", "install usdface with its farm extra: pip install usdface[farm]"
@@ -151,11 +150,11 @@ def run_bundle(bundle: Path, *, quiet: bool = False) -> None:
 def submit_bundle(
     bundle: Path, *, steps: Sequence[FarmStep], priority: int | None = None, quiet: bool = False
 ) -> None:
-    """Submit a bundle to the farm and queue that `deadline config` names.
+    """Submit a bundle to the farm and queue of `deadline config`.
 
-    Of job attachments, `deadline` takes only those without a question that lie in folders declared
-    known: those that the job itself names are. What a layer refers to elsewhere is for the user to
-    allow, in `deadline config`: the layer may be somebody else's.
+    `deadline` uploads job attachments without a question from known folders only. The folders of
+    files that the job names are declared known; others, which layers refer to, must be allowed by
+    the user in `deadline config`.
 
     Raises
     ------
@@ -174,15 +173,15 @@ def submit_bundle(
 
 
 def named_folders(steps: Sequence[FarmStep]) -> list[Path]:
-    """Return the folders of the files that tasks name, without those inside others, nor ``/``."""
+    """Return the folders of the files that tasks name, without nested ones and ``/``."""
     tasks = [task for step in steps for task in step.tasks]
     named = {path.parent for task in tasks for path in (*task.paths(Reads), *task.paths(Writes))}
-    named = {folder for folder in named if folder.parent != folder}  # everything lies in the root
+    named = {folder for folder in named if folder.parent != folder}
     return sorted(folder for folder in named if named.isdisjoint(folder.parents))
 
 
 def _find_command(name: str, remedy: str) -> str:
-    """Return the path of a program: of this environment if it is there, else of the user's."""
+    """Return the path of a program, of this environment if it has it."""
     found = shutil.which(name, path=_search_path())
     if found is None:
         raise InputError(f"{name}: no such command on this machine; {remedy}")
@@ -190,8 +189,8 @@ def _find_command(name: str, remedy: str) -> str:
 
 
 def _run_command(command: Sequence[str], *, quiet: bool, remedy: str) -> None:
-    """Run a program to its end; where this process is interrupted, terminate it and its tasks."""
-    # The tasks call `usdface`: the one that submits, not another that comes first on the path.
+    """Run a program to its end; if this process is interrupted, terminate the program."""
+    # The tasks must call this environment's `usdface`.
     environment = os.environ | {"PATH": _search_path()}
     sys.stdout.flush()
     with subprocess.Popen(
@@ -220,30 +219,30 @@ def _search_path() -> str:
 
 @dataclass(frozen=True)
 class Submission:
-    """What was handed to a farm."""
+    """A submitted job."""
 
     job: str
-    """Its name."""
+    """Name of the job."""
     bundle: Path
-    """The folder that describes it."""
+    """Folder of the bundle."""
     plan: Plan
 
 
 def submit(spec: SubmitSpec, *, overwrite: bool = False, quiet: bool = False) -> Submission:
-    """Write a job's bundle, and hand it to the farm unless only the bundle is wanted.
+    """Write a job's bundle, and submit it unless `spec.write_only`.
 
     Parameters
     ----------
     overwrite : bool
         Replace another job's bundle in the same folder.
     quiet : bool
-        Send what the farm's own command says to standard error.
+        Redirect the output of the farm's command to standard error.
 
     Raises
     ------
     InputError
-        If the job cannot be run as it is, the bundle cannot be written, or the farm's client is
-        not installed.
+        If inputs of the job are missing, the bundle cannot be written, or the farm's client is not
+        installed.
     CheckFailedError
         If the farm refuses the job, or a task of a local run fails.
     """
@@ -264,12 +263,12 @@ def submit(spec: SubmitSpec, *, overwrite: bool = False, quiet: bool = False) ->
 
 
 def outline_path(bundle: Path) -> Path:
-    """Return where the XML of an OpenCue job is written when it is not sent: beside its bundle."""
+    """Return the path of the XML of an OpenCue job that is not sent, next to its bundle."""
     return bundle.with_name(f"{bundle.name}.outline.xml")
 
 
 def describe(submission: Submission) -> tuple[str, ...]:
-    """Return a line for each farm step: its tasks and what it waits for."""
+    """Return a line per farm step with its tasks and dependencies."""
     return tuple(
         f"{step.name}: {pluralize(len(step.tasks), 'task')}"
         + (f", after {', '.join(step.needs)}" if step.needs else "")
@@ -286,7 +285,7 @@ def _write(spec: SubmitSpec, *, overwrite: bool) -> Submission:
     check_job_name(job.job)
     if root is not None:
         check_confined(job.named_paths(), root)
-    # What a worker would find after an hour in the queue.
+    # Before the job waits in a queue.
     if faults := missing_in_job(job):
         raise InputError("\n".join(faults))
     sizes = ChunkSizes(
@@ -298,11 +297,11 @@ def _write(spec: SubmitSpec, *, overwrite: bool) -> Submission:
         frames_of=lambda path: frame_range_of(path) if path.exists() else None,
     )
     carried = _carried(job)
-    if root is not None:  # farms without shared storage upload these
+    if root is not None:  # uploaded to farms without shared storage
         check_confined([("submit, what a layer refers to", path) for path in carried], root)
     files = compose_bundle(job.job, plan.steps, carried=carried)
     bundle = spec.out or spec.job.with_name(f"{spec.job.stem}-{bundle_hash(files)}.bundle")
-    if root is not None:  # its name may be that of a link
+    if root is not None:  # it may be a link
         check_confined([("submit", bundle)], root)
     write_bundle(bundle, files, overwrite=overwrite)
     return Submission(job.job, bundle, plan)
@@ -310,15 +309,15 @@ def _write(spec: SubmitSpec, *, overwrite: bool) -> Submission:
 
 def _with_absolute_paths(job: JobSpec) -> JobSpec:
     def absolute(path: Path) -> Path:
-        # `..` after a link does not lead back to where the link is.
+        # `..` after a link is relative to its target.
         return path.resolve() if ".." in path.parts else path.absolute()
 
     return job.model_copy(update={"steps": tuple(step.with_paths(absolute) for step in job.steps)})
 
 
 def _carried(job: JobSpec) -> list[Path]:
-    """Return what layers that the job starts from need beside them."""
+    """Return the files that the job's input layers refer to."""
     made = {path for step in job.steps for path in step.changes()}
     read = {path for step in job.steps for path in step.paths(Reads)} - made
     layers = [path for path in read if path.suffix in LAYER_SUFFIXES and path.is_file()]
-    return [found for layer in sorted(layers) for found in referenced_files(layer)]
+    return [file for layer in sorted(layers) for file in referenced_files(layer)]

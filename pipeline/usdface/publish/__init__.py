@@ -1,7 +1,7 @@
-"""Publish performances: what every studio tool's hooks share, and none of their words.
+"""Publishing of performances, shared by the hooks of all studio tools.
 
-Four stages, as publish tools have them: `collect_performances`, `validate_performance`,
-`extract_performance`, `integrate_performance`.
+In the four usual stages: `collect_performances`, `validate_performance`, `extract_performance`,
+`integrate_performance`.
 """
 
 from usdface.publish.collect import PublishItem, collect_performances, validate_performance

@@ -1,4 +1,4 @@
-"""Find what there is to publish and what it was made from, and check that it is fit for it."""
+"""Collection and validation of performances to publish."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -25,27 +25,26 @@ class PublishItem:
     """A performance to publish."""
 
     name: str
-    """What it is published as."""
+    """Name of the publish."""
     performance: Path
     """The layer that the animator opens."""
     take: Path | None
-    """What it was mapped from; None where the layer does not say or the take is gone: then there is
-    nothing to judge it by, and no sheet."""
+    """The mapped take; None if unknown or missing: then there is no sheet."""
     rig: Path
-    """The character, which is published elsewhere and referenced."""
+    """The character, which is published separately and referenced."""
     first_frame: int
     last_frame: int
-    """`first_frame`, `last_frame`: Inclusive."""
+    """`first_frame`, `last_frame`: inclusive."""
     rate: Fraction
     """Frames per second."""
     timecode_start: str
-    """SMPTE timecode of the first frame, empty when unknown."""
+    """SMPTE timecode of the first frame, empty if unknown."""
     shapes: int
-    """Shapes that it drives."""
+    """Number of animated shapes."""
     edited: tuple[str, ...]
-    """Shapes that an animator changed."""
+    """Shapes edited by an animator."""
     verdict: SolveVerdict | None = None
-    """On the solve, without what was edited; None where nothing is known of its error."""
+    """Of the solve without edits; None if its error is unknown."""
 
 
 def collect_performances(paths: Iterable[Path]) -> tuple[PublishItem, ...]:
@@ -54,22 +53,22 @@ def collect_performances(paths: Iterable[Path]) -> tuple[PublishItem, ...]:
     Parameters
     ----------
     paths : iterable of Path
-        Performances, or folders with some: of a folder those count that usdface wrote.
+        Performances, or folders of performances written by usdface.
 
     Raises
     ------
     InputError
-        If a file named is no performance, or two would be published by one name.
+        If a named file is not a performance, or two have the same name.
     """
-    found: dict[str, Path] = {}
+    files: dict[str, Path] = {}
     for path in paths:
         for file in _in_folder(path) if path.is_dir() else [path]:
-            other = found.setdefault(file.stem, file)
+            other = files.setdefault(file.stem, file)
             if other.resolve() != file.resolve():
                 raise InputError(
-                    f"{file}: has the name of {other}; publish them apart, or rename one"
+                    f"{file}: has the same name as {other}; publish them separately, or rename one"
                 )
-    return tuple(collect_performance(file) for file in found.values())
+    return tuple(collect_performance(file) for file in files.values())
 
 
 def collect_performance(path: Path) -> PublishItem:
@@ -94,7 +93,7 @@ def collect_performance(path: Path) -> PublishItem:
 
 
 def _take_of(performance: Path) -> Path | None:
-    """Return the take that a performance is of, if it is there to be shown beside it."""
+    """Return the take of a performance if it exists, else None."""
     take = take_of_performance(performance)
     shown = take is not None and is_usd_name(take) and take.is_file() and is_take(take)
     return take if shown else None
@@ -110,19 +109,19 @@ def _is_performance(path: Path) -> bool:
         made = read_provenance(path)
         if made is None or made.step not in MAKERS:
             return False
-        # The layers beside it (weights, their parts and seams, controls) carry the same provenance
-        # as the layer to open; none of them has a rig, and only the latter has weights beside it.
+        # Its other layers (weights, their parts and seams, controls) have the same provenance;
+        # only the layer to open has a weights file of its name.
         return not path.stem.endswith(".weights") and weights_path(path).is_file()
     except InputError:
         return False
 
 
 def validate_performance(item: PublishItem) -> tuple[Finding, ...]:
-    """Return what is not in order in a performance, errors first; empty where nothing is.
+    """Return the findings on a performance, errors first.
 
-    A verdict worse than Check is an error, or as `USDFACE_WORST_VERDICT` says.
+    A verdict worse than Check, or than `USDFACE_WORST_VERDICT`, is an error.
     """
-    found = check_layer(item.performance)
+    findings = check_layer(item.performance)
     if item.take is None:
         made = read_provenance(item.performance)
         again = (
@@ -130,13 +129,13 @@ def validate_performance(item: PublishItem) -> tuple[Finding, ...]:
             if made is not None and made.step == "retarget"
             else "map it again"
         )
-        found.append(
+        findings.append(
             Finding(
                 "warning",
                 "usdface:take",
                 str(item.performance),
-                "does not say which take it was made from, or that is gone: it is published "
-                f"without a sheet to judge it by; {again} to have one",
+                "its take is unknown or missing, so it is published without a sheet; "
+                f"{again} to have one",
             )
         )
-    return tuple(sorted(found, key=lambda finding: finding.severity != "error"))
+    return tuple(sorted(findings, key=lambda finding: finding.severity != "error"))

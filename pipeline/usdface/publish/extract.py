@@ -1,4 +1,4 @@
-"""Make the files that are published: weights with edits composed in, a layer to open, pictures."""
+"""Extraction of the published files: weights with edits, a layer to open, sheet and movie."""
 
 import contextlib
 import logging
@@ -27,12 +27,12 @@ log = logging.getLogger(__name__)
 
 UNFINISHED = re.compile(r"\.[0-9a-f]{12}")
 ABANDONED_SECONDS = 7 * 86400.0
-"""Nothing is drawn for so long."""
+"""Age from which an unfinished extraction is removed."""
 
 
 @dataclass(frozen=True)
 class ReviewOptions:
-    """What is made to judge a performance by, where its take is there."""
+    """Pictures for the review of a performance, made if its take exists."""
 
     sheet: bool = True
     movie: bool = False
@@ -43,24 +43,24 @@ class ReviewOptions:
 
 @dataclass(frozen=True)
 class Extracted:
-    """Files made for one version that does not exist yet."""
+    """Files of a version before its integration."""
 
     item: PublishItem
     folder: Path
-    """Where the files are: beside where they will be, so that what they refer to stays in place."""
+    """Next to the future version, so that relative references stay valid."""
     files: Mapping[str, str]
-    """Name of each file by its role: `performance`, `weights`, `sheet`, `movie`."""
+    """File names by role: `performance`, `weights`, `sheet`, `movie`."""
     movie_pictures: int = 0
     movie_rate: float = 0.0
-    """`movie_pictures`, `movie_rate`: Length and frames per second of the movie, if there is one:
-    not those of the performance."""
+    """`movie_pictures`, `movie_rate`: number of pictures and pictures per second of the movie, if
+    any."""
 
     def path(self, role: str) -> Path | None:
-        """Return the file of a role, if it was made."""
+        """Return the file of a role, or None."""
         return self.folder / self.files[role] if role in self.files else None
 
     def discard(self) -> None:
-        """Remove the files: this version will not be."""
+        """Remove the files."""
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
@@ -71,12 +71,12 @@ def extract_performance(
     review: ReviewOptions | None = None,
     progress: Progress = silent,
 ) -> Extracted:
-    """Make a version's files, in a folder that does not count as a version yet.
+    """Make the files of a version in a temporary folder.
 
     Parameters
     ----------
     root : Path
-        Folder of publishes; each item has one of its own in it.
+        Folder of publishes, with a folder for each item.
 
     Returns
     -------
@@ -86,7 +86,7 @@ def extract_performance(
     Raises
     ------
     InputError
-        If a file cannot be read or made; nothing is left behind then.
+        If a file cannot be read or made; the temporary folder is then removed.
     """
     review = review or ReviewOptions()
     folder = root / item.name / f".{uuid.uuid4().hex[:12]}"
@@ -104,10 +104,10 @@ def extract_performance(
 
 
 def _clear_abandoned(folder: Path) -> None:
-    """Remove what publishes left that were killed so long ago that none can still be at work."""
+    """Remove folders of killed publishes that are older than `ABANDONED_SECONDS`."""
     if not folder.is_dir():
         return
-    with contextlib.suppress(OSError):  # gone meanwhile, or somebody else's
+    with contextlib.suppress(OSError):  # removed meanwhile, or without permission
         for each in folder.iterdir():
             old = time.time() - each.stat().st_mtime > ABANDONED_SECONDS
             if old and UNFINISHED.fullmatch(each.name) and each.is_dir():

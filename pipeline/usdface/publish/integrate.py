@@ -1,4 +1,4 @@
-"""Make extracted files a version: numbered, whole, never changed again."""
+"""Integration of extracted files as a numbered, immutable version."""
 
 import hashlib
 import json
@@ -19,7 +19,7 @@ MOST_VERSIONS_TRIED = 1000
 
 @dataclass(frozen=True)
 class Published:
-    """A version that is there for others to use."""
+    """A published version."""
 
     name: str
     version: int
@@ -28,25 +28,24 @@ class Published:
     files: dict[str, Path]
     """By role: `performance`, `weights`, `sheet`, `movie`."""
     is_new: bool = True
-    """False where the newest version held the same already, and none was made."""
+    """False if the newest version was equal, and none was made."""
 
 
 def integrate_performance(extracted: Extracted, *, comment: str = "") -> Published:
-    """Give extracted files the next version number.
+    """Publish extracted files as the next version.
 
-    A version appears whole, by one rename: of two that publish at once, each gets a number of its
-    own. What equals the newest version is not published again, so a publish that is retried makes
-    one version.
+    Versions are created by one rename, also with concurrent publishes. Files equal to the newest
+    version are not published again, so that a publish can be retried.
 
     Parameters
     ----------
     comment : str
-        What its maker says of it; kept in the version's publish.json.
+        Stored in the version's publish.json.
 
     Raises
     ------
     InputError
-        If the version cannot be made; the extracted files are still there then.
+        If the version cannot be made; the extracted files are kept.
     """
     parent = extracted.folder.parent
     hashes = {
@@ -63,7 +62,7 @@ def integrate_performance(extracted: Extracted, *, comment: str = "") -> Publish
             extracted.folder.rename(parent / _folder_name(version))
         except OSError as error:
             if (parent / _folder_name(version)).exists():
-                continue  # somebody else was faster
+                continue  # a concurrent publish
             raise InputError(
                 f"{parent / _folder_name(version)}: cannot be made: {error.strerror}"
             ) from error
@@ -72,13 +71,13 @@ def integrate_performance(extracted: Extracted, *, comment: str = "") -> Publish
 
 
 def latest_version(folder: Path) -> int:
-    """Return the highest version number in an item's folder; 0 where there is none."""
+    """Return the highest version number in an item's folder; 0 if there is none."""
     found = [_VERSION.fullmatch(path.name) for path in folder.iterdir()] if folder.is_dir() else []
     return max((int(match[1]) for match in found if match), default=0)
 
 
 def read_manifest(folder: Path) -> dict[str, object]:
-    """Return what a published version says of itself."""
+    """Return the manifest of a published version."""
     file = folder / MANIFEST
     try:
         data = json.loads(file.read_text(encoding="utf-8"))

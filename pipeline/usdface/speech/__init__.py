@@ -1,1 +1,1 @@
-"""What is said when: phones, visemes and their times."""
+"""Speech: phones, visemes and their times."""

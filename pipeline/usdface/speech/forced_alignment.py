@@ -1,8 +1,7 @@
-"""When each phone of a transcript is said: forced alignment with pocketsphinx.
+"""Forced alignment of a transcript to sound with pocketsphinx.
 
-The words are known, so only their times are searched: first the words, then the phones within
-them. A transcript of other words gives a path too, but a bad one: its phones fit the sound no
-better than chance, which the score says.
+The times of the words are searched first, then those of the phones within them. A wrong transcript
+gives a path too, but with a low acoustic score.
 """
 
 import re
@@ -34,14 +33,14 @@ _CLOSED_BY = {"[": "]", "<": ">", "{": "}", "(": ")"}
 _OPENING = re.compile(r"[\[<{(]")
 _DIGITS = re.compile(r"\d+(?:[.,]\d+)*")
 LONGEST_NUMBER = 40
-"""Characters; what is longer is read out digit by digit."""
+"""Characters; longer numbers are read digit by digit."""
 _SIGNS = {"&": " and ", "%": " percent ", "@": " at ", "+": " plus "}
 
 
 def spoken_words(text: str) -> tuple[str, ...]:
-    """Return the words of a transcript, in lower case, numbers spelled out.
+    """Return the words of a transcript in lower case, with numbers spelled out.
 
-    What stands in brackets is a remark, as ``[laughs]`` or ``<noise>``, and is left out.
+    Remarks in brackets, such as ``[laughs]`` or ``<noise>``, are removed.
     """
     plain = _without_remarks(text.replace("’", "'"))
     plain = _DIGITS.sub(lambda found: f" {_number(found.group())} ", plain)
@@ -60,16 +59,16 @@ def spoken_words(text: str) -> tuple[str, ...]:
 
 
 def _without_remarks(text: str) -> str:
-    """Leave out what stands in brackets, each read once: a row of open ones costs no more."""
+    """Remove text in brackets, in linear time also with many unclosed ones."""
     kept, at = [], 0
-    open_for_good: set[str] = set()
-    for found in _OPENING.finditer(text):
-        bracket, start = found.group(), found.start()
-        if start < at or bracket in open_for_good:
+    unclosed: set[str] = set()
+    for match in _OPENING.finditer(text):
+        bracket, start = match.group(), match.start()
+        if start < at or bracket in unclosed:
             continue
         end = text.find(_CLOSED_BY[bracket], start)
         if end < 0:
-            open_for_good.add(bracket)
+            unclosed.add(bracket)
             continue
         kept.append(text[at:start])
         at = end + 1
@@ -105,40 +104,40 @@ SPEECH_SAMPLE_RATE = 16000
 FRAME_SECONDS = 0.01
 
 BEAMS = ((1e-48, 7e-29), (1e-120, 1e-100), (1e-200, 1e-200))
-"""How far below the best a path may fall, within words and between them; widened until a path is
-found. 0 would keep them all and never end."""
+"""Beam widths (relative likelihoods) within and between words, tried in order until a path is
+found."""
 
 DOUBTFUL_SCORE = -38.0
 WRONG_SCORE = -41.0
-"""Mean score per frame of speech; 0 were a phone that fits best everywhere. Recordings of people
-with their own words give -20 to -33, with words of other recordings -58 to -67. The limit is at a
-third of the way: words of another language score better than those of another recording."""
+"""Mean score per frame of speech, at most 0. Recordings with their own transcripts give -20 to -33,
+with those of others -58 to -67. The limit is at a third of the way, because transcripts in another
+language score higher than those of another recording."""
 
 DOUBTFUL_WORD_SCORE = -75.0
-"""A word below this is probably not what is said there."""
+"""Score per frame below which a word is probably wrong."""
 
 PEAK_LEVEL = 0.7
 LEAST_PEAK_LEVEL = 1e-4
-"""Peak of a recording: below it there is no speech to be found [full scale]."""
+"""Peak level below which a recording is silent [full scale]."""
 
-_DITHER_STEPS = 3  # steps of 16 bits; digital silence breaks the model's logarithms
+_DITHER_STEPS = 3  # 16-bit steps of noise, because digital silence breaks the model's logarithms
 _NO_WORDS = ("<s>", "</s>", "<sil>", "[NOISE]", "[SPEECH]")
 
 
 @dataclass(frozen=True)
 class PhoneAlignment:
-    """Where every phone lies, and whether to believe it."""
+    """Times of the phones, with measures of reliability."""
 
     track: PhoneTrack
     """Phones in ARPAbet, silence as ``SIL``."""
     score: float
     """Mean over the frames of speech; see `WRONG_SCORE`."""
     guessed: dict[str, tuple[str, ...]]
-    """Words that no dictionary had, and how they were taken to be said."""
+    """Words missing from the dictionaries, with guessed pronunciations."""
     doubtful_words: tuple[Span, ...]
-    """Words that fit their place badly."""
+    """Words with a score below `DOUBTFUL_WORD_SCORE`."""
     beam: int
-    """Which of `BEAMS` found the path: more than 0 says that something does not fit."""
+    """Index in `BEAMS` of the first that found a path; above 0, the transcript may not fit."""
 
 
 def align_phones(
@@ -155,14 +154,14 @@ def align_phones(
     samples : (samples,) float32 array
         Mono, at `SPEECH_SAMPLE_RATE` [-1 to 1].
     words : tuple of str
-        What is said, in lower case; see `usdface.speech.forced_alignment.spoken_words`.
+        The transcript in lower case; see `spoken_words`.
     pronunciations : mapping of str to tuple of str, optional
-        Of words that the model's dictionary lacks or says otherwise, in ARPAbet.
+        ARPAbet of words that the model's dictionary lacks or pronounces otherwise.
 
     Raises
     ------
     InputError
-        If pocketsphinx is not installed, the sound is silent, or the words are not what is said.
+        If pocketsphinx is not installed, the sound is silent, or the transcript does not fit.
     """
     sound = _as_pcm(samples)
     own = {} if pronunciations is None else pronunciations
@@ -177,7 +176,7 @@ def align_phones(
             continue
         progress((number + 0.5) / len(BEAMS), "looking for the phones")
         decoder.set_alignment()
-        # Asking for a hypothesis after this pass crashes pocketsphinx: its alignment is the result.
+        # hyp() after this pass crashes pocketsphinx; get_alignment() is the result.
         if not _decode(decoder, sound) or decoder.get_alignment() is None:
             continue
         return _scored(decoder, guessed, number, duration=len(samples) / SPEECH_SAMPLE_RATE)
@@ -195,7 +194,7 @@ def _decoder(beam: float, word_beam: float) -> "Decoder":
             "aligning speech needs pocketsphinx; install usdface[speech], or give a TextGrid of "
             "another aligner to `usdface select --phones`"
         ) from error
-    # bestpath goes over a lattice that alignment does not have.
+    # bestpath needs a lattice, which alignment does not have.
     return Decoder(
         lm=None,
         loglevel="FATAL",
@@ -210,17 +209,17 @@ def _decoder(beam: float, word_beam: float) -> "Decoder":
 def _teach(
     decoder: "Decoder", words: tuple[str, ...], own: Mapping[str, tuple[str, ...]]
 ) -> dict[str, tuple[str, ...]]:
-    """Give the decoder every word it lacks; return those that had to be guessed."""
+    """Add missing words to the decoder's dictionary; return the guessed ones."""
     guessed = {}
     for word in dict.fromkeys(words):
         known = decoder.lookup_word(word)
         if word in own:
-            said = own[word]
-            if known is not None and known.split() == list(said):
+            phones = own[word]
+            if known is not None and known.split() == list(phones):
                 continue
-            # A second way of saying a known word is another entry; the path takes the better.
+            # A second pronunciation of a known word is another entry; the path takes the better.
             name = word if known is None else f"{word}(99)"
-            decoder.add_word(name, " ".join(said), True)
+            decoder.add_word(name, " ".join(phones), True)
         elif known is None:
             guessed[word] = phones_of_letters(word)
             decoder.add_word(word, " ".join(guessed[word]), True)
@@ -244,7 +243,7 @@ def _aligned_words(decoder: "Decoder") -> list[str]:
 
 
 def _plain(word: str) -> str:
-    """Take off the number of a word's second or third way of being said."""
+    """Remove the number of an alternative pronunciation, as in ``word(2)``."""
     return word[: word.rindex("(")] if word.endswith(")") and "(" in word[1:] else word
 
 

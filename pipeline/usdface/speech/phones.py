@@ -1,7 +1,7 @@
-"""What is said when: phones, words and emotions as spans; the 15 visemes that phones look like.
+"""Phones, words and emotions as spans of time, and the 15 visemes of phones.
 
-Symbols of several alphabets are known. Deng et al. (2006), Table 1: a viseme is named after the
-first phone of its group there.
+Visemes are those of Deng et al. (2006), Table 1, each named after its first phone. Symbols of
+several alphabets are accepted.
 """
 
 import unicodedata
@@ -38,22 +38,22 @@ VISEMES = tuple(VISEME_PHONES)
 
 _VISEME_OF = {phone: name for name, phones in VISEME_PHONES.items() for phone in phones}
 
-# Aligners write silence, breath and noise in many ways; a mouth at rest is all that is seen.
+# Symbols of silence, breath and noise in various aligners.
 _SILENT = frozenset(
     "pau sil sp spn nsn <s> </s> <sil> <eps> <unk> h# # _ epi brth breath noise [noise] [speech] "
     "++noise++ +noise+ ++breath++ ++cough++ ++smack++ ++uh++ ++um++ {sl} {ns} silence pause".split()
 )
 
-# What TIMIT and HTK's recipes add to ARPAbet. A closure looks like the stop it belongs to; the
-# glottal stop has no place of its own on the face, as /hh/ has none.
+# Additions of TIMIT and HTK's recipes to ARPAbet. A closure looks like its stop; the glottal stop,
+# like /hh/, is not visible.
 _TIMIT = {
     "ax-h": "ax", "axr": "er", "bcl": "b", "dcl": "d", "gcl": "g", "pcl": "p", "tcl": "t",
     "kcl": "k", "dx": "d", "nx": "n", "eng": "ng", "hv": "hh", "ix": "ih", "ux": "uw", "q": "hh",
     "oh": "aa", "ia": "ih", "ea": "eh", "ua": "uh",
 }  # fmt: skip
 
-# The phones of the Montreal Forced Aligner's English dictionaries, length, stress, aspiration and
-# other marks taken off. A foreign phone is given to the English one whose lips it shares.
+# Phones of the Montreal Forced Aligner's English dictionaries, without marks of length, stress and
+# aspiration. Foreign phones map to the English one with the same lips.
 _IPA = {
     "a": "aa", "aj": "ay", "aw": "aw", "ej": "ey", "ow": "ow", "ɔj": "oy", "əw": "ow",
     "aɪ": "ay", "aʊ": "aw", "eɪ": "ey", "oʊ": "ow", "əʊ": "ow", "ɔɪ": "oy",
@@ -73,18 +73,18 @@ _MARKS = "ˈˌːˑʰʲʷˠˤˀ˞ⁿˡ̚"
 
 
 def arpabet_of(symbol: str) -> str | None:
-    """Return the phone of the paper's alphabet that a symbol stands for.
+    """Return the phone of the paper's alphabet for a symbol.
 
     Parameters
     ----------
     symbol : str
         ARPAbet with or without stress digits, in either case; TIMIT; or the IPA of the Montreal
-        Forced Aligner. Marks of silence and noise, and the empty string, are ``'pau'``.
+        Forced Aligner. Symbols of silence and noise, and the empty string, are ``'pau'``.
 
     Returns
     -------
     str or None
-        Lower case; None where no alphabet has the symbol.
+        Lower case; None if the symbol is unknown.
     """
     plain = symbol.strip()
     lowered = plain.lower()
@@ -102,58 +102,58 @@ def arpabet_of(symbol: str) -> str | None:
 
 
 def viseme_of(symbol: str) -> str | None:
-    """Return the viseme that a phone symbol looks like, one of `VISEMES`; None if unknown."""
+    """Return the viseme of a phone symbol, one of `VISEMES`; None if unknown."""
     phone = arpabet_of(symbol)
     return None if phone is None else _VISEME_OF[phone]
 
 
 def viseme_label(viseme: str) -> str:
-    """Return a viseme as the paper writes it: ``/b/ /p/ /m/``; empty for none."""
+    """Return a viseme in the paper's notation, ``/b/ /p/ /m/``; empty for none."""
     return " ".join(f"/{phone}/" for phone in VISEME_PHONES.get(viseme, ()))
 
 
 def _without_marks(symbol: str) -> str:
-    """Take off what does not change the lips: length, stress, aspiration, dental marks."""
+    """Remove marks that do not affect the lips: length, stress, aspiration, dental."""
     split = unicodedata.normalize("NFD", symbol)
     bare = "".join(
         letter for letter in split if letter not in _MARKS and not unicodedata.combining(letter)
     )
-    # c with a cedilla is a phone of its own, not a c with a mark.
+    # ç is a separate phone.
     return "ç" if symbol.startswith("ç") else bare
 
 
 @dataclass(frozen=True)
 class Span:
-    """Something that lasts."""
+    """A labelled interval of time."""
 
     start: float
     end: float
-    """`start`, `end`: [s], on the clock of the sound that was aligned."""
+    """`start`, `end`: [s], on the clock of the aligned sound."""
     label: str
-    """A phone, a word or an emotion, as its file writes it."""
+    """A phone, a word or an emotion, as in its file."""
 
     @property
     def middle(self) -> float:
-        """Half-way through [s]."""
+        """Midpoint [s]."""
         return (self.start + self.end) / 2
 
 
 @dataclass(frozen=True)
 class PhoneTrack:
-    """Everything that is known of a recording's speech."""
+    """Phones, words and emotions of a recording."""
 
     phones: tuple[Span, ...]
-    """In order of time, silences included where the file has them."""
+    """In order of time, including silences of the file."""
     words: tuple[Span, ...] = ()
-    """Empty where the file has none."""
+    """Empty if the file has none."""
     emotions: tuple[Span, ...] = ()
-    """Empty where the file marks none."""
+    """Empty if the file has none."""
     duration: float = 0.0
     """[s]"""
 
 
 def label_at(spans: tuple[Span, ...], seconds: float) -> str:
-    """Return the label of the span that holds a moment; empty where none does."""
+    """Return the label of the span at a time; empty if there is none."""
     place = bisect_right([span.start for span in spans], seconds) - 1
     if place < 0 or seconds >= spans[place].end:
         return ""
@@ -163,16 +163,16 @@ def label_at(spans: tuple[Span, ...], seconds: float) -> str:
 STEP_SECONDS = 0.02
 
 LOUD_SHARE = 0.1
-"""Of the level that only a twentieth of the recording exceeds: 20 dB below speech is a pause."""
+"""Level of a pause relative to the 95th percentile: 20 dB below speech."""
 
 INCOMPLETE_SHARE = 0.45
-"""Share of the sound outside all words from which a transcript is thought to lack some. Recordings
-of people with all their words leave 0.26 to 0.27, breath and room; with half of them 0.59 to 0.72,
-with one word 0.80 to 0.98."""
+"""Share of the sound outside all words above which a transcript is probably incomplete. Recordings
+with all words leave 0.26 to 0.27 (breath and room), with half of them 0.59 to 0.72, with one word
+0.80 to 0.98."""
 
 
 def loud_moments(samples: Float32Array, *, rate: int) -> BoolArray:
-    """Return which steps of `STEP_SECONDS` hold sound rather than a pause."""
+    """Return whether each step of `STEP_SECONDS` is sound rather than a pause."""
     size = round(STEP_SECONDS * rate)
     steps = samples[: len(samples) // size * size].reshape(-1, size).astype(np.float64)
     if not len(steps):
@@ -183,7 +183,7 @@ def loud_moments(samples: Float32Array, *, rate: int) -> BoolArray:
 
 
 def share_outside(samples: Float32Array, words: Sequence[Span], *, rate: int) -> float:
-    """Return the share of the sound that no word accounts for [0-1].
+    """Return the share of the sound outside all words [0-1].
 
     Parameters
     ----------

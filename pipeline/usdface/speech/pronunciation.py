@@ -1,8 +1,7 @@
-"""How words are said: by a user's own list, in the form of the CMU dictionary, or by rule.
+"""Pronunciations of words: from a user's list in the format of the CMU dictionary, or by rules.
 
-An unknown word, a name or an invention, is said by rules from letters to phones. They need not be
-right in every vowel: what counts is where the phones lie in time and what the lips do, and the
-nearest guess serves both.
+Unknown words are pronounced by letter-to-sound rules. Wrong vowels are tolerable, because only the
+times of the phones and the motion of the lips matter.
 """
 
 import re
@@ -13,8 +12,8 @@ from usdface.core.errors import InputError
 from usdface.core.text import read_text
 from usdface.speech.phones import SILENCE, arpabet_of
 
-# Each rule is where it applies and what is said; the first that fits at a letter wins. Looking
-# ahead and behind tells the open syllable (vowel, consonant, vowel) from the closed one.
+# Pairs of pattern and phones; the first that matches at a letter is used. Lookahead and lookbehind
+# distinguish open syllables (vowel, consonant, vowel) from closed ones.
 _OPEN = r"(?=[bcdfghjklmnpqrstvwz][aeiouy])"
 _MAGIC = r"(?=[bcdfgklmnpstvz]es?$)"
 _SOFT = r"(?=[eiy])"
@@ -86,7 +85,7 @@ _SPELLED = {
 
 @lru_cache(maxsize=1)
 def _compiled() -> tuple[tuple[re.Pattern[str], tuple[str, ...]], ...]:
-    return tuple((re.compile(rule), tuple(said.split())) for rule, said in _RULES)
+    return tuple((re.compile(rule), tuple(phones.split())) for rule, phones in _RULES)
 
 
 def phones_of_letters(word: str) -> tuple[str, ...]:
@@ -95,13 +94,13 @@ def phones_of_letters(word: str) -> tuple[str, ...]:
     Parameters
     ----------
     word : str
-        Letters a to z and apostrophes, lower case. A word without a vowel is spelled, as
-        ``bbc`` is.
+        Letters a to z and apostrophes, lower case. A word without a vowel, such as ``bbc``, is
+        spelled.
 
     Returns
     -------
     tuple of str
-        ARPAbet in upper case without stress, as pocketsphinx has it; at least one.
+        ARPAbet in upper case without stress, as in pocketsphinx; at least one.
     """
     letters = re.sub(r"[^a-z']", "", word.lower())
     plain = letters.replace("'", "")
@@ -111,41 +110,41 @@ def phones_of_letters(word: str) -> tuple[str, ...]:
         return tuple(phone for letter in plain for phone in _SPELLED[letter].split())
     if letters.endswith("'s") and len(letters) > 2:
         return _possessive(phones_of_letters(letters[:-2]))
-    said: list[str] = []
+    pronounced: list[str] = []
     place = 0
     while place < len(letters):
         for rule, phones in _compiled():
-            found = rule.match(letters, place)
-            if found and found.end() > place:
-                said += phones
-                place = found.end()
+            match = rule.match(letters, place)
+            if match and match.end() > place:
+                pronounced += phones
+                place = match.end()
                 break
         else:
             place += 1
-    return tuple(said) or tuple(_SPELLED[plain[0]].split())
+    return tuple(pronounced) or tuple(_SPELLED[plain[0]].split())
 
 
-def _possessive(said: tuple[str, ...]) -> tuple[str, ...]:
-    if said[-1] in ("S", "Z", "SH", "ZH", "CH", "JH"):
-        return (*said, "IH", "Z")
-    return (*said, "S" if said[-1] in ("P", "T", "K", "F", "TH") else "Z")
+def _possessive(phones: tuple[str, ...]) -> tuple[str, ...]:
+    if phones[-1] in ("S", "Z", "SH", "ZH", "CH", "JH"):
+        return (*phones, "IH", "Z")
+    return (*phones, "S" if phones[-1] in ("P", "T", "K", "F", "TH") else "Z")
 
 
 LARGEST_DICTIONARY_BYTES = 64 << 20
 
 
 def read_dictionary(path: Path) -> dict[str, tuple[str, ...]]:
-    """Read pronunciations, one a line: ``kvothe  K V OW TH``.
+    """Read pronunciations, one per line: ``kvothe  K V OW TH``.
 
-    Stress digits are taken off, lines that begin with ``;;;`` or ``#`` are remarks, and of several
-    entries for a word the first holds.
+    Stress digits are removed, lines that begin with ``;;;`` or ``#`` are comments, and the first of
+    several entries for a word is used.
 
     Returns
     -------
     dict of str to tuple of str
         ARPAbet in upper case, by word in lower case.
     """
-    said: dict[str, tuple[str, ...]] = {}
+    pronunciations: dict[str, tuple[str, ...]] = {}
     for number, line in enumerate(read_text(path, LARGEST_DICTIONARY_BYTES).splitlines(), start=1):
         if not line.strip() or line.startswith((";;;", "#")):
             continue
@@ -163,5 +162,6 @@ def read_dictionary(path: Path) -> dict[str, tuple[str, ...]]:
                 + "; write the word, then its phones, as in: kvothe  K V OW TH"
             )
         name = re.sub(r"\(\d+\)$", "", word.lower())
-        said.setdefault(name, tuple(phone.upper() for phone in known if phone is not None))
-    return said
+        phones = tuple(phone.upper() for phone in known if phone is not None)
+        pronunciations.setdefault(name, phones)
+    return pronunciations

@@ -1,4 +1,4 @@
-"""Phones from and to files: Praat's TextGrid, HTK's labels, JSON."""
+"""Reading and writing of phones: Praat's TextGrid, HTK's labels, JSON."""
 
 import hashlib
 import json
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 LARGEST_TRACK_BYTES = 256 << 20
 HTK_UNIT = 1e-7
-"""[s] HTK counts time in hundreds of nanoseconds."""
+"""Unit of time in HTK's labels [s]: 100 ns."""
 
 ORIGIN_MARK = "usdface-provenance:"
 
@@ -32,24 +32,24 @@ _TIERS = {
 _NO_WORDS = ("sil", "sp", "spn", "<eps>", "<sil>", "<s>", "</s>", "<unk>", "[noise]")
 _NAME_PARTS = re.compile(r"\s*[-:/]\s*")
 _WEB_MAUS = {"ort-mau": "words", "kan-mau": "dictionary"}
-"""Its tiers are words, how the dictionary says them, and as `MAU` the phones."""
+"""Names of WebMAUS's tiers; its phones are in `MAU`."""
 _LEAST_SECONDS = 1e-6
 
 
 def read_phone_track(path: Path) -> PhoneTrack:
-    """Read phones, and words and emotions where the file has them.
+    """Read phones, and words and emotions if the file has them.
 
     Parameters
     ----------
     path : Path
-        ``.TextGrid`` (long, short, UTF-16 or JSON): tiers named after phones, words, emotions, by
-        themselves or as ``speaker - phones``. ``.lab``: HTK, in 100 ns or in seconds. ``.json``:
+        ``.TextGrid`` (long, short, UTF-16 or JSON): tiers named phones, words and emotions, or
+        ``speaker - phones``. ``.lab``: HTK, in 100 ns or in seconds. ``.json``:
         ``{"phones": [{"start": 0.1, "end": 0.2, "label": "AH"}, ...]}``.
     """
     suffix = path.suffix.lower()
     if suffix not in _TRACK_SUFFIXES:
         raise InputError(
-            f"{path}: is no file of phones; give one that ends in .TextGrid, .lab or .json"
+            f"{path}: is not a file of phones; give one that ends in .TextGrid, .lab or .json"
         )
     text = read_text(path, LARGEST_TRACK_BYTES)
     if suffix == ".lab":
@@ -67,13 +67,13 @@ def read_phone_track(path: Path) -> PhoneTrack:
 def write_phone_track(
     path: Path, track: PhoneTrack, *, origin: Mapping[str, object] | None = None
 ) -> None:
-    """Write a track in the format that the name ends in; see `read_phone_track`.
+    """Write a track in the format of the extension; see `read_phone_track`.
 
     Parameters
     ----------
     origin : mapping, optional
-        What made it. A TextGrid carries it as the label of a tier of its own, JSON as a key; HTK's
-        labels have no room for it, so a file beside them does, `origin_path`.
+        Provenance: in a TextGrid the label of a separate tier, in JSON a key, for HTK's labels a
+        separate file, `origin_path`.
     """
     suffix = path.suffix.lower()
     if suffix == ".lab":
@@ -89,7 +89,7 @@ def write_phone_track(
 
 
 def origin_path(labels: Path) -> Path:
-    """Return the file that says what made HTK labels, which have no room for it."""
+    """Return the path of the provenance of HTK labels."""
     return labels.with_name(f"{labels.name}.origin.json")
 
 
@@ -98,50 +98,49 @@ def _write_htk(path: Path, text: bytes, origin: Mapping[str, object] | None) -> 
         with replacing(path) as temporary:
             temporary.write_bytes(text)
         return
-    said = {"sha256": hashlib.sha256(text).hexdigest(), "provenance": dict(origin)}
-    with replacing_together([path, origin_path(path)]) as (temporary, beside):
+    data = {"sha256": hashlib.sha256(text).hexdigest(), "provenance": dict(origin)}
+    with replacing_together([path, origin_path(path)]) as (temporary, sidecar):
         temporary.write_bytes(text)
-        beside.write_text(json.dumps(said, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+        sidecar.write_text(json.dumps(data, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
 SAMPA_MARKS = frozenset("@{}&:")
-"""In none of the alphabets that are known."""
+"""Characters of SAMPA that no supported alphabet has."""
 
 
 def _check_track(path: Path, track: PhoneTrack) -> None:
-    said = [span for span in track.phones if viseme_of(span.label) != "pau"]
-    if not said:
-        raise InputError(f"{path}: has {len(track.phones)} phones and none that is said")
+    spoken = [span for span in track.phones if viseme_of(span.label) != "pau"]
+    if not spoken:
+        raise InputError(f"{path}: all of its {len(track.phones)} phones are silence")
     for before, after in zip(track.phones, track.phones[1:], strict=False):
         if after.start < before.end - 1e-3:
             raise InputError(
                 f"{path}: phone {after.label!r} at {after.start:.3f} s begins before "
                 f"{before.label!r} ends, at {before.end:.3f} s; export the phones again"
             )
-    sampa = sorted({span.label for span in said if not SAMPA_MARKS.isdisjoint(span.label)})
-    if sampa:  # its S and T are those of "she" and "thin", and would pass for those of "see", "tin"
+    sampa = sorted({span.label for span in spoken if not SAMPA_MARKS.isdisjoint(span.label)})
+    if sampa:  # its S and T, those of "she" and "thin", would be read as those of "see" and "tin"
         raise InputError(
-            f"{path}: {', '.join(map(repr, sampa[:5]))}: these phones are in SAMPA, and letters of "
-            "it stand for other phones in ARPAbet; export them as IPA (in WebMAUS, the output "
-            "symbols `ipa`)"
+            f"{path}: {', '.join(map(repr, sampa[:5]))}: these phones are in SAMPA, whose letters "
+            "are other phones in ARPAbet; export them as IPA (in WebMAUS, the output symbols `ipa`)"
         )
-    unknown = sorted({span.label for span in said if viseme_of(span.label) is None})
-    share = sum(viseme_of(span.label) is None for span in said) / len(said)
+    unknown = sorted({span.label for span in spoken if viseme_of(span.label) is None})
+    share = sum(viseme_of(span.label) is None for span in spoken) / len(spoken)
     if share > 0.5:
         raise InputError(
             f"{path}: {share:.0%} of its phones are in no alphabet known here "
-            f"({', '.join(map(repr, unknown[:5]))}, ...); ARPAbet, TIMIT and the IPA of the "
-            "Montreal Forced Aligner are"
+            f"({', '.join(map(repr, unknown[:5]))}, ...); use ARPAbet, TIMIT or the IPA of the "
+            "Montreal Forced Aligner"
         )
 
 
 def unknown_symbols(track: PhoneTrack) -> tuple[str, ...]:
-    """Return the symbols of a track that are no phone of any alphabet known."""
+    """Return the symbols of a track that are in no supported alphabet."""
     return tuple(sorted({s.label for s in track.phones if viseme_of(s.label) is None}))
 
 
 def _from_htk(path: Path, text: str) -> PhoneTrack:
-    """Read lines of start, end, label; a fourth column, where HTK has it, begins a word."""
+    """Read lines of start, end, label; an optional fourth column begins a word."""
     rows = []
     for number, line in enumerate(text.splitlines(), start=1):
         fields = line.split()
@@ -154,7 +153,7 @@ def _from_htk(path: Path, text: str) -> PhoneTrack:
                 f"{path} line {number}: {line[:40]!r} is no label; a line is start, end, phone"
             ) from error
     whole = all(start.is_integer() and end.is_integer() for start, end, _ in rows)
-    # Seconds are written with a point; whole numbers of any size worth a phone are HTK's unit.
+    # Seconds have a decimal point; large whole numbers are in HTK's unit.
     unit = HTK_UNIT if whole and max((end for _, end, _ in rows), default=0) > 1e4 else 1.0
     phones = [
         Span(round(s * unit, 7), round(e * unit, 7), fields[0] if fields else "")
@@ -228,10 +227,10 @@ def _from_textgrid(path: Path) -> PhoneTrack:
             reportingMode="silence",
             duplicateNamesMode="rename",
         )
-    except Exception as error:  # praatio lets whatever its parser stumbles over through
+    except Exception as error:  # praatio raises various errors of its parser
         reason = " ".join(str(error).split())[:120]
         raise InputError(
-            f"{path}: is no TextGrid that can be read ({reason}); save it again from Praat"
+            f"{path}: cannot be read as a TextGrid ({reason}); save it again from Praat"
         ) from error
     return _from_tiers(
         path,
@@ -243,18 +242,18 @@ def _from_textgrid(path: Path) -> PhoneTrack:
 
 
 def _from_tiers_json(path: Path, text: str) -> PhoneTrack:
-    """Read the JSON of the Montreal Forced Aligner, or of praatio: tiers by their names."""
+    """Read the JSON of the Montreal Forced Aligner or of praatio: tiers by name."""
     try:
         tiers = json.loads(text)["tiers"]
         return _from_tiers(path, [(name, tier["entries"]) for name, tier in tiers.items()])
     except (LookupError, ValueError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(
-            f"{path}: its tiers are no lists of [start, end, label]: {error}; export it again"
+            f"{path}: its tiers are not lists of [start, end, label]: {error}; export it again"
         ) from error
 
 
 def _from_tiers(path: Path, tiers: Sequence[tuple[str, Sequence[Any]]]) -> PhoneTrack:
-    """Choose the tiers of phones, words and emotions; all must be of one speaker."""
+    """Return the track of the tiers of phones, words and emotions of one speaker."""
     found: dict[str, list[tuple[str, list[Span]]]] = {kind: [] for kind in _TIERS}
     for name, entries in tiers:
         *prefix, plain = _NAME_PARTS.split(_WEB_MAUS.get(name.lower(), name.lower()).strip())
@@ -267,14 +266,14 @@ def _from_tiers(path: Path, tiers: Sequence[tuple[str, Sequence[Any]]]) -> Phone
             f"{path}: has no tier of phones, only {', '.join(repr(name) for name, _ in tiers)}; "
             "name the tier `phones`"
         )
-    said = [tier for tier in found["phones"] if any(viseme_of(s.label) != "pau" for s in tier[1])]
-    speakers = list(dict.fromkeys(speaker for speaker, _ in said))
+    spoken = [tier for tier in found["phones"] if any(viseme_of(s.label) != "pau" for s in tier[1])]
+    speakers = list(dict.fromkeys(speaker for speaker, _ in spoken))
     if len(speakers) > 1:
         raise InputError(
             f"{path}: has phones of several speakers ({', '.join(map(repr, speakers))}); keep the "
             "tiers of the one who is captured"
         )
-    speaker, phones = (said or found["phones"])[0]
+    speaker, phones = (spoken or found["phones"])[0]
 
     def of_speaker(kind: str) -> list[Span]:
         own = [spans for whose, spans in found[kind] if whose == speaker]
@@ -294,7 +293,7 @@ def _textgrid(track: PhoneTrack, origin: Mapping[str, object] | None) -> "Textgr
             tier = textgrid.IntervalTier(name, entries, 0.0, max(track.duration, entries[-1][1]))
             grid.addTier(tier, reportingMode="silence")
     if origin is not None and grid.tierNames:
-        label = ORIGIN_MARK + quote(json.dumps(origin))  # quoted: Praat's own quoting stays out
+        label = ORIGIN_MARK + quote(json.dumps(origin))  # no characters that Praat quotes
         entries = [(0.0, float(grid.maxTimestamp), label)]
         grid.addTier(
             textgrid.IntervalTier("usdface", entries, 0.0, float(grid.maxTimestamp)),
@@ -304,13 +303,13 @@ def _textgrid(track: PhoneTrack, origin: Mapping[str, object] | None) -> "Textgr
 
 
 def read_origin(path: Path) -> dict[str, object] | None:
-    """Return what a TextGrid says of its making; None where it says nothing."""
+    """Return the provenance of a TextGrid, or None."""
     found = re.search(ORIGIN_MARK + r"([^\"\s]+)", read_text(path, LARGEST_TRACK_BYTES))
     return json_object(unquote(found.group(1))) if found else None
 
 
 def read_origin_beside(path: Path) -> dict[str, object] | None:
-    """Return what HTK labels are said to be made from; None if they have been changed since."""
+    """Return the provenance of HTK labels; None if they have been changed since."""
     if not origin_path(path).is_file():
         return None
     try:

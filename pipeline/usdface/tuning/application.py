@@ -1,4 +1,4 @@
-"""What the page asks for: its files, the face, the pairs, their pictures; and what it sends."""
+"""Web application of the tuning page: its files, data, pictures, and the requests it sends."""
 
 import base64
 import contextlib
@@ -41,7 +41,7 @@ from usdface.tuning.waits import StoppedError, Waits
 from usdface.usdio.references.read import PairNotes
 
 _FARTHEST_SECONDS = 1.0
-"""From a pair's frame to what is shown of its video."""
+"""Largest time from a pair's frame to a shown video frame."""
 
 _FILES = {
     ".js": "text/javascript; charset=utf-8",
@@ -51,13 +51,13 @@ _FILES = {
 
 
 class _Message(BaseModel):
-    """What a page may send: nothing unknown, nothing infinite."""
+    """A message of the page; unknown fields and infinite numbers are refused."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
 class SentChange(_Message):
-    """One change as the page sends it."""
+    """A change of weights."""
 
     pair: int = Field(ge=0)
     take: str
@@ -67,24 +67,21 @@ class SentChange(_Message):
 
 
 class SentChanges(_Message):
-    """What one POST holds."""
+    """The changes of one request."""
 
     revision: int
     changes: list[SentChange] = Field(max_length=10_000)
 
 
 class SentPlace(_Message):
-    """A marker that was dragged over the face at rest; without `at` its correction is taken back.
-
-    `at` is in the rig's space [mm].
-    """
+    """A corrected marker position, `at`, on the rig at rest [mm]; None removes the correction."""
 
     marker: str = Field(max_length=1000)
     at: tuple[float, float, float] | None = None
 
 
 class SentSolve(_Message):
-    """What the markers of a pair are to be solved for: the weights as shown, and those to find."""
+    """A request to solve for the weights of some shapes (`free`), starting from `weights`."""
 
     pair: int = Field(ge=0)
     weights: dict[str, StrictFloat] = Field(max_length=10_000)
@@ -92,7 +89,7 @@ class SentSolve(_Message):
 
 
 class SentPose(_Message):
-    """A pose to save under a name; without weights it is removed."""
+    """A named pose to save; without weights it is removed."""
 
     name: PoseName
     weights: PoseWeights | None = None
@@ -104,7 +101,7 @@ _Refuser = Callable[[Request, Exception], Awaitable[Response]]
 
 
 class Scene:
-    """A rig ready for the page: packed when first asked for, so that the page opens at once."""
+    """Data of the page; the face is packed on the first request, so that the page opens at once."""
 
     def __init__(
         self,
@@ -133,35 +130,35 @@ class Scene:
 
     @functools.cached_property
     def targets(self) -> MarkerTargets | str:
-        """Where markers should lie, or why that is not known."""
+        """Target positions of the markers, or the reason why there are none."""
         return targets_or_reason(self.session.references, self.rig)
 
     def change(self, sent: SentChanges) -> dict[str, Any]:
-        """Take changes over; return the revision they made."""
+        """Apply changes; return the new revision."""
         given = [Change(**each.model_dump()) for each in sent.changes]
         return {"revision": self.session.apply(given, revision=sent.revision)}
 
     def place(self, sent: SentPlace) -> None:
-        """Correct the place of a marker, or take its correction back; `markers` are others then."""
+        """Correct the position of a marker, or remove the correction; invalidates `targets`."""
         with self._writing:
             correct_place(self.session, self.rig, sent.marker, sent.at)
             self.__dict__.pop("targets", None)
 
     async def place_and_measure(self, sent: SentPlace) -> dict[str, Any]:
-        """Correct the place of a marker and return the markers anew."""
+        """Correct the position of a marker; return the new markers."""
         await run_in_threadpool(self.place, sent)
         return await self.waits.result_of(self.markers)
 
     async def solve_markers(self, sent: SentSolve) -> dict[str, Any]:
-        """Solve in a thread."""
+        """Run `solve` in a thread."""
         return await self.waits.result_of(lambda: self.solve(sent))
 
     def poses(self) -> dict[str, Any]:
-        """Return the poses that were saved."""
+        """Return the saved poses."""
         return read_poses(poses_path(self.session.path)).model_dump()
 
     def save_pose(self, sent: SentPose) -> dict[str, Any]:
-        """Save a pose, or remove it; return all."""
+        """Save or remove a pose; return all."""
         self.rig.check_has(sent.weights or (), source="the page", remedy="reload it")
         with self._writing:
             self.session.lock.check()
@@ -169,7 +166,7 @@ class Scene:
             return save_pose(path, sent.name, sent.weights).model_dump()
 
     def solve(self, sent: SentSolve) -> dict[str, Any]:
-        """Return weights of the shapes asked for, by the markers, while the others are held."""
+        """Return solved weights of the requested shapes; the others are held."""
         references, targets = self.session.references, self.targets
         if isinstance(targets, str):
             raise InputError(targets)
@@ -183,7 +180,7 @@ class Scene:
         return {"weights": {name: weights[name] for name in sent.free}}
 
     def face(self) -> dict[str, Any]:
-        """Return the face's header, and what the page knows of the references."""
+        """Return the face's header and a description of the pairs."""
         references = self.session.references
         heads = self.pictures.head_degrees()
         deformer = Deformer(self.rig)
@@ -240,7 +237,7 @@ class Scene:
         }
 
     def state(self) -> dict[str, Any]:
-        """Return the weights as they are now."""
+        """Return the current weights."""
         state = self.session.state()
         return {
             "revision": state.revision,
@@ -251,7 +248,7 @@ class Scene:
 
 
 def _seconds_after(request: Request) -> float | None:
-    """Return how long after its frame a pair's video is asked for; None if that is nonsense."""
+    """Return the requested time relative to a pair's frame [s]; None if invalid."""
     try:
         after = float(request.query_params.get("after", 0))
     except ValueError:
@@ -264,7 +261,7 @@ async def _home(request: Request) -> Response:
 
 
 def build_application(scene: Scene) -> Starlette:
-    """Return the application; put `usdface.tuning.guard.Guard` around it."""
+    """Return the application, to be wrapped in `usdface.tuning.guard.Guard`."""
 
     async def file(request: Request) -> Response:
         name = request.path_params["name"]
@@ -284,7 +281,7 @@ def build_application(scene: Scene) -> Starlette:
             return _refusal(404, f"no pair {pair}")
         after = _seconds_after(request)
         if after is None:
-            return _refusal(400, "after is no number of seconds")
+            return _refusal(400, "after is not a number of seconds")
         data = await scene.waits.result_of(lambda: scene.pictures.jpeg(pair, after))
         return Response(data, media_type="image/jpeg")
 
@@ -331,7 +328,7 @@ def _refusal(status: int, reason: str) -> Response:
 
 
 def _refuser(status: int, reason: str | None = None) -> _Refuser:
-    """Return what answers an error: with its own words, or a reason."""
+    """Return an error handler that answers with the error's message or `reason`."""
 
     async def answer(request: Request, error: Exception) -> Response:
         return _refusal(status, str(error) if reason is None else reason)
@@ -340,7 +337,7 @@ def _refuser(status: int, reason: str | None = None) -> _Refuser:
 
 
 async def _sent(request: Request, kind: type[_Sent]) -> _Sent | Response:
-    """Return what a POST holds, or the answer that refuses it."""
+    """Return the validated body of a POST, or the response that refuses it."""
     try:
         return kind.model_validate_json(await request.body())
     except ClientDisconnect:

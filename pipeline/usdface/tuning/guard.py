@@ -1,7 +1,7 @@
-"""The guard of the tuning page: who may reach it, and what may be sent.
+"""Access control of the tuning page.
 
-Any page the animator has open may send requests to a loopback address, and any process of the
-machine may connect. Each rule stops one of these ways in; `tests/tuning/test_guard.py` tries them.
+Any page open in the browser may send requests to a loopback address, and any process of the machine
+may connect. Each rule closes one of these ways; `tests/tuning/test_guard.py` tries them.
 """
 
 import asyncio
@@ -19,10 +19,10 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 HEADER = "x-usdface-tune"
-"""Only a script of our own origin can set it without asking the server first."""
+"""Header that scripts of other origins cannot send without a CORS preflight."""
 
 LARGEST_BODY = 4 << 20
-"""Bytes: every weight of a pair with thousands of shapes is far below."""
+"""Bytes; all weights of a pair with thousands of shapes are far below."""
 
 _SECURITY_HEADERS = {
     "Content-Security-Policy": (
@@ -40,7 +40,7 @@ _SECURITY_HEADERS = {
 
 @dataclass(frozen=True)
 class Request:
-    """What the rules look at."""
+    """The parts of a request that the rules use."""
 
     method: str
     path: str
@@ -49,7 +49,7 @@ class Request:
 
     @classmethod
     def of(cls, scope: Scope) -> "Request | None":
-        """Read a request; None where a header that decides is there twice."""
+        """Return the request of a scope; None if a relevant header is repeated."""
         headers: dict[str, str] = {}
         for raw_name, raw_value in scope["headers"]:
             name = raw_name.decode("latin-1").lower()
@@ -61,31 +61,31 @@ class Request:
 
 
 class Guard:
-    """Middleware that answers what may not pass, and adds security headers to all that does.
+    """Middleware that refuses requests, and adds security headers to responses.
 
     Parameters
     ----------
     port : int
-        That the server listens on.
+        Of the server.
     announce : callable
-        Called with a new link each time one is made; a link opens the page once.
+        Called with a new link if a used one is tried; a link opens the page once.
     """
 
     def __init__(self, app: ASGIApp, *, port: int, announce: Callable[[str], None]) -> None:
         self._app = app
         self._hosts = (f"127.0.0.1:{port}", f"localhost:{port}")
-        self._cookie_name = f"usdface_tune_{port}"  # cookies do not know ports
+        self._cookie_name = f"usdface_tune_{port}"  # cookies are shared by all ports
         self._cookie = secrets.token_urlsafe(32)
         self._announce = announce
         self._token = ""
         self.link = self._new_link()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Let a request pass or answer it."""
+        """Pass on or refuse a request."""
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return
-        if scope["type"] != "http":  # there are no web sockets here
+        if scope["type"] != "http":  # no web sockets
             await send({"type": "websocket.close", "code": 1008})
             return
         request = Request.of(scope)
@@ -106,10 +106,10 @@ class Guard:
         await self._app(scope, _limited(receive), send_hardened)
 
     def _answer(self, request: Request) -> Response | None:
-        """Return what to answer instead of the application; None lets the request pass."""
+        """Return the response that refuses a request; None to pass it on."""
         headers = request.headers
         host, origin = headers.get("host", ""), headers.get("origin")
-        if host not in self._hosts:  # a name that someone pointed at this address
+        if host not in self._hosts:  # DNS rebinding
             return _refusal(403, f"this server is not {host!r}; use the link it printed")
         if origin is not None and origin != f"http://{host}":
             return _refusal(403, "another page may not talk to this server")
@@ -133,7 +133,7 @@ class Guard:
         return None
 
     def _enter(self, request: Request) -> Response:
-        """Exchange a token for the cookie; a link that was used is worth nothing to a thief."""
+        """Exchange a token, which is valid once, for the cookie."""
         given = parse_qs(request.query).get("token", [""])[0]
         if hmac.compare_digest(given.encode(), self._token.encode()):
             self.link = self._new_link()
@@ -165,7 +165,7 @@ def _refusal(status: int, reason: str) -> Response:
 
 
 def _limited(receive: Receive) -> Receive:
-    """Stop a body that is longer than it said it would be."""
+    """Disconnect if the body is longer than `LARGEST_BODY`, whatever its content-length."""
     total = 0
 
     async def wrapped() -> Message:
@@ -180,19 +180,19 @@ def _limited(receive: Receive) -> Receive:
 
 
 REQUEST_SECONDS = 5.0
-"""From a connection to the end of its first request's header; a page sends it at once."""
+"""Time from connection to the end of the first request's header."""
 MOST_UNASKED = 32
-"""Connections that may stand open without a request."""
+"""Most open connections without a request."""
 
 
 class PromptProtocol(H11Protocol):
-    """Closes connections on which no request is made: any process may open them, without cookie."""
+    """Closes connections without a request, which any process could open."""
 
     _unasked: ClassVar[dict["PromptProtocol", asyncio.TimerHandle]] = {}
     """Oldest first."""
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Close it in a while, and the oldest at once where too many are open."""
+        """Start the timeout; with too many connections, close the oldest."""
         super().connection_made(transport)
         self._unasked[self] = self.loop.call_later(REQUEST_SECONDS, transport.close)
         if len(self._unasked) > MOST_UNASKED:
@@ -201,13 +201,13 @@ class PromptProtocol(H11Protocol):
             oldest._settle()
 
     def data_received(self, data: bytes) -> None:
-        """Let a connection stay that makes a request."""
+        """Keep a connection that has made a request."""
         super().data_received(data)
         if self.cycle is not None:
             self._settle()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Forget it."""
+        """Stop the timeout."""
         super().connection_lost(exc)
         self._settle()
 

@@ -1,7 +1,7 @@
-"""Changes as lines of a file, each on disk before it is acknowledged.
+"""Write-ahead journal of changes, each on disk before it is acknowledged.
 
-Writing a USD layer takes tens of milliseconds; a line takes four. The layer follows when the hand
-rests. Whatever crashes in between, the lines are still there and are played again.
+Writing a line takes 4 ms, a USD layer tens of milliseconds. The layer is written when changes
+pause; after a crash, the lines are replayed.
 """
 
 import json
@@ -23,11 +23,11 @@ class Change:
     """Index from 0."""
     take: str
     frame: int
-    """`take`, `frame`: What the pair shows: a change never lands on another pair."""
+    """`take`, `frame`: of the pair, to detect a changed selection."""
     weights: dict[str, float] = field(default_factory=dict)
     """By shape name."""
     done: bool | None = None
-    """None leaves it as it is."""
+    """None: unchanged."""
 
 
 class Journal:
@@ -36,19 +36,19 @@ class Journal:
     Parameters
     ----------
     path : Path
-        Made with the first change, removed by `clear`.
+        Created with the first change, removed by `clear`.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
 
     def replay(self) -> list[Change]:
-        """Return the changes on disk, and cut off a last line that was not written to its end.
+        """Return the changes on disk; an incomplete last line is removed.
 
         Raises
         ------
         InputError
-            If a line before the last is no change: the file was edited, or is not a journal.
+            If a line before the last is not a change.
         """
         try:
             with side_stream(self.path, "rb") as stream:
@@ -60,12 +60,12 @@ class Journal:
         for number, line in enumerate(raw[:whole].splitlines(), start=1):
             change = _parse(line)
             if change is None:
-                if number == raw[:whole].count(b"\n"):  # torn within a page that reached the disk
+                if number == raw[:whole].count(b"\n"):  # a partly written page
                     whole = raw.rfind(b"\n", 0, whole - 1) + 1
                     break
                 raise InputError(
-                    f"{self.path}: line {number} is no change of weights; nothing was changed. "
-                    "Move the file away to tune without what it holds, and send it to your TD"
+                    f"{self.path}: line {number} is not a change of weights; nothing was changed. "
+                    "Move the file away to tune without its changes, and send it to your TD"
                 )
             changes.append(change)
         if whole < len(raw):
@@ -75,7 +75,7 @@ class Journal:
         return changes
 
     def append(self, changes: Iterable[Change]) -> None:
-        """Write changes; when this returns they are on disk."""
+        """Write changes and flush them to disk."""
         lines = [json.dumps(asdict(change), ensure_ascii=False) + "\n" for change in changes]
         is_new = not self.path.exists()
         try:
@@ -86,7 +86,7 @@ class Journal:
                     stream.flush()
                     os.fsync(stream.fileno())
                 except OSError:
-                    stream.truncate(start)  # half a line would hide the next whole one
+                    stream.truncate(start)  # an incomplete line would corrupt the next one
                     raise
             if is_new:
                 flush_folder(self.path.parent)
@@ -96,13 +96,13 @@ class Journal:
             ) from error
 
     def clear(self) -> None:
-        """Forget all changes: they are in the layer."""
+        """Remove all changes, which are in the layer."""
         self.path.unlink(missing_ok=True)
 
 
 def flush_folder(folder: Path) -> None:
-    """Make sure that names made, replaced or removed in a folder outlive a loss of power."""
-    if os.name == "nt":  # folders cannot be opened there; renames are journalled by NTFS
+    """Flush a folder's entries to disk, against a loss of power."""
+    if os.name == "nt":  # folders cannot be opened; NTFS journals renames
         return
     descriptor = os.open(folder, os.O_RDONLY)
     try:

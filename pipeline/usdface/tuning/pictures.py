@@ -1,4 +1,4 @@
-"""The picture of each pair, from the asset or the take's video, its sound and its head's turn."""
+"""Picture, sound and head rotation of each pair, from the asset or the take's video."""
 
 import io
 import threading
@@ -23,22 +23,22 @@ from usdface.usdio.references.read import PairNotes
 from usdface.usdio.take.read import TakeReader
 
 SOUND_RATE = 24000
-"""[Hz] Speech has little above half of it."""
+"""[Hz] Speech has little energy above half of it."""
 SOUND_SECONDS = 1.0
 """Before and after a pair's frame."""
 CACHED_PICTURES = 64
-"""Encoded pictures that are kept: going back and forth decodes nothing."""
+"""Most encoded pictures in the cache."""
 
 
 class PairPictures:
-    """Pictures of pairs as JPEG, found when they are first asked for.
+    """Pictures and sound of pairs, read on request.
 
     Parameters
     ----------
     notes : sequence of PairNotes
         One per pair.
     takes : sequence of Path
-        Take files; each pair names its take.
+        Take files.
     """
 
     def __init__(
@@ -51,12 +51,12 @@ class PairPictures:
         self._takes = self._read_takes(takes)
         self._videos: dict[str, VideoReader | ImageSequence] = {}
         self._cached: OrderedDict[tuple[int, float], bytes] = OrderedDict()
-        self._guard = threading.Lock()  # one decoder, one frame at a time
+        self._guard = threading.Lock()  # of the decoders
         self._hearing = threading.Lock()
         self._heard: tuple[str, Float32Array | None] = ("", None)
 
     def reason_without(self, pair: int) -> str:
-        """Return why a pair has no picture; empty if it should have one."""
+        """Return the reason why a pair has no picture; empty if it should have one."""
         if self._notes[pair].image is not None:
             return ""
         return self._reason_without_video(self._references.takes[pair])
@@ -70,7 +70,7 @@ class PairPictures:
         return "" if take.video is not None else f"the take {name} has no video"
 
     def jpeg(self, pair: int, after: float = 0.0) -> bytes:
-        """Return a pair's picture, or the video's some seconds after its frame."""
+        """Return a pair's picture as JPEG, or the video frame `after` seconds later."""
         wanted = pair, after
         with self._guard:
             if wanted not in self._cached:
@@ -81,9 +81,9 @@ class PairPictures:
             return self._cached[wanted]
 
     def sound(self, pair: int) -> bytes | None:
-        """Return the sound around a pair's frame as WAV; None where the take has none.
+        """Return the sound around a pair's frame as WAV; None if the take has none.
 
-        The sound of one take is held: the next pair of it is heard at once.
+        The sound of the last take is cached.
         """
         name = self._references.takes[pair]
         take = self._takes.get(name)
@@ -107,9 +107,9 @@ class PairPictures:
         return out.getvalue()
 
     def head_degrees(self) -> list[list[float] | None]:
-        """Return yaw to its left, pitch down and roll to its right of the head at each pair.
+        """Return yaw to the left, pitch down and roll to the right of the head at each pair.
 
-        They are since the neutral frame; None where the take says nothing of it.
+        Relative to the neutral frame; None if the take has no head motion.
         """
         found: list[list[float] | None] = []
         for name, frame in zip(
@@ -120,7 +120,7 @@ class PairPictures:
         return found
 
     def close(self) -> None:
-        """Let go of the videos."""
+        """Close the videos."""
         with self._guard:
             for video in self._videos.values():
                 if isinstance(video, VideoReader):
@@ -147,7 +147,7 @@ class PairPictures:
         return found
 
     def _seconds(self, take: Take, pair: int) -> float:
-        """Return the moment of a pair's frame on its take's clock."""
+        """Return the time of a pair's frame on its take's clock."""
         return (int(self._references.frames[pair]) - take.first_frame) / float(take.rate)
 
     def _read_takes(self, files: Sequence[Path]) -> dict[str, Take]:
@@ -157,7 +157,7 @@ class PairPictures:
             try:
                 reader = TakeReader(path)
                 if reader.name in wanted:
-                    # Samples are not needed: one frame says all about video and rate.
+                    # One frame suffices for video and rate.
                     found[reader.name] = reader.read(reader.first_frame, reader.first_frame)
                     self._readers[reader.name] = reader
             except InputError as error:
@@ -176,6 +176,6 @@ def _head_degrees(take: TakeReader, frame: int) -> list[float] | None:
         turn = source.motion[0, :3, :3]
     if turn is None:
         return None
-    # In the order in which the page's camera turns, which is not that of the head's own axes.
+    # In the order of the page's camera, not of the head's axes.
     roll, pitch, yaw = Rotation.from_matrix(turn).as_euler("ZXY", degrees=True).tolist()
     return [yaw, pitch, roll]

@@ -1,4 +1,4 @@
-"""Poses saved under a name: one file beside the references, which other assets can use."""
+"""Named poses, in one file next to the references, which can be copied to other assets."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -13,7 +13,7 @@ from usdface.specs.base import Spec
 from usdface.specs.reading import validation_messages
 
 LARGEST_POSES_BYTES = 16 << 20
-"""A thousand poses of a thousand shapes are as large."""
+"""About a thousand poses of a thousand shapes."""
 
 PoseName = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1, max_length=80)]
 PoseWeights = Annotated[
@@ -28,11 +28,11 @@ class SavedPoses(BaseModel):
 
     usdface_poses: Literal[1] = 1
     poses: Annotated[dict[PoseName, PoseWeights], Field(max_length=10_000)] = {}
-    """Weights by name of the pose and of the shape; a shape that is not there is at 0."""
+    """Weights by names of pose and shape; 0 if missing."""
 
 
 def read_poses(path: Path) -> SavedPoses:
-    """Read saved poses; none where there is no file."""
+    """Return the saved poses; empty if there is no file."""
     check_may_open(path)
     if not path.exists():
         return SavedPoses()
@@ -43,12 +43,12 @@ def read_poses(path: Path) -> SavedPoses:
 
 
 def save_pose(path: Path, name: str, weights: dict[str, float] | None) -> SavedPoses:
-    """Save a pose, or remove it where `weights` is None; return all there are then.
+    """Save a pose, or remove it if `weights` is None; return all poses.
 
     Raises
     ------
     InputError
-        If the file is damaged, or cannot be written; it stays as it is.
+        If the file is damaged or cannot be written; it is then unchanged.
     """
     poses = {key: value for key, value in read_poses(path).poses.items() if key != name}
     if weights is not None:

@@ -1,4 +1,4 @@
-"""Run the tuning page: bind to this machine alone, save when the hand rests, leave in order."""
+"""Server of the tuning page on the loopback interface; saves when changes pause and at the end."""
 
 import asyncio
 import contextlib
@@ -28,29 +28,28 @@ from usdface.usdio.rig.reference import moved_rig
 log = logging.getLogger(__name__)
 
 IDLE_SECONDS = 0.5
-"""Without a change for this long, the layer is written."""
+"""Pause after which the layer is written."""
 
 RENEW_SECONDS = 5.0
 
 REVISION_RANGE = 1 << 40
-"""Far below where a browser's numbers lose their last digit."""
+"""Far below the limit of exact integers in JavaScript."""
 
 _FIRST_PORT, _PORTS = 49152, 16384
 
 
 def serve(spec: TuneSpec, *, announce: Callable[[str], None]) -> TuningSession:
-    """Serve the page until it is interrupted; then everything is saved.
+    """Serve the page until interrupted, then save.
 
     Parameters
     ----------
     announce : callable
-        Called with a link as soon as it opens the page, and with a new one when someone tries one
-        that was used.
+        Called with the link to the page, and with a new one if a used one is tried.
 
     Returns
     -------
     TuningSession
-        Closed; its state is what was tuned.
+        Closed, with the final state.
 
     Raises
     ------
@@ -83,7 +82,7 @@ def _run(
     notes = read_pair_notes(spec.references)
     takes = spec.takes or take_files(spec.references)
     root = confinement_root()
-    if root is not None:  # the asset says where its takes are
+    if root is not None:  # the asset names its takes
         check_confined([("tune", take) for take in takes], root)
     pictures = PairPictures(references, notes, takes)
     scene = Scene(
@@ -115,20 +114,20 @@ def _run(
 
 
 class _Server(uvicorn.Server):
-    """Stops without waiting for markers that are being placed."""
+    """Stops without waiting for requests in `Waits`."""
 
     def __init__(self, config: uvicorn.Config, waits: Waits) -> None:
         super().__init__(config)
         self._waits = waits
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """Answer who waits, then shut down."""
+        """Answer waiting requests, then shut down."""
         self._waits.stop()
         await super().shutdown(sockets)
 
 
 def _first_pair(spec: TuneSpec, session: TuningSession) -> int:
-    """Return the pair to begin with."""
+    """Return the index of the first pair to show."""
     frames = session.references.frames
     if spec.frame is None:
         return 0
@@ -148,7 +147,7 @@ async def _serve_and_save(
     announce: Callable[[str], None],
 ) -> None:
     saving = asyncio.create_task(_save_when_idle(session))
-    announce(guard.link)  # the socket listens already: a browser that is quick waits in its queue
+    announce(guard.link)  # the socket is listening already
     try:
         await server.serve(sockets=[listener])
     finally:
@@ -158,7 +157,7 @@ async def _serve_and_save(
 
 
 async def _save_when_idle(session: TuningSession) -> None:
-    """Write the layer when changes rest, and keep the lock fresh."""
+    """Write the layer when changes pause, and renew the lock."""
     revision, warned, since_renewal = -1, "", 0.0
     while True:
         await asyncio.sleep(IDLE_SECONDS)
@@ -173,24 +172,23 @@ async def _save_when_idle(session: TuningSession) -> None:
         try:
             await asyncio.to_thread(session.save)
             warned = ""
-        except InputError as error:  # the journal has it; the page hears of it with its next change
+        except InputError as error:  # the journal has the changes; the page is told with the next
             if str(error) != warned:
                 log.warning("%s", error)
             warned = str(error)
 
 
 def _listen(spec: TuneSpec) -> socket.socket:
-    """Listen on loopback: on the port asked for, else on the asset's own where it is free.
+    """Listen on loopback: on the requested port, or else on a port derived from the asset's path.
 
-    The same port each time means the same origin, so that a page that outlived the server finds
-    the changes that it could not send.
+    The same port is the same origin, so that a page of an earlier server finds its unsent changes.
     """
     wanted = spec.port if spec.port else _port_of(spec.references)
     for port in (wanted, 0):
-        # By name: asyncio spares sockets of protocol 0 TCP_NODELAY, and each answer waits 40 ms.
+        # Explicit protocol: with protocol 0, asyncio does not set TCP_NODELAY, a delay of 40 ms.
         listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
         try:
-            if os.name == "posix":  # elsewhere it lets two programs share a port
+            if os.name == "posix":  # on Windows, two programs could share a port
                 listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             listener.bind(("127.0.0.1", port))
             listener.listen(64)

@@ -1,4 +1,4 @@
-"""The weights of every pair as a page has them: changed in memory and journal, saved as USD."""
+"""Session of the tuning page: weights in memory and journal, saved as USD."""
 
 import threading
 from collections.abc import Sequence
@@ -25,60 +25,58 @@ from usdface.usdio.references.weight_layers import (
 from usdface.usdio.references.write import write_tuned_layer
 
 _SAME_WEIGHT = 1e-6
-"""Weights that differ by less are one: layers hold single precision."""
+"""Difference below which weights are equal: layers have single precision."""
 
 
 class StaleRevisionError(InputError):
-    """A change was made on a state that is no longer the newest."""
+    """A change was based on an outdated state."""
 
 
 @dataclass(frozen=True)
 class _State:
-    """What a page shows."""
+    """State shown by a page."""
 
     revision: int
-    """Counts up with every change."""
+    """Increases with every change."""
     weights: FloatArray
     proposals: FloatArray
     """`weights`, `proposals`: (pairs, shapes)"""
     tuned: BoolArray
-    """(pairs,): true where the weights are a person's: they differ from the proposal, or are
-    done."""
+    """(pairs,): whether the weights differ from the proposal, or are marked as done."""
     done: BoolArray
     """(pairs,)"""
 
 
 class TuningSession:
-    """A references asset being tuned; close it to save and to let others tune.
+    """Exclusive editing of a references asset; close it to save and to release the lock.
 
-    Every change is on disk in the journal when `apply` returns; `save` brings the journal's
-    changes into the tuned layer. A layer that someone else changes meanwhile is read again, and
-    the changes since the last save are laid over it.
+    Changes are on disk in the journal when `apply` returns; `save` writes them to the tuned layer.
+    If another program changes the layer meanwhile, it is read again, and the changes since the last
+    save are applied to it.
 
     Parameters
     ----------
     author : str
         Stored with the pairs that change; by default the login name.
     take_over : bool
-        Take the right to tune from whoever has it.
+        Take the lock from another session.
     first_revision : int
-        To count from. Each server has one of its own, or a page left open over a restart would
-        take another state for the one that it shows.
+        Different for each server, so that a page left open over a restart detects it.
 
     Attributes
     ----------
     tuned_path : Path
-        The layer that holds what is tuned.
+        Layer of the tuned weights.
     references : References
-        As it was when the session began.
+        As at the start of the session.
     recovered : int
-        Changes that an earlier session had not saved as USD.
+        Number of changes that an earlier session had not saved as USD.
 
     Raises
     ------
     InputError
-        If the asset cannot be read, another tunes it, or its tuned layer or journal belongs to
-        another selection. Nothing on disk is changed then.
+        If the asset cannot be read, is locked, or its tuned layer or journal belongs to another
+        selection. Nothing on disk is changed then.
     """
 
     def __init__(
@@ -115,7 +113,7 @@ class TuningSession:
             raise
 
     def state(self) -> _State:
-        """Return what a page shows now."""
+        """Return the current state."""
         with self._guard:
             return _State(
                 self._revision,
@@ -127,7 +125,7 @@ class TuningSession:
 
     @property
     def revision(self) -> int:
-        """Counts up with every change."""
+        """Increases with every change."""
         return self._revision
 
     @property
@@ -136,19 +134,19 @@ class TuningSession:
         return not self._unsaved
 
     def apply(self, changes: Sequence[Change], *, revision: int) -> int:
-        """Take changes over; when this returns they are safe on disk.
+        """Apply changes and write them to the journal; return the new revision.
 
         Parameters
         ----------
         revision : int
-            Of the state they were made on.
+            Revision that the changes are based on.
 
         Raises
         ------
         StaleRevisionError
-            If another page or program has changed the weights meanwhile; read the state again.
+            If another page or program has changed the weights since; read the state again.
         InputError
-            If a change names no pair or shape of the asset, is not finite, or cannot be saved.
+            If a change is of an unknown pair or shape, not finite, or cannot be saved.
         """
         with self._guard:
             self.lock.check()
@@ -166,12 +164,12 @@ class TuningSession:
             return self._revision
 
     def save(self) -> None:
-        """Write the tuned layer and empty the journal; nothing happens if nothing changed.
+        """Write the tuned layer and clear the journal if there are changes.
 
         Raises
         ------
         InputError
-            If another took the lock, or the layer cannot be written; the journal then stays.
+            If the lock was lost, or the layer cannot be written; the journal is then kept.
         """
         with self._guard:
             if not self._unsaved:
@@ -196,13 +194,13 @@ class TuningSession:
                 layer_path=self.tuned_path,
                 provenance=self._provenance(),
             )
-            flush_folder(self.tuned_path.parent)  # the layer must be there before the journal goes
+            flush_folder(self.tuned_path.parent)  # before the journal is removed
             self._journal.clear()
             self._unsaved = []
             self._seen = _signature(self.tuned_path)
 
     def close(self) -> None:
-        """Save, and let others tune."""
+        """Save, and release the lock."""
         try:
             if self.lock.is_ours():
                 self.save()
@@ -214,7 +212,7 @@ class TuningSession:
         return np.asarray(self._done | (away > _SAME_WEIGHT))
 
     def _read_layer(self) -> None:
-        """Take the weights from disk and lay the changes over them that are not there yet."""
+        """Read the weights from disk and apply unsaved changes."""
         self._seen = _signature(self.tuned_path)
         self._weights = read_references(self.path).weights.copy()
         self._done = np.zeros(len(self._weights), dtype=np.bool_)
@@ -225,7 +223,7 @@ class TuningSession:
             self._put(change)
 
     def _reread_if_changed(self) -> None:
-        """Merge what `references import` or a DCC wrote while the page was open."""
+        """Merge changes by `references import` or a DCC."""
         if self._selected != [
             _signature(self.path),
             _signature(proposed_path(self.path)),
@@ -264,12 +262,12 @@ class TuningSession:
                 )
             for name, value in change.weights.items():
                 if name not in self._column:
-                    raise InputError(f"{where} names {name!r}, which is no shape of the rig")
+                    raise InputError(f"{where} names {name!r}, which is not a shape of the rig")
                 if not np.isfinite(value) or abs(value) > 100.0:
                     raise InputError(f"{where}: {name} cannot be {value}; keep it near 0 to 1")
 
     def _provenance(self) -> Provenance:
-        """Keep what the layer says of its making, so that no job believes it out of date."""
+        """Return the layer's provenance, if it has one, so that jobs do not make it again."""
         if self.tuned_path.is_file() and (made := read_provenance(self.tuned_path)) is not None:
             return made
         proposals = proposed_path(self.path)

@@ -1,4 +1,4 @@
-"""Where markers should lie on the rig: what the live residual is measured against."""
+"""Target positions of markers on the rig, for the live residual."""
 
 from dataclasses import dataclass
 
@@ -24,36 +24,34 @@ from usdface.usdio.surface.binding import correct_binding
 from usdface.usdio.surface.placement import RigPlacement, read_placement
 
 _SAMPLE_FRAMES = 600
-"""Of the takes' motion, looked at to find where markers sit."""
+"""Frames of the takes' motion used to place the markers."""
 
 
 @dataclass(frozen=True)
 class MarkerTargets:
-    """Markers glued to the rig, and where the captured ones lie in its space."""
+    """Markers attached to the rig, and captured positions in its space."""
 
     names: tuple[str, ...]
     rest: Float32Array
     """(markers, 3): on the rig at rest [mm]."""
     key_deltas: Float32Array
-    """(keys, markers, 3): what each key of ``Deformer(rig).shapes`` does to them [mm]."""
+    """(keys, markers, 3): displacement by each key of ``Deformer(rig).shapes`` [mm]."""
     targets: Float32Array
-    """(pairs, markers, 3): captured positions on the character's proportions [mm]."""
+    """(pairs, markers, 3): captured positions, in the character's proportions [mm]."""
     regions: tuple[str, ...]
-    """Part of the face of each marker; empty for those that move with the skull alone, which say
-    nothing of the weights."""
+    """Part of the face of each marker; empty for those that move with the skull only."""
     corrected: tuple[bool, ...]
     """Whether a person placed the marker."""
     lines: IntArray
-    """(lines, 2): markers that lines join."""
+    """(lines, 2): markers joined by lines."""
     equation: BlendshapeEquation
-    """Solves for the weights of shapes."""
+    """Solver for the weights of shapes."""
 
 
 def find_targets(references: References, rig: Rig) -> MarkerTargets:
-    """Glue the references' markers to the rig where they are placed.
+    """Attach the references' markers to the rig by their placement, or else place them.
 
-    The takes are not needed: the asset carries a sample of their motion. References without a
-    placement have their markers placed here.
+    The takes are not needed: the asset has a sample of their motion.
     """
     positions = _sample(references)
     rigid = [references.marker_names.index(name) for name in references.rigid]
@@ -68,7 +66,7 @@ def find_targets(references: References, rig: Rig) -> MarkerTargets:
         rigid=tuple(rigid),
         labels=references.marker_names,
     )
-    rest = _rest(equation, rig)
+    rest = equation.virtual.places(np.concatenate([mesh.points for mesh in rig.meshes]))
     motion = character_motion(equation.virtual, references.markers, references.neutral)
     return MarkerTargets(
         names=references.marker_names,
@@ -89,19 +87,13 @@ def solve_shapes(
     weights: FloatArray,
     free: BoolArray,
 ) -> FloatArray:
-    """Solve the markers of a pair for some shapes, while all others are held.
+    """Return the weights of a pair, solved for the `free` shapes by its markers: (shapes,).
 
     Parameters
     ----------
     weights : (shapes,) float array
-        Of the rig's shapes.
+        Of the rig's shapes; those that are not free are held.
     free : (shapes,) bool array
-        Shapes to solve for.
-
-    Returns
-    -------
-    (shapes,) float array
-        Those that are held as they were.
     """
     ranges = np.where(free[:, None], targets.equation.ranges, weights[:, None])
     solved = targets.equation.propose(references.markers[pair : pair + 1], ranges=ranges)[0]
@@ -117,7 +109,7 @@ def _corrected(placement: RigPlacement | None, names: tuple[str, ...]) -> tuple[
 
 
 def _sample(references: References) -> FloatArray:
-    """Return frames that show the motion: a sample of the takes, and the pairs themselves."""
+    """Return a sample of the takes' frames, and the pairs: (frames, markers, 3)."""
     motion = references.motion
     if motion is None or not len(motion.sample):
         return references.markers
@@ -126,15 +118,10 @@ def _sample(references: References) -> FloatArray:
     return np.concatenate([flat.reshape(len(flat), -1, 3), references.markers])
 
 
-def _rest(equation: BlendshapeEquation, rig: Rig) -> FloatArray:
-    surface = np.concatenate([mesh.points for mesh in rig.meshes])
-    return equation.virtual.places(surface)
-
-
 def _regions(
     equation: BlendshapeEquation, parts: tuple[str, ...], rigid: list[int]
 ) -> tuple[str, ...]:
-    """Give each marker to the part of the face whose shapes move it most, of what they move."""
+    """Return for each marker the part of the face whose shapes have the largest relative motion."""
     moved = np.linalg.norm(equation.deltas, axis=2)
     share = moved / np.maximum(moved.max(axis=1, keepdims=True), 1e-9)
     by_region = shapes_by_region(parts)
@@ -142,14 +129,14 @@ def _regions(
         return tuple("" if marker in rigid else "face" for marker in range(moved.shape[1]))
     names = list(by_region)
     claims = np.array([share[columns].max(axis=0) for columns in by_region.values()])
-    if "jaw" in names:  # what the jaw carries along, the lower lip above all, is not its own
+    if "jaw" in names:  # the jaw also carries other parts, mainly the lower lip
         claims[names.index("jaw")] *= 0.85
     owner = claims.argmax(axis=0)
     return tuple("" if m in rigid else names[owner[m]] for m in range(moved.shape[1]))
 
 
 def targets_or_reason(references: References, rig: Rig) -> MarkerTargets | str:
-    """Return the targets, or why there are none: tuning goes on without a residual."""
+    """Return the targets, or the reason why there are none; tuning then has no residual."""
     if not references.marker_names:
         return "the references hold no markers"
     try:
@@ -161,18 +148,18 @@ def targets_or_reason(references: References, rig: Rig) -> MarkerTargets | str:
 def correct_place(
     session: TuningSession, rig: Rig, marker: str, at: tuple[float, float, float] | None
 ) -> None:
-    """Write the place of a marker into the corrected layer of the references' placement.
+    """Write the position of a marker to the corrected layer of the references' placement.
 
     Parameters
     ----------
     at : tuple of three floats or None
-        On the rig at rest [mm]; None takes an earlier correction back.
+        On the rig at rest [mm]; None removes a correction.
 
     Raises
     ------
     InputError
-        If the references have no placement, another has the right to tune, or marker or place are
-        not of them. Nothing is changed then.
+        If the references have no placement, the lock was lost, the marker is unknown, or the
+        position is not on the face. Nothing is changed then.
     """
     placement = session.references.placement
     if placement is None:
@@ -182,7 +169,7 @@ def correct_place(
     session.lock.check()
     layer = corrected_path(placement)
     confine("tune", reads=[placement], writes=[layer])
-    read_placement(placement, rig)  # of this rig, and whole
+    read_placement(placement, rig)  # raises if it is damaged or of another rig
     surface = rig_surfaces(rig)[0]
     place = None
     if at is not None:

@@ -1,7 +1,7 @@
-"""Work of the tuning page's server that nobody waits for once it stops.
+"""Threads of the tuning page's server that are abandoned when it stops.
 
-Placing the markers, packing a large face and decoding a video take seconds, and write nothing:
-Ctrl+C does not wait for them.
+Placing markers, packing a large face and decoding a video take seconds and write nothing: Ctrl+C
+does not wait for them.
 """
 
 import asyncio
@@ -14,13 +14,13 @@ _Made = TypeVar("_Made")
 
 
 class StoppedError(Exception):
-    """The server stops, and does not wait for what was asked for."""
+    """The server has stopped before the result was ready."""
 
 
 class Waits:
-    """Requests that wait for threads which write nothing; they end when the server stops.
+    """Requests that wait for threads; they are ended when the server stops.
 
-    The threads go on until the process ends.
+    The threads continue until the process ends.
     """
 
     def __init__(self) -> None:
@@ -28,7 +28,7 @@ class Waits:
         self._waiting: set[asyncio.Future[Any]] = set()
 
     async def result_of(self, make: Callable[[], _Made]) -> _Made:
-        """Run a function in a thread of its own and return its result."""
+        """Run a function in a new thread and return its result."""
         if self._stopped:
             raise StoppedError
         loop = asyncio.get_running_loop()
@@ -47,9 +47,9 @@ class Waits:
             fault: BaseException | None = None
             try:
                 result = make()
-            except BaseException as error:  # whoever waits gets it
+            except BaseException as error:  # raised in the waiting request
                 fault = error
-            with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits
+            with contextlib.suppress(RuntimeError):  # the loop is closed
                 loop.call_soon_threadsafe(settle, result, fault)
 
         self._waiting.add(made)
@@ -60,7 +60,7 @@ class Waits:
             self._waiting.discard(made)
 
     def stop(self) -> None:
-        """End all waits, and those that are still to come."""
+        """End all waits, also future ones."""
         self._stopped = True
         for each in self._waiting:
             if not each.done():

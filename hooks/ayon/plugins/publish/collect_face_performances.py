@@ -1,4 +1,4 @@
-"""AYON: find face performances and make products of them."""
+"""AYON: collect face performances as products."""
 
 import os
 from pathlib import Path
@@ -8,9 +8,9 @@ from ayon_core.pipeline import publish
 
 
 class CollectFacePerformances(pyblish.api.ContextPlugin):
-    """Make an instance, a product of type ``facePerformance``, of every performance.
+    """Create an instance, a product of type ``facePerformance``, for each performance.
 
-    Files or folders come from ``context.data["usdface"]`` or from the environment's
+    Files or folders come from ``context.data["usdface"]`` or from the environment variable
     USDFACE_PUBLISH; folder and task are those of the publish.
     """
 
@@ -27,7 +27,7 @@ class CollectFacePerformances(pyblish.api.ContextPlugin):
         paths = context.data.get("usdface") or [path for path in named.split(os.pathsep) if path]
         try:
             found = collect_performances(map(Path, paths))
-        except UsdfaceError as error:  # any other class AYON shows as a fault of the plug-in
+        except UsdfaceError as error:  # AYON reports other classes as errors of the plug-in
             raise publish.PublishError(str(error), title="Face performances") from error
         for item in found:
             instance = context.create_instance(item.name)
@@ -53,7 +53,7 @@ class CollectFacePerformances(pyblish.api.ContextPlugin):
 
 
 def _product_name(name):
-    """Return a name of letters, digits, ``_`` and ``.``, which AYON's creators and server take."""
+    """Return a name of letters, digits, ``_`` and ``.``, as AYON requires."""
     kept = "".join(
         each if each.isascii() and (each.isalnum() or each in "_.") else "_" for each in name
     )

@@ -1,16 +1,16 @@
-"""AYON: the files of a version, as representations that AYON's own integrator copies."""
+"""AYON: extract the files of a version as representations for AYON's integrator."""
 
 from pathlib import Path
 
 import pyblish.api
-from ayon_core.pipeline import publish  # its classes by name would be found as plug-ins
+from ayon_core.pipeline import publish  # imported classes would be taken for plug-ins
 
 
 class ExtractFacePerformance(publish.Extractor):
-    """Make the weights layer, edits composed in, and a sheet.
+    """Make the weights layer with edits, and a sheet.
 
-    The layer stands alone, because AYON names files anew: sublayer or reference it over the
-    character. The sheet becomes the version's thumbnail, a movie what is reviewed in AYON.
+    The layer has no references, because AYON renames files: sublayer or reference it over the
+    character. The sheet becomes the version's thumbnail, a movie its review.
     """
 
     label = "Extract face performance"
@@ -25,7 +25,7 @@ class ExtractFacePerformance(publish.Extractor):
         try:
             extracted = extract_performance(
                 instance.data["usdfaceItem"],
-                Path(self.staging_dir(instance)),  # AYON removes it, and all that is in it
+                Path(self.staging_dir(instance)),  # removed by AYON
                 review=instance.data.get("usdfaceReview"),
             )
         except UsdfaceError as error:
@@ -47,12 +47,12 @@ class ExtractFacePerformance(publish.Extractor):
             "files": path.name,
             "stagingDir": str(extracted.folder),
         }
-        if role != "weights":  # a thumbnail or review that AYON itself makes has the same suffix
+        if role != "weights":  # AYON's own thumbnail or review has the same suffix
             representation["outputName"] = name
         if tags:
             representation["tags"] = list(tags)
         if role == "movie":
-            first = extracted.item.first_frame  # its rate is the video's, not the take's
+            first = extracted.item.first_frame  # at the rate of the video, not of the take
             representation |= {
                 "frameStart": first,
                 "frameEnd": first + extracted.movie_pictures - 1,

@@ -1,18 +1,18 @@
-"""AYON: is a face performance fit to be published."""
+"""AYON: validate face performances."""
 
 import pyblish.api
 from ayon_core.pipeline import publish
 
 
 class ValidateFacePerformance(pyblish.api.InstancePlugin):
-    """Pass USD's own validators and usdface's; the report lists what to mend."""
+    """Run USD's and usdface's validators; the report lists the errors."""
 
     label = "Validate face performance"
     order = pyblish.api.ValidatorOrder
     families = ["facePerformance"]  # noqa: RUF012
 
     def process(self, instance):
-        """Look at the instance's performance."""
+        """Validate the instance's performance."""
         from usdface.core.errors import UsdfaceError
         from usdface.publish import validate_performance
 
