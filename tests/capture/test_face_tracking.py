@@ -155,7 +155,7 @@ def test_a_model_that_is_none_is_refused_with_what_it_must_be(tmp_path: Path) ->
     other = bundle(tmp_path / "hand.task", "hand_detector.tflite")
     for path, message in (
         (tmp_path / "none.task", r"none\.task: no such file; .* --model"),
-        (cut, r"cut\.task: is no model bundle, or is cut short \(3000 bytes"),
+        (cut, r"cut\.task: is not a model bundle, or is truncated \(3000 bytes"),
         (damaged, r"face_detector\.tflite in it is damaged"),
         (other, r"another task: it holds hand_detector\.tflite, and no face_detector"),
     ):

@@ -113,7 +113,7 @@ FAULTS = {
         "openface-csv", FACE.replace("X_", "a_").replace("_r", "_c0"), "line 1: no 3-D landmarks"),
     "table: no times": ("marker-csv", TABLE.replace("time_s", "when"), "a column time_s"),
     "table: times stand still": (
-        "marker-csv", "frame,time_s,a.x,a.y,a.z\n0,0,1,2,3\n1,0,1,2,3\n", "do not tell a"),
+        "marker-csv", "frame,time_s,a.x,a.y,a.z\n0,0,1,2,3\n1,0,1,2,3\n", "do not determine a"),
     "table: nothing seen": (
         "marker-csv", "frame,time_s,a.x,a.y,a.z\n0,0,,,\n1,1,,,\n", "none of 1 markers is seen"),
     "thousands": ("marker-csv", replaced(TABLE, 3, 3, '"1,234.5"'), r"column 3 .*: '1,234.5'"),

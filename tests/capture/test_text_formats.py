@@ -102,7 +102,7 @@ def test_the_user_overrules_units_and_axis_and_it_is_noted(put):
     capture = read_capture(put(samples.trc(units="m")), units="mm", up="z")
     expected = samples.positions() @ Z_UP_TO_Y_UP.T
     np.testing.assert_allclose(marker_positions(capture), expected, atol=1e-4)
-    assert noted(capture, "Units says m; mm was asked for and used")
+    assert noted(capture, "Units says m; mm is used, as requested")
 
 
 def test_a_decimal_comma_is_read_where_the_comma_does_not_delimit(put):
@@ -210,7 +210,7 @@ def test_a_tiny_weight_of_ifacialmocap_may_have_an_exponent(put):
 
 
 def test_a_text_with_a_p_second_is_no_c3d(put):
-    with pytest.raises(InputError, match="not a capture file we know"):
+    with pytest.raises(InputError, match="not a known capture format"):
         read_capture(put("FPS,120\nframe,x\n1,2\n"))
 
 

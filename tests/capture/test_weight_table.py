@@ -138,7 +138,9 @@ def test_a_stated_rate_that_is_not_that_of_the_times_is_said(tmp_path: Path) -> 
 def test_keys_at_uneven_times_are_no_frames(tmp_path: Path) -> None:
     path = tmp_path / "keys.csv"
     path.write_text("time,jawOpen,smile\n0,0,0\n0.31,1,0\n0.4,0,1\n1.77,0,0\n")
-    with pytest.raises(InputError, match=r"uneven times, which tell no frames.*`frame` column"):
+    with pytest.raises(
+        InputError, match=r"uneven times, which do not determine frames.*`frame` column"
+    ):
         read_weight_table(path)
 
 
@@ -192,7 +194,7 @@ def test_a_rate_against_that_of_the_file_is_noted(tmp_path: Path) -> None:
 def test_a_matrix_takes_its_names_from_beside_it(tmp_path: Path) -> None:
     path = tmp_path / "face.npy"
     np.save(path, WEIGHTS)
-    with pytest.raises(InputError, match=r"put a file with their names.*face\.names\.txt"):
+    with pytest.raises(InputError, match=r"write them, one per line, to face\.names\.txt"):
         read_capture(path, rate=25.0)
     np.save(tmp_path / "face.names.npy", np.array(NAMES))
     take = read_capture(path, rate=25.0).take
@@ -243,7 +245,7 @@ def test_several_takes_in_one_table_are_told_apart(tmp_path: Path) -> None:
         (
             '[{"frame": 1, "jawOpen": "x"}]',
             {"rate": 30.0},
-            "row 1, column 'jawOpen': 'x' is no number",
+            "row 1, column 'jawOpen': 'x' is not a number",
         ),
         ('{"fps": 30, "facsNames": ["a", "b"], "weightMat": [[1]]}', {}, "1 weights for 2 names"),
         ('{"fps": 30, "facsNames": ["a", "a"], "weightMat": [[1, 0]]}', {}, "a is named twice"),
@@ -285,5 +287,5 @@ def read_weight_table_of(path: Path) -> None:
 def test_lists_of_people_are_no_captures(tmp_path: Path) -> None:
     for name, text in {"notes.csv": "shot,note\nkitchen,good\n", "a.json": '{"job": "x"}'}.items():
         (tmp_path / name).write_text(text)
-        with pytest.raises(InputError, match="not a capture file we know"):
+        with pytest.raises(InputError, match="not a known capture format"):
             recognise_format(tmp_path / name)

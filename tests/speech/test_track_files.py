@@ -76,7 +76,7 @@ def test_a_short_textgrid_of_the_montreal_aligner_is_read(tmp_path: Path, encodi
     [
         ("x.wav", "", "is not a file of phones"),
         ("x.lab", "0 1 sil\n", "phones are silence"),
-        ("x.lab", "0 1\nhello\n", "line 2: 'hello' is no label"),
+        ("x.lab", "0 1\nhello\n", "line 2: 'hello' is not a label"),
         ("x.lab", "0.0 0.5 ah\n0.3 0.6 b\n", "begins before 'ah' ends"),
         ("x.lab", "0.0 0.5 Ж\n0.5 0.6 Щ\n", "100% of its phones are in no alphabet"),
         ("x.lab", "0.0 0.5 S\n0.5 0.6 i:\n", "'i:': these phones are in SAMPA"),

@@ -50,7 +50,7 @@ def mm_per_unit(units: str, *, where: str) -> float:
     if scale is None:
         raise InputError(
             f"{where}: unit {units!r}; it must be one of mm, cm, dm, m, in or ft; "
-            "say which it is with --units"
+            "set it with --units"
         )
     return scale
 
@@ -68,7 +68,7 @@ def rotation_from_screen(x_screen: str, y_screen: str, *, where: str) -> FloatAr
     if right is None or up is None or not np.isclose(right @ up, 0):
         raise InputError(
             f"{where}: X_SCREEN {x_screen!r}, Y_SCREEN {y_screen!r}; they must be two different "
-            "axes such as '+X' and '+Z'; say which axis is up with --up"
+            "axes such as '+X' and '+Z'; set the up axis with --up"
         )
     return np.stack([right, up, np.cross(right, up)])
 

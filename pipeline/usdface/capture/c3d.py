@@ -310,8 +310,7 @@ def _rotation(file: C3dFile, options: CaptureOptions, notes: list[str]) -> np.nd
         return rotation_to_y_up(up=options.up, where=f"{file.path} up axis")
     if not file.x_screen or not file.y_screen:
         notes.append(
-            "POINT:X_SCREEN and Y_SCREEN do not say which axis is up; "
-            "Y assumed, say otherwise with --up"
+            "POINT:X_SCREEN and Y_SCREEN do not state the up axis; Y assumed, set it with --up"
         )
         return np.eye(3)
     return rotation_from_screen(file.x_screen, file.y_screen, where=f"{file.path} POINT")

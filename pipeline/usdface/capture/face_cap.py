@@ -81,7 +81,7 @@ def read_face_cap(path: Path, options: CaptureOptions) -> Capture:
         times,
         notes=[
             "head and eye rotations are kept as channels, in radians; "
-            "the head's position, whose unit the file does not say, is left out"
+            "the head's position, whose unit the file does not state, is left out"
         ],
         format_name="face-cap",
     )

@@ -75,8 +75,8 @@ def check_model(path: Path) -> str:
             damaged = bundle.testzip()
     except (zipfile.BadZipFile, OSError, EOFError, NotImplementedError, RuntimeError) as error:
         raise InputError(
-            f"{path}: is no model bundle, or is cut short ({size} bytes: {error}); copy it again: "
-            f"{MODEL_ADVICE}"
+            f"{path}: is not a model bundle, or is truncated ({size} bytes: {error}); copy it "
+            f"again: {MODEL_ADVICE}"
         ) from error
     if damaged is not None:
         raise InputError(f"{path}: {damaged} in it is damaged; copy the model again")

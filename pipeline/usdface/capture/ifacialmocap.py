@@ -67,7 +67,7 @@ def read_ifacialmocap(path: Path, options: CaptureOptions) -> Capture:
         notes=[
             f"the stream holds no times; {_RATE} frames per second assumed",
             "head and eye rotations are kept as channels, in radians; the head's position, whose "
-            "unit the stream does not say, is left out",
+            "unit the stream does not state, is left out",
             *([f"{pluralize(lost, 'frame')} without a face, interpolated"] if lost else []),
         ],
         format_name="ifacialmocap",

@@ -84,7 +84,7 @@ def read_marker_csv(path: Path, options: CaptureOptions) -> Capture:
         notes,
         where=str(path),
         field="header",
-        up_note="the table does not say which axis is up; Y assumed",
+        up_note="the table does not state the up axis; Y assumed",
     )
     return build_table_take(
         CaptureHeader(path, "marker-csv", rate, first_frame, notes=notes),

@@ -267,7 +267,7 @@ def settle_space(
     """
     scale = settle_units(stated_units, options, notes, where=where, field=field)
     if options.up is None and up_note:
-        notes.append(f"{up_note}; say otherwise with --up")
+        notes.append(f"{up_note}; set it with --up")
     up = assumed_up if options.up is None else options.up
     return scale * rotation_to_y_up(up=up, where=f"{where} up axis")
 
@@ -279,8 +279,8 @@ def settle_units(
     scale = 1.0 if options.scale is None else options.scale
     if options.units is not None:
         if stated and stated.lower() != options.units.lower():
-            notes.append(f"{field} says {stated}; {options.units} was asked for and used")
+            notes.append(f"{field} says {stated}; {options.units} is used, as requested")
         return scale * mm_per_unit(options.units, where=f"{where} units")
     if not stated and options.scale is None:
-        notes.append(f"no unit stated ({field}); mm assumed, say otherwise with --units")
+        notes.append(f"no unit stated ({field}); mm assumed, set it with --units")
     return scale * mm_per_unit(stated or "mm", where=f"{where} {field}")

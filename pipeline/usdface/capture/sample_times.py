@@ -65,7 +65,9 @@ def settle_device_times(seconds: FloatArray, lines: IntArray, *, where: str) -> 
     """
     check_ascending(seconds, lines, where=where)
     if len(seconds) < 2:
-        raise InputError(f"{where}: one sample does not tell a frame rate; export a longer take")
+        raise InputError(
+            f"{where}: one sample does not determine a frame rate; export a longer take"
+        )
     steps = np.diff(seconds)
     step = float(np.median(steps))
     counts = np.rint(steps / step)
@@ -149,7 +151,7 @@ def check_rate(
     if not low * 0.99 <= float(rate) <= high * 1.01:
         raise InputError(
             f"{where}: two frame rates: {stated_in} says {float(rate):g}, the times of the rows "
-            f"{measured:g}; export the take again, or say which is right with --rate"
+            f"{measured:g}; export the take again, or set the right one with --rate"
         )
 
 
@@ -182,7 +184,7 @@ def _rate_limits(
     span = float(seconds[-1] - seconds[0]) if usable else 0.0
     if span <= 0:
         raise InputError(
-            f"{where}: the times of the rows do not tell a frame rate; export the take with "
+            f"{where}: the times of the rows do not determine a frame rate; export the take with "
             "times in seconds"
         )
     decimals = next(

@@ -60,8 +60,8 @@ _SCORES = re.compile(
 )
 """JSON keys of weights, other than an empty list of them."""
 _FRAME_LOG = (
-    "is the frame log of Live Link Face, which holds no weights: ingest the CSV of weights beside "
-    f"it, with the MOV as --video; without such a CSV, {_TRACK_IT}"
+    "is the frame log of Live Link Face, without weights: ingest the CSV of weights in its folder, "
+    f"with the MOV as --video; without such a CSV, {_TRACK_IT}"
 )
 
 
@@ -144,7 +144,7 @@ def recognise_format(path: Path) -> CaptureFormat:
     if refused is not None:
         raise InputError(f"{path} {refused}")
     raise InputError(
-        f"{path}: not a capture file we know (it begins with {_readable(head)}); known are "
+        f"{path}: not a known capture format (it begins with {_readable(head)}); known are "
         f"{_known_formats()}; export one of these, or name it with --format"
     )
 

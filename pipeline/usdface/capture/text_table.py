@@ -316,7 +316,7 @@ def csv_rows(path: Path, columns: Sequence[str]) -> list[tuple[str, dict[str, ob
         )
     repeated = sorted({name for name in header if header.count(name) > 1})
     if repeated:
-        raise InputError(f"{path} line 1: column {repeated[0]!r} is there twice; keep one")
+        raise InputError(f"{path} line 1: column {repeated[0]!r} is repeated; keep one")
     rows: list[tuple[str, dict[str, object]]] = []
     try:
         for row in reader:

@@ -70,7 +70,7 @@ def read_trc(path: Path, options: CaptureOptions) -> Capture:
         notes,
         where=str(path),
         field="Units",
-        up_note="TRC does not say which axis is up; Y assumed",
+        up_note="TRC does not state the up axis; Y assumed",
     )
     return build_table_take(
         CaptureHeader(path, "trc", rate, first_frame, notes=notes),

@@ -157,7 +157,7 @@ def _read_csv(path: Path) -> WeightSamples:
         )
     twice = [kind for kind, count in Counter(filter(None, kinds)).items() if count > 1]
     if twice:
-        raise InputError(f"{header.where}: {twice[0]} is there in two columns; keep one")
+        raise InputError(f"{header.where}: {twice[0]} is in two columns; keep one")
     texts = [at for at, kind in enumerate(kinds) if kind in _TEXTS]
     table = read_number_table(
         lines, titles, path=path, delimiter=delimiter, gaps=False, texts=texts
@@ -294,7 +294,9 @@ def read_cell(path: Path, where: str, column: str, value: object) -> float:
     except ValueError:
         number = float("nan")
     if not np.isfinite(number) or (index_kind(column) == "frame" and abs(number) >= FARTHEST_FRAME):
-        raise InputError(f"{path} {where}, column {column!r}: {value!r} is no number; correct it")
+        raise InputError(
+            f"{path} {where}, column {column!r}: {value!r} is not a number; correct it"
+        )
     return number
 
 
@@ -310,8 +312,8 @@ def _read_npy(path: Path, shapes: Path | None) -> WeightSamples:
     )
     if names_file is None:
         raise InputError(
-            f"{path}: says nothing of its {values.shape[1]} columns; put a file with their names, "
-            f"one per line, beside it as {_names_path(path, 'txt').name}, or give one with --shapes"
+            f"{path}: its {values.shape[1]} columns have no names; write them, one per line, to "
+            f"{_names_path(path, 'txt').name} in the same folder, or give a file with --shapes"
         )
     names = _names(names_file)
     if len(names) != values.shape[1]:

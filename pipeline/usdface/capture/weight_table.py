@@ -59,7 +59,8 @@ def row_frames(path: Path, samples: WeightSamples) -> tuple[IntArray, Fraction |
         if not whole.all():
             row = int(np.argmin(whole))
             raise InputError(
-                f"{path} line {samples.lines[row]}: {samples.frames[row]:g} is no frame; correct it"
+                f"{path} line {samples.lines[row]}: {samples.frames[row]:g} is not a frame number; "
+                "correct it"
             )
         frames = samples.frames.astype(np.int64)
         return frames, samples.rate or _rate_beside(path, samples, frames)
@@ -73,8 +74,8 @@ def row_frames(path: Path, samples: WeightSamples) -> tuple[IntArray, Fraction |
         first, times = _times(path, samples.rows(rows), None, [])
         if not times.even:
             raise InputError(
-                f"{path}: its rows are at uneven times, which tell no frames; number them in a "
-                "`frame` column"
+                f"{path}: its rows are at uneven times, which do not determine frames; "
+                "number them in a `frame` column"
             )
         frames[rows], rate = first + np.rint(times.frames).astype(np.int64), times.rate
     return frames, rate

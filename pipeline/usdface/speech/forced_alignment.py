@@ -52,8 +52,8 @@ def spoken_words(text: str) -> tuple[str, ...]:
     spoken = tuple(word for word in words if word)
     if not spoken:
         raise InputError(
-            f"the transcript {text.strip()[:40]!r} has no word in it; write what is said, in "
-            "Latin letters"
+            f"the transcript {text.strip()[:40]!r} has no word; write the spoken words in Latin "
+            "letters"
         )
     return spoken
 
@@ -182,7 +182,7 @@ def align_phones(
         return _scored(decoder, guessed, number, duration=len(samples) / SPEECH_SAMPLE_RATE)
     raise InputError(
         f"the words {' '.join(words[:6])!r}... cannot be found in the sound in this order; is it "
-        "the transcript of another recording? Write down what is said, every word of it"
+        "the transcript of another recording? It must contain every spoken word"
     )
 
 
@@ -269,7 +269,7 @@ def _scored(
     if mean < WRONG_SCORE:
         raise InputError(
             f"the transcript does not fit the sound: its phones score {mean:.1f} a frame, below "
-            f"{WRONG_SCORE:g}; words that were said score -20 to -33. Is it the transcript of "
+            f"{WRONG_SCORE:g}; correct transcripts score -20 to -33. Is it the transcript of "
             "another recording, or in another language?"
         )
     track = PhoneTrack(tuple(phones), tuple(words), (), duration)

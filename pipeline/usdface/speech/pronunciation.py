@@ -105,7 +105,7 @@ def phones_of_letters(word: str) -> tuple[str, ...]:
     letters = re.sub(r"[^a-z']", "", word.lower())
     plain = letters.replace("'", "")
     if not plain:
-        raise ValueError(f"{word!r} has no letter a to z to be said")
+        raise ValueError(f"{word!r} has no letter a to z")
     if not re.search(r"[aeiouy]", plain):
         return tuple(phone for letter in plain for phone in _SPELLED[letter].split())
     if letters.endswith("'s") and len(letters) > 2:
@@ -158,7 +158,7 @@ def read_dictionary(path: Path) -> dict[str, tuple[str, ...]]:
         if not symbols or wrong:
             raise InputError(
                 f"{path} line {number}: {word!r} has "
-                + (f"the phone {wrong[0]!r}, which is no ARPAbet" if wrong else "no phones")
+                + (f"the phone {wrong[0]!r}, which is not ARPAbet" if wrong else "no phones")
                 + "; write the word, then its phones, as in: kvothe  K V OW TH"
             )
         name = re.sub(r"\(\d+\)$", "", word.lower())

@@ -150,7 +150,7 @@ def _from_htk(path: Path, text: str) -> PhoneTrack:
             rows.append((float(fields[0]), float(fields[1]), fields[2:]))
         except (IndexError, ValueError) as error:
             raise InputError(
-                f"{path} line {number}: {line[:40]!r} is no label; a line is start, end, phone"
+                f"{path} line {number}: {line[:40]!r} is not a label; a line is start, end, phone"
             ) from error
     whole = all(start.is_integer() and end.is_integer() for start, end, _ in rows)
     # Seconds have a decimal point; large whole numbers are in HTK's unit.

@@ -89,9 +89,7 @@ class Guard:
             await send({"type": "websocket.close", "code": 1008})
             return
         request = Request.of(scope)
-        answer = (
-            _refusal(400, "a header is there twice") if request is None else self._answer(request)
-        )
+        answer = _refusal(400, "a header is repeated") if request is None else self._answer(request)
 
         async def send_hardened(message: Message) -> None:
             if message["type"] == "http.response.start":

@@ -197,7 +197,7 @@ def test_sky_above_a_floor_is_open_and_below_a_lid_is_not() -> None:
     ("change", "message"),
     [
         ({"points": np.zeros((3, 3))}, "needs"),
-        ({"points": "nan"}, "repair what deforms it"),
+        ({"points": "nan"}, "repair its deformation"),
         ({"width": 0}, "cannot be drawn"),
         ({"width": 10**6, "height": 10**6}, "cannot be drawn"),
         ({"values": np.zeros(3)}, "values to draw"),

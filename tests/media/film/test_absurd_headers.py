@@ -198,7 +198,7 @@ def test_a_header_that_holds_no_text_is_refused_all_the_same(
     content = samples["f.0001.exr"].replace(b"channels\0chlist\0", b"channels\0\xc9hlist\0")
     told = answers(reader, tmp_path, "f.0001.exr", content)
     assert all(each.startswith("refused: ") for each in told.values())
-    assert all("bytes that are no text" in each for each in told.values())
+    assert all("bytes that are not text" in each for each in told.values())
 
 
 @pytest.mark.parametrize(

@@ -524,7 +524,7 @@ def test_notes_of_a_newer_format_are_shown_as_such_and_have_no_effect(
     shown = page.locator("#notes li")
     assert shown.count() == 2
     text = shown.filter(has_text="lips apart").inner_text()
-    assert "of a newer version of usdface" in text
+    assert "written by a newer version of usdface" in text
     assert "jawOpen" not in text, "what it would do is not known"
     page.evaluate("localStorage.clear()")
     page.set_input_files("#file", str(file))

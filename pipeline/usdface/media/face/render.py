@@ -155,7 +155,7 @@ def _finite(array: FloatArray, shape: tuple[int, ...], name: str) -> FloatArray:
         raise InputError(f"{name} to draw have shape {array.shape} and the rig needs {shape}")
     if not np.isfinite(array).all():
         bad = int(np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))[0])
-        raise InputError(f"{name} to draw: number {bad} is {array[bad]}; repair what deforms it")
+        raise InputError(f"{name} to draw: number {bad} is {array[bad]}; repair its deformation")
     return array
 
 

@@ -112,5 +112,5 @@ def open_video(path: Path, rate: Fraction | None = None) -> VideoReader | ImageS
     if path.suffix.lower() not in SUFFIXES:
         return VideoReader(path)
     if rate is None or rate <= 0:
-        raise InputError(f"{path}: pictures do not say their rate; give it with --video-rate")
+        raise InputError(f"{path}: pictures do not state their rate; give it with --video-rate")
     return ImageSequence(path, rate)

@@ -270,7 +270,7 @@ def reason_of(source: Any) -> str:
     try:
         text = str(source.geterror())
     except UnicodeDecodeError:
-        return "its header holds bytes that are no text"
+        return "its header has bytes that are not text"
     return " ".join("".join(each if each.isprintable() else " " for each in text).split())
 
 
