@@ -137,11 +137,13 @@ def _comment_that_starts(start, task, client):
 
 def _add_missing_previews(files, task, comment, version, client):
     """Upload the previews that a comment lacks; return whether there were any."""
-    own = {each if isinstance(each, str) else each["id"] for each in comment.get("previews") or ()}
+    preview_ids = {
+        each if isinstance(each, str) else each["id"] for each in comment.get("previews") or ()
+    }
     there = [
         each
-        for each in (gazu.task.all_previews_for_task(task, client=client) if own else ())
-        if each["id"] in own
+        for each in (gazu.task.all_previews_for_task(task, client=client) if preview_ids else ())
+        if each["id"] in preview_ids
     ]
     # Kitsu stores the name of an uploaded file; a preview without a name has no file yet.
     uploaded = {each.get("original_name") for each in there}

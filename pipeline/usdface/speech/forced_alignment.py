@@ -164,11 +164,11 @@ def align_phones(
         If pocketsphinx is not installed, the sound is silent, or the transcript does not fit.
     """
     sound = _as_pcm(samples)
-    own = {} if pronunciations is None else pronunciations
+    user_words = {} if pronunciations is None else pronunciations
     for number, beam in enumerate(BEAMS):
         progress(number / len(BEAMS), f"looking for the words, beam {number + 1} of {len(BEAMS)}")
         decoder = _decoder(*beam)
-        guessed = _teach(decoder, words, own)
+        guessed = _teach(decoder, words, user_words)
         decoder.set_align_text(" ".join(words))
         if not _decode(decoder, sound) or decoder.hyp() is None:
             continue
@@ -207,14 +207,14 @@ def _decoder(beam: float, word_beam: float) -> "Decoder":
 
 
 def _teach(
-    decoder: "Decoder", words: tuple[str, ...], own: Mapping[str, tuple[str, ...]]
+    decoder: "Decoder", words: tuple[str, ...], user_words: Mapping[str, tuple[str, ...]]
 ) -> dict[str, tuple[str, ...]]:
     """Add missing words to the decoder's dictionary; return the guessed ones."""
     guessed = {}
     for word in dict.fromkeys(words):
         known = decoder.lookup_word(word)
-        if word in own:
-            phones = own[word]
+        if word in user_words:
+            phones = user_words[word]
             if known is not None and known.split() == list(phones):
                 continue
             # A second pronunciation of a known word is another entry; the path takes the better.

@@ -105,13 +105,13 @@ def _lanes(
     """Return the label and the markers of each lane."""
     counts = np.sum([kind.where.sum(axis=0) for kind in kinds], axis=0)
     order = [int(marker) for marker in np.argsort(-counts, kind="stable") if counts[marker]]
-    own = [
+    in_own_lane = [
         marker
         for marker in order
         if any(longest_run(kind.where[:, marker]) >= least_frames for kind in kinds)
     ][:MOST_LANES]
-    rest = [marker for marker in order if marker not in own]
-    lanes = [(f"{names[marker]}  {int(counts[marker])}", [marker]) for marker in own]
+    rest = [marker for marker in order if marker not in in_own_lane]
+    lanes = [(f"{names[marker]}  {int(counts[marker])}", [marker]) for marker in in_own_lane]
     if rest:
         lanes.append((f"{len(rest)} others  {int(counts[rest].sum())}", rest))
     return lanes

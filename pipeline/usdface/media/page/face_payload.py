@@ -228,14 +228,14 @@ def _tracks(rig: Rig, keys: _Keys) -> list[dict[str, Any]]:
     channels = index_of((*rig.shapes, *(each.shape for each in rig.combinations)))
     tracks, first = list[dict[str, Any]](), 0
     for shape in (shape for mesh in rig.meshes for shape in mesh.shapes):
-        own = range(first, first + len(shape.keys))
-        first = own.stop
+        of_shape = range(first, first + len(shape.keys))
+        first = of_shape.stop
         tracks.append(
             {
                 "shape": channels[shape.name],
                 "weights": sorted(float(key.weight) for key in shape.keys),
-                "counts": [keys.counts[key] for key in own],
-                "wide": [keys.is_wide[key] for key in own],
+                "counts": [keys.counts[key] for key in of_shape],
+                "wide": [keys.is_wide[key] for key in of_shape],
             }
         )
     return tracks

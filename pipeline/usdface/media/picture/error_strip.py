@@ -47,9 +47,9 @@ class ErrorStrip:
     marks: tuple[tuple[int, str], ...] = ()
     """tuple of (frame, label): frames to mark."""
     unit: str = "mm"
-    """Of curves without their own."""
+    """Unit of curves that name none."""
     scale: float = 1.0
-    """Of labels and lanes."""
+    """Scale of labels and lanes."""
 
 
 def strip_height(curve_count: int, scale: float = 1.0) -> int:
