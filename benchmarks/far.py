@@ -46,6 +46,8 @@ SEEDS = range(5)
 KEY_ERROR, DROPPED_BELOW, DROPPED_SHARE = 0.15, 0.1, 1 / 3
 """Inexact keys: errors of 15 %, and a third of the keys below 0.1 set to 0."""
 
+TUNED_COUNTS = (4, 6, 8, 12, 25)
+
 ANIMATOR_GAINS = (1.1, 0.9)
 """Gains of two animators, who key the even and the odd pairs."""
 
@@ -136,9 +138,11 @@ def compare(folder: Path, methods: tuple[str, ...], *, full: bool = False) -> No
             for found, each in zip(judged[method], setups, strict=True)
         ]
         print(f"| {method} | {' | '.join(cells)} |", flush=True)
-    cells = [figures(_bounded(each, ruler, folder), each, ruler) for each in setups]
+    solved = [_bounded(each.markers, each.visible, each, ruler, folder) for each in setups]
+    cells = [figures(found, each, ruler) for found, each in zip(solved, setups, strict=True)]
     print(f"| bounded least squares | {' | '.join(cells)} |\n", flush=True)
     _print_uncertainty(methods[0], setups, judged[methods[0]], ruler)
+    _print_partly_tuned(setups[0], ruler, folder)
     print("\nbrows through references of the cheeks: share of the baseline's motion\n")
     print("| method | value | wanted |\n|---|---|---|")
     for method in methods:
@@ -264,7 +268,9 @@ def on_rig(values: np.ndarray, setup: Setup, ruler: Ruler) -> np.ndarray:
     return out
 
 
-def _bounded(setup: Setup, ruler: Ruler, folder: Path) -> np.ndarray:
+def _bounded(
+    markers: np.ndarray, visible: np.ndarray, setup: Setup, ruler: Ruler, folder: Path
+) -> np.ndarray:
     """Solve the blendshape equation, which needs no references."""
     take: Any = _read_take(folder / "crosstake")[0]
     rigid = tuple(take.markers.names.index(name) for name in take.markers.rigid)
@@ -277,8 +283,39 @@ def _bounded(setup: Setup, ruler: Ruler, folder: Path) -> np.ndarray:
         rigid=rigid,
         labels=take.markers.names,
     )
-    weights = equation.propose(setup.markers.astype(float), visible=setup.visible)
+    weights = equation.propose(markers.astype(float), visible=visible)
     return weights[:, [ruler.rig.shapes.index(name) for name in setup.references.shape_names]]
+
+
+def _print_partly_tuned(setup: Setup, ruler: Ruler, folder: Path) -> None:
+    """Print errors where only the first pairs, in the order of `select`, are tuned."""
+    references = setup.references
+    every = np.ones(references.markers.shape[:2], dtype=bool)
+    proposals = _bounded(references.markers, every, setup, ruler, folder)
+    print("\nfirst pairs tuned, the others proposals: vertex RMS [mm], blink bias, jitter\n")
+    print("| tuned | trained on all pairs | on the tuned ones |\n|---|---|---|")
+    for count in TUNED_COUNTS:
+        tuned = np.arange(len(references.weights)) < count
+        weights = np.where(tuned[:, None], references.weights, proposals)
+        cells = [
+            figures(solve(replace(setup, references=each), ruler, METHODS[0]).weights, setup, ruler)
+            for each in (replace(references, weights=weights), _first_pairs(references, count))
+        ]
+        print(f"| {count} | {' | '.join(cells)} |", flush=True)
+
+
+def _first_pairs(references: References, count: int) -> References:
+    return replace(
+        references,
+        markers=references.markers[:count],
+        weights=references.weights[:count],
+        frames=references.frames[:count],
+        takes=references.takes[:count],
+        tuned=references.tuned[:count],
+        visemes=(),
+        emotions=(),
+        authors=(),
+    )
 
 
 def _print_uncertainty(
