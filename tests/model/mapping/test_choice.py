@@ -93,7 +93,7 @@ def _learn_between(face: SyntheticFace, apart: int) -> tuple[float, float]:
 def test_landmarks_that_err_together_are_believed_less(monkeypatch: pytest.MonkeyPatch) -> None:
     dense = _dense_face("m")
     chosen, error = _learn_between(dense, 60)
-    monkeypatch.setattr(candidates, "COMMON_ERRORS", candidates.COMMON_ERRORS[:1])
+    monkeypatch.setattr(candidates, "VARIANCE_INFLATIONS", candidates.VARIANCE_INFLATIONS[:1])
     fixed, usual = _learn_between(dense, 60)
     assert chosen > fixed == 3.0
     assert error < 0.95 * usual

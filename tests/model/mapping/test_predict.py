@@ -175,9 +175,9 @@ def test_blocks_of_frames_equal_the_method_that_was_judged_cut_off_at_the_ranges
 @pytest.mark.parametrize("name", sorted(REMOVED_METHODS))
 def test_a_mapping_by_a_method_of_earlier_versions_is_to_be_trained_again(name: str) -> None:
     face = synthetic_face()
-    with pytest.raises(InputError, match=f"trained by {name}, which left .*; train again with aut"):
+    with pytest.raises(InputError, match=f"trained by {name}, which was removed .*; train again"):
         predict_weights(replace(trained(face), method=name), face.positions)
-    with pytest.raises(InputError, match=f"^{name} left the methods in .*; use auto or face_map"):
+    with pytest.raises(InputError, match=f"^method {name} was removed in .*; use auto or face_map"):
         trained(face, name)
 
 

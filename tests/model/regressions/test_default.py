@@ -181,7 +181,7 @@ def test_rigs_of_very_many_shapes_are_solved_without_a_matrix_for_each_frame(mon
     mapping = trained(skin=True)
     new = synthetic_face(seed=3).positions[:100]
     each = predict_weights(mapping, new)
-    monkeypatch.setattr(frame_solve, "_MOST_SHAPES", 0)
+    monkeypatch.setattr(frame_solve, "_MAX_DENSE_SHAPES", 0)
     shared = predict_weights(mapping, new)
     assert np.abs(shared.weights - each.weights).mean() < 0.02
     ratio = shared.uncertainty[:, 0] / each.uncertainty[:, 0]
@@ -190,7 +190,7 @@ def test_rigs_of_very_many_shapes_are_solved_without_a_matrix_for_each_frame(mon
 
 def test_many_shapes_share_regions(monkeypatch) -> None:
     alone = rms(trained(skin=True), seed=3)
-    monkeypatch.setattr(face_map, "_MOST_REGIONS", 3)
+    monkeypatch.setattr(face_map, "_MAX_REGIONS", 3)
     mapping = trained(skin=True)
     assert len(mapping.arrays["projection"]) <= 3
     assert rms(mapping, seed=3) < 2 * alone

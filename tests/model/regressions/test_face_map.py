@@ -152,12 +152,12 @@ def test_the_variance_of_pairs_left_out_is_that_of_models_without_them(monkeypat
     for left in range(3):
         model = fitted(np.delete(np.arange(PAIRS), left), scales)
         expected = model.variance(whole.targets[[left]])[0] + model.noise
-        np.testing.assert_allclose(whole.unseen_variance[left], expected, rtol=1e-6)
+        np.testing.assert_allclose(whole.leave_one_out_variance[left], expected, rtol=1e-6)
 
 
 def test_keys_of_rigs_of_very_many_shapes_stay(monkeypatch) -> None:
     _, keys, model = keyed_with_error(0.15)
-    monkeypatch.setattr(frame_solve, "_MOST_SHAPES", 0)
+    monkeypatch.setattr(frame_solve, "_MAX_DENSE_SHAPES", 0)
     found = correct_keys(model, keys, 0.15)
     np.testing.assert_array_equal(found.targets, keys)
     np.testing.assert_allclose(found.variance, 0.15**2 * (keys**2 + 0.04))

@@ -18,7 +18,7 @@ from usdface.model.mapping.corrected_pairs import (
 from usdface.model.mapping.uncertainty import UncertaintyModel
 from usdface.model.regressions import AUTO, Choices, Pairs, Regression, Settings, find_method
 from usdface.model.regressions.base import bend, unbend
-from usdface.model.regressions.frame_solve import COMMON_ERRORS, FrameSolver
+from usdface.model.regressions.frame_solve import VARIANCE_INFLATIONS, FrameSolver
 from usdface.numerics.regression.cross_validation import (
     blocked_folds,
     surface_rms_mm,
@@ -199,7 +199,7 @@ def choose_common_error(
 ) -> tuple[PairFolds, Comparison]:
     """Let more markers count as one for as long as pairs not seen are predicted better by it.
 
-    From the largest number of `COMMON_ERRORS`, that of landmarks, let fewer.
+    From the largest number of `VARIANCE_INFLATIONS`, that of landmarks, let fewer.
 
     Gaze counts as well: landmarks that a model finds show it, and err together there too. Keys are
     corrected anew, since they too are moved as far as markers are believed.
@@ -214,7 +214,7 @@ def choose_common_error(
     if usual is None or usual.usual is None:
         return folds, compared
     unseen = usual
-    numbers = COMMON_ERRORS if common == COMMON_ERRORS[0] else COMMON_ERRORS[::-1]
+    numbers = VARIANCE_INFLATIONS if common == VARIANCE_INFLATIONS[0] else VARIANCE_INFLATIONS[::-1]
     for other in numbers[1:]:
         found = folds.solve(usual.start, usual.usual, other)
         if paired_t(unseen.errors, found.errors, every, folds.blocks) <= _STANDARD_ERROR_T:

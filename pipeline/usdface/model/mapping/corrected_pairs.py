@@ -11,7 +11,7 @@ from usdface.model.regressions import Pairs, Regression
 from usdface.model.regressions.base import bend, unbend
 from usdface.model.regressions.driven_motion import DrivenMotion, driven_weights
 from usdface.model.regressions.forward_model import ForwardModel, ForwardScales, fit_forward_model
-from usdface.model.regressions.frame_solve import COMMON_ERRORS, FrameSolver
+from usdface.model.regressions.frame_solve import VARIANCE_INFLATIONS, FrameSolver
 from usdface.numerics.regression.marker_prior import expect_marker_motion
 from usdface.numerics.solve.bounded_least_squares import descend_in_boxes
 
@@ -68,7 +68,7 @@ class CorrectedPairs:
 
 
 def correct_pairs(
-    pairs: Pairs, parts: tuple[str, ...], *, common: float = COMMON_ERRORS[0]
+    pairs: Pairs, parts: tuple[str, ...], *, common: float = VARIANCE_INFLATIONS[0]
 ) -> CorrectedPairs:
     """Fit the forward model, and correct the keys by it where its evidence says that they err.
 
@@ -131,7 +131,7 @@ class KeyPosterior:
 
 
 def correct_keys(
-    forward: ForwardModel, keys: FloatArray, tau: float, *, common: float = COMMON_ERRORS[0]
+    forward: ForwardModel, keys: FloatArray, tau: float, *, common: float = VARIANCE_INFLATIONS[0]
 ) -> KeyPosterior:
     """Move keys to where their markers put them, as far as keys err.
 
@@ -158,7 +158,7 @@ def correct_keys(
         return KeyPosterior(now, replace(forward.scales, tau=tau).key_variance(keys))
     if tau == 0:
         return KeyPosterior(now, np.zeros_like(now))
-    weighted = slope / np.repeat(common * forward.unseen_variance, 3, axis=1)[:, None]
+    weighted = slope / np.repeat(common * forward.leave_one_out_variance, 3, axis=1)[:, None]
     prior = replace(forward.scales, tau=tau).key_variance(keys)[:, None] * np.eye(keys.shape[1])
     precision = np.linalg.inv(0.5 * (prior + tau**2 * keys[:, :, None] * keys[:, None]))
     hessian = weighted @ slope.transpose(0, 2, 1) + precision

@@ -126,7 +126,7 @@ def _part_factors(
     keys = forward.targets
     predicted, _ = FrameSolver(forward, np.ones(keys.shape[1])).linearise(keys)
     motion = predicted.reshape(len(keys), -1, 3) - forward.offset
-    weight = 1 / (common * forward.unseen_variance)
+    weight = 1 / (common * forward.leave_one_out_variance)
     precision = (weight * (motion**2).sum(axis=2)) @ members.T
     factor = (weight * (motion * forward.residuals).sum(axis=2)) @ members.T
     factor /= np.maximum(precision, 1e-9)

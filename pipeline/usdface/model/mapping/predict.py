@@ -68,7 +68,7 @@ class WeightPredictor:
     def __init__(self, mapping: TrainedMapping) -> None:
         if mapping.method in REMOVED_METHODS:
             raise InputError(
-                f"the mapping was trained by {mapping.method}, which left the methods in this "
+                f"the mapping was trained by {mapping.method}, which was removed in this "
                 "version; train again with auto"
             )
         self._mapping = mapping
@@ -142,7 +142,7 @@ class WeightPredictor:
     def _excess(self, left: Float32Array, visible: BoolArray | None) -> FloatArray:
         """Return what is left at each region's markers beyond what is at the references' [mm]."""
         seen = np.ones(left.shape[:2]) if visible is None else visible.astype(np.float64)
-        squared = np.square(left).sum(axis=2, dtype=np.float64) - 3 * self._solver.residual2
+        squared = np.square(left).sum(axis=2, dtype=np.float64) - 3 * self._solver.residual_variance
         mean = (seen * squared) @ self._members.T / np.maximum(seen @ self._members.T, 1)
         return np.asarray(np.sqrt(np.maximum(mean, 0.0)))
 
@@ -174,14 +174,14 @@ class WeightPredictor:
             if solves or estimated:
                 solved = np.clip(unbend(solution.targets, curve), 0.0, 1.0)
                 weights[rows] = low + (high - low) * solved
-            left[rows] = solution.left.reshape(-1, *left.shape[1:])
+            left[rows] = solution.residual.reshape(-1, *left.shape[1:])
             uncertainty[rows] = self._uncertainty.deviations(solver, solution, visible[rows])
             if confidence is not None:
                 sure = np.where(visible[rows], confidence[rows], 0.0)
                 guessed = visible[rows] & (sure < _MEASURED_CONFIDENCE)
                 some = np.flatnonzero(guessed.any(axis=1))
                 if len(some):
-                    doubted = solver.doubt(solution.take(some), start[some], sure[some])
+                    doubted = solver.with_confidence(solution.take(some), start[some], sure[some])
                     seen = visible[rows][some]
                     uncertainty[first + some] = self._uncertainty.deviations(solver, doubted, seen)
         return weights, uncertainty, left

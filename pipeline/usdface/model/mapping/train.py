@@ -40,7 +40,7 @@ from usdface.model.regressions import (
     RestPlaces,
 )
 from usdface.model.regressions.base import DrivenSkin, Fitted
-from usdface.model.regressions.frame_solve import COMMON_ERRORS, FrameSolver
+from usdface.model.regressions.frame_solve import VARIANCE_INFLATIONS, FrameSolver
 from usdface.numerics.measure.face_regions import (
     gaze_shapes,
     shapes_by_region,
@@ -177,7 +177,7 @@ def _corrected_pairs(references: References, face: Face) -> CorrectedPairs:
     """
     landmarks = any(each.startswith(("iris_", "landmark_")) for each in references.marker_names)
     parts = references.parts or references.shape_names
-    common = COMMON_ERRORS[-1 if landmarks else 0]
+    common = VARIANCE_INFLATIONS[-1 if landmarks else 0]
     return correct_pairs(_pairs(references, face), parts, common=common)
 
 

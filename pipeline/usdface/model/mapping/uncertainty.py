@@ -111,7 +111,7 @@ class UncertaintyModel:
             covariance = solution.covariance(solver.forward.scales.curve)
             packed = self.grams.reshape(len(self.grams), -1).astype(np.float32)
             squared = covariance.reshape(len(visible), -1) @ packed.T
-        chi2, excess2 = self._unexplained(solver, solution.left, visible)
+        chi2, excess2 = self._unexplained(solver, solution.residual, visible)
         squared = np.maximum(squared * (1 + chi2) + excess2, 0.0) * self.calibration**2
         share2, usual2 = self.proposals
         if share2:
@@ -126,7 +126,7 @@ class UncertaintyModel:
         variance of the region telling where: both by their logarithms.
         """
         own = np.einsum("rss->sr", self.grams)
-        error2, narrow, spread2, wide = solver.usual_posteriors
+        error2, narrow, spread2, wide = solver.limiting_posteriors
         priors = [np.log(each @ own + _LEAST_MM2) for each in (error2, spread2)]
         posteriors = [
             np.log(np.einsum("rst,st->r", self.grams, each) + _LEAST_MM2) for each in (narrow, wide)
@@ -140,7 +140,7 @@ class UncertaintyModel:
     ) -> tuple[FloatArray, FloatArray]:
         """Return ``chi2_g`` and ``d_g^2`` [mm^2]: (frames, regions) each."""
         squared = (left.reshape(len(left), -1, 3) ** 2).sum(axis=2)
-        expected = 3 * solver.residual2
+        expected = 3 * solver.residual_variance
         weight = np.einsum("rss->rs", self.grams) @ solver.marker_share
         share = weight / np.maximum(visible @ weight.T, 1e-12)[:, :, None]
         chi2, excess2 = (

@@ -1,4 +1,4 @@
-"""The regressions by name, for mappings and for retargetings; one file each."""
+"""Registry of the regressions of mappings and retargetings; one module per method."""
 
 from usdface.core.errors import InputError
 from usdface.model.regressions import (
@@ -57,7 +57,7 @@ RETARGET_METHODS = {
 }
 
 AUTO = ("face_map", "ridge", "rbf", "d06")
-"""What `auto` tries for a mapping; the first is taken where pairs are too few to compare."""
+"""Methods that `auto` compares for a mapping; the first is the default for few pairs."""
 
 REMOVED_METHODS = frozenset(
     (
@@ -71,13 +71,13 @@ REMOVED_METHODS = frozenset(
         "ensemble",
     )
 )
-"""Of earlier versions."""
+"""Methods of earlier versions."""
 
 
 def find_method(name: str) -> Regression:
-    """Look a mapping's method up by name."""
+    """Return a mapping's method by name."""
     if name in REMOVED_METHODS:
-        raise InputError(f"{name} left the methods in this version; use auto or face_map")
+        raise InputError(f"method {name} was removed in this version; use auto or face_map")
     if name not in MAPPING_METHODS:
         known = ", ".join(sorted(MAPPING_METHODS))
         raise InputError(f"no method {name!r}; choose one of auto, {known}")
@@ -85,7 +85,7 @@ def find_method(name: str) -> Regression:
 
 
 def find_retarget_method(name: str) -> Regression:
-    """Look a retargeting's method up by name."""
+    """Return a retargeting's method by name."""
     if name not in RETARGET_METHODS:
         known = ", ".join(("auto", *RETARGET_METHODS))
         raise InputError(f"no retargeting method {name!r}; choose one of {known}")

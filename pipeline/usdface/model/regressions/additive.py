@@ -1,7 +1,7 @@
-"""A line through rest that adds expressions up, and a multiquadric for what it leaves.
+"""Linear map through rest, plus a multiquadric for its residual.
 
-Expressions of BlendShapes add up; a network of distances alone forgets that between the pairs and
-beyond them. The line carries the sums, the network what is bent.
+BlendShapes are additive, which radial basis functions alone do not reproduce between and beyond the
+pairs. The linear part is additive, the multiquadric represents the nonlinear remainder.
 """
 
 from dataclasses import replace
@@ -12,7 +12,7 @@ from usdface.model.regressions.base import Arrays, Fitted, Pairs, Predictor, Reg
 from usdface.model.regressions.multiquadric import fit_network, prepare_network
 
 _SHRINKS = (1e-8, 1e-4, 1e-2)
-"""Ridges of the line that are tried, as shares of the inputs' largest squared singular value."""
+"""Candidate ridges of the linear part, relative to the inputs' largest squared singular value."""
 
 
 def _fit(pairs: Pairs, settings: Settings) -> Fitted:
@@ -31,7 +31,7 @@ def _prepare(arrays: Arrays, settings: Settings) -> Predictor:
 
 METHOD = Regression(
     name="additive",
-    summary="a line that adds expressions up, a multiquadric for what it leaves",
+    summary="linear map through rest, plus a multiquadric for its residual",
     fit=_fit,
     prepare=_prepare,
     retarget_candidates=tuple({"shrink": shrink} for shrink in _SHRINKS),

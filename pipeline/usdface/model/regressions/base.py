@@ -1,8 +1,8 @@
-"""What every regression offers: candidates to try, a fit, and a prediction from its arrays.
+"""Interface of the regressions: candidate settings, a fit, and a prediction from its arrays.
 
-A mapping learns weights from coordinates of markers, a retargeting a control vector from the
-source's weights. To a regression both are pairs of inputs and outputs. Several of them bend the
-weights they train on, as skin moves more at first than at last.
+A mapping predicts weights from coordinates of markers, a retargeting a control vector from the
+source's weights. Some regressions are trained on bent weights (`bend`), as the displacement of
+skin saturates with the weight.
 """
 
 from collections.abc import Callable
@@ -22,88 +22,94 @@ Settings = dict[str, float | int | str | bool]
 Arrays = dict[str, FloatArray]
 
 Predictor = Callable[[FloatArray], FloatArray]
-"""Inputs (frames, d) to outputs (frames, k)."""
+"""Function from inputs (frames, d) to outputs (frames, k)."""
 
 WHITENING_POWERS = (0.0, 0.125, 0.25)
-"""Powers of the variance that coordinates are divided by: 0 leaves them as captured, 0.5 would make
-all components equal, and noise as loud as the jaw."""
+"""Candidates: coordinates are divided by this power of their variance. 0 leaves them as captured;
+.5, full whitening, would amplify noise to the size of the jaw's motion."""
 
-_LEAST_VARIANCE_SHARE = 1e-6
-"""Of the largest variance: a component that does not move is not divided by nothing."""
+_MIN_VARIANCE_SHARE = 1e-6
+"""Smallest variance in the divisor, relative to the largest."""
 
 
 @dataclass(frozen=True)
 class RestPlaces:
-    """Where things are on the rig's neutral face."""
+    """Positions on the rig's neutral face."""
 
     points: FloatArray
-    """(points, 3): those of the skin whose displacements are known [mm]."""
+    """(points, 3): the points of `Face.skin` [mm]."""
     markers: FloatArray | None = None
-    """(markers, 3): NaN where a marker's place is not known [mm]."""
+    """(markers, 3): NaN where unknown [mm]."""
 
 
 @dataclass(frozen=True)
 class DrivenSkin:
-    """Combinations of the rig: shapes that are evaluated, not learnt."""
+    """Combination shapes of the rig, whose weights follow from those of the pairs' shapes."""
 
     logic: RigLogic
     """Its first shapes are those of the pairs."""
     skin: FloatArray
-    """(combinations, points, 3): what each at 1 does to the points of `Face.skin` [mm]."""
+    """(combinations, points, 3): displacement of the points of `Face.skin` by each at 1 [mm]."""
 
 
 @dataclass(frozen=True)
 class Face:
-    """What is known of the face beside the pairs, where markers are mapped."""
+    """Data of a mapping's face other than its pairs: rig, motion space and neutral."""
 
     ranges: FloatArray
     """(shapes, 2): lowest and highest weight."""
     gram: FloatArray
     """(shapes, shapes): mean over the rig's points of the dot products of the shapes' displacements
-    [mm^2]; the identity when no rig is known."""
+    [mm^2]; the identity without a rig."""
     motion: MotionSpace
-    """With coordinates of frames that nobody tuned."""
+    """Principal components of the takes, with the coordinates of a sample of frames."""
     skin: FloatArray | None = None
-    """(shapes, points, 3): what each shape at 1 does to points spread over the rig's surface
+    """(shapes, points, 3): displacement by each shape at 1 of points spread over the rig's surface
     [mm]."""
     rest: RestPlaces | None = None
-    """Where those points, and markers, are on the rig's neutral."""
+    """Positions of those points, and of the markers, on the rig's neutral."""
     neutral: FloatArray | None = None
     """(markers, 3): the performer's neutral face [mm]."""
     driven: DrivenSkin | None = None
-    """None where the rig has no combinations, or `skin` is not known."""
+    """None if the rig has no combinations, or without `skin`."""
 
     def normalise(self, weights: FloatArray) -> FloatArray:
-        """Return weights as shares of their ranges, in [0-1]."""
+        """Return weights scaled from their ranges to [0-1], and limited to it."""
         low, high = self.ranges.T
         return np.asarray(np.clip((weights - low) / (high - low), 0.0, 1.0))
 
 
 @dataclass(frozen=True)
 class Pairs:
-    """What a regression learns from."""
+    """Training data of a regression."""
 
     inputs: FloatArray
     """(pairs, d): coordinates of the reference markers in the motion space [mm], or source weights
     as differences from rest."""
     outputs: FloatArray
-    """(pairs, k): weights that the animator set, or control vectors as differences from rest."""
+    """(pairs, k): keys, or control vectors as differences from rest."""
     known_face: Face | None = None
     """None in retargeting."""
     markers: FloatArray | None = None
-    """(pairs, markers, 3): of the references [mm]; None in retargeting."""
+    """(pairs, markers, 3): marker positions of the references [mm]; None in retargeting."""
     forward: "ForwardModel | None" = None
-    """Conditioned on these pairs; None in retargeting."""
+    """Posterior given these pairs; None in retargeting."""
 
     @property
     def face(self) -> Face:
-        """The face; a regression that needs one serves mappings alone."""
+        """The face of a mapping.
+
+        Raises
+        ------
+        ValueError
+            If the pairs are of a retargeting.
+        """
         if self.known_face is None:
-            raise ValueError("this regression needs a face's motion, and retargeting has none")
+            raise ValueError("this regression needs a face; pairs of a retargeting have none")
         return self.known_face
 
     def rows(self, chosen: IntArray) -> "Pairs":
-        """Keep some of the pairs; the forward model, which knows them all, is left out."""
+        """Return some of the pairs, without the forward model, which was fitted to all."""
         return replace(
             self,
             inputs=self.inputs[chosen],
@@ -115,12 +121,12 @@ class Pairs:
 
 @dataclass(frozen=True)
 class Choices:
-    """Settings that a person wants compared in place of a regression's own."""
+    """Settings of the user to compare in place of a regression's candidates."""
 
     dimensions: tuple[int, ...] = ()
     """Numbers of principal components."""
     widths: tuple[float, ...] = ()
-    """Of kernels, as multiples of the distance that the regression measures."""
+    """Kernel widths, as multiples of the regression's unit of distance."""
 
 
 DEFAULT_CHOICES = Choices()
@@ -128,46 +134,46 @@ DEFAULT_CHOICES = Choices()
 
 @dataclass(frozen=True)
 class Fitted:
-    """What a fit learned: all that its prediction reads."""
+    """Result of a fit: everything that the prediction reads."""
 
     arrays: Arrays
-    """float64, so that a mapping reopened from disk predicts the same to the last bit."""
+    """float64, as stored, so that a mapping read from disk gives bitwise equal predictions."""
     settings: Settings
     """Hyper-parameters, given and chosen."""
 
 
 @dataclass(frozen=True)
 class Regression:
-    """One way from inputs to outputs."""
+    """One regression method."""
 
     name: str
     """In mappings and on the command line."""
     summary: str
-    """One line for people who choose."""
+    """One line of help."""
     fit: Callable[[Pairs, Settings], Fitted]
     """``(pairs, settings) -> Fitted``"""
     prepare: Callable[[Arrays, Settings], Predictor]
-    """``(arrays, settings) -> Predictor``: what can be done once for many frames is done here.
-    Outputs are not yet limited to ranges."""
+    """``(arrays, settings) -> Predictor``, with all work that does not depend on the inputs done.
+    Outputs are not limited to ranges."""
     mapping_candidates: Callable[[Pairs, tuple[int, ...]], tuple[Settings, ...]] | None = None
-    """``(pairs, dimensions) -> settings to try``; dimensions, if any, replace the regression's own.
-    None where it does not serve mappings."""
+    """``(pairs, dimensions) -> candidate settings``; dimensions, if any, replace the default ones.
+    None if the method is not available for mappings."""
     retarget_candidates: tuple[Settings, ...] = ()
-    """Settings to try; none where the regression does not serve retargeting."""
+    """Candidate settings; empty if the method is not available for retargeting."""
     retarget_name: str = ""
-    """In retargetings, where it is another."""
+    """Name in retargetings, if it differs."""
     solves_frames: bool = False
-    """What it predicts is where `frame_solve` starts from, not yet the answer."""
+    """Whether the prediction is the prior mean of `frame_solve`, not the result."""
 
     def candidates(self, pairs: Pairs, choices: Choices = DEFAULT_CHOICES) -> tuple[Settings, ...]:
-        """Return the settings worth trying for a mapping."""
+        """Return the candidate settings for a mapping."""
         if self.mapping_candidates is None:
             return ()
-        tried = self.mapping_candidates(pairs, choices.dimensions)
-        if not choices.widths or "width" not in tried[0]:
-            return tried
-        asked = [settings | {"width": width} for width in choices.widths for settings in tried]
-        return tuple(each for n, each in enumerate(asked) if each not in asked[:n])
+        defaults = self.mapping_candidates(pairs, choices.dimensions)
+        if not choices.widths or "width" not in defaults[0]:
+            return defaults
+        grid = [settings | {"width": width} for width in choices.widths for settings in defaults]
+        return tuple(settings for n, settings in enumerate(grid) if settings not in grid[:n])
 
     def predict(self, arrays: Arrays, settings: Settings, inputs: FloatArray) -> FloatArray:
         """Evaluate a fit: (frames, d) inputs to (frames, k) outputs."""
@@ -177,33 +183,33 @@ class Regression:
 def dimension_choices(
     pairs: Pairs, fixed: tuple[int, ...], usual: tuple[int, ...]
 ) -> tuple[int, ...]:
-    """Dimensions worth trying: the usual ones that the pairs and the motion space can carry."""
+    """Return `fixed`, or the usual dimensions, limited by the pairs and the motion space."""
     if fixed:
         return fixed
-    most = min(len(pairs.inputs) - 1, pairs.inputs.shape[1])
-    return tuple(sorted({min(d, most) for d in usual}))
+    largest = min(len(pairs.inputs) - 1, pairs.inputs.shape[1])
+    return tuple(sorted({min(d, largest) for d in usual}))
 
 
 def leading_inputs(inputs: FloatArray, settings: Settings) -> FloatArray:
-    """Return the first ``dimensions`` columns, or all where the settings name no number."""
+    """Return the first ``dimensions`` columns, or all if the settings have no ``dimensions``."""
     return inputs[:, : int(settings["dimensions"])] if "dimensions" in settings else inputs
 
 
 def scale_arrays(pairs: Pairs, settings: Settings) -> Arrays:
-    """Return what `scaled_inputs` reads: ``scale = variance ** -whitening`` of each dimension.
+    """Return ``scale = variance ** -whitening`` of each dimension, for `scaled_inputs`.
 
-    The jaw moves markers by centimetres, the lids by millimetres: in plain coordinates a distance
-    between faces is a distance between jaws. Only settings with ``whitening`` need it.
+    Without whitening, distances between faces are dominated by the jaw, which moves markers by
+    centimetres where lids move by millimetres. Empty if the settings have no ``whitening``.
     """
     if "whitening" not in settings:
         return {}
     variances = pairs.face.motion.variances[: int(settings["dimensions"])]
-    floor = max(_LEAST_VARIANCE_SHARE * float(variances[0]), np.finfo(float).tiny)
+    floor = max(_MIN_VARIANCE_SHARE * float(variances[0]), np.finfo(float).tiny)
     return {"scale": np.maximum(variances, floor) ** -float(settings["whitening"])}
 
 
 def scaled_inputs(arrays: Arrays, settings: Settings, inputs: FloatArray) -> FloatArray:
-    """Return inputs as distances between them are measured."""
+    """Return inputs multiplied by the scale of `scale_arrays`."""
     if "whitening" not in settings:
         return inputs
     scale = arrays["scale"]
@@ -212,10 +218,10 @@ def scaled_inputs(arrays: Arrays, settings: Settings, inputs: FloatArray) -> Flo
 
 
 def bend(weights: FloatArray, curve: float) -> FloatArray:
-    """Bend weights; beyond [0-1] the curve goes on along its ends.
+    """Return bent weights ``w + curve w (1 - w)``, extrapolated linearly beyond [0-1].
 
-    A shape at half its weight has often moved the skin by more than half. Trained on
-    ``w + curve w (1 - w)``, lines fit better; `unbend` brings the prediction back.
+    At half its weight a shape has often moved the performer's skin by more than half: displacements
+    are closer to linear in bent weights. `unbend` is the inverse.
 
     Parameters
     ----------
@@ -232,7 +238,7 @@ def bend(weights: FloatArray, curve: float) -> FloatArray:
 
 
 def unbend(bent: FloatArray, curve: float) -> FloatArray:
-    """Return the weights that `bend` bent so."""
+    """Return weights from bent weights: the inverse of `bend`."""
     inside = np.clip(bent, 0.0, 1.0)
     root = np.sqrt((1 + curve) ** 2 - 4 * curve * inside)
     weights: FloatArray = 2 * inside / (1 + curve + root)

@@ -1,7 +1,7 @@
-"""What combination shapes do to a performer's markers, beside the shapes that are learnt.
+"""Motion of a performer's markers due to the rig's combination shapes.
 
-The rig says which weights ``c(w)`` its combinations have, the pairs where each moves the markers by
-``F_c``: the forward model explains what is left of the markers without ``c(w)' F``.
+The rig evaluates the weights ``c(w)`` of its combinations; each moves the markers by ``F_c``. The
+forward model is fitted to the displacements less ``c(w)' F``.
 """
 
 from dataclasses import dataclass
@@ -20,63 +20,63 @@ from usdface.core.rig_logic import COMBINATION_MODES, Combination, RigLogic
 from usdface.model.regressions.base import Arrays, unbend
 
 _SLOPE_STEP = 1e-4
-"""Of a bent weight, for the slope of unbending."""
+"""Finite difference of a bent weight in the derivative of `unbend`."""
 
 
 @dataclass(frozen=True)
 class DrivenMotion:
-    """Combinations over the markers."""
+    """Displacement of the markers as a function of the combinations' weights."""
 
     logic: RigLogic
-    """Its shapes are the mapping's, in their order, perhaps with others after them, at 0."""
+    """Its first shapes are the mapping's, in order; any others stay at 0."""
     ranges: FloatArray
-    """(shapes, 2): of the mapping's shapes."""
+    """(shapes, 2): lowest and highest weight of the mapping's shapes."""
     motion: FloatArray
     """(combinations, 3 markers): ``F`` [mm]."""
 
-    def put(
+    def displacements(
         self, targets: RealArray, curve: float, slope: Float32Array | None = None
     ) -> Float32Array:
-        """Return how far combinations move the markers: (frames, 3 markers) [mm].
+        """Return the displacement of the markers: (frames, 3 markers) [mm].
 
         Parameters
         ----------
         targets : (frames, shapes) float array
             Bent weights.
         slope : (frames, shapes, 3 markers) float32 array, optional
-            To add the derivatives to.
+            Jacobian, to which the derivatives are added in place.
         """
         bent, low, span = targets.astype(np.float64), self.ranges[:, 0], np.ptp(self.ranges, axis=1)
         unbent = unbend(bent, curve)
         weights = low + span * np.clip(unbent, 0.0, 1.0)
         values = self.logic.evaluate(pad_columns(weights, len(self.logic.shapes)))
         if slope is not None:
-            steep = (unbend(bent + _SLOPE_STEP, curve) - unbent) / _SLOPE_STEP * span
-            by_link = single_precision(self.logic.link_slopes(values))
-            for shape, links in enumerate(self._links_of):
+            unbend_slope = (unbend(bent + _SLOPE_STEP, curve) - unbent) / _SLOPE_STEP * span
+            link_slopes = single_precision(self.logic.link_slopes(values))
+            for shape, links in enumerate(self._links_of_shape):
                 if len(links):
-                    own = by_link[:, links] * steep[:, [shape]].astype(np.float32)
-                    slope[:, shape] += own @ self._link_motion[links]
-        driven = single_precision(values[:, len(self.logic.shapes) :])
-        return np.asarray(driven @ self._single)
+                    chained = link_slopes[:, links] * unbend_slope[:, [shape]].astype(np.float32)
+                    slope[:, shape] += chained @ self._link_motion[links]
+        combinations = single_precision(values[:, len(self.logic.shapes) :])
+        return np.asarray(combinations @ self._motion32)
 
     @cached_property
-    def _single(self) -> Float32Array:
+    def _motion32(self) -> Float32Array:
         return single_precision(self.motion)
 
     @cached_property
     def _link_motion(self) -> Float32Array:
-        return self._single[self.logic.links[:, 0]]
+        return self._motion32[self.logic.links[:, 0]]
 
     @cached_property
-    def _links_of(self) -> list[IntArray]:
-        """Return the links of each of the mapping's shapes."""
+    def _links_of_shape(self) -> list[IntArray]:
+        """Rows of the logic's links that each of the mapping's shapes drives."""
         return [
             np.flatnonzero(self.logic.links[:, 1] == shape) for shape in range(len(self.ranges))
         ]
 
     def to_arrays(self) -> Arrays:
-        """Return what `from_arrays` reads, as arrays of a mapping."""
+        """Return the combinations as arrays of a mapping, the input of `from_arrays`."""
         names = [*self.logic.shapes, *(each.shape for each in self.logic.combinations)]
         column = {name: index for index, name in enumerate(names)}
         most = max(len(each.parts) for each in self.logic.combinations)
@@ -101,7 +101,7 @@ class DrivenMotion:
 
     @classmethod
     def from_arrays(cls, arrays: Arrays) -> "DrivenMotion | None":
-        """Put a mapping's combinations together; None where its rig had none."""
+        """Rebuild the combinations from the arrays of a mapping; None if its rig had none."""
         if "driven_parts" not in arrays:
             return None
         count = int(arrays["driven_shapes"][0])
@@ -123,17 +123,17 @@ class DrivenMotion:
 
 
 def driven_weights(logic: RigLogic, weights: FloatArray) -> FloatArray:
-    """Return the weights of combinations: (frames, combinations).
+    """Return the weights of the combinations: (frames, combinations).
 
     Parameters
     ----------
     weights : (frames, shapes) float array
-        Of the first of the logic's shapes; the others are at 0.
+        Weights of the first shapes of the logic; the others are 0.
     """
     padded = pad_columns(weights, len(logic.shapes))
     return logic.evaluate(padded)[:, len(logic.shapes) :]
 
 
 def pad_columns(weights: FloatArray, count: int) -> FloatArray:
-    """Return weights with columns of 0 after them, up to `count`."""
+    """Pad weights with columns of 0 to `count` columns."""
     return np.pad(weights, ((0, 0), (0, count - weights.shape[1])))

@@ -1,14 +1,17 @@
-"""The face map's inverse regression: what the references say of a frame that looks like them.
+"""Inverse regression of the face map: Gaussian processes from markers to bent weights.
 
-Each shape has a Gaussian process from markers to its bent weight. Two faces are compared by the
-markers that the shape moves: marker k counts by ``h_sk = max(|B_sk| / max_j |B_sj|, floor)``, where
-``B`` is what the forward model says the shape does. So a lid does not drown in the jaw, and what is
-local on the rig stays local: references that close both eyes do not make one lid ask the other.
-Features are the principal axes of the weighed markers over all frames of the takes, and the
-covariance a line and a local part (`gaussian_process`). One covariance serves all shapes, the one
-with the least leave-one-out error; noise is each shape's own.
+Each shape s has a Gaussian process. Its inputs are the markers, marker k multiplied by ::
 
-The answer is where `frame_solve` starts from; the leave-one-out error is how far it believes it.
+    h_sk = max(|B_sk| / max_j |B_sj|, floor)
+
+with ``B`` the basis of the forward model. The small motion of lids is thus not lost in that of the
+jaw, and shapes that are local on the rig depend on nearby markers only: from references that close
+both eyes, one lid does not learn to follow the other. Features are the principal axes of the
+weighted markers over all frames of the takes; the covariance is linear plus radial
+(`gaussian_process`). All shapes share the covariance of least leave-one-out error; the noise is
+chosen for each shape.
+
+The prediction is the prior mean of `frame_solve`, and its leave-one-out error the prior deviation.
 """
 
 import numpy as np
@@ -38,42 +41,46 @@ from usdface.numerics.regression.regional_process import (
 )
 
 _MAX_DIMENSIONS = 50
-_LEAST_VARIANCE_MM2 = 1e-4
-"""Variance of a component below which there is no motion, only rounding."""
+"""Largest number of principal components of the motion space in use."""
 
-_LEAST_RELEVANCE = 0.01
-"""``floor``: faces that differ only where the shape moves nothing are still two faces."""
+_MIN_VARIANCE_MM2 = 1e-4
+"""Variance of a component below which it is rounding error."""
+
+_MIN_RELEVANCE = 0.01
+"""``floor``: markers that the shape does not move still distinguish faces."""
 
 _COVARIANCES = tuple(
     ProcessSettings(dimensions, 0.25, radial, width)
     for dimensions in (12, 24)
     for radial, width in ((1.0, 1.0), (1.0, 3.0), (3.0, 3.0))
 )
-"""Tried: features, and size and width of the local part. They differ by a few hundredths."""
+"""Candidates: number of features, and amplitude and width of the radial part. Their errors differ
+by a few percent."""
 
-_MOST_REGIONS = 64
-"""Of the face: with so many, neighbouring ones see nearly the same markers."""
+_MAX_REGIONS = 64
+"""Largest number of regions: with more, neighbouring ones weight the markers nearly alike."""
 
 _COMPARED_SHAPES = 40
-"""Shapes, those that matter most on the surface, by which the covariance is chosen."""
+"""Largest number of shapes in the choice of the covariance, spread over their effect on the
+surface."""
 
 
 def _candidates(pairs: Pairs, dimensions: tuple[int, ...]) -> tuple[Settings, ...]:
-    moving = int((pairs.face.motion.variances > _LEAST_VARIANCE_MM2).sum())
+    moving = int((pairs.face.motion.variances > _MIN_VARIANCE_MM2).sum())
     most = max(1, min(moving, _MAX_DIMENSIONS, pairs.inputs.shape[1]))
-    return tuple({"dimensions": kept} for kept in dimensions or (most,))
+    return tuple({"dimensions": count} for count in dimensions or (most,))
 
 
 def _fit(pairs: Pairs, settings: Settings) -> Fitted:
-    forward, kept = pairs.forward, int(settings["dimensions"])
+    forward, count = pairs.forward, int(settings["dimensions"])
     if forward is None:
         raise ValueError("the face map needs the pairs' forward model")
-    z, targets = pairs.inputs[:, :kept], forward.targets
+    z, targets = pairs.inputs[:, :count], forward.targets
     length = np.sqrt((forward.basis**2).sum(axis=2))
     share = length / np.maximum(length.max(axis=1, keepdims=True), 1e-9)
-    region, relevance = _gather_regions(np.maximum(share, _LEAST_RELEVANCE))
-    sample, axes = pairs.face.motion.sample[:, :kept], pairs.face.motion.components[:kept]
-    covariance = np.cov(sample.T).reshape(kept, -1)
+    region, relevance = _gather_regions(np.maximum(share, _MIN_RELEVANCE))
+    sample, axes = pairs.face.motion.sample[:, :count], pairs.face.motion.components[:count]
+    covariance = np.cov(sample.T).reshape(count, -1)
     features = [regional_features(axes, covariance, row) for row in relevance]
     chosen = _choose_covariance(z, targets, [features[k] for k in region], pairs.face.gram)
     arrays = _fit_regions(z, targets, features, region, chosen)
@@ -86,16 +93,16 @@ def _fit(pairs: Pairs, settings: Settings) -> Fitted:
 
 
 def _gather_regions(relevance: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Return the region of each shape, and what of the markers each region sees.
+    """Return the region of each shape, and the relevance of the markers to each region.
 
-    Few shapes have a region each. Many share those of shapes that move nearly the same markers.
+    Up to `_MAX_REGIONS` shapes have a region each; more are clustered by the markers they move.
     """
-    if len(relevance) <= _MOST_REGIONS:
+    if len(relevance) <= _MAX_REGIONS:
         return np.arange(len(relevance)), relevance
-    from scipy.cluster.hierarchy import fcluster, linkage  # mapping starts without SciPy
+    from scipy.cluster.hierarchy import fcluster, linkage  # SciPy is only loaded for training
 
     region = np.asarray(
-        fcluster(linkage(relevance, "ward"), _MOST_REGIONS, "maxclust") - 1, np.int64
+        fcluster(linkage(relevance, "ward"), _MAX_REGIONS, "maxclust") - 1, np.int64
     )
     return region, np.stack([relevance[region == k].mean(axis=0) for k in range(region.max() + 1)])
 
@@ -103,7 +110,7 @@ def _gather_regions(relevance: FloatArray) -> tuple[IntArray, FloatArray]:
 def _choose_covariance(
     z: FloatArray, targets: FloatArray, features: list[RegionalFeatures], gram: FloatArray
 ) -> ProcessSettings:
-    """Return the covariance whose errors, each shape's against its own least, are least."""
+    """Return the covariance of least leave-one-out error, relative to each shape's least."""
     choices = usable_choices(_COVARIANCES, most=z.shape[1])
     by_size = np.argsort(-np.diag(gram), kind="stable")
     errors = np.stack(
@@ -128,17 +135,17 @@ def _fit_regions(
     region: IntArray,
     choice: ProcessSettings,
 ) -> Arrays:
-    """Fit the processes of each region's shapes, and lay regions side by side."""
+    """Fit the processes of each region's shapes, and stack the regions' arrays."""
     slope, intercept = np.empty((z.shape[1], len(region))), np.empty(len(region))
     dual, residuals = np.empty_like(targets), np.empty_like(targets)
     projection, centres, exponent = [], [], []
-    for k, each in enumerate(features):
+    for k, axes in enumerate(features):
         shapes = np.flatnonzero(region == k)
-        given = {"features": z @ each.projection, "outputs": targets[:, shapes]}
-        errors = leave_one_out_errors(**given, variances=each.variances, choices=(choice,))[0]
+        data = {"features": z @ axes.projection, "outputs": targets[:, shapes]}
+        errors = leave_one_out_errors(**data, variances=axes.variances, choices=(choice,))[0]
         noise = NOISES[smoothest_near_best(errors)]
-        fit = fit_gaussian_process(**given, variances=each.variances, choice=choice, noise=noise)
-        projection.append(each.projection[:, : len(fit.scale)] * fit.scale)
+        fit = fit_gaussian_process(**data, variances=axes.variances, choice=choice, noise=noise)
+        projection.append(axes.projection[:, : len(fit.scale)] * fit.scale)
         centres.append(fit.centres)
         exponent.append(fit.exponent)
         slope[:, shapes] = projection[-1] @ fit.slope
@@ -157,14 +164,14 @@ def _fit_regions(
 
 
 def _prepare(arrays: Arrays, settings: Settings) -> Predictor:
-    kept, curve = int(settings["dimensions"]), float(arrays["curve"][0])
+    count, curve = int(settings["dimensions"]), float(arrays["curve"][0])
     local = LocalSums(
         **{name: arrays[name] for name in ("projection", "centres", "exponent", "dual")},
         region=arrays["region"].astype(np.int64),
     )
 
     def predict(coordinates: FloatArray) -> FloatArray:
-        z = coordinates[:, :kept]
+        z = coordinates[:, :count]
         targets = np.clip(z @ arrays["slope"] + arrays["intercept"] + local(z), 0.0, 1.0)
         return np.asarray(arrays["low"] + arrays["span"] * unbend(targets, curve))
 

@@ -1,4 +1,4 @@
-"""Gaussian radial basis functions: ours, over a straight line, and the published method (`d06`).
+"""Gaussian radial basis functions: with a linear part (`rbf`), and as published (`d06`).
 
 Deng, Chiang, Fox and Neumann (2006), *Animating Blendshape Faces by Cross-Mapping Motion Capture
 Data*, sections 5 and 6.
@@ -29,14 +29,15 @@ from usdface.numerics.regression.rbf_ridge import (
 )
 
 PAPER_DIMENSIONS = 4
-"""In the paper they hold 90.21 % of the variance."""
+"""The paper's number of components, which explain 90.21 % of its variance."""
+
 PAPER_WIDTH = 2.0
-"""Multiple of the distance to the nearest centre. The paper gives neither a width nor a rule for
-one; a function that reaches its nearest neighbours and few others is what such networks are usually
-started with. Wider ones err less: `train --method d06 --widths 2,4,8,16` compares."""
+"""Width as a multiple of the distance to the nearest centre. The paper states no width; basis
+functions that overlap with their nearest neighbours only are a usual default. Larger widths have
+lower errors: `train --method d06 --widths 2,4,8,16` compares."""
 
 ITERATION_START = 1e-3
-"""Of the largest squared singular value; the paper gives none either."""
+"""Initial ridge relative to the largest squared singular value, which the paper does not state."""
 
 
 def _candidates(pairs: Pairs, dimensions: tuple[int, ...]) -> tuple[Settings, ...]:
@@ -52,8 +53,8 @@ def _candidates(pairs: Pairs, dimensions: tuple[int, ...]) -> tuple[Settings, ..
 def _fit(pairs: Pairs, settings: Settings) -> Fitted:
     features = leading_inputs(pairs.inputs, settings)
     line = fit_linear_ridge(features, pairs.outputs)
-    # The network learns what the line leaves over, so far from all pairs the line goes on. It
-    # learns from leave-one-out residuals: the fitted ones are small where the line overfits.
+    # Far from all pairs the network vanishes, and the line extrapolates. The network is fitted to
+    # leave-one-out residuals, since fitted ones are too small where the line overfits.
     widths_of = centre_widths if settings.get("widths") == "per centre" else shared_widths
     widths = widths_of(features, multiple=float(settings["width"]))
     network = fit_rbf_ridge(features, line.loo_residuals, widths=widths)
@@ -114,7 +115,7 @@ def _prepare_network(arrays: Arrays, settings: Settings) -> Predictor:
 
 METHOD = Regression(
     name="rbf",
-    summary="Gaussian RBF over a straight line, components and width by cross-validation",
+    summary="linear map plus Gaussian RBF, components and width by cross-validation",
     fit=_fit,
     prepare=_prepare,
     mapping_candidates=_candidates,
@@ -122,7 +123,7 @@ METHOD = Regression(
 
 PUBLISHED = Regression(
     name="d06",
-    summary="Gaussian RBF, 4 components, a width per centre, ridge by GCV: the paper as published",
+    summary="Gaussian RBF as published: 4 components, a width per centre, ridge by GCV",
     fit=_fit_published,
     prepare=_prepare_network,
     mapping_candidates=_published_candidates,

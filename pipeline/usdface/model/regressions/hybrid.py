@@ -1,8 +1,8 @@
 """The published hybrid: multiquadric and kernel CCA blended; eq. 9 of Song et al. (2011).
 
-Song, Choi, Seol and Noh, *Characteristic Facial Retargeting*, section 4.3. There a person keys the
-share of the multiquadric over a sequence. A mapping's is one number, chosen on pairs that neither
-part has seen; a retargeting's is one of its candidates.
+Song, Choi, Seol and Noh, *Characteristic Facial Retargeting*, section 4.3. In the paper an artist
+keys the blend weight alpha of the multiquadric over time. In a mapping it is constant and chosen by
+cross-validation; in a retargeting it is a candidate setting.
 """
 
 import numpy as np
@@ -19,11 +19,11 @@ from usdface.model.regressions.multiquadric import fit_network, prepare_network
 from usdface.numerics.regression.cross_validation import Fold, predict_out_of_fold
 
 _FOLD_COUNT = 5
-_FEWEST_PAIRS = 8
-"""Below these, cross-validation is chance: both parts then have the share 0.5."""
+_MIN_PAIRS = 8
+"""Fewer pairs are too few for cross-validation; alpha is then .5."""
 
 _ALPHAS = (0.25, 0.5, 0.75)
-"""Shares of the multiquadric that retargeting tries."""
+"""Candidates of alpha in retargeting."""
 
 
 def _candidates(pairs: Pairs, dimensions: tuple[int, ...]) -> tuple[Settings, ...]:
@@ -48,7 +48,7 @@ def _prepare(arrays: Arrays, settings: Settings) -> Predictor:
 def predict_blended(
     arrays: Arrays, settings: Settings, inputs: FloatArray, alpha: FloatArray
 ) -> FloatArray:
-    """Blend both parts by one share of the multiquadric (1,), or by one for each frame (f,)."""
+    """Return ``alpha multiquadric + (1 - alpha) kernel CCA``; alpha is (1,) or (frames,)."""
     network = prepare_network(arrays, settings)(inputs)
     regression = prepare_expansion(arrays, settings)(inputs)
     blended: FloatArray = alpha[:, None] * network + (1 - alpha[:, None]) * regression
@@ -56,12 +56,14 @@ def predict_blended(
 
 
 def _choose_alpha(pairs: Pairs, settings: Settings) -> float:
-    """Return the share of the multiquadric that moves the surface least away from unseen pairs."""
+    """Return the alpha of least surface error in cross-validation."""
     count = len(pairs.outputs)
-    if count < _FEWEST_PAIRS:
+    if count < _MIN_PAIRS:
         return 0.5
-    turn = np.arange(count) % _FOLD_COUNT  # the pairs' times are not known: deal them in turn
-    folds = [Fold(np.flatnonzero(turn != k), np.flatnonzero(turn == k)) for k in range(_FOLD_COUNT)]
+    label = np.arange(count) % _FOLD_COUNT  # interleaved, as the pairs' times are unknown
+    folds = [
+        Fold(np.flatnonzero(label != k), np.flatnonzero(label == k)) for k in range(_FOLD_COUNT)
+    ]
 
     def by_network(train: IntArray, test: IntArray) -> FloatArray:
         fitted = fit_network(pairs.rows(train), settings)
@@ -75,7 +77,7 @@ def _choose_alpha(pairs: Pairs, settings: Settings) -> float:
     network = predict_out_of_fold(by_network, folds, width=width) - pairs.outputs
     regression = predict_out_of_fold(by_regression, folds, width=width) - pairs.outputs
     difference = network - regression
-    # |regression + alpha * difference|^2 in the metric of the surface is a parabola in alpha.
+    # Minimum of |regression + alpha difference|^2, a parabola in alpha, in the surface's metric.
     gram = pairs.face.gram
     slope = -float(np.einsum("ns,st,nt->", regression, gram, difference))
     curvature = float(np.einsum("ns,st,nt->", difference, gram, difference))
@@ -84,7 +86,7 @@ def _choose_alpha(pairs: Pairs, settings: Settings) -> float:
 
 METHOD = Regression(
     name="hybrid",
-    summary="multiquadric and kernel CCA blended by one share, chosen by cross-validation",
+    summary="multiquadric and kernel CCA, blended with a weight chosen by cross-validation",
     fit=_fit,
     prepare=_prepare,
     mapping_candidates=_candidates,

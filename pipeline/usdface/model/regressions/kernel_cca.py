@@ -1,7 +1,7 @@
-"""Kernel canonical correlation: Song et al. (2011), section 4.2, for markers and for retargeting.
+"""Kernel canonical correlation analysis: Song et al. (2011), section 4.2.
 
-With the lines of eq. 6 and 7 penalised as eq. 5 is; on markers, `hybrid` takes them as published,
-and in retargeting `train-retarget --published` does.
+The lines of eq. 6 and 7 carry the same penalty as eq. 5. They are unpenalised, as published, in
+`hybrid` for mappings, and with `train-retarget --published`.
 """
 
 import numpy as np
@@ -27,20 +27,21 @@ from usdface.numerics.regression.kernel_cca import (
 )
 
 _MAPPING_WIDTHS = (4.0, 8.0)
-"""Multiples of the median distance between pairs. Narrower kernels forget between the pairs."""
+"""Candidates, as multiples of the median distance between pairs. Narrower kernels return to the
+mean between pairs."""
 
 RETARGET_KERNELS: tuple[Settings, ...] = tuple(
     {"width": width, "kappa": kappa}
     for width in (1.0, 2.0, 4.0, 8.0)
     for kappa in (1e-6, 1e-4, 1e-2)
 )
-"""Widths, in the same unit, and penalties that are tried."""
+"""Candidate widths, in the same unit, and penalties."""
 
 PUBLISHED_LINES: tuple[Settings, ...] = tuple(
     {"lines": "published", "components": components} for components in (8, 16, 32)
 )
-"""The paper prints no number of components. Over all of them plain least squares meets every pair
-exactly, whatever the penalty; 32 is nearly all of its 34 pairs."""
+"""Candidate numbers of components, which the paper does not state. With all components, plain least
+squares interpolates every pair whatever the penalty; the paper has 34 pairs."""
 
 
 def _candidates(pairs: Pairs, dimensions: tuple[int, ...]) -> tuple[Settings, ...]:
@@ -52,7 +53,7 @@ def _candidates(pairs: Pairs, dimensions: tuple[int, ...]) -> tuple[Settings, ..
 
 
 def mapping_spaces(pairs: Pairs, dimensions: tuple[int, ...]) -> tuple[Settings, ...]:
-    """Return the coordinates and kernels worth trying on markers."""
+    """Return candidate coordinates and kernel widths for mappings."""
     return tuple(
         {"dimensions": d, "whitening": power, "width": width}
         for d in dimension_choices(pairs, dimensions, (24, 40))
@@ -62,7 +63,7 @@ def mapping_spaces(pairs: Pairs, dimensions: tuple[int, ...]) -> tuple[Settings,
 
 
 def fit_expansion(pairs: Pairs, settings: Settings) -> Fitted:
-    """Fit to pairs; what is kept is what predicts, and how much correlates."""
+    """Fit to pairs; the arrays hold the prediction's operator and the canonical correlations."""
     scale = scale_arrays(pairs, settings)
     model = fit_model(pairs, scale, settings)
     arrays = {
@@ -76,10 +77,10 @@ def fit_expansion(pairs: Pairs, settings: Settings) -> Fitted:
 
 
 def fit_model(pairs: Pairs, scale: Arrays, settings: Settings) -> KernelCCA:
-    """Fit with a candidate's ``width`` and ``kappa``, its ``lines`` and ``components`` if any."""
+    """Fit with the settings ``width`` and ``kappa``, and optional ``lines`` and ``components``."""
     features = scaled_inputs(scale, settings, pairs.inputs)
     multiple = float(settings["width"])
-    constant = bool((pairs.outputs == pairs.outputs[0]).all())  # then any width will do
+    constant = bool((pairs.outputs == pairs.outputs[0]).all())  # any width fits a constant
     return fit_kernel_cca(
         features,
         pairs.outputs,
@@ -92,7 +93,7 @@ def fit_model(pairs: Pairs, scale: Arrays, settings: Settings) -> KernelCCA:
 
 
 def prepare_expansion(arrays: Arrays, settings: Settings) -> Predictor:
-    """Make the regression ready that a mapping's or a retargeting's arrays hold."""
+    """Return the predictor of fitted arrays."""
     sources, width = arrays["sources"], float(arrays["source_width"][0])
     operator, intercept = arrays["operator"], arrays["intercept"]
 

@@ -1,6 +1,6 @@
 """Hardy's multiquadric: Song, Choi, Seol and Noh (2011), *Characteristic Facial Retargeting*, 4.1.
 
-Published for retargeting, where its name is `rbf`; on markers it is `multiquadric`.
+Published for retargeting, where it is named `rbf`; in mappings it is `multiquadric`.
 """
 
 import numpy as np
@@ -35,9 +35,9 @@ def _candidates(pairs: Pairs, dimensions: tuple[int, ...]) -> tuple[Settings, ..
 
 
 def fit_network(pairs: Pairs, settings: Settings) -> Fitted:
-    """Fit to pairs, smoothly where they cannot all be met: two inputs alike, outputs that differ.
+    """Interpolate the pairs; smooth them if equal inputs with different outputs prevent it.
 
-    The setting ``smooth`` asks for it; in the result it is whether it was done.
+    The setting ``smooth`` requests smoothing; in the result it states whether it was applied.
     """
     scale = scale_arrays(pairs, settings)
     features = scaled_inputs(scale, settings, pairs.inputs)
@@ -59,9 +59,9 @@ def fit_network(pairs: Pairs, settings: Settings) -> Fitted:
 
 
 def prepare_network(arrays: Arrays, settings: Settings) -> Predictor:
-    """Make the network ready that a mapping's or a retargeting's arrays hold."""
+    """Return the predictor of fitted arrays."""
     coefficients = arrays["coefficients"]
-    unpenalised = np.zeros(coefficients.shape[1])  # the ridge served the fit alone
+    unpenalised = np.zeros(coefficients.shape[1])  # the ridge is not used in prediction
     model = Multiquadric(arrays["centres"], arrays["softness"], coefficients, unpenalised)
 
     def predict(inputs: FloatArray) -> FloatArray:
@@ -72,7 +72,7 @@ def prepare_network(arrays: Arrays, settings: Settings) -> Predictor:
 
 METHOD = Regression(
     name="multiquadric",
-    summary="Hardy multiquadric through every pair, each centre as soft as its neighbour is far",
+    summary="Hardy multiquadric interpolation, softness of a centre from its nearest neighbour",
     fit=fit_network,
     prepare=prepare_network,
     mapping_candidates=_candidates,

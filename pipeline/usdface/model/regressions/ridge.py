@@ -1,4 +1,4 @@
-"""A straight line with a ridge chosen by leave-one-out: the baseline that others must beat."""
+"""Linear ridge regression, with the ridge chosen by leave-one-out error."""
 
 from usdface.core.arrays import FloatArray
 from usdface.model.regressions.base import (
@@ -26,12 +26,12 @@ def _fit(pairs: Pairs, settings: Settings) -> Fitted:
 
 
 def line_arrays(line: LinearRidge) -> Arrays:
-    """Name a line's parts for a mapping."""
+    """Return a linear model as arrays of a mapping."""
     return {"mean": line.mean, "slope": line.coefficients, "intercept": line.intercept}
 
 
 def prepare_line(arrays: Arrays, settings: Settings) -> Predictor:
-    """Make the line ready that a mapping's arrays hold."""
+    """Return the predictor of a linear model's arrays."""
     slope = arrays["slope"]
     offset = arrays["intercept"] - arrays["mean"] @ slope
 
