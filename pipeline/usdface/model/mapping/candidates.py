@@ -1,4 +1,4 @@
-"""Compare candidates of a mapping on pairs that their fits have not seen."""
+"""Comparison of a mapping's candidates by cross-validation."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -26,68 +26,69 @@ from usdface.numerics.regression.cross_validation import (
 )
 
 MINIMUM_TO_COMPARE = 8
-"""Pairs below which cross-validation is chance: the first, simplest candidate is taken."""
+"""Fewest pairs for cross-validation; with fewer, the first candidate is taken."""
 
 OBSERVABLE_ERROR_SHARE = 0.9
-"""Of a shape's variance: a mean squared error above it says that markers do not show the shape."""
+"""Mean squared error of a shape, relative to its variance, above which it is not observable."""
 
-_LEAST_T = 2.0
-"""Student's t beyond which another method than the default is no chance: one in twenty."""
+_CRITICAL_T = 2.0
+"""Student's t from which another method replaces the default: p = .05, two-sided."""
 
-_STANDARD_ERROR_T = 1.0
-"""The same of a method's own setting: the usual one is kept within a standard error of the best
-(Breiman et al. 1984, the one-standard-error rule)."""
+_ONE_STANDARD_ERROR = 1.0
+"""The same for a setting: the default is kept within one standard error of the best (Breiman et al.
+1984)."""
 
 _NEIGHBOUR_SECONDS = 0.5
-"""Pairs nearer are one moment: neither tells how the other would be predicted without it."""
+"""Margin between training and test pairs: nearer frames show the same expression."""
 
 _BLOCK_SECONDS = 2.0
-"""Faces and their errors last about as long."""
+"""Length of a block of the paired test: about the correlation time of errors."""
 
-_USUAL_RATE = 60.0
-"""Frames per second, where references do not say theirs."""
+_DEFAULT_RATE = 60.0
+"""Frames per second of references without a rate."""
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A method and the settings to try it with."""
+    """A method with settings."""
 
     method: Regression
     settings: Settings
 
 
 @dataclass(frozen=True)
-class UnseenPairs:
-    """What a candidate makes of pairs that its fit has not seen."""
+class OutOfFold:
+    """Out-of-fold predictions of the pairs by one candidate."""
 
     errors: FloatArray
-    """(pairs, shapes): of weights."""
-    start: FloatArray
-    """(pairs, shapes): bent weights, before the frames are solved."""
-    usual: FloatArray | None
-    """(pairs, shapes): the fits' own estimates of that start's error, normalised; None where it
-    makes none."""
+    """(pairs, shapes): predicted weights minus keys."""
+    prior_mean: FloatArray
+    """(pairs, shapes): bent weights predicted by the regression, before the frame solve."""
+    prior_error: FloatArray | None
+    """(pairs, shapes): standard deviation of their errors, as each fold's fit estimates it; None if
+    the method does not solve frames."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Candidates by error, the best first."""
+    """Result of the comparison."""
 
     best: Candidate
-    unseen: UnseenPairs | None
-    """Of the best; None where pairs were too few to compare."""
+    out_of_fold: OutOfFold | None
+    """Predictions of the best; None with too few pairs to compare."""
     observable: BoolArray
-    """(shapes,)"""
+    """(shapes,): see `observable_shapes`."""
     scores: tuple[CandidateScore, ...]
+    """In ascending order of error."""
 
 
 class PairFolds:
-    """Pairs in folds of other moments, with a forward model that has not seen each."""
+    """Pairs in folds blocked by take and time, with a forward model of each training set."""
 
     def __init__(self, corrected: CorrectedPairs, references: References) -> None:
         pairs, scales = corrected.pairs, corrected.forward.scales
         self.pairs, self.corrected = pairs, corrected
-        frames, takes, rate = references.frames, references.takes, references.rate or _USUAL_RATE
+        frames, takes, rate = references.frames, references.takes, references.rate or _DEFAULT_RATE
         self.folds = blocked_folds(frames, takes, margin=round(_NEIGHBOUR_SECONDS * rate))
         self.blocks = time_blocks(frames, takes, length=max(round(_BLOCK_SECONDS * rate), 1))
         self.forwards = [fit_pairs_forward(pairs.rows(fold.train), scales) for fold in self.folds]
@@ -96,72 +97,81 @@ class PairFolds:
 
     def displacements(self, rows: IntArray) -> tuple[FloatArray, BoolArray]:
         """Return displacements [mm] and visibility of some pairs."""
-        moved = displacements(self.pairs.rows(rows))
-        return moved, np.ones(moved.shape[:2], dtype=np.bool_)
+        displaced = displacements(self.pairs.rows(rows))
+        return displaced, np.ones(displaced.shape[:2], dtype=np.bool_)
 
-    def predict(self, candidate: Candidate) -> UnseenPairs:
-        """Predict every pair by a fit that has not seen it."""
+    def predict(self, candidate: Candidate) -> OutOfFold:
+        """Predict every pair by the fit to the other folds."""
         face, method = self.pairs.face, candidate.method
-        errors, start, usual = (np.full_like(self.pairs.outputs, np.nan) for _ in range(3))
+        errors, prior_mean, prior_error = (
+            np.full_like(self.pairs.outputs, np.nan) for _ in range(3)
+        )
         for fold, forward in zip(self.folds, self.forwards, strict=True):
             settings = dict(candidate.settings)
-            if "dimensions" in settings:  # a fold may have too few pairs for what all of them carry
+            if "dimensions" in settings:  # a training set may have fewer pairs than dimensions
                 most = max(len(fold.train) - 1, 1)
                 settings["dimensions"] = min(int(settings["dimensions"]), most)
-            known = self.corrected.known_to(method).rows(fold.train)
-            fitted = method.fit(replace(known, forward=forward), settings)
-            found = method.predict(fitted.arrays, fitted.settings, self.pairs.inputs[fold.test])
-            start[fold.test] = bend(face.normalise(found), self.curve)
-            errors[fold.test] = np.clip(found, *face.ranges.T) - self.corrected.given[fold.test]
+            training = self.corrected.training_pairs(method).rows(fold.train)
+            fitted = method.fit(replace(training, forward=forward), settings)
+            weights = method.predict(fitted.arrays, fitted.settings, self.pairs.inputs[fold.test])
+            prior_mean[fold.test] = bend(face.normalise(weights), self.curve)
+            keys = self.corrected.original_keys[fold.test]
+            errors[fold.test] = np.clip(weights, *face.ranges.T) - keys
             if method.solves_frames:
-                usual[fold.test] = fitted.arrays["start_error"]
+                prior_error[fold.test] = fitted.arrays["start_error"]
         if method.solves_frames:
-            return self.solve(start, usual, self.corrected.common)
-        return UnseenPairs(errors, start, None)
+            return self.solve(prior_mean, prior_error, self.corrected.inflation)
+        return OutOfFold(errors, prior_mean, None)
 
-    def solve(self, start: FloatArray, usual: FloatArray, common: float) -> UnseenPairs:
-        """Solve every pair as a frame; see `UnseenPairs` and `FrameSolver.common`."""
+    def solve(self, prior_mean: FloatArray, prior_error: FloatArray, inflation: float) -> OutOfFold:
+        """Solve every pair as a frame; see `OutOfFold` and `FrameSolver.inflation`."""
         low, span = self.pairs.face.ranges[:, 0], np.ptp(self.pairs.face.ranges, axis=1)
-        errors = np.empty_like(start)
+        errors = np.empty_like(prior_mean)
         for fold, forward in zip(self.folds, self.forwards, strict=True):
-            solver = FrameSolver(forward, usual[fold.test[0]], common)
-            t = solver.solve(*self.displacements(fold.test), start[fold.test]).targets
-            found = low + span * np.clip(unbend(t, self.curve), 0.0, 1.0)
-            errors[fold.test] = found - self.corrected.given[fold.test]
-        return UnseenPairs(errors, start, usual)
+            solver = FrameSolver(forward, prior_error[fold.test[0]], inflation)
+            t = solver.solve(*self.displacements(fold.test), prior_mean[fold.test]).targets
+            weights = low + span * np.clip(unbend(t, self.curve), 0.0, 1.0)
+            errors[fold.test] = weights - self.corrected.original_keys[fold.test]
+        return OutOfFold(errors, prior_mean, prior_error)
 
     def deviations(
-        self, candidate: Candidate, unseen: UnseenPairs, model: UncertaintyModel, error: FloatArray
+        self,
+        candidate: Candidate,
+        predicted: OutOfFold,
+        model: UncertaintyModel,
+        default_error: FloatArray,
     ) -> FloatArray:
         """Return the uncalibrated uncertainty of every pair: (pairs, regions) [mm]."""
-        out = np.empty((len(unseen.start), len(model.grams)))
+        out = np.empty((len(predicted.prior_mean), len(model.grams)))
         for fold, forward in zip(self.folds, self.forwards, strict=True):
-            own = error if unseen.usual is None else unseen.usual[fold.test[0]]
-            solver = FrameSolver(forward, own, self.corrected.common)
-            moved, visible = self.displacements(fold.test)
-            bounded = candidate.method.solves_frames
-            solution = solver.solve(moved, visible, unseen.start[fold.test], bounded=bounded)
+            error = default_error
+            if predicted.prior_error is not None:
+                error = predicted.prior_error[fold.test[0]]
+            solver = FrameSolver(forward, error, self.corrected.inflation)
+            displaced, visible = self.displacements(fold.test)
+            prior_mean, bounded = predicted.prior_mean[fold.test], candidate.method.solves_frames
+            solution = solver.solve(displaced, visible, prior_mean, bounded=bounded)
             out[fold.test] = model.deviations(solver, solution, visible)
         return out
 
 
 def list_candidates(pairs: Pairs, method: str, choices: Choices) -> list[Candidate]:
-    """Return what to compare: every setting of a method, or of all that ``auto`` tries.
+    """Return the candidate settings of a method, or for ``auto`` of all methods in `AUTO`.
 
     Raises
     ------
     InputError
-        If the method has no width, and one is asked for.
+        If `choices` has widths, and the method none.
     """
     names = AUTO if method == "auto" else (method,)
-    found = [
-        Candidate(each, settings)
-        for each in map(find_method, names)
-        for settings in each.candidates(pairs, choices)
+    candidates = [
+        Candidate(regression, settings)
+        for regression in map(find_method, names)
+        for settings in regression.candidates(pairs, choices)
     ]
-    if choices.widths and not any("width" in each.settings for each in found):
+    if choices.widths and not any("width" in each.settings for each in candidates):
         raise InputError(f"{method} has no width to choose; leave it out, or train rbf or d06")
-    return found
+    return candidates
 
 
 def compare_candidates(
@@ -171,94 +181,92 @@ def compare_candidates(
     in_mm: bool,
     progress: Progress,
 ) -> Comparison:
-    """Predict each pair by every candidate from pairs of other moments."""
-    pairs, tried = folds.pairs, []
+    """Cross-validate candidates; only a significantly better method replaces the default."""
+    pairs, predictions = folds.pairs, []
     for i, candidate in enumerate(candidates if len(pairs.outputs) >= MINIMUM_TO_COMPARE else []):
         progress(0.9 * i / len(candidates), f"cross-validating {candidate.method.name}")
-        tried.append((folds.predict(candidate), candidate))
-    observable = observable_shapes([unseen.errors for unseen, _ in tried], pairs.outputs)
+        predictions.append((folds.predict(candidate), candidate))
+    observable = observable_shapes([each.errors for each, _ in predictions], pairs.outputs)
     gram = pairs.face.gram if in_mm else None
     scored = [
-        (_score(candidate, unseen.errors, observable, gram), candidate, unseen)
-        for unseen, candidate in tried
+        (_score(candidate, predicted.errors, observable, gram), candidate, predicted)
+        for predicted, candidate in predictions
     ]
-    scored.sort(key=lambda entry: _order(entry[0]))
-    best, unseen = candidates[0], None
+    scored.sort(key=lambda entry: _sort_key(entry[0]))
+    best, out_of_fold = candidates[0], None
     if scored:
         winner = scored[0]
-        usual = next((each for each in scored if each[1].method.name == AUTO[0]), winner)
-        errors = usual[2].errors, winner[2].errors
-        if paired_t(*errors, pairs.face.gram, folds.blocks) <= _LEAST_T:
-            winner = usual
-        best, unseen = winner[1], winner[2]
-    return Comparison(best, unseen, observable, tuple(score for score, _, _ in scored))
+        default = next((entry for entry in scored if entry[1].method.name == AUTO[0]), winner)
+        errors = default[2].errors, winner[2].errors
+        if paired_t(*errors, pairs.face.gram, folds.blocks) <= _CRITICAL_T:
+            winner = default
+        best, out_of_fold = winner[1], winner[2]
+    return Comparison(best, out_of_fold, observable, tuple(score for score, _, _ in scored))
 
 
-def choose_common_error(
+def choose_inflation(
     folds: PairFolds, compared: Comparison, references: References, gram: FloatArray | None
 ) -> tuple[PairFolds, Comparison]:
-    """Let more markers count as one for as long as pairs not seen are predicted better by it.
+    """Choose the variance inflation of the frame solve by cross-validation.
 
-    From the largest number of `VARIANCE_INFLATIONS`, that of landmarks, let fewer.
-
-    Gaze counts as well: landmarks that a model finds show it, and err together there too. Keys are
-    corrected anew, since they too are moved as far as markers are believed.
+    Candidates are tried from the current end of `VARIANCE_INFLATIONS` for as long as the error
+    decreases by more than one standard error. The keys are then corrected again, as their
+    correction depends on the inflation.
 
     Parameters
     ----------
     gram : (shapes, shapes) float array or None
-        Of all shapes [mm^2]; None counts every weight alike.
+        Of all shapes [mm^2], gaze included, which landmarks show; None weights all shapes equally.
     """
-    every = folds.pairs.face.gram if gram is None else gram.astype(np.float64)
-    best, usual, common = compared.best, compared.unseen, folds.corrected.common
-    if usual is None or usual.usual is None:
+    metric = folds.pairs.face.gram if gram is None else gram.astype(np.float64)
+    best, default, inflation = compared.best, compared.out_of_fold, folds.corrected.inflation
+    if default is None or default.prior_error is None:
         return folds, compared
-    unseen = usual
-    numbers = VARIANCE_INFLATIONS if common == VARIANCE_INFLATIONS[0] else VARIANCE_INFLATIONS[::-1]
-    for other in numbers[1:]:
-        found = folds.solve(usual.start, usual.usual, other)
-        if paired_t(unseen.errors, found.errors, every, folds.blocks) <= _STANDARD_ERROR_T:
+    current, ascending = default, inflation == VARIANCE_INFLATIONS[0]
+    for candidate in VARIANCE_INFLATIONS[1:] if ascending else VARIANCE_INFLATIONS[-2::-1]:
+        predicted = folds.solve(default.prior_mean, default.prior_error, candidate)
+        if paired_t(current.errors, predicted.errors, metric, folds.blocks) <= _ONE_STANDARD_ERROR:
             break
-        common, unseen = other, found
-    if common == folds.corrected.common:
+        inflation, current = candidate, predicted
+    if inflation == folds.corrected.inflation:
         return folds, compared
     parts = references.parts or references.shape_names
-    corrected = correct_pairs(folds.corrected.as_given(), parts, common=common)
+    corrected = correct_pairs(folds.corrected.original, parts, inflation=inflation)
     chosen = PairFolds(corrected, references)
-    unseen = chosen.predict(best)
-    if paired_t(usual.errors, unseen.errors, every, folds.blocks) <= _STANDARD_ERROR_T:
+    current = chosen.predict(best)
+    if paired_t(default.errors, current.errors, metric, folds.blocks) <= _ONE_STANDARD_ERROR:
         return folds, compared
-    named = Candidate(best.method, best.settings | {"common_error": common})
+    named = Candidate(best.method, best.settings | {"common_error": inflation})
     skin = None if np.isnan(compared.scores[0].vertex_rms_mm) else folds.pairs.face.gram
-    score = _score(named, unseen.errors, compared.observable, skin)
-    scores = tuple(sorted((score, *compared.scores), key=_order))
-    return chosen, replace(compared, unseen=unseen, scores=scores)
+    score = _score(named, current.errors, compared.observable, skin)
+    scores = tuple(sorted((score, *compared.scores), key=_sort_key))
+    return chosen, replace(compared, out_of_fold=current, scores=scores)
 
 
 def time_blocks(frames: IntArray, takes: Sequence[str], *, length: int) -> IntArray:
-    """Return the number of the block of `length` frames that each pair is in: (pairs,)."""
+    """Return the index of each pair's block of `length` frames of one take: (pairs,)."""
     codes = np.unique(np.asarray(takes, dtype=str), return_inverse=True)[1]
     rows = np.column_stack([codes, np.asarray(frames) // length])
     return np.asarray(np.unique(rows, axis=0, return_inverse=True)[1]).ravel()
 
 
-def paired_t(usual: FloatArray, other: FloatArray, gram: FloatArray, blocks: IntArray) -> float:
-    """Return Student's t of by how much another method errs less, paired over blocks of time.
+def paired_t(default: FloatArray, other: FloatArray, gram: FloatArray, blocks: IntArray) -> float:
+    """Return Student's t of the decrease in squared error, paired over blocks of time.
 
-    Errors within a block are alike, and count as one.
+    Errors within a block are correlated: its mean is one sample.
 
     Parameters
     ----------
-    usual, other : (pairs, shapes) float array
-        Errors of the two methods on pairs they have not seen.
+    default, other : (pairs, shapes) float array
+        Out-of-fold errors of two methods.
     gram : (shapes, shapes) float array
-        Makes errors squared distances.
+        Metric of the errors.
     blocks : (pairs,) int array
         From `time_blocks`.
     """
-    gained = np.einsum("ns,st,nt->n", usual, gram, usual, optimize=True)
-    gained -= np.einsum("ns,st,nt->n", other, gram, other, optimize=True)
-    means = np.bincount(blocks, gained) / np.bincount(blocks)
+    decrease = np.einsum("ns,st,nt->n", default, gram, default, optimize=True)
+    decrease -= np.einsum("ns,st,nt->n", other, gram, other, optimize=True)
+    means = np.bincount(blocks, decrease) / np.bincount(blocks)
     if len(means) < 2 or not means.any():
         return 0.0
     error = max(float(means.std(ddof=1)) / np.sqrt(len(means)), np.finfo(float).tiny)
@@ -266,22 +274,20 @@ def paired_t(usual: FloatArray, other: FloatArray, gram: FloatArray, blocks: Int
 
 
 def observable_shapes(errors: Sequence[FloatArray], weights: FloatArray) -> BoolArray:
-    """Find the shapes that markers tell anything about.
+    """Find the shapes that some candidate predicts out of fold better than their mean.
 
-    Where the eyes look moves no marker: what candidates make of it is chance, and chance must not
-    decide between them. A shape counts if some candidate predicts unseen pairs of it better than
-    its mean does.
+    Shapes that move no marker, such as gaze, would add only chance to the comparison.
 
     Parameters
     ----------
     errors : sequence of (pairs, shapes) float arrays
-        Of every candidate, on pairs it has not seen.
+        Out-of-fold errors of each candidate.
     weights : (pairs, shapes) float array
 
     Returns
     -------
     (shapes,) bool array
-        All True where there is nothing to tell by.
+        All True if there are no errors, or no shape would be.
     """
     variance = weights.var(axis=0)
     if not len(errors):
@@ -294,20 +300,20 @@ def observable_shapes(errors: Sequence[FloatArray], weights: FloatArray) -> Bool
 def _score(
     candidate: Candidate, errors: FloatArray, observable: BoolArray, gram: FloatArray | None
 ) -> CandidateScore:
-    seen = errors[:, observable]
+    kept = errors[:, observable]
     return CandidateScore(
         method=candidate.method.name,
         settings=_readable(candidate.settings),
-        weight_rmse=weight_rmse(seen),
+        weight_rmse=weight_rmse(kept),
         vertex_rms_mm=(
             float("nan")
             if gram is None
-            else surface_rms_mm(seen, gram[np.ix_(observable, observable)])
+            else surface_rms_mm(kept, gram[np.ix_(observable, observable)])
         ),
     )
 
 
-def _order(score: CandidateScore) -> float:
+def _sort_key(score: CandidateScore) -> float:
     return score.weight_rmse if np.isnan(score.vertex_rms_mm) else score.vertex_rms_mm
 
 

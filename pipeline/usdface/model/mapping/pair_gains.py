@@ -1,16 +1,17 @@
-"""By which factor the keys of a pair are larger than those of the others.
+"""Gains of the keys of pairs, relative to their mean.
 
-Animators who key the same expressions differ in gain: one sets every weight a tenth larger than the
-other. If the keys of pair i are ``g_i`` times the weights that the other pairs imply, its markers
-move by ``1 / g_i`` of what a forward model of the other pairs predicts. From the leave-one-out
-residuals ``r`` and the predicted motion ``m``, each with variance v, part p of the face gives::
+Animators who key the same expressions differ in gain: one may set all weights 10 % larger than
+another. If the keys of pair i are ``g_i`` times the weights that the other pairs imply, its markers
+move by ``1 / g_i`` of the motion predicted by a forward model of the other pairs. With the
+leave-one-out residuals ``r``, the predicted motion ``m`` and their variance v, part p of the face
+estimates the relative excess of motion::
 
     c_ip = sum_k r_ik . m_ik / v_ik / sum_k |m_ik|^2 / v_ik    (about 1 / g_i - 1)
 
-A single wrong key has the same effect in its own part of the face. Upper and lower face have no
-shapes in common, so the covariance of their ``c`` over pairs is the variance of the gain alone.
-Where it is significant, each pair's gain is its best linear unbiased prediction (Robinson 1991,
-Statistical Science 6(1), 15-32), and keys are divided by it. The mean gain of all pairs stays 1.
+A single wrong key has the same effect, but in its own part only. Upper and lower face share no
+shape, so the covariance of their ``c`` over pairs estimates the variance of the gain. If it is
+significant, the gain of each pair is its best linear unbiased prediction (Robinson 1991,
+Statistical Science 6(1), 15-32), and its keys are divided by it. The mean gain of all pairs is 1.
 """
 
 from dataclasses import replace
@@ -24,110 +25,113 @@ from usdface.model.regressions.forward_model import ForwardModel
 from usdface.model.regressions.frame_solve import FrameSolver
 
 _PARTS = (("brows", "lids"), ("mouth", "jaw"))
-"""Regions of the face that share no shape."""
+"""Regions of the two parts of the face, which share no shape."""
 
-_NONE = np.zeros(0, np.int64)
+_NO_MARKERS = np.zeros(0, np.int64)
 
-_LEAST_GAIN_DEVIATION = 0.03
-"""Standard deviation of the gains below which keys stay as they are."""
+_MIN_GAIN_DEVIATION = 0.03
+"""Standard deviation of the gains below which keys are not scaled."""
 
-_LEAST_T = 2.5
-"""Gain variance over its standard error above which it is significant: one in a hundred."""
+_CRITICAL_T = 2.5
+"""Ratio of the gain variance to its standard error from which it is significant, p = .01."""
 
-_LARGEST_FACTOR = 0.4
-"""Limit of ``c``: pairs that differ by more hold wrong keys."""
+_MAX_EXCESS = 0.4
+"""Limit of ``c``: larger values are due to wrong keys, not to gain."""
 
-_LEAST_PAIRS = 12
-"""Below, a covariance over pairs is not estimated."""
+_MIN_PAIRS = 12
+"""Fewest pairs for an estimate of the covariance."""
+
+_DETECTED_GAIN = 0.1
+"""Relative gain that a pair's markers must be able to resolve for full weight in the estimate."""
 
 
-def gain_variance(forward: ForwardModel, parts: tuple[str, ...], common: float) -> float:
-    """Return the variance of the gains of pairs; 0 where it is not significant.
+def gain_variance(forward: ForwardModel, parts: tuple[str, ...], inflation: float) -> float:
+    """Return the variance of the gains of pairs, or 0 if it is not significant.
 
     Parameters
     ----------
     forward : ForwardModel
-        Conditioned on the pairs.
+        Posterior given the pairs.
     parts : tuple of str
-        Of the face, of each shape; see `region_points`.
-    common : float
+        Part of the face of each shape; see `region_points`.
+    inflation : float
         As of `FrameSolver`.
     """
-    factor, precision = _part_factors(forward, parts, common)
-    if len(factor) < _LEAST_PAIRS or not precision.any(axis=0).all():
+    excess, precision = _motion_excess(forward, parts, inflation)
+    if len(excess) < _MIN_PAIRS or not precision.any(axis=0).all():
         return 0.0
-    # A pair counts as far as its markers tell a gain of a tenth in both parts.
-    weight = (precision / (precision + 1 / 0.1**2)).prod(axis=1)
-    products, total = factor.prod(axis=1), max(float(weight.sum()), 1e-9)
+    weight = (precision / (precision + 1 / _DETECTED_GAIN**2)).prod(axis=1)
+    products, total = excess.prod(axis=1), max(float(weight.sum()), 1e-9)
     variance = float(weight @ products) / total
     error = float(np.sqrt(weight**2 @ (products - variance) ** 2)) / total
-    significant = variance > max(_LEAST_T * error, _LEAST_GAIN_DEVIATION**2)
+    significant = variance > max(_CRITICAL_T * error, _MIN_GAIN_DEVIATION**2)
     return variance if significant else 0.0
 
 
 def predict_log_factors(
     forward: ForwardModel,
     parts: tuple[str, ...],
-    common: float,
+    inflation: float,
     *,
     variance: float,
     applied: FloatArray,
 ) -> FloatArray:
-    """Return the logarithm of what brings each pair's keys to the mean gain: (pairs,).
+    """Return the logarithm of the factor that scales each pair's keys to the mean gain: (pairs,).
 
     Parameters
     ----------
-    forward, parts, common
+    forward, parts, inflation
         As of `gain_variance`.
     variance : float
-        Of the gains.
+        Variance of the gains.
     applied : (pairs,) float array
-        Logarithm of the factors that the keys of `forward` are multiplied by already.
+        Logarithm of the factors already applied to the keys of `forward`.
     """
-    factor, precision = _part_factors(forward, parts, common)
-    own = (factor**2).mean(axis=0)  # of a part's keys alone
-    weight = 1 / (own + 1 / np.maximum(precision, 1e-9))
-    total = (weight * (np.log1p(factor) + applied[:, None])).sum(axis=1)
+    excess, precision = _motion_excess(forward, parts, inflation)
+    part_variance = (excess**2).mean(axis=0)  # of the errors of one part's keys
+    weight = 1 / (part_variance + 1 / np.maximum(precision, 1e-9))
+    total = (weight * (np.log1p(excess) + applied[:, None])).sum(axis=1)
     predicted = total / (1 / variance + weight.sum(axis=1))
     return np.asarray(predicted - predicted.mean())
 
 
 def scale_keys(pairs: Pairs, log_factor: FloatArray) -> Pairs:
-    """Return pairs whose keys are multiplied, within their ranges."""
+    """Return pairs with scaled keys, limited to their ranges."""
     low, high = pairs.face.ranges.T
     keys = low + (pairs.outputs - low) * np.exp(log_factor)[:, None]
     return replace(pairs, outputs=np.clip(keys, low, high), forward=None)
 
 
 def mean_gains(log_factor: FloatArray, authors: tuple[str, ...]) -> dict[str, float]:
-    """Return the mean gain of each author's keys, over that of all; the largest first.
+    """Return the geometric mean gain of each author's keys, in descending order.
 
-    Empty where gains do not differ significantly, or fewer than two authors are known.
+    Empty if gains do not differ significantly, or with fewer than two named authors.
     """
     names = sorted(set(filter(None, authors)))
     if len(names) < 2 or not log_factor.any():
         return {}
-    gain = -log_factor
-    found = {
-        name: float(np.exp(gain[[author == name for author in authors]].mean())) for name in names
+    log_gain = -log_factor
+    gains = {
+        name: float(np.exp(log_gain[[author == name for author in authors]].mean()))
+        for name in names
     }
-    return dict(sorted(found.items(), key=lambda each: -each[1]))
+    return dict(sorted(gains.items(), key=lambda item: -item[1]))
 
 
-def _part_factors(
-    forward: ForwardModel, parts: tuple[str, ...], common: float
+def _motion_excess(
+    forward: ForwardModel, parts: tuple[str, ...], inflation: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return ``c`` and its precision, from the markers' variance: (pairs, parts) arrays."""
+    """Return ``c`` and its precision given the markers' variance: (pairs, parts) arrays."""
     regions = region_points(parts, forward.basis)
     members = membership(
-        {str(part): np.concatenate([regions.get(n, _NONE) for n in part]) for part in _PARTS},
+        {str(part): np.concatenate([regions.get(n, _NO_MARKERS) for n in part]) for part in _PARTS},
         len(forward.noise),
     )
     keys = forward.targets
     predicted, _ = FrameSolver(forward, np.ones(keys.shape[1])).linearise(keys)
     motion = predicted.reshape(len(keys), -1, 3) - forward.offset
-    weight = 1 / (common * forward.leave_one_out_variance)
+    weight = 1 / (inflation * forward.leave_one_out_variance)
     precision = (weight * (motion**2).sum(axis=2)) @ members.T
-    factor = (weight * (motion * forward.residuals).sum(axis=2)) @ members.T
-    factor /= np.maximum(precision, 1e-9)
-    return np.clip(factor, -_LARGEST_FACTOR, _LARGEST_FACTOR), precision
+    excess = (weight * (motion * forward.residuals).sum(axis=2)) @ members.T
+    excess /= np.maximum(precision, 1e-9)
+    return np.clip(excess, -_MAX_EXCESS, _MAX_EXCESS), precision

@@ -1,4 +1,4 @@
-"""Markers to weights: a mapping's prediction for every frame, and its expected error."""
+"""Prediction of a mapping: weights of each frame from its markers, with their uncertainty."""
 
 from dataclasses import dataclass
 
@@ -19,50 +19,49 @@ from usdface.model.regressions.frame_solve import FrameSolution, FrameSolver
 from usdface.numerics.regression.usage_prior import expected_weights
 
 _BLOCK_FRAMES = 1024
-"""What is worked on stays near the processor: a quarter quicker than in large blocks."""
-
+"""Frames per block: a block fits in the cache, which is 25 % faster than larger ones."""
 
 _SOLVED_FRAMES = 64
-"""Frames solved at once: each has a matrix of its own."""
+"""Frames per call of the solver, each with a Jacobian and a Hessian."""
 
 _MEASURED_CONFIDENCE = 0.9
-"""From which a sample counts as measured: where it was filled, one was seen within a twentieth of a
-second. Most frames of a take have such a sample, which hardly counts and would cost."""
+"""Confidence from which a sample counts as measured: a filled one within .05 s of a measured one.
+Most frames have such samples; they hardly change the uncertainty."""
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """A mapping's answer."""
+    """Predicted weights, with measures of their quality by region."""
 
     weights: FloatArray
     """(frames, shapes): within the mapping's ranges."""
     uncertainty: FloatArray
-    """(frames, regions): standard deviation of each region's surface around what an animator would
-    key: in mm where training knew the rig, else in weights. See `uncertainty`."""
+    """(frames, regions): standard deviation of the error of each region's surface with respect to
+    keys: in mm if trained with a rig, else in weights. See `uncertainty`."""
     coverage: FloatArray
-    """(frames, regions): how far the references show what the frame does [0-1]; see `coverage`."""
+    """(frames, regions): see `coverage` [0-1]."""
     residual_mm: FloatArray
-    """(frames, regions): root mean square distance of the markers seen from where the weights
-    put them, less what is left at the references themselves [mm]: large where markers are
-    swapped or the face does something that the weights do not follow. 0 where no marker of the
-    region is seen."""
+    """(frames, regions): root mean square residual of the visible markers, in excess of that of the
+    references [mm]: large if markers are swapped, or the weights cannot represent the motion. 0
+    where no marker of the region is visible."""
     regions: tuple[str, ...]
-    """Parts of the face, the whole first."""
+    """Regions of the face, the whole face first."""
     left_mm: Float32Array
-    """(frames, markers, 3): markers minus where the weights put them; 0 where unseen [mm]."""
+    """(frames, markers, 3): residual, the displacement of a marker minus the forward model's; 0
+    where it is not visible [mm]."""
     few_markers: BoolArray
-    """(frames,): true where fewer than `head_space.MINIMUM_SHARE` of the mapping's markers are
-    seen: the face is a guess there."""
+    """(frames,): True where fewer than `head_space.MINIMUM_SHARE` of the mapping's markers are
+    visible: too few for a prediction."""
 
 
 class WeightPredictor:
-    """A mapping made ready for many frames; safe to use from several threads.
+    """Predictor of a mapping, prepared for many frames; safe to use from several threads.
 
     Raises
     ------
     InputError
-        If its method is one of earlier versions, or arrays are missing or do not fit each other:
-        one frame is tried.
+        If its method was removed, or a trial prediction shows that arrays are missing or do not fit
+        each other.
     """
 
     def __init__(self, mapping: TrainedMapping) -> None:
@@ -81,15 +80,15 @@ class WeightPredictor:
             self._coverage = _coverage_of(self._solver, self._members)
             self._method = find_method(mapping.method)
             self._driving = self._find_driving()
-            with np.errstate(all="ignore"):  # what is not finite is refused below
+            with np.errstate(all="ignore"):  # values that are not finite are refused below
                 self._predict = self._method.prepare(mapping.arrays, mapping.settings)
-                tried = self.predict(mapping.neutral[None])
+                trial = self.predict(mapping.neutral[None])
         except (KeyError, ValueError, IndexError, TypeError) as error:
             raise InputError(
                 f"the mapping's arrays do not fit its method, {mapping.method}: "
                 f"{type(error).__name__}: {error}; train it again"
             ) from error
-        if not all(np.isfinite(each).all() for each in (tried.weights, tried.uncertainty)):
+        if not all(np.isfinite(each).all() for each in (trial.weights, trial.uncertainty)):
             raise InputError(
                 "the mapping predicts values that are not finite for its neutral face, by "
                 f"{mapping.method}; its arrays are damaged: train it again"
@@ -102,47 +101,49 @@ class WeightPredictor:
         visible: BoolArray | None = None,
         confidence: Float32Array | None = None,
     ) -> Prediction:
-        """Evaluate the mapping on stabilised markers; see `predict_weights`."""
+        """Predict weights from stabilised markers; see `predict_weights`."""
         mapping = self._mapping
         _check_positions(mapping, positions, visible)
         frames, regions = len(positions), len(self._regions)
         weights = np.empty((frames, len(mapping.shape_names)))
-        residual, uncertainty, coverage = (np.empty((frames, regions)) for _ in range(3))
-        left = np.empty((frames, len(mapping.marker_names), 3), dtype=np.float32)
+        residual_mm, uncertainty, coverage = (np.empty((frames, regions)) for _ in range(3))
+        residual = np.empty((frames, len(mapping.marker_names), 3), dtype=np.float32)
         for start in range(0, frames, _BLOCK_FRAMES):
-            part = slice(start, start + _BLOCK_FRAMES)
-            seen = None if visible is None else visible[part]
-            found = marker_coordinates(self._motion, positions[part], visible=seen)
-            sure = None if confidence is None else confidence[part]
-            weights[part], uncertainty[part], left[part] = self._solve(
-                found, positions[part], seen, sure
+            block = slice(start, start + _BLOCK_FRAMES)
+            block_visible = None if visible is None else visible[block]
+            block_confidence = None if confidence is None else confidence[block]
+            coordinates = marker_coordinates(self._motion, positions[block], visible=block_visible)
+            weights[block], uncertainty[block], residual[block] = self._solve(
+                coordinates, positions[block], block_visible, block_confidence
             )
-            residual[part] = self._excess(left[part], seen)
-            coverage[part] = self._coverage.measure(self._moved(positions[part], seen, found))
+            residual_mm[block] = self._excess_residual(residual[block], block_visible)
+            displacements = self._displacements(positions[block], block_visible, coordinates)
+            coverage[block] = self._coverage.measure(displacements)
         few_markers = _has_few_markers(frames, visible)
         return Prediction(
-            weights, uncertainty, coverage, residual, self._regions, left, few_markers
+            weights, uncertainty, coverage, residual_mm, self._regions, residual, few_markers
         )
 
-    def _moved(
+    def _displacements(
         self,
         positions: NDArray[np.float32] | NDArray[np.float64],
         visible: BoolArray | None,
         coordinates: FloatArray,
     ) -> FloatArray:
-        """Return the displacement of all markers; unseen ones as the others let expect."""
-        moved = np.asarray(positions - self._mapping.neutral, dtype=np.float64)
+        """Return the displacements of all markers, conditional means where they are not visible."""
+        displacements = np.asarray(positions - self._mapping.neutral, dtype=np.float64)
         if visible is not None and not visible.all():
             rows = np.flatnonzero(~visible.all(axis=1))
             expected = self._motion.mean + coordinates[rows] @ self._motion.components
             expected = expected.reshape(len(rows), -1, 3) - self._mapping.neutral
-            moved[rows] = np.where(visible[rows, :, None], moved[rows], expected)
-        return moved
+            displacements[rows] = np.where(visible[rows, :, None], displacements[rows], expected)
+        return displacements
 
-    def _excess(self, left: Float32Array, visible: BoolArray | None) -> FloatArray:
-        """Return what is left at each region's markers beyond what is at the references' [mm]."""
-        seen = np.ones(left.shape[:2]) if visible is None else visible.astype(np.float64)
-        squared = np.square(left).sum(axis=2, dtype=np.float64) - 3 * self._solver.residual_variance
+    def _excess_residual(self, residual: Float32Array, visible: BoolArray | None) -> FloatArray:
+        """Return the root mean square residual of each region beyond that of references [mm]."""
+        seen = np.ones(residual.shape[:2]) if visible is None else visible.astype(np.float64)
+        squared = np.square(residual).sum(axis=2, dtype=np.float64)
+        squared -= 3 * self._solver.residual_variance
         mean = (seen * squared) @ self._members.T / np.maximum(seen @ self._members.T, 1)
         return np.asarray(np.sqrt(np.maximum(mean, 0.0)))
 
@@ -153,7 +154,7 @@ class WeightPredictor:
         visible: BoolArray | None,
         confidence: Float32Array | None,
     ) -> tuple[FloatArray, FloatArray, Float32Array]:
-        """Return weights, uncertainty (frames, regions), and what the weights leave over."""
+        """Return weights, uncertainty (frames, regions) and residuals (frames, markers, 3)."""
         low, high = self._mapping.ranges.T
         weights = np.clip(self._predict(coordinates), low, high)
         if visible is None:
@@ -161,36 +162,38 @@ class WeightPredictor:
         solver, curve = self._solver, self._solver.forward.scales.curve
         solves = self._method.solves_frames
         uncertainty = np.empty((len(weights), len(self._regions)))
-        left = np.empty(positions.shape, dtype=np.float32)
+        residual = np.empty(positions.shape, dtype=np.float32)
         for first in range(0, len(weights), _SOLVED_FRAMES):
             rows = slice(first, first + _SOLVED_FRAMES)
-            moved = positions[rows] - self._mapping.neutral
-            start = bend((weights[rows] - low) / (high - low), curve)
-            solution = solver.solve(moved, visible[rows], start, bounded=solves)
+            displacements, seen = positions[rows] - self._mapping.neutral, visible[rows]
+            prior_mean = bend((weights[rows] - low) / (high - low), curve)
+            solution = solver.solve(displacements, seen, prior_mean, bounded=solves)
             estimated = len(self._driving) > 0 and solution.hessian is not None
             if estimated:
-                start[:, self._driving] = self._expected(solution)
-                solution = solver.solve(moved, visible[rows], start, bounded=False)
+                prior_mean[:, self._driving] = self._expected(solution)
+                solution = solver.solve(displacements, seen, prior_mean, bounded=False)
             if solves or estimated:
                 solved = np.clip(unbend(solution.targets, curve), 0.0, 1.0)
                 weights[rows] = low + (high - low) * solved
-            left[rows] = solution.residual.reshape(-1, *left.shape[1:])
-            uncertainty[rows] = self._uncertainty.deviations(solver, solution, visible[rows])
+            residual[rows] = solution.residual.reshape(-1, *residual.shape[1:])
+            uncertainty[rows] = self._uncertainty.deviations(solver, solution, seen)
             if confidence is not None:
-                sure = np.where(visible[rows], confidence[rows], 0.0)
-                guessed = visible[rows] & (sure < _MEASURED_CONFIDENCE)
-                some = np.flatnonzero(guessed.any(axis=1))
-                if len(some):
-                    doubted = solver.with_confidence(solution.take(some), start[some], sure[some])
-                    seen = visible[rows][some]
-                    uncertainty[first + some] = self._uncertainty.deviations(solver, doubted, seen)
-        return weights, uncertainty, left
+                known = np.where(seen, confidence[rows], 0.0)
+                filled = np.flatnonzero((seen & (known < _MEASURED_CONFIDENCE)).any(axis=1))
+                if len(filled):
+                    partly_known = solver.with_confidence(
+                        solution.take(filled), prior_mean[filled], known[filled]
+                    )
+                    uncertainty[first + filled] = self._uncertainty.deviations(
+                        solver, partly_known, seen[filled]
+                    )
+        return weights, uncertainty, residual
 
     def _find_driving(self) -> IntArray:
-        """Return the shapes that drive combinations, where the method says less than is known.
+        """Return the shapes that drive combinations, whose weights are replaced by expected ones.
 
-        A method that solves frames has weighed its error already. In-betweens of a shape itself,
-        which have one part and no span, are no combinations.
+        None for methods that solve frames, which take their error into account. In-betweens of one
+        shape (one part, no span) are not combinations.
         """
         driven = self._solver.forward.driven
         if driven is None or self._method.solves_frames:
@@ -199,11 +202,11 @@ class WeightPredictor:
             each for each in driven.logic.combinations if len(each.parts) > 1 or each.spans
         ]
         parts = {part for each in combinations for part in each.parts}
-        known = driven.logic.shapes[: len(self._mapping.shape_names)]
-        return np.flatnonzero([name in parts for name in known])
+        names = driven.logic.shapes[: len(self._mapping.shape_names)]
+        return np.flatnonzero([name in parts for name in names])
 
     def _expected(self, solution: FrameSolution) -> FloatArray:
-        """Return the expected bent weights of `_driving`, as the references use them."""
+        """Return posterior means of `_driving` [bent], under the keys' distribution as prior."""
         curve = self._solver.forward.scales.curve
         variance = np.einsum("fss->fs", solution.covariance(curve))[:, self._driving]
         keys, solved = (
@@ -220,31 +223,31 @@ def predict_weights(
     visible: BoolArray | None = None,
     confidence: Float32Array | None = None,
 ) -> Prediction:
-    """Evaluate a mapping on stabilised markers.
+    """Predict weights from stabilised markers.
 
     Parameters
     ----------
     positions : (frames, markers, 3) float array
         In the mapping's marker order and head space [mm]; see `into_head_space`.
     visible : (frames, markers) bool array, optional
-        False where a position is not to be used; it is then estimated from the others, and the
-        uncertainty grows. By default all are used.
+        False where a position is ignored: it is estimated from the others, and the uncertainty is
+        larger. By default all are visible.
     confidence : (frames, markers) float array, optional
-        Of positions that are used [0-1]: those of filled gaps count for the weights as others do,
-        and for the uncertainty as far as they are known. By default they are measured.
+        Confidence in visible positions [0-1], less than 1 in filled gaps. It affects the
+        uncertainty, not the weights. By default 1.
     """
     return WeightPredictor(mapping).predict(positions, visible=visible, confidence=confidence)
 
 
 def _coverage_of(solver: FrameSolver, membership: FloatArray) -> CoverageModel:
-    """Return what the references show: where the forward model puts their markers."""
+    """Return the coverage model of the references, with the forward model's displacements."""
     packed, _ = solver.linearise(solver.forward.targets.astype(np.float32))
-    shown = packed.reshape(len(packed), -1, 3).astype(np.float64)
-    return CoverageModel(solver.forward.basis, shown, membership)
+    pairs = packed.reshape(len(packed), -1, 3).astype(np.float64)
+    return CoverageModel(solver.forward.basis, pairs, membership)
 
 
 def _has_few_markers(frames: int, visible: BoolArray | None) -> BoolArray:
-    """Return the frames that see too few markers: what a whole take is refused for."""
+    """Return which frames have fewer visible markers than a take must have: (frames,)."""
     if visible is None:
         return np.zeros(frames, dtype=np.bool_)
     few: BoolArray = visible.sum(axis=1) < MINIMUM_SHARE * visible.shape[1]
@@ -252,12 +255,12 @@ def _has_few_markers(frames: int, visible: BoolArray | None) -> BoolArray:
 
 
 def regions_of(mapping: TrainedMapping) -> tuple[str, ...]:
-    """Return the parts of the face that a mapping tells residual and uncertainty for.
+    """Return the regions for which a mapping predicts residual and uncertainty.
 
     Raises
     ------
     InputError
-        If the mapping was trained before there were any.
+        If the mapping was trained by a version without regions.
     """
     needed = ("region_markers", "uncertainty_calibration", "forward_basis")
     missing = [name for name in needed if name not in mapping.arrays]
@@ -270,7 +273,7 @@ def regions_of(mapping: TrainedMapping) -> tuple[str, ...]:
 
 
 def basis_of(mapping: TrainedMapping, rig: Rig) -> SolveBasis | None:
-    """Return what a mapping learnt of a rig; None where an earlier version trained it."""
+    """Return the basis of a mapping's solves on a rig; None if an earlier version trained it."""
     settings = mapping.settings
     if "tuned" not in settings or "pairs" not in settings:
         return None
@@ -298,7 +301,7 @@ def _check_positions(
     if visible is not None and visible.shape != positions.shape[:2]:
         raise InputError(f"visible has shape {visible.shape}, positions {positions.shape}")
     if np.isfinite(positions.sum()):
-        return  # one sum tells of all: what is not finite stays so
+        return  # a sum with a non-finite term is not finite
     bad = ~np.isfinite(positions).all(axis=2)
     if visible is not None:
         bad &= visible

@@ -1,4 +1,4 @@
-"""References to a mapping: choose a method and its settings, fit on all pairs."""
+"""Training of a mapping: choice of method and settings by cross-validation, fit to all pairs."""
 
 from dataclasses import replace
 
@@ -11,8 +11,8 @@ from usdface.core.rig_logic import logic_of
 from usdface.model.mapping.candidates import (
     Comparison,
     PairFolds,
-    UnseenPairs,
-    choose_common_error,
+    OutOfFold,
+    choose_inflation,
     compare_candidates,
     list_candidates,
 )
@@ -49,17 +49,19 @@ from usdface.numerics.measure.face_regions import (
 )
 
 _TONGUE_SHARE = 0.2
-"""Of the farthest that shapes of the tongue move a point: lips part less for it. The jaw moves the
-tongue farther than these do."""
+"""Points that shapes of the tongue move by more than this, relative to their largest displacement,
+belong to the tongue: the lips move less with it."""
 
 _STILL_SHARE = 0.1
-"""Of its range: a region whose shapes all stay within it is one that no reference moves."""
+"""A region is still if the references move none of its shapes over more than this share of its
+range."""
 
-_UNKNOWN_ERROR = 0.1
-"""Of a weight: usual error where pairs are too few to measure it."""
+_DEFAULT_ERROR = 0.1
+"""Standard deviation of the error of a normalised weight with too few pairs for cross-validation.
+"""
 
-_UNKNOWN_CALIBRATION = 2.0
-"""Of uncertainty where pairs are too few to calibrate it."""
+_DEFAULT_CALIBRATION = 2.0
+"""Factor on the uncertainty with too few pairs for its calibration."""
 
 
 def train_mapping(
@@ -73,36 +75,35 @@ def train_mapping(
     choices: Choices = DEFAULT_CHOICES,
     progress: Progress = silent,
 ) -> TrainedMapping:
-    """Learn the function from markers to weights that the references show.
+    """Fit the function from markers to weights given by pairs of both.
 
-    Every candidate predicts each pair from pairs of other moments; the one whose errors move the
-    rig's surface least is fitted on all pairs.
+    Candidates are compared by cross-validation, in folds blocked by take and time; the one of least
+    surface error is fitted to all pairs.
 
     Parameters
     ----------
     references : References
-        Pairs; `references.motion` holds what the face does beyond them, and `references.parts`,
-        otherwise the shapes' names, tell the regions of the face.
+        Pairs, with the takes' principal components in `references.motion`. Regions of the face
+        follow from `references.parts`, otherwise from the names of the shapes.
     ranges : (shapes, 2) float array
-        Lowest and highest weight of each shape. Weights beyond are limited to it, and their
-        number is kept in ``settings['limited_weights']``.
+        Lowest and highest weight of each shape. Weights are limited to it; the number of limited
+        ones is ``settings['limited_weights']``.
     gram : (shapes, shapes) float array or None
-        Mean over the rig's points of the dot products of the shapes' displacements [mm^2]: makes
-        errors count as they show. Without it every weight counts alike.
+        Mean over the rig's points of the dot products of the shapes' displacements [mm^2]: the
+        metric of errors. Without it, all shapes have equal weight.
     skin : (shapes + combinations, points, 3) float array, optional
-        What each shape at 1, and after them each of the references' combinations, does to points
-        spread over the rig's surface [mm]; see `sample_skin`. With it a mapping
-        also uses the rig's geometry, beyond the pairs.
+        Displacement by each shape at 1, then by each of the references' combinations, of points
+        spread over the rig's surface [mm]; see `sample_skin`. It is the prior of the forward model.
     rest : RestPlaces, optional
-        Where those points, and markers, are on the rig's neutral: markers are then placed by where
-        they are as well, not by their motion alone.
+        Positions of those points, and of the markers, on the rig's neutral: markers are then
+        located on the rig by position as well as by motion.
     method : str
         A key of `usdface.model.regressions.MAPPING_METHODS`, or ``'auto'`` to try several.
     choices : Choices, optional
-        Numbers of principal components, and widths, to compare in place of the method's own.
+        Numbers of principal components, and widths, to compare in place of the method's candidates.
     """
-    sound = check_references(references, ranges=ranges, gram=gram)
-    checked, parts = sound.references, references.parts or references.shape_names
+    check = check_references(references, ranges=ranges, gram=gram)
+    checked, parts = check.references, references.parts or references.shape_names
     skin, rest = _outer_skin(skin, rest, references)
     motion = checked.motion if checked.motion is not None else motion_of_pairs(checked)
     check_dimensions(choices.dimensions, pairs=len(checked.weights), motion=motion)
@@ -119,12 +120,12 @@ def train_mapping(
     folds = PairFolds(_corrected_pairs(checked, face), checked)
     candidates = list_candidates(folds.pairs, method, choices)
     compared = compare_candidates(candidates, folds, in_mm=gram is not None, progress=progress)
-    folds, compared = choose_common_error(folds, compared, checked, gram)
+    folds, compared = choose_inflation(folds, compared, checked, gram)
     corrected, best = folds.corrected, compared.best
     progress(0.9, f"fitting {best.method.name}")
-    fitted = best.method.fit(corrected.known_to(best.method), best.settings)
+    fitted = best.method.fit(corrected.training_pairs(best.method), best.settings)
     progress(1.0, f"trained {best.method.name}")
-    solver = _frame_solver(corrected, fitted, compared.unseen)
+    solver = _frame_solver(corrected, fitted, compared.out_of_fold)
     regions, error_arrays = _uncertainty(compared, folds, parts, solver)
     return TrainedMapping(
         method=best.method.name,
@@ -141,7 +142,7 @@ def train_mapping(
         | _key_settings(corrected, checked, parts)
         | {
             "pairs": len(checked.weights),
-            "limited_weights": sound.limited_weights,
+            "limited_weights": check.limited_weights,
             "unobservable_shapes": int((~compared.observable).sum()),
             "performer": checked.performer,
             "session": checked.session,
@@ -153,7 +154,7 @@ def train_mapping(
 def _outer_skin(
     skin: FloatArray | None, rest: RestPlaces | None, references: References
 ) -> tuple[FloatArray | None, RestPlaces | None]:
-    """Leave out eyeballs, what gaze moves most, and the tongue: no marker sits there."""
+    """Return the skin without tongue and eyeballs, the points that gaze moves most."""
     check_skin(skin, shapes=len(references.shape_names) + len(references.combinations))
     if skin is None:
         return skin, rest
@@ -171,14 +172,14 @@ def _pairs(references: References, face: Face) -> Pairs:
 
 
 def _corrected_pairs(references: References, face: Face) -> CorrectedPairs:
-    """Correct the pairs, with as many markers to count as one as usual of their kind.
+    """Correct the pairs, with the variance inflation of optical markers or of landmarks.
 
-    What a model finds in pictures, `track` on irises and OpenFace all over, errs together.
+    Errors of landmarks detected in images (irises by `track`, all by OpenFace) are correlated.
     """
-    landmarks = any(each.startswith(("iris_", "landmark_")) for each in references.marker_names)
+    landmarks = any(name.startswith(("iris_", "landmark_")) for name in references.marker_names)
     parts = references.parts or references.shape_names
-    common = VARIANCE_INFLATIONS[-1 if landmarks else 0]
-    return correct_pairs(_pairs(references, face), parts, common=common)
+    inflation = VARIANCE_INFLATIONS[-1 if landmarks else 0]
+    return correct_pairs(_pairs(references, face), parts, inflation=inflation)
 
 
 def _driven_skin(references: References, skin: FloatArray | None) -> DrivenSkin | None:
@@ -191,7 +192,7 @@ def _driven_skin(references: References, skin: FloatArray | None) -> DrivenSkin 
 def _key_settings(
     corrected: CorrectedPairs, references: References, parts: tuple[str, ...]
 ) -> dict[str, float | str]:
-    """Return what the markers say of the keys: errors, gains, contradictions."""
+    """Return the errors, gains and contradictions of the keys, as estimated from the markers."""
     gains = mean_gains(corrected.log_factor, references.authors)
     contradicted = find_contradicted(corrected.uncorrected, parts).items()
     return {
@@ -206,36 +207,36 @@ def _key_settings(
 
 
 def _as_stored(arrays: Arrays) -> Arrays:
-    """Return arrays as a file gives them back, so that a mapping predicts the same reopened."""
+    """Return arrays as read from a file, so that the reopened mapping predicts the same."""
     return {name: np.ascontiguousarray(each, dtype=np.float64) for name, each in arrays.items()}
 
 
 def _frame_solver(
-    corrected: CorrectedPairs, fitted: Fitted, unseen: UnseenPairs | None
+    corrected: CorrectedPairs, fitted: Fitted, predicted: OutOfFold | None
 ) -> FrameSolver:
-    """Return the solver, with the usual error of the method's normalised weights."""
+    """Return the solver, with the error of the method's normalised weights."""
     ranges = corrected.pairs.face.ranges
     if "start_error" in fitted.arrays:
-        usual = fitted.arrays["start_error"]
-    elif unseen is None:
-        usual = np.full(len(ranges), _UNKNOWN_ERROR)
+        error = fitted.arrays["start_error"]
+    elif predicted is None:
+        error = np.full(len(ranges), _DEFAULT_ERROR)
     else:
-        usual = np.sqrt((unseen.errors**2).mean(axis=0)) / np.ptp(ranges, axis=1)
-    return FrameSolver(corrected.forward, usual, corrected.common)
+        error = np.sqrt((predicted.errors**2).mean(axis=0)) / np.ptp(ranges, axis=1)
+    return FrameSolver(corrected.forward, error, corrected.inflation)
 
 
 def _skin_gram(gram: FloatArray, parts: tuple[str, ...]) -> FloatArray:
-    """Return a Gram matrix in which shapes count that markers show: gaze and tongue apart."""
-    counted = gram.astype(np.float64)
+    """Return a Gram matrix without gaze and tongue, which markers do not show."""
+    skin_gram = gram.astype(np.float64)
     columns = unseen_shapes(parts)
-    counted[columns] = counted[:, columns] = 0.0
-    return counted
+    skin_gram[columns] = skin_gram[:, columns] = 0.0
+    return skin_gram
 
 
 def _uncertainty(
     compared: Comparison, folds: PairFolds, parts: tuple[str, ...], solver: FrameSolver
 ) -> tuple[tuple[str, ...], Arrays]:
-    """Return the regions of the face, and the arrays that tell each region's uncertainty."""
+    """Return the regions of the face, and the arrays of their uncertainty model."""
     face = folds.pairs.face
     span = np.ptp(face.ranges, axis=1)
     points = region_points(parts, solver.forward.basis)
@@ -243,11 +244,11 @@ def _uncertainty(
     grams = region_grams(face.gram, face.skin, parts, regions)
     grams = np.stack([_skin_gram(each, parts) for each in grams]) * np.outer(span, span)
     model = UncertaintyModel(grams, np.ones(len(regions)))
-    calibration = np.full(len(regions), _UNKNOWN_CALIBRATION)
-    unseen = compared.unseen
-    if unseen is not None:
-        deviations = folds.deviations(compared.best, unseen, model, solver.error)
-        calibration = calibrate_uncertainty(grams, unseen.errors / span, deviations)
+    calibration = np.full(len(regions), _DEFAULT_CALIBRATION)
+    predicted = compared.out_of_fold
+    if predicted is not None:
+        deviations = folds.deviations(compared.best, predicted, model, solver.error)
+        calibration = calibrate_uncertainty(grams, predicted.errors / span, deviations)
     arrays = UncertaintyModel(grams, calibration).to_arrays()
     arrays["region_markers"] = membership(points, len(solver.forward.noise))
     return regions, arrays
@@ -256,9 +257,9 @@ def _uncertainty(
 def _region_settings(
     references: References, folds: PairFolds, regions: tuple[str, ...], parts: tuple[str, ...]
 ) -> dict[str, str]:
-    """Name the regions, those that no marker sees, and of the rest those that no reference moves.
+    """Return the names of all regions, of those without markers, and of other still ones.
 
-    What moves a still region later, only the rig tells.
+    A still region is one that no reference moves: its motion in takes follows from the rig alone.
     """
     face, shapes = folds.pairs.face, shapes_by_region(parts)
     unseen = unseen_regions(parts, face, references.marker_names, references.rigid)
