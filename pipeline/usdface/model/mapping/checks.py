@@ -1,4 +1,4 @@
-"""Whether references can be trained on, and what is wrong with them if not."""
+"""Validation of references before training."""
 
 from dataclasses import dataclass, replace
 
@@ -13,7 +13,7 @@ MINIMUM_PAIRS = 2
 
 @dataclass(frozen=True)
 class CheckedReferences:
-    """References fit to train on, and how many of their weights had to be limited."""
+    """Valid references, with the number of weights that were limited to their ranges."""
 
     references: References
     limited_weights: int
@@ -22,15 +22,18 @@ class CheckedReferences:
 def check_references(
     references: References, *, ranges: FloatArray, gram: FloatArray | None
 ) -> CheckedReferences:
-    """Refuse references that cannot be learned from; limit and thin those that can.
-
-    Weights outside their channel's range are limited to it. A pair that repeats another, markers
-    and weights alike, adds nothing and is dropped.
+    """Return valid references: weights limited to their ranges, repeated pairs dropped.
 
     Parameters
     ----------
     ranges : (shapes, 2) float array
     gram : (shapes, shapes) float array or None
+
+    Raises
+    ------
+    InputError
+        If arrays do not fit each other, hold values that are not finite, or no marker moves; all
+        faults are listed.
     """
     faults = _shape_faults(references, ranges, gram)
     if not faults:
@@ -42,10 +45,10 @@ def check_references(
     return CheckedReferences(_without_repeats(replace(references, weights=limited)), changed)
 
 
-def check_dimensions(asked: tuple[int, ...], *, pairs: int, motion: MotionSpace) -> None:
-    """Refuse more dimensions than the pairs or the motion space carry."""
+def check_dimensions(choices: tuple[int, ...], *, pairs: int, motion: MotionSpace) -> None:
+    """Refuse more dimensions than the pairs or the motion space support."""
     available = len(motion.components)
-    for dimensions in asked:
+    for dimensions in choices:
         if dimensions < 1:
             raise InputError(f"dimensions must be at least 1, got {dimensions}")
         if dimensions > pairs - 1:
@@ -61,7 +64,7 @@ def check_dimensions(asked: tuple[int, ...], *, pairs: int, motion: MotionSpace)
 
 
 def check_skin(skin: FloatArray | None, *, shapes: int) -> None:
-    """Refuse skin that does not belong to the references' shapes."""
+    """Refuse skin whose shapes are not those of the references."""
     if skin is None:
         return
     if skin.ndim != 3 or skin.shape[0] != shapes or skin.shape[2] != 3:
@@ -74,7 +77,7 @@ def check_skin(skin: FloatArray | None, *, shapes: int) -> None:
 
 
 def pair_name(references: References, pair: int) -> str:
-    """Say which pair: its place and where it came from."""
+    """Return the name of a pair in messages: its number, take and frame."""
     return f"pair {pair + 1} (take {references.takes[pair]!r}, frame {references.frames[pair]})"
 
 
@@ -83,7 +86,7 @@ def _shape_faults(references: References, ranges: FloatArray, gram: FloatArray |
     markers, shapes = len(references.marker_names), len(references.shape_names)
     if pairs < MINIMUM_PAIRS:
         return [
-            f"{pairs} pairs: at least {MINIMUM_PAIRS} are needed, and some 25 to 100 for a face; "
+            f"{pairs} pairs: at least {MINIMUM_PAIRS} are needed, and 25 to 100 for a face; "
             "tune more frames"
         ]
     expected = {
@@ -106,7 +109,7 @@ def _shape_faults(references: References, ranges: FloatArray, gram: FloatArray |
             faults.append(f"{kind} names are not unique: {', '.join(repeated[:5])}; rename them")
     if references.motion is not None and references.motion.components.shape[1] != 3 * markers:
         faults.append(
-            f"the motion space is of {references.motion.components.shape[1] // 3} markers, the "
+            f"the motion space has {references.motion.components.shape[1] // 3} markers, the "
             f"pairs have {markers}; select the references again"
         )
     if not faults and not (ranges[:, 0] < ranges[:, 1]).all():
@@ -159,7 +162,7 @@ def _is_finite(motion: MotionSpace) -> bool:
 
 
 def _same_markers(references: References) -> list[tuple[int, int]]:
-    """Every later pair with the first pair whose markers it repeats."""
+    """Return (first, repeat) for each pair whose markers equal those of an earlier one."""
     first: dict[bytes, int] = {}
     repeats = []
     for pair, markers in enumerate(references.markers):

@@ -1,6 +1,6 @@
-"""What a performer's face does, summed over whole takes: the space that mappings work in.
+"""Principal components of a performer's markers over whole takes: the input space of mappings.
 
-Frames become its coordinates with or without all markers.
+Coordinates of frames with occluded markers are conditional means.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,6 +18,7 @@ from usdface.numerics.regression.pca import PCA, fit_pca, pca_from_moments, proj
 _Positions = NDArray[np.float32] | NDArray[np.float64]
 
 _BLOCK_FRAMES = 8192
+"""Frames per block of the moments, which bounds the memory of conversions to float64."""
 
 
 def fit_motion_space(
@@ -31,7 +32,7 @@ def fit_motion_space(
         Stabilised and cleaned positions of the same markers in the same order [mm]; float32 is
         read in blocks and summed in float64.
     dimensions : int
-        Components to keep; fewer where the takes have fewer.
+        Largest number of components.
     sample_count : int
         Frames, evenly spread over the takes, whose coordinates are kept.
     """
@@ -65,7 +66,7 @@ def fit_motion_space(
 
 
 def motion_from_pca(pca: PCA, sample: FloatArray) -> MotionSpace:
-    """Bundle components and the coordinates of sample rows of packed positions."""
+    """Return a motion space from components and sample rows of packed positions."""
     return MotionSpace(
         mean=pca.mean,
         components=pca.components,
@@ -94,7 +95,7 @@ def _spread(clips: Sequence[_Positions], count: int) -> FloatArray:
 
 
 def motion_of(mapping: TrainedMapping) -> MotionSpace:
-    """Put the motion space of a mapping together; without the sample: prediction needs none."""
+    """Return the motion space of a mapping, without the sample, which prediction does not use."""
     try:
         return MotionSpace(
             mean=mapping.arrays["motion_mean"],
@@ -110,7 +111,7 @@ def motion_of(mapping: TrainedMapping) -> MotionSpace:
 
 
 def motion_arrays(motion: MotionSpace) -> dict[str, FloatArray]:
-    """Return the arrays of a mapping that keep the motion space; `motion_of` reads them."""
+    """Return a motion space as arrays of a mapping, the input of `motion_of`."""
     return {
         "motion_mean": motion.mean,
         "motion_components": motion.components,
@@ -121,25 +122,25 @@ def motion_arrays(motion: MotionSpace) -> dict[str, FloatArray]:
 
 
 def motion_of_pairs(references: References) -> MotionSpace:
-    """Fit the motion space of pairs that carry none of their takes."""
+    """Fit the motion space to the pairs, for references without that of their takes."""
     packed = references.markers.reshape(len(references.markers), -1).astype(np.float64)
     return motion_from_pca(fit_pca(packed), packed)
 
 
 def thinned_sample(motion: MotionSpace) -> FloatArray:
-    """Return the coordinates of as many frames as takes are compared by: (frames, dimensions)."""
+    """Return coordinates of up to `SAMPLE_FRAMES` frames: (frames, dimensions)."""
     return motion.sample[sample_frames(len(motion.sample), SAMPLE_FRAMES)]
 
 
 NOISE_FLOOR_MM = 0.05
-"""Least noise assumed of a marker's coordinate: optical systems resolve about this."""
+"""Smallest noise of a marker's coordinate: about the resolution of optical systems."""
 
 
 def noise_variance(motion: MotionSpace) -> float:
-    """Variance of one marker coordinate that the components leave over [mm^2]."""
-    left = motion.components.shape[1] - len(motion.components)
+    """Return the mean variance of the discarded components [mm^2]."""
+    discarded = motion.components.shape[1] - len(motion.components)
     unexplained = motion.total_variance - float(motion.variances.sum())
-    return float(max(unexplained / max(left, 1), NOISE_FLOOR_MM**2))
+    return float(max(unexplained / max(discarded, 1), NOISE_FLOOR_MM**2))
 
 
 def marker_coordinates(
@@ -150,52 +151,52 @@ def marker_coordinates(
 ) -> FloatArray:
     """Project frames onto the motion space: (frames, dimensions) [mm].
 
-    Where markers are unseen, coordinates are those most probable given the others, under the
-    Gaussian that the motion space describes: probabilistic PCA (Tipping and Bishop 1999) with
-    missing data. Frames with the same markers unseen share one small solve.
+    With occluded markers, coordinates are the conditional mean given the others under probabilistic
+    PCA (Tipping and Bishop 1999). Frames with the same pattern of visibility share one solve.
 
     Parameters
     ----------
     positions : (frames, markers, 3) float array
-        In the motion space's head space [mm]; what is not visible is not read.
+        In the motion space's head space [mm]; ignored where not visible.
     visible : (frames, markers) bool array, optional
         By default all are.
     """
     frames = len(positions)
-    # Takes are in single precision, and so is this, at half the time. What the mean loses by it is
-    # made good in the product: coordinates are within a millionth of a millimetre.
-    kind = positions.dtype
-    mean: NDArray[Any] = motion.mean.astype(kind)
+    # In the precision of the takes, single, which halves the time. The rounding error of the mean
+    # is corrected after the product: coordinates are accurate to 1e-6 mm.
+    dtype = positions.dtype
+    mean: NDArray[Any] = motion.mean.astype(dtype)
     rounding: FloatArray = mean - motion.mean
     offsets: NDArray[Any] = positions.reshape(frames, -1) - mean
-    unseen = visible is not None and not visible.all()
-    if visible is not None and unseen:
-        offsets[~np.repeat(visible, 3, axis=1)] = 0.0  # also what keeps NaN out
-    values: FloatArray = (offsets @ motion.components.T.astype(kind)).astype(np.float64)
+    occluded = visible is not None and not visible.all()
+    if visible is not None and occluded:
+        offsets[~np.repeat(visible, 3, axis=1)] = 0.0  # also removes NaN
+    values: FloatArray = (offsets @ motion.components.T.astype(dtype)).astype(np.float64)
     values += rounding @ motion.components.T
-    if visible is None or not unseen:
+    if visible is None or not occluded:
         return values
-    for pattern, rows in _patterns(visible):
-        values[rows] = _conditional(motion, offsets[rows] + rounding, pattern)
+    for pattern, rows in _visibility_patterns(visible):
+        values[rows] = _conditional_mean(motion, offsets[rows] + rounding, pattern)
     return values
 
 
-def _patterns(seen: BoolArray) -> list[tuple[BoolArray, NDArray[np.int64]]]:
-    """Frames with something unseen, grouped by what."""
-    partial = np.flatnonzero(~seen.all(axis=1))
+def _visibility_patterns(visible: BoolArray) -> list[tuple[BoolArray, NDArray[np.int64]]]:
+    """Return each pattern of partly visible frames, (markers,), with the frames that have it."""
+    partial = np.flatnonzero(~visible.all(axis=1))
     if not len(partial):
         return []
-    packed = np.packbits(seen[partial], axis=1)
-    _, first, place = np.unique(packed, axis=0, return_index=True, return_inverse=True)
-    order = np.argsort(place, kind="stable")
-    ends = np.cumsum(np.bincount(place))
+    packed = np.packbits(visible[partial], axis=1)
+    _, first, group = np.unique(packed, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(group, kind="stable")
+    ends = np.cumsum(np.bincount(group))
     return [
-        (seen[partial[first[k]]], partial[order[ends[k] - size : ends[k]]])
-        for k, size in enumerate(np.bincount(place))
+        (visible[partial[first[k]]], partial[order[ends[k] - size : ends[k]]])
+        for k, size in enumerate(np.bincount(group))
     ]
 
 
-def _conditional(motion: MotionSpace, offsets: FloatArray, pattern: BoolArray) -> FloatArray:
+def _conditional_mean(motion: MotionSpace, offsets: FloatArray, pattern: BoolArray) -> FloatArray:
+    """Return ``(B B' + noise diag(1 / variances))^-1 B x`` over the visible coordinates x."""
     seen = np.repeat(pattern, 3)
     basis = motion.components[:, seen]
     noise = noise_variance(motion)

@@ -1,4 +1,4 @@
-"""A performer's face as takes are compared with it: of a mapping, of references, or of a take."""
+"""A performer's head space, neutral face and sample of expressions, to which takes are aligned."""
 
 from dataclasses import dataclass
 
@@ -12,31 +12,30 @@ from usdface.model.mapping.motion_space import thinned_sample
 
 @dataclass(frozen=True)
 class PerformerFace:
-    """What takes of a performer are laid on: one head space, one neutral face."""
+    """Head space and neutral face of a performer."""
 
     marker_names: tuple[str, ...]
     rigid: tuple[str, ...]
-    """`marker_names`, `rigid`: Of all markers in their order, and of those that say where the head
-    is."""
+    """`marker_names`, `rigid`: Names of all markers in order, and of those that move with the skull
+    alone."""
     neutral: FloatArray
     """(markers, 3): the performer's neutral face [mm]."""
     frames: FloatArray
-    """(frames, markers, 3): expressions in that head space, to tell other ones of the face by
-    [mm]."""
+    """(frames, markers, 3): sample of expressions in that head space [mm]."""
     usable: BoolArray
-    """(frames, markers)"""
+    """(frames, markers): where `frames` is measured or repaired."""
     performer: str = ""
     session: str = ""
-    """`performer`, `session`: As the take says that defines the space; empty where unknown."""
+    """`performer`, `session`: Of the take that defines the space; empty if unknown."""
 
 
 def face_of_mapping(mapping: TrainedMapping) -> PerformerFace:
-    """Return the face that a mapping was trained on.
+    """Return the face of a mapping's training.
 
     Raises
     ------
     InputError
-        If the mapping is of an earlier version.
+        If the mapping lacks its arrays, as in earlier versions.
     """
     missing = [name for name in ("motion_mean", "takes_sample") if name not in mapping.arrays]
     if missing:
@@ -59,7 +58,7 @@ def face_of_mapping(mapping: TrainedMapping) -> PerformerFace:
 
 
 def face_of_references(references: References) -> PerformerFace:
-    """Return the face whose frames are the pairs of references."""
+    """Return the face of references, with frames of their motion space or else their pairs."""
     frames = references.markers.astype(np.float64)
     if references.motion is not None and len(references.motion.sample):
         flat = references.motion.mean + thinned_sample(references.motion) @ (

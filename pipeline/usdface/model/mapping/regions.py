@@ -1,4 +1,4 @@
-"""Parts of the face, and points of the rig's surface that stand for it."""
+"""Regions of the face, and samples of the rig's surface."""
 
 from __future__ import annotations
 
@@ -12,40 +12,41 @@ from usdface.model.placement.label_hints import label_hint
 from usdface.numerics.measure.face_regions import points_by_region, shapes_by_region
 
 FACE = "face"
-"""The first region: everything."""
+"""Name of the first region, the whole face."""
 
 _SEEN_SHARE = 0.1
-"""Of the largest motion of a part's shapes: as much carries over from a part to its neighbour."""
+"""Motion at a marker, relative to the largest of a region's shapes, from which the marker shows the
+region: as much extends from a region to its neighbour."""
 
 _RIDGE_SHARE = 0.02
-"""Ridge per pair on the weights: shapes that act together share the motion."""
+"""Ridge per pair on the weights, which divides the motion between correlated shapes."""
 
 
 def region_points(names: tuple[str, ...], motion: FloatArray) -> dict[str, IntArray]:
-    """Give every point to the part of the face whose shapes move it most.
+    """Assign every point to the region whose shapes move it most.
 
     Parameters
     ----------
     names : tuple of str
-        Of the shapes, or their parts as `usdface.model.placement.shape_parts.shape_parts` finds
-        them; where none names a part of the face there is only the whole.
+        Names of the shapes, or their parts from
+        `usdface.model.placement.shape_parts.shape_parts`; if none names a part of the face, the
+        whole is the only region.
     motion : (shapes, points, 3) float array
-        What each shape at 1 does [mm].
+        Displacements by each shape at 1 [mm].
 
     Returns
     -------
     dict of str to (n,) int array
-        The whole face first.
+        Indices of points, the whole face first.
     """
-    from scipy import sparse  # only when wanted: it takes half a second
+    from scipy import sparse  # importing takes half a second
 
-    everywhere = np.arange(motion.shape[1])
-    found = points_by_region(sparse.csr_array(motion.reshape(len(motion), -1)), names)
-    return {FACE: everywhere} | found
+    regions = points_by_region(sparse.csr_array(motion.reshape(len(motion), -1)), names)
+    return {FACE: np.arange(motion.shape[1])} | regions
 
 
 def marker_motion(weights: FloatArray, markers: FloatArray) -> FloatArray:
-    """Learn what each shape does to each marker: (shapes, markers, 3) float array [mm].
+    """Fit the displacement of markers by each shape: (shapes, markers, 3) float array [mm].
 
     Parameters
     ----------
@@ -53,14 +54,14 @@ def marker_motion(weights: FloatArray, markers: FloatArray) -> FloatArray:
     markers : (pairs, markers, 3) float array
     """
     rows = weights - weights.mean(axis=0)
-    seen = (markers - markers.mean(axis=0)).reshape(len(markers), -1)
+    deviations = (markers - markers.mean(axis=0)).reshape(len(markers), -1)
     normal = rows.T @ rows + _RIDGE_SHARE * len(rows) * np.eye(rows.shape[1])
-    moved: FloatArray = np.linalg.solve(normal, rows.T @ seen)
-    return moved.reshape(rows.shape[1], -1, 3)
+    basis: FloatArray = np.linalg.solve(normal, rows.T @ deviations)
+    return basis.reshape(rows.shape[1], -1, 3)
 
 
 def membership(points: dict[str, IntArray], count: int) -> FloatArray:
-    """Return which of `count` points each region holds: (regions, count) array of 0 and 1."""
+    """Return the indicator matrix of points in regions: (regions, count) array of 0 and 1."""
     table = np.zeros((len(points), count))
     for row, members in enumerate(points.values()):
         table[row, members] = 1.0
@@ -70,17 +71,17 @@ def membership(points: dict[str, IntArray], count: int) -> FloatArray:
 def unseen_regions(
     parts: tuple[str, ...], face: Face, labels: Sequence[str], rigid: Sequence[str]
 ) -> tuple[str, ...]:
-    """Return the parts of the face that no marker sees, by where markers are on the rig.
+    """Return the regions that no marker shows, by the positions of the markers on the rig.
 
-    There the part's shapes move a marker by less than `_SEEN_SHARE` of what they move the skin, and
-    no label names the part. Nothing is returned where a marker's place is not known.
+    The shapes of such a region move the skin at every marker by less than `_SEEN_SHARE` of their
+    largest displacement, and no marker is named after it. Empty if a marker's position is unknown.
 
     Parameters
     ----------
     parts : tuple of str
-        Of the shapes; see `region_points`.
+        Part of the face of each shape; see `region_points`.
     labels, rigid : sequence of str
-        Of all markers, and of those that move with the skull alone.
+        Names of all markers, and of those that move with the skull alone.
     """
     if face.skin is None or face.rest is None or face.rest.markers is None:
         return ()
@@ -105,20 +106,20 @@ if TYPE_CHECKING:
     from usdface.model.regressions.base import Face
 
 SKIN_POINTS = 1500
-"""Most points of the surface that stand for it."""
+"""Largest number of points in a sample of the surface."""
 
 
 def skin_points(offsets: FloatArray | sparse.sparray, *, count: int = SKIN_POINTS) -> IntArray:
-    """Choose points that stand for a surface: evenly spaced ones of those that shapes move.
+    """Sample a surface: points evenly spaced in the order of those that shapes move.
 
     Parameters
     ----------
     offsets : (shapes, points * 3) float array or sparse array
-        What each shape at 1 does to the surface [mm], as `BlendShapes.target_offsets` gives it.
+        Displacements by each shape at 1 [mm], as from `BlendShapes.target_offsets`.
     count : int
-        Most points to keep.
+        Largest number of points.
     """
-    from usdface.numerics.solve.blendshapes import moving_points  # with SciPy: half a second
+    from usdface.numerics.solve.blendshapes import moving_points  # imports SciPy: half a second
 
     moving = moving_points(offsets)
     chosen = np.linspace(0, len(moving) - 1, min(count, len(moving))).astype(np.int64)
@@ -126,8 +127,8 @@ def skin_points(offsets: FloatArray | sparse.sparray, *, count: int = SKIN_POINT
 
 
 def sample_skin(offsets: FloatArray | sparse.sparray, *, count: int = SKIN_POINTS) -> FloatArray:
-    """Return what shapes do to the points of `skin_points`: (shapes, kept, 3)."""
-    from scipy import sparse  # only when wanted: it takes half a second
+    """Return the displacements of `skin_points` by each shape at 1: (shapes, points, 3) [mm]."""
+    from scipy import sparse  # importing takes half a second
 
     points, table = skin_points(offsets, count=count), sparse.csc_array(offsets)
     columns = (3 * points[:, None] + np.arange(3)).ravel()
@@ -138,16 +139,16 @@ def sample_skin(offsets: FloatArray | sparse.sparray, *, count: int = SKIN_POINT
 def region_grams(
     gram: FloatArray, skin: FloatArray | None, names: tuple[str, ...], regions: tuple[str, ...]
 ) -> FloatArray:
-    """Return what small errors of weights do to each region: (regions, shapes, shapes) [mm^2].
+    """Return the Gram matrix of the shapes' displacements per region: (regions, shapes, shapes).
 
     Parameters
     ----------
     gram : (shapes, shapes) float array
-        Of the whole face; also that of regions of which the skin has no points.
+        Of the whole face; also used for regions without points of the skin [mm^2].
     skin : (shapes, points, 3) float array or None
-        [mm]
+        Displacements by each shape at 1 [mm].
     names : tuple of str
-        Of the shapes.
+        As of `region_points`.
     regions : tuple of str
         The whole face first.
     """
@@ -157,6 +158,6 @@ def region_grams(
     points = region_points(names, skin)
     for row, region in enumerate(regions[1:], start=1):
         if len(points.get(region, ())):
-            moved = skin[:, points[region]].reshape(len(skin), -1)
-            grams[row] = moved @ moved.T / len(points[region])
+            offsets = skin[:, points[region]].reshape(len(skin), -1)
+            grams[row] = offsets @ offsets.T / len(points[region])
     return grams
