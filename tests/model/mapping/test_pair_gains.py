@@ -47,7 +47,7 @@ def test_pairs_of_two_animators_get_one_gain() -> None:
     corrected = correct_pairs(pairs, SHAPES)
     assert np.std(corrected.log_factor + np.log(gains)) < 0.35 * np.std(np.log(gains))
     np.testing.assert_allclose(corrected.log_factor.mean(), 0, atol=1e-9)
-    np.testing.assert_array_equal(corrected.given, pairs.outputs)
+    np.testing.assert_array_equal(corrected.original_keys, pairs.outputs)
     before, after = (
         np.sqrt(((each / each.mean() - weights / weights.mean()) ** 2).mean())
         for each in (pairs.outputs, corrected.pairs.outputs)

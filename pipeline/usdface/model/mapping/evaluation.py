@@ -1,4 +1,4 @@
-"""Weights against what they should have been, on a rig."""
+"""Errors of weights with respect to a truth, on a rig."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -38,30 +38,30 @@ from usdface.numerics.measure.performance_error import (
 
 @dataclass(frozen=True)
 class SkinRuler:
-    """What weights do to the skin of a rig, without gaze and tongue, which markers do not show."""
+    """Surface errors on the skin of a rig, without gaze and tongue, which markers do not show."""
 
     rig: Rig
     deformer: Deformer
 
     @cached_property
     def parts(self) -> tuple[str, ...]:
-        """What tells the part of the face of each shape; see `shape_parts`."""
+        """Part of the face of each shape; see `shape_parts`."""
         return shape_parts(self.rig, self.deformer)
 
     @cached_property
     def unseen(self) -> dict[str, IntArray]:
-        """Columns of the shapes that are left out, which have figures of their own."""
-        found = {"gaze": gaze_shapes(self.parts), "tongue": tongue_shapes(self.parts)}
-        return {name: columns for name, columns in found.items() if len(columns)}
+        """Columns of the excluded shapes: ``'gaze'`` and ``'tongue'``, if the rig has them."""
+        columns = {"gaze": gaze_shapes(self.parts), "tongue": tongue_shapes(self.parts)}
+        return {name: shapes for name, shapes in columns.items() if len(shapes)}
 
     @cached_property
     def left_out(self) -> IntArray:
-        """Columns of all of them."""
+        """Columns of all excluded shapes."""
         return unseen_shapes(self.parts)
 
     @property
     def observable(self) -> BoolArray:
-        """Which shapes are not left out, (shapes,)."""
+        """Which shapes are not excluded: (shapes,)."""
         return np.isin(np.arange(len(self.parts)), self.left_out, invert=True)
 
     @cached_property
@@ -72,17 +72,17 @@ class SkinRuler:
 
     @cached_property
     def grams(self) -> FloatArray:
-        """Of each region: (regions, keys, keys) [mm^2]."""
+        """Gram matrix of the keys' displacements per region: (regions, keys, keys) [mm^2]."""
         shapes = self.deformer.shapes
         return np.stack([region_gram(shapes.key_offsets, each) for each in self.points.values()])
 
     def differences(self, weights: FloatArray, others: FloatArray) -> FloatArray:
-        """Return how keys differ, but for what is left out: (frames, keys).
+        """Return differences of the keys' weights, 0 for excluded shapes: (frames, keys).
 
         Parameters
         ----------
         weights, others : (frames, shapes) float arrays
-            NaN where they are not known.
+            NaN where unknown.
         """
         seen = weights.copy()
         seen[:, self.left_out] = others[:, self.left_out]
@@ -96,15 +96,15 @@ class SkinRuler:
         return off
 
     def unseen_mm(self, weights: FloatArray, others: FloatArray) -> dict[str, float]:
-        """Return what each part that is left out does by itself: mean over the frames [mm]."""
-        found = {}
+        """Return the surface error of each excluded part alone: mean over the frames [mm]."""
+        errors = {}
         for name, columns in self.unseen.items():
             seen = others.copy()
             seen[:, columns] = weights[:, columns]
             off = self._key_differences(seen, others)
             off = off[np.isfinite(off).all(axis=1)]
-            found[name] = measure_surface(off, self.grams[0]).mean_mm
-        return found
+            errors[name] = measure_surface(off, self.grams[0]).mean_mm
+        return errors
 
 
 @dataclass(frozen=True)
@@ -113,45 +113,45 @@ class RegionError:
 
     name: str
     shape_count: int
-    """Shapes of that part; see `shape_parts`."""
+    """Number of compared shapes of that part; see `shape_parts`."""
     weight_rmse: float
-    """Of those that count; NaN where none does."""
+    """Over its observable shapes; NaN without any."""
     skin: SurfaceError
     surface: SurfaceError
-    """`skin`, `surface`: Of the points that those shapes move most, without gaze and tongue and
-    with them."""
+    """`skin`, `surface`: Over the points that those shapes move most, without and with gaze and
+    tongue."""
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What a performance's errors come to."""
+    """Errors of a performance."""
 
     frames: IntArray
     """(frames,): frame numbers that were compared, ascending."""
     shape_names: tuple[str, ...]
     """Shapes that were compared."""
     observable: BoolArray
-    """(shapes,): those whose weights count."""
+    """(shapes,): those included in `weight_rmse`."""
     weight_rmse: float
-    """Over frames and the shapes that count."""
+    """Over frames and observable shapes."""
     skin: SurfaceError
-    """Of the whole rig, without gaze and tongue: what sheets and reports show."""
+    """Of the whole rig, without gaze and tongue: the figure of sheets and reports."""
     surface: SurfaceError
-    """Of the whole rig, with them."""
+    """Of the whole rig, with gaze and tongue."""
     unseen_mm: dict[str, float]
-    """What ``'gaze'`` and ``'tongue'`` do by themselves, mean over the frames [mm]; without those
-    that the rig does not have."""
+    """Surface error of ``'gaze'`` and ``'tongue'`` alone, if the rig has them: mean over the frames
+    [mm]."""
     regions: tuple[RegionError, ...]
-    """Empty where no shape is known to move a part of the face."""
+    """Empty if no shape is assigned to a part of the face."""
     shapes: ShapeErrors
     shape_mm: FloatArray
-    """(shapes,): what each shape's error alone does to the surface, root mean square [mm]."""
+    """(shapes,): surface error of each shape alone, root mean square [mm]."""
     lips: LipError | None
-    """None where the rig has no mouth that a jaw opens."""
+    """None if the rig has no shapes of jaw and mouth."""
     blink_bias: float
-    """Mean error of blinks at their peaks; NaN where there is none."""
+    """Mean error of blinks at their peaks; NaN without blinks."""
     jitter: float
-    """Roughness relative to the truth's; NaN where no four frames follow each other."""
+    """Roughness relative to the truth's; NaN without four consecutive frames."""
 
 
 def evaluate_weights(
@@ -163,7 +163,7 @@ def evaluate_weights(
     compared: BoolArray,
     observable: BoolArray | None = None,
 ) -> Evaluation:
-    """Measure weights against what they should have been.
+    """Return the errors of weights with respect to the truth.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ def evaluate_weights(
     compared : (shapes,) bool array
         Shapes that either side drives.
     observable : (shapes,) bool array, optional
-        Of those, the ones whose weights count: by default all but gaze and tongue.
+        Shapes included in `weight_rmse`: by default all but gaze and tongue.
     """
     if not len(frames) or not compared.any():
         raise InputError("no frame or no shape to compare")

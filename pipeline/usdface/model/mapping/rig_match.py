@@ -1,7 +1,7 @@
-"""Whether a rig is still the one that a mapping was trained on.
+"""Comparison of a rig with that of a mapping's training.
 
-A mapping's weights mean something on one rig only: a shape sculpted again under the same name does
-something else at the same weight. So a mapping keeps a few lengths of each shape of its rig.
+Weights are valid for one rig: a shape resculpted under the same name moves differently at the same
+weight. A mapping therefore stores moments of each shape's displacements.
 """
 
 import numpy as np
@@ -14,29 +14,29 @@ from usdface.core.text import first_few
 POINTS, SHAPES = "rig_points", "rig_shapes"
 
 CHANGED_MM = 0.05
-"""What no rounding to single precision makes, and nobody sees."""
+"""Change of a moment that is reported: above rounding to single precision, below visibility."""
 
 CHANGED_SHARE = 0.01
-"""Of a shape's motion, and of the weight an in-between is reached at."""
+"""The same relative to the shape's motion, and for the weights of in-betweens."""
 
-_SIZE, _PLACE, _WAY, _REACHED = 0, slice(1, 4), slice(4, 7), 7
+_SIZE, _POSITION, _DISPLACEMENT, _KEY_WEIGHT = 0, slice(1, 4), slice(4, 7), 7
+"""Columns of ``rig_shapes``."""
 
 
 def rig_summary(rig: Rig, shape_names: tuple[str, ...]) -> dict[str, FloatArray]:
-    """Return what tells a rig from another with the same names, as arrays of a mapping.
+    """Return moments of a rig's shapes, as arrays of a mapping.
 
     Parameters
     ----------
     shape_names : tuple of str
-        The mapping's; a rig's other shapes, and meshes that none of these moves, do not count.
+        Shapes of the mapping; other shapes, and meshes that none of these moves, are ignored.
 
     Returns
     -------
     dict of str to float array
-        ``rig_points``: (1,), points of the meshes that shapes move. ``rig_shapes``:
-        (shapes, 8): mean size of a shape's motion, where it is (x, y, z) and where it goes
-        (x, y, z) [mm], each point weighed by how far it moves; and the weight at which its keys
-        are reached, on average.
+        ``rig_points``: (1,), number of points of the meshes that the shapes move. ``rig_shapes``:
+        (shapes, 8), means weighted by the displacement of each point: its length, position
+        (x, y, z), displacement (x, y, z) [mm], and the weight of its key.
     """
     named = frozenset(shape_names)
     meshes = [mesh for mesh in rig.meshes if any(shape.name in named for shape in mesh.shapes)]
@@ -51,7 +51,7 @@ def rig_summary(rig: Rig, shape_names: tuple[str, ...]) -> dict[str, FloatArray]
 
 
 def changed_shapes(mapping: TrainedMapping, rig: Rig) -> tuple[str, ...]:
-    """Return the shapes that have been sculpted or moved since the mapping was trained."""
+    """Return the shapes that were resculpted or moved since the mapping was trained."""
     if SHAPES not in mapping.arrays:
         return ()
     now = rig_summary(rig, mapping.shape_names)[SHAPES]
@@ -61,20 +61,22 @@ def changed_shapes(mapping: TrainedMapping, rig: Rig) -> tuple[str, ...]:
 def check_same_rig(mapping: TrainedMapping, rig: Rig) -> tuple[str, ...]:
     """Compare a rig with the one a mapping was trained on.
 
-    A sculpt that moved is worth a note: weights still mean something close. Other points are
-    another head, and what a mapping learned of errors and limits is not true there.
-
     Parameters
     ----------
     mapping : TrainedMapping
-        One of an earlier version, without a summary, is not compared.
+        Without a summary, as in earlier versions, it is not compared.
     rig : Rig
         With all shapes of the mapping.
 
     Returns
     -------
     tuple of str
-        A note for each kind of change; none where nothing changed.
+        A note for each kind of change of the shapes, for which the weights are approximate.
+
+    Raises
+    ------
+    InputError
+        If the number of points differs: errors and limits of the mapping are not valid there.
     """
     if POINTS not in mapping.arrays or SHAPES not in mapping.arrays:
         return ()
@@ -97,8 +99,8 @@ def check_same_rig(mapping: TrainedMapping, rig: Rig) -> tuple[str, ...]:
         )
         notes.append(
             f"{rig.file}: {len(changed)} of the mapping's {len(mapping.shape_names)} shapes have "
-            f"been sculpted or moved since training: {moved}; weights are those "
-            "for the shapes as they were, train again to follow them"
+            f"been sculpted or moved since training: {moved}; weights are predicted for the shapes "
+            "before the change, train again to follow them"
         )
     ranges = rig.ranges[[rig.shapes.index(name) for name in mapping.shape_names]]
     other = np.flatnonzero(np.abs(ranges - mapping.ranges).max(axis=1) > 1e-6)
@@ -110,37 +112,36 @@ def check_same_rig(mapping: TrainedMapping, rig: Rig) -> tuple[str, ...]:
         )
         notes.append(
             f"{rig.file}: {len(other)} shapes have other ranges than in training: "
-            f"{differing}; weights keep to those of the training"
+            f"{differing}; weights are limited to those of the training"
         )
     return tuple(notes)
 
 
 def _shape_summary(parts: list[tuple[RigMesh, MeshShape]]) -> FloatArray:
-    """Sum over every key of every mesh that one channel moves."""
+    """Return the row of ``rig_shapes`` over all keys and meshes of one shape; see `rig_summary`."""
     total, squares, reached = 0.0, 0.0, 0.0
-    place, way = np.zeros(3), np.zeros(3)
+    position, displacement = np.zeros(3), np.zeros(3)
     for mesh, shape in parts:
         for key in shape.keys:
             length = np.linalg.norm(key.offsets, axis=1)
             total += float(length.sum())
             squares += float(length @ length)
             reached += key.weight * float(length.sum())
-            place += length @ mesh.points[key.points]
-            way += length @ key.offsets
+            position += length @ mesh.points[key.points]
+            displacement += length @ key.offsets
     if total == 0:
         return np.zeros(8)
-    return np.concatenate([[squares], place, way, [reached]]) / total
+    return np.concatenate([[squares], position, displacement, [reached]]) / total
 
 
 def _changed(trained: FloatArray, now: FloatArray) -> np.ndarray:
     limit = np.maximum(CHANGED_MM, CHANGED_SHARE * trained[:, _SIZE])
     away = np.abs(now - trained)
     changed = away[:, _SIZE] > limit
-    changed |= np.linalg.norm(away[:, _PLACE], axis=1) > limit
-    changed |= np.linalg.norm(away[:, _WAY], axis=1) > limit
-    changed |= away[:, _REACHED] > CHANGED_SHARE
-    found: np.ndarray = np.flatnonzero(changed)
-    return found
+    changed |= np.linalg.norm(away[:, _POSITION], axis=1) > limit
+    changed |= np.linalg.norm(away[:, _DISPLACEMENT], axis=1) > limit
+    changed |= away[:, _KEY_WEIGHT] > CHANGED_SHARE
+    return np.asarray(np.flatnonzero(changed))
 
 
 def _span(limits: FloatArray) -> str:

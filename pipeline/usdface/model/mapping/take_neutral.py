@@ -1,4 +1,4 @@
-"""A take's neutral face against its performer's: what differs, and what that says."""
+"""Comparison of a take's neutral face with its performer's: offset, reapplied markers, identity."""
 
 from dataclasses import dataclass
 
@@ -15,36 +15,36 @@ from usdface.numerics.registration.marker_application import (
 )
 
 NEUTRAL_TOLERANCE_MM = 1.5
-"""Root mean square over markers of an expression in a neutral frame worth a word: half of a smile
-that moves the corners of the mouth by 8 mm."""
+"""Root mean square over markers of the expression in a neutral frame that is reported: half of a
+smile that moves the corners of the mouth by 8 mm."""
 
 LEAST_OFFSET_MM = 0.5
-"""Root mean square over markers below which no offset is taken out: matched expressions of one
-application differ by 0.1 to 0.3 mm."""
+"""Root mean square over markers from which an offset is removed: matched expressions of one
+application of the markers differ by 0.1 to 0.3 mm."""
 
 DISJOINT_SHARE = 0.02
-"""Of neighbouring pairs, whose distances have nothing in common where markers were put on again. Of
-one application there are none, and a single marker that slipped makes as many."""
+"""Share of neighbouring pairs with disjoint ranges of distance from which markers were reapplied:
+without, there are none; a single marker that slipped reaches this share."""
 
 SHORTEST_COMPARED_SECONDS = 10.0
-"""A shorter take may hold one expression, which no other take has: neither its distances nor its
-nearest frames tell where markers sit."""
+"""Shorter takes may consist of one expression that no other take has, and are not compared."""
 
 OTHER_SKULL = 0.04
-"""Stretch of one face against another, beyond which it is not one skull: breadth, height and depth
-of two adults' faces differ by 5 to 8 % (standard deviation)."""
+"""Largest stretch between faces of one performer: breadth, height and depth of adults' faces have
+standard deviations of 5 to 8 %."""
 
-_ERRORS_OF_STRETCH = 4.0
-"""Standard errors: markers put on at random stretch a face by so much in 1 of 16,000."""
+_CRITICAL_STRETCH_T = 4.0
+"""Standard errors of the stretch: randomly reapplied markers exceed them with p = 1 / 16,000."""
 
 MOST_REAPPLIED_MM = 8.0
-"""Root mean square shift beyond what putting markers on again explains: marks on the skin, or an
-eye for where they sat, are met within 2 to 4 mm."""
+"""Largest root mean square shift of reapplied markers: marks on the skin are met within 2 to 4 mm.
+"""
 
-_FEWEST_OF_A_FACE = 8
-"""Markers from which proportions of a face can be told."""
+_MIN_MARKERS = 8
+"""Fewest markers for an estimate of a face's proportions."""
 
 _LISTED_MARKERS = 4
+"""Markers of largest offset named in a note."""
 
 
 @dataclass(frozen=True)
@@ -53,18 +53,18 @@ class TakeNeutral:
 
     marker_names: tuple[str, ...]
     offset: FloatArray
-    """(markers, 3): the take's neutral face less the performer's: subtracted from the take [mm]."""
+    """(markers, 3): the take's neutral face minus the performer's; it is subtracted [mm]."""
     frame: int = 0
     stated_frame: int = 0
-    """`frame`, `stated_frame`: The frame most like the performer's neutral face, and the one that
+    """`frame`, `stated_frame`: The frame nearest to the performer's neutral face, and the one that
     the take states."""
     frame_mm: float = 0.0
     stated_mm: float = float("nan")
     """`frame_mm`, `stated_mm`: Distance of each from the neutral face after the offset, root mean
-    square [mm]; NaN where the stated frame was not looked at."""
+    square [mm]; NaN if the stated frame was not compared."""
     reapplied_share: float = float("nan")
-    """Of neighbouring pairs, whose distances have nothing in common with the performer's; NaN where
-    that was not measured, as in a take of less than ten seconds."""
+    """Share of neighbouring pairs whose ranges of distance are disjoint from the performer's; NaN
+    if not measured, as in takes of less than ten seconds."""
 
     @property
     def offset_mm(self) -> float:
@@ -73,7 +73,7 @@ class TakeNeutral:
 
     @property
     def is_reapplied(self) -> bool:
-        """Whether markers were put on again since the performer's take."""
+        """Whether markers were reapplied between the performer's take and this one."""
         return self.reapplied_share >= DISJOINT_SHARE
 
     @property
@@ -83,11 +83,11 @@ class TakeNeutral:
 
     @property
     def neutral_frame(self) -> int:
-        """The frame to take as neutral: the stated one, unless it is not neutral."""
+        """The stated frame if it is neutral, else the nearest."""
         return self.stated_frame if self.is_stated_neutral else self.frame
 
     def notes(self, take: str) -> tuple[str, ...]:
-        """Return what a person should know of the take's neutral face."""
+        """Return notes on the take's neutral face."""
         notes = []
         if self.offset.any():
             length = np.linalg.norm(self.offset, axis=1)
@@ -95,15 +95,15 @@ class TakeNeutral:
                 f"{self.marker_names[i]} {length[i]:.1f}"
                 for i in np.argsort(-length, kind="stable")[:_LISTED_MARKERS]
             ]
-            why = (
+            subject = (
                 f"the markers of {take} were put on again ({self.reapplied_share:.0%} of the "
-                "distances between neighbours have nothing in common): they sit"
+                "distances between neighbours have disjoint ranges): they are"
                 if self.is_reapplied
-                else f"at the same expression the markers of {take} sit"
+                else f"at the same expression the markers of {take} are"
             )
             notes.append(
-                f"{why} {self.offset_mm:.1f} mm (root mean square) from the performer's, "
-                f"{', '.join(worst)}; that is taken out of its frames"
+                f"{subject} {self.offset_mm:.1f} mm (root mean square) from the performer's, "
+                f"{', '.join(worst)}; this offset is subtracted from its frames"
             )
         if not self.is_stated_neutral:
             notes.append(
@@ -115,7 +115,7 @@ class TakeNeutral:
         return tuple(notes)
 
     def figures(self) -> dict[str, object]:
-        """Return the same as plain data."""
+        """Return the comparison as plain data."""
         length = np.linalg.norm(self.offset, axis=1)
         return {
             "offset_mm": round(self.offset_mm, 4),
@@ -139,19 +139,20 @@ def compare_neutral(
     performer: str = "",
     session: str = "",
 ) -> TakeNeutral:
-    """Find a take's neutral face, and whether its markers sit where the performer's did.
+    """Estimate a take's neutral face and its offset from the performer's.
 
     Parameters
     ----------
     positions : (frames, markers, 3) float array
         Frames spread over the take, in the face's marker order and head space [mm].
     usable : (frames, markers) bool array
+        Where a position was measured or repaired.
     frames : (frames,) int array
-        Their numbers.
+        Their frame numbers.
     rate : float
         Frames per second.
     performer, session : str
-        As the take says; empty where unknown. Of one session no marker was put on again.
+        Of the take; empty if unknown. Within a session, markers are not reapplied.
 
     Raises
     ------
@@ -185,23 +186,23 @@ def compare_neutral(
 
 
 def _check_performer(neutral: FloatArray, offset: FloatArray, seen: BoolArray) -> None:
-    """Refuse a face whose proportions are not the performer's."""
-    if seen.sum() < _FEWEST_OF_A_FACE:
+    """Refuse a face whose proportions differ from the performer's."""
+    if seen.sum() < _MIN_MARKERS:
         return
     other = neutral + offset
-    found = measure_stretch(neutral[seen], other[seen])
-    strain = np.abs(np.log(np.maximum(found.stretch, 1e-3)))
-    beyond = (strain > OTHER_SKULL) & (strain > _ERRORS_OF_STRETCH * found.error)
-    if not beyond.any() and found.left_mm <= MOST_REAPPLIED_MM:
+    fit = measure_stretch(neutral[seen], other[seen])
+    strain = np.abs(np.log(np.maximum(fit.stretch, 1e-3)))
+    beyond = (strain > OTHER_SKULL) & (strain > _CRITICAL_STRETCH_T * fit.error)
+    if not beyond.any() and fit.left_mm <= MOST_REAPPLIED_MM:
         return
-    worst = float(found.stretch[int(np.where(beyond, strain, 0.0).argmax())])
-    what = (
+    worst = float(fit.stretch[int(np.where(beyond, strain, 0.0).argmax())])
+    difference = (
         f"its face is {abs(worst - 1):.0%} {'larger' if worst > 1 else 'smaller'} in one direction"
         if beyond.any()
-        else f"its markers are {found.left_mm:.1f} mm (root mean square) away at the same "
-        f"expression; markers that are put on again are within {MOST_REAPPLIED_MM:g}"
+        else f"its markers are {fit.left_mm:.1f} mm (root mean square) away at the same "
+        f"expression; markers that are put on again are within {MOST_REAPPLIED_MM:g} mm"
     )
     raise InputError(
-        f"the take is of another performer: {what}. Give takes of one performer; if it is the "
-        "same one, say so at `usdface ingest --performer NAME` for every take"
+        f"the take is of another performer: {difference}. Give takes of one performer; if it is "
+        "the same one, ingest every take with `usdface ingest --performer NAME`"
     )

@@ -1,8 +1,8 @@
-"""Weights that move as faces do: smoothed over time, as a whole take or as frames arrive.
+"""Temporal smoothing of weights, over a whole take or causally.
 
-A mapping looks at one frame at a time. Smoothing its weights takes out what no face does, at a
-cut-off that keeps blinks; uncertain frames are interpolated from their neighbours. Ranges
-are constraints of the problem, not cut off afterwards.
+A mapping predicts each frame independently. Smoothing removes noise above a cut-off frequency that
+preserves blinks; frames are weighted by their uncertainty. Over a whole take, ranges are
+constraints of the minimisation.
 """
 
 import math
@@ -23,61 +23,64 @@ from usdface.numerics.solve.banded_smoothing import (
 )
 
 CUTOFF_HZ = 20.0
-"""Motion of this frequency is halved. Blinks lose less than .005 of their peak; at 12 Hz, .01."""
+"""Frequency whose amplitude is halved. Blinks lose less than .005 of their peak; at 12 Hz, .01."""
 
 CUTOFF_SHARE = 0.4
-"""[of the rate] Largest default cut-off: at half of the rate little would be smoothed, and frames
-hold no motion beyond it."""
+"""Largest default cut-off, relative to the rate; near the Nyquist frequency, .5, little changes."""
 
 LAG_FRAMES = 2
-"""Latency of the causal mode; with two frames it is nearly as good as the whole take."""
+"""Default latency of the causal mode, with nearly the accuracy of the whole take."""
 
 BAND_COUNT = 1
-"""Octaves left out by the paper's filter bank: at 60 frames per second one costs blinks .02 of
-their peaks, two .06, three .15."""
+"""Default number of octaves that the published filter bank removes: at 60 frames per second, peaks
+of blinks decrease by .02 with one, .06 with two, .15 with three."""
 
 MARGIN_FRAMES = 64
-"""Least margin of a window: what happens farther away does not change its frames."""
+"""Smallest margin of a window of frames."""
 
-_HALF_TRUST_MM = 1.0  # uncertainty at which a frame counts half: what is seen
-_LEAST_TRUST = 0.25  # a blink may be the frame that references know least
-_ROUNDING_SHARE = 1e-10  # of a change
+_HALF_WEIGHT_MM = 1.0
+"""Uncertainty of a frame of weight .5: about the smallest visible error."""
+
+_MIN_WEIGHT = 0.25
+"""Smallest weight of a frame: a blink may be the most uncertain frame."""
+
+_ROUNDING_SHARE = 1e-10
+"""Effect of a frame, relative to its change, that is neglected beyond the margin."""
 
 Mode = Literal["none", "whole", "causal", "bands"]
 
 
 @dataclass(frozen=True)
 class TemporalSolve:
-    """How weights are smoothed."""
+    """Settings of the smoothing."""
 
     mode: Mode = "none"
-    """Not at all; every frame by those before and after it; by those before it and `lag` frames
-    after; or as published, by a filter bank that ignores uncertainty and is limited last."""
+    """``none``: no smoothing. ``whole``: non-causal. ``causal``: with a latency of `lag` frames.
+    ``bands``: the published filter bank, which ignores uncertainty, clipped to the ranges."""
     cutoff_hz: float | None = None
-    """None for `CUTOFF_HZ`, or `CUTOFF_SHARE` of the rate where that is less."""
+    """None for the smaller of `CUTOFF_HZ` and `CUTOFF_SHARE` of the rate."""
     lag: int = LAG_FRAMES
     """Frames of latency of the causal mode."""
     bands: int = BAND_COUNT
-    """Finest octaves that the filter bank leaves out."""
+    """Number of highest octaves that the filter bank removes."""
 
     def cutoff_at(self, rate: float) -> float:
-        """Return the cut-off for frames of a rate [Hz]."""
+        """Return the cut-off at a frame rate [Hz]."""
         return min(CUTOFF_HZ, CUTOFF_SHARE * rate) if self.cutoff_hz is None else self.cutoff_hz
 
     def margin_at(self, rate: float) -> int:
-        """Return how many frames to solve on either side of those wanted.
+        """Return the number of frames that affect those of a window, on either side.
 
-        A change fades by exp(-(trust / penalty)^(1/4) / sqrt(2)) a frame: the lower the cut-off,
-        the farther it reaches.
+        The effect of a frame decays by ``exp(-(weight / penalty)^(1/4) / sqrt(2))`` per frame.
         """
         if self.mode == "none":
             return 0
         if self.mode == "bands":
             return max(MARGIN_FRAMES, filter_reach(self.bands))
-        # A cut-off out of bounds is refused where it is smoothed.
+        # `smooth_weights` refuses cut-offs out of bounds.
         cutoff = min(max(self.cutoff_at(rate), LEAST_CUTOFF_SHARE * rate), rate / 2)
         penalty = cutoff_penalty(cutoff, rate)
-        reach = -math.log(_ROUNDING_SHARE) * math.sqrt(2.0 * math.sqrt(penalty / _LEAST_TRUST))
+        reach = -math.log(_ROUNDING_SHARE) * math.sqrt(2.0 * math.sqrt(penalty / _MIN_WEIGHT))
         return max(MARGIN_FRAMES, math.ceil(reach))
 
 
@@ -91,14 +94,14 @@ def smooth_weights(
 ) -> FloatArray:
     """Smooth consecutive frames of a performance.
 
-    Time grows with the frames. A long take may be smoothed in windows: with `solve.margin_at` more
-    frames on either side, what comes out between them is the same to rounding.
+    Run time is linear in the frames. Smoothing a long take in windows, with `solve.margin_at` more
+    frames on either side, gives the same result to rounding.
 
     Parameters
     ----------
     weights : (frames, shapes) float array
     uncertainty_mm : (frames,) float array
-        Of the face [mm].
+        Uncertainty of the whole face [mm].
     ranges : (shapes, 2) float array
     rate : float
         Frames per second.
@@ -109,7 +112,7 @@ def smooth_weights(
         Within the ranges.
     """
     lower, upper = ranges[:, 0], ranges[:, 1]
-    trust = np.maximum(1 / (1 + (uncertainty_mm / _HALF_TRUST_MM) ** 2), _LEAST_TRUST)
+    trust = np.maximum(1 / (1 + (uncertainty_mm / _HALF_WEIGHT_MM) ** 2), _MIN_WEIGHT)
     if solve.mode == "none":
         return weights
     try:
@@ -124,7 +127,6 @@ def smooth_weights(
         smoother = FixedLagSmoother(weights.shape[1], penalty=penalty, lag=solve.lag)
     except ValueError as error:
         raise InputError(f"weights cannot be smoothed: {error}") from error
-    given = [smoother.push(row, float(each)) for row, each in zip(weights, trust, strict=True)]
-    known = [row for row in given if row is not None] + smoother.finish()
-    limited: FloatArray = np.clip(np.array(known).reshape(weights.shape), lower, upper)
-    return limited
+    pushed = [smoother.push(row, float(each)) for row, each in zip(weights, trust, strict=True)]
+    smoothed = [row for row in pushed if row is not None] + smoother.finish()
+    return np.asarray(np.clip(np.array(smoothed).reshape(weights.shape), lower, upper))

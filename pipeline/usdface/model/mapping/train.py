@@ -10,8 +10,8 @@ from usdface.core.progress import Progress, silent
 from usdface.core.rig_logic import logic_of
 from usdface.model.mapping.candidates import (
     Comparison,
-    PairFolds,
     OutOfFold,
+    PairFolds,
     choose_inflation,
     compare_candidates,
     list_candidates,
