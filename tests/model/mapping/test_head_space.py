@@ -98,7 +98,7 @@ def test_takes_that_cannot_be_mapped_say_what_to_do() -> None:
     with pytest.raises(InputError, match="has 2 of the mapping's 5 rigid markers, at least 3"):
         into_head_space(mapping, markers_of(face, names=few))
     inches = face.positions * 25.4
-    with pytest.raises(InputError, match=r"25.4 times as far .* another unit; .*--units"):
+    with pytest.raises(InputError, match=r"25.4 times those of .* another unit; .*--units"):
         into_head_space(mapping, markers_of(face, positions=inches.astype(np.float32)))
     larger = face.positions * 1.3
     with pytest.raises(InputError, match=r"distance is 1.3 times .* 0.769 times its --scale") as no:

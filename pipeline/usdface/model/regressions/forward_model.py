@@ -15,8 +15,8 @@ rig stay local. Each coordinate of a marker is a Gaussian process in t with cova
     noise     = sigma_k^2 + sum_s tau^2 (t_s^2 + 1/25) |E_sk|^2 / 3
 
 ``m_k``: mean squared motion of the marker, which makes eta dimensionless. The second term of the
-noise propagates the errors of the keys, which animators set by eye: standard deviation tau at a
-weight of 1, tau / 5 at 0. The scales (alpha, floor, eta, tau, curve, and sigma per marker) maximise
+noise propagates the errors of the keys, which animators set by eye: standard deviation about tau at
+a weight of 1, tau / 5 at 0. The scales (alpha, floor, eta, tau, curve, and sigma per marker) maximise
 the marginal likelihood of the references (Rasmussen and Williams 2006, eq. 5.8). Predictions,
 predictive variance and leave-one-out residuals have closed forms (eq. 2.25, 2.26 and 5.12). The
 motion of the rig's combination shapes is subtracted before (`driven_motion`).
@@ -86,7 +86,7 @@ class ForwardScales:
     """Parameter of `bend`."""
 
     def key_variance(self, targets: FloatArray) -> FloatArray:
-        """Return the variance of the keys' errors: (pairs, shapes), as the bent keys given."""
+        """Return the variance of the errors of bent keys: (pairs, shapes), as `targets`."""
         return np.asarray(self.tau**2 * (targets**2 + _ZERO_KEY_ERROR**2))
 
 
