@@ -84,26 +84,26 @@ class SkinRuler:
         weights, others : (frames, shapes) float arrays
             NaN where unknown.
         """
-        seen = weights.copy()
-        seen[:, self.left_out] = others[:, self.left_out]
-        return self._key_differences(seen, others)
+        skin_weights = weights.copy()
+        skin_weights[:, self.left_out] = others[:, self.left_out]
+        return self._key_differences(skin_weights, others)
 
     def _key_differences(self, weights: FloatArray, others: FloatArray) -> FloatArray:
         shapes = self.deformer.shapes
-        off = np.full((len(weights), shapes.key_offsets.shape[0]), np.nan)
+        differences = np.full((len(weights), shapes.key_offsets.shape[0]), np.nan)
         known = np.isfinite(weights).all(axis=1) & np.isfinite(others).all(axis=1)
-        off[known] = shapes.key_weights(weights[known]) - shapes.key_weights(others[known])
-        return off
+        differences[known] = shapes.key_weights(weights[known]) - shapes.key_weights(others[known])
+        return differences
 
     def unseen_mm(self, weights: FloatArray, others: FloatArray) -> dict[str, float]:
         """Return the surface error of each excluded part alone: mean over the frames [mm]."""
         errors = {}
         for name, columns in self.unseen.items():
-            seen = others.copy()
-            seen[:, columns] = weights[:, columns]
-            off = self._key_differences(seen, others)
-            off = off[np.isfinite(off).all(axis=1)]
-            errors[name] = measure_surface(off, self.grams[0]).mean_mm
+            part_weights = others.copy()
+            part_weights[:, columns] = weights[:, columns]
+            differences = self._key_differences(part_weights, others)
+            differences = differences[np.isfinite(differences).all(axis=1)]
+            errors[name] = measure_surface(differences, self.grams[0]).mean_mm
         return errors
 
 

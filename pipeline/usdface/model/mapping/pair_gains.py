@@ -8,7 +8,7 @@ estimates the relative excess of motion::
 
     c_ip = sum_k r_ik . m_ik / v_ik / sum_k |m_ik|^2 / v_ik    (about 1 / g_i - 1)
 
-A single wrong key has the same effect, but in its own part only. Upper and lower face share no
+A single wrong key has the same effect, but in one part only. Upper and lower face share no
 shape, so the covariance of their ``c`` over pairs estimates the variance of the gain. If it is
 significant, the gain of each pair is its best linear unbiased prediction (Robinson 1991,
 Statistical Science 6(1), 15-32), and its keys are divided by it. The mean gain of all pairs is 1.

@@ -161,9 +161,9 @@ def _outer_skin(
     parts = references.parts or references.shape_names
     length = np.linalg.norm(skin, axis=2)
     gaze, tongue = gaze_shapes(parts), length[tongue_shapes(parts)].max(axis=0, initial=0)
-    kept = length[gaze].max(axis=0, initial=0) <= np.delete(length, gaze, axis=0).max(axis=0)
-    kept &= tongue <= _TONGUE_SHARE * tongue.max(initial=0)
-    return skin[:, kept], None if rest is None else replace(rest, points=rest.points[kept])
+    is_skin = length[gaze].max(axis=0, initial=0) <= np.delete(length, gaze, axis=0).max(axis=0)
+    is_skin &= tongue <= _TONGUE_SHARE * tongue.max(initial=0)
+    return skin[:, is_skin], None if rest is None else replace(rest, points=rest.points[is_skin])
 
 
 def _pairs(references: References, face: Face) -> Pairs:

@@ -77,18 +77,19 @@ class DrivenMotion:
 
     def to_arrays(self) -> Arrays:
         """Return the combinations as arrays of a mapping, the input of `from_arrays`."""
-        names = [*self.logic.shapes, *(each.shape for each in self.logic.combinations)]
+        combinations = self.logic.combinations
+        names = [*self.logic.shapes, *(combination.shape for combination in combinations)]
         column = {name: index for index, name in enumerate(names)}
-        most = max(len(each.parts) for each in self.logic.combinations)
-        parts = np.full((len(self.motion), most), -1.0)
+        part_count = max(len(combination.parts) for combination in combinations)
+        parts = np.full((len(self.motion), part_count), -1.0)
         weights, modes = np.ones_like(parts), np.zeros(len(parts))
-        spans = np.zeros((*parts.shape, 2))  # all 0: those next to the in-between
-        for row, each in enumerate(self.logic.combinations):
-            count = len(each.parts)
-            parts[row, :count] = [column[part] for part in each.parts]
-            weights[row, :count] = each.part_weights
-            spans[row, :count] = each.spans or 0.0
-            modes[row] = COMBINATION_MODES.index(each.mode)
+        spans = np.zeros((*parts.shape, 2))  # all 0: spans follow from neighbouring in-betweens
+        for row, combination in enumerate(combinations):
+            count = len(combination.parts)
+            parts[row, :count] = [column[part] for part in combination.parts]
+            weights[row, :count] = combination.part_weights
+            spans[row, :count] = combination.spans or 0.0
+            modes[row] = COMBINATION_MODES.index(combination.mode)
         return {
             "driven_shapes": np.array([float(len(self.logic.shapes))]),
             "driven_parts": parts,

@@ -16,10 +16,10 @@ rig stay local. Each coordinate of a marker is a Gaussian process in t with cova
 
 ``m_k``: mean squared motion of the marker, which makes eta dimensionless. The second term of the
 noise propagates the errors of the keys, which animators set by eye: standard deviation about tau at
-a weight of 1, tau / 5 at 0. The scales (alpha, floor, eta, tau, curve, and sigma per marker) maximise
-the marginal likelihood of the references (Rasmussen and Williams 2006, eq. 5.8). Predictions,
-predictive variance and leave-one-out residuals have closed forms (eq. 2.25, 2.26 and 5.12). The
-motion of the rig's combination shapes is subtracted before (`driven_motion`).
+a weight of 1, tau / 5 at 0. The scales (alpha, floor, eta, tau, curve, and sigma per marker)
+maximise the marginal likelihood of the references (Rasmussen and Williams 2006, eq. 5.8).
+Predictions, predictive variance and leave-one-out residuals have closed forms (eq. 2.25, 2.26 and
+5.12). The motion of the rig's combination shapes is subtracted before (`driven_motion`).
 """
 
 from dataclasses import dataclass, replace

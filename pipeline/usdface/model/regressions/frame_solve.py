@@ -20,9 +20,9 @@ references and the regression determines the shape; where they disagree, the mar
     sd_s   = error_s^(1 - g'_s) spread_s^g'_s,    1 - g'_s = (1 - g_s) sum_k h_sk v_k
 
 ``expected_k``: variance due to noise, predictive variance and the regression's error. ``h_sk``:
-share of marker k in what the markers tell of shape s, with sum 1 over k. A shape whose markers are
-occluded is thus released to its spread. The transition takes one and a half decades of chi2, so
-that it adds no jitter.
+share of marker k in the information of the markers on shape s; its sum over k is 1. A shape with
+occluded markers is thus released to its spread. The transition takes one and a half decades of
+chi2, so that it adds no jitter.
 """
 
 from collections.abc import Callable
