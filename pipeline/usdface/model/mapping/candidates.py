@@ -82,6 +82,13 @@ class Comparison:
     """In ascending order of error."""
 
 
+@dataclass(frozen=True)
+class _Scored:
+    score: CandidateScore
+    candidate: Candidate
+    out_of_fold: OutOfFold
+
+
 class PairFolds:
     """Pairs in folds blocked by take and time, with a forward model of each training set."""
 
@@ -189,19 +196,19 @@ def compare_candidates(
     observable = observable_shapes([each.errors for each, _ in predictions], pairs.outputs)
     gram = pairs.face.gram if in_mm else None
     scored = [
-        (_score(candidate, predicted.errors, observable, gram), candidate, predicted)
+        _Scored(_score(candidate, predicted.errors, observable, gram), candidate, predicted)
         for predicted, candidate in predictions
     ]
-    scored.sort(key=lambda entry: _sort_key(entry[0]))
-    best, out_of_fold = candidates[0], None
-    if scored:
-        winner = scored[0]
-        default = next((entry for entry in scored if entry[1].method.name == AUTO[0]), winner)
-        errors = default[2].errors, winner[2].errors
-        if paired_t(*errors, pairs.face.gram, folds.blocks) <= _CRITICAL_T:
-            winner = default
-        best, out_of_fold = winner[1], winner[2]
-    return Comparison(best, out_of_fold, observable, tuple(score for score, _, _ in scored))
+    if not scored:
+        return Comparison(candidates[0], None, observable, ())
+    scored.sort(key=lambda entry: _sort_key(entry.score))
+    best = scored[0]
+    default = next((entry for entry in scored if entry.candidate.method.name == AUTO[0]), best)
+    errors = default.out_of_fold.errors, best.out_of_fold.errors
+    if paired_t(*errors, pairs.face.gram, folds.blocks) <= _CRITICAL_T:
+        best = default
+    scores = tuple(entry.score for entry in scored)
+    return Comparison(best.candidate, best.out_of_fold, observable, scores)
 
 
 def choose_inflation(

@@ -206,7 +206,7 @@ class WeightPredictor:
         return np.flatnonzero([name in parts for name in names])
 
     def _expected(self, solution: FrameSolution) -> FloatArray:
-        """Return posterior means of `_driving` [bent], under the keys' distribution as prior."""
+        """Return the posterior mean of the bent weights of `_driving`, with the keys as prior."""
         curve = self._solver.forward.scales.curve
         variance = np.einsum("fss->fs", solution.covariance(curve))[:, self._driving]
         keys, solved = (
