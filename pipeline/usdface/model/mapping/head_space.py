@@ -24,7 +24,7 @@ MINIMUM_RIGID = 3
 RIGID_TOLERANCE_MM = 5.0
 """Largest median distance of the rigid markers from the performer's after alignment."""
 
-ON_A_LINE = 0.02
+COLLINEAR_RATIO = 0.02
 """Second singular value of the rigid markers, relative to the first, up to which they are
 collinear: noise then determines the rotation about their line."""
 
@@ -32,7 +32,7 @@ _EXPLAINED_SHARE = 0.25
 """A scale explains the distances of the rigid markers if it reduces their median to less than this
 share."""
 
-OTHER_UNIT = 1.4
+UNIT_RATIO = 1.4
 """Ratio of sizes beyond that of any two heads, which differ by up to 20 % between adults and 33 %
 to a child; units differ by 2.5 or 10."""
 
@@ -241,7 +241,7 @@ def _rigid_transform(
     )
     target = rest[slots]
     breadth = np.linalg.svd(target - target.mean(axis=0), compute_uv=False)
-    if breadth[1] <= ON_A_LINE * breadth[0]:
+    if breadth[1] <= COLLINEAR_RATIO * breadth[0]:
         raise InputError(
             f"the take's rigid markers, {first_few(names)}, lie on a line, which leaves the "
             "rotation about it undetermined; name another of the mapping's rigid markers in the "
@@ -252,7 +252,7 @@ def _rigid_transform(
     if np.median(away) > RIGID_TOLERANCE_MM:
         sizes = [np.linalg.norm(each - each.mean(axis=0)) for each in (median, target)]
         size = float(sizes[0] / sizes[1])
-        if not 1 / OTHER_UNIT < size < OTHER_UNIT:
+        if not 1 / UNIT_RATIO < size < UNIT_RATIO:
             raise InputError(
                 f"the distances between the take's rigid markers are {size:.3g} times those of the "
                 "takes it is compared with: one of them is in another unit; ingest it again and "

@@ -18,7 +18,7 @@ NEUTRAL_TOLERANCE_MM = 1.5
 """Root mean square over markers of the expression in a neutral frame that is reported: half of a
 smile that moves the corners of the mouth by 8 mm."""
 
-LEAST_OFFSET_MM = 0.5
+MIN_OFFSET_MM = 0.5
 """Root mean square over markers from which an offset is removed: matched expressions of one
 application of the markers differ by 0.1 to 0.3 mm."""
 
@@ -29,14 +29,14 @@ without, there are none; a single marker that slipped reaches this share."""
 SHORTEST_COMPARED_SECONDS = 10.0
 """Shorter takes may consist of one expression that no other take has, and are not compared."""
 
-OTHER_SKULL = 0.04
+MAX_STRETCH = 0.04
 """Largest stretch between faces of one performer: breadth, height and depth of adults' faces have
 standard deviations of 5 to 8 %."""
 
 _CRITICAL_STRETCH_T = 4.0
 """Standard errors of the stretch: randomly reapplied markers exceed them with p = 1 / 16,000."""
 
-MOST_REAPPLIED_MM = 8.0
+MAX_REAPPLIED_MM = 8.0
 """Largest root mean square shift of reapplied markers: marks on the skin are met within 2 to 4 mm.
 """
 
@@ -165,7 +165,7 @@ def compare_neutral(
     if not same_session and not (performer and performer == face.performer):
         _check_performer(face.neutral, offset, np.asarray(usable.any(axis=0)))
     is_long = np.ptp(frames) >= SHORTEST_COMPARED_SECONDS * rate
-    if np.sqrt((offset**2).sum(axis=1).mean()) < LEAST_OFFSET_MM or not (is_long or other_session):
+    if np.sqrt((offset**2).sum(axis=1).mean()) < MIN_OFFSET_MM or not (is_long or other_session):
         offset = np.zeros_like(offset)
     share = float("nan")
     if is_long and not same_session:
@@ -192,15 +192,15 @@ def _check_performer(neutral: FloatArray, offset: FloatArray, seen: BoolArray) -
     other = neutral + offset
     fit = measure_stretch(neutral[seen], other[seen])
     strain = np.abs(np.log(np.maximum(fit.stretch, 1e-3)))
-    beyond = (strain > OTHER_SKULL) & (strain > _CRITICAL_STRETCH_T * fit.error)
-    if not beyond.any() and fit.left_mm <= MOST_REAPPLIED_MM:
+    beyond = (strain > MAX_STRETCH) & (strain > _CRITICAL_STRETCH_T * fit.error)
+    if not beyond.any() and fit.left_mm <= MAX_REAPPLIED_MM:
         return
     worst = float(fit.stretch[int(np.where(beyond, strain, 0.0).argmax())])
     difference = (
         f"its face is {abs(worst - 1):.0%} {'larger' if worst > 1 else 'smaller'} in one direction"
         if beyond.any()
         else f"its markers are {fit.left_mm:.1f} mm (root mean square) away at the same "
-        f"expression; markers that are put on again are within {MOST_REAPPLIED_MM:g} mm"
+        f"expression; markers that are put on again are within {MAX_REAPPLIED_MM:g} mm"
     )
     raise InputError(
         f"the take is of another performer: {difference}. Give takes of one performer; if it is "
