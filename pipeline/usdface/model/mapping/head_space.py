@@ -37,7 +37,7 @@ UNIT_RATIO = 1.4
 to a child; units differ by 2.5 or 10."""
 
 _SLIP_MM = 1.0
-"""Scale of the Student weights against rigid markers that slipped."""
+"""Scale of the Geman-McClure weights, which reject rigid markers that slipped."""
 
 _ALIGNMENT_ROUNDS = 10
 """Iteratively reweighted alignments."""
