@@ -1,1 +1,1 @@
-"""Markers to weights: trained on references, applied to takes."""
+"""Mapping from markers to weights: training on references, prediction for takes."""

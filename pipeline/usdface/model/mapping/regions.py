@@ -11,8 +11,16 @@ from usdface.core.arrays import FloatArray, IntArray
 from usdface.model.placement.label_hints import label_hint
 from usdface.numerics.measure.face_regions import points_by_region, shapes_by_region
 
+if TYPE_CHECKING:
+    from scipy import sparse
+
+    from usdface.model.regressions.base import Face
+
 FACE = "face"
 """Name of the first region, the whole face."""
+
+SKIN_POINTS = 1500
+"""Largest number of points in a sample of the surface."""
 
 _SEEN_SHARE = 0.1
 """Motion at a marker, relative to the largest of a region's shapes, from which the marker shows the
@@ -85,11 +93,13 @@ def unseen_regions(
     """
     if face.skin is None or face.rest is None or face.rest.markers is None:
         return ()
-    places = face.rest.markers[[label not in rigid for label in labels]]
-    if not len(places) or not np.isfinite(places).all():
+    positions = face.rest.markers[[label not in rigid for label in labels]]
+    if not len(positions) or not np.isfinite(positions).all():
         return ()
     hints = {label_hint(label).region for label in labels} - {""}
-    nearest = [int(np.linalg.norm(face.rest.points - each, axis=1).argmin()) for each in places]
+    nearest = [
+        int(np.linalg.norm(face.rest.points - position, axis=1).argmin()) for position in positions
+    ]
     length = np.linalg.norm(face.skin, axis=2)
     return tuple(
         region
@@ -98,15 +108,6 @@ def unseen_regions(
         and np.linalg.norm(length[shapes][:, nearest].max(axis=1))
         < _SEEN_SHARE * np.linalg.norm(length[shapes].max(axis=1))
     )
-
-
-if TYPE_CHECKING:
-    from scipy import sparse
-
-    from usdface.model.regressions.base import Face
-
-SKIN_POINTS = 1500
-"""Largest number of points in a sample of the surface."""
 
 
 def skin_points(offsets: FloatArray | sparse.sparray, *, count: int = SKIN_POINTS) -> IntArray:
