@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from usdface.core.errors import UsdfaceError as _UsdfaceError
-from usdface.core.plugin_path import announce_plugins
+from usdface.core.plugin_path import register_plugin_path
 from usdface.core.version import __version__
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ __all__ = [
 ]
 
 with contextlib.suppress(_UsdfaceError):  # what reads USD says it again, where somebody listens
-    announce_plugins()
+    register_plugin_path()
 
 
 def __getattr__(name: str) -> Any:

@@ -14,11 +14,11 @@ import pytest
 from usdface.core import write_lock
 from usdface.core.errors import InputError
 from usdface.core.replacing import (
-    appearing_together,
     check_not_written_since,
     creating,
     not_written_since,
     replacing,
+    replacing_group,
     replacing_together,
 )
 
@@ -333,7 +333,7 @@ def test_files_written_one_by_one_appear_together_and_others_at_once(tmp_path: P
             temporary.write_text("new")
 
     def write_all(*, failing: bool) -> None:
-        with appearing_together([top, samples]):
+        with replacing_group([top, samples]):
             for path in (samples, other, top):
                 write(path)
             assert [path.read_text() for path in (samples, top, other)] == ["old", "old", "new"]

@@ -190,7 +190,7 @@ _WRITE_REMEDY = (
 
 
 @contextlib.contextmanager
-def nobody_tunes(references: Path) -> Iterator[None]:
+def tuning_lock(references: Path) -> Iterator[None]:
     """Hold the tuning lock of a references asset while its pairs are written.
 
     Raises
@@ -208,9 +208,9 @@ def nobody_tunes(references: Path) -> Iterator[None]:
         lock.release()
 
 
-def check_nobody_tunes(references: Path) -> None:
-    """Raise the errors of `nobody_tunes` before the work begins."""
-    with nobody_tunes(references):
+def check_tuning_lock(references: Path) -> None:
+    """Raise the errors of `tuning_lock` before the work begins."""
+    with tuning_lock(references):
         pass
 
 

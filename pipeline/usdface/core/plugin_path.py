@@ -25,7 +25,7 @@ def plugin_folders() -> tuple[Path, ...]:
     return schema_folder(), PACKAGE / "usdio" / "checks"
 
 
-def announce_plugins() -> None:
+def register_plugin_path() -> None:
     """Add our folders to PXR_PLUGINPATH_NAME, of this process and its children."""
     known = os.environ.get("PXR_PLUGINPATH_NAME", "").split(os.pathsep)
     new = [folder for folder in map(str, plugin_folders()) if folder not in known]

@@ -97,7 +97,7 @@ _GROUP: ContextVar[_Group | None] = ContextVar("_GROUP", default=None)
 
 
 @contextmanager
-def appearing_together(paths: Iterable[Path]) -> Iterator[None]:
+def replacing_group(paths: Iterable[Path]) -> Iterator[None]:
     """Rename files that a block writes one by one at its end, all or none.
 
     In the order in which they were completed; other files are renamed at once.

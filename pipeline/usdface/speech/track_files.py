@@ -308,7 +308,7 @@ def read_origin(path: Path) -> dict[str, object] | None:
     return json_object(unquote(found.group(1))) if found else None
 
 
-def read_origin_beside(path: Path) -> dict[str, object] | None:
+def read_sidecar_origin(path: Path) -> dict[str, object] | None:
     """Return the provenance of HTK labels; None if they have been changed since."""
     if not origin_path(path).is_file():
         return None

@@ -3,7 +3,7 @@
 import os
 
 from usdface.core.errors import UsdfaceError
-from usdface.core.plugin_path import announce_plugins, plugin_folders
+from usdface.core.plugin_path import plugin_folders, register_plugin_path
 
 SCHEMA_VERSION = 1
 """Incremented when the meaning of an attribute changes; layers with newer ones are refused."""
@@ -11,7 +11,7 @@ SCHEMA_VERSION = 1
 
 def register_schemas() -> None:
     """Register schemas and validators with USD, in this process and its children."""
-    announce_plugins()
+    register_plugin_path()
     folders = list(map(str, plugin_folders()))
 
     from pxr import Plug, Usd

@@ -14,16 +14,16 @@ from usdface.usdio.rig.read import read_rig
 
 
 @pytest.mark.parametrize(
-    ("name", "eyes_put_in", "has_teeth"),
+    ("name", "has_stand_in_eyes", "has_teeth"),
     [("facecap_head", True, True), ("ict_face", True, False), ("ict_head", False, True)],
 )
 def test_heads_without_colours_are_read_as_faces(
-    shared_data: Path, name: str, eyes_put_in: bool, has_teeth: bool
+    shared_data: Path, name: str, has_stand_in_eyes: bool, has_teeth: bool
 ) -> None:
     rig = read_rig(shared_data / "rigs" / f"{name}.usdc")
     renderer = FaceRenderer(rig.meshes)
     surface = renderer.surface
-    assert surface.eyes_put_in is eyes_put_in
+    assert surface.has_stand_in_eyes is has_stand_in_eyes
     assert len(surface.eye_centers) == 2
     left, right = surface.eye_centers
     np.testing.assert_allclose(left * [-1, 1, 1], right, atol=0.5)

@@ -80,7 +80,7 @@ def test_balls_stay_where_they_are_in_a_blink() -> None:
 def test_renderer_says_that_eyes_were_put_in_and_a_blink_hides_them() -> None:
     face = head_with_holes()
     renderer = FaceRenderer([face])
-    assert renderer.eyes_put_in
+    assert renderer.has_stand_in_eyes
     camera = frame_rig([face])
     column, row = camera.project(np.array([[35.0, 25.0, 92.0]]), width=200, height=200)[0, :2]
     window = (slice(int(row) - 1, int(row) + 2), slice(int(column) - 1, int(column) + 2))
@@ -97,4 +97,4 @@ def test_renderer_says_that_eyes_were_put_in_and_a_blink_hides_them() -> None:
 
 def test_ball_without_lids_gets_no_eyes() -> None:
     assert fit_stand_in_eyes([sphere()]) is None
-    assert not FaceRenderer([sphere()]).eyes_put_in
+    assert not FaceRenderer([sphere()]).has_stand_in_eyes

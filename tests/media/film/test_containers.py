@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from usdface.core.errors import InputError
-from usdface.media.film.containers import open_media, words_of
+from usdface.media.film.containers import metadata_of, open_media
 from usdface.media.film.movie import write_movie
 
 HLS = "#EXTM3U\n#EXT-X-TARGETDURATION:10\n#EXTINF:9.0,\n%s\n#EXT-X-ENDLIST\n"
@@ -47,6 +47,6 @@ def test_words_that_are_no_text_can_be_printed(tmp_path: Path) -> None:
     write_movie(path, pictures, rate=Fraction(24), comment="said by a studio")
     path.write_bytes(path.read_bytes().replace(b"said by", b"s\xe9id\xff\xfey"))
     with open_media(path) as container:
-        said = words_of(container)["comment"]
+        said = metadata_of(container)["comment"]
     assert said == "s\ufffdid\ufffd\ufffdy a studio"
     said.encode("utf-8")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from usdface.core.assets import SolveBasis
-from usdface.model.review.verdict import SEEN_MM, SolveEvidence, judge_solve, worst_verdict
+from usdface.model.review.verdict import VISIBLE_ERROR_MM, SolveEvidence, judge_solve, worst_verdict
 
 REGIONS = ("face", "brows", "mouth")
 TUNED, PROPOSED = SolveBasis(50, 50), SolveBasis(30, 0, ("brows",))
@@ -23,11 +23,11 @@ def evidence(**values: float) -> SolveEvidence:
 @pytest.mark.parametrize(
     ("name", "value", "level"),
     [
-        ("uncertainty_mm", 0.49 * SEEN_MM, "good"),
-        ("uncertainty_mm", 0.51 * SEEN_MM, "check"),
-        ("uncertainty_mm", 1.01 * SEEN_MM, "bad"),
-        ("residual_mm", 0.51 * SEEN_MM, "check"),
-        ("residual_mm", 1.01 * SEEN_MM, "bad"),
+        ("uncertainty_mm", 0.49 * VISIBLE_ERROR_MM, "good"),
+        ("uncertainty_mm", 0.51 * VISIBLE_ERROR_MM, "check"),
+        ("uncertainty_mm", 1.01 * VISIBLE_ERROR_MM, "bad"),
+        ("residual_mm", 0.51 * VISIBLE_ERROR_MM, "check"),
+        ("residual_mm", 1.01 * VISIBLE_ERROR_MM, "bad"),
         ("coverage", 0.74, "check"),
         ("coverage", 0.49, "bad"),
     ],

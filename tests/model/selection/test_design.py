@@ -268,5 +268,5 @@ def test_the_deepest_hole_is_named_first() -> None:
 def test_a_hole_is_a_frame_of_which_more_than_a_quarter_is_left_to_guess() -> None:
     covered = np.array([1.0, 0.8, 0.76, 0.74, 0.1])
     found = Coverage(covered, (), np.zeros((5, 0)))
-    assert found.hole_share == pytest.approx(2 / 5)
+    assert found.uncovered_share == pytest.approx(2 / 5)
     assert found.share == pytest.approx(0.68)

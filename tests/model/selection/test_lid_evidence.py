@@ -119,7 +119,7 @@ def test_a_recorded_brow_take_shows_no_blinks(shared_data) -> None:
     assert left[:2] == ["eyeBlink_L", "eyeBlink_R"]
     assert len(left) == 10
     assert all(name.startswith("eyeLook") for name in left[2:])
-    assert equation.lids.seen.own_peaks.max() < 0.25
+    assert equation.lids.seen.independent_peaks.max() < 0.25
     np.testing.assert_array_equal(equation.gain, 1.0)
     weights = equation.propose(cleaned[::10])
     brows = [i for i, name in enumerate(rig.shapes) if name.startswith("brow")]

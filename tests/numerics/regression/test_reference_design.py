@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from usdface.core.arrays import first_smallest
-from usdface.numerics.regression.design_kernel import DesignKernel, left_over, predict_from
+from usdface.numerics.regression.design_kernel import DesignKernel, posterior_share, predict_from
 from usdface.numerics.regression.reference_design import (
     design_d_optimal,
     design_gp_variance,
@@ -128,8 +128,8 @@ def rows(count: int = 60) -> np.ndarray:
 def test_nothing_known_leaves_all_over_and_knowing_a_frame_leaves_its_noise() -> None:
     cloud = rows()
     kernel = DesignKernel.for_rows(cloud)
-    np.testing.assert_array_equal(left_over(kernel, cloud[:0], cloud, noise=1e-2), 1.0)
-    left = left_over(kernel, cloud[:1], cloud[:1], noise=1e-2)
+    np.testing.assert_array_equal(posterior_share(kernel, cloud[:0], cloud, noise=1e-2), 1.0)
+    left = posterior_share(kernel, cloud[:1], cloud[:1], noise=1e-2)
     prior = kernel.diagonal(cloud[:1])
     np.testing.assert_allclose(left, 1e-2 / (prior + 1e-2), rtol=1e-6)
 

@@ -96,14 +96,14 @@ def test_blinks_that_the_brow_does_not_predict_are_shown() -> None:
     evidence = shape_evidence(*lids_and_brow(blinks, fold=0.8), [0, 1], surface_mm=[9.5, 9.5])
     assert evidence.marked.all()
     assert evidence.shown
-    np.testing.assert_allclose(evidence.own_peaks, 0.6, atol=0.1)
+    np.testing.assert_allclose(evidence.independent_peaks, 0.6, atol=0.1)
 
 
 def test_winks_of_one_eye_are_shown() -> None:
     blinks = np.zeros((400, 2))
     blinks[::9, 0] = 0.6
     evidence = shape_evidence(*lids_and_brow(blinks, fold=0.8), [0, 1], surface_mm=[9.5, 9.5])
-    assert evidence.own_peaks.mean() < 0.4
+    assert evidence.independent_peaks.mean() < 0.4
     assert evidence.alone.tolist() == [True, False]
     assert evidence.shown
 
@@ -122,7 +122,7 @@ def test_lids_that_follow_the_brow_show_no_blink() -> None:
     )
     assert evidence.marked.all()
     assert not evidence.shown
-    assert evidence.own_peaks.max() < 0.1
+    assert evidence.independent_peaks.max() < 0.1
 
 
 def test_a_marker_beside_the_lid_does_not_mark_it() -> None:
@@ -131,7 +131,7 @@ def test_a_marker_beside_the_lid_does_not_mark_it() -> None:
     deltas, motion = lids_and_brow(blinks, fold=0.0)
     evidence = shape_evidence(deltas, motion, [0, 1], surface_mm=[9.5, 40.0])
     assert evidence.marked.tolist() == [True, False]
-    assert evidence.own_peaks[1] == pytest.approx(9.5 / 40.0, abs=0.05)
+    assert evidence.independent_peaks[1] == pytest.approx(9.5 / 40.0, abs=0.05)
 
 
 def test_an_effective_size_leaves_out_points_that_stay() -> None:

@@ -48,7 +48,7 @@ def test_coverage_as_a_command_is_what_select_said(shot: Shot) -> None:
     told = execute(
         coverage_spec(shot, "shot.clean.take.usda", references=shot / "new.references.usda")
     )
-    for name in ("coverage", "coverage_by_region", "hole_share", "growth", "next"):
+    for name in ("coverage", "coverage_by_region", "uncovered_share", "growth", "next"):
         assert told.figures[name] == said[name]
     assert told.figures["of_other_takes"] == 0
     assert f"frame {said['next'][0]['frame']} of shot, coverage would" in told.notes[0]

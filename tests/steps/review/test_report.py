@@ -26,7 +26,7 @@ from usdface.media.page.report_page import (
     WeightCurves,
     build_page,
 )
-from usdface.model.review.verdict import OPENINGS
+from usdface.model.review.verdict import VERDICT_WORDS
 from usdface.runner.execute import execute
 from usdface.runner.result import StepResult
 from usdface.specs.review import EvaluateSpec, ReportSpec
@@ -180,7 +180,7 @@ def test_the_page_is_worked_by_keyboard_and_by_address(keyed: tuple[Shot, StepRe
         still = "document.querySelector('#worst canvas').getContext('2d')"
         drawn = f"new Set({still}.getImageData(0, 0, 128, 128).data).size"
         assert page.evaluate(drawn) > 50, "the moments have no pictures"
-        assert page.inner_text("#verdict").split(":")[0] in OPENINGS.values()
+        assert page.inner_text("#verdict").split(":")[0] in VERDICT_WORDS.values()
         page.keyboard.press(" ")
         assert (
             page.evaluate("document.getElementById('play').getAttribute('aria-label')") == "Pause"

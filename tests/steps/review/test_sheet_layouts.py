@@ -19,7 +19,7 @@ from usdface.media.picture.display_view import display_view
 from usdface.media.picture.image import read_image_metadata
 from usdface.media.picture.sheet import Tile
 from usdface.model.mapping.evaluation import SkinRuler
-from usdface.model.review.verdict import OPENINGS
+from usdface.model.review.verdict import VERDICT_WORDS
 from usdface.runner.execute import execute
 from usdface.specs.edits import EditSpec
 from usdface.specs.review import ReportSpec, SheetSpec
@@ -172,7 +172,7 @@ def test_uncertainty_is_drawn_below_the_errors(shot: Shot, monkeypatch) -> None:
     curve, covered = pages[0].curves
     assert (curve.label, covered.label) == ("uncertainty", "motion not covered")
     assert (pages[0].high, pages[0].comparable) == (3.0, False)
-    assert pages[0].verdict[0] in OPENINGS
+    assert pages[0].verdict[0] in VERDICT_WORDS
     np.testing.assert_array_equal(
         curve.values, read_performance(shot / "shot.hero.usda").uncertainty_mm[:, 0]
     )

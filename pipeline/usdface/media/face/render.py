@@ -54,9 +54,9 @@ class FaceRenderer:
         return self._surface
 
     @property
-    def eyes_put_in(self) -> bool:
+    def has_stand_in_eyes(self) -> bool:
         """Whether stand-in eyes were added to a rig with lids and no eyes."""
-        return self._surface.eyes_put_in
+        return self._surface.has_stand_in_eyes
 
     def render(
         self,

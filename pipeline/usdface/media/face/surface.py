@@ -76,7 +76,7 @@ class Surface:
     """Height of the drawn surface at rest [mm]; scales the reach of occlusion."""
     outward: float
     """+1 if normals point out of the head, -1 if the winding is reversed."""
-    eyes_put_in: bool
+    has_stand_in_eyes: bool
     """Whether stand-in eyes were added."""
 
     def normals_at(self, fine: FloatArray) -> FloatArray:
@@ -146,7 +146,7 @@ def build_surface(meshes: Sequence[RigMesh]) -> Surface:
         ).reshape(-1, 3),
         size=float(max(np.ptp(rest[:, 1]), 1e-6)),
         outward=exposure.outward,
-        eyes_put_in=stand_ins is not None,
+        has_stand_in_eyes=stand_ins is not None,
     )
 
 

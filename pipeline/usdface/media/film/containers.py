@@ -44,7 +44,7 @@ def open_media(path: Path) -> Any:
         raise unreadable(path, error) from error
 
 
-def words_of(holder: Any) -> dict[str, str]:
+def metadata_of(holder: Any) -> dict[str, str]:
     """Return metadata of a container or stream by lower-case key; invalid bytes as ``?``."""
     return {
         str(key).lower(): str(value).encode("utf-8", "surrogateescape").decode("utf-8", "replace")

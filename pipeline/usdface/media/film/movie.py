@@ -13,7 +13,7 @@ from usdface.core.arrays import ByteImage, Float32Array
 from usdface.core.errors import InputError
 from usdface.core.rates import frames_of
 from usdface.core.replacing import replacing
-from usdface.media.film.containers import open_media, words_of
+from usdface.media.film.containers import metadata_of, open_media
 
 _H264 = ("libx264", "libopenh264", "h264_videotoolbox", "h264_mf")
 _OPTIONS = {
@@ -120,7 +120,7 @@ def movie_format(file: Path) -> str:
 def read_movie_comment(file: Path) -> str:
     """Return the comment stored by `write_movie`; empty if there is none."""
     with open_media(file) as container:
-        return words_of(container).get("comment", "")
+        return metadata_of(container).get("comment", "")
 
 
 def video_encoder(container_format: str) -> str:

@@ -18,10 +18,10 @@ from usdface.core.arrays import ByteImage, FloatArray, IntArray
 from usdface.core.errors import InputError
 from usdface.media.film.containers import (
     MAX_PIXELS,
+    metadata_of,
     open_media,
     start_seconds,
     unreadable,
-    words_of,
 )
 
 MAX_FRAMES = 5_000_000
@@ -269,7 +269,7 @@ def _upright(frame: Any) -> ByteImage:
 
 def _timecode(container: Any) -> str:
     for holder in (container, *container.streams):
-        if timecode := words_of(holder).get("timecode"):
+        if timecode := metadata_of(holder).get("timecode"):
             return timecode
     return ""
 
@@ -281,7 +281,7 @@ _FOCAL_LENGTHS = (8.0, 2000.0)
 def _focal_length(container: Any) -> float | None:
     """Return the 35 mm equivalent focal length that phones write under various keys, or None."""
     for holder in (container, *container.streams):
-        for key, value in words_of(holder).items():
+        for key, value in metadata_of(holder).items():
             if "focal_length" in key and "35mm" in key:
                 try:
                     stated = float(value)

@@ -158,7 +158,7 @@ def pack_face(
         "bands": [_band(band) for band in surface.bands],
         "camera": _camera(camera or frame_rig(rig.meshes, hair=True)),
         "size": round(surface.size, 3),
-        "eyesPutIn": surface.eyes_put_in,
+        "eyesPutIn": surface.has_stand_in_eyes,
         "carriers": 0 if shares is None else shares.shape[1],
     }
     return _joined(header, arrays)

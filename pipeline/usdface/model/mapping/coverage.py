@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
-from usdface.numerics.regression.design_kernel import KEY_VARIANCE, DesignKernel, left_over
+from usdface.numerics.regression.design_kernel import KEY_VARIANCE, DesignKernel, posterior_share
 
 UNCOVERED_SHARE = 0.25
 """``sqrt(v)`` from which a frame counts as not covered."""
@@ -86,7 +86,7 @@ class CoverageModel:
         for column, region in enumerate(self._regions):
             if region is not None:
                 rows = displacements[:, region.markers].reshape(len(displacements), -1)
-                share = left_over(region.kernel, region.pairs, rows, noise=KEY_VARIANCE)
+                share = posterior_share(region.kernel, region.pairs, rows, noise=KEY_VARIANCE)
                 covered[:, column] = 1 - np.sqrt(share)
         return covered
 

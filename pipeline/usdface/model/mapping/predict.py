@@ -46,7 +46,7 @@ class Prediction:
     where no marker of the region is visible."""
     regions: tuple[str, ...]
     """Regions of the face, the whole face first."""
-    left_mm: Float32Array
+    residuals_mm: Float32Array
     """(frames, markers, 3): residual, the displacement of a marker minus the forward model's; 0
     where it is not visible [mm]."""
     few_markers: BoolArray

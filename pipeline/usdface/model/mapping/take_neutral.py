@@ -193,13 +193,13 @@ def _check_performer(neutral: FloatArray, offset: FloatArray, seen: BoolArray) -
     fit = measure_stretch(neutral[seen], other[seen])
     strain = np.abs(np.log(np.maximum(fit.stretch, 1e-3)))
     beyond = (strain > MAX_STRETCH) & (strain > _CRITICAL_STRETCH_T * fit.error)
-    if not beyond.any() and fit.left_mm <= MAX_REAPPLIED_MM:
+    if not beyond.any() and fit.residual_mm <= MAX_REAPPLIED_MM:
         return
     worst = float(fit.stretch[int(np.where(beyond, strain, 0.0).argmax())])
     difference = (
         f"its face is {abs(worst - 1):.0%} {'larger' if worst > 1 else 'smaller'} in one direction"
         if beyond.any()
-        else f"its markers are {fit.left_mm:.1f} mm (root mean square) away at the same "
+        else f"its markers are {fit.residual_mm:.1f} mm (root mean square) away at the same "
         f"expression; markers that are put on again are within {MAX_REAPPLIED_MM:g} mm"
     )
     raise InputError(

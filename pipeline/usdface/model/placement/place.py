@@ -28,9 +28,9 @@ from usdface.numerics.registration.skin_placement import (
     SkinPlacement,
     explained_share,
     fit_in_plane,
-    in_character,
     place_on_skin,
     solve_weights_at,
+    to_character,
 )
 from usdface.numerics.registration.virtual_markers import VirtualMarkers
 
@@ -369,7 +369,7 @@ def _value(scene: _Scene, start: _Start, frame: FloatArray, levelled: FloatArray
     value = LANDMARK_VALUE * match_landmarks(places, scene.features).score
     value -= _WARP_COST * float(away.mean()) / skin.size_mm + size_cost(fit, scene.usual_scale)
     if motion is not None:
-        moved = in_character(motion @ start.frame.T, placement.fit)
+        moved = to_character(motion @ start.frame.T, placement.fit)
         weights = solve_weights_at(skin, placement.samples, moved, scene.ranges)
         value += motion_value(explained_share(skin, placement.samples, moved, weights))
     return value

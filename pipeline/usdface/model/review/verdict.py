@@ -3,8 +3,8 @@
 Every frame is graded in each region by coverage, uncertainty and residual (distance of the markers
 from the solve, less that at the references); with keys, by the error against them instead::
 
-    bad     coverage below 1/2, or a figure in millimetres above SEEN_MM
-    check   coverage below 3/4, or a figure in millimetres above half of SEEN_MM
+    bad     coverage below 1/2, or a figure in millimetres above VISIBLE_ERROR_MM
+    check   coverage below 3/4, or a figure in millimetres above half of VISIBLE_ERROR_MM
     good    otherwise
 
 A take is bad if more than `_BAD_SHARE` of its frames are bad in some region, or if more than
@@ -26,7 +26,7 @@ from usdface.core.assets import SolveBasis
 from usdface.core.text import first_few
 from usdface.model.mapping.coverage import UNCOVERED_SHARE
 
-SEEN_MM = 1.0
+VISIBLE_ERROR_MM = 1.0
 """Clearly visible error of a region: five pixels if a face of 220 mm fills 1080 lines. A pixel is
 one minute of arc at HDTV's design viewing distance (ITU-R BT.1845)."""
 
@@ -45,7 +45,7 @@ _BAD_SHARE = 0.5
 
 _PAIR_ADVICE = "pair these shapes (`usdface names`, --names), then retarget again"
 
-OPENINGS = {"good": "Good", "check": "Check", "bad": "Do not use"}
+VERDICT_WORDS = {"good": "Good", "check": "Check", "bad": "Do not use"}
 """First words of the verdict by level, the best level first."""
 
 
@@ -104,8 +104,8 @@ class SolveEvidence:
 
 def judge_solve(evidence: SolveEvidence) -> SolveVerdict:
     """Return the verdict that sheets, reports, movies and messages show."""
-    doubtful = evidence.exceeds(SEEN_MM / 2, UNCOVERED_SHARE)
-    bad = evidence.exceeds(SEEN_MM, _UNCOVERED_BAD_SHARE)
+    doubtful = evidence.exceeds(VISIBLE_ERROR_MM / 2, UNCOVERED_SHARE)
+    bad = evidence.exceeds(VISIBLE_ERROR_MM, _UNCOVERED_BAD_SHARE)
     if not bad:
         return _judge_without_figures(evidence)
     proposals = _mostly_proposals(evidence)
@@ -127,7 +127,7 @@ def judge_solve(evidence: SolveEvidence) -> SolveVerdict:
         parts.append(f"{_list_limits(beyond, columns)}: {_list_regions(where)}")
     return SolveVerdict(
         level,
-        f"{OPENINGS[level]}: {'; '.join(filter(None, parts))}",
+        f"{VERDICT_WORDS[level]}: {'; '.join(filter(None, parts))}",
         _PAIR_ADVICE if lost else _advice(evidence, level, where, proposals),
         {
             "level": level,
@@ -147,7 +147,7 @@ def _judge_without_figures(evidence: SolveEvidence) -> SolveVerdict:
         share = round(evidence.unfollowed_share, 4)
         return SolveVerdict(
             "bad",
-            f"{OPENINGS['bad']}: {evidence.retarget}: {share:.0%} of the source's motion",
+            f"{VERDICT_WORDS['bad']}: {evidence.retarget}: {share:.0%} of the source's motion",
             _PAIR_ADVICE,
             {"level": "bad", "unfollowed_share": share},
         )
@@ -155,7 +155,8 @@ def _judge_without_figures(evidence: SolveEvidence) -> SolveVerdict:
         source = evidence.bad_source
         return SolveVerdict(
             "bad",
-            f"{OPENINGS['bad']}: {evidence.retarget}; its source, {source}, has that verdict too",
+            f"{VERDICT_WORDS['bad']}: {evidence.retarget}; its source, {source}, has that verdict "
+            "too",
             f"correct {source} (`usdface validate` gives the reason), then retarget again",
             {"level": "bad", "source": source},
         )
@@ -163,24 +164,24 @@ def _judge_without_figures(evidence: SolveEvidence) -> SolveVerdict:
         what = evidence.retarget or "weights of another solver"
         return SolveVerdict(
             "check",
-            f"{OPENINGS['check']}: {what}; the error is not known without keys",
+            f"{VERDICT_WORDS['check']}: {what}; the error is not known without keys",
             ("compare with the video, or " if evidence.has_video else "")
             + "measure against keys (--against)",
         )
     return SolveVerdict(
         "check",
-        f"{OPENINGS['check']}: this solve has no record of its references or its error",
+        f"{VERDICT_WORDS['check']}: this solve has no record of its references or its error",
         "map it with this version, or measure it against keys (--against)",
     )
 
 
 def worst_verdict(verdicts: Mapping[str, SolveVerdict]) -> SolveVerdict:
     """Return the worst of several verdicts, with the name of its solve if there are several."""
-    levels = list(OPENINGS)
+    levels = list(VERDICT_WORDS)
     name, worst = max(verdicts.items(), key=lambda each: levels.index(each[1].level))
     if len(verdicts) == 1:
         return worst
-    opening = OPENINGS[worst.level]
+    opening = VERDICT_WORDS[worst.level]
     sentence = worst.sentence.replace(opening, f"{opening} ({name})", 1)
     return replace(worst, sentence=sentence, figures=worst.figures | {"of": name})
 
@@ -193,7 +194,7 @@ def _mostly_proposals(evidence: SolveEvidence) -> bool:
 
 def _is_covered(evidence: SolveEvidence) -> bool:
     """Whether the references cover most frames, so that only their weights may be wrong."""
-    beyond = replace(evidence, uncertainty_mm=None).exceeds(SEEN_MM, _UNCOVERED_BAD_SHARE)
+    beyond = replace(evidence, uncertainty_mm=None).exceeds(VISIBLE_ERROR_MM, _UNCOVERED_BAD_SHARE)
     return bool(beyond) and _frame_share(beyond) <= _BAD_SHARE
 
 
@@ -290,7 +291,7 @@ def _residual(evidence: SolveEvidence) -> str:
     if evidence.residual_mm is None or evidence.error_mm is not None:
         return ""
     face = float(np.sqrt((evidence.residual_mm[:, 0] ** 2).mean()))
-    return f"residual {face:.1f} mm" if face > SEEN_MM / 2 else ""
+    return f"residual {face:.1f} mm" if face > VISIBLE_ERROR_MM / 2 else ""
 
 
 def _advice(evidence: SolveEvidence, level: str, where: dict[str, float], proposals: bool) -> str:

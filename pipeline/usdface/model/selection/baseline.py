@@ -96,7 +96,9 @@ class LidEvidence:
             )
         gaze = ", and so does gaze" if self.gaze else ""
         if self.misled:
-            own = max(int(100 * self.seen.own_peaks[marked].mean()), 0)  # never the limit itself
+            own = max(
+                int(100 * self.seen.independent_peaks[marked].mean()), 0
+            )  # never the limit itself
             return (
                 f"the markers show no blinks: of a full blink, {own}% is in the lids' "
                 f"markers beyond what goes with brows and cheeks (from {FULL_SHARE:.0%} on it "

@@ -143,7 +143,7 @@ class Coverage:
         return float(self.covered.mean())
 
     @property
-    def hole_share(self) -> float:
+    def uncovered_share(self) -> float:
         """Share of uncovered frames [0-1]."""
         return float((self.covered < 1 - UNCOVERED_SHARE).mean())
 

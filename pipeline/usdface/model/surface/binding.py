@@ -26,7 +26,7 @@ from usdface.numerics.registration.marker_binding import (
 )
 from usdface.numerics.registration.motion_correspondence import place_by_motion
 from usdface.numerics.registration.surface_places import (
-    SurfacePlaces,
+    SurfacePoints,
     nearest_places,
     places_of_corners,
 )
@@ -114,7 +114,7 @@ def propose_binding(
         raise InputError(f"the markers cannot be placed on <{mesh.path}>: {error}") from error
 
 
-def _by_shapes(mesh: RigMesh, cloud: MarkerCloud, pins: dict[int, FloatArray]) -> SurfacePlaces:
+def _by_shapes(mesh: RigMesh, cloud: MarkerCloud, pins: dict[int, FloatArray]) -> SurfacePoints:
     names = tuple(shape.name for shape in mesh.shapes)
     ranges = np.tile([0.0, 1.0], (len(names), 1))
     deformer = Deformer(Rig(Path(), mesh.path, names, (mesh,), ranges))
@@ -124,7 +124,7 @@ def _by_shapes(mesh: RigMesh, cloud: MarkerCloud, pins: dict[int, FloatArray]) -
     return places_of_corners(mesh.face_counts, mesh.face_indices, virtual.points, virtual.weights)
 
 
-def _by_landmarks(mesh: RigMesh, neutral: FloatArray, pins: dict[int, FloatArray]) -> SurfacePlaces:
+def _by_landmarks(mesh: RigMesh, neutral: FloatArray, pins: dict[int, FloatArray]) -> SurfacePoints:
     markers = list(pins)
     targets = np.array([pins[marker] for marker in markers])
     start = align_landmarks(neutral[markers], targets)
@@ -139,12 +139,12 @@ def _by_landmarks(mesh: RigMesh, neutral: FloatArray, pins: dict[int, FloatArray
 
 
 def _prefer_nearest(
-    mesh: RigMesh, near: SurfacePlaces, sampled: SurfacePlaces, *, spacing: float
-) -> SurfacePlaces:
+    mesh: RigMesh, near: SurfacePoints, sampled: SurfacePoints, *, spacing: float
+) -> SurfacePoints:
     """Replace a sample by the nearest point of the mesh, unless that is on other skin."""
     distance = np.linalg.norm(near.positions(mesh.points) - sampled.positions(mesh.points), axis=1)
     same = distance < 2 * spacing
-    return SurfacePlaces(
+    return SurfacePoints(
         np.where(same, near.faces, sampled.faces),
         np.where(same[:, None], near.corners, sampled.corners),
         np.where(same[:, None], near.weights, sampled.weights),
@@ -201,7 +201,7 @@ def _facing(
     return facing
 
 
-def _pin(mesh: RigMesh, places: SurfacePlaces, pins: dict[int, FloatArray]) -> SurfacePlaces:
+def _pin(mesh: RigMesh, places: SurfacePoints, pins: dict[int, FloatArray]) -> SurfacePoints:
     if not pins:
         return places
     markers = list(pins)
@@ -215,7 +215,7 @@ def _pin(mesh: RigMesh, places: SurfacePlaces, pins: dict[int, FloatArray]) -> S
 
 def bind_at(
     mesh: RigMesh,
-    places: SurfacePlaces,
+    places: SurfacePoints,
     names: tuple[str, ...],
     *,
     neutral: FloatArray,
@@ -252,7 +252,7 @@ def bind_at(
     )
 
 
-def _distances_between(mesh: RigMesh, places: SurfacePlaces, at: FloatArray) -> FloatArray:
+def _distances_between(mesh: RigMesh, places: SurfacePoints, at: FloatArray) -> FloatArray:
     """Return geodesic distances between markers, which are large across the lips.
 
     On meshes of more than `_MOST_POINTS` points they are Euclidean.

@@ -10,7 +10,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.text import pluralize
 from usdface.numerics.registration.marker_binding import FEWEST_MARKERS
-from usdface.numerics.registration.surface_places import SurfacePlaces
+from usdface.numerics.registration.surface_places import SurfacePoints
 from usdface.numerics.surface.geodesic import Metric, euclidean_distances, geodesic_distances
 from usdface.numerics.surface.surface_graph import MeshFaults
 
@@ -114,7 +114,7 @@ def surface_distances(
     points: FloatArray,
     face_counts: IntArray,
     face_indices: IntArray,
-    markers: SurfacePlaces,
+    markers: SurfacePoints,
     *,
     metric: Metric = "dijkstra",
     progress: Progress = silent,
@@ -127,7 +127,7 @@ def surface_distances(
         The mesh at rest [mm].
     face_counts, face_indices : int arrays
         Polygons as USD stores them.
-    markers : SurfacePlaces
+    markers : SurfacePoints
         M places on the mesh.
     metric : {'dijkstra', 'dijkstra-diagonals', 'heat'}
         Shortest paths along edges, as in the paper; along edges and diagonals; the heat method.
@@ -177,7 +177,7 @@ def surface_distances(
 
 def unpack_distances(
     points: FloatArray,
-    markers: SurfacePlaces,
+    markers: SurfacePoints,
     *,
     metric: Metric,
     arrays: Mapping[str, CacheArray],

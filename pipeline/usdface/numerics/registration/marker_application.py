@@ -208,7 +208,7 @@ class CloudStretch:
     """(3,): along the principal axes of the stretch; 1 where the faces are alike."""
     error: FloatArray
     """(3,): standard error of each, from the residual."""
-    left_mm: float
+    residual_mm: float
     """Root mean square residual over the markers [mm]."""
 
 

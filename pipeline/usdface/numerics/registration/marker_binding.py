@@ -11,7 +11,7 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray
 from usdface.numerics.registration.cloud_alignment import align_landmarks
-from usdface.numerics.registration.surface_places import SurfacePlaces
+from usdface.numerics.registration.surface_places import SurfacePoints
 
 FEWEST_MARKERS = 4
 """An affine map has four unknown points."""
@@ -29,7 +29,7 @@ class MarkerBinding:
 
     names: tuple[str, ...]
     """Of the markers."""
-    places: SurfacePlaces
+    places: SurfacePoints
     """Marker by marker."""
     confidence: FloatArray
     """(markers,) [0-1]; 1 where a person set the place."""

@@ -13,7 +13,7 @@ from scipy.spatial.distance import cdist
 
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.numerics.registration.cloud_alignment import Alignment, align_pairs
-from usdface.numerics.registration.skin_placement import belief_moments
+from usdface.numerics.registration.skin_placement import posterior_moments
 from usdface.numerics.solve.bounded_least_squares import solve_bounded_least_squares
 
 _SEARCH_RADII = (0.22, 0.20, 0.17, 0.14, 0.12, 0.10, 0.09, 0.08, 0.07, 0.06, 0.05, 0.05)
@@ -117,8 +117,8 @@ def _motion_evidence(
     The Gaussian likelihood, as posterior over prior: for markers that hardly move the variance is
     large.
     """
-    mean_before, wide = belief_moments(before, skin)
-    mean_after, narrow = belief_moments(after, skin)
+    mean_before, wide = posterior_moments(before, skin)
+    mean_after, narrow = posterior_moments(after, skin)
     narrow = np.minimum(narrow, 0.9 * wide)
     mean = mean_before + (mean_after - mean_before) * (wide / (wide - narrow))[:, None]
     return mean, narrow * wide / (wide - narrow)

@@ -23,9 +23,9 @@ from usdface.numerics.registration.skin_placement import (
     MODEL_ERROR_SHARE,
     PlaneFit,
     explained_share,
-    in_character,
     pitch_rotation,
     solve_weights_at,
+    to_character,
 )
 
 LANDMARK_VALUE = 0.4
@@ -169,7 +169,7 @@ class _Search:
         skin, turn = self._skin, np.array([yaw, 1.0, yaw])
         placed = fit.apply(self._levelled * turn)
         away, near = map(np.asarray, self._tree.query(placed))
-        paths = in_character(self._motion * turn, fit)
+        paths = to_character(self._motion * turn, fit)
         weights = solve_weights_at(skin, near, paths, self._ranges)
         distance = np.sqrt(np.mean(np.minimum(away, _FARTHEST_MM) ** 2)) / skin.size_mm
         matched = match_landmarks(placed, self._landmarks, proportion_mm=_SEARCH_PROPORTION_MM)

@@ -197,7 +197,7 @@ def place_on_skin(
     unit = skin.size_mm / TYPICAL_SIZE_MM
     aligned = fit.apply(levelled)
     tree = KDTree(skin.positions)
-    paths = None if motion is None else in_character(motion, fit)
+    paths = None if motion is None else to_character(motion, fit)
     warped = aligned.copy()
     weights = None
     named = len(landmarks) >= _FEWEST_LANDMARKS
@@ -237,7 +237,7 @@ def place_on_skin(
     return SkinPlacement(samples, warped, fit)
 
 
-def in_character(motion: FloatArray, fit: PlaneFit) -> FloatArray:
+def to_character(motion: FloatArray, fit: PlaneFit) -> FloatArray:
     """Return displacements in the character's frame, all axes scaled alike.
 
     By the geometric mean of width and height: the depth of a face does not predict the amplitude
@@ -324,8 +324,8 @@ def _place_by_motion(
     """
     before = cdist(warped, skin.positions, "sqeuclidean") / (2 * reach**2)
     cost = before + _EVIDENCE_FRAMES / 2 * np.log(misfit + MODEL_ERROR_SHARE)
-    mean_before, wide = belief_moments(before, skin.positions)
-    mean_after, narrow = belief_moments(cost, skin.positions)
+    mean_before, wide = posterior_moments(before, skin.positions)
+    mean_after, narrow = posterior_moments(cost, skin.positions)
     narrow = np.minimum(narrow, 0.95 * wide)
     place = mean_before + (mean_after - mean_before) * (wide / (wide - narrow))[:, None]
     step = place - warped
@@ -335,7 +335,7 @@ def _place_by_motion(
     return place, np.where(still, 0.0, 1 / variance)
 
 
-def belief_moments(cost: FloatArray, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
+def posterior_moments(cost: FloatArray, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return mean and variance per axis of distributions ``exp(-cost)`` over samples."""
     probability = np.exp(cost.min(axis=1, keepdims=True) - cost)
     probability /= probability.sum(axis=1, keepdims=True)

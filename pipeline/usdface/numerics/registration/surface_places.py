@@ -13,7 +13,7 @@ from usdface.numerics.surface.triangulation import triangulate
 
 
 @dataclass(frozen=True)
-class SurfacePlaces:
+class SurfacePoints:
     """Points on a mesh that follow its deformation."""
 
     faces: IntArray
@@ -30,7 +30,7 @@ class SurfacePlaces:
 
 def places_at_points(
     face_counts: IntArray, face_indices: IntArray, chosen: IntArray
-) -> SurfacePlaces:
+) -> SurfacePoints:
     """Return the places of points of the mesh, each on the first face that uses it.
 
     Parameters
@@ -48,12 +48,12 @@ def places_at_points(
         raise ValueError(f"point {unused[0]} belongs to no face; choose a point of the surface")
     rows = first[at] // 3
     corners = triangles[rows].reshape(-1, 3)
-    return SurfacePlaces(owners[rows], corners, (corners == chosen[:, None]).astype(float))
+    return SurfacePoints(owners[rows], corners, (corners == chosen[:, None]).astype(float))
 
 
 def places_of_corners(
     face_counts: IntArray, face_indices: IntArray, corners: IntArray, weights: FloatArray
-) -> SurfacePlaces:
+) -> SurfacePoints:
     """Return places given by three points of one polygon each, or by one point three times.
 
     Parameters
@@ -76,12 +76,12 @@ def places_of_corners(
         if row is None:
             raise ValueError(f"points {corners[index].tolist()} share no face of the mesh")
         faces[index] = owners[row]
-    return SurfacePlaces(faces, found, shares)
+    return SurfacePoints(faces, found, shares)
 
 
 def nearest_places(
     points: FloatArray, face_counts: IntArray, face_indices: IntArray, wanted: FloatArray
-) -> SurfacePlaces:
+) -> SurfacePoints:
     """Return the places of the surface nearest to given positions.
 
     Parameters
@@ -105,11 +105,11 @@ def nearest_places(
         shares, away = _closest_on_triangles(corners[near], wanted[index : index + 1])
         best = int(away[0].argmin())
         rows[index], weights[index] = near[best], shares[0, best]
-    return SurfacePlaces(owners[rows], triangles[rows], weights)
+    return SurfacePoints(owners[rows], triangles[rows], weights)
 
 
 def polygon_weights(
-    places: SurfacePlaces, face_counts: IntArray, face_indices: IntArray
+    places: SurfacePoints, face_counts: IntArray, face_indices: IntArray
 ) -> list[FloatArray]:
     """Return one weight per corner of each place's polygon, in the polygon's order."""
     starts = np.cumsum(face_counts) - face_counts
@@ -130,7 +130,7 @@ def place_on_polygon(
     *,
     face: int,
     weights: FloatArray,
-) -> SurfacePlaces:
+) -> SurfacePoints:
     """Return the place with given weights over a polygon's corners.
 
     Weights over more than three corners are projected to the polygon's triangles.
@@ -149,10 +149,10 @@ def place_on_polygon(
     fans = np.stack([np.zeros(count - 2), np.arange(1, count - 1), np.arange(2, count)], axis=1)
     for fan in fans.astype(int):
         if set(used) <= set(fan.tolist()):
-            return SurfacePlaces(np.array([face]), polygon[fan][None], shares[fan][None])
+            return SurfacePoints(np.array([face]), polygon[fan][None], shares[fan][None])
     wanted = (shares @ points[polygon])[None]
     near = nearest_places(points, np.array([count]), polygon, wanted)
-    return SurfacePlaces(np.array([face]), near.corners, near.weights)
+    return SurfacePoints(np.array([face]), near.corners, near.weights)
 
 
 def _closest_on_triangles(

@@ -61,7 +61,7 @@ class DesignKernel:
         return out
 
 
-def left_over(
+def posterior_share(
     kernel: DesignKernel, known: FloatArray, rows: FloatArray, *, noise: float
 ) -> FloatArray:
     """Return the posterior over the prior variance of every row, given tuned frames.
@@ -97,7 +97,7 @@ def predict_from(
     Parameters
     ----------
     kernel, known, rows, noise
-        As for `left_over`.
+        As for `posterior_share`.
     values : (n, s) float array
         Of the tuned frames.
     """

@@ -97,7 +97,7 @@ def _solve(normal: FloatArray, right: FloatArray, usable: BoolArray) -> FloatArr
 
 
 def average_heads(
-    points: FloatArray, heads: FloatArray, weights: FloatArray, steadiness: FloatArray
+    points: FloatArray, heads: FloatArray, weights: FloatArray, rigidity: FloatArray
 ) -> FloatArray:
     """Return the mean of the heads measured by single cameras, aligned with triangulated points.
 
@@ -116,13 +116,13 @@ def average_heads(
     heads : (views, frames, points, 3) float array
         In each camera's space; finite, arbitrary where the weight is 0.
     weights : (views, frames, points) float array
-    steadiness : (points,) float array
+    rigidity : (points,) float array
         Weight of each point in the alignment: large where it moves with the skull.
     """
     placed, trust = np.zeros(heads.shape), np.zeros(weights.shape)
     for view, (head, weight) in enumerate(zip(heads, weights, strict=True)):
         # Not by hidden points: which are hidden depends on the head's rotation, and biases it.
-        counted = (weight > 0) * steadiness
+        counted = (weight > 0) * rigidity
         pose = align_frames(points, head, weights=counted)
         turned = head @ np.swapaxes(pose.rotations, 1, 2)
         share = counted / np.maximum(counted.sum(axis=1, keepdims=True), 1e-12)

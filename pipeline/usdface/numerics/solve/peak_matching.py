@@ -33,7 +33,7 @@ class ShapeEvidence:
 
     marked: BoolArray
     """(n,): whether markers on the shape move at least half as far as the surface."""
-    own_peaks: FloatArray
+    independent_peaks: FloatArray
     """(n,): weight at peaks, of the motion that the rest of the face does not predict: about 0 for
     a marker in the fold of a lid, which follows the brow."""
     alone: BoolArray
@@ -46,7 +46,7 @@ class ShapeEvidence:
         A single lid that reaches it while the other follows by less does not count: on recorded
         takes without blinks, one marker sits lower than the other.
         """
-        peaks = self.own_peaks[self.marked]
+        peaks = self.independent_peaks[self.marked]
         if not len(peaks):
             return False
         wink = self.alone[self.marked] & (peaks >= FULL_SHARE)

@@ -46,7 +46,7 @@ def _cross_products(points: FloatArray, triangles: IntArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class NormalTurner:
-    """Rotates the authored normals of a mesh; made by `turner_of`."""
+    """Rotates the authored normals of a mesh; made by `make_normal_rotator`."""
 
     triangles: IntArray
     """(triangles, 3)"""
@@ -72,7 +72,7 @@ class NormalTurner:
         return np.asarray(turned / np.maximum(length, 1e-12))
 
 
-def turner_of(
+def make_normal_rotator(
     points: FloatArray,
     face_counts: IntArray,
     face_indices: IntArray,

@@ -6,7 +6,7 @@ from usdface.core.arrays import ByteImage, longest_run
 from usdface.core.assets import Markers, Take
 from usdface.core.text import first_few, pluralize
 from usdface.media.charts.repair import RepairKind, draw_repairs
-from usdface.model.review.verdict import OPENINGS
+from usdface.model.review.verdict import VERDICT_WORDS
 from usdface.numerics.motion.noise import still_range_mm
 from usdface.numerics.repair.cleaning import CleanedMarkers
 from usdface.numerics.repair.slips import MOST_SLIP_MM
@@ -124,7 +124,7 @@ def _repair_verdict(cleaned: CleanedMarkers, markers: Markers, take: Take) -> tu
     filled, missing = cleaned.filled | cleaned.outliers, ~cleaned.visible
     share = float((filled | missing).mean())
     if not share and not cleaned.swaps:
-        return "good", f"{OPENINGS['good']}: nothing had to be repaired"
+        return "good", f"{VERDICT_WORDS['good']}: nothing had to be repaired"
     gaps = [longest_run(column) for column in (filled | missing).T]
     widest = int(np.argmax(gaps))
     seconds = gaps[widest] / float(take.rate)
@@ -138,7 +138,7 @@ def _repair_verdict(cleaned: CleanedMarkers, markers: Markers, take: Take) -> tu
     level = "good" if seconds <= _CHECK_GAP_SECONDS and not missing.any() else "check"
     if share > _BAD_SHARE:
         level = "bad"
-    return level, f"{OPENINGS[level]}: {'; '.join(words)}"
+    return level, f"{VERDICT_WORDS[level]}: {'; '.join(words)}"
 
 
 def cleaning_summary(cleaned: CleanedMarkers, take: Take) -> str:

@@ -115,7 +115,7 @@ def coverage_picture(
         ]
     facts = (
         f"{len(rows) if pairs is None else pairs} references, {len(tuned)} tuned",
-        f"{1 - coverage.hole_share:.0%} of the frames covered",
+        f"{1 - coverage.uncovered_share:.0%} of the frames covered",
         f"{coverage.share:.0%} of the motion covered",
         f"{len(takes.frames)} frames of {pluralize(len(takes.sources), 'take')}",
     )
@@ -145,7 +145,7 @@ def coverage_figures(covered: Covered, takes: CleanedTakes) -> dict[str, object]
             region: round(float(coverage.region_covered[:, index].mean()), 4)
             for index, region in enumerate(coverage.regions)
         },
-        "hole_share": round(coverage.hole_share, 4),
+        "uncovered_share": round(coverage.uncovered_share, 4),
         "growth": np.round(covered.growth.share, 4).tolist(),
         "next": [
             {

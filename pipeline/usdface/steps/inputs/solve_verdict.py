@@ -7,7 +7,7 @@ from typing import get_args
 
 from usdface.core.errors import InputError
 from usdface.core.sidecars import is_usd_name
-from usdface.model.review.verdict import OPENINGS, SolveEvidence, SolveVerdict, judge_solve
+from usdface.model.review.verdict import VERDICT_WORDS, SolveEvidence, SolveVerdict, judge_solve
 from usdface.runner.origin import path_made_from
 from usdface.runner.result import StepResult
 from usdface.specs.review import VerdictLevel
@@ -68,7 +68,7 @@ def verdict_findings(path: Path, worst: VerdictLevel | None = None) -> list[Find
         Verdicts that are worse are errors, others warnings. Default: that of the environment
         variable `WORST_VERDICT`, else ``'check'``.
     """
-    levels = list(OPENINGS)
+    levels = list(VERDICT_WORDS)
     limit = levels.index(_worst_level(worst))
     found = []
     try:

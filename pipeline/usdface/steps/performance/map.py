@@ -24,7 +24,7 @@ from usdface.model.mapping.predict import Prediction, WeightPredictor, basis_of,
 from usdface.model.mapping.rig_match import check_same_rig
 from usdface.model.mapping.temporal import TemporalSolve, smooth_weights
 from usdface.model.placement.rig_orientation import check_rig_stands
-from usdface.model.review.verdict import SEEN_MM, SolveEvidence, judge_solve
+from usdface.model.review.verdict import VISIBLE_ERROR_MM, SolveEvidence, judge_solve
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.performance import MapSpec
@@ -116,7 +116,7 @@ class _Written:
     residual_squares: float = 0.0
 
     def add(self, solved: Prediction, rows: slice) -> None:
-        residual = solved.left_mm[rows].astype(np.float64)
+        residual = solved.residuals_mm[rows].astype(np.float64)
         self.residual_sum = self.residual_sum + residual.sum(axis=0)
         self.residual_squares += float((residual**2).sum())
         self.uncertainty_mm.append(solved.uncertainty[rows])
@@ -370,9 +370,9 @@ def _report(
         {
             "frames": count,
             "mean_uncertainty_mm": float(uncertainty[:, 0].mean()),
-            "uncertain_frames": (header.first_frame + np.flatnonzero(uncertainty[:, 0] > SEEN_MM))[
-                :_LISTED_FRAMES
-            ].tolist(),
+            "uncertain_frames": (
+                header.first_frame + np.flatnonzero(uncertainty[:, 0] > VISIBLE_ERROR_MM)
+            )[:_LISTED_FRAMES].tolist(),
             "residual_mm": float(np.sqrt((residual_mm[:, 0] ** 2).mean())),
             "verdict": verdict.figures,
             "neutral": neutral,

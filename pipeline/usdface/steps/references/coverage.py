@@ -45,8 +45,8 @@ def run(
     return StepResult(
         (spec.out,),
         f"{len(pairs)} pairs, {measured.tuned_count} of them tuned, cover "
-        f"{1 - coverage.hole_share:.0%} of {len(takes.frames)} frames and {coverage.share:.0%} of "
-        "their motion",
+        f"{1 - coverage.uncovered_share:.0%} of {len(takes.frames)} frames and "
+        f"{coverage.share:.0%} of their motion",
         tuple(notes),
         {
             "pairs": [pair + 1 for pair in pairs.tolist()],

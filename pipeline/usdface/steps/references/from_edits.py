@@ -10,7 +10,7 @@ import numpy as np
 from usdface.core.arrays import BoolArray, FloatArray, IntArray, columns_by_name, index_of, runs
 from usdface.core.assets import References, TrainedMapping
 from usdface.core.errors import InputError
-from usdface.core.locks import nobody_tunes
+from usdface.core.locks import tuning_lock
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import proposed_path, reference_layers, tuned_path
@@ -249,7 +249,7 @@ def write_extended(
     rig = read_rig(references.rig_file, prim=references.rig_prim)
     images = [note.image for note in read_pair_notes(spec.references)]
     images += [None] * (len(references.frames) - len(images))
-    with nobody_tunes(spec.out):
+    with tuning_lock(spec.out):
         notes += _left_out(spec.out, references)
         tuned = _tuned_by_hand(spec, references, notes)
         write_references(

@@ -8,10 +8,10 @@ import numpy as np
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.core.assets import References, Rig, TrainedMapping
 from usdface.core.errors import InputError
-from usdface.core.locks import check_nobody_tunes, nobody_tunes
+from usdface.core.locks import check_tuning_lock, tuning_lock
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.replacing import appearing_together
+from usdface.core.replacing import replacing_group
 from usdface.core.sidecars import (
     binding_layers,
     placement_path,
@@ -100,7 +100,7 @@ class _Selection:
 def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Choose pairs, propose their weights, write the asset and draw its coverage."""
     progress(0.0, "reading the takes")
-    check_nobody_tunes(spec.out)
+    check_tuning_lock(spec.out)
     if carry_weights_alone(spec.takes):
         return _run_on_weights(spec, provenance, progress)
     if spec.names is not None:
@@ -134,7 +134,7 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
         images = write_pair_images(spec.out, references, takes.sources, metadata=metadata)
     progress(0.85, f"writing {spec.out.name}")
     written = (*binding_layers(placement_path(spec.out)), *reference_layers(spec.out))
-    with nobody_tunes(spec.out), appearing_together(written):
+    with tuning_lock(spec.out), replacing_group(written):
         _check_tuning_is_as_read(spec, kept)
         if spec.placement is None:
             write_placement(placement_path(spec.out), placed.placement, rig, provenance=provenance)
@@ -205,7 +205,7 @@ def _run_on_weights(spec: SelectSpec, provenance: Provenance, progress: Progress
         metadata = provenance_metadata(provenance)
         images = write_pair_images(spec.out, references, found.takes.sources, metadata=metadata)
     progress(0.9, f"writing {spec.out.name}")
-    with nobody_tunes(spec.out):
+    with tuning_lock(spec.out):
         _check_tuning_is_as_read(spec, found.kept)
         write_references(
             spec.out,

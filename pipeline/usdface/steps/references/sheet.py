@@ -132,7 +132,7 @@ class _PairPictures:
     @property
     def stand_in_eyes(self) -> bool:
         """Whether the rig has no eyes and stand-ins are drawn."""
-        return self._renderer.eyes_put_in
+        return self._renderer.has_stand_in_eyes
 
     def row(self, pair: int) -> ReferenceRow:
         """Draw one pair."""

@@ -95,7 +95,7 @@ class ShotPictures:
     @property
     def stand_in_eyes(self) -> bool:
         """Whether the rig has no eyes and stand-ins are drawn."""
-        return self._renderer.eyes_put_in
+        return self._renderer.has_stand_in_eyes
 
     @property
     def face_width(self) -> int:

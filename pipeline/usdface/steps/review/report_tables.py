@@ -201,7 +201,7 @@ def _shares(measured: MeasuredCoverage, references: Path) -> Listing:
     rows = [
         ("pairs", f"{len(measured.pairs)}"),
         ("tuned pairs of this take", f"{len(measured.tuned)}"),
-        ("frames covered", f"{1 - coverage.hole_share:.0%}"),
+        ("frames covered", f"{1 - coverage.uncovered_share:.0%}"),
         ("motion covered", f"{coverage.share:.0%}"),
     ]
     if len(coverage.regions) > 1:

@@ -13,7 +13,7 @@ from usdface.core.errors import CancelledError, InputError, UsdfaceError
 from usdface.core.processes import GiveWork, process_count, worker_processes
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.replacing import appearing_together
+from usdface.core.replacing import replacing_group
 from usdface.core.text import pluralize
 from usdface.media.picture.display_view import display_view
 from usdface.media.picture.error_strip import ErrorCurve
@@ -220,7 +220,7 @@ def _write_pages(
                 f"{file}: exists, and would be replaced by a page of {spec.out.name}; move it "
                 "away, or choose another --out"
             )
-    with appearing_together(files):
+    with replacing_group(files):
         for number, file in enumerate(files):
             first = number * spec.page_rows
             numbers = range(first, min(first + spec.page_rows, count))

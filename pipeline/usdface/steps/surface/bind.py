@@ -11,7 +11,7 @@ from usdface.core.sidecars import binding_layers, corrected_path, proposed_path
 from usdface.core.text import counted, first_few
 from usdface.media.picture.binding_picture import BoundMarkers, draw_binding
 from usdface.media.picture.image import write_image
-from usdface.model.review.verdict import OPENINGS
+from usdface.model.review.verdict import VERDICT_WORDS
 from usdface.model.surface.binding import DOUBTFUL_CONFIDENCE, facing_yaw
 from usdface.numerics.registration.marker_binding import MarkerBinding
 from usdface.runner.origin import provenance_metadata
@@ -103,11 +103,11 @@ def _verdict(binding: MarkerBinding) -> tuple[str, str]:
     doubtful = [binding.names[index] for index in _doubtful(binding)]
     count = len(binding.names)
     if not doubtful:
-        return "good", f"{OPENINGS['good']}: all {count} markers agree with their neighbours"
+        return "good", f"{VERDICT_WORDS['good']}: all {count} markers agree with their neighbours"
     level = "bad" if len(doubtful) > _SUSPECT_SHARE * count else "check"
     return level, (
-        f"{OPENINGS[level]}: {len(doubtful)} of {count} markers may be misplaced (confidence is "
-        f"next to them): {first_few(doubtful)}"
+        f"{VERDICT_WORDS[level]}: {len(doubtful)} of {count} markers may be misplaced (confidence "
+        f"is next to them): {first_few(doubtful)}"
     )
 
 

@@ -25,7 +25,7 @@ from usdface.numerics.registration.marker_binding import (
     Proportions,
     fit_proportions,
 )
-from usdface.numerics.registration.surface_places import SurfacePlaces, places_at_points
+from usdface.numerics.registration.surface_places import SurfacePoints, places_at_points
 from usdface.specs.surface import SurfaceSpec
 from usdface.steps.inputs.cleaned_takes import (
     check_neutral_frame,
@@ -155,7 +155,7 @@ class SurfacePlan:
     sample: TakeSample
     columns: IntArray
     """(markers,): indices of the take's bound markers, in the binding's order."""
-    places: SurfacePlaces
+    places: SurfacePoints
     """Places of the bound markers on the mesh."""
     proportions: Proportions
     """From the performer's face to the mesh."""
@@ -210,7 +210,7 @@ def plan_surface(
     if len(bound) < len(binding.names):
         missing = [name for name in binding.names if name not in sample.names]
         notes.append(f"the take lacks {len(missing)} of the bound markers: {first_few(missing)}")
-    places = SurfacePlaces(
+    places = SurfacePoints(
         binding.places.faces[bound], binding.places.corners[bound], binding.places.weights[bound]
     )
     try:
@@ -331,7 +331,7 @@ def _fade(distances: SurfaceDistances, reach: float | None) -> Float32Array:
 
 
 def _distances(
-    spec: SurfaceSpec, face: FaceMesh, places: SurfacePlaces, out: Path, progress: Progress
+    spec: SurfaceSpec, face: FaceMesh, places: SurfacePoints, out: Path, progress: Progress
 ) -> SurfaceDistances:
     mesh = face.mesh
     numbers = (places.faces.tolist(), places.corners.tolist(), places.weights.round(7).tolist())

@@ -12,7 +12,7 @@ from pxr import Kind, Sdf, Usd, UsdUtils
 from usdface.core.assets import Rig
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
-from usdface.core.replacing import appearing_together, check_not_written_since
+from usdface.core.replacing import check_not_written_since, replacing_group
 from usdface.core.side_files import side_stream
 from usdface.core.sidecars import controls_path, edits_path, head_path, weights_path
 from usdface.core.text import first_few
@@ -202,7 +202,7 @@ def writing_top(
     """
     besides = (head_path(path), controls_path(path))
     with (
-        appearing_together((path, weights_path(path), *besides)),
+        replacing_group((path, weights_path(path), *besides)),
         new_layer(path, provenance) as layer,
     ):
         check_not_written_since(path)

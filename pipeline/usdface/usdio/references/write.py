@@ -38,9 +38,9 @@ from usdface.usdio.references.read import (
 )
 from usdface.usdio.references.weight_layers import TunedPair, read_tuned_pairs
 from usdface.usdio.rig.reference import (
+    convert_to_our_units,
     define_reference,
     point_skeletons_at,
-    turn_to_our_units,
 )
 from usdface.usdio.units import MM_PER_STAGE_UNIT
 
@@ -106,7 +106,7 @@ def write_references(
         names = _written_names(references)
         author_uniform(animation, "blendShapes", Sdf.ValueTypeNames.TokenArray, names)
         define_reference(layer, str(RIG), rig, path)
-        turn_to_our_units(layer, str(RIG), rig)
+        convert_to_our_units(layer, str(RIG), rig)
         point_skeletons_at(layer, str(RIG), rig, WEIGHTS_PATH)
 
 

@@ -43,11 +43,11 @@ from usdface.usdio.retarget.controls import (
     set_joint_samples,
 )
 from usdface.usdio.rig.reference import (
+    convert_to_our_units,
     define_reference,
     missing_reference,
     point_skeletons_at,
     rig_of,
-    turn_to_our_units,
 )
 
 _ROOT = Sdf.Path("/Pairs")
@@ -146,7 +146,7 @@ def _author_samples(
         if rig is None:
             continue
         define_reference(layer, str(place), rig, path)
-        turn_to_our_units(layer, str(place), rig)
+        convert_to_our_units(layer, str(place), rig)
         point_skeletons_at(layer, str(place), rig, animation)
     for place, shapes, weights in (
         (SOURCE_WEIGHTS, pairs.source_shapes, pairs.source),

@@ -52,7 +52,7 @@ def define_reference(
     setattr(references, name, [*existing[: ours.start], reference, *existing[ours.stop :]])
 
 
-def turn_to_our_units(layer: Sdf.Layer, place: str, rig: Rig) -> None:
+def convert_to_our_units(layer: Sdf.Layer, place: str, rig: Rig) -> None:
     """Rotate and scale a referenced rig to centimetres, Y up; USD does not convert units."""
     stage = open_stage(rig.file)
     ours = stage_to_ours(stage) / MM_PER_STAGE_UNIT

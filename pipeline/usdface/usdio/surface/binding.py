@@ -19,7 +19,7 @@ from usdface.core.provenance import Provenance
 from usdface.core.text import first_few
 from usdface.numerics.registration.marker_binding import MarkerBinding
 from usdface.numerics.registration.surface_places import (
-    SurfacePlaces,
+    SurfacePoints,
     nearest_places,
     place_on_polygon,
     places_at_points,
@@ -142,7 +142,7 @@ def read_binding(path: Path, face: BoundSurface) -> ReadBinding:
 
 @dataclass(frozen=True)
 class _MarkerPlace:
-    places: SurfacePlaces
+    places: SurfacePoints
     confidence: float
     distance_mm: float
     source: str
@@ -254,7 +254,7 @@ def _read_place(path: Path, prim: Usd.Prim, face: BoundSurface) -> _MarkerPlace:
     return _MarkerPlace(places, confidence, distance, source)
 
 
-def _under_ball(prim: Usd.Prim, face: BoundSurface) -> SurfacePlaces:
+def _under_ball(prim: Usd.Prim, face: BoundSurface) -> SurfacePoints:
     """Return the place nearest to a marker's sphere, which must be near the mesh."""
     mesh, at = face.mesh, _ball(prim)
     places = nearest_places(mesh.points, mesh.face_counts, mesh.face_indices, at)
@@ -287,8 +287,8 @@ def _value(prim: Usd.Prim, name: str) -> object:
     return next((spec.default for spec in specs if spec.default is not None), None)
 
 
-def _concatenate_places(parts: list[SurfacePlaces]) -> SurfacePlaces:
-    return SurfacePlaces(
+def _concatenate_places(parts: list[SurfacePoints]) -> SurfacePoints:
+    return SurfacePoints(
         np.concatenate([each.faces for each in parts]),
         np.concatenate([each.corners for each in parts]),
         np.concatenate([each.weights for each in parts]),

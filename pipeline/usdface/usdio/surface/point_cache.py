@@ -18,7 +18,7 @@ from usdface.core.arrays import Float32Array, FloatArray
 from usdface.core.assets import Rig
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance, hash_text
-from usdface.core.replacing import appearing_together
+from usdface.core.replacing import replacing_group
 from usdface.core.sidecars import points_path
 from usdface.usdio.authoring import apply_api, author_timing, author_uniform
 from usdface.usdio.layers import new_layer, open_layer, relative_path
@@ -208,7 +208,7 @@ def writing_points(
     at = Sdf.Path(face.path).ReplacePrefix(Sdf.Path(default_place(asset)), Sdf.Path(top))
     points_file = points_path(path)
     outdated = _clip_files(points_file, at)
-    with appearing_together((points_file, path)):
+    with replacing_group((points_file, path)):
         with _writing_samples(points_file, face, at, header, format_, provenance) as writer:
             yield writer
         with new_layer(path, provenance) as layer:
