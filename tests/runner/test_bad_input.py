@@ -240,7 +240,7 @@ CASES: list[tuple[Callable[[Shot], list[str]], tuple[str, ...]]] = [
     (wrong_extension, ("new.hero.txt", ".usda")),
     (newer_output, ("shot.clean.take.usda", "newer", "--overwrite")),
     (output_of_someone_else, ("mine.usda", "not written by usdface", "--overwrite")),
-    (output_that_is_the_input, ("shot.take.usda", "is read by clean", "--out")),
+    (output_that_is_the_input, ("shot.take.usda", "is an input of clean", "--out")),
     (output_that_is_beneath_the_input, ("shot.hero.edits.usda: is a layer of shot.hero", "bake")),
     (samples_of_the_input, ("shot.take.samples.usdc: is a layer of shot.take.usda", "clean")),
     (output_of_another_kind, ("hero.references.tuned.usda: exists", "`references-import`")),

@@ -93,7 +93,7 @@ def test_a_page_says_what_made_it_whatever_stands_in_that(tmp_path: Path) -> Non
     assert provenance_of(path) is None
     path.write_bytes(b"\xff\xfe<meta")
     assert provenance_of(path) is None
-    with pytest.raises(InputError, match=re.escape(f"{path}: is no page")):
+    with pytest.raises(InputError, match=re.escape(f"{path}: cannot be read as a page")):
         read_page_origin(path)
 
 

@@ -322,7 +322,7 @@ def test_a_typed_note_with_a_correction_is_shown_saved_and_made(
     assert change[199] == pytest.approx(-0.25, abs=1e-6)
     assert not change[:195].any()
     with pytest.raises(
-        InputError, match=r"another version of shot\.hero\.usda, and left: frame 200"
+        InputError, match=r"as noted on another version of shot\.hero\.usda: frame 200"
     ):
         execute(EditSpec(performance=shot / "shot.hero.usda", notes=file))  # not made twice
 
@@ -543,5 +543,5 @@ def test_notes_of_a_newer_format_are_shown_as_such_and_have_no_effect(
     assert sorted(map(str, kept)) == sorted(map(str, newer[:2])), "nothing of it is lost"
     with pytest.raises(InputError, match="has format 99, but this version of usdface reads 1"):
         execute(EditSpec(performance=reported / "shot.hero.usda", notes=file))
-    with pytest.raises(InputError, match="none of its 0 corrections"):
+    with pytest.raises(InputError, match="has no open correction for this version"):
         execute(EditSpec(performance=reported / "shot.hero.usda", notes=tmp_path / "saved.json"))

@@ -125,8 +125,8 @@ def _changes(spec: EditSpec, reader: PerformanceReader, notes: list[str]) -> lis
         )
     if not wanted:
         raise InputError(
-            f"{spec.notes}: none of its {pluralize(len(corrections), 'correction')} is open and "
-            f"noted on this version of {spec.performance.name}, which is {reader.version}; "
+            f"{spec.notes}: has no open correction for this version of {spec.performance.name}, "
+            f"which is {reader.version}; "
             f"{'; '.join(notes) or 'add corrections in a report'}"
         )
     by_time = sorted(wanted, key=lambda note: note.made)
