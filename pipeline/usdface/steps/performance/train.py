@@ -35,8 +35,8 @@ from usdface.usdio.references.read import read_rig_of
 from usdface.usdio.references.weight_layers import read_proposals, read_set_references
 
 _ENOUGH_TUNED = 8
-"""Tuned pairs from which training leaves out proposals. In the order of `select` 6 are enough, and
-8 in any order: the error is smaller by a quarter to a half (decision 39)."""
+"""Tuned pairs from which training leaves out proposals. In the order of `select` 6 are enough; in
+one random order 8 were: the error falls by a quarter to a half (decision 39)."""
 
 _SHOWN_MM = 0.5
 """Largest displacement of a marker by a full shape, below which markers do not show the shape."""
