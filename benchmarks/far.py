@@ -28,13 +28,12 @@ from usdface.core.deformer import Deformer
 from usdface.model import Prediction, into_head_space, predict_weights, sample_skin, train_mapping
 from usdface.model.mapping.regions import skin_points
 from usdface.model.mapping.uncertainty import LIMIT_DEVIATIONS
-from usdface.model.regressions import RestPlaces
 from usdface.model.selection.baseline import set_up_equation
 from usdface.numerics.measure.face_regions import points_by_region, region_gram
 from usdface.runner.execute import execute
 from usdface.specs.capture import CleanSpec, IngestSpec
 from usdface.specs.references import SelectSpec
-from usdface.steps.inputs.placement import registered_places
+from usdface.steps.inputs.placement import rest_places
 from usdface.usdio.references.read import read_references
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import read_take
@@ -103,7 +102,7 @@ class Ruler:
             ranges=self.rig.ranges[columns],
             gram=self.gram[np.ix_(columns, columns)],
             skin=self.skin[columns],
-            rest=RestPlaces(self.rest, registered_places(references, self.rig)),
+            rest=rest_places(references, self.rig, self.rest),
             method=method,
         )
 

@@ -236,6 +236,33 @@ def test_markers_do_not_move_a_tongue_that_the_jaw_moves_as_it_moves_them() -> N
     assert predict_weights(mapping, moved).weights[:, -1].max() < 0.02
 
 
+def test_gaze_without_keys_stays_at_rest() -> None:
+    """A shape of the lids' markers that no pair keys takes motion that the references lack."""
+    face = synthetic_face()
+    pairs = references_of(face, CHOSEN)
+    lids = np.zeros((1, *face.shapes.shape[1:]))
+    lids[:, RIGID : RIGID + 4] = 3.0
+    shapes = np.concatenate([face.shapes, lids])
+    moved = face.positions[:200].copy()
+    moved[:, RIGID : RIGID + 4] += 2.0
+    found = []
+    for name in ("eyeLookUp_L", "other"):
+        mapping = train_mapping(
+            replace(
+                pairs,
+                shape_names=(*pairs.shape_names, name),
+                weights=np.column_stack([pairs.weights, np.zeros(len(pairs.weights))]),
+            ),
+            ranges=np.tile([0.0, 1.0], (len(shapes), 1)),
+            gram=np.einsum("smc,tmc->st", shapes, shapes) / shapes.shape[1],
+            skin=shapes,
+            method="face_map",
+        )
+        found.append(predict_weights(mapping, moved).weights[:, -1].max())
+    assert found[0] < 0.01
+    assert found[1] > 0.3
+
+
 @pytest.mark.parametrize("count", [2, 3, 4])
 def test_very_few_pairs_give_what_geometry_can(count: int) -> None:
     face = synthetic_face()

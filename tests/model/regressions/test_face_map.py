@@ -12,8 +12,10 @@ from usdface.model.regressions.forward_model import (
     ForwardModel,
     ForwardScales,
     fit_forward_model,
+    weight_spread,
 )
 from usdface.model.regressions.frame_solve import FrameSolver
+from usdface.numerics.regression.marker_prior import expect_marker_motion
 
 PAIRS, SHAPES, MARKERS = 12, 5, 7
 SCALES = ForwardScales(alpha=0.4, floor=0.2, eta=0.1, tau=0.05, curve=0.0)
@@ -60,6 +62,28 @@ def test_the_basis_is_the_mean_of_the_conjugate_posterior(monkeypatch) -> None:
         mean = np.linalg.solve(np.diag(prior) + rows.T @ rows / 0.1**2, right)
         np.testing.assert_allclose(model.basis[:, marker], 0.8 * basis[:, marker] + mean[:-1])
         np.testing.assert_allclose(model.offset[marker], mean[-1])
+
+
+def test_shapes_that_are_still_may_move_but_not_lids() -> None:
+    targets = np.zeros((4, 3))
+    targets[:, 0] = [0.0, 0.5, 1.0, 0.5]
+    spread = weight_spread(targets, lids=np.array([2]))
+    np.testing.assert_allclose(spread, [0.8 * targets[:, 0].std(), 3**-0.5, 0.8 * 0.25])
+
+
+@pytest.mark.parametrize("scale", [None, 1 / 0.7], ids=["registered", "given"])
+def test_unseen_shapes_move_as_the_rig_at_the_given_scale(scale: float | None) -> None:
+    rng = np.random.default_rng(1)
+    skin, rest = 5 * rng.normal(size=(4, 40, 3)), rng.uniform(-40, 40, size=(40, 3))
+    weights = rng.random((20, 4)) * [1, 1, 1, 0]
+    moved = 0.7 * np.einsum("ns,spc->npc", weights, skin[:, :10])
+    moved[:, 5:] = 0.0  # markers that no reference moves
+    skin[:3, 5:10] = 0.0
+    found = expect_marker_motion(
+        skin, weights, moved, rest=rest, neutral=rest[:10], places=rest[:10], motion_scale=scale
+    )
+    expected = skin[3, 5:10] * (1.0 if scale is None else 0.7)
+    np.testing.assert_allclose(found.basis[3, 5:], expected, rtol=0.03, atol=0.1)
 
 
 def test_the_slope_is_the_derivative() -> None:

@@ -226,7 +226,7 @@ def fit_pairs_forward(pairs: Pairs, scales: ForwardScales | None = None) -> Forw
     if face.skin is None:
         expected = marker_motion(weights, displaced)
         return fit_forward_model(
-            weights, displaced, expected=expected, neutral=neutral, scales=scales
+            weights, displaced, expected=expected, neutral=neutral, scales=scales, lids=face.lids
         )
     skin, bent = face.skin * np.ptp(face.ranges, axis=1)[:, None, None], bend(weights, _PRIOR_CURVE)
     driven = np.zeros((len(weights), 0))
@@ -234,13 +234,15 @@ def fit_pairs_forward(pairs: Pairs, scales: ForwardScales | None = None) -> Forw
         low, high = face.ranges.T
         driven = driven_weights(face.driven.logic, np.clip(pairs.outputs, low, high))
         skin = np.concatenate([skin, face.driven.skin])
+    rest = face.rest
     basis = expect_marker_motion(
         skin,
         np.concatenate([bent, driven], axis=1),
         displaced,
-        rest=None if face.rest is None else face.rest.points,
+        rest=None if rest is None else rest.points,
         neutral=face.neutral,
-        places=None if face.rest is None else face.rest.markers,
+        places=None if rest is None else rest.markers,
+        motion_scale=None if rest is None else rest.motion_scale,
     ).basis
     count = weights.shape[1]
     motion = basis[count:].reshape(len(basis) - count, displaced[0].size)
@@ -250,6 +252,7 @@ def fit_pairs_forward(pairs: Pairs, scales: ForwardScales | None = None) -> Forw
         expected=basis[:count],
         neutral=neutral,
         scales=scales,
+        lids=face.lids,
     )
     if face.driven is None:
         return forward

@@ -112,6 +112,7 @@ def train_mapping(
         gram=np.eye(len(ranges)) if gram is None else _skin_gram(gram, parts),
         motion=motion,
         skin=None if skin is None else skin[: len(ranges)],
+        lids=shapes_by_region(parts).get("lids"),
         driven=_driven_skin(references, skin),
         rest=rest,
         neutral=checked.neutral.astype(np.float64),
@@ -154,7 +155,11 @@ def train_mapping(
 def _outer_skin(
     skin: FloatArray | None, rest: RestPlaces | None, references: References
 ) -> tuple[FloatArray | None, RestPlaces | None]:
-    """Return the skin without tongue and eyeballs, the points that gaze moves most."""
+    """Return the skin without tongue and eyeballs, the points that gaze moves most.
+
+    Shapes of gaze and tongue that are at rest in all pairs have no motion: markers do not observe
+    them, and the solve would let the eyes turn with the brows.
+    """
     check_skin(skin, shapes=len(references.shape_names) + len(references.combinations))
     if skin is None:
         return skin, rest
@@ -163,6 +168,9 @@ def _outer_skin(
     gaze, tongue = gaze_shapes(parts), length[tongue_shapes(parts)].max(axis=0, initial=0)
     is_skin = length[gaze].max(axis=0, initial=0) <= np.delete(length, gaze, axis=0).max(axis=0)
     is_skin &= tongue <= _TONGUE_SHARE * tongue.max(initial=0)
+    unobserved = unseen_shapes(parts)
+    skin = skin.copy()
+    skin[unobserved[~references.weights[:, unobserved].any(axis=0)]] = 0.0
     return skin[:, is_skin], None if rest is None else replace(rest, points=rest.points[is_skin])
 
 

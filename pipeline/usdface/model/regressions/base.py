@@ -40,6 +40,8 @@ class RestPlaces:
     """(points, 3): the points of `Face.skin` [mm]."""
     markers: FloatArray | None = None
     """(markers, 3): NaN where unknown [mm]."""
+    motion_scale: float | None = None
+    """The rig's motion over the performer's, by the placement."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,8 @@ class Face:
     """Positions of those points, and of the markers, on the rig's neutral."""
     neutral: FloatArray | None = None
     """(markers, 3): the performer's neutral face [mm]."""
+    lids: IntArray | None = None
+    """Shapes of the lids."""
     driven: DrivenSkin | None = None
     """None if the rig has no combinations, or without `skin`."""
 

@@ -26,7 +26,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from usdface.core.arrays import Float32Array, FloatArray, RealArray, sample_frames
+from usdface.core.arrays import Float32Array, FloatArray, IntArray, RealArray, sample_frames
 from usdface.model.regressions.base import Arrays, bend
 from usdface.model.regressions.driven_motion import DrivenMotion
 
@@ -65,6 +65,16 @@ Q represents stronger saturation."""
 
 _ASCENT_ROUNDS = 2
 """Passes of coordinate ascent over `_GRID`."""
+
+_SPREAD_SHARE = 0.8
+"""Spread of a weight that the references move, over its standard deviation over faces."""
+
+_MIN_SPREAD = 0.25
+"""Smallest standard deviation of a weight over faces; that of a uniform distribution is .29."""
+
+_STILL_WEIGHT, _STILL_SPREAD = 0.25, 3**-0.5
+"""Largest bent weight in the references of a shape that is still there, and its standard deviation
+from rest: that of a uniform distribution from 0. It may move in the next take."""
 
 _EVIDENCE_PAIRS, _EVIDENCE_MARKERS = 60, 48
 """Largest number of each in the evidence of the shared scales, which costs markers pairs^3."""
@@ -113,6 +123,8 @@ class ForwardModel:
     """(shapes, markers, 3): posterior mean of ``E + D`` [mm]."""
     offset: FloatArray
     """(markers, 3): posterior mean of ``b`` [mm]."""
+    spread: FloatArray
+    """(shapes,): standard deviation of a bent weight, where a frame does not resemble the pairs."""
     driven: DrivenMotion | None = None
     """Motion of the rig's combination shapes, added to the model's."""
 
@@ -176,7 +188,7 @@ class ForwardModel:
     def to_arrays(self) -> Arrays:
         """Return the model as arrays of a mapping, the input of `from_arrays`."""
         names = ("shape_size2", "deviation2", "quadratic", "targets", "dual", "inverse", "noise")
-        arrays = {name: getattr(self, name) for name in (*names, "basis", "offset")}
+        arrays = {name: getattr(self, name) for name in (*names, "basis", "offset", "spread")}
         scales = self.scales
         values = [scales.alpha, scales.floor, scales.eta, scales.tau, scales.curve]
         driven = {} if self.driven is None else self.driven.to_arrays()
@@ -194,6 +206,7 @@ class ForwardModel:
             if name.startswith("forward_")
         }
         scales, driven = fields.pop("scales").tolist(), DrivenMotion.from_arrays(arrays)
+        fields.setdefault("spread", weight_spread(fields["targets"]))
         return cls(ForwardScales(*scales), **fields, driven=driven)
 
 
@@ -204,6 +217,7 @@ def fit_forward_model(
     expected: FloatArray,
     neutral: FloatArray,
     scales: ForwardScales | None = None,
+    lids: IntArray | None = None,
 ) -> ForwardModel:
     """Return the posterior given references, at the scales that maximise their evidence.
 
@@ -219,10 +233,31 @@ def fit_forward_model(
         Marker positions [mm].
     scales : ForwardScales, optional
         Fixed scales; by default they are estimated.
+    lids : int array, optional
+        As of `weight_spread`.
     """
     if scales is None:
         scales = _maximise_evidence(weights, displacements, expected, neutral)
-    return _Prior(weights, displacements, expected, neutral, scales).posterior()
+    return _Prior(weights, displacements, expected, neutral, scales).posterior(lids)
+
+
+def weight_spread(targets: FloatArray, lids: IntArray | None = None) -> FloatArray:
+    """Return the standard deviation of weights where a frame does not resemble the references.
+
+    Parameters
+    ----------
+    targets : (pairs, shapes) float array
+        Bent weights.
+    lids : int array, optional
+        Shapes of the lids. If they are still in the references they are not given the spread of a
+        shape that may move: markers above the lids follow the brows as well, and eyes that close
+        with the brows are seen at once.
+    """
+    still = targets.max(axis=0) <= _STILL_WEIGHT
+    if lids is not None:
+        still[lids] = False
+    moving = _SPREAD_SHARE * np.maximum(targets.std(axis=0), _MIN_SPREAD)
+    return np.where(still, _STILL_SPREAD, moving)
 
 
 def _maximise_evidence(
@@ -280,7 +315,7 @@ class _Prior:
             out[row] = -0.5 * (fit + 3 * log_determinant + prior)
         return out
 
-    def posterior(self) -> ForwardModel:
+    def posterior(self, lids: IntArray | None) -> ForwardModel:
         """Condition on the pairs, with the most probable sigma of each marker."""
         noise = np.array(_NOISES_MM)[self.log_evidence().argmax(axis=0)] ** 2
         inverse = np.linalg.inv(self.covariance + noise[:, None, None] * np.eye(len(self.targets)))
@@ -297,6 +332,7 @@ class _Prior:
             noise,
             self.expected + mean,
             _OFFSET_MM**2 * dual.sum(axis=0),
+            weight_spread(self.targets, lids),
         )
 
 

@@ -58,15 +58,8 @@ predictive variance, which is added for each frame."""
 _CHI2_FAMILIAR, _CHI2_UNFAMILIAR = 0.3, 10.0
 """chi2 up to which sd is the regression's error, and from which it is the spread."""
 
-_SPREAD_SHARE = 0.8
-"""Largest sd, relative to the standard deviation of the shape's weight over faces."""
-
 _MIN_ERROR = 0.01
 """Smallest error of a normalised weight: keys are not set more finely."""
-
-_MIN_SPREAD = 0.25
-"""Smallest standard deviation of a weight over faces; that of a uniform distribution is .29. A
-shape that is still in the references may move in the next take."""
 
 _HUBER_THRESHOLD = 1.5
 """In standard deviations (Huber 1964: 1.345 is 95 % efficient)."""
@@ -274,7 +267,7 @@ class FrameSolver:
         weighted = self.forward.basis / (self.inflation * variance)[:, None]
         information = np.einsum("skc,tkc->st", weighted, self.forward.basis, optimize=True)
         error2 = np.maximum(self.error, _MIN_ERROR) ** 2
-        spread2 = np.maximum(self._spread**2, error2)
+        spread2 = np.maximum(self.forward.spread**2, error2)
         narrow, wide = (
             np.linalg.inv(information + np.diag(1 / prior)) for prior in (error2, spread2)
         )
@@ -294,11 +287,6 @@ class FrameSolver:
         if len(basis) <= _MAX_DENSE_SHAPES:
             curvature = single_precision(model.curvature().reshape(len(basis), -1))
         return basis, model.offset.reshape(-1).astype(np.float32), curvature
-
-    @cached_property
-    def _spread(self) -> FloatArray:
-        """Standard deviation of the widest prior: (shapes,)."""
-        return np.asarray(_SPREAD_SHARE * np.maximum(self.forward.targets.std(axis=0), _MIN_SPREAD))
 
     def _predictive_variance(self, t0: RealArray, slope: RealArray | None) -> FloatArray:
         """Return it per frame, or for rigs of many shapes its mean: ([frames,] markers) [mm^2]."""
@@ -330,7 +318,7 @@ class FrameSolver:
         gate = np.clip(decades / np.log(_CHI2_UNFAMILIAR / _CHI2_FAMILIAR), 0.0, 1.0)
         gate = 1 - (1 - gate) * seen
         error = np.maximum(self.error, _MIN_ERROR)
-        deviation = error * (np.maximum(self._spread, error) / error) ** gate
+        deviation = error * (np.maximum(self.forward.spread, error) / error) ** gate
         return np.asarray(1 / deviation**2, dtype=np.float32)
 
 

@@ -66,6 +66,23 @@ class _Match:
     log_likelihood: FloatArray
 
 
+@dataclass(frozen=True)
+class _Faces:
+    """Motion and neutral of markers and skin, as of `expect_marker_motion`."""
+
+    seen: FloatArray
+    """(markers, pairs, 3): displacements of the markers from their mean [mm]."""
+    moved: FloatArray
+    """(points, pairs, 3): the same of the skin, multiplied by `skin_scale`."""
+    energy: FloatArray
+    """(markers,): sum of squares of `seen`."""
+    rest: FloatArray
+    neutral: FloatArray
+    places: FloatArray | None
+    skin_scale: float
+    motion_scale: float | None
+
+
 def expect_marker_motion(
     skin: FloatArray,
     weights: FloatArray,
@@ -74,6 +91,7 @@ def expect_marker_motion(
     rest: FloatArray | None = None,
     neutral: FloatArray | None = None,
     places: FloatArray | None = None,
+    motion_scale: float | None = None,
 ) -> MarkerPrior:
     """Return the expected displacements of markers by a rig's shapes.
 
@@ -95,6 +113,9 @@ def expect_marker_motion(
     places : (markers, 3) float array, optional
         Known places of markers on the rig's neutral, else NaN [mm]; used with `rest` and
         `neutral`. By default they are estimated by registration.
+    motion_scale : float, optional
+        Motion of the rig over that of the performer, the inverse of the usual gain. By default that
+        of the registered positions.
     """
     if skin.ndim != 3 or skin.shape[2] != 3 or skin.shape[0] != weights.shape[1]:
         raise ValueError(f"skin {skin.shape} and weights {weights.shape} do not fit together")
@@ -112,8 +133,8 @@ def expect_marker_motion(
         if turn < _MOTION_ROUNDS - 1:
             rotation = _rotation_of(match, moved, seen)
     if rest is not None and neutral is not None:
-        motion = seen, moved, energy
-        match, rotation = _refine_by_place(match, rotation, motion, rest, neutral, places)
+        faces = _Faces(seen, moved, energy, rest, neutral, places, scale, motion_scale)
+        match, rotation = _refine_by_place(match, rotation, faces)
     best = match.log_likelihood.argmax(axis=1)
     share = _shares(match.log_likelihood)
     basis = np.einsum("mp,spc->smc", share * match.gain, scale * skin @ rotation.T, optimize=True)
@@ -149,18 +170,13 @@ def _match_motion(
 
 
 def _refine_by_place(
-    match: _Match,
-    rotation: FloatArray,
-    motion: tuple[FloatArray, FloatArray, FloatArray],
-    rest: FloatArray,
-    neutral: FloatArray,
-    places: FloatArray | None,
+    match: _Match, rotation: FloatArray, faces: _Faces
 ) -> tuple[_Match, FloatArray]:
     """Register the markers with the rig, and weigh candidates by distance as well."""
-    if places is None:
-        places = np.full_like(neutral, np.nan)
+    seen, moved, energy = faces.seen, faces.moved, faces.energy
+    rest, neutral = faces.rest, faces.neutral
+    places = np.full_like(neutral, np.nan) if faces.places is None else faces.places
     known = np.isfinite(places).all(axis=1)
-    seen, moved, energy = motion
     radius = float(np.sqrt(((rest - rest.mean(axis=0)) ** 2).sum(axis=1).mean()))
     refined = match
     for turn in range(_PLACE_ROUNDS):
@@ -168,7 +184,8 @@ def _refine_by_place(
         laid, scale, distance = _register(neutral @ rotation, share, rest, energy)
         if turn == 0 and not known.any() and distance > _UNRELATED_SHARE * radius:
             return match, rotation
-        usual = float(np.clip(1 / scale, *_GAIN_RANGE))
+        motion_scale = scale if faces.motion_scale is None else faces.motion_scale
+        usual = float(np.clip(1 / (motion_scale * faces.skin_scale), *_GAIN_RANGE))
         refined = _match_motion(seen, moved @ rotation.T, energy, usual)
         deviation = scale * _PLACE_DEVIATIONS_MM[min(turn, len(_PLACE_DEVIATIONS_MM) - 1)]
         deviations = np.full(len(laid), deviation)

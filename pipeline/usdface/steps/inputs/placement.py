@@ -17,6 +17,7 @@ from usdface.model.placement.marker_cloud import MarkerCloud, marker_cloud
 from usdface.model.placement.place import place_markers
 from usdface.model.placement.rig_orientation import facing_degrees
 from usdface.model.placement.verdict import PlacementVerdict, doubt_upside_down, judge_placement
+from usdface.model.regressions import RestPlaces
 from usdface.model.selection.baseline import (
     BlendshapeEquation,
     Positions,
@@ -277,16 +278,25 @@ def stored_placement(references: References, rig: Rig) -> RigPlacement | None:
     return read_placement(references.placement, rig)
 
 
-def registered_places(references: References, rig: Rig) -> FloatArray | None:
-    """Return the positions of the references' markers placed by labels or by a person.
+def rest_places(references: References, rig: Rig, points: FloatArray) -> RestPlaces:
+    """Return places on the rig's neutral, with the references' markers as they were placed.
 
-    On the rig's neutral, NaN for other markers, (markers, 3) [mm]; None without a placement.
+    Parameters
+    ----------
+    points : (points, 3) float array
+        Points of the skin [mm].
+
+    Returns
+    -------
+    RestPlaces
+        Its markers are those placed by labels or by a person, NaN for others; without a placement
+        of these markers, neither markers nor motion scale.
     """
     placement = stored_placement(references, rig)
     if placement is None or not knows_markers(
         placement, references.marker_names, references.neutral
     ):
-        return None
+        return RestPlaces(points)
     binding, row_of = placement.binding, _bound(placement)
     at = binding.places.positions(rig_surfaces(rig)[0].mesh.points)
     places = np.full((len(references.marker_names), 3), np.nan)
@@ -294,7 +304,7 @@ def registered_places(references: References, rig: Rig) -> FloatArray | None:
         row = row_of.get(name)
         if row is not None and (placement.by_labels or binding.sources[row] != "proposed"):
             places[marker] = at[row]
-    return places
+    return RestPlaces(points, places, placement.motion_scale)
 
 
 def placement_of_performance(performance: Path, rig: Rig) -> RigPlacement | None:

@@ -23,13 +23,13 @@ from usdface.model.mapping.train import train_mapping
 from usdface.model.mapping.uncertainty import proposal_error
 from usdface.model.placement.rig_orientation import check_rig_stands
 from usdface.model.placement.shape_parts import missing_parts_note, shape_parts
-from usdface.model.regressions import Choices, RestPlaces
+from usdface.model.regressions import Choices
 from usdface.model.regressions.gaussian_rbf import PAPER_DIMENSIONS
 from usdface.numerics.measure.face_regions import unseen_shapes
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.performance import TrainSpec
-from usdface.steps.inputs.placement import registered_places
+from usdface.steps.inputs.placement import rest_places
 from usdface.usdio.mapping import write_mapping
 from usdface.usdio.references.read import read_rig_of
 from usdface.usdio.references.weight_layers import read_proposals, read_set_references
@@ -76,7 +76,7 @@ def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress = silent)
         skin=np.concatenate(
             [sample_skin(offsets)[columns], _driven_skin(deformer, points), bent_skin]
         ),
-        rest=RestPlaces(deformer.neutral[points], registered_places(references, rig)),
+        rest=rest_places(references, rig, deformer.neutral[points]),
         method=spec.method,
         choices=Choices(spec.dimensions, spec.widths),
         progress=progress,
