@@ -158,7 +158,7 @@ def test_a_verdict_is_written_whole_in_its_colour_which_runs_down_the_page(level
 
 
 def test_a_note_too_long_for_its_row_stands_whole_on_lines_of_its_own() -> None:
-    note = "mouth: uncertainty 1.23 mm, 22% of the motion covered, lips 2.1 mm open"
+    note = "mouth: uncertainty 1.23 mm, coverage 22%, lips 2.1 mm open"
     rows = tuple(SheetRow(n, "01:00:00:00", (Tile(None),), note=note) for n in (7, 8))
     page = SheetPage("bare", ("a",), rows, tile_height=200)
     layout = lay_out(page)

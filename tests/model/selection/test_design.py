@@ -241,15 +241,15 @@ def test_coverage_grows_with_every_pair_and_ends_at_the_whole() -> None:
     for count in (0, 1, 10, 30):
         model, regions = model_of(shapes, moved[rows[:count]])
         coverage = measure_coverage(model, regions, moved.__getitem__, 150)
-        assert coverage.share == pytest.approx(growth.share[count], abs=1e-9)
+        assert coverage.mean == pytest.approx(growth.share[count], abs=1e-9)
         assert coverage.regions == ("brows", "lids", "mouth", "jaw")
-        assert coverage.region_covered.shape == (150, 4)
-        assert ((coverage.covered >= 0) & (coverage.covered <= 1)).all()
+        assert coverage.by_region.shape == (150, 4)
+        assert ((coverage.face >= 0) & (coverage.face <= 1)).all()
     model, regions = model_of(shapes, moved)
-    assert measure_coverage(model, regions, moved.__getitem__, 150).share > 0.97
+    assert measure_coverage(model, regions, moved.__getitem__, 150).mean > 0.97
 
 
-def test_the_deepest_hole_is_named_first() -> None:
+def test_the_frame_with_the_least_coverage_is_named_first() -> None:
     weights, packed, shapes = small_face(300)
     motion, space = space_of(weights, packed)
     features = space.features(motion.sample)
@@ -260,13 +260,13 @@ def test_the_deepest_hole_is_named_first() -> None:
     moved = packed.reshape(300, 12, 3)
     model, regions = model_of(shapes, moved[ordinary])
     coverage = measure_coverage(model, regions, moved.__getitem__, 300)
-    lids = coverage.region_covered[:, coverage.regions.index("lids")]
+    lids = coverage.by_region[:, coverage.regions.index("lids")]
     shut = weights[:, 1] > 0.5
     assert lids[shut].mean() < lids[~shut].mean() - 0.1
 
 
-def test_a_hole_is_a_frame_of_which_more_than_a_quarter_is_left_to_guess() -> None:
-    covered = np.array([1.0, 0.8, 0.76, 0.74, 0.1])
-    found = Coverage(covered, (), np.zeros((5, 0)))
-    assert found.uncovered_share == pytest.approx(2 / 5)
-    assert found.share == pytest.approx(0.68)
+def test_the_sufficient_share_counts_frames_with_a_coverage_of_three_quarters_or_more() -> None:
+    face = np.array([1.0, 0.8, 0.76, 0.74, 0.1])
+    found = Coverage(face, (), np.zeros((5, 0)))
+    assert found.sufficient_share == pytest.approx(3 / 5)
+    assert found.mean == pytest.approx(0.68)

@@ -51,7 +51,7 @@ def test_coverage_as_a_command_is_what_select_said(shot: Shot) -> None:
     for name in ("coverage", "coverage_by_region", "uncovered_share", "growth", "next"):
         assert told.figures[name] == said[name]
     assert told.figures["of_other_takes"] == 0
-    assert f"frame {said['next'][0]['frame']} of shot, coverage would" in told.notes[0]
+    assert f"frame {said['next'][0]['frame']} of shot, mean coverage would" in told.notes[0]
     assert read_image_metadata(shot / "covered.png")["step"] == "references-coverage"
 
 

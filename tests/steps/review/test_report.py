@@ -302,7 +302,7 @@ def test_the_page_tells_what_the_mappings_references_cover(shot: Shot) -> None:
     report = execute(spec_of(shot, worst=6))
     text = (shot / "shot.html").read_text(encoding="utf-8")
     data = json.loads(re.search(r'id="data">(.*?)</script>', text)[1])
-    strip = next(each for each in data["strips"] if each["name"] == "motion covered")
+    strip = next(each for each in data["strips"] if each["name"] == "coverage")
     values = np.array(strip["values"])
     assert ((values >= 0) & (values <= 100)).all()
     assert values.max() > 1

@@ -39,10 +39,10 @@ _LEGEND_HEIGHT = 46
 _TAKES_HEIGHT = 30
 _PLOT_HEIGHT = 300
 _TABLE_WIDTH = 560
-_TABLE_COLUMNS = (("take", 0), ("frame", 200), ("motion covered", 275), ("of all, once tuned", 415))
+_TABLE_COLUMNS = (("take", 0), ("frame", 200), ("coverage", 275), ("mean, once tuned", 415))
 _ROW_HEIGHT = 26
 WORST_PERCENT = 50.0
-"""Share of the motion that is not determined, at the top of a lane [%]."""
+"""1 - coverage at the top of a lane [%]."""
 
 _CAPTION_STYLE = TextStyle(size=18, color=BRIGHT, weight="bold")
 _TEXT_STYLE = TextStyle(size=16, color=SOFT)
@@ -58,10 +58,10 @@ class NextFrame:
     """Its name."""
     frame: int
     """Frame number in the take."""
-    covered: float
-    """Share of its motion that the references determine [0-1]."""
-    share: float
-    """Coverage of the takes after it and the frames before it are tuned [0-1]."""
+    coverage: float
+    """By the present references [0-1]."""
+    mean_then: float
+    """Mean coverage of the takes after it and the frames before it are tuned [0-1]."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class CoveragePage:
     title: str
     facts: tuple[str, ...]
     lanes: tuple[ErrorCurve, ...]
-    """Motion of the face and its parts that is not covered, per frame over all takes [%]."""
+    """1 - coverage of the face and its parts, per frame over all takes [%]."""
     takes: tuple[tuple[str, int], ...]
     """Name and number of frames of each take, in order."""
     first_frame: int
@@ -81,11 +81,11 @@ class CoveragePage:
     growth: FloatArray
     """(pairs + 1,): coverage with 0, 1, 2 ... pairs [0-1]."""
     next_frames: tuple[NextFrame, ...] = ()
-    """Each the least covered after those before it are tuned."""
+    """Each has the least coverage after those before it are tuned."""
 
 
 def draw_coverage(page: CoveragePage) -> ByteImage:
-    """Draw the uncovered motion over time, coverage by reference, and the frames to tune next."""
+    """Draw the coverage over time, by number of references, and the frames to tune next."""
     if not page.lanes or not len(page.growth):
         raise InputError("coverage to draw needs at least one lane and a curve")
     strips = strip_height(len(page.lanes))
@@ -97,7 +97,7 @@ def draw_coverage(page: CoveragePage) -> ByteImage:
     picture = render(figure)
     y = draw_header(picture, page.title, page.facts, margin=_PAGE_MARGIN)
     inner = _PAGE_WIDTH - 2 * _PAGE_MARGIN
-    note = "motion of the face that the references do not determine   ·   white marks: references"
+    note = "1 - coverage   ·   white marks: references"
     draw_legend(picture, (note,), x=_PAGE_MARGIN, y=y, width=inner, high=f"{WORST_PERCENT:g}%")
     y += _LEGEND_HEIGHT
     first = page.first_frame if len(page.takes) == 1 else 0
@@ -131,14 +131,14 @@ def _draw_takes(
 
 def _draw_growth(figure: Figure, page: CoveragePage, *, y: int) -> None:
     pairs = len(page.growth) - 1
-    further = np.array([page.growth[-1], *(each.share for each in page.next_frames)])
+    further = np.array([page.growth[-1], *(each.mean_then for each in page.next_frames)])
     width = _PAGE_WIDTH - 2 * _PAGE_MARGIN - _TABLE_WIDTH - 110
     axes = add_axes(
         figure,
         (_PAGE_MARGIN + 50, y, width, _PLOT_HEIGHT),
         caption="Coverage",
         across="references",
-        up="% of the motion, mean over the takes",
+        up="mean over the takes [%]",
         whole=True,
     )
     right = float(pairs + len(page.next_frames) + 1)
@@ -157,7 +157,7 @@ def _draw_growth(figure: Figure, page: CoveragePage, *, y: int) -> None:
 
 
 def _draw_table(picture: ByteImage, frames: Sequence[NextFrame], *, x: int, y: int) -> None:
-    caption = "Tune next, in this order: the least covered frames"
+    caption = "Tune next, in this order: the frames with the least coverage"
     draw_text(picture, caption, x=x, y=y, style=_CAPTION_STYLE, max_width=_TABLE_WIDTH)
     if not frames:
         none = "every frame that may be chosen is a reference"
@@ -169,6 +169,6 @@ def _draw_table(picture: ByteImage, frames: Sequence[NextFrame], *, x: int, y: i
     for number, each in enumerate(frames):
         top = y + 58 + _ROW_HEIGHT * number
         draw_text(picture, each.take, x=x, y=top, style=_TEXT_STYLE, max_width=190)
-        cells = (str(each.frame), f"{each.covered:.0%}", f"{each.share:.1%}")
+        cells = (str(each.frame), f"{each.coverage:.0%}", f"{each.mean_then:.1%}")
         for cell, (_, at) in zip(cells, _TABLE_COLUMNS[1:], strict=True):
             draw_text(picture, cell, x=x + at, y=top, style=_NUMBER_STYLE)

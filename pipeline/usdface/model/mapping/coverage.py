@@ -22,8 +22,8 @@ import numpy as np
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.numerics.regression.design_kernel import KEY_VARIANCE, DesignKernel, posterior_share
 
-UNCOVERED_SHARE = 0.25
-"""``sqrt(v)`` from which a frame counts as not covered."""
+LEAST_COVERAGE = 0.75
+"""Coverage from which a frame counts as covered: ``sqrt(v)`` of 1/4 or less."""
 
 _MIN_SHAPE_SHARE = 0.02
 """Squared motion in a region, relative to the largest, from which a shape contributes to its scale:
@@ -82,13 +82,13 @@ class CoverageModel:
         (frames, regions) float array
             [0-1]; 1 in regions without markers.
         """
-        covered = np.ones((len(displacements), len(self._regions)))
+        coverage = np.ones((len(displacements), len(self._regions)))
         for column, region in enumerate(self._regions):
             if region is not None:
                 rows = displacements[:, region.markers].reshape(len(displacements), -1)
                 share = posterior_share(region.kernel, region.pairs, rows, noise=KEY_VARIANCE)
-                covered[:, column] = 1 - np.sqrt(share)
-        return covered
+                coverage[:, column] = 1 - np.sqrt(share)
+        return coverage
 
     def growth(self, further: FloatArray, displacements: FloatArray) -> FloatArray:
         """Return the mean coverage of the whole face as a function of the number of references.

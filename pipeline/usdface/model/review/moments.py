@@ -101,7 +101,7 @@ def _expected(evidence: SolveEvidence, row: int, region: str) -> str:
         column = min(column, evidence.uncertainty_mm.shape[1] - 1)
         words.append(f"uncertainty {evidence.uncertainty_mm[row, column]:.2f} mm")
     if evidence.coverage is not None:
-        words.append(f"{evidence.coverage[row, column]:.0%} of the motion covered")
+        words.append(f"coverage {evidence.coverage[row, column]:.0%}")
     return ", ".join(words)
 
 

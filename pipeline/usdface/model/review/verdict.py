@@ -24,7 +24,7 @@ import numpy as np
 from usdface.core.arrays import BoolArray, FloatArray
 from usdface.core.assets import SolveBasis
 from usdface.core.text import first_few
-from usdface.model.mapping.coverage import UNCOVERED_SHARE
+from usdface.model.mapping.coverage import LEAST_COVERAGE
 
 VISIBLE_ERROR_MM = 1.0
 """Clearly visible error of a region: five pixels if a face of 220 mm fills 1080 lines. A pixel is
@@ -34,8 +34,8 @@ WRONG_EXPRESSION_MM = 3.0
 """Error of a region that changes the expression: more than a third of a smile, which moves the
 corners of the mouth by 8 mm."""
 
-_UNCOVERED_BAD_SHARE = 0.5
-"""Uncovered share of a region's motion above which a frame is bad: coverage below 1/2."""
+_BAD_COVERAGE = 0.5
+"""Coverage of a region below which a frame is bad."""
 
 _CHANCE_SHARE = 0.05
 """Share of the frames that exceed two standard deviations by chance."""
@@ -84,18 +84,18 @@ class SolveEvidence:
     """Name of a retargeting's source with a bad verdict; else empty."""
     has_video: bool = False
 
-    def exceeds(self, seen_mm: float, uncovered: float) -> dict[str, BoolArray]:
+    def exceeds(self, limit_mm: float, least_coverage: float) -> dict[str, BoolArray]:
         """Return where each figure exceeds its limit, (frames, regions), by the limit's name."""
         if self.error_mm is not None:
-            return {f"error over {seen_mm:g} mm": np.nan_to_num(self.error_mm) > seen_mm}
+            return {f"error over {limit_mm:g} mm": np.nan_to_num(self.error_mm) > limit_mm}
         lengths = {"expected error": self.uncertainty_mm, "residual": self.residual_mm}
         found = {
-            f"{name} over {seen_mm:g} mm": each > seen_mm
+            f"{name} over {limit_mm:g} mm": each > limit_mm
             for name, each in lengths.items()
             if each is not None
         }
         if self.coverage is not None:
-            found[f"coverage below {1 - uncovered:.0%}"] = self.coverage < 1 - uncovered
+            found[f"coverage below {least_coverage:.0%}"] = self.coverage < least_coverage
         width = min((each.shape[1] for each in found.values()), default=0)
         return {
             name: each[:, :width] for name, each in found.items()
@@ -104,14 +104,14 @@ class SolveEvidence:
 
 def judge_solve(evidence: SolveEvidence) -> SolveVerdict:
     """Return the verdict that sheets, reports, movies and messages show."""
-    doubtful = evidence.exceeds(VISIBLE_ERROR_MM / 2, UNCOVERED_SHARE)
-    bad = evidence.exceeds(VISIBLE_ERROR_MM, _UNCOVERED_BAD_SHARE)
+    doubtful = evidence.exceeds(VISIBLE_ERROR_MM / 2, LEAST_COVERAGE)
+    bad = evidence.exceeds(VISIBLE_ERROR_MM, _BAD_COVERAGE)
     if not bad:
         return _judge_without_figures(evidence)
     proposals = _mostly_proposals(evidence)
     level, beyond = "bad", bad
     if _frame_share(bad) <= _BAD_SHARE:
-        wrong = evidence.exceeds(WRONG_EXPRESSION_MM, 1.0)
+        wrong = evidence.exceeds(WRONG_EXPRESSION_MM, 0.0)
         if _frame_share(wrong) > _CHANCE_SHARE:
             beyond = wrong
         else:
@@ -119,8 +119,8 @@ def judge_solve(evidence: SolveEvidence) -> SolveVerdict:
             level, beyond = "check" if checked else "good", doubtful
     shares = _by_any(beyond).mean(axis=0)
     where = _worst_regions(evidence.regions, shares)
-    lost = evidence.retarget if evidence.unfollowed_share > _CHANCE_SHARE else ""
-    parts = [lost, _coverage(evidence), _tuned(evidence), _name_changed(evidence)]
+    retarget = evidence.retarget if evidence.unfollowed_share > _CHANCE_SHARE else ""
+    parts = [retarget, _coverage(evidence), _tuned(evidence), _name_changed(evidence)]
     parts += [_name_unseen(evidence), _error(evidence), _residual(evidence)]
     if level != "good" and where:
         columns = [evidence.regions.index(region) for region in where]
@@ -128,7 +128,7 @@ def judge_solve(evidence: SolveEvidence) -> SolveVerdict:
     return SolveVerdict(
         level,
         f"{VERDICT_WORDS[level]}: {'; '.join(filter(None, parts))}",
-        _PAIR_ADVICE if lost else _advice(evidence, level, where, proposals),
+        _PAIR_ADVICE if retarget else _advice(evidence, level, where, proposals),
         {
             "level": level,
             "bad_share": round(_frame_share(bad), 4),
@@ -194,7 +194,7 @@ def _mostly_proposals(evidence: SolveEvidence) -> bool:
 
 def _is_covered(evidence: SolveEvidence) -> bool:
     """Whether the references cover most frames, so that only their weights may be wrong."""
-    beyond = replace(evidence, uncertainty_mm=None).exceeds(VISIBLE_ERROR_MM, _UNCOVERED_BAD_SHARE)
+    beyond = replace(evidence, uncertainty_mm=None).exceeds(VISIBLE_ERROR_MM, _BAD_COVERAGE)
     return bool(beyond) and _frame_share(beyond) <= _BAD_SHARE
 
 
@@ -268,7 +268,7 @@ def _error(evidence: SolveEvidence) -> str:
 def _coverage(evidence: SolveEvidence) -> str:
     if evidence.coverage is None:
         return ""
-    covered = (evidence.coverage >= 1 - UNCOVERED_SHARE).mean(axis=0)
+    covered = (evidence.coverage >= LEAST_COVERAGE).mean(axis=0)
     words = f"references cover {covered[0]:.0%} of the frames"
     if len(covered) > 1:
         least = 1 + int(covered[1:].argmin())

@@ -12,7 +12,7 @@ import numpy as np
 
 from usdface.core.arrays import BoolArray, FloatArray, IntArray, sample_frames
 from usdface.core.assets import References
-from usdface.model.mapping.coverage import UNCOVERED_SHARE, CoverageModel
+from usdface.model.mapping.coverage import LEAST_COVERAGE, CoverageModel
 from usdface.model.mapping.motion_space import motion_from_pca
 from usdface.model.selection.design import Features, features_at, selection_space
 from usdface.numerics.measure.face_regions import shapes_by_region
@@ -131,21 +131,21 @@ CURVE_FRAMES = 1500
 class Coverage:
     """Coverage of every frame by pairs; see `model.mapping.coverage`."""
 
-    covered: FloatArray
+    face: FloatArray
     """(frames,): of the whole face [0-1]."""
     regions: tuple[str, ...]
-    region_covered: FloatArray
+    by_region: FloatArray
     """(frames, regions): the same, of each region alone."""
 
     @property
-    def share(self) -> float:
-        """Mean coverage over all frames [0-1]."""
-        return float(self.covered.mean())
+    def mean(self) -> float:
+        """Mean over all frames, of the whole face [0-1]."""
+        return float(self.face.mean())
 
     @property
-    def uncovered_share(self) -> float:
-        """Share of uncovered frames [0-1]."""
-        return float((self.covered < 1 - UNCOVERED_SHARE).mean())
+    def sufficient_share(self) -> float:
+        """Share of the frames with `LEAST_COVERAGE` or more [0-1]."""
+        return float((self.face >= LEAST_COVERAGE).mean())
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from usdface.core.progress import Progress
 from usdface.core.text import pluralize
 from usdface.media.charts.coverage import CoveragePage, NextFrame, draw_coverage
 from usdface.media.picture.error_strip import ErrorCurve
-from usdface.model.mapping.coverage import CoverageModel
+from usdface.model.mapping.coverage import LEAST_COVERAGE, CoverageModel
 from usdface.model.mapping.motion_space import marker_coordinates
 from usdface.model.mapping.performer_face import face_of_references
 from usdface.model.mapping.regions import membership, region_points
@@ -43,10 +43,10 @@ LEAST_MARKERS = 0.5
 
 
 @dataclass(frozen=True)
-class Covered:
+class TakesCoverage:
     """Coverage of takes by pairs, and its growth with further frames."""
 
-    coverage: Coverage
+    frames: Coverage
     growth: Growth
 
 
@@ -65,9 +65,9 @@ class PairFaces:
         return cls(features_at(scene.features, rows), scene.displacements(rows))
 
 
-def cover(
+def takes_coverage(
     scene: SelectionScene, pairs: PairFaces, rows: IntArray, *, candidates: BoolArray
-) -> Covered:
+) -> TakesCoverage:
     """Measure the coverage of all frames by pairs; `rows` are the frames that are pairs."""
     free = candidates.copy()
     free[rows] = False
@@ -75,29 +75,29 @@ def cover(
     markers, count = scene.equation.deltas.shape[1], len(scene.features)
     model = CoverageModel(scene.equation.deltas, pairs.displacements, membership(points, markers))
     further = choose_further(scene.features, pairs.features, count=FURTHER_FRAMES, candidates=free)
-    return Covered(
+    return TakesCoverage(
         measure_coverage(model, tuple(points), scene.displacements, count),
         measure_growth(model, further, scene.displacements, count),
     )
 
 
-def next_frames(covered: Covered, takes: CleanedTakes) -> tuple[NextFrame, ...]:
+def next_frames(coverage: TakesCoverage, takes: CleanedTakes) -> tuple[NextFrame, ...]:
     """Return the frames that would be chosen next."""
     return tuple(
         NextFrame(
             take=takes.takes[row],
             frame=int(takes.frames[row]),
-            covered=float(covered.coverage.covered[row]),
-            share=float(share),
+            coverage=float(coverage.frames.face[row]),
+            mean_then=float(mean),
         )
-        for row, share in zip(
-            covered.growth.further_rows.tolist(), covered.growth.further_share, strict=True
+        for row, mean in zip(
+            coverage.growth.further_rows.tolist(), coverage.growth.further_share, strict=True
         )
     )
 
 
 def coverage_picture(
-    covered: Covered,
+    coverage: TakesCoverage,
     takes: CleanedTakes,
     rows: IntArray,
     *,
@@ -106,17 +106,17 @@ def coverage_picture(
     pairs: int | None = None,
 ) -> ByteImage:
     """Draw coverage; `pairs` is the number of pairs including those of other takes."""
-    coverage = covered.coverage
-    lanes = [ErrorCurve("whole face", 100 * (1 - coverage.covered))]
-    if len(coverage.regions) > 1:
+    frames = coverage.frames
+    lanes = [ErrorCurve("whole face", 100 * (1 - frames.face))]
+    if len(frames.regions) > 1:
         lanes += [
-            ErrorCurve(region.split(" and ")[0], 100 * (1 - coverage.region_covered[:, index]))
-            for index, region in enumerate(coverage.regions)
+            ErrorCurve(region.split(" and ")[0], 100 * (1 - frames.by_region[:, index]))
+            for index, region in enumerate(frames.regions)
         ]
     facts = (
         f"{len(rows) if pairs is None else pairs} references, {len(tuned)} tuned",
-        f"{1 - coverage.uncovered_share:.0%} of the frames covered",
-        f"{coverage.share:.0%} of the motion covered",
+        f"mean coverage {frames.mean:.0%}",
+        f"{LEAST_COVERAGE:.0%} or more in {frames.sufficient_share:.0%} of the frames",
         f"{len(takes.frames)} frames of {pluralize(len(takes.sources), 'take')}",
     )
     return draw_coverage(
@@ -130,31 +130,31 @@ def coverage_picture(
             ),
             first_frame=int(takes.frames[0]),
             marks=tuple(sorted(rows.tolist())),
-            growth=covered.growth.share,
-            next_frames=next_frames(covered, takes),
+            growth=coverage.growth.share,
+            next_frames=next_frames(coverage, takes),
         )
     )
 
 
-def coverage_figures(covered: Covered, takes: CleanedTakes) -> dict[str, object]:
+def coverage_figures(coverage: TakesCoverage, takes: CleanedTakes) -> dict[str, object]:
     """Return coverage as plain data."""
-    coverage = covered.coverage
+    frames = coverage.frames
     return {
-        "coverage": round(coverage.share, 4),
+        "coverage": round(frames.mean, 4),
         "coverage_by_region": {
-            region: round(float(coverage.region_covered[:, index].mean()), 4)
-            for index, region in enumerate(coverage.regions)
+            region: round(float(frames.by_region[:, index].mean()), 4)
+            for index, region in enumerate(frames.regions)
         },
-        "uncovered_share": round(coverage.uncovered_share, 4),
-        "growth": np.round(covered.growth.share, 4).tolist(),
+        "uncovered_share": round(1 - frames.sufficient_share, 4),
+        "growth": np.round(coverage.growth.share, 4).tolist(),
         "next": [
             {
                 "take": each.take,
                 "frame": each.frame,
-                "covered": round(each.covered, 4),
-                "coverage_then": round(each.share, 4),
+                "covered": round(each.coverage, 4),
+                "coverage_then": round(each.mean_then, 4),
             }
-            for each in next_frames(covered, takes)
+            for each in next_frames(coverage, takes)
         ],
     }
 
@@ -163,7 +163,7 @@ def coverage_figures(covered: Covered, takes: CleanedTakes) -> dict[str, object]
 class MeasuredCoverage:
     """Coverage of takes by the pairs of references."""
 
-    covered: Covered
+    coverage: TakesCoverage
     takes: CleanedTakes
     pairs: IntArray
     """(pairs,): indices of the pairs that count."""
@@ -178,7 +178,7 @@ class MeasuredCoverage:
     def picture(self, title: str) -> ByteImage:
         """Draw the coverage."""
         return coverage_picture(
-            self.covered,
+            self.coverage,
             self.takes,
             self.rows,
             tuned=self.tuned,
@@ -198,7 +198,7 @@ def measure_pairs(spec: ReferencesCoverageSpec, *, progress: Progress) -> Measur
     progress(0.7, "measuring the coverage")
     placed = _place(scene, references, pairs)
     candidates = candidate_frames(takes, None)
-    covered = cover(scene, placed.faces, placed.rows, candidates=candidates)
+    coverage = takes_coverage(scene, placed.faces, placed.rows, candidates=candidates)
     is_tuned = references.tuned[pairs]
     tuned, count = placed.rows[is_tuned[placed.is_here]], int(is_tuned.sum())
     notes = tuple(scene.notes)
@@ -207,7 +207,7 @@ def measure_pairs(spec: ReferencesCoverageSpec, *, progress: Progress) -> Measur
             "no pair is tuned: pairs count by their markers, as if their weights fitted them; the "
             "coverage of a mapping trained on proposals may be lower. Tune them first",
         )
-    return MeasuredCoverage(covered, takes, pairs, placed.rows, tuned, count, notes)
+    return MeasuredCoverage(coverage, takes, pairs, placed.rows, tuned, count, notes)
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import coverage_path
 from usdface.media.picture.image import write_image
+from usdface.model.mapping.coverage import LEAST_COVERAGE
 from usdface.runner.origin import provenance_metadata, provenance_of, spec_of
 from usdface.runner.outputs import confine
 from usdface.runner.result import StepResult
@@ -25,12 +26,12 @@ def run(
 ) -> StepResult:
     """Measure the coverage of the takes by the pairs, and draw it."""
     measured = measure_pairs(spec, progress=progress)
-    covered, takes, pairs = measured.covered, measured.takes, measured.pairs
+    measure, takes, pairs = measured.coverage, measured.takes, measured.pairs
     progress(0.9, f"writing {spec.out.name}")
     metadata = provenance_metadata(provenance)
     write_image(spec.out, measured.picture(spec.references.stem), metadata=metadata)
     progress(1.0, "done")
-    coverage = covered.coverage
+    coverage = measure.frames
     notes = []
     if len(measured.rows) < len(pairs):
         notes.append(
@@ -38,20 +39,20 @@ def run(
             "count by their markers"
         )
     notes += [
-        f"with frame {each.frame} of {each.take}, coverage would be {each.share:.0%} of the motion"
-        for each in next_frames(covered, takes)[:_NAMED_FRAMES]
+        f"with frame {each.frame} of {each.take}, mean coverage would be {each.mean_then:.0%}"
+        for each in next_frames(measure, takes)[:_NAMED_FRAMES]
     ]
     notes += measured.notes
     return StepResult(
         (spec.out,),
-        f"{len(pairs)} pairs, {measured.tuned_count} of them tuned, cover "
-        f"{1 - coverage.uncovered_share:.0%} of {len(takes.frames)} frames and "
-        f"{coverage.share:.0%} of their motion",
+        f"{len(pairs)} pairs, {measured.tuned_count} of them tuned: mean coverage "
+        f"{coverage.mean:.0%}, {LEAST_COVERAGE:.0%} or more in {coverage.sufficient_share:.0%} of "
+        f"{len(takes.frames)} frames",
         tuple(notes),
         {
             "pairs": [pair + 1 for pair in pairs.tolist()],
             "of_other_takes": len(pairs) - len(measured.rows),
-            **coverage_figures(covered, takes),
+            **coverage_figures(measure, takes),
         },
     )
 

@@ -35,9 +35,9 @@ from usdface.speech.phones import VISEMES
 from usdface.steps.inputs.cleaned_takes import CleanedTakes, plausibility_notes, read_cleaned_takes
 from usdface.steps.inputs.coverage_report import (
     PairFaces,
-    cover,
     coverage_figures,
     coverage_picture,
+    takes_coverage,
 )
 from usdface.steps.inputs.landmark_files import read_landmarks
 from usdface.steps.inputs.phone_labels import PhoneLabels, read_phone_labels
@@ -151,8 +151,8 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
     progress(0.9, "measuring the coverage")
     scene = selection.scene
     faces = PairFaces.at(scene, rows)
-    covered = cover(scene, faces, rows, candidates=selection.candidates)
-    picture = coverage_picture(covered, takes, rows, tuned=selection.already, title=spec.out.stem)
+    coverage = takes_coverage(scene, faces, rows, candidates=selection.candidates)
+    picture = coverage_picture(coverage, takes, rows, tuned=selection.already, title=spec.out.stem)
     write_image(spec.picture_path(), picture, metadata=metadata)
     progress(1.0, "done")
     contradictions, conflicts = tuned_conflicts(spec.out)
@@ -163,8 +163,8 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
             *((placement_path(spec.out),) if spec.placement is None else ()),
             _placement_picture(spec),
         ),
-        f"{len(rows)} pairs of {len(takes.frames)} frames, {len(kept)} of them tuned; their "
-        f"markers span {covered.coverage.share:.0%} of the motion",
+        f"{len(rows)} pairs of {len(takes.frames)} frames, {len(kept)} of them tuned; mean "
+        f"coverage {coverage.frames.mean:.0%}",
         (
             *doubts,
             f"placement: {placed.verdict.sentence}; see {_placement_picture(spec).name}",
@@ -190,7 +190,7 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
                 for take, neutral in zip(takes.sources, takes.neutrals, strict=True)
             },
             "placement": placement_figures(placed),
-            **coverage_figures(covered, takes),
+            **coverage_figures(coverage, takes),
         },
     )
 

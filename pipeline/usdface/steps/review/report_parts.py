@@ -87,7 +87,7 @@ def page_strips(signals: ReviewSignals) -> tuple[Strip, ...]:
         shown = evidence.uncertainty_mm[:, 0]
         strips.append(Strip("uncertainty", shown, 0.0, UNKEYED_RANGE_MM, "mm"))
     if evidence.coverage is not None:
-        strips.append(Strip("motion covered", 100 * evidence.coverage[:, 0], 0.0, 100.0, "%"))
+        strips.append(Strip("coverage", 100 * evidence.coverage[:, 0], 0.0, 100.0, "%"))
     return tuple(strips)
 
 

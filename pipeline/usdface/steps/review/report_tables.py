@@ -11,6 +11,7 @@ from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.media.page.report_page import Listing, PagePicture
 from usdface.media.picture.image import encode_image
+from usdface.model.mapping.coverage import LEAST_COVERAGE
 from usdface.model.mapping.evaluation import Evaluation, evaluate_weights
 from usdface.runner.origin import find_take, path_made_from, provenance_of, spec_of
 from usdface.runner.outputs import confine
@@ -197,27 +198,29 @@ def find_references(performance: Path) -> Path | None:
 
 
 def _shares(measured: MeasuredCoverage, references: Path) -> Listing:
-    coverage = measured.covered.coverage
+    coverage = measured.coverage.frames
     rows = [
         ("pairs", f"{len(measured.pairs)}"),
         ("tuned pairs of this take", f"{len(measured.tuned)}"),
-        ("frames covered", f"{1 - coverage.uncovered_share:.0%}"),
-        ("motion covered", f"{coverage.share:.0%}"),
+        ("mean coverage", f"{coverage.mean:.0%}"),
+        (f"frames with {LEAST_COVERAGE:.0%} or more", f"{coverage.sufficient_share:.0%}"),
     ]
     if len(coverage.regions) > 1:
-        means = coverage.region_covered.mean(axis=0).tolist()
+        means = coverage.by_region.mean(axis=0).tolist()
         rows += [
-            (f"motion covered, {region}", f"{mean:.0%}")
+            (f"mean coverage, {region}", f"{mean:.0%}")
             for region, mean in zip(coverage.regions, means, strict=True)
         ]
     return Listing(f"Coverage by {references.name}", ("figure", "value"), tuple(rows))
 
 
 def _next(measured: MeasuredCoverage) -> Listing:
-    frames = next_frames(measured.covered, measured.takes)
+    frames = next_frames(measured.coverage, measured.takes)
     return Listing(
         "Tune next",
-        ("frame", "motion covered", "of the take's, once tuned"),
-        tuple((str(each.frame), f"{each.covered:.0%}", f"{each.share:.1%}") for each in frames),
+        ("frame", "coverage", "mean coverage, once tuned"),
+        tuple(
+            (str(each.frame), f"{each.coverage:.0%}", f"{each.mean_then:.1%}") for each in frames
+        ),
         tuple(each.frame for each in frames),
     )

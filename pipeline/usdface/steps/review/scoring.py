@@ -182,11 +182,11 @@ def range_mm(*, keyed: bool) -> float:
 
 
 def coverage_curves(shot: Shot) -> tuple[ErrorCurve, ...]:
-    """Return the share of each frame's motion that is not covered; empty if unknown."""
+    """Return 1 - coverage of each frame; empty if unknown."""
     coverage = shot.evidence().coverage
     if coverage is None:
         return ()
-    return (ErrorCurve("motion not covered", 100 * (1 - coverage[:, 0]), high=100.0, unit="%"),)
+    return (ErrorCurve("1 - coverage", 100 * (1 - coverage[:, 0]), high=100.0, unit="%"),)
 
 
 WORST_SHARE = 6

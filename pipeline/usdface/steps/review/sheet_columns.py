@@ -227,7 +227,7 @@ def _uncertainties(pictures: ShotPictures, comparison: SheetComparison) -> Calla
                 values[region] = value
         picture = pictures.painted(row, shot.weights[row], values, high=range_mm(keyed=False))
         coverage = evidence.coverage
-        covered = "" if coverage is None else f"motion covered {coverage[row, 0]:.0%}"
-        return Tile(picture, caption=covered)
+        caption = "" if coverage is None else f"coverage {coverage[row, 0]:.0%}"
+        return Tile(picture, caption=caption)
 
     return draw
