@@ -1,4 +1,4 @@
-"""Several takes of one performer in one mapping: neutral faces, and markers put on again.
+"""Several takes of one performer in one mapping: neutral faces, and markers reapplied.
 
 Recorded: `markers_animface`, two takes with one application of markers. Simulated: the halves of
 `crosstake` as two takes, the second with a random offset of each marker. All steps run through
@@ -61,9 +61,9 @@ def run() -> None:
         for rig in rigs:
             _together(folder, takes, rig)
         _together(folder, halves, rigs[0])
-        print("\n### Markers put on again\n")
+        print("\n### Reapplied markers\n")
         print(
-            "| takes | shift, root mean square [mm] | distances with nothing in common | said "
+            "| takes | shift, root mean square [mm] | distances with nothing in common | finding "
             "| error of the shift taken out [mm] |\n|---|---|---|---|---|"
         )
         _print_shift("AnimFace, as recorded", takes, None)
@@ -189,5 +189,5 @@ def _print_shift(name: str, takes: Sequence[Path], true: FloatArray | None) -> N
         away -= away.mean(axis=0)  # a common offset is head motion
         error = f"{np.sqrt((away**2).sum(axis=1).mean()):.2f}"
         shift = f"{np.sqrt((true**2).sum(axis=1).mean()):.1f}"
-    said = "put on again" if found.is_reapplied else "nothing"
-    print(f"| {name} | {shift} | {found.reapplied_share:.1%} | {said} | {error} |", flush=True)
+    finding = "reapplied" if found.is_reapplied else "nothing"
+    print(f"| {name} | {shift} | {found.reapplied_share:.1%} | {finding} | {error} |", flush=True)

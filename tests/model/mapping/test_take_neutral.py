@@ -43,7 +43,7 @@ def test_markers_put_on_again_are_said_and_the_worst_are_named() -> None:
     other = performance(1) + GLUE
     found = compare(other, stated=nearest(other, NEUTRAL + GLUE))
     (note,) = found.notes("kitchen")
-    assert "the markers of kitchen were put on again" in note
+    assert "the markers of kitchen were reapplied" in note
     worst = NAMES[int(np.linalg.norm(found.offset, axis=1).argmax())]
     assert f"{worst} " in note
     assert found.figures()["reapplied"] is True

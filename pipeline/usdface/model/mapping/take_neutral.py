@@ -96,7 +96,7 @@ class TakeNeutral:
                 for i in np.argsort(-length, kind="stable")[:_LISTED_MARKERS]
             ]
             subject = (
-                f"the markers of {take} were put on again ({self.reapplied_share:.0%} of the "
+                f"the markers of {take} were reapplied ({self.reapplied_share:.0%} of the "
                 "distances between neighbours have disjoint ranges): they are"
                 if self.is_reapplied
                 else f"at the same expression the markers of {take} are"
@@ -200,7 +200,7 @@ def _check_performer(neutral: FloatArray, offset: FloatArray, seen: BoolArray) -
         f"its face is {abs(worst - 1):.0%} {'larger' if worst > 1 else 'smaller'} in one direction"
         if beyond.any()
         else f"its markers are {fit.residual_mm:.1f} mm (root mean square) away at the same "
-        f"expression; markers that are put on again are within {MAX_REAPPLIED_MM:g} mm"
+        f"expression; reapplied markers are within {MAX_REAPPLIED_MM:g} mm"
     )
     raise InputError(
         f"the take is of another performer: {difference}. Give takes of one performer; if it is "
