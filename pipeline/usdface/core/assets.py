@@ -390,7 +390,7 @@ class SolveBasis:
     """Number of references that a person has tuned."""
     still_regions: tuple[str, ...] = ()
     """Regions of the face that no reference moves."""
-    unseen_regions: tuple[str, ...] = ()
+    regions_without_markers: tuple[str, ...] = ()
     """Regions of the face without markers."""
     changed_shapes: tuple[str, ...] = ()
     """Shapes of the rig that changed since the training."""

@@ -135,7 +135,7 @@ def test_a_take_that_its_proposals_cover_is_tuned_before_more_frames_are_added()
 
 
 def test_references_of_regions_without_markers_are_not_asked_for() -> None:
-    basis = SolveBasis(30, 30, still_regions=("mouth",), unseen_regions=("mouth",))
+    basis = SolveBasis(30, 30, still_regions=("mouth",), regions_without_markers=("mouth",))
     found = replace(evidence(), basis=basis)
     found.uncertainty_mm[:, 2] = 4.0
     verdict = judge_solve(found)

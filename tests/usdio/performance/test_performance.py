@@ -24,7 +24,9 @@ from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
 from usdface.usdio.validation import validate
 
-BASIS = SolveBasis(30, 12, ("brows", "lids"), unseen_regions=("jaw",), changed_shapes=("jawOpen",))
+BASIS = SolveBasis(
+    30, 12, ("brows", "lids"), regions_without_markers=("jaw",), changed_shapes=("jawOpen",)
+)
 NAMES = ("smile", "jawOpen", "eyeBlink")  # another order than the rig's
 WEIGHTS = np.random.default_rng(0).random((20, 3)).astype(np.float32)
 

@@ -277,12 +277,12 @@ def basis_of(mapping: TrainedMapping, rig: Rig) -> SolveBasis | None:
     settings = mapping.settings
     if "tuned" not in settings or "pairs" not in settings:
         return None
-    still, unseen = (str(settings.get(f"{each}_regions", "")) for each in ("still", "unseen"))
+    still, without = (str(settings.get(f"{each}_regions", "")) for each in ("still", "unseen"))
     return SolveBasis(
         pairs=int(settings["pairs"]),
         tuned=int(settings["tuned"]),
         still_regions=tuple(filter(None, still.split(","))),
-        unseen_regions=tuple(filter(None, unseen.split(","))),
+        regions_without_markers=tuple(filter(None, without.split(","))),
         changed_shapes=changed_shapes(mapping, rig),
     )
 

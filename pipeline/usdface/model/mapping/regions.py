@@ -76,7 +76,7 @@ def membership(points: dict[str, IntArray], count: int) -> FloatArray:
     return table
 
 
-def unseen_regions(
+def regions_without_markers(
     parts: tuple[str, ...], face: Face, labels: Sequence[str], rigid: Sequence[str]
 ) -> tuple[str, ...]:
     """Return the regions that no marker shows, by the positions of the markers on the rig.

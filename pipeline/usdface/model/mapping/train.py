@@ -28,7 +28,7 @@ from usdface.model.mapping.regions import (
     membership,
     region_grams,
     region_points,
-    unseen_regions,
+    regions_without_markers,
 )
 from usdface.model.mapping.uncertainty import UncertaintyModel, calibrate_uncertainty
 from usdface.model.regressions import (
@@ -270,12 +270,12 @@ def _region_settings(
     A still region is one that no reference moves: its motion in takes follows from the rig alone.
     """
     face, shapes = folds.pairs.face, shapes_by_region(parts)
-    unseen = unseen_regions(parts, face, references.marker_names, references.rigid)
+    without = regions_without_markers(parts, face, references.marker_names, references.rigid)
     reach = np.ptp(face.normalise(folds.pairs.outputs), axis=0)
     still = [
         region
         for region in regions[1:]
-        if region in shapes and region not in unseen and reach[shapes[region]].max() < _STILL_SHARE
+        if region in shapes and region not in without and reach[shapes[region]].max() < _STILL_SHARE
     ]
-    named = {"regions": regions, "still_regions": still, "unseen_regions": unseen}
+    named = {"regions": regions, "still_regions": still, "unseen_regions": without}
     return {name: ",".join(each) for name, each in named.items()}

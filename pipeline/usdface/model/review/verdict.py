@@ -121,7 +121,7 @@ def judge_solve(evidence: SolveEvidence) -> SolveVerdict:
     where = _worst_regions(evidence.regions, shares)
     retarget = evidence.retarget if evidence.unfollowed_share > _CHANCE_SHARE else ""
     parts = [retarget, _coverage(evidence), _tuned(evidence), _name_changed(evidence)]
-    parts += [_name_unseen(evidence), _error(evidence), _residual(evidence)]
+    parts += [_name_without_markers(evidence), _error(evidence), _residual(evidence)]
     if level != "good" and where:
         columns = [evidence.regions.index(region) for region in where]
         parts.append(f"{_list_limits(beyond, columns)}: {_list_regions(where)}")
@@ -240,12 +240,12 @@ def _name_changed(evidence: SolveEvidence) -> str:
     return f"shapes of the rig have changed since training: {shapes}"
 
 
-def _name_unseen(evidence: SolveEvidence) -> str:
+def _name_without_markers(evidence: SolveEvidence) -> str:
     """Name the regions without markers."""
     basis = evidence.basis
-    if basis is None or not basis.unseen_regions or evidence.error_mm is not None:
+    if basis is None or not basis.regions_without_markers or evidence.error_mm is not None:
         return ""
-    regions = " and the ".join(basis.unseen_regions)
+    regions = " and the ".join(basis.regions_without_markers)
     return f"no marker sees the {regions}: weights there are guessed from the rest of the face"
 
 
@@ -296,11 +296,11 @@ def _residual(evidence: SolveEvidence) -> str:
 
 def _advice(evidence: SolveEvidence, level: str, where: dict[str, float], proposals: bool) -> str:
     basis = evidence.basis
-    unseen = () if basis is None else basis.unseen_regions
+    without_markers = () if basis is None else basis.regions_without_markers
     still = () if basis is None else basis.still_regions
-    shown = [region for region in where if region not in unseen]
-    if unseen and where and not shown and evidence.error_mm is None:
-        regions = " and the ".join(unseen)
+    shown = [region for region in where if region not in without_markers]
+    if without_markers and where and not shown and evidence.error_mm is None:
+        regions = " and the ".join(without_markers)
         return f"use the rest of the face alone, or capture the {regions} with markers"
     steps = []
     if level == "bad" and evidence.error_mm is None and not (proposals and _is_covered(evidence)):

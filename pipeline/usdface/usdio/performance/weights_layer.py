@@ -378,7 +378,7 @@ def author_header(layer: Sdf.Layer, header: WeightsHeader, rig: Rig) -> Sdf.Prim
         counts = Vt.IntArray([header.basis.tuned, header.basis.pairs])
         author_uniform(prim, PAIR_COUNTS, Sdf.ValueTypeNames.IntArray, counts)
         author_uniform(prim, STILL_REGIONS, tokens, list(header.basis.still_regions))
-        author_uniform(prim, UNSEEN_REGIONS, tokens, list(header.basis.unseen_regions))
+        author_uniform(prim, UNSEEN_REGIONS, tokens, list(header.basis.regions_without_markers))
         author_uniform(prim, CHANGED_SHAPES, tokens, list(header.basis.changed_shapes))
     if header.unmatched:
         author_uniform(prim, UNMATCHED, tokens, list(header.unmatched))
