@@ -20,7 +20,7 @@ from usdface.core.deformer import Deformer
 from usdface.model import Prediction, predict_weights, sample_skin, train_mapping
 from usdface.model.mapping.regions import region_points
 from usdface.model.mapping.uncertainty import LIMIT_DEVIATIONS
-from usdface.numerics.measure.face_regions import unseen_shapes
+from usdface.numerics.measure.face_regions import gaze_and_tongue_shapes
 from usdface.numerics.regression.cross_validation import surface_errors_mm
 from usdface.steps.inputs.cleaned_takes import read_markers, take_head_space
 from usdface.usdio.mapping import read_mapping
@@ -145,7 +145,7 @@ def _errors(
 ) -> np.ndarray:
     """Return the error of the skin of each region, without gaze and tongue [mm]."""
     off = off.copy()
-    off[:, unseen_shapes(names)] = 0.0
+    off[:, gaze_and_tongue_shapes(names)] = 0.0
     errors = np.tile(surface_errors_mm(off, gram)[:, None], (1, len(regions)))
     for region, points in region_points(names, skin).items():
         if region in regions[1:]:

@@ -12,7 +12,7 @@ from usdface.core.assets import MeshShape
 from usdface.core.deformer import Deformer
 from usdface.media.picture.image import read_picture
 from usdface.model.mapping.regions import skin_points
-from usdface.numerics.measure.face_regions import unseen_shapes
+from usdface.numerics.measure.face_regions import gaze_and_tongue_shapes
 from usdface.runner.execute import execute
 from usdface.specs.performance import TrainSpec
 from usdface.specs.references import ReferencesImportSpec
@@ -84,7 +84,7 @@ def test_shapes_that_markers_do_not_show_are_named_and_no_error_of_the_skin(
 ) -> None:
     given = finished_shot / "hero.references.usda"
     pairs = read_references(given)
-    weights, unseen = pairs.weights.copy(), unseen_shapes(pairs.shape_names)
+    weights, unseen = pairs.weights.copy(), gaze_and_tongue_shapes(pairs.shape_names)
     weights[:, unseen] = 0.0
     for keyed in (0.0, 0.8):
         weights[2, pairs.shape_names.index("tongueOut")] = keyed

@@ -13,13 +13,13 @@ from usdface.model.mapping.regions import FACE
 from usdface.model.placement.shape_parts import shape_parts
 from usdface.numerics.measure.face_regions import (
     blinks,
+    gaze_and_tongue_shapes,
     gaze_shapes,
     jaw_opener,
     points_by_region,
     region_gram,
     shapes_by_region,
     tongue_shapes,
-    unseen_shapes,
 )
 from usdface.numerics.measure.performance_error import (
     LipError,
@@ -57,7 +57,7 @@ class SkinRuler:
     @cached_property
     def left_out(self) -> IntArray:
         """Columns of all excluded shapes."""
-        return unseen_shapes(self.parts)
+        return gaze_and_tongue_shapes(self.parts)
 
     @property
     def observable(self) -> BoolArray:

@@ -42,10 +42,10 @@ from usdface.model.regressions import (
 from usdface.model.regressions.base import DrivenSkin, Fitted
 from usdface.model.regressions.frame_solve import VARIANCE_INFLATIONS, FrameSolver
 from usdface.numerics.measure.face_regions import (
+    gaze_and_tongue_shapes,
     gaze_shapes,
     shapes_by_region,
     tongue_shapes,
-    unseen_shapes,
 )
 
 _TONGUE_SHARE = 0.2
@@ -236,7 +236,7 @@ def _frame_solver(
 def _skin_gram(gram: FloatArray, parts: tuple[str, ...]) -> FloatArray:
     """Return a Gram matrix without gaze and tongue, which markers do not show."""
     skin_gram = gram.astype(np.float64)
-    columns = unseen_shapes(parts)
+    columns = gaze_and_tongue_shapes(parts)
     skin_gram[columns] = skin_gram[:, columns] = 0.0
     return skin_gram
 

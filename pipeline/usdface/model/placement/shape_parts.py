@@ -19,9 +19,9 @@ from usdface.model.placement.face_template import landmark_place
 from usdface.model.placement.rig_landmarks import MOST_MOVED_SHARE, find_landmarks
 from usdface.numerics.measure.face_regions import (
     REGIONS,
+    gaze_and_tongue_shapes,
     gaze_shapes,
     region_of_shape,
-    unseen_shapes,
 )
 from usdface.numerics.registration.face_skin import FaceSkin, sample_face_skin
 
@@ -115,7 +115,7 @@ def _eyes(motions: FloatArray, gaze: IntArray, off_skin: BoolArray) -> list[IntA
 
 def foreign_shapes(names: Sequence[str]) -> list[int]:
     """Return the columns of shapes whose names tell no region of the face."""
-    unseen = set(unseen_shapes(names).tolist())
+    unseen = set(gaze_and_tongue_shapes(names).tolist())
     return [i for i, name in enumerate(names) if i not in unseen and not region_of_shape(name)]
 
 

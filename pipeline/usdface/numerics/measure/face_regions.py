@@ -143,8 +143,8 @@ def tongue_shapes(names: Sequence[str]) -> IntArray:
     return np.flatnonzero([_TONGUE in name.lower() for name in names])
 
 
-def unseen_shapes(names: Sequence[str]) -> IntArray:
-    """Return the columns of the shapes that markers do not observe: gaze and tongue."""
+def gaze_and_tongue_shapes(names: Sequence[str]) -> IntArray:
+    """Return the columns of the shapes of gaze and tongue, which markers do not show."""
     return np.concatenate([gaze_shapes(names), tongue_shapes(names)]).astype(np.int64)
 
 

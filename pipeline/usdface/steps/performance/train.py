@@ -25,7 +25,7 @@ from usdface.model.placement.rig_orientation import check_rig_stands
 from usdface.model.placement.shape_parts import missing_parts_note, shape_parts
 from usdface.model.regressions import Choices
 from usdface.model.regressions.gaussian_rbf import PAPER_DIMENSIONS
-from usdface.numerics.measure.face_regions import unseen_shapes
+from usdface.numerics.measure.face_regions import gaze_and_tongue_shapes
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.performance import TrainSpec
@@ -115,7 +115,7 @@ def _unkeyed_shapes(references: References, mapping: TrainedMapping) -> list[str
     """Return the shapes that move markers and are 0 in every pair, the largest motion first."""
     moved_mm = np.sqrt(mapping.arrays["forward_shape_size2"].max(axis=1))
     moved_mm[references.weights.any(axis=0)] = 0.0
-    moved_mm[unseen_shapes(references.parts or references.shape_names)] = 0.0
+    moved_mm[gaze_and_tongue_shapes(references.parts or references.shape_names)] = 0.0
     order = np.argsort(-moved_mm, kind="stable").tolist()
     return [references.shape_names[column] for column in order if moved_mm[column] > _SHOWN_MM]
 
@@ -210,7 +210,7 @@ def _correction_notes(mapping: TrainedMapping, references: References) -> list[s
         )
     unseen = [
         references.shape_names[column]
-        for column in unseen_shapes(references.parts)
+        for column in gaze_and_tongue_shapes(references.parts)
         if references.weights[:, column].any()
     ]
     if unseen:
