@@ -71,8 +71,8 @@ def test_gaze_and_tongue_are_no_error_of_the_skin_and_have_figures_of_their_own(
     tongue[:, rig.shapes.index("tongueOut")] += 0.5
     alone = evaluate(rig, tongue, truth)
     assert alone.skin.max_mm == 0.0
-    assert alone.unseen_mm == {"gaze": 0.0, "tongue": pytest.approx(alone.surface.mean_mm)}
-    assert alone.unseen_mm["tongue"] > 0.0
+    assert alone.excluded_mm == {"gaze": 0.0, "tongue": pytest.approx(alone.surface.mean_mm)}
+    assert alone.excluded_mm["tongue"] > 0.0
 
 
 def test_the_truth_itself_has_no_error(rig: Rig) -> None:
@@ -144,7 +144,7 @@ def test_shapes_whose_names_say_nothing_are_measured_by_what_they_move(rig: Rig)
     assert [each.name for each in found.regions] == [each.name for each in named.regions]
     for each, other in zip(found.regions, named.regions, strict=True):
         assert each.skin.rms_mm == pytest.approx(other.skin.rms_mm, rel=1e-9)
-    assert found.unseen_mm.keys() == named.unseen_mm.keys()
+    assert found.excluded_mm.keys() == named.excluded_mm.keys()
     assert found.lips is None
     assert np.isnan(found.blink_bias)
     assert found.surface.rms_mm > 0.0

@@ -49,20 +49,20 @@ class SkinRuler:
         return shape_parts(self.rig, self.deformer)
 
     @cached_property
-    def unseen(self) -> dict[str, IntArray]:
+    def excluded_parts(self) -> dict[str, IntArray]:
         """Columns of the excluded shapes: ``'gaze'`` and ``'tongue'``, if the rig has them."""
         columns = {"gaze": gaze_shapes(self.parts), "tongue": tongue_shapes(self.parts)}
         return {name: shapes for name, shapes in columns.items() if len(shapes)}
 
     @cached_property
-    def left_out(self) -> IntArray:
+    def excluded(self) -> IntArray:
         """Columns of all excluded shapes."""
         return gaze_and_tongue_shapes(self.parts)
 
     @property
     def observable(self) -> BoolArray:
         """Which shapes are not excluded: (shapes,)."""
-        return np.isin(np.arange(len(self.parts)), self.left_out, invert=True)
+        return np.isin(np.arange(len(self.parts)), self.excluded, invert=True)
 
     @cached_property
     def points(self) -> dict[str, IntArray]:
@@ -85,7 +85,7 @@ class SkinRuler:
             NaN where unknown.
         """
         skin_weights = weights.copy()
-        skin_weights[:, self.left_out] = others[:, self.left_out]
+        skin_weights[:, self.excluded] = others[:, self.excluded]
         return self._key_differences(skin_weights, others)
 
     def _key_differences(self, weights: FloatArray, others: FloatArray) -> FloatArray:
@@ -95,10 +95,10 @@ class SkinRuler:
         differences[known] = shapes.key_weights(weights[known]) - shapes.key_weights(others[known])
         return differences
 
-    def unseen_mm(self, weights: FloatArray, others: FloatArray) -> dict[str, float]:
+    def excluded_mm(self, weights: FloatArray, others: FloatArray) -> dict[str, float]:
         """Return the surface error of each excluded part alone: mean over the frames [mm]."""
         errors = {}
-        for name, columns in self.unseen.items():
+        for name, columns in self.excluded_parts.items():
             part_weights = others.copy()
             part_weights[:, columns] = weights[:, columns]
             differences = self._key_differences(part_weights, others)
@@ -138,7 +138,7 @@ class Evaluation:
     """Of the whole rig, without gaze and tongue: the figure of sheets and reports."""
     surface: SurfaceError
     """Of the whole rig, with gaze and tongue."""
-    unseen_mm: dict[str, float]
+    excluded_mm: dict[str, float]
     """Surface error of ``'gaze'`` and ``'tongue'`` alone, if the rig has them: mean over the frames
     [mm]."""
     regions: tuple[RegionError, ...]
@@ -219,7 +219,7 @@ def evaluate_weights(
         weight_rmse=measure_weights(errors, observable=compared & observable),
         skin=measure_surface(skin_errors, grams[FACE]),
         surface=measure_surface(key_errors, grams[FACE]),
-        unseen_mm=skin.unseen_mm(solved, truth),
+        excluded_mm=skin.excluded_mm(solved, truth),
         regions=tuple(regions),
         shapes=shapes,
         shape_mm=shapes.rmse * size_mm,

@@ -40,8 +40,8 @@ def shapes_with_motion(shapes: Sequence[str], unobservable: Sequence[str]) -> Bo
 
 def evaluation_summary(evaluation: Evaluation) -> str:
     """Return the main errors in one line."""
-    unseen = evaluation.unseen_mm
-    without = f" without {' and '.join(unseen)}" if unseen else ""
+    excluded = evaluation.excluded_mm
+    without = f" without {' and '.join(excluded)}" if excluded else ""
     facts = [
         f"{evaluation.skin.mean_mm:.3f} mm off the keys{without}",
         f"95th percentile {evaluation.skin.p95_mm:.3f} mm",
@@ -52,7 +52,7 @@ def evaluation_summary(evaluation: Evaluation) -> str:
 
 
 def _unseen_facts(evaluation: Evaluation) -> list[str]:
-    return [f"{name} alone {mm:.3f} mm" for name, mm in evaluation.unseen_mm.items() if mm]
+    return [f"{name} alone {mm:.3f} mm" for name, mm in evaluation.excluded_mm.items() if mm]
 
 
 def evaluation_table(evaluation: Evaluation) -> tuple[str, ...]:
@@ -67,7 +67,7 @@ def evaluation_table(evaluation: Evaluation) -> tuple[str, ...]:
             f"{name:<17}{_number(weights):>9}{skin.mean_mm:>9.3f}{skin.p95_mm:>9.3f}"
             f"{skin.max_mm:>11.3f}"
         )
-    lines += [f"{f'{name} alone':<26}{mm:>9.3f}" for name, mm in evaluation.unseen_mm.items()]
+    lines += [f"{f'{name} alone':<26}{mm:>9.3f}" for name, mm in evaluation.excluded_mm.items()]
     lines.append("")
     if evaluation.lips is not None:
         closed = evaluation.lips.closed_bias_mm
@@ -100,7 +100,7 @@ def evaluation_figures(evaluation: Evaluation) -> dict[str, object]:
             "last": int(evaluation.frames[-1]),
         },
         **_skin_figures(evaluation.skin),
-        **{f"{name}_mean_mm": mm for name, mm in evaluation.unseen_mm.items()},
+        **{f"{name}_mean_mm": mm for name, mm in evaluation.excluded_mm.items()},
         "weight_rmse": _known(evaluation.weight_rmse),
         "vertex_rms_mm": evaluation.surface.rms_mm,
         "vertex_p95_mm": evaluation.surface.p95_mm,

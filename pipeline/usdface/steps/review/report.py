@@ -163,7 +163,7 @@ def _page(
         origin=provenance_metadata(provenance),
         markers=None if equation is None else page_markers(shot, equation),
         heat=page_heat(signals, curves),
-        left_out=tuple(rig.shapes[column] for column in ruler.skin.left_out.tolist()),
+        left_out=tuple(rig.shapes[column] for column in ruler.skin.excluded.tolist()),
         notes=review_notes,
         commands=page_commands(spec, shot, spec.references or find_references(spec.performance)),
     )

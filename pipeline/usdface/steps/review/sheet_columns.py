@@ -202,8 +202,8 @@ def _errors(pictures: ShotPictures, comparison: SheetComparison) -> Callable[[in
         if truth is None or np.isnan(truth[row]).any():
             return Tile(None, caption="no keys here")
         weights = shot.weights[row].copy()
-        left_out = comparison.ruler.skin.left_out
-        weights[left_out] = truth[row, left_out]
+        excluded = comparison.ruler.skin.excluded
+        weights[excluded] = truth[row, excluded]
         solved, keyed = (shot.deformer.points(w[None])[0] for w in (weights, truth[row]))
         error = np.linalg.norm(solved - keyed, axis=-1)
         picture = pictures.painted(row, weights, error, high=range_mm(keyed=True))
