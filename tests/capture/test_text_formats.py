@@ -318,7 +318,7 @@ def test_frames_that_live_link_dropped_are_interpolated_and_named(put):
     expected = weights[2] + (weights[5] - weights[2]) * np.array([[1], [2]]) / 3
     np.testing.assert_allclose(source.values[3:5], expected, rtol=1e-6)
     np.testing.assert_array_equal(source.values[5:], weights[5:].astype(np.float32))
-    assert source.unseen == ((4, 5),)
+    assert source.gaps == ((4, 5),)
     assert noted(
         capture, "2 of 12 frames were dropped by the recorder and are interpolated: frames 4-5"
     )
@@ -341,16 +341,16 @@ def frozen_recording(still):
 def test_a_stream_that_froze_is_a_gap_of_the_take(put):
     text, rows = frozen_recording(still=True)
     capture = read_capture(put(text))
-    assert capture.take.source.unseen == ((21, 40),)
+    assert capture.take.source.gaps == ((21, 40),)
     line = rows[19] + (rows[40] - rows[19]) * np.arange(1, 21)[:, None] / 21
     np.testing.assert_allclose(capture.take.source.values[20:40], line, rtol=1e-5)
-    assert noted(capture, "the stream froze; taken for unseen, and interpolated: frames 21-40")
+    assert noted(capture, "the stream froze; treated as a gap, and interpolated: frames 21-40")
 
 
 def test_a_face_that_keeps_still_before_a_device_is_no_gap(put):
     text, rows = frozen_recording(still=False)
     capture = read_capture(put(text))
-    assert capture.take.source.unseen == ()
+    assert capture.take.source.gaps == ()
     np.testing.assert_allclose(capture.take.source.values, rows, rtol=1e-5)
 
 

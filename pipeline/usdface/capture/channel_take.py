@@ -22,7 +22,7 @@ _CLOCK_ERROR = 0.002
 
 _FROZEN_SECONDS = 0.5
 """Duration of identical rows from which a stream counts as frozen: measured values have noise."""
-_MOST_UNSEEN = 0.5
+_LARGEST_GAP_SHARE = 0.5
 """Share of the frames; with more, the table holds keys, or a face that is meant to be still."""
 
 
@@ -53,14 +53,14 @@ def build_channel_take(
         stretches = [(int(numbers[a]), int(numbers[b - 1])) for a, b in runs(~seen)]
         found.append(
             f"{pluralize(int((~seen).sum()), 'row')} repeat the one before to the last digit: the "
-            f"stream froze; taken for unseen, and interpolated: {frame_ranges(stretches)}"
+            f"stream froze; treated as a gap, and interpolated: {frame_ranges(stretches)}"
         )
     clip = WeightsClip(
         names=tuple(names),
         values=fill_frames(values, times.frames, seen),
         first_frame=first_frame,
         rate=times.rate,
-        unseen=_unseen_stretches(times.frames[seen], times.frames[-1], first_frame),
+        gaps=_gaps(times.frames[seen], times.frames[-1], first_frame),
     )
     take = Take(
         name=path.stem,
@@ -124,12 +124,10 @@ def _frozen_rows(values: FloatArray, times: SampleTimes) -> BoolArray:
     same[1:] = (values[1:] == values[:-1]).all(axis=1)
     for start, stop in runs(same):
         same[start:stop] &= stop - start >= _FROZEN_SECONDS * float(times.rate)
-    return np.asarray(same & (same.mean() <= _MOST_UNSEEN))
+    return np.asarray(same & (same.mean() <= _LARGEST_GAP_SHARE))
 
 
-def _unseen_stretches(
-    frames: FloatArray, end: float, first_frame: int
-) -> tuple[tuple[int, int], ...]:
+def _gaps(frames: FloatArray, end: float, first_frame: int) -> tuple[tuple[int, int], ...]:
     """Return the ranges of frames that have no sample within one frame, as frame numbers.
 
     Parameters
@@ -144,10 +142,10 @@ def _unseen_stretches(
     after = np.searchsorted(frames, grid, "left")
     later = np.append(frames, np.inf)[after] - grid
     earlier = grid - np.append(-np.inf, frames)[after]
-    unseen = np.minimum(later, earlier) >= 1.0
-    if unseen.mean() > _MOST_UNSEEN:
+    in_gap = np.minimum(later, earlier) >= 1.0
+    if in_gap.mean() > _LARGEST_GAP_SHARE:
         return ()
-    return tuple((first_frame + a, first_frame + b - 1) for a, b in runs(unseen))
+    return tuple((first_frame + a, first_frame + b - 1) for a, b in runs(in_gap))
 
 
 def describe_missing(frames: FloatArray, first_frame: int = _FIRST_FRAME) -> list[str]:

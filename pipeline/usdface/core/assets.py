@@ -99,7 +99,7 @@ class WeightsClip(_Asset):
     """Frame number of ``values[0]``."""
     rate: Fraction
     """Frames per second."""
-    unseen: tuple[tuple[int, int], ...] = ()
+    gaps: tuple[tuple[int, int], ...] = ()
     """First and last frame of each stretch without capture, in which values are interpolated."""
 
     def __getitem__(self, name: str) -> Float32Array:

@@ -12,7 +12,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 from usdface.core.arrays import Float32Array, FloatArray, IntArray
 from usdface.core.errors import InputError
 
-_UNSEEN = "face:source:unseen"
+_GAPS = "face:source:unseen"
 """Of weights in takes, and in performances retargeted from them."""
 
 
@@ -69,16 +69,16 @@ def author_uniform(prim: Sdf.PrimSpec, name: str, kind: Sdf.ValueTypeName, value
     Sdf.AttributeSpec(prim, name, kind, Sdf.VariabilityUniform).default = value
 
 
-def author_unseen(prim: Sdf.PrimSpec, stretches: Sequence[tuple[int, int]]) -> None:
+def author_gaps(prim: Sdf.PrimSpec, stretches: Sequence[tuple[int, int]]) -> None:
     """Write the first and last frame of each stretch without a capture, if there are any."""
     if stretches:
         pairs = Vt.Vec2iArray([Gf.Vec2i(*stretch) for stretch in stretches])
-        author_uniform(prim, _UNSEEN, Sdf.ValueTypeNames.Int2Array, pairs)
+        author_uniform(prim, _GAPS, Sdf.ValueTypeNames.Int2Array, pairs)
 
 
-def unseen_in(prim: Usd.Prim) -> tuple[tuple[int, int], ...]:
-    """Return the stretches that `author_unseen` wrote."""
-    return tuple((int(first), int(last)) for first, last in value_of(prim, _UNSEEN) or ())
+def read_gaps(prim: Usd.Prim) -> tuple[tuple[int, int], ...]:
+    """Return the stretches that `author_gaps` wrote."""
+    return tuple((int(first), int(last)) for first, last in value_of(prim, _GAPS) or ())
 
 
 def doubles(values: ArrayLike) -> Vt.DoubleArray:

@@ -52,9 +52,9 @@ def test_timecode_lays_the_weights_where_they_belong() -> None:
 
 def test_what_the_weights_do_not_show_lies_where_they_do() -> None:
     weights = weights_take()
-    late = replace(weights, source=replace(weights.source, unseen=((31, 45),)))
+    late = replace(weights, source=replace(weights.source, gaps=((31, 45),)))
     joined = join_captures([markers_take(), late], FILES)
-    assert joined.take.source.unseen == ((101 + 180, 101 + 236),)  # 1.5 s, and 44 / 30 + 0.5 s
+    assert joined.take.source.gaps == ((101 + 180, 101 + 236),)  # 1.5 s, and 44 / 30 + 0.5 s
 
 
 def test_without_timecode_they_start_together_and_that_is_said() -> None:

@@ -344,13 +344,13 @@ def _resample(clip: WeightsClip, take: Take, shift: float) -> tuple[WeightsClip,
             take.first_frame + round(((frame - clip.first_frame) / clip.rate + shift) * take.rate)
             for frame in stretch
         ]
-        for stretch in clip.unseen
+        for stretch in clip.gaps
     ]
     resampled = WeightsClip(
         clip.names,
         values.astype(np.float32),
         take.first_frame,
         take.rate,
-        unseen=tuple((first, last) for first, last in numbers),
+        gaps=tuple((first, last) for first, last in numbers),
     )
     return resampled, outside

@@ -54,7 +54,7 @@ class SourceMotion:
     """Shapes that others drive, on the source's rig or the target's; they need no counterpart."""
     notes: tuple[str, ...] = ()
     """Assumptions of a capture's reader."""
-    unseen: tuple[tuple[int, int], ...] = ()
+    gaps: tuple[tuple[int, int], ...] = ()
     """First and last frame of gaps of at least `_LEAST_GAP_SECONDS`."""
     rig: tuple[Path, str] | None = None
     """File and SkelRoot of the source's rig, if known."""
@@ -144,7 +144,7 @@ def read_source_motion(
         rate=performance.rate,
         timecode_start=performance.timecode_at(first),
         driven=frozenset(each.shape for each in performance.combinations),
-        unseen=_gaps(performance.header.unseen, first, last, performance.rate),
+        gaps=_gaps(performance.header.gaps, first, last, performance.rate),
         rig=_rig_of(performance),
     )
 
@@ -213,8 +213,8 @@ def describe_retarget(performance: Path) -> str:
         index = outs.index(performance.name) if performance.name in outs else 0
         words = f"a retarget of {_pair_words(performance.parent / spec['retargeting'][index])}"
     header = PerformanceReader(performance).header
-    if header.unseen:
-        words += f"; nothing was captured in {frame_ranges(header.unseen)}, which are filled"
+    if header.gaps:
+        words += f"; nothing was captured in {frame_ranges(header.gaps)}, which are filled"
     lost = header.unmatched
     if lost:
         moves = "moves and is" if len(lost) == 1 else "move and are"
@@ -281,7 +281,7 @@ def _of_take(path: Path, take: Take, first: int, last: int) -> SourceMotion:
         rate=take.rate,
         timecode_start=take.timecode_start,
         emotion=take.emotion,
-        unseen=_gaps(take.source.unseen, first, last, take.rate),
+        gaps=_gaps(take.source.gaps, first, last, take.rate),
     )
 
 

@@ -97,9 +97,9 @@ def run(spec: RetargetSpec, *, provenance: Provenance, progress: Progress = sile
         frames = np.arange(motion.first_frame, motion.last_frame + 1)
         alpha = read_alpha(spec.alpha, frames)
     notes = [f"{spec.source.name}: {note}" for note in motion.notes]
-    if motion.unseen:
+    if motion.gaps:
         notes.append(
-            f"{spec.source.name}: nothing was captured in {frame_ranges(motion.unseen)}; weights "
+            f"{spec.source.name}: nothing was captured in {frame_ranges(motion.gaps)}; weights "
             "are interpolated there"
         )
     outputs: list[Path] = []
@@ -214,7 +214,7 @@ def _header(spec: RetargetSpec, motion: SourceMotion, target: _Target) -> Weight
     return replace(
         header,
         unmatched=tuple(shares),
-        unseen=motion.unseen,
+        gaps=motion.gaps,
         unmatched_shares=() if by_table else tuple(shares.values()),
     )
 

@@ -9,7 +9,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel, UsdUtils
 
 from usdface.core.arrays import FloatArray
 from usdface.core.text import first_few, frame_ranges
-from usdface.usdio.authoring import unseen_in
+from usdface.usdio.authoring import read_gaps
 from usdface.usdio.checks.curves import pair_sides
 from usdface.usdio.checks.fault import Fault, is_recorded, is_solved
 from usdface.usdio.performance.weights_layer import UNMATCHED
@@ -66,11 +66,11 @@ def _unmatched(prim: Usd.Prim) -> Iterator[Fault]:
             f"{len(lost)} shapes of the source move and have no counterpart here: "
             f"{first_few(lost)}; pair them with `usdface names` and --names, and retarget again",
         )
-    if unseen := unseen_in(prim):
+    if gaps := read_gaps(prim):
         yield Fault(
             "warning",
             str(prim.GetPath()),
-            f"nothing was captured in {frame_ranges(unseen)}: what is there is interpolated. "
+            f"nothing was captured in {frame_ranges(gaps)}: what is there is interpolated. "
             "Animate it by hand, or take another take",
         )
     weights = UsdSkel.Animation(prim).GetBlendShapeWeightsAttr()

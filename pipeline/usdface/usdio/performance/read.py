@@ -14,7 +14,7 @@ from usdface.core.assets import Performance, SolveBasis, WeightsClip
 from usdface.core.errors import InputError
 from usdface.core.rates import exact_rate, shift_timecode, span_of_samples
 from usdface.core.rig_logic import Combination
-from usdface.usdio.authoring import names_in, text_of, unseen_in, value_of
+from usdface.usdio.authoring import names_in, read_gaps, text_of, value_of
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.performance.edits import ShapeEdit, edited_weights, read_edits
 from usdface.usdio.performance.weights_layer import (
@@ -176,7 +176,7 @@ class PerformanceReader:
             basis=self.basis,
             unmatched=names_in(self.animation.GetAttribute(UNMATCHED)),
             unmatched_shares=tuple(value_of(self.animation, UNMATCHED_SHARES) or ()),
-            unseen=unseen_in(self.animation),
+            gaps=read_gaps(self.animation),
         )
 
     def rig(self) -> tuple[Path, str]:

@@ -17,9 +17,9 @@ from usdface.core.rig_logic import Combination, logic_of
 from usdface.numerics.motion.key_reduction import sparse_rows
 from usdface.usdio.authoring import (
     apply_api,
+    author_gaps,
     author_timing,
     author_uniform,
-    author_unseen,
     define_prim,
     paths_in,
 )
@@ -91,7 +91,7 @@ class WeightsHeader:
     """Shapes that move in the source of a retargeting and drive nothing."""
     unmatched_shares: tuple[float, ...] = ()
     """Of each, in the motion of the source's face [0-1]; empty if a person chose the pairs."""
-    unseen: tuple[tuple[int, int], ...] = ()
+    gaps: tuple[tuple[int, int], ...] = ()
     """First and last frame of stretches of a retargeting's source without a capture."""
     held: tuple[str, ...] = ()
     """Shapes written at 0, as joints have the same effect."""
@@ -385,7 +385,7 @@ def author_header(layer: Sdf.Layer, header: WeightsHeader, rig: Rig) -> Sdf.Prim
     if header.unmatched_shares:
         shares = Vt.FloatArray(header.unmatched_shares)
         author_uniform(prim, UNMATCHED_SHARES, Sdf.ValueTypeNames.FloatArray, shares)
-    author_unseen(prim, header.unseen)
+    author_gaps(prim, header.gaps)
     if header.timecode_start:
         text = Sdf.ValueTypeNames.String
         author_uniform(prim, "face:timecode:start", text, header.timecode_start)

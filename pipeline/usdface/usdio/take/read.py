@@ -11,7 +11,7 @@ from usdface.core.arrays import Float32Array
 from usdface.core.assets import Event, Markers, Take, Video, WeightsClip
 from usdface.core.errors import InputError
 from usdface.core.rates import check_frame_span, exact_rate, frames_within, shift_timecode
-from usdface.usdio.authoring import names_in, text_of, unseen_in, value_of
+from usdface.usdio.authoring import names_in, read_gaps, text_of, value_of
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.take.write import AUDIO, HEAD_MOTION, MARKER_CONFIDENCE, MARKERS, SOURCE, VISIBLE
 from usdface.usdio.units import column_matrix, stage_to_ours
@@ -286,7 +286,7 @@ class TakeReader:
                     f"{0 if row is None else len(row)} weights for {len(names)} names"
                 )
             values[index] = row
-        return WeightsClip(names, values, frames[0], self.rate, unseen_in(prim))
+        return WeightsClip(names, values, frames[0], self.rate, read_gaps(prim))
 
     @refusing_wrong_types
     def head_motion_from_neutral(self, first: int, last: int) -> np.ndarray | None:

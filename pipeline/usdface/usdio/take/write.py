@@ -14,9 +14,9 @@ from usdface.core.sidecars import samples_path
 from usdface.usdio.authoring import (
     PointExtents,
     apply_api,
+    author_gaps,
     author_timing,
     author_uniform,
-    author_unseen,
     define_prim,
 )
 from usdface.usdio.layers import FRAMES_IN_MEMORY, new_layer, new_layers, open_layer, relative_path
@@ -110,7 +110,7 @@ def _author(layer: Sdf.Layer, take: Take) -> None:
     if take.source is not None:
         prim = define_prim(layer, SOURCE, "SkelAnimation")
         author_uniform(prim, "blendShapes", Sdf.ValueTypeNames.TokenArray, list(take.source.names))
-        author_unseen(prim, take.source.unseen)
+        author_gaps(prim, take.source.gaps)
         weights = Sdf.AttributeSpec(prim, "blendShapeWeights", Sdf.ValueTypeNames.FloatArray)
         for offset, row in enumerate(np.ascontiguousarray(take.source.values, np.float32)):
             layer.SetTimeSample(
