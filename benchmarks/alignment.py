@@ -56,7 +56,7 @@ def run() -> None:
     for label, make in unusable_pairs(speech).items():
         rng = np.random.default_rng(0)
         found = [align_sounds(*make(rng), rate=RATE) for _ in range(REFUSALS)]
-        refused = sum(bool(each.doubts) for each in found)
+        refused = sum(bool(each.warnings) for each in found)
         highest = max(each.confidence for each in found)
         print(f"{label:>26} {refused:>4} / {REFUSALS} {highest:>18.2f}")
 
@@ -163,8 +163,8 @@ def unusable_pairs(speech: list[Sound]) -> dict[str, Callable[[np.random.Generat
 
 
 def _print_trials(label: str, trials: list[Trial], seconds: float) -> None:
-    right = [each for each in trials if not each.found.doubts and each.error_ms < 1]
-    refused = sum(bool(each.found.doubts) for each in trials)
+    right = [each for each in trials if not each.found.warnings and each.error_ms < 1]
+    refused = sum(bool(each.found.warnings) for each in trials)
     errors = [each.error_ms for each in right]
     drifts = [each.drift_error_ppm for each in right]
     print(

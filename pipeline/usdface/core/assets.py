@@ -163,7 +163,7 @@ class Take(_Asset):
     """SMPTE timecode of the first frame, empty if unknown."""
     events: tuple[Event, ...] = ()
     """In the order of the recording."""
-    doubts: tuple[str, ...] | None = None
+    warnings: tuple[str, ...] | None = None
     """Anomalies of its markers, by ingest; None if they were not examined."""
 
     @property

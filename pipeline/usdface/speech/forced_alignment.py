@@ -107,13 +107,13 @@ BEAMS = ((1e-48, 7e-29), (1e-120, 1e-100), (1e-200, 1e-200))
 """Beam widths (relative likelihoods) within and between words, tried in order until a path is
 found."""
 
-DOUBTFUL_SCORE = -38.0
+UNCERTAIN_SCORE = -38.0
 WRONG_SCORE = -41.0
 """Mean score per frame of speech, at most 0. Recordings with their own transcripts give -20 to -33,
 with those of others -58 to -67. The limit is at a third of the way, because transcripts in another
 language score higher than those of another recording."""
 
-DOUBTFUL_WORD_SCORE = -75.0
+UNCERTAIN_WORD_SCORE = -75.0
 """Score per frame below which a word is probably wrong."""
 
 PEAK_LEVEL = 0.7
@@ -134,8 +134,8 @@ class PhoneAlignment:
     """Mean over the frames of speech; see `WRONG_SCORE`."""
     guessed: dict[str, tuple[str, ...]]
     """Words missing from the dictionaries, with guessed pronunciations."""
-    doubtful_words: tuple[Span, ...]
-    """Words with a score below `DOUBTFUL_WORD_SCORE`."""
+    uncertain_words: tuple[Span, ...]
+    """Words with a score below `UNCERTAIN_WORD_SCORE`."""
     beam: int
     """Index in `BEAMS` of the first that found a path; above 0, the transcript may not fit."""
 
@@ -263,7 +263,7 @@ def _scored(
         score = sum(score for _, score in entries)
         count = max(round((span.end - span.start) / FRAME_SECONDS), 1)
         total, frames = total + score, frames + count
-        if score / count < DOUBTFUL_WORD_SCORE:
+        if score / count < UNCERTAIN_WORD_SCORE:
             doubtful.append(span)
     mean = total / max(frames, 1)
     if mean < WRONG_SCORE:

@@ -9,7 +9,7 @@ from usdface.core.deformer import Deformer
 from usdface.demo.rig import demo_rig
 from usdface.model.placement.marker_cloud import MarkerCloud
 from usdface.model.placement.rig_landmarks import find_landmarks
-from usdface.model.placement.verdict import PlacementVerdict, doubt_upside_down, judge_placement
+from usdface.model.placement.verdict import PlacementVerdict, judge_placement, warn_upside_down
 from usdface.numerics.registration.face_skin import FaceSkin, sample_face_skin
 from usdface.numerics.registration.virtual_markers import VirtualMarkers
 
@@ -73,7 +73,7 @@ def test_markers_at_their_landmarks_look_right(bench: Bench) -> None:
     assert verdict.level == "good"
     assert verdict.explained > 0.8
     assert abs(verdict.roll_degrees) < 0.5
-    assert not verdict.doubts
+    assert not verdict.warnings
 
 
 def test_one_marker_far_from_its_landmark_is_named_and_no_other(bench: Bench) -> None:
@@ -82,11 +82,11 @@ def test_one_marker_far_from_its_landmark_is_named_and_no_other(bench: Bench) ->
     moved[chin] += [35.0, 0.0, 0.0]
     verdict = bench.judge(moved)
     assert verdict.level == "check"
-    assert list(verdict.doubts) == ["Chin"]
+    assert list(verdict.warnings) == ["Chin"]
     assert "Chin lies" in verdict.sentence
     np.testing.assert_allclose(verdict.wanted["Chin"], bench.local[chin] @ bench.skin.frame)
     # Where a person put it, it may lie twice as far.
-    assert not bench.judge(moved, placed=[chin]).doubts
+    assert not bench.judge(moved, placed=[chin]).warnings
 
 
 @pytest.mark.parametrize("degrees", [-8.0, 8.0])
@@ -172,11 +172,11 @@ def test_motion_alone_asks_for_a_look(bench: Bench) -> None:
 def test_markers_that_fit_better_upside_down_look_wrong(bench: Bench) -> None:
     silent = replace(bench.cloud, labels=tuple(f"m{i}" for i in range(len(LABELS))))
     doubted = bench.judge(bench.local, cloud=silent, by_labels=False)
-    verdict = doubt_upside_down(doubted)
+    verdict = warn_upside_down(doubted)
     assert verdict.level == "bad"
     assert verdict.sentence.startswith("Looks wrong: the markers fit far better upside down; ")
     assert verdict.sentence.endswith(doubted.sentence.removeprefix("Look at it: "))
-    fine = doubt_upside_down(bench.judge(bench.local))
+    fine = warn_upside_down(bench.judge(bench.local))
     assert fine.sentence.endswith("state --up")
 
 

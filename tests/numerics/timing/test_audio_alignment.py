@@ -57,7 +57,7 @@ def worst_error(found, camera: Recorder, capture: Recorder) -> float:
 def test_shift_and_drift_are_found_within_a_millisecond(event, camera, capture) -> None:
     camera, capture = replace(CAMERA, **camera), replace(CAPTURE, **capture)
     found = pair(event, camera, capture)
-    assert found.doubts == ()
+    assert found.warnings == ()
     assert found.confidence >= 0.5
     assert worst_error(found, camera, capture) < 0.1 * MILLISECOND
 
@@ -139,8 +139,8 @@ REFUSED = {
 def test_what_cannot_be_aligned_is_refused_with_the_reason(event, name: str) -> None:
     make, reason = REFUSED[name]
     found = align_sounds(*make(event), rate=RATE)
-    assert found.doubts
-    assert reason in "; ".join(found.doubts)
+    assert found.warnings
+    assert reason in "; ".join(found.warnings)
     assert found.confidence < 0.5
 
 

@@ -87,12 +87,12 @@ def test_a_face_of_another_unit_is_refused_and_every_option_mends_it(tmp_path: P
     for options in ({"units": "cm"}, {"scale": 10.0}, {"units": "m", "scale": 0.01}):
         take, report = ingest(tmp_path / "x.csv", **options)
         np.testing.assert_allclose(take.markers.positions, markers.positions, atol=1e-2)
-        assert take.doubts == ()
+        assert take.warnings == ()
         assert not any("times the size" in note for note in report.notes)
     take, report = ingest(tmp_path / "x.csv", units="mm")
-    assert len(take.doubts) == 1
-    assert "times the size" in take.doubts[0]
-    assert take.doubts[0] in report.notes
+    assert len(take.warnings) == 1
+    assert "times the size" in take.warnings[0]
+    assert take.warnings[0] in report.notes
 
 
 def test_exchanged_sides_are_mended_by_name_or_by_position(tmp_path: Path) -> None:
@@ -107,9 +107,9 @@ def test_exchanged_sides_are_mended_by_name_or_by_position(tmp_path: Path) -> No
     reflected, _ = ingest(tmp_path / "x.c3d", mirrored="axes")
     assert reflected.markers.names == wrong.names
     np.testing.assert_allclose(reflected.markers.positions, wrong.positions * [-1, 1, 1])
-    assert mended.doubts == reflected.doubts == ()
+    assert mended.warnings == reflected.warnings == ()
     kept, _ = ingest(tmp_path / "x.c3d", mirrored="no")
-    assert len(kept.doubts) == 1
+    assert len(kept.warnings) == 1
 
 
 def test_labels_without_sides_cannot_be_exchanged() -> None:
@@ -127,7 +127,7 @@ def test_one_side_is_refused_until_it_is_stated(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"no marker is labelled on the right side"):
         ingest(tmp_path / "x.c3d")
     take, _ = ingest(tmp_path / "x.c3d", partial=True)
-    assert "right side" in take.doubts[0]
+    assert "right side" in take.warnings[0]
 
 
 def test_a_stated_rate_overrules_the_file(tmp_path: Path) -> None:

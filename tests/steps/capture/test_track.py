@@ -484,7 +484,7 @@ def test_a_recorded_face_is_tracked_by_the_model_itself(shared_data: Path, tmp_p
     markers = take.markers
     assert (take.rate, take.first_frame, take.frame_count) == (30, 20, 15)
     assert result.figures["face_share"] == 1.0
-    assert not take.doubts
+    assert not take.warnings
     assert len(take.source.names) == 52
     place = dict(zip(markers.names, markers.positions.mean(axis=0), strict=True))
     assert place["brow_middle_L1"][1] > place["eye_outer_L1"][1] > place["nose_tip_1"][1]

@@ -22,7 +22,7 @@ from usdface.usdio.take.write import write_take
 
 
 def cleaned(
-    path: Path, markers: Markers, doubts: tuple[str, ...] | None, *, name: str = "x"
+    path: Path, markers: Markers, warnings: tuple[str, ...] | None, *, name: str = "x"
 ) -> Path:
     """Write a take whose head stands still, as `clean` leaves it."""
     still = replace(
@@ -35,11 +35,11 @@ def cleaned(
         neutral_frame=1,
         space="stabilized",
     )
-    write_take(path, Take(name, Fraction(60), 1, still, doubts=doubts))
+    write_take(path, Take(name, Fraction(60), 1, still, warnings=warnings))
     return path
 
 
-def test_doubts_of_ingest_are_repeated_and_nothing_is_judged_again(tmp_path: Path) -> None:
+def test_warnings_of_ingest_are_repeated_and_nothing_is_judged_again(tmp_path: Path) -> None:
     wrong = with_sides_exchanged(synthetic())
     path = cleaned(tmp_path / "x.clean.take.usda", wrong, ("left and right ...",))
     takes = read_cleaned_takes((path,))

@@ -42,7 +42,7 @@ _FRONT_WIDTH, _SIDE_WIDTH = 460, 236
 _VIEW_HEIGHT = 660
 """[pixels]; with the names, the page is 1600 wide."""
 
-_DOUBT: Color = (255, 128, 72)
+_WARNING_COLOR: Color = (255, 128, 72)
 _LINE: Color = (92, 98, 108)
 _HIDDEN_MM = 3.0
 _SIDE_DEGREES = 62.0
@@ -55,12 +55,12 @@ class BoundMarkers:
     names: tuple[str, ...]
     positions: FloatArray
     """(markers, 3): on the surface [mm]."""
-    doubts: tuple[str, ...]
+    warnings: tuple[str, ...]
     """Reason to check each marker, in a word or two, or empty."""
     placed: BoolArray
     """(markers,): whether a person placed the marker."""
     wanted: dict[int, FloatArray] = field(default_factory=dict)
-    """dict of int to (3,) float array: expected position of a doubtful marker, drawn as a ring
+    """dict of int to (3,) float array: expected position of such a marker, drawn as a ring
     [mm]."""
 
 
@@ -227,12 +227,12 @@ def _draw_names(
 def _write_name(
     panel: ByteImage, markers: BoundMarkers, marker: int, *, x: int, row: int, left: bool
 ) -> None:
-    doubt = markers.doubts[marker]
-    text = f"{markers.names[marker]}  {doubt}" if doubt else markers.names[marker]
+    warning = markers.warnings[marker]
+    text = f"{markers.names[marker]}  {warning}" if warning else markers.names[marker]
     style = TextStyle(
         size=_NAME_SIZE,
         color=_color(markers, marker),
-        weight="bold" if doubt else "regular",
+        weight="bold" if warning else "regular",
     )
     room = _NAMES_WIDTH - 4
     long = min(text_width(text, style), room)
@@ -258,27 +258,27 @@ def _draw_dots(
     wanted: dict[int, FloatArray],
 ) -> None:
     for marker, place in wanted.items():
-        draw_line(panel, at[marker], place, _DOUBT, thickness=1.4)
-        draw_dot(panel, place[0], place[1], 5.0, _DOUBT, hollow=True)
+        draw_line(panel, at[marker], place, _WARNING_COLOR, thickness=1.4)
+        draw_dot(panel, place[0], place[1], 5.0, _WARNING_COLOR, hollow=True)
     for marker in np.flatnonzero(seen).tolist():
         color = _color(markers, marker)
         x, y = at[marker]
         draw_dot(panel, x, y, 4.6, (16, 17, 19))
         draw_dot(panel, x, y, 3.6, color)
-        if markers.doubts[marker]:
+        if markers.warnings[marker]:
             draw_dot(panel, x, y, 8.0, color, hollow=True)
 
 
 def _color(markers: BoundMarkers, marker: int) -> Color:
     if markers.placed[marker]:
         return GREEN
-    return _DOUBT if markers.doubts[marker] else BLUE
+    return _WARNING_COLOR if markers.warnings[marker] else BLUE
 
 
 def _draw_key(page: ByteImage, *, right: int, y: int) -> None:
     for color, label in (
         (GREEN, "placed by a person"),
-        (_DOUBT, "look at it"),
+        (_WARNING_COLOR, "look at it"),
         (BLUE, "proposed"),
     ):
         style = TextStyle(size=14, color=SOFT)

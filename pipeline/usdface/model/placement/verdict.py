@@ -77,7 +77,7 @@ class PlacementVerdict:
     """Share of the markers' motion that the shapes explain [0-1]; NaN without motion."""
     roll_degrees: float
     """Of the markers' plane of symmetry against the rig's; NaN without symmetry."""
-    doubts: dict[str, str]
+    warnings: dict[str, str]
     """Distance from the landmark, as text, of markers to check, by label."""
     wanted: dict[str, FloatArray]
     """dict of str to (3,) float array: the landmarks of these markers, in the rig's space [mm]."""
@@ -151,7 +151,7 @@ def judge_placement(
     )
 
 
-def doubt_upside_down(verdict: PlacementVerdict) -> PlacementVerdict:
+def warn_upside_down(verdict: PlacementVerdict) -> PlacementVerdict:
     """Return the verdict on a placement whose markers fit far better upside down."""
     reasons = verdict.sentence.partition(": ")[2]
     text = "the markers fit far better upside down; ingest the takes again and state --up"

@@ -35,7 +35,7 @@ from usdface.numerics.surface.triangulation import triangulate
 
 FEWEST_LANDMARKS = 3
 
-DOUBTFUL_CONFIDENCE = 0.5
+UNCERTAIN_CONFIDENCE = 0.5
 """Confidence [0-1] below which a marker's position should be checked."""
 
 _HALF_DISTANCE_SHARE = 0.05

@@ -66,7 +66,7 @@ class SoundAlignment:
     confidence: float
     """[0-1] The least of three criteria: peak, ratio and agreement. 0.5 if one of them is at its
     limit, 1 if all are clear."""
-    doubts: tuple[str, ...]
+    warnings: tuple[str, ...]
     """Reasons not to use the result."""
     peak: float = 0.0
     """Height of the onset correlation in standard deviations of random ones."""
@@ -104,14 +104,14 @@ def align_sounds(
     Returns
     -------
     SoundAlignment
-        With `doubts` if the recordings are silent, unrelated, periodic or too short.
+        With `warnings` if the recordings are silent, unrelated, periodic or too short.
     """
     first, second = _checked(first, names[0]), _checked(second, names[1])
     if rate < _LOWEST_RATE_HZ:
         raise ValueError(f"rate {rate} is too low to measure delays; give 16000 samples per second")
-    doubts = _unusable((first, second), names, rate)
-    if doubts:
-        return SoundAlignment(0.0, 0.0, 0.0, doubts)
+    warnings = _unusable((first, second), names, rate)
+    if warnings:
+        return SoundAlignment(0.0, 0.0, 0.0, warnings)
     progress(0.0, "finding onsets")
     onsets = onset_flux(first, rate=rate), onset_flux(second, rate=rate)
     progress(0.4, "correlating onsets")
@@ -121,7 +121,7 @@ def align_sounds(
     pair = _Pair(first, second, rate)
     rough = _by_onsets(coarse, pair.seconds[0] / 2)
     rivals = [coarse.rival]
-    if rough.doubts:
+    if rough.warnings:
         progress(0.5, "searching by phase")
         vote = scan_phase(
             first,
@@ -132,11 +132,11 @@ def align_sounds(
             largest_drift=_LARGEST_DRIFT,
         )
         by_phase = rough if vote is None else _by_phase(vote)
-        rough = rough if by_phase.doubts else by_phase
+        rough = rough if by_phase.warnings else by_phase
         rivals.append(np.nan if vote is None else vote.rival)
     progress(0.8, "measuring delays")
     line = _measure(pair, rough, count=_MOST_WINDOWS)
-    if not rough.doubts:
+    if not rough.warnings:
         rough = _against_rivals(pair, rough, rivals)
     progress(1.0, "aligned")
     return _conclude(rough, coarse, *line)
@@ -190,7 +190,7 @@ def _against_rivals(pair: "_Pair", rough: "_RoughShift", rivals: list[float]) ->
             return replace(
                 rough,
                 confidence=0.0,
-                doubts=(
+                warnings=(
                     f"shifts of {rough.shift:+.2f} and {rival:+.2f} s both fit to the "
                     "millisecond: the sound repeats",
                 ),
@@ -207,18 +207,18 @@ class _RoughShift:
     drift: float
     drift_unknown: float
     confidence: float
-    doubts: tuple[str, ...]
+    warnings: tuple[str, ...]
 
 
 def _by_onsets(coarse: OnsetCorrelation, middle: float) -> _RoughShift:
-    doubts = []
+    warnings = []
     if coarse.peak < LEAST_PEAK:
-        doubts.append(
+        warnings.append(
             f"the best shift stands out by {coarse.peak:.1f} deviations of chance, {LEAST_PEAK:g} "
             "are needed: the recordings seem unrelated"
         )
     elif coarse.ratio < LEAST_RATIO:
-        doubts.append(
+        warnings.append(
             f"shifts of {coarse.shift:+.2f} and {coarse.rival:+.2f} s explain the sound about "
             f"equally well ({coarse.ratio:.2f} times, {LEAST_RATIO:g} are needed): it repeats"
         )
@@ -231,20 +231,20 @@ def _by_onsets(coarse: OnsetCorrelation, middle: float) -> _RoughShift:
             float(np.interp(coarse.peak, [0, LEAST_PEAK, _CLEAR_PEAK], [0, 0.5, 1])),
             float(np.interp(coarse.ratio, [1, LEAST_RATIO, _CLEAR_RATIO], [0, 0.5, 1])),
         ),
-        doubts=tuple(doubts),
+        warnings=tuple(warnings),
     )
 
 
 def _by_phase(vote: PhaseVote) -> _RoughShift:
     share, lead = vote.votes / vote.windows, vote.votes / max(vote.rival_votes, 1)
-    doubts = []
+    warnings = []
     if vote.votes < LEAST_WINDOWS or share < LEAST_AGREEMENT:
-        doubts.append(
+        warnings.append(
             f"{vote.votes} of {vote.windows} windows vote for one shift, {LEAST_WINDOWS} and "
             f"{LEAST_AGREEMENT:.0%} are needed: the recordings seem unrelated"
         )
     elif lead < LEAST_LEAD:
-        doubts.append(
+        warnings.append(
             f"{vote.votes} windows vote for a shift of {vote.shift:+.2f} s and {vote.rival_votes} "
             f"for {vote.rival:+.2f} s: the sound repeats"
         )
@@ -257,7 +257,7 @@ def _by_phase(vote: PhaseVote) -> _RoughShift:
             float(np.interp(share, [0, LEAST_AGREEMENT, _CLEAR_AGREEMENT], [0, 0.5, 1])),
             float(np.interp(lead, [1, LEAST_LEAD, 2 * LEAST_LEAD], [0, 0.5, 1])),
         ),
-        doubts=tuple(doubts),
+        warnings=tuple(warnings),
     )
 
 
@@ -266,9 +266,9 @@ def _conclude(
 ) -> SoundAlignment:
     agreeing = int(line.agreeing.sum())
     agreement = agreeing / max(len(line.agreeing), 1)
-    doubts = rough.doubts
+    warnings = rough.warnings
     if agreement < LEAST_AGREEMENT or agreeing < LEAST_WINDOWS:
-        doubts += (
+        warnings += (
             f"{agreeing} of {len(line.agreeing)} windows agree on one shift and drift, "
             f"{LEAST_WINDOWS} and {LEAST_AGREEMENT:.0%} are needed",
         )
@@ -277,7 +277,7 @@ def _conclude(
         offset=line.intercept,
         drift=line.slope,
         confidence=min(rough.confidence, by_lines),
-        doubts=doubts,
+        warnings=warnings,
         peak=coarse.peak,
         ratio=coarse.ratio,
         agreement=agreement,
@@ -297,16 +297,16 @@ def _window_seconds(overlap: float) -> float:
 def _unusable(
     sounds: tuple[Float32Array, Float32Array], names: tuple[str, str], rate: int
 ) -> tuple[str, ...]:
-    doubts = []
+    warnings = []
     for name, sound in zip(names, sounds, strict=True):
         if len(sound) < SHORTEST_SECONDS * rate:
-            doubts.append(
+            warnings.append(
                 f"the {name} recording lasts {len(sound) / rate:.2f} s, {SHORTEST_SECONDS:g} s are "
                 "needed"
             )
         elif float(np.sqrt(np.mean(sound**2))) < _SILENCE_RMS:
-            doubts.append(f"the {name} recording is silent")
-    return tuple(doubts)
+            warnings.append(f"the {name} recording is silent")
+    return tuple(warnings)
 
 
 def _checked(sound: Float32Array, name: str) -> Float32Array:

@@ -105,12 +105,12 @@ class Evidence:
     @property
     def trusted(self) -> SoundAlignment | None:
         """The offset by sound, if it is reliable."""
-        return None if self.sound is None or self.sound.doubts else self.sound
+        return None if self.sound is None or self.sound.warnings else self.sound
 
     @property
-    def doubts(self) -> str:
+    def sound_problem(self) -> str:
         """Why the sound is missing or unreliable."""
-        return self.no_sound if self.sound is None else "; ".join(self.sound.doubts)
+        return self.no_sound if self.sound is None else "; ".join(self.sound.warnings)
 
 
 @dataclass(frozen=True)
@@ -170,12 +170,12 @@ def decide(spec: AlignSpec, evidence: Evidence) -> Decision:
         return Decision(None, labels.reason)
     if spec.by == "sound" or labels.offset is None:
         if sound is None:
-            return Decision(None, evidence.doubts)
+            return Decision(None, evidence.sound_problem)
         sync = VideoSync(sound.offset, 1e6 * sound.drift, sound.confidence)
         return Decision(sync, "by sound", _difference(sound.offset, evidence))
     if sound is None:
         sync = VideoSync(labels.offset, 0.0, UNCHECKED_CONFIDENCE)
-        note = f"the timecode could not be checked against the sound: {evidence.doubts}"
+        note = f"the timecode could not be checked against the sound: {evidence.sound_problem}"
         return Decision(sync, "by timecode, unchecked", (note,))
     difference = abs(sound.offset - labels.offset)
     confirmed = difference <= labels.tolerance
@@ -288,6 +288,6 @@ def _figures(decision: Decision, evidence: Evidence) -> dict[str, object]:
             "confidence": sound.confidence,
             "peak": sound.peak,
             "agreement": sound.agreement,
-            "doubts": list(sound.doubts),
+            "doubts": list(sound.warnings),
         }
     return figures

@@ -49,7 +49,7 @@ def run(spec: IngestSpec, *, provenance: Provenance, progress: Progress = silent
     take = joined.take
     if spec.mirrored in ("labels", "axes"):
         take = exchange_sides(take, spec.mirrored, where=_names(spec))
-    doubts = _plausibility(spec, take, captures)
+    warnings = _plausibility(spec, take, captures)
     timecode, timecode_notes = _timecode(take)
     take = replace(
         take,
@@ -59,7 +59,7 @@ def run(spec: IngestSpec, *, provenance: Provenance, progress: Progress = silent
         emotion=spec.emotion or take.emotion,
         timecode_start=timecode,
         video=take.video if spec.video is None else _open_video(spec.video, spec),
-        doubts=doubts,
+        warnings=warnings,
     )
     first, count, padding = take.first_frame, take.frame_count, padding_notes(take)
     limits = frame_range(spec.frames)
@@ -72,7 +72,7 @@ def run(spec: IngestSpec, *, provenance: Provenance, progress: Progress = silent
     write_take(spec.out, take, provenance=provenance)
     progress(1.0, f"wrote {spec.out.name}")
     notes = (*(note for capture in captures for note in capture.notes), *joined.notes)
-    notes += (*timecode_notes, *padding, *(doubts or ()), *_unused_notes(spec, take, captures))
+    notes += (*timecode_notes, *padding, *(warnings or ()), *_unused_notes(spec, take, captures))
     notes += (sound.note,) if sound else ()
     log.info("%s: %d frames", spec.out, take.frame_count)
     return _report(spec, take, notes, (sound.file,) if sound else ())
@@ -137,7 +137,7 @@ def _names(spec: IngestSpec) -> str:
 
 
 def _plausibility(spec: IngestSpec, take: Take, captures: list[Capture]) -> tuple[str, ...] | None:
-    """Return doubts about the markers; refuse impossible ones unless an option states them."""
+    """Return warnings about the markers; refuse impossible ones unless an option states them."""
     if take.markers is None:
         return None
     capture = next(each for each in captures if each.take.markers is not None)

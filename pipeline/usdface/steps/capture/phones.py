@@ -11,8 +11,8 @@ from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.capture import PhonesSpec
 from usdface.speech.forced_alignment import (
-    DOUBTFUL_SCORE,
     SPEECH_SAMPLE_RATE,
+    UNCERTAIN_SCORE,
     PhoneAlignment,
     align_phones,
     spoken_words,
@@ -70,7 +70,7 @@ def run(spec: PhonesSpec, *, provenance: Provenance, progress: Progress = silent
             "guessed": {word: " ".join(phones) for word, phones in found.guessed.items()},
             "doubtful_words": [
                 {"word": span.label, "seconds": round(span.start, 2)}
-                for span in found.doubtful_words
+                for span in found.uncertain_words
             ],
         },
     )
@@ -124,7 +124,7 @@ def _notes(found: PhoneAlignment, outside: float) -> list[str]:
             "in no dictionary, and pronounced by letter-to-sound rules: "
             f"{counted(shown, 'word', most=NAMED_WORDS)}; give their phones with --dictionary"
         )
-    if found.score < DOUBTFUL_SCORE:
+    if found.score < UNCERTAIN_SCORE:
         notes.append(
             f"the words fit the sound poorly (score {found.score:.0f} a frame): check the phones "
             "before using them"
@@ -134,7 +134,7 @@ def _notes(found: PhoneAlignment, outside: float) -> list[str]:
             "the alignment needed a wider search: the transcript may lack spoken words or hold "
             "others; check it"
         )
-    if found.doubtful_words:
-        shown = [f"{span.label} ({span.start:.1f} s)" for span in found.doubtful_words]
+    if found.uncertain_words:
+        shown = [f"{span.label} ({span.start:.1f} s)" for span in found.uncertain_words]
         notes.append(f"poorly aligned: {counted(shown, 'word', most=NAMED_WORDS)}")
     return notes

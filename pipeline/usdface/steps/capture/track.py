@@ -130,9 +130,9 @@ def _write(
     take, built = _build_take(spec, view, clip.timing, detector.score_names)
     # The rate is that of the video, so it is not checked.
     found = judge_markers(take.markers, None) if take.markers else ()
-    doubts = settle_findings(found, where=spec.video)
+    warnings = settle_findings(found, where=spec.video)
     start = _timecode(clip.video.timecode, take)
-    take = replace(take, doubts=doubts, timecode_start=start)
+    take = replace(take, warnings=warnings, timecode_start=start)
     progress(0.95, f"writing {spec.out.name}")
     write_take(spec.out, take, provenance=provenance)
     progress(1.0, f"wrote {spec.out.name}")
@@ -145,7 +145,7 @@ def _write(
         f"{100 * clip.track.seen.mean():.1f} % of the pictures{several}"
     )
     figures |= {"model_sha256": detector.digest, "cameras": len(clips)}
-    return StepResult(outputs, summary, (*notes, *built, *doubts), figures)
+    return StepResult(outputs, summary, (*notes, *built, *warnings), figures)
 
 
 def _build_take(

@@ -79,10 +79,10 @@ def track_notes(track: FaceTrack, *, rate: Fraction, frames: IntArray) -> list[s
             f"no face in the mirror image of {pluralize(int(unsure.sum()), 'picture')}: low "
             f"confidence ({first_few(frames[unsure].tolist())})"
         )
-    doubt = track.mirror_difference()
-    if doubt > _GUESSED_BREADTHS:
+    error = track.mirror_difference()
+    if error > _GUESSED_BREADTHS:
         notes.append(
-            f"landmarks of a picture and of its mirror image differ by {doubt:.1%} of the face's "
+            f"landmarks of a picture and of its mirror image differ by {error:.1%} of the face's "
             "breadth (usually 0.5 to 0.8 %): the face is partly covered, turned away, in the dark "
             "or upside down, and many landmarks are inaccurate"
         )

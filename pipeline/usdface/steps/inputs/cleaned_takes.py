@@ -291,24 +291,24 @@ _SAMPLE_FRAMES = 64
 
 
 def plausibility_notes(takes: CleanedTakes, paths: tuple[Path, ...], rig: Rig) -> list[str]:
-    """Return doubts about takes and the rig; refuse takes that cannot be of a human face."""
-    notes = [f"{rig.file.name}: {doubt}" for doubt in check_rig_stands(rig)]
+    """Return warnings about takes and the rig; refuse takes that cannot be of a human face."""
+    notes = [f"{rig.file.name}: {warning}" for warning in check_rig_stands(rig)]
     for index, (path, source) in enumerate(zip(paths, takes.sources, strict=True)):
-        doubts = source.doubts
-        if doubts is None:
+        warnings = source.warnings
+        if warnings is None:
             usable = takes.usable[index]
             markers = Markers(
                 takes.marker_names, takes.positions[index], usable, usable.astype(np.float32)
             )
-            doubts = _judge(markers, path, float(source.rate))
-        notes += [f"{source.name}: {doubt}" for doubt in doubts]
+            warnings = _judge(markers, path, float(source.rate))
+        notes += [f"{source.name}: {warning}" for warning in warnings]
     return notes
 
 
 def bound_take_notes(take: TakeReader) -> list[str]:
-    """Return doubts about a take: those of ingest, else by frames spread over it."""
-    if take.doubts is not None:
-        return list(take.doubts)
+    """Return warnings about a take: those of ingest, else by frames spread over it."""
+    if take.warnings is not None:
+        return list(take.warnings)
     frames = np.unique(np.linspace(take.first_frame, take.last_frame, _SAMPLE_FRAMES).astype(int))
     markers = take.read_markers_at(frames.tolist())
     return [] if markers is None else list(_judge(markers, take.path, None))

@@ -16,7 +16,7 @@ from usdface.media.picture.binding_picture import BoundMarkers, draw_binding
 from usdface.model.placement.marker_cloud import MarkerCloud, marker_cloud
 from usdface.model.placement.place import place_markers
 from usdface.model.placement.rig_orientation import facing_degrees
-from usdface.model.placement.verdict import PlacementVerdict, doubt_upside_down, judge_placement
+from usdface.model.placement.verdict import PlacementVerdict, judge_placement, warn_upside_down
 from usdface.model.regressions import RestPlaces
 from usdface.model.selection.baseline import (
     BlendshapeEquation,
@@ -122,7 +122,7 @@ class PlacementScene:
             )
         )
         if found.upside_down:
-            return replace(placed, verdict=doubt_upside_down(placed.verdict))
+            return replace(placed, verdict=warn_upside_down(placed.verdict))
         return placed
 
     def judge(self, placement: RigPlacement) -> PlacedTakes:
@@ -339,7 +339,7 @@ def draw_placement(
         BoundMarkers(
             names,
             binding.places.positions(rig_surfaces(rig)[0].mesh.points)[rows],
-            tuple(verdict.doubts.get(name, "") for name in names),
+            tuple(verdict.warnings.get(name, "") for name in names),
             np.array([binding.sources[row] != "proposed" for row in rows]),
             {names.index(name): at for name, at in verdict.wanted.items()},
         ),
@@ -366,5 +366,5 @@ def placement_figures(placed: PlacedTakes) -> dict[str, object]:
         "tilt_degrees": None if np.isnan(verdict.roll_degrees) else round(verdict.roll_degrees, 2),
         "by_labels": placed.placement.by_labels,
         "placed_by_a_person": sum(source != "proposed" for source in sources),
-        "far": dict(verdict.doubts),
+        "far": dict(verdict.warnings),
     }

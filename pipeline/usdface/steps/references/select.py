@@ -110,7 +110,7 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
     takes = read_cleaned_takes(spec.takes)
     _check_something_moves(spec, takes)
     rig = read_rig(spec.rig, prim=spec.prim)
-    doubts = plausibility_notes(takes, spec.takes, rig)
+    warnings = plausibility_notes(takes, spec.takes, rig)
     progress(0.1, "placing the markers on the rig")
     placed = _place(spec, takes, rig)
     spoken = read_phone_labels(spec, takes)
@@ -166,7 +166,7 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
         f"{len(rows)} pairs of {len(takes.frames)} frames, {len(kept)} of them tuned; mean "
         f"coverage {coverage.frames.mean:.0%}",
         (
-            *doubts,
+            *warnings,
             f"placement: {placed.verdict.sentence}; see {_placement_picture(spec).name}",
             *placement_notes(placed),
             *selection_notes(spec, scene, spoken, kept, choice),

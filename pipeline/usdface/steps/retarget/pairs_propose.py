@@ -153,8 +153,8 @@ def _match(
             notes = ["the source is no rig: its shapes are matched by name only"]
         named = list(found.matches)
         if found.ambiguous:
-            doubts = first_few(found.ambiguous, most=3)
-            notes.append(f"not matched by name: {doubts}")
+            ambiguous = first_few(found.ambiguous, most=3)
+            notes.append(f"not matched by name: {ambiguous}")
     used = {name for match in named for name, _ in match.source}
     unmatched = [name for name in shapes if name not in used]
     if unmatched:

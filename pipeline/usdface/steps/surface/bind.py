@@ -12,7 +12,7 @@ from usdface.core.text import counted, first_few
 from usdface.media.picture.binding_picture import BoundMarkers, draw_binding
 from usdface.media.picture.image import write_image
 from usdface.model.review.verdict import VERDICT_WORDS
-from usdface.model.surface.binding import DOUBTFUL_CONFIDENCE, facing_yaw
+from usdface.model.surface.binding import UNCERTAIN_CONFIDENCE, facing_yaw
 from usdface.numerics.registration.marker_binding import MarkerBinding
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
@@ -35,7 +35,7 @@ def run(spec: BindSpec, *, provenance: Provenance, progress: Progress = silent) 
     face = read_face_mesh(spec.mesh, prim=spec.mesh_prim)
     take = TakeReader(spec.take)
     sample = sample_take(take)
-    doubts = bound_take_notes(take)
+    warnings = bound_take_notes(take)
     pinned = landmark_places(spec.landmarks, sample.names, face, spec.take)
     sources = dict.fromkeys(pinned, "landmark")
     corrections, left_out = _corrections(spec, sample, face)
@@ -62,7 +62,7 @@ def run(spec: BindSpec, *, provenance: Provenance, progress: Progress = silent) 
                     binding.names,
                     at,
                     tuple(
-                        f"{each:.0%}" if each < DOUBTFUL_CONFIDENCE else ""
+                        f"{each:.0%}" if each < UNCERTAIN_CONFIDENCE else ""
                         for each in binding.confidence
                     ),
                     np.array([source != "proposed" for source in binding.sources]),
@@ -77,7 +77,7 @@ def run(spec: BindSpec, *, provenance: Provenance, progress: Progress = silent) 
         )
     progress(1.0, "done")
     report = _report(spec, binding, face, left_out)
-    return replace(report, notes=(*doubts, *report.notes))
+    return replace(report, notes=(*warnings, *report.notes))
 
 
 def _corrections(
@@ -114,7 +114,7 @@ def _verdict(binding: MarkerBinding) -> tuple[str, str]:
 def _doubtful(binding: MarkerBinding) -> list[int]:
     """Return the indices of uncertain markers, the lowest confidence first."""
     order = np.argsort(binding.confidence).tolist()
-    return [index for index in order if binding.confidence[index] < DOUBTFUL_CONFIDENCE]
+    return [index for index in order if binding.confidence[index] < UNCERTAIN_CONFIDENCE]
 
 
 def _facts(binding: MarkerBinding) -> tuple[str, ...]:

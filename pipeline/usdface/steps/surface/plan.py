@@ -13,7 +13,7 @@ from usdface.core.progress import Progress, part
 from usdface.core.provenance import hash_text
 from usdface.core.sidecars import distances_path
 from usdface.core.text import first_few, pluralize
-from usdface.model.surface.binding import DOUBTFUL_CONFIDENCE, propose_binding
+from usdface.model.surface.binding import UNCERTAIN_CONFIDENCE, propose_binding
 from usdface.model.surface.distance import SurfaceDistances, surface_distances, unpack_distances
 from usdface.model.surface.fit import SurfaceModel, SurfaceMotion
 from usdface.model.surface.gp_surface import GpOptions, fit_gp_surface
@@ -308,7 +308,7 @@ def _bind(spec: SurfaceSpec, sample: TakeSample, face: FaceMesh) -> tuple[Marker
         pinned = landmark_places(spec.landmarks, sample.names, face, spec.take)
         binding = bind_take(sample, face, pinned=pinned, sources=dict.fromkeys(pinned, "landmark"))
         notes.append("the markers were bound automatically; check them with `usdface bind`")
-    doubtful = int((binding.confidence < DOUBTFUL_CONFIDENCE).sum())
+    doubtful = int((binding.confidence < UNCERTAIN_CONFIDENCE).sum())
     if doubtful:
         notes.append(
             f"at uncertain places: {pluralize(doubtful, 'marker')}; check them with `usdface bind`"

@@ -139,11 +139,11 @@ class TakeReader:
             emotion=str(self._value("face:emotion") or ""),
             timecode_start=self.timecode_at(first),
             events=tuple(e for e in self._read_events() if first <= e.frame <= last),
-            doubts=self.doubts,
+            warnings=self.warnings,
         )
 
     @property
-    def doubts(self) -> tuple[str, ...] | None:
+    def warnings(self) -> tuple[str, ...] | None:
         """Anomalies of its markers, by ingest; None if they were not examined."""
         written = self._value("face:doubts")
         return tuple(map(str, written)) if isinstance(written, Iterable) else None

@@ -74,8 +74,8 @@ def _author_take_api(layer: Sdf.Layer, take: Take, path: Path) -> None:
     ):
         if value:
             author_uniform(prim, name, kind, value)
-    if take.doubts is not None:
-        author_uniform(prim, "face:doubts", kinds.StringArray, list(take.doubts))
+    if take.warnings is not None:
+        author_uniform(prim, "face:doubts", kinds.StringArray, list(take.warnings))
     if take.events:
         labels = [event.label for event in take.events]
         author_uniform(prim, "face:events:labels", kinds.StringArray, labels)
