@@ -31,7 +31,7 @@ from usdface.usdio.performance.weights_layer import (
     WeightsHeader,
 )
 from usdface.usdio.rig.read import combinations_below
-from usdface.usdio.rig.reference import place_of, rig_of
+from usdface.usdio.rig.reference import rig_of, rig_path_of
 
 _CONFIDENCE_RANGE = (0.001, 0.9999)
 """Limits of the confidence of earlier versions: at 0 and 1 the uncertainty would be infinite or 0.
@@ -156,13 +156,13 @@ class PerformanceReader:
     @refusing_wrong_types
     def combinations(self) -> tuple[Combination, ...]:
         """Combinations of the rig; none without a rig in the stage."""
-        place = self.stage.GetPrimAtPath(place_of(self.stage, self.animation))
+        place = self.stage.GetPrimAtPath(rig_path_of(self.stage, self.animation))
         return combinations_below(place, self.path)
 
     @property
     def header(self) -> WeightsHeader:
         """The header of a weights layer of the performance."""
-        place, path = place_of(self.stage, self.animation), self.animation.GetPath()
+        place, path = rig_path_of(self.stage, self.animation), self.animation.GetPath()
         return WeightsHeader(
             place=place,
             shape_names=self.names,

@@ -38,8 +38,8 @@ from usdface.usdio.rig.reference import (
     carry_variants,
     default_place,
     define_reference,
-    place_of,
     remove_reference,
+    rig_path_of,
 )
 from usdface.usdio.units import author_units
 
@@ -62,7 +62,7 @@ def write_package(
     """
     rig_file, rig_prim = reader.rig()
     source = Sdf.Path(rig_prim).GetPrefixes()[0]
-    place = Sdf.Path(place_of(reader.stage, reader.animation))
+    place = Sdf.Path(rig_path_of(reader.stage, reader.animation))
     top_file = weights.with_name("review.usdc")
     with usd_errors_as_input_errors(target, "packing it"):
         top = Sdf.Layer.CreateNew(str(top_file))

@@ -11,7 +11,7 @@ from usdface.core.errors import InputError
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.rig.read import faces_below, find_face, read_rig
-from usdface.usdio.rig.reference import place_of, stage_with_rig
+from usdface.usdio.rig.reference import rig_path_of, stage_with_rig
 from usdface.usdio.units import column_matrix, stage_to_ours, transform_points
 
 
@@ -26,7 +26,7 @@ class PosedRig:
         self.rig: Rig = read_rig(file, prim=prim)
         self._stage = open_stage(path)
         # The face that moves, of a file with several.
-        place = place_of(self._stage, self._stage.GetPrimAtPath(self.reader.animation.GetPath()))
+        place = rig_path_of(self._stage, self._stage.GetPrimAtPath(self.reader.animation.GetPath()))
         face = Sdf.Path(prim).ReplacePrefix(Sdf.Path(prim).GetPrefixes()[0], Sdf.Path(place))
         if not UsdSkel.Root(self._stage.GetPrimAtPath(face)) and not faces_below(
             self._stage.GetPseudoRoot()

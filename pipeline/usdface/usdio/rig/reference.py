@@ -158,7 +158,7 @@ def point_skeletons_at(layer: Sdf.Layer, place: str, rig: Rig, animation: Sdf.Pa
         source.targetPathList.explicitItems = [animation]
 
 
-def place_of(stage: Usd.Stage, animation: Usd.Prim) -> str:
+def rig_path_of(stage: Usd.Stage, animation: Usd.Prim) -> str:
     """Return the prim path of the rig that an animation drives: that of its top prim.
 
     In our files it is the animation's parent; other tools use other places.

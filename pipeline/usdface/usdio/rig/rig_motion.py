@@ -16,7 +16,7 @@ from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.core.assets import Rig
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.performance.read import PerformanceReader
-from usdface.usdio.rig.reference import place_of, stage_with_rig
+from usdface.usdio.rig.reference import rig_path_of, stage_with_rig
 from usdface.usdio.units import column_matrix, stage_to_ours
 
 
@@ -55,7 +55,7 @@ class RigMotion(PointMotion):
         reader = PerformanceReader(path)
         self._animation = UsdSkel.Animation(reader.animation)
         source = Sdf.Path(rig.prim).GetPrefixes()[0]
-        place = Sdf.Path(place_of(reader.stage, reader.animation))
+        place = Sdf.Path(rig_path_of(reader.stage, reader.animation))
         self._ours = np.eye(4)
         self._ours[:3, :3] = stage_to_ours(open_stage(rig.file))
         root = Sdf.Path(rig.prim)
