@@ -68,7 +68,7 @@ from usdface.steps.references.images import (
     write_pair_images,
 )
 from usdface.steps.references.select_notes import next_step, selection_notes
-from usdface.steps.references.weight_takes import carry_weights_alone, select_by_weights
+from usdface.steps.references.weight_takes import have_weights_only, select_by_weights
 from usdface.usdio.mapping import read_mapping
 from usdface.usdio.references.weight_layers import read_tuned_pairs
 from usdface.usdio.references.write import write_references
@@ -101,7 +101,7 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
     """Choose pairs, propose their weights, write the asset and draw its coverage."""
     progress(0.0, "reading the takes")
     check_tuning_lock(spec.out)
-    if carry_weights_alone(spec.takes):
+    if have_weights_only(spec.takes):
         return _run_on_weights(spec, provenance, progress)
     if spec.names is not None:
         raise InputError(

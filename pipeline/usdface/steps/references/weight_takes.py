@@ -38,7 +38,7 @@ class WeightSelection:
     notes: tuple[str, ...]
 
 
-def carry_weights_alone(paths: tuple[Path, ...]) -> bool:
+def have_weights_only(paths: tuple[Path, ...]) -> bool:
     """Whether all takes have weights and no markers."""
     readers = map(TakeReader, paths)
     return all(

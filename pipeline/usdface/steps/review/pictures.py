@@ -201,7 +201,7 @@ class ShotPictures:
         if seen not in self._last:  # sheets show the solve twice, and faces may not move
             sculpted = self._normals.at(weights)
             if sculpted is not None and not still:
-                sculpted = shot.carry(row, sculpted, vectors=True)
+                sculpted = shot.apply_motion(row, sculpted, vectors=True)
             picture = self._renderer.render(
                 shot.pose(row, weights, still=still),
                 camera=camera,

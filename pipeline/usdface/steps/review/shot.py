@@ -83,7 +83,7 @@ class ShotCamera:
 
     def _followed(self, motion: PointMotion, frame: int) -> Camera:
         """Return the camera translated with the face, without its rotation."""
-        step = (motion.carry(self._points, frame) - self._points)[self._face].mean(axis=0)
+        step = (motion.apply(self._points, frame) - self._points)[self._face].mean(axis=0)
         return replace(
             self._framed,
             eye=_triple(self._framed.eye + step),
@@ -161,13 +161,13 @@ class Shot:
     def pose(self, row: int, weights: FloatArray, *, still: bool = False) -> FloatArray:
         """Return the rig's points at weights, (shapes,), moved by a row's joints unless `still`."""
         points = self.deformer.points(weights[None])[0]
-        return points if still else self.carry(row, points)
+        return points if still else self.apply_motion(row, points)
 
-    def carry(self, row: int, points: FloatArray, *, vectors: bool = False) -> FloatArray:
+    def apply_motion(self, row: int, points: FloatArray, *, vectors: bool = False) -> FloatArray:
         """Return points, or directions at them, moved by a row's joints and Xforms."""
         if self.motion is None:
             return points
-        return self.motion.carry(points, int(self.frames[row]), vectors=vectors)
+        return self.motion.apply(points, int(self.frames[row]), vectors=vectors)
 
     def camera(self, name: str = AUTO_CAMERA, stage: Path | None = None) -> ShotCamera:
         """Return a camera of the shot; see `ShotCamera`."""

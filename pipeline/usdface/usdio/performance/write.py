@@ -35,7 +35,7 @@ from usdface.usdio.performance.weights_layer import (
     writing_weights,
 )
 from usdface.usdio.rig.reference import (
-    carry_variants,
+    copy_variants,
     default_place,
     define_reference,
     remove_reference,
@@ -87,7 +87,7 @@ def write_package(
         prim = Sdf.CreatePrimInLayer(top, place)
         prim.specifier = Sdf.SpecifierDef
         prim.referenceList.prependedItems = [Sdf.Reference(str(rig_file), source)]
-        carry_variants(top, reader.stage, str(place), rig_file, str(source))
+        copy_variants(top, reader.stage, str(place), rig_file, str(source))
         save_layer(top, target)
         _, _, missing = UsdUtils.ComputeAllDependencies(str(top_file))
         if missing:
@@ -221,7 +221,7 @@ def writing_top(
         author_timing(layer, rate=header.rate, first=first, last=last)
         define_reference(layer, header.place, rig, path, again=again)
         if shown is not None:
-            carry_variants(layer, shown, header.place, rig.file, default_place(rig))
+            copy_variants(layer, shown, header.place, rig.file, default_place(rig))
         if before.place not in ("", header.place):
             remove_reference(layer, before.place, {rig.file.resolve(), *before.files}, path)
         if not again:

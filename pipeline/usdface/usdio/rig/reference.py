@@ -314,7 +314,7 @@ def _skel_root_above(stage: Usd.Stage, skeleton: Sdf.Path) -> str:
     return str(prim.GetPath()) if prim else ""
 
 
-def carry_variants(layer: Sdf.Layer, stage: Usd.Stage, place: str, rig: Path, top: str) -> None:
+def copy_variants(layer: Sdf.Layer, stage: Usd.Stage, place: str, rig: Path, top: str) -> None:
     """Copy a stage's selections of a rig's variants to a layer, if they are not the rig's defaults.
 
     Parameters

@@ -32,7 +32,7 @@ class PointMotion:
         """Return each part's transform from rest: (parts, 4, 4), for column vectors [mm]."""
         raise NotImplementedError
 
-    def carry(self, points: FloatArray, frame: int, *, vectors: bool = False) -> FloatArray:
+    def apply(self, points: FloatArray, frame: int, *, vectors: bool = False) -> FloatArray:
         """Return points of all meshes, (points, 3) [mm], moved by joints and Xforms.
 
         Or `vectors` at the points, without translation.
