@@ -25,7 +25,7 @@ from benchmarks._damage import DAMAGES
 from tests.conftest import SHARED_DATA
 from usdface.core.assets import References, Rig, Take, TrainedMapping
 from usdface.core.deformer import Deformer
-from usdface.model import Prediction, into_head_space, predict_weights, sample_skin, train_mapping
+from usdface.model import Prediction, align_markers, predict_weights, sample_skin, train_mapping
 from usdface.model.mapping.regions import skin_points
 from usdface.model.mapping.uncertainty import LIMIT_DEVIATIONS
 from usdface.model.selection.baseline import set_up_equation
@@ -231,7 +231,7 @@ def _setup(
     space = train_mapping(
         references, ranges=np.tile([0.0, 1.0], (len(columns), 1)), gram=None, method="ridge"
     )
-    placed = into_head_space(space, some)
+    placed = align_markers(space, some)
     follow = len(rows) if len(rows) > BLOCKS * BLOCK_FRAMES else BLOCK_FRAMES
     return Setup(
         name, references, placed.positions, placed.visible, take[1][rows][:, columns], follow
@@ -347,7 +347,7 @@ def brow_share(folder: Path, ruler: Ruler, method: str) -> float:
         raise SystemExit("the recorded takes have no markers")
     columns = [ruler.rig.shapes.index(name) for name in references.shape_names]
     mapping = ruler.train(references, method)
-    placed = into_head_space(mapping, brows)
+    placed = align_markers(mapping, brows)
     rows = slice(None, None, 3)
     equation = set_up_equation(
         ruler.rig,

@@ -13,7 +13,7 @@ from tests.steps.small_shot import PAIRS, Shot
 from usdface.core.errors import InputError
 from usdface.core.sidecars import weights_path
 from usdface.media.picture.image import read_image_metadata
-from usdface.model.mapping.head_space import into_head_space
+from usdface.model.mapping.head_space import align_markers
 from usdface.model.mapping.predict import predict_weights
 from usdface.model.mapping.train import train_mapping
 from usdface.model.review.verdict import SolveEvidence, judge_solve
@@ -274,7 +274,7 @@ def test_a_reopened_mapping_predicts_the_same_to_the_last_bit(shot: Shot) -> Non
     reopened = read_mapping(shot / "bits.mapping.usdc")
     markers = read_take(shot / "shot.clean.take.usda").markers
     first, second = (
-        predict_weights(each, into_head_space(each, markers).positions)
+        predict_weights(each, align_markers(each, markers).positions)
         for each in (mapping, reopened)
     )
     np.testing.assert_array_equal(first.weights, second.weights)

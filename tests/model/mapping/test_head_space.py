@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from tests.model.synthetic import markers_of, references_of, synthetic_face
 from usdface.core.assets import TrainedMapping
 from usdface.core.errors import InputError
-from usdface.model import into_head_space, predict_weights, train_mapping
+from usdface.model import align_markers, predict_weights, train_mapping
 
 
 def trained() -> TrainedMapping:
@@ -25,7 +25,7 @@ def test_a_take_in_another_head_space_is_moved_back() -> None:
     other = synthetic_face(noise=0.1)
     turn = Rotation.from_euler("xyz", [8, -12, 4], degrees=True).as_matrix()
     moved = other.positions @ turn.T + [30.0, -20.0, 5.0]
-    mapped = into_head_space(trained(), markers_of(other, positions=moved.astype(np.float32)))
+    mapped = align_markers(trained(), markers_of(other, positions=moved.astype(np.float32)))
     np.testing.assert_allclose(mapped.positions, other.positions, atol=0.1)
     weights = predict_weights(trained(), mapped.positions, visible=mapped.visible).weights
     assert np.sqrt(((weights - other.weights) ** 2).mean()) < 0.02
@@ -43,7 +43,7 @@ def test_markers_are_matched_by_name_in_any_order() -> None:
         visible=np.ones((1200, 25), dtype=bool),
         confidence=np.ones((1200, 25), dtype=np.float32),
     )
-    mapped = into_head_space(trained(), shuffled)
+    mapped = align_markers(trained(), shuffled)
     np.testing.assert_allclose(mapped.positions, face.positions, atol=0.02)
     assert mapped.extra == ("nose_extra",)
     assert mapped.missing == ()
@@ -59,7 +59,7 @@ def test_missing_markers_are_marked_unseen() -> None:
         visible=np.ones((1200, 22), dtype=bool),
         confidence=np.ones((1200, 22), dtype=np.float32),
     )
-    mapped = into_head_space(trained(), fewer)
+    mapped = align_markers(trained(), fewer)
     assert mapped.missing == ("m09", "m14")
     assert not mapped.visible[:, [9, 14]].any()
     prediction = predict_weights(trained(), mapped.positions, visible=mapped.visible)
@@ -73,7 +73,7 @@ def test_a_repaired_sample_is_used_and_a_lost_one_is_not() -> None:
     visible[10:20, 8] = False
     confidence[10:15, 8] = 0.6
     confidence[15:20, 8] = 0.0
-    mapped = into_head_space(trained(), markers_of(face, visible=visible, confidence=confidence))
+    mapped = align_markers(trained(), markers_of(face, visible=visible, confidence=confidence))
     assert mapped.visible[10:15, 8].all()
     assert not mapped.visible[15:20, 8].any()
 
@@ -82,7 +82,7 @@ def test_one_slipped_rigid_marker_does_not_turn_the_head() -> None:
     face = synthetic_face()
     slipped = face.positions.copy()
     slipped[:, 2] += [0.0, 9.0, 0.0]
-    mapped = into_head_space(trained(), markers_of(face, positions=slipped.astype(np.float32)))
+    mapped = align_markers(trained(), markers_of(face, positions=slipped.astype(np.float32)))
     rest = np.delete(np.arange(24), 2)
     np.testing.assert_allclose(mapped.positions[:, rest], face.positions[:, rest], atol=0.5)
 
@@ -90,19 +90,19 @@ def test_one_slipped_rigid_marker_does_not_turn_the_head() -> None:
 def test_takes_that_cannot_be_mapped_say_what_to_do() -> None:
     face, mapping = synthetic_face(), trained()
     with pytest.raises(InputError, match="still holds head motion; run the clean step"):
-        into_head_space(mapping, markers_of(face, space="captured"))
+        align_markers(mapping, markers_of(face, space="captured"))
     renamed = tuple(f"x{i}" for i in range(24))
     with pytest.raises(InputError, match="has 0 of the mapping's 24 markers, at least 12"):
-        into_head_space(mapping, markers_of(face, names=renamed))
+        align_markers(mapping, markers_of(face, names=renamed))
     few = tuple(f"x{i}" if i < 3 else face.names[i] for i in range(24))
     with pytest.raises(InputError, match="has 2 of the mapping's 5 rigid markers, at least 3"):
-        into_head_space(mapping, markers_of(face, names=few))
+        align_markers(mapping, markers_of(face, names=few))
     inches = face.positions * 25.4
     with pytest.raises(InputError, match=r"25.4 times those of .* another unit; .*--units"):
-        into_head_space(mapping, markers_of(face, positions=inches.astype(np.float32)))
+        align_markers(mapping, markers_of(face, positions=inches.astype(np.float32)))
     larger = face.positions * 1.3
     with pytest.raises(InputError, match=r"distance is 1.3 times .* 0.769 times its --scale") as no:
-        into_head_space(mapping, markers_of(face, positions=larger.astype(np.float32)))
+        align_markers(mapping, markers_of(face, positions=larger.astype(np.float32)))
     assert re.search(
         "mm from those of the takes it is compared with .*another performer: select and train",
         str(no.value),
@@ -110,7 +110,7 @@ def test_takes_that_cannot_be_mapped_say_what_to_do() -> None:
     moved = np.random.default_rng(3).normal(0, 20, (24, 3))
     stranger = (face.positions + moved).astype(np.float32)
     with pytest.raises(InputError, match=r"compared with.*; it is another marker set or"):
-        into_head_space(mapping, markers_of(face, positions=stranger))
+        align_markers(mapping, markers_of(face, positions=stranger))
 
 
 def test_a_mapping_without_its_arrays_asks_to_be_trained_again() -> None:
@@ -130,7 +130,7 @@ def test_rigid_markers_on_a_line_do_not_tell_how_the_head_is_turned() -> None:
     )
     turned = face.positions @ Rotation.from_rotvec([0.08, 0.06, 0.0]).as_matrix().T
     whole = markers_of(face, positions=turned.astype(np.float32))
-    found = into_head_space(mapping, whole)
+    found = align_markers(mapping, whole)
     np.testing.assert_allclose(found.positions, face.positions, atol=0.05)
     lacking = np.ones((1200, len(face.names)), dtype=bool)
     lacking[:, 4] = False  # the one rigid marker beside the line
@@ -141,4 +141,4 @@ def test_rigid_markers_on_a_line_do_not_tell_how_the_head_is_turned() -> None:
         confidence=lacking.astype(np.float32),
     )
     with pytest.raises(InputError, match="m00, m01, m02, m03, lie on a line"):
-        into_head_space(mapping, line)
+        align_markers(mapping, line)

@@ -6,7 +6,7 @@ from scipy.optimize import lsq_linear, nnls
 
 from usdface.numerics.solve import curvature
 from usdface.numerics.solve.bounded_least_squares import (
-    descend_in_boxes,
+    minimise_within_bounds,
     solve_bounded_least_squares,
 )
 
@@ -139,7 +139,7 @@ def test_steps_are_as_long_as_the_steepest_direction_allows() -> None:
     together, against = np.ones(n) / np.sqrt(n), np.where(np.arange(n) % 2, 1, -1) / np.sqrt(n)
     H = 0.5 * np.outer(together, together) + np.outer(against, against) + 0.1 * np.eye(n)
     linear = rng.uniform(0.2, 0.8, size=(frames, n)) @ H
-    found = descend_in_boxes(
+    found = minimise_within_bounds(
         lambda rows: rows @ H,
         np.tile(np.diag(H), (frames, 1)),
         linear,

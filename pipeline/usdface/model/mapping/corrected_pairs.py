@@ -12,8 +12,8 @@ from usdface.model.regressions.base import bend, unbend
 from usdface.model.regressions.driven_motion import DrivenMotion, driven_weights
 from usdface.model.regressions.forward_model import ForwardModel, ForwardScales, fit_forward_model
 from usdface.model.regressions.frame_solve import VARIANCE_INFLATIONS, FrameSolver
-from usdface.numerics.regression.marker_prior import expect_marker_motion
-from usdface.numerics.solve.bounded_least_squares import descend_in_boxes
+from usdface.numerics.regression.marker_prior import fit_marker_basis
+from usdface.numerics.solve.bounded_least_squares import minimise_within_bounds
 
 _KEY_ROUNDS = 2
 """Alternations of correcting the keys and fitting the forward model; more do not improve it."""
@@ -172,7 +172,7 @@ def correct_keys(
     hessian = weighted @ slope.transpose(0, 2, 1) + precision
     gradient = (weighted @ forward.residuals.reshape(len(keys), -1, 1))[:, :, 0]
     gradient += (precision @ (keys - current)[:, :, None])[:, :, 0]
-    step = descend_in_boxes(
+    step = minimise_within_bounds(
         lambda rows: (hessian @ rows[:, :, None])[:, :, 0],
         np.einsum("nss->ns", hessian),
         gradient,
@@ -235,7 +235,7 @@ def fit_pairs_forward(pairs: Pairs, scales: ForwardScales | None = None) -> Forw
         driven = driven_weights(face.driven.logic, np.clip(pairs.outputs, low, high))
         skin = np.concatenate([skin, face.driven.skin])
     rest = face.rest
-    basis = expect_marker_motion(
+    basis = fit_marker_basis(
         skin,
         np.concatenate([bent, driven], axis=1),
         displaced,

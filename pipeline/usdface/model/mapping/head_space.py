@@ -193,7 +193,7 @@ def find_head_space(
     return HeadSpace(columns, slots, count, rotation, shift, missing, extra, moved, neutral)
 
 
-def into_head_space(mapping: TrainedMapping, markers: Markers) -> MappedMarkers:
+def align_markers(mapping: TrainedMapping, markers: Markers) -> MappedMarkers:
     """Align a whole take with a mapping; see `find_head_space`."""
     return find_head_space(face_of_mapping(mapping), markers).place(markers)
 

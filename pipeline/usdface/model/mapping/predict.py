@@ -228,7 +228,7 @@ def predict_weights(
     Parameters
     ----------
     positions : (frames, markers, 3) float array
-        In the mapping's marker order and head space [mm]; see `into_head_space`.
+        In the mapping's marker order and head space [mm]; see `align_markers`.
     visible : (frames, markers) bool array, optional
         False where a position is ignored: it is estimated from the others, and the uncertainty is
         larger. By default all are visible.

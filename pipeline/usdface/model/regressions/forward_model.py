@@ -5,7 +5,7 @@ The displacement ``y_k`` of marker k from the neutral [mm] is quadratic in the t
 
     y_k = b_k + t'(E_k + D_k) + t'Q_k t + e_k
 
-``E``: displacement of the rig's surface at the marker, per shape (`expect_marker_motion`). ``D``:
+``E``: displacement of the rig's surface at the marker, per shape (`fit_marker_basis`). ``D``:
 deviation of the performer's motion from the rig's, independent per shape, with prior variance
 ``alpha^2 |E_sk|^2 + floor^2 reach_sk``. ``Q``: saturation of the skin and interaction of shapes,
 zero for pairs of shapes of which one does not move the marker, so that shapes that are local on the

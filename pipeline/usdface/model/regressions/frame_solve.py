@@ -41,7 +41,7 @@ from usdface.core.arrays import (
 )
 from usdface.model.regressions.base import Arrays, unbend
 from usdface.model.regressions.forward_model import ForwardModel
-from usdface.numerics.solve.bounded_least_squares import descend_in_boxes
+from usdface.numerics.solve.bounded_least_squares import minimise_within_bounds
 
 CLEANED_NOISE_MM = 0.05
 """Standard deviation of a marker's coordinate after cleaning."""
@@ -172,7 +172,7 @@ class FrameSolver:
         t: RealArray = t0
         for _ in range(_REWEIGHTING_ROUNDS):
             reweighted = precision / _huber_divisor(t - t0, precision)
-            t = t0 + descend_in_boxes(
+            t = t0 + minimise_within_bounds(
                 likelihood.product(reweighted),
                 diagonal + reweighted,
                 gradient,

@@ -20,7 +20,7 @@ from scipy.spatial.distance import cdist
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.numerics.registration.face_skin import FaceSkin
 from usdface.numerics.solve.bounded_least_squares import (
-    descend_in_boxes,
+    minimise_within_bounds,
     solve_bounded_least_squares,
 )
 
@@ -288,7 +288,7 @@ def solve_weights_at(
         ).x
     A, ridge = deltas.astype(np.float32), np.float32(_RIDGE_MM2)
     lower, upper = (np.broadcast_to(limit, start.shape).astype(A.dtype) for limit in ranges.T)
-    return descend_in_boxes(
+    return minimise_within_bounds(
         lambda z: (z @ A) @ A.T + ridge * z,
         np.broadcast_to((A**2).sum(axis=1) + ridge, start.shape),
         flat.astype(A.dtype) @ A.T,

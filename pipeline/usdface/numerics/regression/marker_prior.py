@@ -68,7 +68,7 @@ class _Match:
 
 @dataclass(frozen=True)
 class _Faces:
-    """Motion and neutral of markers and skin, as of `expect_marker_motion`."""
+    """Motion and neutral of markers and skin, as of `fit_marker_basis`."""
 
     seen: FloatArray
     """(markers, pairs, 3): displacements of the markers from their mean [mm]."""
@@ -83,7 +83,7 @@ class _Faces:
     motion_scale: float | None
 
 
-def expect_marker_motion(
+def fit_marker_basis(
     skin: FloatArray,
     weights: FloatArray,
     markers: FloatArray,

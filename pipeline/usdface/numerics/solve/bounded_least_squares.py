@@ -4,8 +4,8 @@ Each frame is a small convex programme: minimise ``0.5 x'Hx - l'x`` with ``lower
 `solve_bounded_least_squares` has one matrix for all frames. Accelerated projected gradient steps
 find nearly the right active set, block pivoting makes it exact, and an active-set method finishes
 the few frames on which pivoting cycles. Every sixteenth frame starts at rest, the others at the
-interpolation of solved ones. `descend_in_boxes`, which maps performances, has a matrix for each
-frame, and stops after the gradient steps.
+interpolation of solved ones. `minimise_within_bounds`, which maps performances, has a matrix for
+each frame, and stops after the gradient steps.
 """
 
 import math
@@ -159,7 +159,7 @@ def _solve_in_turn(
     return z
 
 
-def descend_in_boxes(
+def minimise_within_bounds(
     product: Callable[[Any], Any],
     diagonal: RealArray,
     linear: RealArray,
