@@ -75,9 +75,9 @@ def test_what_is_written_reads_back_and_opens_above_the_weights(tmp_path: Path) 
     path = perform(tmp_path)
     rng = np.random.default_rng(0)
     curve = EditCurve(rng.normal(0, 0.2, 40), rng.random(40), rng.random(40))
-    beneath = WEIGHTS[:, 1].astype(float)
+    solved = WEIGHTS[:, 1].astype(float)
     reader = PerformanceReader(path)
-    write_edits(path, reader.animation, {"jawOpen": ShapeEdit(curve, beneath)}, FRAMES)
+    write_edits(path, reader.animation, {"jawOpen": ShapeEdit(curve, solved)}, FRAMES)
     top = Sdf.Layer.FindOrOpen(str(path))
     assert list(top.subLayerPaths) == ["./shot.hero.edits.usda", "./shot.hero.weights.usdc"]
     back = PerformanceReader(path).edits
@@ -85,7 +85,7 @@ def test_what_is_written_reads_back_and_opens_above_the_weights(tmp_path: Path) 
     for name in ("offset", "override", "mask"):
         found, wanted = getattr(back["jawOpen"].curve, name), getattr(curve, name)
         np.testing.assert_allclose(found, wanted, atol=1e-6)
-    np.testing.assert_allclose(back["jawOpen"].beneath, beneath, atol=1.1e-3)
+    np.testing.assert_allclose(back["jawOpen"].solve_when_edited, solved, atol=1.1e-3)
     assert {each.check for each in validate(path)} <= {"usdface:Provenance", "usdface:Curves"}
 
 

@@ -182,9 +182,9 @@ def solved_over(reader: PerformanceReader, frames: IntArray) -> FloatArray:
 
 def renewed(old: ShapeEdit, curve: EditCurve, solved: FloatArray, now: BoolArray) -> ShapeEdit:
     """Return an edit with a new curve, and the current solve stored where `now` is true."""
-    fresh = now | ~np.isfinite(old.beneath)
-    beneath = np.where(fresh & np.isfinite(solved), solved, old.beneath)
-    return ShapeEdit(curve, np.where(curve.active, beneath, np.nan))
+    fresh = now | ~np.isfinite(old.solve_when_edited)
+    solve = np.where(fresh & np.isfinite(solved), solved, old.solve_when_edited)
+    return ShapeEdit(curve, np.where(curve.active, solve, np.nan))
 
 
 def _check_shapes(spec: EditSpec, change: _Change, reader: PerformanceReader) -> None:

@@ -42,7 +42,7 @@ def find_edited_ranges(reader: PerformanceReader) -> list[EditedRange]:
     for name, edit in sorted(edits.items()):
         column = reader.names.index(name)
         change = edited[:, column].astype(np.float64) - solved[:, column]
-        moved = solved[:, column] - edit.beneath
+        moved = solved[:, column] - edit.solve_when_edited
         for part in starmap(slice, runs(edit.curve.active)):
             worst = _largest(moved[part])
             found.append(

@@ -16,7 +16,7 @@ LARGEST_WEIGHT = 10.0
 """Largest plausible weight."""
 
 _CHANGED_WEIGHT = 0.1
-"""Least change of the solve beneath an edit that is reported."""
+"""Least change of the solve below an edit that is reported."""
 
 
 def check_weights(prim: Usd.Prim) -> list[Fault]:
@@ -118,7 +118,7 @@ def check_edits(prim: Usd.Prim) -> list[Fault]:
     for shape, edit in sorted(edits.items()):
         if samples is None or shape not in names:
             continue
-        moved = np.abs(samples.values[:, names.index(shape)] - edit.beneath)
+        moved = np.abs(samples.values[:, names.index(shape)] - edit.solve_when_edited)
         moved = np.where(np.isfinite(moved) & edit.curve.active, moved, 0.0)
         row = int(moved.argmax())
         if moved[row] > _CHANGED_WEIGHT:
@@ -126,7 +126,7 @@ def check_edits(prim: Usd.Prim) -> list[Fault]:
                 Fault(
                     "warning",
                     path,
-                    f"time code {samples.times[row]:g}: the solve beneath the edit of {shape} has "
+                    f"time code {samples.times[row]:g}: the solve below the edit of {shape} has "
                     f"changed by {moved[row]:.2f} since it was made; look at the edit again",
                 )
             )

@@ -41,7 +41,7 @@ EDITED_SOLVE = "face:beneath:"
 PREFIXES = (_OFFSET, OVERRIDE, MASK, EDITED_SOLVE)
 
 EDITED_SOLVE_TOLERANCE = 1e-3
-"""Tolerance of the stored solve beneath an edit, which is used in comparisons alone."""
+"""Tolerance of the stored solve below an edit, which is used in comparisons alone."""
 
 
 @dataclass(frozen=True)
@@ -49,14 +49,14 @@ class ShapeEdit:
     """Edit of one shape over a range of frames."""
 
     curve: EditCurve
-    beneath: FloatArray
+    solve_when_edited: FloatArray
     """(frames,): the solved weight when the edit was made; NaN if unknown."""
 
     def during(self, part: slice) -> "ShapeEdit":
         """Return the edit over a part of its frames."""
         curve = self.curve
         cut = EditCurve(curve.offset[part], curve.override[part], curve.mask[part])
-        return ShapeEdit(cut, self.beneath[part])
+        return ShapeEdit(cut, self.solve_when_edited[part])
 
 
 def read_edits(animation: Usd.Prim, frames: IntArray) -> dict[str, ShapeEdit]:
@@ -80,7 +80,7 @@ def _read_shape(parts: Mapping[str, Usd.Attribute], frames: IntArray) -> ShapeEd
         mask = None
     elif mask is None:
         mask = _sampled(parts[OVERRIDE], frames).astype(np.float64)
-    beneath = _read_curve(parts.get(EDITED_SOLVE), frames)
+    solve = _read_curve(parts.get(EDITED_SOLVE), frames)
     hidden = _blocked(parts.get(OVERRIDE), frames) | _blocked(parts.get(MASK), frames)
     curve = EditCurve(
         nothing.offset
@@ -89,9 +89,9 @@ def _read_shape(parts: Mapping[str, Usd.Attribute], frames: IntArray) -> ShapeEd
         nothing.override if override is None else override,
         nothing.mask if mask is None else np.where(hidden, 0.0, np.clip(mask, 0.0, 1.0)),
     )
-    if beneath is None:
+    if solve is None:
         return ShapeEdit(curve, np.full(len(frames), np.nan))
-    return ShapeEdit(curve, np.where(_sampled(parts[EDITED_SOLVE], frames), beneath, np.nan))
+    return ShapeEdit(curve, np.where(_sampled(parts[EDITED_SOLVE], frames), solve, np.nan))
 
 
 def _read_curve(attribute: Usd.Attribute | None, frames: IntArray) -> FloatArray | None:
@@ -268,7 +268,7 @@ def write_edits(
         )
         prim = Sdf.CreatePrimInLayer(layer, animation.GetPath())
         for shape, edit in edits.items():
-            _write_shape(prim, shape, tokens[shape], edit, frames, beneath=elsewhere[shape])
+            _write_shape(prim, shape, tokens[shape], edit, frames, weaker=elsewhere[shape])
         for opened in above:
             opened.TransferContent(open_layer(performance))
             if asset not in list(opened.subLayerPaths):
@@ -326,31 +326,31 @@ def _write_shape(
     edit: ShapeEdit,
     frames: IntArray,
     *,
-    beneath: frozenset[str],
+    weaker: frozenset[str],
 ) -> None:
     """Write all attributes of a shape.
 
-    Attributes without effect are omitted, unless weaker layers have these kinds (`beneath`).
+    Attributes without effect are omitted, unless weaker layers have these kinds (`weaker`).
     """
     curve = edit.curve
     active = np.flatnonzero(curve.active)
     overridden = curve.mask > 0
-    offset = curve.offset if curve.offset.any() or _OFFSET in beneath else None
+    offset = curve.offset if curve.offset.any() or _OFFSET in weaker else None
     _write_curve(prim, _OFFSET + name, shape, frames, offset)
     held = None
     if overridden.any():
         held = np.interp(frames, frames[overridden], curve.override[overridden])
     _write_curve(prim, OVERRIDE + name, shape, frames, held)
-    mask = curve.mask if overridden.any() or OVERRIDE in beneath else None
+    mask = curve.mask if overridden.any() or OVERRIDE in weaker else None
     _write_curve(prim, MASK + name, shape, frames, mask)
     if not len(active):
         _write_curve(prim, EDITED_SOLVE + name, shape, frames, None)
         return
-    known = np.flatnonzero(curve.active & np.isfinite(edit.beneath))
+    known = np.flatnonzero(curve.active & np.isfinite(edit.solve_when_edited))
     if not len(known):
         return
     part = slice(int(known[0]), int(known[-1]) + 1)
-    filled = np.interp(np.arange(part.start, part.stop), known, edit.beneath[known])
+    filled = np.interp(np.arange(part.start, part.stop), known, edit.solve_when_edited[known])
     keys = reduce_keys(filled[:, None], EDITED_SOLVE_TOLERANCE)
     _write_samples(prim, EDITED_SOLVE + name, shape, frames[part][keys], filled[keys])
 
