@@ -17,7 +17,7 @@ def pair(number: int, *, video: bool = True, tuned: bool = False) -> ReferenceRo
     return ReferenceRow(
         number=number,
         place="kitchen  frame 7  01:00:00:07",
-        said="/b/ /p/ /m/  joy",
+        spoken="/b/ /p/ /m/  joy",
         tuned=tuned,
         video=rng.integers(0, 255, (72, 128, 3), dtype=np.uint8) if video else None,
         missing="no video",

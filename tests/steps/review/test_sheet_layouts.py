@@ -302,7 +302,7 @@ def test_rows_tell_what_is_said_where_phones_are_known(shot: Shot, monkeypatch) 
     phones = write_phones(shot / "x.json", [(0.0, 1.0, "sil"), (1.0, 2.0, "M"), (2.0, 3.0, "AA1")])
     execute(spec_of(shot, layout="strip", pick="even", rows=5, phones=phones, out=shot / "a.png"))
     # frames 1, 121, 241, 360 and 480 at 120 per second
-    assert [row.said for row in pages[0].rows] == [
+    assert [row.spoken for row in pages[0].rows] == [
         "silent",
         "M  /b/ /p/ /m/",
         "AA  " + viseme_label(viseme_of("aa") or ""),
@@ -312,7 +312,7 @@ def test_rows_tell_what_is_said_where_phones_are_known(shot: Shot, monkeypatch) 
     assert "phone and viseme" in " ".join(pages[0].notes)
     row = replace(pages[0].rows[1], tiles=(Tile(np.zeros((320, 560, 3), np.uint8)),))
     wide = replace(pages[0], rows=(row,), tile_height=320)
-    mute = replace(wide, rows=(replace(row, said=""),))
+    mute = replace(wide, rows=(replace(row, spoken=""),))
     assert np.any(compose(wide) != compose(mute)), "the label is drawn"
     late = write_phones(shot / "y.json", [(0.0, 100.0, "M")])
     with pytest.raises(InputError, match=r"lasts 100.0 s and take .* 4.0 s"):

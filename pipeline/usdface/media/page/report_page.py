@@ -181,7 +181,7 @@ class ReviewPage:
     """Such as ``'video/mp4'``."""
     pictures: tuple[PagePicture, ...] = ()
     """Such as a contact sheet."""
-    said: Sequence[str] = ()
+    spoken: Sequence[str] = ()
     """Phone or word in each picture, or empty."""
     origin: Mapping[str, object] | None = None
     """Provenance."""
@@ -237,11 +237,11 @@ def build_page(page: ReviewPage) -> str:
 
 
 def _data(page: ReviewPage) -> Mapping[str, Any]:
-    labels = list(dict.fromkeys(page.said))
+    labels = list(dict.fromkeys(page.spoken))
     place = index_of(labels)
     return {
         "labels": labels,
-        "said": [place[label] for label in page.said],
+        "spoken": [place[label] for label in page.spoken],
         "rate": page.rate,
         "frames": [int(frame) for frame in page.frames],
         "timecodes": list(page.timecodes),

@@ -52,7 +52,7 @@ class ReferenceRow:
     """Time code of the pair in the asset, from 1."""
     place: str
     """Take, frame and timecode."""
-    said: str
+    spoken: str
     """Viseme and emotion, or empty."""
     tuned: bool
     video: ByteImage | None
@@ -204,7 +204,7 @@ def _draw_row(
     label = "tuned" if row.tuned else "proposal"
     end = x + block - text_width(label, state)
     draw_text(page, label, x=end, y=y + 6, style=state)
-    caption = "   ".join(part for part in (row.said, row.place) if part)
+    caption = "   ".join(part for part in (row.spoken, row.place) if part)
     draw_text(page, caption, x=at, y=y + 5, style=text, max_width=max(end - at - 10, 0))
     drawn = [row.face] if row.markers is None else [row.markers, row.face]
     pictures = [row.video, *drawn][-len(widths) :]

@@ -67,7 +67,7 @@ class SheetRow:
     """One per column."""
     note: str = ""
     """Reason for showing this frame, or empty."""
-    said: str = ""
+    spoken: str = ""
     """Phone, viseme and emotion, or empty."""
 
 
@@ -236,7 +236,7 @@ def row_labels(row: SheetRow) -> list[tuple[str, TextStyle]]:
     labels = (
         (f"frame {row.frame}", CODE_STYLE),
         (row.timecode, CODE_STYLE),
-        (row.said, TEXT_STYLE),
+        (row.spoken, TEXT_STYLE),
     )
     return [(label, style) for label, style in labels if label]
 

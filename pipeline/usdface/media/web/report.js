@@ -40,7 +40,7 @@ class Report {
     this.stage.show(at);
     const frame = data.frames[at], code = data.timecodes[at] ?? "";
     byId("clock").textContent = `${code}  ${frame}`.trim();
-    byId("said").textContent = data.labels[data.said[at]] ?? "";
+    byId("spoken").textContent = data.labels[data.spoken[at]] ?? "";
     clearTimeout(this.naming); // browsers limit changes of the address
     this.naming = setTimeout(() => this.#settled(), QUIET_MS);
     const scrub = byId("scrub");

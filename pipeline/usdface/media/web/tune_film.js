@@ -114,11 +114,11 @@ export class FilmStrip {
     what.className = "what";
     const number = document.createElement("b");
     number.textContent = index + 1;
-    const said = document.createElement("span");
-    said.textContent = pair.viseme || "";
+    const spoken = document.createElement("span");
+    spoken.textContent = pair.viseme || "";
     const mark = document.createElement("span");
     mark.className = "mark";
-    what.append(number, said, mark);
+    what.append(number, spoken, mark);
     element.append(canvas, what);
     element.addEventListener("click", () => onPick(index));
     return { element, canvas, mark };

@@ -152,7 +152,7 @@ class _PairPictures:
         return ReferenceRow(
             number=pair + 1,
             place=_place(self._takes.get(name), name, frame),
-            said=_labels(references, pair),
+            spoken=_labels(references, pair),
             tuned=bool(references.tuned[pair]),
             video=picture,
             missing=missing,

@@ -159,7 +159,7 @@ def _page(
         movie=movie,
         movie_type=_movie_kind()[1],
         pictures=pictures,
-        said=spoken,
+        spoken=spoken,
         origin=provenance_metadata(provenance),
         markers=None if equation is None else page_markers(shot, equation),
         heat=page_heat(signals, curves),

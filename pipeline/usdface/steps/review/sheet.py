@@ -64,7 +64,7 @@ class _Desk:
             timecode=shot.timecode(frame),
             tiles=tuple(column.draw(chosen.row) for column in self.columns),
             note=chosen.reason,
-            said=self.comparison.labels[number],
+            spoken=self.comparison.labels[number],
         )
 
 
