@@ -92,7 +92,7 @@ def test_sheet_report_and_movie_turn_it(shot: Shot) -> None:
         frames = f"{TURNED}-{TURNED + 11}"
         execute(MovieSpec(**given, out=film, frames=frames, height=64, rate=10, workers=1))
         text = page.read_text(encoding="utf-8")
-        drawn[camera] = (out.read_bytes(), '"carried":true' in text, film.read_bytes())
+        drawn[camera] = (out.read_bytes(), '"transforms":true' in text, film.read_bytes())
     auto, front = drawn["auto"], drawn["front"]
     assert auto[1]
     assert not front[1]
@@ -171,5 +171,5 @@ def test_a_page_with_moving_joints_says_that_markers_hold_the_head_still(shot: S
         assert page.is_enabled("#head")
         page.click("#markers")
         assert page.is_disabled("#head")
-        assert page.evaluate("report.viewer.face.carried") is None
+        assert page.evaluate("report.viewer.face.transforms") is None
         page.close()

@@ -186,7 +186,7 @@ class ReviewPage:
     origin: Mapping[str, object] | None = None
     """Provenance."""
     markers: PageMarkers | None = None
-    carried: FloatArray | None = None
+    transforms: FloatArray | None = None
     """(pictures, parts, 3, 4): transforms by joints and Xforms of the parts of `face` [mm]; None if
     none moves."""
     moves_as_one: bool = False
@@ -254,7 +254,7 @@ def _data(page: ReviewPage) -> Mapping[str, Any]:
         "heat": _heat(page.heat),
         "leftOut": list(page.left_out),
         "markers": _markers(page.markers),
-        "carried": page.carried is not None,
+        "transforms": page.transforms is not None,
         "movesAsOne": page.moves_as_one,
         "performance": page.notes.performance,
         "take": page.notes.take,
@@ -319,8 +319,8 @@ def _arrays(page: ReviewPage) -> Iterator[str]:
     """Yield curves and markers as ``<script>`` elements of deflated arrays."""
     for index, curve in enumerate(page.curves):
         yield _array(f"curve-{index}", _steps(curve.values.T, WEIGHT_STEPS))
-    if page.carried is not None:
-        yield _array("carried", page.carried.astype("<f4"))
+    if page.transforms is not None:
+        yield _array("transforms", page.transforms.astype("<f4"))
     if page.markers is not None:
         motion = _steps(page.markers.motion, _MARKER_STEPS).reshape(len(page.frames), -1)
         # Differences wrap modulo the type; so do the sums that restore them.

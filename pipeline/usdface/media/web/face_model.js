@@ -83,7 +83,7 @@ export class FaceModel {
     this.bands = header.bands;
     this.bare = array("bare").slice();
     this.carriers = header.carriers ? array("carriers").slice() : null; // part by part
-    this.carried = null;
+    this.transforms = null;
     this.combinations = header.combinations;
     this.channels = new Float64Array(this.shapes.length + this.combinations.length);
     this.tracks = this.#readTracks(header.tracks, array);
@@ -184,21 +184,26 @@ export class FaceModel {
    * Set the transforms of joints and Xforms for the following poses; null for rest.
    * @param {null | Float32Array} transforms three rows of four numbers per part [mm]
    */
+  setTransforms(transforms) {
+    this.transforms = transforms;
+  }
+
+  /** Former name of setTransforms. */
   carry(transforms) {
-    this.carried = transforms;
+    this.setTransforms(transforms);
   }
 
   /** Apply the transforms by linear blend skinning. */
-  #carry() {
-    const { carried, carriers, positions, pointCount } = this;
-    if (!carried) return;
+  #applyTransforms() {
+    const { transforms, carriers, positions, pointCount } = this;
+    if (!transforms) return;
     const before = positions.slice();
-    for (let part = 0, t = 0; t < carried.length; part++, t += 12) {
+    for (let part = 0, t = 0; t < transforms.length; part++, t += 12) {
       for (let i = 0, p = 0; i < pointCount; i++, p += 3) {
         const share = carriers[part * pointCount + i] * SHARE;
         if (share === 0) continue;
         for (let k = 0, r = t; k < 3; k++, r += 4) {
-          const to = carried[r] * before[p] + carried[r + 1] * before[p + 1] + carried[r + 2] * before[p + 2] + carried[r + 3];
+          const to = transforms[r] * before[p] + transforms[r + 1] * before[p + 1] + transforms[r + 2] * before[p + 2] + transforms[r + 3];
           positions[p + k] += share * (to - before[p + k]);
         }
       }
@@ -223,7 +228,7 @@ export class FaceModel {
         }
       }
     }
-    this.#carry();
+    this.#applyTransforms();
     const moved = performance.now();
     normals.fill(0);
     for (let t = 0; t < triangles.length; t += 3) {

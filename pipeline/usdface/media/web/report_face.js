@@ -17,8 +17,8 @@ class PlacedMarkers {
     this.colors = new Float32Array(this.size).map((_, i) => SEEN[i % 3]);
   }
 
-  /** Argument of FaceViewer.setMarkers; `carried` is the head's transform, three rows of four numbers. */
-  overlay(weights, picture, carried) {
+  /** Argument of FaceViewer.setMarkers; `transform` is the head's transform, three rows of four numbers. */
+  overlay(weights, picture, transform) {
     const { points, targets, motion, keyDeltas, size } = this;
     targets.set(this.rest);
     this.face.weigh(weights, this.shares).forEach((share, key) => {
@@ -29,13 +29,13 @@ class PlacedMarkers {
       points[i] = step === MISSING ? NaN : this.rest[i] + step / this.steps;
       if (step === MISSING) targets[i] = NaN; // no line
     }
-    if (carried) for (const each of [points, targets]) carry(each, carried);
+    if (transform) for (const each of [points, targets]) transformPoints(each, transform);
     return { points, targets, colors: this.colors, names: this.names, lines: this.lines, diameter: 6 };
   }
 }
 
 /** Transform points, x y z each, in place. */
-function carry(points, [a, b, c, x, d, e, f, y, g, h, i, z]) {
+function transformPoints(points, [a, b, c, x, d, e, f, y, g, h, i, z]) {
   for (let p = 0; p < points.length; p += 3) {
     const [u, v, w] = points.subarray(p, p + 3);
     points.set([a * u + b * v + c * w + x, d * u + e * v + f * w + y, g * u + h * v + i * w + z], p);
@@ -50,14 +50,14 @@ export class Stage {
     this.curve = 0;
     this.picture = 0;
     this.markers = null;
-    this.carried = null;
+    this.transforms = null;
     this.#fill();
   }
 
   /** Unpack the motion of the head and the markers, if any. */
   async load() {
-    byId("headLabel").hidden = !data.carried;
-    if (data.carried) this.carried = new Float32Array(await inflate("carried"));
+    byId("headLabel").hidden = !data.transforms;
+    if (data.transforms) this.transforms = new Float32Array(await inflate("transforms"));
     byId("markersLabel").hidden = !data.markers;
     if (!data.markers) return;
     const motion = new Int16Array(await inflate("markerMotion"));
@@ -71,13 +71,13 @@ export class Stage {
     this.picture = picture;
     const { viewer } = this;
     const weights = this.weightsAt(this.curve, picture);
-    const carried = this.#carriedAt(picture);
-    viewer.face.carry(carried);
+    const transforms = this.#transformsAt(picture);
+    viewer.face.setTransforms(transforms);
     viewer.setWeights(weights);
     const other = this.other === null ? null : this.weightsAt(this.other, picture);
     const how = byId("how").value;
     viewer.compare(other && how !== "difference" ? { weights: other, how, share: byId("share").valueAsNumber } : null);
-    viewer.setMarkers(this.#marked ? this.markers.overlay(weights, picture, carried) : null);
+    viewer.setMarkers(this.#marked ? this.markers.overlay(weights, picture, transforms) : null);
     this.#paint(weights, other, how);
   }
 
@@ -86,11 +86,11 @@ export class Stage {
   }
 
   /** Transforms of the head, or null; null with markers unless the head moves rigidly. */
-  #carriedAt(picture) {
+  #transformsAt(picture) {
     byId("head").disabled = this.#marked && !data.movesAsOne;
-    if (!this.carried || !byId("head").checked || byId("head").disabled) return null;
-    const size = this.carried.length / count;
-    return this.carried.subarray(picture * size, (picture + 1) * size);
+    if (!this.transforms || !byId("head").checked || byId("head").disabled) return null;
+    const size = this.transforms.length / count;
+    return this.transforms.subarray(picture * size, (picture + 1) * size);
   }
 
   again() {

@@ -154,7 +154,7 @@ def _page(
         face=pack_face(
             rig, camera=view.at(clock.first_frame, still=True), shares=shares, parts=parts
         ),
-        carried=page_motion(shot),
+        transforms=page_motion(shot),
         moves_as_one=shot.motion is not None and shot.motion.moves_as_one,
         movie=movie,
         movie_type=_movie_kind()[1],
