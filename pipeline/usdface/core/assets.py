@@ -178,6 +178,16 @@ class Take(_Asset):
         """Frame numbers, one per sample."""
         return np.arange(self.first_frame, self.first_frame + self.frame_count, dtype=np.int64)
 
+    def seconds(self, frames: Seconds) -> Seconds:
+        """Return times of frames, by number, on the take's clock: 0 at its first frame [s]."""
+        return (frames - self.first_frame) / float(self.rate)
+
+    def video_seconds(self, frames: Seconds) -> Seconds:
+        """Return times of frames, by number, on the clock of its video [s]."""
+        if self.video is None:
+            raise ValueError(f"take {self.name} has no video")
+        return self.video.video_time(self.seconds(frames))
+
 
 @dataclass(frozen=True, repr=False)
 class ShapeKey(_Asset):

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from usdface.core.arrays import ByteImage, Float32Array
 from usdface.core.assets import References, Take
 from usdface.core.errors import InputError
-from usdface.media.film.image_sequence import ImageSequence, open_video
+from usdface.media.film.take_video import OpenVideo, open_video
 from usdface.media.film.video import VideoReader
 from usdface.media.picture.image import encode_image, read_picture
 from usdface.model.retarget.head_pose import HEAD
@@ -49,7 +49,7 @@ class PairPictures:
         self._faults: dict[str, str] = {}
         self._readers: dict[str, TakeReader] = {}
         self._takes = self._read_takes(takes)
-        self._videos: dict[str, VideoReader | ImageSequence] = {}
+        self._videos: dict[str, OpenVideo] = {}
         self._cached: OrderedDict[tuple[int, float], bytes] = OrderedDict()
         self._guard = threading.Lock()  # of the decoders
         self._hearing = threading.Lock()
@@ -95,7 +95,7 @@ class PairPictures:
             recorded = self._heard[1]
         if recorded is None:
             return None
-        at = self._seconds(take, pair)
+        at = take.seconds(int(self._references.frames[pair]))
         ends = at - SOUND_SECONDS, at + SOUND_SECONDS
         samples = sound_between(take, recorded, *ends, SOUND_RATE)
         out = io.BytesIO()
@@ -139,16 +139,11 @@ class PairPictures:
         video = take.video
         if name not in self._videos:
             self._videos[name] = open_video(video.file, video.rate)
-        seconds = self._seconds(take, pair) + after
-        found = self._videos[name].frame_at(video.video_time(seconds))
+        found = self._videos[name].frame_at(video.video_time(take.seconds(frame) + after))
         if found is None:
             when = f"frame {frame}" + (f" {after:+.2f} s" if after else "")
             raise InputError(f"the video of {name} does not show {when}")
         return found
-
-    def _seconds(self, take: Take, pair: int) -> float:
-        """Return the time of a pair's frame on its take's clock."""
-        return (int(self._references.frames[pair]) - take.first_frame) / float(take.rate)
 
     def _read_takes(self, files: Sequence[Path]) -> dict[str, Take]:
         wanted = set(self._references.takes)

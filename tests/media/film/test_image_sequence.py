@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from usdface.core.errors import InputError
-from usdface.media.film.image_sequence import ImageSequence, open_video
+from usdface.media.film.image_sequence import ImageSequence
+from usdface.media.film.take_video import open_video
 from usdface.media.picture.image import write_image
 
 

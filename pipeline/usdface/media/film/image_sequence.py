@@ -11,7 +11,6 @@ import OpenImageIO as oiio  # noqa: N813
 from usdface.core.arrays import ByteImage, FloatArray
 from usdface.core.confinement import check_may_open
 from usdface.core.errors import InputError
-from usdface.media.film.video import VideoReader
 from usdface.media.picture.color import bytes_from_linear
 from usdface.media.picture.image import MAX_VALUES, reason_of
 
@@ -99,18 +98,3 @@ class ImageSequence:
             raise InputError(f"{path}: damaged: {reason}; copy or write it again")
         pixels = pixels[..., [0, 0, 0] if pixels.shape[2] < 3 else [0, 1, 2]]
         return bytes_from_linear(pixels) if linear else np.ascontiguousarray(pixels)
-
-
-def open_video(path: Path, rate: Fraction | None = None) -> VideoReader | ImageSequence:
-    """Open a movie, or the sequence that a picture belongs to.
-
-    Raises
-    ------
-    InputError
-        If it is neither, or a sequence without a rate.
-    """
-    if path.suffix.lower() not in SUFFIXES:
-        return VideoReader(path)
-    if rate is None or rate <= 0:
-        raise InputError(f"{path}: pictures do not state their rate; give it with --video-rate")
-    return ImageSequence(path, rate)

@@ -21,8 +21,7 @@ from usdface.core.provenance import Provenance
 from usdface.core.rates import exact_rate, frames_of
 from usdface.core.sidecars import samples_path
 from usdface.core.text import pluralize
-from usdface.media.film.image_sequence import ImageSequence, open_video
-from usdface.media.film.video import VideoReader
+from usdface.media.film.take_video import OpenVideo, open_video
 from usdface.model.placement.plausibility import judge_markers, settle_findings
 from usdface.numerics.rigid.perspective import PinholeCamera
 from usdface.runner.result import StepResult
@@ -44,7 +43,7 @@ from usdface.usdio.take.write import write_take
 class _Clip:
     """A video with its tracked face."""
 
-    video: VideoReader | ImageSequence
+    video: OpenVideo
     timing: PictureTiming
     track: FaceTrack
 
@@ -78,9 +77,7 @@ def run(spec: TrackSpec, *, provenance: Provenance, progress: Progress = silent)
         return _write(spec, clips, cameras, notes, detector, provenance, progress)
 
 
-def _opened(
-    path: Path, rate: Fraction | None, open_files: ExitStack
-) -> VideoReader | ImageSequence:
+def _opened(path: Path, rate: Fraction | None, open_files: ExitStack) -> OpenVideo:
     video = open_video(path, rate)
     open_files.enter_context(video)
     return video
@@ -88,7 +85,7 @@ def _opened(
 
 def _write_part(
     spec: TrackSpec,
-    video: VideoReader | ImageSequence,
+    video: OpenVideo,
     timing: PictureTiming,
     detector: PictureDetector,
     provenance: Provenance,

@@ -9,7 +9,7 @@ import numpy as np
 from usdface.capture.camera_calibration import CalibratedCamera, read_calibration
 from usdface.core.errors import InputError
 from usdface.core.text import first_few, pluralize
-from usdface.media.film.image_sequence import ImageSequence
+from usdface.media.film.take_video import OpenVideo
 from usdface.media.film.video import VideoReader
 from usdface.numerics.rigid.perspective import PinholeCamera
 from usdface.specs.capture import TrackSpec
@@ -25,7 +25,7 @@ _SAME_SHAPE = 0.01
 
 
 def settle_cameras(
-    spec: TrackSpec, videos: Sequence[VideoReader | ImageSequence]
+    spec: TrackSpec, videos: Sequence[OpenVideo]
 ) -> tuple[list[CalibratedCamera], list[str]]:
     """Return the camera of each video, and notes on its source."""
     if spec.calibration is None:
@@ -56,9 +56,7 @@ def settle_cameras(
     return cameras, [f"cameras of {spec.calibration.name}: {', '.join(pairs)}"]
 
 
-def _at_size(
-    found: CalibratedCamera, video: VideoReader | ImageSequence, where: str
-) -> CalibratedCamera:
+def _at_size(found: CalibratedCamera, video: OpenVideo, where: str) -> CalibratedCamera:
     """Return a calibrated camera scaled to the size of a video's pictures."""
     width, height = _picture_size(video)
     camera = found.camera
@@ -76,14 +74,14 @@ def _at_size(
     return replace(found, camera=camera)
 
 
-def _picture_size(video: VideoReader | ImageSequence) -> tuple[int, int]:
+def _picture_size(video: OpenVideo) -> tuple[int, int]:
     """Return width and height."""
     picture = video.frame_at(float(video.times[0]))
     assert picture is not None
     return picture.shape[1], picture.shape[0]
 
 
-def _lens(spec: TrackSpec, video: VideoReader | ImageSequence) -> tuple[PinholeCamera, str]:
+def _lens(spec: TrackSpec, video: OpenVideo) -> tuple[PinholeCamera, str]:
     """Return the camera of options or the file's metadata, and a note on its focal length."""
     width, height = _picture_size(video)
     focal = spec.focal_length

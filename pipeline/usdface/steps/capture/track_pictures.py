@@ -20,7 +20,7 @@ from usdface.core.provenance import Provenance, hash_text
 from usdface.core.side_files import clear_side_folder, make_side_folder
 from usdface.core.sidecars import work_folder
 from usdface.media.film.image_sequence import ImageSequence
-from usdface.media.film.video import VideoReader
+from usdface.media.film.take_video import OpenVideo
 from usdface.specs.capture import TrackSpec
 from usdface.specs.paths import frame_range
 from usdface.usdio.take.detections import read_detections, write_detections
@@ -51,9 +51,7 @@ class PictureTiming:
     notes: tuple[str, ...]
 
 
-def settle_timing(
-    spec: TrackSpec, video: VideoReader | ImageSequence, wanted: Fraction | None
-) -> PictureTiming:
+def settle_timing(spec: TrackSpec, video: OpenVideo, wanted: Fraction | None) -> PictureTiming:
     """Return the take frame of each picture, by its time stamp."""
     notes = []
     times = video.times
@@ -160,7 +158,7 @@ class PictureDetector:
     def look(
         self,
         path: Path,
-        video: VideoReader | ImageSequence,
+        video: OpenVideo,
         timing: PictureTiming,
         progress: Progress,
     ) -> Iterator[PictureFaces]:
@@ -248,9 +246,7 @@ class PictureDetector:
                 name = f"{key}.{stretch[0]:07d}-{stretch[-1]:07d}.usdc"
                 yield _Stretch(stretch, self._folder / name)
 
-    def _faces(
-        self, stretch: _Stretch, video: VideoReader | ImageSequence, progress: Progress
-    ) -> list[PictureFaces]:
+    def _faces(self, stretch: _Stretch, video: OpenVideo, progress: Progress) -> list[PictureFaces]:
         """Return the faces in the pictures of a stretch, from its file if it is there."""
         if stretch.is_part:
             assert stretch.file is not None

@@ -109,7 +109,7 @@ def labels_at(phones: Path | None, take: Take, frames: IntArray) -> tuple[str, .
             f"{phones}: lasts {track.duration:.1f} s and take {take.name} {lasts:.1f} s; give the "
             "phones of this take"
         )
-    seconds = (np.asarray(frames) - take.first_frame) / float(take.rate)
+    seconds = take.seconds(np.asarray(frames, np.float64))
     return tuple(_label(track, at) for at in seconds.tolist())
 
 

@@ -11,7 +11,7 @@ from usdface.core.errors import InputError
 from usdface.core.side_files import check_side_folder, make_side_folder
 from usdface.core.sidecars import images_folder
 from usdface.core.text import first_few
-from usdface.media.film.image_sequence import open_video
+from usdface.media.film.take_video import open_video
 from usdface.media.picture.image import read_image_metadata, write_image
 from usdface.specs.references import SelectSpec
 
@@ -106,8 +106,7 @@ def _write_take(
     with open_video(video.file, video.rate) as movie:
         for pair in sorted(pairs, key=lambda each: int(references.frames[each])):
             frame = int(references.frames[pair])
-            seconds = (frame - take.first_frame) / float(take.rate)
-            picture = movie.frame_at(video.video_time(seconds))
+            picture = movie.frame_at(take.video_seconds(frame))
             if picture is None:
                 continue
             make_side_folder(folder)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from usdface.core.arrays import index_of
-from usdface.core.assets import References, Video
+from usdface.core.assets import References, Take, Video
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
@@ -198,8 +198,8 @@ def _at_times_of_pairs(
             f"{spec.weights}: its take has the video {other[1].file}, and the pairs' take "
             f"{own[1].file}; track or ingest the same performance with the same video"
         )
-    seconds = (references.frames - own[0].first_frame) / float(own[0].rate)
-    at = other[1].take_time(own[1].video_time(seconds)) * float(other[0].rate)
+    seconds = own[0].video_seconds(references.frames.astype(np.float64))
+    at = other[1].take_time(seconds) * float(other[0].rate)
     at = at + other[0].first_frame
     numbers = np.array(table.frames, np.float64)
     inside = (at >= numbers[0]) & (at <= numbers[-1])
@@ -215,16 +215,17 @@ def _at_times_of_pairs(
     return replace(table, frames=pairs, weights=weights, keyed=frozenset(pairs), takes=())
 
 
-def _timed_take(path: Path) -> tuple[TakeReader, Video]:
+def _timed_take(path: Path) -> tuple[Take, Video]:
+    """Return the first frame of a take, and its video."""
     if not path.is_file():
         raise InputError(f"{path}: no such take; --at video needs the takes of both sides")
-    take = TakeReader(path)
-    video = take.read(take.first_frame, take.first_frame, head_motion=False).video
-    if video is None:
+    reader = TakeReader(path)
+    take = reader.read(reader.first_frame, reader.first_frame, head_motion=False)
+    if take.video is None:
         raise InputError(
             f"{path}: has no video, which --at video needs; ingest it with --video and align it"
         )
-    return take, video
+    return take, take.video
 
 
 def _key(spec: ReferencesImportSpec, pair: TunedPair) -> int:

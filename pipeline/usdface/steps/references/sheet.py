@@ -17,8 +17,7 @@ from usdface.media.face.camera import frame_rig
 from usdface.media.face.markers_view import MarkersFrame, draw_markers, frame_markers
 from usdface.media.face.render import FaceRenderer
 from usdface.media.face.sculpted_normals import SculptedNormals
-from usdface.media.film.image_sequence import ImageSequence, open_video
-from usdface.media.film.video import VideoReader
+from usdface.media.film.take_video import OpenVideo, open_video, picture_at_frame
 from usdface.media.picture.image import read_picture, write_image
 from usdface.media.picture.reference_sheet import (
     PAGE_PAIRS,
@@ -39,8 +38,6 @@ from usdface.usdio.take.read import read_take
 
 _LEAST_SHOWN_WEIGHT = 0.05
 """Smallest weight that is listed."""
-
-_Video = VideoReader | ImageSequence
 
 
 def run(
@@ -138,7 +135,7 @@ class _PairPictures:
         """Draw one pair."""
         references, tile = self._references, self._spec.tile
         name, frame = references.takes[pair], int(references.frames[pair])
-        picture, missing = _video_picture(self._takes.get(name), self._videos.get(name), frame)
+        picture, missing = picture_at_frame(self._takes.get(name), self._videos.get(name), frame)
         if picture is None:
             picture = _archived_picture(self._images[pair].image)
         markers, residual_mm = None, None
@@ -197,26 +194,12 @@ def _pairs(spec: ReferenceSheetSpec, references: References) -> list[int]:
     return pairs
 
 
-def _open_video(take: Take, stack: ExitStack) -> _Video | None:
+def _open_video(take: Take, stack: ExitStack) -> OpenVideo | None:
     if take.video is None:
         return None
     video = open_video(take.video.file, take.video.rate)
     stack.enter_context(video)
     return video
-
-
-def _video_picture(
-    take: Take | None, video: _Video | None, frame: int
-) -> tuple[ByteImage | None, str]:
-    """Return the video frame of a pair, or the reason why there is none."""
-    if take is None or take.video is None or video is None:
-        return None, "no video"
-    seconds = (frame - take.first_frame) / float(take.rate)
-    at = take.video.video_time(seconds)
-    try:
-        return video.frame_at(at), "no video here"
-    except InputError:
-        return None, "cannot be decoded"
 
 
 def _archived_picture(image: Path | None) -> ByteImage | None:

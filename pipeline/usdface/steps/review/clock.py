@@ -68,7 +68,7 @@ def take_sound(take: Take, clock: MovieClock, notes: list[str]) -> Float32Array 
 
     That of the capture, else of the camera; a note is appended if it cannot be read.
     """
-    start = (clock.first_frame - take.first_frame) / float(take.rate)
+    start = take.seconds(clock.first_frame)
     count = round(float(clock.picture_count / clock.rate) * SAMPLE_RATE)
     recorded = recorded_sound(take, notes)
     if recorded is None:

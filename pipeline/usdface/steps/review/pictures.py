@@ -18,8 +18,7 @@ from usdface.media.face.markers_view import (
 )
 from usdface.media.face.render import FaceRenderer
 from usdface.media.face.sculpted_normals import SculptedNormals
-from usdface.media.film.image_sequence import ImageSequence, open_video
-from usdface.media.film.video import VideoReader
+from usdface.media.film.take_video import OpenVideo, open_video, picture_at_frame
 from usdface.media.picture.canvas import draw_dot, draw_line
 from usdface.media.picture.color import BLUE, BRIGHT, ORANGE
 from usdface.media.picture.display_view import DisplayView
@@ -90,7 +89,7 @@ class ShotPictures:
         self._cloud, self._lines = _frame_of(shot.take)
         self._placed_lines: IntArray | None = None
         self._open = ExitStack()
-        self._video: VideoReader | ImageSequence | None = None
+        self._video: OpenVideo | None = None
 
     @property
     def stand_in_eyes(self) -> bool:
@@ -128,16 +127,8 @@ class ShotPictures:
 
     def video(self, frame: int) -> Tile:
         """Return the video's picture at a frame of the take."""
-        take = self._shot.take
-        if take.video is None or self._video is None:
-            return Tile(None, caption="no video")
-        seconds = (frame - take.first_frame) / float(take.rate)
-        at = take.video.video_time(seconds)
-        try:
-            picture = self._video.frame_at(at)
-        except InputError:
-            return Tile(None, caption="cannot be decoded")
-        return Tile(picture, caption="" if picture is not None else "no video here")
+        picture, reason = picture_at_frame(self._shot.take, self._video, frame)
+        return Tile(picture, caption=reason)
 
     def markers(self, row: int) -> ByteImage:
         """Draw the markers of a row."""

@@ -14,8 +14,8 @@ from usdface.core.replacing import write_text
 from usdface.core.side_files import emptied_side_folder
 from usdface.core.sidecars import work_folder
 from usdface.core.text import pluralize
-from usdface.media.film.image_sequence import open_video
 from usdface.media.film.movie import video_encoder, write_movie
+from usdface.media.film.take_video import open_video
 from usdface.media.page.face_payload import pack_face
 from usdface.media.page.report_page import (
     PagePicture,
@@ -226,8 +226,7 @@ def _camera_pictures(
         for picture, frame in enumerate(shot.frames.tolist()):
             if picture % 60 == 0:
                 progress(picture / clock.picture_count, f"video picture {picture}")
-            seconds = (frame - take.first_frame) / float(take.rate)
-            index = movie.index_at(video.video_time(seconds))
+            index = movie.index_at(take.video_seconds(frame))
             if tile is None or index != shown:
                 pixels, missing = None, "no video here"
                 try:
