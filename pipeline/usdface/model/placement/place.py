@@ -1,13 +1,13 @@
 """Place a performer's markers on a rig: by labels and landmarks, else by motion."""
 
-from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
-from usdface.model.placement.label_hints import label_hint, landmark_spread_mm
+from usdface.model.placement.known_places import marked_landmarks, places_by_labels, usual_scale
+from usdface.model.placement.label_hints import label_hint
 from usdface.model.placement.marker_cloud import MarkerCloud, middle_markers
 from usdface.model.placement.rig_landmarks import find_landmarks
 from usdface.numerics.registration.cloud_alignment import align_cloud, align_landmarks
@@ -65,15 +65,6 @@ _DOUBTFUL_VALUE, _OVERTURNED_GAIN = 0.15, 0.1
 """Value of the best candidate below which the cloud is searched upside down as well, and gain from
 which that is reported. Whole faces reach 0.17 or more upright, and 0.14 or less upside down."""
 
-_ACTIVE_SHARE = 0.1
-"""Share of the largest displacement below which skin carries no markers."""
-
-_EYES_TO_MOUTH_MM = 70.0
-"""Height of the eyes above the mouth of an adult; standard deviation about 5 mm."""
-
-_OTHER_UNIT = 2.2
-"""Ratio of two estimates of the scale beyond which the markers are not in millimetres."""
-
 
 @dataclass(frozen=True)
 class MarkerPlacement:
@@ -117,7 +108,7 @@ def place_markers(
     unit = skin.size_mm / TYPICAL_SIZE_MM
     landmarks = find_landmarks(skin, shapes)
     pins = {m: np.asarray(at, float) @ skin.frame.T for m, at in (pinned or {}).items()}
-    known = named_places(cloud, landmarks, unit, without=pins)
+    known = places_by_labels(cloud, landmarks, unit, without=pins)
     given = [KnownPlace((marker,), at, _PIN_SPREAD_MM * unit) for marker, at in pins.items()]
     scene = _Scene(
         cloud,
@@ -125,8 +116,8 @@ def place_markers(
         limits,
         [*known, *given],
         pins,
-        _usual_scale(cloud, skin, landmarks),
-        face_landmarks(skin, landmarks),
+        usual_scale(cloud, skin, landmarks),
+        marked_landmarks(skin, landmarks),
     )
     own = [cloud.labels[each.markers[0]] for each in known if len(each.markers) == 1]
     named = sum(not label[-1].isdigit() for label in own) >= FEWEST_HINTS
@@ -199,41 +190,6 @@ class _Start:
     levelled: FloatArray
     placement: SkinPlacement
     upside_down: bool = False
-
-
-def named_places(
-    cloud: MarkerCloud,
-    landmarks: dict[str, FloatArray],
-    unit: float,
-    *,
-    without: Collection[int] = (),
-) -> list[KnownPlace]:
-    """Return the places of markers whose labels name landmarks of the rig.
-
-    Markers with the same landmarks (``brow_L1`` to ``brow_L5``) are one place, that of their mean;
-    its variance includes theirs.
-
-    Parameters
-    ----------
-    unit : float
-        Size of the rig's face over an adult's.
-    without : collection of int
-        Markers to leave out.
-    """
-    groups: dict[tuple[str, ...], list[int]] = {}
-    spreads = {}
-    for marker, label in enumerate(cloud.labels):
-        hint = label_hint(label)
-        if hint.landmarks and marker not in without and set(hint.landmarks) <= landmarks.keys():
-            groups.setdefault(hint.landmarks, []).append(marker)
-            spreads[hint.landmarks] = hint.spread_mm
-    places = []
-    for names, markers in groups.items():
-        apart = np.sqrt(cloud.neutral[markers].var(axis=0).sum())
-        mean = np.mean([landmarks[name] for name in names], axis=0)
-        spread = float(np.hypot(spreads[names], apart)) * unit
-        places.append(KnownPlace(tuple(markers), mean, spread))
-    return places
 
 
 def _settle(scene: _Scene, frame: FloatArray, levelled: FloatArray, fit: PlaneFit) -> _Start:
@@ -403,36 +359,6 @@ def _by_shape(scene: _Scene) -> _Start:
     fit = PlaneFit(alignment.rotation, alignment.scale, alignment.translation)
     placement = SkinPlacement(placed.chosen, placed.warped, fit)
     return _Start(np.eye(3), cloud.neutral, placement)
-
-
-def face_landmarks(skin: FaceSkin, landmarks: dict[str, FloatArray]) -> FaceLandmarks:
-    """Return the landmarks that usually carry markers."""
-    names = tuple(name for name in landmarks if landmark_spread_mm(name))
-    unit, activity = skin.size_mm / TYPICAL_SIZE_MM, skin.activity()
-    return FaceLandmarks(
-        names,
-        np.array([landmarks[name] for name in names]).reshape(-1, 3),
-        np.array([landmark_spread_mm(name) for name in names]) * unit,
-        float(skin.areas[activity > _ACTIVE_SHARE * activity.max()].sum()),
-        unit,
-    )
-
-
-def _usual_scale(cloud: MarkerCloud, skin: FaceSkin, landmarks: dict[str, FloatArray]) -> float:
-    """Estimate the size of the character relative to the performer.
-
-    By the height of the eyes over the mouth, if the markers may be in millimetres; else by the
-    spread of the markers relative to that of the moving skin.
-    """
-    share = skin.activity() / skin.activity().sum()
-    moving = np.sqrt((share @ (skin.positions - share @ skin.positions) ** 2).sum())
-    spread = np.sqrt(cloud.neutral.var(axis=0).sum())
-    covering = float(moving / max(spread, 1e-9))
-    if not {"mouth_middle", "lid_upper_L", "lid_lower_L"} <= landmarks.keys():
-        return covering
-    eyes = (landmarks["lid_upper_L"] + landmarks["lid_lower_L"])[1] / 2
-    adult = float(eyes - landmarks["mouth_middle"][1]) / _EYES_TO_MOUTH_MM
-    return adult if 1 / _OTHER_UNIT < covering / adult < _OTHER_UNIT else covering
 
 
 def _motion_scale(turned: FloatArray, skin: FaceSkin, samples: IntArray) -> float:

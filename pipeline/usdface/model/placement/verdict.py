@@ -8,9 +8,10 @@ from scipy.spatial import KDTree
 
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.text import first_few, pluralize
+from usdface.model.placement.known_places import places_by_labels
 from usdface.model.placement.label_hints import label_hint
 from usdface.model.placement.marker_cloud import MarkerCloud
-from usdface.model.placement.place import FEWEST_PINS, named_places
+from usdface.model.placement.place import FEWEST_PINS
 from usdface.model.placement.rig_landmarks import find_landmarks
 from usdface.numerics.registration.face_skin import FaceSkin
 from usdface.numerics.registration.skin_placement import (
@@ -114,7 +115,7 @@ def judge_placement(
     nearest = KDTree(skin.positions)
     samples = np.asarray(nearest.query(local)[1], np.int64)
     landmarks = find_landmarks(skin, shapes)
-    known = named_places(cloud, landmarks, unit)
+    known = places_by_labels(cloud, landmarks, unit)
     far = _far_markers(local, known, placed)
     roll = _roll_degrees(replace(cloud, neutral=local))
     reasons = [_tilt(roll), _missed(far, cloud.labels, known), _one_sided(local, skin)]

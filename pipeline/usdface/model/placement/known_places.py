@@ -1,0 +1,86 @@
+"""Known before the search: places of labelled markers, the rig's landmarks, the expected size."""
+
+from collections.abc import Collection
+
+import numpy as np
+
+from usdface.core.arrays import FloatArray
+from usdface.model.placement.label_hints import label_hint, landmark_spread_mm
+from usdface.model.placement.marker_cloud import MarkerCloud
+from usdface.numerics.registration.face_skin import FaceSkin
+from usdface.numerics.registration.landmark_matching import FaceLandmarks
+from usdface.numerics.registration.skin_placement import TYPICAL_SIZE_MM, KnownPlace
+
+_ACTIVE_SHARE = 0.1
+"""Share of the largest displacement below which skin carries no markers."""
+
+_EYES_TO_MOUTH_MM = 70.0
+"""Height of the eyes above the mouth of an adult; standard deviation about 5 mm."""
+
+_OTHER_UNIT = 2.2
+"""Ratio of two estimates of the scale beyond which the markers are not in millimetres."""
+
+
+def places_by_labels(
+    cloud: MarkerCloud,
+    landmarks: dict[str, FloatArray],
+    unit: float,
+    *,
+    without: Collection[int] = (),
+) -> list[KnownPlace]:
+    """Return the places of markers whose labels name landmarks of the rig.
+
+    Markers with the same landmarks (``brow_L1`` to ``brow_L5``) are one place, that of their mean;
+    its variance includes theirs.
+
+    Parameters
+    ----------
+    unit : float
+        Size of the rig's face over an adult's.
+    without : collection of int
+        Markers to leave out.
+    """
+    groups: dict[tuple[str, ...], list[int]] = {}
+    spreads = {}
+    for marker, label in enumerate(cloud.labels):
+        hint = label_hint(label)
+        if hint.landmarks and marker not in without and set(hint.landmarks) <= landmarks.keys():
+            groups.setdefault(hint.landmarks, []).append(marker)
+            spreads[hint.landmarks] = hint.spread_mm
+    places = []
+    for names, markers in groups.items():
+        scatter = np.sqrt(cloud.neutral[markers].var(axis=0).sum())
+        mean = np.mean([landmarks[name] for name in names], axis=0)
+        spread = float(np.hypot(spreads[names], scatter)) * unit
+        places.append(KnownPlace(tuple(markers), mean, spread))
+    return places
+
+
+def marked_landmarks(skin: FaceSkin, landmarks: dict[str, FloatArray]) -> FaceLandmarks:
+    """Return the landmarks that usually carry markers."""
+    names = tuple(name for name in landmarks if landmark_spread_mm(name))
+    unit, activity = skin.size_mm / TYPICAL_SIZE_MM, skin.activity()
+    return FaceLandmarks(
+        names,
+        np.array([landmarks[name] for name in names]).reshape(-1, 3),
+        np.array([landmark_spread_mm(name) for name in names]) * unit,
+        float(skin.areas[activity > _ACTIVE_SHARE * activity.max()].sum()),
+        unit,
+    )
+
+
+def usual_scale(cloud: MarkerCloud, skin: FaceSkin, landmarks: dict[str, FloatArray]) -> float:
+    """Estimate the size of the character relative to the performer.
+
+    By the height of the eyes over the mouth, if the markers may be in millimetres; else by the
+    spread of the markers relative to that of the moving skin.
+    """
+    share = skin.activity() / skin.activity().sum()
+    moving = np.sqrt((share @ (skin.positions - share @ skin.positions) ** 2).sum())
+    spread = np.sqrt(cloud.neutral.var(axis=0).sum())
+    covering = float(moving / max(spread, 1e-9))
+    if not {"mouth_middle", "lid_upper_L", "lid_lower_L"} <= landmarks.keys():
+        return covering
+    eyes = (landmarks["lid_upper_L"] + landmarks["lid_lower_L"])[1] / 2
+    adult = float(eyes - landmarks["mouth_middle"][1]) / _EYES_TO_MOUTH_MM
+    return adult if 1 / _OTHER_UNIT < covering / adult < _OTHER_UNIT else covering
