@@ -8,7 +8,7 @@ import re
 from collections.abc import Sequence
 
 from benchmarks._published_names import PUBLISHED, Published
-from usdface.model.retarget.name_matching import name_matching, transfer_matrix
+from usdface.model.retarget.name_matching import match_names, transfer_matrix
 from usdface.model.retarget.shape_vocabulary import ARKIT
 
 _DRAWS = 40
@@ -85,7 +85,7 @@ def _score(names: Sequence[str], pairs: frozenset[tuple[str, str]]) -> tuple[int
 
     A pair that is not published is wrong; a pair is one-sided if its mirror image is not matched.
     """
-    matches = name_matching(ARKIT, names).matches
+    matches = match_names(ARKIT, names).matches
     matched = {(match.name, name) for match in matches for name, _ in match.target}
     wanted = {theirs for _, theirs in pairs}
     found = sum(
@@ -147,8 +147,8 @@ def _round_trip() -> None:
     print("|---|---|")
     for given in PUBLISHED:
         names = given.names()
-        there = name_matching(ARKIT, names).matches
-        back = name_matching(names, ARKIT).matches
+        there = match_names(ARKIT, names).matches
+        back = match_names(names, ARKIT).matches
         whole = transfer_matrix(there, ARKIT, names) @ transfer_matrix(back, names, ARKIT)
         known = [ARKIT.index(match.name) for match in there]
         error = max(abs(float(whole[i, j]) - (i == j)) for i in known for j in range(len(ARKIT)))

@@ -66,7 +66,7 @@ def _performance() -> tuple[Rig, FloatArray, bool]:
     else:
         rig, clip = demo_rig(ACTOR), performance().weights
     weights = np.zeros((len(clip.values), len(rig.shapes)))
-    for match in match_names(clip.names, rig.shapes):
+    for match in match_names(clip.names, rig.shapes).matches:
         column = clip.names.index(match.source[0][0])
         for name, share in match.target:
             weights[:, rig.shapes.index(name)] += share * clip.values[:, column]
@@ -74,7 +74,7 @@ def _performance() -> tuple[Rig, FloatArray, bool]:
 
 
 def _named_pairs(source: Rig, target: Rig) -> ExpressionPairs:
-    matches = match_names(source.shapes, target.shapes)
+    matches = match_names(source.shapes, target.shapes).matches
     left = np.zeros((len(matches) + 1, len(source.shapes)))
     right = np.zeros((len(matches) + 1, len(target.shapes)))
     for row, match in enumerate(matches, start=1):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks._published_names import PUBLISHED, Published
-from usdface.model.retarget.name_matching import match_names, name_matching, transfer_matrix
+from usdface.model.retarget.name_matching import match_names, transfer_matrix
 from usdface.model.retarget.shape_names import read_meanings
 from usdface.model.retarget.shape_vocabulary import ARKIT
 
@@ -15,7 +15,11 @@ METAHUMAN = next(each for each in PUBLISHED if each.name == "MetaHuman").names()
 
 
 def matched(names: list[str] | tuple[str, ...]) -> set[tuple[str, str]]:
-    return {(match.name, name) for match in match_names(ARKIT, names) for name, _ in match.target}
+    return {
+        (match.name, name)
+        for match in match_names(ARKIT, names).matches
+        for name, _ in match.target
+    }
 
 
 @pytest.mark.parametrize("given", PUBLISHED, ids=lambda each: each.name)
@@ -39,11 +43,11 @@ def test_a_shared_word_that_is_part_of_the_names_stays() -> None:
     mouths = [name for name in ARKIT if name.startswith("mouth")]
     assert matched(mouths) == {(name, name) for name in mouths}
     left = ["eyeBlink_L", "browDown_L", "cheekSquint_L"]
-    assert {match.name[-4:] for match in match_names(ARKIT, left)} == {"Left"}
+    assert {match.name[-4:] for match in match_names(ARKIT, left).matches} == {"Left"}
 
 
 def test_shapes_that_could_be_either_are_named_not_guessed() -> None:
-    found = name_matching(ARKIT, ["eye_blink1_l", "eye_blink2_l", "eyeBlinkRight", "jawOpen"])
+    found = match_names(ARKIT, ["eye_blink1_l", "eye_blink2_l", "eyeBlinkRight", "jawOpen"])
     assert {match.name for match in found.matches} == {"jawOpen"}
     assert any(each.startswith("eye_blink1_l: ") for each in found.ambiguous)
     assert any(each.startswith("eyeBlinkRight: its other side") for each in found.ambiguous)
@@ -67,13 +71,13 @@ def test_sides_stand_at_the_end_of_names_without_capitals() -> None:
 
 def test_doubts_are_of_what_the_other_rig_has() -> None:
     twice = ["tongue_Scale_X", "tongue_Scale__X", "jawOpen", "mouth_open"]
-    (note,) = name_matching(twice, ARKIT).ambiguous
+    (note,) = match_names(twice, ARKIT).ambiguous
     assert note.startswith("mouth_open: ")
-    assert len(name_matching(twice, [*ARKIT, "tongue_scale_x"]).ambiguous) == 3
+    assert len(match_names(twice, [*ARKIT, "tongue_scale_x"]).ambiguous) == 3
 
 
 def test_the_better_known_name_wins_and_the_other_is_named() -> None:
-    found = name_matching(ARKIT, ["jawOpen", "mouth_open"])
+    found = match_names(ARKIT, ["jawOpen", "mouth_open"])
     assert [(match.name, match.target) for match in found.matches] == [
         ("jawOpen", (("jawOpen", 1.0),))
     ]
@@ -83,8 +87,8 @@ def test_the_better_known_name_wins_and_the_other_is_named() -> None:
 def test_names_that_are_all_the_rigs_own_raise_no_doubts_of_its_others() -> None:
     """A table of some of a rig's own shapes is what it says; the rest of the rig is not asked."""
     whole, halves = "lower_lip_up", ("l_lower_lip_up", "r_lower_lip_up")
-    assert name_matching([whole, "jawOpen"], [whole, "jawOpen", *halves]).ambiguous == ()
-    doubts = name_matching(["lowerLipUp", "jawOpen"], [whole, "jawOpen", *halves]).ambiguous
+    assert match_names([whole, "jawOpen"], [whole, "jawOpen", *halves]).ambiguous == ()
+    doubts = match_names(["lowerLipUp", "jawOpen"], [whole, "jawOpen", *halves]).ambiguous
     assert [each.split(":")[0] for each in doubts] == list(halves)
 
 
@@ -95,7 +99,7 @@ def test_both_sides_are_matched_alike_whatever_is_missing() -> None:
         names = rng.sample(given.names(), len(given.names()) * 2 // 3)
         meanings = read_meanings(names)
         there = {each.cells for each in meanings.values()}
-        ours = {match.name for match in match_names(ARKIT, names)}
+        ours = {match.name for match in match_names(ARKIT, names).matches}
         for name in ours:
             if name.endswith("Left") and name[:-4] + "Right" not in ours:
                 cells = read_meanings(ARKIT)[name[:-4] + "Right"].cells
@@ -103,8 +107,8 @@ def test_both_sides_are_matched_alike_whatever_is_missing() -> None:
 
 
 def test_arkit_through_metahuman_controls_comes_back() -> None:
-    there = transfer_matrix(match_names(ARKIT, METAHUMAN), ARKIT, METAHUMAN)
-    back = transfer_matrix(match_names(METAHUMAN, ARKIT), METAHUMAN, ARKIT)
+    there = transfer_matrix(match_names(ARKIT, METAHUMAN).matches, ARKIT, METAHUMAN)
+    back = transfer_matrix(match_names(METAHUMAN, ARKIT).matches, METAHUMAN, ARKIT)
     weights = np.random.default_rng(0).random((40, len(ARKIT)))
     np.testing.assert_allclose(weights @ there @ back, weights, atol=1e-6)
     pucker = dict(zip(METAHUMAN, there[ARKIT.index("mouthPucker")], strict=True))
@@ -114,6 +118,6 @@ def test_arkit_through_metahuman_controls_comes_back() -> None:
 
 def test_weights_of_one_to_one_pairs_pass_to_the_last_bit() -> None:
     names = [f"rig_{name}" for name in reversed(ARKIT)]
-    matrix = transfer_matrix(match_names(ARKIT, names), ARKIT, names)
+    matrix = transfer_matrix(match_names(ARKIT, names).matches, ARKIT, names)
     weights = np.random.default_rng(0).random((9, len(ARKIT)))
     assert np.array_equal(weights @ matrix, weights[:, ::-1])

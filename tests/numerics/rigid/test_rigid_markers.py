@@ -30,7 +30,6 @@ def test_skin_that_moves_as_one_is_not_taken_for_the_skull():
     captured = np.einsum("fij,fkj->fki", turns, face) + 0.15 * rng.standard_normal(face.shape)
     found = find_rigid_markers(captured, np.ones(captured.shape[:2], bool))
     assert found.indices == (0, 1, 2, 3, 4)
-    assert found.rotation_error_deg < 0.2
 
 
 @pytest.mark.parametrize("start", [900, 1800, 6300, 7200])

@@ -84,12 +84,7 @@ class Transfer:
         ]
 
 
-def match_names(source: Sequence[str], target: Sequence[str]) -> tuple[NameMatch, ...]:
-    """Return the matches of two rigs by name, one for each matched source shape."""
-    return name_matching(source, target).matches
-
-
-def name_matching(source: Sequence[str], target: Sequence[str]) -> NameMatching:
+def match_names(source: Sequence[str], target: Sequence[str]) -> NameMatching:
     """Match the shapes of two rigs by name, and list ambiguous shapes.
 
     If one side of a motion is ambiguous, neither side is matched.
@@ -168,7 +163,7 @@ def transfer_by_names(
     source: Sequence[str], target: Sequence[str], *, matching: NameMatching | None = None
 ) -> Transfer:
     """Return the linear map between shapes matched by name."""
-    found = name_matching(source, target) if matching is None else matching
+    found = match_names(source, target) if matching is None else matching
     matrix = transfer_matrix(found.matches, source, target)
     by = {
         name: found.by.get(match.name, "meaning")

@@ -33,8 +33,6 @@ class RigidMarkers:
     """Columns, ascending."""
     deviation_mm: float
     """Mean standard deviation of their mutual distances, measurement noise included [mm]."""
-    rotation_error_deg: float
-    """Expected error of the head's rotation, from their residual motion and noise."""
     noise_mm: float = 0.0
     """Standard deviation of the measurement noise, per coordinate."""
 
@@ -93,7 +91,7 @@ def find_rigid_markers(positions: ArrayLike, visible: ArrayLike) -> RigidMarkers
             "on the skull (head band, temples, bridge of the nose)"
         )
     # Of equally large sets the one with the smaller error.
-    count, error, order = max(
+    count, _, order = max(
         (
             (int(near) + _LEAST_MARKERS, float(row[near]), order)
             for order, row in zip(orders, errors, strict=True)
@@ -104,7 +102,7 @@ def find_rigid_markers(positions: ArrayLike, visible: ArrayLike) -> RigidMarkers
     chosen = np.sort(order[:count])
     deviation = deviations[np.ix_(chosen, chosen)].sum() / (count * (count - 1))
     indices = tuple(usable[chosen].tolist())
-    return RigidMarkers(indices, float(deviation), float(np.rad2deg(error)), noise)
+    return RigidMarkers(indices, float(deviation), noise)
 
 
 def _candidate_orders(

@@ -16,7 +16,7 @@ from usdface.core.provenance import Provenance
 from usdface.core.sidecars import is_usd_name, proposed_path
 from usdface.core.text import counted, first_few, pluralize
 from usdface.model.retarget.control_space import dead_controls
-from usdface.model.retarget.name_matching import NameMatch, NameMatching, Transfer, name_matching
+from usdface.model.retarget.name_matching import NameMatch, NameMatching, Transfer, match_names
 from usdface.model.retarget.shape_matching import ShapeMatch, differing_sides, match_deformations
 from usdface.runner.result import StepResult
 from usdface.specs.retarget import PairsProposeSpec
@@ -108,7 +108,7 @@ def match_rigs(
 ) -> tuple[NameMatching, list[str]]:
     """Match shapes by name, deformation or both, names first; return the matches and notes."""
     progress(0.1, "matching names")
-    named = NameMatching(()) if by == "deformation" else name_matching(source.shapes, target.shapes)
+    named = NameMatching(()) if by == "deformation" else match_names(source.shapes, target.shapes)
     matches, how = list(named.matches), dict(named.by)
     notes = [f"matched {pluralize(len(matches), 'shape')} by name"] if matches else []
     if by != "name":
@@ -149,7 +149,7 @@ def _match(
                 "--match name"
             )
         else:
-            found = name_matching(shapes, target.shapes)
+            found = match_names(shapes, target.shapes)
             notes = ["the source is no rig: its shapes are matched by name only"]
         named = list(found.matches)
         if found.ambiguous:
