@@ -18,8 +18,7 @@ from usdface.core.assets import MeshShape, Rig, RigMesh
 from usdface.model.retarget.shape_matching import ShapeMatch
 from usdface.publish.collect import collect_performance, validate_performance
 from usdface.publish.extract import ReviewOptions, extract_performance
-from usdface.steps.inputs.solve_verdict import judge_performance
-from usdface.steps.inputs.source_motion import describe_retarget
+from usdface.steps.inputs.solve_verdict import describe_retarget, judge_performance
 from usdface.steps.retarget.pairs_propose import match_rigs
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.rig.write import write_rig

@@ -24,7 +24,8 @@ from usdface.cli import main
 from usdface.core.assets import Rig
 from usdface.core.sidecars import proposed_path
 from usdface.media.picture.image import read_image_metadata
-from usdface.steps.inputs.source_motion import describe_retarget, read_source_motion
+from usdface.steps.inputs.solve_verdict import describe_retarget
+from usdface.steps.inputs.source_motion import read_source_motion
 from usdface.usdio.layers import read_provenance
 from usdface.usdio.retarget.controls import read_control_clip
 from usdface.usdio.retarget.pairs import read_pairs

@@ -7,11 +7,15 @@ from typing import get_args
 
 from usdface.core.errors import InputError
 from usdface.core.sidecars import is_usd_name
+from usdface.core.text import first_few, frame_ranges
 from usdface.model.review.verdict import VERDICT_WORDS, SolveEvidence, SolveVerdict, judge_solve
-from usdface.runner.origin import path_made_from
+from usdface.runner.origin import path_made_from, provenance_of, spec_of
+from usdface.runner.outputs import confine
 from usdface.runner.result import StepResult
 from usdface.specs.review import VerdictLevel
 from usdface.usdio.performance.read import PerformanceReader, read_solves
+from usdface.usdio.references.weight_layers import read_set_references
+from usdface.usdio.retarget.pairs import keyed_above, read_pairs
 from usdface.usdio.take.read import is_take
 from usdface.usdio.validation import Finding
 
@@ -21,8 +25,6 @@ WORST_VERDICT = "USDFACE_WORST_VERDICT"
 
 def judge_performance(reader: PerformanceReader) -> SolveVerdict | None:
     """Judge a performance by its layer's figures; None if it has none and is no retarget."""
-    from usdface.steps.inputs.source_motion import describe_retarget  # slow to import
-
     uncertainty_mm, coverage, residual_mm = reader.figures()
     retarget = describe_retarget(reader.path)
     if uncertainty_mm is None and coverage is None and not retarget:
@@ -46,8 +48,6 @@ def bad_source(performance: Path) -> str:
 
     Sources that are missing or takes are not judged.
     """
-    from usdface.steps.inputs.source_motion import find_retargeted
-
     retargeted = find_retargeted(performance)
     source = None if retargeted is None else path_made_from(retargeted, "source")
     try:
@@ -57,6 +57,59 @@ def bad_source(performance: Path) -> str:
     except InputError:  # damaged, or outside USDFACE_ROOT
         return ""
     return source.name if verdict is not None and verdict.level == "bad" else ""
+
+
+def find_retargeted(performance: Path) -> Path | None:
+    """Return the performance that `retarget` wrote, or that one was baked from; None otherwise."""
+    made = provenance_of(performance)
+    if made is not None and made.step == "bake":
+        baked = path_made_from(performance, "performance")
+        return None if baked is None else find_retargeted(baked)
+    return performance if made is not None and made.step == "retarget" else None
+
+
+def describe_retarget(performance: Path) -> str:
+    """Return a description of the retargeting of a performance; ``''`` if it is no retarget.
+
+    Retargeting and pairs are found by provenance; the number of pairs is omitted if they cannot be
+    read.
+    """
+    retargeted = find_retargeted(performance)
+    if retargeted is None:
+        return ""
+    performance, spec = retargeted, spec_of(provenance_of(retargeted))
+    words = f"a retarget by {'positions' if spec.get('source_rig') else 'names'}"
+    if spec.get("retargeting"):
+        outs = [Path(each).name for each in spec["out"]]
+        index = outs.index(performance.name) if performance.name in outs else 0
+        words = f"a retarget of {_pair_words(performance.parent / spec['retargeting'][index])}"
+    header = PerformanceReader(performance).header
+    if header.gaps:
+        words += f"; nothing was captured in {frame_ranges(header.gaps)}, which are filled"
+    unmatched = header.unmatched
+    if unmatched:
+        moves = "moves and is" if len(unmatched) == 1 else "move and are"
+        words += f"; {first_few(unmatched, most=3)} {moves} not followed"
+    return words
+
+
+def _pair_words(trained: Path) -> str:
+    """Return the number of pairs of a retargeting, and how many are tuned."""
+    named = [path_made_from(trained, name) for name in ("pairs", "references")]
+    pairs, references = named
+    try:
+        confine("retarget", reads=[path for path in named if path is not None])
+        count = 0 if pairs is None else len(read_pairs(pairs))
+        tuned = 0 if references is None else int(read_set_references(references).tuned.sum())
+        proposed = pairs is not None and not keyed_above(pairs)
+    except InputError:
+        return "pairs"
+    made = None if pairs is None else provenance_of(pairs)
+    if made is None:
+        return "pairs"
+    if not proposed or made.step != "pairs-propose":  # keys in a stronger layer hide proposals
+        return f"{count + tuned} pairs, keyed by hand"
+    return f"{count + tuned} pairs, {tuned or 'none'} of them tuned"
 
 
 def verdict_findings(path: Path, worst: VerdictLevel | None = None) -> list[Finding]:

@@ -16,17 +16,13 @@ from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.rates import frames_within, shift_timecode
 from usdface.core.sidecars import is_usd_name
-from usdface.core.text import first_few, frame_ranges, pluralize
+from usdface.core.text import first_few, pluralize
 from usdface.model.retarget.head_pose import is_angle, look_shapes
 from usdface.model.retarget.name_matching import Transfer, meaning_notes, transfer_by_names
-from usdface.runner.origin import path_made_from, provenance_of, spec_of
-from usdface.runner.outputs import confine
 from usdface.steps.inputs.name_tables import check_no_name_twice, transfer_by_table
 from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.usdio.performance.exported_weights import has_channels_per_mesh
 from usdface.usdio.performance.read import PerformanceReader
-from usdface.usdio.references.weight_layers import read_set_references
-from usdface.usdio.retarget.pairs import keyed_above, read_pairs
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import TakeReader, is_take
 
@@ -186,59 +182,6 @@ def source_columns(
     """Return a motion's weights in the order of other names, as `source_transfer` matches them."""
     transfer, notes = source_transfer(path, motion, wanted, None)
     return motion.weights @ transfer.matrix, notes
-
-
-def find_retargeted(performance: Path) -> Path | None:
-    """Return the performance that `retarget` wrote, or that one was baked from; None otherwise."""
-    made = provenance_of(performance)
-    if made is not None and made.step == "bake":
-        baked = path_made_from(performance, "performance")
-        return None if baked is None else find_retargeted(baked)
-    return performance if made is not None and made.step == "retarget" else None
-
-
-def describe_retarget(performance: Path) -> str:
-    """Return a description of the retargeting of a performance; ``''`` if it is no retarget.
-
-    Retargeting and pairs are found by provenance; the number of pairs is omitted if they cannot be
-    read.
-    """
-    retargeted = find_retargeted(performance)
-    if retargeted is None:
-        return ""
-    performance, spec = retargeted, spec_of(provenance_of(retargeted))
-    words = f"a retarget by {'positions' if spec.get('source_rig') else 'names'}"
-    if spec.get("retargeting"):
-        outs = [Path(each).name for each in spec["out"]]
-        index = outs.index(performance.name) if performance.name in outs else 0
-        words = f"a retarget of {_pair_words(performance.parent / spec['retargeting'][index])}"
-    header = PerformanceReader(performance).header
-    if header.gaps:
-        words += f"; nothing was captured in {frame_ranges(header.gaps)}, which are filled"
-    lost = header.unmatched
-    if lost:
-        moves = "moves and is" if len(lost) == 1 else "move and are"
-        words += f"; {first_few(lost, most=3)} {moves} not followed"
-    return words
-
-
-def _pair_words(trained: Path) -> str:
-    """Return the number of pairs of a retargeting, and how many are tuned."""
-    named = [path_made_from(trained, name) for name in ("pairs", "references")]
-    pairs, references = named
-    try:
-        confine("retarget", reads=[path for path in named if path is not None])
-        count = 0 if pairs is None else len(read_pairs(pairs))
-        tuned = 0 if references is None else int(read_set_references(references).tuned.sum())
-        proposed = pairs is not None and not keyed_above(pairs)
-    except InputError:
-        return "pairs"
-    made = None if pairs is None else provenance_of(pairs)
-    if made is None:
-        return "pairs"
-    if not proposed or made.step != "pairs-propose":  # keys in a stronger layer hide proposals
-        return f"{count + tuned} pairs, keyed by hand"
-    return f"{count + tuned} pairs, {tuned or 'none'} of them tuned"
 
 
 def unmatched_moving(transfer: Transfer, motion: SourceMotion) -> tuple[str, ...]:

@@ -19,8 +19,7 @@ from usdface.runner.origin import find_take, provenance_of, spec_of, take_of_per
 from usdface.specs.paths import frame_range
 from usdface.specs.review import AUTO_CAMERA, FRONT_CAMERA
 from usdface.steps.inputs.cleaned_takes import read_cleaned
-from usdface.steps.inputs.solve_verdict import bad_source
-from usdface.steps.inputs.source_motion import describe_retarget
+from usdface.steps.inputs.solve_verdict import bad_source, describe_retarget
 from usdface.usdio.performance.read import PerformanceReader, read_performance
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.rig_motion import PointMotion, RigMotion
