@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from usdface.capture.sample_times import rate_of_times, settle_device_times
+from usdface.capture.sample_times import rate_of_times, resolve_device_times
 
 NTSC = [Fraction(24000, 1001), Fraction(30000, 1001), Fraction(60000, 1001)]
 
@@ -30,7 +30,7 @@ def test_a_clock_that_is_off_loses_no_frame_of_a_long_take(rate, error):
     rng = np.random.default_rng(0)
     kept = np.union1d(np.flatnonzero(rng.random(30_000) > 0.01), [0, 29_999])
     seconds = np.round(kept / rate * (1 + error), 3)
-    times = settle_device_times(seconds, kept, where="take")
+    times = resolve_device_times(seconds, kept, where="take")
     assert times.even
     assert times.rate == rate
     np.testing.assert_array_equal(times.frames, kept)
@@ -39,7 +39,7 @@ def test_a_clock_that_is_off_loses_no_frame_of_a_long_take(rate, error):
 
 @pytest.mark.parametrize("rate", NTSC, ids=str)
 def test_a_device_in_step_with_video_has_the_rate_of_video(rate):
-    times = settle_device_times(
+    times = resolve_device_times(
         np.round(np.arange(6000) / float(rate), 3), np.arange(6000), where="take"
     )
     assert times.even

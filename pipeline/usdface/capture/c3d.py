@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from usdface.capture.axes import rotation_from_screen, rotation_to_y_up
 from usdface.capture.c3d_layout import C3dLayout, read_layout
-from usdface.capture.marker_labels import settle_labels
+from usdface.capture.marker_labels import resolve_labels
 from usdface.capture.marker_take import (
     Capture,
     CaptureHeader,
     CaptureOptions,
     build_marker_take,
-    settle_units,
+    resolve_units,
 )
 from usdface.core.arrays import Float32Array
 from usdface.core.assets import Event
@@ -251,9 +251,9 @@ def read_c3d_take(path: Path, options: CaptureOptions) -> Capture:
     written = file.point_labels or ("",) * point_count
     if missing := point_count - len(written):
         notes.append(f"the last {missing} of {point_count} points have no label, left out")
-    labels = settle_labels(written, where=f"{path} POINT:LABELS")
+    labels = resolve_labels(written, where=f"{path} POINT:LABELS")
     notes += labels.notes()
-    scale = settle_units(file.units, options, notes, where=str(path), field="POINT:UNITS")
+    scale = resolve_units(file.units, options, notes, where=str(path), field="POINT:UNITS")
     to_mm = scale * _rotation(file, options, notes)
     rotation = to_mm.astype(np.float32)
     columns = np.array(labels.columns)

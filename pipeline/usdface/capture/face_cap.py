@@ -11,7 +11,7 @@ import numpy as np
 
 from usdface.capture.channel_take import build_channel_take
 from usdface.capture.marker_take import Capture, CaptureOptions
-from usdface.capture.sample_times import settle_device_times
+from usdface.capture.sample_times import resolve_device_times
 from usdface.capture.text_table import (
     check_columns,
     head_lines,
@@ -71,7 +71,7 @@ def read_face_cap(path: Path, options: CaptureOptions) -> Capture:
             f"{path}: no sample, a line that begins with k; export the recording again"
         )
     table = np.array(samples)
-    times = settle_device_times(
+    times = resolve_device_times(
         table[:, 0] * _SECONDS_PER_MS, np.array(numbers), where=f"{path} times (milliseconds)"
     )
     return build_channel_take(

@@ -14,7 +14,7 @@ import numpy as np
 
 from usdface.capture.channel_take import build_channel_take
 from usdface.capture.marker_take import Capture, CaptureOptions
-from usdface.capture.sample_times import SampleTimes, settle_device_times
+from usdface.capture.sample_times import SampleTimes, resolve_device_times
 from usdface.capture.text_table import (
     TableLine,
     head_lines,
@@ -78,7 +78,7 @@ def read_live_link_csv(path: Path, options: CaptureOptions) -> Capture:
     where = f"{path} Timecode in seconds"
     base = _settle_base(rows, notes, where)
     seconds = _unwrap(rows, base)
-    times = settle_device_times(seconds, np.array(rows.lines), where=where)
+    times = resolve_device_times(seconds, np.array(rows.lines), where=where)
     _check_one_rate(seconds, rows, where)
     if round(float(times.rate)) != base and base % times.rate == 0:
         notes.append(

@@ -13,14 +13,14 @@ from usdface.capture.marker_take import (
     CaptureOptions,
     MarkerTable,
     build_table_take,
-    settle_space,
+    resolve_space,
 )
 from usdface.capture.sample_times import (
     index_kind,
     index_seconds,
     rate_of_times,
-    settle_device_times,
-    settle_frame_numbers,
+    resolve_device_times,
+    resolve_frame_numbers,
 )
 from usdface.capture.text_table import (
     NumberTable,
@@ -77,7 +77,7 @@ def read_marker_csv(path: Path, options: CaptureOptions) -> Capture:
     if others:
         named = first_few([titles[place] for place in others])
         notes.append(f"{pluralize(len(others), 'column')} other than markers left out: {named}")
-    to_mm = settle_space(
+    to_mm = resolve_space(
         "",
         "y",
         options,
@@ -106,11 +106,11 @@ def _frames(
     stated = None if options.rate is None else exact_rate(options.rate, where="--rate")
     if "frame" in at:
         numbers = table.values[:, at["frame"]]
-        first, frames = settle_frame_numbers(numbers, table.lines, where=where)
+        first, frames = resolve_frame_numbers(numbers, table.lines, where=where)
         if stated is None:
             stated = rate_of_times(cast(FloatArray, seconds), frames, where=where)
         return first, frames, stated
-    times = settle_device_times(
+    times = resolve_device_times(
         cast(FloatArray, seconds), table.lines, where=f"{where} times (seconds)"
     )
     if not times.even:

@@ -52,7 +52,7 @@ class MarkerLabels:
         return found
 
 
-def settle_labels(labels: Sequence[str], *, where: str) -> MarkerLabels:
+def resolve_labels(labels: Sequence[str], *, where: str) -> MarkerLabels:
     """Remove subject prefixes and unlabelled points, and make every name unique.
 
     Raises

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from usdface.capture.axes import mm_per_unit, rotation_to_y_up
-from usdface.capture.marker_labels import match_labels, settle_labels
+from usdface.capture.marker_labels import match_labels, resolve_labels
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, hold_last_seen
 from usdface.core.assets import Markers, Take
 from usdface.core.errors import InputError
@@ -219,7 +219,7 @@ def build_table_take(header: CaptureHeader, table: MarkerTable, options: Capture
 
     Frames without a row are gaps of all markers, and are reported.
     """
-    labels = settle_labels(table.labels, where=table.where)
+    labels = resolve_labels(table.labels, where=table.where)
     notes = [*header.notes, *labels.notes()]
     frames = table.frames
     count = int(frames[-1]) + 1
@@ -240,7 +240,7 @@ def build_table_take(header: CaptureHeader, table: MarkerTable, options: Capture
     )
 
 
-def settle_space(
+def resolve_space(
     stated_units: str,
     assumed_up: str,
     options: CaptureOptions,
@@ -265,14 +265,14 @@ def settle_space(
     up_note : str
         Note if the convention decides; none if empty.
     """
-    scale = settle_units(stated_units, options, notes, where=where, field=field)
+    scale = resolve_units(stated_units, options, notes, where=where, field=field)
     if options.up is None and up_note:
         notes.append(f"{up_note}; set it with --up")
     up = assumed_up if options.up is None else options.up
     return scale * rotation_to_y_up(up=up, where=f"{where} up axis")
 
 
-def settle_units(
+def resolve_units(
     stated: str, options: CaptureOptions, notes: list[str], *, where: str, field: str
 ) -> float:
     """Return millimetres per unit of the file, times the user's factor."""

@@ -19,9 +19,9 @@ from usdface.capture.marker_take import (
     CaptureOptions,
     MarkerTable,
     build_table_take,
-    settle_space,
+    resolve_space,
 )
-from usdface.capture.sample_times import check_rate, rate_of_times, settle_frame_numbers
+from usdface.capture.sample_times import check_rate, rate_of_times, resolve_frame_numbers
 from usdface.capture.text_table import (
     TableLine,
     head_lines,
@@ -93,14 +93,14 @@ def read_motive_csv(path: Path, options: CaptureOptions) -> Capture:
         lines, columns, path=path, delimiter=header.delimiter, gaps=True, texts=stamps
     )
     table = without_repeated_rows(table, notes)
-    first_frame, frames = settle_frame_numbers(table.values[:, 0], table.lines, where=str(path))
+    first_frame, frames = resolve_frame_numbers(table.values[:, 0], table.lines, where=str(path))
     rate = _rate(header.stated, header.first_line)
     if rate is None:
         rate = rate_of_times(table.values[:, 1], frames, where=str(path))
         notes.append(f"the first line states no rate; {float(rate):g} taken from the times")
     elif options.rate is None:
         check_rate(rate, "the first line", table.values[:, 1], frames, where=str(path))
-    to_mm = settle_space(
+    to_mm = resolve_space(
         header.stated.get("Length Units", ""),
         "y",
         options,

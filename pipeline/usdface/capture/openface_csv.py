@@ -19,9 +19,9 @@ from usdface.capture.marker_take import (
     CaptureOptions,
     MarkerTable,
     build_table_take,
-    settle_units,
+    resolve_units,
 )
-from usdface.capture.sample_times import rate_of_times, settle_frame_numbers
+from usdface.capture.sample_times import rate_of_times, resolve_frame_numbers
 from usdface.capture.text_table import (
     NumberTable,
     TableLine,
@@ -77,7 +77,7 @@ def read_openface_csv(path: Path, options: CaptureOptions) -> Capture:
             f"{columns.others} other columns left out: 2-D and eye landmarks, gaze, head pose"
         )
     table = _one_face(table, columns.at.get("face_id"), notes)
-    first_frame, frames = settle_frame_numbers(
+    first_frame, frames = resolve_frame_numbers(
         table.values[:, columns.at["frame"]], table.lines, where=str(path)
     )
     rate = rate_of_times(table.values[:, columns.at["timestamp"]], frames, where=str(path))
@@ -102,7 +102,7 @@ def read_openface_csv(path: Path, options: CaptureOptions) -> Capture:
             range(0, 3 * len(columns.landmarks), 3),
             points.reshape(len(points), -1),
             frames,
-            settle_units("mm", options, notes, where=str(path), field="OpenFace") * _TO_Y_UP,
+            resolve_units("mm", options, notes, where=str(path), field="OpenFace") * _TO_Y_UP,
             where=header.where,
         ),
         options,

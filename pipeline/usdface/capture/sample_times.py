@@ -50,7 +50,7 @@ class SampleTimes:
     """Relative excess of the measured rate over `rate`; 0 unless `even`."""
 
 
-def settle_device_times(seconds: FloatArray, lines: IntArray, *, where: str) -> SampleTimes:
+def resolve_device_times(seconds: FloatArray, lines: IntArray, *, where: str) -> SampleTimes:
     """Return the nominal frame rate of a device and the frame of each of its samples.
 
     Frames are counted from sample to sample, so that clock drift does not accumulate over a long
@@ -95,7 +95,7 @@ def settle_device_times(seconds: FloatArray, lines: IntArray, *, where: str) -> 
     return SampleTimes(rate, frames, bool(even), 1 / (step * float(rate)) - 1 if even else 0.0)
 
 
-def settle_frame_numbers(
+def resolve_frame_numbers(
     numbers: FloatArray, lines: IntArray, *, where: str
 ) -> tuple[int, IntArray]:
     """Return the first frame number, and the frame of each row from 0."""

@@ -14,9 +14,9 @@ from usdface.capture.marker_take import (
     CaptureOptions,
     MarkerTable,
     build_table_take,
-    settle_space,
+    resolve_space,
 )
-from usdface.capture.sample_times import check_rate, settle_frame_numbers
+from usdface.capture.sample_times import check_rate, resolve_frame_numbers
 from usdface.capture.text_table import (
     TableLine,
     head_lines,
@@ -59,11 +59,11 @@ def read_trc(path: Path, options: CaptureOptions) -> Capture:
 
     notes = _check_counts(header, len(labels), unnamed.most, len(table.values))
     table = without_repeated_rows(table, notes)
-    first_frame, frames = settle_frame_numbers(table.values[:, 0], table.lines, where=str(path))
+    first_frame, frames = resolve_frame_numbers(table.values[:, 0], table.lines, where=str(path))
     rate = read_rate(header.get("DataRate", ""), stated, "DataRate")
     if options.rate is None:
         check_rate(rate, "DataRate", table.values[:, 1], frames, where=str(path))
-    to_mm = settle_space(
+    to_mm = resolve_space(
         header.get("Units", ""),
         "y",
         options,

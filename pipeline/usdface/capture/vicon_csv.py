@@ -19,9 +19,9 @@ from usdface.capture.marker_take import (
     CaptureOptions,
     MarkerTable,
     build_table_take,
-    settle_space,
+    resolve_space,
 )
-from usdface.capture.sample_times import settle_frame_numbers
+from usdface.capture.sample_times import resolve_frame_numbers
 from usdface.capture.text_table import (
     TableLine,
     head_lines,
@@ -133,8 +133,8 @@ def _read_block(path: Path, lines: Iterator[TableLine], options: CaptureOptions)
         stop_at_empty=True,
     )
     table = without_repeated_rows(table, notes)
-    first_frame, frames = settle_frame_numbers(table.values[:, 0], table.lines, where=str(path))
-    to_mm = settle_space(
+    first_frame, frames = resolve_frame_numbers(table.values[:, 0], table.lines, where=str(path))
+    to_mm = resolve_space(
         header.unit,
         "z",
         options,

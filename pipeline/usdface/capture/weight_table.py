@@ -14,8 +14,8 @@ from usdface.capture.sample_times import (
     SampleTimes,
     check_rate,
     rate_of_times,
-    settle_device_times,
-    settle_frame_numbers,
+    resolve_device_times,
+    resolve_frame_numbers,
 )
 from usdface.capture.weight_samples import WeightSamples, read_weight_samples
 from usdface.core.arrays import FloatArray, IntArray
@@ -135,16 +135,16 @@ def _times(
             )
             stated = None
     if samples.frames is None and samples.seconds is not None and stated is None:
-        return 1, settle_device_times(samples.seconds, samples.lines, where=f"{path} times")
+        return 1, resolve_device_times(samples.seconds, samples.lines, where=f"{path} times")
     if samples.frames is None:
         first, frames = 1, np.arange(len(samples.values), dtype=np.int64)
         if samples.seconds is not None and stated is not None:
             frames = np.rint((samples.seconds - samples.seconds[0]) * float(stated)).astype(int)
-            first, frames = settle_frame_numbers(
+            first, frames = resolve_frame_numbers(
                 frames.astype(float) + 1, samples.lines, where=where
             )
     else:
-        first, frames = settle_frame_numbers(samples.frames, samples.lines, where=where)
+        first, frames = resolve_frame_numbers(samples.frames, samples.lines, where=where)
     if samples.seconds is not None and stated is not None:
         check_rate(stated, source, samples.seconds, frames, where=where)
     if stated is None:

@@ -19,7 +19,7 @@ from usdface.demo.rig import make_head
 from usdface.demo.sculpt import ACTOR
 from usdface.model.placement.face_template import face_template, fit_face
 from usdface.model.placement.label_hints import label_hint, mirrored_label
-from usdface.model.placement.plausibility import judge_markers, settle_findings
+from usdface.model.placement.plausibility import check_findings, judge_markers
 
 RATE = 60.0
 LABELS = (
@@ -119,9 +119,9 @@ def test_a_wrong_unit_is_refused_with_the_right_one(unit: str, read_as: str) -> 
         assert not size.impossible
         return
     assert size.impossible
-    assert size.message in settle_findings(findings, stated=["size"], where="x")  # nothing to do
+    assert size.message in check_findings(findings, stated=["size"], where="x")  # nothing to do
     with pytest.raises(InputError, match=r"a\.csv: the face is .* times the size of an adult's"):
-        settle_findings(findings, where="a.csv")
+        check_findings(findings, where="a.csv")
 
 
 @pytest.mark.parametrize("read_as", UPS)

@@ -136,7 +136,7 @@ def judge_markers(
     return tuple(found)
 
 
-def settle_findings(
+def check_findings(
     findings: Iterable[PlausibilityFinding],
     *,
     stated: Collection[str] = (),

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from usdface.capture.channel_take import with_stated_rate
-from usdface.capture.marker_labels import match_labels, settle_labels
+from usdface.capture.marker_labels import match_labels, resolve_labels
 from usdface.capture.marker_take import Capture, CaptureHeader, CaptureOptions, build_marker_take
 from usdface.capture.sniff import read_capture
 from usdface.core.assets import Take, Video
@@ -18,7 +18,7 @@ from usdface.core.rates import exact_rate, frames_of
 from usdface.core.sidecars import is_usd_name, samples_path
 from usdface.core.text import pluralize
 from usdface.media.film.take_video import open_video
-from usdface.model.placement.plausibility import judge_markers, settle_findings
+from usdface.model.placement.plausibility import check_findings, judge_markers
 from usdface.runner.result import StepResult
 from usdface.specs.capture import IngestSpec
 from usdface.specs.paths import frame_range
@@ -149,7 +149,7 @@ def _plausibility(spec: IngestSpec, take: Take, captures: list[Capture]) -> tupl
         "rate": spec.rate is not None,
     }
     findings = judge_markers(take.markers, float(take.rate), axes=capture.axes)
-    return settle_findings(
+    return check_findings(
         findings, stated=[aspect for aspect, given in stated.items() if given], where=_names(spec)
     )
 
@@ -185,7 +185,7 @@ def _read_usd(source: Path, spec: IngestSpec) -> Capture:
     if not found.names:
         take = Take(source.stem, found.rate, found.first_frame, source=found.source)
         return Capture(take, "usd", ("no markers, only blendshape weights",))
-    labels = settle_labels(found.names, where=f"{source} {found.kind}")
+    labels = resolve_labels(found.names, where=f"{source} {found.kind}")
     notes = [f"markers were found as {found.kind}", *labels.notes()]
     columns = list(labels.columns)
     capture = build_marker_take(

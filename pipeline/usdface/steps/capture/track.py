@@ -22,18 +22,18 @@ from usdface.core.rates import exact_rate, frames_of
 from usdface.core.sidecars import samples_path
 from usdface.core.text import pluralize
 from usdface.media.film.take_video import OpenVideo, open_video
-from usdface.model.placement.plausibility import judge_markers, settle_findings
+from usdface.model.placement.plausibility import check_findings, judge_markers
 from usdface.numerics.rigid.perspective import PinholeCamera
 from usdface.runner.result import StepResult
 from usdface.specs.capture import TrackSpec
-from usdface.steps.capture.track_cameras import settle_cameras
+from usdface.steps.capture.track_cameras import resolve_cameras
 from usdface.steps.capture.track_notes import check_faces, track_notes
 from usdface.steps.capture.track_pictures import (
     FIRST_VIDEO_FRAME,
     PictureDetector,
     PictureTiming,
     detections_folder,
-    settle_timing,
+    resolve_timing,
 )
 from usdface.steps.capture.track_views import FaceView, join_views, measure_view
 from usdface.usdio.take.write import write_take
@@ -54,7 +54,7 @@ def run(spec: TrackSpec, *, provenance: Provenance, progress: Progress = silent)
     with detections_folder(spec.out) as folder, ExitStack() as open_files:
         paths = (spec.video, *(spec.views or ()))
         videos = [_opened(path, rate, open_files) for path in paths]
-        timings = [settle_timing(spec, video, rate) for video in videos]
+        timings = [resolve_timing(spec, video, rate) for video in videos]
         if other := [each.rate for each in timings if each.rate != timings[0].rate]:
             raise InputError(
                 f"the videos have {timings[0].rate} and {other[0]} frames per second; record all "
@@ -63,7 +63,7 @@ def run(spec: TrackSpec, *, provenance: Provenance, progress: Progress = silent)
         detector = PictureDetector(spec, provenance, folder, open_files)
         if spec.part:
             return _write_part(spec, videos[0], timings[0], detector, provenance, progress)
-        cameras, notes = settle_cameras(spec, videos)
+        cameras, notes = resolve_cameras(spec, videos)
         clips = []
         for number, (path, video, timing) in enumerate(zip(paths, videos, timings, strict=True)):
             share = part(progress, 0.95 * number / len(paths), 0.95 * (number + 1) / len(paths))
@@ -127,7 +127,7 @@ def _write(
     take, built = _build_take(spec, view, clip.timing, detector.score_names)
     # The rate is that of the video, so it is not checked.
     found = judge_markers(take.markers, None) if take.markers else ()
-    warnings = settle_findings(found, where=spec.video)
+    warnings = check_findings(found, where=spec.video)
     start = _timecode(clip.video.timecode, take)
     take = replace(take, warnings=warnings, timecode_start=start)
     progress(0.95, f"writing {spec.out.name}")

@@ -24,7 +24,7 @@ _SAME_SHAPE = 0.01
 """Relative difference of the aspect ratio above which a picture was cropped."""
 
 
-def settle_cameras(
+def resolve_cameras(
     spec: TrackSpec, videos: Sequence[OpenVideo]
 ) -> tuple[list[CalibratedCamera], list[str]]:
     """Return the camera of each video, and notes on its source."""

@@ -51,7 +51,7 @@ class PictureTiming:
     notes: tuple[str, ...]
 
 
-def settle_timing(spec: TrackSpec, video: OpenVideo, wanted: Fraction | None) -> PictureTiming:
+def resolve_timing(spec: TrackSpec, video: OpenVideo, wanted: Fraction | None) -> PictureTiming:
     """Return the take frame of each picture, by its time stamp."""
     notes = []
     times = video.times

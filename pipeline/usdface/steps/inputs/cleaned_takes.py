@@ -13,8 +13,8 @@ from usdface.model.mapping.head_space import MINIMUM_SHARE, HeadSpace, find_head
 from usdface.model.mapping.performer_face import PerformerFace, face_of_mapping
 from usdface.model.mapping.take_neutral import TakeNeutral
 from usdface.model.placement.plausibility import (
+    check_findings,
     judge_markers,
-    settle_findings,
 )
 from usdface.model.placement.rig_orientation import check_rig_stands
 from usdface.numerics.registration.marker_application import SAMPLE_FRAMES
@@ -315,6 +315,6 @@ def bound_take_notes(take: TakeReader) -> list[str]:
 
 
 def _judge(markers: Markers, path: Path, rate: float | None) -> tuple[str, ...]:
-    return settle_findings(
+    return check_findings(
         judge_markers(markers, rate), where=path, before_remedy="ingest it again and "
     )
