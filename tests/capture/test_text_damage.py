@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from tests.capture import text_samples as samples
 from tests.damage import damage
 from usdface.capture import text_table
-from usdface.capture.marker_take import FARTHEST_MM, CaptureOptions
+from usdface.capture.marker_take import MAX_COORDINATE_MM, CaptureOptions
 from usdface.capture.sniff import FORMATS, read_capture
 from usdface.core.errors import InputError
 
@@ -184,7 +184,7 @@ def test_whatever_is_broken_only_our_own_error_escapes(tmp_path: Path, name, spo
             message = str(path)
             assert take.frame_count > 0
             if take.markers is not None:
-                assert abs(take.markers.positions).max() <= FARTHEST_MM
+                assert abs(take.markers.positions).max() <= MAX_COORDINATE_MM
             if take.source is not None:
                 assert np.isfinite(take.source.values).all()
         assert str(path) in message

@@ -15,7 +15,7 @@ from usdface.core.errors import InputError
 from usdface.core.rates import exact_rate
 from usdface.core.text import first_few, pluralize
 
-FARTHEST_MM = 1e5
+MAX_COORDINATE_MM = 1e5
 """Distance from the origin beyond which a sample is damaged: capture volumes are below 100 m."""
 
 _CHUNK_ROWS = 8192
@@ -111,7 +111,7 @@ def build_marker_take(
         [mm]; changed in place. Arbitrary where not visible.
     visible : (frames, markers) bool array
         Changed in place: samples that are not finite, have three equal coordinates or are beyond
-        `FARTHEST_MM` become invisible.
+        `MAX_COORDINATE_MM` become invisible.
     """
     path, first_frame = header.path, header.first_frame
     found = [*header.notes]
@@ -182,13 +182,13 @@ def _hide_impossible(positions: Float32Array, visible: BoolArray) -> list[str]:
             broken = seen & ~np.isfinite(reach)
             # programs write 0, 0, 0 or -9999.99 three times for an occluded marker
             alike = seen & (size[..., 0] == size[..., 1]) & (size[..., 1] == size[..., 2])
-            far = seen & ~broken & ~alike & (reach > FARTHEST_MM)
+            far = seen & ~broken & ~alike & (reach > MAX_COORDINATE_MM)
         counts += [broken.sum(), alike.sum(), far.sum()]
         seen &= ~(broken | alike | far)
     reasons = (
         "not numbers",
         "the same on all three axes, such as the origin",
-        f"more than {FARTHEST_MM / 1000:g} m away",
+        f"more than {MAX_COORDINATE_MM / 1000:g} m away",
     )
     return [
         f"{pluralize(count, 'sample')} {reason}, counted as gaps"

@@ -28,7 +28,7 @@ from usdface.capture.text_table import (
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.confinement import check_may_open
 from usdface.core.errors import InputError
-from usdface.core.rates import FARTHEST_FRAME, exact_rate
+from usdface.core.rates import MAX_FRAME, exact_rate
 from usdface.core.text import first_few, read_json, read_text
 
 LARGEST_JSON_BYTES = 1 << 30
@@ -293,7 +293,7 @@ def read_cell(path: Path, where: str, column: str, value: object) -> float:
         number = float(str(value)) if not isinstance(value, bool) else float("nan")
     except ValueError:
         number = float("nan")
-    if not np.isfinite(number) or (index_kind(column) == "frame" and abs(number) >= FARTHEST_FRAME):
+    if not np.isfinite(number) or (index_kind(column) == "frame" and abs(number) >= MAX_FRAME):
         raise InputError(
             f"{path} {where}, column {column!r}: {value!r} is not a number; correct it"
         )

@@ -20,7 +20,7 @@ from usdface.capture.sample_times import (
 from usdface.capture.weight_samples import WeightSamples, read_weight_samples
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.errors import InputError
-from usdface.core.rates import FARTHEST_FRAME, exact_rate
+from usdface.core.rates import MAX_FRAME, exact_rate
 from usdface.core.text import first_few, pluralize
 
 LARGEST_FRACTION = 2.0
@@ -54,7 +54,7 @@ def row_frames(path: Path, samples: WeightSamples) -> tuple[IntArray, Fraction |
     Without frame numbers, takes begin at frame 1 and rows are consecutive or at their times.
     """
     if samples.frames is not None:
-        whole = np.isfinite(samples.frames) & (np.abs(samples.frames) < FARTHEST_FRAME)
+        whole = np.isfinite(samples.frames) & (np.abs(samples.frames) < MAX_FRAME)
         whole[whole] = samples.frames[whole] == np.rint(samples.frames[whole])
         if not whole.all():
             row = int(np.argmin(whole))

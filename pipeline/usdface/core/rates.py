@@ -102,7 +102,7 @@ _HIGHEST_RATE = 100_000
 _LARGEST_FRAME_COUNT = 10_000_000
 """23 hours at 120 frames per second."""
 
-FARTHEST_FRAME = 1e12
+MAX_FRAME = 1e12
 """Far above frame numbers counted from midnight."""
 
 FRAMES_BETWEEN_KEYS = 100
@@ -159,7 +159,7 @@ def check_frame_span(where: str, first: float, last: float, *, samples: int | No
     samples : int or None
         Number of time codes with a value; None if nothing in the file is read by frames.
     """
-    if not (abs(first) < FARTHEST_FRAME and abs(last) < FARTHEST_FRAME):  # also catches NaN
+    if not (abs(first) < MAX_FRAME and abs(last) < MAX_FRAME):  # also catches NaN
         raise InputError(
             f"{where}: {first:g} to {last:g} is no range of frames; correct its ends, or write the "
             "file again"

@@ -32,7 +32,7 @@ from usdface.usdio.performance.edits import (
 )
 from usdface.usdio.performance.read import PerformanceReader
 
-FARTHEST_BEYOND = UNSAMPLED_FRAMES // 4
+MAX_FRAMES_BEYOND = UNSAMPLED_FRAMES // 4
 """Largest distance of an edit's end from the performance; with it on both sides, the span of frames
 is still below the limit of `check_frame_span`."""
 
@@ -161,8 +161,8 @@ def all_frames(reader: PerformanceReader, *, reach: tuple[int, int] | None = Non
     """
     first, last = reader.first_frame, reader.last_frame
     if reach is not None:
-        first = min(first, max(reach[0], first - FARTHEST_BEYOND))
-        last = max(last, min(reach[1], last + FARTHEST_BEYOND))
+        first = min(first, max(reach[0], first - MAX_FRAMES_BEYOND))
+        last = max(last, min(reach[1], last + MAX_FRAMES_BEYOND))
     beyond = edited_frames(reader.animation)
     if beyond is not None:
         first, last = min(first, beyond[0]), max(last, beyond[1])

@@ -25,7 +25,7 @@ def is_take(path: Path) -> bool:
     return bool(root) and root.HasAPI("FaceTakeAPI")
 
 
-FARTHEST_SECONDS = 1e9
+MAX_SECONDS = 1e9
 _LARGEST_DRIFT = 990_000.0
 """[ppm] At minus a million a video would stand still."""
 
@@ -339,7 +339,7 @@ class TakeReader:
         offset, drift = (
             float(str(self._value(f"face:video:{name}") or 0)) for name in ("offset", "drift")
         )
-        if not (abs(offset) < FARTHEST_SECONDS and abs(drift) < _LARGEST_DRIFT):  # also catches NaN
+        if not (abs(offset) < MAX_SECONDS and abs(drift) < _LARGEST_DRIFT):  # also catches NaN
             raise InputError(
                 f"{self.path}: face:video:offset {offset:g} s and face:video:drift {drift:g} ppm "
                 "are no place in time; align the video again"
