@@ -13,7 +13,7 @@ from tests.conftest import SHARED_DATA
 from usdface.capture.sniff import read_capture
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig
-from usdface.core.controls import ExpressionPairs, bare_controls
+from usdface.core.controls import ExpressionPairs, shape_controls
 from usdface.demo.acting import performance
 from usdface.demo.dog import act, dog_rig, expressions
 from usdface.demo.rig import demo_rig
@@ -85,7 +85,7 @@ def _named_pairs(source: Rig, target: Rig) -> ExpressionPairs:
             for name, weight in expression:
                 out[row, names.index(name)] = weight
     labels = ("rest", *(match.name for match in matches))
-    return ExpressionPairs(labels, source.shapes, left, bare_controls(target.shapes, right))
+    return ExpressionPairs(labels, source.shapes, left, shape_controls(target.shapes, right))
 
 
 def strongest(weights: FloatArray) -> FloatArray:

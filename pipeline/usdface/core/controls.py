@@ -63,7 +63,7 @@ class Controls:
         return ", ".join(parts)
 
 
-def bare_controls(shapes: tuple[str, ...], weights: FloatArray) -> Controls:
+def shape_controls(shapes: tuple[str, ...], weights: FloatArray) -> Controls:
     """Return controls of BlendShape weights alone."""
     count = len(weights)
     return Controls(

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from tests.usdio.small_creature import creature_acts, human_moves
-from usdface.core.controls import Controls, ExpressionPairs, bare_controls
+from usdface.core.controls import Controls, ExpressionPairs, shape_controls
 from usdface.core.errors import InputError
 from usdface.model.regressions import RETARGET_METHODS
 from usdface.model.retarget.control_space import (
     check_pairs,
+    constant_controls,
     control_space,
-    dead_controls,
     find_pair_conflicts,
     unused_shapes,
 )
@@ -44,7 +44,7 @@ def linear_pairs(count: int = 30, shapes: int = 6) -> tuple[ExpressionPairs, np.
     matrix = rng.random((shapes, 9)) / shapes
     source = np.concatenate([np.zeros((1, shapes)), np.eye(shapes), rng.random((count, shapes))])
     names = tuple(f"s{i}" for i in range(shapes))
-    target = bare_controls(tuple(f"t{i}" for i in range(9)), source @ matrix)
+    target = shape_controls(tuple(f"t{i}" for i in range(9)), source @ matrix)
     return pairs_of(source, target, names), matrix
 
 
@@ -182,7 +182,7 @@ def test_retargetings_of_earlier_versions_are_read_under_the_names_they_had() ->
 def test_the_round_trip_loses_nothing_where_the_target_is_the_source() -> None:
     source = np.concatenate([np.zeros((1, 5)), np.eye(5), np.random.default_rng(0).random((20, 5))])
     names = tuple("abcde")
-    pairs = pairs_of(source, bare_controls(names, source), names)
+    pairs = pairs_of(source, shape_controls(names, source), names)
     unseen = np.random.default_rng(1).random((50, 5))
     back = round_trip(make_examples(pairs), "additive", {"shrink": 1e-8}, unseen)
     np.testing.assert_allclose(back, unseen, atol=1e-6)
@@ -212,7 +212,7 @@ def test_shapes_and_controls_that_nothing_uses_are_named() -> None:
     still = replace(pairs.target, values=pairs.target.values * [1, 0] + [0, 0.3])
     pairs = pairs_of(source, still, (*SHAPES, "tongueOut"))
     assert unused_shapes(pairs) == ("tongueOut",)
-    assert dead_controls(pairs) == ("rig/lattice.dfm:curl",)
+    assert constant_controls(pairs) == ("rig/lattice.dfm:curl",)
     assert train_retargeting(pairs, method="ridge").arrays["unused"].tolist() == [0, 0, 0, 1]
 
 
@@ -255,7 +255,7 @@ def test_a_method_that_is_not_there_is_refused_with_those_that_are() -> None:
 def test_controls_of_another_character_are_refused() -> None:
     pairs = creature_pairs()
     with pytest.raises(ValueError, match="not those of the space"):
-        control_space(pairs.target).encode(bare_controls(SHAPES, np.zeros((1, 3))))
+        control_space(pairs.target).encode(shape_controls(SHAPES, np.zeros((1, 3))))
 
 
 def test_controls_come_back_from_their_coordinates_whatever_their_size() -> None:

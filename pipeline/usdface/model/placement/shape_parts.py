@@ -66,7 +66,7 @@ def shape_parts(rig: Rig, deformer: Deformer) -> tuple[str, ...]:
     Names are unchanged if the rig's landmarks are not found.
     """
     names = rig.shapes
-    foreign = foreign_shapes(names)
+    foreign = shapes_of_unknown_region(names)
     if not foreign:
         return names
     offsets = deformer.shapes.target_offsets()
@@ -113,7 +113,7 @@ def _eyes(motions: FloatArray, gaze: IntArray, off_skin: BoolArray) -> list[IntA
     return [points for points in found if len(points)]
 
 
-def foreign_shapes(names: Sequence[str]) -> list[int]:
+def shapes_of_unknown_region(names: Sequence[str]) -> list[int]:
     """Return the columns of shapes whose names tell no region of the face."""
     unseen = set(gaze_and_tongue_shapes(names).tolist())
     return [i for i, name in enumerate(names) if i not in unseen and not region_of_shape(name)]

@@ -153,7 +153,7 @@ def unused_shapes(pairs: ExpressionPairs) -> tuple[str, ...]:
     return tuple(name for name, used in zip(pairs.source_shapes, moved, strict=True) if not used)
 
 
-def dead_controls(pairs: ExpressionPairs) -> tuple[str, ...]:
+def constant_controls(pairs: ExpressionPairs) -> tuple[str, ...]:
     """Return the target's shapes and attributes that are constant over the pairs."""
     target = pairs.target
     still = np.ptp(target.weights, axis=0) < LEAST_WEIGHT

@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from usdface.core.assets import Rig
-from usdface.core.controls import ControlClip, Controls, ExpressionPairs, bare_controls
+from usdface.core.controls import ControlClip, Controls, ExpressionPairs, shape_controls
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
@@ -94,7 +94,7 @@ def _read_target(spec: PairsImportSpec, rig: Rig) -> tuple[list[int], Controls]:
             f"{spec.target}: attributes are read from USD; give the target as a .usd animation"
         )
     table = read_weight_table(spec.target, unit=spec.weight_unit)
-    return list(table.frames), bare_controls(rig.shapes, table.columns(rig.shapes))
+    return list(table.frames), shape_controls(rig.shapes, table.columns(rig.shapes))
 
 
 def _without_driven(clip: ControlClip, rig: Rig) -> ControlClip:

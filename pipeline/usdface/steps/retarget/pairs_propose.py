@@ -9,13 +9,13 @@ from usdface.capture.weight_samples import read_weight_samples
 from usdface.capture.weight_table import read_weight_take
 from usdface.core.arrays import FloatArray, index_of
 from usdface.core.assets import Rig
-from usdface.core.controls import Controls, ExpressionPairs, bare_controls
+from usdface.core.controls import Controls, ExpressionPairs, shape_controls
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import is_usd_name, proposed_path
 from usdface.core.text import counted, first_few, pluralize
-from usdface.model.retarget.control_space import dead_controls
+from usdface.model.retarget.control_space import constant_controls
 from usdface.model.retarget.name_matching import NameMatch, NameMatching, Transfer, match_names
 from usdface.model.retarget.shape_matching import ShapeMatch, differing_sides, match_deformations
 from usdface.runner.result import StepResult
@@ -64,7 +64,7 @@ def run(
     progress(0.9, f"writing {spec.out.name}")
     write_pairs(spec.out, pairs, source_rig=source, target_rig=target, provenance=provenance)
     progress(1.0, "done")
-    dead = dead_controls(pairs)
+    dead = constant_controls(pairs)
     if dead:
         notes.append(
             f"{len(dead)} controls of the target are at rest in every pair: {first_few(dead)}; "
@@ -206,7 +206,7 @@ def _pairs(
     left = _rows([match.source for match in matches], shapes)
     right = _rows([match.target for match in matches], target.shapes)
     low, high = target.ranges.T
-    controls = bare_controls(target.shapes, np.clip(right, np.minimum(low, 0), high))
+    controls = shape_controls(target.shapes, np.clip(right, np.minimum(low, 0), high))
     return ExpressionPairs(
         names=(REST, *(match.name for match in matches)),
         source_shapes=shapes,

@@ -7,7 +7,7 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig
-from usdface.core.controls import Controls, Retargeting, bare_controls
+from usdface.core.controls import Controls, Retargeting, shape_controls
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
@@ -74,9 +74,9 @@ class _Target:
         """Return the controls for source weights, (frames, source shapes)."""
         columns = source @ self.transfer.matrix
         if self.surfaces is not None:
-            return bare_controls(self.rig.shapes, match_positions(self.surfaces, columns))
+            return shape_controls(self.rig.shapes, match_positions(self.surfaces, columns))
         if self.trained is None:
-            return bare_controls(self.rig.shapes, columns)
+            return shape_controls(self.rig.shapes, columns)
         return retarget(self.trained, columns, alpha=alpha)
 
 

@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 
 from usdface.core.arrays import FloatArray, columns_by_name
-from usdface.core.controls import ExpressionPairs, Retargeting, bare_controls
+from usdface.core.controls import ExpressionPairs, Retargeting, shape_controls
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.text import counted, first_few, pluralize
 from usdface.model.retarget.control_space import (
     check_pairs,
-    dead_controls,
+    constant_controls,
     find_pair_conflicts,
     unused_shapes,
 )
@@ -111,7 +111,7 @@ def _with_tuned(pairs: ExpressionPairs, path: Path) -> tuple[ExpressionPairs, li
     shapes = tuple(pairs.source_shapes[index] for index in used.tolist())
     transfer = transfer_by_names(references.source_names, shapes)
     weights = columns_by_name(references.weights[tuned], references.shape_names, target.shapes)
-    together = bare_controls(target.shapes, np.concatenate([target.weights, weights]))
+    together = shape_controls(target.shapes, np.concatenate([target.weights, weights]))
     moved = np.abs(references.source[tuned]).max(axis=0) * ~transfer.matrix.any(axis=1)
     lost = [
         references.source_names[row]
@@ -167,7 +167,7 @@ def pair_notes(pairs: ExpressionPairs) -> list[str]:
         )
     for names, noun, what in (
         (unused_shapes(pairs), "source shape", "in no pair and without effect"),
-        (dead_controls(pairs), "target control", "the same in every pair and in the result"),
+        (constant_controls(pairs), "target control", "the same in every pair and in the result"),
     ):
         if names:
             notes.append(f"{what}: {counted(names, noun)}")

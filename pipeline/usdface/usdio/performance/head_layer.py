@@ -13,7 +13,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig
-from usdface.core.controls import Controls, bare_controls
+from usdface.core.controls import Controls, shape_controls
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import head_path
 from usdface.numerics.motion.rotation_space import multiply_quaternions
@@ -77,7 +77,7 @@ def _joints_of(controls: Sdf.Layer | None, header: WeightsHeader, path: Path) ->
         stage = Usd.Stage.Open(controls)
         frames = range(header.first_frame, header.last_frame + 1)
         return controls_at(stage.GetPrimAtPath(header.animation), None, (), frames, path)
-    return bare_controls((), np.zeros((header.frame_count, 0)))
+    return shape_controls((), np.zeros((header.frame_count, 0)))
 
 
 def _turn_joints(

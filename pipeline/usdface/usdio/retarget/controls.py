@@ -11,7 +11,7 @@ from pxr import Gf, Sdf, Usd, UsdSkel, Vt
 
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig
-from usdface.core.controls import ControlClip, Controls, bare_controls
+from usdface.core.controls import ControlClip, Controls, shape_controls
 from usdface.core.errors import InputError
 from usdface.core.rates import frames_within
 from usdface.core.text import first_few
@@ -251,7 +251,7 @@ def controls_at(
         return read_array_samples(path, attribute, times, shape, remedy="key it again")
 
     shapes = names_in(skel.GetBlendShapesAttr())
-    controls = bare_controls(shapes, read(skel.GetBlendShapeWeightsAttr(), len(shapes)))
+    controls = shape_controls(shapes, read(skel.GetBlendShapeWeightsAttr(), len(shapes)))
     joints = names_in(skel.GetJointsAttr())
     if joints:
         # Quaternions are x, y, z, w in memory.
