@@ -19,7 +19,7 @@ from usdface.demo.dog import act, dog_rig, expressions
 from usdface.demo.rig import demo_rig
 from usdface.demo.sculpt import ACTOR
 from usdface.model.retarget.control_space import find_pair_conflicts
-from usdface.model.retarget.cyclic import CyclicVariant, evaluate_cyclic, spread_displacements
+from usdface.model.retarget.cyclic import CyclicVariant, evaluate_cyclic, sampled_displacements
 from usdface.model.retarget.name_matching import match_names
 from usdface.model.retarget.train import retarget, train_retargeting
 from usdface.usdio.rig.read import read_rig
@@ -135,7 +135,7 @@ def _table(
 
 def _blind(pairs: ExpressionPairs, source: Rig, weights: FloatArray) -> None:
     """Print the method that `auto` chooses without the performance."""
-    surface = spread_displacements(source, pairs.source_shapes)
+    surface = sampled_displacements(source, pairs.source_shapes)
     blind = train_retargeting(pairs, surface=surface)
     seen = train_retargeting(pairs, surface=surface, performance=weights)
     seen_of = {(score.method, score.settings): score.cyclic_mm for score in seen.scores}

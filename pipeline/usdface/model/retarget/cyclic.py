@@ -24,10 +24,10 @@ MOST_POINTS = 4000
 TRAINING_POINTS = 600
 """The same for the comparison of candidates in training."""
 
-KEYED = "hybrid, keyed"
+KEYED_HYBRID = "hybrid, keyed"
 """Name of the hybrid whose share of the multiquadric is keyed over time."""
 
-POSITIONS = "positions"
+POSITION_MATCHING = "positions"
 """Name of position matching, which is not a regression and needs no training."""
 
 _BLOCK_FRAMES = 256
@@ -60,7 +60,7 @@ class CyclicVariant:
     """Whether kernel CCA uses its published lines."""
 
 
-PLAIN = CyclicVariant()
+DEFAULT_VARIANT = CyclicVariant()
 
 
 class SurfaceMeter:
@@ -85,7 +85,7 @@ class SurfaceMeter:
         return out
 
 
-def spread_displacements(rig: Rig, names: tuple[str, ...]) -> FloatArray:
+def sampled_displacements(rig: Rig, names: tuple[str, ...]) -> FloatArray:
     """Return displacements of points spread over a rig at weight 1: (names, points, 3) [mm]."""
     shapes = Deformer(rig).shapes
     columns = _columns(shapes.point_count, TRAINING_POINTS)
@@ -108,7 +108,7 @@ def evaluate_cyclic(
     rig: Rig,
     target_rig: Rig | None = None,
     shape_ranges: FloatArray | None = None,
-    variant: CyclicVariant = PLAIN,
+    variant: CyclicVariant = DEFAULT_VARIANT,
     progress: Progress = silent,
 ) -> tuple[CyclicError, ...]:
     """Retarget a performance to the target and back by several methods.
@@ -129,7 +129,7 @@ def evaluate_cyclic(
         Needed for ``positions`` and the variant's truth.
     shape_ranges : (target shapes, 2) float array, optional
     """
-    surface = spread_displacements(rig, pairs.source_shapes)
+    surface = sampled_displacements(rig, pairs.source_shapes)
     source_meter = SurfaceMeter(rig)
     truth = variant.truth
     target_meter = None if truth is None or target_rig is None else SurfaceMeter(target_rig)
@@ -138,13 +138,13 @@ def evaluate_cyclic(
     for number, method in enumerate(methods):
         share = part(progress, number / len(methods), (number + 1) / len(methods))
         share(0.0, method)
-        if method == POSITIONS:
+        if method == POSITION_MATCHING:
             label, settings = method, ""
             forward, back = _match_positions(pairs, performance, rig, target_rig)
         else:
             trained = train_retargeting(
                 pairs,
-                method="hybrid" if method == KEYED else method,
+                method="hybrid" if method == KEYED_HYBRID else method,
                 shape_ranges=shape_ranges,
                 surface=surface,
                 performance=performance,
@@ -154,7 +154,7 @@ def evaluate_cyclic(
             label = f"default ({trained.method})" if method == "auto" else method
             settings = trained.scores[0].settings
             examples = make_examples(pairs, shape_ranges=shape_ranges)
-            alpha = variant.alpha if method == KEYED else None
+            alpha = variant.alpha if method == KEYED_HYBRID else None
             forward = retarget(trained, performance, alpha=alpha).weights
             back = round_trip(examples, trained.method, trained.settings, performance, alpha=alpha)
         returned = columns_by_name(back, pairs.source_shapes, rig.shapes)

@@ -25,8 +25,8 @@ from usdface.model.placement.rig_orientation import facing_degrees
 from usdface.model.regressions import find_retarget_method
 from usdface.model.retarget.control_space import check_pairs
 from usdface.model.retarget.cyclic import (
-    KEYED,
-    POSITIONS,
+    KEYED_HYBRID,
+    POSITION_MATCHING,
     CyclicError,
     CyclicVariant,
     evaluate_cyclic,
@@ -53,7 +53,7 @@ _NO_ERROR_MM = 0.005
 def run(spec: CyclicSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Measure every method and write figures and curves."""
     for method in spec.methods:
-        if method not in ("auto", POSITIONS):
+        if method not in ("auto", POSITION_MATCHING):
             find_retarget_method(method)
     pairs = read_pairs(spec.pairs)
     check_pairs(pairs, str(spec.pairs))
@@ -76,14 +76,14 @@ def run(spec: CyclicSpec, *, provenance: Provenance, progress: Progress = silent
         shape_ranges=target_ranges(pairs),
         variant=variant,
     )
-    methods = tuple(method for method in spec.methods if method != POSITIONS)
+    methods = tuple(method for method in spec.methods if method != POSITION_MATCHING)
     if spec.alpha is not None:
-        methods += (KEYED,)
+        methods += (KEYED_HYBRID,)
     found = measure(methods=methods, progress=progress)
     notes = [*source_notes, *pair_notes(pairs)]
-    if POSITIONS in spec.methods:
+    if POSITION_MATCHING in spec.methods:
         try:
-            found += measure(methods=(POSITIONS,))
+            found += measure(methods=(POSITION_MATCHING,))
         except InputError as error:
             if spec.methods != METHODS:  # given explicitly
                 raise

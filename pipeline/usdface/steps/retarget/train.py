@@ -17,7 +17,7 @@ from usdface.model.retarget.control_space import (
     find_pair_conflicts,
     unused_shapes,
 )
-from usdface.model.retarget.cyclic import spread_displacements
+from usdface.model.retarget.cyclic import sampled_displacements
 from usdface.model.retarget.name_matching import transfer_by_names
 from usdface.model.retarget.train import (
     describe_retargeting_figures,
@@ -143,7 +143,7 @@ def source_surface(pairs: ExpressionPairs) -> FloatArray | None:
     rig = read_rig(pairs.source_rig, prim=pairs.source_prim)
     if any(name not in rig.shapes for name in pairs.source_shapes):
         return None
-    return spread_displacements(rig, pairs.source_shapes)
+    return sampled_displacements(rig, pairs.source_shapes)
 
 
 def target_ranges(pairs: ExpressionPairs) -> FloatArray | None:
