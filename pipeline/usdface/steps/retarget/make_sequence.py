@@ -12,7 +12,7 @@ from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.retarget import MakeSequenceSpec
 from usdface.steps.inputs.source_motion import read_source_motion
-from usdface.steps.retarget.sequence_rate import RATES_ALIKE, motion_at_rate
+from usdface.steps.retarget.sequence_rate import RATE_TOLERANCE, motion_at_rate
 from usdface.usdio.retarget.controls import read_control_clip
 from usdface.usdio.retarget.sequences import write_sequence
 
@@ -36,7 +36,7 @@ def run(
             "would match any face at rest; choose frames that move"
         )
     factor = read.rate / source.rate
-    alike = abs(source.rate - read.rate) < RATES_ALIKE
+    alike = abs(source.rate - read.rate) < RATE_TOLERANCE
     weights = source.weights if alike else motion_at_rate(source.weights, factor)
     sequence = EmotionalSequence(
         label=spec.label,

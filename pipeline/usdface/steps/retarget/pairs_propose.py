@@ -27,7 +27,7 @@ from usdface.usdio.retarget.pairs import keyed_above, merge_pairs, read_pairs, w
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import is_take
 
-REST = "rest"
+REST_PAIR = "rest"
 
 
 def run(
@@ -208,7 +208,7 @@ def _pairs(
     low, high = target.ranges.T
     controls = shape_controls(target.shapes, np.clip(right, np.minimum(low, 0), high))
     return ExpressionPairs(
-        names=(REST, *(match.name for match in matches)),
+        names=(REST_PAIR, *(match.name for match in matches)),
         source_shapes=shapes,
         source=left,
         target=Controls(

@@ -12,7 +12,7 @@ from usdface.runner.execute import execute_each
 from usdface.runner.result import StepResult
 from usdface.specs.retarget import RetargetSpec
 
-TAKE_END = ".take.usda"
+TAKE_SUFFIX = ".take.usda"
 
 _OF_WEIGHTS = (
     *("live-link-csv", "face-cap", "ifacialmocap", "openface-csv"),
@@ -42,7 +42,7 @@ def retarget_folder(
     sources = _takes(folder)
     if not sources:
         raise InputError(
-            f"{folder}: holds no take ({TAKE_END}) and no capture with weights; name the folder "
+            f"{folder}: holds no take ({TAKE_SUFFIX}) and no capture with weights; name the folder "
             "that holds them"
         )
     targets = [path.name.partition(".")[0] for path in shared.rig or shared.retargeting]
@@ -54,7 +54,8 @@ def retarget_folder(
     tables = {
         source
         for source in sources.values()
-        if not source.name.endswith(TAKE_END) and recognise_format(source).read is read_weight_take
+        if not source.name.endswith(TAKE_SUFFIX)
+        and recognise_format(source).read is read_weight_take
     }
     specs = [
         shared.model_copy(
@@ -81,8 +82,8 @@ def _takes(folder: Path) -> dict[str, Path]:
     """Return sources by stem; a take takes precedence over a capture of the same stem."""
     found: dict[str, Path] = {}
     for path in sorted(folder.iterdir()):
-        if path.is_file() and path.name.endswith(TAKE_END) and not path.name.startswith("."):
-            found[path.name.removesuffix(TAKE_END)] = path
+        if path.is_file() and path.name.endswith(TAKE_SUFFIX) and not path.name.startswith("."):
+            found[path.name.removesuffix(TAKE_SUFFIX)] = path
     for path in sorted(folder.iterdir()):
         if path.is_file() and not path.name.startswith(".") and _is_capture(path):
             found.setdefault(path.stem, path)

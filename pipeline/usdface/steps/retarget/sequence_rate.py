@@ -10,14 +10,14 @@ from usdface.model.retarget.control_space import control_space
 from usdface.numerics.motion.laplacian_warp import stretch_motion
 from usdface.usdio.retarget.sequences import read_sequence, sequence_rate
 
-RATES_ALIKE = 1e-3
+RATE_TOLERANCE = 1e-3
 """Largest difference of equal rates [frames/s]: layers store them as floats."""
 
 
 def read_sequence_at(path: Path, rate: Fraction) -> tuple[EmotionalSequence, str]:
     """Read a sequence, resampled to `rate`; return it with a note, empty if rates are equal."""
     sequence, stored = read_sequence(path), sequence_rate(path)
-    if abs(stored - rate) < RATES_ALIKE:
+    if abs(stored - rate) < RATE_TOLERANCE:
         return sequence, ""
     factor = rate / stored
     space = control_space(sequence.target)  # rotations are resampled as rotation vectors

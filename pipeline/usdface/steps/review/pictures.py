@@ -31,7 +31,7 @@ from usdface.steps.review.shot import Shot, ShotCamera
 _LAST_PICTURES = 2
 """Cached pictures of the face: the solve, which is drawn twice, and the baseline."""
 
-FRAMED_BY = 2000
+FRAMING_FRAMES = 2000
 """Largest number of frames used to frame the markers of a take."""
 
 
@@ -39,7 +39,7 @@ def _frame_of(take: Take) -> tuple[MarkersFrame | None, IntArray]:
     """Return the frame of the markers of a whole take, and their lines."""
     if take.markers is None:
         return None, np.zeros((0, 2), np.int64)
-    step = max(take.frame_count // FRAMED_BY, 1)
+    step = max(take.frame_count // FRAMING_FRAMES, 1)
     positions = take.markers.positions[::step].astype(np.float64)
     seen_first = np.isfinite(positions).all(axis=2).argmax(axis=0)
     at = positions[seen_first, np.arange(len(seen_first))]
