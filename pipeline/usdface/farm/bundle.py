@@ -22,7 +22,7 @@ from usdface.specs.job import SPEC_BY_STEP
 from usdface.specs.paths import Reads, Writes
 from usdface.specs.reading import spec_text
 
-TASKS = "tasks"
+TASKS_FOLDER = "tasks"
 """Folder of the bundle with the tasks' specs, STEP/NUMBER.yaml."""
 
 LONGEST_JOB_NAME = 128
@@ -66,7 +66,7 @@ def job_template(name: str, steps: Sequence[FarmStep]) -> dict[str, Any]:
                 "description": "The specs of the tasks, STEP/NUMBER.yaml.",
                 "objectType": "DIRECTORY",
                 "dataFlow": "IN",
-                "default": TASKS,
+                "default": TASKS_FOLDER,
                 "userInterface": {"control": "HIDDEN"},
             },
         ],
@@ -112,8 +112,8 @@ def _step(step: FarmStep) -> dict[str, Any]:
     }
 
 
-TEMPLATE = "template.yaml"
-MARK = "# Written by `usdface submit`; submit again rather than change it.\n"
+TEMPLATE_FILE = "template.yaml"
+FIRST_LINE = "# Written by `usdface submit`; submit again rather than change it.\n"
 
 Files = Mapping[str, str]
 """Text of each file by its path in the bundle."""
@@ -131,11 +131,11 @@ def compose_bundle(
     carried : iterable of Path
         Input files that no task makes, which a farm without shared storage copies to its workers.
     """
-    files = {TEMPLATE: MARK + _yaml(job_template(name, steps))}
-    files["asset_references.yaml"] = MARK + _yaml(_asset_references(steps, carried))
+    files = {TEMPLATE_FILE: FIRST_LINE + _yaml(job_template(name, steps))}
+    files["asset_references.yaml"] = FIRST_LINE + _yaml(_asset_references(steps, carried))
     for step in steps:
         for number, task in enumerate(step.tasks, start=1):
-            place = f"{TASKS}/{step.name}/{number}.yaml"
+            place = f"{TASKS_FOLDER}/{step.name}/{number}.yaml"
             files[place] = spec_text(task, Path(place))
     return files
 
@@ -213,7 +213,7 @@ def _equals(folder: Path, files: Files) -> bool:
 
 def _is_bundle(folder: Path) -> bool:
     try:
-        return (folder / TEMPLATE).read_text(encoding="utf-8").startswith(MARK)
+        return (folder / TEMPLATE_FILE).read_text(encoding="utf-8").startswith(FIRST_LINE)
     except (OSError, UnicodeDecodeError):
         return False
 

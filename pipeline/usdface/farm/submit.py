@@ -22,8 +22,8 @@ from usdface.core.replacing import write_text
 from usdface.core.sidecars import LAYER_SUFFIXES
 from usdface.core.text import pluralize
 from usdface.farm.bundle import (
-    TASKS,
-    TEMPLATE,
+    TASKS_FOLDER,
+    TEMPLATE_FILE,
     bundle_hash,
     check_job_name,
     compose_bundle,
@@ -69,7 +69,7 @@ def build_outline(
     job = outline.Outline(name=_allowed(name), frame_range=f"1-{longest}")
     for step in steps:
         needs = SPEC_BY_STEP.get(step.kind, Spec)
-        spec = bundle.absolute() / TASKS / step.name / f"{_FRAME}.yaml"
+        spec = bundle.absolute() / TASKS_FOLDER / step.name / f"{_FRAME}.yaml"
         layer = shell.Shell(
             _allowed(step.name),
             command=[shlex.quote(word) for word in task_command(str(spec))],
@@ -144,7 +144,7 @@ def run_bundle(bundle: Path, *, quiet: bool = False) -> None:
     openjd = _find_command(
         "openjd", "install usdface with its farm extra: pip install usdface[farm]"
     )
-    _run_command([openjd, "run", str(bundle / TEMPLATE)], quiet=quiet, remedy=_RUN_AGAIN)
+    _run_command([openjd, "run", str(bundle / TEMPLATE_FILE)], quiet=quiet, remedy=_RUN_AGAIN)
 
 
 def submit_bundle(
