@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from usdface.core.errors import InputError
-from usdface.farm.bundle import MARK, bundle_hash, compose_bundle, write_bundle
+from usdface.farm.bundle import FIRST_LINE, bundle_hash, compose_bundle, write_bundle
 from usdface.farm.plan import ChunkSizes, FarmStep, plan_job
 from usdface.farm.submit import submit
 from usdface.specs.capture import CleanSpec
@@ -176,7 +176,7 @@ def test_tasks_are_specs_that_run_from_anywhere(tmp_path: Path, monkeypatch) -> 
     Path("job.yaml").write_text("{step: clean, take: ./x/../in.usda, out: out.usda}")
     done = submit(SubmitSpec(job=Path("job.yaml"), write_only=True, out=Path("b")))
     text = (done.bundle / "template.yaml").read_text()
-    assert text.startswith(MARK)
+    assert text.startswith(FIRST_LINE)
     (task,) = read_job(done.bundle / "tasks" / "clean" / "1.yaml").steps
     assert task.take == tmp_path.resolve() / "in.usda"
 

@@ -12,7 +12,7 @@ from tests.numerics.manifold.small_process import (
     small_spectrum,
 )
 from usdface.numerics.manifold.posterior_prediction import (
-    LeftOut,
+    LeaveOneOut,
     average_dual_weights,
     calibrate_spread,
     join_moments,
@@ -126,7 +126,7 @@ def test_intervals_widen_where_and_along_which_axis_markers_surprise() -> None:
     z[..., places[:, 0] > 0] *= 2.0
     points = np.array([[-60.0, 0, 0], [60.0, 0, 0]])
     found = calibrate_spread(
-        LeftOut(z.reshape(-1, 60), np.ones((600, 60))),
+        LeaveOneOut(z.reshape(-1, 60), np.ones((600, 60))),
         covariance.matrix(),
         covariance.cross(cdist(places, points)),
     )
@@ -156,7 +156,7 @@ def test_widened_intervals_hold_nineteen_of_twenty_along_every_axis() -> None:
     z = rng.standard_normal((200, 3, 60)) * wide[:, None]
     cross = covariance.cross(cdist(places, places))
     found = calibrate_spread(
-        LeftOut(z.reshape(-1, 60), np.ones((600, 60))), covariance.matrix(), cross
+        LeaveOneOut(z.reshape(-1, 60), np.ones((600, 60))), covariance.matrix(), cross
     )
     np.testing.assert_allclose(found.of_axes, wide, rtol=0.05)
     np.testing.assert_allclose(found.of_points, 1.0, rtol=0.15)

@@ -20,7 +20,7 @@ from usdface.model.surface.fit import (
     fitted_frames,
 )
 from usdface.numerics.manifold.hybrid_monte_carlo import (
-    CommonNumbers,
+    CommonRandomNumbers,
     effective_sample_size,
     split_rhat,
 )
@@ -138,7 +138,7 @@ class GpSurface(SurfaceModel):
         if not len(moved):
             return np.zeros((0, 4, 3, 0))
         # The same random numbers for all frames: sampling errors of neighbouring frames are equal.
-        rng = CommonNumbers(np.random.default_rng(self.options.seed))
+        rng = CommonRandomNumbers(np.random.default_rng(self.options.seed))
         rows = _rows_of_axes(moved)
         if self.options.sampler == "map":
             modes = find_modes(self.table, rows)

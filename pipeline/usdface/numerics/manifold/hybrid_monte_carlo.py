@@ -53,7 +53,7 @@ class ChainSamples:
     """(chains,): mean probability of acceptance after the burn-in."""
 
 
-class CommonNumbers:
+class CommonRandomNumbers:
     """A generator whose numbers are the same for all chains, which are the last axis."""
 
     def __init__(self, rng: np.random.Generator) -> None:
@@ -70,11 +70,11 @@ class CommonNumbers:
         return np.broadcast_to(drawn, shape)
 
 
-Numbers = np.random.Generator | CommonNumbers
+RandomSource = np.random.Generator | CommonRandomNumbers
 
 
 @dataclass(frozen=True)
-class Jumps:
+class ModeJumps:
     """The chains whose posterior has two separate modes."""
 
     chains: IntArray
@@ -92,7 +92,7 @@ def start_chains(energy: Energy, fit: LaplaceFit, white: RealArray) -> ChainStat
 
 
 def take_hmc_step(
-    rng: Numbers,
+    rng: RandomSource,
     state: ChainState,
     energy: Energy,
     fit: LaplaceFit,
@@ -129,13 +129,13 @@ def take_hmc_step(
 
 
 def sample_chains(
-    rng: Numbers,
+    rng: RandomSource,
     energy: Energy,
     laplace: LaplaceFit,
     *,
     burn: int = 40,
     keep: int = 200,
-    jumps: Jumps | None = None,
+    jumps: ModeJumps | None = None,
 ) -> ChainSamples:
     """Run chains from a draw of their Laplace fit.
 
@@ -143,7 +143,7 @@ def sample_chains(
     ----------
     burn, keep : int
         Steps in which the angle is tuned, and steps that are returned.
-    jumps : Jumps, optional
+    jumps : ModeJumps, optional
         In these chains every other step is followed by a Metropolis-Hastings step with proposals
         from the Gaussians around both modes.
     """
@@ -239,7 +239,9 @@ def _accept(
     ), acceptance
 
 
-def _jump_some(rng: Numbers, state: ChainState, laplace: LaplaceFit, jumps: Jumps) -> ChainState:
+def _jump_some(
+    rng: RandomSource, state: ChainState, laplace: LaplaceFit, jumps: ModeJumps
+) -> ChainState:
     """Propose a jump in the chains of `jumps`."""
     some = jumps.chains
     before = ChainState(state.white[:, some], np.take(state.energy, some), state.residual[:, some])
@@ -249,7 +251,7 @@ def _jump_some(rng: Numbers, state: ChainState, laplace: LaplaceFit, jumps: Jump
     return ChainState(white, energy, residual)
 
 
-def _jump(rng: Numbers, state: ChainState, fit: LaplaceFit, jumps: Jumps) -> ChainState:
+def _jump(rng: RandomSource, state: ChainState, fit: LaplaceFit, jumps: ModeJumps) -> ChainState:
     """Propose a draw of the equal mixture of two Gaussians, independent of the state."""
     chains = len(state.energy)
     first = rng.random((chains,)) < 0.5

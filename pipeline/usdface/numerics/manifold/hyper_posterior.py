@@ -43,7 +43,7 @@ from numpy.typing import DTypeLike
 from usdface.core.arrays import BoolArray, FloatArray, RealArray
 from usdface.numerics.manifold.laplace import Energy
 
-PAIRS = ((0, 0), (0, 1), (0, 2), (0, 3), (1, 1), (1, 2), (1, 3), (2, 2), (2, 3), (3, 3))
+SYMMETRIC_ENTRIES = ((0, 0), (0, 1), (0, 2), (0, 3), (1, 1), (1, 2), (1, 3), (2, 2), (2, 3), (3, 3))
 """Storage order of the ten entries of a symmetric (4, 4) matrix."""
 
 REJECTED_ENERGY = 1e20
@@ -103,7 +103,7 @@ class PosteriorMoments:
     """The sums over markers at one x per chain, and their derivatives."""
 
     shared: RealArray
-    """(11, chains): the entries of M in the order of `PAIRS`, then h."""
+    """(11, chains): the entries of M in the order of `SYMMETRIC_ENTRIES`, then h."""
     per_chain: RealArray
     """(5, chains): b, then c."""
     shared_slope: RealArray
@@ -215,7 +215,7 @@ def _log_total(ratio: RealArray, gain: float) -> RealArray:
 def _invert(
     M: RealArray, inverse_a0: RealArray, inverse_a1: RealArray
 ) -> tuple[tuple[RealArray, ...], RealArray]:
-    """Return the inverse of G, in the order of `PAIRS`, and its determinant, by (2, 2) blocks."""
+    """Return the inverse of G, as `SYMMETRIC_ENTRIES`, and its determinant, by (2, 2) blocks."""
     g00, g11 = M[0] + inverse_a0, M[4] + inverse_a1
     g22, g33 = M[7] + inverse_a1, M[9] + inverse_a1
     g01, g02, g03, g12, g13, g23 = (M[k] for k in (1, 2, 3, 5, 6, 8))
@@ -258,7 +258,7 @@ class SharedTable:
         P = spectrum.trend
         R = 1.0 / (1.0 + np.exp(x)[:, None] * spectrum.values)
         steep = _NODE_SPACING * R * (R - 1.0)
-        products = np.stack([P[:, i] * P[:, j] for i, j in PAIRS], axis=1)
+        products = np.stack([P[:, i] * P[:, j] for i, j in SYMMETRIC_ENTRIES], axis=1)
         logs = -np.log(R).sum(axis=1, keepdims=True)
         slopes = _NODE_SPACING * (1.0 - R).sum(axis=1, keepdims=True)
         whole = np.concatenate([R @ products, logs, steep @ products, slopes], axis=1)

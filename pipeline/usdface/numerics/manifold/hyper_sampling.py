@@ -6,8 +6,8 @@ import numpy as np
 
 from usdface.core.arrays import BoolArray, FloatArray, RealArray
 from usdface.numerics.manifold.hybrid_monte_carlo import (
-    Jumps,
-    Numbers,
+    ModeJumps,
+    RandomSource,
     effective_sample_size,
     sample_chains,
     split_rhat,
@@ -20,7 +20,7 @@ from usdface.numerics.manifold.hyper_posterior import (
     to_phi,
     to_theta,
 )
-from usdface.numerics.manifold.laplace import LaplaceFit, choose_fits, fit_laplace
+from usdface.numerics.manifold.laplace import LaplaceFit, fit_laplace, select_fits
 
 _LEAST_DISTANCE = 2.5
 """Between two distinct modes, in standard deviations of the Gaussian around either."""
@@ -81,7 +81,7 @@ def find_modes(
             for start in (signal, noise)
         )
         swap = second.log_evidence > first.log_evidence
-        best, other = choose_fits(swap, second, first), choose_fits(swap, first, second)
+        best, other = select_fits(swap, second, first), select_fits(swap, first, second)
         distance = np.minimum(_distance(best, other), _distance(other, best))
         likely = best.log_evidence - other.log_evidence < _LARGEST_LOG_RATIO
     theta, second_theta = (
@@ -91,7 +91,7 @@ def find_modes(
 
 
 def sample_hyperparameters(
-    rng: Numbers,
+    rng: RandomSource,
     table: SharedTable,
     displacements: FloatArray,
     *,
@@ -103,9 +103,9 @@ def sample_hyperparameters(
 
     Parameters
     ----------
-    rng : Generator or CommonNumbers
-        With `CommonNumbers`, chains of similar posteriors have similar errors, so that a mesh does
-        not jitter from frame to frame.
+    rng : Generator or CommonRandomNumbers
+        With `CommonRandomNumbers`, chains of similar posteriors have similar errors, so that a
+        mesh does not jitter from frame to frame.
     displacements : (chains, N) float array
         [mm]
     modes : Modes, optional
@@ -118,7 +118,7 @@ def sample_hyperparameters(
     jumps = None
     if len(double):
         of_double = TabulatedEnergy(table, displacements[double], dtype=np.float32)
-        jumps = Jumps(
+        jumps = ModeJumps(
             double, PhiEnergy(of_double, gain), (found.best.take(double), found.second.take(double))
         )
     with np.errstate(all="ignore"):  # a proposal that overflows is rejected
@@ -130,7 +130,7 @@ def sample_hyperparameters(
     return HyperSamples(theta, samples.acceptance.astype(np.float64)), found
 
 
-def draw_laplace(rng: Numbers, table: SharedTable, modes: Modes, *, keep: int) -> FloatArray:
+def draw_laplace(rng: RandomSource, table: SharedTable, modes: Modes, *, keep: int) -> FloatArray:
     """Draw theta from the Gaussian around the best mode: (keep, 4, chains)."""
     mode, root = modes.best.mode, modes.best.root
     drawn = rng.standard_normal((keep, *mode.shape))

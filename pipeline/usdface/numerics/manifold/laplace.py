@@ -55,11 +55,11 @@ class LaplaceFit:
         )
 
 
-def choose_fits(which: BoolArray, yes: LaplaceFit, no: LaplaceFit) -> LaplaceFit:
-    """Choose between two fits of each chain, as `numpy.where` does."""
+def select_fits(mask: BoolArray, first: LaplaceFit, second: LaplaceFit) -> LaplaceFit:
+    """Return the first fit where `mask` is true, else the second, chain by chain."""
     return LaplaceFit(
         *(
-            np.where(which, getattr(yes, field.name), getattr(no, field.name))
+            np.where(mask, getattr(first, field.name), getattr(second, field.name))
             for field in fields(LaplaceFit)
         )
     )

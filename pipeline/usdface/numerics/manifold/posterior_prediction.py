@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from usdface.core.arrays import Float32Array, FloatArray, RealArray
-from usdface.numerics.manifold.hyper_posterior import PAIRS, MarkerSpectrum
+from usdface.numerics.manifold.hyper_posterior import SYMMETRIC_ENTRIES, MarkerSpectrum
 
 _LARGEST_LOG = 30.0
 """Bound of |theta|: in a take without motion scales tend to 0, and overflow in single precision."""
@@ -66,7 +66,7 @@ def average_dual_weights(
     rotated = (displacements @ spectrum.vectors).astype(np.float32)
     P, values = spectrum.trend.astype(np.float32), spectrum.values.astype(np.float32)
     count, chains, samples = len(P), len(rotated), len(theta)
-    products = np.stack([P[:, i] * P[:, j] for i, j in PAIRS], axis=1)
+    products = np.stack([P[:, i] * P[:, j] for i, j in SYMMETRIC_ENTRIES], axis=1)
     bounded = np.clip(np.moveaxis(theta, 2, 0), -_LARGEST_LOG, _LARGEST_LOG)
     scales = np.exp(np.ascontiguousarray(bounded, np.float32))  # (chains, samples, 4)
     v0, v1, a0, a1 = (scales[:, :, k] for k in range(4))
@@ -106,7 +106,7 @@ def _inverse_roots(G: RealArray) -> Float32Array:
     Parameters
     ----------
     G : (..., 10) float32 array
-        Entries in the order of `PAIRS`.
+        Entries in the order of `SYMMETRIC_ENTRIES`.
 
     Returns
     -------
@@ -114,7 +114,7 @@ def _inverse_roots(G: RealArray) -> Float32Array:
         Lower triangular; its transpose times it is the inverse of G.
     """
     exact = G.astype(np.float64)
-    entry = {pair: exact[..., k] for k, pair in enumerate(PAIRS)}
+    entry = {pair: exact[..., k] for k, pair in enumerate(SYMMETRIC_ENTRIES)}
     root: dict[tuple[int, int], FloatArray] = {}
     for j in range(4):
         for i in range(j, 4):
@@ -232,7 +232,7 @@ def predict_variance(fields: SurfaceFields, moments: DualMoments) -> Float32Arra
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class LeaveOneOut:
     """Predictions of markers that were left out of the fit, one after the other."""
 
     errors: FloatArray
@@ -257,7 +257,7 @@ def leave_markers_out(
     theta: FloatArray,
     *,
     with_nearest: bool = False,
-) -> LeftOut:
+) -> LeaveOneOut:
     """Predict every marker from the others, in closed form (Rasmussen and Williams, eq. 5.12).
 
     Parameters
@@ -294,11 +294,11 @@ def leave_markers_out(
             variance = of_nearest / determinant
         errors[rows] = error.mean(axis=0)
         squares[rows] = variance.mean(axis=0) + error.var(axis=0)
-    return LeftOut(errors, np.sqrt(squares))
+    return LeaveOneOut(errors, np.sqrt(squares))
 
 
 def calibrate_spread(
-    left_out: LeftOut, covariance: FloatArray, cross: Float32Array
+    left_out: LeaveOneOut, covariance: FloatArray, cross: Float32Array
 ) -> SpreadFactors:
     """Return factors of standard deviations for points and axes.
 
@@ -308,7 +308,7 @@ def calibrate_spread(
 
     Parameters
     ----------
-    left_out : LeftOut
+    left_out : LeaveOneOut
         Chains go x, y, z, frame by frame.
     covariance : (N, N) float array
         Between markers, 1 on its diagonal.
