@@ -304,13 +304,13 @@ def test_pairs_tuned_while_frames_are_chosen_are_not_moved(
     execute(spec(shot))
     new = shot / "new.references.usda"
     kept = read_references(new)
-    chosen = select.in_order_of_worth
+    chosen = select.rank_by_information
 
     def tuned_meanwhile(*given: object) -> object:
         execute(ReferencesImportSpec(references=new, weights=shot / "keys.csv"), overwrite=True)
         return chosen(*given)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(select, "in_order_of_worth", tuned_meanwhile)
+    monkeypatch.setattr(select, "rank_by_information", tuned_meanwhile)
     with pytest.raises(InputError, match="12 pairs tuned while frames were chosen"):
         execute(spec(shot, count=20), overwrite=True)
     after = read_references(new)

@@ -279,7 +279,7 @@ def choose_by_design(
         for taught in [np.isin(known_rows, [*already, *picks])]
     }
     best = min(measured, key=lambda name: measured[name])
-    return ReferenceChoice(in_order_of_worth(features, chosen[best], already), best, measured)
+    return ReferenceChoice(rank_by_information(features, chosen[best], already), best, measured)
 
 
 def choose_visemes(
@@ -319,7 +319,7 @@ def choose_visemes(
         already=np.union1d(already, spoken).astype(np.int64),
     )
     rows = np.array([*spoken, *(row for each in far.values() for row in each)], dtype=np.int64)
-    ordered = in_order_of_worth(features, rows, already)[:count]
+    ordered = rank_by_information(features, rows, already)[:count]
     viseme_at = {row: viseme for (_, viseme), row in found.items()}
     emotions = list(dict.fromkeys(emotion_of))
     missing = tuple((e, v) for e in emotions for v in visemes if (e, v) not in found)
@@ -347,7 +347,7 @@ def stand_in_error_mm(
     return float(np.sqrt(np.maximum(squared, 0.0).mean()))
 
 
-def in_order_of_worth(features: Features, rows: IntArray, already: IntArray) -> IntArray:
+def rank_by_information(features: Features, rows: IntArray, already: IntArray) -> IntArray:
     """Return rows in greedy order of information added to those before."""
     if not len(rows):
         return rows

@@ -173,7 +173,7 @@ def stabilize_by_prior(
 def _stabilized(
     points: RealArray, alignment: RigidAlignment, reference: FloatArray
 ) -> Stabilization:
-    poses = bridge_poses(alignment)
+    poses = interpolate_poses(alignment)
     return Stabilization(
         positions=remove_motion(points, poses),
         head_motion=poses.matrices(),
@@ -182,7 +182,7 @@ def _stabilized(
     )
 
 
-def bridge_poses(alignment: RigidAlignment) -> RigidAlignment:
+def interpolate_poses(alignment: RigidAlignment) -> RigidAlignment:
     """Replace undetermined poses by interpolated ones, at the ends by the nearest."""
     known = np.flatnonzero(alignment.determined)
     if not known.size:

@@ -24,7 +24,7 @@ from usdface.model.selection.design import (
     ReferenceChoice,
     choose_by_design,
     choose_visemes,
-    in_order_of_worth,
+    rank_by_information,
 )
 from usdface.model.selection.lip_contact import find_lips, keep_lip_contact
 from usdface.numerics.motion.noise import measurement_noise, still_range_mm
@@ -339,7 +339,7 @@ def _choose(selection: _Selection) -> ReferenceChoice:
     together = np.concatenate([spoken.rows, designed.rows])
     return replace(
         designed,
-        rows=in_order_of_worth(selection.scene.features, together, selection.already),
+        rows=rank_by_information(selection.scene.features, together, selection.already),
         visemes=spoken.visemes,
         extremes=spoken.extremes,
         missing=spoken.missing,
