@@ -4,7 +4,7 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray, index_of
 from usdface.core.assets import Rig
-from usdface.numerics.solve.blendshapes import BlendShapes, Key, Track
+from usdface.numerics.solve.blendshapes import BlendShapes, ChannelKeys, Key
 from usdface.numerics.surface.triangulation import triangulate
 
 
@@ -38,7 +38,7 @@ class Deformer:
             len(self.neutral),
             len(rig.shapes),
             [
-                Track(
+                ChannelKeys(
                     channels[shape.name],
                     [Key(key.weight, key.points + start, key.offsets) for key in shape.keys],
                 )

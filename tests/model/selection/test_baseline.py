@@ -11,7 +11,7 @@ from usdface.model.retarget.cyclic import SurfaceMeter
 from usdface.model.selection.baseline import BlendshapeEquation
 from usdface.numerics.registration.virtual_markers import VirtualMarkers
 from usdface.numerics.solve.blendshape_equation import MarkerKeys
-from usdface.numerics.solve.blendshapes import BlendShapes, Key, Track
+from usdface.numerics.solve.blendshapes import BlendShapes, ChannelKeys, Key
 
 MARKERS = 12
 
@@ -23,8 +23,8 @@ def bent_equation(
     rng = np.random.default_rng(0)
     everywhere = np.arange(MARKERS)
     full, aside = 5 * rng.normal(size=(3, MARKERS, 3)), rng.normal(size=(MARKERS, 3))
-    tracks = [Track(channel, [Key(1.0, everywhere, full[channel])]) for channel in range(3)]
-    tracks[0] = Track(0, [*tracks[0].keys, Key(0.5, everywhere, 0.7 * full[0] + aside)])
+    tracks = [ChannelKeys(channel, [Key(1.0, everywhere, full[channel])]) for channel in range(3)]
+    tracks[0] = ChannelKeys(0, [*tracks[0].keys, Key(0.5, everywhere, 0.7 * full[0] + aside)])
     shapes = BlendShapes(MARKERS, 3, tracks)
     virtual = VirtualMarkers(
         points=np.repeat(everywhere[:, None], 3, axis=1),

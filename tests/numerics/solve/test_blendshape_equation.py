@@ -5,7 +5,7 @@ import pytest
 from scipy import optimize
 
 from usdface.numerics.solve.blendshape_equation import MarkerKeys, solve_weights
-from usdface.numerics.solve.blendshapes import BlendShapes, Key, Track
+from usdface.numerics.solve.blendshapes import BlendShapes, ChannelKeys, Key
 
 
 @pytest.fixture
@@ -94,8 +94,8 @@ def test_in_betweens_are_solved_as_they_bend():
     rng = np.random.default_rng(7)
     points, full = np.arange(20), rng.normal(size=(5, 20, 3)) * 5
     half = 0.5 * full[0] + rng.normal(size=(20, 3)) * 5  # far from half of the full target
-    tracks = [Track(0, [Key(0.5, points, half), Key(1.0, points, full[0])])]
-    tracks += [Track(i, [Key(1.0, points, full[i])]) for i in range(1, 5)]
+    tracks = [ChannelKeys(0, [Key(0.5, points, half), Key(1.0, points, full[0])])]
+    tracks += [ChannelKeys(i, [Key(1.0, points, full[i])]) for i in range(1, 5)]
     shapes = BlendShapes(20, 5, tracks)
     keys = MarkerKeys(
         deltas=np.concatenate([[half], full]),

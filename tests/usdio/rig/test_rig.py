@@ -11,7 +11,7 @@ from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
-from usdface.numerics.solve.blendshapes import BlendShapes, Key, Track
+from usdface.numerics.solve.blendshapes import BlendShapes, ChannelKeys, Key
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
 from usdface.usdio.units import column_matrix, stage_to_ours, transform_points
@@ -209,7 +209,7 @@ def test_a_body_does_not_make_an_error_of_the_face_small() -> None:
     head, body = 40, 2000
     offsets = np.random.default_rng(7).normal(0, 5, (2, head // 2, 3))
     points = np.arange(head // 2)
-    tracks = [Track(channel, [Key(1.0, points, offsets[channel])]) for channel in range(2)]
+    tracks = [ChannelKeys(channel, [Key(1.0, points, offsets[channel])]) for channel in range(2)]
     alone = BlendShapes(head, 2, tracks)
     whole = BlendShapes(head + body, 2, tracks)
     assert len(alone.face_points) == len(whole.face_points) == head

@@ -29,7 +29,7 @@ class Key:
 
 
 @dataclass(frozen=True)
-class Track:
+class ChannelKeys:
     """Keys of one channel on one mesh; several meshes may follow the same channel."""
 
     channel: int
@@ -56,7 +56,7 @@ class BlendShapes:
         self,
         point_count: int,
         channel_count: int,
-        tracks: Sequence[Track],
+        tracks: Sequence[ChannelKeys],
         *,
         logic: RigLogic | None = None,
     ) -> None:
