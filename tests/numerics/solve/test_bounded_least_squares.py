@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear, nnls
 
-from usdface.numerics.solve import curvature
+from usdface.numerics.solve import hessian
 from usdface.numerics.solve.bounded_least_squares import (
     minimise_within_bounds,
     solve_bounded_least_squares,
@@ -117,9 +117,9 @@ def test_more_variables_than_coordinates_are_solved_alike(monkeypatch):
     poses = np.repeat(rng.random((6, 120)) < 0.2, 20, axis=0) * rng.random((120, 120))
     targets = poses @ matrix.T + 0.1 * rng.normal(size=(120, 30))
     given = {"lower": np.full(120, -0.1), "upper": np.linspace(0.2, 1, 120), "ridge": 0.05}
-    assert isinstance(curvature.curvature(matrix, np.full(120, 0.05)), curvature._LowRank)
+    assert isinstance(hessian.hessian_of(matrix, np.full(120, 0.05)), hessian._LowRank)
     few = solve_bounded_least_squares(matrix, targets, **given)
-    monkeypatch.setattr(curvature, "_LOW_RANK_SHARE", 0.0)
+    monkeypatch.setattr(hessian, "_LOW_RANK_SHARE", 0.0)
     dense = solve_bounded_least_squares(matrix, targets, **given)
     assert few.violation.max() < 1e-9
     np.testing.assert_allclose(few.x, dense.x, atol=1e-9)

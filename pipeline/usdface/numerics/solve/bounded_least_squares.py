@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from usdface.core.arrays import FloatArray, IntArray, RealArray
 from usdface.core.processes import usable_cores
-from usdface.numerics.solve.curvature import Curvature, curvature
+from usdface.numerics.solve.hessian import Hessian, hessian_of
 
 _GRADIENT_STEPS = 60
 """From rest; on face rigs, a few exchanges follow."""
@@ -101,13 +101,13 @@ def solve_bounded_least_squares(
     unit = 1 / np.sqrt(np.maximum(diagonal, floor))  # x = unit * z gives z a unit diagonal
     with np.errstate(invalid="ignore"):
         lo_z, hi_z = lo / unit, hi / unit
-    z, violation = _solve_scaled(curvature(A * unit, penalty * unit**2), linear * unit, lo_z, hi_z)
+    z, violation = _solve_scaled(hessian_of(A * unit, penalty * unit**2), linear * unit, lo_z, hi_z)
     x = np.where(z <= lo_z, lo, np.where(z >= hi_z, hi, z * unit))  # bounds stay exact
     return BoundedSolution(x, violation)
 
 
 def _solve_scaled(
-    H: Curvature, b: FloatArray, lo: FloatArray, hi: FloatArray
+    H: Hessian, b: FloatArray, lo: FloatArray, hi: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return minimisers of ``0.5 z'Hz - b'z`` within bounds, and their violations."""
     step = H.dtype.type(1 / max(H.largest, np.finfo(float).tiny))
@@ -115,7 +115,7 @@ def _solve_scaled(
 
     def solve(rows: IntArray, start: FloatArray, steps: int) -> FloatArray:
         near = _accelerate(
-            lambda z: z - step * (H.near(z) - pull[rows]),
+            lambda z: z - step * (H.fast_product(z) - pull[rows]),
             start.astype(H.dtype),
             low,
             high,
@@ -256,9 +256,7 @@ def _accelerate(
     return now
 
 
-def _pivot(
-    H: Curvature, b: FloatArray, lo: FloatArray, hi: FloatArray, z: FloatArray
-) -> FloatArray:
+def _pivot(H: Hessian, b: FloatArray, lo: FloatArray, hi: FloatArray, z: FloatArray) -> FloatArray:
     """Exchange free and bound variables by block principal pivoting."""
     out = z.copy()
     side = np.where(z <= lo, -1, np.where(z >= hi, 1, 0))
@@ -270,7 +268,7 @@ def _pivot(
         at = side[todo]
         bound = np.where(at < 0, lo, np.where(at > 0, hi, 0.0))
         value = systems.solve(todo, b[todo], bound, at == 0)
-        gradient = H.times(value) - b[todo]
+        gradient = H.product(value) - b[todo]
         room = slack[todo, None]
         low, high = (at == 0) & (value < lo - room), (at == 0) & (value > hi + room)
         free = ((at < 0) & (gradient < -room)) | ((at > 0) & (gradient > room))
@@ -292,7 +290,7 @@ def _pivot(
     return out
 
 
-def _walk(H: Curvature, b: FloatArray, lo: FloatArray, hi: FloatArray, z: FloatArray) -> FloatArray:
+def _walk(H: Hessian, b: FloatArray, lo: FloatArray, hi: FloatArray, z: FloatArray) -> FloatArray:
     """Solve by a primal active-set method from a feasible start: slow, but without cycles.
 
     A step goes to the minimum over the free variables, or to the first bound on the way, which
@@ -318,7 +316,7 @@ def _walk(H: Curvature, b: FloatArray, lo: FloatArray, hi: FloatArray, z: FloatA
         first = rows[blocked], blocker[blocked]
         now[first] = np.where(step[first] < 0, lo[first[1]], hi[first[1]])
         bound[first] = True
-        gradient = H.times(now) - right
+        gradient = H.product(now) - right
         pull = np.where(now <= lo, -gradient, gradient) * (bound & (lo < hi))
         hardest = pull.argmax(axis=1)
         release = ~blocked & (pull[rows, hardest] > _WALK_TOLERANCE * np.abs(right).max(axis=1))
@@ -329,11 +327,11 @@ def _walk(H: Curvature, b: FloatArray, lo: FloatArray, hi: FloatArray, z: FloatA
 
 
 def _violation(
-    H: Curvature, b: FloatArray, lo: FloatArray, hi: FloatArray, z: FloatArray
+    H: Hessian, b: FloatArray, lo: FloatArray, hi: FloatArray, z: FloatArray
 ) -> FloatArray:
     """Return the length of a projected gradient step, relative to the linear term."""
     if not b.size:
         return np.zeros(len(b))
-    moved = np.clip(z - (H.times(z) - b), lo, hi) - z
+    moved = np.clip(z - (H.product(z) - b), lo, hi) - z
     scale = np.maximum(np.abs(b).max(axis=1), np.finfo(float).tiny)
     return np.asarray(np.abs(moved).max(axis=1) / scale)

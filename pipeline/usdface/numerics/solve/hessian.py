@@ -51,25 +51,25 @@ class Systems(Protocol):
         """
 
 
-class Curvature(Protocol):
+class Hessian(Protocol):
     """A symmetric matrix H with a unit diagonal."""
 
     largest: float
     """Upper bound of its eigenvalues."""
     dtype: np.dtype[Any]
-    """Of `near`."""
+    """Of `fast_product`."""
 
-    def times(self, z: FloatArray) -> FloatArray:
+    def product(self, z: FloatArray) -> FloatArray:
         """Return ``z @ H`` for (frames, n) rows."""
 
-    def near(self, z: Any) -> Any:
+    def fast_product(self, z: Any) -> Any:
         """Return ``z @ H`` for rows of `dtype`, in that precision."""
 
     def systems(self) -> Systems:
         """Return a solver for a block of frames."""
 
 
-def curvature(factor: FloatArray, diagonal: FloatArray) -> Curvature:
+def hessian_of(factor: FloatArray, diagonal: FloatArray) -> Hessian:
     """Return ``factor.T @ factor`` plus a diagonal.
 
     Parameters
@@ -95,10 +95,10 @@ class _Dense:
         self.largest = float(values[-1]) + _DEPENDENT_RIDGE if len(H) else 1.0
         self._H = H
 
-    def times(self, z: FloatArray) -> FloatArray:
+    def product(self, z: FloatArray) -> FloatArray:
         return z @ self._H
 
-    def near(self, z: Any) -> Any:
+    def fast_product(self, z: Any) -> Any:
         return z @ self._H
 
     def systems(self) -> Systems:
@@ -133,10 +133,10 @@ class _LowRank:
         values = np.linalg.eigvalsh(F.T @ F) if F.size else np.zeros(1)
         self.largest = float(values[-1] + diagonal.max())
 
-    def times(self, z: FloatArray) -> FloatArray:
+    def product(self, z: FloatArray) -> FloatArray:
         return np.asarray((z @ self.F) @ self.F.T + z * self.diagonal)
 
-    def near(self, z: Any) -> Any:
+    def fast_product(self, z: Any) -> Any:
         F, diagonal = self._narrow
         return (z @ F) @ F.T + z * diagonal
 
@@ -164,7 +164,7 @@ class _LowRankSystems:
         self, rows: IntArray, b: FloatArray, fixed: FloatArray, free: BoolArray
     ) -> FloatArray:
         H = self._H
-        u = np.where(free, b - H.times(fixed), 0.0) / H.root
+        u = np.where(free, b - H.product(fixed), 0.0) / H.root
         y = u @ H.E
         for index, (row, chosen) in enumerate(zip(rows.tolist(), free, strict=True)):
             # From the previous exchange of this frame, or from the previous frame.
