@@ -13,10 +13,10 @@ from usdface.specs.edits import EditsImportSpec
 from usdface.steps.edits.edit import all_frames, renewed, solved_over
 from usdface.steps.inputs.weight_tables import (
     WeightTable,
-    changed_elsewhere,
-    elsewhere_notes,
+    changed_on_other_meshes,
+    other_mesh_notes,
     read_weight_table,
-    weights_meant,
+    undo_clamping,
 )
 from usdface.usdio.performance.edits import (
     ShapeEdit,
@@ -56,13 +56,13 @@ def run(
     for shape in known:
         solve = solved[:, reader.names.index(shape)]
         before = shown[rows, reader.names.index(shape)]
-        now = weights_meant(table, shape, given[:, 1], before)
+        now = undo_clamping(table, shape, given[:, 1], before)
         offset = now - solve[rows]
-        meshes = changed_elsewhere(
+        meshes = changed_on_other_meshes(
             table,
             shape,
             given[:, 1],
-            meant=now,
+            weights=now,
             shown=before,
             solved=solve[rows],
             least=spec.least,
@@ -82,7 +82,7 @@ def run(
     notes = (
         *table.numbering_notes(spec.changed),
         *_notes(reader, table),
-        *elsewhere_notes(table, elsewhere),
+        *other_mesh_notes(table, elsewhere),
     )
     if not changed:
         return StepResult(

@@ -42,12 +42,12 @@ class WeightTable:
     """Frames with samples in the file; others, of USD, are interpolated."""
     meshes: tuple[str, ...] = ()
     """The mesh of each shape's weights, if the tool keys shapes per mesh; otherwise empty."""
-    elsewhere: Mapping[str, Mapping[str, FloatArray]] = field(default_factory=dict)
+    other_meshes: Mapping[str, Mapping[str, FloatArray]] = field(default_factory=dict)
     """By shape and mesh, the weights on the other meshes."""
     takes: tuple[str, ...] = ()
     """Take of each row; empty if the file does not state it."""
-    cut: bool = False
-    """Whether the tool clamps weights to `CUT_TO`."""
+    clamped: bool = False
+    """Whether the tool clamps weights to `CLAMP_RANGE`."""
     numbered: bool = True
     """Whether the file numbers its frames; otherwise they count from 1."""
 
@@ -77,7 +77,7 @@ class WeightTable:
             names=tuple(transfer.target[column] for column in columns.tolist()),
             weights=self.weights[:, rows] @ transfer.matrix[:, columns],
             meshes=(),
-            elsewhere={},
+            other_meshes={},
         )
 
     def by_meaning(
@@ -136,7 +136,7 @@ def read_weight_table(
         blender = is_of_blender(path)
         exported = read_exported_weights(path) if blender else _renamed_by_a_tool(path, known)
         if exported is not None:
-            return _exported_table(exported, known, cut=blender)
+            return _exported_table(exported, known, clamped=blender)
         reader = PerformanceReader(path)
         weights = reader.edited().astype(np.float64)
         numbers = tuple(reader.frames.tolist())
@@ -203,7 +203,9 @@ def _renamed_by_a_tool(path: Path, known: tuple[str, ...]) -> ExportedWeights | 
     return exported if expected & set(exported.names) else None
 
 
-def _exported_table(exported: ExportedWeights, known: tuple[str, ...], *, cut: bool) -> WeightTable:
+def _exported_table(
+    exported: ExportedWeights, known: tuple[str, ...], *, clamped: bool
+) -> WeightTable:
     made = Counter(each for name in known for each in set(blender_names(name)))
     real = {each: name for name in known for each in blender_names(name) if made[each] == 1}
     names = tuple(real.get(name, name) for name in exported.names)
@@ -218,38 +220,38 @@ def _exported_table(exported: ExportedWeights, known: tuple[str, ...], *, cut: b
             name: {curve.mesh: curve.values for curve in curves[1:]}
             for name, curves in zip(names, exported.curves, strict=True)
         },
-        cut=cut,
+        clamped=clamped,
     )
 
 
-CUT_TO = (0.0, 1.0)
+CLAMP_RANGE = (0.0, 1.0)
 """Range of Blender's sliders, to which weights are clamped."""
-CUT_WITHIN = 1e-5
+CLAMP_TOLERANCE = 1e-5
 """Rounding of float32."""
 
 
-def weights_meant(table: WeightTable, name: str, rows: IntArray, shown: FloatArray) -> FloatArray:
+def undo_clamping(table: WeightTable, name: str, rows: IntArray, shown: FloatArray) -> FloatArray:
     """Return a shape's weights at some rows, undoing the clamping of a tool.
 
     Parameters
     ----------
     shown : (n,) float array
-        Current weights. Where they lie outside `CUT_TO` and the table's weight is at its end, the
+        Current weights. Where they lie outside `CLAMP_RANGE` and the table has its end, the
         weight was clamped and not changed.
     """
     weights: FloatArray = table.weights[rows, table.names.index(name)]
-    if not table.cut:
+    if not table.clamped:
         return weights
-    end = np.clip(shown, *CUT_TO)
-    return np.where((end != shown) & (np.abs(weights - end) < CUT_WITHIN), shown, weights)
+    end = np.clip(shown, *CLAMP_RANGE)
+    return np.where((end != shown) & (np.abs(weights - end) < CLAMP_TOLERANCE), shown, weights)
 
 
-def changed_elsewhere(
+def changed_on_other_meshes(
     table: WeightTable,
     name: str,
     rows: IntArray,
     *,
-    meant: FloatArray,
+    weights: FloatArray,
     shown: FloatArray,
     solved: FloatArray,
     least: float,
@@ -259,16 +261,16 @@ def changed_elsewhere(
     Meshes whose weights equal the solve were not changed.
     """
     found = []
-    still = np.abs(meant - shown) <= least
-    for mesh, weights in table.elsewhere.get(name, {}).items():
-        other = weights[rows]
+    still = np.abs(weights - shown) <= least
+    for mesh, curve in table.other_meshes.get(name, {}).items():
+        other = curve[rows]
         changed = (np.abs(other - shown) > least) & (np.abs(other - solved) > least)
-        if (still & changed & ((other > CUT_TO[0]) & (other < CUT_TO[1]))).any():
+        if (still & changed & ((other > CLAMP_RANGE[0]) & (other < CLAMP_RANGE[1]))).any():
             found.append(mesh)
     return found
 
 
-def elsewhere_notes(table: WeightTable, found: Mapping[str, list[str]]) -> tuple[str, ...]:
+def other_mesh_notes(table: WeightTable, found: Mapping[str, list[str]]) -> tuple[str, ...]:
     """Return notes on shapes that were changed on meshes that are not read."""
     return tuple(
         f"{name} differs between {', '.join(meshes)} and {table.meshes[table.names.index(name)]}; "

@@ -19,7 +19,7 @@ from usdface.runner.result import StepResult
 from usdface.specs.references import ReferencesImportSpec
 from usdface.steps.inputs.name_tables import check_no_name_twice, transfer_by_table
 from usdface.steps.inputs.tuned_pairs import tuned_conflicts
-from usdface.steps.inputs.weight_tables import WeightTable, read_weight_table, weights_meant
+from usdface.steps.inputs.weight_tables import WeightTable, read_weight_table, undo_clamping
 from usdface.steps.references.coverage import redraw_coverage
 from usdface.usdio.references.weight_layers import TunedPair, read_set_references
 from usdface.usdio.references.write import write_tuned_weights
@@ -319,7 +319,7 @@ def _pairs(
             weights |= dict.fromkeys(weights.keys() - set(known), 0.0)
         row = np.array([row_of[key]])
         for name in known:
-            weights[name] = float(weights_meant(table, name, row, np.array([weights[name]]))[0])
+            weights[name] = float(undo_clamping(table, name, row, np.array([weights[name]]))[0])
         take, frame = references.takes[pair], int(references.frames[pair])
         pairs.append(TunedPair(pair, take, frame, weights, author=spec.author))
     return pairs
