@@ -32,7 +32,7 @@ from usdface.steps.references.from_edits import (
     EDITED_SHARE,
     FULL_STRENGTH,
     LEAST_CHANGE,
-    meant_frames,
+    full_strength_frames,
 )
 from usdface.usdio.performance import write
 from usdface.usdio.performance.read import PerformanceReader, read_performance, read_weights
@@ -495,12 +495,12 @@ def test_where_no_frame_has_all_edits_at_their_peaks_those_nearest_are_meant() -
     mean = (changes**2).sum(axis=0) / changes.sum(axis=0)
     wanted = (mean > EDITED_SHARE) & (changes.max(axis=0) > LEAST_CHANGE)
     assert 0 < wanted.sum() < 120
-    np.testing.assert_array_equal(meant_frames(edits, changes), wanted)
+    np.testing.assert_array_equal(full_strength_frames(edits, changes), wanted)
     edits[1].offset[80:111] = 1.0  # held, so that there are frames with both at full strength
     changes = np.array([each.offset for each in edits])
     both = (changes >= FULL_STRENGTH).all(axis=0)
     assert both.any()
-    np.testing.assert_array_equal(meant_frames(edits, changes), both)
+    np.testing.assert_array_equal(full_strength_frames(edits, changes), both)
 
 
 def test_corrections_taken_in_place_twice_are_the_same_as_once(shot: Shot) -> None:

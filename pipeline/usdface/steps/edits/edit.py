@@ -85,7 +85,7 @@ def run(spec: EditSpec, *, provenance: Provenance, progress: Progress = silent) 
     frames = all_frames(reader, reach=reach)
     progress(0.2, "reading the edits")
     edits = read_edits(reader.animation, frames)
-    solved, changed = solved_over(reader, frames), dict[str, ShapeEdit]()
+    solved, changed = solve_at(reader, frames), dict[str, ShapeEdit]()
     touched = np.zeros(len(frames), dtype=bool)
     for change in changes:
         mask = change.mask(frames)
@@ -96,7 +96,7 @@ def run(spec: EditSpec, *, provenance: Provenance, progress: Progress = silent) 
             solve = np.full(len(frames), np.nan)  # if the solve no longer has the shape
             if shape in reader.names:
                 solve = solved[:, reader.names.index(shape)]
-            changed[shape] = renewed(old, change.folded(old.curve, mask), solve, mask > 0)
+            changed[shape] = with_curve(old, change.folded(old.curve, mask), solve, mask > 0)
     path = write_edits(
         spec.performance, reader.animation, changed, frames, stamp=stamp, provenance=provenance
     )
@@ -171,7 +171,7 @@ def all_frames(reader: PerformanceReader, *, reach: tuple[int, int] | None = Non
     return np.arange(first, last + 1, dtype=np.int64)
 
 
-def solved_over(reader: PerformanceReader, frames: IntArray) -> FloatArray:
+def solve_at(reader: PerformanceReader, frames: IntArray) -> FloatArray:
     """Return the solve at frames, NaN outside the performance, (frames, shapes)."""
     out = np.full((len(frames), len(reader.names)), np.nan)
     start = reader.first_frame - int(frames[0])
@@ -180,7 +180,7 @@ def solved_over(reader: PerformanceReader, frames: IntArray) -> FloatArray:
     return out
 
 
-def renewed(old: ShapeEdit, curve: EditCurve, solved: FloatArray, now: BoolArray) -> ShapeEdit:
+def with_curve(old: ShapeEdit, curve: EditCurve, solved: FloatArray, now: BoolArray) -> ShapeEdit:
     """Return an edit with a new curve, and the current solve stored where `now` is true."""
     fresh = now | ~np.isfinite(old.solve_when_edited)
     solve = np.where(fresh & np.isfinite(solved), solved, old.solve_when_edited)

@@ -10,7 +10,7 @@ from usdface.core.text import first_few, pluralize
 from usdface.numerics.motion.key_reduction import EditCurve, no_edit
 from usdface.runner.result import StepResult
 from usdface.specs.edits import EditsImportSpec
-from usdface.steps.edits.edit import all_frames, renewed, solved_over
+from usdface.steps.edits.edit import all_frames, solve_at, with_curve
 from usdface.steps.inputs.weight_tables import (
     WeightTable,
     changed_on_other_meshes,
@@ -47,7 +47,7 @@ def run(
     given = _rows(spec, reader, table)
     progress(0.3, "comparing with the solve")
     edits = read_edits(reader.animation, frames)
-    solved = solved_over(reader, frames)
+    solved = solve_at(reader, frames)
     rows = given[:, 0] - int(frames[0])
     shown = edited_weights(reader.names, solved, edits)
     changed: dict[str, ShapeEdit] = {}
@@ -78,7 +78,7 @@ def run(
         touched[rows[differs]] = True
         offset = np.where(np.abs(offset) > spec.least, offset, 0.0)[differs]
         curve = _replaced(old.curve, rows[differs], offset)
-        changed[shape] = renewed(old, curve, solve, touched)
+        changed[shape] = with_curve(old, curve, solve, touched)
     notes = (
         *table.numbering_notes(spec.changed),
         *_notes(reader, table),

@@ -58,7 +58,7 @@ def find_edited_ranges(reader: PerformanceReader) -> list[EditedRange]:
     return found
 
 
-def edits_beyond(reader: PerformanceReader) -> list[str]:
+def edits_outside(reader: PerformanceReader) -> list[str]:
     """Return the shapes and frames of edits that lie outside a performance, as "jawOpen 10-20"."""
     reach = edited_frames(reader.animation)
     if reach is None or (reach[0] >= reader.first_frame and reach[1] <= reader.last_frame):
@@ -91,7 +91,7 @@ def edit_notes(performance: Path) -> list[str]:
         for each in ranges
         if abs(each.solve_change) > NOTABLE_CHANGE
     ]
-    beyond = edits_beyond(reader)
+    beyond = edits_outside(reader)
     if beyond:
         notes.append(
             f"edits outside frames {reader.first_frame}-{reader.last_frame} have no effect: "

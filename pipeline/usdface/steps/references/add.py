@@ -13,7 +13,7 @@ from usdface.specs.notes import read_notes
 from usdface.specs.paths import frame_list, frame_range
 from usdface.specs.references import ReferencesAddSpec
 from usdface.steps.references.from_edits import (
-    captured_at,
+    captured_markers,
     with_pairs,
     write_extended,
 )
@@ -34,7 +34,7 @@ def run(
     notes: list[str] = []
     take, mapping = made_from(spec.performance, old, take=spec.take, mapping=spec.mapping)
     frames = _new_frames(spec, reader, old, take.name, notes)
-    captured, seen = captured_at(take, mapping, old, frames)
+    captured, seen = captured_markers(take, mapping, old, frames)
     if not seen.any():
         raise InputError(
             f"{spec.performance}: frames {first_few(frames.tolist())} lack a marker, and pairs "

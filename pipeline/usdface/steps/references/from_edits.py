@@ -119,12 +119,12 @@ def _edited_frames(
     changes = np.abs(edited - reader.solved())
     columns = [reader.names.index(name) for name in reader.edits]
     curves = [edit.curve for edit in reader.edits.values()]
-    rows = np.flatnonzero(meant_frames(curves, changes[:, columns].T))
+    rows = np.flatnonzero(full_strength_frames(curves, changes[:, columns].T))
     if not len(rows):
         notes.append(f"{performance}: no frame was edited")
         return _NO_FRAMES
     take, mapping = made_from(performance, old, take=moved_take, mapping=spec.mapping)
-    captured, seen = captured_at(take, mapping, old, reader.frames[rows])
+    captured, seen = captured_markers(take, mapping, old, reader.frames[rows])
     rows, captured = rows[seen], captured[seen]
     if not seen.all():
         notes.append(
@@ -133,14 +133,14 @@ def _edited_frames(
         )
     if not len(rows):
         return _NO_FRAMES
-    chosen = spread_out(edited[rows], changes.max(axis=1)[rows], spec.count)
+    chosen = choose_distant_rows(edited[rows], changes.max(axis=1)[rows], spec.count)
     if len(chosen) < len(rows):
         notes.append(f"{performance}: used {len(chosen)} of {len(rows)} edited frames")
     weights = columns_by_name(edited[rows[chosen]], reader.names, old.shape_names)
     return _EditedFrames(take.name, reader.frames[rows[chosen]], captured[chosen], weights)
 
 
-def meant_frames(edits: Sequence[EditCurve], changes: FloatArray) -> BoolArray:
+def full_strength_frames(edits: Sequence[EditCurve], changes: FloatArray) -> BoolArray:
     """Return the edited frames at which all larger edits are near full strength.
 
     Weights in a fade are a blend with the solve that no animator keyed. If no frame has all edits
@@ -166,7 +166,7 @@ def meant_frames(edits: Sequence[EditCurve], changes: FloatArray) -> BoolArray:
     return full
 
 
-def spread_out(weights: FloatArray, change: FloatArray, count: int) -> IntArray:
+def choose_distant_rows(weights: FloatArray, change: FloatArray, count: int) -> IntArray:
     """Choose up to `count` rows: the most changed, and those farthest from any chosen one."""
     first = int(change.argmax())
     wanted = min(count, len(weights)) - 1
@@ -176,7 +176,7 @@ def spread_out(weights: FloatArray, change: FloatArray, count: int) -> IntArray:
     return np.sort(np.concatenate([[first], further]))
 
 
-def captured_at(
+def captured_markers(
     take: TakeReader, mapping: TrainedMapping | None, old: References, frames: IntArray
 ) -> tuple[FloatArray, BoolArray]:
     """Return the captured markers [mm] of frames, and which frames are complete.
