@@ -81,7 +81,7 @@ class HeadSource:
         self, rig: Rig, targets: Sequence[DriveTarget], onto: FloatArray | None = None
     ) -> HeadDrive:
         """Return transforms, held shapes and notes of the targets; see `transforms`."""
-        held = doubled_looks(rig, targets)
+        held = redundant_look_shapes(rig, targets)
         notes = []
         for target in targets:
             turns = self.turns.get(target.part)
@@ -105,7 +105,7 @@ class HeadSource:
         return onto
 
 
-def doubled_looks(rig: Rig, targets: Sequence[DriveTarget]) -> tuple[str, ...]:
+def redundant_look_shapes(rig: Rig, targets: Sequence[DriveTarget]) -> tuple[str, ...]:
     """Return the shapes that turn eyeballs of targets, by which gaze would be doubled.
 
     A shape of both eyes counts if both are driven. Shapes that only move lids do not count.

@@ -161,7 +161,7 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress = silent) -
         ),
         neutral_frame=space.neutral.neutral_frame,
         basis=basis_of(mapping, rig),
-        held=driven.held,
+        zeroed_shapes=driven.zeroed_shapes,
     )
     with writing_performance(
         spec.out,

@@ -107,7 +107,7 @@ def run(spec: RetargetSpec, *, provenance: Provenance, progress: Progress = sile
         out = spec.out[index]
         share = part(progress, index / len(targets), (index + 1) / len(targets))
         header = _header(spec, motion, target)
-        header = replace(header, held=heads[index].held)
+        header = replace(header, zeroed_shapes=heads[index].zeroed_shapes)
         _write(out, header, motion, target, heads[index], alpha, share, provenance)
         target_notes = (*target.notes, *heads[index].notes, *edit_notes(out))
         notes += [f"{out.name}: {note}" for note in target_notes]

@@ -93,7 +93,7 @@ class WeightsHeader:
     """Of each, in the motion of the source's face [0-1]; empty if a person chose the pairs."""
     gaps: tuple[tuple[int, int], ...] = ()
     """First and last frame of stretches of a retargeting's source without a capture."""
-    held: tuple[str, ...] = ()
+    zeroed_shapes: tuple[str, ...] = ()
     """Shapes written at 0, as joints have the same effect."""
     combinations: tuple[Combination, ...] = ()
     """Written after the shapes that drive them."""
@@ -137,7 +137,7 @@ class WeightsWriter:
         self._unsaved = 0
         self._header = header
         names = index_of(header.shape_names)
-        self._held = [names[name] for name in header.held if name in names]
+        self._zeroed = [names[name] for name in header.zeroed_shapes if name in names]
         self._logic = logic_of(header.shape_names, header.combinations)
         self.next_frame = header.first_frame
 
@@ -168,7 +168,7 @@ class WeightsWriter:
         for start in range(0, len(weights), self._save_frames):
             part = slice(start, start + self._save_frames)
             rows: RealArray = np.pad(weights[part], ((0, 0), (0, rest)))
-            rows[:, self._held] = 0.0
+            rows[:, self._zeroed] = 0.0
             if self._logic is not None:
                 rows = self._logic.complete(rows, self._header.shape_names)
             self._append_block(

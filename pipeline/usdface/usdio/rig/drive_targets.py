@@ -36,7 +36,7 @@ class HeadDrive:
 
     transforms: Mapping[DriveTarget, FloatArray] = field(default_factory=dict)
     """(frames, 4, 4) by target, from rest, in the rig's world [mm]."""
-    held: tuple[str, ...] = ()
+    zeroed_shapes: tuple[str, ...] = ()
     """Shapes that turn the same eyeballs, and are written at 0."""
     notes: tuple[str, ...] = ()
 
