@@ -21,8 +21,8 @@ from usdface.model.selection.design import (
     choose_visemes,
     extreme_frames,
     pool_of,
+    proxy_error_mm,
     selection_space,
-    stand_in_error_mm,
     viseme_frames,
 )
 from usdface.numerics.regression.pca import fit_pca
@@ -98,7 +98,7 @@ def test_the_design_that_teaches_best_is_taken_and_blinks_are_in_it() -> None:
     assert weights[choice.rows, 1].any()
     rng = np.random.default_rng(0)
     picks = [rng.choice(len(features), 12, replace=False) for _ in range(10)]
-    by_chance = [stand_in_error_mm(features[rows], weights[rows], stand_ins) for rows in picks]
+    by_chance = [proxy_error_mm(features[rows], weights[rows], stand_ins) for rows in picks]
     assert choice.measured_mm[choice.design] < np.median(by_chance)
 
 

@@ -272,9 +272,7 @@ def choose_by_design(
     known_rows = np.unique(np.concatenate([already, *chosen.values()]))
     weights = stand_ins.of_rows(known_rows)
     measured = {
-        name: stand_in_error_mm(
-            features_at(features, known_rows[taught]), weights[taught], stand_ins
-        )
+        name: proxy_error_mm(features_at(features, known_rows[taught]), weights[taught], stand_ins)
         for name, picks in chosen.items()
         for taught in [np.isin(known_rows, [*already, *picks])]
     }
@@ -331,9 +329,7 @@ def choose_visemes(
     )
 
 
-def stand_in_error_mm(
-    features: FloatArray, weights: FloatArray, stand_ins: CandidateMarkers
-) -> float:
+def proxy_error_mm(features: FloatArray, weights: FloatArray, stand_ins: CandidateMarkers) -> float:
     """Return the RMS error of stand-in weights predicted from some frames [mm].
 
     Parameters

@@ -177,7 +177,7 @@ def read_placement_of(
             f"{path}: places {len(names) - len(missing)} of the takes' {len(names)} markers, "
             f"without {first_few(missing)}; run `usdface place` with these takes"
         )
-    if not knows_markers(placement, names, neutral):
+    if not is_placement_of(placement, names, neutral):
         raise InputError(
             f"{path}: places the markers of another face; run `usdface place` with these takes"
         )
@@ -189,7 +189,7 @@ def _missing(placement: RigPlacement, names: tuple[str, ...]) -> list[str]:
     return [name for name in names if name not in known]
 
 
-def knows_markers(placement: RigPlacement, names: tuple[str, ...], neutral: FloatArray) -> bool:
+def is_placement_of(placement: RigPlacement, names: tuple[str, ...], neutral: FloatArray) -> bool:
     """Whether a placement is of these markers and this performer's face."""
     row_of = _bound(placement)
     bound = [marker for marker, name in enumerate(names) if name in row_of]
@@ -248,7 +248,7 @@ def placed_equation(
     Parameters are those of `set_up_equation`. Markers that the placement leaves out are treated as
     rigid.
     """
-    if placement is None or not knows_markers(placement, labels, neutral):
+    if placement is None or not is_placement_of(placement, labels, neutral):
         return set_up_equation(
             rig,
             deformer,
@@ -293,7 +293,7 @@ def rest_places(references: References, rig: Rig, points: FloatArray) -> RestPla
         of these markers, neither markers nor motion scale.
     """
     placement = stored_placement(references, rig)
-    if placement is None or not knows_markers(
+    if placement is None or not is_placement_of(
         placement, references.marker_names, references.neutral
     ):
         return RestPlaces(points)

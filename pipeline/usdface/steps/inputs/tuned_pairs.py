@@ -99,7 +99,7 @@ def _keyed_pairs(out: Path, marked: dict[int, TunedPair]) -> dict[int, TunedPair
     }
 
 
-def rows_in_place(count: int, kept: list[PlacedPair], chosen: IntArray) -> list[int]:
+def rows_of_pairs(count: int, kept: list[PlacedPair], chosen: IntArray) -> list[int]:
     """Return the row of each pair: tuned pairs keep their index, chosen ones fill the others."""
     place = {each.pair: each.row for each in kept}
     free = iter(chosen.tolist())

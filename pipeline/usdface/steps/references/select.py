@@ -59,7 +59,7 @@ from usdface.steps.inputs.scene import (
 from usdface.steps.inputs.tuned_pairs import (
     PlacedPair,
     find_placed_pairs,
-    rows_in_place,
+    rows_of_pairs,
     tuned_conflicts,
 )
 from usdface.steps.references.images import (
@@ -120,7 +120,7 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
     progress(0.5, "choosing frames")
     mapped = None if mapping is None else takes_prediction(mapping, takes)
     choice = _choose(selection)
-    rows = np.array(rows_in_place(spec.count, kept, choice.rows), dtype=np.int64)
+    rows = np.array(rows_of_pairs(spec.count, kept, choice.rows), dtype=np.int64)
     progress(0.7, "proposing weights")
     weights = _propose(selection, mapped, rows)
     references = replace(

@@ -20,7 +20,7 @@ from usdface.steps.inputs.source_motion import (
     read_source_motion,
     source_transfer,
 )
-from usdface.steps.inputs.tuned_pairs import PlacedPair, find_placed_pairs, rows_in_place
+from usdface.steps.inputs.tuned_pairs import PlacedPair, find_placed_pairs, rows_of_pairs
 from usdface.usdio.take.read import TakeReader
 
 _OF_MARKERS = ("phones", "extremes", "mapping", "placement", "landmarks", "picture")
@@ -63,7 +63,7 @@ def select_by_weights(spec: SelectSpec, rig: Rig, progress: Progress) -> WeightS
     already = np.array([each.row for each in kept], dtype=np.int64)
     free = np.flatnonzero(candidate_frames(takes, spec.frames))
     chosen = _far_apart(spec, proposed, already, free)
-    rows = np.array(rows_in_place(spec.count, kept, chosen), dtype=np.int64)
+    rows = np.array(rows_of_pairs(spec.count, kept, chosen), dtype=np.int64)
     names = motions[0].names
     source = np.concatenate([columns_by_name(m.weights, m.names, names) for m in motions])
     references = References(

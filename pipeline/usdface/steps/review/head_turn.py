@@ -12,7 +12,11 @@ from usdface.model.placement.rig_orientation import face_axes, face_centre
 from usdface.model.retarget.head_pose import HEAD, turn_about
 from usdface.specs.review import AUTO_CAMERA
 from usdface.steps.inputs.head_drive import take_head_source
-from usdface.steps.inputs.placement import knows_markers, placement_of_performance, virtual_markers
+from usdface.steps.inputs.placement import (
+    is_placement_of,
+    placement_of_performance,
+    virtual_markers,
+)
 from usdface.steps.review.shot import Shot
 from usdface.usdio.rig.rig_motion import PointMotion
 from usdface.usdio.take.read import TakeReader
@@ -79,6 +83,6 @@ def _performer_axes(shot: Shot) -> FloatArray | None:
     if markers is None or placement is None:
         return None
     neutral = markers.positions[shot.neutral_row].astype(np.float64)
-    if not knows_markers(placement, markers.names, neutral):
+    if not is_placement_of(placement, markers.names, neutral):
         return None
     return virtual_markers(placement, markers.names, neutral).rotation
