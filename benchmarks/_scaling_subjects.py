@@ -27,7 +27,7 @@ from usdface.media.face.subdivision import catmull_clark
 from usdface.model.mapping.motion_space import fit_motion_space, motion_from_pca
 from usdface.model.mapping.predict import WeightPredictor
 from usdface.model.mapping.train import train_mapping
-from usdface.model.selection.design import CandidateMarkers, choose_by_design, selection_space
+from usdface.model.selection.design import WeightProposals, choose_by_design, selection_space
 from usdface.numerics.regression.pca import fit_pca
 from usdface.numerics.repair.cleaning import clean_markers
 from usdface.numerics.rigid.stabilization import stabilize
@@ -195,7 +195,7 @@ def _select(size: int, folder: Path) -> Work:
     space = selection_space(motion, actor.weights[sample], names)
     features = space.features((packed - motion.mean) @ motion.components.T)
     flat = actor.skin.reshape(SHAPES, -1)
-    stand_ins = CandidateMarkers(
+    proposals = WeightProposals(
         features=features[sample],
         weights=actor.weights[sample],
         of_rows=lambda rows: actor.weights[rows],
@@ -203,7 +203,7 @@ def _select(size: int, folder: Path) -> Work:
     )
     none, everything = np.zeros(0, np.int64), np.ones(size, np.bool_)
     return lambda: choose_by_design(
-        features, PAIRS, already=none, candidates=everything, stand_ins=stand_ins
+        features, PAIRS, already=none, candidates=everything, proposals=proposals
     )
 
 

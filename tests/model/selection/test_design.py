@@ -14,14 +14,14 @@ from usdface.model.selection.coverage import (
     measure_growth,
 )
 from usdface.model.selection.design import (
-    CandidateMarkers,
     Segment,
     SelectionSpace,
+    WeightProposals,
     choose_by_design,
     choose_visemes,
     extreme_frames,
     pool_of,
-    proxy_error_mm,
+    proposal_error_mm,
     selection_space,
     viseme_frames,
 )
@@ -79,8 +79,8 @@ def test_shapes_without_telling_names_make_one_region() -> None:
     assert space.features(motion.sample).shape == (len(packed), 8)
 
 
-def stand_ins_of(features: np.ndarray, weights: np.ndarray) -> CandidateMarkers:
-    return CandidateMarkers(features, weights, lambda rows: weights[rows], np.eye(4))
+def proposals_of(features: np.ndarray, weights: np.ndarray) -> WeightProposals:
+    return WeightProposals(features, weights, lambda rows: weights[rows], np.eye(4))
 
 
 def test_the_design_that_teaches_best_is_taken_and_blinks_are_in_it() -> None:
@@ -88,9 +88,9 @@ def test_the_design_that_teaches_best_is_taken_and_blinks_are_in_it() -> None:
     motion, space = space_of(weights, packed)
     features = space.features(motion.sample)
     everything = np.ones(len(features), bool)
-    stand_ins = stand_ins_of(features, weights)
+    proposals = proposals_of(features, weights)
     choice = choose_by_design(
-        features, 12, already=NONE, candidates=everything, stand_ins=stand_ins
+        features, 12, already=NONE, candidates=everything, proposals=proposals
     )
     assert choice.measured_mm[choice.design] == min(choice.measured_mm.values())
     assert len(choice.measured_mm) == 3
@@ -98,7 +98,7 @@ def test_the_design_that_teaches_best_is_taken_and_blinks_are_in_it() -> None:
     assert weights[choice.rows, 1].any()
     rng = np.random.default_rng(0)
     picks = [rng.choice(len(features), 12, replace=False) for _ in range(10)]
-    by_chance = [proxy_error_mm(features[rows], weights[rows], stand_ins) for rows in picks]
+    by_chance = [proposal_error_mm(features[rows], weights[rows], proposals) for rows in picks]
     assert choice.measured_mm[choice.design] < np.median(by_chance)
 
 
@@ -113,7 +113,7 @@ def test_no_choice_repeats_a_tuned_frame_or_leaves_the_candidates() -> None:
         90,
         already=already,
         candidates=candidates,
-        stand_ins=stand_ins_of(features, weights),
+        proposals=proposals_of(features, weights),
     ).rows
     assert len(set(designed.tolist())) == 90
     assert designed.min() >= 100

@@ -198,8 +198,8 @@ POOL_FRAMES = 24_000
 
 
 @dataclass(frozen=True)
-class CandidateMarkers:
-    """Weights from the rig's geometry that replace tuned ones while frames are chosen."""
+class WeightProposals:
+    """Weights from the rig's geometry, which replace tuned ones while frames are chosen."""
 
     features: FloatArray
     """(sample, d): of evenly spaced frames of the takes."""
@@ -220,7 +220,7 @@ class ReferenceChoice:
     design: str = ""
     """Name of the design; empty without one."""
     measured_mm: dict[str, float] = field(default_factory=dict)
-    """Error on all other frames with stand-in weights, by design [mm]."""
+    """Error of the proposals on all other frames, by design [mm]."""
     visemes: dict[int, str] = field(default_factory=dict)
     """Viseme of each frame chosen for one."""
     extremes: tuple[int, ...] = ()
@@ -250,9 +250,9 @@ def choose_by_design(
     *,
     already: IntArray,
     candidates: BoolArray,
-    stand_ins: CandidateMarkers,
+    proposals: WeightProposals,
 ) -> ReferenceChoice:
-    """Choose frames by each design and return those with the smallest error of stand-in weights.
+    """Choose frames by each design and return those with the smallest error of the proposals.
 
     Parameters
     ----------
@@ -270,9 +270,11 @@ def choose_by_design(
     for name, design in DESIGNS.items():
         chosen[name] = rows[design(features_at(features, rows), count, already=known).chosen]
     known_rows = np.unique(np.concatenate([already, *chosen.values()]))
-    weights = stand_ins.of_rows(known_rows)
+    weights = proposals.of_rows(known_rows)
     measured = {
-        name: proxy_error_mm(features_at(features, known_rows[taught]), weights[taught], stand_ins)
+        name: proposal_error_mm(
+            features_at(features, known_rows[taught]), weights[taught], proposals
+        )
         for name, picks in chosen.items()
         for taught in [np.isin(known_rows, [*already, *picks])]
     }
@@ -329,17 +331,19 @@ def choose_visemes(
     )
 
 
-def proxy_error_mm(features: FloatArray, weights: FloatArray, stand_ins: CandidateMarkers) -> float:
-    """Return the RMS error of stand-in weights predicted from some frames [mm].
+def proposal_error_mm(
+    features: FloatArray, weights: FloatArray, proposals: WeightProposals
+) -> float:
+    """Return the RMS error of proposals predicted from some frames [mm].
 
     Parameters
     ----------
     features, weights : (n, d) and (n, shapes) float arrays
     """
-    kernel = DesignKernel.for_rows(stand_ins.features)
-    predicted = predict_from(kernel, features, weights, stand_ins.features, noise=KEY_VARIANCE)
-    error = predicted - stand_ins.weights
-    squared = ((error @ stand_ins.gram) * error).sum(axis=1)
+    kernel = DesignKernel.for_rows(proposals.features)
+    predicted = predict_from(kernel, features, weights, proposals.features, noise=KEY_VARIANCE)
+    error = predicted - proposals.weights
+    squared = ((error @ proposals.gram) * error).sum(axis=1)
     return float(np.sqrt(np.maximum(squared, 0.0).mean()))
 
 

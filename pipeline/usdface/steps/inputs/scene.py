@@ -14,7 +14,7 @@ from usdface.model.mapping.performer_face import PerformerFace, face_of_mapping
 from usdface.model.mapping.predict import predict_weights
 from usdface.model.placement.shape_parts import missing_parts_note, shape_parts
 from usdface.model.selection.baseline import BlendshapeEquation
-from usdface.model.selection.design import CandidateMarkers, SelectionSpace, selection_space
+from usdface.model.selection.design import SelectionSpace, WeightProposals, selection_space
 from usdface.specs.paths import frame_range
 from usdface.steps.inputs.cleaned_takes import CleanedTakes
 from usdface.steps.inputs.placement import placed_equation
@@ -45,7 +45,7 @@ class SelectionScene:
     features: Float32Array
     """(frames, d): of every frame of the takes; single precision, at half the memory and time,
     rounds far below the noise of markers."""
-    stand_ins: CandidateMarkers
+    proposals: WeightProposals
 
     @property
     def notes(self) -> list[str]:
@@ -75,23 +75,23 @@ def set_up_scene(
     deformer = Deformer(rig)
     equation = _equation(takes, rig, deformer, placement)
 
-    def stand_in(coordinates: FloatArray) -> FloatArray:
+    def propose(coordinates: FloatArray) -> FloatArray:
         packed = motion.mean + coordinates @ motion.components
         return equation.propose(packed.reshape(len(packed), -1, 3))
 
-    weights = stand_in(motion.sample)
+    weights = propose(motion.sample)
     parts = shape_parts(rig, deformer)
     space = selection_space(motion, weights, parts)
-    stand_ins = CandidateMarkers(
+    proposals = WeightProposals(
         features=space.features(motion.sample),
         weights=weights,
-        of_rows=lambda rows: stand_in(
+        of_rows=lambda rows: propose(
             marker_coordinates(motion, takes.positions_at(rows).astype(np.float64))
         ),
         gram=deformer.shapes.gram(),
     )
     features = _features(takes, motion, space)
-    return SelectionScene(takes, rig, deformer, parts, motion, equation, space, features, stand_ins)
+    return SelectionScene(takes, rig, deformer, parts, motion, equation, space, features, proposals)
 
 
 def candidate_frames(takes: CleanedTakes, frames: str | None) -> BoolArray:

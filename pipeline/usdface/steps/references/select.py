@@ -334,7 +334,7 @@ def _choose(selection: _Selection) -> ReferenceChoice:
         rest,
         already=np.concatenate([selection.already, spoken.rows]),
         candidates=selection.candidates,
-        stand_ins=selection.scene.stand_ins,
+        proposals=selection.scene.proposals,
     )
     together = np.concatenate([spoken.rows, designed.rows])
     return replace(
