@@ -22,7 +22,7 @@ from usdface.runner.execute import execute
 from usdface.specs.capture import CleanSpec, IngestSpec
 from usdface.specs.performance import MapSpec, TrainSpec
 from usdface.specs.references import SelectSpec
-from usdface.steps.review.scoring import ShotRuler, read_keys, set_up_shot_baseline
+from usdface.steps.review.scoring import ShotMetric, read_keys, set_up_shot_baseline
 from usdface.steps.review.shot import Shot, open_shot
 
 REFERENCES = 50
@@ -51,7 +51,7 @@ def run() -> None:
     with tempfile.TemporaryDirectory() as name:
         for take, performance, keys, frames in _keyed_takes(Path(name)):
             shot = open_shot(performance, frames=frames)
-            ruler = ShotRuler(shot)
+            ruler = ShotMetric(shot)
             truth = read_keys(keys, shot)
             signals = ruler.signals(None, set_up_shot_baseline(shot))
             keyed = ruler.signals(truth)
@@ -60,7 +60,7 @@ def run() -> None:
             verdicts[f"{take}, with keys"] = judge_solve(keyed.evidence)
         for take, performance in _recorded_takes(Path(name)):
             shot = open_shot(performance)
-            verdicts[take] = judge_solve(ShotRuler(shot).evidence(None))
+            verdicts[take] = judge_solve(ShotMetric(shot).evidence(None))
     _print(verdicts, ranked)
 
 

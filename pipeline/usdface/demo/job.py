@@ -20,7 +20,7 @@ from usdface.demo.build import (
     write_weights,
 )
 from usdface.demo.script import NEUTRAL_TIME
-from usdface.model.mapping.evaluation import SkinRuler
+from usdface.model.mapping.evaluation import SkinMetric
 from usdface.model.review.moments import region_distances
 from usdface.runner.job import JobEvents, run_job
 from usdface.runner.outputs import confine
@@ -195,14 +195,14 @@ def _job(inputs: DemoInputs, folder: Path, model: Path | None) -> JobSpec:
 
 
 def _error_of_other_frames(inputs: DemoInputs, folder: Path) -> FloatArray:
-    """Return the error of the skin in all frames that are not references [mm]; see `SkinRuler`."""
+    """Return the error of the skin in all frames that are not references [mm]; see `SkinMetric`."""
     rig, truth = read_rig(inputs.rig), inputs.truth
     solved = read_performance(folder / "demo.character.usda").weights
     weights, wanted = (
         columns_by_name(each.values, each.names, rig.shapes).astype(np.float64)
         for each in (solved, truth)
     )
-    ruler = SkinRuler(rig, Deformer(rig))
-    error = region_distances(ruler.differences(weights, wanted), ruler.grams[:1])[:, 0]
+    metric = SkinMetric(rig, Deformer(rig))
+    error = region_distances(metric.differences(weights, wanted), metric.grams[:1])[:, 0]
     keyed = read_references(folder / "demo.references.usda").frames - truth.first_frame
     return np.asarray(np.delete(error, keyed))

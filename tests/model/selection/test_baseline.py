@@ -7,7 +7,7 @@ import pytest
 
 from tests.usdio.small_rig import small_rig
 from usdface.core.deformer import Deformer
-from usdface.model.retarget.cyclic import SurfaceMeter
+from usdface.model.retarget.cyclic import SurfaceMetric
 from usdface.model.selection.baseline import BlendshapeEquation
 from usdface.numerics.registration.virtual_markers import VirtualMarkers
 from usdface.numerics.solve.blendshape_equation import MarkerKeys
@@ -97,7 +97,7 @@ def test_errors_there_and_back_are_measured_where_shapes_bend() -> None:
     deformer = Deformer(rig)
     first, second = np.random.default_rng(0).random((2, 12, len(rig.shapes)))
     apart = np.linalg.norm(deformer.points(first) - deformer.points(second), axis=2)
-    found = SurfaceMeter(rig).mean_vertex_mm(first, second)
+    found = SurfaceMetric(rig).mean_vertex_mm(first, second)
     np.testing.assert_allclose(found, apart.mean(axis=1), atol=1e-12)
 
 

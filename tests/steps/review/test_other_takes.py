@@ -23,7 +23,7 @@ from usdface.specs.references import (
     ReferencesFromEditsSpec,
 )
 from usdface.specs.review import EvaluateSpec, FacesSpec, MovieSpec, ReportSpec, SheetSpec
-from usdface.steps.review.scoring import ShotRuler
+from usdface.steps.review.scoring import ShotMetric
 from usdface.steps.review.shot import open_shot
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.references.read import read_references
@@ -59,7 +59,7 @@ def test_takes_of_weights_are_reviewed(shot: Shot, video: bool) -> None:
     opened = open_shot(hero)
     nothing = {"uncertainty_mm": None, "coverage": None, "residual_mm": None, "regions": ()}
     opened = replace(opened, performance=replace(opened.performance, **nothing))
-    moment = ShotRuler(opened).signals(None).moment(200 - reader.first_frame)
+    moment = ShotMetric(opened).signals(None).moment(200 - reader.first_frame)
     assert moment.region == "mouth"
     assert moment.reason.startswith("jumps by")
     assert ("video" in judge_solve(opened.evidence()).advice) == video

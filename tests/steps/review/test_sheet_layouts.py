@@ -18,7 +18,7 @@ from usdface.media.picture.color import bytes_from_linear
 from usdface.media.picture.display_view import display_view
 from usdface.media.picture.image import read_image_metadata
 from usdface.media.picture.sheet import Tile
-from usdface.model.mapping.evaluation import SkinRuler
+from usdface.model.mapping.evaluation import SkinMetric
 from usdface.model.review.verdict import VERDICT_WORDS
 from usdface.runner.execute import execute
 from usdface.specs.edits import EditSpec
@@ -71,7 +71,7 @@ def test_skin_that_no_region_measures_has_no_uncertainty(shot: Shot, monkeypatch
     )
     columns_of(shot, monkeypatch, baseline=False)
     rig = read_rig(shot / "hero.usdc")
-    points = SkinRuler(rig, Deformer(rig)).points
+    points = SkinMetric(rig, Deformer(rig)).points
     points.pop("face")
     measured = np.concatenate(list(points.values()))
     assert painted

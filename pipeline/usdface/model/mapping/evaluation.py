@@ -37,7 +37,7 @@ from usdface.numerics.measure.performance_error import (
 
 
 @dataclass(frozen=True)
-class SkinRuler:
+class SkinMetric:
     """Surface errors on the skin of a rig, without gaze and tongue, which markers do not show."""
 
     rig: Rig
@@ -181,7 +181,7 @@ def evaluate_weights(
     if not (np.isfinite(solved).all() and np.isfinite(truth).all()):
         raise InputError("weights to compare must be finite")
     deformer = Deformer(rig)
-    skin = SkinRuler(rig, deformer)
+    skin = SkinMetric(rig, deformer)
     observable = skin.observable if observable is None else observable
     offsets, targets = deformer.shapes.key_offsets, deformer.shapes.target_offsets()
     solved_keys, truth_keys = map(deformer.shapes.key_weights, (solved, truth))

@@ -63,7 +63,7 @@ class CyclicVariant:
 DEFAULT_VARIANT = CyclicVariant()
 
 
-class SurfaceMeter:
+class SurfaceMetric:
     """Distance between a rig's surfaces under two sets of weights."""
 
     def __init__(self, rig: Rig) -> None:
@@ -130,9 +130,9 @@ def evaluate_cyclic(
     shape_ranges : (target shapes, 2) float array, optional
     """
     surface = sampled_displacements(rig, pairs.source_shapes)
-    source_meter = SurfaceMeter(rig)
+    source_meter = SurfaceMetric(rig)
     truth = variant.truth
-    target_meter = None if truth is None or target_rig is None else SurfaceMeter(target_rig)
+    target_meter = None if truth is None or target_rig is None else SurfaceMetric(target_rig)
     source_weights = columns_by_name(performance, pairs.source_shapes, rig.shapes)
     errors = []
     for number, method in enumerate(methods):

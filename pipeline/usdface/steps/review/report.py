@@ -48,7 +48,7 @@ from usdface.steps.review.report_tables import (
     show_coverage,
 )
 from usdface.steps.review.scoring import (
-    ShotRuler,
+    ShotMetric,
     read_keys,
     set_up_shot_baseline,
     solve_baseline,
@@ -116,13 +116,13 @@ def _page(
     progress: Progress,
 ) -> ReviewPage:
     """Return the contents of the report; notes on missing parts are appended."""
-    take, rig, ruler = shot.take, shot.rig, ShotRuler(shot)
+    take, rig, metric = shot.take, shot.rig, ShotMetric(shot)
     keys = read_keys(spec.against, shot, spec.weight_unit)
     pictures, review_notes = _sheet(spec), page_notes(spec, shot)  # errors before long work
     spoken = labels_at(spec.phones, take, shot.frames) if spec.phones else ()
     progress(0.05, "placing the markers on the rig")
     equation = set_up_shot_baseline(shot) if take.markers is not None else None
-    signals, parts = ruler.signals(keys, equation), ruler.skin.parts
+    signals, parts = metric.signals(keys, equation), metric.skin.parts
     verdict = judge_solve(signals.evidence)
     rows = np.arange(len(shot.frames))
     baseline = solve_baseline(equation, shot, rows) if spec.baseline and equation else None
@@ -163,7 +163,7 @@ def _page(
         origin=provenance_metadata(provenance),
         markers=None if equation is None else page_markers(shot, equation),
         heat=page_heat(signals, curves),
-        left_out=tuple(rig.shapes[column] for column in ruler.skin.excluded.tolist()),
+        left_out=tuple(rig.shapes[column] for column in metric.skin.excluded.tolist()),
         notes=review_notes,
         commands=page_commands(spec, shot, spec.references or find_references(spec.performance)),
     )

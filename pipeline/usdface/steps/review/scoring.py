@@ -10,7 +10,7 @@ from usdface.core.arrays import FloatArray, IntArray, index_of
 from usdface.core.errors import InputError
 from usdface.media.picture.color import KEYS_RANGE_MM, UNKEYED_RANGE_MM
 from usdface.media.picture.error_strip import ErrorCurve
-from usdface.model.mapping.evaluation import SkinRuler
+from usdface.model.mapping.evaluation import SkinMetric
 from usdface.model.review.moments import (
     Moment,
     ReviewSignals,
@@ -35,15 +35,15 @@ _MEASURED_GAPS = 200
 
 
 @dataclass(frozen=True)
-class ShotRuler:
+class ShotMetric:
     """Distances of the skin of a shot's rig between sets of weights."""
 
     shot: Shot
 
     @cached_property
-    def skin(self) -> SkinRuler:
+    def skin(self) -> SkinMetric:
         """Measure of the skin, without gaze and tongue."""
-        return SkinRuler(self.shot.rig, self.shot.deformer)
+        return SkinMetric(self.shot.rig, self.shot.deformer)
 
     @property
     def regions(self) -> tuple[str, ...]:
@@ -162,7 +162,7 @@ def read_keys(file: Path | None, shot: Shot, unit: str | None = None) -> FloatAr
 def score(label: str, shot: Shot, weights: FloatArray, truth: FloatArray | None) -> Score:
     """Measure weights against keys; without keys, the shot's own weights have an uncertainty."""
     if truth is not None:
-        error = ShotRuler(shot).distances(weights, truth)[:, 0]
+        error = ShotMetric(shot).distances(weights, truth)[:, 0]
         return Score(label, weights, error, against_truth=True)
     uncertainty = shot.face_uncertainty_mm()
     if uncertainty is None or weights is not shot.weights:

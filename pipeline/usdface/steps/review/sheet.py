@@ -299,7 +299,7 @@ def _unseen_mm(comparison: SheetComparison) -> dict[str, float]:
     if comparison.truth is None:
         return {}
     weights = comparison.shots[0].weights
-    return comparison.ruler.skin.excluded_mm(weights, comparison.truth)
+    return comparison.metric.skin.excluded_mm(weights, comparison.truth)
 
 
 def _result(

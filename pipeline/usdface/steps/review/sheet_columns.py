@@ -21,7 +21,7 @@ from usdface.steps.review.pictures import ShotPictures
 from usdface.steps.review.scoring import (
     ChosenFrame,
     Score,
-    ShotRuler,
+    ShotMetric,
     choose_frames,
     range_mm,
     read_keys,
@@ -48,7 +48,7 @@ class SheetComparison:
 
     shots: list[Shot]
     """The performance, then those of --also."""
-    ruler: ShotRuler
+    metric: ShotMetric
     """Of the first shot."""
     signals: ReviewSignals
     """Of the first shot."""
@@ -80,9 +80,9 @@ def compare_shots(spec: SheetSpec, progress: Progress) -> SheetComparison:
     shot = shots[0]
     progress(0.1, "placing the markers on the rig")
     equation = None if shot.take.markers is None else set_up_shot_baseline(shot)
-    ruler = ShotRuler(shot)
+    metric = ShotMetric(shot)
     truth = read_keys(spec.against, shot, spec.weight_unit)
-    signals = ruler.signals(truth, equation)
+    signals = metric.signals(truth, equation)
     chosen = _choose(spec, shot, signals)
     rows = [frame.row for frame in chosen]
     scores = [score("solve", shot, shot.weights, truth)]
@@ -95,9 +95,11 @@ def compare_shots(spec: SheetSpec, progress: Progress) -> SheetComparison:
     for other, label in zip(shots[1:], labels, strict=True):
         known = truth if _same_face(other, shot) else None
         scores.append(score(label, other, other.weights, known))
-        verdicts[label] = judge_solve(ShotRuler(other).evidence(known))
+        verdicts[label] = judge_solve(ShotMetric(other).evidence(known))
     spoken = labels_at(spec.phones, shot.take, shot.frames[rows])
-    return SheetComparison(shots, ruler, signals, equation, truth, scores, chosen, spoken, verdicts)
+    return SheetComparison(
+        shots, metric, signals, equation, truth, scores, chosen, spoken, verdicts
+    )
 
 
 def row_count(spec: SheetSpec) -> int:
@@ -202,7 +204,7 @@ def _errors(pictures: ShotPictures, comparison: SheetComparison) -> Callable[[in
         if truth is None or np.isnan(truth[row]).any():
             return Tile(None, caption="no keys here")
         weights = shot.weights[row].copy()
-        excluded = comparison.ruler.skin.excluded
+        excluded = comparison.metric.skin.excluded
         weights[excluded] = truth[row, excluded]
         solved, keyed = (shot.deformer.points(w[None])[0] for w in (weights, truth[row]))
         error = np.linalg.norm(solved - keyed, axis=-1)
@@ -215,7 +217,7 @@ def _errors(pictures: ShotPictures, comparison: SheetComparison) -> Callable[[in
 def _uncertainties(pictures: ShotPictures, comparison: SheetComparison) -> Callable[[int], Tile]:
     """Return a function that paints the uncertainty of each region."""
     shot, evidence = comparison.shots[0], comparison.signals.evidence
-    points = {name: comparison.ruler.skin.points.get(name) for name in evidence.regions[1:]}
+    points = {name: comparison.metric.skin.points.get(name) for name in evidence.regions[1:]}
 
     def draw(row: int) -> Tile:
         if evidence.uncertainty_mm is None:
