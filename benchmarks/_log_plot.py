@@ -12,7 +12,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from usdface.media.picture.canvas import spread_rows
+from usdface.media.picture.canvas import space_rows
 
 WIDTH, HEIGHT = 860, 520
 _BOX = (0.093, 0.123, 0.593, 0.769)
@@ -85,7 +85,7 @@ def _label_ends(axes: Axes, lines: Sequence[Line]) -> None:
     order = sorted(lines, key=lambda line: line.fitted[1])
     shares = [np.log(line.fitted[1] / low) / np.log(high / low) for line in order]
     ends = tall * np.array(shares)
-    rows = spread_rows(ends, spacing=_LABEL_PIXELS, height=tall, margin=6)
+    rows = space_rows(ends, spacing=_LABEL_PIXELS, height=tall, margin=6)
     for line, row in zip(order, rows.tolist(), strict=True):
         axes.annotate(
             line.label,

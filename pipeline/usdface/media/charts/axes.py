@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from usdface.core.arrays import ByteImage, FloatArray
-from usdface.media.picture.canvas import spread_rows
+from usdface.media.picture.canvas import space_rows
 from usdface.media.picture.color import (
     BRIGHT,
     DIM,
@@ -226,7 +226,7 @@ def label_ends(axes: Axes, labels: Sequence[tuple[str, float, Color]]) -> None:
     order = sorted(range(len(labels)), key=lambda index: labels[index][1])
     ends = np.array([(labels[index][1] - low) / (high - low) * tall for index in order])
     spacing = min(LABEL_PIXELS + 5.0, tall / max(len(labels), 1))
-    rows = spread_rows(ends, spacing=spacing, height=tall, margin=8)
+    rows = space_rows(ends, spacing=spacing, height=tall, margin=8)
     for index, row in zip(order, rows.tolist(), strict=True):
         text, _, color = labels[index]
         add_label(axes, text, (1, 0), shift=(10, row - 5), color=color)

@@ -22,7 +22,7 @@ PUPIL_ANGLE = 0.20
 
 
 @dataclass(frozen=True)
-class Effort:
+class RayCounts:
     """Rays per pixel to the sky and the key light, and samples and rays on edges."""
 
     sky_rays: int
@@ -32,9 +32,9 @@ class Effort:
     edge_light_rays: int
 
 
-EFFORT = {
-    "draft": Effort(2, 1, 4, 2, 1),
-    "final": Effort(4, 2, 8, 3, 2),
+RAY_COUNTS = {
+    "draft": RayCounts(2, 1, 4, 2, 1),
+    "final": RayCounts(4, 2, 8, 3, 2),
 }
 _CONTRAST_STEP = 0.05  # difference between neighbours from which a pixel is supersampled
 _TOP, _BOTTOM = 0.060, 0.022  # background, linear
@@ -51,7 +51,7 @@ class View:
     width: int
     height: int
     """`width`, `height`: [pixels]"""
-    effort: Effort
+    ray_counts: RayCounts
     tracer: Tracer
     """Of the posed points."""
     normals: Float32Array
@@ -113,8 +113,10 @@ def draw(view: View) -> Float32Array:
     pattern = (columns % 4 + 4 * (rows % 4)).ravel()
     samples = _sample(view, centers)
     rays = samples.found.rays
-    effort = view.effort
-    seen = _occlusion(view, samples, pattern[rays], sky=effort.sky_rays, light=effort.light_rays)
+    ray_counts = view.ray_counts
+    seen = _occlusion(
+        view, samples, pattern[rays], sky=ray_counts.sky_rays, light=ray_counts.light_rays
+    )
     seen = denoise(
         seen,
         rays=rays,
@@ -284,7 +286,7 @@ class _Known:
 
 def _resample(view: View, edges: IntArray, near_hole: BoolArray, known: _Known) -> Float32Array:
     """Return the mean of several samples in each of the given pixels."""
-    count = view.effort.edge_samples
+    count = view.ray_counts.edge_samples
     plastic = 1.32471795724474602596
     steps = np.arange(count)
     spread = np.stack([(0.5 + steps / plastic) % 1, (0.5 + steps / plastic**2) % 1], axis=1)
@@ -299,8 +301,8 @@ def _resample(view: View, edges: IntArray, near_hole: BoolArray, known: _Known) 
         view,
         rest,
         (rest.found.rays * 5 + owner[rest.found.rays]) % PATTERN_COUNT,
-        sky=view.effort.edge_sky_rays,
-        light=view.effort.edge_light_rays,
+        sky=view.ray_counts.edge_sky_rays,
+        light=view.ray_counts.edge_light_rays,
     )
     light = background(view.height, view.width)[owner // view.width, 0]
     light[near_hole[owner]] = _HOLE_LIGHT

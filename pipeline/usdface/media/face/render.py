@@ -10,7 +10,7 @@ from usdface.core.arrays import ByteImage, Float32Array, FloatArray, row_lengths
 from usdface.core.assets import RigMesh
 from usdface.core.errors import InputError
 from usdface.media.face.camera import Camera
-from usdface.media.face.raycast import EFFORT, View, draw
+from usdface.media.face.raycast import RAY_COUNTS, View, draw
 from usdface.media.face.surface import Surface, build_surface
 from usdface.media.face.tracing import Tracer, traced_triangles
 from usdface.media.picture.color import bytes_from_linear, heat_ramp
@@ -110,7 +110,7 @@ class FaceRenderer:
             camera=camera,
             width=width,
             height=height,
-            effort=EFFORT[quality],
+            ray_counts=RAY_COUNTS[quality],
             tracer=self._tracer(fine.astype(np.float32)),
             normals=normals.astype(np.float32),
             colors=colors,

@@ -36,7 +36,7 @@ LONG_EDGE = 0.02
 
 
 @dataclass(frozen=True)
-class Middles:
+class QuadCentres:
     """Drawn points at the centre of a quad, with the mean normal of its corners."""
 
     points: IntArray
@@ -55,7 +55,7 @@ class Surface:
     """(triangles, 3)"""
     normals: Sparse
     """(drawn points, triangles): sums triangle normals at their corners."""
-    middles: Middles
+    middles: QuadCentres
     parts: IntArray
     """(triangles,): `FacePart` of each."""
     albedo: Float32Array
@@ -160,7 +160,7 @@ class _Drawn:
     face_of_triangle: IntArray  # the cage polygon of each triangle
     face_count: int
     row_of_point: IntArray  # the drawn point of each cage point
-    middles: Middles
+    middles: QuadCentres
 
 
 @dataclass(frozen=True)
@@ -244,7 +244,7 @@ def _refine(mesh: RigMesh, *, least_edge: float) -> _Drawn:
         cage_face[cut.faces],
         len(mesh.face_counts),
         np.arange(count),  # subdivision and cutting keep the cage's points first
-        Middles(first + np.arange(len(cut.corners)), cut.corners),
+        QuadCentres(first + np.arange(len(cut.corners)), cut.corners),
     )
 
 
@@ -265,7 +265,7 @@ def _concatenate(drawn: Sequence[_Drawn]) -> _Drawn:
         row_of_point=np.concatenate(
             [d.row_of_point + r for d, r in zip(drawn, rows, strict=False)]
         ),
-        middles=Middles(
+        middles=QuadCentres(
             np.concatenate([d.middles.points + r for d, r in zip(drawn, rows, strict=False)]),
             np.concatenate([d.middles.corners + r for d, r in zip(drawn, rows, strict=False)]),
         ),

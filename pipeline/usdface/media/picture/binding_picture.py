@@ -18,7 +18,7 @@ from usdface.media.picture.canvas import (
     draw_line,
     fill_box,
     new_picture,
-    spread_rows,
+    space_rows,
 )
 from usdface.media.picture.color import BLUE, GREEN, PAGE, SOFT, Color
 from usdface.media.picture.sheet import draw_header, draw_verdict
@@ -212,7 +212,7 @@ def _draw_names(
         mine = named if sum(columns) == 1 else named & ((at[:, 0] < middle) == left)
         side = np.flatnonzero(mine)
         side = side[np.argsort(at[side, 1], kind="stable")]
-        rows = spread_rows(
+        rows = space_rows(
             at[side, 1],
             spacing=min(_NAME_LINE, (height - 2 * _NAME_MARGIN) / max(len(side), 1)),
             height=height,

@@ -75,7 +75,7 @@ def draw_line(
     _blend(window, np.clip(thickness / 2 + 0.5 - distance, 0, 1), color)
 
 
-def spread_rows(
+def space_rows(
     rows: FloatArray, *, spacing: float, height: float, margin: float = 0.0
 ) -> FloatArray:
     """Return rows of labels with a minimum spacing, nearest to the desired ones: (n,).
