@@ -106,7 +106,7 @@ def test_requests_that_are_never_made_hold_nobody_off(monkeypatch: pytest.Monkey
     """Any process of the machine may connect, and say nothing more."""
     monkeypatch.setattr(guard, "REQUEST_SECONDS", 1.0)
     app = PlainTextResponse("here")
-    config = uvicorn.Config(app, http=guard.PromptProtocol, lifespan="off", log_level="error")
+    config = uvicorn.Config(app, http=guard.IdleTimeoutProtocol, lifespan="off", log_level="error")
     server = uvicorn.Server(config)
     with socket.create_server(("127.0.0.1", 0), backlog=128) as listener, ExitStack() as sockets:
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
@@ -125,7 +125,7 @@ def test_requests_that_are_never_made_hold_nobody_off(monkeypatch: pytest.Monkey
             page.close()
             half_open[-1].settimeout(10)
             assert half_open[-1].recv(1) == b""  # closed, as it said nothing more
-            assert not guard.PromptProtocol._unasked
+            assert not guard.IdleTimeoutProtocol._unasked
         finally:
             server.should_exit = True
             thread.join()

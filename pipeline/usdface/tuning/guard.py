@@ -179,21 +179,21 @@ def _limited(receive: Receive) -> Receive:
 
 REQUEST_SECONDS = 5.0
 """Time from connection to the end of the first request's header."""
-MOST_UNASKED = 32
+MAX_IDLE_CONNECTIONS = 32
 """Most open connections without a request."""
 
 
-class PromptProtocol(H11Protocol):
+class IdleTimeoutProtocol(H11Protocol):
     """Closes connections without a request, which any process could open."""
 
-    _unasked: ClassVar[dict["PromptProtocol", asyncio.TimerHandle]] = {}
+    _unasked: ClassVar[dict["IdleTimeoutProtocol", asyncio.TimerHandle]] = {}
     """Oldest first."""
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Start the timeout; with too many connections, close the oldest."""
         super().connection_made(transport)
         self._unasked[self] = self.loop.call_later(REQUEST_SECONDS, transport.close)
-        if len(self._unasked) > MOST_UNASKED:
+        if len(self._unasked) > MAX_IDLE_CONNECTIONS:
             oldest = next(iter(self._unasked))
             oldest.transport.close()
             oldest._settle()

@@ -18,7 +18,7 @@ from usdface.core.errors import CancelledError, InputError
 from usdface.specs.commands import TuneSpec
 from usdface.specs.notes import read_notes
 from usdface.tuning.application import Scene, build_application
-from usdface.tuning.guard import Guard, PromptProtocol
+from usdface.tuning.guard import Guard, IdleTimeoutProtocol
 from usdface.tuning.pictures import PairPictures
 from usdface.tuning.session import TuningSession
 from usdface.tuning.waits import Waits
@@ -99,7 +99,7 @@ def _run(
         log_level="warning",
         access_log=False,
         server_header=False,
-        http=PromptProtocol,
+        http=IdleTimeoutProtocol,
         timeout_graceful_shutdown=1,
         lifespan="off",
     )

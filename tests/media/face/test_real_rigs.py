@@ -45,7 +45,7 @@ def test_lips_and_brows_are_where_a_person_sees_them(shared_data: Path, name: st
     shares = np.random.default_rng(0).dirichlet(np.ones(3), (8, len(surface.triangles)))
     over = np.moveaxis(surface.rest[surface.triangles], 1, 0)
     rest = np.einsum("stk,ktd->std", shares, over).reshape(-1, 3).astype(np.float32)
-    bare = np.einsum("stk,tk->st", shares, surface.bare[surface.triangles]).ravel()
+    bare = np.einsum("stk,tk->st", shares, surface.band_opacity[surface.triangles]).ravel()
     painted = bare * np.max([band.share(rest) for band in surface.bands], axis=0) > 0.1
     assert painted.any()
     x, y, z = rest.T
@@ -67,7 +67,7 @@ def test_brows_move_with_the_skin_of_a_coarse_mesh(shared_data: Path) -> None:
     renderer, camera, size = FaceRenderer(rig.meshes), frame_rig(rig.meshes), 200
     whole = renderer.surface
     brow = max(whole.bands, key=lambda band: float(band.rows[:, 0].mean()))
-    near = np.flatnonzero(brow.share(whole.rest) * whole.bare > 0.5)
+    near = np.flatnonzero(brow.share(whole.rest) * whole.band_opacity > 0.5)
     poses = np.zeros((3, len(rig.shapes)))
     poses[1, rig.shapes.index("browInnerUp")] = 1.0
     poses[2, [rig.shapes.index(f"browDown_{side}") for side in "LR"]] = 1.0

@@ -56,7 +56,7 @@ class Complexion:
     """(points, 3): linear."""
     bands: tuple[ColorBand, ...]
     """Lips and brows, if the rig has no colours."""
-    bare: FloatArray
+    band_opacity: FloatArray
     """(points,): opacity of the bands at each point [0-1]."""
 
 

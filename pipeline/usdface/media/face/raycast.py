@@ -196,10 +196,10 @@ def _paint_bands(surface: Surface, found: RayHits, corners: IntArray, albedo: Fl
     """Colour lips and brows by position on the resting face."""
     if not surface.bands:
         return
-    rows = np.flatnonzero(surface.bare[corners].any(axis=1))
+    rows = np.flatnonzero(surface.band_opacity[corners].any(axis=1))
     corners, shares = corners[rows], found.barycentric[rows]
     rest = _mix(surface.rest, corners, shares)
-    bare = _mix(surface.bare[:, None], corners, shares)
+    bare = _mix(surface.band_opacity[:, None], corners, shares)
     for band in surface.bands:
         albedo[rows] += bare * band.share(rest)[:, None] * (band.color - albedo[rows])
 

@@ -64,7 +64,7 @@ class Surface:
     """(triangles, 3): colour by material; NaN where `albedo` applies."""
     bands: tuple[ColorBand, ...]
     """Lips and brows, over `albedo`."""
-    bare: Float32Array
+    band_opacity: Float32Array
     """(drawn points,): opacity of the bands [0-1]; 0 away from them."""
     rest: Float32Array
     """(drawn points, 3) [mm]"""
@@ -138,7 +138,9 @@ def build_surface(meshes: Sequence[RigMesh]) -> Surface:
         albedo=_of_points_too(drawn.matrix @ complexion.colors, triangles, painted),
         painted=painted.astype(np.float32),
         bands=complexion.bands,
-        bare=_near_bands(drawn.matrix @ complexion.bare, complexion.bands, rest, triangles),
+        band_opacity=_near_bands(
+            drawn.matrix @ complexion.band_opacity, complexion.bands, rest, triangles
+        ),
         rest=rest.astype(np.float32),
         eyes=eyes[piece_of_triangle[kept]],
         eye_centers=np.array(
@@ -211,13 +213,13 @@ def _of_points_too(albedo: FloatArray, triangles: IntArray, painted: FloatArray)
 
 
 def _near_bands(
-    bare: FloatArray, bands: Sequence[ColorBand], rest: FloatArray, triangles: IntArray
+    band_opacity: FloatArray, bands: Sequence[ColorBand], rest: FloatArray, triangles: IntArray
 ) -> Float32Array:
-    """Return `bare` at the corners of triangles that may meet a band, else 0."""
-    near = np.zeros(len(bare), bool)
+    """Return `band_opacity` at the corners of triangles that may meet a band, else 0."""
+    near = np.zeros(len(band_opacity), bool)
     for band in bands:
         near[triangles[band.meets(rest[triangles])]] = True
-    return np.asarray(np.where(near, bare, 0.0), np.float32)
+    return np.asarray(np.where(near, band_opacity, 0.0), np.float32)
 
 
 def _refine(mesh: RigMesh, *, least_edge: float) -> _Drawn:

@@ -139,7 +139,7 @@ def pack_face(
         "colors": _colors(rig, deformer, surface)[used].T,
         "parts": _of_points(surface.parts, surface, fill=0)[used].astype(np.uint8),
         "eyes": _of_points(surface.eyes, surface, fill=-1)[used].astype(np.int8),
-        "bare": np.round(255 * surface.bare[used]).astype(np.uint8),
+        "bare": np.round(255 * surface.band_opacity[used]).astype(np.uint8),
         "keyPoints": keys.points,
         "offsets16": keys.narrow,
         "offsets32": keys.wide,

@@ -63,7 +63,7 @@ class LidEvidence:
         return tuple(np.array(self.shapes, np.int64)[self.seen.marked].tolist())
 
     @property
-    def misled(self) -> bool:
+    def shows_no_blinks(self) -> bool:
         """Whether the markers on the lids follow other motion and show no blinks."""
         return bool(self.seen.marked.any()) and not self.seen.shown
 
@@ -73,14 +73,14 @@ class LidEvidence:
 
         Without such markers only gaze is held: eyes close with the cheeks, which markers show.
         """
-        if self.misled:
+        if self.shows_no_blinks:
             return self.shapes + self.gaze
         return () if self.seen.shown or not self.shapes else self.gaze
 
     @property
     def tied(self) -> tuple[tuple[int, ...], ...]:
         """Shapes that share a weight: both blinks, if a lid has no marker."""
-        together = len(self.shapes) == 2 and not self.seen.marked.all() and not self.misled
+        together = len(self.shapes) == 2 and not self.seen.marked.all() and not self.shows_no_blinks
         return (self.shapes,) if together else ()
 
     def note(self, names: tuple[str, ...]) -> str:
@@ -95,7 +95,7 @@ class LidEvidence:
                 f"markers around the eyes{alike}; check blinks by the video"
             )
         gaze = ", and so does gaze" if self.gaze else ""
-        if self.misled:
+        if self.shows_no_blinks:
             own = max(
                 int(100 * self.seen.independent_peaks[marked].mean()), 0
             )  # never the limit itself
