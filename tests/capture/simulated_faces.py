@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from usdface.capture.face_gaze import LOOK_SHAPES
-from usdface.capture.face_landmarker import FaceFinding
+from usdface.capture.face_landmarker import FaceDetection
 from usdface.capture.face_landmarks import LANDMARK_COUNT, LANDMARKS
 from usdface.core.arrays import ByteImage, FloatArray
 from usdface.model.placement.face_template import face_template
@@ -63,11 +63,11 @@ class SimulatedFinder:
     def __exit__(self, *_: object) -> None:
         """Nothing is held."""
 
-    def find_faces(self, picture: ByteImage) -> list[FaceFinding]:
+    def find_faces(self, picture: ByteImage) -> list[FaceDetection]:
         number, look = divmod(self._count, self._looks)
         self._count += 1
         height, width = picture.shape[:2]
-        found: list[FaceFinding] = []
+        found: list[FaceDetection] = []
         heads = self._faces(number)
         if not heads:  # nobody looks into the mirror
             self._count = (number + 1) * self._looks
@@ -84,7 +84,7 @@ class SimulatedFinder:
             scores = np.array([0.0, 0.1, 0.5 + 0.01 * number, 0.3, *np.zeros(len(LOOK_SHAPES))])
             if look:
                 scores[[1, 3]] = scores[[3, 1]]
-            found.append(FaceFinding(np.add(landmarks, [self._bias, 0, 0]), scores))
+            found.append(FaceDetection(np.add(landmarks, [self._bias, 0, 0]), scores))
         return found
 
 

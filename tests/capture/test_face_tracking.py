@@ -11,7 +11,7 @@ import pytest
 from tests.capture.simulated_faces import SCORES, SimulatedFinder, turning_head
 from usdface.capture.face_landmarker import FaceLandmarker, check_model, named_model
 from usdface.capture.face_landmarks import LANDMARK_COUNT, LANDMARKS
-from usdface.capture.face_tracking import FaceFollower, detect_faces
+from usdface.capture.face_tracking import FaceTracker, detect_faces
 from usdface.core.errors import InputError
 from usdface.model.placement.label_hints import label_hint, mirrored_label
 
@@ -19,11 +19,11 @@ PICTURE = np.zeros((480, 640, 3), np.uint8)
 
 
 def follow(finder: SimulatedFinder, count: int, choice=None, *, mirrored: bool = False):
-    follower = FaceFollower(choice, mirrored=mirrored)
+    tracker = FaceTracker(choice, mirrored=mirrored)
     for number in range(count):
         found = detect_faces(finder, PICTURE, mirrored=mirrored)
-        follower.look(found, where=f"clip.mp4 picture {number}")
-    return follower.track(SCORES)
+        tracker.add(found, where=f"clip.mp4 picture {number}")
+    return tracker.track(SCORES)
 
 
 def test_names_say_part_and_side_and_mirror_each_other() -> None:

@@ -43,7 +43,7 @@ _MOST_FACES = 4
 
 
 @dataclass(frozen=True)
-class FaceFinding:
+class FaceDetection:
     """One face in one picture."""
 
     landmarks: FloatArray
@@ -137,7 +137,7 @@ class FaceLandmarker:
     def __exit__(self, *exception: object) -> None:
         self._landmarker.close()
 
-    def find_faces(self, picture: ByteImage) -> list[FaceFinding]:
+    def find_faces(self, picture: ByteImage) -> list[FaceDetection]:
         """Return the faces in a picture, at most four.
 
         Parameters
@@ -152,7 +152,7 @@ class FaceLandmarker:
         height, width = picture.shape[:2]
         size = np.array([width, height, width], np.float64)
         return [
-            FaceFinding(_positions(landmarks) * size, self._scores(scores))
+            FaceDetection(_positions(landmarks) * size, self._scores(scores))
             for landmarks, scores in zip(found.face_landmarks, found.face_blendshapes, strict=True)
         ]
 

@@ -5,7 +5,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from usdface.capture.face_landmarker import FaceFinding
+from usdface.capture.face_landmarker import FaceDetection
 from usdface.capture.face_landmarks import LANDMARKS
 from usdface.core.arrays import BoolArray, ByteImage, Float32Array, FloatArray
 from usdface.core.errors import InputError
@@ -35,14 +35,14 @@ _CUT_LOG_SIZE = float(np.log(1.2))
 """Change of log size between two pictures that is a cut; at most 4 % in the same pictures."""
 
 
-class FaceFinder(Protocol):
+class FaceDetector(Protocol):
     """A face detector, such as `FaceLandmarker`."""
 
     @property
     def score_names(self) -> tuple[str, ...]:
         """Names of the scores of each face."""
 
-    def find_faces(self, picture: ByteImage) -> list[FaceFinding]:
+    def find_faces(self, picture: ByteImage) -> list[FaceDetection]:
         """Return the faces in a picture."""
 
 
@@ -50,28 +50,28 @@ class FaceFinder(Protocol):
 class PictureFaces:
     """The faces in a picture, with the landmarks of `LANDMARKS` in single precision."""
 
-    direct: list[FaceFinding]
-    mirrored: list[FaceFinding]
+    direct: list[FaceDetection]
+    mirrored: list[FaceDetection]
     """Detected in the mirror image, mirrored back."""
 
 
-def detect_faces(finder: FaceFinder, picture: ByteImage, *, mirrored: bool) -> PictureFaces:
+def detect_faces(detector: FaceDetector, picture: ByteImage, *, mirrored: bool) -> PictureFaces:
     """Return the faces in a picture, and if `mirrored` those in its mirror image."""
-    direct = [_markers(face) for face in finder.find_faces(picture)]
+    direct = [_markers(face) for face in detector.find_faces(picture)]
     if not (mirrored and direct):
         return PictureFaces(direct, [])
     again = []
-    for face in finder.find_faces(picture[:, ::-1]):
+    for face in detector.find_faces(picture[:, ::-1]):
         back = face.landmarks * (-1, 1, 1) + (picture.shape[1], 0, 0)
-        found = _markers(FaceFinding(back, face.scores))
-        again.append(FaceFinding(found.landmarks[LANDMARKS.mirror], found.scores))
+        found = _markers(FaceDetection(back, face.scores))
+        again.append(FaceDetection(found.landmarks[LANDMARKS.mirror], found.scores))
     return PictureFaces(direct, again)
 
 
-def _markers(face: FaceFinding) -> FaceFinding:
+def _markers(face: FaceDetection) -> FaceDetection:
     """Return a face's landmarks of `LANDMARKS`, rounded to single precision."""
     landmarks, scores = face.landmarks[LANDMARKS.indices], face.scores
-    return FaceFinding(
+    return FaceDetection(
         landmarks.astype(np.float32).astype(np.float64),
         scores.astype(np.float32).astype(np.float64),
     )
@@ -149,7 +149,7 @@ class FaceTrack:
         return trust.astype(np.float32)
 
 
-class FaceFollower:
+class FaceTracker:
     """Follows one face from picture to picture.
 
     Parameters
@@ -171,7 +171,7 @@ class FaceFollower:
         self._crowded_pictures = 0
         self._rows: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray | None]] = []
 
-    def look(self, found: PictureFaces, *, where: str) -> bool:
+    def add(self, found: PictureFaces, *, where: str) -> bool:
         """Add the face of the next picture; return whether there is one.
 
         Raises
@@ -217,7 +217,7 @@ class FaceFollower:
         Parameters
         ----------
         score_names : tuple of str
-            Of the `FaceFinder`; scores of mirror images have left and right exchanged.
+            Of the `FaceDetector`; scores of mirror images have left and right exchanged.
         """
         other = [score_names.index(_other_side(name)) for name in score_names]
         scores = [
@@ -231,7 +231,7 @@ class FaceFollower:
             np.array([np.broadcast_to(each, count) for each in scores], np.float32),
         )
 
-    def _pick(self, faces: list[FaceFinding]) -> FaceFinding | None:
+    def _pick(self, faces: list[FaceDetection]) -> FaceDetection | None:
         """Return the tracked face; None if only others are detected."""
         if not faces:
             return None
@@ -256,9 +256,9 @@ def _other_side(name: str) -> str:
     return name.removesuffix(side) + {"Left": "Right", "Right": "Left", "": ""}[side]
 
 
-def _distinct(faces: list[FaceFinding]) -> list[FaceFinding]:
+def _distinct(faces: list[FaceDetection]) -> list[FaceDetection]:
     """Remove small detections and duplicates."""
-    distinct: list[FaceFinding] = []
+    distinct: list[FaceDetection] = []
     least = _BACKGROUND_SHARE * max((_breadth(face.landmarks) for face in faces), default=0.0)
     for face in faces:
         reach = _SAME_FACE * _breadth(face.landmarks)

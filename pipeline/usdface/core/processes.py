@@ -12,7 +12,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-GiveWork = Callable[..., Future[Any]]
+SubmitWork = Callable[..., Future[Any]]
 """Takes a function and its arguments, as `Executor.submit`."""
 
 _ENDING_SECONDS = 0.5
@@ -39,7 +39,9 @@ def usable_cores() -> int:
 
 
 @contextmanager
-def worker_processes(count: int, set_up: Callable[..., None], *given: object) -> Iterator[GiveWork]:
+def worker_processes(
+    count: int, set_up: Callable[..., None], *given: object
+) -> Iterator[SubmitWork]:
     """Start processes with the first work, and end them with the block.
 
     They are spawned, since a fork would copy locks of the ray tracer and of codecs. Ctrl+C reaches

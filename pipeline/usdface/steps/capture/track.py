@@ -11,7 +11,7 @@ from usdface.capture.camera_calibration import CalibratedCamera
 from usdface.capture.face_gaze import LOOK_SHAPES, gaze_angles
 from usdface.capture.face_landmarker import KNOWN_MODELS
 from usdface.capture.face_landmarks import LANDMARKS
-from usdface.capture.face_tracking import FaceFollower, FaceTrack
+from usdface.capture.face_tracking import FaceTrack, FaceTracker
 from usdface.capture.marker_take import CaptureHeader, CaptureOptions, build_marker_take
 from usdface.core.arrays import Float32Array
 from usdface.core.assets import Take, Video, WeightsClip
@@ -67,11 +67,11 @@ def run(spec: TrackSpec, *, provenance: Provenance, progress: Progress = silent)
         clips = []
         for number, (path, video, timing) in enumerate(zip(paths, videos, timings, strict=True)):
             share = part(progress, 0.95 * number / len(paths), 0.95 * (number + 1) / len(paths))
-            looking = detector.look(path, video, timing, share)
-            follower = FaceFollower(spec.face, mirrored=spec.quality == "final")
-            for index, found in zip(timing.pictures.tolist(), looking, strict=True):
-                follower.look(found, where=f"{path} at {video.times[index]:.2f} s")
-            track = follower.track(detector.score_names)
+            detected = detector.detect(path, video, timing, share)
+            tracker = FaceTracker(spec.face, mirrored=spec.quality == "final")
+            for index, found in zip(timing.pictures.tolist(), detected, strict=True):
+                tracker.add(found, where=f"{path} at {video.times[index]:.2f} s")
+            track = tracker.track(detector.score_names)
             check_faces(path, track)
             clips.append(_Clip(video, timing, track))
         return _write(spec, clips, cameras, notes, detector, provenance, progress)
@@ -91,7 +91,7 @@ def _write_part(
     provenance: Provenance,
     progress: Progress,
 ) -> StepResult:
-    faces = list(detector.look(spec.video, video, timing, progress))
+    faces = list(detector.detect(spec.video, video, timing, progress))
     detector.write(spec.out, timing.pictures, faces, provenance=provenance)
     share = sum(bool(each.direct) for each in faces) / len(faces)
     summary = f"{spec.out.name}: {pluralize(len(faces), 'picture')}, a face in {share:.1%}"

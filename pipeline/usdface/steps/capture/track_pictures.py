@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.capture.face_landmarker import FaceFinding, FaceLandmarker, check_model, named_model
+from usdface.capture.face_landmarker import FaceDetection, FaceLandmarker, check_model, named_model
 from usdface.capture.face_landmarks import LANDMARKS
 from usdface.capture.face_tracking import PictureFaces, detect_faces
 from usdface.capture.sample_times import picture_frames
@@ -155,7 +155,7 @@ class PictureDetector:
         self.digest = ""
         self.score_names: tuple[str, ...] = ()
 
-    def look(
+    def detect(
         self,
         path: Path,
         video: OpenVideo,
@@ -288,7 +288,7 @@ class PictureDetector:
         if not fitting or not np.isin(wanted, pictures).all():
             raise InputError(f"{path}: its arrays are inconsistent; make the part again")
         self.score_names = names["scoreNames"] or self.score_names
-        faces = [FaceFinding(*each) for each in zip(landmarks, scores, strict=True)]
+        faces = [FaceDetection(*each) for each in zip(landmarks, scores, strict=True)]
         split = [faces[end - count : end] for end, count in zip(ends, counts.ravel(), strict=True)]
         rows = np.flatnonzero(np.isin(pictures, wanted))
         return [PictureFaces(split[2 * row], split[2 * row + 1]) for row in rows]

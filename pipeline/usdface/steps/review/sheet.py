@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from usdface.core.errors import CancelledError, InputError, UsdfaceError
-from usdface.core.processes import GiveWork, process_count, worker_processes
+from usdface.core.processes import SubmitWork, process_count, worker_processes
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import replacing_group
@@ -120,7 +120,7 @@ def _draw(number: int) -> SheetRow | None:
 
 
 def _rows(
-    desk: _Desk, numbers: range, give_work: GiveWork | None, progress: Progress
+    desk: _Desk, numbers: range, give_work: SubmitWork | None, progress: Progress
 ) -> Iterator[SheetRow]:
     """Draw rows from the first on, while worker processes draw from the last on."""
     pending, count = dict[int, Future[SheetRow | None]](), len(desk.comparison.chosen)
@@ -203,7 +203,7 @@ def _write_pages(
     spec: SheetSpec,
     page: SheetPage,
     desk: _Desk,
-    give_work: GiveWork | None,
+    give_work: SubmitWork | None,
     progress: Progress,
     provenance: Provenance,
 ) -> tuple[Path, ...]:
