@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from usdface.numerics.manifold.hyper_posterior import (
-    PAIRS,
+    SYMMETRIC_ENTRIES,
     HyperPrior,
     MarkerSpectrum,
     PosteriorMoments,
@@ -55,7 +55,7 @@ def direct_moments(
 ) -> PosteriorMoments:
     """Sum over the markers, without a table: z (chains, N) at x = log(v0 / v1)."""
     P = spectrum.trend
-    products = np.stack([P[:, i] * P[:, j] for i, j in PAIRS], axis=1)
+    products = np.stack([P[:, i] * P[:, j] for i, j in SYMMETRIC_ENTRIES], axis=1)
     R = 1.0 / (1.0 + np.exp(x)[:, None] * spectrum.values)
     slope = R * (R - 1.0)
     shared = np.concatenate([(R @ products).T, -np.log(R).sum(axis=1)[None]])

@@ -12,7 +12,7 @@ from usdface.core.arrays import ByteImage, FloatArray
 from usdface.core.confinement import check_may_open
 from usdface.core.errors import InputError
 from usdface.media.picture.color import bytes_from_linear
-from usdface.media.picture.image import MAX_VALUES, reason_of
+from usdface.media.picture.image import check_size, reason_of
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".dpx")
 _NUMBERED = re.compile(r"^(.*?)(\d+)(\.[^.]+)$")
@@ -84,12 +84,7 @@ class ImageSequence:
         picture = oiio.ImageInput.open(str(path))
         if picture is None:
             raise InputError(f"{path}: no picture that can be read ({reason_of(oiio)})")
-        spec = picture.spec()
-        if spec.width * spec.height * spec.nchannels > MAX_VALUES:
-            raise InputError(
-                f"{path}: {spec.width} × {spec.height} with {spec.nchannels} channels is too large "
-                "to be shown; write it smaller"
-            )
+        check_size(path, picture.spec())
         linear = path.suffix.lower() == ".exr"
         pixels = picture.read_image(format="float" if linear else "uint8")
         reason = reason_of(picture)

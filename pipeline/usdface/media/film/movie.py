@@ -1,6 +1,7 @@
 """Writing of review movies: every frame a key frame, tagged colours, timecode."""
 
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -91,11 +92,7 @@ def write_movie(
         raise InputError(f"{file}: there is no frame to write; check the frame range")
     with replacing(file) as temporary:
         try:
-            with av.open(str(temporary), "w", format=container_format) as container:
-                if timecode:
-                    container.metadata["timecode"] = timecode
-                if comment:
-                    container.metadata["comment"] = comment
+            with new_movie(temporary, container_format, timecode, comment) as container:
                 _encode(
                     container,
                     _same_size(file, first, pictures),
@@ -107,6 +104,19 @@ def write_movie(
                 )
         except (av.error.FFmpegError, OSError) as error:
             raise InputError(f"{file}: the movie cannot be encoded ({error})") from error
+
+
+@contextmanager
+def new_movie(
+    file: Path, container_format: str, timecode: str = "", comment: str = ""
+) -> Iterator[Any]:
+    """Open a container to write, with its timecode and comment."""
+    with av.open(str(file), "w", format=container_format) as container:
+        if timecode:
+            container.metadata["timecode"] = timecode
+        if comment:
+            container.metadata["comment"] = comment
+        yield container
 
 
 def movie_format(file: Path) -> str:

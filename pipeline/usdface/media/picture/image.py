@@ -243,18 +243,22 @@ def encode_image(
     return stream.getvalue()
 
 
+def check_size(path: Path, spec: oiio.ImageSpec) -> None:
+    """Refuse a picture with more than `MAX_VALUES` values, before it is read."""
+    if spec.width * spec.height * spec.nchannels > MAX_VALUES:
+        raise InputError(
+            f"{path}: {spec.width} × {spec.height} with {spec.nchannels} channels is too large to "
+            "be shown; write it smaller"
+        )
+
+
 def read_picture(path: Path) -> ByteImage:
     """Read a picture as (height, width, 3) bytes."""
     check_may_open(path)
     buffer = oiio.ImageBuf(str(path))
     if buffer.has_error:
         raise InputError(f"{path}: cannot be read as a picture ({reason_of(buffer)})")
-    size = buffer.spec()
-    if size.width * size.height * size.nchannels > MAX_VALUES:
-        raise InputError(
-            f"{path}: {size.width} × {size.height} with {size.nchannels} channels is too large to "
-            "be shown; write it smaller"
-        )
+    check_size(path, buffer.spec())
     pixels = buffer.get_pixels("uint8")
     if buffer.has_error or pixels is None or pixels.ndim != 3:  # missing rows would be black
         raise InputError(
