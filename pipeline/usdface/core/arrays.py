@@ -15,6 +15,8 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 ByteImage = NDArray[np.uint8]
 """(height, width, 3), sRGB."""
+Arrays = dict[str, FloatArray]
+"""By name, as assets store them."""
 
 Label = TypeVar("Label", bound=Hashable)
 

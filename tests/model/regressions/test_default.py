@@ -13,7 +13,7 @@ from usdface.core.errors import InputError
 from usdface.core.rig_logic import Combination
 from usdface.model import predict_weights, sample_skin, train_mapping
 from usdface.model.regressions import Choices, RestPlaces, face_map, frame_solve
-from usdface.model.regressions.base import bend, unbend
+from usdface.model.regressions.bent_weights import bend, unbend
 
 CHOSEN = np.arange(0, 1200, 30)
 

@@ -17,7 +17,7 @@ from usdface.model.mapping.corrected_pairs import (
 )
 from usdface.model.mapping.uncertainty import UncertaintyModel
 from usdface.model.regressions import AUTO, Choices, Pairs, Regression, Settings, find_method
-from usdface.model.regressions.base import bend, unbend
+from usdface.model.regressions.bent_weights import bend, unbend
 from usdface.model.regressions.frame_solve import VARIANCE_INFLATIONS, FrameSolver
 from usdface.numerics.regression.cross_validation import (
     blocked_folds,

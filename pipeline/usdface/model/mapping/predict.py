@@ -14,7 +14,7 @@ from usdface.model.mapping.motion_space import marker_coordinates, motion_of
 from usdface.model.mapping.rig_match import changed_shapes
 from usdface.model.mapping.uncertainty import UncertaintyModel
 from usdface.model.regressions import REMOVED_METHODS, find_method
-from usdface.model.regressions.base import bend, unbend
+from usdface.model.regressions.bent_weights import bend, unbend
 from usdface.model.regressions.frame_solve import FrameSolution, FrameSolver
 from usdface.numerics.regression.usage_prior import expected_weights
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import Arrays, FloatArray
 from usdface.core.assets import References, TrainedMapping
 from usdface.core.progress import Progress, silent
 from usdface.core.rig_logic import logic_of
@@ -31,14 +31,7 @@ from usdface.model.mapping.regions import (
     regions_without_markers,
 )
 from usdface.model.mapping.uncertainty import UncertaintyModel, calibrate_uncertainty
-from usdface.model.regressions import (
-    DEFAULT_CHOICES,
-    Arrays,
-    Choices,
-    Face,
-    Pairs,
-    RestPlaces,
-)
+from usdface.model.regressions import DEFAULT_CHOICES, Choices, Face, Pairs, RestPlaces
 from usdface.model.regressions.base import DrivenSkin, Fitted
 from usdface.model.regressions.frame_solve import VARIANCE_INFLATIONS, FrameSolver
 from usdface.numerics.measure.face_regions import (

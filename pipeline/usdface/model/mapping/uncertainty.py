@@ -39,8 +39,8 @@ from statistics import NormalDist
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, FloatArray, RealArray
-from usdface.model.regressions.base import Arrays, unbend
+from usdface.core.arrays import Arrays, BoolArray, FloatArray, RealArray
+from usdface.model.regressions.bent_weights import unbend
 from usdface.model.regressions.frame_solve import FrameSolution, FrameSolver
 
 ERROR_PROBABILITY = 0.9

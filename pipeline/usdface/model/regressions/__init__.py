@@ -1,5 +1,6 @@
 """Registry of the regressions of mappings and retargetings; one module per method."""
 
+from usdface.core.arrays import Arrays
 from usdface.core.errors import InputError
 from usdface.model.regressions import (
     additive,
@@ -12,7 +13,6 @@ from usdface.model.regressions import (
 )
 from usdface.model.regressions.base import (
     DEFAULT_CHOICES,
-    Arrays,
     Choices,
     Face,
     Fitted,

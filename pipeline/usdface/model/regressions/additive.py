@@ -8,7 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from usdface.model.regressions.base import Arrays, Fitted, Pairs, Predictor, Regression, Settings
+from usdface.core.arrays import Arrays
+from usdface.model.regressions.base import Fitted, Pairs, Predictor, Regression, Settings
 from usdface.model.regressions.multiquadric import fit_network, prepare_network
 
 _SHRINKS = (1e-8, 1e-4, 1e-2)

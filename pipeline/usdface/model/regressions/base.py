@@ -7,19 +7,15 @@ skin saturates with the weight.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.arrays import Arrays, FloatArray, IntArray
 from usdface.core.assets import MotionSpace
 from usdface.core.rig_logic import RigLogic
-
-if TYPE_CHECKING:
-    from usdface.model.regressions.forward_model import ForwardModel
+from usdface.model.regressions.forward_model import ForwardModel
 
 Settings = dict[str, float | int | str | bool]
-Arrays = dict[str, FloatArray]
 
 Predictor = Callable[[FloatArray], FloatArray]
 """Function from inputs (frames, d) to outputs (frames, k)."""
@@ -96,7 +92,7 @@ class Pairs:
     """None in retargeting."""
     markers: FloatArray | None = None
     """(pairs, markers, 3): marker positions of the references [mm]; None in retargeting."""
-    forward: "ForwardModel | None" = None
+    forward: ForwardModel | None = None
     """Posterior given these pairs; None in retargeting."""
 
     @property
@@ -219,33 +215,3 @@ def scaled_inputs(arrays: Arrays, settings: Settings, inputs: FloatArray) -> Flo
     scale = arrays["scale"]
     features: FloatArray = inputs[:, : len(scale)] * scale
     return features
-
-
-def bend(weights: FloatArray, curve: float) -> FloatArray:
-    """Return bent weights ``w + curve w (1 - w)``, extrapolated linearly beyond [0-1].
-
-    At half its weight a shape has often moved the performer's skin by more than half: displacements
-    are closer to linear in bent weights. `unbend` is the inverse.
-
-    Parameters
-    ----------
-    weights : (n, s) float array
-        Normalised: [0-1] over each shape's range.
-    curve : float
-        In [0, 1).
-    """
-    inside = np.clip(weights, 0.0, 1.0)
-    bent: FloatArray = inside + curve * inside * (1 - inside)
-    bent += (1 + curve) * np.minimum(weights, 0.0)
-    bent += (1 - curve) * np.maximum(weights - 1.0, 0.0)
-    return bent
-
-
-def unbend(bent: FloatArray, curve: float) -> FloatArray:
-    """Return weights from bent weights: the inverse of `bend`."""
-    inside = np.clip(bent, 0.0, 1.0)
-    root = np.sqrt((1 + curve) ** 2 - 4 * curve * inside)
-    weights: FloatArray = 2 * inside / (1 + curve + root)
-    weights += np.minimum(bent, 0.0) / (1 + curve)
-    weights += np.maximum(bent - 1.0, 0.0) / (1 - curve)
-    return weights

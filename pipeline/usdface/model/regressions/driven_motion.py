@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from usdface.core.arrays import (
+    Arrays,
     Float32Array,
     FloatArray,
     IntArray,
@@ -17,7 +18,7 @@ from usdface.core.arrays import (
     single_precision,
 )
 from usdface.core.rig_logic import COMBINATION_MODES, Combination, RigLogic
-from usdface.model.regressions.base import Arrays, unbend
+from usdface.model.regressions.bent_weights import unbend
 
 _SLOPE_STEP = 1e-4
 """Finite difference of a bent weight in the derivative of `unbend`."""

@@ -16,16 +16,9 @@ The prediction is the prior mean of `frame_solve`, and its leave-one-out error t
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, IntArray, sample_frames
-from usdface.model.regressions.base import (
-    Arrays,
-    Fitted,
-    Pairs,
-    Predictor,
-    Regression,
-    Settings,
-    unbend,
-)
+from usdface.core.arrays import Arrays, FloatArray, IntArray, sample_frames
+from usdface.model.regressions.base import Fitted, Pairs, Predictor, Regression, Settings
+from usdface.model.regressions.bent_weights import unbend
 from usdface.numerics.regression.gaussian_process import (
     NOISES,
     ProcessSettings,

@@ -26,8 +26,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from usdface.core.arrays import Float32Array, FloatArray, IntArray, RealArray, sample_frames
-from usdface.model.regressions.base import Arrays, bend
+from usdface.core.arrays import (
+    Arrays,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    RealArray,
+    sample_frames,
+)
+from usdface.model.regressions.bent_weights import bend
 from usdface.model.regressions.driven_motion import DrivenMotion
 
 _NOISES_MM = (0.05, 0.1, 0.2, 0.35, 0.6, 1.0)

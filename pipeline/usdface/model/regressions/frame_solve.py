@@ -32,6 +32,7 @@ from functools import cached_property
 import numpy as np
 
 from usdface.core.arrays import (
+    Arrays,
     BoolArray,
     Float32Array,
     FloatArray,
@@ -39,7 +40,7 @@ from usdface.core.arrays import (
     RealArray,
     single_precision,
 )
-from usdface.model.regressions.base import Arrays, unbend
+from usdface.model.regressions.bent_weights import unbend
 from usdface.model.regressions.forward_model import ForwardModel
 from usdface.numerics.solve.bounded_least_squares import minimise_within_bounds
 

@@ -4,9 +4,8 @@ Deng, Chiang, Fox and Neumann (2006), *Animating Blendshape Faces by Cross-Mappi
 Data*, sections 5 and 6.
 """
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import Arrays, FloatArray
 from usdface.model.regressions.base import (
-    Arrays,
     Fitted,
     Pairs,
     Predictor,

@@ -7,8 +7,8 @@ cross-validation; in a retargeting it is a candidate setting.
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, IntArray
-from usdface.model.regressions.base import Arrays, Fitted, Pairs, Predictor, Regression, Settings
+from usdface.core.arrays import Arrays, FloatArray, IntArray
+from usdface.model.regressions.base import Fitted, Pairs, Predictor, Regression, Settings
 from usdface.model.regressions.kernel_cca import (
     RETARGET_KERNELS,
     fit_expansion,

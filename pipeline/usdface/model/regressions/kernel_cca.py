@@ -6,10 +6,9 @@ The lines of eq. 6 and 7 carry the same penalty as eq. 5. They are unpenalised, 
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import Arrays, FloatArray
 from usdface.model.regressions.base import (
     WHITENING_POWERS,
-    Arrays,
     Fitted,
     Pairs,
     Predictor,

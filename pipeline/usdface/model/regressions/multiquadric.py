@@ -5,10 +5,9 @@ Published for retargeting, where it is named `rbf`; in mappings it is `multiquad
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import Arrays, FloatArray
 from usdface.model.regressions.base import (
     WHITENING_POWERS,
-    Arrays,
     Fitted,
     Pairs,
     Predictor,

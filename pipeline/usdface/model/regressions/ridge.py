@@ -1,8 +1,7 @@
 """Linear ridge regression, with the ridge chosen by leave-one-out error."""
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import Arrays, FloatArray
 from usdface.model.regressions.base import (
-    Arrays,
     Fitted,
     Pairs,
     Predictor,

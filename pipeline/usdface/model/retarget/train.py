@@ -8,13 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import Arrays, FloatArray
 from usdface.core.controls import Controls, ExpressionPairs, Retargeting, RetargetScore
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.model.regressions import (
     RETARGET_METHODS,
-    Arrays,
     Pairs,
     Regression,
     Settings,
