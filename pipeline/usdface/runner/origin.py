@@ -226,7 +226,7 @@ def _one_take(first: Path, second: Path, other: Path) -> bool:
     return first.name == second.name or (first.is_file() and _was_read(second, first, other))
 
 
-def with_moved(
+def pair_with_files(
     performances: Sequence[Path], given: Sequence[Path], what: str
 ) -> list[tuple[Path, Path | None]]:
     """Return each performance with its file, or the common one, of option `what`, else None."""

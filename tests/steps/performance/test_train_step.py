@@ -72,7 +72,9 @@ def test_weights_beyond_the_range_and_pairs_that_repeat_are_told(
         takes=(*pairs.takes, pairs.takes[3]),
         tuned=pairs.tuned[again],
     )
-    monkeypatch.setattr("usdface.steps.performance.train.read_set_references", lambda path: changed)
+    monkeypatch.setattr(
+        "usdface.steps.performance.train.read_keyed_references", lambda path: changed
+    )
     notes = execute(TrainSpec(references=given, out=out, method="ridge")).notes
     assert any(note.startswith("1 weight of the pairs outside") for note in notes)
     assert any(note.startswith("left out 1 pair with the markers") for note in notes)
@@ -90,7 +92,7 @@ def test_shapes_that_markers_do_not_show_are_named_and_no_error_of_the_skin(
         weights[2, pairs.shape_names.index("tongueOut")] = keyed
         changed = replace(pairs, weights=weights)
         monkeypatch.setattr(
-            "usdface.steps.performance.train.read_set_references", lambda path, got=changed: got
+            "usdface.steps.performance.train.read_keyed_references", lambda path, got=changed: got
         )
         out = tmp_path / f"{keyed}.mapping.usdc"
         made = execute(TrainSpec(references=given, out=out, method="ridge"))
@@ -113,7 +115,7 @@ def test_shapes_that_no_pair_has_are_named_if_markers_can_show_them(
     for each, names in ((weights, ["jawOpen", "mouthPucker"]), (weights + 0.1, [])):
         changed = replace(pairs, weights=each)
         monkeypatch.setattr(
-            "usdface.steps.performance.train.read_set_references", lambda path, got=changed: got
+            "usdface.steps.performance.train.read_keyed_references", lambda path, got=changed: got
         )
         out = tmp_path / f"{len(names)}.mapping.usdc"
         made = execute(TrainSpec(references=given, out=out, method="ridge"))
@@ -139,7 +141,7 @@ def test_a_rig_with_foreign_names_has_the_regions_and_the_gaze_of_the_same_rig_w
     foreign = replace(rig, shapes=tuple(called.values()), meshes=meshes)
     changed = replace(pairs, shape_names=tuple(called[name] for name in pairs.shape_names))
     monkeypatch.setattr(f"{step}.read_rig_of", lambda *given: foreign)
-    monkeypatch.setattr(f"{step}.read_set_references", lambda path: changed)
+    monkeypatch.setattr(f"{step}.read_keyed_references", lambda path: changed)
     other = execute(TrainSpec(references=given, out=tmp_path / "foreign.usdc", method="ridge"))
     mapping = read_mapping(tmp_path / "foreign.usdc")
     assert mapping.settings["regions"] == named.settings["regions"]

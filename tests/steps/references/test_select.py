@@ -23,7 +23,7 @@ from usdface.specs.references import ReferenceSheetSpec, ReferencesImportSpec, S
 from usdface.steps.references import select
 from usdface.usdio.performance.read import read_performance
 from usdface.usdio.references.read import read_references
-from usdface.usdio.references.weight_layers import read_set_references, read_tuned_pairs
+from usdface.usdio.references.weight_layers import read_keyed_references, read_tuned_pairs
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
 from usdface.usdio.take.read import read_take
@@ -284,7 +284,7 @@ def test_pairs_keyed_in_a_dcc_are_kept_as_tuned_ones_are(shot: Shot) -> None:
     for pair, row in enumerate(keyed.astype(np.float32)):
         layer.SetTimeSample(place, pair + 1, Vt.FloatArray.FromNumpy(row))
     layer.Save()
-    assert np.flatnonzero(read_set_references(new.out).tuned).tolist() == [4]
+    assert np.flatnonzero(read_keyed_references(new.out).tuned).tolist() == [4]
     report = execute(spec(shot, count=14, frames="1-300", method="design"), overwrite=True)
     after = read_references(new.out)
     assert np.flatnonzero(after.tuned).tolist() == [4]

@@ -23,7 +23,7 @@ from usdface.tuning.journal import Change
 from usdface.tuning.session import TuningSession
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.references.read import read_references, take_files
-from usdface.usdio.references.weight_layers import read_set_references
+from usdface.usdio.references.weight_layers import read_keyed_references
 from usdface.usdio.retarget.pairs import read_pairs
 from usdface.usdio.rig.write import write_rig
 from usdface.usdio.take.write import write_take
@@ -136,7 +136,7 @@ def test_shapes_of_the_tuned_frames_that_no_pair_has_are_named(
     )
     assert not any("in no pair" in note for note in execute(spec).notes)
     known = read_pairs(pairs)
-    moved = known.source_shapes[int(read_set_references(path).source[0].argmax())]
+    moved = known.source_shapes[int(read_keyed_references(path).source[0].argmax())]
     kept = [name != moved for name in known.source_shapes]
     monkeypatch.setattr(
         "usdface.steps.retarget.train.read_pairs",

@@ -33,7 +33,7 @@ from usdface.steps.inputs.scene import (
     takes_head_space,
 )
 from usdface.usdio.references.read import read_rig_of
-from usdface.usdio.references.weight_layers import read_set_references
+from usdface.usdio.references.weight_layers import read_keyed_references
 
 FURTHER_FRAMES = 10
 """Number of frames to suggest."""
@@ -190,7 +190,7 @@ class MeasuredCoverage:
 def measure_pairs(spec: ReferencesCoverageSpec, *, progress: Progress) -> MeasuredCoverage:
     """Measure the coverage of the takes by the pairs."""
     progress(0.0, "reading the takes")
-    references = read_set_references(spec.references)
+    references = read_keyed_references(spec.references)
     pairs = _counted(spec, references)
     takes = _with_markers_of(read_cleaned_takes(spec.takes), references, spec)
     rig = read_rig_of(references, spec.references)

@@ -14,7 +14,7 @@ from usdface.runner.outputs import confine
 from usdface.runner.result import StepResult
 from usdface.specs.review import VerdictLevel
 from usdface.usdio.performance.read import PerformanceReader, read_solves
-from usdface.usdio.references.weight_layers import read_set_references
+from usdface.usdio.references.weight_layers import read_keyed_references
 from usdface.usdio.retarget.pairs import keyed_above, read_pairs
 from usdface.usdio.take.read import is_take
 from usdface.usdio.validation import Finding
@@ -100,7 +100,7 @@ def _pair_words(trained: Path) -> str:
     try:
         confine("retarget", reads=[path for path in named if path is not None])
         count = 0 if pairs is None else len(read_pairs(pairs))
-        tuned = 0 if references is None else int(read_set_references(references).tuned.sum())
+        tuned = 0 if references is None else int(read_keyed_references(references).tuned.sum())
         proposed = pairs is not None and not keyed_above(pairs)
     except InputError:
         return "pairs"

@@ -20,7 +20,7 @@ from usdface.usdio.references.read import read_references
 from usdface.usdio.references.weight_layers import (
     TunedPair,
     find_keyed_pairs,
-    read_set_references,
+    read_keyed_references,
     read_tuned_pairs,
 )
 
@@ -114,7 +114,7 @@ def rows_of_pairs(count: int, kept: list[PlacedPair], chosen: IntArray) -> list[
 
 def tuned_conflicts(path: Path) -> tuple[list[str], list[dict[str, object]]]:
     """Return contradictions among the tuned pairs of an asset, as texts and as data."""
-    references = read_set_references(path)
+    references = read_keyed_references(path)
     if not references.marker_names:
         return [], []
     places = np.flatnonzero(references.tuned)

@@ -32,7 +32,7 @@ from usdface.specs.performance import TrainSpec
 from usdface.steps.inputs.placement import rest_places
 from usdface.usdio.mapping import write_mapping
 from usdface.usdio.references.read import read_rig_of
-from usdface.usdio.references.weight_layers import read_proposals, read_set_references
+from usdface.usdio.references.weight_layers import read_keyed_references, read_proposals
 
 _ENOUGH_TUNED = 8
 """Tuned pairs from which training leaves out proposals. In the order of `select` 6 are enough; in
@@ -44,7 +44,7 @@ _SHOWN_MM = 0.5
 
 def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Train the mapping, write it, and with --picture draw the eigen-space."""
-    references = read_set_references(spec.references)
+    references = read_keyed_references(spec.references)
     if references.source is not None:
         raise InputError(
             f"{spec.references}: its takes have weights and no markers; use it with `usdface "

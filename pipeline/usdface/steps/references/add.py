@@ -17,7 +17,7 @@ from usdface.steps.references.from_edits import (
     with_pairs,
     write_extended,
 )
-from usdface.steps.references.performance_inputs import made_from
+from usdface.steps.references.performance_inputs import find_take_and_mapping
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.references.read import read_references
 
@@ -32,7 +32,9 @@ def run(
     old = read_references(spec.references)
     reader = PerformanceReader(spec.performance)
     notes: list[str] = []
-    take, mapping = made_from(spec.performance, old, take=spec.take, mapping=spec.mapping)
+    take, mapping = find_take_and_mapping(
+        spec.performance, old, take=spec.take, mapping=spec.mapping
+    )
     frames = _new_frames(spec, reader, old, take.name, notes)
     captured, seen = captured_markers(take, mapping, old, frames)
     if not seen.any():

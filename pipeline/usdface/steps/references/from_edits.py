@@ -17,13 +17,13 @@ from usdface.core.sidecars import proposed_path, reference_layers, tuned_path
 from usdface.core.text import first_few, pluralize
 from usdface.numerics.motion.key_reduction import EditCurve
 from usdface.numerics.regression.reference_design import design_k_centre
-from usdface.runner.origin import with_moved
+from usdface.runner.origin import pair_with_files
 from usdface.runner.result import StepResult
 from usdface.specs.references import ReferencesAddSpec, ReferencesFromEditsSpec
 from usdface.steps.inputs.cleaned_takes import read_markers, take_head_space
 from usdface.steps.inputs.source_motion import read_source_motion
 from usdface.steps.references.coverage import redraw_coverage
-from usdface.steps.references.performance_inputs import made_from
+from usdface.steps.references.performance_inputs import find_take_and_mapping
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.references.read import read_pair_notes, read_references
 from usdface.usdio.references.weight_layers import (
@@ -60,7 +60,7 @@ def run(
     old = read_references(spec.references)
     notes: list[str] = []
     edited: list[_EditedFrames] = []
-    takes = with_moved(spec.performances, spec.take, "take")
+    takes = pair_with_files(spec.performances, spec.take, "take")
     for index, (performance, moved_take) in enumerate(takes):
         edited.append(_edited_frames(spec, performance, old, moved_take, notes))
         progress(0.8 * (index + 1) / len(spec.performances), f"read {performance.name}")
@@ -123,7 +123,7 @@ def _edited_frames(
     if not len(rows):
         notes.append(f"{performance}: no frame was edited")
         return _NO_FRAMES
-    take, mapping = made_from(performance, old, take=moved_take, mapping=spec.mapping)
+    take, mapping = find_take_and_mapping(performance, old, take=moved_take, mapping=spec.mapping)
     captured, seen = captured_markers(take, mapping, old, reader.frames[rows])
     rows, captured = rows[seen], captured[seen]
     if not seen.all():

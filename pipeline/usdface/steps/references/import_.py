@@ -21,7 +21,7 @@ from usdface.steps.inputs.name_tables import check_no_name_twice, transfer_by_ta
 from usdface.steps.inputs.tuned_pairs import tuned_conflicts
 from usdface.steps.inputs.weight_tables import WeightTable, read_weight_table, undo_clamping
 from usdface.steps.references.coverage import redraw_coverage
-from usdface.usdio.references.weight_layers import TunedPair, read_set_references
+from usdface.usdio.references.weight_layers import TunedPair, read_keyed_references
 from usdface.usdio.references.write import write_tuned_weights
 from usdface.usdio.take.read import TakeReader
 
@@ -42,7 +42,7 @@ def run(
     progress: Progress = silent,
 ) -> StepResult:
     """Match the file's rows to pairs and its columns to shapes, and write the tuned layer."""
-    references = read_set_references(spec.references)
+    references = read_keyed_references(spec.references)
     given = read_weight_table(
         spec.weights, known=references.shape_names, unit=spec.weight_unit, shapes=spec.shapes
     )

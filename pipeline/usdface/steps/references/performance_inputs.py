@@ -10,7 +10,7 @@ from usdface.usdio.mapping import read_mapping
 from usdface.usdio.take.read import TakeReader
 
 
-def made_from(
+def find_take_and_mapping(
     performance: Path, old: References, *, take: Path | None, mapping: Path | None
 ) -> tuple[TakeReader, TrainedMapping | None]:
     """Return take and mapping, from new paths or by the provenance of a performance or its parts.

@@ -33,7 +33,7 @@ from usdface.speech.phones import viseme_label
 from usdface.steps.inputs.marker_lines import lines_on_rig
 from usdface.steps.inputs.placement import placed_equation, stored_placement
 from usdface.usdio.references.read import read_pair_notes, read_rig_of
-from usdface.usdio.references.weight_layers import read_set_references
+from usdface.usdio.references.weight_layers import read_keyed_references
 from usdface.usdio.take.read import read_take
 
 _LEAST_SHOWN_WEIGHT = 0.05
@@ -45,7 +45,7 @@ def run(
 ) -> StepResult:
     """Draw every pair and write the sheet."""
     progress(0.0, "reading")
-    references = read_set_references(spec.references)
+    references = read_keyed_references(spec.references)
     rig = read_rig_of(references, spec.references)
     pairs = _pairs(spec, references)
     undrawn, without_video, written = rig.undrawn_notes(), 0, []

@@ -27,7 +27,7 @@ from usdface.model.retarget.train import (
 from usdface.runner.result import StepResult
 from usdface.specs.retarget import TrainRetargetSpec
 from usdface.steps.inputs.source_motion import read_source_motion, source_columns
-from usdface.usdio.references.weight_layers import read_set_references
+from usdface.usdio.references.weight_layers import read_keyed_references
 from usdface.usdio.retarget.pairs import read_pairs
 from usdface.usdio.retarget.retargeting import write_retargeting
 from usdface.usdio.rig.read import read_rig
@@ -86,7 +86,7 @@ def run(
 
 def _with_tuned(pairs: ExpressionPairs, path: Path) -> tuple[ExpressionPairs, list[str]]:
     """Add the tuned pairs of references; return a note on source shapes that no pair has."""
-    references, target = read_set_references(path), pairs.target
+    references, target = read_keyed_references(path), pairs.target
     tuned = np.flatnonzero(references.tuned)
     if references.source is None:
         raise InputError(

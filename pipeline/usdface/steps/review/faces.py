@@ -14,7 +14,7 @@ from usdface.media.face.render import FaceRenderer
 from usdface.media.picture.image import write_image
 from usdface.media.picture.sheet import SheetPage, SheetRow, Tile, compose_sheet
 from usdface.model.placement.rig_orientation import facing_degrees
-from usdface.runner.origin import provenance_metadata, with_moved
+from usdface.runner.origin import pair_with_files, provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.review import FacesSpec
@@ -71,7 +71,7 @@ def run(spec: FacesSpec, *, provenance: Provenance, progress: Progress = silent)
 def _actors(spec: FacesSpec) -> list[PosedRig]:
     """Open every performance, with --rig if its rig has moved."""
     actors = []
-    for path, rig in with_moved(spec.performances, spec.rig, "rig"):
+    for path, rig in pair_with_files(spec.performances, spec.rig, "rig"):
         with moved_rig(rig):
             actors.append(PosedRig(path))
     return actors

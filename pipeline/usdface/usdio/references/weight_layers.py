@@ -159,7 +159,7 @@ def find_keyed_pairs(path: Path, references: References) -> list[int]:
     return list(np.flatnonzero(differs).tolist())
 
 
-def read_set_references(path: Path) -> References:
+def read_keyed_references(path: Path) -> References:
     """Read references, with those keyed in a DCC as tuned too, if the sublayers can be read."""
     references = read_references(path)
     try:
