@@ -9,7 +9,7 @@ from usdface.model.mapping.motion_space import motion_from_pca
 from usdface.model.mapping.regions import membership, region_points
 from usdface.model.selection.coverage import (
     Coverage,
-    choose_further,
+    choose_next_frames,
     measure_coverage,
     measure_growth,
 )
@@ -236,8 +236,8 @@ def test_coverage_grows_with_every_pair_and_ends_at_the_whole() -> None:
     growth = measure_growth(model, np.array([7, 8, 9]), moved.__getitem__, 150)
     assert growth.share[0] == 0.0
     assert (np.diff(growth.share) >= -1e-12).all()
-    assert growth.further_share[0] >= growth.share[-1] - 1e-12
-    assert len(growth.further_share) == 3
+    assert growth.next_share[0] >= growth.share[-1] - 1e-12
+    assert len(growth.next_share) == 3
     for count in (0, 1, 10, 30):
         model, regions = model_of(shapes, moved[rows[:count]])
         coverage = measure_coverage(model, regions, moved.__getitem__, 150)
@@ -255,7 +255,7 @@ def test_the_frame_with_the_least_coverage_is_named_first() -> None:
     features = space.features(motion.sample)
     ordinary = np.flatnonzero(weights[:, 1] < 0.5)[::20]
     everything = np.ones(300, dtype=np.bool_)
-    further = choose_further(features, features[ordinary], count=3, candidates=everything)
+    further = choose_next_frames(features, features[ordinary], count=3, candidates=everything)
     assert weights[further[0], 1] > 0.5
     moved = packed.reshape(300, 12, 3)
     model, regions = model_of(shapes, moved[ordinary])

@@ -154,9 +154,9 @@ class Growth:
 
     share: FloatArray
     """(pairs + 1,): coverage by the first 0, 1, 2, ... pairs [0-1]."""
-    further_rows: IntArray
+    next_rows: IntArray
     """(count,): frames to choose next, in greedy order."""
-    further_share: FloatArray
+    next_share: FloatArray
     """(count,): coverage with the first 1, 2, ... of them as well [0-1]."""
 
 
@@ -186,7 +186,7 @@ def measure_coverage(
     return Coverage(every[:, 0], regions[1:], every[:, 1:])
 
 
-def choose_further(
+def choose_next_frames(
     features: Features, pair_features: FloatArray, *, count: int, candidates: BoolArray
 ) -> IntArray:
     """Return the rows of the frames to choose next.
@@ -208,18 +208,18 @@ def choose_further(
 
 
 def measure_growth(
-    model: CoverageModel, further_rows: IntArray, displacements: Displacements, count: int
+    model: CoverageModel, next_rows: IntArray, displacements: Displacements, count: int
 ) -> Growth:
     """Measure coverage as pairs, then the frames to choose next, are added one by one.
 
     Parameters
     ----------
-    further_rows : (n,) int array
-        See `choose_further`.
+    next_rows : (n,) int array
+        See `choose_next_frames`.
     count : int
         Frames of the takes, of which evenly spaced ones are used.
     """
     sample = displacements(sample_frames(count, CURVE_FRAMES))
-    share = model.growth(displacements(further_rows), sample)
-    pairs = len(share) - len(further_rows)
-    return Growth(share[:pairs], further_rows, share[pairs:])
+    share = model.growth(displacements(next_rows), sample)
+    pairs = len(share) - len(next_rows)
+    return Growth(share[:pairs], next_rows, share[pairs:])

@@ -18,7 +18,7 @@ from usdface.model.mapping.regions import membership, region_points
 from usdface.model.selection.coverage import (
     Coverage,
     Growth,
-    choose_further,
+    choose_next_frames,
     measure_coverage,
     measure_growth,
 )
@@ -35,7 +35,7 @@ from usdface.steps.inputs.scene import (
 from usdface.usdio.references.read import read_rig_of
 from usdface.usdio.references.weight_layers import read_keyed_references
 
-FURTHER_FRAMES = 10
+NEXT_FRAME_COUNT = 10
 """Number of frames to suggest."""
 
 LEAST_MARKERS = 0.5
@@ -74,7 +74,9 @@ def takes_coverage(
     points = region_points(scene.parts, scene.equation.deltas)
     markers, count = scene.equation.deltas.shape[1], len(scene.features)
     model = CoverageModel(scene.equation.deltas, pairs.displacements, membership(points, markers))
-    further = choose_further(scene.features, pairs.features, count=FURTHER_FRAMES, candidates=free)
+    further = choose_next_frames(
+        scene.features, pairs.features, count=NEXT_FRAME_COUNT, candidates=free
+    )
     return TakesCoverage(
         measure_coverage(model, tuple(points), scene.displacements, count),
         measure_growth(model, further, scene.displacements, count),
@@ -91,7 +93,7 @@ def next_frames(coverage: TakesCoverage, takes: CleanedTakes) -> tuple[NextFrame
             mean_then=float(mean),
         )
         for row, mean in zip(
-            coverage.growth.further_rows.tolist(), coverage.growth.further_share, strict=True
+            coverage.growth.next_rows.tolist(), coverage.growth.next_share, strict=True
         )
     )
 
