@@ -22,7 +22,7 @@ from usdface.steps.inputs.source_motion import read_source_motion
 from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.usdio.performance.exported_weights import blender_names
 from usdface.usdio.performance.read import PerformanceReader
-from usdface.usdio.performance.weights_layer import every_shape, make_header
+from usdface.usdio.performance.weights_layer import append_rig_shapes, make_header
 from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.references.read import read_references
 from usdface.usdio.rig.read import read_rig
@@ -40,7 +40,7 @@ def perform(folder: Path, names: tuple[str, ...] = SKIN) -> Path:
         path,
         make_header(
             read_rig(folder / "rig.usda"),
-            shape_names=every_shape(names, read_rig(folder / "rig.usda")),
+            shape_names=append_rig_shapes(names, read_rig(folder / "rig.usda")),
             rate=Fraction(24),
             first_frame=FIRST,
             last_frame=LAST,

@@ -31,7 +31,7 @@ from usdface.steps.inputs.head_drive import take_head_source
 from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.steps.review.pictures import ShotPictures
 from usdface.steps.review.shot import open_shot
-from usdface.usdio.performance.driving_layers import opens_layer, turned_xforms
+from usdface.usdio.performance.driving_layers import head_layer_xforms, opens_layer
 from usdface.usdio.performance.read import read_weights
 from usdface.usdio.retarget.controls import read_control_clip
 from usdface.usdio.rig.posed_points import PosedRig
@@ -183,7 +183,7 @@ def test_an_xform_turns_about_where_it_was_placed(tmp_path: Path) -> None:
         "retarget", source, "--rate", 30, "--rig", rig.file, "--out", out,
         "--drive", "left_eye=/Hero/props/eyeball", "--prim", "/Shot/Hero",
     ) == 0  # fmt: skip
-    assert turned_xforms(out) == ("/Shot/Hero/props/eyeball",)
+    assert head_layer_xforms(out) == ("/Shot/Hero/props/eyeball",)
     stage, rest = Usd.Stage.Open(str(out)), Usd.Stage.Open(str(rig.file))
     up = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # from Z up to Y up
     for frame in (1, 23):

@@ -42,7 +42,7 @@ def test_a_movement_put_back_into_the_mesh_is_that_movement(tmp_path: Path, z_up
     face = read_face_mesh(path)
     moved = np.random.default_rng(0).normal(0, 5, face.mesh.points.shape)
     stage, mesh = head(path)
-    mesh.GetPointsAttr().Set(vectors(face.local + face.into_mesh(moved)))
+    mesh.GetPointsAttr().Set(vectors(face.local + face.to_mesh_space(moved)))
     stage.Save()
     again = read_face_mesh(path)
     np.testing.assert_allclose(again.mesh.points - face.mesh.points, moved, atol=1e-3)

@@ -33,7 +33,7 @@ from usdface.steps.inputs.edit_ranges import edit_notes
 from usdface.steps.inputs.weight_tables import read_alpha
 from usdface.usdio.mapping import read_mapping
 from usdface.usdio.performance.head_layer import write_head_layer
-from usdface.usdio.performance.weights_layer import WeightsHeader, every_shape, make_header
+from usdface.usdio.performance.weights_layer import WeightsHeader, append_rig_shapes, make_header
 from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.rig.drive_targets import HeadDrive
 from usdface.usdio.rig.read import read_rig
@@ -151,7 +151,7 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress = silent) -
     header = replace(
         make_header(
             rig,
-            shape_names=every_shape(mapping.shape_names, rig),
+            shape_names=append_rig_shapes(mapping.shape_names, rig),
             rate=take.rate,
             first_frame=first,
             last_frame=last,

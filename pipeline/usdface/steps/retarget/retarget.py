@@ -33,7 +33,7 @@ from usdface.steps.inputs.source_motion import (
 from usdface.steps.inputs.weight_tables import read_alpha
 from usdface.usdio.performance.head_layer import write_head_layer
 from usdface.usdio.performance.read import PerformanceReader
-from usdface.usdio.performance.weights_layer import WeightsHeader, every_shape, make_header
+from usdface.usdio.performance.weights_layer import WeightsHeader, append_rig_shapes, make_header
 from usdface.usdio.retarget.control_performance import writing_control_performance
 from usdface.usdio.retarget.retargeting import read_retargeting
 from usdface.usdio.rig.drive_targets import HeadDrive
@@ -201,7 +201,7 @@ def _heads(spec: RetargetSpec, motion: SourceMotion, targets: list[_Target]) -> 
 def _header(spec: RetargetSpec, motion: SourceMotion, target: _Target) -> WeightsHeader:
     header = make_header(
         target.rig,
-        shape_names=every_shape(target.shapes, target.rig),
+        shape_names=append_rig_shapes(target.shapes, target.rig),
         rate=motion.rate,
         first_frame=motion.first_frame,
         last_frame=motion.last_frame,

@@ -34,7 +34,7 @@ from usdface.runner.result import StepResult
 from usdface.specs.retarget import WarpSpec
 from usdface.steps.inputs.edit_ranges import edit_notes
 from usdface.steps.retarget.sequence_rate import read_sequence_at
-from usdface.usdio.performance.driving_layers import turned_xforms
+from usdface.usdio.performance.driving_layers import head_layer_xforms
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import make_header
 from usdface.usdio.retarget.control_performance import writing_control_performance
@@ -175,7 +175,7 @@ def _beyond_notes(placements: list[_Placement]) -> list[str]:
 
 def _head_notes(performance: Path) -> list[str]:
     """Return a note on animated Xforms, which are not warped."""
-    xforms = turned_xforms(performance)
+    xforms = head_layer_xforms(performance)
     if not xforms:
         return []
     return [

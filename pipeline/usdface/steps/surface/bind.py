@@ -18,7 +18,7 @@ from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.surface import BindSpec
 from usdface.steps.inputs.cleaned_takes import bound_take_notes
-from usdface.steps.surface.picture import still_meshes
+from usdface.steps.surface.picture import other_meshes
 from usdface.steps.surface.plan import TakeSample, bind_take, landmark_places, sample_take
 from usdface.usdio.rig.mesh import FaceMesh, read_face_mesh
 from usdface.usdio.surface.binding import has_binding, read_binding, write_binding
@@ -57,7 +57,7 @@ def run(spec: BindSpec, *, provenance: Provenance, progress: Progress = silent) 
         write_image(
             spec.picture,
             draw_binding(
-                [face.mesh, *still_meshes(face)],
+                [face.mesh, *other_meshes(face)],
                 BoundMarkers(
                     binding.names,
                     at,

@@ -154,7 +154,7 @@ def _write(
     rows = draw_compared(
         plan.face.mesh,
         compared,
-        still=still_meshes(plan.face),
+        still=other_meshes(plan.face),
         near=at[_moving(plan)],
         yaw_degrees=facing_yaw(plan.face.mesh, at),
         quality=quality,
@@ -164,7 +164,7 @@ def _write(
     write_image(path, compose_sheet(page), metadata=metadata)
 
 
-def still_meshes(face: FaceMesh) -> list[RigMesh]:
+def other_meshes(face: FaceMesh) -> list[RigMesh]:
     """Read the file's other meshes, without those that cannot be drawn."""
     found = []
     for path in face.others:

@@ -25,7 +25,7 @@ def opens_layer(performance: Path, file: Path) -> bool:
     return relative_path(file, performance) in list(layer.subLayerPaths)
 
 
-def turned_xforms(performance: Path) -> tuple[str, ...]:
+def head_layer_xforms(performance: Path) -> tuple[str, ...]:
     """Return the paths of the Xforms in a performance's head layer."""
     properties = (Sdf.Path(each) for each in _driven(performance, head_path(performance)))
     return tuple(str(each.GetPrimPath()) for each in properties if each.name == TRANSFORM)

@@ -340,7 +340,7 @@ def make_header(
     )
 
 
-def every_shape(names: Iterable[str], rig: Rig) -> tuple[str, ...]:
+def append_rig_shapes(names: Iterable[str], rig: Rig) -> tuple[str, ...]:
     """Return shapes, followed by all others of the rig.
 
     Importers that match shapes by order (Maya's) need all of them.

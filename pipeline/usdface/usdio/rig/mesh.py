@@ -208,7 +208,7 @@ class FaceMesh(BoundSurface):
     others: tuple[str, ...] = ()
     """Paths of the file's other meshes, which are not deformed."""
 
-    def into_mesh(self, moved_mm: FloatArray) -> FloatArray:
+    def to_mesh_space(self, moved_mm: FloatArray) -> FloatArray:
         """Return displacements in the mesh's space from those in millimetres: (..., points, 3)."""
         inverse = np.linalg.inv(self.linear)
         if inverse.ndim == 2:

@@ -105,7 +105,7 @@ def write_shape_rig(
         _reference_asset(layer, root.AppendChild(ASSET), source.GetPrimAtPath(top), face, path)
         _override_asset_rig(layer, source, top, root.AppendChild(ASSET))
         points = _bind_mesh(layer, face, mesh, root.AppendChild(SKELETON), source)
-        into_mesh = np.linalg.inv(stage_to_ours(source) @ face.world[:3, :3])
+        to_mesh_space = np.linalg.inv(stage_to_ours(source) @ face.world[:3, :3])
         define_prim(layer, root.AppendChild(SHAPES), "Scope")
         written, targets, extremes = [], [], [points]
         for shape, given in zip(shapes, shape_names([each.name for each in shapes]), strict=True):
@@ -116,7 +116,7 @@ def write_shape_rig(
                     f"{path}: shape {given} (frame {shape.frame} of {shape.take}) moves no point "
                     f"by {least_mm:g} mm; choose a frame that differs from the neutral face"
                 )
-            offsets = shape.moved_mm[moved] @ into_mesh.T
+            offsets = shape.moved_mm[moved] @ to_mesh_space.T
             _define_shape(layer, target, shape, moved, offsets)
             written.append(WrittenShape(given, len(moved)))
             targets.append(target)
