@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtri
 
-from usdface.core.arrays import MAD_TO_DEVIATION, frame_blocks, runs, sample_frames, widened
+from usdface.core.arrays import MAD_TO_DEVIATION, extend_block, frame_blocks, runs, sample_frames
 
 
 def test_runs_are_found_at_both_ends() -> None:
@@ -22,7 +22,7 @@ def test_blocks_cover_every_frame_once(count: int, frames: int, at_least: int) -
     covered = np.concatenate([np.arange(count)[block] for block in blocks])
     np.testing.assert_array_equal(covered, np.arange(count))
     assert all(block.stop - block.start >= max(frames, at_least) for block in blocks[:-1])
-    around = [widened(block, 3, count) for block in blocks]
+    around = [extend_block(block, 3, count) for block in blocks]
     assert (around[0].start, around[-1].stop) == (0, count)
 
 

@@ -120,7 +120,7 @@ def longest_run(mask: BoolArray) -> int:
 def frame_blocks(count: int, *, frames: int | None = None, at_least: int = 1) -> Iterator[slice]:
     """Yield the frames of a take in blocks, which bounds the memory of intermediate arrays.
 
-    Results must not depend on the blocks: filters use `widened` blocks.
+    Results must not depend on the blocks: filters use extended blocks (`extend_block`).
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def frame_blocks(count: int, *, frames: int | None = None, at_least: int = 1) ->
         yield slice(start, min(start + size, count))
 
 
-def widened(block: slice, frames: int, count: int) -> slice:
+def extend_block(block: slice, frames: int, count: int) -> slice:
     """Return a block extended by a number of frames on both sides, within the take."""
     return slice(max(block.start - frames, 0), min(block.stop + frames, count))
 

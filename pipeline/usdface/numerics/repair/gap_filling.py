@@ -18,9 +18,9 @@ from usdface.core.arrays import (
     Float32Array,
     FloatArray,
     RealArray,
+    extend_block,
     frame_blocks,
     runs,
-    widened,
 )
 from usdface.numerics.repair.low_rank import LowRankModel, fill_missing, predict_from_others
 from usdface.numerics.repair.outliers import USUAL_RATE
@@ -118,7 +118,7 @@ def complete_take(
     for block in frame_blocks(count, at_least=max_gap):
         if good[block].all():
             continue
-        around = widened(block, max_gap + _GAP_REACH, count)
+        around = extend_block(block, max_gap + _GAP_REACH, count)
         points, ok = positions[around], good[around]
         complete = fill_missing(model, points, ok)
         gaps = fill_gaps(

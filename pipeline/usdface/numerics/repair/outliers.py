@@ -13,10 +13,10 @@ from usdface.core.arrays import (
     BoolArray,
     FloatArray,
     RealArray,
+    extend_block,
     frame_blocks,
     runs,
     sample_frames,
-    widened,
 )
 from usdface.numerics.repair.low_rank import LowRankModel, fill_missing, predict_from_others
 
@@ -93,7 +93,7 @@ def find_outliers(
     distant = np.zeros(visible.shape, bool)
     excess, leaps = (np.zeros(visible.shape, np.float16) for _ in range(2))  # in limits
     for block in frame_blocks(count):
-        around = widened(block, _LEAP_REACH_FRAMES, count)
+        around = extend_block(block, _LEAP_REACH_FRAMES, count)
         inner = slice(block.start - around.start, block.stop - around.start)
         points, seen = positions[around], visible[around]
         complete = fill_missing(model, points, seen)

@@ -16,9 +16,9 @@ from usdface.core.arrays import (
     Float32Array,
     IntArray,
     RealArray,
+    extend_block,
     frame_blocks,
     runs,
-    widened,
 )
 from usdface.numerics.repair.low_rank import LowRankModel
 from usdface.numerics.repair.swap_evidence import (
@@ -167,7 +167,7 @@ def _gather_evidence(
     """Return the evidence of each suspect, without long runs of dull frames, which end a swap."""
     chosen: list[list[_Evidence]] = [[] for _ in suspects]
     for block in frame_blocks(len(positions)) if suspects else ():
-        around = widened(block, _DULL_FRAMES + 1, len(positions))
+        around = extend_block(block, _DULL_FRAMES + 1, len(positions))
         start = around.start
         window = open_window(positions[around], visible[around], model)
         inner = np.arange(block.start, block.stop) - start

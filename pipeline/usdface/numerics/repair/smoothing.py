@@ -16,7 +16,7 @@ from scipy.fft import dct, idct
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
-from usdface.core.arrays import FloatArray, RealArray, frame_blocks, widened
+from usdface.core.arrays import FloatArray, RealArray, extend_block, frame_blocks
 from usdface.numerics.repair.low_rank import LowRankModel
 
 _DIFFERENCE_ORDER = 3
@@ -104,7 +104,7 @@ def smooth_take(positions: RealArray, model: LowRankModel, *, noise: FloatArray)
         scores[:, columns] = smooth_tracks(scores[:, columns]).values
     behind = positions[:0]  # residuals of the frames before a block, which are smoothed already
     for block in frame_blocks(count):
-        around = widened(block, DETAIL_REACH, count)
+        around = extend_block(block, DETAIL_REACH, count)
         ahead = slice(block.start, around.stop)
         tracks = (scores[ahead] @ components + mean).reshape(-1, *positions.shape[1:])
         rest = np.concatenate([behind, positions[ahead] - tracks])

@@ -166,8 +166,8 @@ def _stretches(
 
     A stretch's name has a hash of its provenance and the numbers of its pictures.
     """
-    find_take_and_mapping = provenance_metadata(provenance) | {"rate": str(clock.rate)}
-    key = hash_text(canonical_json(find_take_and_mapping))[:16]
+    made_from = provenance_metadata(provenance) | {"rate": str(clock.rate)}
+    key = hash_text(canonical_json(made_from))[:16]
     count, rounds = clock.picture_count, -(-clock.picture_count // (STRETCH_PICTURES * workers))
     size = -(-count // (rounds * workers))
     return [
