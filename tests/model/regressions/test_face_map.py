@@ -15,7 +15,7 @@ from usdface.model.regressions.forward_model import (
     weight_spread,
 )
 from usdface.model.regressions.frame_solve import FrameSolver
-from usdface.numerics.regression.marker_prior import expect_marker_motion
+from usdface.numerics.regression.marker_prior import fit_marker_basis
 
 PAIRS, SHAPES, MARKERS = 12, 5, 7
 SCALES = ForwardScales(alpha=0.4, floor=0.2, eta=0.1, tau=0.05, curve=0.0)
@@ -79,7 +79,7 @@ def test_unseen_shapes_move_as_the_rig_at_the_given_scale(scale: float | None) -
     moved = 0.7 * np.einsum("ns,spc->npc", weights, skin[:, :10])
     moved[:, 5:] = 0.0  # markers that no reference moves
     skin[:3, 5:10] = 0.0
-    found = expect_marker_motion(
+    found = fit_marker_basis(
         skin, weights, moved, rest=rest, neutral=rest[:10], places=rest[:10], motion_scale=scale
     )
     expected = skin[3, 5:10] * (1.0 if scale is None else 0.7)

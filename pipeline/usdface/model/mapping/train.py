@@ -161,7 +161,7 @@ def _outer_skin(
     gaze, tongue = gaze_shapes(parts), length[tongue_shapes(parts)].max(axis=0, initial=0)
     is_skin = length[gaze].max(axis=0, initial=0) <= np.delete(length, gaze, axis=0).max(axis=0)
     is_skin &= tongue <= _TONGUE_SHARE * tongue.max(initial=0)
-    unobserved = unseen_shapes(parts)
+    unobserved = gaze_and_tongue_shapes(parts)
     skin = skin.copy()
     skin[unobserved[~references.weights[:, unobserved].any(axis=0)]] = 0.0
     return skin[:, is_skin], None if rest is None else replace(rest, points=rest.points[is_skin])
