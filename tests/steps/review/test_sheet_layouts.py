@@ -170,7 +170,7 @@ def test_uncertainty_is_drawn_below_the_errors(shot: Shot, monkeypatch) -> None:
     )
     execute(spec_of(shot))
     curve, covered = pages[0].curves
-    assert (curve.label, covered.label) == ("uncertainty", "1 - coverage")
+    assert (curve.label, covered.label) == ("uncertainty", "1 − coverage")
     assert (pages[0].high, pages[0].comparable) == (3.0, False)
     assert pages[0].verdict[0] in VERDICT_WORDS
     np.testing.assert_array_equal(

@@ -97,7 +97,7 @@ def draw_coverage(page: CoveragePage) -> ByteImage:
     picture = render(figure)
     y = draw_header(picture, page.title, page.facts, margin=_PAGE_MARGIN)
     inner = _PAGE_WIDTH - 2 * _PAGE_MARGIN
-    note = "1 - coverage   ·   white marks: references"
+    note = "1 − coverage   ·   white marks: references"
     draw_legend(picture, (note,), x=_PAGE_MARGIN, y=y, width=inner, high=f"{WORST_PERCENT:g}%")
     y += _LEGEND_HEIGHT
     first = page.first_frame if len(page.takes) == 1 else 0

@@ -186,7 +186,7 @@ def coverage_curves(shot: Shot) -> tuple[ErrorCurve, ...]:
     coverage = shot.evidence().coverage
     if coverage is None:
         return ()
-    return (ErrorCurve("1 - coverage", 100 * (1 - coverage[:, 0]), high=100.0, unit="%"),)
+    return (ErrorCurve("1 − coverage", 100 * (1 - coverage[:, 0]), high=100.0, unit="%"),)
 
 
 WORST_SHARE = 6
