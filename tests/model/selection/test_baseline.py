@@ -107,5 +107,5 @@ def test_a_marker_without_a_place_has_no_residual() -> None:
     shown = equation.neutral + shapes.offsets(weights)
     shown[:, 4] += 30.0
     assert equation.residual_mm(shown, weights).min() > 5.0
-    placed = replace(equation, left_out=(4,))
+    placed = replace(equation, unplaced=(4,))
     np.testing.assert_allclose(placed.residual_mm(shown, weights), 0.0, atol=1e-9)

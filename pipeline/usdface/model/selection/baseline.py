@@ -182,7 +182,7 @@ class BlendshapeEquation:
     """RMS residual of the solve: the error of skin, placement and capture."""
     lids: LidEvidence | None = None
     """None to solve blinks as any shape."""
-    left_out: tuple[int, ...] = ()
+    unplaced: tuple[int, ...] = ()
     """Markers without a place on the character: they have no residual."""
 
     def motion(self, positions: Positions) -> FloatArray:
@@ -198,7 +198,7 @@ class BlendshapeEquation:
         """
         motion = self.motion(positions)
         placed = np.ones(len(self.neutral))
-        placed[list(self.left_out)] = 0.0
+        placed[list(self.unplaced)] = 0.0
         return solve_weights(
             self.deltas, motion, method="lstsq", visible=visible, marker_trust=placed
         ).weights
@@ -254,7 +254,7 @@ class BlendshapeEquation:
     def residual_mm(self, positions: Positions, weights: FloatArray) -> FloatArray:
         """Return the RMS residual of the markers for given weights: (frames,)."""
         motion = self.motion(positions)
-        away = np.delete(motion - self._moved(weights), list(self.left_out), axis=1)
+        away = np.delete(motion - self._moved(weights), list(self.unplaced), axis=1)
         return np.asarray(np.sqrt((away**2).sum(axis=2).mean(axis=1)))
 
     def _moved(self, weights: FloatArray) -> FloatArray:

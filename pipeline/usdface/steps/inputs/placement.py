@@ -268,7 +268,7 @@ def placed_equation(
         visible=visible,
         rigid=tuple(sorted({*rigid, *unplaced})),
     )
-    return replace(made, left_out=tuple(unplaced))
+    return replace(made, unplaced=tuple(unplaced))
 
 
 def stored_placement(references: References, rig: Rig) -> RigPlacement | None:
