@@ -1,7 +1,7 @@
 import pytest
 
 from usdface.model.placement.label_hints import (
-    is_worn,
+    is_on_headgear,
     label_hint,
     mirror_partners,
     mirrored_label,
@@ -70,9 +70,9 @@ def test_skin_of_the_skull_moves_least_and_lips_most() -> None:
 
 def test_what_is_worn_is_neither_forehead_ear_nor_temple() -> None:
     worn = ("head_1", "Headband_L", "forehead_band_2", "skull", "cap_R", "HEAD4")
-    assert all(map(is_worn, worn))
+    assert all(map(is_on_headgear, worn))
     skin = ("ForeHead_M", "temple_L1", "ear_R", "Rear", "brow_L2", "cheek_1", "nose", "m12", "")
-    assert not any(map(is_worn, skin))
+    assert not any(map(is_on_headgear, skin))
 
 
 def test_partners_are_found_whatever_their_case() -> None:

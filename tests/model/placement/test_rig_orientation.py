@@ -13,7 +13,7 @@ from usdface.core.assets import Rig
 from usdface.core.errors import InputError
 from usdface.demo.dog import dog_rig
 from usdface.demo.rig import demo_rig
-from usdface.model.placement.rig_orientation import check_rig_stands, facing_degrees
+from usdface.model.placement.rig_orientation import check_rig_upright, facing_degrees
 from usdface.usdio.rig.read import read_rig
 
 HEADS = ("facecap_head.usdc", "ict_head.usdc", "ict_face.usdc")
@@ -47,7 +47,7 @@ def test_heads_that_stand_pass_however_large_squashed_or_turned(rig: Rig) -> Non
     yaw = Rotation.from_euler("y", 130, degrees=True).as_matrix()
     nod = Rotation.from_euler("x", 35, degrees=True).as_matrix()
     for matrix in (np.eye(3), 50 * np.eye(3), np.diag([2.0, 0.6, 1.5]), yaw, yaw @ nod):
-        assert check_rig_stands(transformed(rig, matrix)) == ()
+        assert check_rig_upright(transformed(rig, matrix)) == ()
 
 
 def test_where_a_face_looks_is_known_by_its_sides(rig: Rig) -> None:
@@ -69,11 +69,11 @@ def test_a_lying_head_is_refused_with_the_axis_that_is_up(
 ) -> None:
     lying = transformed(rig, Rotation.from_euler(axis, degrees, degrees=True).as_matrix())
     with pytest.raises(InputError, match=rf"the head lies: .*near {up} .*correct upAxis"):
-        check_rig_stands(lying)
+        check_rig_upright(lying)
 
 
 def test_exchanged_sides_are_a_doubt(rig: Rig) -> None:
-    (note,) = check_rig_stands(transformed(rig, np.diag([-1.0, 1, 1])))
+    (note,) = check_rig_upright(transformed(rig, np.diag([-1.0, 1, 1])))
     assert "shapes named left move the right side" in note
 
 
@@ -83,16 +83,16 @@ def test_foreign_names_are_not_judged(rig: Rig) -> None:
         for mesh in rig.meshes
     ]
     lying = transformed(replace(rig, meshes=tuple(meshes)), np.diag([1.0, -1, -1]))
-    assert check_rig_stands(lying) == ()
+    assert check_rig_upright(lying) == ()
 
 
 def test_rigs_of_others_pass_and_a_wrong_axis_in_the_file_is_refused(
     shared_data: Path, tmp_path: Path
 ) -> None:
     for name in HEADS:
-        assert check_rig_stands(read_rig(shared_data / "rigs" / name)) == ()
+        assert check_rig_upright(read_rig(shared_data / "rigs" / name)) == ()
     stage = Usd.Stage.Open(str(shared_data / "rigs" / HEADS[0]))
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     stage.Export(str(tmp_path / "lies.usdc"))
     with pytest.raises(InputError, match="the head lies"):
-        check_rig_stands(read_rig(tmp_path / "lies.usdc"))
+        check_rig_upright(read_rig(tmp_path / "lies.usdc"))

@@ -20,7 +20,7 @@ from usdface.model.selection.design import (
     choose_by_design,
     choose_visemes,
     extreme_frames,
-    pool_of,
+    limit_candidates,
     proposal_error_mm,
     selection_space,
     viseme_frames,
@@ -124,13 +124,13 @@ def test_a_long_recording_is_thinned_to_its_peaks() -> None:
     rng = np.random.default_rng(0)
     features = rng.normal(size=(1000, 3))
     candidates = rng.random(1000) < 0.7
-    pool = pool_of(features, candidates, limit=100)
+    pool = limit_candidates(features, candidates, limit=100)
     assert len(pool) == len(set(pool.tolist())) == 100
     assert candidates[pool].all()
     size = (features**2).sum(axis=1)
     assert int(np.where(candidates, size, -1).argmax()) in pool
     np.testing.assert_array_equal(
-        pool_of(features, candidates, limit=1000), np.flatnonzero(candidates)
+        limit_candidates(features, candidates, limit=1000), np.flatnonzero(candidates)
     )
 
 

@@ -13,9 +13,9 @@ from usdface.core.assets import Markers, Take
 from usdface.core.errors import InputError
 from usdface.demo.rig import demo_rig
 from usdface.steps.inputs.cleaned_takes import (
-    bound_take_notes,
     plausibility_notes,
     read_cleaned_takes,
+    take_warnings,
 )
 from usdface.usdio.take.read import TakeReader
 from usdface.usdio.take.write import write_take
@@ -44,7 +44,7 @@ def test_warnings_of_ingest_are_repeated_and_nothing_is_judged_again(tmp_path: P
     path = cleaned(tmp_path / "x.clean.take.usda", wrong, ("left and right ...",))
     takes = read_cleaned_takes((path,))
     assert plausibility_notes(takes, (path,), demo_rig()) == ["x: left and right ..."]
-    assert bound_take_notes(TakeReader(path)) == ["left and right ..."]
+    assert take_warnings(TakeReader(path)) == ["left and right ..."]
 
 
 def test_takes_of_other_tools_are_judged_where_they_meet_a_rig(tmp_path: Path) -> None:
@@ -53,7 +53,7 @@ def test_takes_of_other_tools_are_judged_where_they_meet_a_rig(tmp_path: Path) -
     with pytest.raises(InputError, match=message):
         plausibility_notes(read_cleaned_takes((path,)), (path,), demo_rig())
     with pytest.raises(InputError, match=message):
-        bound_take_notes(TakeReader(path))
+        take_warnings(TakeReader(path))
 
 
 def test_takes_of_one_select_have_one_size(tmp_path: Path) -> None:

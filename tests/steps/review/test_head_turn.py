@@ -15,7 +15,7 @@ from usdface.demo.acting import performance
 from usdface.runner.execute import execute
 from usdface.specs.retarget import RetargetSpec
 from usdface.specs.review import MovieSpec, ReportSpec, SheetSpec
-from usdface.steps.review.head_turn import turned_as_video
+from usdface.steps.review.head_turn import with_video_head_turn
 from usdface.steps.review.pictures import ShotPictures
 from usdface.steps.review.shot import open_shot
 from usdface.usdio.rig.rig_motion import RigMotion
@@ -32,7 +32,7 @@ def degrees_between(one: np.ndarray, other: np.ndarray) -> float:
 def test_the_head_turns_as_the_actors_since_the_neutral_frame(shot: Shot) -> None:
     give_video(shot)
     opened = open_shot(shot / "shot.hero.usda")
-    motion = turned_as_video(opened, "auto").motion
+    motion = with_video_head_turn(opened, "auto").motion
     assert motion is not None
     acted = performance()
     angles = acted.rotation[:, [1, 0, 2]]
@@ -47,27 +47,27 @@ def test_the_head_turns_as_the_actors_since_the_neutral_frame(shot: Shot) -> Non
 
 def test_without_video_or_from_the_front_or_by_a_camera_the_head_is_still(shot: Shot) -> None:
     still = open_shot(shot / "shot.hero.usda")
-    assert turned_as_video(still, "auto").motion is None
+    assert with_video_head_turn(still, "auto").motion is None
     give_video(shot)
     opened = open_shot(shot / "shot.hero.usda")
-    assert turned_as_video(opened, "front").motion is None
-    assert turned_as_video(opened, "/Cut/main").motion is None
+    assert with_video_head_turn(opened, "front").motion is None
+    assert with_video_head_turn(opened, "/Cut/main").motion is None
     (shot / "hero.references.placement.usda").unlink()  # how the performer lies is not known
-    assert turned_as_video(opened, "auto").motion is None
+    assert with_video_head_turn(opened, "auto").motion is None
 
 
 def test_a_rig_whose_joints_move_is_not_turned_twice(shot: Shot) -> None:
     give_video(shot)
     opened = open_shot(shot / "shot.hero.usda")
     moving = RigMotion(opened.performance_file, opened.rig)
-    assert turned_as_video(replace(opened, motion=moving), "auto").motion is moving
+    assert with_video_head_turn(replace(opened, motion=moving), "auto").motion is moving
 
 
 def test_markers_stay_on_the_face_that_turns(shot: Shot) -> None:
     from usdface.steps.review.scoring import set_up_shot_baseline
 
     give_video(shot)
-    opened = turned_as_video(open_shot(shot / "shot.hero.usda"), "auto")
+    opened = with_video_head_turn(open_shot(shot / "shot.hero.usda"), "auto")
     equation = set_up_shot_baseline(opened)
     row = TURNED - int(opened.frames[0])
     with ShotPictures(opened, height=160, quality="draft") as pictures:
@@ -116,7 +116,7 @@ def test_a_phones_channels_turn_it_without_markers(shot: Shot, channel: str) -> 
             source=shot / "phone.take.usda", rig=(shot / "hero.usdc",), names=names, out=(out,)
         )
     )
-    motion = turned_as_video(open_shot(out), "auto").motion
+    motion = with_video_head_turn(open_shot(out), "auto").motion
     if channel != "HeadYaw":
         assert motion is None
         return
@@ -131,7 +131,7 @@ def test_markers_of_the_report_turn_with_the_head(shot: Shot) -> None:
     out = shot / "turned.html"
     given = {"performance": shot / "shot.hero.usda", "frames": frames, "baseline": False}
     execute(ReportSpec(**given, out=out, height=120))
-    opened = turned_as_video(open_shot(shot / "shot.hero.usda"), "auto")
+    opened = with_video_head_turn(open_shot(shot / "shot.hero.usda"), "auto")
     assert opened.motion is not None
     turn = opened.motion.transforms(TURNED)[0]
     faults: list[str] = []

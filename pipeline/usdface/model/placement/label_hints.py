@@ -109,7 +109,7 @@ def label_hint(label: str) -> LabelHint:
     return LabelHint(side)
 
 
-def is_worn(label: str) -> bool:
+def is_on_headgear(label: str) -> bool:
     """Whether a label names a head band, a cap or the skull; not a forehead, ear or temple."""
     return label_hint(label).region == "skull" and bool(_WORN.search(label.lower()))
 

@@ -49,7 +49,7 @@ _LEAST_AGREEMENT = 0.75
 probability of 1/80; faces reach 0.9."""
 
 
-def check_rig_stands(rig: Rig) -> tuple[str, ...]:
+def check_rig_upright(rig: Rig) -> tuple[str, ...]:
     """Refuse a rig that is not upright; return a note if its left and right seem exchanged.
 
     Rigs with foreign shape names are not checked.

@@ -193,7 +193,7 @@ DESIGNS: dict[str, Callable[..., Design]] = {
     "D-optimal": design_d_optimal,
 }
 
-POOL_FRAMES = 24_000
+MAX_CANDIDATES = 24_000
 """Most candidates; of longer recordings the most extreme frame of each interval."""
 
 
@@ -229,7 +229,9 @@ class ReferenceChoice:
     """Pairs of emotion and viseme that do not occur."""
 
 
-def pool_of(features: Features, candidates: BoolArray, *, limit: int = POOL_FRAMES) -> IntArray:
+def limit_candidates(
+    features: Features, candidates: BoolArray, *, limit: int = MAX_CANDIDATES
+) -> IntArray:
     """Return candidate rows: of each interval the frame farthest from the mean face.
 
     Neighbouring frames are nearly equal; peaks are the most informative.
@@ -261,7 +263,7 @@ def choose_by_design(
         Tuned rows.
     candidates : (frames,) bool array
     """
-    pool = pool_of(features, candidates)
+    pool = limit_candidates(features, candidates)
     rows = np.concatenate([already, pool[~np.isin(pool, already)]])
     if len(rows) - len(already) < count:
         rows = np.concatenate([already, np.setdiff1d(np.flatnonzero(candidates), already)])

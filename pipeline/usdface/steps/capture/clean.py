@@ -14,7 +14,7 @@ from usdface.core.provenance import Provenance
 from usdface.core.sidecars import samples_path
 from usdface.core.text import first_few, pluralize
 from usdface.media.picture.image import write_image
-from usdface.model.placement.label_hints import is_worn, label_hint, skin_motion_mm
+from usdface.model.placement.label_hints import is_on_headgear, label_hint, skin_motion_mm
 from usdface.numerics.repair.cleaning import clean_markers
 from usdface.numerics.rigid.rigid_markers import RigidMarkers, find_rigid_markers
 from usdface.runner.origin import provenance_metadata
@@ -172,7 +172,7 @@ def _head_markers(
     if named:
         notes += _soft_notes(named)
         return named, None
-    worn = [index for index, name in enumerate(markers.names) if is_worn(name)]
+    worn = [index for index, name in enumerate(markers.names) if is_on_headgear(name)]
     with contextlib.suppress(ValueError):
         found = _find_rigid(take, markers, worn)
         if found.residual_motion_mm <= _PROVEN_MOTION_MM:

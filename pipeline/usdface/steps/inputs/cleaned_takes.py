@@ -16,7 +16,7 @@ from usdface.model.placement.plausibility import (
     check_findings,
     judge_markers,
 )
-from usdface.model.placement.rig_orientation import check_rig_stands
+from usdface.model.placement.rig_orientation import check_rig_upright
 from usdface.numerics.registration.marker_application import SAMPLE_FRAMES
 from usdface.usdio.take.read import TakeReader, read_take
 
@@ -292,7 +292,7 @@ _SAMPLE_FRAMES = 64
 
 def plausibility_notes(takes: CleanedTakes, paths: tuple[Path, ...], rig: Rig) -> list[str]:
     """Return warnings about takes and the rig; refuse takes that cannot be of a human face."""
-    notes = [f"{rig.file.name}: {warning}" for warning in check_rig_stands(rig)]
+    notes = [f"{rig.file.name}: {warning}" for warning in check_rig_upright(rig)]
     for index, (path, source) in enumerate(zip(paths, takes.sources, strict=True)):
         warnings = source.warnings
         if warnings is None:
@@ -305,7 +305,7 @@ def plausibility_notes(takes: CleanedTakes, paths: tuple[Path, ...], rig: Rig) -
     return notes
 
 
-def bound_take_notes(take: TakeReader) -> list[str]:
+def take_warnings(take: TakeReader) -> list[str]:
     """Return warnings about a take: those of ingest, else by frames spread over it."""
     if take.warnings is not None:
         return list(take.warnings)

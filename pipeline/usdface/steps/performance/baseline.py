@@ -11,7 +11,7 @@ from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import weights_path
 from usdface.core.text import pluralize
-from usdface.model.placement.rig_orientation import check_rig_stands
+from usdface.model.placement.rig_orientation import check_rig_upright
 from usdface.model.selection.baseline import MOTION_FRAMES, BlendshapeEquation
 from usdface.runner.result import StepResult
 from usdface.specs.performance import MapSpec
@@ -70,7 +70,7 @@ def write_baseline(
     return StepResult(
         (spec.out, weights_path(spec.out)),
         f"{pluralize(count, 'frame')} of the baseline; residual {residual:.2f} mm at the markers",
-        (*check_rig_stands(rig), *_notes(spec, equation, rig, share), *edit_notes(spec.out)),
+        (*check_rig_upright(rig), *_notes(spec, equation, rig, share), *edit_notes(spec.out)),
         {"frames": count, "residual_mm": residual, "outside_ranges": share},
     )
 

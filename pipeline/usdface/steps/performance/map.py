@@ -23,7 +23,7 @@ from usdface.model.mapping.head_space import MINIMUM_SHARE, HeadSpace, MappedMar
 from usdface.model.mapping.predict import Prediction, WeightPredictor, basis_of, regions_of
 from usdface.model.mapping.rig_match import check_same_rig
 from usdface.model.mapping.temporal import TemporalSolve, smooth_weights
-from usdface.model.placement.rig_orientation import check_rig_stands
+from usdface.model.placement.rig_orientation import check_rig_upright
 from usdface.model.review.verdict import VISIBLE_ERROR_MM, SolveEvidence, judge_solve
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
@@ -300,7 +300,7 @@ def _check_rig(spec: MapSpec, mapping: TrainedMapping, rig: Rig) -> tuple[str, .
             f"{spec.rig}: {len(missing)} of the mapping's {len(mapping.shape_names)} shapes are "
             f"not on this rig: {first_few(missing)}; train again for it"
         )
-    return (*check_same_rig(mapping, rig), *check_rig_stands(rig))
+    return (*check_same_rig(mapping, rig), *check_rig_upright(rig))
 
 
 def _marker_notes(space: HeadSpace) -> list[str]:

@@ -21,7 +21,7 @@ from usdface.model.mapping.regions import sample_skin, skin_points
 from usdface.model.mapping.rig_match import rig_summary
 from usdface.model.mapping.train import train_mapping
 from usdface.model.mapping.uncertainty import proposal_error
-from usdface.model.placement.rig_orientation import check_rig_stands
+from usdface.model.placement.rig_orientation import check_rig_upright
 from usdface.model.placement.shape_parts import missing_parts_note, shape_parts
 from usdface.model.regressions import Choices
 from usdface.model.regressions.gaussian_rbf import PAPER_DIMENSIONS
@@ -60,7 +60,7 @@ def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress = silent)
     if alone:
         references = _subset(references, references.tuned)
     rig = read_rig_of(references, spec.references)
-    notes += check_rig_stands(rig)
+    notes += check_rig_upright(rig)
     columns = [rig.shapes.index(name) for name in references.shape_names]
     deformer = Deformer(rig)
     found = shape_parts(rig, deformer)

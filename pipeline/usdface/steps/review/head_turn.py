@@ -53,7 +53,7 @@ class HeadTurn(PointMotion):
         return turn_about(turn[None], self._axes, self._centre.tolist())
 
 
-def turned_as_video(shot: Shot, camera: str) -> Shot:
+def with_video_head_turn(shot: Shot, camera: str) -> Shot:
     """Return a shot whose head turns like the performer's, for the same view as the video.
 
     The shot is returned unchanged if the camera is not automatic, it has no video, its rig has

@@ -26,7 +26,7 @@ from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.review import MovieSpec, PanelKind
 from usdface.steps.review.clock import SAMPLE_RATE, MovieClock, movie_rate, take_sound
-from usdface.steps.review.head_turn import turned_as_video
+from usdface.steps.review.head_turn import with_video_head_turn
 from usdface.steps.review.pictures import ShotPictures
 from usdface.steps.review.shot import Shot, open_shot
 
@@ -202,7 +202,7 @@ def _draw_all(
 
 def _open_studio(plan: _Plan, shot: Shot, open_files: ExitStack) -> _Studio:
     if "video" in plan.panels:
-        shot = turned_as_video(shot, plan.spec.camera)
+        shot = with_video_head_turn(shot, plan.spec.camera)
     pictures = ShotPictures(
         shot,
         height=plan.spec.height,

@@ -31,7 +31,7 @@ from usdface.runner.result import StepResult
 from usdface.specs.review import ReportSpec
 from usdface.steps.inputs.phone_labels import labels_at
 from usdface.steps.review.clock import SAMPLE_RATE, MovieClock, take_sound
-from usdface.steps.review.head_turn import turned_as_video
+from usdface.steps.review.head_turn import with_video_head_turn
 from usdface.steps.review.report_parts import (
     page_commands,
     page_curves,
@@ -67,7 +67,7 @@ def run(spec: ReportSpec, *, provenance: Provenance, progress: Progress = silent
     progress(0.0, "reading")
     check_same_take(spec.performance, spec.take, spec.also)
     shot = open_shot(spec.performance, spec.take, frames=spec.frames, video=spec.video)
-    shot = turned_as_video(shot, spec.camera)
+    shot = with_video_head_turn(shot, spec.camera)
     clock = _clock(spec, shot)
     notes: list[str] = []
     page = _page(spec, shot, clock, notes, provenance, progress)

@@ -16,7 +16,7 @@ from usdface.runner.origin import check_same_take
 from usdface.specs.paths import frame_list
 from usdface.specs.review import FramePick, SheetLayout, SheetSpec
 from usdface.steps.inputs.phone_labels import labels_at
-from usdface.steps.review.head_turn import turned_as_video
+from usdface.steps.review.head_turn import with_video_head_turn
 from usdface.steps.review.pictures import ShotPictures
 from usdface.steps.review.scoring import (
     ChosenFrame,
@@ -117,7 +117,9 @@ def _open_shots(spec: SheetSpec) -> list[Shot]:
     listed = frame_list(spec.frames)
     limits = spec.frames if listed is None else None
     shots = [
-        turned_as_video(open_shot(file, spec.take, frames=limits, video=spec.video), spec.camera)
+        with_video_head_turn(
+            open_shot(file, spec.take, frames=limits, video=spec.video), spec.camera
+        )
         for file in files
     ]
     first = max(int(shot.frames[0]) for shot in shots)

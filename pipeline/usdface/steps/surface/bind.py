@@ -17,7 +17,7 @@ from usdface.numerics.registration.marker_binding import MarkerBinding
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.surface import BindSpec
-from usdface.steps.inputs.cleaned_takes import bound_take_notes
+from usdface.steps.inputs.cleaned_takes import take_warnings
 from usdface.steps.surface.picture import other_meshes
 from usdface.steps.surface.plan import TakeSample, bind_take, landmark_places, sample_take
 from usdface.usdio.rig.mesh import FaceMesh, read_face_mesh
@@ -35,7 +35,7 @@ def run(spec: BindSpec, *, provenance: Provenance, progress: Progress = silent) 
     face = read_face_mesh(spec.mesh, prim=spec.mesh_prim)
     take = TakeReader(spec.take)
     sample = sample_take(take)
-    warnings = bound_take_notes(take)
+    warnings = take_warnings(take)
     pinned = landmark_places(spec.landmarks, sample.names, face, spec.take)
     sources = dict.fromkeys(pinned, "landmark")
     corrections, left_out = _corrections(spec, sample, face)
