@@ -29,7 +29,7 @@ def perform(path: Path, weights: np.ndarray, *, rate: int = 24, first: int = 1, 
         rate=Fraction(rate),
         first_frame=first,
         last_frame=first + len(weights) - 1,
-        place=place,
+        rig_path=place,
     )
     with writing_performance(path, header, rig) as writer:
         writer.append(weights)

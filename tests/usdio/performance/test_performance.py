@@ -44,7 +44,7 @@ def write(folder: Path, *, place: str | None = None, weights=WEIGHTS, first: int
                 rate=Fraction(30000, 1001),
                 first_frame=first,
                 last_frame=first + len(weights) - 1,
-                place=place,
+                rig_path=place,
                 regions=("face",),
                 timecode_start="00:01:00;02",
             ),
@@ -237,7 +237,7 @@ def test_an_animation_beside_the_rig_is_read_with_the_place_of_the_rig(tmp_path:
     weights.Save()
     reader = PerformanceReader(path)
     assert str(reader.animation.GetPath()) == "/anims/face"
-    assert reader.header.place == "/cast/hero"
+    assert reader.header.rig_path == "/cast/hero"
 
 
 def test_a_folder_behind_a_link_finds_the_rig_by_the_name_it_was_given(tmp_path: Path) -> None:

@@ -83,8 +83,9 @@ def _check_alike(spec: CombineSpec, readers: Sequence[PerformanceReader]) -> Non
                 f"{other}: runs at {float(reader.rate):g} frames per second, and {path} at "
                 f"{float(first.rate):g}; combine takes of the same rate"
             )
-        if reader.header.place != first.header.place:
+        if reader.header.rig_path != first.header.rig_path:
             raise InputError(
-                f"{other}: has the rig at <{reader.header.place}>, and {path} at "
-                f"<{first.header.place}>; map or retarget it again with --prim {first.header.place}"
+                f"{other}: has the rig at <{reader.header.rig_path}>, and {path} at "
+                f"<{first.header.rig_path}>; map or retarget it again with "
+                f"--prim {first.header.rig_path}"
             )

@@ -44,7 +44,7 @@ def write_baseline(
         rate=take.rate,
         first_frame=first,
         last_frame=last,
-        place=spec.prim,
+        rig_path=spec.prim,
         timecode_start=take.timecode_at(first),
     )
     squares, outside = [], 0

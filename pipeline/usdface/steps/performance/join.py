@@ -81,7 +81,7 @@ def _check_parts(readers: list[PerformanceReader], headers: list[WeightsHeader])
         for what, found, wanted in (
             ("shapes", header.shape_names, headers[0].shape_names),
             ("rate", header.rate, headers[0].rate),
-            ("prim", header.place, headers[0].place),
+            ("prim", header.rig_path, headers[0].rig_path),
             ("regions", header.regions, headers[0].regions),
             ("rig", reader.rig(), readers[0].rig()),
         ):

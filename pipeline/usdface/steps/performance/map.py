@@ -155,7 +155,7 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress = silent) -
             rate=take.rate,
             first_frame=first,
             last_frame=last,
-            place=spec.prim,
+            rig_path=spec.prim,
             regions=regions_of(mapping),
             timecode_start=take.timecode_at(first),
         ),

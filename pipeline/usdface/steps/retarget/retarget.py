@@ -205,7 +205,7 @@ def _header(spec: RetargetSpec, motion: SourceMotion, target: _Target) -> Weight
         rate=motion.rate,
         first_frame=motion.first_frame,
         last_frame=motion.last_frame,
-        place=spec.prim,
+        rig_path=spec.prim,
         timecode_start=motion.timecode_start,
     )
     lost = set(target.unmatched) | set(target.unpaired)

@@ -80,7 +80,7 @@ def run(spec: WarpSpec, *, provenance: Provenance, progress: Progress = silent) 
     # Unchanged frames keep their controls, as rotations change by rounding when converted.
     warped = _replace_changed(read.clip.controls, space.decode(after), after != before)
     progress(0.6, "writing")
-    _write(spec, rig, reader.header.place, read, warped, part(progress, 0.6, 0.95), provenance)
+    _write(spec, rig, reader.header.rig_path, read, warped, part(progress, 0.6, 0.95), provenance)
     if spec.curves is not None:
         _draw(spec, spec.curves, placements, space, before, after, read, provenance)
     progress(1.0, "done")
@@ -260,7 +260,7 @@ def _replace_changed(old: Controls, new: Controls, changed: np.ndarray) -> Contr
 def _write(
     spec: WarpSpec,
     rig: Rig,
-    place: str,
+    rig_path: str,
     read: ReadControls,
     warped: Controls,
     progress: Progress,
@@ -274,7 +274,7 @@ def _write(
             rate=read.rate,
             first_frame=read.clip.first_frame,
             last_frame=read.clip.last_frame,
-            place=place,
+            rig_path=rig_path,
             timecode_start=read.timecode_start,
         ),
         rig,

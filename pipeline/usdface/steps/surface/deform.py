@@ -44,7 +44,7 @@ def run(spec: DeformSpec, *, provenance: Provenance, progress: Progress = silent
             rate=take.rate,
             first_frame=first,
             last_frame=last,
-            place=spec.prim,
+            rig_path=spec.prim,
             method=_method(spec, plan),
             timecode_start=take.timecode_at(first),
         ),

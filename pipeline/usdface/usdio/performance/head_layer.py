@@ -58,7 +58,7 @@ def write_head_layer(
     with new_layer(head_path(path), provenance) as layer:
         author_units(layer, like=rig.file)
         author_timing(layer, rate=header.rate, first=header.first_frame, last=header.last_frame)
-        layer.defaultPrim = Sdf.Path(header.place).GetPrefixes()[0].name
+        layer.defaultPrim = Sdf.Path(header.rig_path).GetPrefixes()[0].name
         if joints:
             driven = _turn_joints(_joints_of(controls, header, path), stage, rig, joints)
             prim = Sdf.CreatePrimInLayer(layer, header.animation)
@@ -67,7 +67,9 @@ def write_head_layer(
         source = Sdf.Path(rig.prim).GetPrefixes()[0]
         for target in world.keys() - joints.keys():
             prim = stage.GetPrimAtPath(target.path)
-            over = Sdf.CreatePrimInLayer(layer, prim.GetPath().ReplacePrefix(source, header.place))
+            over = Sdf.CreatePrimInLayer(
+                layer, prim.GetPath().ReplacePrefix(source, header.rig_path)
+            )
             _author_xform(over, prim, world[target], header.first_frame)
 
 

@@ -79,7 +79,7 @@ class PerformanceReader:
         return exact_rate(rate, where=f"{self.path}: timeCodesPerSecond")
 
     @property
-    def place(self) -> str:
+    def rig_path(self) -> str:
         """Parent of the animation, the rig's prim in our files."""
         return str(self.animation.GetPath().GetParentPath())
 
@@ -156,22 +156,22 @@ class PerformanceReader:
     @refusing_wrong_types
     def combinations(self) -> tuple[Combination, ...]:
         """Combinations of the rig; none without a rig in the stage."""
-        place = self.stage.GetPrimAtPath(rig_path_of(self.stage, self.animation))
-        return combinations_below(place, self.path)
+        top = self.stage.GetPrimAtPath(rig_path_of(self.stage, self.animation))
+        return combinations_below(top, self.path)
 
     @property
     def header(self) -> WeightsHeader:
         """The header of a weights layer of the performance."""
-        place, path = rig_path_of(self.stage, self.animation), self.animation.GetPath()
+        rig_path, path = rig_path_of(self.stage, self.animation), self.animation.GetPath()
         return WeightsHeader(
-            place=place,
+            rig_path=rig_path,
             shape_names=self.names,
             rate=self.rate,
             first_frame=self.first_frame,
             last_frame=self.last_frame,
             regions=self.regions,
             timecode_start=self.timecode_start,
-            name=path.name if path.GetParentPath() == Sdf.Path(place) else ANIMATION,
+            name=path.name if path.GetParentPath() == Sdf.Path(rig_path) else ANIMATION,
             neutral_frame=self.neutral_frame,
             basis=self.basis,
             unmatched=names_in(self.animation.GetAttribute(UNMATCHED)),

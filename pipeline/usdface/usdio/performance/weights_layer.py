@@ -32,7 +32,7 @@ from usdface.usdio.layers import (
     save_layer,
 )
 from usdface.usdio.rig.read import faces_below
-from usdface.usdio.rig.reference import default_place, point_skeletons_at
+from usdface.usdio.rig.reference import default_rig_path, point_skeletons_at
 from usdface.usdio.units import author_units
 
 ANIMATION = "FaceSolve"
@@ -68,7 +68,7 @@ COVERAGE_TOLERANCE = 0.002
 class WeightsHeader:
     """Contents of a weights layer without its samples."""
 
-    place: str
+    rig_path: str
     """Prim path of the rig in the performance."""
     shape_names: tuple[str, ...]
     """Order of the weights."""
@@ -107,7 +107,7 @@ class WeightsHeader:
     @property
     def animation(self) -> Sdf.Path:
         """Path of the animation prim."""
-        return Sdf.Path(self.place).AppendChild(self.name)
+        return Sdf.Path(self.rig_path).AppendChild(self.name)
 
     @property
     def frame_count(self) -> int:
@@ -314,7 +314,7 @@ def make_header(
     rate: Fraction,
     first_frame: int,
     last_frame: int,
-    place: str | None = None,
+    rig_path: str | None = None,
     regions: tuple[str, ...] = (),
     timecode_start: str = "",
 ) -> WeightsHeader:
@@ -323,12 +323,12 @@ def make_header(
     Parameters
     ----------
     rig : Rig
-        Determines the name of the animation prim, and the default of `place`.
-    shape_names, rate, first_frame, last_frame, place, regions, timecode_start
+        Determines the name of the animation prim, and the default of `rig_path`.
+    shape_names, rate, first_frame, last_frame, rig_path, regions, timecode_start
         As in `WeightsHeader`.
     """
     return WeightsHeader(
-        place=place or default_place(rig),
+        rig_path=rig_path or default_rig_path(rig),
         shape_names=shape_names,
         rate=rate,
         first_frame=first_frame,
@@ -348,7 +348,7 @@ def append_rig_shapes(names: Iterable[str], rig: Rig) -> tuple[str, ...]:
     return tuple(dict.fromkeys((*names, *rig.shapes)))
 
 
-def place_in(layer: Sdf.Layer) -> str:
+def rig_path_in(layer: Sdf.Layer) -> str:
     """Return the prim path of the rig of a weights layer; empty if unknown."""
     places = [
         str(path.GetParentPath())
@@ -362,7 +362,7 @@ def author_header(layer: Sdf.Layer, header: WeightsHeader, rig: Rig) -> Sdf.Prim
     """Write all of a weights layer but its samples; return the animation prim."""
     author_units(layer, like=rig.file)
     author_timing(layer, rate=header.rate, first=header.first_frame, last=header.last_frame)
-    layer.defaultPrim = Sdf.Path(header.place).GetPrefixes()[0].name
+    layer.defaultPrim = Sdf.Path(header.rig_path).GetPrefixes()[0].name
     prim = define_prim(layer, header.animation, "SkelAnimation")
     apply_api(prim, "FaceSolveAPI")
     tokens = Sdf.ValueTypeNames.TokenArray
@@ -389,5 +389,5 @@ def author_header(layer: Sdf.Layer, header: WeightsHeader, rig: Rig) -> Sdf.Prim
     if header.timecode_start:
         text = Sdf.ValueTypeNames.String
         author_uniform(prim, "face:timecode:start", text, header.timecode_start)
-    point_skeletons_at(layer, header.place, rig, header.animation)
+    point_skeletons_at(layer, header.rig_path, rig, header.animation)
     return prim

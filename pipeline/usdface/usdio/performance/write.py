@@ -31,12 +31,12 @@ from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import (
     WeightsHeader,
     WeightsWriter,
-    place_in,
+    rig_path_in,
     writing_weights,
 )
 from usdface.usdio.rig.reference import (
     copy_variants,
-    default_place,
+    default_rig_path,
     define_reference,
     remove_reference,
     rig_path_of,
@@ -62,7 +62,7 @@ def write_package(
     """
     rig_file, rig_prim = reader.rig()
     source = Sdf.Path(rig_prim).GetPrefixes()[0]
-    place = Sdf.Path(rig_path_of(reader.stage, reader.animation))
+    rig_path = Sdf.Path(rig_path_of(reader.stage, reader.animation))
     top_file = weights.with_name("review.usdc")
     with usd_errors_as_input_errors(target, "packing it"):
         top = Sdf.Layer.CreateNew(str(top_file))
@@ -70,7 +70,7 @@ def write_package(
         if provenance is not None:
             top.customLayerData = {"usdface": provenance_data(provenance)}
         author_timing(top, rate=reader.rate, first=reader.first_frame, last=reader.last_frame)
-        top.defaultPrim = place.GetPrefixes()[0].name
+        top.defaultPrim = rig_path.GetPrefixes()[0].name
         others = [each(reader.path) for each in (head_path, controls_path)]
         present = {relative_path(each, reader.path): each for each in others}
         opened = open_layer(reader.path)
@@ -81,13 +81,13 @@ def write_package(
             if each in present
         ]
         top.subLayerPaths = [*map(str, below), f"./{weights.name}"]
-        for above in place.GetParentPath().GetPrefixes():
+        for above in rig_path.GetParentPath().GetPrefixes():
             prim = Sdf.CreatePrimInLayer(top, above)
             prim.specifier, prim.typeName = Sdf.SpecifierDef, "Xform"
-        prim = Sdf.CreatePrimInLayer(top, place)
+        prim = Sdf.CreatePrimInLayer(top, rig_path)
         prim.specifier = Sdf.SpecifierDef
         prim.referenceList.prependedItems = [Sdf.Reference(str(rig_file), source)]
-        copy_variants(top, reader.stage, str(place), rig_file, str(source))
+        copy_variants(top, reader.stage, str(rig_path), rig_file, str(source))
         save_layer(top, target)
         _, _, missing = UsdUtils.ComputeAllDependencies(str(top_file))
         if missing:
@@ -198,7 +198,7 @@ def writing_top(
         Those of its head and controls layers that are written, as sublayers above the weights; the
         others are removed from its sublayers.
     shown : Usd.Stage, optional
-        With the rig at the same place, whose variant selections are copied.
+        With the rig at the same path, whose variant selections are copied.
     """
     besides = (head_path(path), controls_path(path))
     with (
@@ -211,7 +211,7 @@ def writing_top(
         if path.is_file():
             layer.TransferContent(open_layer(path))
         author_units(layer, like=rig.file)
-        layer.defaultPrim = Sdf.Path(header.place).GetPrefixes()[0].name
+        layer.defaultPrim = Sdf.Path(header.rig_path).GetPrefixes()[0].name
         weights_asset = relative_path(weights_path(path), path)
         below = list(layer.subLayerPaths)
         again = weights_asset in below
@@ -219,11 +219,11 @@ def writing_top(
         ends = (header.first_frame, header.last_frame)
         first, last = (moved.offset + moved.scale * each for each in ends)
         author_timing(layer, rate=header.rate, first=first, last=last)
-        define_reference(layer, header.place, rig, path, again=again)
+        define_reference(layer, header.rig_path, rig, path, again=again)
         if shown is not None:
-            copy_variants(layer, shown, header.place, rig.file, default_place(rig))
-        if before.place not in ("", header.place):
-            remove_reference(layer, before.place, {rig.file.resolve(), *before.files}, path)
+            copy_variants(layer, shown, header.rig_path, rig.file, default_rig_path(rig))
+        if before.rig_path not in ("", header.rig_path):
+            remove_reference(layer, before.rig_path, {rig.file.resolve(), *before.files}, path)
         if not again:
             layer.subLayerPaths.append(weights_asset)
         for each in besides:  # the head turns joints that the controls have
@@ -249,7 +249,7 @@ def _open_above(layer: Sdf.Layer, asset: str, other: str, *, wanted: bool) -> No
 class _Previous:
     """A performance that is written again."""
 
-    place: str = ""
+    rig_path: str = ""
     """Prim path of its rig; empty if unknown."""
     files: frozenset[Path] = frozenset()
     """Its inputs, resolved."""
@@ -259,12 +259,12 @@ def _previous(path: Path) -> _Previous:
     if not (path.is_file() and weights_path(path).is_file()):
         return _Previous()
     try:
-        place = place_in(open_layer(weights_path(path)))
+        rig_path = rig_path_in(open_layer(weights_path(path)))
         made = read_provenance(path)
     except InputError:  # damaged, and about to be replaced
         return _Previous()
     folder, inputs = path.resolve().parent, () if made is None else made.inputs
-    return _Previous(place, frozenset((folder / each).resolve() for each in inputs))
+    return _Previous(rig_path, frozenset((folder / each).resolve() for each in inputs))
 
 
 VARIANT_SET = "take"
@@ -285,12 +285,12 @@ def write_takes(
     Parameters
     ----------
     takes : mapping of str to PerformanceReader
-        Performances of one rig at one place and rate, by the name of the variant.
+        Performances of one rig at one path and rate, by the name of the variant.
     shown : str
         The selected variant.
     """
     first = next(iter(takes.values()))
-    top = Sdf.Path(first.header.place).GetPrefixes()[0]
+    top = Sdf.Path(first.header.rig_path).GetPrefixes()[0]
     with new_layer(path, provenance) as layer:
         author_units(layer, like=first.path)
         author_timing(

@@ -57,7 +57,7 @@ class ControlsLayer:
         self._attributes = []
         for name in attributes:
             kind = control_attribute(top, name, rig.file).GetTypeName()
-            where = attribute_path(Sdf.Path(header.place), name)
+            where = attribute_path(Sdf.Path(header.rig_path), name)
             if where is not None:
                 over = Sdf.CreatePrimInLayer(layer, where.GetPrimPath())
                 self._attributes.append(Sdf.AttributeSpec(over, where.name, kind).path)
@@ -126,7 +126,7 @@ def writing_control_performance(
             layer = stack.enter_context(new_layer(controls_file, provenance))
             author_units(layer, like=rig.file)
             author_timing(layer, rate=header.rate, first=header.first_frame, last=header.last_frame)
-            layer.defaultPrim = Sdf.Path(header.place).GetPrefixes()[0].name
+            layer.defaultPrim = Sdf.Path(header.rig_path).GetPrefixes()[0].name
             others = ControlsLayer(
                 layer, controls_file, header, rig, joints=joints, attributes=attributes
             )

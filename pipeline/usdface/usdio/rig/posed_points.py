@@ -26,12 +26,14 @@ class PosedRig:
         self.rig: Rig = read_rig(file, prim=prim)
         self._stage = open_stage(path)
         # The face that moves, of a file with several.
-        place = rig_path_of(self._stage, self._stage.GetPrimAtPath(self.reader.animation.GetPath()))
-        face = Sdf.Path(prim).ReplacePrefix(Sdf.Path(prim).GetPrefixes()[0], Sdf.Path(place))
+        rig_path = rig_path_of(
+            self._stage, self._stage.GetPrimAtPath(self.reader.animation.GetPath())
+        )
+        face = Sdf.Path(prim).ReplacePrefix(Sdf.Path(prim).GetPrefixes()[0], Sdf.Path(rig_path))
         if not UsdSkel.Root(self._stage.GetPrimAtPath(face)) and not faces_below(
             self._stage.GetPseudoRoot()
         ):  # only overs: the rig's file is missing
-            self._stage = stage_with_rig(path, self.rig, Sdf.Path(place))
+            self._stage = stage_with_rig(path, self.rig, Sdf.Path(rig_path))
         face_path = str(face) if self._stage.GetPrimAtPath(face) else None
         root = UsdSkel.Root(find_face(self._stage, path, face_path))
         predicate = Usd.TraverseInstanceProxies()

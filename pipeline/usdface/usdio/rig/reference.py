@@ -19,13 +19,13 @@ from usdface.usdio.units import MM_PER_STAGE_UNIT, stage_to_ours
 UNITS = "xformOp:transform:units"
 
 
-def default_place(rig: Rig) -> str:
-    """Return the default place of a rig: the path of its top prim."""
+def default_rig_path(rig: Rig) -> str:
+    """Return the default prim path of a rig, that of its top prim."""
     return str(Sdf.Path(rig.prim).GetPrefixes()[0])
 
 
 def define_reference(
-    layer: Sdf.Layer, place: str, rig: Rig, layer_path: Path, *, again: bool = False
+    layer: Sdf.Layer, rig_path: str, rig: Rig, layer_path: Path, *, again: bool = False
 ) -> None:
     """Define a prim that references the rig's top prim; prims above it become Xforms.
 
@@ -39,10 +39,10 @@ def define_reference(
         Whether the layer has a reference to a rig, perhaps another one, which is replaced.
     """
     source = Sdf.Path(rig.prim).GetPrefixes()[0]
-    for above in Sdf.Path(place).GetParentPath().GetPrefixes():
+    for above in Sdf.Path(rig_path).GetParentPath().GetPrefixes():
         if not layer.GetPrimAtPath(above):
             define_prim(layer, above, "Xform")
-    prim = Sdf.CreatePrimInLayer(layer, place)
+    prim = Sdf.CreatePrimInLayer(layer, rig_path)
     prim.specifier = Sdf.SpecifierDef
     reference = Sdf.Reference(relative_path(rig.file, layer_path), source)
     references = prim.referenceList
@@ -52,7 +52,7 @@ def define_reference(
     setattr(references, name, [*existing[: ours.start], reference, *existing[ours.stop :]])
 
 
-def convert_to_our_units(layer: Sdf.Layer, place: str, rig: Rig) -> None:
+def convert_to_our_units(layer: Sdf.Layer, rig_path: str, rig: Rig) -> None:
     """Rotate and scale a referenced rig to centimetres, Y up; USD does not convert units."""
     stage = open_stage(rig.file)
     ours = stage_to_ours(stage) / MM_PER_STAGE_UNIT
@@ -62,7 +62,7 @@ def convert_to_our_units(layer: Sdf.Layer, place: str, rig: Rig) -> None:
     operations = list(top.GetXformOpOrderAttr().Get() or ()) if top else []
     matrix = np.eye(4)
     matrix[:3, :3] = ours.T  # row vectors
-    prim = Sdf.CreatePrimInLayer(layer, place)
+    prim = Sdf.CreatePrimInLayer(layer, rig_path)
     Sdf.AttributeSpec(prim, UNITS, Sdf.ValueTypeNames.Matrix4d).default = Gf.Matrix4d(
         matrix.tolist()
     )
@@ -92,8 +92,8 @@ def _index_to_replace(
     return range(first, first + 1)
 
 
-def remove_reference(layer: Sdf.Layer, place: str, files: Collection[Path], at: Path) -> None:
-    """Remove a rig from its previous place, with prims that are empty without it.
+def remove_reference(layer: Sdf.Layer, rig_path: str, files: Collection[Path], at: Path) -> None:
+    """Remove a rig from its previous path, with prims that are empty without it.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def remove_reference(layer: Sdf.Layer, place: str, files: Collection[Path], at: 
     at : Path
         Final path of the layer.
     """
-    prim = layer.GetPrimAtPath(place)
+    prim = layer.GetPrimAtPath(rig_path)
     if prim is None:
         return
     for name in ("explicitItems", "prependedItems"):
@@ -135,7 +135,7 @@ def _is_file_of(reference: Sdf.Reference, files: Collection[Path], at: Path) -> 
     )
 
 
-def point_skeletons_at(layer: Sdf.Layer, place: str, rig: Rig, animation: Sdf.Path) -> None:
+def point_skeletons_at(layer: Sdf.Layer, rig_path: str, rig: Rig, animation: Sdf.Path) -> None:
     """Write overs that make the rig's skeletons follow an animation.
 
     Raises
@@ -151,7 +151,7 @@ def point_skeletons_at(layer: Sdf.Layer, place: str, rig: Rig, animation: Sdf.Pa
                 f"{rig.file} <{skeleton.GetPath()}>: lies inside an instanceable prim, and USD "
                 "ignores what is said below one; set instanceable = false there"
             )
-        path = skeleton.GetPath().ReplacePrefix(top, Sdf.Path(place))
+        path = skeleton.GetPath().ReplacePrefix(top, Sdf.Path(rig_path))
         over = Sdf.CreatePrimInLayer(layer, path)
         apply_api(over, "SkelBindingAPI")
         source = Sdf.RelationshipSpec(over, "skel:animationSource", False)
@@ -169,11 +169,11 @@ def rig_path_of(stage: Usd.Stage, animation: Usd.Prim) -> str:
         source = _source_of(prim, animation)
         if source is not None:
             below = source.skeleton.MakeRelativePath(source.skeleton.GetPrefixes()[0])
-            place = prim.GetPath()
+            rig_path = prim.GetPath()
             for _ in range(below.pathElementCount):
-                place = place.GetParentPath()
-            if not place.isEmpty and place.AppendPath(below) == prim.GetPath():
-                return str(place)
+                rig_path = rig_path.GetParentPath()
+            if not rig_path.isEmpty and rig_path.AppendPath(below) == prim.GetPath():
+                return str(rig_path)
     return str(animation.GetPath().GetParentPath())
 
 
@@ -220,11 +220,11 @@ def moved_rig(rig: Path | None) -> Iterator[None]:
             os.environ[_MOVED_RIG] = before
 
 
-def stage_with_rig(path: Path, rig: Rig, place: Sdf.Path) -> Usd.Stage:
+def stage_with_rig(path: Path, rig: Rig, rig_path: Sdf.Path) -> Usd.Stage:
     """Open a performance with a reference to its rig, if its own is missing."""
     layer = Sdf.Layer.CreateAnonymous(".usda")
     layer.subLayerPaths = [str(path.resolve())]
-    prim = Sdf.CreatePrimInLayer(layer, place)
+    prim = Sdf.CreatePrimInLayer(layer, rig_path)
     reference = Sdf.Reference(str(rig.file.resolve()), Sdf.Path(rig.prim).GetPrefixes()[0])
     prim.referenceList.prependedItems = [reference]
     with usd_errors_as_input_errors(path, "composing it"):
@@ -276,8 +276,8 @@ def _referenced_rig(skeleton: Usd.Prim, animation: Usd.Prim) -> _Source | None:
     arcs = Usd.PrimCompositionQuery.Filter()
     arcs.arcTypeFilter = Usd.PrimCompositionQuery.ArcTypeFilter.ReferenceOrPayload
     arcs.dependencyTypeFilter = Usd.PrimCompositionQuery.DependencyTypeFilter.Direct
-    for place in skeleton.GetPath().GetPrefixes():
-        query = Usd.PrimCompositionQuery(skeleton.GetStage().GetPrimAtPath(place))
+    for at in skeleton.GetPath().GetPrefixes():
+        query = Usd.PrimCompositionQuery(skeleton.GetStage().GetPrimAtPath(at))
         query.filter = arcs
         for arc in query.GetCompositionArcs():
             file = arc.GetTargetLayer().realPath
@@ -285,8 +285,8 @@ def _referenced_rig(skeleton: Usd.Prim, animation: Usd.Prim) -> _Source | None:
                 continue  # a reference within one file
             target = arc.GetTargetPrimPath().StripAllVariantSelections()
             opened = _open(file)
-            if not opened.GetPrimAtPath(animation.GetPath().ReplacePrefix(place, target)):
-                inside = skeleton.GetPath().ReplacePrefix(place, target)
+            if not opened.GetPrimAtPath(animation.GetPath().ReplacePrefix(at, target)):
+                inside = skeleton.GetPath().ReplacePrefix(at, target)
                 if root := _skel_root_above(opened, inside):
                     return _Source(Path(file), root, inside)
     return None
@@ -314,14 +314,14 @@ def _skel_root_above(stage: Usd.Stage, skeleton: Sdf.Path) -> str:
     return str(prim.GetPath()) if prim else ""
 
 
-def copy_variants(layer: Sdf.Layer, stage: Usd.Stage, place: str, rig: Path, top: str) -> None:
+def copy_variants(layer: Sdf.Layer, stage: Usd.Stage, rig_path: str, rig: Path, top: str) -> None:
     """Copy a stage's selections of a rig's variants to a layer, if they are not the rig's defaults.
 
     Parameters
     ----------
     layer : Sdf.Layer
-        With the rig at the same place.
-    place : str
+        With the rig at the same path.
+    rig_path : str
         Prim path of the rig.
     rig : Path
         Its file.
@@ -329,11 +329,11 @@ def copy_variants(layer: Sdf.Layer, stage: Usd.Stage, place: str, rig: Path, top
         The referenced prim of the file.
     """
     rig_stage = open_stage(rig)
-    for prim in Usd.PrimRange(stage.GetPrimAtPath(place)):
+    for prim in Usd.PrimRange(stage.GetPrimAtPath(rig_path)):
         sets = prim.GetVariantSets()
         for name in sets.GetNames():
             choice = sets.GetVariantSelection(name)
-            path = prim.GetPath().ReplacePrefix(Sdf.Path(place), Sdf.Path(top))
+            path = prim.GetPath().ReplacePrefix(Sdf.Path(rig_path), Sdf.Path(top))
             default = rig_stage.GetPrimAtPath(path)
             if not default or default.GetVariantSet(name).GetVariantSelection() != choice:
                 Sdf.CreatePrimInLayer(layer, prim.GetPath()).variantSelections[name] = choice

@@ -55,15 +55,15 @@ class RigMotion(PointMotion):
         reader = PerformanceReader(path)
         self._animation = UsdSkel.Animation(reader.animation)
         source = Sdf.Path(rig.prim).GetPrefixes()[0]
-        place = Sdf.Path(rig_path_of(reader.stage, reader.animation))
+        rig_path = Sdf.Path(rig_path_of(reader.stage, reader.animation))
         self._ours = np.eye(4)
         self._ours[:3, :3] = stage_to_ours(open_stage(rig.file))
         root = Sdf.Path(rig.prim)
         self._rest = _Placement(open_stage(rig.file), root)
-        posed = root.ReplacePrefix(source, place)
+        posed = root.ReplacePrefix(source, rig_path)
         stage = reader.stage
         if not UsdSkel.Root(stage.GetPrimAtPath(posed)):  # only overs: the rig's file is missing
-            stage = stage_with_rig(path, rig, Sdf.Path(place))
+            stage = stage_with_rig(path, rig, Sdf.Path(rig_path))
         self._posed = _Placement(stage, posed)
         self._parts: list[tuple[Sdf.Path, int]] = []
         """Path relative to the SkelRoot, and joint index of its skeleton, or -1 for the prim."""

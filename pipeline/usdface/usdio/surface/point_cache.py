@@ -23,7 +23,7 @@ from usdface.core.sidecars import points_path
 from usdface.usdio.authoring import apply_api, author_timing, author_uniform
 from usdface.usdio.layers import new_layer, open_layer, relative_path
 from usdface.usdio.rig.mesh import FaceMesh
-from usdface.usdio.rig.reference import default_place, define_reference
+from usdface.usdio.rig.reference import default_rig_path, define_reference
 
 UNCERTAINTY = "primvars:face:uncertainty"
 UNSAVED_BYTES = 128 << 20
@@ -32,14 +32,14 @@ UNSAVED_BYTES = 128 << 20
 
 @dataclass(frozen=True)
 class PointsHeader:
-    """Timing, place and method of an animated mesh."""
+    """Timing, prim path and method of an animated mesh."""
 
     rate: Fraction
     """Frames per second."""
     first_frame: int
     last_frame: int
     """`first_frame`, `last_frame`: Inclusive."""
-    place: str | None = None
+    rig_path: str | None = None
     """Prim path of the mesh's asset in the new layer; by default that in its file."""
     method: str = ""
     """Method by which the points were computed; written on the mesh."""
@@ -204,8 +204,8 @@ def writing_points(
         The mesh at rest.
     """
     asset = Rig(face.file, face.path, (), (), np.zeros((0, 2)))
-    top = header.place or default_place(asset)
-    at = Sdf.Path(face.path).ReplacePrefix(Sdf.Path(default_place(asset)), Sdf.Path(top))
+    top = header.rig_path or default_rig_path(asset)
+    at = Sdf.Path(face.path).ReplacePrefix(Sdf.Path(default_rig_path(asset)), Sdf.Path(top))
     points_file = points_path(path)
     outdated = _clip_files(points_file, at)
     with replacing_group((points_file, path)):
