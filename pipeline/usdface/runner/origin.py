@@ -7,7 +7,7 @@ from typing import Any
 
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance, canonical_json, hash_files
-from usdface.core.sidecars import LAYER_SUFFIXES, is_usd_name
+from usdface.core.sidecars import LAYER_SUFFIXES, corrected_path, is_usd_name
 from usdface.core.text import json_object, pluralize
 from usdface.specs.base import Spec
 from usdface.specs.paths import IMAGE_SUFFIXES, Reads, Writes
@@ -15,6 +15,7 @@ from usdface.specs.review import MOVIE_SUFFIXES, PAGE_SUFFIXES
 from usdface.usdio.layers import is_layer_name, read_provenance
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.referenced_files import dependencies, referenced_files
+from usdface.usdio.surface.binding import has_corrections
 from usdface.usdio.take.read import TakeReader, is_take
 
 LARGEST_FIGURES_BYTES = 64 << 20
@@ -78,10 +79,10 @@ _TRACED = {"take": Reads(assets=True), "source": Reads(assets=True)} | dict.from
 
 
 def traced_files(spec: Spec) -> dict[Path, Reads]:
-    """Return the files that a step reads because the provenance of its inputs names them.
+    """Return the files that a step reads although the spec does not give them.
 
-    The provenance of a performance names take and mapping, that of a mapping the references. Files
-    that the spec itself gives are not searched for.
+    The provenance of a performance names take and mapping, that of a mapping the references. A
+    binding is made again from its corrections.
     """
     given = {name for name in _TRACED if getattr(spec, name, None) is not None}
     found: dict[Path, Reads] = {}
@@ -100,6 +101,9 @@ def traced_files(spec: Spec) -> dict[Path, Reads]:
                 if path.is_file():
                     found[path] = _TRACED[name]
                     waiting += [path] if name in ("mapping", "parts", "source") else []
+    binding = spec.written_binding()
+    if binding is not None and has_corrections(corrections := corrected_path(binding)):
+        found[corrections] = Reads(alone=True)
     return found
 
 
@@ -143,14 +147,18 @@ def _from_json(path: Path) -> Provenance | None:
 
 
 def hash_input(path: Path, how: Reads = Reads()) -> str:  # noqa: B008  # it is frozen
-    """Return the hash of an input for provenance.
+    """Return the hash of an input for provenance, over all its files."""
+    return hash_files(input_files(path, how))
 
-    Layers are hashed with the layers they compose and, if the step reads them, with their textures
-    and movies.
+
+def input_files(path: Path, how: Reads) -> list[Path]:
+    """Return an input and, of a layer, the layers that it composes.
+
+    Its textures and movies as well, if the step reads them.
     """
     if how.alone or not is_layer_name(path):
-        return hash_files([path])
-    return hash_files(referenced_files(path) if how.assets else dependencies(path))
+        return [path]
+    return referenced_files(path) if how.assets else dependencies(path)
 
 
 def _relative(path: Path, anchor: Path) -> str:

@@ -2,15 +2,15 @@
 
 import contextlib
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from usdface.core.confinement import check_confined, check_no_loop, confinement_root
 from usdface.core.errors import InputError
 from usdface.core.replacing import check_unprotected
-from usdface.core.sidecars import LAYER_SUFFIXES
+from usdface.core.sidecars import LAYER_SUFFIXES, corrected_path
 from usdface.core.text import first_few
-from usdface.runner.origin import REFUSED, provenance_of, traced_files
+from usdface.runner.origin import REFUSED, input_files, provenance_of, traced_files
 from usdface.specs.base import Spec
 from usdface.specs.job import SPEC_BY_STEP, JobSpec
 from usdface.specs.paths import Reads, Writes
@@ -93,10 +93,10 @@ def check_outputs(spec: Spec, *, overwrite: bool) -> None:
     """Refuse outputs that cannot be written, or that would replace another file.
 
     Without `overwrite`, a file is replaced only if this package wrote it, as the same kind of file,
-    and an input is newer.
+    and an input or one of its layers is newer.
     """
-    inputs = [path for path in (*spec.paths(Reads), *traced_files(spec)) if path.exists()]
-    newest_input = max((path.stat().st_mtime_ns for path in inputs), default=0)
+    marks = {**traced_files(spec), **spec.reads()}
+    inputs = [path for path in marks if path.exists()]
     read = set() if spec.in_place else {path.resolve() for path in inputs}
     for path in spec.paths(Writes):
         if path.resolve() in read:
@@ -124,12 +124,22 @@ def check_outputs(spec: Spec, *, overwrite: bool) -> None:
     if overwrite:
         return
     check_may_be_replaced(spec)
-    for path in spec.paths(Writes):
-        if path.exists() and path.stat().st_mtime_ns > newest_input:
+    outputs = [path for path in spec.paths(Writes) if path.exists()]
+    newest_input = _newest_input_ns(spec, {path: marks[path] for path in inputs}) if outputs else 0
+    for path in outputs:
+        if path.stat().st_mtime_ns > newest_input:
             raise InputError(
                 f"{path}: exists and is newer than its inputs; choose another --out, or "
                 "--overwrite it"
             )
+
+
+def _newest_input_ns(spec: Spec, inputs: Mapping[Path, Reads]) -> int:
+    """Return the latest time of change of the inputs, with the layers that they compose [ns]."""
+    files = [file for path, how in inputs.items() for file in input_files(path, how)]
+    if (binding := spec.written_binding()) is not None:
+        files.append(corrected_path(binding))  # also if its last correction was removed
+    return max((file.stat().st_mtime_ns for file in files if file.exists()), default=0)
 
 
 def check_may_be_replaced(spec: Spec) -> None:

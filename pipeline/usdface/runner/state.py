@@ -4,7 +4,7 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
 from pydantic import ValidationError
@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.rates import exact_rate
-from usdface.core.sidecars import LAYER_SUFFIXES
+from usdface.core.sidecars import LAYER_SUFFIXES, corrected_path
 from usdface.core.text import first_few, pluralize
 from usdface.runner.origin import make_provenance, provenance_of, spec_of
 from usdface.runner.outputs import check_may_be_read, missing_in_job, missing_inputs, sidecars_of
@@ -167,6 +167,13 @@ def step_state(spec: Spec, provenance: Provenance) -> StepState:
         changed = [
             name for name, value in provenance.inputs.items() if made.inputs.get(name) != value
         ]
+        if (binding := spec.written_binding()) is not None:
+            layer = corrected_path(binding).name  # without a correction it is no input
+            changed += [
+                name
+                for name in made.inputs
+                if name not in provenance.inputs and PurePosixPath(name).name == layer
+            ]
         if changed:
             return StepState(spec, "stale", f"{changed[0]} has changed since")
         if path.suffix in LAYER_SUFFIXES and (lost := missing_sublayers(path)):

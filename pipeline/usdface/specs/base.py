@@ -251,6 +251,10 @@ class Spec(BaseModel):
         """Return the files this spec writes, whose state decides whether it is up to date."""
         return self.paths(Writes)
 
+    def written_binding(self) -> Path | None:
+        """Return the binding or placement that the step writes, with earlier corrections kept."""
+        return None
+
     def named_paths(self) -> Sequence[tuple[str, Path]]:
         """Return (step, path) of every path that the step reads, writes or changes."""
         every = (*self.paths(Reads), *self.paths(Writes), *self.changes())

@@ -63,6 +63,10 @@ class PlaceSpec(Spec):
     prim: PrimPath | None = None
     """Face in the rig's file, if it holds several."""
 
+    def written_binding(self) -> Path:
+        """Return the placement."""
+        return self.out
+
 
 class SelectSpec(Spec):
     """Choose the frames for an animator to tune, and propose weights for them.
@@ -166,8 +170,12 @@ class SelectSpec(Spec):
 
     def changes(self) -> tuple[Path, ...]:
         """Return the outputs, and the placement that is written next to them."""
-        beside = () if self.placement is not None else (placement_path(self.out),)
-        return (*self.outputs(), *beside)
+        beside = self.written_binding()
+        return self.outputs() if beside is None else (*self.outputs(), beside)
+
+    def written_binding(self) -> Path | None:
+        """Return the placement that is written next to the references, without --placement."""
+        return None if self.placement is not None else placement_path(self.out)
 
     def picture_path(self) -> Path:
         """Return the path of the picture of the coverage."""

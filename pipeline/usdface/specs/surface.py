@@ -1,6 +1,7 @@
 """Specs of meshes and rigs: bind, deform, make-shapes, logic."""
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
@@ -45,6 +46,10 @@ class BindSpec(Spec):
     (.jpg, .png or .exr)."""
     quality: Literal["draft", "final"] = "final"
     """`draft` omits soft shadows and ambient occlusion from the picture."""
+
+    def written_binding(self) -> Path:
+        """Return the binding."""
+        return self.out
 
 
 _Method = Literal["gp", "rbf"]

@@ -304,6 +304,15 @@ def has_binding(path: Path) -> bool:
     return spec is not None and "face:binding:hash" in spec.properties
 
 
+def has_corrections(corrected_path: Path) -> bool:
+    """Whether a layer exists and corrects a marker."""
+    if not corrected_path.is_file():
+        return False
+    layer = open_layer(corrected_path)
+    markers = layer.GetPrimAtPath(_MARKERS)
+    return markers is not None and bool(markers.nameChildren)
+
+
 def correct_binding(
     path: Path, corrected_path: Path, places: Mapping[str, FloatArray | None], made: Provenance
 ) -> None:
