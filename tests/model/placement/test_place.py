@@ -10,7 +10,7 @@ import pytest
 from usdface.capture.sniff import read_capture
 from usdface.core.deformer import Deformer
 from usdface.demo.rig import demo_rig
-from usdface.model.placement.label_hints import skin_motion_mm
+from usdface.model.placement.label_hints import side_of_label, skin_motion_mm
 from usdface.model.placement.marker_cloud import marker_cloud
 from usdface.model.placement.place import place_markers
 from usdface.model.placement.rig_landmarks import find_landmarks
@@ -198,3 +198,35 @@ def test_a_recorded_performer_sits_right_on_any_head(shared_data, head: str, tak
         assert at[f"{side}eye_Up"][1] >= picked[f"lidup_{side}"][1] - 0.5
     upward = at["ForeHead_M"] - at["Chin"]
     assert abs(np.degrees(np.arctan2(upward[0], upward[1]))) <= 2.0
+
+
+@pytest.mark.parametrize("head", ["facecap_head", "ict_face"])
+def test_labels_place_markers_of_one_side(shared_data, head: str) -> None:
+    """Half of a recorded face is placed as in the whole; a reflection would pair its cheek."""
+    markers = read_capture(shared_data / "markers_animface" / "EyebrowsMoCap.c3d").take.markers
+    kept = [row for row, name in enumerate(markers.names) if side_of_label(name) != "R"]
+    names = tuple(markers.names[row] for row in kept)
+    still = stabilize_by_prior(
+        markers.positions[:, kept],
+        markers.visible[:, kept],
+        skin_motion_mm=skin_motion_mm(names),
+        rate=60.0,
+        neutral=0,
+    ).positions.astype(float)
+    rig = read_rig(shared_data / "rigs" / f"{head}.usdc")
+    skin = skin_of(rig)
+    placed = place_markers(marker_cloud(names, still[0], still), skin, rig.shapes)
+    at = dict(zip(names, skin.positions[placed.samples], strict=True))
+    picked = json.loads((shared_data / "rigs" / "landmarks.json").read_text())[head]
+    assert placed.by_labels
+    assert np.hypot(*(at["NoseHead"][:2] - picked["nose"])) <= 6.0
+    assert at["Leye_Up"][1] >= picked["lidup_L"][1] - 0.5
+    upward = at["ForeHead_M"] - at["Chin"]
+    assert abs(np.degrees(np.arctan2(upward[0], upward[1]))) <= 3.0
+
+
+def test_labels_of_one_side_show_no_plane_of_symmetry() -> None:
+    labels = ("Lbrow_1", "Lbrow_2", "Lcheek_1", "Lcheek_2", "Lcheek_3", "Chin")
+    places = np.random.default_rng(0).normal(0, 30, (6, 3))
+    with pytest.raises(ValueError, match="labels name markers of the left side only"):
+        marker_cloud(labels, places, None).levelled()

@@ -152,6 +152,17 @@ def test_markers_of_one_side_are_told(bench: Bench) -> None:
     assert "on its left side only" in verdict.sentence
 
 
+def test_markers_of_the_midline_are_on_no_side(bench: Bench) -> None:
+    rows = [row for row in range(len(LABELS)) if bench.local[row, 0] > bench.skin.sagittal_x - 5]
+    local = bench.local[rows].copy()
+    middle = np.abs(local[:, 0] - bench.skin.sagittal_x) < 5
+    assert middle.sum() >= 3
+    local[middle, 0] = bench.skin.sagittal_x - 4
+    labels = tuple(bench.cloud.labels[row] for row in rows)
+    half = MarkerCloud(labels, local, None, bench.cloud.still[rows])
+    assert "on its left side only" in bench.judge(local, cloud=half).sentence
+
+
 @pytest.mark.parametrize(("count", "level"), [(0, "good"), (3, "bad")])
 def test_markers_on_the_neck_look_wrong(bench: Bench, count: int, level: str) -> None:
     moved = bench.local.copy()

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from usdface.core.arrays import BoolArray, FloatArray, RealArray
+from usdface.core.text import first_few
 from usdface.model.placement.label_hints import label_hint, mirror_partners, side_of_label
 from usdface.numerics.registration.marker_binding import FEWEST_MARKERS
 from usdface.numerics.registration.sagittal_plane import (
@@ -20,6 +21,9 @@ _PICKED_FRAMES = 150
 
 _POOL_FRAMES = 3000
 """Evenly spaced frames of the take from which these are picked."""
+
+_FEWEST_OF_A_SIDE = 4
+"""Fewest markers labelled on one side, and none on the other, that are not symmetric."""
 
 _MIDDLE_REGIONS = ("forehead", "brow", "bridge", "nose", "mouth", "chin")
 
@@ -107,6 +111,17 @@ def _plane(neutral: FloatArray, labels: tuple[str, ...]) -> SagittalPlane:
     ]
     if len(pairs) >= 3:
         return plane_of_pairs(neutral, np.array(pairs), np.array(middle_markers(labels), np.int64))
+    hints = [(label, label_hint(label)) for label in labels]
+    left, right = (
+        [label for label, hint in hints if hint.region and hint.side == side] for side in "LR"
+    )
+    if min(len(left), len(right)) == 0 and max(len(left), len(right)) >= _FEWEST_OF_A_SIDE:
+        # A reflection would pair the markers of one cheek.
+        side = "left" if left else "right"
+        raise ValueError(
+            f"labels name markers of the {side} side only ({first_few(left or right)}), which "
+            "have no plane of symmetry; label the other side's markers, or give landmarks"
+        )
     return plane_by_reflection(neutral)
 
 

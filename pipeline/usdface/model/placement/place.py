@@ -210,23 +210,36 @@ def _settle(scene: _Scene, frame: FloatArray, levelled: FloatArray, fit: PlaneFi
 def _by_pins(scene: _Scene) -> _Start:
     """Start from a similarity transform fitted to given places."""
     rows = list(scene.pins)
-    found = align_landmarks(scene.cloud.neutral[rows], np.array(list(scene.pins.values())))
+    return _by_points(scene, scene.cloud.neutral[rows], np.array(list(scene.pins.values())))
+
+
+def _by_points(scene: _Scene, points: FloatArray, targets: FloatArray) -> _Start:
+    """Start from a similarity transform fitted to pairs of points."""
+    found = align_landmarks(points, targets)
     fit = PlaneFit(found.rotation, found.scale, found.translation)
     return _settle(scene, np.eye(3), scene.cloud.neutral, fit)
 
 
 def _by_labels(scene: _Scene) -> _Start:
     """Start from a transform fitted to landmarks named by labels and to given places."""
-    frame, levelled = scene.cloud.levelled()
-    centre = np.array([scene.skin.sagittal_x, 0.0, 0.0])
-    middles = np.array([levelled[list(each.markers)].mean(axis=0) for each in scene.landmarks])
     targets = np.array([each.place for each in scene.landmarks])
+    try:
+        frame, levelled = scene.cloud.levelled()
+    except ValueError:  # markers of one side
+        return _by_points(scene, _middles(scene, scene.cloud.neutral), targets)
+    centre = np.array([scene.skin.sagittal_x, 0.0, 0.0])
+    middles = _middles(scene, levelled)
     spreads = np.array([each.spread_mm for each in scene.landmarks])
     # A given place is exact, but differing proportions keep the transform from reaching it.
     least = _PROPORTION_SPREAD_MM * scene.skin.size_mm / TYPICAL_SIZE_MM
     start = fit_in_plane(middles, targets - centre, np.maximum(spreads, least))
     fit = PlaneFit(start.rotation, start.scale, start.shift + centre)
     return _settle(scene, frame, levelled, fit)
+
+
+def _middles(scene: _Scene, positions: FloatArray) -> FloatArray:
+    """Return the mean position of the markers of each known place: (places, 3)."""
+    return np.array([positions[list(each.markers)].mean(axis=0) for each in scene.landmarks])
 
 
 def _by_motion(scene: _Scene) -> _Start:

@@ -51,7 +51,11 @@ _LEAST_MOBILITY = 1 / 3
 """Largest displacement by any shape, over the RMS motion, below which a region has no shape."""
 
 _ONE_SIDE_SHARE = 0.05
-"""Share of the markers below which a side of the face counts as not captured."""
+"""Share of the markers off the midline below which a side of the face counts as not captured."""
+
+_MIDLINE_MM = 8.0
+"""Largest distance of a marker of the midline from the plane of symmetry, on an adult's face; that
+of a recorded performer's forehead is 6 mm."""
 
 _NECK_SHARE = 0.5
 """Distance below the chin, over that from eyes to chin, from which a marker is on the neck."""
@@ -221,7 +225,9 @@ def _tilt(roll: float) -> _Reason:
 
 
 def _one_sided(local: FloatArray, skin: FaceSkin) -> _Reason:
-    left = float((local[:, 0] > skin.sagittal_x).mean())
+    across = local[:, 0] - skin.sagittal_x
+    beside = across[np.abs(across) > _MIDLINE_MM * skin.size_mm / TYPICAL_SIZE_MM]
+    left = float((beside > 0).mean()) if len(beside) else 0.5
     if min(left, 1 - left) >= _ONE_SIDE_SHARE:
         return _FINE
     side = "left" if left > 0.5 else "right"
