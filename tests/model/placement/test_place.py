@@ -80,6 +80,23 @@ def test_a_rig_without_blinks_or_a_jaw_has_no_landmarks_rather_than_wrong_ones(d
     assert find_landmarks(rest, tuple(f"shape_{i}" for i in left_out)) == {}
 
 
+@pytest.mark.parametrize("size", [0.1, 25.4])
+def test_landmarks_are_at_the_same_features_of_a_rig_in_another_unit(demo, size: float) -> None:
+    rig, skin = demo
+    other = replace(
+        skin,
+        positions=skin.positions * size,
+        areas=skin.areas * size**2,
+        deltas=skin.deltas * size,
+        sagittal_x=skin.sagittal_x * size,
+        size_mm=skin.size_mm * size,
+    )
+    found, scaled = find_landmarks(skin, rig.shapes), find_landmarks(other, rig.shapes)
+    assert scaled.keys() == found.keys()
+    away = [np.linalg.norm(scaled[name] / size - place) for name, place in found.items()]
+    assert max(away) < 3.0
+
+
 def test_labels_put_another_performers_markers_on_their_features(demo) -> None:
     """Markers at the character's own landmarks, on a face of other proportions, turned away."""
     rig, skin = demo

@@ -6,6 +6,7 @@ by their displacements.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -13,6 +14,7 @@ from scipy.spatial import KDTree
 from usdface.core.arrays import BoolArray, FloatArray
 from usdface.model.retarget.shape_names import read_meanings
 from usdface.numerics.registration.face_skin import FaceSkin
+from usdface.numerics.registration.skin_placement import TYPICAL_SIZE_MM
 
 _SIDES = (("L", 1.0), ("R", -1.0))
 """The character's left lies towards +X of the face's frame."""
@@ -76,6 +78,11 @@ _CREASE_OF_EYE = 0.45
 """Height of the crease above the margin over the eye's opening, if no brow shape is known."""
 
 
+_LARGEST_RATIO = 2.0
+"""Ratio of a face's size to an adult's from which it is scaled to that size, as this module's
+distances are those of adults."""
+
+
 def find_landmarks(skin: FaceSkin, shapes: Sequence[str]) -> dict[str, FloatArray]:
     """Return landmarks by name, each a position in the face's frame [mm].
 
@@ -90,6 +97,22 @@ def find_landmarks(skin: FaceSkin, shapes: Sequence[str]) -> dict[str, FloatArra
         ``nose_tip``, ``chin``, ``mouth_L``, ``lid_upper_L`` and so on, mirrored onto each other;
         those whose shapes the rig lacks are left out.
     """
+    unit = skin.size_mm / TYPICAL_SIZE_MM
+    if 1 / _LARGEST_RATIO <= unit <= _LARGEST_RATIO:
+        return _find(skin, shapes)
+    adult = replace(
+        skin,
+        positions=skin.positions / unit,
+        areas=skin.areas / unit**2,
+        deltas=skin.deltas / unit,
+        sagittal_x=skin.sagittal_x / unit,
+        size_mm=TYPICAL_SIZE_MM,
+    )
+    return {name: place * unit for name, place in _find(adult, shapes).items()}
+
+
+def _find(skin: FaceSkin, shapes: Sequence[str]) -> dict[str, FloatArray]:
+    """Return the landmarks of a face about as large as an adult's."""
     moved = _displacements(skin, shapes)
     if not {("eyeblink", "L"), ("eyeblink", "R"), ("jawopen", "")} <= moved.keys():
         moved = recognise_shapes(skin) | moved

@@ -27,6 +27,7 @@ from usdface.model.selection.baseline import (
 from usdface.model.surface.binding import bind_at
 from usdface.numerics.registration.face_skin import sample_face_skin
 from usdface.numerics.registration.marker_binding import FEWEST_MARKERS
+from usdface.numerics.registration.skin_placement import TYPICAL_SIZE_MM
 from usdface.numerics.registration.surface_places import places_of_corners
 from usdface.numerics.registration.virtual_markers import VirtualMarkers
 from usdface.numerics.rigid.rigid_alignment import align_rigid_robust
@@ -48,6 +49,9 @@ _SAMPLE_FRAMES = 2000
 _LEAST_COMMON_SHARE = 0.8
 """Share of the markers that a placement must hold, or it is one of another marker set."""
 
+_RIG_SIZE_RANGE = (0.4, 2.5)
+"""Usual size of a character's face over an adult's; a unit wrong by 2.54 is outside."""
+
 _SAME_FACE_SHARE = 0.1
 """Largest difference of neutral faces of one performer, as a share of the face's size: they differ
 by 1 to 2 mm of 55, other faces by more."""
@@ -59,6 +63,8 @@ class PlacedTakes:
 
     placement: RigPlacement
     verdict: PlacementVerdict
+    rig_size: float
+    """Size of the rig's face over an adult's."""
 
 
 class PlacementScene:
@@ -148,7 +154,11 @@ class PlacementScene:
             by_labels=placement.by_labels,
             placed=[row for row, source in enumerate(sources) if source != "proposed"],
         )
-        return PlacedTakes(replace(placement, explained=verdict.explained), verdict)
+        return PlacedTakes(
+            replace(placement, explained=verdict.explained),
+            verdict,
+            self._skin.size_mm / TYPICAL_SIZE_MM,
+        )
 
 
 def _bound(placement: RigPlacement) -> dict[str, int]:
@@ -352,9 +362,16 @@ def draw_placement(
 
 
 def placement_notes(placed: PlacedTakes) -> tuple[str, ...]:
-    """Return a note on markers that the placement leaves out."""
+    """Return notes on markers that the placement leaves out, and on a rig of unusual size."""
     left_out = placed.placement.left_out
-    return (f"left out by the placement: {counted(left_out, 'marker')}",) if left_out else ()
+    notes = [f"left out by the placement: {counted(left_out, 'marker')}"] if left_out else []
+    low, high = _RIG_SIZE_RANGE
+    if not low <= placed.rig_size <= high:
+        notes.append(
+            f"the rig's face is {placed.rig_size:.2g} times the size of an adult's; if that is not "
+            "meant, correct metersPerUnit in its file: all figures in mm are of this size"
+        )
+    return tuple(notes)
 
 
 def placement_figures(placed: PlacedTakes) -> dict[str, object]:
