@@ -163,6 +163,11 @@ def test_a_verdict_is_the_last_line_and_coloured_on_a_terminal(
     assert f"\x1b[{color}m" in capsys.readouterr().out.splitlines()[-1]
 
 
+def test_control_characters_of_names_in_files_do_not_reach_the_terminal(capsys) -> None:
+    show_result(StepResult((), "1 frame", ("label \x1b[2J\x00", "two\nlines")), as_json=False)
+    assert capsys.readouterr().out == "1 frame\n  note: label  [2J \n  note: two\nlines\n"
+
+
 def test_a_log_gets_a_line_of_progress_now_and_then(monkeypatch, capsys) -> None:
     from usdface.cli import console
 

@@ -118,7 +118,7 @@ class _LineProgress:
 
 def _print_farm_message(kind: str, message: str) -> None:
     """Print one line; a line break in a file name must not start a second message."""
-    line = "".join(each if each.isprintable() else " " for each in message)
+    line = _visible(message).translate({ord(each): " " for each in "\n\t"})
     _print(f"openjd_{kind}: {line[:LONGEST_FARM_MESSAGE]}\n")
 
 
@@ -142,17 +142,18 @@ def show_result(report: StepResult, *, as_json: bool) -> None:
 def styled_summary(report: StepResult) -> str:
     """Return the summary, on a terminal in the colour of its verdict."""
     plain = report.level not in _LEVEL_COLORS or not sys.stdout.isatty()
+    summary = _visible(report.summary)
     if plain or "NO_COLOR" in os.environ:
-        return report.summary
-    return typer.style(report.summary, fg=_LEVEL_COLORS[report.level], bold=True)
+        return summary
+    return typer.style(summary, fg=_LEVEL_COLORS[report.level], bold=True)
 
 
 def show_details(report: StepResult) -> None:
     """Print the table, the notes and the new files of a result."""
     for line in report.table:
-        echo(f"  {line}")
+        echo(f"  {_visible(line)}")
     for note in report.notes:
-        echo(f"  note: {note}")
+        echo(f"  note: {_visible(note)}")
     for path in report.outputs if report.fresh else ():
         echo(f"  wrote {path}")
 
@@ -160,6 +161,11 @@ def show_details(report: StepResult) -> None:
 def show_json(data: Any) -> None:
     """Print one JSON document for a script."""
     _print(json.dumps(data, indent=2, ensure_ascii=False, default=str) + "\n")
+
+
+def _visible(text: str) -> str:
+    """Return text with spaces for the control characters of names in files."""
+    return "".join(each if each.isprintable() or each in "\n\t" else " " for each in text)
 
 
 def _print(text: str) -> None:
@@ -186,7 +192,7 @@ def unwritable_output(error: OSError) -> InputError:
 
 def show_error(message: str) -> None:
     """Print an error for a person; on a farm its first line becomes the task's status."""
-    text = f"usdface: {message}"
+    text = f"usdface: {_visible(message)}"
     if "NO_COLOR" not in os.environ:  # typer styles only on terminals
         text = typer.style(text, fg=typer.colors.RED, bold=True)
     typer.echo(text, err=True)
