@@ -11,7 +11,7 @@ import numpy as np
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
-from usdface.model.selection.baseline import BlendshapeEquation, set_up_equation
+from usdface.model.selection.baseline import BlendshapeEquation, PerformerMarkers, set_up_equation
 from usdface.numerics.measure.face_regions import points_by_region, region_gram
 from usdface.numerics.registration.virtual_markers import character_motion
 from usdface.numerics.solve.peak_matching import match_peaks
@@ -46,11 +46,13 @@ def print_crosstalk(
             equation = set_up_equation(
                 rig,
                 deformer,
-                neutral=positions[0],
-                positions=positions,
-                visible=np.ones(positions.shape[:2], bool),
-                rigid=(),
-                labels=labels,
+                PerformerMarkers(
+                    neutral=positions[0],
+                    positions=positions,
+                    visible=np.ones(positions.shape[:2], bool),
+                    rigid=(),
+                    labels=labels,
+                ),
             )
             for label, each in (("plain", _plain(equation, positions)), ("proposal", equation)):
                 weights = each.propose(positions)

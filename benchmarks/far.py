@@ -28,7 +28,7 @@ from usdface.core.deformer import Deformer
 from usdface.model import Prediction, align_markers, predict_weights, sample_skin, train_mapping
 from usdface.model.mapping.regions import skin_points
 from usdface.model.mapping.uncertainty import LIMIT_DEVIATIONS
-from usdface.model.selection.baseline import set_up_equation
+from usdface.model.selection.baseline import PerformerMarkers, set_up_equation
 from usdface.numerics.measure.face_regions import points_by_region, region_gram
 from usdface.runner.execute import execute
 from usdface.specs.capture import CleanSpec, IngestSpec
@@ -276,11 +276,13 @@ def _bounded(
     equation = set_up_equation(
         ruler.rig,
         ruler.deformer,
-        neutral=setup.references.neutral.astype(float),
-        positions=take.markers.positions,
-        visible=take.markers.visible,
-        rigid=rigid,
-        labels=take.markers.names,
+        PerformerMarkers(
+            neutral=setup.references.neutral.astype(float),
+            positions=take.markers.positions,
+            visible=take.markers.visible,
+            rigid=rigid,
+            labels=take.markers.names,
+        ),
     )
     weights = equation.propose(markers.astype(float), visible=visible)
     return weights[:, [ruler.rig.shapes.index(name) for name in setup.references.shape_names]]
@@ -352,11 +354,13 @@ def brow_share(folder: Path, ruler: Ruler, method: str) -> float:
     equation = set_up_equation(
         ruler.rig,
         ruler.deformer,
-        neutral=references.neutral.astype(float),
-        positions=cheeks.positions,
-        visible=cheeks.visible,
-        rigid=tuple(cheeks.names.index(name) for name in references.rigid),
-        labels=cheeks.names,
+        PerformerMarkers(
+            neutral=references.neutral.astype(float),
+            positions=cheeks.positions,
+            visible=cheeks.visible,
+            rigid=tuple(cheeks.names.index(name) for name in references.rigid),
+            labels=cheeks.names,
+        ),
     )
     baseline = equation.propose(placed.positions[rows].astype(float), visible=placed.visible[rows])[
         :, columns

@@ -27,7 +27,7 @@ from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.demo.rig import demo_rig
 from usdface.model.placement.label_hints import label_hint, skin_motion_mm
-from usdface.model.selection.baseline import BlendshapeEquation, set_up_equation
+from usdface.model.selection.baseline import BlendshapeEquation, PerformerMarkers, set_up_equation
 from usdface.numerics.registration.face_skin import FaceSkin, sample_face_skin
 from usdface.numerics.registration.skin_placement import explained_share, solve_weights_at
 from usdface.numerics.regression.cross_validation import surface_rms_mm
@@ -227,11 +227,13 @@ def find_equation(
     return set_up_equation(
         head.rig,
         head.deformer,
-        neutral=neutral,
-        positions=positions,
-        visible=np.ones(positions.shape[:2], np.bool_),
-        rigid=rigid,
-        labels=labels,
+        PerformerMarkers(
+            neutral=neutral,
+            positions=positions,
+            visible=np.ones(positions.shape[:2], np.bool_),
+            rigid=rigid,
+            labels=labels,
+        ),
     )
 
 
@@ -361,11 +363,13 @@ def _crosstake(head: Head) -> tuple[float, float, float]:
     equation = set_up_equation(
         head.rig,
         head.deformer,
-        neutral=neutral,
-        positions=markers.positions,
-        visible=markers.visible,
-        rigid=rigid,
-        labels=markers.names,
+        PerformerMarkers(
+            neutral=neutral,
+            positions=markers.positions,
+            visible=markers.visible,
+            rigid=rigid,
+            labels=markers.names,
+        ),
     )
     weights = equation.propose(markers.positions)
     figures = score(read_ruler(), (head.rig.shapes, weights), truth, head.rig.file)

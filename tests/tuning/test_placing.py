@@ -57,7 +57,7 @@ def page(asset: Path) -> Iterator[tuple[Command, Page, Any]]:
     command.interrupt()
 
 
-def rig_path_of(asset: Path, marker: str) -> np.ndarray:
+def marker_place(asset: Path, marker: str) -> np.ndarray:
     references = read_references(asset)
     assert references.placement is not None
     rig = read_rig(references.rig_file, prim=references.rig_prim)
@@ -71,7 +71,7 @@ def test_a_marker_dragged_on_the_face_is_corrected_in_its_layer_and_taken_back(
     asset: Path, page: tuple[Command, Page, Any]
 ) -> None:
     _, opened, mouse = page
-    before = rig_path_of(asset, "nose_tip")
+    before = marker_place(asset, "nose_tip")
     opened.page.keyboard.press("k")
     opened.wait("tune.placing.on && !!tune.viewer.view")
     time.sleep(1.0)  # software rendering: the face at rest must have been drawn
@@ -85,7 +85,7 @@ def test_a_marker_dragged_on_the_face_is_corrected_in_its_layer_and_taken_back(
     shown = opened.page.evaluate(
         f"Array.from(tune.placing.points.subarray(3 * {WHERE}, 3 * {WHERE} + 3))"
     )
-    after = rig_path_of(asset, "nose_tip")
+    after = marker_place(asset, "nose_tip")
     np.testing.assert_allclose(after, shown, atol=0.05)
     assert 2.0 < np.linalg.norm(after - before) < 40.0
     assert after[0] > before[0] + 1.0  # to the right on the screen: the character's left
@@ -98,7 +98,13 @@ def test_a_marker_dragged_on_the_face_is_corrected_in_its_layer_and_taken_back(
     assert made.step == "tune"
     mouse.dblclick(*under)
     opened.wait(f"!tune.placing.corrected[{WHERE}]")
-    np.testing.assert_allclose(rig_path_of(asset, "nose_tip"), before, atol=0.05)
+    np.testing.assert_allclose(marker_place(asset, "nose_tip"), before, atol=0.05)
+    mouse.move(x, y)
+    mouse.down()
+    mouse.move(5, y)  # straight to a place beside the face
+    mouse.up()
+    time.sleep(0.5)
+    assert not opened.page.evaluate(f"tune.placing.corrected[{WHERE}]")
     opened.page.keyboard.press("k")  # off again: a drag turns the face
     opened.page.keyboard.press("1")
     yaw = opened.page.evaluate("tune.viewer.camera.yaw")
@@ -107,7 +113,7 @@ def test_a_marker_dragged_on_the_face_is_corrected_in_its_layer_and_taken_back(
     mouse.move(x + 40, y)
     mouse.up()
     assert opened.page.evaluate("tune.viewer.camera.yaw") != yaw
-    np.testing.assert_allclose(rig_path_of(asset, "nose_tip"), before, atol=0.05)
+    np.testing.assert_allclose(marker_place(asset, "nose_tip"), before, atol=0.05)
     assert not opened.faults
 
 
@@ -201,15 +207,15 @@ def test_places_off_the_face_and_unknown_markers_are_refused_and_nothing_is_writ
         with pytest.raises(InputError, match="mm off the rig"):
             correct_place(session, rig, "nose_tip", (0.0, 0.0, 900.0))
         with pytest.raises(InputError, match="binds no marker 'nobody'"):
-            correct_place(session, rig, "nobody", tuple(rig_path_of(asset, "nose_tip").tolist()))
+            correct_place(session, rig, "nobody", tuple(marker_place(asset, "nose_tip").tolist()))
         assert layer.read_bytes() == before
-        near = rig_path_of(asset, "nose_tip") + np.array([0.0, 3.0, 0.0])
+        near = marker_place(asset, "nose_tip") + np.array([0.0, 3.0, 0.0])
         correct_place(session, rig, "nose_tip", tuple(near.tolist()))
         targets = find_targets(references, rig)
         row = targets.names.index("nose_tip")
         assert targets.corrected[row]
         assert sum(targets.corrected) == 1
-        np.testing.assert_allclose(targets.rest[row], rig_path_of(asset, "nose_tip"), atol=0.05)
+        np.testing.assert_allclose(targets.rest[row], marker_place(asset, "nose_tip"), atol=0.05)
     finally:
         session.lock.release()
 

@@ -11,7 +11,7 @@ from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance, canonical_json, hash_files
 from usdface.core.sidecars import corrected_path, proposed_path
 from usdface.model.placement.shape_parts import shape_parts
-from usdface.model.selection.baseline import BlendshapeEquation
+from usdface.model.selection.baseline import BlendshapeEquation, PerformerMarkers
 from usdface.numerics.measure.face_regions import shapes_by_region
 from usdface.numerics.registration.surface_places import nearest_places
 from usdface.numerics.registration.virtual_markers import character_motion
@@ -60,11 +60,13 @@ def find_targets(references: References, rig: Rig) -> MarkerTargets:
         placement,
         rig,
         Deformer(rig),
-        neutral=references.neutral,
-        positions=positions,
-        visible=np.ones(positions.shape[:2], dtype=np.bool_),
-        rigid=tuple(rigid),
-        labels=references.marker_names,
+        PerformerMarkers(
+            neutral=references.neutral,
+            positions=positions,
+            visible=np.ones(positions.shape[:2], dtype=np.bool_),
+            rigid=tuple(rigid),
+            labels=references.marker_names,
+        ),
     )
     rest = equation.virtual.places(np.concatenate([mesh.points for mesh in rig.meshes]))
     motion = character_motion(equation.virtual, references.markers, references.neutral)

@@ -13,6 +13,7 @@ from usdface.model.placement.label_hints import skin_motion_mm
 from usdface.model.selection.baseline import (
     BlendshapeEquation,
     LidEvidence,
+    PerformerMarkers,
     find_lid_evidence,
     set_up_equation,
 )
@@ -54,6 +55,27 @@ def test_what_markers_show_decides_how_lids_are_solved(
     assert bool(words) == bool(evidence.note(NAMES))
 
 
+def test_a_lid_marker_in_the_fold_counts_by_its_label() -> None:
+    """One lid alone reached the limit on a recorded performer without blinks."""
+    one = lids((False, True), (0.2, 0.45))
+    assert one.closing == (2,)
+    both = replace(one, seen=replace(one.seen, labelled=np.array([True, True])))
+    assert (both.closing, both.fixed) == ((), (1, 2, 3))
+    assert "of a full blink, 32% is in" in both.note(NAMES)
+
+
+def test_a_difference_between_takes_is_no_blink() -> None:
+    """Lids of one take lie lower than those of the other, by another head pose or expression."""
+    rng = np.random.default_rng(0)
+    offsets = np.zeros((3, 12, 3))
+    offsets[1, :2, 1] = offsets[2, 2:4, 1] = -8.0
+    takes = [rng.normal(0, 0.3, (frames, 12, 3)) for frames in (400, 150)]
+    takes[1][:, :4, 1] -= 4.0
+    known = (NAMES, sparse.csr_array(offsets.reshape(3, -1)), offsets)
+    assert find_lid_evidence(*known, [np.concatenate(takes)], np.ones(12)).seen.shown
+    assert not find_lid_evidence(*known, takes, np.ones(12)).seen.shown
+
+
 def test_lids_without_evidence_stay_at_rest_and_lids_without_marker_follow() -> None:
     equation, shapes = bent_equation()
     weights = np.random.default_rng(1).random((20, 3))
@@ -89,7 +111,7 @@ def test_shapes_of_the_eyes_are_known_by_what_their_names_mean(
         names,
         sparse.csr_array((len(names), 12)),
         still,
-        np.zeros((9, 4, 3)),
+        [np.zeros((9, 4, 3))],
         np.ones(4),
     )
     assert (evidence.shapes, evidence.gaze) == (blinks, gaze)
@@ -108,11 +130,9 @@ def test_a_recorded_brow_take_shows_no_blinks(shared_data) -> None:
     equation = set_up_equation(
         rig,
         Deformer(rig),
-        neutral=cleaned[0],
-        positions=cleaned,
-        visible=seen,
-        rigid=(),
-        labels=markers.names,
+        PerformerMarkers(
+            neutral=cleaned[0], positions=cleaned, visible=seen, rigid=(), labels=markers.names
+        ),
     )
     assert equation.lids is not None
     left = [rig.shapes[shape] for shape in equation.lids.fixed]

@@ -13,6 +13,7 @@ from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import corrected_path
+from usdface.model.selection.baseline import PerformerMarkers
 from usdface.runner.execute import execute
 from usdface.specs.references import PlaceSpec, SelectSpec
 from usdface.steps.inputs.cleaned_takes import read_cleaned_takes
@@ -96,11 +97,13 @@ def test_select_and_what_follows_use_one_placement(shot: Shot) -> None:
         stored_placement(own, rig),
         rig,
         Deformer(rig),
-        labels=own.marker_names,
-        neutral=own.neutral,
-        positions=own.markers,
-        visible=np.ones(own.markers.shape[:2], np.bool_),
-        rigid=(),
+        PerformerMarkers(
+            labels=own.marker_names,
+            neutral=own.neutral,
+            positions=own.markers,
+            visible=np.ones(own.markers.shape[:2], np.bool_),
+            rigid=(),
+        ),
     )
     at = equation.virtual.places(rig_surfaces(rig)[0].mesh.points)
     wanted = places(placement, rig)
@@ -139,11 +142,13 @@ def test_a_marker_that_is_deactivated_counts_in_no_solve(shot: Shot) -> None:
         placement,
         rig,
         Deformer(rig),
-        labels=take.names,
-        neutral=take.neutral,
-        positions=take.positions,
-        visible=take.visible,
-        rigid=take.rigid,
+        PerformerMarkers(
+            labels=take.names,
+            neutral=take.neutral,
+            positions=take.positions,
+            visible=take.visible,
+            rigid=take.rigid,
+        ),
     )
     row = take.names.index(name)
     shaken = take.positions.copy()

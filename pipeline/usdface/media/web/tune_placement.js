@@ -62,7 +62,7 @@ export class PlacementTool extends EventTarget {
     event.preventDefault();
     this.viewer.canvas.setPointerCapture(event.pointerId);
     this.grabbed = marker;
-    this.moved = false;
+    this.moved = this.onFace = false;
     this.start = this.#at(event);
     this.before = this.points.slice(3 * marker, 3 * marker + 3);
   }
@@ -74,6 +74,7 @@ export class PlacementTool extends EventTarget {
     this.moved ||= Math.hypot(x - this.start[0], y - this.start[1]) > 3;
     const at = this.moved ? this.viewer.pick(x, y) : null;
     if (!at) return; // off the face
+    this.onFace = true;
     this.points.set(at, 3 * this.grabbed);
     this.viewer.setMarkers(this.overlay());
   }
@@ -83,7 +84,7 @@ export class PlacementTool extends EventTarget {
     if (marker < 0) return;
     event.stopImmediatePropagation();
     this.grabbed = -1;
-    if (!this.moved) return;
+    if (!this.onFace) return;
     this.#tell(marker, Array.from(this.points.subarray(3 * marker, 3 * marker + 3)));
   }
 

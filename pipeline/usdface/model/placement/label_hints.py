@@ -64,6 +64,12 @@ def _stands_alone(name: str, found: re.Match[str]) -> bool:
     return before in ("_", "-", ".", " ")
 
 
+def upper_lid_sides(labels: Sequence[str]) -> set[Side]:
+    """Return the sides of the face with a marker whose label names the upper lid."""
+    hints = [label_hint(label) for label in labels]
+    return {hint.side for hint in hints if set(hint.landmarks) == {f"lid_crease_{hint.side}"}}
+
+
 def mirrored_label(label: str) -> tuple[str, ...]:
     """Return possible labels of the same marker on the other side; empty without a side."""
     side = side_of_label(label)

@@ -8,6 +8,7 @@ the brow; explained by the lid's shape it would close an open eye. So the eviden
 measured, and they are scaled to full closure or held at 0.
 """
 
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from usdface.core.arrays import BoolArray, Float32Array, FloatArray, sample_fram
 from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
+from usdface.model.placement.label_hints import upper_lid_sides
 from usdface.model.placement.marker_cloud import marker_cloud
 from usdface.model.placement.place import MarkerPlacement, place_markers
 from usdface.model.retarget.shape_names import read_meanings
@@ -96,9 +98,7 @@ class LidEvidence:
             )
         gaze = ", and so does gaze" if self.gaze else ""
         if self.shows_no_blinks:
-            own = max(
-                int(100 * self.seen.independent_peaks[marked].mean()), 0
-            )  # never the limit itself
+            own = max(int(100 * self.seen.mean_peak), 0)  # never the limit itself
             return (
                 f"the markers show no blinks: of a full blink, {own}% is in the lids' "
                 f"markers beyond what goes with brows and cheeks (from {FULL_SHARE:.0%} on it "
@@ -112,8 +112,10 @@ def find_lid_evidence(
     names: tuple[str, ...],
     offsets: sparse.csr_array,
     deltas: FloatArray,
-    motion: FloatArray,
+    motion: Sequence[FloatArray],
     trust: FloatArray,
+    *,
+    lid_sides: Collection[str] = (),
 ) -> LidEvidence:
     """Measure the evidence for the shapes that close the eyes.
 
@@ -125,26 +127,39 @@ def find_lid_evidence(
         Displacements of the surface [mm].
     deltas : (shapes, markers, 3) float array
         Displacements of the markers [mm].
-    motion : (frames, markers, 3) float array
-        In the character's space [mm].
+    motion : sequence of (frames, markers, 3) float array
+        Of each take, in the character's space [mm]; differences between takes are no motion.
     trust : (markers,) float array
         0 for markers that are not used.
+    lid_sides : collection of str
+        Sides, ``'L'`` or ``'R'``, with a marker whose label names the upper lid.
     """
-    full, gaze = _eye_shapes(names)
+    blinks, gaze = _eye_shapes(names)
+    full = list(blinks)
     surface = effective_size(offsets[full].toarray().reshape(len(full), offsets.shape[1] // 3, 3))
-    seen = shape_evidence(deltas, motion, full, surface_mm=surface, marker_trust=trust)
+    labelled = np.array([side in lid_sides for side in blinks.values()], np.bool_)
+    takes = [
+        replace(
+            shape_evidence(deltas, take, full, surface_mm=surface, marker_trust=trust),
+            labelled=labelled,
+        )
+        for take in motion
+        if len(take)
+    ]
+    seen = max(takes, key=lambda take: (take.shown, take.independent_peaks.sum()))
     return LidEvidence(tuple(full), seen, tuple(gaze))
 
 
-def _eye_shapes(names: tuple[str, ...]) -> tuple[list[int], list[int]]:
-    """Return the columns of blinks, one for each side, and of gaze shapes."""
+def _eye_shapes(names: tuple[str, ...]) -> tuple[dict[int, str], list[int]]:
+    """Return the columns of blinks with their sides, one for each, and those of gaze shapes."""
     meanings = read_meanings(names)
     blinks: dict[str, int] = {}
     for shape in sorted(range(len(names)), key=lambda shape: meanings[names[shape]].rank):
         if meanings[names[shape]].motion == _BLINK:
             blinks.setdefault(meanings[names[shape]].side, shape)
     gaze = [i for i, name in enumerate(names) if meanings[name].motion.startswith(_GAZE)]
-    return sorted(blinks[side] for side in "LR" if side in blinks) or list(blinks.values()), gaze
+    sides = [side for side in blinks if side] or list(blinks)
+    return dict(sorted((blinks[side], side) for side in sides)), gaze
 
 
 Positions = Float32Array | FloatArray
@@ -263,64 +278,53 @@ class BlendshapeEquation:
         return np.asarray(np.einsum("fk,kmc->fmc", keys, self.keys.deltas, optimize=True))
 
 
-def set_up_equation(
-    rig: Rig,
-    deformer: Deformer,
-    *,
-    neutral: FloatArray,
-    positions: Positions,
-    visible: BoolArray,
-    rigid: tuple[int, ...],
-    labels: tuple[str, ...],
-) -> BlendshapeEquation:
-    """Return the equation of a performer's markers, placed on a character.
+@dataclass(frozen=True)
+class PerformerMarkers:
+    """A performer's stabilised markers over one or several takes."""
 
-    Parameters
-    ----------
-    neutral : (markers, 3) float array
-        The performer's neutral face, stabilised [mm].
-    positions : (frames, markers, 3) float array
-        A stabilised take [mm]; evenly spaced frames are used.
-    visible : (frames, markers) bool array
-    rigid : tuple of int
-        Markers of the skull.
-    labels : tuple of str
-        Names of the markers, used as hints of their place.
+    labels: tuple[str, ...]
+    """Names of the markers, used as hints of their place."""
+    neutral: FloatArray
+    """(markers, 3): the performer's neutral face [mm]."""
+    positions: Positions
+    """(frames, markers, 3): of all takes, one after the other [mm]; evenly spaced frames are used.
     """
+    visible: BoolArray
+    """(frames, markers)"""
+    rigid: tuple[int, ...]
+    """Markers of the skull."""
+    starts: tuple[int, ...] = (0,)
+    """Row of the first frame of each take."""
+
+
+def set_up_equation(
+    rig: Rig, deformer: Deformer, performer: PerformerMarkers
+) -> BlendshapeEquation:
+    """Return the equation of a performer's markers, placed on a character."""
+    positions, visible = performer.positions, performer.visible
     picks = sample_frames(len(positions), MOTION_FRAMES)
     offsets = deformer.shapes.target_offsets()
     try:
         skin = sample_face_skin(deformer.neutral, deformer.triangles, offsets)
-        cloud = marker_cloud(labels, neutral, positions[picks], visible=visible[picks], rigid=rigid)
+        cloud = marker_cloud(
+            performer.labels,
+            performer.neutral,
+            positions[picks],
+            visible=visible[picks],
+            rigid=performer.rigid,
+        )
         placement = place_markers(cloud, skin, rig.shapes, ranges=rig.ranges)
     except ValueError as error:
         raise InputError(f"the markers cannot be placed on {rig.file}: {error}") from error
-    made = equation_at(
-        rig,
-        deformer,
-        placement.virtual,
-        neutral=neutral,
-        positions=positions,
-        visible=visible,
-        rigid=rigid,
-    )
+    made = equation_at(rig, deformer, placement.virtual, performer)
     return replace(made, placement=placement)
 
 
 def equation_at(
-    rig: Rig,
-    deformer: Deformer,
-    virtual: VirtualMarkers,
-    *,
-    neutral: FloatArray,
-    positions: Positions,
-    visible: BoolArray,
-    rigid: tuple[int, ...],
+    rig: Rig, deformer: Deformer, virtual: VirtualMarkers, performer: PerformerMarkers
 ) -> BlendshapeEquation:
-    """Return the equation of markers at known places, `virtual`, on a character.
-
-    Other parameters are those of `set_up_equation`.
-    """
+    """Return the equation of markers at known places, `virtual`, on a character."""
+    positions, visible, neutral = performer.positions, performer.visible, performer.neutral
     picks = sample_frames(len(positions), MOTION_FRAMES)
     offsets = deformer.shapes.target_offsets()
     deltas = marker_deltas(virtual, offsets)
@@ -330,9 +334,16 @@ def equation_at(
         key_weights=deformer.shapes.key_weights,
     )
     trust = np.ones(len(neutral))
-    trust[list(rigid)] = 0.0
+    trust[list(performer.rigid)] = 0.0
     motion = character_motion(virtual, positions[picks], neutral)
-    lids = find_lid_evidence(rig.shapes, offsets, deltas, motion, trust)
+    lids = find_lid_evidence(
+        rig.shapes,
+        offsets,
+        deltas,
+        np.split(motion, np.searchsorted(picks, performer.starts[1:])),
+        trust,
+        lid_sides=upper_lid_sides(performer.labels),
+    )
     gain = match_peaks(
         deltas,
         motion,

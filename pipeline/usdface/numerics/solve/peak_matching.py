@@ -38,19 +38,26 @@ class ShapeEvidence:
     a marker in the fold of a lid, which follows the brow."""
     alone: BoolArray
     """(n,): whether the other marked shapes are near rest at this one's peaks, as in a wink."""
+    labelled: BoolArray | None = None
+    """(n,): whether a label names a marker on the shape; unmarked, that marker is in a fold."""
 
     @property
     def shown(self) -> bool:
         """Whether the marked shapes reach `FULL_SHARE` at peaks: their mean, or one alone.
 
         A single lid that reaches it while the other follows by less does not count: on recorded
-        takes without blinks, one marker sits lower than the other.
+        takes without blinks, one marker sits lower than the other, which may be in the fold.
         """
-        peaks = self.independent_peaks[self.marked]
-        if not len(peaks):
+        if not self.marked.any():
             return False
-        wink = self.alone[self.marked] & (peaks >= FULL_SHARE)
-        return bool(peaks.mean() >= FULL_SHARE or wink.any())
+        wink = self.alone & self.marked & (self.independent_peaks >= FULL_SHARE)
+        return bool(self.mean_peak >= FULL_SHARE or wink.any())
+
+    @property
+    def mean_peak(self) -> float:
+        """Mean of the peaks of shapes with a marker, by its place or its label."""
+        counted = self.marked if self.labelled is None else self.marked | self.labelled
+        return float(self.independent_peaks[counted].mean())
 
 
 def shape_evidence(

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, ByteImage, FloatArray, sample_frames
+from usdface.core.arrays import ByteImage, FloatArray, sample_frames
 from usdface.core.assets import References, Rig
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
@@ -20,7 +20,7 @@ from usdface.model.placement.verdict import PlacementVerdict, judge_placement, w
 from usdface.model.regressions import RestPlaces
 from usdface.model.selection.baseline import (
     BlendshapeEquation,
-    Positions,
+    PerformerMarkers,
     equation_at,
     set_up_equation,
 )
@@ -243,41 +243,18 @@ def virtual_markers(
 
 
 def placed_equation(
-    placement: RigPlacement | None,
-    rig: Rig,
-    deformer: Deformer,
-    *,
-    labels: tuple[str, ...],
-    neutral: FloatArray,
-    positions: Positions,
-    visible: BoolArray,
-    rigid: tuple[int, ...],
+    placement: RigPlacement | None, rig: Rig, deformer: Deformer, performer: PerformerMarkers
 ) -> BlendshapeEquation:
     """Return the blendshape equation of placed markers; place them first if there is no placement.
 
-    Parameters are those of `set_up_equation`. Markers that the placement leaves out are treated as
-    rigid.
+    Markers that the placement leaves out are treated as rigid.
     """
+    labels, neutral = performer.labels, performer.neutral
     if placement is None or not is_placement_of(placement, labels, neutral):
-        return set_up_equation(
-            rig,
-            deformer,
-            neutral=neutral,
-            positions=positions,
-            visible=visible,
-            rigid=rigid,
-            labels=labels,
-        )
+        return set_up_equation(rig, deformer, performer)
     unplaced = [m for m, name in enumerate(labels) if name not in _bound(placement)]
-    made = equation_at(
-        rig,
-        deformer,
-        virtual_markers(placement, labels, neutral),
-        neutral=neutral,
-        positions=positions,
-        visible=visible,
-        rigid=tuple(sorted({*rigid, *unplaced})),
-    )
+    used = replace(performer, rigid=tuple(sorted({*performer.rigid, *unplaced})))
+    made = equation_at(rig, deformer, virtual_markers(placement, labels, neutral), used)
     return replace(made, unplaced=tuple(unplaced))
 
 

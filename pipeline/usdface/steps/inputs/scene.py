@@ -13,8 +13,8 @@ from usdface.model.mapping.motion_space import fit_motion_space, marker_coordina
 from usdface.model.mapping.performer_face import PerformerFace, face_of_mapping
 from usdface.model.mapping.predict import predict_weights
 from usdface.model.placement.shape_parts import missing_parts_note, shape_parts
-from usdface.model.selection.baseline import BlendshapeEquation
-from usdface.model.selection.design import SelectionSpace, WeightProposals, selection_space
+from usdface.model.selection.baseline import BlendshapeEquation, PerformerMarkers
+from usdface.model.selection.design import WeightProposals, SelectionSpace, selection_space
 from usdface.specs.paths import frame_range
 from usdface.steps.inputs.cleaned_takes import CleanedTakes
 from usdface.steps.inputs.placement import placed_equation
@@ -133,11 +133,14 @@ def _equation(
         placement,
         rig,
         deformer,
-        labels=takes.marker_names,
-        neutral=takes.neutral,
-        positions=takes.positions[0] if one else np.concatenate(takes.positions),
-        visible=takes.usable[0] if one else np.concatenate(takes.usable),
-        rigid=tuple(takes.marker_names.index(name) for name in takes.rigid),
+        PerformerMarkers(
+            labels=takes.marker_names,
+            neutral=takes.neutral,
+            positions=takes.positions[0] if one else np.concatenate(takes.positions),
+            visible=takes.usable[0] if one else np.concatenate(takes.usable),
+            rigid=tuple(takes.marker_names.index(name) for name in takes.rigid),
+            starts=tuple(np.cumsum([0, *(len(clip) for clip in takes.positions[:-1])]).tolist()),
+        ),
     )
 
 

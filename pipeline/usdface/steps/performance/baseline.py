@@ -12,7 +12,7 @@ from usdface.core.provenance import Provenance
 from usdface.core.sidecars import weights_path
 from usdface.core.text import pluralize
 from usdface.model.placement.rig_orientation import check_rig_upright
-from usdface.model.selection.baseline import MOTION_FRAMES, BlendshapeEquation
+from usdface.model.selection.baseline import MOTION_FRAMES, BlendshapeEquation, PerformerMarkers
 from usdface.runner.result import StepResult
 from usdface.specs.performance import MapSpec
 from usdface.steps.inputs.cleaned_takes import check_stabilized, read_markers, read_markers_at
@@ -90,11 +90,13 @@ def _equation(spec: MapSpec, take: TakeReader, rig: Rig) -> BlendshapeEquation:
         placement,
         rig,
         Deformer(rig),
-        neutral=neutral,
-        positions=sample.positions,
-        visible=sample.usable,
-        rigid=tuple(sample.names.index(name) for name in sample.rigid),
-        labels=sample.names,
+        PerformerMarkers(
+            neutral=neutral,
+            positions=sample.positions,
+            visible=sample.usable,
+            rigid=tuple(sample.names.index(name) for name in sample.rigid),
+            labels=sample.names,
+        ),
     )
 
 

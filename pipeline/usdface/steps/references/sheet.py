@@ -25,6 +25,7 @@ from usdface.media.picture.reference_sheet import (
     compose_reference_sheet,
 )
 from usdface.model.placement.rig_orientation import facing_degrees
+from usdface.model.selection.baseline import PerformerMarkers
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
@@ -117,11 +118,13 @@ class _PairPictures:
             stored_placement(references, rig),
             rig,
             self._deformer,
-            neutral=references.neutral,
-            positions=references.markers,
-            visible=np.ones(references.markers.shape[:2], dtype=np.bool_),
-            rigid=tuple(references.marker_names.index(name) for name in references.rigid),
-            labels=references.marker_names,
+            PerformerMarkers(
+                neutral=references.neutral,
+                positions=references.markers,
+                visible=np.ones(references.markers.shape[:2], dtype=np.bool_),
+                rigid=tuple(references.marker_names.index(name) for name in references.rigid),
+                labels=references.marker_names,
+            ),
         )
         self._lines = lines_on_rig(references.marker_names, equation, self._deformer, rig.shapes)
         self._residual_mm = equation.residual_mm(references.markers, self._weights)

@@ -19,7 +19,7 @@ from usdface.model.review.moments import (
     surface_jumps,
 )
 from usdface.model.review.verdict import SolveEvidence
-from usdface.model.selection.baseline import BlendshapeEquation
+from usdface.model.selection.baseline import BlendshapeEquation, PerformerMarkers
 from usdface.model.selection.lip_contact import CONTACT_MM, Lips, find_lips, lip_gap_mm
 from usdface.numerics.registration.virtual_markers import character_motion
 from usdface.specs.review import FramePick
@@ -115,11 +115,13 @@ def set_up_shot_baseline(shot: Shot) -> BlendshapeEquation:
         placement_of_performance(shot.performance_file, shot.rig),
         shot.rig,
         shot.deformer,
-        neutral=markers.positions[shot.neutral_row].astype(np.float64),
-        positions=markers.positions,
-        visible=markers.usable,
-        rigid=tuple(markers.names.index(name) for name in markers.rigid),
-        labels=markers.names,
+        PerformerMarkers(
+            neutral=markers.positions[shot.neutral_row].astype(np.float64),
+            positions=markers.positions,
+            visible=markers.usable,
+            rigid=tuple(markers.names.index(name) for name in markers.rigid),
+            labels=markers.names,
+        ),
     )
 
 
