@@ -119,7 +119,8 @@ def test_a_wrong_unit_is_refused_with_the_right_one(unit: str, read_as: str) -> 
         assert not size.impossible
         return
     assert size.impossible
-    assert size.message in check_findings(findings, stated=["size"], where="x")  # nothing to do
+    (note,) = check_findings(findings, stated=["size"], where="x")
+    assert note == f"{size.message}; if that is not meant, {size.remedy}"
     with pytest.raises(InputError, match=r"a\.csv: the face is .* times the size of an adult's"):
         check_findings(findings, where="a.csv")
 
@@ -162,6 +163,7 @@ def test_a_part_without_markers_is_refused_until_it_is_stated(regions, side, wor
     assert finding.impossible
     assert words in finding.message
     assert "--partial" in finding.remedy
+    assert settle_findings([finding], stated=["part"], where="x") == (finding.message,)
     hidden = replace(markers, visible=markers.visible.copy(), confidence=markers.confidence.copy())
     gone = np.setdiff1d(np.arange(len(hints)), keep)
     hidden.visible[:, gone], hidden.confidence[:, gone] = False, 0

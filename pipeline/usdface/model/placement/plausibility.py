@@ -50,6 +50,9 @@ bend by 45 to 55 at most (American Academy of Orthopaedic Surgeons, range of mot
 is off by 90 or 180."""
 TILTED_DEGREES = 45.0
 
+_MEASURED_ASPECTS: frozenset[Aspect] = frozenset({"size", "up", "rate"})
+"""Aspects that an option states as a value, which may be wrong; the others it only permits."""
+
 _FEWEST_LABELLED = 8
 _LEAST_EXPLAINED = 0.6
 """Share of the markers' variance below which the template is not used: labels were misread."""
@@ -160,10 +163,16 @@ def check_findings(
         raise InputError(
             "\n".join(f"{where}: {each.message}; {before_remedy}{each.remedy}" for each in refused)
         )
-    return tuple(
-        each.message if each.aspect in stated else f"{each.message}; {before_remedy}{each.remedy}"
-        for each in findings
-    )
+    return tuple(_note(each, each.aspect in stated, before_remedy) for each in findings)
+
+
+def _note(finding: PlausibilityFinding, stated: bool, before_remedy: str) -> str:
+    """Return a finding as a note; a statement that makes a face impossible may be a mistake."""
+    if not stated:
+        return f"{finding.message}; {before_remedy}{finding.remedy}"
+    if finding.impossible and finding.aspect in _MEASURED_ASPECTS:
+        return f"{finding.message}; if that is not meant, {finding.remedy}"
+    return finding.message
 
 
 def unit_remedy(size: float) -> str:
