@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, ByteImage, FloatArray
+from usdface.core.arrays import BoolArray, ByteImage, FloatArray, IntArray
 from usdface.core.assets import RigMesh
 from usdface.core.errors import InputError
 from usdface.media.face.camera import Camera, frame_face
@@ -36,6 +36,9 @@ _NAME_GAP = 24
 
 _NAME_SIZE = 13
 _NAME_LINE = 15.0
+_LEAST_NAME_LINE = 12.0
+"""Distance of names below which they would cover each other, so that some are left out [pixels]."""
+
 _NAME_MARGIN = 14
 
 _FRONT_WIDTH, _SIDE_WIDTH = 460, 236
@@ -78,7 +81,7 @@ def draw_binding(
     yaw_degrees: float = 0.0,
     quality: Quality = "final",
 ) -> ByteImage:
-    """Draw the front with all names, and both sides with the names of their outer markers.
+    """Draw the front with all names that fit, and both sides with those of their outer markers.
 
     Parameters
     ----------
@@ -234,6 +237,7 @@ def _draw_names(
         mine = named if sum(columns) == 1 else named & ((at[:, 0] < middle) == left)
         side = np.flatnonzero(mine)
         side = side[np.argsort(at[side, 1], kind="stable")]
+        side = _that_fit(markers, side, int((height - 2 * _NAME_MARGIN) / _LEAST_NAME_LINE))
         rows = space_rows(
             at[side, 1],
             spacing=min(_NAME_LINE, (height - 2 * _NAME_MARGIN) / max(len(side), 1)),
@@ -244,6 +248,16 @@ def _draw_names(
         for marker, row in zip(side.tolist(), rows.tolist(), strict=True):
             draw_line(panel, (x + (6 if left else -6), row), at[marker], _LINE, thickness=1.0)
             _write_name(panel, markers, marker, x=x, row=round(row), left=left)
+
+
+def _that_fit(markers: BoundMarkers, listed: IntArray, most: int) -> IntArray:
+    """Return the markers to name: doubtful ones, those placed by a person, and others between."""
+    if len(listed) <= most:
+        return listed
+    first = np.array([bool(markers.doubts[each]) or markers.placed[each] for each in listed])
+    chosen, rest = np.flatnonzero(first)[:most], np.flatnonzero(~first)
+    spread = np.linspace(0, len(rest) - 1, most - len(chosen)).round().astype(int)
+    return np.asarray(listed[np.sort(np.concatenate([chosen, rest[spread]]))])
 
 
 def _write_name(
