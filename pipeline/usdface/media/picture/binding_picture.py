@@ -237,7 +237,7 @@ def _draw_names(
         mine = named if sum(columns) == 1 else named & ((at[:, 0] < middle) == left)
         side = np.flatnonzero(mine)
         side = side[np.argsort(at[side, 1], kind="stable")]
-        side = _that_fit(markers, side, int((height - 2 * _NAME_MARGIN) / _LEAST_NAME_LINE))
+        side = _listed_markers(markers, side, int((height - 2 * _NAME_MARGIN) / _LEAST_NAME_LINE))
         rows = space_rows(
             at[side, 1],
             spacing=min(_NAME_LINE, (height - 2 * _NAME_MARGIN) / max(len(side), 1)),
@@ -250,7 +250,7 @@ def _draw_names(
             _write_name(panel, markers, marker, x=x, row=round(row), left=left)
 
 
-def _that_fit(markers: BoundMarkers, listed: IntArray, most: int) -> IntArray:
+def _listed_markers(markers: BoundMarkers, listed: IntArray, most: int) -> IntArray:
     """Return the markers to name: doubtful ones, those placed by a person, and others between."""
     if len(listed) <= most:
         return listed
