@@ -7,13 +7,13 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
 import pickle
 import shutil
 import time
-from collections.abc import Callable, Iterator
-from hashlib import sha256
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
+from tests.remembered import REMEMBERED, remember, store
 from tests.steps.small_shot import Shot, make_inputs
 
 # A run must say the same twice; USDFACE_FUZZ=random searches anew each time. How long an example
@@ -40,61 +40,16 @@ def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
 
 
-def _remember(function: Callable[..., object], folder: Path) -> Callable[..., object]:
-    """Return a function that computes once, for all workers, what follows from its arguments."""
-
-    def remembering(*given: object, **named: object) -> object:
-        content = pickle.dumps((given, named))
-        file = folder / f"{function.__name__}.{sha256(content).hexdigest()}"
-        if not file.is_file():
-            _store(file, function(*given, **named))
-        return pickle.loads(file.read_bytes())
-
-    return remembering
-
-
-def _store(file: Path, value: object) -> None:
-    """Write a file that other workers see whole or not at all."""
-    part = file.with_name(f"{file.name}.{os.getpid()}")
-    part.write_bytes(pickle.dumps(value))
-    part.replace(file)
+@pytest.fixture(scope="session")
+def remembered_folder(run_folder: Path) -> Path:
+    """Where one run's processes remember what they computed."""
+    return run_folder / "remembered"
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _remembered(run_folder: Path) -> Iterator[None]:
-    """Compute once in a run what most steps ask of the same shot and character.
-
-    That is the demo's heads, where the shot's markers are placed and how far they move there, the
-    picture of it, what is drawn of a rig, and how much light falls on each of the face's points.
-    What is remembered goes by the content of all arguments. Tests of one of these call it under its
-    own name.
-    """
-    from usdface.demo import rig
-    from usdface.media.face import render, surface
-    from usdface.media.page import face_payload
-    from usdface.model.selection import baseline
-    from usdface.steps.inputs import coverage_report, placement
-
-    folder = run_folder / "remembered"
-    folder.mkdir(exist_ok=True)
+def _remembered(remembered_folder: Path) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        for module, name in (
-            (rig, "bare_head"),
-            (baseline, "place_markers"),
-            (baseline, "match_peaks"),
-            (baseline, "_noise_mm"),
-            (placement, "place_markers"),
-            (placement, "sample_face_skin"),
-            (placement, "judge_placement"),
-            (placement, "bind_at"),
-            (placement, "draw_binding"),
-            (coverage_report, "draw_coverage"),
-            (surface, "_rest_exposure"),
-            (render, "build_surface"),
-            (face_payload, "build_surface"),
-            (face_payload, "_sky_of"),
-        ):
-            patch.setattr(module, name, _remember(getattr(module, name), folder))
+        remember(remembered_folder, REMEMBERED, patch.setattr)
         yield
 
 
@@ -142,7 +97,7 @@ def finished_shot(run_folder: Path) -> Shot:
         run_job(read_job(made / "shot.job.yaml"))
         shot = made
     finally:
-        _store(done, shot)
+        store(done, shot)
     return shot
 
 

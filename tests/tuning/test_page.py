@@ -36,10 +36,12 @@ PATIENCE_SECONDS = 40.0
 class Command:
     """`usdface tune`, running."""
 
+    remembered_folder: Path
+
     def __init__(self, asset: Path, *options: str) -> None:
         command = ["tune", str(asset), "--no-browser", "--json", *options]
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "usdface", *command],
+            [sys.executable, "-m", "tests.remembered", str(self.remembered_folder), *command],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -96,7 +98,8 @@ class Page:
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
+def browser(remembered_folder: Path) -> Iterator[Any]:
+    Command.remembered_folder = remembered_folder
     with chromium() as running:
         yield running
 

@@ -1,0 +1,74 @@
+"""What tests ask many times of the same files, computed once for all processes of a run.
+
+As a program, `python -m tests.remembered FOLDER ...` is the command line, with the places of
+markers remembered there.
+"""
+
+import os
+import pickle
+import sys
+from collections.abc import Callable
+from hashlib import sha256
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+PLACING = (
+    ("usdface.model.selection.baseline", "place_markers"),
+    ("usdface.model.selection.baseline", "match_peaks"),
+    ("usdface.model.selection.baseline", "_noise_mm"),
+)
+REMEMBERED = (
+    *PLACING,
+    ("usdface.demo.rig", "bare_head"),
+    ("usdface.model.surface.binding", "place_markers"),
+    ("usdface.steps.inputs.placement", "place_markers"),
+    ("usdface.steps.inputs.placement", "sample_face_skin"),
+    ("usdface.steps.inputs.placement", "judge_placement"),
+    ("usdface.steps.inputs.placement", "bind_at"),
+    ("usdface.steps.inputs.placement", "draw_binding"),
+    ("usdface.steps.inputs.coverage_report", "draw_coverage"),
+    ("usdface.media.face.surface", "_rest_exposure"),
+    ("usdface.media.face.render", "build_surface"),
+    ("usdface.media.page.face_payload", "build_surface"),
+    ("usdface.media.page.face_payload", "_sky_of"),
+)
+"""The demo's heads, where the shot's markers are placed and how far they move there, the picture of
+it, what is drawn of a rig, and how much light falls on each of the face's points: most steps ask for
+them. What is remembered goes by the content of all arguments. Tests of one of these call it under
+its own name."""
+
+
+def remember(
+    folder: Path, names: tuple[tuple[str, str], ...], patch: Callable[[Any, str, Any], None]
+) -> None:
+    """Replace functions by ones that compute once what follows from their arguments."""
+    folder.mkdir(exist_ok=True)
+    for module_name, name in names:
+        module = import_module(module_name)
+        patch(module, name, _remembering(getattr(module, name), folder))
+
+
+def _remembering(function: Callable[..., object], folder: Path) -> Callable[..., object]:
+    def remembering(*given: object, **named: object) -> object:
+        content = pickle.dumps((given, named))
+        file = folder / f"{function.__name__}.{sha256(content).hexdigest()}"
+        if not file.is_file():
+            store(file, function(*given, **named))
+        return pickle.loads(file.read_bytes())
+
+    return remembering
+
+
+def store(file: Path, value: object) -> None:
+    """Write a file that other processes see whole or not at all."""
+    part = file.with_name(f"{file.name}.{os.getpid()}")
+    part.write_bytes(pickle.dumps(value))
+    part.replace(file)
+
+
+if __name__ == "__main__":
+    from usdface.cli import main
+
+    remember(Path(sys.argv.pop(1)), PLACING, setattr)
+    main()
