@@ -22,6 +22,7 @@ REMEMBERED = (
     *PLACING,
     ("usdface.demo.rig", "bare_head"),
     ("usdface.model.surface.binding", "place_markers"),
+    ("usdface.numerics.manifold.posterior_prediction", "_right_singular_vectors"),
     ("usdface.steps.inputs.placement", "place_markers"),
     ("usdface.steps.inputs.placement", "sample_face_skin"),
     ("usdface.steps.inputs.placement", "judge_placement"),
@@ -34,9 +35,9 @@ REMEMBERED = (
     ("usdface.media.page.face_payload", "_sky_of"),
 )
 """The demo's heads, where the shot's markers are placed and how far they move there, the picture of
-it, what is drawn of a rig, and how much light falls on each of the face's points: most steps ask for
-them. What is remembered goes by the content of all arguments. Tests of one of these call it under
-its own name."""
+it, what is drawn of a rig, how much light falls on each of the face's points, and the basis of a
+scan's variances: most steps ask for them. What is remembered goes by the content of all arguments.
+Tests of one of these call it under its own name."""
 
 
 def remember(

@@ -197,14 +197,19 @@ def make_fields(
     rotated = cross @ spectrum.vectors.astype(np.float32)
     basis = np.concatenate([rotated, ones, places.astype(np.float32)], axis=1)
     sample = basis[rng.choice(len(basis), min(len(basis), 8 * rank), replace=False)]
-    _, _, right = np.linalg.svd(_products(sample), full_matrices=False)
-    directions = np.ascontiguousarray(right[:rank])
+    directions = np.ascontiguousarray(_right_singular_vectors(_products(sample), rank))
     squares = np.empty((len(basis), len(directions)), np.float32)
     block = max(1, (1 << 22) // directions.shape[1])
     for start in range(0, len(basis), block):
         part = slice(start, start + block)
         np.matmul(_products(basis[part]), directions.T, out=squares[part])
     return SurfaceFields(basis, squares, directions)
+
+
+def _right_singular_vectors(matrix: Float32Array, rank: int) -> Float32Array:
+    """Return those of the largest singular values: (rank, columns)."""
+    right: Float32Array = np.linalg.svd(matrix, full_matrices=False)[2]
+    return right[:rank]
 
 
 def _products(basis: Float32Array) -> Float32Array:

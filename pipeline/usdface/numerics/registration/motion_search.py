@@ -145,6 +145,7 @@ class _Search:
         share = skin.activity() / skin.activity().sum()
         self._middle_y = float(share @ skin.positions[:, 1])
         self._tree, self._flat = KDTree(skin.positions), KDTree(skin.positions[:, :2])
+        self._scores: dict[bytes, float] = {}
 
     def fit_of(self, x: FloatArray) -> PlaneFit:
         """Return the fit with these coordinates: yaw, pitch, scale, height, depth."""
@@ -162,7 +163,11 @@ class _Search:
         return PlaneFit(rotation, np.full(3, size), shift)
 
     def score(self, x: FloatArray) -> float:
-        return self.candidate(float(x[0]), self.fit_of(x)).score
+        """Return the score at coordinates, to which a pattern search returns several times."""
+        key = x.tobytes()
+        if key not in self._scores:
+            self._scores[key] = self.candidate(float(x[0]), self.fit_of(x)).score
+        return self._scores[key]
 
     def candidate(self, yaw: float, fit: PlaneFit) -> SearchedFit:
         """Return a fit with its score."""

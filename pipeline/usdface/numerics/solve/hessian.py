@@ -112,7 +112,7 @@ class _Dense:
         H, rest = self._H, b - fixed @ self._H
         value = fixed.copy()
         for row, chosen in enumerate(free):
-            index = np.flatnonzero(chosen)
+            index = chosen.nonzero()[0]
             if not len(index):
                 continue
             system = H.take(index, 0).take(index, 1)
