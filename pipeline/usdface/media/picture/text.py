@@ -104,7 +104,12 @@ def text_mask(text: str, *, size: int, weight: Weight = "regular") -> Float32Arr
 
 def text_width(text: str, style: TextStyle) -> int:
     """Return the width of a label [pixels]."""
-    return _width(_placed_runs(text, style.size, style.weight)[1])
+    return _measured_width(text, style.size, style.weight)
+
+
+@lru_cache(maxsize=1 << 14)  # a page measures its rows once for each number of its groups
+def _measured_width(text: str, size: int, weight: Weight) -> int:
+    return _width(_placed_runs(text, size, weight)[1])
 
 
 def _placed_runs(
