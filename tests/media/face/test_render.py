@@ -3,7 +3,7 @@ import pytest
 
 from tests.media.forms import head, mesh, plate, sphere
 from usdface.core.errors import InputError
-from usdface.media.face import shading
+from usdface.media.face import raycast, shading
 from usdface.media.face.camera import Camera, frame_face, frame_rig, motion_weights
 from usdface.media.face.render import FaceRenderer
 from usdface.media.face.tracing import Tracer, sky_seen, traced_triangles
@@ -234,3 +234,30 @@ def _join(parts):
         faces += [[first + i for i in face] for face in _faces(part)]
         first += len(part.points)
     return mesh(np.concatenate([part.points for part in parts]), faces)
+
+
+@pytest.mark.parametrize("span_mm", [None, 150.0], ids=["perspective", "orthographic"])
+def test_rays_are_cast_only_where_the_face_may_be(
+    monkeypatch: pytest.MonkeyPatch, span_mm: float | None
+) -> None:
+    ball = sphere(50.0)
+    camera = Camera(
+        eye=(60.0, 40.0, 400.0), target=(30.0, -20.0, 0.0), fov_degrees=22.0, span_mm=span_mm
+    )
+    framed = draw([ball], camera, 120)
+    counts = []
+
+    def all_pixels(view: raycast.View) -> np.ndarray:
+        counts.append(len(_framed_pixels(view)))
+        return np.arange(view.height * view.width)
+
+    _framed_pixels = raycast._framed_pixels
+    monkeypatch.setattr(raycast, "_framed_pixels", all_pixels)
+    np.testing.assert_array_equal(framed, draw([ball], camera, 120))
+    assert 0 < counts[0] < 0.8 * 120 * 120
+
+
+def test_face_around_the_camera_is_drawn() -> None:
+    ball = sphere(50.0)
+    inside = Camera(eye=(0.0, 0.0, 0.0), target=(0.0, 0.0, -10.0), fov_degrees=30.0)
+    assert np.any(draw([ball], inside, 60) != wall(60, 60), axis=2).all()

@@ -7,7 +7,7 @@ surface; pixels on edges are supersampled.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
+from scipy import ndimage, sparse
 
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, row_lengths
 from usdface.media.face import shading
@@ -52,6 +52,8 @@ class View:
     height: int
     """`width`, `height`: [pixels]"""
     ray_counts: RayCounts
+    points: FloatArray
+    """(drawn points, 3) [mm]: posed."""
     tracer: Tracer
     """Of the posed points."""
     normals: Float32Array
@@ -108,15 +110,13 @@ def draw(view: View) -> Float32Array:
         Linear light [0-1].
     """
     height, width = view.height, view.width
-    rows, columns = np.mgrid[:height, :width]
-    centers = np.stack([columns.ravel(), rows.ravel()], axis=1) + 0.5
-    pattern = (columns % 4 + 4 * (rows % 4)).ravel()
-    samples = _sample(view, centers)
-    rays = samples.found.rays
+    pixels = _framed_pixels(view)
+    rows, columns = np.divmod(pixels, width)
+    samples = _sample(view, np.stack([columns, rows], axis=1) + 0.5)
+    rays = pixels[samples.found.rays]
+    pattern = (columns % 4 + 4 * (rows % 4))[samples.found.rays]
     ray_counts = view.ray_counts
-    seen = _occlusion(
-        view, samples, pattern[rays], sky=ray_counts.sky_rays, light=ray_counts.light_rays
-    )
+    seen = _occlusion(view, samples, pattern, sky=ray_counts.sky_rays, light=ray_counts.light_rays)
     seen = denoise(
         seen,
         rays=rays,
@@ -138,6 +138,18 @@ def draw(view: View) -> Float32Array:
         near_hole = ndimage.binary_dilation(holes, iterations=2).ravel()
         flat[edges] = _resample(view, edges, near_hole, _Known(samples, seen, slots))
     return picture
+
+
+def _framed_pixels(view: View) -> IntArray:
+    """Return the pixels in the bounding box of the projected surface, row by row."""
+    height, width = view.height, view.width
+    depth = (view.camera.eye - view.points) @ view.camera.axes()[2]
+    if depth.min() <= 0:  # points behind the eye have no projection
+        return np.arange(height * width)
+    column, row, _ = view.camera.project(view.points, width=width, height=height).T
+    rows = np.arange(max(int(row.min()) - 1, 0), min(int(row.max()) + 2, height))
+    columns = np.arange(max(int(column.min()) - 1, 0), min(int(column.max()) + 2, width))
+    return np.asarray((rows[:, None] * width + columns).ravel())
 
 
 def _sample(view: View, pixels: FloatArray) -> _Samples:
@@ -166,10 +178,12 @@ def _sample(view: View, pixels: FloatArray) -> _Samples:
 
 
 def _mix(values: Float32Array, corners: IntArray, shares: Float32Array) -> Float32Array:
-    mixed = values[corners[:, 0]] * shares[:, :1]
-    mixed += values[corners[:, 1]] * shares[:, 1:2]
-    mixed += values[corners[:, 2]] * shares[:, 2:]
-    return mixed
+    """Interpolate values of points (points, k) at places in triangles: (n, k)."""
+    starts = np.arange(0, corners.size + 1, 3)
+    matrix = sparse.csr_array(
+        (shares.ravel(), corners.ravel(), starts), shape=(len(corners), len(values))
+    )
+    return np.asarray(matrix @ values)
 
 
 def _paint_irises(

@@ -111,6 +111,7 @@ class FaceRenderer:
             width=width,
             height=height,
             ray_counts=RAY_COUNTS[quality],
+            points=fine,
             tracer=self._tracer(fine.astype(np.float32)),
             normals=normals.astype(np.float32),
             colors=colors,

@@ -87,28 +87,28 @@ def shade(hits: Hits, *, plain: bool = False) -> Float32Array:
     """
     if plain:
         return _shade_plain(hits)
-    normals, views = hits.normals, hits.views
-    skin = (hits.parts == FacePart.SKIN)[:, None]
-    opened = hits.openness[:, None]
-    bounced = np.where(skin, opened**_SKIN_BOUNCE, opened)
-    total = hits.albedo * bounced * _ambient(normals)
-    wrap = np.where(skin, _SKIN_WRAP, np.float32(0.05))
-    gloss, shine = _GLOSS[hits.parts], _SHINE[hits.parts]
+    # Planes of channels, (3, n): twice as fast as rows of three.
+    normals, albedo = hits.normals, np.ascontiguousarray(hits.albedo.T)
+    skin = hits.parts == FacePart.SKIN
+    bounced = np.where(skin, hits.openness ** _SKIN_BOUNCE[:, None], hits.openness)
+    total = albedo * bounced * _ambient(normals)
+    wrap = np.where(skin, _SKIN_WRAP[:, None], np.float32(0.05))
     for number, light in enumerate(LIGHTS):
         direction = np.asarray(light.direction, np.float32)
         direction = direction / np.linalg.norm(direction)
-        color = np.asarray(light.color, np.float32)
+        color = np.asarray(light.color, np.float32)[:, None]
         facing = normals @ direction
         reach = hits.lit if number == 0 else hits.openness
-        diffuse = np.clip((facing[:, None] + wrap) / (1 + wrap), 0, None)
-        total += hits.albedo * diffuse * color * reach[:, None]
+        diffuse = np.maximum((facing + wrap) / (1 + wrap), 0)
+        total += albedo * diffuse * color * reach
         if number == 0:  # a single highlight
-            half = views + direction
+            gloss, shine = _GLOSS[hits.parts], _SHINE[hits.parts]
+            half = hits.views + direction
             half /= row_lengths(half)
             lobe = np.clip(np.einsum("ij,ij->i", normals, half), 0, 1) ** shine
             strength = gloss * (shine + 2) / 28 * lobe * np.clip(facing * 4, 0, 1) * reach
-            total += strength[:, None] * color
-    return _tone(total)
+            total += strength * color
+    return np.ascontiguousarray(_tone(total).T)
 
 
 def _shade_plain(hits: Hits) -> Float32Array:
@@ -119,8 +119,8 @@ def _shade_plain(hits: Hits) -> Float32Array:
 
 
 def _ambient(normals: Float32Array) -> Float32Array:
-    up = (0.5 + 0.5 * normals[:, 1])[:, None]
-    return np.asarray(_GROUND * (1 - up) + _SKY * up, np.float32)
+    up = 0.5 + 0.5 * normals[:, 1]
+    return np.asarray(_GROUND[:, None] * (1 - up) + _SKY[:, None] * up, np.float32)
 
 
 def _tone(light: Float32Array) -> Float32Array:
