@@ -1,8 +1,7 @@
 """Generation of the demo's inputs: rig, capture, video and keys."""
 
 import csv
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import repeat
@@ -13,6 +12,8 @@ import numpy as np
 from usdface.capture.c3d_write import write_c3d
 from usdface.core.arrays import ByteImage, FloatArray, IntArray, columns_by_name
 from usdface.core.assets import WeightsClip
+from usdface.core.errors import CancelledError
+from usdface.core.processes import process_count, worker_processes
 from usdface.core.progress import Progress, part, silent
 from usdface.demo.acting import FIRST_FRAME, ActedPerformance, performance
 from usdface.demo.capture import ActorFace, demo_markers, head_poses, simulate_capture
@@ -39,6 +40,9 @@ TAIL_SECONDS = 0.25
 
 _WORKER_COUNT = 2
 """Processes that draw the clip."""
+
+_TASK_PICTURES = 8
+"""Pictures per task of a drawing process."""
 
 _SAMPLE_RATE = 48000
 _FIELD_DEGREES = 14.2
@@ -151,12 +155,18 @@ def _drawn(
 ) -> Iterator[ByteImage]:
     """Draw all pictures in order."""
     if workers > 1:
-        with ProcessPoolExecutor(
-            workers, initializer=_open_studio, initargs=(head, camera)
-        ) as pool:
-            yield from _track(
-                pool.map(_film, poses, weights, repeat(size), chunksize=8), len(poses), progress
-            )
+        with worker_processes(workers, _open_studio, head, camera) as give_work:
+            blocks = [
+                give_work(
+                    _film,
+                    poses[start : start + _TASK_PICTURES],
+                    weights[start : start + _TASK_PICTURES],
+                    size,
+                )
+                for start in range(0, len(poses), _TASK_PICTURES)
+            ]
+            pictures = (picture for block in blocks for picture in block.result())
+            yield from _track(pictures, len(poses), progress)
     else:
         yield from _track(
             map(Studio(head, camera).film, poses, weights, repeat(size)), len(poses), progress
@@ -171,17 +181,23 @@ def _track(pictures: Iterator[ByteImage], count: int, progress: Progress) -> Ite
 
 
 _studio: Studio | None = None  # of a drawing process
+_stopped: Callable[[], bool]
 
 
-def _open_studio(head: DemoHead, camera: Camera) -> None:
-    global _studio
-    _studio = Studio(head, camera)
+def _open_studio(head: DemoHead, camera: Camera, stopped: Callable[[], bool]) -> None:
+    global _studio, _stopped
+    _studio, _stopped = Studio(head, camera), stopped
 
 
-def _film(pose: FloatArray, weights: FloatArray, size: tuple[int, int]) -> ByteImage:
+def _film(poses: FloatArray, weights: FloatArray, size: tuple[int, int]) -> list[ByteImage]:
     if _studio is None:
         raise RuntimeError("this process was started without an actor to film")
-    return _studio.film(pose, weights, size)
+    pictures = []
+    for pose, row in zip(poses, weights, strict=True):
+        if _stopped():
+            raise CancelledError("the main process has stopped")
+        pictures.append(_studio.film(pose, row, size))
+    return pictures
 
 
 @dataclass(frozen=True)
@@ -250,7 +266,8 @@ def write_demo_inputs(
     video_file = folder / "actor.mp4"
     size = (2 * round(video_lines * SIZE[0] / SIZE[1] / 2), video_lines)
     filming = part(progress, 0.2, 1.0)
-    write_clip(video_file, actor, acted, size=size, workers=_WORKER_COUNT, progress=filming)
+    workers = process_count(_WORKER_COUNT)
+    write_clip(video_file, actor, acted, size=size, workers=workers, progress=filming)
     return DemoInputs(
         rig=rig_file,
         capture=capture_file,
