@@ -163,7 +163,7 @@ def test_a_part_without_markers_is_refused_until_it_is_stated(regions, side, wor
     assert finding.impossible
     assert words in finding.message
     assert "--partial" in finding.remedy
-    assert settle_findings([finding], stated=["part"], where="x") == (finding.message,)
+    assert check_findings([finding], stated=["part"], where="x") == (finding.message,)
     hidden = replace(markers, visible=markers.visible.copy(), confidence=markers.confidence.copy())
     gone = np.setdiff1d(np.arange(len(hints)), keep)
     hidden.visible[:, gone], hidden.confidence[:, gone] = False, 0

@@ -254,7 +254,7 @@ def _listed_markers(markers: BoundMarkers, listed: IntArray, most: int) -> IntAr
     """Return the markers to name: doubtful ones, those placed by a person, and others between."""
     if len(listed) <= most:
         return listed
-    first = np.array([bool(markers.doubts[each]) or markers.placed[each] for each in listed])
+    first = np.array([bool(markers.warnings[each]) or markers.placed[each] for each in listed])
     chosen, rest = np.flatnonzero(first)[:most], np.flatnonzero(~first)
     spread = np.linspace(0, len(rest) - 1, most - len(chosen)).round().astype(int)
     return np.asarray(listed[np.sort(np.concatenate([chosen, rest[spread]]))])

@@ -14,7 +14,7 @@ from usdface.model.mapping.performer_face import PerformerFace, face_of_mapping
 from usdface.model.mapping.predict import predict_weights
 from usdface.model.placement.shape_parts import missing_parts_note, shape_parts
 from usdface.model.selection.baseline import BlendshapeEquation, PerformerMarkers
-from usdface.model.selection.design import WeightProposals, SelectionSpace, selection_space
+from usdface.model.selection.design import SelectionSpace, WeightProposals, selection_space
 from usdface.specs.paths import frame_range
 from usdface.steps.inputs.cleaned_takes import CleanedTakes
 from usdface.steps.inputs.placement import placed_equation
