@@ -27,6 +27,7 @@ from usdface.numerics.registration.virtual_markers import (
     VirtualMarkers,
     character_motion,
     marker_deltas,
+    skin_rotations,
 )
 from usdface.numerics.solve.blendshape_equation import (
     EquationSolution,
@@ -356,7 +357,28 @@ def equation_at(
         virtual, deltas, keys, neutral, rig.ranges, trust, gain, lids=lids
     )
     few = picks[:: -(-len(picks) // _NOISE_FRAMES)]
+    equation = replace(equation, noise_mm=_noise_mm(equation, positions[few], visible[few]))
+    equation = _turn_skin(equation, positions[few], visible[few])
     return replace(equation, noise_mm=_noise_mm(equation, positions[few], visible[few]))
+
+
+def _turn_skin(
+    equation: BlendshapeEquation, positions: Positions, visible: BoolArray
+) -> BlendshapeEquation:
+    """Return the equation with the markers' motion turned as the performer's skin slopes."""
+    weights = equation._solve(positions, visible, equation.ranges.copy()).weights
+    turned = skin_rotations(
+        equation.neutral,
+        equation._moved(weights),
+        equation.motion(positions),
+        visible=visible & (equation.trust > 0),
+    )
+    keys = replace(equation.keys, deltas=_rotate(equation.keys.deltas, turned))
+    return replace(equation, deltas=_rotate(equation.deltas, turned), keys=keys)
+
+
+def _rotate(deltas: FloatArray, rotations: FloatArray) -> FloatArray:
+    return np.asarray(np.einsum("mij,smj->smi", rotations, deltas, optimize=True))
 
 
 def _noise_mm(equation: BlendshapeEquation, positions: Positions, visible: BoolArray) -> float:
