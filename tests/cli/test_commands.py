@@ -19,6 +19,7 @@ from usdface.cli.command_list import HEADINGS
 from usdface.cli.console import show_result
 from usdface.core.errors import InputError
 from usdface.core.version import __version__
+from usdface.demo.job import make_folder
 from usdface.runner.result import StepResult
 from usdface.specs.capture import IngestSpec
 from usdface.usdio.rig.write import write_rig
@@ -111,6 +112,16 @@ def test_the_demo_refuses_a_folder_that_holds_something_else(tmp_path: Path, cap
     assert run("demo", "--out", str(tmp_path)) == 2
     assert "holds no demo; choose another --out" in capsys.readouterr().err
     assert [each.name for each in tmp_path.iterdir()] == ["thesis.txt"]
+
+
+def test_an_interrupted_demo_can_be_run_again(tmp_path: Path) -> None:
+    folder, job = tmp_path / "demo", tmp_path / "demo" / "demo.job.yaml"
+    make_folder(folder, job)
+    (folder / "character.usdc").write_text("half of it")
+    make_folder(folder, job)
+    job.unlink()
+    with pytest.raises(InputError, match="holds no demo"):
+        make_folder(folder, job)
 
 
 def test_a_bug_is_reported_as_one_and_not_as_the_users_fault(monkeypatch, capsys) -> None:

@@ -110,10 +110,15 @@ _HEADER = """\
 
 
 def make_folder(folder: Path, job_file: Path) -> None:
-    """Create a demo's folder; refuse one with other files and without the job file."""
+    """Create a demo's folder; refuse one with other files and without the job file.
+
+    The job file stands there from the start, so that an interrupted demo can be run again.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         strangers = any(folder.iterdir()) and not job_file.exists()
+        if not strangers and not job_file.exists():
+            job_file.write_text("# The inputs of this job are being made.\n", encoding="utf-8")
     except OSError as error:
         raise InputError(
             f"{folder}: cannot be made or read: {error.strerror}; choose another --out"
