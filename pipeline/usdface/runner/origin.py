@@ -15,7 +15,6 @@ from usdface.specs.review import MOVIE_SUFFIXES, PAGE_SUFFIXES
 from usdface.usdio.layers import is_layer_name, read_provenance
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.referenced_files import dependencies, referenced_files
-from usdface.usdio.surface.binding import has_corrections
 from usdface.usdio.take.read import TakeReader, is_take
 
 LARGEST_FIGURES_BYTES = 64 << 20
@@ -102,6 +101,8 @@ def traced_files(spec: Spec) -> dict[Path, Reads]:
                     found[path] = _TRACED[name]
                     waiting += [path] if name in ("mapping", "parts", "source") else []
     binding = spec.written_binding()
+    from usdface.usdio.surface.binding import has_corrections  # SciPy is slow to import
+
     if binding is not None and has_corrections(corrections := corrected_path(binding)):
         found[corrections] = Reads(alone=True)
     return found

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from tests.numerics.small_face import small_face
 from usdface.numerics.registration.cloud_alignment import align_landmarks, align_pairs
 from usdface.numerics.registration.face_skin import facing_direction, sample_outer_surface
-from usdface.numerics.registration.virtual_markers import deltas_at, skin_rotations, sparse_offsets
+from usdface.numerics.registration.virtual_markers import deltas_at, sparse_offsets
 
 
 @pytest.fixture(scope="module")
@@ -60,41 +60,3 @@ def test_a_turn_is_not_mistaken_for_proportions_of_the_other_face(seed):
     )
     assert off < 0.7 * before  # proportions are believed in part, so a part of the turn is left
     assert found.residual_mm < 0.6 * np.sqrt(((plain.apply(cloud) - targets) ** 2).sum(1).mean())
-
-
-def test_skin_turns_as_by_scipy() -> None:
-    rng = np.random.default_rng(0)
-    predicted = rng.normal(size=(50, 3, 3)) * [[[3.0], [5.0], [0.05]]]
-    truth = Rotation.from_rotvec([[0, 0.3, 0], [0.2, 0, 0.1], [1.0, 0, 0]]).as_matrix()
-    measured = 1.3 * np.einsum("mij,fmj->fmi", truth, predicted)
-    measured[0, 0] = np.nan
-    visible = np.isfinite(measured).all(axis=2)
-    neutral = 1e3 * np.eye(3)  # no marker is another's neighbour
-    found = skin_rotations(neutral, predicted, measured, visible=visible)
-    for marker, rotation in enumerate(found):
-        rows = visible[:, marker]
-        m, y = predicted[rows, marker], measured[rows, marker]
-        unturned = 0.3 * (m**2).sum() / 3 + len(predicted)
-        expected, _ = Rotation.align_vectors(
-            np.concatenate([y, np.eye(3)]),
-            np.concatenate([m, np.eye(3)]),
-            weights=np.append(np.ones(len(y)), np.full(3, unturned)),
-        )
-        np.testing.assert_allclose(rotation, expected.as_matrix(), atol=1e-6)
-    still = Rotation.from_matrix(found[2]).magnitude()
-    assert still < 0.01
-
-
-def test_neighbours_share_the_rotation_of_the_skin() -> None:
-    predicted = np.random.default_rng(1).normal(size=(80, 2, 3)) * [[[6.0], [0.01]]]
-    turn = Rotation.from_rotvec([0, 0, 0.4])
-    measured = np.einsum("ij,fmj->fmi", turn.as_matrix(), predicted)
-    visible = np.ones(predicted.shape[:2], bool)
-    angles = [
-        Rotation.from_matrix(
-            skin_rotations(np.diag([0, away, 0])[:2], predicted, measured, visible=visible)[1]
-        ).magnitude()
-        for away in (5.0, 100.0)
-    ]
-    assert angles[0] > 0.25
-    assert angles[1] < 0.01

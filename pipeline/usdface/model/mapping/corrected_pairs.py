@@ -13,6 +13,7 @@ from usdface.model.regressions.driven_motion import DrivenMotion, driven_weights
 from usdface.model.regressions.forward_model import ForwardModel, ForwardScales, fit_forward_model
 from usdface.model.regressions.frame_solve import VARIANCE_INFLATIONS, FrameSolver
 from usdface.numerics.regression.marker_prior import fit_marker_basis
+from usdface.numerics.rigid.skin_rotation import rotate_deltas, skin_rotations
 from usdface.numerics.solve.bounded_least_squares import minimise_within_bounds
 
 _KEY_ROUNDS = 2
@@ -234,16 +235,20 @@ def fit_pairs_forward(pairs: Pairs, scales: ForwardScales | None = None) -> Forw
         low, high = face.ranges.T
         driven = driven_weights(face.driven.logic, np.clip(pairs.outputs, low, high))
         skin = np.concatenate([skin, face.driven.skin])
-    rest = face.rest
+    rest, inputs = face.rest, np.concatenate([bent, driven], axis=1)
     basis = fit_marker_basis(
         skin,
-        np.concatenate([bent, driven], axis=1),
+        inputs,
         displaced,
         rest=None if rest is None else rest.points,
         neutral=face.neutral,
         places=None if rest is None else rest.markers,
         motion_scale=None if rest is None else rest.motion_scale,
     ).basis
+    if face.neutral is not None:
+        predicted = np.einsum("ns,smc->nmc", inputs, basis, optimize=True)
+        seen = np.ones(predicted.shape[:2], np.bool_)
+        basis = rotate_deltas(basis, skin_rotations(neutral, predicted, displaced, visible=seen))
     count = weights.shape[1]
     motion = basis[count:].reshape(len(basis) - count, displaced[0].size)
     forward = fit_forward_model(

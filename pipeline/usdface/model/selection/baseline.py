@@ -27,8 +27,8 @@ from usdface.numerics.registration.virtual_markers import (
     VirtualMarkers,
     character_motion,
     marker_deltas,
-    skin_rotations,
 )
+from usdface.numerics.rigid.skin_rotation import rotate_deltas, skin_rotations
 from usdface.numerics.solve.blendshape_equation import (
     EquationSolution,
     MarkerKeys,
@@ -373,12 +373,8 @@ def _turn_skin(
         equation.motion(positions),
         visible=visible & (equation.trust > 0),
     )
-    keys = replace(equation.keys, deltas=_rotate(equation.keys.deltas, turned))
-    return replace(equation, deltas=_rotate(equation.deltas, turned), keys=keys)
-
-
-def _rotate(deltas: FloatArray, rotations: FloatArray) -> FloatArray:
-    return np.asarray(np.einsum("mij,smj->smi", rotations, deltas, optimize=True))
+    keys = replace(equation.keys, deltas=rotate_deltas(equation.keys.deltas, turned))
+    return replace(equation, deltas=rotate_deltas(equation.deltas, turned), keys=keys)
 
 
 def _noise_mm(equation: BlendshapeEquation, positions: Positions, visible: BoolArray) -> float:
