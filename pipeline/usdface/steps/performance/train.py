@@ -38,6 +38,9 @@ _ENOUGH_TUNED = 8
 """Tuned pairs from which training leaves out proposals. In the order of `select` 6 are enough; in
 one random order 8 were: the error falls by a quarter to a half (decision 39)."""
 
+_LEAST_GAIN_DEVIATION = 0.03
+"""Standard deviation of the gains of pairs that is reported; one animator's own is of that size."""
+
 _SHOWN_MM = 0.5
 """Largest displacement of a marker by a full shape, below which markers do not show the shape."""
 
@@ -244,7 +247,7 @@ def _correction_notes(mapping: TrainedMapping, references: References) -> list[s
 def _gain_notes(mapping: TrainedMapping) -> list[str]:
     """Return a note if keys of some pairs are larger than those of others, by author."""
     deviation = float(mapping.settings.get("gain_deviation", 0.0))
-    if not deviation:
+    if deviation < _LEAST_GAIN_DEVIATION:
         return []
     gains = str(mapping.settings.get("author_gains", ""))
     whose = (
