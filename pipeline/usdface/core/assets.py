@@ -404,6 +404,8 @@ class SolveBasis:
     """Regions of the face without markers."""
     changed_shapes: tuple[str, ...] = ()
     """Shapes of the rig that changed since the training."""
+    regions_without_shapes: tuple[str, ...] = ()
+    """Regions of the face with markers, and without shapes of the rig."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -16,6 +16,7 @@ from tests.model.synthetic import (
 from usdface.core.assets import TrainedMapping
 from usdface.core.errors import InputError
 from usdface.model import Prediction, predict_weights, sample_skin, train_mapping
+from usdface.model.mapping.regions import regions_without_shapes
 from usdface.model.mapping.uncertainty import (
     LIMIT_DEVIATIONS,
     calibrate_uncertainty,
@@ -224,3 +225,18 @@ def test_regions_without_markers_are_named(labels: str, known: bool, unseen: str
         method="ridge",
     )
     assert mapping.settings["unseen_regions"] == unseen
+
+
+@pytest.mark.parametrize(
+    ("parts", "labels", "expected"),
+    [
+        (("browUp", "jawOpen", "eyeBlink"), ("Chin", "Lip_Up", "Lbrow_Outer"), ("mouth",)),
+        (("browUp", "jawOpen", "eyeBlink"), ("Chin", "m1"), ()),
+        (("browUp", "jawOpen", "happy"), ("Chin", "Lip_Up"), ()),
+        (("browUp", "jawOpen", "tongueOut"), ("Chin", "Lip_Up"), ("mouth",)),
+        (("browUp", "jawOpen"), ("Chin", "Nose_tip"), ()),
+    ],
+    ids=["no_mouth", "no_marker", "unknown_shape", "hidden_shape", "rigid_marker"],
+)
+def test_regions_with_markers_and_without_shapes_are_named(parts, labels, expected) -> None:
+    assert regions_without_shapes(parts, labels, ("Nose_tip",)) == expected

@@ -70,6 +70,12 @@ def test_where_no_eyes_and_mouth_are_found_names_stay_and_a_note_says_what_is_mi
     assert parts == foreign
     note = missing_parts_note(parts)
     assert note.startswith("no shape of this rig is known to move the brows, lids, cheeks and nose")
+    whole = ("browUp", "nose", "mouthSmile", "jawOpen")
+    assert missing_parts_note((*whole, "eyeSquint_L", "eyeWide_L")).startswith(
+        "no shape of this rig closes the eyes"
+    )
+    assert not missing_parts_note((*whole, "eyeSquint_L", "eyeBlink_L"))
+    assert not missing_parts_note((*whole, "eyeSquint_L", "lids"))  # found by its displacements
     assert missing_parts_note(("browUp", "lids", "nose", "jawOpen")).startswith(
         "no shape of this rig is known to move the mouth:"
     )

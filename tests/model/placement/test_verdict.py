@@ -1,5 +1,6 @@
 """A verdict is green where markers are right, and names what is wrong where they are not."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -50,7 +51,9 @@ class Bench:
         self.cloud = MarkerCloud(tuple(LABELS), self.local, motion, still)
 
     def judge(self, local: np.ndarray, **changed: object) -> PlacementVerdict:
-        count, skin = len(local), self.skin
+        count = len(local)
+        skin: FaceSkin = changed.pop("skin", self.skin)  # type: ignore[assignment]
+        shapes: tuple[str, ...] = changed.pop("shapes", self.shapes)  # type: ignore[assignment]
         virtual = VirtualMarkers(
             np.zeros((count, 3), np.int64),
             np.zeros((count, 3)),
@@ -60,7 +63,7 @@ class Bench:
         )
         given = {"at": local @ skin.frame, "ranges": self.ranges, "by_labels": True} | changed
         cloud = given.pop("cloud", self.cloud)
-        return judge_placement(cloud, skin, self.shapes, virtual, **given)  # type: ignore[arg-type]
+        return judge_placement(cloud, skin, shapes, virtual, **given)  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")
@@ -108,33 +111,51 @@ def test_a_face_too_low_looks_wrong_and_the_motion_says_where_it_belongs(bench: 
     assert "higher" in verdict.sentence
 
 
-def test_a_rig_without_shapes_for_a_region_is_told(bench: Bench) -> None:
-    brows = np.array(["brow" in name.lower() for name in bench.shapes])
-    still = np.where(brows[:, None, None], 0.0, bench.skin.deltas)
-    bare = replace(bench.skin, deltas=still)
-    # Other shapes drag the brows along; without them as well nothing moves there.
-    local = bench.local @ bench.skin.frame
-    at = np.array([i for i, name in enumerate(LABELS) if "brow" in name])
-    near = ((bench.local[at][:, None] - bare.positions) ** 2).sum(axis=2) < 30.0**2
-    still[:, near.any(axis=0)] = 0.0
-    verdict = judge_placement(
-        bench.cloud,
-        bare,
-        bench.shapes,
-        VirtualMarkers(
-            np.zeros((len(local), 3), np.int64),
-            np.zeros((len(local), 3)),
-            1.0,
-            bare.frame.T,
-            np.zeros(len(local)),
-        ),
-        at=local,
-        ranges=bench.ranges,
-        by_labels=True,
+@pytest.mark.parametrize("foreign", [False, True])
+@pytest.mark.parametrize(
+    ("lacking", "words"),
+    [
+        ("brow", "no shapes for the brows (4 markers; other shapes follow "),
+        ("mouth", "no shapes for the mouth (4 markers; other shapes follow "),
+        ("eyeBlink|eyeSquint|eyeWide|eyeLook", "no shapes for the lids ("),
+        ("tongue|eyeLook", ""),
+    ],
+)
+def test_a_region_without_shapes_is_named_although_others_carry_it(
+    bench: Bench, lacking: str, words: str, foreign: bool
+) -> None:
+    verdict = judge_without(bench, lacking, foreign=foreign)
+    assert verdict.level == ("check" if words else "good")
+    assert words in verdict.sentence
+    assert ("no shape" in verdict.sentence) == bool(words)
+
+
+def test_a_rig_whose_eyes_do_not_close_is_named(bench: Bench) -> None:
+    assert "no shape that closes the eyes" in judge_without(bench, "eyeBlink").sentence
+    # A squint by another name is none either; what moves a lid as far as a blink is one.
+    renamed = judge_without(bench, "eyeBlink|eyeLook", foreign=True)
+    assert "no shape that closes the eyes" in renamed.sentence
+
+
+def test_markers_that_no_shape_moves_are_named(bench: Bench) -> None:
+    row = list(LABELS).index("Mouth_Lend")
+    near = ((bench.local[row] - bench.skin.positions) ** 2).sum(axis=1) < 10.0**2
+    bare = replace(bench.skin, deltas=np.where(near[:, None], 0.0, bench.skin.deltas))
+    labels = list(LABELS)
+    labels[row] = "m8"
+    verdict = bench.judge(bench.local, cloud=replace(bench.cloud, labels=tuple(labels)), skin=bare)
+    assert "the rig has no shape that moves m8" in verdict.sentence
+
+
+def judge_without(bench: Bench, lacking: str, *, foreign: bool = False) -> PlacementVerdict:
+    """Judge right places on a rig without some shapes, named or numbered."""
+    keep = [i for i, name in enumerate(bench.shapes) if not re.search(lacking, name)]
+    return bench.judge(
+        bench.local,
+        skin=replace(bench.skin, deltas=bench.skin.deltas[keep]),
+        ranges=bench.ranges[keep],
+        shapes=tuple(f"s{i}" if foreign else bench.shapes[i] for i in keep),
     )
-    assert verdict.level == "check"
-    assert "the rig has no shape that moves" in verdict.sentence
-    assert "the brows (4 markers)" in verdict.sentence
 
 
 def test_markers_of_one_side_are_told(bench: Bench) -> None:

@@ -134,6 +134,14 @@ def test_a_take_that_its_proposals_cover_is_tuned_before_more_frames_are_added()
     assert far.advice.startswith("add frames of this take")
 
 
+def test_a_solve_on_a_rig_without_shapes_for_a_region_is_not_good() -> None:
+    basis = SolveBasis(30, 30, regions_without_shapes=("mouth", "jaw"))
+    verdict = judge_solve(replace(evidence(), basis=basis))
+    assert verdict.level == "check"
+    assert "the rig has no shapes for the mouth and the jaw: their markers" in verdict.sentence
+    assert judge_solve(replace(evidence(), basis=SolveBasis(30, 30))).level == "good"
+
+
 def test_references_of_regions_without_markers_are_not_asked_for() -> None:
     basis = SolveBasis(30, 30, still_regions=("mouth",), regions_without_markers=("mouth",))
     found = replace(evidence(), basis=basis)

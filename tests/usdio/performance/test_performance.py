@@ -25,7 +25,12 @@ from usdface.usdio.rig.write import write_rig
 from usdface.usdio.validation import validate
 
 BASIS = SolveBasis(
-    30, 12, ("brows", "lids"), regions_without_markers=("jaw",), changed_shapes=("jawOpen",)
+    30,
+    12,
+    ("brows", "lids"),
+    regions_without_markers=("jaw",),
+    changed_shapes=("jawOpen",),
+    regions_without_shapes=("mouth",),
 )
 NAMES = ("smile", "jawOpen", "eyeBlink")  # another order than the rig's
 WEIGHTS = np.random.default_rng(0).random((20, 3)).astype(np.float32)

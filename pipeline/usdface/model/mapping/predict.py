@@ -277,12 +277,16 @@ def basis_of(mapping: TrainedMapping, rig: Rig) -> SolveBasis | None:
     settings = mapping.settings
     if "tuned" not in settings or "pairs" not in settings:
         return None
-    still, without = (str(settings.get(f"{each}_regions", "")) for each in ("still", "unseen"))
+    still, without, shapeless = (
+        tuple(filter(None, str(settings.get(f"{each}_regions", "")).split(",")))
+        for each in ("still", "unseen", "shapeless")
+    )
     return SolveBasis(
         pairs=int(settings["pairs"]),
         tuned=int(settings["tuned"]),
-        still_regions=tuple(filter(None, still.split(","))),
-        regions_without_markers=tuple(filter(None, without.split(","))),
+        still_regions=still,
+        regions_without_markers=without,
+        regions_without_shapes=shapeless,
         changed_shapes=changed_shapes(mapping, rig),
     )
 

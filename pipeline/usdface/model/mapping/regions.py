@@ -8,8 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
-from usdface.model.placement.label_hints import label_hint
-from usdface.numerics.measure.face_regions import points_by_region, shapes_by_region
+from usdface.model.placement.label_hints import face_region, label_hint
+from usdface.numerics.measure.face_regions import (
+    REGIONS,
+    gaze_and_tongue_shapes,
+    points_by_region,
+    shapes_by_region,
+)
 
 if TYPE_CHECKING:
     from scipy import sparse
@@ -108,6 +113,27 @@ def regions_without_markers(
         and np.linalg.norm(length[shapes][:, nearest].max(axis=1))
         < _SEEN_SHARE * np.linalg.norm(length[shapes].max(axis=1))
     )
+
+
+def regions_without_shapes(
+    parts: tuple[str, ...], labels: Sequence[str], rigid: Sequence[str]
+) -> tuple[str, ...]:
+    """Return the regions that markers are labelled after and that the rig has no shapes for.
+
+    Empty if the region of a shape is unknown, as it may be one of these.
+
+    Parameters
+    ----------
+    parts : tuple of str
+        Part of the face of each shape; see `region_points`.
+    labels, rigid : sequence of str
+        Names of all markers, and of those that move with the skull alone.
+    """
+    known, hidden = shapes_by_region(parts), gaze_and_tongue_shapes(parts)
+    if sum(map(len, known.values())) + len(hidden) < len(parts):
+        return ()
+    named = {face_region(label) for label in labels if label not in rigid}
+    return tuple(region for region in REGIONS if region in named and region not in known)
 
 
 def skin_points(offsets: FloatArray | sparse.sparray, *, count: int = SKIN_POINTS) -> IntArray:

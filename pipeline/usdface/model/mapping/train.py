@@ -29,6 +29,7 @@ from usdface.model.mapping.regions import (
     region_grams,
     region_points,
     regions_without_markers,
+    regions_without_shapes,
 )
 from usdface.model.mapping.uncertainty import UncertaintyModel, calibrate_uncertainty
 from usdface.model.regressions import DEFAULT_CHOICES, Choices, Face, Pairs, RestPlaces
@@ -258,7 +259,7 @@ def _uncertainty(
 def _region_settings(
     references: References, folds: PairFolds, regions: tuple[str, ...], parts: tuple[str, ...]
 ) -> dict[str, str]:
-    """Return the names of all regions, of those without markers, and of other still ones.
+    """Return the names of all regions, of those without markers or shapes, and of still ones.
 
     A still region is one that no reference moves: its motion in takes follows from the rig alone.
     """
@@ -271,4 +272,7 @@ def _region_settings(
         if region in shapes and region not in without and reach[shapes[region]].max() < _STILL_SHARE
     ]
     named = {"regions": regions, "still_regions": still, "unseen_regions": without}
+    shapeless = regions_without_shapes(parts, references.marker_names, references.rigid)
+    if shapeless:
+        named["shapeless_regions"] = shapeless
     return {name: ",".join(each) for name, each in named.items()}

@@ -115,6 +115,26 @@ def label_hint(label: str) -> LabelHint:
     return LabelHint(side)
 
 
+def face_region(label: str) -> str:
+    """Return the region of `face_regions.REGIONS` that a label names; ``''`` for none."""
+    return _REGIONS.get(label_hint(label).region, "")
+
+
+_REGIONS = {
+    "forehead": "brows",
+    "brow": "brows",
+    "lid": "lids",
+    "eye": "lids",
+    "eye corner": "lids",
+    "bridge": "cheeks and nose",
+    "nose": "cheeks and nose",
+    "cheek": "cheeks and nose",
+    "mouth": "mouth",
+    "chin": "jaw",
+    "jaw": "jaw",
+}
+
+
 def is_on_headgear(label: str) -> bool:
     """Whether a label names a head band, a cap or the skull; not a forehead, ear or temple."""
     return label_hint(label).region == "skull" and bool(_WORN.search(label.lower()))

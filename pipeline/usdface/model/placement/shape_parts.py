@@ -17,6 +17,7 @@ from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.model.placement.face_template import landmark_place
 from usdface.model.placement.rig_landmarks import MOST_MOVED_SHARE, find_landmarks
+from usdface.model.retarget.shape_names import read_meanings
 from usdface.numerics.measure.face_regions import (
     REGIONS,
     gaze_and_tongue_shapes,
@@ -74,7 +75,7 @@ def shape_parts(rig: Rig, deformer: Deformer) -> tuple[str, ...]:
         skin = sample_face_skin(deformer.neutral, deformer.triangles, offsets)
     except ValueError:
         return names
-    template = _fitted_landmarks(skin, names)
+    template = fit_region_template(skin, names)
     if template is None:
         return names
     points = deformer.neutral @ skin.frame.T
@@ -120,7 +121,7 @@ def shapes_of_unknown_region(names: Sequence[str]) -> list[int]:
 
 
 def missing_parts_note(parts: Sequence[str]) -> str:
-    """Return a note that names regions without a known shape; empty if each has one.
+    """Return a note on regions without a known shape, or on eyes that do not close; else empty.
 
     Parameters
     ----------
@@ -130,7 +131,7 @@ def missing_parts_note(parts: Sequence[str]) -> str:
     known = {region_of_shape(each) for each in parts}
     missing = [region for region in REGIONS if region not in known]
     if not missing:
-        return ""
+        return "no shape of this rig closes the eyes: blinks are not followed" * _stay_open(parts)
     listed = ", ".join(missing)
     return (
         f"no shape of this rig is known to move the {listed}: uncertainty, coverage and residual "
@@ -138,7 +139,14 @@ def missing_parts_note(parts: Sequence[str]) -> str:
     )
 
 
-class _Template:
+def _stay_open(parts: Sequence[str]) -> bool:
+    """Whether the names of all shapes of the lids tell that they do not close the eyes."""
+    meanings = read_meanings(parts)
+    lids = [meanings[part] for part in parts if region_of_shape(part) == "lids"]
+    return bool(lids) and all(m.understood and "eyeblink" not in m.motion for m in lids)
+
+
+class RegionTemplate:
     """An adult's landmarks fitted to a rig."""
 
     def __init__(self, skin: FaceSkin, scale: FloatArray, origin: FloatArray) -> None:
@@ -158,8 +166,14 @@ class _Template:
         return self._parts[nearest] if away[nearest] < _FARTHEST_MM * self._size else ""
 
 
-def _fitted_landmarks(skin: FaceSkin, names: Sequence[str]) -> _Template | None:
-    """Return an adult's face fitted to a rig's landmarks; None without eyes or mouth."""
+def fit_region_template(skin: FaceSkin, names: Sequence[str]) -> RegionTemplate | None:
+    """Return the regions of an adult's face, fitted to a rig; None without eyes or mouth.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of the rig's shapes.
+    """
     found = find_landmarks(skin, names)
     shared = [name for name in _FITTED if name in found]
     if not {"lid_lower_L", "mouth_L"} <= set(shared):
@@ -172,7 +186,7 @@ def _fitted_landmarks(skin: FaceSkin, names: Sequence[str]) -> _Template | None:
     if min(breadth, height) <= 0:
         return None
     scale = np.array([breadth, height, (breadth + height) / 2])
-    return _Template(skin, scale, np.mean(rig - adult * scale, axis=0) * [0.0, 1.0, 1.0])
+    return RegionTemplate(skin, scale, np.mean(rig - adult * scale, axis=0) * [0.0, 1.0, 1.0])
 
 
 def _adult(names: Sequence[str]) -> FloatArray:

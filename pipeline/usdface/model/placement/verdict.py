@@ -6,12 +6,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import KDTree
 
-from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.arrays import FloatArray
 from usdface.core.text import first_few, pluralize
 from usdface.model.placement.known_places import places_by_labels
 from usdface.model.placement.label_hints import label_hint
 from usdface.model.placement.marker_cloud import MarkerCloud
 from usdface.model.placement.place import FEWEST_PINS
+from usdface.model.placement.region_shapes import words_on_missing_shapes
 from usdface.model.placement.rig_landmarks import find_landmarks
 from usdface.numerics.registration.face_skin import FaceSkin
 from usdface.numerics.registration.skin_placement import (
@@ -44,12 +45,6 @@ one loses."""
 _LEAST_EXPLAINED = 0.5
 """Explained share of motion below which a placement by motion is to be checked."""
 
-_STILL_MM = 1.0
-"""RMS motion of skin on an adult's face from which the rig needs a shape there."""
-
-_LEAST_MOBILITY = 1 / 3
-"""Largest displacement by any shape, over the RMS motion, below which a region has no shape."""
-
 _ONE_SIDE_SHARE = 0.05
 """Share of the markers off the midline below which a side of the face counts as not captured."""
 
@@ -64,8 +59,6 @@ _NECK_MARKERS = 0.05
 """Share of markers on the neck above which the placement is wrong."""
 
 _OPENINGS = {"good": "Looks right", "check": "Look at it", "bad": "Looks wrong"}
-
-_PLURALS = {"brow": "brows", "lid": "lids", "cheek": "cheeks", "eye": "eyes"}
 
 
 @dataclass(frozen=True)
@@ -136,7 +129,8 @@ def judge_placement(
             shifted = solve_weights_at(skin, there, moved, ranges, start=weights)
             gains[way] = explained_share(skin, there, moved, shifted) - explained
         reasons.append(_better_elsewhere(gains, shift_mm))
-        reasons.append(_without_shapes(cloud.labels, moved, skin.deltas[:, samples], unit))
+        missing = words_on_missing_shapes(cloud.labels, skin, shapes, samples, moved, ranges)
+        reasons.append(("check", missing) if missing else _FINE)
     if not by_labels and not placed:
         reasons.append(_by_motion(len(known), explained))
     found = [each for each in reasons if each[0] != "good"]
@@ -254,30 +248,6 @@ def _better_elsewhere(gains: dict[str, float], shift_mm: float) -> _Reason:
         return _FINE
     level = "bad" if gains[way] >= _LARGE_GAIN else "check"
     return level, f"the motion fits {gains[way]:.0%} better {shift_mm:.0f} mm {way}"
-
-
-def _without_shapes(
-    labels: tuple[str, ...], moved: FloatArray, deltas: FloatArray, unit: float
-) -> _Reason:
-    """Return a check that names moving regions without a shape on the rig."""
-    motion = np.sqrt((moved**2).sum(axis=2).mean(axis=0))
-    mobility = np.linalg.norm(deltas, axis=2).max(axis=0, initial=0.0)
-    lacking = (motion > _STILL_MM * unit) & (mobility < _LEAST_MOBILITY * motion)
-    regions: dict[str, IntArray] = {}
-    for region in dict.fromkeys(label_hint(label).region for label in labels):
-        of_region = np.array([label_hint(label).region == region for label in labels])
-        bare = np.flatnonzero(of_region & lacking)
-        if len(bare) and (not region or len(bare) > of_region.sum() / 2):
-            regions[region] = bare
-    if not regions:
-        return _FINE
-    named = [
-        f"the {_PLURALS.get(region, region)} ({pluralize(len(bare), 'marker')})"
-        if region
-        else first_few([labels[marker] for marker in bare], most=3)
-        for region, bare in regions.items()
-    ]
-    return "check", f"the rig has no shape that moves {first_few(named, most=3)}"
 
 
 def _roll_degrees(cloud: MarkerCloud) -> float:

@@ -9,8 +9,9 @@ from the solve, less that at the references); with keys, by the error against th
 
 A take is bad if more than `_BAD_SHARE` of its frames are bad in some region, or if more than
 `_CHANCE_SHARE` exceed `WRONG_EXPRESSION_MM`. It is good if at most `_CHANCE_SHARE` need a check, at
-least half of the references are tuned, and the rig has not changed. Coverage is used in addition to
-uncertainty, which is calibrated on the references and does not contain errors that none shows.
+least half of the references are tuned, and the rig has not changed and has shapes for all regions
+with markers. Coverage is used in addition to uncertainty, which is calibrated on the references and
+does not contain errors that none shows.
 
 A retargeting has no such figures. It is bad if more than `_BAD_SHARE` of the source's motion drives
 nothing, or if its source is bad.
@@ -115,13 +116,15 @@ def judge_solve(evidence: SolveEvidence) -> SolveVerdict:
         if _frame_share(wrong) > _CHANCE_SHARE:
             beyond = wrong
         else:
-            checked = _frame_share(doubtful) > _CHANCE_SHARE or proposals or _name_changed(evidence)
+            stated = _name_changed(evidence) or _name_without_shapes(evidence)
+            checked = _frame_share(doubtful) > _CHANCE_SHARE or proposals or stated
             level, beyond = "check" if checked else "good", doubtful
     shares = _by_any(beyond).mean(axis=0)
     where = _worst_regions(evidence.regions, shares)
     retarget = evidence.retarget if evidence.unfollowed_share > _CHANCE_SHARE else ""
     parts = [retarget, _coverage(evidence), _tuned(evidence), _name_changed(evidence)]
-    parts += [_name_without_markers(evidence), _error(evidence), _residual(evidence)]
+    parts += [_name_without_markers(evidence), _name_without_shapes(evidence)]
+    parts += [_error(evidence), _residual(evidence)]
     if level != "good" and where:
         columns = [evidence.regions.index(region) for region in where]
         parts.append(f"{_list_limits(beyond, columns)}: {_list_regions(where)}")
@@ -247,6 +250,15 @@ def _name_without_markers(evidence: SolveEvidence) -> str:
         return ""
     regions = " and the ".join(basis.regions_without_markers)
     return f"no marker sees the {regions}: weights there are guessed from the rest of the face"
+
+
+def _name_without_shapes(evidence: SolveEvidence) -> str:
+    """Name the regions with markers for which the rig has no shapes."""
+    basis = evidence.basis
+    if basis is None or not basis.regions_without_shapes or evidence.error_mm is not None:
+        return ""
+    regions = " and the ".join(basis.regions_without_shapes)
+    return f"the rig has no shapes for the {regions}: their markers are not followed"
 
 
 def _error(evidence: SolveEvidence) -> str:

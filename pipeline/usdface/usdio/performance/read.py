@@ -24,6 +24,7 @@ from usdface.usdio.performance.weights_layer import (
     NEUTRAL_FRAME,
     PAIR_COUNTS,
     RESIDUAL,
+    SHAPELESS_REGIONS,
     STILL_REGIONS,
     UNMATCHED,
     UNMATCHED_SHARES,
@@ -121,7 +122,7 @@ class PerformanceReader:
         counts = value_of(self.animation, PAIR_COUNTS)
         if counts is None or len(counts) != 2:
             return None
-        named = (STILL_REGIONS, UNSEEN_REGIONS, CHANGED_SHAPES)
+        named = (STILL_REGIONS, UNSEEN_REGIONS, CHANGED_SHAPES, SHAPELESS_REGIONS)
         listed = (names_in(self.animation.GetAttribute(name)) for name in named)
         return SolveBasis(int(counts[1]), int(counts[0]), *listed)
 

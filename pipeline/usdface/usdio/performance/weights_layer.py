@@ -49,6 +49,7 @@ PAIR_COUNTS = "face:solve:references"
 STILL_REGIONS = "face:solve:stillRegions"
 UNSEEN_REGIONS = "face:solve:unseenRegions"
 CHANGED_SHAPES = "face:solve:changedShapes"
+SHAPELESS_REGIONS = "face:solve:shapelessRegions"
 NEUTRAL_FRAME = "face:solve:neutralFrame"
 UNMATCHED = "face:source:unmatched"
 UNMATCHED_SHARES = "face:source:unmatchedShares"
@@ -380,6 +381,9 @@ def author_header(layer: Sdf.Layer, header: WeightsHeader, rig: Rig) -> Sdf.Prim
         author_uniform(prim, STILL_REGIONS, tokens, list(header.basis.still_regions))
         author_uniform(prim, UNSEEN_REGIONS, tokens, list(header.basis.regions_without_markers))
         author_uniform(prim, CHANGED_SHAPES, tokens, list(header.basis.changed_shapes))
+        if header.basis.regions_without_shapes:
+            shapeless = list(header.basis.regions_without_shapes)
+            author_uniform(prim, SHAPELESS_REGIONS, tokens, shapeless)
     if header.unmatched:
         author_uniform(prim, UNMATCHED, tokens, list(header.unmatched))
     if header.unmatched_shares:
