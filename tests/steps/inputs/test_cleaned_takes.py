@@ -82,5 +82,9 @@ def test_markers_and_landmarks_of_one_performer_are_no_second_performer(tmp_path
 def test_takes_in_two_units_are_refused_with_the_option_that_mends_it(tmp_path: Path) -> None:
     first = write(tmp_path, "first", from_neutral(0))
     second = write(tmp_path, "second", from_neutral(1) / 10)
-    with pytest.raises(InputError, match=r"0.1 times those of .* another unit; .*--units"):
+    message = r"0.1 times those of .* another unit; ingest the take again .*--units cm"
+    with pytest.raises(InputError, match=message):
         read_cleaned_takes((first, second))
+    message = r"10 times those of .* another unit; ingest those again .*--units cm"
+    with pytest.raises(InputError, match=message):
+        read_cleaned_takes((second, first))

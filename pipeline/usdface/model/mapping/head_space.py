@@ -28,6 +28,9 @@ COLLINEAR_RATIO = 0.02
 """Second singular value of the rigid markers, relative to the first, up to which they are
 collinear: noise then determines the rotation about their line."""
 
+_RIGID_RADIUS_MM = 60.0
+"""Usual RMS distance of rigid markers from their centre: 40 mm on a brow and nose, 90 on a cap."""
+
 _EXPLAINED_SHARE = 0.25
 """A scale explains the distances of the rigid markers if it reduces their median to less than this
 share."""
@@ -250,13 +253,16 @@ def _rigid_transform(
     rotation, shift = _robust_transform(median, target)
     away = np.linalg.norm(median @ rotation.T + shift - target, axis=1)
     if np.median(away) > RIGID_TOLERANCE_MM:
-        sizes = [np.linalg.norm(each - each.mean(axis=0)) for each in (median, target)]
-        size = float(sizes[0] / sizes[1])
+        here, there = (float(np.sqrt(each.var(axis=0).sum())) for each in (median, target))
+        size = here / there
         if not 1 / UNIT_RATIO < size < UNIT_RATIO:
+            wrong, factor = "the take", size
+            if abs(np.log(here / _RIGID_RADIUS_MM)) < abs(np.log(there / _RIGID_RADIUS_MM)):
+                wrong, factor = "those", 1 / size
             raise InputError(
                 f"the distances between the take's rigid markers are {size:.3g} times those of the "
-                "takes it is compared with: one of them is in another unit; ingest it again and "
-                f"{unit_remedy(size)}"
+                f"takes it is compared with: one of them is in another unit; ingest {wrong} again "
+                f"and {unit_remedy(factor)}"
             )
         cause = "it is another marker set or another performer: select and train for it separately"
         turned, moved = _robust_transform(median / size, target)
