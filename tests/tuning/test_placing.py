@@ -197,7 +197,7 @@ def test_a_proposal_is_judged_by_its_residual_and_a_key_is_not(
 def test_places_off_the_face_and_unknown_markers_are_refused_and_nothing_is_written(
     asset: Path,
 ) -> None:
-    session = TuningSession(asset)
+    session = TuningSession(asset, author="kim")
     try:
         references = session.references
         rig = read_rig(references.rig_file, prim=references.rig_prim)
@@ -215,6 +215,7 @@ def test_places_off_the_face_and_unknown_markers_are_refused_and_nothing_is_writ
         row = targets.names.index("nose_tip")
         assert targets.corrected[row]
         assert sum(targets.corrected) == 1
+        assert read_placement(references.placement, rig).authors == {"nose_tip": "kim"}
         np.testing.assert_allclose(targets.rest[row], marker_place(asset, "nose_tip"), atol=0.05)
     finally:
         session.lock.release()

@@ -33,7 +33,7 @@ class TuneSpec(MovedRigSpec):
     port: Annotated[int, Field(ge=0, le=65535)] = 0
     """Port of the page. Default: one derived from the asset's path."""
     author: str = ""
-    """Your name, stored with the pairs that you change. Default: your login name."""
+    """Your name, stored with the pairs and markers that you change. Default: your login name."""
     take_over: bool = False
     """Take over the lock from another person; their saved changes are kept."""
     browser: bool = True

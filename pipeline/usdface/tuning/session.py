@@ -57,7 +57,7 @@ class TuningSession:
     Parameters
     ----------
     author : str
-        Stored with the pairs that change; by default the login name.
+        Stored with the pairs and places that change; by default the login name.
     take_over : bool
         Take the lock from another session.
     first_revision : int
@@ -88,7 +88,7 @@ class TuningSession:
         first_revision: int = 0,
     ) -> None:
         self.path = path
-        self._author = author or user_name()
+        self.author = author or user_name()
         self.tuned_path = tuned_path(path)
         self.references: References = read_references(path)
         check_tuned_layer(self.tuned_path, self.references)
@@ -242,7 +242,7 @@ class TuningSession:
     def _put(self, change: Change) -> None:
         for name, value in change.weights.items():
             self._weights[change.pair, self._column[name]] = value
-            self._authors[change.pair] = self._author
+            self._authors[change.pair] = self.author
         if change.done is not None:
             self._done[change.pair] = change.done
 

@@ -186,4 +186,4 @@ def correct_place(
         spec=canonical_json({"step": "tune", "references": session.path.name}),
         inputs={proposed_path(placement).name: hash_files([proposed_path(placement)])},
     )
-    correct_binding(placement, layer, {marker: place}, made)
+    correct_binding(placement, layer, {marker: place}, made, author=session.author)

@@ -93,7 +93,7 @@ class PlacementScene:
     def place(self, *, out: Path, landmarks: Mapping[str, FloatArray]) -> PlacedTakes:
         """Place the markers, keeping landmarks [mm] and the corrections of a placement at `out`."""
         takes, rig, mesh = self._takes, self._rig, self._mesh
-        given = read_given_places(out, rig) if has_binding(out) else GivenPlaces({}, {}, ())
+        given = read_given_places(out, rig) if has_binding(out) else GivenPlaces({}, {}, (), {})
         names = takes.marker_names
         known = {**landmarks, **given.corrected}
         pins = {names.index(name): at for name, at in known.items() if name in names}
@@ -125,6 +125,7 @@ class PlacementScene:
                 explained=float("nan"),
                 by_labels=found.by_labels,
                 left_out=given.left_out,
+                authors=given.authors,
             )
         )
         if found.upside_down:
@@ -339,9 +340,12 @@ def draw_placement(
 
 
 def placement_notes(placed: PlacedTakes) -> tuple[str, ...]:
-    """Return notes on markers that the placement leaves out, and on a rig of unusual size."""
-    left_out = placed.placement.left_out
+    """Return notes on markers left out, on authors of corrections, and on a rig's unusual size."""
+    left_out, authors = placed.placement.left_out, placed.placement.authors
     notes = [f"left out by the placement: {counted(left_out, 'marker')}"] if left_out else []
+    for author in sorted(set(authors.values())):
+        markers = [name for name, by in authors.items() if by == author]
+        notes.append(f"corrected by {author}: {counted(markers, 'marker')}")
     low, high = _RIG_SIZE_RANGE
     if not low <= placed.rig_size <= high:
         notes.append(
@@ -360,5 +364,6 @@ def placement_figures(placed: PlacedTakes) -> dict[str, object]:
         "tilt_degrees": None if np.isnan(verdict.roll_degrees) else round(verdict.roll_degrees, 2),
         "by_labels": placed.placement.by_labels,
         "placed_by_a_person": sum(source != "proposed" for source in sources),
+        "corrected_by": dict(placed.placement.authors),
         "far": dict(verdict.warnings),
     }

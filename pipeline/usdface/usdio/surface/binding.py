@@ -44,6 +44,7 @@ BALL_RADIUS = 0.15
 """That of a marker [cm]."""
 
 TRANSLATE = "xformOp:translate"
+_AUTHOR = "face:binding:author"
 HOW_TO_CORRECT = """Corrections of a marker binding: binding again keeps this layer, and the tuning
 page adds to it. Write an over of the marker, with one of: xformOp:translate (move its ball),
 face:binding:point (index of a point of the mesh), face:binding:face with or without
@@ -59,6 +60,8 @@ class ReadBinding:
     """Sources are ``'corrected'`` if a stronger layer has an opinion."""
     left_out: tuple[str, ...]
     """Markers whose prim is inactive."""
+    authors: dict[str, str]
+    """Author of the correction of a marker, if known."""
 
 
 def write_binding(
@@ -119,7 +122,7 @@ def read_binding(path: Path, face: BoundSurface) -> ReadBinding:
             f"{path}: was made on another surface than {face.file} <{face.path}>, whose points or "
             "faces differ; bind again, under another name if its corrections are to be kept"
         )
-    names, places, left_out = [], [], []
+    names, places, left_out, authors = [], [], [], {}
     holder = stage.GetPrimAtPath(_MARKERS)
     for prim in holder.GetAllChildren() if holder else ():
         name = str(_value(prim, "face:binding:marker") or prim.GetName())
@@ -128,6 +131,9 @@ def read_binding(path: Path, face: BoundSurface) -> ReadBinding:
             continue
         names.append(name)
         places.append(_read_place(path, prim, face))
+        author = str(_value(prim, _AUTHOR) or "")
+        if author and places[-1].source == "corrected":
+            authors[name] = author
     if not places:
         raise InputError(f"{path} <{_MARKERS}>: binds no marker; bind again")
     binding = MarkerBinding(
@@ -137,7 +143,7 @@ def read_binding(path: Path, face: BoundSurface) -> ReadBinding:
         distance_mm=np.array([each.distance_mm for each in places]),
         sources=tuple(each.source for each in places),
     )
-    return ReadBinding(binding, tuple(left_out))
+    return ReadBinding(binding, tuple(left_out), authors)
 
 
 @dataclass(frozen=True)
@@ -314,7 +320,12 @@ def has_corrections(corrected_path: Path) -> bool:
 
 
 def correct_binding(
-    path: Path, corrected_path: Path, places: Mapping[str, FloatArray | None], made: Provenance
+    path: Path,
+    corrected_path: Path,
+    places: Mapping[str, FloatArray | None],
+    made: Provenance,
+    *,
+    author: str = "",
 ) -> None:
     """Write corrections of markers to the corrected layer.
 
@@ -326,6 +337,8 @@ def correct_binding(
         New position of each marker's sphere [mm]; None removes its correction.
     made : Provenance
         Of the corrections.
+    author : str
+        Stored with each correction; empty if unknown.
     """
     prims = _marker_prims(path)
     unknown = [name for name in places if name not in prims]
@@ -343,6 +356,8 @@ def correct_binding(
                 over = Sdf.CreatePrimInLayer(layer, prims[name])
                 ball = Sdf.AttributeSpec(over, TRANSLATE, Sdf.ValueTypeNames.Double3)
                 ball.default = Gf.Vec3d(*(round(float(c) / MM_PER_STAGE_UNIT, 6) for c in at))
+                if author:
+                    author_uniform(over, _AUTHOR, Sdf.ValueTypeNames.Token, author)
 
 
 def _marker_prims(path: Path) -> dict[str, Sdf.Path]:

@@ -4,8 +4,8 @@ The asset is that of `usdio.surface.binding`, with its corrections; its surface 
 meshes of the rig, in the rig's order.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +44,8 @@ class RigPlacement:
     """Whether the markers were placed by labels, or by motion alone."""
     left_out: tuple[str, ...] = ()
     """Deactivated markers, which no solve uses."""
+    authors: Mapping[str, str] = field(default_factory=dict)
+    """Author of the correction of a marker, if known."""
 
 
 def write_placement(
@@ -108,6 +110,7 @@ def read_placement(path: Path, rig: Rig) -> RigPlacement:
         explained=float("nan") if explained is None else float(explained),
         by_labels=bool(value["byLabels"]),
         left_out=read.left_out,
+        authors=read.authors,
     )
 
 
@@ -121,6 +124,8 @@ class GivenPlaces:
     layer, and landmarks given when the binding was made [mm]."""
     left_out: tuple[str, ...]
     """Deactivated markers."""
+    authors: Mapping[str, str]
+    """Author of the correction of a marker, if known."""
 
 
 def read_given_places(path: Path, rig: Rig) -> GivenPlaces:
@@ -131,7 +136,7 @@ def read_given_places(path: Path, rig: Rig) -> GivenPlaces:
     given: dict[str, dict[str, FloatArray]] = {"corrected": {}, "landmark": {}, "proposed": {}}
     for row, name in enumerate(read.binding.names):
         given[read.binding.sources[row]][name] = at[row]
-    return GivenPlaces(given["corrected"], given["landmark"], read.left_out)
+    return GivenPlaces(given["corrected"], given["landmark"], read.left_out, read.authors)
 
 
 def _surface_of(path: Path, surfaces: Sequence[BoundSurface]) -> BoundSurface:
