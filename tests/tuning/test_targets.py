@@ -1,5 +1,6 @@
 """The live residual: markers glued to the rig, against where the captured ones should be."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,8 @@ import pytest
 from tests.numerics.small_face import SmallActor, SmallFace, small_actor, small_face
 from usdface.core.assets import MeshShape, References, Rig, RigMesh, ShapeKey
 from usdface.core.deformer import Deformer
+from usdface.model import fit_motion_space
+from usdface.model.selection.baseline import PerformerMarkers, set_up_equation
 from usdface.numerics.measure.face_regions import region_of_shape
 from usdface.tuning.targets import MarkerTargets, find_targets, solve_shapes, targets_or_reason
 
@@ -107,6 +110,29 @@ def test_some_shapes_are_solved_while_the_others_hold(made) -> None:
     assert after < before
     low, high = rig.ranges.T
     assert ((found >= low) & (found <= high))[held].all()
+
+
+def test_blinks_are_judged_take_by_take_as_by_select(made) -> None:
+    """The lids of one take lie lower than those of the other, by another head pose."""
+    rig, actor, references, targets = made
+    clips = [actor.positions[:160].copy(), actor.positions[160:].copy()]
+    lids = np.array(targets.regions) == "lids"
+    clips[1][:, lids, 1] -= 3.0
+    both = replace(references, motion=fit_motion_space(clips))
+    page = find_targets(both, rig).equation.lids
+    assert page is not None
+    peaks = []
+    for starts in ((0, 160), (0,)):
+        positions = np.concatenate(clips)
+        seen = np.ones(positions.shape[:2], np.bool_)
+        performer = PerformerMarkers(
+            references.marker_names, references.neutral, positions, seen, (), starts
+        )
+        equation = set_up_equation(rig, Deformer(rig), performer)
+        assert equation.lids is not None
+        peaks.append(equation.lids.seen.independent_peaks)
+    np.testing.assert_allclose(page.seen.independent_peaks, peaks[0], atol=0.02)
+    assert np.abs(peaks[1] - peaks[0]).max() > 0.1
 
 
 def test_references_without_markers_give_the_reason(made) -> None:

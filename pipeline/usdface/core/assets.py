@@ -303,6 +303,8 @@ class MotionSpace(_Asset):
     """Of all dimensions, with those left out [mm^2]."""
     sample: FloatArray
     """(frames, dimensions): coordinates of frames spread over the takes."""
+    sample_starts: tuple[int, ...] = (0,)
+    """Row of `sample` with the first frame of each take."""
 
 
 @dataclass(frozen=True, repr=False)

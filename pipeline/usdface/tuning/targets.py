@@ -23,9 +23,6 @@ from usdface.usdio.rig.mesh import rig_surfaces
 from usdface.usdio.surface.binding import correct_binding
 from usdface.usdio.surface.placement import RigPlacement, read_placement
 
-_SAMPLE_FRAMES = 600
-"""Frames of the takes' motion used to place the markers."""
-
 
 @dataclass(frozen=True)
 class MarkerTargets:
@@ -53,7 +50,7 @@ def find_targets(references: References, rig: Rig) -> MarkerTargets:
 
     The takes are not needed: the asset has a sample of their motion.
     """
-    positions = _sample(references)
+    positions, starts = _sample(references)
     rigid = [references.marker_names.index(name) for name in references.rigid]
     placement = stored_placement(references, rig)
     equation = placed_equation(
@@ -66,6 +63,7 @@ def find_targets(references: References, rig: Rig) -> MarkerTargets:
             visible=np.ones(positions.shape[:2], dtype=np.bool_),
             rigid=tuple(rigid),
             labels=references.marker_names,
+            starts=starts,
         ),
     )
     rest = equation.virtual.places(np.concatenate([mesh.points for mesh in rig.meshes]))
@@ -110,14 +108,16 @@ def _corrected(placement: RigPlacement | None, names: tuple[str, ...]) -> tuple[
     return tuple(sources.get(name, "proposed") != "proposed" for name in names)
 
 
-def _sample(references: References) -> FloatArray:
-    """Return a sample of the takes' frames, and the pairs: (frames, markers, 3)."""
+def _sample(references: References) -> tuple[FloatArray, tuple[int, ...]]:
+    """Return a sample of the takes' frames, (frames, markers, 3), and the first row of each take.
+
+    Blinks are judged by it take by take, as by `select`; the pairs, if there is no sample.
+    """
     motion = references.motion
     if motion is None or not len(motion.sample):
-        return references.markers
-    step = max(len(motion.sample) // _SAMPLE_FRAMES, 1)
-    flat = motion.mean + motion.sample[::step] @ motion.components
-    return np.concatenate([flat.reshape(len(flat), -1, 3), references.markers])
+        return references.markers, (0,)
+    flat = motion.mean + motion.sample @ motion.components
+    return flat.reshape(len(flat), -1, 3), motion.sample_starts
 
 
 def _regions(

@@ -26,6 +26,7 @@ def test_two_clips_span_the_space_of_both_together() -> None:
 def test_the_sample_is_spread_over_all_takes() -> None:
     space = fit_motion_space(clips(), dimensions=4, sample_count=200)
     assert space.sample.shape == (200, 4)
+    assert space.sample_starts == (0, 50)
     np.testing.assert_allclose(space.sample.mean(axis=0), 0.0, atol=3 * space.sample.std() / 14)
 
 

@@ -43,6 +43,7 @@ def small_references(folder: Path, pairs: int = 5, seed: int = 0) -> References:
             variances=np.array([9.0, 4.0, 1.0]),
             total_variance=15.0,
             sample=rng.normal(size=(20, 3)),
+            sample_starts=(0, 12),
         ),
     )
 
@@ -82,6 +83,8 @@ def test_references_read_back_the_same(tmp_path: Path) -> None:
     np.testing.assert_allclose(back.markers, references.markers, rtol=1e-6)
     np.testing.assert_allclose(back.neutral, references.neutral, rtol=1e-12)
     assert back.rig_file.resolve() == references.rig_file.resolve()
+    assert back.motion is not None
+    assert back.motion.sample_starts == (0, 12)
     for field in ("mean", "components", "variances", "sample", "total_variance"):
         np.testing.assert_allclose(
             getattr(back.motion, field), getattr(references.motion, field), rtol=1e-12

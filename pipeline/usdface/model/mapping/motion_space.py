@@ -4,6 +4,7 @@ Coordinates of frames with occluded markers are conditional means.
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -62,7 +63,9 @@ def fit_motion_space(
         raise InputError(f"no marker moves in {frames} frames; give takes of a moving face")
     kept = min(dimensions, moments.count - 1, len(moments.mean))
     pca = pca_from_moments(moments, dimensions=kept)
-    return motion_from_pca(pca, _spread(clips, min(sample_count, frames)))
+    sampled = _spread(clips, min(sample_count, frames))
+    starts = np.cumsum([0, *map(len, sampled[:-1])]).tolist()
+    return replace(motion_from_pca(pca, np.concatenate(sampled)), sample_starts=tuple(starts))
 
 
 def motion_from_pca(pca: PCA, sample: FloatArray) -> MotionSpace:
@@ -83,15 +86,15 @@ def _blocks(clips: Sequence[_Positions]) -> Iterator[_Positions]:
             yield part.reshape(len(part), -1)
 
 
-def _spread(clips: Sequence[_Positions], count: int) -> FloatArray:
-    """Pack evenly spaced frames of all clips, taken as one long take."""
+def _spread(clips: Sequence[_Positions], count: int) -> list[FloatArray]:
+    """Pack evenly spaced frames of all clips, taken as one long take; return those of each."""
     ends = np.cumsum([len(clip) for clip in clips])
     wanted = np.linspace(0, ends[-1] - 1, count).round().astype(np.int64)
     rows = []
     for clip, end in zip(clips, ends, strict=True):
         rows_of_clip = wanted[(wanted >= end - len(clip)) & (wanted < end)] - (end - len(clip))
         rows.append(clip[rows_of_clip].reshape(len(rows_of_clip), -1).astype(np.float64))
-    return np.concatenate(rows)
+    return rows
 
 
 def motion_of(mapping: TrainedMapping) -> MotionSpace:

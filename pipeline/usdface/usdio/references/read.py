@@ -177,6 +177,7 @@ def _read_motion(root: Usd.Prim) -> MotionSpace | None:
         total_variance=float(root.GetAttribute("face:motion:totalVariance").Get())
         * MM_PER_STAGE_UNIT**2,
         sample=get("face:motion:sample").reshape(-1, len(variances)) * MM_PER_STAGE_UNIT,
+        sample_starts=tuple(get("face:motion:sampleStarts").astype(int).tolist()) or (0,),
     )
 
 

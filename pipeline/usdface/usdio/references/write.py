@@ -281,3 +281,6 @@ def _author_motion(root: Sdf.PrimSpec, motion: MotionSpace) -> None:
         Sdf.AttributeSpec(root, name, kind).default = doubles(value)
     total = Sdf.AttributeSpec(root, "face:motion:totalVariance", Sdf.ValueTypeNames.Double)
     total.default = motion.total_variance / MM_PER_STAGE_UNIT**2
+    if len(motion.sample_starts) > 1:
+        starts = Sdf.AttributeSpec(root, "face:motion:sampleStarts", Sdf.ValueTypeNames.IntArray)
+        starts.default = Vt.IntArray(motion.sample_starts)
