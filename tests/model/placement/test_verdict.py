@@ -111,14 +111,16 @@ def test_a_face_too_low_looks_wrong_and_the_motion_says_where_it_belongs(bench: 
     assert "higher" in verdict.sentence
 
 
-@pytest.mark.parametrize("foreign", [False, True])
 @pytest.mark.parametrize(
-    ("lacking", "words"),
+    ("lacking", "words", "foreign"),
     [
-        ("brow", "no shapes for the brows (4 markers; other shapes follow "),
-        ("mouth", "no shapes for the mouth (4 markers; other shapes follow "),
-        ("eyeBlink|eyeSquint|eyeWide|eyeLook", "no shapes for the lids ("),
-        ("tongue|eyeLook", ""),
+        ("brow", "no shapes for the brows (4 markers; other shapes follow ", False),
+        ("brow", "no shapes for the brows (4 markers; other shapes follow ", True),
+        ("mouth", "no shapes for the mouth (4 markers; other shapes follow ", False),
+        ("mouth", "no shapes for the mouth (4 markers; other shapes follow ", True),
+        ("eyeBlink|eyeSquint|eyeWide|eyeLook", "no shapes for the lids (", False),
+        ("tongue|eyeLook", "", False),
+        ("tongue|eyeLook", "", True),
     ],
 )
 def test_a_region_without_shapes_is_named_although_others_carry_it(

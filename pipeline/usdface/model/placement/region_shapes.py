@@ -28,8 +28,8 @@ _STILL_MM = 1.0
 """RMS motion of skin on an adult's face from which the rig needs a shape there."""
 
 _LEAST_MOBILITY = 1 / 3
-"""Largest displacement by a region's shapes, over the RMS motion of a marker, below which they do
-not move it. Regions that have shapes reach 0.9 and more on the rigs measured, others 0."""
+"""Largest displacement of skin by shapes, over the RMS motion of markers, below which they do not
+move these."""
 
 _FOLLOWED_SHARE = 0.9
 """Share of a region's motion that shapes of other regions explain, from which none is missing."""
@@ -71,11 +71,14 @@ def words_on_missing_shapes(
     template = fit_region_template(skin, shapes)
     regions = _marker_regions(labels, skin, template, samples)
     owners = _owners(skin, shapes, template, samples, regions)
-    size = np.linalg.norm(skin.deltas[:, samples], axis=2)
+    size = np.linalg.norm(skin.deltas, axis=2)
+    reach = size.max(axis=1, initial=0.0)
     named, missing = [], set()
     for region in REGIONS:
         at = np.flatnonzero((regions == region) & moving)
-        if not len(at) or not _is_still(size[owners == region][:, at], motion[at]):
+        if not len(at):
+            continue
+        if reach[owners == region].max(initial=0.0) > _LEAST_MOBILITY * np.median(motion[at]):
             continue
         share = _followed_share(skin, samples[at], moved[:, at], ranges)
         if share < _FOLLOWED_SHARE:
@@ -88,7 +91,8 @@ def words_on_missing_shapes(
     lids = (regions == "lids") & moving
     if lids.any() and "lids" not in missing and not _closes_eyes(skin, shapes, owners):
         words.append("the rig has no shape that closes the eyes, so blinks are not followed")
-    rest = moving & ~np.isin(regions, list(missing)) & (size.max(axis=0, initial=0.0) < motion / 3)
+    mobility = size[:, samples].max(axis=0, initial=0.0)
+    rest = moving & ~np.isin(regions, list(missing)) & (mobility < _LEAST_MOBILITY * motion)
     still = _still_parts(labels, rest)
     if still:
         words.append(f"the rig has no shape that moves {still}")
@@ -142,11 +146,6 @@ def _owners(
             region = REGIONS[int(shares.argmax())] if shares.any() else ""
         owners.append(region)
     return np.array(owners, dtype=object)
-
-
-def _is_still(size: FloatArray, motion: FloatArray) -> bool:
-    """Whether shapes move most markers by less than `_LEAST_MOBILITY` of their motion."""
-    return float(np.median(size.max(axis=0, initial=0.0) / motion)) < _LEAST_MOBILITY
 
 
 def _followed_share(
