@@ -69,8 +69,8 @@ def test_weights_are_followed_from_samples_nearby(skin, actor, placed):
 
 def test_a_cloud_upside_down_is_noticed(skin, actor, placed):
     over = np.array([-1.0, -1.0, 1.0])
-    assert place(skin, actor.neutral * over, actor.positions * over).upside_down
-    assert not placed.upside_down
+    assert place(skin, actor.neutral * over, actor.positions * over).overturned_gain > 0.1
+    assert placed.overturned_gain == 0
 
 
 def test_upper_and_lower_lip_are_told_apart(face, actor, placed):

@@ -206,11 +206,17 @@ def test_motion_alone_asks_for_a_look(bench: Bench) -> None:
 def test_markers_that_fit_better_upside_down_look_wrong(bench: Bench) -> None:
     silent = replace(bench.cloud, labels=tuple(f"m{i}" for i in range(len(LABELS))))
     doubted = bench.judge(bench.local, cloud=silent, by_labels=False)
-    verdict = warn_upside_down(doubted)
+    assert warn_upside_down(doubted, 0.02) is doubted
+    slightly = warn_upside_down(doubted, 0.06)
+    assert slightly.sentence.startswith(
+        "Look at it: the markers fit better upside down; if they lie so, ingest the takes again"
+    )
+    assert warn_upside_down(replace(doubted, level="bad"), 0.06).level == "bad"
+    verdict = warn_upside_down(doubted, 0.2)
     assert verdict.level == "bad"
     assert verdict.sentence.startswith("Looks wrong: the markers fit far better upside down; ")
     assert verdict.sentence.endswith(doubted.sentence.removeprefix("Look at it: "))
-    fine = warn_upside_down(bench.judge(bench.local))
+    fine = warn_upside_down(bench.judge(bench.local), 0.2)
     assert fine.sentence.endswith("state --up")
 
 

@@ -45,6 +45,10 @@ one loses."""
 _LEAST_EXPLAINED = 0.5
 """Explained share of motion below which a placement by motion is to be checked."""
 
+_OVERTURNED_GAIN, _LARGE_OVERTURNED_GAIN = 0.03, 0.1
+"""Gain of value of a cloud turned upside down, for a check and for a wrong placement. A candidate
+that gains the former replaces another one."""
+
 _ONE_SIDE_SHARE = 0.05
 """Share of the markers off the midline below which a side of the face counts as not captured."""
 
@@ -150,13 +154,25 @@ def judge_placement(
     )
 
 
-def warn_upside_down(verdict: PlacementVerdict) -> PlacementVerdict:
-    """Return the verdict on a placement whose markers fit far better upside down."""
-    reasons = verdict.sentence.partition(": ")[2]
-    text = "the markers fit far better upside down; ingest the takes again and state --up"
-    others = [] if verdict.level == "good" else [reasons]
+def warn_upside_down(verdict: PlacementVerdict, gain: float) -> PlacementVerdict:
+    """Return the verdict on a placement of some gain upside down; unchanged for a small one.
+
+    Parameters
+    ----------
+    gain : float
+        As of `MarkerPlacement`.
+    """
+    if gain <= _OVERTURNED_GAIN:
+        return verdict
+    certain = gain > _LARGE_OVERTURNED_GAIN
+    text = (
+        f"the markers fit {'far ' * certain}better upside down; "
+        f"{'' if certain else 'if they lie so, '}ingest the takes again and state --up"
+    )
+    others = [] if verdict.level == "good" else [verdict.sentence.partition(": ")[2]]
+    level = "bad" if certain else max("check", verdict.level, key=list(_OPENINGS).index)
     return replace(
-        verdict, level="bad", sentence=f"{_OPENINGS['bad']}: {'; '.join([text, *others])}"
+        verdict, level=level, sentence=f"{_OPENINGS[level]}: {'; '.join([text, *others])}"
     )
 
 

@@ -128,9 +128,7 @@ class PlacementScene:
                 authors=given.authors,
             )
         )
-        if found.upside_down:
-            return replace(placed, verdict=warn_upside_down(placed.verdict))
-        return placed
+        return replace(placed, verdict=warn_upside_down(placed.verdict, found.overturned_gain))
 
     def judge(self, placement: RigPlacement) -> PlacedTakes:
         """Judge a placement of these markers on this rig."""
