@@ -108,6 +108,22 @@ def test_winks_of_one_eye_are_shown() -> None:
     assert evidence.shown
 
 
+def test_a_wink_counts_in_full_at_a_marker_above_the_margin_of_the_lid() -> None:
+    """The surface moves twice as far as the markers, which see half of a blink."""
+    blinks = np.zeros((400, 2))
+    blinks[::9, 0] = 0.6
+    above = {"shapes": [0, 1], "surface_mm": [18.0, 18.0]}
+    wink = shape_evidence(*lids_and_brow(blinks, fold=0.8), **above)
+    assert wink.marked.all()
+    assert wink.independent_peaks.max() < 0.4
+    assert wink.shown
+    blinks[::9, 1] = 0.6
+    assert not shape_evidence(*lids_and_brow(blinks, fold=0.8), **above).shown
+    assert not shape_evidence(*lids_and_brow(blinks / 2, fold=0.8), **above).shown
+    blinks[::9, 1] = 0.0
+    assert not shape_evidence(*lids_and_brow(blinks / 2, fold=0.8), **above).shown
+
+
 def test_a_lid_that_the_other_follows_by_less_shows_no_wink() -> None:
     blinks = np.zeros((400, 2))
     blinks[::9] = (0.5, 0.2)

@@ -40,17 +40,21 @@ class ShapeEvidence:
     """(n,): whether the other marked shapes are near rest at this one's peaks, as in a wink."""
     labelled: BoolArray | None = None
     """(n,): whether a label names a marker on the shape; unmarked, that marker is in a fold."""
+    nearness: FloatArray | float = 1.0
+    """(n,): displacement of the markers over that of the surface, at most 1, a factor of the
+    peaks."""
 
     @property
     def shown(self) -> bool:
         """Whether the marked shapes reach `FULL_SHARE` at peaks: their mean, or one alone.
 
         A single lid that reaches it while the other follows by less does not count: on recorded
-        takes without blinks, one marker sits lower than the other, which may be in the fold.
+        takes without blinks, one marker sits lower than the other, which may be in the fold. A
+        fold follows the brow on both sides, so that the peak of a wink counts without `nearness`.
         """
         if not self.marked.any():
             return False
-        wink = self.alone & self.marked & (self.independent_peaks >= FULL_SHARE)
+        wink = self.alone & self.marked & (self.independent_peaks >= FULL_SHARE * self.nearness)
         return bool(self.mean_peak >= FULL_SHARE or wink.any())
 
     @property
@@ -85,7 +89,7 @@ def shape_evidence(
     carried, m = D[list(shapes)][:, trusted], m[:, trusted]
     reach = np.linalg.norm(carried, axis=2)
     extent = np.maximum(np.asarray(surface_mm, float), 1e-9)
-    nearness = effective_size(carried) / extent
+    nearness = np.minimum(effective_size(carried) / extent, 1.0)
     largest = max(float(reach.max(initial=0.0)), 1e-9)
     common = _common_motion(m[:, (reach < _STILL_SHARE * largest).all(axis=0)])
     peaks, own = np.zeros(len(carried)), np.zeros((len(m), len(carried)))
@@ -96,10 +100,10 @@ def shape_evidence(
             continue
         weight = m[:, markers].reshape(len(m), -1) @ along / (along @ along)
         left = weight - common @ np.linalg.lstsq(common, weight)[0]
-        own[:, row] = (left - np.median(left)) * min(nearness[row], 1.0)
+        own[:, row] = (left - np.median(left)) * nearness[row]
         peaks[row] = np.quantile(own[:, row], _PEAK_QUANTILE)
     marked = nearness >= _MARKED_SHARE
-    return ShapeEvidence(marked, peaks, _alone(own, peaks, marked))
+    return ShapeEvidence(marked, peaks, _alone(own, peaks, marked), nearness=nearness)
 
 
 def _alone(own: FloatArray, peaks: FloatArray, marked: BoolArray) -> BoolArray:
