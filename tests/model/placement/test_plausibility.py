@@ -152,6 +152,7 @@ def test_exchanged_sides_are_refused_whichever_way() -> None:
         (set(), "R", "labelled on the right side of the face"),
         ({"mouth", "chin", "jaw"}, None, "labelled on the lower half of the face"),
         ({"forehead", "brow", "bridge", "lid", "eye", "eye corner"}, None, "the upper half"),
+        ({"forehead", "brow", "lid", "eye", "eye corner"}, None, "the upper half"),
     ],
 )
 def test_a_part_without_markers_is_refused_until_it_is_stated(regions, side, words) -> None:

@@ -69,7 +69,8 @@ _BODY = re.compile(
 _BODY_SHARE = 0.2
 _SAMPLE_FRAMES = 64
 
-_UPPER = {"forehead", "brow", "bridge", "lid", "eye", "eye corner"}
+_UPPER = {"forehead", "brow", "lid", "eye", "eye corner"}
+"""Without the bridge of the nose, which moves with the skull and shows no expression."""
 _LOWER = {"mouth", "chin", "jaw"}
 _FEWEST_OF_A_PART = 4
 

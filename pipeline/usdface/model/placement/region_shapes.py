@@ -179,7 +179,7 @@ def _still_parts(labels: Sequence[str], still: BoolArray) -> str:
         if not len(bare):
             continue
         if not part:
-            named.append(first_few([labels[marker] for marker in bare], most=3))
+            named.append(first_few([labels[marker] for marker in bare.tolist()], most=3))
         elif len(bare) > (hints == part).sum() / 2:
             named.append(f"the {_PLURALS.get(part, part)} ({pluralize(len(bare), 'marker')})")
     return first_few(named, most=3) if named else ""
