@@ -166,7 +166,7 @@ def _drawn(
     for task in tasks:
         work = given.pop() if given else None
         if work is None or work.cancel():
-            pictures = (studio.film(*each, *view) for each in zip(*task, strict=True))
+            pictures = (studio.film(pose, row, *view) for pose, row in zip(*task, strict=True))
         else:
             pictures = iter(work.result())
         for picture in pictures:
