@@ -30,6 +30,7 @@ from usdface.demo.build import (
     OFFSET_SECONDS,
     SIZE,
     DemoInputs,
+    drawing_processes,
     weights_on_video,
     write_clip,
     write_demo_inputs,
@@ -40,6 +41,7 @@ from usdface.demo.head import HeadPart
 from usdface.demo.rig import make_head
 from usdface.demo.script import NEUTRAL_TIME
 from usdface.demo.sculpt import ACTOR
+from usdface.media.face.camera import Camera
 from usdface.media.film.video import VideoReader
 from usdface.model.mapping.uncertainty import LIMIT_DEVIATIONS
 from usdface.numerics.measure.face_regions import gaze_shapes
@@ -114,7 +116,7 @@ def run(*, quick: bool = False) -> None:
         video, size = inputs.video, SIZE
         if not quick:
             video, size = folder / "large.mp4", LARGE
-            write_clip(video, make_head(ACTOR), performance(), size=size, workers=2)
+            _film(video, size=size)
         rig = read_rig(inputs.rig)
         keys = weights_on_video(inputs.truth)
         write_weights(folder / "keys.csv", keys, rig.shapes)
@@ -128,8 +130,14 @@ def run(*, quick: bool = False) -> None:
         gaze = _print_gaze(shot)
         _print_both(shot, inputs, video)
         side = folder / "side.mp4"
-        write_clip(side, make_head(ACTOR), performance(), size=size, camera=SIDE, workers=2)
+        _film(side, size=size, camera=SIDE)
         _print_claims(one, _print_two_cameras(shot, video, side, size), gaze)
+
+
+def _film(video: Path, *, size: tuple[int, int], camera: Camera = CAMERA) -> None:
+    with drawing_processes() as give_work:
+        actor = make_head(ACTOR)
+        write_clip(video, actor, performance(), size=size, camera=camera, give_work=give_work)
 
 
 def _print_speed(video: Path) -> None:

@@ -55,16 +55,15 @@ def _remembered(remembered_folder: Path) -> Iterator[None]:
 
 @pytest.fixture(scope="session", autouse=True)
 def _drawn_here() -> Iterator[None]:
-    """Draw in the test's own process, unless a test asks for more: pytest's workers fill the cores.
+    """Draw movies in the test's own process, unless a test asks for more: pytest fills the cores.
 
     A process that draws imports and reads all that the test's has read.
     """
     from usdface.core.processes import process_count
-    from usdface.steps.review import movie, sheet
+    from usdface.steps.review import movie
 
     with pytest.MonkeyPatch.context() as patch:
-        for module in (movie, sheet):
-            patch.setattr(module, "process_count", lambda wanted=None: process_count(wanted or 1))
+        patch.setattr(movie, "process_count", lambda wanted=None: process_count(wanted or 1))
         yield
 
 

@@ -1,6 +1,7 @@
 """The files of the demo, read back by the readers that everything else uses."""
 
 import csv
+from contextlib import nullcontext
 from fractions import Fraction
 from pathlib import Path
 from types import SimpleNamespace
@@ -60,6 +61,7 @@ def test_the_clip_is_filmed_at_the_lines_asked_for(
     filmed = []
     monkeypatch.setattr("usdface.demo.build.demo_rig", lambda: rig_from_head(character))
     monkeypatch.setattr("usdface.demo.build.make_head", lambda sculpture: actor)
+    monkeypatch.setattr("usdface.demo.build.drawing_processes", nullcontext)
     monkeypatch.setattr("usdface.demo.build.simulate_capture", _nothing_captured)
     monkeypatch.setattr("usdface.demo.build.write_c3d", lambda *args, **options: None)
     monkeypatch.setattr(

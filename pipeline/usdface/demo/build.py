@@ -2,9 +2,9 @@
 
 import csv
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from itertools import repeat
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ from usdface.capture.c3d_write import write_c3d
 from usdface.core.arrays import ByteImage, FloatArray, IntArray, columns_by_name
 from usdface.core.assets import WeightsClip
 from usdface.core.errors import CancelledError
-from usdface.core.processes import process_count, worker_processes
+from usdface.core.processes import SubmitWork, process_count, worker_processes
 from usdface.core.progress import Progress, part, silent
 from usdface.demo.acting import FIRST_FRAME, ActedPerformance, performance
 from usdface.demo.capture import ActorFace, demo_markers, head_poses, simulate_capture
@@ -38,10 +38,10 @@ OFFSET_SECONDS = -0.4
 TAIL_SECONDS = 0.25
 """Length of the clip after the end of the capture."""
 
-_WORKER_COUNT = 2
-"""Processes that draw the clip."""
+_MOST_PROCESSES = 4
+"""Processes that draw the clip, of 0.3 GB each, including this one."""
 
-_TASK_PICTURES = 8
+_TASK_PICTURES = 4
 """Pictures per task of a drawing process."""
 
 _SAMPLE_RATE = 48000
@@ -61,20 +61,23 @@ FOCAL_LENGTH = float(
 class Studio:
     """The actor in front of a camera; one per drawing process."""
 
-    def __init__(self, head: DemoHead, camera: Camera = CAMERA) -> None:
-        self._camera = camera
+    def __init__(self, head: DemoHead) -> None:
         kept, light = _lighter(head)
         self._face = ActorFace(head, kept)
         self._renderer = FaceRenderer(rig_from_head(light).meshes)
         self._order = np.concatenate(list(mesh_points(light).values()))
 
     def film(
-        self, pose: FloatArray, weights: FloatArray, size: tuple[int, int] = SIZE
+        self,
+        pose: FloatArray,
+        weights: FloatArray,
+        size: tuple[int, int] = SIZE,
+        camera: Camera = CAMERA,
     ) -> ByteImage:
         """Draw one picture: (4, 4) pose in the room, weights in `ActorFace`'s order."""
         points = self._face.pose(weights)[self._order] @ pose[:3, :3].T + pose[:3, 3]
         return self._renderer.render(
-            points, camera=self._camera, width=size[0], height=size[1], quality="draft"
+            points, camera=camera, width=size[0], height=size[1], quality="draft"
         )
 
 
@@ -109,7 +112,7 @@ def write_clip(
     *,
     size: tuple[int, int] = SIZE,
     camera: Camera = CAMERA,
-    workers: int = 1,
+    give_work: SubmitWork | None = None,
     progress: Progress = silent,
 ) -> None:
     """Write a movie of the actor's performance with sound.
@@ -120,6 +123,8 @@ def write_clip(
         ``.mp4`` or another format of `usdface.media.film.movie`.
     size : tuple of int
         Width and height [pixels].
+    give_work : callable, optional
+        Of `drawing_processes`, which then draw as well.
     """
     rate = float(acted.weights.rate)
     count = int((DURATION_SECONDS + TAIL_SECONDS - OFFSET_SECONDS) * VIDEO_RATE)
@@ -136,7 +141,7 @@ def write_clip(
     sound = np.concatenate([lead, voice, tail]) + 6e-4 * room.astype(np.float32)
     write_movie(
         path,
-        _drawn(head, camera, poses, ordered, size=size, workers=workers, progress=progress),
+        _drawn(Studio(head), (poses, ordered), (size, camera), give_work, progress),
         rate=VIDEO_RATE,
         audio=sound.astype(np.float32),
         sample_rate=_SAMPLE_RATE,
@@ -144,59 +149,64 @@ def write_clip(
 
 
 def _drawn(
-    head: DemoHead,
-    camera: Camera,
-    poses: FloatArray,
-    weights: FloatArray,
-    *,
-    size: tuple[int, int],
-    workers: int,
+    studio: Studio,
+    motion: tuple[FloatArray, FloatArray],
+    view: tuple[tuple[int, int], Camera],
+    give_work: SubmitWork | None,
     progress: Progress,
 ) -> Iterator[ByteImage]:
-    """Draw all pictures in order."""
-    if workers > 1:
-        with worker_processes(workers, _open_studio, head, camera) as give_work:
-            blocks = [
-                give_work(
-                    _film,
-                    poses[start : start + _TASK_PICTURES],
-                    weights[start : start + _TASK_PICTURES],
-                    size,
-                )
-                for start in range(0, len(poses), _TASK_PICTURES)
-            ]
-            pictures = (picture for block in blocks for picture in block.result())
-            yield from _track(pictures, len(poses), progress)
-    else:
-        yield from _track(
-            map(Studio(head, camera).film, poses, weights, repeat(size)), len(poses), progress
-        )
+    """Draw all pictures from the first on, while other processes draw from the last on."""
+    count = len(motion[0])
+    tasks = [
+        [each[start : start + _TASK_PICTURES] for each in motion]
+        for start in range(0, count, _TASK_PICTURES)
+    ]
+    given = [give_work(_film, *task, *view) for task in tasks[::-1]] if give_work else []
+    number = 0
+    for task in tasks:
+        work = given.pop() if given else None
+        if work is None or work.cancel():
+            pictures = (studio.film(pose, row, *view) for pose, row in zip(*task, strict=True))
+        else:
+            pictures = iter(work.result())
+        for picture in pictures:
+            yield picture
+            number += 1
+            if number % 8 == 0 or number == count:
+                progress(number / count, "filming the actor")
 
 
-def _track(pictures: Iterator[ByteImage], count: int, progress: Progress) -> Iterator[ByteImage]:
-    for number, picture in enumerate(pictures, start=1):
-        yield picture
-        if number % 8 == 0 or number == count:
-            progress(number / count, "filming the actor")
+@contextmanager
+def drawing_processes() -> Iterator[SubmitWork | None]:
+    """Start processes that draw the actor's clip with this one; none on a single core."""
+    count = min(process_count(), _MOST_PROCESSES) - 1
+    if not count:
+        yield None
+        return
+    with worker_processes(count, _open_studio) as give_work:
+        give_work(int)  # they sculpt the actor meanwhile
+        yield give_work
 
 
 _studio: Studio | None = None  # of a drawing process
 _stopped: Callable[[], bool]
 
 
-def _open_studio(head: DemoHead, camera: Camera, stopped: Callable[[], bool]) -> None:
+def _open_studio(stopped: Callable[[], bool]) -> None:
     global _studio, _stopped
-    _studio, _stopped = Studio(head, camera), stopped
+    _studio, _stopped = Studio(make_head(ACTOR)), stopped
 
 
-def _film(poses: FloatArray, weights: FloatArray, size: tuple[int, int]) -> list[ByteImage]:
+def _film(
+    poses: FloatArray, weights: FloatArray, size: tuple[int, int], camera: Camera
+) -> list[ByteImage]:
     if _studio is None:
         raise RuntimeError("this process was started without an actor to film")
     pictures = []
     for pose, row in zip(poses, weights, strict=True):
         if _stopped():
             raise CancelledError("the main process has stopped")
-        pictures.append(_studio.film(pose, row, size))
+        pictures.append(_studio.film(pose, row, size, camera))
     return pictures
 
 
@@ -240,34 +250,34 @@ def write_demo_inputs(
         Height of the clip [pixels], even.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    progress(0.0, "sculpting the character")
-    rig_file = folder / "character.usdc"
-    character = demo_rig()
-    write_rig(rig_file, character)
-    progress(0.10, "casting the actor")
-    actor = make_head(ACTOR)
-    acted = performance()
-    markers = demo_markers(actor)
-    progress(0.15, "capturing the actor")
-    captured = simulate_capture(actor, acted, markers)
-    capture_file = folder / "actor.c3d"
-    write_c3d(
-        capture_file,
-        captured.positions,
-        captured.visible,
-        markers.names,
-        rate=acted.weights.rate,
-        first_frame=FIRST_FRAME,
-    )
-    weights_file = folder / "animator_weights.csv"
-    write_weights(weights_file, acted.weights, character.shapes)
-    phones_file = folder / "actor.phones.json"
-    write_phone_track(phones_file, spoken_phones())
-    video_file = folder / "actor.mp4"
-    size = (2 * round(video_lines * SIZE[0] / SIZE[1] / 2), video_lines)
-    filming = part(progress, 0.2, 1.0)
-    workers = process_count(_WORKER_COUNT)
-    write_clip(video_file, actor, acted, size=size, workers=workers, progress=filming)
+    with drawing_processes() as give_work:
+        progress(0.0, "sculpting the character")
+        rig_file = folder / "character.usdc"
+        character = demo_rig()
+        write_rig(rig_file, character)
+        progress(0.10, "casting the actor")
+        actor = make_head(ACTOR)
+        acted = performance()
+        markers = demo_markers(actor)
+        progress(0.15, "capturing the actor")
+        captured = simulate_capture(actor, acted, markers)
+        capture_file = folder / "actor.c3d"
+        write_c3d(
+            capture_file,
+            captured.positions,
+            captured.visible,
+            markers.names,
+            rate=acted.weights.rate,
+            first_frame=FIRST_FRAME,
+        )
+        weights_file = folder / "animator_weights.csv"
+        write_weights(weights_file, acted.weights, character.shapes)
+        phones_file = folder / "actor.phones.json"
+        write_phone_track(phones_file, spoken_phones())
+        video_file = folder / "actor.mp4"
+        size = (2 * round(video_lines * SIZE[0] / SIZE[1] / 2), video_lines)
+        filming = part(progress, 0.2, 1.0)
+        write_clip(video_file, actor, acted, size=size, give_work=give_work, progress=filming)
     return DemoInputs(
         rig=rig_file,
         capture=capture_file,

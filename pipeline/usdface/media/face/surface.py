@@ -9,6 +9,7 @@ from scipy import sparse
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, index_of, row_lengths
 from usdface.core.assets import RigMesh
 from usdface.core.errors import InputError
+from usdface.core.last_result import cache_last_result
 from usdface.media.face.complexion import LEAST_OPACITY, faces_painted, is_plain_eye, paint
 from usdface.media.face.features import ColorBand
 from usdface.media.face.mesh_topology import (
@@ -94,6 +95,7 @@ class Surface:
         return normals
 
 
+@cache_last_result
 def build_surface(meshes: Sequence[RigMesh]) -> Surface:
     """Prepare the visible meshes of a rig for drawing."""
     for mesh in meshes:

@@ -50,7 +50,7 @@ class Tracer:
     """
 
     def __init__(self, points: Float32Array, triangles: NDArray[np.object_]) -> None:
-        self._scene = EmbreeScene()
+        self._scene = EmbreeScene(robust=False)  # watertight to rounding costs a tenth of a picture
         TriangleMesh(self._scene, np.ascontiguousarray(points, np.float32), triangles)
 
     def find(self, origins: Float32Array, directions: Float32Array) -> RayHits:

@@ -18,6 +18,7 @@ from usdface.core.arrays import BoolArray, Float32Array, FloatArray, sample_fram
 from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
+from usdface.core.last_result import cache_last_result
 from usdface.model.placement.label_hints import upper_lid_sides
 from usdface.model.placement.marker_cloud import marker_cloud
 from usdface.model.placement.place import MarkerPlacement, place_markers
@@ -321,6 +322,7 @@ def set_up_equation(
     return replace(made, placement=placement)
 
 
+@cache_last_result
 def equation_at(
     rig: Rig, deformer: Deformer, virtual: VirtualMarkers, performer: PerformerMarkers
 ) -> BlendshapeEquation:

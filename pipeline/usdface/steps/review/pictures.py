@@ -1,6 +1,7 @@
 """Draw single frames of a shot for sheets and movies: video, markers and faces."""
 
 from contextlib import ExitStack
+from copy import copy
 from types import TracebackType
 from typing import Literal, Self
 
@@ -90,6 +91,12 @@ class ShotPictures:
         self._placed_lines: IntArray | None = None
         self._open = ExitStack()
         self._video: OpenVideo | None = None
+
+    def for_thread(self) -> Self:
+        """Return one for another thread, which shares all that does not depend on the row."""
+        other = copy(self)
+        other._renderer, other._last, other._open = copy(self._renderer), {}, ExitStack()
+        return other
 
     @property
     def stand_in_eyes(self) -> bool:

@@ -1,16 +1,17 @@
 """Draw a contact sheet of performances."""
 
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import ExitStack, suppress
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
+from queue import SimpleQueue
+from threading import Event
 
 import numpy as np
 
-from usdface.core.errors import CancelledError, InputError, UsdfaceError
-from usdface.core.processes import SubmitWork, process_count, worker_processes
+from usdface.core.errors import InputError
+from usdface.core.processes import usable_cores
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import replacing_group
@@ -34,13 +35,9 @@ from usdface.steps.review.sheet_columns import (
     SheetColumn,
     SheetComparison,
     compare_shots,
-    row_count,
     sheet_columns,
 )
 from usdface.steps.review.shot import Shot, ShotCamera
-
-HELPED_PIXELS = 800_000
-"""Pixels of a column per worker process; fewer do not make up for its start."""
 
 FIGURE_KEYS = {"solve": "usdface", "baseline": "equation"}
 """Keys of ``--json`` for labels of a sheet, kept for existing scripts."""
@@ -48,12 +45,12 @@ FIGURE_KEYS = {"solve": "usdface", "baseline": "equation"}
 
 @dataclass(frozen=True)
 class _Desk:
-    """State of a process that draws rows."""
+    """State of a thread that draws rows."""
 
     comparison: SheetComparison
-    cameras: list[ShotCamera]
-    pictures: list[ShotPictures]
     columns: list[SheetColumn]
+    stopped: Event
+    """Whether the sheet is given up; asked before each tile."""
 
     def draw(self, number: int) -> SheetRow:
         """Draw a row of the sheet."""
@@ -62,7 +59,9 @@ class _Desk:
         return SheetRow(
             frame=frame,
             timecode=shot.timecode(frame),
-            tiles=tuple(column.draw(chosen.row) for column in self.columns),
+            tiles=tuple(
+                column.draw(chosen.row) for column in self.columns if not self.stopped.is_set()
+            ),
             note=chosen.reason,
             spoken=self.comparison.labels[number],
         )
@@ -71,81 +70,56 @@ class _Desk:
 def run(spec: SheetSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Draw the sheet and write it."""
     with ExitStack() as open_files:
-        helpers = _helpers(spec)
-        give_work = None
-        if helpers:
-            give_work = open_files.enter_context(worker_processes(helpers, _set_up, spec))
-            give_work(int)  # starts the processes, so that they read at the same time
-        desk = _open_desk(spec, open_files, progress)
-        page = _page(spec, desk.comparison, desk.columns, desk.pictures)
-        written = _write_pages(spec, page, desk, give_work, progress, provenance)
+        comparison = compare_shots(spec, progress)
+        shots = comparison.shots
+        cameras = [each.camera(spec.camera, spec.camera_stage) for each in shots]
+        pictures = _open_pictures(spec, shots, cameras)
+        desks, stopped = list[_Desk](), Event()
+        for _ in range(min(usable_cores(), spec.cores)):
+            threads = [open_files.enter_context(each.for_thread()) for each in pictures]
+            desks.append(_Desk(comparison, sheet_columns(spec, comparison, threads), stopped))
+        page = _page(spec, comparison, desks[0].columns, pictures)
+        written = _write_pages(spec, page, desks, progress, provenance)
     progress(1.0, "done")
-    first = int(desk.comparison.shots[0].frames[0])
-    notes = dict.fromkeys(note for each in desk.cameras for note in each.notes(first))
-    shots = desk.comparison.shots
+    first = int(shots[0].frames[0])
+    notes = dict.fromkeys(note for each in cameras for note in each.notes(first))
     notes |= dict.fromkeys(note for each in shots for note in each.rig.undrawn_notes())
-    return _result(written, desk.comparison, tuple(notes))
+    return _result(written, comparison, tuple(notes))
 
 
-def _open_desk(spec: SheetSpec, open_files: ExitStack, progress: Progress) -> _Desk:
-    comparison = compare_shots(spec, progress)
-    shots = comparison.shots
-    cameras = [each.camera(spec.camera, spec.camera_stage) for each in shots]
-    pictures = _open_pictures(spec, shots, cameras, open_files)
-    return _Desk(comparison, cameras, pictures, sheet_columns(spec, comparison, pictures))
+def _rows(desks: list[_Desk], numbers: range, count: int, progress: Progress) -> Iterator[SheetRow]:
+    """Draw rows in threads: ray casting and array arithmetic release the interpreter lock."""
+    free = SimpleQueue[_Desk]()
+    for desk in desks:
+        free.put(desk)
 
+    def draw(number: int) -> SheetRow:
+        desk = free.get()
+        try:
+            return desk.draw(number)
+        finally:
+            free.put(desk)
 
-def _helpers(spec: SheetSpec) -> int:
-    """Return the number of worker processes, within the cores requested from farms."""
-    pixels = row_count(spec) * _tile_height(spec) ** 2
-    return min(process_count(), spec.cores, 1 + pixels // HELPED_PIXELS) - 1
-
-
-_desk: _Desk | None = None
-"""State of a worker process."""
-
-
-def _set_up(spec: SheetSpec, stopped: Callable[[], bool]) -> None:
-    def cancel_if_stopped(share: float, message: str) -> None:
-        if stopped():
-            raise CancelledError("the main process has stopped")
-
-    global _desk
-    with suppress(UsdfaceError):  # the main process raises the same error
-        _desk = _open_desk(spec, ExitStack(), cancel_if_stopped)
-
-
-def _draw(number: int) -> SheetRow | None:
-    return None if _desk is None else _desk.draw(number)
-
-
-def _rows(
-    desk: _Desk, numbers: range, give_work: SubmitWork | None, progress: Progress
-) -> Iterator[SheetRow]:
-    """Draw rows from the first on, while worker processes draw from the last on."""
-    pending, count = dict[int, Future[SheetRow | None]](), len(desk.comparison.chosen)
-    with suppress(BrokenProcessPool):  # then this process draws all rows
-        pending |= {each: give_work(_draw, each) for each in numbers[::-1] if give_work is not None}
-    for number in numbers:
-        progress(0.2 + 0.75 * number / count, f"drawing row {number + 1} of {count}")
-        row, work = None, pending.get(number)
-        if work is not None and not work.cancel():
-            with suppress(BrokenProcessPool):
-                row = work.result()
-        yield row or desk.draw(number)
+    with ThreadPoolExecutor(len(desks)) as pool:
+        rows = pool.map(draw, numbers)
+        try:
+            for number in numbers:
+                progress(0.2 + 0.75 * number / count, f"drawing row {number + 1} of {count}")
+                yield next(rows)
+        except BaseException:
+            desks[0].stopped.set()
+            pool.shutdown(cancel_futures=True)
+            raise
 
 
 def _open_pictures(
-    spec: SheetSpec, shots: list[Shot], cameras: list[ShotCamera], open_files: ExitStack
+    spec: SheetSpec, shots: list[Shot], cameras: list[ShotCamera]
 ) -> list[ShotPictures]:
     display, tile = display_view(spec.view), _tile_height(spec)
-    pictures = [
+    return [
         ShotPictures(shot, height=tile, quality=spec.quality, display=display, camera=camera)
         for shot, camera in zip(shots, cameras, strict=True)
     ]
-    for each in pictures:
-        open_files.enter_context(each)
-    return pictures
 
 
 def _tile_height(spec: SheetSpec) -> int:
@@ -202,8 +176,7 @@ def _verdict_lines(verdicts: dict[str, SolveVerdict]) -> tuple[str, ...]:
 def _write_pages(
     spec: SheetSpec,
     page: SheetPage,
-    desk: _Desk,
-    give_work: SubmitWork | None,
+    desks: list[_Desk],
     progress: Progress,
     provenance: Provenance,
 ) -> tuple[Path, ...]:
@@ -211,7 +184,8 @@ def _write_pages(
 
     All pages are renamed together; further pages of an earlier sheet are removed.
     """
-    shot, count = desk.comparison.shots[0], len(desk.comparison.chosen)
+    comparison = desks[0].comparison
+    shot, count = comparison.shots[0], len(comparison.chosen)
     pages = -(-count // spec.page_rows)
     files = [_page_file(spec.out, number) for number in range(pages)]
     for file in files[1:]:
@@ -224,7 +198,7 @@ def _write_pages(
         for number, file in enumerate(files):
             first = number * spec.page_rows
             numbers = range(first, min(first + spec.page_rows, count))
-            rows = tuple(_rows(desk, numbers, give_work, progress))
+            rows = tuple(_rows(desks, numbers, count, progress))
             title = page.title if pages == 1 else f"{page.title}, page {number + 1} of {pages}"
             write_image(
                 file,

@@ -1,0 +1,24 @@
+"""A result is computed again if the content of an argument has changed, in place as well."""
+
+import numpy as np
+
+from usdface.core.last_result import cache_last_result
+
+
+def test_only_other_content_is_computed_again() -> None:
+    computed = []
+
+    @cache_last_result
+    def total(values: np.ndarray, *, scale: float = 1.0) -> float:
+        computed.append(scale)
+        return scale * float(values.sum())
+
+    values = np.arange(20_000.0).reshape(2, -1)
+    assert total(values) == total(values.copy()) == values.sum()
+    assert len(computed) == 1
+    values[1, -1] += 1
+    assert total(values) == values.sum()
+    assert total(values, scale=2.0) == 2 * values.sum()
+    assert total(values.T) == values.sum()
+    total(values.astype(np.float32))
+    assert len(computed) == 5
