@@ -91,16 +91,10 @@ def space_rows(
     """
     if not len(rows):
         return rows
+    from scipy.optimize import isotonic_regression  # imported late: it takes half a second
+
     steps = spacing * np.arange(len(rows))
-    # Isotonic regression: pool adjacent violators (Ayer et al. 1955).
-    pools: list[tuple[float, int]] = []
-    for value in (np.clip(rows, margin, height - margin) - steps).tolist():
-        total, count = value, 1
-        while pools and pools[-1][0] / pools[-1][1] > total / count:
-            before, more = pools.pop()
-            total, count = total + before, count + more
-        pools.append((total, count))
-    first = np.concatenate([np.full(count, total / count) for total, count in pools])
+    first = isotonic_regression(np.clip(rows, margin, height - margin) - steps).x
     highest = height - margin - steps[-1]
     return np.asarray(np.clip(first, margin, max(highest, margin)) + steps)
 
