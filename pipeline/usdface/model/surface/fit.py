@@ -157,8 +157,7 @@ def check_displacements(displacements: FloatArray, markers: int) -> FloatArray:
 def fitted_frames(moved: FloatArray) -> FloatArray:
     """Return the frames on which settings are chosen: (frames, markers, 3)."""
     picks = np.linspace(0, len(moved) - 1, min(FITTED_FRAMES, len(moved)))
-    frames: FloatArray = moved[np.unique(picks.astype(int))]
-    return frames
+    return np.asarray(moved[np.unique(picks.astype(int))])
 
 
 def find_surface_folds(distances: SurfaceDistances) -> Folds:

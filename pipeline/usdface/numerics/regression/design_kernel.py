@@ -57,8 +57,7 @@ class DesignKernel:
 
     def diagonal(self, rows: FloatArray) -> FloatArray:
         """Return the prior variance of every row."""
-        out: FloatArray = self.linear * np.einsum("ij,ij->i", rows, rows) + self.radial
-        return out
+        return np.asarray(self.linear * np.einsum("ij,ij->i", rows, rows) + self.radial)
 
 
 def posterior_share(
@@ -85,8 +84,7 @@ def posterior_share(
     factor = np.linalg.cholesky(kernel(known, known) + noise * np.eye(len(known)))
     shared = np.linalg.solve(factor, kernel(known, rows))
     explained = np.einsum("ij,ij->j", shared, shared)
-    share: FloatArray = np.clip(1.0 - explained / prior, 0.0, 1.0)
-    return share
+    return np.asarray(np.clip(1.0 - explained / prior, 0.0, 1.0))
 
 
 def predict_from(
@@ -103,5 +101,4 @@ def predict_from(
     """
     mean = values.mean(axis=0)
     precise = kernel(known, known) + noise * np.eye(len(known))
-    out: FloatArray = mean + kernel(rows, known) @ np.linalg.solve(precise, values - mean)
-    return out
+    return np.asarray(mean + kernel(rows, known) @ np.linalg.solve(precise, values - mean))

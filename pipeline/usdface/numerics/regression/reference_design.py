@@ -106,8 +106,7 @@ def design_k_centre(
 
     def distance_to(point: FloatArray) -> FloatArray:
         away = squared - 2.0 * (features @ point) + float(point @ point)
-        clamped: FloatArray = np.maximum(away, 0.0)
-        return clamped
+        return np.asarray(np.maximum(away, 0.0))
 
     nearest = np.full(len(features), np.inf)
     chosen, gain = [], []

@@ -221,12 +221,12 @@ def _pivot(H: Hessian, b: FloatArray, lo: FloatArray, hi: FloatArray, z: FloatAr
     side = np.where(z <= lo, -1, np.where(z >= hi, 1, 0))
     todo = np.arange(len(b))
     fewest, patience = np.full(len(b), b.shape[1] + 1), np.full(len(b), _PATIENCE_ROUNDS)
-    systems = H.systems()
+    solve = H.solver()
     slack = 1e-11 * (1 + np.abs(b).max(axis=1, initial=0.0))
     for _ in range(_MOST_PIVOT_STEPS):
         at = side[todo]
         bound = np.where(at < 0, lo, np.where(at > 0, hi, 0.0))
-        value = systems.solve(todo, b[todo], bound, at == 0)
+        value = solve(todo, b[todo], bound, at == 0)
         gradient = H.product(value) - b[todo]
         room = slack[todo, None]
         low, high = (at == 0) & (value < lo - room), (at == 0) & (value > hi + room)
@@ -258,13 +258,13 @@ def _walk(H: Hessian, b: FloatArray, lo: FloatArray, hi: FloatArray, z: FloatArr
     out = z.copy()
     todo = np.flatnonzero(_violation(H, b, lo, hi, z) > _WALK_TOLERANCE)
     fixed = (z <= lo) | (z >= hi)
-    systems = H.systems()
+    solve = H.solver()
     for _ in range(_WALK_STEPS_PER_VARIABLE * b.shape[1]):
         if not len(todo):
             break
         rows = np.arange(len(todo))
         now, right, bound = out[todo], b[todo], fixed[todo]
-        step = systems.solve(todo, right, np.where(bound, now, 0.0), ~bound) - now
+        step = solve(todo, right, np.where(bound, now, 0.0), ~bound) - now
         with np.errstate(divide="ignore", invalid="ignore"):
             room = np.where(step < 0, (lo - now) / step, (hi - now) / step)
         room = np.where(bound | (step == 0), np.inf, room)
