@@ -86,7 +86,7 @@ class CoverageModel:
         for column, region in enumerate(self._regions):
             if region is not None:
                 rows = displacements[:, region.markers].reshape(len(displacements), -1)
-                share = posterior_share(region.kernel, region.pairs, rows, noise=KEY_VARIANCE)
+                share = posterior_share(region.kernel, region.pairs, rows)
                 coverage[:, column] = 1 - np.sqrt(share)
         return coverage
 

@@ -60,9 +60,7 @@ class DesignKernel:
         return np.asarray(self.linear * np.einsum("ij,ij->i", rows, rows) + self.radial)
 
 
-def posterior_share(
-    kernel: DesignKernel, known: FloatArray, rows: FloatArray, *, noise: float
-) -> FloatArray:
+def posterior_share(kernel: DesignKernel, known: FloatArray, rows: FloatArray) -> FloatArray:
     """Return the posterior over the prior variance of every row, given tuned frames.
 
     Parameters
@@ -70,8 +68,6 @@ def posterior_share(
     known : (n, d) float array
         Features of the tuned frames.
     rows : (frames, d) float array
-    noise : float
-        Variance of a tuned weight around the truth.
 
     Returns
     -------
@@ -81,24 +77,24 @@ def posterior_share(
     prior = kernel.diagonal(rows)
     if not len(known):
         return np.ones(len(rows))
-    factor = np.linalg.cholesky(kernel(known, known) + noise * np.eye(len(known)))
+    factor = np.linalg.cholesky(kernel(known, known) + KEY_VARIANCE * np.eye(len(known)))
     shared = np.linalg.solve(factor, kernel(known, rows))
     explained = np.einsum("ij,ij->j", shared, shared)
     return np.asarray(np.clip(1.0 - explained / prior, 0.0, 1.0))
 
 
 def predict_from(
-    kernel: DesignKernel, known: FloatArray, values: FloatArray, rows: FloatArray, *, noise: float
+    kernel: DesignKernel, known: FloatArray, values: FloatArray, rows: FloatArray
 ) -> FloatArray:
     """Return the Gaussian process's posterior mean at other frames, (frames, s).
 
     Parameters
     ----------
-    kernel, known, rows, noise
+    kernel, known, rows
         As for `posterior_share`.
     values : (n, s) float array
         Of the tuned frames.
     """
     mean = values.mean(axis=0)
-    precise = kernel(known, known) + noise * np.eye(len(known))
+    precise = kernel(known, known) + KEY_VARIANCE * np.eye(len(known))
     return np.asarray(mean + kernel(rows, known) @ np.linalg.solve(precise, values - mean))
