@@ -8,7 +8,7 @@ from tests.model.mapping.test_uncertainty import CHOSEN, NAMES, face_in_parts
 from tests.model.synthetic import SHAPES, SyntheticFace, references_of
 from usdface.core.assets import TrainedMapping
 from usdface.model import predict_weights, sample_skin, train_mapping
-from usdface.numerics.regression.design_kernel import DesignKernel, posterior_share
+from usdface.numerics.regression.reference_design import DesignKernel, posterior_share
 
 
 def train_on(face: SyntheticFace, rows: np.ndarray, *, still: int = 0) -> TrainedMapping:

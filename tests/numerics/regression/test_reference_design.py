@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 
 from usdface.core.arrays import first_smallest
-from usdface.numerics.regression.design_kernel import DesignKernel, posterior_share, predict_from
 from usdface.numerics.regression.reference_design import (
+    DesignKernel,
     design_d_optimal,
     design_gp_variance,
     design_k_centre,
     pivoted_selection,
+    posterior_share,
+    predict_from,
     whiten,
 )
 

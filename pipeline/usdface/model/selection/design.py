@@ -18,12 +18,13 @@ import numpy as np
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from usdface.core.assets import MotionSpace
 from usdface.numerics.measure.face_regions import shapes_by_region
-from usdface.numerics.regression.design_kernel import DesignKernel, predict_from
 from usdface.numerics.regression.reference_design import (
     Design,
+    DesignKernel,
     design_d_optimal,
     design_gp_variance,
     design_k_centre,
+    predict_from,
     whiten,
 )
 from usdface.numerics.regression.regional_process import marker_relevance, regional_features
