@@ -8,12 +8,8 @@ from scipy.ndimage import gaussian_filter1d
 
 from tests.numerics.simulated_face import simulate_face
 from usdface.numerics.motion.noise import marker_noise
-from usdface.numerics.repair.low_rank import (
-    choose_rank,
-    fill_missing,
-    fit_low_rank,
-    predict_from_others,
-)
+from usdface.numerics.repair.fit_low_rank import choose_rank, fit_low_rank
+from usdface.numerics.repair.low_rank import fill_missing, predict_from_others
 from usdface.numerics.repair.relabeling import Swap, apply_swaps, find_swaps, likeliest_states
 
 

@@ -5,7 +5,8 @@ import pytest
 
 from tests.numerics.simulated_face import simulate_face
 from usdface.numerics.repair import relabeling
-from usdface.numerics.repair.low_rank import fill_missing, fit_low_rank
+from usdface.numerics.repair.fit_low_rank import fit_low_rank
+from usdface.numerics.repair.low_rank import fill_missing
 from usdface.numerics.repair.relabeling import find_swaps, likeliest_states
 from usdface.numerics.repair.swap_evidence import (
     neighbor_pairs,

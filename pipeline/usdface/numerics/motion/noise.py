@@ -1,28 +1,17 @@
-"""Measurement noise and spikes of single tracks, and takes without motion."""
+"""Measurement noise of a capture, estimated from third differences, and takes without motion."""
 
 from collections.abc import Sequence
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from usdface.core.arrays import MAD_TO_DEVIATION, BoolArray, FloatArray, RealArray, runs
+from usdface.core.arrays import MAD_TO_DEVIATION, FloatArray, RealArray
 
 _THIRD_DIFFERENCE_GAIN = np.sqrt(20.0)
 """Standard deviation of third differences over that of white noise: sqrt(1² + 3² + 3² + 1²)."""
 _SAMPLE_FRAMES = 20_000
 _STILL_MM, _STILL_NOISE_DEVIATIONS = 0.5, 6.0
 """Largest range of a coordinate of a still face: the larger of the two."""
-
-_LEAP_MEDIAN_STEPS = 12.0
-_LEAP_NOISE_DEVIATIONS = 8.0
-"""A step larger than both is a leap."""
-_LONGEST_SPIKE_FRAMES = 150
-_RETURN_COSINE = -0.5
-"""Largest cosine between a leap and the leap back."""
-_SPIKE_MOST_SHARE = 0.3
-"""[of its samples] Spikes of a marker with more of them are taken for its motion."""
-_USUAL_STEP_FRAMES = 20_000
 
 
 def marker_noise(positions: ArrayLike, visible: ArrayLike) -> FloatArray:
@@ -82,41 +71,3 @@ def still_range_mm(clips: Sequence[RealArray], noise_mm: float) -> float | None:
     low = np.min([clip.min(axis=0) for clip in filled], axis=0)
     largest = float((high - low).max())
     return None if largest > max(_STILL_MM, _STILL_NOISE_DEVIATIONS * noise_mm) else largest
-
-
-def find_spikes(positions: RealArray, visible: BoolArray, *, noise: FloatArray) -> BoolArray:
-    """Return the samples between a leap and the next leap back: (frames, markers) bool array.
-
-    In a short take a low-rank model would fit them as directions of the face's motion.
-
-    Parameters
-    ----------
-    positions : (frames, markers, 3) float array
-        [mm] Without head motion.
-    visible : (frames, markers) bool array
-        Leaps across a gap start at the last sample before it.
-    noise : (markers,) float array
-        Standard deviation of the measurement noise per coordinate [mm].
-    """
-    spikes = np.zeros_like(visible)
-    for marker, seen in enumerate(visible.T):
-        frames = np.flatnonzero(seen)
-        if len(frames) < 4:
-            continue
-        steps = np.diff(positions[frames, marker].astype(np.float64), axis=0)
-        sizes = np.linalg.norm(steps, axis=1)
-        usual = float(np.median(sizes[:_USUAL_STEP_FRAMES]))
-        leaps = sizes > max(
-            _LEAP_MEDIAN_STEPS * usual, _LEAP_NOISE_DEVIATIONS * float(noise[marker]), 1e-6
-        )
-        # Leaps in consecutive steps are one leap: their sum.
-        joined = [(start, stop, steps[start:stop].sum(axis=0)) for start, stop in runs(leaps)]
-        track = np.zeros(len(seen), bool)
-        for (_, leave, out), (back, _, home) in pairwise(joined):
-            lengths = float(np.linalg.norm(out) * np.linalg.norm(home))
-            short = frames[back] - frames[leave] < _LONGEST_SPIKE_FRAMES
-            if out @ home < _RETURN_COSINE * lengths and short:
-                track[frames[leave] : frames[back] + 1] = True
-        if (track & seen).sum() <= _SPIKE_MOST_SHARE * len(frames):
-            spikes[:, marker] = track & seen
-    return spikes

@@ -18,13 +18,9 @@ from usdface.core.arrays import (
 )
 from usdface.core.progress import Progress, silent
 from usdface.numerics.motion.noise import marker_noise
+from usdface.numerics.repair.fit_low_rank import choose_rank, fit_low_rank
 from usdface.numerics.repair.gap_filling import complete_take
-from usdface.numerics.repair.low_rank import (
-    LowRankModel,
-    choose_rank,
-    fill_and_predict,
-    fit_low_rank,
-)
+from usdface.numerics.repair.low_rank import LowRankModel, fill_and_predict
 from usdface.numerics.repair.outliers import USUAL_RATE, find_outliers
 from usdface.numerics.repair.relabeling import Swap, apply_swaps, find_swaps
 from usdface.numerics.repair.slips import Slip, find_slips, undo_slips

@@ -1,8 +1,11 @@
 """Outliers of marker tracks, such as reflections and other markers' labels.
 
-Each marker is compared with its prediction from the others. Leaps away and back in single tracks,
-see `numerics.motion.noise`, are excluded before the model is fitted.
+`find_outliers` compares each marker with its prediction from the others. `find_spikes` looks for
+leaps away and back in single tracks, before a model is fitted: in a short take the model would fit
+them as directions of the face's motion.
 """
+
+from itertools import pairwise
 
 import numpy as np
 
@@ -42,6 +45,16 @@ _LEAP_REACH_FRAMES = 2
 """Frames on either side of a step that `_leap_sizes` uses."""
 _MOST_PER_FRAME = 8
 """Outliers sought per frame."""
+
+_LEAP_MEDIAN_STEPS = 12.0
+_LEAP_NOISE_DEVIATIONS = 8.0
+"""A step larger than both is a leap."""
+_LONGEST_SPIKE_FRAMES = 150
+_RETURN_COSINE = -0.5
+"""Largest cosine between a leap and the leap back."""
+_SPIKE_MOST_SHARE = 0.3
+"""[of its samples] Spikes of a marker with more of them are taken for its motion."""
+_USUAL_STEP_FRAMES = 20_000
 
 
 def find_outliers(
@@ -191,3 +204,39 @@ def _leap_sizes(track: RealArray) -> RealArray:
     change = np.linalg.norm(np.diff(steps, axis=0), axis=1)
     size = np.linalg.norm(steps[1:-1], axis=1)
     return np.asarray(np.minimum(size, np.maximum(change[:-1], change[1:])))
+
+
+def find_spikes(positions: RealArray, visible: BoolArray, *, noise: FloatArray) -> BoolArray:
+    """Return the samples between a leap and the next leap back: (frames, markers) bool array.
+
+    Parameters
+    ----------
+    positions : (frames, markers, 3) float array
+        [mm] Without head motion.
+    visible : (frames, markers) bool array
+        Leaps across a gap start at the last sample before it.
+    noise : (markers,) float array
+        Standard deviation of the measurement noise per coordinate [mm].
+    """
+    spikes = np.zeros_like(visible)
+    for marker, seen in enumerate(visible.T):
+        frames = np.flatnonzero(seen)
+        if len(frames) < 4:
+            continue
+        steps = np.diff(positions[frames, marker].astype(np.float64), axis=0)
+        sizes = np.linalg.norm(steps, axis=1)
+        usual = float(np.median(sizes[:_USUAL_STEP_FRAMES]))
+        leaps = sizes > max(
+            _LEAP_MEDIAN_STEPS * usual, _LEAP_NOISE_DEVIATIONS * float(noise[marker]), 1e-6
+        )
+        # Leaps in consecutive steps are one leap: their sum.
+        joined = [(start, stop, steps[start:stop].sum(axis=0)) for start, stop in runs(leaps)]
+        track = np.zeros(len(seen), bool)
+        for (_, leave, out), (back, _, home) in pairwise(joined):
+            lengths = float(np.linalg.norm(out) * np.linalg.norm(home))
+            short = frames[back] - frames[leave] < _LONGEST_SPIKE_FRAMES
+            if out @ home < _RETURN_COSINE * lengths and short:
+                track[frames[leave] : frames[back] + 1] = True
+        if (track & seen).sum() <= _SPIKE_MOST_SHARE * len(frames):
+            spikes[:, marker] = track & seen
+    return spikes

@@ -10,12 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, RealArray, frame_blocks
-from usdface.numerics.repair.low_rank import (
-    LowRankModel,
-    fill_and_predict,
-    fill_missing,
-    fit_low_rank,
-)
+from usdface.numerics.repair.fit_low_rank import fit_low_rank
+from usdface.numerics.repair.low_rank import LowRankModel, fill_and_predict, fill_missing
 
 _BLOCK_SECONDS = 0.5
 """Block length of means of the residual: the duration of unpredicted expressions, over which means
