@@ -13,7 +13,7 @@ Journal of the Astronautical Sciences 41(2), 261-280: `optimal_rotations`.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from usdface.core.arrays import BoolArray, FloatArray, RealArray
 
@@ -67,16 +67,16 @@ def align_rigid(
     ----------
     positions : (frames, points, 3) array_like
         Arbitrary, also not finite, where the weight is 0.
-    reference : (points, 3) or (frames, points, 3) array_like
-        Of all frames, or of each.
+    reference : (points, 3) array_like
     weights : (frames, points) array_like, optional
         Not negative, or bool. All 1 by default.
     """
-    points, y = np.asarray(positions), np.asarray(reference)
-    if points.ndim != 3 or points.shape[2] != 3 or y.shape not in (points.shape, points.shape[1:]):
+    points = np.asarray(positions)
+    y = np.asarray(reference, np.float64)
+    if points.ndim != 3 or points.shape[1:] != y.shape or y.shape[1:] != (3,):
         raise ValueError(
-            f"positions {points.shape} must be (frames, points, 3), and reference {y.shape} the "
-            "same or (points, 3)"
+            f"positions {points.shape} and reference {y.shape} must be (frames, points, 3) and "
+            "(points, 3)"
         )
     w = np.broadcast_to(1.0, points.shape[:2]) if weights is None else np.array(weights, np.float64)
     if w.shape != points.shape[:2]:
@@ -86,23 +86,9 @@ def align_rigid(
     determined = np.empty(count, bool)
     for start in range(0, count, _CHUNK_FRAMES):
         rows = slice(start, start + _CHUNK_FRAMES)
-        x = points[rows].astype(np.float64)
-        target = (y if y.ndim == 2 else y[rows]).astype(np.float64)
-        used = w[rows] > 0
-        if not used.all():
-            x[~used] = 0.0  # arbitrary, perhaps NaN
-        share = w[rows] / np.maximum(w[rows].sum(axis=1), np.finfo(np.float64).tiny)[:, None]
-        x_center = np.matmul(share[:, None], x)[:, 0]
-        y_center = np.matmul(share[:, None], target)[:, 0]
-        x -= x_center[:, None]
-        x *= share[..., None]
-        target -= target.mean(axis=-2, keepdims=True)  # any offset, as the sum of x is 0
-        # D06 equations 1 and 2: y^T x = U D V^T, R = V U^T, with determinant +1
-        R, known = optimal_rotations(np.swapaxes(x, 1, 2) @ target, rank_tolerance=_RANK_TOLERANCE)
-        known &= used.sum(axis=1) >= 3
-        R[~known] = np.eye(3)
-        rotations[rows], determined[rows] = R, known
-        translations[rows] = x_center - np.einsum("fij,fj->fi", R, y_center)
+        rotations[rows], translations[rows], determined[rows] = _align_chunk(
+            points[rows], y, w[rows]
+        )
     return RigidAlignment(rotations, translations, determined, w)
 
 
@@ -144,6 +130,41 @@ def align_rigid_robust(
         residuals[active] = alignment_residuals(points[active], y, again)
         active = active[again.determined]
     return RigidAlignment(rotations, translations, determined, weights)
+
+
+def align_frames(positions: ArrayLike, targets: ArrayLike, *, weights: ArrayLike) -> RigidAlignment:
+    """Align one target per frame: ``positions = rotation @ target + translation``.
+
+    Parameters
+    ----------
+    positions, targets : (frames, points, 3) array_like
+        Finite.
+    weights : (frames, points) array_like
+        Not negative.
+    """
+    points, goals, w = np.asarray(positions), np.asarray(targets), np.asarray(weights, np.float64)
+    if points.shape != goals.shape or w.shape != points.shape[:2]:
+        raise ValueError(
+            f"positions {points.shape}, targets {goals.shape} and weights {w.shape} must agree"
+        )
+    count = len(points)
+    rotations, translations = np.empty((count, 3, 3)), np.empty((count, 3))
+    determined = np.empty(count, bool)
+    for start in range(0, count, _CHUNK_FRAMES):
+        rows = slice(start, start + _CHUNK_FRAMES)
+        x, y = points[rows].astype(np.float64), goals[rows].astype(np.float64)
+        share = w[rows] / np.maximum(w[rows].sum(axis=1), np.finfo(np.float64).tiny)[:, None]
+        x_center = np.einsum("fk,fki->fi", share, x)
+        y_center = np.einsum("fk,fki->fi", share, y)
+        x -= x_center[:, None]
+        x *= share[..., None]
+        y -= y_center[:, None]
+        R, known = optimal_rotations(np.swapaxes(x, 1, 2) @ y, rank_tolerance=_RANK_TOLERANCE)
+        known &= (w[rows] > 0).sum(axis=1) >= 3
+        R[~known] = np.eye(3)
+        rotations[rows], determined[rows] = R, known
+        translations[rows] = x_center - np.einsum("fij,fj->fi", R, y_center)
+    return RigidAlignment(rotations, translations, determined, w)
 
 
 def alignment_of(matrices: ArrayLike) -> RigidAlignment:
@@ -249,6 +270,47 @@ def optimal_rotations(
     rest = np.flatnonzero(~safe)
     R[rest], determined[rest] = _decompose(np.moveaxis(B[:, :, rest], -1, 0), rank_tolerance)
     return R, determined
+
+
+def _align_chunk(
+    points: NDArray[np.generic], y: FloatArray, w: FloatArray
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    x = points.astype(np.float64)
+    unused = w <= 0
+    if unused.any():
+        x[unused] = 0.0  # arbitrary, perhaps NaN
+    y_middle = y.mean(axis=0)
+    moments = _moments(x, y - y_middle, w)
+    total = np.maximum(moments[:, 9], np.finfo(np.float64).tiny)[:, None]
+    x_center = moments[:, 10:13] / total
+    y_center = moments[:, 13:16] / total
+    covariance = moments[:, :9].reshape(-1, 3, 3)
+    covariance -= x_center[:, :, None] * moments[:, None, 13:16]
+    # D06 equations 1 and 2: y^T x = U D V^T, R = V U^T, with determinant +1
+    rotations, determined = optimal_rotations(covariance, rank_tolerance=_RANK_TOLERANCE)
+    determined &= points.shape[1] - unused.sum(axis=1) >= 3
+    rotations[~determined] = np.eye(3)
+    y_center += y_middle
+    translations = x_center - np.einsum("fij,fj->fi", rotations, y_center)
+    return rotations, translations, determined
+
+
+def _moments(x: FloatArray, y: FloatArray, w: FloatArray) -> FloatArray:
+    """Return the weighted sums of ``x y^T``, 1, x and y of each frame: (frames, 9 + 1 + 3 + 3).
+
+    By one matrix product. `x` must be 0 where `w` is, and is changed.
+    """
+    count = len(y)
+    operator = np.zeros((count, 3, 12))
+    for axis in range(3):
+        operator[:, axis, 3 * axis : 3 * axis + 3] = y
+        operator[:, axis, 9 + axis] = 1.0
+    flat = x.reshape(len(x), -1)
+    if ((w != 0) & (w != 1)).any():
+        flat *= np.repeat(w, 3, axis=1)
+    sums = flat @ operator.reshape(count * 3, 12)
+    of_reference = w @ np.column_stack([np.ones(count), y])
+    return np.concatenate([sums[:, :9], of_reference[:, :1], sums[:, 9:], of_reference[:, 1:]], 1)
 
 
 def _median_where(values: FloatArray, mask: BoolArray) -> float:
