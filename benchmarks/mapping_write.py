@@ -226,7 +226,7 @@ def _mapped(folder: Path, frames: int, method: str) -> dict[str, float]:
     def placed() -> Iterator[Block]:
         for start in range(0, frames, BLOCK):
             part = clouds[start % len(clouds) :][: min(BLOCK, frames - start)]
-            yield partial(MappedMarkers, part, visible[: len(part)], sure[: len(part)], (), (), 0.0)
+            yield partial(MappedMarkers, part, visible[: len(part)], sure[: len(part)])
 
     begun = _now()
     answers = (

@@ -63,7 +63,7 @@ def read_what_it_says(path: Path) -> None:
 def read_view(path: Path) -> None:
     import numpy as np
 
-    from usdface.media.picture.display_view import display_view
+    from usdface.media.picture.image import display_view
 
     os.environ["OCIO"] = str(path)
     display_view("sRGB/Film")(np.linspace(0, 1, 48).reshape(4, 4, 3))

@@ -31,14 +31,6 @@ class Provenance:
         """Hash of the spec alone."""
         return hash_text(self.spec)
 
-    def matches(self, other: "Provenance") -> bool:
-        """Whether both were made by the same spec from the same inputs."""
-        return (
-            self.step == other.step
-            and self.spec == other.spec
-            and dict(self.inputs) == dict(other.inputs)
-        )
-
 
 def canonical_json(data: Any) -> str:
     """Return JSON that is equal for equal data."""

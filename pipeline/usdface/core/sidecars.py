@@ -1,6 +1,7 @@
 """Names of files that accompany another, for specs, steps and layers."""
 
 import hashlib
+from collections.abc import Callable
 from pathlib import Path
 
 LAYER_SUFFIXES = (".usda", ".usdc", ".usd")
@@ -11,39 +12,45 @@ def is_usd_name(path: Path) -> bool:
     return path.suffix.lower() in (*LAYER_SUFFIXES, ".usdz")
 
 
-def weights_path(performance: Path) -> Path:
-    """Return the layer with the solve of a performance: NAME.weights.usdc beside NAME.usda."""
-    return performance.with_name(f"{performance.stem}.weights.usdc")
+def _with_ending(ending: str) -> Callable[[Path], Path]:
+    """Return the function from NAME.SUFFIX to NAME.ENDING."""
+    return lambda path: path.with_name(f"{path.stem}.{ending}")
 
 
-def edits_path(performance: Path) -> Path:
-    """Return the layer with a performance's edits: NAME.edits.usda."""
-    return performance.with_name(f"{performance.stem}.edits.usda")
+weights_path = _with_ending("weights.usdc")
+"""The layer with the solve of a performance."""
+edits_path = _with_ending("edits.usda")
+"""The layer with a performance's edits."""
+notes_path = _with_ending("notes.json")
+"""The file of review notes on a performance."""
+controls_path = _with_ending("controls.usdc")
+"""The layer with a performance's joints and attributes."""
+head_path = _with_ending("head.usdc")
+"""The layer with a performance's head and eye motion."""
+points_path = _with_ending("points.usdc")
+"""The layer with the points of a deformed mesh."""
+parts_folder = _with_ending("parts")
+"""The folder of a file's parts on a farm."""
 
+proposed_path = _with_ending("proposed.usda")
+"""The layer with the proposals of references, pairs or a binding."""
+corrected_path = _with_ending("corrected.usda")
+"""The layer with corrections of a binding."""
 
-def notes_path(performance: Path) -> Path:
-    """Return the file of review notes on a performance: NAME.notes.json."""
-    return performance.with_name(f"{performance.stem}.notes.json")
-
-
-def controls_path(performance: Path) -> Path:
-    """Return the layer with a performance's joints and attributes: NAME.controls.usdc."""
-    return performance.with_name(f"{performance.stem}.controls.usdc")
-
-
-def head_path(performance: Path) -> Path:
-    """Return the layer with a performance's head and eye motion: NAME.head.usdc."""
-    return performance.with_name(f"{performance.stem}.head.usdc")
-
-
-def points_path(deformed: Path) -> Path:
-    """Return the layer with the points of a deformed mesh: NAME.points.usdc."""
-    return deformed.with_name(f"{deformed.stem}.points.usdc")
-
-
-def parts_folder(out: Path) -> Path:
-    """Return the folder of a file's parts on a farm: NAME.parts."""
-    return out.with_name(f"{out.stem}.parts")
+tuned_path = _with_ending("tuned.usda")
+"""The layer with the tuned weights of a references asset."""
+coverage_path = _with_ending("coverage.png")
+"""The picture of the coverage of a selection."""
+placement_path = _with_ending("placement.usda")
+"""The placement of markers on the rig that `select` writes with references."""
+lock_path = _with_ending("tuned.lock")
+"""The tuning lock of a references asset."""
+journal_path = _with_ending("tuned.journal")
+"""The journal of changes that are not yet in the tuned layer."""
+poses_path = _with_ending("poses.json")
+"""The file of poses saved during the tuning of a references asset."""
+images_folder = _with_ending("images")
+"""The folder with the pictures of a references asset."""
 
 
 def samples_path(asset: Path) -> Path:
@@ -54,60 +61,15 @@ def samples_path(asset: Path) -> Path:
     return asset if asset.suffix == ".usdc" else asset.with_name(f"{asset.stem}.samples.usdc")
 
 
-def proposed_path(asset: Path) -> Path:
-    """Return the layer with the proposals of references, pairs or a binding."""
-    return asset.with_name(f"{asset.stem}.proposed.usda")
-
-
-def corrected_path(binding: Path) -> Path:
-    """Return the layer with corrections of a binding."""
-    return binding.with_name(f"{binding.stem}.corrected.usda")
-
-
 def binding_layers(binding: Path) -> tuple[Path, Path, Path]:
     """Return the files of a binding or a placement: the top layer and its sublayers."""
     return binding, proposed_path(binding), corrected_path(binding)
-
-
-def tuned_path(references: Path) -> Path:
-    """Return the layer with the tuned weights of a references asset."""
-    return references.with_name(f"{references.stem}.tuned.usda")
-
-
-def coverage_path(references: Path) -> Path:
-    """Return the picture of the coverage of a selection: NAME.coverage.png."""
-    return references.with_name(f"{references.stem}.coverage.png")
 
 
 def reference_layers(references: Path) -> tuple[Path, ...]:
     """Return the files of a references asset: the top layer and its sublayers."""
     sublayers = (tuned_path(references), proposed_path(references), samples_path(references))
     return tuple(dict.fromkeys((references, *sublayers)))
-
-
-def placement_path(references: Path) -> Path:
-    """Return the placement of markers on the rig that `select` writes with references."""
-    return references.with_name(f"{references.stem}.placement.usda")
-
-
-def lock_path(references: Path) -> Path:
-    """Return the tuning lock of a references asset."""
-    return references.with_name(f"{references.stem}.tuned.lock")
-
-
-def journal_path(references: Path) -> Path:
-    """Return the journal of changes that are not yet in the tuned layer."""
-    return references.with_name(f"{references.stem}.tuned.journal")
-
-
-def poses_path(references: Path) -> Path:
-    """Return the file of poses saved during the tuning of a references asset."""
-    return references.with_name(f"{references.stem}.poses.json")
-
-
-def images_folder(references: Path) -> Path:
-    """Return the folder with the pictures of a references asset."""
-    return references.with_name(f"{references.stem}.images")
 
 
 def work_folder(out: Path, purpose: str) -> Path:

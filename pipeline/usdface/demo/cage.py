@@ -299,8 +299,7 @@ def lay_eye(half: HalfCage, style: Style, grid: IntArray) -> None:
         length = np.linalg.norm(flat, axis=1)
         flat *= (np.minimum(length, 0.985 * radius) / length)[:, None]
         z = np.sqrt(np.maximum(radius**2 - np.sum(flat**2, axis=1), 0.0))
-        placed: FloatArray = center + np.column_stack([flat, z])
-        return placed
+        return np.asarray(center + np.column_stack([flat, z]))
 
     skin = e.radius + LID_THICKNESS
     rim = lid(0.0, 0.0, 0.0, skin)

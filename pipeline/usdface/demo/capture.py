@@ -300,8 +300,7 @@ def _normals(head: DemoHead) -> FloatArray:
     normals = np.zeros_like(head.points)
     for corner in range(4):
         np.add.at(normals, head.faces[:, corner], face)
-    unit: FloatArray = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
-    return unit
+    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9))
 
 
 def _dropouts(

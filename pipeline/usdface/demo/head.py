@@ -220,8 +220,7 @@ def _clear_eyeball(style: Style, points: FloatArray, marks: FloatArray) -> Float
         ring, [-3.0, -1.0, 0.0, 1.0, 2.0], [0.8, 0.8, 1.9, 2.2, 1.5]
     )
     push = np.where(ring < 2.5, np.maximum(least / np.maximum(length, 1e-6), 1.0), 1.0)
-    moved: FloatArray = points + (push - 1.0)[:, None] * offset * to_left
-    return moved
+    return np.asarray(points + (push - 1.0)[:, None] * offset * to_left)
 
 
 def upper_lid_edge(points: FloatArray, marks: FloatArray) -> IntArray:

@@ -67,8 +67,7 @@ def _sided(head: DemoHead, field: FloatArray) -> FloatArray:
 
 
 def _flipped(head: DemoHead, field: FloatArray) -> FloatArray:
-    flipped: FloatArray = field[head.mirror] * (-1.0, 1.0, 1.0)
-    return flipped
+    return np.asarray(field[head.mirror] * (-1.0, 1.0, 1.0))
 
 
 def _followed(head: DemoHead, keys: Keys) -> Keys:

@@ -180,8 +180,7 @@ def ellipsoid(points: FloatArray, center: Vec, radii: Vec) -> FloatArray:
     """Return the approximate signed distance to an ellipsoid; exact on its surface."""
     scaled = (points - center) / radii
     near, gradient = _lengths(scaled), _lengths(scaled / radii)
-    distance: FloatArray = near * (near - 1.0) / np.maximum(gradient, 1e-6)
-    return distance
+    return np.asarray(near * (near - 1.0) / np.maximum(gradient, 1e-6))
 
 
 def capsule(
@@ -192,8 +191,7 @@ def capsule(
     offset = points - start
     along = np.clip(offset @ axis / (axis @ axis), 0.0, 1.0)
     radius = start_radius + along * (stop_radius - start_radius)
-    distance: FloatArray = _lengths(offset - along[..., None] * axis) - radius
-    return distance
+    return np.asarray(_lengths(offset - along[..., None] * axis) - radius)
 
 
 def blend(first: FloatArray, second: FloatArray, rounding: float) -> FloatArray:

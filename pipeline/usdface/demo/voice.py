@@ -176,5 +176,4 @@ def _band(
     """Return normalised noise between two frequencies [Hz]."""
     edge = smooth_step(0.8 * low, low, frequency) * smooth_step(1.15 * high, high, frequency)
     band = np.fft.irfft(spectrum * edge, count)
-    scaled: FloatArray = band / max(float(np.std(band)) * 3.0, 1e-9)
-    return scaled
+    return np.asarray(band / max(float(np.std(band)) * 3.0, 1e-9))

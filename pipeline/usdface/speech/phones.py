@@ -178,8 +178,7 @@ def loud_moments(samples: Float32Array, *, rate: int) -> BoolArray:
     if not len(steps):
         return np.zeros(0, dtype=np.bool_)
     level = np.sqrt(np.mean(steps**2, axis=1))
-    loud: BoolArray = level > LOUD_SHARE * np.quantile(level, 0.95)
-    return loud
+    return np.asarray(level > LOUD_SHARE * np.quantile(level, 0.95))
 
 
 def share_outside(samples: Float32Array, words: Sequence[Span], *, rate: int) -> float:

@@ -6,6 +6,7 @@ import pytest
 
 from usdface.core.errors import InputError
 from usdface.media.picture import sheet as sheet_module
+from usdface.media.picture.canvas import empty_tile, fit_picture
 from usdface.media.picture.color import VERDICT_COLORS, bytes_from_linear, heat_ramp
 from usdface.media.picture.error_strip import (
     _AXIS_STYLE,
@@ -34,7 +35,6 @@ from usdface.media.picture.sheet_layout import (
     wrapped_note,
 )
 from usdface.media.picture.text import text_width
-from usdface.media.picture.tiles import empty_tile, fit_picture
 
 COLUMNS = ("video", "markers", "baseline", "solve")
 

@@ -8,7 +8,7 @@ from tests.model.mapping.test_uncertainty import CHOSEN, NAMES, face_in_parts
 from tests.model.synthetic import SHAPES, SyntheticFace, references_of
 from usdface.core.assets import TrainedMapping
 from usdface.model import predict_weights, sample_skin, train_mapping
-from usdface.numerics.regression.design_kernel import DesignKernel, posterior_share
+from usdface.numerics.regression.reference_design import DesignKernel, posterior_share
 
 
 def train_on(face: SyntheticFace, rows: np.ndarray, *, still: int = 0) -> TrainedMapping:
@@ -67,7 +67,7 @@ def test_the_share_left_over_is_the_posterior_variance_of_a_gaussian_process() -
     inverse = np.linalg.inv(kernel(known, known) + 0.01 * np.eye(7))
     across = kernel(rows, known)
     posterior = np.diag(kernel(rows, rows) - across @ inverse @ across.T)
-    share = posterior_share(kernel, known, rows, noise=0.01)
+    share = posterior_share(kernel, known, rows)
     np.testing.assert_allclose(share, posterior / kernel.diagonal(rows), atol=1e-9)
-    scaled = posterior_share(DesignKernel.for_size(3e4), 100 * known, 100 * rows, noise=0.01)
+    scaled = posterior_share(DesignKernel.for_size(3e4), 100 * known, 100 * rows)
     np.testing.assert_allclose(scaled, share, atol=1e-9)  # of no unit

@@ -9,6 +9,8 @@ from tests.model.synthetic import markers_of, references_of, synthetic_face
 from usdface.core.assets import TrainedMapping
 from usdface.core.errors import InputError
 from usdface.model import align_markers, predict_weights, train_mapping
+from usdface.model.mapping.head_space import find_head_space
+from usdface.model.mapping.performer_face import face_of_mapping
 
 
 def trained() -> TrainedMapping:
@@ -45,8 +47,8 @@ def test_markers_are_matched_by_name_in_any_order() -> None:
     )
     mapped = align_markers(trained(), shuffled)
     np.testing.assert_allclose(mapped.positions, face.positions, atol=0.02)
-    assert mapped.extra == ("nose_extra",)
-    assert mapped.missing == ()
+    space = find_head_space(face_of_mapping(trained()), shuffled)
+    assert (space.missing, space.extra) == ((), ("nose_extra",))
 
 
 def test_missing_markers_are_marked_unseen() -> None:
@@ -60,7 +62,7 @@ def test_missing_markers_are_marked_unseen() -> None:
         confidence=np.ones((1200, 22), dtype=np.float32),
     )
     mapped = align_markers(trained(), fewer)
-    assert mapped.missing == ("m09", "m14")
+    assert find_head_space(face_of_mapping(trained()), fewer).missing == ("m09", "m14")
     assert not mapped.visible[:, [9, 14]].any()
     prediction = predict_weights(trained(), mapped.positions, visible=mapped.visible)
     assert np.sqrt(((prediction.weights - face.weights) ** 2).mean()) < 0.03

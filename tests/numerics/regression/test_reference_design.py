@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 
 from usdface.core.arrays import first_smallest
-from usdface.numerics.regression.design_kernel import DesignKernel, posterior_share, predict_from
 from usdface.numerics.regression.reference_design import (
+    DesignKernel,
     design_d_optimal,
     design_gp_variance,
     design_k_centre,
     pivoted_selection,
+    posterior_share,
+    predict_from,
     whiten,
 )
 
@@ -128,8 +130,8 @@ def rows(count: int = 60) -> np.ndarray:
 def test_nothing_known_leaves_all_over_and_knowing_a_frame_leaves_its_noise() -> None:
     cloud = rows()
     kernel = DesignKernel.for_rows(cloud)
-    np.testing.assert_array_equal(posterior_share(kernel, cloud[:0], cloud, noise=1e-2), 1.0)
-    left = posterior_share(kernel, cloud[:1], cloud[:1], noise=1e-2)
+    np.testing.assert_array_equal(posterior_share(kernel, cloud[:0], cloud), 1.0)
+    left = posterior_share(kernel, cloud[:1], cloud[:1])
     prior = kernel.diagonal(cloud[:1])
     np.testing.assert_allclose(left, 1e-2 / (prior + 1e-2), rtol=1e-6)
 
@@ -147,7 +149,7 @@ def test_prediction_agrees_with_scikit_learn() -> None:
     )
     theirs.fit(cloud[:20], values - values.mean(axis=0))
     np.testing.assert_allclose(
-        predict_from(kernel, cloud[:20], values, cloud, noise=1e-2),
+        predict_from(kernel, cloud[:20], values, cloud),
         theirs.predict(cloud) + values.mean(axis=0),
         atol=1e-8,
     )

@@ -23,26 +23,37 @@ def test_a_cubic_track_is_recovered_exactly():
     t = np.arange(60.0)
     truth = np.stack([t**3 / 900, 5 - t**2 / 30, 2 * t], 1)[:, None]
     visible = hidden(truth.shape, 30, 35, 0)
-    result = fill_gaps(np.where(visible[..., None], truth, 0), visible, max_gap=10)
-    np.testing.assert_allclose(result.positions, truth, atol=1e-9)
-    assert result.filled.sum() == 5
+    points, record = fill_gaps(
+        np.where(visible[..., None], truth, 0),
+        visible,
+        max_gap=10,
+        prediction=truth + 1.0,
+        spline_limit=5,
+    )
+    np.testing.assert_allclose(points, truth, atol=1e-9)
+    assert record.filled.sum() == 5
 
 
 def test_a_gap_is_filled_up_to_the_limit_and_never_past_it():
     points, visible = tracks(), hidden((400, 3), 100, 120)
-    prediction = points + 1.0
-    assert not fill_gaps(points, visible, max_gap=19, prediction=prediction).filled.any()
-    allowed = fill_gaps(points, visible, max_gap=20, prediction=prediction)
+
+    def filled_up_to(max_gap):
+        return fill_gaps(points, visible, max_gap=max_gap, prediction=points + 1.0, spline_limit=8)
+
+    allowed = filled_up_to(20)[1]
     assert allowed.filled.sum() == 20
     assert (allowed.confidence[allowed.filled] < 1).all()
-    left = fill_gaps(points, visible, max_gap=19, prediction=prediction)
+    left = filled_up_to(19)[1]
+    assert not left.filled.any()
     assert (left.confidence[100:120, 1] == 0).all()
 
 
 @pytest.mark.parametrize("rate", [30.0, 60.0, 120.0])
 def test_confidence_is_what_a_face_remembers_of_the_nearest_sample(rate):
     visible = hidden((400, 3), 100, 120)
-    fill = fill_gaps(tracks(), visible, max_gap=20, prediction=tracks() + 1, rate=rate)
+    _, fill = fill_gaps(
+        tracks(), visible, max_gap=20, prediction=tracks() + 1, spline_limit=8, rate=rate
+    )
     away = np.minimum(np.arange(1, 21), np.arange(20, 0, -1)) / rate
     expected = np.maximum(np.exp(-((away / 0.15) ** 2)), 0.01)
     np.testing.assert_allclose(fill.confidence[100:120, 1], expected, rtol=1e-6)
@@ -50,26 +61,30 @@ def test_confidence_is_what_a_face_remembers_of_the_nearest_sample(rate):
 
 def test_a_prediction_that_is_off_by_a_constant_is_corrected_from_both_ends():
     points, visible = tracks(), hidden((400, 3), 100, 200)
-    result = fill_gaps(
+    filled, _ = fill_gaps(
         np.where(visible[..., None], points, 0),
         visible,
         max_gap=200,
         prediction=points + np.array([3, -2, 1]),
+        spline_limit=8,
     )
-    np.testing.assert_allclose(result.positions, points, atol=1e-9)
+    np.testing.assert_allclose(filled, points, atol=1e-9)
 
 
-def test_without_a_prediction_long_gaps_and_open_ends_are_left():
-    points, visible = tracks(), hidden((400, 3), 100, 130)
-    visible[:4, 0] = False
-    assert not fill_gaps(points, visible, max_gap=200).filled.any()
+def test_a_gap_with_too_few_other_markers_is_filled_along_the_curve():
+    points = tracks()
+    visible = np.ones((400, 3), bool)
+    visible[100:110] = False
+    filled, record = fill_gaps(points, visible, max_gap=200, prediction=points + 5, spline_limit=4)
+    assert record.filled[100:110].all()
+    assert np.abs(filled - points).max() < 0.5
 
 
 def test_seen_samples_are_never_touched():
     points, visible = tracks(noise=1), np.random.default_rng(1).random((400, 3)) > 0.2
-    result = fill_gaps(points, visible, max_gap=50, prediction=points + 1)
-    np.testing.assert_array_equal(result.positions[visible], points[visible])
-    assert (result.confidence[visible] == 1).all()
+    filled, record = fill_gaps(points, visible, max_gap=50, prediction=points + 1, spline_limit=8)
+    np.testing.assert_array_equal(filled[visible], points[visible])
+    assert (record.confidence[visible] == 1).all()
 
 
 def test_the_spline_reaches_farther_the_worse_the_prediction():
@@ -84,6 +99,6 @@ def test_the_spline_reaches_farther_the_worse_the_prediction():
 
 def test_input_that_does_not_fit_is_refused():
     with pytest.raises(ValueError, match="max_gap must be 0 or more"):
-        fill_gaps(tracks(), hidden((400, 3), 1, 2), max_gap=-1)
+        fill_gaps(tracks(), hidden((400, 3), 1, 2), max_gap=-1, prediction=tracks(), spline_limit=8)
     with pytest.raises(ValueError, match="must agree"):
-        fill_gaps(tracks(), np.ones((5, 3), bool), max_gap=3)
+        fill_gaps(tracks(), np.ones((5, 3), bool), max_gap=3, prediction=tracks(), spline_limit=8)

@@ -15,8 +15,7 @@ from tests.steps.small_shot import Shot
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.media.picture.color import bytes_from_linear
-from usdface.media.picture.display_view import display_view
-from usdface.media.picture.image import read_image_metadata
+from usdface.media.picture.image import display_view, read_image_metadata
 from usdface.media.picture.sheet import Tile
 from usdface.model.mapping.evaluation import SkinMetric
 from usdface.model.review.verdict import VERDICT_WORDS

@@ -16,7 +16,7 @@ from usdface.core.rig_logic import Combination, RigLogic
 from usdface.runner.execute import execute
 from usdface.runner.result import StepResult
 from usdface.specs.surface import LogicSpec
-from usdface.steps.surface.logic_sources import combinations_of_names
+from usdface.steps.surface.logic import combinations_of_names
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
 

@@ -14,7 +14,7 @@ from usdface.media.face.raycast import RAY_COUNTS, View, draw
 from usdface.media.face.surface import Surface, build_surface
 from usdface.media.face.tracing import Tracer, traced_triangles
 from usdface.media.picture.color import bytes_from_linear, heat_ramp
-from usdface.media.picture.display_view import DisplayView
+from usdface.media.picture.image import DisplayView
 
 Quality = Literal["draft", "final"]
 

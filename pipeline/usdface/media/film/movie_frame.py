@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from usdface.core.arrays import ByteImage
-from usdface.media.picture.canvas import fill_box, new_picture
+from usdface.media.picture.canvas import empty_tile, fill_box, fit_picture, new_picture
 from usdface.media.picture.color import (
     BRIGHT,
     SOFT,
@@ -15,7 +15,6 @@ from usdface.media.picture.color import (
     heat_ramp,
 )
 from usdface.media.picture.text import TextStyle, draw_text, text_width, wrap_text
-from usdface.media.picture.tiles import empty_tile, fit_picture
 
 BAR_SHARE = 0.075
 """Height of the bar over that of the panels: text is legible at a third of the movie's size."""

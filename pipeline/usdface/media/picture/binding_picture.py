@@ -148,8 +148,7 @@ def _near_markers(points: FloatArray, at: FloatArray) -> FloatArray:
     """Return 1 for points within the markers' bounding box, else 0 (neck and shoulders)."""
     box = np.ptp(at, axis=0).max() * 0.12
     low, high = at.min(axis=0) - box, at.max(axis=0) + box
-    inside: FloatArray = ((points >= low) & (points <= high)).all(axis=1).astype(np.float64)
-    return inside
+    return np.asarray(((points >= low) & (points <= high)).all(axis=1).astype(np.float64))
 
 
 @dataclass(frozen=True)
@@ -217,8 +216,7 @@ def _seen(points: FloatArray, camera: Camera, at: FloatArray) -> BoolArray:
     inside = (column >= 0) & (column < cells) & (row >= 0) & (row < cells)
     np.minimum.at(depth, (row[inside], column[inside]), cloud[inside, 2])
     c, r = (np.clip(own[:, i].astype(int), 0, cells - 1) for i in (0, 1))
-    seen: BoolArray = own[:, 2] < depth[r, c] + 4 * _HIDDEN_MM
-    return seen
+    return np.asarray(own[:, 2] < depth[r, c] + 4 * _HIDDEN_MM)
 
 
 def _draw_names(

@@ -1,16 +1,17 @@
-"""Reading and writing of pictures, with provenance as metadata."""
+"""Reading and writing of pictures, with provenance as metadata, and display transforms."""
 
 import errno
 import io
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813  # the name all its users know it by
+from numpy.typing import ArrayLike
 from PIL import Image, PngImagePlugin
 
 from usdface.core.arrays import ByteImage
@@ -20,8 +21,8 @@ from usdface.core.rates import LABEL
 from usdface.core.replacing import replacing
 from usdface.core.text import json_object
 from usdface.core.version import __version__
-from usdface.media.picture.color import linear_from_srgb
-from usdface.media.picture.tiles import scale_picture
+from usdface.media.picture.canvas import scale_picture
+from usdface.media.picture.color import bytes_from_linear, linear_from_srgb
 
 _IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".exr", ".tif", ".tiff")
 
@@ -302,3 +303,50 @@ def unpack_timecode(packed: int) -> str:
     )
     mark = ";" if packed & _DROP_BIT else ":"
     return f"{hours:02x}:{minutes:02x}:{seconds:02x}{mark}{frames:02x}"
+
+
+BUILT_IN = "ocio://default"
+_RENDERED = "lin_rec709"
+"""Alias of the renderer's colour space in configurations."""
+
+DisplayView = Callable[[ArrayLike], ByteImage]
+
+
+def display_view(name: str | None) -> DisplayView:
+    """Return the function from rendered light, (height, width, 3) linear Rec.709, to bytes.
+
+    Parameters
+    ----------
+    name : str or None
+        A view of the configuration's default display, or ``DISPLAY/VIEW``; None is sRGB. The
+        configuration is that of ``$OCIO``, or else the one built into OpenColorIO.
+    """
+    if name is None:
+        return lambda light: bytes_from_linear(np.asarray(light, np.float32))
+    where = os.environ.get("OCIO") or BUILT_IN
+    config = oiio.ColorConfig(where)
+    problem = reason_of(config)
+    if problem or not config.getDisplayNames():
+        raise InputError(f"{where}: no usable OpenColorIO configuration: {problem or 'no display'}")
+    display, _, view = name.rpartition("/")
+    display = display or config.getDefaultDisplayName()
+    if display not in config.getDisplayNames():
+        raise InputError(
+            f"{where}: has no display {display!r}; it has {', '.join(config.getDisplayNames())}"
+        )
+    views = config.getViewNames(display)
+    if view not in views:
+        listed = ", ".join(map(repr, views))
+        raise InputError(f"{where}: display {display!r} has no view {view!r}; it has {listed}")
+
+    def show(light: ArrayLike) -> ByteImage:
+        source = oiio.ImageBuf(np.ascontiguousarray(light, np.float32))
+        shown = oiio.ImageBufAlgo.ociodisplay(
+            source, display, view, _RENDERED, "", True, False, "", "", where
+        )
+        if shown.has_error:
+            raise InputError(f"{where}: cannot show linear Rec.709 by {view!r}: {reason_of(shown)}")
+        pixels = np.asarray(shown.get_pixels(oiio.FLOAT), np.float32)
+        return np.asarray(np.clip(pixels * 255 + 0.5, 0, 255), np.uint8)
+
+    return show

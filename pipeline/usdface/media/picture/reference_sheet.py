@@ -8,7 +8,7 @@ from scipy import ndimage
 from usdface.core.arrays import ByteImage
 from usdface.core.errors import InputError
 from usdface.media.face.raycast import background
-from usdface.media.picture.canvas import fill_box, new_picture, outline_box
+from usdface.media.picture.canvas import fill_box, fit_picture, new_picture, outline_box
 from usdface.media.picture.color import (
     BRIGHT,
     DIM,
@@ -22,7 +22,6 @@ from usdface.media.picture.color import (
 )
 from usdface.media.picture.sheet import LARGEST_SHEET_PIXELS
 from usdface.media.picture.text import TextStyle, draw_text, text_width
-from usdface.media.picture.tiles import fit_picture
 
 _PAGE_MARGIN = 40
 _TILE_GUTTER = 6

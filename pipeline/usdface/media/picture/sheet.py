@@ -10,7 +10,7 @@ import numpy as np
 
 from usdface.core.arrays import ByteImage, FloatArray
 from usdface.core.errors import InputError
-from usdface.media.picture.canvas import fill_box, new_picture, outline_box
+from usdface.media.picture.canvas import empty_tile, fill_box, fit_picture, new_picture, outline_box
 from usdface.media.picture.color import (
     BRIGHT,
     DIM,
@@ -60,7 +60,6 @@ from usdface.media.picture.sheet_layout import (
     wrapped_note,
 )
 from usdface.media.picture.text import TextStyle, draw_text, text_width
-from usdface.media.picture.tiles import empty_tile, fit_picture
 
 __all__ = ["ErrorCurve", "SheetPage", "SheetRow", "Tile", "compose_sheet"]
 

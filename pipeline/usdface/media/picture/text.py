@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from PIL import ImageFont
+from PIL import Image, ImageDraw, ImageFont
 
 from usdface.core.arrays import ByteImage, Float32Array, FloatArray
 from usdface.core.errors import InputError
@@ -95,9 +95,11 @@ def text_mask(text: str, *, size: int, weight: Weight = "regular") -> Float32Arr
         [0-1]; read-only. The baseline is at row ``round(1.02 * size)``.
     """
     runs, starts = _placed_runs(text, size, weight)
-    mask = np.zeros((round(size * 1.35), _width(starts)), np.float32)
+    drawn = Image.new("L", (_width(starts), round(size * 1.35)))
+    pen = ImageDraw.Draw(drawn)
     for (run, font), start in zip(runs, starts.tolist(), strict=False):
-        _draw_run(mask, run, font, start, round(size * 1.02))
+        pen.text((start, round(size * 1.02)), run, 255, font, anchor="ls")
+    mask: Float32Array = np.asarray(drawn) / np.float32(255)
     mask.setflags(write=False)
     return mask
 
@@ -224,18 +226,3 @@ def _is_missing(letter: str, file: Path) -> bool:
         return False
     font = _font(file, 24)
     return bytes(font.getmask(letter)) == bytes(font.getmask("\U0010ffff"))
-
-
-def _draw_run(
-    mask: Float32Array, run: str, font: ImageFont.FreeTypeFont, start: float, baseline: int
-) -> None:
-    drawn, (left, top) = font.getmask2(run, mode="L", anchor="ls", start=(start % 1, 0))
-    width, height = drawn.size
-    if not width or not height:
-        return
-    cover = np.frombuffer(bytes(drawn), np.uint8).reshape(height, width) / np.float32(255)
-    x, y = int(start) + left, baseline + top
-    rows = slice(max(y, 0), min(y + height, mask.shape[0]))
-    columns = slice(max(x, 0), min(x + width, mask.shape[1]))
-    part = cover[rows.start - y : rows.stop - y, columns.start - x : columns.stop - x]
-    np.maximum(mask[rows, columns], part, out=mask[rows, columns])

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
-from usdface.numerics.regression.design_kernel import KEY_VARIANCE, DesignKernel, posterior_share
+from usdface.numerics.regression.reference_design import KEY_VARIANCE, DesignKernel, posterior_share
 
 LEAST_COVERAGE = 0.75
 """Coverage from which a frame counts as covered: ``sqrt(v)`` of 1/4 or less."""
@@ -86,7 +86,7 @@ class CoverageModel:
         for column, region in enumerate(self._regions):
             if region is not None:
                 rows = displacements[:, region.markers].reshape(len(displacements), -1)
-                share = posterior_share(region.kernel, region.pairs, rows, noise=KEY_VARIANCE)
+                share = posterior_share(region.kernel, region.pairs, rows)
                 coverage[:, column] = 1 - np.sqrt(share)
         return coverage
 

@@ -58,12 +58,6 @@ class MappedMarkers:
     confidence: Float32Array
     """(frames, markers) [0-1]: share of the variance of the marker's motion that is known: 1 where
     measured, decreasing with the distance into a filled gap."""
-    missing: tuple[str, ...]
-    """Markers of the mapping that the take lacks."""
-    extra: tuple[str, ...]
-    """Markers of the take that the mapping lacks; ignored."""
-    moved_mm: float
-    """Displacement of the neutral face by the alignment, root mean square over markers [mm]."""
 
 
 @dataclass(frozen=True)
@@ -81,10 +75,9 @@ class HeadSpace:
     shift: FloatArray
     """(3,) [mm]"""
     missing: tuple[str, ...]
+    """Markers of the mapping that the take lacks."""
     extra: tuple[str, ...]
-    """`missing`, `extra`: As of `MappedMarkers`."""
-    moved_mm: float
-    """As of `MappedMarkers` [mm]."""
+    """Markers of the take that the mapping lacks; ignored."""
     neutral: TakeNeutral
     """Of the take, in the mapping's order and head space."""
 
@@ -96,9 +89,7 @@ class HeadSpace:
             positions[~visible] = 0.0
         confidence = np.zeros(visible.shape, np.float32)
         confidence[:, self.slots] = markers.confidence[:, self.columns]
-        return MappedMarkers(
-            positions, visible, confidence, self.missing, self.extra, self.moved_mm
-        )
+        return MappedMarkers(positions, visible, confidence)
 
     def move(self, positions: Float32Array) -> Float32Array:
         """Align positions in the mapping's order, (frames, markers, 3) [mm], with its neutral."""
@@ -190,10 +181,8 @@ def find_head_space(
         turn, step = _rigid_part(face, neutral.offset, np.asarray(seen.any(axis=0)))
         rotation, shift = turn @ rotation, turn @ shift + step
         neutral = compare()
-    rest = face.frames.mean(axis=0)
-    moved = float(np.sqrt(((rest @ rotation.T + shift - rest) ** 2).sum(axis=1).mean()))
     extra = tuple(name for name in markers.names if name not in known)
-    return HeadSpace(columns, slots, count, rotation, shift, missing, extra, moved, neutral)
+    return HeadSpace(columns, slots, count, rotation, shift, missing, extra, neutral)
 
 
 def align_markers(mapping: TrainedMapping, markers: Markers) -> MappedMarkers:

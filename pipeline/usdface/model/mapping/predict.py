@@ -103,23 +103,23 @@ class WeightPredictor:
     ) -> Prediction:
         """Predict weights from stabilised markers; see `predict_weights`."""
         mapping = self._mapping
-        _check_positions(mapping, positions, visible)
+        seen = np.ones(positions.shape[:2], np.bool_) if visible is None else visible
+        _check_positions(mapping, positions, seen)
         frames, regions = len(positions), len(self._regions)
         weights = np.empty((frames, len(mapping.shape_names)))
         residual_mm, uncertainty, coverage = (np.empty((frames, regions)) for _ in range(3))
         residual = np.empty((frames, len(mapping.marker_names), 3), dtype=np.float32)
         for start in range(0, frames, _BLOCK_FRAMES):
             block = slice(start, start + _BLOCK_FRAMES)
-            block_visible = None if visible is None else visible[block]
             block_confidence = None if confidence is None else confidence[block]
-            coordinates = marker_coordinates(self._motion, positions[block], visible=block_visible)
+            coordinates = marker_coordinates(self._motion, positions[block], visible=seen[block])
             weights[block], uncertainty[block], residual[block] = self._solve(
-                coordinates, positions[block], block_visible, block_confidence
+                coordinates, positions[block], seen[block], block_confidence
             )
-            residual_mm[block] = self._excess_residual(residual[block], block_visible)
-            displacements = self._displacements(positions[block], block_visible, coordinates)
+            residual_mm[block] = self._excess_residual(residual[block], seen[block])
+            displacements = self._displacements(positions[block], seen[block], coordinates)
             coverage[block] = self._coverage.measure(displacements)
-        few_markers = _has_few_markers(frames, visible)
+        few_markers = seen.sum(axis=1) < MINIMUM_SHARE * seen.shape[1]
         return Prediction(
             weights, uncertainty, coverage, residual_mm, self._regions, residual, few_markers
         )
@@ -127,21 +127,21 @@ class WeightPredictor:
     def _displacements(
         self,
         positions: NDArray[np.float32] | NDArray[np.float64],
-        visible: BoolArray | None,
+        visible: BoolArray,
         coordinates: FloatArray,
     ) -> FloatArray:
         """Return the displacements of all markers, conditional means where they are not visible."""
         displacements = np.asarray(positions - self._mapping.neutral, dtype=np.float64)
-        if visible is not None and not visible.all():
+        if not visible.all():
             rows = np.flatnonzero(~visible.all(axis=1))
             expected = self._motion.mean + coordinates[rows] @ self._motion.components
             expected = expected.reshape(len(rows), -1, 3) - self._mapping.neutral
             displacements[rows] = np.where(visible[rows, :, None], displacements[rows], expected)
         return displacements
 
-    def _excess_residual(self, residual: Float32Array, visible: BoolArray | None) -> FloatArray:
+    def _excess_residual(self, residual: Float32Array, visible: BoolArray) -> FloatArray:
         """Return the root mean square residual of each region beyond that of references [mm]."""
-        seen = np.ones(residual.shape[:2]) if visible is None else visible.astype(np.float64)
+        seen = visible.astype(np.float64)
         squared = np.square(residual).sum(axis=2, dtype=np.float64)
         squared -= 3 * self._solver.residual_variance
         mean = (seen * squared) @ self._members.T / np.maximum(seen @ self._members.T, 1)
@@ -151,14 +151,12 @@ class WeightPredictor:
         self,
         coordinates: FloatArray,
         positions: NDArray[np.float32] | NDArray[np.float64],
-        visible: BoolArray | None,
+        visible: BoolArray,
         confidence: Float32Array | None,
     ) -> tuple[FloatArray, FloatArray, Float32Array]:
         """Return weights, uncertainty (frames, regions) and residuals (frames, markers, 3)."""
         low, high = self._mapping.ranges.T
         weights = np.clip(self._predict(coordinates), low, high)
-        if visible is None:
-            visible = np.ones(positions.shape[:2], dtype=np.bool_)
         solver, curve = self._solver, self._solver.forward.scales.curve
         solves = self._method.solves_frames
         uncertainty = np.empty((len(weights), len(self._regions)))
@@ -246,14 +244,6 @@ def _coverage_of(solver: FrameSolver, membership: FloatArray) -> CoverageModel:
     return CoverageModel(solver.forward.basis, pairs, membership)
 
 
-def _has_few_markers(frames: int, visible: BoolArray | None) -> BoolArray:
-    """Return which frames have fewer visible markers than a take must have: (frames,)."""
-    if visible is None:
-        return np.zeros(frames, dtype=np.bool_)
-    few: BoolArray = visible.sum(axis=1) < MINIMUM_SHARE * visible.shape[1]
-    return few
-
-
 def regions_of(mapping: TrainedMapping) -> tuple[str, ...]:
     """Return the regions for which a mapping predicts residual and uncertainty.
 
@@ -294,7 +284,7 @@ def basis_of(mapping: TrainedMapping, rig: Rig) -> SolveBasis | None:
 def _check_positions(
     mapping: TrainedMapping,
     positions: NDArray[np.float32] | NDArray[np.float64],
-    visible: BoolArray | None,
+    visible: BoolArray,
 ) -> None:
     markers = len(mapping.marker_names)
     if positions.ndim != 3 or positions.shape[1:] != (markers, 3):
@@ -302,13 +292,11 @@ def _check_positions(
             f"positions have shape {positions.shape}, the mapping reads (frames, {markers}, 3); "
             "bring the take's markers into the mapping's order first"
         )
-    if visible is not None and visible.shape != positions.shape[:2]:
+    if visible.shape != positions.shape[:2]:
         raise InputError(f"visible has shape {visible.shape}, positions {positions.shape}")
     if np.isfinite(positions.sum()):
         return  # a sum with a non-finite term is not finite
-    bad = ~np.isfinite(positions).all(axis=2)
-    if visible is not None:
-        bad &= visible
+    bad = visible & ~np.isfinite(positions).all(axis=2)
     if bad.any():
         frame, marker = np.argwhere(bad)[0]
         raise InputError(

@@ -36,11 +36,6 @@ class ControlSpace:
     """(joints, 4): w first."""
 
     @property
-    def width(self) -> int:
-        """Number of coordinates."""
-        return len(self.shapes) + JOINT_WIDTH * len(self.joints) + len(self.attributes)
-
-    @property
     def names(self) -> tuple[str, ...]:
         """Name of each coordinate, for messages."""
         parts = [f"{kind}{axis}" for kind in ("translate", "rotate", "scale") for axis in "XYZ"]

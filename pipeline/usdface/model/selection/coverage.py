@@ -16,10 +16,9 @@ from usdface.model.mapping.coverage import LEAST_COVERAGE, CoverageModel
 from usdface.model.mapping.motion_space import motion_from_pca
 from usdface.model.selection.design import Features, features_at, selection_space
 from usdface.numerics.measure.face_regions import shapes_by_region
-from usdface.numerics.regression.design_kernel import KEY_VARIANCE
 from usdface.numerics.regression.linear_ridge import fit_linear_ridge
 from usdface.numerics.regression.pca import fit_pca
-from usdface.numerics.regression.reference_design import design_gp_variance
+from usdface.numerics.regression.reference_design import KEY_VARIANCE, design_gp_variance
 
 _FEWEST_PAIRS = 6
 """Fewest pairs from which the usual distances of weights and markers are estimated."""

@@ -18,12 +18,13 @@ import numpy as np
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from usdface.core.assets import MotionSpace
 from usdface.numerics.measure.face_regions import shapes_by_region
-from usdface.numerics.regression.design_kernel import KEY_VARIANCE, DesignKernel, predict_from
 from usdface.numerics.regression.reference_design import (
     Design,
+    DesignKernel,
     design_d_optimal,
     design_gp_variance,
     design_k_centre,
+    predict_from,
     whiten,
 )
 from usdface.numerics.regression.regional_process import marker_relevance, regional_features
@@ -343,7 +344,7 @@ def proposal_error_mm(
     features, weights : (n, d) and (n, shapes) float arrays
     """
     kernel = DesignKernel.for_rows(proposals.features)
-    predicted = predict_from(kernel, features, weights, proposals.features, noise=KEY_VARIANCE)
+    predicted = predict_from(kernel, features, weights, proposals.features)
     error = predicted - proposals.weights
     squared = ((error @ proposals.gram) * error).sum(axis=1)
     return float(np.sqrt(np.maximum(squared, 0.0).mean()))

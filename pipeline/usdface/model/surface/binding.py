@@ -197,8 +197,7 @@ def _facing(
     length = float(np.linalg.norm(horizontal))
     if length < 1e-9:
         raise ValueError("the direction of the face cannot be found from the landmarks; add one")
-    facing: FloatArray = horizontal / length
-    return facing
+    return np.asarray(horizontal / length)
 
 
 def _pin(mesh: RigMesh, places: SurfacePoints, pins: dict[int, FloatArray]) -> SurfacePoints:

@@ -81,8 +81,7 @@ class SurfaceDistances:
 
     def blended_between(self, weight: float) -> FloatArray:
         """``w * geodesic + (1 - w) * Euclidean`` between markers: (M, M) float array [mm]."""
-        out: FloatArray = weight * self.geodesic_between + (1 - weight) * self.euclidean_between
-        return out
+        return np.asarray(weight * self.geodesic_between + (1 - weight) * self.euclidean_between)
 
     def pack(self) -> tuple[dict[str, CacheArray], dict[str, int]]:
         """Return arrays and counts for a cache, by name; see `unpack_distances`."""

@@ -13,7 +13,6 @@ import numpy as np
 
 from usdface.core.arrays import Float32Array, FloatArray
 from usdface.core.errors import InputError
-from usdface.core.progress import Progress, silent
 from usdface.model.surface.distance import BLEND_PUBLISHED, SurfaceDistances
 from usdface.numerics.manifold.surface_fields import Folds, find_folds
 
@@ -71,9 +70,7 @@ class SurfaceModel(ABC):
     marker_count: int
     point_count: int
 
-    def deform(
-        self, displacements: FloatArray, *, of_axes: bool = False, progress: Progress = silent
-    ) -> SurfaceMotion:
+    def deform(self, displacements: FloatArray, *, of_axes: bool = False) -> SurfaceMotion:
         """Predict all frames at once; `stream` needs less memory.
 
         Parameters
@@ -83,7 +80,7 @@ class SurfaceModel(ABC):
         of_axes : bool
             Whether to predict `SurfaceMotion.sd_of_axes` too.
         """
-        parts = list(self.stream(displacements, of_axes=of_axes, progress=progress))
+        parts = list(self.stream(displacements, of_axes=of_axes))
         return SurfaceMotion(
             np.concatenate([part.mean for part in parts]),
             _concatenate([part.sd for part in parts]),
@@ -96,7 +93,6 @@ class SurfaceModel(ABC):
         *,
         frames_per_part: int | None = None,
         of_axes: bool = False,
-        progress: Progress = silent,
     ) -> Iterator[SurfaceMotion]:
         """Predict part by part, in bounded memory; the result does not depend on the parts.
 
@@ -114,11 +110,7 @@ class SurfaceModel(ABC):
             sd = np.zeros((0, self.point_count), np.float32) if self.predicts_sd else None
             yield SurfaceMotion(np.zeros((0, self.point_count, 3), np.float32), sd)
         size = frames_per_part or max(1, _FIELD_VALUES // max(self.point_count, 1))
-        done = 0
-        for part in self._predict(moved, size, of_axes=of_axes):
-            yield part
-            done += len(part.mean)
-            progress(done / len(moved), "moving the mesh")
+        yield from self._predict(moved, size, of_axes=of_axes)
 
     @abstractmethod
     def _predict(self, moved: FloatArray, size: int, *, of_axes: bool) -> Iterator[SurfaceMotion]:
@@ -157,8 +149,7 @@ def check_displacements(displacements: FloatArray, markers: int) -> FloatArray:
 def fitted_frames(moved: FloatArray) -> FloatArray:
     """Return the frames on which settings are chosen: (frames, markers, 3)."""
     picks = np.linspace(0, len(moved) - 1, min(FITTED_FRAMES, len(moved)))
-    frames: FloatArray = moved[np.unique(picks.astype(int))]
-    return frames
+    return np.asarray(moved[np.unique(picks.astype(int))])
 
 
 def find_surface_folds(distances: SurfaceDistances) -> Folds:

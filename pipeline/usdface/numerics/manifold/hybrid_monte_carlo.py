@@ -191,8 +191,7 @@ def split_rhat(samples: FloatArray) -> FloatArray:
     halves = np.concatenate([samples[:half], samples[half : 2 * half]], axis=1)
     within = halves.var(axis=0, ddof=1).mean(axis=0)
     between = halves.mean(axis=0).var(axis=0, ddof=1)
-    out: FloatArray = np.sqrt((half - 1) / half + between / np.maximum(within, 1e-300))
-    return out
+    return np.asarray(np.sqrt((half - 1) / half + between / np.maximum(within, 1e-300)))
 
 
 def effective_sample_size(samples: FloatArray) -> FloatArray:
@@ -272,5 +271,4 @@ def _log_mixture(theta: RealArray, modes: tuple[LaplaceFit, LaplaceFit]) -> Real
         white = mode.whiten(theta) / _PROPOSAL_WIDTH
         log_determinant = mode.log_evidence + mode.energy  # of the root
         logs.append(-0.5 * np.sum(white * white, axis=0) - log_determinant)
-    density: RealArray = np.logaddexp(logs[0], logs[1])
-    return density
+    return np.asarray(np.logaddexp(logs[0], logs[1]))

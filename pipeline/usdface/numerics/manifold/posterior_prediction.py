@@ -232,8 +232,7 @@ def predict_variance(fields: SurfaceFields, moments: DualMoments) -> Float32Arra
     entries = np.take(moments.covariance.reshape(chains, -1), upper[0] * size + upper[1], axis=1)
     out = (entries @ fields.directions.T) @ fields.squares.T
     out += moments.constant[:, None]
-    variance: Float32Array = np.maximum(out, 0.0, out=out)
-    return variance
+    return np.asarray(np.maximum(out, 0.0, out=out))
 
 
 @dataclass(frozen=True)

@@ -33,8 +33,7 @@ class EditCurve:
     @property
     def active(self) -> BoolArray:
         """Frames with a change."""
-        changed: BoolArray = (np.abs(self.offset) > _LEAST_CHANGE) | (self.mask > _LEAST_CHANGE)
-        return changed
+        return np.asarray((np.abs(self.offset) > _LEAST_CHANGE) | (self.mask > _LEAST_CHANGE))
 
 
 def no_edit(frames: int) -> EditCurve:
@@ -133,8 +132,7 @@ def reduce_keys(
     if deviation is None:
 
         def deviation(part: slice, lines: FloatArray) -> FloatArray:
-            off: FloatArray = np.abs(weights[part] - lines).max(axis=1, initial=0.0)
-            return off
+            return np.asarray(np.abs(weights[part] - lines).max(axis=1, initial=0.0))
 
     count = len(weights)
     chosen = np.zeros(count, dtype=bool)
@@ -159,8 +157,7 @@ def reduce_keys(
 def _line_between(weights: FloatArray, first: int, last: int) -> FloatArray:
     """Return the weights on the line between two rows, for the rows between them."""
     along = (np.arange(first + 1, last) - first) / (last - first)
-    line: FloatArray = weights[first] + along[:, None] * (weights[last] - weights[first])
-    return line
+    return np.asarray(weights[first] + along[:, None] * (weights[last] - weights[first]))
 
 
 def sparse_rows(values: Float32Array | FloatArray, tolerance: float) -> IntArray:

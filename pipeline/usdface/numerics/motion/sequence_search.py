@@ -84,7 +84,7 @@ def starts_within(motion: FloatArray, sequence: FloatArray, *, threshold: float)
     for first in range(0, count, _BLOCK_STARTS):
         stop = min(first + _BLOCK_STARTS, count)
         part = motion[first : stop + len(sequence) - 1]
-        candidates = _abandon(part, sequence, _bounded_starts(part, sequence, limit), limit)
+        candidates = _bounded_starts(part, sequence, limit)
         near = sequence_distances(part, sequence, candidates)
         starts.append(candidates[near <= threshold] + first)
         distances.append(near[near <= threshold])
@@ -183,18 +183,6 @@ def _bounded_starts(motion: FloatArray, sequence: FloatArray, limit: float) -> I
                 part_sum = sums[starts + stop] - sums[starts + first]
             bound += _lengths(part_sum - sequence[first:stop].sum(axis=0))
         starts = starts[bound <= limit + slack]
-    return starts
-
-
-def _abandon(motion: FloatArray, sequence: FloatArray, starts: IntArray, limit: float) -> IntArray:
-    """Return the starts within the limit, by early abandoning: rows far from the mean first."""
-    order = np.argsort(-_lengths(sequence - sequence.mean(axis=0)))
-    total = np.zeros(len(starts))
-    slack = _ROUNDING_SLACK * (1.0 + limit)
-    for offset in order.tolist():
-        total += _lengths(motion[starts + offset] - sequence[offset])
-        near = total <= limit + slack
-        starts, total = starts[near], total[near]
     return starts
 
 

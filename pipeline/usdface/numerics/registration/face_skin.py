@@ -115,8 +115,7 @@ def _within_reach(P: FloatArray, T: IntArray, activity: FloatArray) -> BoolArray
     middle, weight = P[T].mean(axis=1), activity[T].mean(axis=1) * triangle_areas(P, T)
     centre = np.average(middle, axis=0, weights=weight)
     distance = np.linalg.norm(middle - centre, axis=1)
-    near: BoolArray = distance < _REACH_RADII * np.sqrt(np.average(distance**2, weights=weight))
-    return near
+    return np.asarray(distance < _REACH_RADII * np.sqrt(np.average(distance**2, weights=weight)))
 
 
 def _low_discrepancy_samples(
@@ -177,8 +176,7 @@ def _on_skin(
     np.maximum.at(moved, piece, activity)
     visible_count[moved < 0.1 * moved.max()] = 0
     large = visible_count >= _SKIN_SHARE * visible_count.max()
-    on_skin: BoolArray = large[piece[T[owner, 0]]]
-    return on_skin
+    return np.asarray(large[piece[T[owner, 0]]])
 
 
 _ACTIVE_SHARE = 0.2

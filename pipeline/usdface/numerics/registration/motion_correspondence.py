@@ -13,7 +13,7 @@ from scipy.spatial.distance import cdist
 
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.numerics.registration.cloud_alignment import Alignment, align_pairs
-from usdface.numerics.registration.skin_placement import posterior_moments
+from usdface.numerics.registration.skin_placement import path_misfit, posterior_moments
 from usdface.numerics.solve.bounded_least_squares import solve_bounded_least_squares
 
 _SEARCH_RADII = (0.22, 0.20, 0.17, 0.14, 0.12, 0.10, 0.09, 0.08, 0.07, 0.06, 0.05, 0.05)
@@ -30,12 +30,8 @@ _HALF_WEIGHT_SIZE = 0.25
 """[of the face's size] Residual of a marker that weighs half (Cauchy)."""
 _EVIDENCE_SAMPLES = 6.0
 """Effective number of independent samples of a path, whose frames are correlated."""
-_NOISE_MM = 0.5
-"""Standard deviation of a marker's displacement, per coordinate."""
 _MODEL_ERROR = 0.04
 """[of a path's energy] Left unexplained by correct placements too."""
-_GAINS = (0.5, 2.0)
-"""Limits of the amplitude of a performer's skin over that of the shapes."""
 _WEIGHT_RIDGE = 25.0
 """[mm^2] (1.5 mm of noise / typical weight of 0.3)^2."""
 
@@ -76,7 +72,7 @@ def place_by_motion(
     motion : (frames, markers, 3) float array, optional
         Displacements from `cloud`, in the performer's space.
     ranges : (shapes, 2) float array, optional
-        Limits of the shapes' weights; 0 to 1 unless given.
+        Limits of the shapes' weights.
     pinned : dict of int to (3,) float array, optional
         Known places of markers.
     """
@@ -88,8 +84,16 @@ def place_by_motion(
         away = cdist(warped, skin, "sqeuclidean") / (2 * (radius * size) ** 2)
         chosen = away.argmin(axis=1)
         target, variance = skin[chosen], np.full(len(cloud), (_SHAPE_DEVIATION * size) ** 2)
-        if skin_deltas is not None and motion is not None:
-            misfit = _path_misfit(alignment.apply_to_motion(motion), skin_deltas, chosen, ranges)
+        if skin_deltas is not None and motion is not None and ranges is not None:
+            paths = alignment.apply_to_motion(motion)
+            weights = solve_bounded_least_squares(
+                skin_deltas[:, chosen].reshape(len(ranges), -1).T,
+                paths.reshape(len(paths), -1),
+                lower=ranges[:, 0],
+                upper=ranges[:, 1],
+                ridge=_WEIGHT_RIDGE,
+            ).x
+            misfit = path_misfit(skin_deltas, weights, paths)
             cost = away + _EVIDENCE_SAMPLES / 2 * np.log(misfit + _MODEL_ERROR)
             chosen = cost.argmin(axis=1)
             moved_to, moved_variance = _motion_evidence(away, cost, skin)
@@ -124,39 +128,9 @@ def _motion_evidence(
     return mean, narrow * wide / (wide - narrow)
 
 
-def _path_misfit(
-    motion: FloatArray, skin_deltas: FloatArray, chosen: IntArray, ranges: FloatArray | None
-) -> FloatArray:
-    """Return the share of each marker's path that each sample leaves unexplained."""
-    shapes, samples = skin_deltas.shape[:2]
-    frames, markers = motion.shape[:2]
-    limits = np.tile([0.0, 1.0], (shapes, 1)) if ranges is None else ranges
-    weights = solve_bounded_least_squares(
-        skin_deltas[:, chosen].reshape(shapes, -1).T,
-        motion.reshape(frames, -1),
-        lower=limits[:, 0],
-        upper=limits[:, 1],
-        ridge=_WEIGHT_RIDGE,
-    ).x
-    # |m - g W D|^2 from m.W, W'W and D: the paths W D of all samples are never formed.
-    gram = weights.T @ weights
-    energy = np.einsum("fmc,fmc->m", motion, motion)
-    product, sample_energy = np.zeros((markers, samples)), np.zeros(samples)
-    for axis in range(3):
-        deltas = np.ascontiguousarray(skin_deltas[:, :, axis])
-        product += (motion[:, :, axis].T @ weights) @ deltas
-        sample_energy += np.einsum("ks,ks->s", deltas, gram @ deltas)
-    gain = np.clip(product / np.maximum(sample_energy, 1e-9), *_GAINS)
-    residual = energy[:, None] - 2 * gain * product + gain**2 * sample_energy
-    noise = 3 * frames * _NOISE_MM**2
-    misfit: FloatArray = (np.maximum(residual, 0) + noise) / (energy + noise)[:, None]
-    return misfit
-
-
 def _warp(start: FloatArray, target: FloatArray, variance: FloatArray, size: float) -> FloatArray:
     """Move points towards targets by the posterior mean of a Gaussian process over the cloud."""
     distance = cdist(start, start) / (_WARP_LENGTH * size)
     kernel = (_WARP_SIZE * size) ** 2 * np.exp(-0.5 * distance**2)
     pull = np.linalg.solve(kernel + np.diag(variance), target - start)
-    warped: FloatArray = start + kernel @ pull
-    return warped
+    return np.asarray(start + kernel @ pull)

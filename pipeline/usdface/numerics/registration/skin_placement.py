@@ -219,7 +219,7 @@ def place_on_skin(
             target[rows] += landmark_precision * (warped[rows] + step)
         if paths is not None and (number >= 3 or not named):
             weights = solve_weights_at(skin, near, paths, ranges, start=weights)
-            misfit = _path_misfit(skin, weights, paths)
+            misfit = path_misfit(skin.deltas, weights, paths)
             place, motion_precision = _place_by_motion(skin, warped, misfit, still, reach * unit)
             precision += motion_precision[:, None]
             target += motion_precision[:, None] * place
@@ -344,18 +344,30 @@ def posterior_moments(cost: FloatArray, positions: FloatArray) -> tuple[FloatArr
     return mean, np.maximum(variance, 1e-9) / 3
 
 
-def _path_misfit(skin: FaceSkin, weights: FloatArray, paths: FloatArray) -> FloatArray:
+def path_misfit(deltas: FloatArray, weights: FloatArray, paths: FloatArray) -> FloatArray:
     """Return the share of each marker's path that each sample leaves unexplained.
 
     The amplitude (gain) of each path is fitted within limits.
+
+    Parameters
+    ----------
+    deltas : (shapes, samples, 3) float array
+        [mm]
+    weights : (frames, shapes) float array
+    paths : (frames, markers, 3) float array
+        [mm]
+
+    Returns
+    -------
+    (markers, samples) float array
     """
     # W = QR: products need R alone, which has no more rows than there are shapes.
     basis, root = np.linalg.qr(weights)
     energy = (paths**2).sum(axis=(0, 2))
-    count = len(skin.positions)
+    count = deltas.shape[1]
     product, sample_energy = np.zeros((paths.shape[1], count)), np.zeros(count)
     for axis in range(3):
-        moves = root @ skin.deltas[:, :, axis]
+        moves = root @ deltas[:, :, axis]
         product += (paths[:, :, axis].T @ basis) @ moves
         sample_energy += np.einsum("rs,rs->s", moves, moves)
     gain = np.clip(product / np.maximum(sample_energy, 1e-9), *_GAIN_LIMITS)
@@ -373,7 +385,7 @@ def _settle(
     still: BoolArray,
 ) -> IntArray:
     """Choose the sample near the warped place with the largest posterior of place and motion."""
-    misfit = _path_misfit(skin, solve_weights_at(skin, samples, paths, ranges), paths)
+    misfit = path_misfit(skin.deltas, solve_weights_at(skin, samples, paths, ranges), paths)
     misfit[still] = 1.0
     cost = prior + _EVIDENCE_FRAMES / 2 * np.log(misfit + MODEL_ERROR_SHARE)
     return np.where(np.isfinite(cost.min(axis=1)), cost.argmin(axis=1), samples)

@@ -187,5 +187,4 @@ def _closest_on_triangles(
 
 def _squared(wanted: FloatArray, triangles: FloatArray, shares: FloatArray) -> FloatArray:
     foot = np.einsum("ptk,tkc->ptc", shares, triangles)
-    away: FloatArray = ((wanted[:, None] - foot) ** 2).sum(-1)
-    return away
+    return np.asarray(((wanted[:, None] - foot) ** 2).sum(-1))

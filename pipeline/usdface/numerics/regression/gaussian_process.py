@@ -129,8 +129,7 @@ def smoothest_near_best(errors: FloatArray, *, slack: float = ERROR_SLACK) -> In
     (s,) int array
     """
     near = errors <= (1 + slack) * errors.min(axis=0)
-    last: IntArray = len(errors) - 1 - near[::-1].argmax(axis=0)
-    return last
+    return np.asarray(len(errors) - 1 - near[::-1].argmax(axis=0))
 
 
 def fit_gaussian_process(

@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 
 from usdface.core.arrays import FloatArray
 from usdface.numerics.regression.rbf_ridge import (
-    BLOCK_ROWS,
     choose_ridge,
     evaluate_network,
     nearest_distances,
@@ -98,15 +97,12 @@ def fit_multiquadric(
     return Multiquadric(C, s, rotated.right.T @ (gain * rotated.outputs), ridge)
 
 
-def predict_multiquadric(
-    model: Multiquadric, points: FloatArray, *, block_rows: int = BLOCK_ROWS
-) -> FloatArray:
+def predict_multiquadric(model: Multiquadric, points: FloatArray) -> FloatArray:
     """Evaluate the network (eq. 4) at points (f, d); see `evaluate_network`."""
     return evaluate_network(
         lambda some: multiquadric_design(some, model.centres, model.softness),
         model.coefficients,
         points,
-        block_rows=block_rows,
     )
 
 

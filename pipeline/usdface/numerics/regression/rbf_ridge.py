@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, first_smallest
+from usdface.core.arrays import FloatArray, first_smallest, frame_blocks
 
 BLOCK_ROWS = 4096
 RIDGES_PER_DECADE = 8
@@ -267,24 +267,17 @@ def fit_rbf_ridge(
     )
 
 
-def predict_rbf_ridge(
-    model: RBFRidge, points: FloatArray, *, block_rows: int = BLOCK_ROWS
-) -> FloatArray:
+def predict_rbf_ridge(model: RBFRidge, points: FloatArray) -> FloatArray:
     """Evaluate the network (eq. 4) at points (f, d); see `evaluate_network`."""
     return evaluate_network(
         lambda some: gaussian_design(some, model.centres, model.widths),
         model.coefficients,
         points,
-        block_rows=block_rows,
     )
 
 
 def evaluate_network(
-    design: Callable[[FloatArray], FloatArray],
-    coefficients: FloatArray,
-    points: FloatArray,
-    *,
-    block_rows: int = BLOCK_ROWS,
+    design: Callable[[FloatArray], FloatArray], coefficients: FloatArray, points: FloatArray
 ) -> FloatArray:
     """Evaluate a network of any basis functions, (f, s), in blocks.
 
@@ -296,7 +289,6 @@ def evaluate_network(
     points : (f, d) float array
     """
     out = np.empty((len(points), coefficients.shape[1]))
-    for start in range(0, len(points), block_rows):
-        part = slice(start, start + block_rows)
+    for part in frame_blocks(len(points), frames=BLOCK_ROWS):
         np.matmul(design(points[part]), coefficients, out=out[part])
     return out

@@ -173,5 +173,4 @@ class _Kernels:
         rows[:, :, -1] = 1.0
         values: RealArray = np.matmul(rows, self.operand[some])
         np.exp(values, out=values)
-        sums: RealArray = np.matmul(values, self.dual[some])
-        return sums
+        return np.asarray(np.matmul(values, self.dual[some]))

@@ -20,7 +20,7 @@ from usdface.core.progress import Progress, silent
 from usdface.numerics.motion.noise import marker_noise
 from usdface.numerics.repair.fit_low_rank import choose_rank, fit_low_rank
 from usdface.numerics.repair.gap_filling import complete_take
-from usdface.numerics.repair.low_rank import LowRankModel, fill_missing, predict_from_others
+from usdface.numerics.repair.low_rank import LowRankModel, fill_and_predict
 from usdface.numerics.repair.outliers import USUAL_RATE, find_outliers
 from usdface.numerics.repair.relabeling import Swap, apply_swaps, find_swaps
 from usdface.numerics.repair.slips import Slip, find_slips, undo_slips
@@ -250,26 +250,18 @@ def _refine_pose(still: _StabilizedTake, good: BoolArray, model: LowRankModel) -
     positions, motion = still.positions, still.head_motion
     sample = sample_frames(len(positions), _POSE_SAMPLE_FRAMES)
     for _ in range(_POSE_ROUNDS):
-        complete, predicted = _predict(positions[sample], good[sample], model)
+        complete, predicted = fill_and_predict(model, positions[sample], good[sample])
         distance = np.linalg.norm(complete - predicted, axis=2)
         usual = np.array([_median(distance[ok, m]) for m, ok in enumerate(good[sample].T)])
         deviation = np.maximum(MAD_TO_DEVIATION * usual, model.noise)
         for block in frame_blocks(len(positions)):
-            complete, predicted = _predict(positions[block], good[block], model)
+            complete, predicted = fill_and_predict(model, positions[block], good[block])
             distance = np.linalg.norm(complete - predicted, axis=2)
             weights = good[block] / (1.0 + (distance / (_POSE_INLIER_DEVIATIONS * deviation)) ** 2)
             weights /= deviation**2
             turn = align_frames(complete, predicted, weights=weights)
             remove_motion(positions[block], turn, out=positions[block])
             motion[block] = motion[block] @ turn.matrices()
-
-
-def _predict(
-    positions: RealArray, good: BoolArray, model: LowRankModel
-) -> tuple[RealArray, RealArray]:
-    """Return frames with gaps filled, and each marker's prediction from the others."""
-    complete = fill_missing(model, positions, good)
-    return complete, predict_from_others(model, complete)
 
 
 def _scale_confidence(

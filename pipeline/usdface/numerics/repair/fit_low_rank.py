@@ -104,8 +104,8 @@ def choose_rank(
     positions: RealArray,
     good: BoolArray,
     *,
-    start: LowRankModel | None = None,
-    noise: FloatArray | None = None,
+    start: LowRankModel,
+    noise: FloatArray,
 ) -> int:
     """Return the number of directions that predicts hidden markers best, by cross-validation.
 
@@ -116,14 +116,12 @@ def choose_rank(
     positions : (frames, markers, 3) float array
         [mm] Without head motion; anything where not good.
     good : (frames, markers) bool array
-    start : LowRankModel, optional
+    start : LowRankModel
         `fit_low_rank` of the same samples.
-    noise : (markers,) float array, optional
-        `marker_noise` of the samples, if known.
+    noise : (markers,) float array
+        `marker_noise` of the samples.
     """
     rows = sample_frames(len(positions), _CHOICE_FRAMES)
-    noise = marker_noise(positions, good) if noise is None else noise
-    start = fit_low_rank(positions, good, noise=noise) if start is None else start
     seen = good[rows]
     filled = fill_missing(start, positions[rows], seen)
     sensor_noise = np.maximum(noise, _LEAST_NOISE_MM)

@@ -22,17 +22,17 @@ from usdface.core.arrays import (
     frame_blocks,
     runs,
 )
-from usdface.numerics.repair.low_rank import LowRankModel, fill_missing, predict_from_others
+from usdface.numerics.repair.low_rank import LowRankModel, fill_and_predict
 from usdface.numerics.repair.outliers import USUAL_RATE
 
-SPLINE_LIMIT = 8
-"""[frames] Longest gap that is filled by a spline without a prediction."""
 _TRIAL_LENGTHS = (1, 2, 4, 8, 16, 32)
 """[frames]"""
 _TRIAL_COUNT = 120
 """Stretches hidden for each length."""
 _INFORMED_SHARE = 0.3
 """[0-1] Share of visible markers below which a prediction is close to the take's mean."""
+_UNINFORMED_LIMIT = 16
+"""[frames] Longest gap filled by a spline where it is."""
 _END_SAMPLES = 5
 """Samples next to a gap over which the prediction's error is averaged."""
 _SPLINE_KNOTS = 4
@@ -55,25 +55,13 @@ _TRIAL_FRAMES = 20_000
 
 @dataclass(frozen=True)
 class GapFill:
-    """Tracks with gaps filled up to a length."""
-
-    positions: RealArray
-    """(frames, markers, 3) [mm] Samples of longer gaps are unchanged."""
-    filled: BoolArray
-    """(frames, markers)"""
-    confidence: Float32Array
-    """(frames, markers) [0-1] 1 where visible, 0 where not filled, else the share of the variance
-    of the marker's motion that the nearest visible sample explains; see `_MEMORY_SECONDS`."""
-
-
-@dataclass(frozen=True)
-class TakeFill:
     """Record of filled samples."""
 
     filled: BoolArray
     """(frames, markers)"""
     confidence: Float32Array
-    """(frames, markers) [0-1] As in `GapFill`."""
+    """(frames, markers) [0-1] 1 where visible, 0 where not filled, else the share of the variance
+    of the marker's motion that the nearest visible sample explains; see `_MEMORY_SECONDS`."""
 
 
 def complete_take(
@@ -84,7 +72,7 @@ def complete_take(
     max_gap: int,
     noise: float,
     rate: float = USUAL_RATE,
-) -> TakeFill:
+) -> GapFill:
     """Fill all samples that are not good, in place.
 
     Gaps of at most `max_gap` frames by `fill_gaps`; longer ones by the model's prediction, so that
@@ -108,11 +96,11 @@ def complete_take(
     filled = np.zeros_like(good)
     confidence = good.astype(np.float32)
     if good.all():
-        return TakeFill(filled, confidence)
+        return GapFill(filled, confidence)
     middle = max(0, (count - _TRIAL_FRAMES) // 2)
     trial = slice(middle, middle + _TRIAL_FRAMES)
     points, ok = positions[trial], good[trial]
-    prediction = predict_from_others(model, fill_missing(model, points, ok))
+    prediction = fill_and_predict(model, points, ok)[1]
     limit = choose_spline_limit(points, ok, prediction, noise=noise)
     # Each block is filled with a margin of the longest gap around it.
     for block in frame_blocks(count, at_least=max_gap):
@@ -120,12 +108,12 @@ def complete_take(
             continue
         around = extend_block(block, max_gap + _GAP_REACH, count)
         points, ok = positions[around], good[around]
-        complete = fill_missing(model, points, ok)
-        gaps = fill_gaps(
+        complete, prediction = fill_and_predict(model, points, ok)
+        values, gaps = fill_gaps(
             points,
             ok,
             max_gap=max_gap,
-            prediction=predict_from_others(model, complete),
+            prediction=prediction,
             noise=noise,
             spline_limit=limit,
             open_start=around.start > 0,
@@ -134,10 +122,10 @@ def complete_take(
         )
         inner = slice(block.start - around.start, block.stop - around.start)
         filled[block], confidence[block] = gaps.filled[inner], gaps.confidence[inner]
-        values = np.where(filled[block][..., None], gaps.positions[inner], complete[inner])
+        repaired = np.where(filled[block][..., None], values[inner], complete[inner])
         missing = ~good[block]
-        positions[block][missing] = values[missing]
-    return TakeFill(filled, confidence)
+        positions[block][missing] = repaired[missing]
+    return GapFill(filled, confidence)
 
 
 def fill_gaps(
@@ -145,14 +133,14 @@ def fill_gaps(
     visible: ArrayLike,
     *,
     max_gap: int,
-    prediction: ArrayLike | None = None,
+    prediction: ArrayLike,
+    spline_limit: int,
     noise: float = 0.0,
-    spline_limit: int | None = None,
     open_start: bool = False,
     open_stop: bool = False,
     rate: float = USUAL_RATE,
-) -> GapFill:
-    """Fill every gap of at most `max_gap` frames.
+) -> tuple[RealArray, GapFill]:
+    """Return positions with every gap of at most `max_gap` frames filled, and a record.
 
     Parameters
     ----------
@@ -161,59 +149,51 @@ def fill_gaps(
     visible : (frames, markers) array_like of bool
     max_gap : int
         Longest gap to fill [frames].
-    prediction : (frames, markers, 3) array_like, optional
-        Of each marker from the others, also where it is visible. Without it, gaps longer than
-        `SPLINE_LIMIT` and gaps at the ends of the take are not filled.
+    prediction : (frames, markers, 3) array_like
+        Of each marker from the others, also where it is visible.
+    spline_limit : int
+        Longest gap to fill with a spline [frames]; see `choose_spline_limit`.
     noise : float
         Standard deviation of a measured coordinate [mm], by which the prediction's error next to a
         gap is shrunk.
-    spline_limit : int, optional
-        Longest gap to fill with a spline where there is a prediction [frames]; by default
-        that of `choose_spline_limit`.
     open_start, open_stop : bool
         Whether the take continues there: gaps that reach this end are not filled.
     rate : float
         Frames per second.
     """
     points, seen = np.array(positions), np.asarray(visible, bool)
-    expected = None if prediction is None else np.asarray(prediction)
+    expected = np.asarray(prediction)
     if max_gap < 0:
         raise ValueError(f"max_gap must be 0 or more frames, got {max_gap}")
-    if points.shape[:2] != seen.shape or (expected is not None and expected.shape != points.shape):
+    if points.shape[:2] != seen.shape or expected.shape != points.shape:
         raise ValueError(
-            f"positions {points.shape}, visible {seen.shape} and prediction "
-            f"{None if expected is None else expected.shape} must agree"
+            f"positions {points.shape}, visible {seen.shape} and prediction {expected.shape} must "
+            "agree"
         )
     confidence = seen.astype(np.float32)
     filled = np.zeros_like(seen)
     informed = seen.mean(axis=1) >= _INFORMED_SHARE
-    limit = SPLINE_LIMIT if spline_limit is None else spline_limit
-    if spline_limit is None and expected is not None and not seen.all():
-        limit = choose_spline_limit(points, seen, expected, noise=noise)
     for marker in np.flatnonzero(~seen.all(axis=0) & seen.any(axis=0)):
-        track, ok = points[:, marker].copy(), seen[:, marker]
-        base = None if expected is None else expected[:, marker]
+        track, ok, base = points[:, marker].copy(), seen[:, marker], expected[:, marker]
         for start, stop in runs(~ok):
             cut = (open_start and start == 0) or (open_stop and stop == len(ok))
             if cut or stop - start > max_gap:
                 continue
             inner = 0 < start and stop < len(ok)
-            reach = limit if informed[start:stop].all() else max(limit, 2 * SPLINE_LIMIT)
+            reach = max(spline_limit, 0 if informed[start:stop].all() else _UNINFORMED_LIMIT)
             if inner and stop - start <= reach:
                 values = _spline(track, ok, start, stop)
-            elif base is not None:
+            else:
                 # Next to the gap alone: over all frames, time would grow as gaps times frames.
                 low, high = max(0, start - _END_SAMPLES), stop + _END_SAMPLES
                 rest = track[low:high] - base[low:high]
                 values = base[start:stop] + _blend_offsets(
                     rest, ok[low:high], start - low, stop - low, noise
                 )
-            else:
-                continue
             points[start:stop, marker] = values
             filled[start:stop, marker] = True
             confidence[start:stop, marker] = _gap_confidence(start, stop, len(ok), rate)
-    return GapFill(points, filled, confidence)
+    return points, GapFill(filled, confidence)
 
 
 def choose_spline_limit(

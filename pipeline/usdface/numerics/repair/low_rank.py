@@ -124,6 +124,14 @@ def predict_from_others(model: LowRankModel, filled: RealArray) -> RealArray:
     return predicted
 
 
+def fill_and_predict(
+    model: LowRankModel, positions: RealArray, good: BoolArray
+) -> tuple[RealArray, RealArray]:
+    """Return frames with gaps filled, and each marker's prediction from the others."""
+    filled = fill_missing(model, positions, good)
+    return filled, predict_from_others(model, filled)
+
+
 def _expected(model: LowRankModel, positions: RealArray, missing: IntArray) -> FloatArray:
     """Return the conditional mean of the missing markers, (frames, missing, 3).
 

@@ -18,7 +18,7 @@ from usdface.core.arrays import (
     runs,
     sample_frames,
 )
-from usdface.numerics.repair.low_rank import LowRankModel, fill_missing, predict_from_others
+from usdface.numerics.repair.low_rank import LowRankModel, fill_and_predict
 
 _LIMIT_MEDIANS = 4.5
 """Medians of the distance from the prediction; exceeded by one in 10^8 normal samples."""
@@ -96,8 +96,7 @@ def find_outliers(
         around = extend_block(block, _LEAP_REACH_FRAMES, count)
         inner = slice(block.start - around.start, block.stop - around.start)
         points, seen = positions[around], visible[around]
-        complete = fill_missing(model, points, seen)
-        predicted = predict_from_others(model, complete)
+        complete, predicted = fill_and_predict(model, points, seen)
         offsets = complete - predicted
         beyond = _beyond_limits(points, seen, predicted, model, limits)
         distant[block] = beyond[inner]
@@ -140,8 +139,7 @@ def _beyond_limits(
         if not active.size:
             break
         trusted[active, worst[beyond]] = False
-        filled = fill_missing(model, points[active], trusted[active])
-        predicted[active] = predict_from_others(model, filled)
+        predicted[active] = fill_and_predict(model, points[active], trusted[active])[1]
     return np.asarray(seen & ~trusted)
 
 
@@ -154,8 +152,8 @@ def _limits(
     """Return the largest distance of each marker from its prediction that is no outlier [mm]."""
     rows = sample_frames(len(positions), _LIMIT_SAMPLE_FRAMES)
     seen = visible[rows]
-    complete = fill_missing(model, positions[rows], seen)
-    distance = np.linalg.norm(complete - predict_from_others(model, complete), axis=2)
+    complete, predicted = fill_and_predict(model, positions[rows], seen)
+    distance = np.linalg.norm(complete - predicted, axis=2)
     limits = np.maximum(_LIMIT_NOISE_DEVIATIONS * noise, _LEAST_LIMIT_MM)
     for marker, ok in enumerate(seen.T):
         if ok.any():

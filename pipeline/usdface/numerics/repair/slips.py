@@ -11,7 +11,7 @@ import numpy as np
 
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, RealArray, frame_blocks
 from usdface.numerics.repair.fit_low_rank import fit_low_rank
-from usdface.numerics.repair.low_rank import LowRankModel, fill_missing, predict_from_others
+from usdface.numerics.repair.low_rank import LowRankModel, fill_and_predict, fill_missing
 
 _BLOCK_SECONDS = 0.5
 """Block length of means of the residual: the duration of unpredicted expressions, over which means
@@ -168,7 +168,7 @@ def _residual_means(
         blocks = min(_BATCH_BLOCKS, count - first)
         rows = slice(first * size, (first + blocks) * size)
         points, seen = positions[rows], good[rows]
-        residual = points - predict_from_others(model, fill_missing(model, points, seen))
+        residual = points - fill_and_predict(model, points, seen)[1]
         residual = np.where(seen[..., None], residual, 0.0)
         residual = residual.reshape(blocks, size, *points.shape[1:])
         counts = seen.reshape(blocks, size, -1).sum(axis=1)

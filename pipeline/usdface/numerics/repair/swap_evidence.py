@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from usdface.core.arrays import BoolArray, Float32Array, RealArray, sample_frames
-from usdface.numerics.repair.low_rank import LowRankModel, fill_missing, predict_from_others
+from usdface.numerics.repair.low_rank import LowRankModel, fill_and_predict
 
 _NEIGHBOR_COUNT = 8
 _SAMPLE_FRAMES = 4096
@@ -62,8 +62,8 @@ class Window:
 
 def open_window(positions: RealArray, visible: BoolArray, model: LowRankModel) -> Window:
     """Return consecutive frames with gaps filled, and residuals from their predictions."""
-    complete = fill_missing(model, positions, visible)
-    offsets = complete - predict_from_others(model, complete)
+    complete, predicted = fill_and_predict(model, positions, visible)
+    offsets = complete - predicted
     return Window(
         np.ascontiguousarray(complete.transpose(1, 2, 0)),
         np.ascontiguousarray(offsets.transpose(1, 2, 0)),

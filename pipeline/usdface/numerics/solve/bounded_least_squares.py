@@ -3,31 +3,25 @@
 Each frame is a small convex programme: minimise ``0.5 x'Hx - l'x`` with ``lower <= x <= upper``.
 `solve_bounded_least_squares` has one matrix for all frames. Accelerated projected gradient steps
 find nearly the right active set, block pivoting makes it exact, and an active-set method finishes
-the few frames on which pivoting cycles. Every sixteenth frame starts at rest, the others at the
-interpolation of solved ones. `minimise_within_bounds`, which maps performances, has a matrix for
-each frame, and stops after the gradient steps.
+the few frames on which pivoting cycles. `minimise_within_bounds`, which maps performances, has a
+matrix for each frame, and stops after the gradient steps.
 """
 
 import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import repeat
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from usdface.core.arrays import FloatArray, IntArray, RealArray
+from usdface.core.arrays import FloatArray, RealArray, frame_blocks
 from usdface.core.processes import usable_cores
 from usdface.numerics.solve.hessian import Hessian, hessian_of
 
 _GRADIENT_STEPS = 60
 """From rest; on face rigs, a few exchanges follow."""
-_NEAR_STEPS = 30
-"""From the interpolation of two solved frames."""
-_SPACINGS = (16, 8, 4, 2, 1)
-"""Between the frames that are solved, pass by pass."""
 _BLOCK_FRAMES = 32
 """Frames per thread and task; rounding depends on it, so it is independent of the cores."""
 _MOST_PIVOT_STEPS = 120
@@ -113,50 +107,17 @@ def _solve_scaled(
     step = H.dtype.type(1 / max(H.largest, np.finfo(float).tiny))
     low, high, pull = lo.astype(H.dtype), hi.astype(H.dtype), b.astype(H.dtype)
 
-    def solve(rows: IntArray, start: FloatArray, steps: int) -> FloatArray:
-        near = _accelerate(
-            lambda z: z - step * (H.fast_product(z) - pull[rows]),
-            start.astype(H.dtype),
-            low,
-            high,
-            steps=steps,
-        )
+    def solve(rows: slice) -> FloatArray:
+        rest = np.clip(np.zeros_like(pull[rows]), low, high)
+        near = _accelerate(lambda z: z - step * (H.fast_product(z) - pull[rows]), rest, low, high)
         near = np.where(near <= low, lo, np.where(near >= high, hi, near))
         return _walk(H, b[rows], lo, hi, _pivot(H, b[rows], lo, hi, near))
 
-    z = _solve_in_turn(solve, np.clip(np.zeros_like(b), lo, hi))
-    return z, _violation(H, b, lo, hi, z)
-
-
-def _solve_in_turn(
-    solve: Callable[[IntArray, FloatArray, int], FloatArray], rest: FloatArray
-) -> FloatArray:
-    """Solve every 16th frame from rest, then those between from interpolated solutions.
-
-    Parameters
-    ----------
-    solve : callable
-        Maps frames, start values (frames, n) and a number of steps to solutions (frames, n).
-    rest : (all frames, n) array
-    """
-    z, known = rest.copy(), np.zeros(0, np.intp)
+    blocks = list(frame_blocks(len(b), frames=_BLOCK_FRAMES))
     with ThreadPoolExecutor(usable_cores()) as pool:  # array arithmetic releases the GIL
-        for spacing in _SPACINGS if len(z) > 2 * _BLOCK_FRAMES else _SPACINGS[-1:]:
-            rows = np.union1d(np.arange(0, len(z), spacing), np.arange(len(z))[-1:])
-            rows = np.setdiff1d(rows, known)
-            steps = _NEAR_STEPS if len(known) else _GRADIENT_STEPS
-            if len(known):
-                after = np.searchsorted(known, rows)
-                ends = known[after - 1], known[after]
-                share = ((rows - ends[0]) / (ends[1] - ends[0]))[:, None]
-                z[rows] = (1 - share) * z[ends[0]] + share * z[ends[1]]
-            blocks = [rows[i : i + _BLOCK_FRAMES] for i in range(0, len(rows), _BLOCK_FRAMES)]
-            map_blocks = pool.map if len(blocks) > 1 else map
-            solved = map_blocks(solve, blocks, [z[block] for block in blocks], repeat(steps))
-            for block, solution in zip(blocks, solved, strict=True):
-                z[block] = solution
-            known = np.union1d(known, rows)
-    return z
+        solved = list((pool.map if len(blocks) > 1 else map)(solve, blocks))
+    z = np.concatenate([np.zeros_like(b[:0]), *solved])
+    return z, _violation(H, b, lo, hi, z)
 
 
 def minimise_within_bounds(
@@ -239,13 +200,11 @@ def _accelerate(
     start: RealArray,
     lower: RealArray,
     upper: RealArray,
-    *,
-    steps: int,
 ) -> Any:
     """Take accelerated projected gradient steps; `descend` is a step without bounds."""
     now = ahead = start
     momentum = 1.0
-    for _ in range(steps):
+    for _ in range(_GRADIENT_STEPS):
         # np.clip is slower if its bounds are arrays
         following = np.minimum(np.maximum(descend(ahead), lower), upper)
         gained = (1 + math.sqrt(1 + 4 * momentum**2)) / 2
@@ -262,12 +221,12 @@ def _pivot(H: Hessian, b: FloatArray, lo: FloatArray, hi: FloatArray, z: FloatAr
     side = np.where(z <= lo, -1, np.where(z >= hi, 1, 0))
     todo = np.arange(len(b))
     fewest, patience = np.full(len(b), b.shape[1] + 1), np.full(len(b), _PATIENCE_ROUNDS)
-    systems = H.systems()
+    solve = H.solver()
     slack = 1e-11 * (1 + np.abs(b).max(axis=1, initial=0.0))
     for _ in range(_MOST_PIVOT_STEPS):
         at = side[todo]
         bound = np.where(at < 0, lo, np.where(at > 0, hi, 0.0))
-        value = systems.solve(todo, b[todo], bound, at == 0)
+        value = solve(todo, b[todo], bound, at == 0)
         gradient = H.product(value) - b[todo]
         room = slack[todo, None]
         low, high = (at == 0) & (value < lo - room), (at == 0) & (value > hi + room)
@@ -299,13 +258,13 @@ def _walk(H: Hessian, b: FloatArray, lo: FloatArray, hi: FloatArray, z: FloatArr
     out = z.copy()
     todo = np.flatnonzero(_violation(H, b, lo, hi, z) > _WALK_TOLERANCE)
     fixed = (z <= lo) | (z >= hi)
-    systems = H.systems()
+    solve = H.solver()
     for _ in range(_WALK_STEPS_PER_VARIABLE * b.shape[1]):
         if not len(todo):
             break
         rows = np.arange(len(todo))
         now, right, bound = out[todo], b[todo], fixed[todo]
-        step = systems.solve(todo, right, np.where(bound, now, 0.0), ~bound) - now
+        step = solve(todo, right, np.where(bound, now, 0.0), ~bound) - now
         with np.errstate(divide="ignore", invalid="ignore"):
             room = np.where(step < 0, (lo - now) / step, (hi - now) / step)
         room = np.where(bound | (step == 0), np.inf, room)

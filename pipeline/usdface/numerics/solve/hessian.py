@@ -14,6 +14,7 @@ over the previous rows, C the rows that changed and S their signs,
 and where many changed, L is factored again.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -35,20 +36,9 @@ _LEAST_DIAGONAL = 1e-5
 """At unit diagonal: with a smaller D, Woodbury's identity loses digits."""
 
 
-class Systems(Protocol):
-    """Solver of a block of frames with changing free variables."""
-
-    def solve(
-        self, rows: IntArray, b: FloatArray, fixed: FloatArray, free: BoolArray
-    ) -> FloatArray:
-        """Return frames with their free variables solved and the others fixed.
-
-        Parameters
-        ----------
-        rows : (frames,) int array
-            Which of the block's frames.
-        b, fixed, free : (frames, n) arrays
-        """
+Solver = Callable[[IntArray, FloatArray, FloatArray, BoolArray], FloatArray]
+"""``solve(rows, b, fixed, free)`` of some frames of a block: which, and their linear terms, fixed
+values and free variables (frames, n). Returns frames with their free variables solved."""
 
 
 class Hessian(Protocol):
@@ -65,7 +55,7 @@ class Hessian(Protocol):
     def fast_product(self, z: Any) -> Any:
         """Return ``z @ H`` for rows of `dtype`, in that precision."""
 
-    def systems(self) -> Systems:
+    def solver(self) -> Solver:
         """Return a solver for a block of frames."""
 
 
@@ -101,10 +91,10 @@ class _Dense:
     def fast_product(self, z: Any) -> Any:
         return z @ self._H
 
-    def systems(self) -> Systems:
-        return self
+    def solver(self) -> Solver:
+        return self._solve
 
-    def solve(
+    def _solve(
         self, rows: IntArray, b: FloatArray, fixed: FloatArray, free: BoolArray
     ) -> FloatArray:
         from scipy.linalg.lapack import dposv  # imported late: mapping a performance needs none
@@ -140,8 +130,8 @@ class _LowRank:
         F, diagonal = self._narrow
         return (z @ F) @ F.T + z * diagonal
 
-    def systems(self) -> Systems:
-        return _LowRankSystems(self)
+    def solver(self) -> Solver:
+        return _LowRankSolver(self)
 
 
 @dataclass(frozen=True)
@@ -153,14 +143,14 @@ class _Factored:
     lower: FloatArray
 
 
-class _LowRankSystems:
+class _LowRankSolver:
     def __init__(self, H: _LowRank) -> None:
         self._H = H
         unit = np.eye(H.E.shape[1])
         self._empty = self._last = _Factored(np.zeros(len(H.E), np.bool_), unit, unit)
         self._by_row: dict[int, _Factored] = {}
 
-    def solve(
+    def __call__(
         self, rows: IntArray, b: FloatArray, fixed: FloatArray, free: BoolArray
     ) -> FloatArray:
         H = self._H

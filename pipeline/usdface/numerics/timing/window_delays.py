@@ -232,8 +232,7 @@ def whitened_product(
     if not median > 0:
         return None
     floor = 1e-3 * median**_WHITENING_EXPONENT
-    product: ComplexArray = cross * (band / (size**_WHITENING_EXPONENT + floor))
-    return product
+    return np.asarray(cross * (band / (size**_WHITENING_EXPONENT + floor)))
 
 
 def _starts(

@@ -176,15 +176,7 @@ def describe_figures(mapping: TrainedMapping) -> dict[str, object]:
         "shapes": len(mapping.shape_names),
         "settings": dict(mapping.settings),
         "variance_shares": [round(float(share), 6) for share in variance_shares(mapping)],
-        "scores": [
-            {
-                "method": score.method,
-                "settings": score.settings,
-                "weight_rmse": score.weight_rmse,
-                "vertex_rms_mm": score.vertex_rms_mm,
-            }
-            for score in mapping.scores
-        ],
+        "scores": [vars(score) for score in mapping.scores],
         "references": mapping.references,
     }
 

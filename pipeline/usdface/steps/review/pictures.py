@@ -22,7 +22,7 @@ from usdface.media.face.sculpted_normals import SculptedNormals
 from usdface.media.film.take_video import OpenVideo, open_video, picture_at_frame
 from usdface.media.picture.canvas import draw_dot, draw_line
 from usdface.media.picture.color import BLUE, BRIGHT, ORANGE
-from usdface.media.picture.display_view import DisplayView
+from usdface.media.picture.image import DisplayView
 from usdface.media.picture.sheet import Tile
 from usdface.model.selection.baseline import BlendshapeEquation
 from usdface.numerics.registration.virtual_markers import character_motion

@@ -22,7 +22,7 @@ from usdface.media.page.report_page import (
     ReviewPage,
     build_page,
 )
-from usdface.media.picture.tiles import empty_tile, fit_picture
+from usdface.media.picture.canvas import empty_tile, fit_picture
 from usdface.model.review.moments import review_moments
 from usdface.model.review.verdict import judge_solve
 from usdface.numerics.measure.face_regions import region_of_shape

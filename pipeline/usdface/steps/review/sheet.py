@@ -16,9 +16,8 @@ from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import replacing_group
 from usdface.core.text import pluralize
-from usdface.media.picture.display_view import display_view
 from usdface.media.picture.error_strip import ErrorCurve
-from usdface.media.picture.image import write_image
+from usdface.media.picture.image import display_view, write_image
 from usdface.media.picture.sheet import SheetPage, SheetRow, compose_sheet
 from usdface.model.review.verdict import SolveVerdict, worst_verdict
 from usdface.runner.origin import provenance_metadata, provenance_of, spec_of

@@ -1,3 +1,3 @@
 """Meshes without shapes, animated by markers, and the logic of rigs."""
 
-_helpers = ("plan", "picture", "logic_sources")
+_helpers = ("plan", "picture")
