@@ -36,7 +36,7 @@ def rms(mapping: TrainedMapping, *, seed: int, bent: float = 0.0) -> float:
 
 
 def test_geometry_helps_where_pairs_are_few() -> None:
-    few = np.arange(0, 1200, 150)
+    few = np.arange(0, 1200, 200)
     with_skin = rms(trained(skin=True, chosen=few), seed=3)
     without = rms(trained(skin=False, chosen=few), seed=3)
     assert with_skin < 0.8 * without

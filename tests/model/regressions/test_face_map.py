@@ -68,7 +68,7 @@ def test_shapes_that_are_still_may_move_but_not_lids() -> None:
     targets = np.zeros((4, 3))
     targets[:, 0] = [0.0, 0.5, 1.0, 0.5]
     spread = weight_spread(targets, lids=np.array([2]))
-    np.testing.assert_allclose(spread, [0.8 * targets[:, 0].std(), 3**-0.5, 0.8 * 0.25])
+    np.testing.assert_allclose(spread, [12**-0.5, 3**-0.5, 0.1])
 
 
 @pytest.mark.parametrize("scale", [None, 1 / 0.7], ids=["registered", "given"])
@@ -124,6 +124,47 @@ def test_frames_are_solved_as_by_scipy(seed: int) -> None:
 
     best = minimize(cost, start, bounds=[(0, 1)] * SHAPES, method="L-BFGS-B", tol=1e-14)
     assert cost(found.targets[0]) <= best.fun + 1e-3 * abs(best.fun)
+
+
+def test_common_errors_are_the_covariance_of_the_residuals() -> None:
+    model = fitted()
+    samples = model.residuals.reshape(PAIRS, -1)
+    covariance = samples.T @ samples
+    scale = np.sqrt(np.diag(covariance))
+    common = model.common_errors
+    np.testing.assert_allclose(common.T @ common, covariance / np.outer(scale, scale), atol=1e-9)
+
+
+@pytest.mark.parametrize("most", [200, 0], ids=["Jacobian per frame", "shared Jacobian"])
+def test_correlated_errors_of_visible_markers_weight_the_solve(monkeypatch, most: int) -> None:
+    monkeypatch.setattr(frame_solve, "_MAX_DENSE_SHAPES", most)
+    rng = np.random.default_rng(5)
+    model = fitted(scales=replace(SCALES, eta=0.0))
+    solver = FrameSolver(model, np.full(SHAPES, 0.05))
+    y, start = 3 * rng.normal(size=(2, MARKERS, 3)), np.full((2, SHAPES), 0.5)
+    visible = np.array([[True] * MARKERS, [True, False] + [True] * (MARKERS - 2)])
+    found = solver.solve(y, visible, start)
+    variance = (
+        0.05**2
+        + 0.5 * model.residual_variance
+        + solver._predictive_variance(start.astype(np.float32), None if most == 0 else np.ones(1))
+    )
+    for n, seen in enumerate(np.repeat(visible, 3, axis=1)):
+        r = np.repeat(np.broadcast_to(variance, (2, MARKERS))[n], 3)[seen]
+        common = model.common_errors[:, seen]
+        weight = np.linalg.inv((np.eye(len(r)) + common.T @ common) * np.sqrt(np.outer(r, r)))
+        basis = model.basis.reshape(SHAPES, -1)[:, seen]
+        hessian = basis @ weight @ basis.T + np.diag(found.precision[n].astype(float))
+        residual = (y[n] - model.offset).ravel()[seen] - start[n] @ basis
+        pull = basis @ weight @ residual
+        step = minimize(
+            lambda d, h=hessian, g=pull: 0.5 * d @ h @ d - g @ d,
+            np.zeros(SHAPES),
+            bounds=[(-0.5, 0.5)] * SHAPES,
+            method="L-BFGS-B",
+            tol=1e-14,
+        ).x
+        np.testing.assert_allclose(found.targets[n], 0.5 + step, atol=2e-3)
 
 
 def test_keys_that_are_off_have_their_error_found() -> None:

@@ -44,9 +44,6 @@ def test_alpha_runs_from_one_part_to_the_other(
             positions[b.start - 1 : b.stop - 1],
             visible[b.start - 1 : b.stop - 1],
             np.ones((len(b), positions.shape[1]), np.float32),
-            (),
-            (),
-            0,
         )
         for b in blocks
     )

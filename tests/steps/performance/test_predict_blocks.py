@@ -20,7 +20,7 @@ def blocks(positions: np.ndarray, taken: list[int]) -> Iterator[predict_blocks.B
         taken.append(start)
         part = positions[start : start + ROWS].astype(np.float32)
         seen = np.ones(part.shape[:2], dtype=bool)
-        yield partial(MappedMarkers, part, seen, seen.astype(np.float32), (), (), 0.0)
+        yield partial(MappedMarkers, part, seen, seen.astype(np.float32))
 
 
 def test_what_comes_out_does_not_depend_on_how_many_solve_and_few_blocks_wait(

@@ -99,7 +99,7 @@ def text_mask(text: str, *, size: int, weight: Weight = "regular") -> Float32Arr
     pen = ImageDraw.Draw(drawn)
     for (run, font), start in zip(runs, starts.tolist(), strict=False):
         pen.text((start, round(size * 1.02)), run, 255, font, anchor="ls")
-    mask: Float32Array = np.asarray(drawn) / np.float32(255)
+    mask = np.asarray(drawn, dtype=np.float32) / np.float32(255)
     mask.setflags(write=False)
     return mask
 

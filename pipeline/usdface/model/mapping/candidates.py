@@ -11,14 +11,13 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress
 from usdface.model.mapping.corrected_pairs import (
     CorrectedPairs,
-    correct_pairs,
     displacements,
     fit_pairs_forward,
 )
 from usdface.model.mapping.uncertainty import UncertaintyModel
 from usdface.model.regressions import AUTO, Choices, Pairs, Regression, Settings, find_method
 from usdface.model.regressions.bent_weights import bend, unbend
-from usdface.model.regressions.frame_solve import VARIANCE_INFLATIONS, FrameSolver
+from usdface.model.regressions.frame_solve import FrameSolver
 from usdface.numerics.regression.cross_validation import (
     blocked_folds,
     surface_rms_mm,
@@ -33,10 +32,6 @@ OBSERVABLE_ERROR_SHARE = 0.9
 
 _CRITICAL_T = 2.0
 """Student's t from which another method replaces the default: p = .05, two-sided."""
-
-_ONE_STANDARD_ERROR = 1.0
-"""The same for a setting: the default is kept within one standard error of the best (Breiman et al.
-1984)."""
 
 _NEIGHBOUR_SECONDS = 0.5
 """Margin between training and test pairs: nearer frames show the same expression."""
@@ -126,16 +121,11 @@ class PairFolds:
             errors[fold.test] = np.clip(weights, *face.ranges.T) - keys
             if method.solves_frames:
                 prior_error[fold.test] = fitted.arrays["start_error"]
-        if method.solves_frames:
-            return self.solve(prior_mean, prior_error, self.corrected.inflation)
-        return OutOfFold(errors, prior_mean, None)
-
-    def solve(self, prior_mean: FloatArray, prior_error: FloatArray, inflation: float) -> OutOfFold:
-        """Solve every pair as a frame; see `OutOfFold` and `FrameSolver.inflation`."""
-        low, span = self.pairs.face.ranges[:, 0], np.ptp(self.pairs.face.ranges, axis=1)
-        errors = np.empty_like(prior_mean)
+        if not method.solves_frames:
+            return OutOfFold(errors, prior_mean, None)
+        low, span = face.ranges[:, 0], np.ptp(face.ranges, axis=1)
         for fold, forward in zip(self.folds, self.forwards, strict=True):
-            solver = FrameSolver(forward, prior_error[fold.test[0]], inflation)
+            solver = FrameSolver(forward, prior_error[fold.test[0]], self.corrected.inflation)
             t = solver.solve(*self.displacements(fold.test), prior_mean[fold.test]).targets
             weights = low + span * np.clip(unbend(t, self.curve), 0.0, 1.0)
             errors[fold.test] = weights - self.corrected.original_keys[fold.test]
@@ -209,45 +199,6 @@ def compare_candidates(
         best = default
     scores = tuple(entry.score for entry in scored)
     return Comparison(best.candidate, best.out_of_fold, observable, scores)
-
-
-def choose_inflation(
-    folds: PairFolds, compared: Comparison, references: References, gram: FloatArray | None
-) -> tuple[PairFolds, Comparison]:
-    """Choose the variance inflation of the frame solve by cross-validation.
-
-    Candidates are tried from the current end of `VARIANCE_INFLATIONS` for as long as the error
-    decreases by more than one standard error. The keys are then corrected again, as their
-    correction depends on the inflation.
-
-    Parameters
-    ----------
-    gram : (shapes, shapes) float array or None
-        Of all shapes [mm^2], gaze included, which landmarks show; None weights all shapes equally.
-    """
-    metric = folds.pairs.face.gram if gram is None else gram.astype(np.float64)
-    best, default, inflation = compared.best, compared.out_of_fold, folds.corrected.inflation
-    if default is None or default.prior_error is None:
-        return folds, compared
-    current, ascending = default, inflation == VARIANCE_INFLATIONS[0]
-    for candidate in VARIANCE_INFLATIONS[1:] if ascending else VARIANCE_INFLATIONS[-2::-1]:
-        predicted = folds.solve(default.prior_mean, default.prior_error, candidate)
-        if paired_t(current.errors, predicted.errors, metric, folds.blocks) <= _ONE_STANDARD_ERROR:
-            break
-        inflation, current = candidate, predicted
-    if inflation == folds.corrected.inflation:
-        return folds, compared
-    parts = references.parts or references.shape_names
-    corrected = correct_pairs(folds.corrected.original, parts, inflation=inflation)
-    chosen = PairFolds(corrected, references)
-    current = chosen.predict(best)
-    if paired_t(default.errors, current.errors, metric, folds.blocks) <= _ONE_STANDARD_ERROR:
-        return folds, compared
-    named = Candidate(best.method, best.settings | {"common_error": inflation})
-    skin = None if np.isnan(compared.scores[0].vertex_rms_mm) else folds.pairs.face.gram
-    score = _score(named, current.errors, compared.observable, skin)
-    scores = tuple(sorted((score, *compared.scores), key=_sort_key))
-    return chosen, replace(compared, out_of_fold=current, scores=scores)
 
 
 def time_blocks(frames: IntArray, takes: Sequence[str], *, length: int) -> IntArray:

@@ -11,7 +11,11 @@ from usdface.model.regressions import Pairs, Regression
 from usdface.model.regressions.bent_weights import bend, unbend
 from usdface.model.regressions.driven_motion import DrivenMotion, driven_weights
 from usdface.model.regressions.forward_model import ForwardModel, ForwardScales, fit_forward_model
-from usdface.model.regressions.frame_solve import VARIANCE_INFLATIONS, FrameSolver
+from usdface.model.regressions.frame_solve import (
+    LANDMARK_INFLATION,
+    MARKER_INFLATION,
+    FrameSolver,
+)
 from usdface.numerics.regression.marker_prior import fit_marker_basis
 from usdface.numerics.rigid.skin_rotation import rotate_deltas, skin_rotations
 from usdface.numerics.solve.bounded_least_squares import minimise_within_bounds
@@ -38,6 +42,10 @@ _CONTRADICTION_MM = 0.5
 _KEY_GRADIENT_STEPS = 200
 """Accelerated gradient steps of the correction, whose prior is ill-conditioned."""
 
+KEY_INFLATION, _LANDMARK_KEY_INFLATION = 3.0, 243.0
+"""Number of markers, and of landmarks, whose errors count as one independent error where keys are
+corrected: common errors would otherwise be taken for errors of the keys."""
+
 _PRIOR_CURVE = 0.3
 """Parameter of `bend` for locating markers on the rig, which is insensitive to it."""
 
@@ -61,11 +69,6 @@ class CorrectedPairs:
     log_factor: FloatArray
     """(pairs,): logarithm of the factor that scaled each pair's keys to the mean gain."""
 
-    @property
-    def original(self) -> Pairs:
-        """The pairs before correction."""
-        return replace(self.pairs, outputs=self.original_keys, forward=None)
-
     def training_pairs(self, method: Regression) -> Pairs:
         """Return the training pairs of a method; published methods are fitted to original keys."""
         if method.solves_frames:
@@ -74,7 +77,7 @@ class CorrectedPairs:
 
 
 def correct_pairs(
-    pairs: Pairs, parts: tuple[str, ...], *, inflation: float = VARIANCE_INFLATIONS[0]
+    pairs: Pairs, parts: tuple[str, ...], *, landmarks: bool = False
 ) -> CorrectedPairs:
     """Fit the forward model, and correct the keys if their estimated error tau is positive.
 
@@ -84,8 +87,11 @@ def correct_pairs(
     ----------
     parts : tuple of str
         Part of the face of each shape; see `region_points`.
+    landmarks : bool
+        Whether the markers are landmarks detected in images, whose errors are correlated.
     """
     original_keys, face = pairs.outputs, pairs.face
+    inflation = _LANDMARK_KEY_INFLATION if landmarks else KEY_INFLATION
     uncorrected = fit_pairs_forward(pairs)
     pairs, forward, log_factor = _equalise_gains(pairs, uncorrected, parts, inflation)
     scales, keys = forward.scales, forward.targets
@@ -104,7 +110,7 @@ def correct_pairs(
         original_keys,
         scales.tau,
         uncorrected,
-        inflation,
+        LANDMARK_INFLATION if landmarks else MARKER_INFLATION,
         log_factor,
     )
 
@@ -141,7 +147,7 @@ def correct_keys(
     keys: FloatArray,
     tau: float,
     *,
-    inflation: float = VARIANCE_INFLATIONS[0],
+    inflation: float = KEY_INFLATION,
 ) -> KeyPosterior:
     """Return the posterior of the keys given the markers of their pairs.
 
@@ -159,7 +165,7 @@ def correct_keys(
     keys : (pairs, shapes) float array
         Original keys, bent.
     inflation : float
-        As of `FrameSolver`.
+        Number of markers whose errors count as one.
     """
     solver, current = FrameSolver(forward, np.full(keys.shape[1], tau)), forward.targets
     _, slope = solver.linearise(current)

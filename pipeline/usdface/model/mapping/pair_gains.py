@@ -55,7 +55,7 @@ def gain_variance(forward: ForwardModel, parts: tuple[str, ...], inflation: floa
     parts : tuple of str
         Part of the face of each shape; see `region_points`.
     inflation : float
-        As of `FrameSolver`.
+        As of `correct_keys`.
     """
     excess, precision = _motion_excess(forward, parts, inflation)
     if len(excess) < _MIN_PAIRS or not precision.any(axis=0).all():

@@ -12,7 +12,6 @@ from usdface.model.mapping.candidates import (
     Comparison,
     OutOfFold,
     PairFolds,
-    choose_inflation,
     compare_candidates,
     list_candidates,
 )
@@ -34,7 +33,7 @@ from usdface.model.mapping.regions import (
 from usdface.model.mapping.uncertainty import UncertaintyModel, calibrate_uncertainty
 from usdface.model.regressions import DEFAULT_CHOICES, Choices, Face, Pairs, RestPlaces
 from usdface.model.regressions.base import DrivenSkin, Fitted
-from usdface.model.regressions.frame_solve import VARIANCE_INFLATIONS, FrameSolver
+from usdface.model.regressions.frame_solve import FrameSolver
 from usdface.numerics.measure.face_regions import (
     gaze_and_tongue_shapes,
     gaze_shapes,
@@ -115,7 +114,6 @@ def train_mapping(
     folds = PairFolds(_corrected_pairs(checked, face), checked)
     candidates = list_candidates(folds.pairs, method, choices)
     compared = compare_candidates(candidates, folds, in_mm=gram is not None, progress=progress)
-    folds, compared = choose_inflation(folds, compared, checked, gram)
     corrected, best = folds.corrected, compared.best
     progress(0.9, f"fitting {best.method.name}")
     fitted = best.method.fit(corrected.training_pairs(best.method), best.settings)
@@ -174,14 +172,10 @@ def _pairs(references: References, face: Face) -> Pairs:
 
 
 def _corrected_pairs(references: References, face: Face) -> CorrectedPairs:
-    """Correct the pairs, with the variance inflation of optical markers or of landmarks.
-
-    Errors of landmarks detected in images (irises by `track`, all by OpenFace) are correlated.
-    """
+    """Correct the pairs; landmarks detected in images have irises (`track`) or are OpenFace's."""
     landmarks = any(name.startswith(("iris_", "landmark_")) for name in references.marker_names)
     parts = references.parts or references.shape_names
-    inflation = VARIANCE_INFLATIONS[-1 if landmarks else 0]
-    return correct_pairs(_pairs(references, face), parts, inflation=inflation)
+    return correct_pairs(_pairs(references, face), parts, landmarks=landmarks)
 
 
 def _driven_skin(references: References, skin: FloatArray | None) -> DrivenSkin | None:

@@ -23,6 +23,7 @@ Predictions, predictive variance and leave-one-out residuals have closed forms (
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -73,15 +74,18 @@ Q represents stronger saturation."""
 _ASCENT_ROUNDS = 2
 """Passes of coordinate ascent over `_GRID`."""
 
-_SPREAD_SHARE = 0.8
-"""Spread of a weight that the references move, over its standard deviation over faces."""
+_UNIFORM_DEVIATION = 12**-0.5
+"""Standard deviation of a uniform distribution on [0, 1]."""
 
-_MIN_SPREAD = 0.25
-"""Smallest standard deviation of a weight over faces; that of a uniform distribution is .29."""
+_MIN_SPREAD = 0.1
+"""Smallest standard deviation of a weight over faces."""
 
 _STILL_WEIGHT, _STILL_SPREAD = 0.25, 3**-0.5
-"""Largest bent weight in the references of a shape that is still there, and its standard deviation
-from rest: that of a uniform distribution from 0. It may move in the next take."""
+"""Largest bent weight in the references of a shape that is still there, and its root mean square
+distance from rest if it is uniform on [0, 1]: it may move in the next take."""
+
+_COMMON_ERRORS = 50
+"""Largest number of components of the errors that markers share."""
 
 _EVIDENCE_PAIRS, _EVIDENCE_MARKERS = 60, 48
 """Largest number of each in the evidence of the shared scales, which costs markers pairs^3."""
@@ -145,6 +149,19 @@ class ForwardModel:
     def residual_variance(self) -> FloatArray:
         """Mean squared leave-one-out residual of a coordinate of each marker: (markers,) [mm^2]."""
         return np.asarray((self.residuals**2).mean(axis=(0, 2)))
+
+    @cached_property
+    def common_errors(self) -> FloatArray:
+        """Errors that markers share: (components, 3 markers).
+
+        The performer's skin departs from the model over whole regions of the face. With N pairs and
+        Z their leave-one-out residuals, each coordinate divided by its root mean square, the rows U
+        are the largest principal components: ``U'U ~ Z'Z / N``.
+        """
+        scaled = self.residuals.reshape(len(self.targets), -1)
+        scaled = scaled / np.sqrt(np.maximum((scaled**2).sum(axis=0), 1e-12))
+        _, size, directions = np.linalg.svd(scaled, full_matrices=False)
+        return np.asarray((size[:, None] * directions)[:_COMMON_ERRORS])
 
     @property
     def motion2(self) -> FloatArray:
@@ -251,6 +268,8 @@ def fit_forward_model(
 def weight_spread(targets: FloatArray, lids: IntArray | None = None) -> FloatArray:
     """Return the standard deviation of weights where a frame does not resemble the references.
 
+    That of a uniform distribution between rest and the largest weight in the references.
+
     Parameters
     ----------
     targets : (pairs, shapes) float array
@@ -260,10 +279,11 @@ def weight_spread(targets: FloatArray, lids: IntArray | None = None) -> FloatArr
         shape that may move: markers above the lids follow the brows as well, and eyes that close
         with the brows are seen at once.
     """
-    still = targets.max(axis=0) <= _STILL_WEIGHT
+    largest = targets.max(axis=0)
+    still = largest <= _STILL_WEIGHT
     if lids is not None:
         still[lids] = False
-    moving = _SPREAD_SHARE * np.maximum(targets.std(axis=0), _MIN_SPREAD)
+    moving = np.maximum(_UNIFORM_DEVIATION * largest, _MIN_SPREAD)
     return np.where(still, _STILL_SPREAD, moving)
 
 

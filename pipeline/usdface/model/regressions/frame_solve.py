@@ -3,13 +3,14 @@
 The prior is centred on the regression's prediction ``t0``, with its leave-one-out error as standard
 deviation; the likelihood is that of the markers y under the forward model f (`forward_model`)::
 
-    min over 0 <= t <= 1:   sum_k v_k |y_k - f_k(t)|^2 / r_k  +  sum_s rho((t_s - t0_s) / sd_s)
-    r_k = c (noise_k + predictive variance of f_k at t0)
+    min over 0 <= t <= 1:   e' W e  +  sum_s rho((t_s - t0_s) / sd_s),    e = y - f(t)
+    W^-1 = diag(sqrt r) (I + U'U) diag(sqrt r),    r_k = c (noise_k + predictive variance at t0)
 
-``v``: 1 where a marker is visible, else 0. ``c``: variance inflation, as errors of neighbouring
-markers are correlated. The predictive variance gives markers less weight for combinations that no
-reference shows. ``rho``: Huber's function, quadratic up to `_HUBER_THRESHOLD` and linear beyond, as
-the regression has outliers.
+of visible markers. ``U``: errors that markers share (`ForwardModel.common_errors`), as the
+performer's skin departs from the model over whole regions; differences of markers, such as the
+aperture of an eye, are then known better than positions. ``c``: variance inflation. The predictive
+variance gives markers less weight for combinations that no reference shows. ``rho``: Huber's
+function, quadratic up to `_HUBER_THRESHOLD` and linear beyond, as the regression has outliers.
 
 ``sd_s`` is interpolated, shape by shape, between the regression's error and the spread of the
 shape's weight over faces. Where the markers that a shape moves agree with t0, the frame resembles
@@ -47,10 +48,9 @@ from usdface.numerics.solve.bounded_least_squares import minimise_within_bounds
 CLEANED_NOISE_MM = 0.05
 """Standard deviation of a marker's coordinate after cleaning."""
 
-VARIANCE_INFLATIONS = (3.0, 9.0, 27.0, 81.0, 243.0)
-"""Candidates of ``c``: errors of so many neighbouring markers count as one independent error. The
-first holds for optical markers; errors of landmarks detected in images are correlated over the
-whole face, for which the last holds."""
+MARKER_INFLATION, LANDMARK_INFLATION = 1.0, 3.0
+"""``c`` of optical markers, and of landmarks detected in images, whose errors depend on the pose of
+the head and on light as well, and are correlated in time."""
 
 _RESIDUAL_NOISE_SHARE = 0.5
 """Share of the mean squared leave-one-out residual that counts as noise: the residual also contains
@@ -123,13 +123,13 @@ class FrameSolver:
     forward: ForwardModel
     error: FloatArray
     """(shapes,): standard deviation of the error of t0."""
-    inflation: float = VARIANCE_INFLATIONS[0]
+    inflation: float = MARKER_INFLATION
     """``c``, factor on the variance of the markers."""
 
     @classmethod
     def from_arrays(cls, arrays: Arrays) -> "FrameSolver":
         """Rebuild the solver from the arrays of a mapping."""
-        inflation = arrays.get("common_error", np.array(VARIANCE_INFLATIONS[:1]))
+        inflation = arrays.get("common_error", np.array([MARKER_INFLATION]))
         return cls(ForwardModel.from_arrays(arrays), arrays["start_error"], float(inflation[0]))
 
     def to_arrays(self) -> Arrays:
@@ -265,8 +265,9 @@ class FrameSolver:
         variance = (
             CLEANED_NOISE_MM**2 + (1 + _RESIDUAL_NOISE_SHARE) * self.forward.residual_variance
         )
-        weighted = self.forward.basis / (self.inflation * variance)[:, None]
-        information = np.einsum("skc,tkc->st", weighted, self.forward.basis, optimize=True)
+        weight = _MarkerWeight(1 / (self.inflation * variance)[None], self.forward.common_errors)
+        basis = self.forward.basis.reshape(1, len(self.error), -1)
+        information = (weight(basis) @ basis.transpose(0, 2, 1))[0]
         error2 = np.maximum(self.error, _MIN_ERROR) ** 2
         spread2 = np.maximum(self.forward.spread**2, error2)
         narrow, wide = (
@@ -301,7 +302,7 @@ class FrameSolver:
     def _likelihood(
         self, slope: RealArray | None, visibility: RealArray | BoolArray, variance: FloatArray
     ) -> "_FrameJacobians | _SharedJacobian":
-        weight = np.repeat(visibility / (self.inflation * variance), 3, axis=1).astype(np.float32)
+        weight = _MarkerWeight(visibility / (self.inflation * variance), self.forward.common_errors)
         if slope is None:
             return _SharedJacobian(self._linear[0], weight)
         return _FrameJacobians(slope, weight)
@@ -328,11 +329,34 @@ def _huber_divisor(step: RealArray, precision: RealArray) -> RealArray:
     return np.asarray(np.maximum(np.abs(step) * np.sqrt(precision) / _HUBER_THRESHOLD, 1))
 
 
-class _FrameJacobians:
-    """Linearised likelihood ``sum w (residual - J'd)^2`` with a Jacobian J for each frame."""
+class _MarkerWeight:
+    """``W``, the inverse covariance of the markers' errors of each frame.
 
-    def __init__(self, slope: RealArray, weight: RealArray) -> None:
-        self._slope, self._weighted = slope, slope * weight[:, None]
+    By Woodbury's identity ``(I + U'U)^-1 = I - U' (I + U U')^-1 U``.
+    """
+
+    def __init__(self, precision: FloatArray, common: FloatArray) -> None:
+        """Take ``1 / r``, 0 where a marker is not visible: (frames, markers) [mm^-2], and U."""
+        self.root = np.repeat(np.sqrt(precision), 3, axis=1).astype(np.float32)
+        self._common = single_precision(common)
+        patterns, frames = np.unique(precision > 0, axis=0, return_inverse=True)
+        visible = common * np.repeat(patterns, 3, axis=1)[:, None]
+        core = single_precision(np.linalg.inv(visible @ common.T + np.eye(len(common))))
+        self._core = core[frames.ravel()] if len(core) > 1 else core
+
+    def __call__(self, rows: RealArray) -> RealArray:
+        """Return ``W x`` for each x of (frames, ..., 3 markers)."""
+        x = rows.reshape(len(self.root), -1, self.root.shape[1]) * self.root[:, None]
+        x -= (x @ self._common.T @ self._core) @ self._common
+        x *= self.root[:, None]
+        return np.asarray(x.reshape(rows.shape))
+
+
+class _FrameJacobians:
+    """Linearised likelihood ``e' W e, e = residual - J'd``, with a Jacobian J for each frame."""
+
+    def __init__(self, slope: RealArray, weight: _MarkerWeight) -> None:
+        self._slope, self._weighted = slope, weight(slope)
         self._normal = self._weighted @ slope.transpose(0, 2, 1)
         self.diagonal = np.einsum("fss->fs", self._normal)
 
@@ -358,12 +382,12 @@ class _FrameJacobians:
 class _SharedJacobian:
     """The same with one Jacobian for all frames, and no explicit Hessian."""
 
-    def __init__(self, slope: RealArray, weight: RealArray) -> None:
+    def __init__(self, slope: RealArray, weight: _MarkerWeight) -> None:
         self._slope, self._weight = slope, weight
-        self.diagonal = weight @ (slope**2).T
+        self.diagonal = weight.root**2 @ (slope**2).T  # an upper bound, which scales the steps
 
     def gradient(self, residual: RealArray) -> RealArray:
-        return np.asarray((self._weight * residual) @ self._slope.T)
+        return np.asarray(self._weight(residual) @ self._slope.T)
 
     def moved(self, step: RealArray) -> RealArray:
         return np.asarray(step @ self._slope)
