@@ -48,7 +48,7 @@ from usdface.numerics.solve.bounded_least_squares import minimise_within_bounds
 CLEANED_NOISE_MM = 0.05
 """Standard deviation of a marker's coordinate after cleaning."""
 
-MARKER_INFLATION, LANDMARK_INFLATION = 1.0, 3.0
+MARKER_INFLATION, LANDMARK_INFLATION = 1.0, 9.0
 """``c`` of optical markers, and of landmarks detected in images, whose errors depend on the pose of
 the head and on light as well, and are correlated in time."""
 
