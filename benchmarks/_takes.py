@@ -1,12 +1,25 @@
-"""Checks of the takes that benchmarks use."""
+"""Parts of the takes that benchmarks use."""
 
 from usdface.core.assets import Markers, Take, WeightsClip
+from usdface.model.selection.baseline import PerformerMarkers
 
 
 def markers_of(take: Take) -> Markers:
     if take.markers is None:
         raise SystemExit(f"{take.name}: has no markers, which this benchmark needs")
     return take.markers
+
+
+def performer_of(take: Take) -> PerformerMarkers:
+    """Return a take's markers, and its neutral frame, as the blendshape equation needs them."""
+    markers = markers_of(take)
+    return PerformerMarkers(
+        neutral=markers.positions[markers.neutral_frame - take.first_frame].astype(float),
+        positions=markers.positions,
+        visible=markers.visible,
+        rigid=tuple(markers.names.index(name) for name in markers.rigid),
+        labels=markers.names,
+    )
 
 
 def weights_of(take: Take) -> WeightsClip:

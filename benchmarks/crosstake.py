@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 
 from benchmarks._damage import DAMAGES, damage
-from benchmarks._takes import markers_of
+from benchmarks._takes import markers_of, performer_of
 from tests.conftest import SHARED_DATA
 from usdface.capture.c3d_write import write_c3d
 from usdface.capture.sniff import read_capture
 from usdface.core.deformer import Deformer
 from usdface.model.regressions import MAPPING_METHODS
-from usdface.model.selection.baseline import PerformerMarkers, set_up_equation
+from usdface.model.selection.baseline import set_up_equation
 from usdface.runner.execute import execute
 from usdface.specs.capture import CleanSpec, IngestSpec
 from usdface.specs.performance import MapSpec, TrainSpec
@@ -139,13 +139,7 @@ def _equation(folder: Path, rig_file: Path) -> dict[str, tuple[tuple[str, ...], 
     equation = set_up_equation(
         rig,
         Deformer(rig),
-        PerformerMarkers(
-            neutral=markers.positions[markers.neutral_frame - take.first_frame].astype(float),
-            positions=markers.positions,
-            visible=markers.visible,
-            rigid=tuple(markers.names.index(name) for name in markers.rigid),
-            labels=markers.names,
-        ),
+        performer_of(take),
     )
     printed = equation.solve_published(markers.positions)
     return {

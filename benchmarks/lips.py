@@ -13,12 +13,12 @@ import numpy as np
 
 from benchmarks import crosstake
 from benchmarks._damage import DAMAGES
-from benchmarks._takes import markers_of
+from benchmarks._takes import markers_of, performer_of
 from tests.conftest import SHARED_DATA
 from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.model.mapping.evaluation import Evaluation, evaluate_weights
-from usdface.model.selection.baseline import PerformerMarkers, set_up_equation
+from usdface.model.selection.baseline import set_up_equation
 from usdface.model.selection.lip_contact import find_lips, keep_lip_contact
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import read_take
@@ -86,13 +86,7 @@ def _close(take_file: Path, rig: Rig, solved: np.ndarray) -> np.ndarray:
     equation = set_up_equation(
         rig,
         deformer,
-        PerformerMarkers(
-            neutral=markers.positions[markers.neutral_frame - take.first_frame].astype(float),
-            positions=markers.positions,
-            visible=markers.visible,
-            rigid=tuple(markers.names.index(name) for name in markers.rigid),
-            labels=markers.names,
-        ),
+        performer_of(take),
     )
     lips = find_lips(equation, deformer, rig.shapes)
     if lips is None:

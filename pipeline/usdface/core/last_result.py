@@ -1,26 +1,37 @@
 """A cache of one result, by the content of the arguments."""
 
-import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import wraps
 from hashlib import sha256
-from typing import ParamSpec, TypeVar
+from pathlib import Path
+from typing import ParamSpec, Protocol, TypeVar
+
+import numpy as np
 
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
 
 
-class _ContentHash:
-    """A file that hashes what is written to it, so that pickled arrays are not copied."""
+class _Hash(Protocol):
+    def update(self, data: bytes | memoryview, /) -> None: ...
 
-    def __init__(self) -> None:
-        self._hash = sha256()
-        self.write = self._hash.update
 
-    def of(self, content: object) -> bytes:
-        """Return the hash of a picklable object."""
-        pickle.Pickler(self, protocol=5).dump(content)
-        return self._hash.digest()
+def _add_content(digest: _Hash, content: object) -> None:
+    """Add arrays, scalars, containers and the attributes of other objects to a hash."""
+    digest.update(type(content).__name__.encode())
+    if isinstance(content, np.ndarray) and not content.dtype.hasobject:
+        digest.update(f"{content.dtype.str}{content.shape}".encode())
+        digest.update(np.ascontiguousarray(content).data)
+    elif content is None or isinstance(content, (str, bytes, int, float, Path, np.generic)):
+        digest.update(f"{content!r};".encode())
+    elif isinstance(content, (tuple, list)):
+        digest.update(f"{len(content)};".encode())
+        for each in content:
+            _add_content(digest, each)
+    elif isinstance(content, Mapping):
+        _add_content(digest, list(content.items()))
+    else:
+        _add_content(digest, vars(content))
 
 
 def cache_last_result(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
@@ -34,7 +45,9 @@ def cache_last_result(function: Callable[Arguments, Result]) -> Callable[Argumen
     @wraps(function)
     def cached(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
         nonlocal last
-        key, known = _ContentHash().of((args, kwargs)), last
+        digest, known = sha256(), last
+        _add_content(digest, (args, kwargs))
+        key = digest.digest()
         if known is None or known[0] != key:
             last = known = key, function(*args, **kwargs)
         return known[1]
