@@ -201,8 +201,12 @@ def _draw_group(
 ) -> None:
     """Draw a block of rows below its column heads."""
     y, style = layout.head_height, _COLUMN_STYLE.scaled(layout.scale)
+    heads = list(zip(spec.columns, layout.column_widths, strict=True))
+    style = style.scaled(
+        min(1.0, *((width - 4) / text_width(label, style) for label, width in heads))
+    )
     at = x
-    for label, width in zip(spec.columns, layout.column_widths, strict=True):
+    for label, width in heads:
         draw_text(page, label, x=at + 2, y=y, style=style, max_width=width)
         at += width + TILE_GUTTER
     y += layout.column_head
