@@ -93,6 +93,12 @@ NO_TIMES = ("frames.csv", "rows.json", "numbered.json", "mediapipe.json")
 FROM_101 = ("frames.csv", "numbered.json")
 
 
+def test_values_beside_the_weights_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "browser.json"
+    path.write_text(WRITTEN["browser.json"])
+    assert "not read: faceLandmarks" in read_capture(path).notes
+
+
 @pytest.mark.parametrize("name", WRITTEN)
 def test_a_table_becomes_a_take_to_the_last_bit(tmp_path: Path, name: str) -> None:
     path = tmp_path / name

@@ -80,6 +80,8 @@ class WeightSamples:
     """Name of each row's take; empty if the file has no such column."""
     rate: Fraction | None = None
     """Frames per second stated by the file."""
+    ignored: tuple[str, ...] = ()
+    """Names of the rows' other values, such as landmarks."""
 
     def rows(self, chosen: IntArray) -> "WeightSamples":
         """Return a copy with some of the rows."""
@@ -247,15 +249,18 @@ def _json_rows(path: Path, data: list[Any]) -> WeightSamples:
     faces = np.flatnonzero([any(not index_kind(name) for name in row) for row in rows])
     if 0 < len(faces) < len(rows) and frames is None and seconds is None:
         frames = lines.astype(np.float64)
-    # A row without a face is a gap, not a face at rest.
-    return WeightSamples(tuple(names), values, lines, frames, seconds, takes).rows(faces)
+    ignored = dict.fromkeys(name for row in data for name in _ignored(row))
+    samples = WeightSamples(
+        tuple(names), values, lines, frames, seconds, takes, ignored=tuple(ignored)
+    )
+    return samples.rows(faces)  # a row without a face is a gap, not a face at rest
 
 
 def _flat(path: Path, index: int, row: Any) -> dict[str, Any]:
     """Return a row as values by name: nested weights and lists of categories are flattened."""
     if isinstance(row, list):
         return _categories(path, index, row)
-    key = next((key for key in _ROW_KEYS if isinstance(row.get(key), dict | list)), None)
+    key = _weights_key(row)
     if key is None:
         return dict(row)
     inner = row[key]
@@ -269,6 +274,17 @@ def _flat(path: Path, index: int, row: Any) -> dict[str, Any]:
         inner = lists[0]
     nested = inner if isinstance(inner, dict) else _categories(path, index, inner)
     return {name: value for name, value in row.items() if index_kind(name)} | nested
+
+
+def _weights_key(row: dict[str, Any]) -> str | None:
+    """Return the key of a row's nested weights; None if its values are the weights."""
+    return next((key for key in _ROW_KEYS if isinstance(row.get(key), dict | list)), None)
+
+
+def _ignored(row: Any) -> list[str]:
+    """Return the keys of a row that are neither its weights nor its time."""
+    key = _weights_key(row) if isinstance(row, dict) else None
+    return [] if key is None else [name for name in row if name != key and not index_kind(name)]
 
 
 def _categories(path: Path, index: int, row: list[Any]) -> dict[str, Any]:

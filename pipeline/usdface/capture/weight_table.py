@@ -33,7 +33,7 @@ _PER_UNIT = {"one": 1.0, "percent": 0.01}
 def read_weight_take(path: Path, options: CaptureOptions) -> Capture:
     """Read a table of weights as a take."""
     samples = _one_take(path, read_weight_samples(path, shapes=options.shapes), options.take)
-    notes: list[str] = []
+    notes = [f"not read: {first_few(samples.ignored)}"] if samples.ignored else []
     values = in_fractions(path, samples.values, options.weight_unit, samples.names, notes)
     first, times = _times(path, samples, options.rate, notes)
     built = build_channel_take(
