@@ -247,3 +247,49 @@ def test_labels_of_one_side_show_no_plane_of_symmetry() -> None:
     places = np.random.default_rng(0).normal(0, 30, (6, 3))
     with pytest.raises(ValueError, match="labels name markers of the left side only"):
         marker_cloud(labels, places, None).levelled()
+
+
+@pytest.mark.parametrize("tracker", ["track", "openface"])
+def test_landmarks_of_images_are_placed_at_the_rigs_own(demo, tracker: str) -> None:
+    rig, skin = demo
+    found = find_landmarks(skin, rig.shapes)
+    names = {
+        "track": {
+            "eye_inner_{}": "eye_inner_{}1",
+            "eye_outer_{}": "eye_outer_{}1",
+            "lid_upper_{}": "lid_upper_{}4",
+            "lid_lower_{}": "lid_lower_{}4",
+            "mouth_{}": "mouth_corner_{}1",
+            "nose_tip": "nose_tip_1",
+            "mouth_middle": "lip_upper_4",
+        },
+        "openface": {
+            "eye_inner_R": "landmark_39",
+            "eye_inner_L": "landmark_42",
+            "eye_outer_R": "landmark_36",
+            "eye_outer_L": "landmark_45",
+            "mouth_R": "landmark_48",
+            "mouth_L": "landmark_54",
+            "nose_tip": "landmark_30",
+            "mouth_middle": "landmark_62",
+        },
+    }[tracker]
+    pairs = {
+        label.format(side): place.format(side)
+        for place, label in names.items()
+        for side in ("LR" if "{}" in place else "L")
+    }
+    labels = (*pairs, *(("iris_L1", "iris_R1") if tracker == "track" else ("landmark_33",)))
+    rng = np.random.default_rng(1)
+    on_rig = np.stack([found[place] for place in pairs.values()])
+    more = on_rig[: len(labels) - len(pairs)] * [1, 1, 0.95]
+    performer = np.concatenate([on_rig, more]) @ skin.frame * [0.9, 0.85, 0.8] + [5.0, 40.0, -900.0]
+    performer += rng.normal(0, 0.5, performer.shape)
+    misleading = performer + rng.normal(0, 1.0, (40, *performer.shape))  # noise of the detection
+    cloud = marker_cloud(labels, performer, misleading)
+    placed = place_markers(cloud, skin, rig.shapes)
+    assert placed.by_labels
+    at = skin.positions[placed.samples][: len(pairs)]
+    away = np.linalg.norm(at - on_rig, axis=1)
+    assert away.max() < 7.0  # samples of the skin are some millimetres apart
+    assert away.mean() < 3.5

@@ -31,6 +31,7 @@ from usdface.model.mapping.regions import (
     regions_without_shapes,
 )
 from usdface.model.mapping.uncertainty import UncertaintyModel, calibrate_uncertainty
+from usdface.model.placement.label_hints import are_image_landmarks
 from usdface.model.regressions import DEFAULT_CHOICES, Choices, Face, Pairs, RestPlaces
 from usdface.model.regressions.base import DrivenSkin, Fitted
 from usdface.model.regressions.frame_solve import FrameSolver
@@ -172,9 +173,8 @@ def _pairs(references: References, face: Face) -> Pairs:
 
 
 def _corrected_pairs(references: References, face: Face) -> CorrectedPairs:
-    """Correct the pairs; landmarks detected in images have irises (`track`) or are OpenFace's."""
-    landmarks = any(name.startswith(("iris_", "landmark_")) for name in references.marker_names)
     parts = references.parts or references.shape_names
+    landmarks = are_image_landmarks(references.marker_names)
     return correct_pairs(_pairs(references, face), parts, landmarks=landmarks)
 
 

@@ -5,7 +5,11 @@ from collections.abc import Collection
 import numpy as np
 
 from usdface.core.arrays import FloatArray
-from usdface.model.placement.label_hints import label_hint, landmark_spread_mm
+from usdface.model.placement.label_hints import (
+    are_image_landmarks,
+    label_hint,
+    landmark_spread_mm,
+)
 from usdface.model.placement.marker_cloud import MarkerCloud
 from usdface.numerics.registration.face_skin import FaceSkin
 from usdface.numerics.registration.landmark_matching import FaceLandmarks
@@ -19,6 +23,41 @@ _EYES_TO_MOUTH_MM = 70.0
 
 _OTHER_UNIT = 2.2
 """Ratio of two estimates of the scale beyond which the markers are not in millimetres."""
+
+_IMAGE_LANDMARKS: dict[str, tuple[float, tuple[str, ...], tuple[int, ...], tuple[int, ...]]] = {
+    "eye_inner_": (4.0, ("eye_inner_{}1",), (39,), (42,)),
+    "eye_outer_": (4.0, ("eye_outer_{}1",), (36,), (45,)),
+    "lid_upper_": (4.0, ("lid_upper_{}4",), (37, 38), (43, 44)),
+    "lid_lower_": (4.0, ("lid_lower_{}4",), (40, 41), (46, 47)),
+    "mouth_": (4.0, ("mouth_corner_{}1", "mouth_corner_{}2"), (48, 60), (54, 64)),
+    "brow_inner_": (6.0, ("brow_inner_{}1", "brow_inner_{}2"), (21,), (22,)),
+    "brow_middle_": (6.0, ("brow_middle_{}1", "brow_middle_{}2"), (19,), (24,)),
+    "brow_outer_": (6.0, ("brow_outer_{}1", "brow_outer_{}3"), (17, 18), (25, 26)),
+    "nose_tip": (4.0, ("nose_2", "nose_tip_1"), (30,), ()),
+    "nose_bridge": (6.0, ("nose_bridge_1",), (27,), ()),
+    "mouth_middle": (4.0, ("lip_upper_4", "lip_lower_1"), (62, 66), ()),
+    "chin": (6.0, ("chin_2", "chin_3"), (8,), ()),
+}
+"""Landmarks of a rig that are detected in images as well: standard deviation [mm] of detection,
+definition and proportions together, names by `track`, and numbers in OpenFace's tables, of the
+right side or the midline and of the left side."""
+
+
+def _places_of_images(
+    cloud: MarkerCloud, landmarks: dict[str, FloatArray], unit: float, without: Collection[int]
+) -> list[KnownPlace]:
+    """Return the places of landmarks detected in images; see `places_by_labels`."""
+    column = {label: row for row, label in enumerate(cloud.labels) if row not in without}
+    places = []
+    for stem, (spread, names, right, left) in _IMAGE_LANDMARKS.items():
+        for side, numbers in (("R", right), ("L", left)) if left else (("", right),):
+            labels = [name.format(side) for name in names]
+            labels += [f"landmark_{number}" for number in numbers]
+            markers = tuple(column[label] for label in labels if label in column)
+            if markers and stem + side in landmarks:
+                place = landmarks[stem + side]
+                places.append(KnownPlace(markers, place, spread * unit, stem + side))
+    return places
 
 
 def places_by_labels(
@@ -40,6 +79,8 @@ def places_by_labels(
     without : collection of int
         Markers to leave out.
     """
+    if are_image_landmarks(cloud.labels):
+        return _places_of_images(cloud, landmarks, unit, without)
     groups: dict[tuple[str, ...], list[int]] = {}
     spreads = {}
     for marker, label in enumerate(cloud.labels):
@@ -52,7 +93,7 @@ def places_by_labels(
         scatter = np.sqrt(cloud.neutral[markers].var(axis=0).sum())
         mean = np.mean([landmarks[name] for name in names], axis=0)
         spread = float(np.hypot(spreads[names], scatter)) * unit
-        places.append(KnownPlace(tuple(markers), mean, spread))
+        places.append(KnownPlace(tuple(markers), mean, spread, " and ".join(names)))
     return places
 
 

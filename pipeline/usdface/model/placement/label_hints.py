@@ -5,7 +5,7 @@ markers. A label without a known word has no effect.
 """
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -113,6 +113,11 @@ def label_hint(label: str) -> LabelHint:
             spread = max((landmark_spread_mm(name) for name in landmarks), default=0.0)
             return LabelHint(side, region, landmarks, spread)
     return LabelHint(side)
+
+
+def are_image_landmarks(labels: Iterable[str]) -> bool:
+    """Return whether the markers are landmarks detected in images: of `track`, or OpenFace's."""
+    return any(label.startswith(("iris_", "landmark_")) for label in labels)
 
 
 def face_region(label: str) -> str:

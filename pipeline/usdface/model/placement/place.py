@@ -7,7 +7,7 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.model.placement.known_places import marked_landmarks, places_by_labels, usual_scale
-from usdface.model.placement.label_hints import label_hint
+from usdface.model.placement.label_hints import are_image_landmarks, label_hint
 from usdface.model.placement.marker_cloud import MarkerCloud, middle_markers
 from usdface.model.placement.rig_landmarks import find_landmarks
 from usdface.numerics.registration.cloud_alignment import align_cloud, align_landmarks
@@ -60,6 +60,11 @@ _WARP_COST = 0.3
 _LEAST_GAIN = 0.03
 """Difference of value above which another candidate replaces that of closest points, which fit
 proportions in every round and are more accurate with dense markers."""
+
+_IMAGE_SKIN_SHARE = 0.01
+"""Factor on the skin's precision for landmarks detected in images. Two hundred of them follow the
+same detected surface: at full weight, the rows of both lids slide along the rig's, 8 mm apart on
+the two sides of a symmetric face."""
 
 _DOUBTFUL_VALUE = 0.2
 """Value of the best candidate below which the cloud is searched upside down as well. Of recorded
@@ -123,6 +128,8 @@ def place_markers(
     )
     own = [cloud.labels[each.markers[0]] for each in known if len(each.markers) == 1]
     named = sum(not label[-1].isdigit() for label in own) >= FEWEST_HINTS
+    if are_image_landmarks(cloud.labels) and len(known) >= FEWEST_HINTS:
+        named, scene = True, replace(scene, skin_share=_IMAGE_SKIN_SHARE)
     if named:
         start = _by_labels(scene)
     elif len(pins) >= FEWEST_PINS:
@@ -130,7 +137,9 @@ def place_markers(
     else:
         start = _by_motion(scene)
     placement = start.placement
-    samples = _above_lid_margins(scene, landmarks, placement.samples)
+    samples = placement.samples
+    if not are_image_landmarks(cloud.labels):
+        samples = _above_lid_margins(scene, landmarks, samples)
     for marker, at in pins.items():
         samples[marker] = ((skin.positions - at) ** 2).sum(axis=1).argmin()
     virtual = _virtual_markers(scene, start, samples)
@@ -182,6 +191,8 @@ class _Scene:
     pins: dict[int, FloatArray]
     usual_scale: float
     features: FaceLandmarks
+    skin_share: float = 1.0
+    """As of `place_on_skin`."""
 
 
 @dataclass(frozen=True)
@@ -195,16 +206,17 @@ class _Start:
 
 
 def _settle(scene: _Scene, frame: FloatArray, levelled: FloatArray, fit: PlaneFit) -> _Start:
-    cloud = scene.cloud
+    cloud, images = scene.cloud, scene.skin_share < 1
     placement = place_on_skin(
         levelled,
         scene.skin,
         fit,
         landmarks=scene.landmarks,
-        motion=None if cloud.motion is None else cloud.motion @ frame.T,
+        motion=None if cloud.motion is None or images else cloud.motion @ frame.T,
         ranges=scene.ranges,
         still=cloud.still,
         middle=middle_markers(cloud.labels),
+        skin_share=scene.skin_share,
     )
     return _Start(frame, levelled, placement)
 

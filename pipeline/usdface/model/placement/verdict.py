@@ -9,7 +9,6 @@ from scipy.spatial import KDTree
 from usdface.core.arrays import FloatArray
 from usdface.core.text import first_few, pluralize
 from usdface.model.placement.known_places import places_by_labels
-from usdface.model.placement.label_hints import label_hint
 from usdface.model.placement.marker_cloud import MarkerCloud
 from usdface.model.placement.place import FEWEST_PINS
 from usdface.model.placement.region_shapes import words_on_missing_shapes
@@ -150,7 +149,7 @@ def judge_placement(
         explained,
         roll,
         {cloud.labels[marker]: f"{away:.0f} mm" for marker, (away, _) in far.items()},
-        {cloud.labels[marker]: place @ skin.frame for marker, (_, place) in far.items()},
+        {cloud.labels[marker]: known.place @ skin.frame for marker, (_, known) in far.items()},
     )
 
 
@@ -200,19 +199,19 @@ def _by_motion(known: int, explained: float) -> _Reason:
 
 def _far_markers(
     local: FloatArray, known: Sequence[KnownPlace], placed: Collection[int]
-) -> dict[int, tuple[float, FloatArray]]:
+) -> dict[int, tuple[float, KnownPlace]]:
     """Return distance [mm] and landmark of markers far from it, in descending order."""
-    far: dict[int, tuple[float, FloatArray]] = {}
+    far: dict[int, tuple[float, KnownPlace]] = {}
     for each in known:
         away = float(np.linalg.norm(each.step(local)))
         doubled = 2 if set(each.markers) & set(placed) else 1
         if away > doubled * _FAR_SPREADS * each.spread_mm:
-            far |= {marker: (away, each.place) for marker in each.markers}
+            far |= {marker: (away, each) for marker in each.markers}
     return dict(sorted(far.items(), key=lambda each: -each[1][0]))
 
 
 def _missed(
-    far: dict[int, tuple[float, FloatArray]], labels: tuple[str, ...], known: Sequence[KnownPlace]
+    far: dict[int, tuple[float, KnownPlace]], labels: tuple[str, ...], known: Sequence[KnownPlace]
 ) -> _Reason:
     if not far:
         return _FINE
@@ -220,9 +219,8 @@ def _missed(
     if len(far) > _MOST_FAR_SHARE * count:
         return "bad", f"{len(far)} of {count} named markers lie far from their landmarks"
     named = [
-        f"{labels[marker]} lies {away:.0f} mm from "
-        + " and ".join(label_hint(labels[marker]).landmarks).replace("_", " ")
-        for marker, (away, _) in far.items()
+        f"{labels[marker]} lies {away:.0f} mm from {known.name.replace('_', ' ')}"
+        for marker, (away, known) in far.items()
     ]
     return "check", first_few(named, most=3)
 

@@ -101,6 +101,8 @@ class KnownPlace:
     """(3,) [mm]"""
     spread_mm: float
     """Standard deviation of the centroid about the place."""
+    name: str = ""
+    """Of the landmark there."""
 
     def step(self, positions: FloatArray) -> FloatArray:
         """Return the vector from the centroid of these markers to its place: (3,) [mm]."""
@@ -175,6 +177,7 @@ def place_on_skin(
     ranges: FloatArray,
     still: BoolArray,
     middle: Sequence[int] = (),
+    skin_share: float = 1.0,
 ) -> SkinPlacement:
     """Choose a sample of the skin for every marker.
 
@@ -193,6 +196,9 @@ def place_on_skin(
         Markers whose motion is ignored: on the skull, or never visible.
     middle : sequence of int
         Markers in the plane of symmetry according to their labels.
+    skin_share : float
+        Factor on the precision of the skin: less than 1 for clouds so dense that neighbours have
+        the same error.
     """
     unit = skin.size_mm / TYPICAL_SIZE_MM
     aligned = fit.apply(levelled)
@@ -208,7 +214,10 @@ def place_on_skin(
     central = 1 / (across * unit) ** 2
     for number, reach in enumerate(_REACHES_MM):
         away, near = map(np.asarray, tree.query(warped))
-        precision, target = _place_by_skin(skin, warped, near, away, reach * unit, unit)
+        precision, target = (
+            skin_share * each
+            for each in _place_by_skin(skin, warped, near, away, reach * unit, unit)
+        )
         precision[:, 0] += central
         target[:, 0] += central * skin.sagittal_x
         for known in landmarks:
