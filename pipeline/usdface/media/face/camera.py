@@ -57,14 +57,14 @@ class Camera:
         width, height : int
             Size of the picture [pixels].
         """
-        right, up, backward = self.axes()
-        if self.span_mm is not None:
-            return np.asarray(np.broadcast_to(-backward, (len(pixels), 3)), np.float32)
-        x, y = self._off_axis(pixels, width, height)
-        half = np.tan(np.radians(self.fov_degrees / 2))
-        rays = half * (x[:, None] * right + y[:, None] * up) - backward
-        rays /= row_lengths(rays)
-        return np.asarray(rays, np.float32)
+        local = np.full((len(pixels), 3), -1, np.float32)
+        local[:, :2] = 0
+        if self.span_mm is None:
+            half = np.tan(np.radians(self.fov_degrees / 2))
+            x, y = self._off_axis(pixels, width, height)
+            local[:, 0], local[:, 1] = half * x, half * y
+            local /= row_lengths(local)
+        return np.asarray(local @ self.axes().astype(np.float32))
 
     def origins(self, pixels: FloatArray, *, width: int, height: int) -> Float32Array:
         """Return the origins of the rays of `directions`: (n, 3) float32 [mm]."""

@@ -36,7 +36,7 @@ RAY_COUNTS = {
     "draft": RayCounts(2, 1, 4, 2, 1),
     "final": RayCounts(4, 2, 8, 3, 2),
 }
-_CONTRAST_STEP = 0.05  # difference between neighbours from which a pixel is supersampled
+_CONTRAST_STEP = 0.08  # difference between neighbours from which a pixel is supersampled
 _TOP, _BOTTOM = 0.060, 0.022  # background, linear
 _BACK_ALBEDO = 0.04  # factor on the albedo of a back face
 _HOLE_LIGHT = 0.006  # light in an eye hole without an eye
@@ -158,10 +158,10 @@ def _sample(view: View, pixels: FloatArray) -> _Samples:
     directions = view.camera.directions(pixels, width=view.width, height=view.height)
     origins = view.camera.origins(pixels, width=view.width, height=view.height)
     found = view.tracer.find(origins, directions)
-    corners = view.surface.triangles[found.triangles]
+    corners = np.take(view.surface.triangles, found.triangles, axis=0)
     normals = _mix(view.normals, corners, found.barycentric)
     normals /= np.maximum(row_lengths(normals), np.float32(1e-9))
-    views = -directions[found.rays]
+    views = -np.take(directions, found.rays, axis=0)
     facing = view.surface.outward * np.einsum("ij,ij->i", normals, views)
     normals[view.surface.outward * facing < 0] *= -1
     away = facing < -0.2
