@@ -251,11 +251,9 @@ def write_demo_inputs(
     """
     folder.mkdir(parents=True, exist_ok=True)
     with drawing_processes() as give_work:
-        progress(0.0, "sculpting the character")
+        progress(0.0, "sculpting the character and the actor")
         rig_file = folder / "character.usdc"
-        character = demo_rig()
-        write_rig(rig_file, character)
-        progress(0.10, "casting the actor")
+        character = give_work(_write_character, rig_file) if give_work else None
         actor = make_head(ACTOR)
         acted = performance()
         markers = demo_markers(actor)
@@ -270,14 +268,15 @@ def write_demo_inputs(
             rate=acted.weights.rate,
             first_frame=FIRST_FRAME,
         )
-        weights_file = folder / "animator_weights.csv"
-        write_weights(weights_file, acted.weights, character.shapes)
         phones_file = folder / "actor.phones.json"
         write_phone_track(phones_file, spoken_phones())
         video_file = folder / "actor.mp4"
         size = (2 * round(video_lines * SIZE[0] / SIZE[1] / 2), video_lines)
         filming = part(progress, 0.2, 1.0)
         write_clip(video_file, actor, acted, size=size, give_work=give_work, progress=filming)
+        shapes = character.result() if character else _write_character(rig_file)
+        weights_file = folder / "animator_weights.csv"
+        write_weights(weights_file, acted.weights, shapes)
     return DemoInputs(
         rig=rig_file,
         capture=capture_file,
@@ -289,6 +288,13 @@ def write_demo_inputs(
         video_offset_seconds=OFFSET_SECONDS,
         truth=acted.weights,
     )
+
+
+def _write_character(file: Path) -> tuple[str, ...]:
+    """Write the character's rig; return its shapes."""
+    character = demo_rig()
+    write_rig(file, character)
+    return character.shapes
 
 
 def weights_on_video(truth: WeightsClip) -> WeightsClip:

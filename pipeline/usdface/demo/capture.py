@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, row_lengths
 from usdface.demo.acting import ActedPerformance
 from usdface.demo.details import smooth_step
 from usdface.demo.half_cage import Mark
@@ -236,7 +236,7 @@ class ActorFace:
         for weight, keys in zip(mixed, self._keys, strict=True):
             if weight > 1e-4:
                 moved += _between(keys, float(weight))
-        length = np.linalg.norm(moved, axis=1, keepdims=True) / _SKIN_LIMIT
+        length = row_lengths(moved) / _SKIN_LIMIT
         moved *= np.where(length > 1e-6, np.tanh(length) / np.maximum(length, 1e-6), 1.0)
         return self._rest + moved
 
@@ -258,12 +258,12 @@ def _may_follow(name: str, other: str) -> bool:
 
 def _between(keys: tuple[tuple[float, FloatArray], ...], weight: float) -> FloatArray:
     """Return the offsets of a shape at a weight, linear between keys."""
-    low, start = 0.0, np.zeros_like(keys[0][1])
-    for high, stop in keys:
-        if weight <= high or high == keys[-1][0]:
-            return start + (stop - start) * ((weight - low) / (high - low))
-        low, start = high, stop
-    return start
+    at = min(sum(weight > key for key, _ in keys), len(keys) - 1)
+    high, stop = keys[at]
+    if at == 0:
+        return stop * (weight / high)
+    low, start = keys[at - 1]
+    return start + (stop - start) * ((weight - low) / (high - low))
 
 
 def simulate_capture(

@@ -172,7 +172,7 @@ Form = Callable[[FloatArray], FloatArray]
 
 def _lengths(vectors: FloatArray) -> FloatArray:
     """Return lengths of vectors, three times as fast as `numpy.linalg.norm`."""
-    x, y, z = np.moveaxis(vectors, -1, 0)
+    x, y, z = (vectors[..., axis] for axis in range(3))
     return np.asarray(np.sqrt(x * x + y * y + z * z))
 
 
@@ -289,6 +289,9 @@ LID_THICKNESS = 2.2
 """Distance of the outer skin of the lids from the eyeball [mm]."""
 
 
+_ON_SURFACE_MM = 1e-9  # distance at which a ray has arrived
+
+
 def trace(form: Form, origins: FloatArray, directions: FloatArray) -> FloatArray:
     """Return the first intersections of rays from outside with the form: (n, 3).
 
@@ -300,11 +303,14 @@ def trace(form: Form, origins: FloatArray, directions: FloatArray) -> FloatArray
     unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
     points = np.array(origins, dtype=float)
     nearest, best = points.copy(), np.full(len(points), np.inf)
+    away = np.arange(len(points))
     for _ in range(80):
-        value = form(points)
-        closer = value < best
-        nearest[closer], best[closer] = points[closer], value[closer]
-        points += 0.75 * np.minimum(value, 30.0)[:, None] * unit
+        value = form(points[away])
+        closer = value < best[away]
+        rows = away[closer]
+        nearest[rows], best[rows] = points[rows], value[closer]
+        points[away] += 0.75 * np.minimum(value, 30.0)[:, None] * unit[away]
+        away = away[np.abs(value) > _ON_SURFACE_MM]
     return nearest
 
 

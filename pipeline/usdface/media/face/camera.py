@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -44,11 +45,7 @@ class Camera:
 
     def axes(self) -> FloatArray:
         """Return the rows right, up and backward (from the target to the eye), orthonormal."""
-        backward = np.subtract(self.eye, self.target)
-        backward = backward / np.linalg.norm(backward)
-        right = np.cross(self.up, backward)
-        right = right / np.linalg.norm(right)
-        return np.stack([right, np.cross(backward, right), backward])
+        return _axes(self.eye, self.target, self.up)
 
     def directions(self, pixels: FloatArray, *, width: int, height: int) -> Float32Array:
         """Return unit directions of the rays through picture positions: (n, 3) float32.
@@ -60,14 +57,14 @@ class Camera:
         width, height : int
             Size of the picture [pixels].
         """
-        right, up, backward = self.axes()
-        if self.span_mm is not None:
-            return np.asarray(np.broadcast_to(-backward, (len(pixels), 3)), np.float32)
-        x, y = self._off_axis(pixels, width, height)
-        half = np.tan(np.radians(self.fov_degrees / 2))
-        rays = half * (x[:, None] * right + y[:, None] * up) - backward
-        rays /= row_lengths(rays)
-        return np.asarray(rays, np.float32)
+        local = np.full((len(pixels), 3), -1, np.float32)
+        local[:, :2] = 0
+        if self.span_mm is None:
+            half = np.tan(np.radians(self.fov_degrees / 2))
+            x, y = self._off_axis(pixels, width, height)
+            local[:, 0], local[:, 1] = half * x, half * y
+            local /= row_lengths(local)
+        return np.asarray(local @ self.axes().astype(np.float32))
 
     def origins(self, pixels: FloatArray, *, width: int, height: int) -> Float32Array:
         """Return the origins of the rays of `directions`: (n, 3) float32 [mm]."""
@@ -214,6 +211,17 @@ def _face_mask(count: int, weights: ArrayLike | None) -> BoolArray:
     if not np.any(reach > 0):
         return np.ones(count, bool)
     return np.asarray(reach > FACE_REACH * reach.max())
+
+
+@lru_cache(maxsize=8)
+def _axes(eye: tuple[float, ...], target: tuple[float, ...], up: tuple[float, ...]) -> FloatArray:
+    backward = np.subtract(eye, target)
+    backward = backward / np.linalg.norm(backward)
+    right = np.cross(up, backward)
+    right = right / np.linalg.norm(right)
+    axes = np.stack([right, np.cross(backward, right), backward])
+    axes.flags.writeable = False  # shared by all callers
+    return axes
 
 
 def _triple(vector: FloatArray) -> tuple[float, float, float]:

@@ -42,10 +42,9 @@ def denoise(
     # normal, which fails the test of the cosine.
     normal = np.zeros((3, height, width), np.float32)
     place = np.zeros((3, height, width), np.float32)
-    given = np.zeros((values.shape[1], height, width), np.float32)
-    normal[:, *grid], place[:, *grid], given[:, *grid] = normals.T, positions.T, values.T
+    given = np.ones((values.shape[1] + 1, height, width), np.float32)  # the last sums weights
+    normal[:, *grid], place[:, *grid], given[:-1, *grid] = normals.T, positions.T, values.T
     total = given.copy()
-    weight = np.ones((height, width), np.float32)
     for dy in range(3):
         for dx in range(-2, 3):
             if dy == 0 and dx <= 0:
@@ -54,15 +53,12 @@ def denoise(
             here, there = _aligned(dy, dx, height, width)
             n, m = normal[:, *here], normal[:, *there]
             step = place[:, *there] - place[:, *here]
-            alike = n[0] * m[0] + n[1] * m[1] + n[2] * m[2] > _LEAST_COSINE
-            m = m + n
-            off_plane = np.abs(step[0] * m[0] + step[1] * m[1] + step[2] * m[2])
+            alike = np.einsum("kij,kij->ij", n, m) > _LEAST_COSINE
+            off_plane = np.abs(np.einsum("kij,kij->ij", step, n + m))
             share = share * (alike & (off_plane < 2 * tolerance))
             total[:, *here] += share * given[:, *there]
             total[:, *there] += share * given[:, *here]
-            weight[here] += share
-            weight[there] += share
-    return np.asarray((total / weight)[:, *grid].T)
+    return np.asarray((total[:-1] / total[-1])[:, *grid].T)
 
 
 def _aligned(

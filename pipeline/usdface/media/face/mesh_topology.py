@@ -95,7 +95,8 @@ def vertex_normals(points: FloatArray, triangles: IntArray, operator: Sparse) ->
     (points, 3) float array
         Zero for points without a triangle of positive area.
     """
-    a, b, c = (points[triangles[:, k]] for k in range(3))
+    # Twice as fast as an index
+    a, b, c = (np.take(points, triangles[:, k], axis=0) for k in range(3))
     summed = np.asarray(operator @ np.cross(b - a, c - a))
     length = row_lengths(summed)
     return np.asarray(np.divide(summed, length, out=np.zeros_like(summed), where=length > 0))

@@ -36,7 +36,7 @@ RAY_COUNTS = {
     "draft": RayCounts(2, 1, 4, 2, 1),
     "final": RayCounts(4, 2, 8, 3, 2),
 }
-_CONTRAST_STEP = 0.05  # difference between neighbours from which a pixel is supersampled
+_CONTRAST_STEP = 0.08  # difference between neighbours from which a pixel is supersampled
 _TOP, _BOTTOM = 0.060, 0.022  # background, linear
 _BACK_ALBEDO = 0.04  # factor on the albedo of a back face
 _HOLE_LIGHT = 0.006  # light in an eye hole without an eye
@@ -136,7 +136,8 @@ def draw(view: View) -> Float32Array:
     edges = np.flatnonzero(_edges(picture))
     if len(edges):
         near_hole = ndimage.binary_dilation(holes, iterations=2).ravel()
-        flat[edges] = _resample(view, edges, near_hole, _Known(samples, seen, slots))
+        flat[edges] += _resample(view, edges, near_hole, _Known(samples, seen, slots))
+        flat[edges] /= ray_counts.edge_samples
     return picture
 
 
@@ -157,18 +158,17 @@ def _sample(view: View, pixels: FloatArray) -> _Samples:
     directions = view.camera.directions(pixels, width=view.width, height=view.height)
     origins = view.camera.origins(pixels, width=view.width, height=view.height)
     found = view.tracer.find(origins, directions)
-    corners = view.surface.triangles[found.triangles]
+    corners = np.take(view.surface.triangles, found.triangles, axis=0)
     normals = _mix(view.normals, corners, found.barycentric)
     normals /= np.maximum(row_lengths(normals), np.float32(1e-9))
-    views = -directions[found.rays]
+    views = -np.take(directions, found.rays, axis=0)
     facing = view.surface.outward * np.einsum("ij,ij->i", normals, views)
     normals[view.surface.outward * facing < 0] *= -1
     away = facing < -0.2
     albedo = _mix(view.colors, corners, found.barycentric)
     if not view.heat:
-        own = view.surface.painted[found.triangles]
-        known = ~np.isnan(own[:, 0])
-        albedo[known] = own[known]
+        own = np.flatnonzero(~np.isnan(view.surface.painted[found.triangles, 0]))
+        albedo[own] = view.surface.painted[found.triangles[own]]
     # Back of the skin, visible through an eye hole.
     albedo[away] *= _BACK_ALBEDO
     if not view.heat:
@@ -299,14 +299,15 @@ class _Known:
 
 
 def _resample(view: View, edges: IntArray, near_hole: BoolArray, known: _Known) -> Float32Array:
-    """Return the mean of several samples in each of the given pixels."""
-    count = view.ray_counts.edge_samples
+    """Return the sum of the samples of each of the given pixels, without that of its centre."""
     plastic = 1.32471795724474602596
-    steps = np.arange(count)
+    steps = np.arange(1, view.ray_counts.edge_samples)  # 0 is the centre
     spread = np.stack([(0.5 + steps / plastic) % 1, (0.5 + steps / plastic**2) % 1], axis=1)
     corners = np.stack([edges % view.width, edges // view.width], axis=1).astype(np.float64)
     pixels = (corners[:, None, :] + spread).reshape(-1, 2)
-    owner = np.repeat(edges, count)
+    owner = np.repeat(edges, len(steps))
+    edge_numbers = np.arange(len(edges)) * view.ray_counts.edge_samples
+    patterns = (5 * np.add.outer(edge_numbers, steps).ravel() + owner) % PATTERN_COUNT
     samples = _sample(view, pixels)
     rays = samples.found.rays
     seen, unknown = _borrow(view, samples, owner[rays], known)
@@ -314,14 +315,14 @@ def _resample(view: View, edges: IntArray, near_hole: BoolArray, known: _Known) 
     seen[unknown] = _occlusion(
         view,
         rest,
-        (rest.found.rays * 5 + owner[rest.found.rays]) % PATTERN_COUNT,
+        patterns[rest.found.rays],
         sky=view.ray_counts.edge_sky_rays,
         light=view.ray_counts.edge_light_rays,
     )
-    light = background(view.height, view.width)[owner // view.width, 0]
+    light = background(view.height, 1)[owner // view.width, 0]
     light[near_hole[owner]] = _HOLE_LIGHT
     light[rays] = _light(view, samples, seen)
-    return np.asarray(light.reshape(len(edges), count, 3).mean(axis=1), np.float32)
+    return np.asarray(light.reshape(len(edges), len(steps), 3).sum(axis=1), np.float32)
 
 
 def _borrow(

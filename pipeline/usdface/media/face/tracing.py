@@ -63,7 +63,8 @@ class Tracer:
             rays=rays,
             triangles=met["primID"][rays].astype(np.int64),
             barycentric=np.stack([1 - u - v, u, v], axis=1),
-            positions=origins[rays] + met["tfar"][rays, None] * directions[rays],
+            positions=np.take(origins, rays, axis=0)
+            + met["tfar"][rays, None] * np.take(directions, rays, axis=0),
         )
 
     def blocked(
@@ -104,7 +105,7 @@ def sky_seen(
     free = np.zeros(len(positions), np.float32)
     for rays in table.transpose(1, 0, 2):
         # Normal plus a point on the unit sphere is cosine-weighted; 0.99 avoids zero length.
-        directions = normals + np.float32(0.99) * rays[patterns]
+        directions = normals + np.take(np.float32(0.99) * rays, patterns, axis=0)
         directions /= row_lengths(directions)
         free += ~tracer.blocked(positions, directions, reach=reach)
     return free / np.float32(ray_count)
@@ -140,7 +141,7 @@ def light_seen(
     table = (direction + offsets).astype(np.float32)
     free = np.zeros(len(positions), np.float32)
     for rays in table.transpose(1, 0, 2):
-        free += ~tracer.blocked(positions, rays[patterns], reach=1e6)
+        free += ~tracer.blocked(positions, np.take(rays, patterns, axis=0), reach=1e6)
     return free / np.float32(ray_count)
 
 

@@ -337,7 +337,7 @@ def _steps(values: FloatArray, per_unit: int) -> NDArray[np.int16]:
 
 
 def _array(name: str, values: NDArray[Any]) -> str:
-    packed = _base64(zlib.compress(np.ascontiguousarray(values).tobytes(), 9))
+    packed = _base64(zlib.compress(np.ascontiguousarray(values).tobytes(), 6))
     return f'<script type="text/plain" id="{name}">{packed}</script>\n'
 
 

@@ -1,6 +1,7 @@
 """Write the HTML report of a performance."""
 
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 
 import numpy as np
@@ -127,17 +128,20 @@ def _page(
     rows = np.arange(len(shot.frames))
     baseline = solve_baseline(equation, shot, rows) if spec.baseline and equation else None
     tables = listings(shot, evaluate_shown(shot, keys), provenance)
-    progress(0.2, "packing the face")
     view = shot.camera(spec.camera, spec.camera_stage)
     notes += [*view.notes(clock.first_frame), *rig.undrawn_notes()]
-    movie = _movie(spec, shot, clock, notes, part(progress, 0.25, 0.93))
-    coverage = show_coverage(spec, shot, notes, part(progress, 0.93, 0.97))
-    if coverage is not None:
+    shares = None if shot.motion is None else shot.motion.shares
+    first, more_notes = view.at(clock.first_frame, still=True), list[str]()
+    with ThreadPoolExecutor(1) as pool:  # codecs release the interpreter lock
+        face = pool.submit(pack_face, rig, camera=first, shares=shares, parts=parts)
+        covered = pool.submit(show_coverage, spec, shot, more_notes)
+        movie = _movie(spec, shot, clock, notes, part(progress, 0.25, 0.97))
+    notes += more_notes
+    if (coverage := covered.result()) is not None:
         tables = (*tables[:-1], *coverage.listings, tables[-1])  # provenance stays last
         pictures = (*pictures, coverage.picture)
     moments = review_moments(signals, spec.worst, rate=float(take.rate))
     curves = page_curves(spec, shot, keys, baseline)
-    shares = None if shot.motion is None else shot.motion.shares
     return ReviewPage(
         title=f"{take.name} on {rig.file.stem}",
         verdict=(verdict.level, verdict.sentence, verdict.advice),
@@ -151,9 +155,7 @@ def _page(
         strips=page_strips(signals),
         worst=tuple((each.row, each.region, each.reason) for each in moments),
         listings=tables,
-        face=pack_face(
-            rig, camera=view.at(clock.first_frame, still=True), shares=shares, parts=parts
-        ),
+        face=face.result(),
         transforms=page_motion(shot),
         moves_as_one=shot.motion is not None and shot.motion.moves_as_one,
         movie=movie,

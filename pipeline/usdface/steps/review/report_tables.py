@@ -7,7 +7,7 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray
 from usdface.core.errors import InputError
-from usdface.core.progress import Progress
+from usdface.core.progress import silent
 from usdface.core.provenance import Provenance
 from usdface.media.page.report_page import Listing, PagePicture
 from usdface.media.picture.image import encode_image
@@ -156,9 +156,7 @@ class ShownCoverage:
     picture: PagePicture
 
 
-def show_coverage(
-    spec: ReportSpec, shot: Shot, notes: list[str], progress: Progress
-) -> ShownCoverage | None:
+def show_coverage(spec: ReportSpec, shot: Shot, notes: list[str]) -> ShownCoverage | None:
     """Measure the coverage of a shot by its references; None, with a note, if not possible."""
     references = spec.references or find_references(shot.performance_file)
     if references is None or shot.take.markers is None:
@@ -172,7 +170,7 @@ def show_coverage(
                 takes=(find_take(spec.performance, spec.take),),
                 out=Path("coverage.png"),
             ),
-            progress=progress,
+            progress=silent,
         )
     except InputError as error:
         if spec.references is not None:
