@@ -181,6 +181,8 @@ def test_proposals_err_by_a_share_of_the_motion_less_as_tuned_pairs_say() -> Non
     weights = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 0.0], [0.0, 1.0]])
     none, some = np.zeros(4, bool), np.array([True, True, False, False])
     np.testing.assert_allclose(proposal_error(grams, weights, none, weights), [0.25**2, 12.5])
+    of_video = proposal_error(grams, weights, none, weights, landmarks=True)
+    np.testing.assert_allclose(of_video, [0.6**2, 12.5])
     proposed = 0.9 * weights  # tuning changed a tenth
     share2, usual2 = proposal_error(grams, weights, some, proposed)
     assert share2 == pytest.approx(0.5**2 * (5 * 0.25**2 + 2 * 0.1**2) / 7)

@@ -21,6 +21,7 @@ from usdface.model.mapping.regions import sample_skin, skin_points
 from usdface.model.mapping.rig_match import rig_summary
 from usdface.model.mapping.train import train_mapping
 from usdface.model.mapping.uncertainty import proposal_error
+from usdface.model.placement.label_hints import are_image_landmarks
 from usdface.model.placement.rig_orientation import check_rig_upright
 from usdface.model.placement.shape_parts import missing_parts_note, shape_parts
 from usdface.model.regressions import Choices
@@ -131,7 +132,13 @@ def _proposal_error(spec: TrainSpec, mapping: TrainedMapping, references: Refere
     layer = proposed_path(spec.references)
     if 0 < references.tuned.sum() < len(references.tuned) and layer.is_file():
         proposals = np.clip((read_proposals(layer, references) - low) / (high - low), 0.0, 1.0)
-    return proposal_error(mapping.arrays["uncertainty_grams"], shown, references.tuned, proposals)
+    return proposal_error(
+        mapping.arrays["uncertainty_grams"],
+        shown,
+        references.tuned,
+        proposals,
+        landmarks=are_image_landmarks(references.marker_names),
+    )
 
 
 def _driven_skin(deformer: Deformer, points: IntArray) -> FloatArray:
