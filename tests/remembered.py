@@ -17,10 +17,15 @@ PLACING = (
     ("usdface.model.selection.baseline", "place_markers"),
     ("usdface.model.selection.baseline", "match_peaks"),
     ("usdface.model.selection.baseline", "_noise_mm"),
+    ("usdface.model.selection.baseline", "sample_face_skin"),
+    ("usdface.steps.inputs.marker_lines", "sample_face_skin"),
 )
 REMEMBERED = (
     *PLACING,
     ("usdface.demo.rig", "bare_head"),
+    ("usdface.model.mapping.evaluation", "points_by_region"),
+    ("usdface.model.mapping.take_neutral", "find_offset"),
+    ("usdface.model.regressions.forward_model", "_maximise_evidence"),
     ("usdface.model.surface.binding", "place_markers"),
     ("usdface.numerics.manifold.posterior_prediction", "_right_singular_vectors"),
     ("usdface.steps.inputs.placement", "place_markers"),
@@ -35,8 +40,9 @@ REMEMBERED = (
     ("usdface.media.page.face_payload", "_sky_of"),
 )
 """The demo's heads, where the shot's markers are placed and how far they move there, the picture of
-it, what is drawn of a rig, how much light falls on each of the face's points, and the basis of a
-scan's variances: most steps ask for them. What is remembered goes by the content of all arguments.
+it, what is drawn of a rig, how much light falls on each of the face's points, the basis of a scan's
+variances, how far a take's markers lie from the references', and the scales of the forward model:
+most steps ask for them. What is remembered goes by the content of all arguments.
 Tests of one of these call it under its own name."""
 
 
