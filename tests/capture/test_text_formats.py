@@ -439,6 +439,7 @@ def test_openface_gives_landmarks_y_up_and_action_units_to_one(put):
     np.testing.assert_allclose(source.values[:, 0], 0.02 * np.arange(12), atol=1e-6)
     np.testing.assert_allclose(source.values[:, 1], 1)
     assert (source.names, source.rate, source.first_frame) == (("AU01", "AU12"), 25, 1)
+    assert source.gaps == ((4, 4),)
 
 
 def test_openface_without_landmarks_is_a_take_of_weights(put):

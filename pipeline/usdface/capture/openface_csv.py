@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.capture.channel_take import fill_frames
+from usdface.capture.channel_take import fill_frames, gap_ranges
 from usdface.capture.marker_take import (
     Capture,
     CaptureHeader,
@@ -182,7 +182,11 @@ def _read_units(
     filled = fill_frames(values, frames[seen].astype(np.float64))
     before, after = int(frames[seen][0]), int(frames[-1] - frames[seen][-1])
     held = np.pad(filled, ((before, after), (0, 0)), mode="edge")
-    return WeightsClip(tuple(columns.units), held, first_frame, rate)
+    missing = np.ones(len(held), bool)
+    missing[frames[seen]] = False
+    return WeightsClip(
+        tuple(columns.units), held, first_frame, rate, gap_ranges(missing, first_frame)
+    )
 
 
 def _add(capture: Capture, source: WeightsClip | None, confidence: FloatArray) -> Capture:
