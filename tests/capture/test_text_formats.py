@@ -309,6 +309,23 @@ def test_live_link_rate_comes_from_the_steps_and_not_from_the_base(put, step, ba
     assert noted(capture, "counts in 60ths") == (step == 2)
 
 
+def test_milliseconds_after_the_dot_of_a_live_link_timecode_time_its_rows(put):
+    """As generators write them: frames that rounding repeats and skips."""
+    lines = samples.live_link_csv().splitlines()
+    for i in range(1, len(lines)):
+        clock, ms = divmod((i + 53) * 1000 // 60, 1000)  # over a full second
+        frame = int(ms / (1000 / 60))
+        stamp = f"00:00:{clock:02d}:{frame:02d}.{ms:03d}"
+        lines[i] = f"{stamp},{lines[i].partition(',')[2]}"
+    repeated = [line.partition(".")[0] for line in lines[1:]]
+    assert len(set(repeated)) < len(repeated)
+    capture = read_capture(put("\n".join(lines)))
+    assert noted(capture, "decimals are milliseconds of the second")
+    assert (capture.take.source.rate, len(capture.take.source.values)) == (60, samples.FRAMES)
+    expected = read_capture(put(samples.live_link_csv())).take.source.values
+    np.testing.assert_array_equal(capture.take.source.values, expected)
+
+
 def test_frames_that_live_link_dropped_are_interpolated_and_named(put):
     lines = samples.live_link_csv().splitlines()
     del lines[4:6]
