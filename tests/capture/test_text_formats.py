@@ -459,6 +459,17 @@ def test_openface_gives_landmarks_y_up_and_action_units_to_one(put):
     assert source.gaps == ((4, 4),)
 
 
+def test_openface_timestamps_that_count_rows_are_doubted(put):
+    lines = samples.openface_csv().splitlines()
+    for i in range(1, len(lines)):
+        cells = lines[i].split(", ")
+        lines[i] = ", ".join([*cells[:2], f"{(i - 1) / 1000:.3f}", *cells[3:]])
+    path = put("\n".join(lines))
+    assert noted(read_capture(path), "1000 frames per second by the timestamps")
+    stated = read_capture(path, rate=25.0)
+    assert (stated.take.rate, noted(stated, "by the timestamps")) == (25, False)
+
+
 def test_openface_without_landmarks_is_a_take_of_weights(put):
     text = samples.openface_csv().replace(" X_", " left_")
     capture = read_capture(put(text))

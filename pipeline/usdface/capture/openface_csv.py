@@ -37,6 +37,8 @@ from usdface.core.rates import exact_rate
 
 _LANDMARK = re.compile(r"X_(\d+)", re.ASCII)
 _INTENSITY = re.compile(r"(AU\d+)_r", re.ASCII)
+_FASTEST_CAMERA = 1000
+"""Rate from which timestamps count the rows in milliseconds [Hz]."""
 _HIGHEST_INTENSITY = 5.0
 _NEEDED = ("frame", "timestamp", "confidence", "success")
 _TO_Y_UP = np.diag([1.0, -1.0, -1.0])
@@ -83,6 +85,11 @@ def read_openface_csv(path: Path, options: CaptureOptions) -> Capture:
     rate = rate_of_times(table.values[:, columns.at["timestamp"]], frames, where=str(path))
     if options.rate is not None:
         rate = exact_rate(options.rate, where="--rate")
+    elif rate >= _FASTEST_CAMERA:
+        notes.append(
+            f"{float(rate):g} frames per second by the timestamps, as OpenFace counts pictures "
+            "whose rate it does not know; state it with --rate"
+        )
     seen = _rows_with_face(table.values[:, columns.at["success"]], path, notes)
     source = None
     if columns.units:

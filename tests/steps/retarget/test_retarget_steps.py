@@ -465,7 +465,9 @@ def test_kernel_cca_as_published_has_few_components_and_plain_lines(trained: Sta
     assert "is for --method kernel_cca and hybrid" in capsys.readouterr().err
 
 
-def test_a_lying_head_is_retargeted_with_a_note(finished_shot: Shot, tmp_path: Path, capsys) -> None:
+def test_a_lying_head_is_retargeted_with_a_note(
+    finished_shot: Shot, tmp_path: Path, capsys
+) -> None:
     """Weights need no direction; pictures and whoever opens the shot do."""
     stage = Usd.Stage.Open(str(finished_shot / "hero.usdc"))
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
