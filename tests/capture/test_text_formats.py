@@ -309,6 +309,23 @@ def test_live_link_rate_comes_from_the_steps_and_not_from_the_base(put, step, ba
     assert noted(capture, "counts in 60ths") == (step == 2)
 
 
+def test_milliseconds_after_the_dot_of_a_live_link_timecode_time_its_rows(put):
+    """As generators write them: frames that rounding repeats and skips."""
+    lines = samples.live_link_csv().splitlines()
+    for i in range(1, len(lines)):
+        clock, ms = divmod((i + 53) * 1000 // 60, 1000)  # over a full second
+        frame = int(ms / (1000 / 60))
+        stamp = f"00:00:{clock:02d}:{frame:02d}.{ms:03d}"
+        lines[i] = f"{stamp},{lines[i].partition(',')[2]}"
+    repeated = [line.partition(".")[0] for line in lines[1:]]
+    assert len(set(repeated)) < len(repeated)
+    capture = read_capture(put("\n".join(lines)))
+    assert noted(capture, "decimals are milliseconds of the second")
+    assert (capture.take.source.rate, len(capture.take.source.values)) == (60, samples.FRAMES)
+    expected = read_capture(put(samples.live_link_csv())).take.source.values
+    np.testing.assert_array_equal(capture.take.source.values, expected)
+
+
 def test_frames_that_live_link_dropped_are_interpolated_and_named(put):
     lines = samples.live_link_csv().splitlines()
     del lines[4:6]
@@ -439,6 +456,18 @@ def test_openface_gives_landmarks_y_up_and_action_units_to_one(put):
     np.testing.assert_allclose(source.values[:, 0], 0.02 * np.arange(12), atol=1e-6)
     np.testing.assert_allclose(source.values[:, 1], 1)
     assert (source.names, source.rate, source.first_frame) == (("AU01", "AU12"), 25, 1)
+    assert source.gaps == ((4, 4),)
+
+
+def test_openface_timestamps_that_count_rows_are_doubted(put):
+    lines = samples.openface_csv().splitlines()
+    for i in range(1, len(lines)):
+        cells = lines[i].split(", ")
+        lines[i] = ", ".join([*cells[:2], f"{(i - 1) / 1000:.3f}", *cells[3:]])
+    path = put("\n".join(lines))
+    assert noted(read_capture(path), "1000 frames per second by the timestamps")
+    stated = read_capture(path, rate=25.0)
+    assert (stated.take.rate, noted(stated, "by the timestamps")) == (25, False)
 
 
 def test_openface_without_landmarks_is_a_take_of_weights(put):

@@ -146,6 +146,20 @@ def test_an_animation_that_nobody_follows_is_orphaned(tmp_path: Path) -> None:
     assert (found.severity, "no skeleton follows" in found.message) == ("warning", True)
 
 
+def test_an_animation_of_the_rig_that_a_solve_replaces_is_no_orphan(tmp_path: Path) -> None:
+    path = write(tmp_path)
+
+    def pose(layer: Sdf.Layer) -> None:
+        anim = Sdf.PrimSpec(layer.GetPrimAtPath("/Hero"), "Rest", Sdf.SpecifierDef, "SkelAnimation")
+        names = Sdf.AttributeSpec(anim, "blendShapes", Sdf.ValueTypeNames.TokenArray)
+        names.default = Vt.TokenArray(NAMES)
+        values = Sdf.AttributeSpec(anim, "blendShapeWeights", Sdf.ValueTypeNames.FloatArray)
+        values.default = Vt.FloatArray(len(NAMES))
+
+    change(tmp_path / "rig.usda", pose)
+    assert not [each for each in validate(path) if "usdface:" in each.check]
+
+
 def test_an_instanceable_rig_in_a_shot_is_explained(tmp_path: Path) -> None:
     path = write(tmp_path)
     stage = Usd.Stage.CreateNew(str(tmp_path / "shot.usda"))

@@ -145,7 +145,12 @@ def _gaps(frames: FloatArray, end: float, first_frame: int) -> tuple[tuple[int, 
     in_gap = np.minimum(later, earlier) >= 1.0
     if in_gap.mean() > _LARGEST_GAP_SHARE:
         return ()
-    return tuple((first_frame + a, first_frame + b - 1) for a, b in runs(in_gap))
+    return gap_ranges(in_gap, first_frame)
+
+
+def gap_ranges(missing: BoolArray, first_frame: int) -> tuple[tuple[int, int], ...]:
+    """Return the first and last frame of each run of missing frames, from a mask over the take."""
+    return tuple((first_frame + a, first_frame + b - 1) for a, b in runs(missing))
 
 
 def describe_missing(frames: FloatArray, first_frame: int = _FIRST_FRAME) -> list[str]:

@@ -2,12 +2,13 @@
 
 One header line, then a timecode ``HH:MM:SS:FF.fff`` per row. The timecode base is often twice the
 rate of the rows, so the rate is taken from the steps between rows. A row without values (a count of
-0) is a frame without a face.
+0) is a frame without a face. Generators of speech animation write milliseconds of the second after
+the dot, and frames that rounding repeats and skips.
 """
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,8 @@ _BASES = (24, 25, 30, 48, 50, 60, 100, 120)
 _DAY_SECONDS = 24 * 60 * 60
 _TWO_RATES_SHARE = 0.2
 """Share of rows at half or twice the median step above which the device has changed its rate."""
+_FEWEST_FRAMES = 3
+"""Range of frames below which decimals can be milliseconds by chance."""
 _ROTATIONS = ("Yaw", "Pitch", "Roll")
 
 
@@ -77,7 +80,7 @@ def read_live_link_csv(path: Path, options: CaptureOptions) -> Capture:
         notes.append(f"{pluralize(rows.outside, 'row')} without a face at the ends, left out")
     where = f"{path} Timecode in seconds"
     base = _settle_base(rows, notes, where)
-    seconds = _unwrap(rows, base)
+    seconds = _unwrap(_without_milliseconds(rows, base, notes), base)
     times = resolve_device_times(seconds, np.array(rows.lines), where=where)
     _check_one_rate(seconds, rows, where)
     if round(float(times.rate)) != base and base % times.rate == 0:
@@ -157,6 +160,19 @@ def _settle_base(rows: _Rows, notes: list[str], where: str) -> int:
         return possible[0]
     estimate = float(np.median(within) - np.median(np.diff(parts)[turns]))
     return min(possible, key=lambda base: abs(base - estimate))
+
+
+def _without_milliseconds(rows: _Rows, base: int, notes: list[str]) -> _Rows:
+    """Return the rows with the time after the dot in frames, if it is milliseconds of the second.
+
+    That of the app is a share of a frame, which hardly changes from row to row.
+    """
+    frames, share = np.divmod(np.array(rows.parts), 1.0)
+    within = share * base
+    if np.ptp(frames) < _FEWEST_FRAMES or (np.abs(within - frames) > 1 + 1e-3 * base).any():
+        return rows
+    notes.append("the timecode's decimals are milliseconds of the second; rows are timed by them")
+    return replace(rows, parts=within.tolist())
 
 
 def _unwrap(rows: _Rows, base: int) -> FloatArray:

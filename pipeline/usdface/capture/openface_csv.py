@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.capture.channel_take import fill_frames
+from usdface.capture.channel_take import fill_frames, gap_ranges
 from usdface.capture.marker_take import (
     Capture,
     CaptureHeader,
@@ -37,6 +37,8 @@ from usdface.core.rates import exact_rate
 
 _LANDMARK = re.compile(r"X_(\d+)", re.ASCII)
 _INTENSITY = re.compile(r"(AU\d+)_r", re.ASCII)
+_FASTEST_CAMERA = 1000
+"""Rate from which timestamps count the rows in milliseconds [Hz]."""
 _HIGHEST_INTENSITY = 5.0
 _NEEDED = ("frame", "timestamp", "confidence", "success")
 _TO_Y_UP = np.diag([1.0, -1.0, -1.0])
@@ -83,6 +85,11 @@ def read_openface_csv(path: Path, options: CaptureOptions) -> Capture:
     rate = rate_of_times(table.values[:, columns.at["timestamp"]], frames, where=str(path))
     if options.rate is not None:
         rate = exact_rate(options.rate, where="--rate")
+    elif rate >= _FASTEST_CAMERA:
+        notes.append(
+            f"{float(rate):g} frames per second by the timestamps, as OpenFace counts pictures "
+            "whose rate it does not know; state it with --rate"
+        )
     seen = _rows_with_face(table.values[:, columns.at["success"]], path, notes)
     source = None
     if columns.units:
@@ -182,7 +189,11 @@ def _read_units(
     filled = fill_frames(values, frames[seen].astype(np.float64))
     before, after = int(frames[seen][0]), int(frames[-1] - frames[seen][-1])
     held = np.pad(filled, ((before, after), (0, 0)), mode="edge")
-    return WeightsClip(tuple(columns.units), held, first_frame, rate)
+    missing = np.ones(len(held), bool)
+    missing[frames[seen]] = False
+    return WeightsClip(
+        tuple(columns.units), held, first_frame, rate, gap_ranges(missing, first_frame)
+    )
 
 
 def _add(capture: Capture, source: WeightsClip | None, confidence: FloatArray) -> Capture:

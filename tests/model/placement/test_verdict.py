@@ -228,3 +228,15 @@ def test_motion_and_labels_that_agree_look_right_unless_little_is_explained(benc
     verdict = bench.judge(bench.local, cloud=noisy, by_labels=False)
     assert verdict.level != "good"
     assert "placed by motion, of which shapes explain" in verdict.sentence
+
+
+def test_motion_that_shapes_explain_poorly_is_no_evidence_of_a_placement(bench: Bench) -> None:
+    labels = tuple(f"m{n}" for n in range(len(LABELS)))
+    cloud = replace(bench.cloud, labels=labels)
+    fine = bench.judge(bench.local, cloud=cloud, by_labels=False)
+    assert fine.explained > 0.8
+    assert "far off" not in fine.sentence
+    shuffled = replace(cloud, motion=bench.cloud.motion[:, ::-1])
+    weak = bench.judge(bench.local, cloud=shuffled, by_labels=False)
+    assert weak.explained < 0.5
+    assert f"shapes explain {weak.explained:.0%} of it: all markers may be far off" in weak.sentence

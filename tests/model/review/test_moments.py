@@ -46,7 +46,7 @@ def test_known_errors_find_all_of_the_worst_moments() -> None:
     )
     assert sorted(moment.row for moment in moments) == [30, 200, 450]
     assert {(moment.region, moment.reason) for moment in moments} == {
-        ("mouth", "1.00 mm off the keys")
+        ("mouth", "2.00 mm off the keys")
     }
 
 
@@ -66,7 +66,7 @@ def test_each_cause_is_found_and_named() -> None:
     assert "lips" not in moments[100].reason  # nobody sees a gap of .04 mm
     assert (moments[300].region, moments[300].reason) == (
         "mouth",
-        "jumps by 3.00 mm, lips 0.2 mm open, the performer's closed",
+        "jumps by 5.00 mm, lips 0.2 mm open, the performer's closed",
     )
     assert (moments[500].region, moments[500].reason[:16]) == ("mouth", "lips 2.5 mm open")
 

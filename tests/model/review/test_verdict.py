@@ -130,6 +130,8 @@ def test_a_take_that_its_proposals_cover_is_tuned_before_more_frames_are_added()
     verdict = judge_solve(found)
     assert verdict.level == "bad"
     assert verdict.advice == "tune the references (30 are proposals), then train and map again"
+    by_keys = judge_solve(replace(found, error_mm=found.uncertainty_mm))
+    assert (by_keys.level, by_keys.advice) == ("bad", verdict.advice)
     far = judge_solve(replace(found, residual_mm=np.full_like(found.uncertainty_mm, 1.6)))
     assert far.advice.startswith("add frames of this take")
 

@@ -74,6 +74,16 @@ def test_nearly_dependent_columns_are_solved_to_optimality():
     assert solution.violation.max() < 1e-8
 
 
+def test_without_a_measured_coordinate_costs_alone_decide():
+    """As in a frame without any marker."""
+    nothing, no_target = np.zeros((0, 30)), np.zeros((4, 0))
+    cost = np.linspace(-1, 1, 30)
+    solution = solve_bounded_least_squares(
+        nothing, no_target, lower=0, upper=0.3, ridge=2.0, cost=cost
+    )
+    np.testing.assert_allclose(solution.x, [np.clip(-cost / 2, 0, 0.3)] * 4, atol=1e-12)
+
+
 def test_equal_bounds_fix_a_variable(problem):
     matrix, targets = problem
     lower, upper = np.zeros(24), np.ones(24)

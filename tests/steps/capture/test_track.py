@@ -135,6 +135,7 @@ def test_frames_without_a_face_are_gaps_and_frames_are_chosen(tracked, tmp_path)
     assert take.video.video_time(0.0) == pytest.approx(10 / 24)
     assert (np.flatnonzero(~take.markers.visible.all(axis=1)) == np.arange(5, 9)).all()
     assert (take.markers.confidence[5:9] == 0).all()
+    assert take.source.gaps == ((16, 19),)
     assert any(
         "no face, or not the tracked one, in 4 pictures of 20" in note for note in result.notes
     )

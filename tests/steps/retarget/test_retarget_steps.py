@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from pxr import Sdf, Usd
+from pxr import Sdf, Usd, UsdGeom
 
 from tests.steps.small_shot import Shot
 from tests.usdio.small_creature import (
@@ -463,6 +463,19 @@ def test_kernel_cca_as_published_has_few_components_and_plain_lines(trained: Sta
     assert settings["components"] in (8, 16, 32)
     assert usdface("train-retarget", "x.pairs.usda", "--published", "--out", "q.usdc") == 2
     assert "is for --method kernel_cca and hybrid" in capsys.readouterr().err
+
+
+def test_a_lying_head_is_retargeted_with_a_note(
+    finished_shot: Shot, tmp_path: Path, capsys
+) -> None:
+    """Weights need no direction; pictures and whoever opens the shot do."""
+    stage = Usd.Stage.Open(str(finished_shot / "hero.usdc"))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    stage.Export(str(tmp_path / "lies.usdc"))
+    for rig, noted in ((finished_shot / "hero.usdc", False), (tmp_path / "lies.usdc", True)):
+        line = ["retarget", str(finished_shot / "shot.hero.usda"), "--rig", str(rig)]
+        assert usdface(*line, "--out", str(tmp_path / f"{noted}.usda"), "--frames", "101-110") == 0
+        assert ("the head lies" in capsys.readouterr().out) == noted
 
 
 def test_positions_are_matched_without_pairs(finished_shot: Shot, tmp_path: Path, capsys) -> None:

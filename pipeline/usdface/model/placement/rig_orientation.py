@@ -79,6 +79,14 @@ def check_rig_upright(rig: Rig) -> tuple[str, ...]:
     )
 
 
+def describe_orientation(rig: Rig) -> tuple[str, ...]:
+    """Return what `check_rig_upright` refuses or notes, for steps that need no direction."""
+    try:
+        return check_rig_upright(rig)
+    except InputError as error:
+        return (str(error),)
+
+
 def face_axes(rig: Rig) -> FloatArray:
     """Return a rig's left, up and forward axes: columns of a rotation, (3, 3).
 

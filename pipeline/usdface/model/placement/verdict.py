@@ -190,9 +190,16 @@ _FINE: _Reason = ("good", "")
 
 def _by_motion(known: int, explained: float) -> _Reason:
     """Return a check for a placement by motion without labels, or with little explained motion."""
+    weak = not explained >= _LEAST_EXPLAINED
     if known < FEWEST_PINS:
-        return "check", "placed by motion alone, as labels and shapes name too few landmarks"
-    if not explained >= _LEAST_EXPLAINED:
+        alone = "placed by motion alone, as labels and shapes name too few landmarks"
+        if weak and not np.isnan(explained):
+            alone += (
+                f", and shapes explain {explained:.0%} of it: all markers may be far off; give "
+                "three or more their places with --landmarks"
+            )
+        return "check", alone
+    if weak:
         return "check", f"placed by motion, of which shapes explain {explained:.0%}"
     return _FINE
 

@@ -75,21 +75,21 @@ class ReviewSignals:
         return evidence.uncertainty_mm / np.maximum(evidence.coverage, _LEAST_COVERAGE)
 
     def moment(self, row: int) -> Moment:
-        """Return the moment at a row, with its region and reason."""
+        """Return the moment at a row, with its region and reason: figures are the region's."""
         evidence, score = self.evidence, float(self.score_mm[row])
         if evidence.error_mm is not None:
-            region = _largest_region(evidence.regions, evidence.error_mm[row])
-            return Moment(row, score, region, f"{score:.2f} mm off the keys")
+            region, error = _largest_region(evidence.regions, evidence.error_mm[row])
+            return Moment(row, score, region, f"{error:.2f} mm off the keys")
         gap = 0.0 if self.gap_mm is None else float(self.gap_mm[row])
         jump, expected = float(self.jump_mm[row, 0]), float(self.expected_mm[row, 0])
         lips = f"lips {gap:.1f} mm open, the performer's closed" if gap > LEAST_JUMP_MM else ""
         if gap / 2 * self.lip_share**0.5 > max(jump, expected):
             return Moment(row, score, "mouth", lips)
         if jump > expected:
-            region = _largest_region(self.jump_regions or evidence.regions, self.jump_mm[row])
-            reason = f"jumps by {jump:.2f} mm"
+            region, most = _largest_region(self.jump_regions or evidence.regions, self.jump_mm[row])
+            reason = f"jumps by {most:.2f} mm"
         else:
-            region = _largest_region(evidence.regions, self.expected_mm[row])
+            region, _ = _largest_region(evidence.regions, self.expected_mm[row])
             reason = "" if evidence.uncertainty_mm is None else _expected(evidence, row, region)
         return Moment(row, score, region, ", ".join(filter(None, [reason, lips])))
 
@@ -105,11 +105,16 @@ def _expected(evidence: SolveEvidence, row: int, region: str) -> str:
     return ", ".join(words)
 
 
-def _largest_region(regions: tuple[str, ...], values: FloatArray) -> str:
-    """Return the region with the largest value; empty if there is only the whole face."""
-    if len(values) < 2 or len(regions) < 2:
-        return ""
-    return regions[1 + int(np.nan_to_num(values[1:]).argmax())]
+def _largest_region(regions: tuple[str, ...], values: FloatArray) -> tuple[str, float]:
+    """Return the region with the largest value, and the value.
+
+    If there is only the whole face, or no region has a value: no name, and the face's.
+    """
+    named = np.nan_to_num(values[1 : len(regions)])
+    if not named.any():
+        return "", float(values[0])
+    most = int(named.argmax())
+    return regions[1 + most], float(named[most])
 
 
 def review_moments(signals: ReviewSignals, count: int, *, rate: float) -> list[Moment]:

@@ -117,7 +117,8 @@ def judge_solve(evidence: SolveEvidence) -> SolveVerdict:
             beyond = wrong
         else:
             stated = _name_changed(evidence) or _name_without_shapes(evidence)
-            checked = _frame_share(doubtful) > _CHANCE_SHARE or proposals or stated
+            unproven = proposals and evidence.error_mm is None
+            checked = _frame_share(doubtful) > _CHANCE_SHARE or unproven or stated
             level, beyond = "check" if checked else "good", doubtful
     shares = _by_any(beyond).mean(axis=0)
     where = _worst_regions(evidence.regions, shares)
@@ -192,7 +193,7 @@ def worst_verdict(verdicts: Mapping[str, SolveVerdict]) -> SolveVerdict:
 def _mostly_proposals(evidence: SolveEvidence) -> bool:
     """Whether fewer references are tuned than not."""
     basis = evidence.basis
-    return evidence.error_mm is None and basis is not None and 2 * basis.tuned < basis.pairs
+    return basis is not None and 2 * basis.tuned < basis.pairs
 
 
 def _is_covered(evidence: SolveEvidence) -> bool:
@@ -322,7 +323,7 @@ def _advice(evidence: SolveEvidence, level: str, where: dict[str, float], propos
             + (f", chosen for the {parts}" if parts else "")
             + ("," if parts and proposals else "")
         )
-    if proposals and basis is not None:
+    if proposals and basis is not None and (level == "bad" or evidence.error_mm is None):
         steps.append(f"tune the references ({basis.pairs - basis.tuned} are proposals)")
     if not steps and level != "bad" and _name_changed(evidence):
         return "train and map again"

@@ -156,6 +156,8 @@ class _LowRankSolver:
         H = self._H
         u = np.where(free, b - H.product(fixed), 0.0) / H.root
         y = u @ H.E
+        if not y.shape[1]:  # no marker is visible: H is diagonal
+            return np.asarray(np.where(free, u / H.root, fixed))
         for index, (row, chosen) in enumerate(zip(rows.tolist(), free, strict=True)):
             # From the previous exchange of this frame, or from the previous frame.
             starts = (self._by_row.get(row, self._last), self._last)

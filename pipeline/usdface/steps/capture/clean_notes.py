@@ -4,7 +4,7 @@ import numpy as np
 
 from usdface.core.arrays import ByteImage, longest_run
 from usdface.core.assets import Markers, Take
-from usdface.core.text import first_few, pluralize
+from usdface.core.text import first_few, frame_ranges, pluralize
 from usdface.media.charts.repair import RepairKind, draw_repairs
 from usdface.model.review.verdict import VERDICT_WORDS
 from usdface.numerics.motion.noise import still_range_mm
@@ -61,17 +61,19 @@ def _slip_notes(cleaned: CleanedMarkers, markers: Markers, take: Take) -> list[s
 def _repairs(cleaned: CleanedMarkers, markers: Markers, take: Take) -> list[str]:
     notes = []
     for swap in cleaned.swaps[:_LISTED_SWAPS]:
+        stretch = (take.first_frame + swap.start, take.first_frame + swap.stop - 1)
         notes.append(
-            f"frames {take.first_frame + swap.start}-{take.first_frame + swap.stop - 1}: labels "
+            f"{frame_ranges([stretch])}: labels "
             f"{markers.names[swap.first]} and {markers.names[swap.second]} were swapped"
         )
     if len(cleaned.swaps) > _LISTED_SWAPS:
         notes.append(f"and {len(cleaned.swaps) - _LISTED_SWAPS} more swaps")
     if cleaned.outliers.any():
-        worst = int(cleaned.outliers.sum(axis=0).argmax())
+        counts = cleaned.outliers.sum(axis=0)
+        whose = "of" if np.count_nonzero(counts) == 1 else "most of them of"
         notes.append(
-            f"replaced {pluralize(int(cleaned.outliers.sum()), 'outlier')}, most of them of "
-            f"{markers.names[worst]}"
+            f"replaced {pluralize(int(counts.sum()), 'outlier')}, {whose} "
+            f"{markers.names[int(counts.argmax())]}"
         )
     missing = ~cleaned.visible
     if missing.any():

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from usdface.capture.camera_calibration import CalibratedCamera
+from usdface.capture.channel_take import gap_ranges
 from usdface.capture.face_gaze import LOOK_SHAPES, gaze_angles
 from usdface.capture.face_landmarker import KNOWN_MODELS
 from usdface.capture.face_landmarks import LANDMARKS
@@ -172,7 +173,13 @@ def _build_take(
         built.take,
         name=spec.take or spec.video.stem,
         markers=replace(markers, confidence=confidence),
-        source=WeightsClip(score_names, scores, view.first_frame, timing.rate),
+        source=WeightsClip(
+            score_names,
+            scores,
+            view.first_frame,
+            timing.rate,
+            gap_ranges(~view.present, view.first_frame),
+        ),
         video=Video(spec.video, timing.rate, offset=-start),
         performer=spec.performer,
         session=spec.session,

@@ -13,6 +13,7 @@ from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import LAYER_SUFFIXES, controls_path, head_path, weights_path
 from usdface.core.text import first_few, frame_ranges, pluralize
+from usdface.model.placement.rig_orientation import describe_orientation
 from usdface.model.retarget.name_matching import Transfer
 from usdface.model.retarget.shape_matching import Correspondence, correspond, match_positions
 from usdface.model.retarget.train import retarget
@@ -109,7 +110,12 @@ def run(spec: RetargetSpec, *, provenance: Provenance, progress: Progress = sile
         header = _header(spec, motion, target)
         header = replace(header, zeroed_shapes=heads[index].zeroed_shapes)
         _write(out, header, motion, target, heads[index], alpha, share, provenance)
-        target_notes = (*target.notes, *heads[index].notes, *edit_notes(out))
+        target_notes = (
+            *target.notes,
+            *describe_orientation(target.rig),
+            *heads[index].notes,
+            *edit_notes(out),
+        )
         notes += [f"{out.name}: {note}" for note in target_notes]
         outputs += [out, weights_path(out)]
         if target.trained and (target.trained.joints or target.trained.attributes):

@@ -119,7 +119,10 @@ def check_instances(stage: Usd.Stage) -> Iterator[Fault]:
 
 
 def _bound_shapes(animation: Usd.Prim) -> tuple[set[str], bool]:
-    """Return the shapes on the stage's meshes, and whether a skeleton follows the animation."""
+    """Return the shapes on the stage's meshes, and whether a skeleton follows the animation.
+
+    True as well for an animation of the rig itself that a solve replaces.
+    """
     on_meshes: set[str] = set()
     followed = False
     for prim in animation.GetStage().Traverse():
@@ -127,7 +130,9 @@ def _bound_shapes(animation: Usd.Prim) -> tuple[set[str], bool]:
         on_meshes.update(map(str, binding.GetBlendShapesAttr().Get() or []))
         if prim.IsA(UsdSkel.Skeleton):
             source = binding.GetInheritedAnimationSource()
-            followed |= bool(source) and source.GetPath() == animation.GetPath()
+            if source:
+                replaced = is_solved(source.GetPrim()) and not is_solved(animation)
+                followed |= replaced or source.GetPath() == animation.GetPath()
     return on_meshes, followed
 
 
