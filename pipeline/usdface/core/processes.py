@@ -1,16 +1,19 @@
-"""Worker processes: their number, start and end."""
+"""Worker processes: their number, start and end; threads for arithmetic on arrays."""
 
 import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import active_children, get_context
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeVar
+
+Given = TypeVar("Given")
+Made = TypeVar("Made")
 
 SubmitWork = Callable[..., Future[Any]]
 """Takes a function and its arguments, as `Executor.submit`."""
@@ -36,6 +39,19 @@ def usable_cores() -> int:
         return len(os.sched_getaffinity(0))
     except AttributeError:  # not on macOS or Windows
         return os.cpu_count() or 1
+
+
+def map_threads(function: Callable[[Given], Made], items: Iterable[Given]) -> list[Made]:
+    """Return a function of each item, computed on all usable cores.
+
+    For arithmetic on arrays, which releases Python's lock. Items must not depend on the number of
+    cores, as results would in their rounding.
+    """
+    given = list(items)
+    if len(given) < 2:
+        return [function(item) for item in given]
+    with ThreadPoolExecutor(usable_cores()) as pool:
+        return list(pool.map(function, given))
 
 
 @contextmanager
