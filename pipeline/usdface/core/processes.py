@@ -12,6 +12,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar
 
+_MOST_THREADS = 8
+"""Each holds arrays of its own, and they wait for Python's lock between operations."""
+
 Given = TypeVar("Given")
 Made = TypeVar("Made")
 
@@ -42,7 +45,7 @@ def usable_cores() -> int:
 
 
 def map_threads(function: Callable[[Given], Made], items: Iterable[Given]) -> list[Made]:
-    """Return a function of each item, computed on all usable cores.
+    """Return a function of each item, computed on the usable cores, at most `_MOST_THREADS`.
 
     For arithmetic on arrays, which releases Python's lock. Items must not depend on the number of
     cores, as results would in their rounding.
@@ -50,7 +53,7 @@ def map_threads(function: Callable[[Given], Made], items: Iterable[Given]) -> li
     given = list(items)
     if len(given) < 2:
         return [function(item) for item in given]
-    with ThreadPoolExecutor(usable_cores()) as pool:
+    with ThreadPoolExecutor(min(usable_cores(), _MOST_THREADS)) as pool:
         return list(pool.map(function, given))
 
 
