@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from usdface.core.processes import process_count, worker_processes
+from usdface.core.processes import map_threads, process_count, worker_processes
 
 SCRIPT = """
 import os, signal, sys, threading, time
@@ -87,3 +87,10 @@ def test_there_are_as_many_as_are_wanted_or_as_there_are_cores(
     assert process_count(5) == 5
     monkeypatch.setattr(sys, "orig_argv", ["/opt/maya/bin/maya.bin"])
     assert process_count(5) == process_count() == 1
+
+
+def test_threads_return_results_in_the_order_of_the_items() -> None:
+    assert map_threads(lambda item: item**2, range(50)) == [item**2 for item in range(50)]
+    assert map_threads(abs, []) == []
+    with pytest.raises(ZeroDivisionError):
+        map_threads(lambda item: 1 / item, range(5))

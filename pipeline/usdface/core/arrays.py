@@ -67,11 +67,16 @@ def single_precision(values: NDArray[np.floating]) -> Float32Array:
 
 
 def row_lengths(rows: NDArray[np.floating]) -> Any:
-    """Return the length of each row, (n, k) to (n, 1), of their type.
+    """Return the length of each row, (..., k) to (..., 1), of their type.
 
     Three times as fast as `numpy.linalg.norm` for short rows.
     """
-    return np.sqrt(np.einsum("ij,ij->i", rows, rows))[:, None]
+    return np.sqrt(np.einsum("...i,...i->...", rows, rows))[..., None]
+
+
+def distances(one: NDArray[np.floating], other: NDArray[np.floating]) -> Any:
+    """Return the distances of points, (..., 3) to (...), of their type."""
+    return row_lengths(one - other)[..., 0]
 
 
 def first_largest(values: FloatArray) -> int:

@@ -1,16 +1,22 @@
-"""Worker processes: their number, start and end."""
+"""Worker processes: their number, start and end; threads for arithmetic on arrays."""
 
 import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import active_children, get_context
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeVar
+
+_MOST_THREADS = 8
+"""Each holds arrays of its own, and they wait for Python's lock between operations."""
+
+Given = TypeVar("Given")
+Made = TypeVar("Made")
 
 SubmitWork = Callable[..., Future[Any]]
 """Takes a function and its arguments, as `Executor.submit`."""
@@ -36,6 +42,19 @@ def usable_cores() -> int:
         return len(os.sched_getaffinity(0))
     except AttributeError:  # not on macOS or Windows
         return os.cpu_count() or 1
+
+
+def map_threads(function: Callable[[Given], Made], items: Iterable[Given]) -> list[Made]:
+    """Return a function of each item, computed on the usable cores, at most `_MOST_THREADS`.
+
+    For arithmetic on arrays, which releases Python's lock. Items must not depend on the number of
+    cores, as results would in their rounding.
+    """
+    given = list(items)
+    if len(given) < 2:
+        return [function(item) for item in given]
+    with ThreadPoolExecutor(min(usable_cores(), _MOST_THREADS)) as pool:
+        return list(pool.map(function, given))
 
 
 @contextmanager

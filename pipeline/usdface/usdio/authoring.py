@@ -225,6 +225,15 @@ class PointExtents:
         """Write the extents of frames, whose points are (frames, points, 3) in stage units."""
         if not points.size:
             return
-        ends = np.stack([points.min(axis=1) - self._radius, points.max(axis=1) + self._radius], 1)
+        low, high = (_halved(function, points) for function in (np.minimum, np.maximum))
+        ends = np.stack([low - self._radius, high + self._radius], 1)
         for frame, end in zip(frames, ends.astype(np.float32), strict=True):
             layer.SetTimeSample(self._path, frame, Vt.Vec3fArray.FromNumpy(end))
+
+
+def _halved(function: np.ufunc, points: Float32Array) -> Float32Array:
+    """Return the extreme of each frame's points; `ufunc.reduce` takes six times as long."""
+    while (count := points.shape[1]) > 1:
+        half = (count + 1) // 2
+        points = function(points[:, :half], points[:, count - half :])
+    return points[:, 0]

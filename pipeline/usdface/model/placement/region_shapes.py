@@ -70,8 +70,9 @@ def words_on_missing_shapes(
     moving = motion > _STILL_MM * skin.size_mm / TYPICAL_SIZE_MM
     template = fit_region_template(skin, shapes)
     regions = _marker_regions(labels, skin, template, samples)
-    owners = _owners(skin, shapes, template, samples, regions)
-    size = np.linalg.norm(skin.deltas, axis=2)
+    x, y, z = np.moveaxis(skin.deltas, 2, 0)
+    size = np.sqrt(x * x + y * y + z * z)
+    owners = _owners(skin, size, shapes, template, samples, regions)
     reach = size.max(axis=1, initial=0.0)
     named, missing = [], set()
     for region in REGIONS:
@@ -117,6 +118,7 @@ def _marker_regions(
 
 def _owners(
     skin: FaceSkin,
+    sizes: FloatArray,
     shapes: tuple[str, ...],
     template: RegionTemplate | None,
     samples: IntArray,
@@ -133,8 +135,7 @@ def _owners(
     cells = np.where(away < _CELL_MM * skin.size_mm / TYPICAL_SIZE_MM, regions[near], "")
     masks = np.array([cells == region for region in REGIONS])
     owners = []
-    for shape, name in enumerate(shapes):
-        size = np.linalg.norm(skin.deltas[shape], axis=1)
+    for shape, (name, size) in enumerate(zip(shapes, sizes, strict=True)):
         region = region_of_shape(meanings[name].motion if meanings[name].understood else name)
         if shape in hidden or not size.any():
             region = ""

@@ -13,6 +13,7 @@ from scipy import sparse
 from scipy.spatial import KDTree
 
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
+from usdface.core.last_result import cache_last_result
 from usdface.numerics.registration.virtual_markers import Offsets, deltas_at, sparse_offsets
 from usdface.numerics.surface.triangulation import triangle_areas
 
@@ -217,6 +218,7 @@ class FaceSkin:
         return np.asarray(points * [-1.0, 1.0, 1.0] + [2 * self.sagittal_x, 0.0, 0.0])
 
 
+@cache_last_result
 def sample_face_skin(points: ArrayLike, triangles: ArrayLike, offsets: Offsets) -> FaceSkin:
     """Sample the skin of a rig's face.
 
@@ -242,7 +244,8 @@ def sample_face_skin(points: ArrayLike, triangles: ArrayLike, offsets: Offsets) 
     normals = np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0]) @ frame.T
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     # Each axis of a shape is contiguous, as placements multiply axis by axis.
-    deltas = np.moveaxis(frame @ np.moveaxis(deltas_at(matrix, corners, shares), 2, 1), 1, 2)
+    deltas = np.moveaxis(deltas_at(matrix, corners, shares), 2, 1)
+    deltas = np.moveaxis(frame @ np.ascontiguousarray(deltas), 1, 2)
     moved = np.sqrt((deltas**2).sum(axis=(0, 2)))
     weight = moved / moved.sum()
     radius = np.sqrt(weight @ ((positions - weight @ positions) ** 2).sum(axis=1))

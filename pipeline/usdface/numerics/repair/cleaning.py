@@ -12,10 +12,12 @@ from usdface.core.arrays import (
     Float32Array,
     FloatArray,
     RealArray,
+    distances,
     frame_blocks,
     hold_last_seen,
     sample_frames,
 )
+from usdface.core.processes import map_threads
 from usdface.core.progress import Progress, silent
 from usdface.numerics.motion.noise import marker_noise
 from usdface.numerics.repair.fit_low_rank import choose_rank, fit_low_rank
@@ -251,17 +253,20 @@ def _refine_pose(still: _StabilizedTake, good: BoolArray, model: LowRankModel) -
     sample = sample_frames(len(positions), _POSE_SAMPLE_FRAMES)
     for _ in range(_POSE_ROUNDS):
         complete, predicted = fill_and_predict(model, positions[sample], good[sample])
-        distance = np.linalg.norm(complete - predicted, axis=2)
+        distance = distances(complete, predicted)
         usual = np.array([_median(distance[ok, m]) for m, ok in enumerate(good[sample].T)])
         deviation = np.maximum(MAD_TO_DEVIATION * usual, model.noise)
-        for block in frame_blocks(len(positions)):
+
+        def align(block: slice, deviation: FloatArray = deviation) -> None:
             complete, predicted = fill_and_predict(model, positions[block], good[block])
-            distance = np.linalg.norm(complete - predicted, axis=2)
+            distance = distances(complete, predicted)
             weights = good[block] / (1.0 + (distance / (_POSE_INLIER_DEVIATIONS * deviation)) ** 2)
             weights /= deviation**2
             turn = align_frames(complete, predicted, weights=weights)
             remove_motion(positions[block], turn, out=positions[block])
             motion[block] = motion[block] @ turn.matrices()
+
+        map_threads(align, frame_blocks(len(positions)))
 
 
 def _scale_confidence(

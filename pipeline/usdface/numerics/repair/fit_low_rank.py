@@ -16,6 +16,7 @@ from usdface.core.arrays import (
     BoolArray,
     FloatArray,
     RealArray,
+    distances,
     frame_blocks,
     sample_frames,
 )
@@ -90,7 +91,7 @@ def fit_low_rank(
         incomplete = np.asarray(~trusted.all(axis=1))
         moved = _refill(moments, filled, sample, trusted, model, incomplete)
         # Outliers are excluded, and tested again in the next round.
-        distance = _distances(sample, predict_from_others(model, filled))
+        distance = distances(sample, predict_from_others(model, filled))
         before, trusted = trusted, usable & ~_outliers(distance, usable, sensor_noise)
         changed = (trusted != before).any(axis=1)
         _refill(moments, filled, sample, trusted, model, changed)
@@ -137,7 +138,7 @@ def choose_rank(
         widest = _model(_Moments.of(known), known, seen[~test], sensor_noise, candidates[-1])
         for i, rank in enumerate(candidates):
             model = with_rank(widest, rank)
-            away = _distances(filled[test], predict_from_others(model, filled[test]))
+            away = distances(filled[test], predict_from_others(model, filled[test]))
             scores[i] += float(away[seen[test]].mean(dtype=np.float64))
     return candidates[int(scores.argmin())]
 
@@ -235,7 +236,7 @@ def _refill(
     else:
         again = _Moments.of(filled)
         moments.center, moments.total, moments.products = again.center, again.total, again.products
-    moved = _distances(filled[rows], before)[~ok]
+    moved = distances(filled[rows], before)[~ok]
     return float(np.sqrt(np.mean(moved**2))) if moved.size else 0.0
 
 
@@ -274,12 +275,6 @@ def _model(
         variances=np.maximum(values[:rank] - floor, 1e-3 * floor),
         noise=np.maximum(np.sqrt(np.maximum(square, 0.0) / (3.0 * count)), sensor_noise),
     )
-
-
-def _distances(one: RealArray, other: RealArray) -> RealArray:
-    """Return the distance between the samples of two takes, (frames, markers) [mm]."""
-    offsets = one - other
-    return np.asarray(np.sqrt(np.einsum("fki,fki->fk", offsets, offsets)))
 
 
 def _outliers(distance: RealArray, usable: BoolArray, sensor_noise: FloatArray) -> BoolArray:

@@ -22,6 +22,7 @@ from usdface.core.arrays import (
     frame_blocks,
     runs,
 )
+from usdface.core.processes import map_threads
 from usdface.numerics.repair.low_rank import LowRankModel, fill_and_predict
 from usdface.numerics.repair.outliers import USUAL_RATE
 
@@ -102,10 +103,11 @@ def complete_take(
     points, ok = positions[trial], good[trial]
     prediction = fill_and_predict(model, points, ok)[1]
     limit = choose_spline_limit(points, ok, prediction, noise=noise)
-    # Each block is filled with a margin of the longest gap around it.
-    for block in frame_blocks(count, at_least=max_gap):
+
+    def fill(block: slice) -> None:
+        """Fill a block with a margin of the longest gap around it."""
         if good[block].all():
-            continue
+            return
         around = extend_block(block, max_gap + _GAP_REACH, count)
         points, ok = positions[around], good[around]
         complete, prediction = fill_and_predict(model, points, ok)
@@ -125,6 +127,8 @@ def complete_take(
         repaired = np.where(filled[block][..., None], values[inner], complete[inner])
         missing = ~good[block]
         positions[block][missing] = repaired[missing]
+
+    map_threads(fill, frame_blocks(count, at_least=max_gap))
     return GapFill(filled, confidence)
 
 
@@ -256,10 +260,8 @@ def _blend_offsets(
     offsets: RealArray, ok: BoolArray, start: int, stop: int, noise: float
 ) -> FloatArray:
     """Return the correction of the prediction: its errors at both ends, interpolated linearly."""
-    before = _end_offset(
-        offsets, ok, range(start - 1, max(-1, start - 1 - _END_SAMPLES), -1), noise
-    )
-    after = _end_offset(offsets, ok, range(stop, min(len(ok), stop + _END_SAMPLES)), noise)
+    ends = slice(max(0, start - _END_SAMPLES), start), slice(stop, stop + _END_SAMPLES)
+    before, after = (_end_offset(offsets[end][ok[end]], noise) for end in ends)
     frames = np.arange(start, stop, dtype=np.float64)
     if start == 0 or stop == len(ok):
         edge, distance = (after, stop - frames) if start == 0 else (before, frames - start + 1)
@@ -268,20 +270,19 @@ def _blend_offsets(
     return np.asarray((1.0 - share) * before + share * after)
 
 
-def _end_offset(offsets: RealArray, ok: BoolArray, frames: range, noise: float) -> FloatArray:
+def _end_offset(offsets: RealArray, noise: float) -> FloatArray:
     """Return the mean offset of the samples next to a gap, with James-Stein shrinkage.
 
     Positive part, in three dimensions.
     """
-    chosen = [frame for frame in frames if ok[frame]]
-    if not chosen:
+    if not len(offsets):
         return np.zeros(3)
-    mean = np.asarray(offsets[chosen].mean(axis=0, dtype=np.float64))
+    mean = np.asarray(offsets.mean(axis=0, dtype=np.float64))
     square = float(mean @ mean)
     if square == 0.0:
         return mean
     # The noise of the samples, and that of a prediction of about the same quality.
-    expected = 2.0 * noise**2 * (1.0 + 1.0 / len(chosen))
+    expected = 2.0 * noise**2 * (1.0 + 1.0 / len(offsets))
     return np.asarray(mean * max(0.0, 1.0 - expected / square))
 
 

@@ -13,11 +13,13 @@ from usdface.core.arrays import (
     BoolArray,
     FloatArray,
     RealArray,
+    distances,
     extend_block,
     frame_blocks,
     runs,
     sample_frames,
 )
+from usdface.core.processes import map_threads
 from usdface.numerics.repair.low_rank import LowRankModel, fill_and_predict
 
 _LIMIT_MEDIANS = 4.5
@@ -92,7 +94,8 @@ def find_outliers(
     limits = _limits(positions, visible, model, noise)
     distant = np.zeros(visible.shape, bool)
     excess, leaps = (np.zeros(visible.shape, np.float16) for _ in range(2))  # in limits
-    for block in frame_blocks(count):
+
+    def compare(block: slice) -> None:
         around = extend_block(block, _LEAP_REACH_FRAMES, count)
         inner = slice(block.start - around.start, block.stop - around.start)
         points, seen = positions[around], visible[around]
@@ -102,12 +105,14 @@ def find_outliers(
         distant[block] = beyond[inner]
         for marker in np.flatnonzero(beyond.any(axis=0)):
             limit = limits[marker]
-            distance = np.linalg.norm(points[:, marker] - predicted[:, marker], axis=1)
+            distance = distances(points[:, marker], predicted[:, marker])
             excess[block, marker] = np.minimum(distance[inner] / limit, _MOST_LIMITS)
             leap = np.minimum(_leap_sizes(points[:, marker]), _leap_sizes(offsets[:, marker]))
             steps = slice(inner.start, min(inner.stop, len(leap)))
             size = np.minimum(leap[steps] / limit, _MOST_LIMITS)
             leaps[block.start : block.start + len(size), marker] = size
+
+    map_threads(compare, frame_blocks(count))
     outliers = np.zeros_like(distant)
     for marker in np.flatnonzero(distant.any(axis=0)):
         outliers[:, marker] = _between_leaps(
@@ -131,7 +136,7 @@ def _beyond_limits(
     trusted = seen.copy()
     active = np.arange(len(points))
     for _ in range(_MOST_PER_FRAME):
-        excess = np.linalg.norm(points[active] - predicted[active], axis=2) / limits
+        excess = distances(points[active], predicted[active]) / limits
         excess[~trusted[active]] = 0.0
         worst = excess.argmax(axis=1)
         beyond = excess[np.arange(len(active)), worst] > 1.0
@@ -153,7 +158,7 @@ def _limits(
     rows = sample_frames(len(positions), _LIMIT_SAMPLE_FRAMES)
     seen = visible[rows]
     complete, predicted = fill_and_predict(model, positions[rows], seen)
-    distance = np.linalg.norm(complete - predicted, axis=2)
+    distance = distances(complete, predicted)
     limits = np.maximum(_LIMIT_NOISE_DEVIATIONS * noise, _LEAST_LIMIT_MM)
     for marker, ok in enumerate(seen.T):
         if ok.any():
@@ -219,10 +224,12 @@ def find_spikes(positions: RealArray, visible: BoolArray, *, noise: FloatArray) 
         Standard deviation of the measurement noise per coordinate [mm].
     """
     spikes = np.zeros_like(visible)
-    for marker, seen in enumerate(visible.T):
+
+    def search(marker: int) -> None:
+        seen = visible[:, marker]
         frames = np.flatnonzero(seen)
         if len(frames) < 4:
-            continue
+            return
         steps = np.diff(positions[frames, marker].astype(np.float64), axis=0)
         sizes = np.linalg.norm(steps, axis=1)
         usual = float(np.median(sizes[:_USUAL_STEP_FRAMES]))
@@ -239,4 +246,6 @@ def find_spikes(positions: RealArray, visible: BoolArray, *, noise: FloatArray) 
                 track[frames[leave] : frames[back] + 1] = True
         if (track & seen).sum() <= _SPIKE_MOST_SHARE * len(frames):
             spikes[:, marker] = track & seen
+
+    map_threads(search, range(visible.shape[1]))
     return spikes

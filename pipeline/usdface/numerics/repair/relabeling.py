@@ -20,6 +20,7 @@ from usdface.core.arrays import (
     frame_blocks,
     runs,
 )
+from usdface.core.processes import map_threads
 from usdface.numerics.repair.low_rank import LowRankModel
 from usdface.numerics.repair.swap_evidence import (
     JUMP_LIMITS,
@@ -80,12 +81,13 @@ def find_swaps(
     """
     step_scale = _jump_scale(positions, visible, noise)
     pairs = neighbor_pairs(positions, visible, model, noise)
-    hints = np.zeros(len(pairs), np.int64)
-    for block in frame_blocks(len(positions)):
+
+    def hints_in(block: slice) -> IntArray:
         before = slice(max(block.start - 1, 0), block.stop)
         window = open_window(positions[before], visible[before], model)
-        for index, count in suspicious_pairs(pairs, window, step_scale=step_scale):
-            hints[index] += count
+        return suspicious_pairs(pairs, window, step_scale=step_scale)
+
+    hints = np.sum(map_threads(hints_in, frame_blocks(len(positions))), axis=0)
     suspects = [pair for pair, count in zip(pairs, hints, strict=True) if count >= _HINTS_NEEDED]
     weighed = _gather_evidence(suspects, positions, visible, model, step_scale)
     candidates: list[tuple[float, Swap]] = []
@@ -165,22 +167,26 @@ def _gather_evidence(
     step_scale: float,
 ) -> list[_Evidence]:
     """Return the evidence of each suspect, without long runs of dull frames, which end a swap."""
-    chosen: list[list[_Evidence]] = [[] for _ in suspects]
-    for block in frame_blocks(len(positions)) if suspects else ():
+
+    def weigh(block: slice) -> list[_Evidence]:
         around = extend_block(block, _DULL_FRAMES + 1, len(positions))
         start = around.start
         window = open_window(positions[around], visible[around], model)
         inner = np.arange(block.start, block.stop) - start
-        for pair, parts in zip(suspects, chosen, strict=True):
+        parts = []
+        for pair in suspects:
             gain, toggle = weigh_swap(pair, window, step_scale=step_scale)
             lively = np.concatenate([[0], np.cumsum((gain > _DULL_GAIN) | (toggle < 0))])
             low = np.maximum(inner - _DULL_FRAMES, min(start, 1))
             high = np.minimum(inner + _DULL_FRAMES, len(gain) - 1)
             near = inner[lively[high + 1] > lively[low]]
             parts.append(_Evidence(near + start, gain[near], toggle[near]))
+        return parts
+
+    weighed = map_threads(weigh, frame_blocks(len(positions)) if suspects else ())
     return [
         _Evidence(*(np.concatenate(arrays) for arrays in zip(*map(_arrays, parts), strict=True)))
-        for parts in chosen
+        for parts in zip(*weighed, strict=True)
     ]
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, RealArray, frame_blocks
+from usdface.core.processes import map_threads
 from usdface.numerics.repair.fit_low_rank import fit_low_rank
 from usdface.numerics.repair.low_rank import LowRankModel, fill_and_predict, fill_missing
 
@@ -164,14 +165,16 @@ def _residual_means(
     """
     count = len(positions) // size
     means = np.full((count, *positions.shape[1:]), np.nan)
-    for first in range(0, count, _BATCH_BLOCKS):
-        blocks = min(_BATCH_BLOCKS, count - first)
-        rows = slice(first * size, (first + blocks) * size)
+
+    def average(batch: slice) -> None:
+        rows = slice(batch.start * size, batch.stop * size)
         points, seen = positions[rows], good[rows]
         residual = points - fill_and_predict(model, points, seen)[1]
         residual = np.where(seen[..., None], residual, 0.0)
-        residual = residual.reshape(blocks, size, *points.shape[1:])
-        counts = seen.reshape(blocks, size, -1).sum(axis=1)
+        residual = residual.reshape(-1, size, *points.shape[1:])
+        counts = seen.reshape(-1, size, points.shape[1]).sum(axis=1)
         mean = residual.sum(axis=1) / np.maximum(counts, 1)[..., None]
-        means[first : first + blocks] = np.where(counts[..., None] * 2 >= size, mean, np.nan)
+        means[batch] = np.where(counts[..., None] * 2 >= size, mean, np.nan)
+
+    map_threads(average, frame_blocks(count, frames=_BATCH_BLOCKS))
     return means

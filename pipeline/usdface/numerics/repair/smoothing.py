@@ -17,6 +17,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
 from usdface.core.arrays import FloatArray, RealArray, extend_block, frame_blocks
+from usdface.core.processes import map_threads
 from usdface.numerics.repair.low_rank import LowRankModel
 
 _DIFFERENCE_ORDER = 3
@@ -102,16 +103,22 @@ def smooth_take(positions: RealArray, model: LowRankModel, *, noise: FloatArray)
     for start in range(0, len(components), _DIRECTIONS_AT_ONCE):
         columns = slice(start, start + _DIRECTIONS_AT_ONCE)
         scores[:, columns] = smooth_tracks(scores[:, columns]).values
-    behind = positions[:0]  # residuals of the frames before a block, which are smoothed already
-    for block in frame_blocks(count):
-        around = extend_block(block, DETAIL_REACH, count)
-        ahead = slice(block.start, around.stop)
-        tracks = (scores[ahead] @ components + mean).reshape(-1, *positions.shape[1:])
-        rest = np.concatenate([behind, positions[ahead] - tracks])
-        inner = slice(len(behind), len(behind) + block.stop - block.start)
-        behind = rest[max(0, inner.stop - DETAIL_REACH) : inner.stop].copy()
-        detail = significant_detail(rest, noise=noise)
-        positions[block] = tracks[: block.stop - block.start] + detail[inner]
+    # As other blocks are smoothed in place meanwhile, the frames around a block are copied first.
+    parts = [
+        (block, wide, flat[wide.start : block.start].copy(), flat[block.stop : wide.stop].copy())
+        for block in frame_blocks(count)
+        for wide in [extend_block(block, DETAIL_REACH, count)]
+    ]
+
+    def smooth_part(part: tuple[slice, slice, RealArray, RealArray]) -> None:
+        block, wide, before, after = part
+        tracks = scores[wide] @ components + mean
+        rest = np.concatenate([before, flat[block], after]) - tracks
+        detail = significant_detail(rest.reshape(-1, *positions.shape[1:]), noise=noise)
+        inner = slice(block.start - wide.start, block.stop - wide.start)
+        positions[block] = tracks[inner].reshape(positions[block].shape) + detail[inner]
+
+    map_threads(smooth_part, parts)
 
 
 def smooth_poses(head_motion: ArrayLike, *, center: ArrayLike) -> FloatArray:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, Float32Array, RealArray, sample_frames
+from usdface.core.arrays import BoolArray, Float32Array, IntArray, RealArray, sample_frames
 from usdface.numerics.repair.low_rank import LowRankModel, fill_and_predict
 
 _NEIGHBOR_COUNT = 8
@@ -93,10 +93,8 @@ def neighbor_pairs(
     return pairs
 
 
-def suspicious_pairs(
-    pairs: list[Pair], window: Window, *, step_scale: float
-) -> list[tuple[int, int]]:
-    """Return the pairs with frames that hint at a swap, and their number: (index, frames).
+def suspicious_pairs(pairs: list[Pair], window: Window, *, step_scale: float) -> IntArray:
+    """Return the number of frames that hint at a swap of each pair.
 
     Most pairs are excluded by bounds over blocks of frames: in a swap a residual is at least half
     of the distance of the two markers, and a jump needs a large step.
@@ -118,20 +116,15 @@ def suspicious_pairs(
     between = _length(middle[second] - middle[first]) - radius[first] - radius[second]
     displaced = (2.0 * away >= between).any(axis=1)
     jumped = np.maximum(steps[first], steps[second]) > -_JUMP_HINT * step_scale**2
-    suspicious = []
+    hints = np.zeros(len(pairs), np.int64)
     for index in np.flatnonzero(displaced | jumped).tolist():
         pair = pairs[index]
-        hints = 0
+        views = _views(pair, window)
         if displaced[index]:
-            hints += int(
-                np.count_nonzero(_position_evidence(pair, _views(pair, window)) > _POSITION_HINT)
-            )
+            hints[index] += np.count_nonzero(_position_evidence(pair, views) > _POSITION_HINT)
         if jumped[index]:
-            jump = _jump_evidence(_views(pair, window), step_scale)
-            hints += int(np.count_nonzero(jump < _JUMP_HINT))
-        if hints:
-            suspicious.append((index, hints))
-    return suspicious
+            hints[index] += np.count_nonzero(_jump_evidence(views, step_scale) < _JUMP_HINT)
+    return hints
 
 
 def weigh_swap(

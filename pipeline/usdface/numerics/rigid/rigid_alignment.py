@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from usdface.core.arrays import BoolArray, FloatArray, RealArray
+from usdface.core.arrays import BoolArray, FloatArray, RealArray, frame_blocks
+from usdface.core.processes import map_threads
 
 _CHUNK_FRAMES = 1024
 """The working arrays of 100 points fit in the cache."""
@@ -84,8 +85,7 @@ def align_rigid(
     count = len(points)
     rotations, translations = np.empty((count, 3, 3)), np.empty((count, 3))
     determined = np.empty(count, bool)
-    for start in range(0, count, _CHUNK_FRAMES):
-        rows = slice(start, start + _CHUNK_FRAMES)
+    for rows in frame_blocks(count, frames=_CHUNK_FRAMES):
         rotations[rows], translations[rows], determined[rows] = _align_chunk(
             points[rows], y, w[rows]
         )
@@ -114,21 +114,25 @@ def align_rigid_robust(
     determined, weights = first.determined.copy(), first.weights
     residuals = alignment_residuals(points, y, first)
     take_scale = max(_median_where(residuals, seen), _LEAST_SCALE)
-    active = np.flatnonzero(determined)
-    for _ in range(_IRLS_ROUNDS):
-        if not active.size:
-            break
-        frame_scale = _frame_medians(residuals[active], seen[active])
-        scale = _INLIER_MEDIANS * np.maximum(frame_scale, take_scale)[:, None]
-        fresh = seen[active] / (1.0 + (residuals[active] / scale) ** 2) ** 2
-        moved = np.abs(fresh - weights[active]).max(axis=1) > _IRLS_SETTLED
-        weights[active] = fresh
-        active = active[moved]
-        again = align_rigid(points[active], y, weights=weights[active])
-        rotations[active], translations[active] = again.rotations, again.translations
-        determined[active] = again.determined
-        residuals[active] = alignment_residuals(points[active], y, again)
-        active = active[again.determined]
+
+    def reweigh(block: slice) -> None:
+        active = np.flatnonzero(determined[block]) + block.start
+        for _ in range(_IRLS_ROUNDS):
+            if not active.size:
+                break
+            frame_scale = _frame_medians(residuals[active], seen[active])
+            scale = _INLIER_MEDIANS * np.maximum(frame_scale, take_scale)[:, None]
+            fresh = seen[active] / (1.0 + (residuals[active] / scale) ** 2) ** 2
+            moved = np.abs(fresh - weights[active]).max(axis=1) > _IRLS_SETTLED
+            weights[active] = fresh
+            active = active[moved]
+            again = align_rigid(points[active], y, weights=weights[active])
+            rotations[active], translations[active] = again.rotations, again.translations
+            determined[active] = again.determined
+            residuals[active] = alignment_residuals(points[active], y, again)
+            active = active[again.determined]
+
+    map_threads(reweigh, frame_blocks(len(points)))
     return RigidAlignment(rotations, translations, determined, weights)
 
 

@@ -12,6 +12,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy import sparse
 
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.numerics.solve.bounded_least_squares import solve_bounded_least_squares
@@ -144,7 +145,7 @@ class _Variables:
     of 0 is two, so that no variable is negative.
     """
 
-    spread: FloatArray
+    spread: sparse.csr_array
     """(variables, shapes): ``weights = variables @ spread``; entries 1, -1 or 0."""
     lower: FloatArray
     upper: FloatArray
@@ -161,10 +162,10 @@ def _variables(limits: "_Limits", tied: Sequence[Sequence[int]], *, split: bool)
     lower = np.where(member, low, -np.inf).max(axis=1, initial=-np.inf)
     upper = np.where(member, high, np.inf).min(axis=1, initial=np.inf)
     if not split:
-        return _Variables(spread, lower, upper)
+        return _Variables(sparse.csr_array(spread), lower, upper)
     up, down = (upper > 0) | (lower >= 0), lower < 0
     return _Variables(
-        np.concatenate([spread[up], -spread[down]]),
+        sparse.csr_array(np.concatenate([spread[up], -spread[down]])),
         np.concatenate([np.maximum(lower[up], 0.0), np.maximum(-upper[down], 0.0)]),
         np.concatenate([upper[up], -lower[down]]),
     )
@@ -211,8 +212,8 @@ def _solve_bounded(
             lower=variables.lower,
             upper=variables.upper,
             # Of the two variables of a shape one is 0 at the optimum: the ridge applies to each.
-            ridge=prior.ridge * np.abs(spread).sum(axis=1),
-            cost=prior.cost[chosen[group]] @ np.abs(spread).T,
+            ridge=prior.ridge * abs(spread).sum(axis=1),
+            cost=prior.cost[chosen[group]] @ abs(spread).T,
         )
         out[group] = solved.x @ spread
     return out

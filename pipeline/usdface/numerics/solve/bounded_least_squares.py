@@ -9,7 +9,6 @@ matrix for each frame, and stops after the gradient steps.
 
 import math
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,10 +16,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from usdface.core.arrays import FloatArray, RealArray, frame_blocks
-from usdface.core.processes import usable_cores
+from usdface.core.processes import map_threads
 from usdface.numerics.solve.hessian import Hessian, hessian_of
 
-_GRADIENT_STEPS = 60
+_GRADIENT_STEPS = 40
 """From rest; on face rigs, a few exchanges follow."""
 _BLOCK_FRAMES = 32
 """Frames per thread and task; rounding depends on it, so it is independent of the cores."""
@@ -113,9 +112,7 @@ def _solve_scaled(
         near = np.where(near <= low, lo, np.where(near >= high, hi, near))
         return _walk(H, b[rows], lo, hi, _pivot(H, b[rows], lo, hi, near))
 
-    blocks = list(frame_blocks(len(b), frames=_BLOCK_FRAMES))
-    with ThreadPoolExecutor(usable_cores()) as pool:  # array arithmetic releases the GIL
-        solved = list((pool.map if len(blocks) > 1 else map)(solve, blocks))
+    solved = map_threads(solve, frame_blocks(len(b), frames=_BLOCK_FRAMES))
     z = np.concatenate([np.zeros_like(b[:0]), *solved])
     return z, _violation(H, b, lo, hi, z)
 

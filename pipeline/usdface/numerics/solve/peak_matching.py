@@ -174,7 +174,8 @@ def match_peaks(
     reach = np.linalg.norm(D, axis=2)
     share = (reach / np.maximum(reach.max(axis=0), 1e-9)) ** 2
     share[reach < _CARRIED_SHARE * reach.max(axis=1, keepdims=True)] = 0
-    gain, weights = np.ones(D.shape[1]), np.zeros((len(m), len(D)))
+    chosen = list(shapes)
+    gain, weights = np.ones(D.shape[1]), np.zeros((len(m), len(chosen)))
     near = np.ones(len(m), bool)
     for _ in range(_MOST_ROUNDS if len(shapes) else 0):
         weights[near] = solve_weights(
@@ -185,15 +186,13 @@ def match_peaks(
             visible=None if visible is None else np.asarray(visible)[near],
             marker_trust=marker_trust,
             ridge=ridge,
-        ).weights
-        reached = np.quantile(weights, _PEAK_QUANTILE, axis=0)
-        top = limits[:, 1]
-        low, high = _SHOWN_SHARE * top, (1 - _CLOSE_SHARE) * top
-        short = [shape for shape in shapes if low[shape] < reached[shape] < high[shape]]
-        if not short:
+        ).weights[:, chosen]
+        reached, top = np.quantile(weights, _PEAK_QUANTILE, axis=0), limits[chosen, 1]
+        short = (reached > _SHOWN_SHARE * top) & (reached < (1 - _CLOSE_SHARE) * top)
+        if not short.any():
             break
-        for shape in short:
-            gain *= 1 + (top[shape] / reached[shape] - 1) * share[shape]
+        for index in np.flatnonzero(short):
+            gain *= 1 + (top[index] / reached[index] - 1) * share[chosen[index]]
         gain = np.clip(gain, *_GAINS)
         near[:] = (weights[:, short] > _NEAR_SHARE * reached[short]).any(axis=1)
     return gain

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Gf, Kind, Sdf, UsdGeom, UsdMedia, Vt
+from pxr import Kind, Sdf, UsdGeom, UsdMedia, Vt
 
 from usdface.core.assets import Markers, Take
 from usdface.core.errors import InputError
@@ -186,8 +186,9 @@ def _author_head_motion(layer: Sdf.Layer, motion: np.ndarray, frames: np.ndarray
     transform = Sdf.AttributeSpec(prim, "xformOp:transform", Sdf.ValueTypeNames.Matrix4d)
     rows = motion.transpose(0, 2, 1).copy()
     rows[:, 3, :3] /= MM_PER_STAGE_UNIT
-    for index, frame in enumerate(frames.tolist()):
-        layer.SetTimeSample(transform.path, frame, Gf.Matrix4d(rows[index].tolist()))
+    matrices = Vt.Matrix4dArray.FromNumpy(rows)
+    for frame, matrix in zip(frames.tolist(), matrices, strict=True):
+        layer.SetTimeSample(transform.path, frame, matrix)
 
 
 def _author_audio(layer: Sdf.Layer, audio: Path, first_frame: int, path: Path) -> None:
