@@ -232,7 +232,7 @@ class PointExtents:
 
 
 def _halved(function: np.ufunc, points: Float32Array) -> Float32Array:
-    """Return the extreme of each frame's points; `ufunc.reduce` takes six times as long."""
+    """Return the extreme of each frame's points."""
     while (count := points.shape[1]) > 1:
         half = (count + 1) // 2
         points = function(points[:, :half], points[:, count - half :])
