@@ -18,6 +18,7 @@ from usdface.core.assets import MeshShape, ShapeKey
 from usdface.core.plugin_path import plugin_folders
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import weights_path
+from usdface.usdio.authoring import author_gaps
 from usdface.usdio.performance.weights_layer import make_header
 from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.rig.read import read_rig
@@ -211,6 +212,21 @@ def test_curves_that_no_face_makes_are_named(
     findings = [each for each in validate(path) if each.check == "usdface:Curves"]
     assert any(re.search(told, each.message) for each in findings), findings
     assert {each.severity for each in findings} == {"warning"}
+
+
+def test_curves_between_captured_frames_are_one_finding(tmp_path: Path) -> None:
+    held = np.concatenate([WEIGHTS[:300], np.tile(WEIGHTS[300], (400, 1)), WEIGHTS[300:]])
+    held[500:600, NAMES.index("smile")] += 0.1  # another shape moves
+    path = write(tmp_path, held)
+    assert {each.check for each in validate(path)} >= {"usdface:Curves"}
+    change(
+        weights_path(path),
+        lambda layer: author_gaps(layer.GetPrimAtPath(PRIM), [(301, 701)]),
+    )
+    assert "nothing was captured in frames 301-701" in " ".join(
+        each.message for each in validate(path)
+    )
+    assert not [each for each in validate(path) if each.check == "usdface:Curves"]
 
 
 def test_a_shape_held_at_an_end_of_its_range_is_not_stuck(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from pxr import Usd, UsdSkel
 
 from usdface.core.arrays import BoolArray, FloatArray, index_of, runs
 from usdface.core.text import first_few, pluralize
+from usdface.usdio.authoring import read_gaps
 from usdface.usdio.checks.fault import Fault, Samples, is_recorded, is_solved, read_samples
 
 
@@ -118,7 +119,9 @@ def check_curves(prim: Usd.Prim) -> list[Fault]:
     ranges = _ranges(prim, samples)
     found = _out_of_range(samples, ranges)
     if len(samples.times) > 2:
-        found += [*_jumps(samples), *_frozen(samples), *_stuck(samples, ranges)]
+        captured = _captured(prim, samples)
+        found += [*_jumps(samples), *_frozen(samples, captured)]
+        found += _stuck(samples, ranges, captured)
         found += [*_motionless(samples), *_side_swaps(samples)]
     return found
 
@@ -153,6 +156,14 @@ def _ranges(prim: Usd.Prim, samples: Samples) -> FloatArray:
             if name in place and authored is not None:
                 ranges[place[name]] = list(authored)
     return ranges
+
+
+def _captured(prim: Usd.Prim, samples: Samples) -> BoolArray:
+    """Return whether each step between samples is outside the gaps, which have their own fault."""
+    inside = np.zeros(len(samples.times), dtype=np.bool_)
+    for first, last in read_gaps(prim):
+        inside |= (samples.times >= first) & (samples.times <= last)
+    return ~(inside[1:] | inside[:-1])
 
 
 def _out_of_range(samples: Samples, ranges: FloatArray) -> list[Fault]:
@@ -193,7 +204,7 @@ def _jumps(samples: Samples) -> Iterator[Fault]:
         )
 
 
-def _frozen(samples: Samples) -> list[Fault]:
+def _frozen(samples: Samples, captured: BoolArray) -> list[Fault]:
     still = np.all(np.abs(np.diff(samples.values, axis=0)) <= FROZEN_CHANGE, axis=1)
     if still.all():
         return []  # a pose, not a performance
@@ -204,14 +215,14 @@ def _frozen(samples: Samples) -> list[Fault]:
             f"time codes {first:g} to {last:g}: the face is frozen for {seconds:.1f} s; was the "
             "capture lost there? Clean the take again or cut",
         )
-        for first, last, seconds in _stretches(samples, still, FROZEN_SECONDS)
+        for first, last, seconds in _stretches(samples, still & captured, FROZEN_SECONDS)
     ]
 
 
-def _stuck(samples: Samples, ranges: FloatArray) -> Iterator[Fault]:
+def _stuck(samples: Samples, ranges: FloatArray, captured: BoolArray) -> Iterator[Fault]:
     """Find the longest stretch of each shape at one value while others move."""
     still = np.abs(np.diff(samples.values, axis=0)) <= FROZEN_CHANGE
-    moving = ~still.all(axis=1)
+    moving = ~still.all(axis=1) & captured
     inside = np.minimum(samples.values - ranges[:, 0], ranges[:, 1] - samples.values)
     inside = np.minimum(inside, np.abs(samples.values))
     for column in np.flatnonzero(still.any(axis=0)):
