@@ -30,17 +30,17 @@ _IMAGE_LANDMARKS: dict[str, tuple[float, tuple[str, ...], tuple[int, ...], tuple
     "lid_upper_": (4.0, ("lid_upper_{}4",), (37, 38), (43, 44)),
     "lid_lower_": (4.0, ("lid_lower_{}4",), (40, 41), (46, 47)),
     "mouth_": (4.0, ("mouth_corner_{}1", "mouth_corner_{}2"), (48, 60), (54, 64)),
-    "brow_inner_": (6.0, ("brow_inner_{}1", "brow_inner_{}2"), (21,), (22,)),
-    "brow_middle_": (6.0, ("brow_middle_{}1", "brow_middle_{}2"), (19,), (24,)),
-    "brow_outer_": (6.0, ("brow_outer_{}1", "brow_outer_{}3"), (17, 18), (25, 26)),
+    "brow_inner_": (9.0, ("brow_inner_{}1", "brow_inner_{}2"), (21,), (22,)),
+    "brow_outer_": (9.0, ("brow_outer_{}1", "brow_outer_{}3"), (17, 18), (25, 26)),
     "nose_tip": (4.0, ("nose_2", "nose_tip_1"), (30,), ()),
     "nose_bridge": (6.0, ("nose_bridge_1",), (27,), ()),
     "mouth_middle": (4.0, ("lip_upper_4", "lip_lower_1"), (62, 66), ()),
-    "chin": (6.0, ("chin_2", "chin_3"), (8,), ()),
+    "chin": (6.0, ("chin_2", "chin_3"), (), ()),
 }
 """Landmarks of a rig that are detected in images as well: standard deviation [mm] of detection,
 definition and proportions together, names by `track`, and numbers in OpenFace's tables, of the
-right side or the midline and of the left side."""
+right side or the midline and of the left side. The rig's brows are where shapes move most, their
+middle half a brow from its own; OpenFace's chin is the lowest point, the rig's the foremost."""
 
 
 def _places_of_images(

@@ -68,6 +68,7 @@ def words_on_missing_shapes(
     """
     motion = np.sqrt((moved**2).sum(axis=2).mean(axis=0))
     moving = motion > _STILL_MM * skin.size_mm / TYPICAL_SIZE_MM
+    moving[[label.startswith("iris_") for label in labels]] = False  # eyeballs have joints
     template = fit_region_template(skin, shapes)
     regions = _marker_regions(labels, skin, template, samples)
     x, y, z = np.moveaxis(skin.deltas, 2, 0)
