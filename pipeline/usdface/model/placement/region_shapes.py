@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import KDTree
 
-from usdface.core.arrays import BoolArray, FloatArray, IntArray
+from usdface.core.arrays import BoolArray, FloatArray, IntArray, row_lengths
 from usdface.core.text import first_few, pluralize
 from usdface.model.placement.label_hints import face_region, label_hint
 from usdface.model.placement.rig_landmarks import MOST_MOVED_SHARE
@@ -71,8 +71,7 @@ def words_on_missing_shapes(
     moving[[label.startswith("iris_") for label in labels]] = False  # eyeballs have joints
     template = fit_region_template(skin, shapes)
     regions = _marker_regions(labels, skin, template, samples)
-    x, y, z = np.moveaxis(skin.deltas, 2, 0)
-    size = np.sqrt(x * x + y * y + z * z)
+    size = row_lengths(skin.deltas)[..., 0]
     owners = _owners(skin, size, shapes, template, samples, regions)
     reach = size.max(axis=1, initial=0.0)
     named, missing = [], set()

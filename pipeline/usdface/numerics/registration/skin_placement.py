@@ -17,8 +17,7 @@ import numpy as np
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
-from usdface.core.arrays import BoolArray, FloatArray, IntArray, RealArray, frame_blocks
-from usdface.core.processes import map_threads
+from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.numerics.registration.face_skin import FaceSkin
 from usdface.numerics.solve.bounded_least_squares import (
     minimise_within_bounds,
@@ -69,9 +68,6 @@ _RIDGE_MM2 = 25.0
 
 _NEAR_STEPS = 60
 """Iterations from the weights of the previous round."""
-
-_SOLVED_AT_ONCE = 64
-"""Frames per thread and task."""
 
 _FEWEST_LANDMARKS = 6
 """With fewer, motion counts from the first round on, else from the fourth."""
@@ -301,22 +297,15 @@ def solve_weights_at(
         ).x
     A, ridge = deltas.astype(np.float32), np.float32(_RIDGE_MM2)
     lower, upper = (np.broadcast_to(limit, start.shape).astype(A.dtype) for limit in ranges.T)
-    diagonal = np.broadcast_to((A**2).sum(axis=1) + ridge, start.shape)
-    linear, begin = flat.astype(A.dtype) @ A.T, start.astype(A.dtype)
-
-    def solve(block: slice) -> RealArray:
-        return minimise_within_bounds(
-            lambda z: (z @ A) @ A.T + ridge * z,
-            diagonal[block],
-            linear[block],
-            lower=lower[block],
-            upper=upper[block],
-            start=begin[block],
-            steps=_NEAR_STEPS,
-        )
-
-    blocks = frame_blocks(len(flat), frames=_SOLVED_AT_ONCE)
-    return np.concatenate(map_threads(solve, blocks)).astype(np.float64)
+    return minimise_within_bounds(
+        lambda z: (z @ A) @ A.T + ridge * z,
+        np.broadcast_to((A**2).sum(axis=1) + ridge, start.shape),
+        flat.astype(A.dtype) @ A.T,
+        lower=lower,
+        upper=upper,
+        start=start.astype(A.dtype),
+        steps=_NEAR_STEPS,
+    ).astype(np.float64)
 
 
 def _place_by_skin(
@@ -384,12 +373,12 @@ def path_misfit(deltas: FloatArray, weights: FloatArray, paths: FloatArray) -> F
     # W = QR: products need R alone, which has no more rows than there are shapes.
     basis, root = np.linalg.qr(weights)
     energy = (paths**2).sum(axis=(0, 2))
-
-    def along(axis: int) -> tuple[FloatArray, FloatArray]:
+    count = deltas.shape[1]
+    product, sample_energy = np.zeros((paths.shape[1], count)), np.zeros(count)
+    for axis in range(3):
         moves = root @ deltas[:, :, axis]
-        return (paths[:, :, axis].T @ basis) @ moves, np.einsum("rs,rs->s", moves, moves)
-
-    product, sample_energy = map(sum, zip(*map_threads(along, range(3)), strict=True))
+        product += (paths[:, :, axis].T @ basis) @ moves
+        sample_energy += np.einsum("rs,rs->s", moves, moves)
     gain = np.clip(product / np.maximum(sample_energy, 1e-9), *_GAIN_LIMITS)
     residual = np.maximum(energy[:, None] - 2 * gain * product + gain**2 * sample_energy, 0)
     noise = 3 * len(paths) * _NOISE_MM**2

@@ -224,12 +224,10 @@ def find_spikes(positions: RealArray, visible: BoolArray, *, noise: FloatArray) 
         Standard deviation of the measurement noise per coordinate [mm].
     """
     spikes = np.zeros_like(visible)
-
-    def search(marker: int) -> None:
-        seen = visible[:, marker]
+    for marker, seen in enumerate(visible.T):
         frames = np.flatnonzero(seen)
         if len(frames) < 4:
-            return
+            continue
         steps = np.diff(positions[frames, marker].astype(np.float64), axis=0)
         sizes = np.linalg.norm(steps, axis=1)
         usual = float(np.median(sizes[:_USUAL_STEP_FRAMES]))
@@ -246,6 +244,4 @@ def find_spikes(positions: RealArray, visible: BoolArray, *, noise: FloatArray) 
                 track[frames[leave] : frames[back] + 1] = True
         if (track & seen).sum() <= _SPIKE_MOST_SHARE * len(frames):
             spikes[:, marker] = track & seen
-
-    map_threads(search, range(visible.shape[1]))
     return spikes

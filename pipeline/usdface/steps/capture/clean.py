@@ -238,9 +238,7 @@ def _without_copies(markers: Markers, take: Take) -> tuple[Markers, list[str]]:
     Nothing is marked if several markers do so for most of the take: that is a simulation.
     """
     seen, same = markers.visible, np.zeros_like(markers.visible)
-    equal = markers.positions[1:] == markers.positions[:-1]
-    x, y, z = np.moveaxis(equal, 2, 0)
-    same[1:] = x & y & z & seen[1:] & seen[:-1]
+    same[1:] = (markers.positions[1:] == markers.positions[:-1]).all(axis=2) & seen[1:] & seen[:-1]
     least = _COPIED_SECONDS * float(take.rate)
     frozen = np.zeros_like(same)
     for marker, column in enumerate(same.T):
