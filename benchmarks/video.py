@@ -189,8 +189,11 @@ def _solve(
     learn: str | None = None,
     solve: str | None = None,
     keys: Path | None = None,
+    tuned: bool = True,
 ) -> tuple[FloatArray, Performance, str]:
     """Train on some frames and solve others; keys are an animator's, or the solve `keys`.
+
+    Without `tuned`, references keep their proposals.
 
     Returns
     -------
@@ -205,9 +208,9 @@ def _solve(
     references, mapping = folder / f"{name}.references.usda", folder / f"{name}.mapping.usdc"
     out = folder / f"{name}.usda"
     execute(SelectSpec(takes=(clean,), rig=rig, out=references, count=COUNT, frames=learn))
-    if keys is None:
+    if tuned and keys is None:
         execute(ReferencesImportSpec(references=references, weights=folder / "keys.csv"))
-    else:
+    elif tuned:
         execute(ReferencesImportSpec(references=references, weights=keys, at="video"))
     execute(TrainSpec(references=references, out=mapping))
     result = execute(MapSpec(take=clean, mapping=mapping, rig=rig, out=out, frames=solve))
@@ -370,6 +373,9 @@ def _print_errors(shot: _Shot) -> dict[str, _Errors]:
     found["all"] = _print_row(shot, "frames that are no references", solved, ~keyed)
     found["apart"] = _print_row(shot, "none within ¼ s", solved, ~near)
     verdicts = [f"- references of the whole take: {verdict}"]
+    untuned, solve, verdict = _solve(shot, "untuned", tuned=False)
+    _print_row(shot, "untuned references", untuned, every)
+    verdicts.append(f"- untuned references: {verdict}; {_measure_doubt(shot, untuned, solve)}")
     half = count // 2
     halves = {"first": slice(0, half), "second": slice(half, count)}
     for learnt, judged in (("first", "second"), ("second", "first")):
