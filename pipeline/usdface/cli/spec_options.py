@@ -1,6 +1,7 @@
 """Commands generated from specs: each field is an option, and its docstring the help."""
 
 import inspect
+import itertools
 import types
 from collections.abc import Callable
 from pathlib import Path
@@ -13,7 +14,7 @@ from pydantic.fields import FieldInfo
 from usdface.cli.console import ProgressStyle
 from usdface.core.errors import InputError
 from usdface.specs.base import Positional, Spec, field_help
-from usdface.specs.reading import removed_message, validation_messages
+from usdface.specs.reading import validation_messages
 
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON, for scripts.")]
 ShowProgress = Annotated[
@@ -118,14 +119,15 @@ def command_of(spec: type[Spec], run: Callable[..., None], common: list[inspect.
 
 
 def refuse_removed_options(spec: type[Spec], arguments: list[str]) -> None:
-    """Refuse removed options, with advice."""
+    """Refuse removed options and removed values of options, with advice."""
     end = arguments.index("--") if "--" in arguments else len(arguments)
-    for argument in arguments[:end]:
-        option = argument.partition("=")[0]
+    for argument, following in itertools.zip_longest(arguments[:end], arguments[1:end]):
+        option, equals, value = argument.partition("=")
         flag = "--no-" if option.startswith("--no-") else "--"
         name = option.removeprefix(flag).replace("-", "_") if option.startswith(flag) else ""
-        if name in spec.removed:
-            raise InputError(removed_message(name, spec))
+        for removed in (name, f"{name}={value if equals else following}"):
+            if removed in spec.removed:
+                raise InputError(spec.removal(removed))
 
 
 def help_of(spec: type[Spec]) -> str:

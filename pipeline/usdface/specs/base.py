@@ -142,7 +142,8 @@ class Spec(BaseModel):
     """Whether an output may replace an input."""
 
     removed: ClassVar[Mapping[str, str]] = {}
-    """Removed fields, each with its replacement; refused with this advice."""
+    """Removed fields, and removed values as ``field=value``, each with its replacement; refused
+    with this advice."""
 
     only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {}
     """Options that need another option: ``{option: (other, values)}``, where `other` must have one
@@ -153,6 +154,14 @@ class Spec(BaseModel):
     together."""
 
     step: str
+
+    @model_validator(mode="before")
+    @classmethod
+    def _no_value_was_removed(cls, data: Any) -> Any:
+        for name, value in data.items() if isinstance(data, dict) else ():
+            if f"{name}={value}" in cls.removed:
+                raise ValueError(cls.removal(f"{name}={value}"))
+        return data
 
     @model_validator(mode="after")
     def _no_option_is_ignored(self) -> Self:
@@ -206,6 +215,11 @@ class Spec(BaseModel):
     def step_name(cls) -> str:
         """Return the step's name, as in a job."""
         return str(cls.model_fields["step"].default)
+
+    @classmethod
+    def removal(cls, name: str) -> str:
+        """Return the message for a removed field or value."""
+        return f"{name.replace('=', ' ')} was removed from {cls.step_name()}; {cls.removed[name]}"
 
     @classmethod
     def workflow(cls) -> str:

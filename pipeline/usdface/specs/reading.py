@@ -147,14 +147,9 @@ def _unknown_key(location: Sequence[str | int], spec: type[Spec]) -> str:
     of_step = SPEC_BY_STEP.get(str(location[-2])) if len(location) > 1 else None
     owner = of_step or spec
     if name in owner.removed:
-        return removed_message(name, owner)
+        return owner.removal(name)
     known = [field for field in owner.model_fields if field != "step"]
     return f"unknown key; {_did_you_mean(name, known, 'it can be')}"
-
-
-def removed_message(name: str, spec: type[Spec]) -> str:
-    """Return the message for a removed field."""
-    return f"{name} was removed from {spec.step_name()}; {spec.removed[name]}"
 
 
 def _did_you_mean(given: str, known: Sequence[str], otherwise: str = "it can be") -> str:

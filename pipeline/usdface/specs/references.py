@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from usdface.core.sidecars import (
     coverage_path,
@@ -95,6 +95,10 @@ class SelectSpec(Spec):
         "extremes": ("method", ("viseme",))
     }
     never_with: ClassVar[Mapping[str, Sequence[str]]] = {"landmarks": ("placement",)}
+    removed: ClassVar[Mapping[str, str]] = {
+        "method=active": "it chose no better than design. Leave it out: a higher --count keeps the "
+        "tuned pairs, and --mapping proposes the others' weights"
+    }
 
     step: Literal["select"] = "select"
     takes: _Takes
@@ -137,16 +141,6 @@ class SelectSpec(Spec):
     video. Without it, the images of an earlier selection are removed."""
     prim: PrimPath | None = None
     """Face in the rig's file, if it holds several."""
-
-    @field_validator("method", mode="before")
-    @classmethod
-    def _active_is_gone(cls, method: object) -> object:
-        if method == "active":
-            raise ValueError(
-                "active was removed, as it chose no better than design. Leave it out: a higher "
-                "--count keeps the tuned pairs, and --mapping proposes the others' weights"
-            )
-        return method
 
     @model_validator(mode="after")
     def _lists_go_with_takes(self) -> Self:

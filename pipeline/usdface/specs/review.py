@@ -83,6 +83,7 @@ class SheetSpec(ShotSpec, WeightTableSpec):
         "difference": ("layout", ("comparison", "worst")),
         "weight_unit": ("against", ()),
     }
+    removed: ClassVar[Mapping[str, str]] = {"pick=confidence": "use uncertainty"}
 
     step: Literal["sheet"] = "sheet"
     out: ImageOut
