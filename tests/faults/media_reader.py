@@ -27,7 +27,7 @@ class MediaReader(ChildReader):
 
 
 def read_movie(path: Path) -> None:
-    from usdface.media.film.take_video import open_video
+    from usdface.media.film.video import open_video
 
     with open_video(path, Fraction(24)) as video:
         count = len(video.times)

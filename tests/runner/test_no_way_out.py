@@ -23,7 +23,7 @@ from usdface.core.errors import InputError
 from usdface.core.side_files import make_side_folder
 from usdface.core.sidecars import work_folder
 from usdface.media.film.movie import write_movie
-from usdface.media.film.take_video import open_video
+from usdface.media.film.video import open_video
 from usdface.media.picture.image import write_image
 from usdface.steps.inputs.placement import placement_of_performance
 from usdface.steps.references import images

@@ -10,6 +10,17 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from usdface.cli.command_list import EPILOG, commands_on_demand
+from usdface.cli.commands import (
+    COMPLETE_VARIABLE,
+    check,
+    completion,
+    demo,
+    describe,
+    list_edits,
+    names,
+    run,
+    validate,
+)
 from usdface.cli.console import (
     STOPPED,
     echo,
@@ -22,8 +33,6 @@ from usdface.cli.console import (
     unwritable_output,
     was_stopped,
 )
-from usdface.cli.job_commands import COMPLETE_VARIABLE, check, completion, demo, run
-from usdface.cli.reading_commands import describe, list_edits, names, validate
 from usdface.cli.step_commands import GROUPS, make_group, top_commands
 from usdface.core.errors import CancelledError, CheckFailedError, UsdfaceError
 from usdface.core.version import __version__

@@ -107,7 +107,7 @@ def frames_made(
 
 def _video_frames(step: TrackSpec) -> tuple[int, int]:
     from usdface.capture.sample_times import picture_frames  # slow to import
-    from usdface.media.film.take_video import open_video
+    from usdface.media.film.video import open_video
 
     asked = None if step.video_rate is None else exact_rate(step.video_rate, where="--video-rate")
     with open_video(step.video, asked) as video:

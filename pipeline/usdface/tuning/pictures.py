@@ -13,8 +13,7 @@ from scipy.spatial.transform import Rotation
 from usdface.core.arrays import ByteImage, Float32Array
 from usdface.core.assets import References, Take
 from usdface.core.errors import InputError
-from usdface.media.film.take_video import OpenVideo, open_video
-from usdface.media.film.video import VideoReader
+from usdface.media.film.video import OpenVideo, VideoReader, open_video
 from usdface.media.picture.image import encode_image, read_picture
 from usdface.model.retarget.head_pose import HEAD
 from usdface.steps.inputs.head_drive import take_head_source

@@ -8,7 +8,7 @@ import pytest
 
 from usdface.core.errors import InputError
 from usdface.media.film.image_sequence import ImageSequence
-from usdface.media.film.take_video import open_video
+from usdface.media.film.video import open_video
 from usdface.media.picture.image import write_image
 
 

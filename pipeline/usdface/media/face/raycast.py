@@ -12,9 +12,8 @@ from scipy import ndimage, sparse
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, row_lengths
 from usdface.media.face import shading
 from usdface.media.face.camera import Camera
-from usdface.media.face.denoise import denoise
 from usdface.media.face.surface import Surface
-from usdface.media.face.tracing import PATTERN_COUNT, RayHits, Tracer, light_seen, sky_seen
+from usdface.media.face.tracing import PATTERN_COUNT, RayHits, Tracer, denoise, light_seen, sky_seen
 
 IRIS_ANGLE = 0.50
 """Half angle of the iris at the eyeball's centre [rad]: 11.7 mm across for a radius of 12 mm."""

@@ -2,6 +2,7 @@
 
 Counting frames or trusting the stated rate fails with variable rates of phones, B-frames and edit
 lists. Here all time stamps are read first, and frames are identified by their time stamps.
+`open_video` opens movies, and pictures with numbers.
 """
 
 from collections.abc import Iterator
@@ -15,6 +16,7 @@ import av.error
 import numpy as np
 
 from usdface.core.arrays import ByteImage, FloatArray, IntArray
+from usdface.core.assets import Take
 from usdface.core.errors import InputError
 from usdface.media.film.containers import (
     MAX_PIXELS,
@@ -23,6 +25,7 @@ from usdface.media.film.containers import (
     start_seconds,
     unreadable,
 )
+from usdface.media.film.image_sequence import SUFFIXES, ImageSequence
 
 MAX_FRAMES = 5_000_000
 """23 hours at 60 frames per second; more is a damaged index."""
@@ -290,3 +293,40 @@ def _focal_length(container: Any) -> float | None:
                 if _FOCAL_LENGTHS[0] <= stated <= _FOCAL_LENGTHS[1]:
                     return stated
     return None
+
+
+OpenVideo = VideoReader | ImageSequence
+
+
+def open_video(path: Path, rate: Fraction | None = None) -> OpenVideo:
+    """Open a movie, or the sequence that a picture belongs to.
+
+    Raises
+    ------
+    InputError
+        If it is neither, or a sequence without a rate.
+    """
+    if path.suffix.lower() not in SUFFIXES:
+        return VideoReader(path)
+    if rate is None or rate <= 0:
+        raise InputError(f"{path}: pictures do not state their rate; give it with --video-rate")
+    return ImageSequence(path, rate)
+
+
+def picture_at_frame(
+    take: Take | None, video: OpenVideo | None, frame: int
+) -> tuple[ByteImage | None, str]:
+    """Return the picture of a take's video at a frame of the take, or None and the reason.
+
+    Parameters
+    ----------
+    video : VideoReader or ImageSequence, optional
+        The take's video, opened.
+    """
+    if take is None or take.video is None or video is None:
+        return None, "no video"
+    try:
+        picture = video.frame_at(take.video_seconds(frame))
+    except InputError:
+        return None, "cannot be decoded"
+    return picture, "" if picture is not None else "no video here"

@@ -4,7 +4,6 @@ _commands = ("ingest_folder",)
 _helpers = (
     "clean_notes",
     "merge_captures",
-    "track_cameras",
     "track_notes",
     "track_pictures",
     "track_views",

@@ -11,8 +11,7 @@ from usdface.core.provenance import Provenance
 from usdface.core.rates import frames_of, label_rate
 from usdface.media.charts.alignment import AlignmentPage, ShiftMark, draw_alignment
 from usdface.media.film.sound import read_audio
-from usdface.media.film.take_video import open_video
-from usdface.media.film.video import VideoReader
+from usdface.media.film.video import VideoReader, open_video
 from usdface.media.picture.image import write_image
 from usdface.numerics.timing.audio_alignment import SoundAlignment, align_sounds
 from usdface.runner.origin import REFUSED, make_provenance, provenance_metadata, provenance_of

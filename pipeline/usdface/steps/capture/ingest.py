@@ -17,7 +17,7 @@ from usdface.core.provenance import Provenance
 from usdface.core.rates import exact_rate, frames_of
 from usdface.core.sidecars import is_usd_name, samples_path
 from usdface.core.text import pluralize
-from usdface.media.film.take_video import open_video
+from usdface.media.film.video import open_video
 from usdface.model.placement.plausibility import check_findings, judge_markers
 from usdface.runner.result import StepResult
 from usdface.specs.capture import IngestSpec

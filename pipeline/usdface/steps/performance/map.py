@@ -32,7 +32,7 @@ from usdface.steps.inputs.cleaned_takes import read_markers, take_head_space
 from usdface.steps.inputs.edit_ranges import edit_notes
 from usdface.steps.inputs.weight_tables import read_alpha
 from usdface.usdio.mapping import read_mapping
-from usdface.usdio.performance.head_layer import write_head_layer
+from usdface.usdio.performance.driving_layers import write_head_layer
 from usdface.usdio.performance.weights_layer import WeightsHeader, append_rig_shapes, make_header
 from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.rig.drive_targets import HeadDrive

@@ -14,10 +14,10 @@ from usdface.specs.paths import frame_list, frame_range
 from usdface.specs.references import ReferencesAddSpec
 from usdface.steps.references.from_edits import (
     captured_markers,
+    find_take_and_mapping,
     with_pairs,
     write_extended,
 )
-from usdface.steps.references.performance_inputs import find_take_and_mapping
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.references.read import read_references
 

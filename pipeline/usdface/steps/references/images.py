@@ -11,7 +11,7 @@ from usdface.core.errors import InputError
 from usdface.core.side_files import check_side_folder, make_side_folder
 from usdface.core.sidecars import images_folder
 from usdface.core.text import first_few
-from usdface.media.film.take_video import open_video
+from usdface.media.film.video import open_video
 from usdface.media.picture.image import read_image_metadata, write_image
 from usdface.specs.references import SelectSpec
 

@@ -17,7 +17,7 @@ from usdface.model.retarget.name_matching import meaning_notes
 from usdface.runner.origin import provenance_of, spec_of, take_of_performance
 from usdface.runner.result import StepResult
 from usdface.specs.references import ReferencesImportSpec
-from usdface.steps.inputs.name_tables import check_no_name_twice, transfer_by_table
+from usdface.steps.inputs.source_motion import check_no_name_twice, transfer_by_table
 from usdface.steps.inputs.tuned_pairs import tuned_conflicts
 from usdface.steps.inputs.weight_tables import WeightTable, read_weight_table, undo_clamping
 from usdface.steps.references.coverage import redraw_coverage

@@ -17,7 +17,7 @@ from usdface.media.face.camera import frame_rig
 from usdface.media.face.markers_view import MarkersFrame, draw_markers, frame_markers
 from usdface.media.face.render import FaceRenderer
 from usdface.media.face.sculpted_normals import SculptedNormals
-from usdface.media.film.take_video import OpenVideo, open_video, picture_at_frame
+from usdface.media.film.video import OpenVideo, open_video, picture_at_frame
 from usdface.media.picture.image import read_picture, write_image
 from usdface.media.picture.reference_sheet import (
     PAGE_PAIRS,

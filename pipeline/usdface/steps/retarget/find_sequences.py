@@ -21,7 +21,7 @@ from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.retarget import FindSequencesSpec
 from usdface.steps.inputs.source_motion import SourceMotion, read_source_motion, source_columns
-from usdface.steps.retarget.sequence_rate import read_sequence_at
+from usdface.steps.retarget.make_sequence import read_sequence_at
 from usdface.usdio.retarget.sequences import write_matches
 
 

@@ -32,7 +32,7 @@ from usdface.steps.inputs.source_motion import (
     unmatched_moving,
 )
 from usdface.steps.inputs.weight_tables import read_alpha
-from usdface.usdio.performance.head_layer import write_head_layer
+from usdface.usdio.performance.driving_layers import write_head_layer
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import WeightsHeader, append_rig_shapes, make_header
 from usdface.usdio.retarget.control_performance import writing_control_performance

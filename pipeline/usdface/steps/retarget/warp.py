@@ -33,7 +33,7 @@ from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.retarget import WarpSpec
 from usdface.steps.inputs.edit_ranges import edit_notes
-from usdface.steps.retarget.sequence_rate import read_sequence_at
+from usdface.steps.retarget.make_sequence import read_sequence_at
 from usdface.usdio.performance.driving_layers import head_layer_xforms
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import make_header

@@ -19,7 +19,7 @@ from usdface.media.face.markers_view import (
 )
 from usdface.media.face.render import FaceRenderer
 from usdface.media.face.sculpted_normals import SculptedNormals
-from usdface.media.film.take_video import OpenVideo, open_video, picture_at_frame
+from usdface.media.film.video import OpenVideo, open_video, picture_at_frame
 from usdface.media.picture.canvas import draw_dot, draw_line
 from usdface.media.picture.color import BLUE, BRIGHT, ORANGE
 from usdface.media.picture.image import DisplayView

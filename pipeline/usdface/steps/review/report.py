@@ -16,7 +16,7 @@ from usdface.core.side_files import emptied_side_folder
 from usdface.core.sidecars import work_folder
 from usdface.core.text import pluralize
 from usdface.media.film.movie import video_encoder, write_movie
-from usdface.media.film.take_video import open_video
+from usdface.media.film.video import open_video
 from usdface.media.page.face_payload import pack_face
 from usdface.media.page.report_page import (
     PagePicture,

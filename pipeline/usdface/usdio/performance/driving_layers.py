@@ -1,20 +1,139 @@
 """Layers of a performance with joints, Xforms and attributes, and joining those of parts.
 
-NAME.head.usdc and NAME.controls.usdc are sublayers of NAME.usda, stronger than its weights.
+NAME.head.usdc and NAME.controls.usdc are sublayers of NAME.usda, stronger than its weights. The
+head layer moves head and eyes: joints on the same animation prim, Xforms as overs with one
+transform before those of the rig. A joint with a parent is only rotated, as the neck determines its
+position; a root joint and an Xform are translated as well.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from pxr import Sdf
+import numpy as np
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 
+from usdface.core.arrays import FloatArray
+from usdface.core.assets import Rig
+from usdface.core.controls import Controls, shape_controls
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import head_path
 from usdface.core.text import first_few
-from usdface.usdio.authoring import paths_in, sampled_properties
-from usdface.usdio.layers import new_layer, open_layer, relative_path
-from usdface.usdio.performance.head_layer import TRANSFORM
+from usdface.numerics.motion.rotation_space import multiply_quaternions
+from usdface.usdio.authoring import author_timing, author_uniform, paths_in, sampled_properties
+from usdface.usdio.layers import new_layer, open_layer, open_stage, relative_path
+from usdface.usdio.performance.weights_layer import WeightsHeader
+from usdface.usdio.retarget.controls import author_joints, controls_at, set_joint_samples
+from usdface.usdio.rig.drive_targets import DriveTarget, joint_rest, skeleton_with
+from usdface.usdio.units import author_units, column_matrix, stage_to_ours
+
+TRANSFORM = "xformOp:transform:head"
+
+
+def write_head_layer(
+    path: Path,
+    header: WeightsHeader,
+    rig: Rig,
+    transforms: Mapping[DriveTarget, FloatArray],
+    *,
+    controls: Sdf.Layer | None = None,
+    provenance: Provenance | None = None,
+) -> None:
+    """Write the head layer of a performance.
+
+    Parameters
+    ----------
+    path : Path
+        The performance.
+    transforms : mapping of DriveTarget to (frames, 4, 4) float array
+        From rest, in the rig's world, for column vectors [mm]. If empty, no layer is written.
+    controls : Sdf.Layer, optional
+        With the joints of a retargeting, to which the rotations are added.
+    """
+    if not transforms:
+        return
+    stage = open_stage(rig.file)
+    ours = np.eye(4)
+    ours[:3, :3] = stage_to_ours(stage)
+    back = np.linalg.inv(ours)
+    world = {target: back @ values @ ours for target, values in transforms.items()}
+    joints = {target: values for target, values in world.items() if target.is_joint}
+    with new_layer(head_path(path), provenance) as layer:
+        author_units(layer, like=rig.file)
+        author_timing(layer, rate=header.rate, first=header.first_frame, last=header.last_frame)
+        layer.defaultPrim = Sdf.Path(header.rig_path).GetPrefixes()[0].name
+        if joints:
+            driven = _turn_joints(_joints_of(controls, header, path), stage, rig, joints)
+            prim = Sdf.CreatePrimInLayer(layer, header.animation)
+            author_joints(prim, driven.joints)
+            set_joint_samples(layer, header.animation, driven, header.first_frame)
+        source = Sdf.Path(rig.prim).GetPrefixes()[0]
+        for target in world.keys() - joints.keys():
+            prim = stage.GetPrimAtPath(target.path)
+            over = Sdf.CreatePrimInLayer(
+                layer, prim.GetPath().ReplacePrefix(source, header.rig_path)
+            )
+            _author_xform(over, prim, world[target], header.first_frame)
+
+
+def _joints_of(controls: Sdf.Layer | None, header: WeightsHeader, path: Path) -> Controls:
+    """Return the joints of a retargeting, or none."""
+    if controls is not None:
+        stage = Usd.Stage.Open(controls)
+        frames = range(header.first_frame, header.last_frame + 1)
+        return controls_at(stage.GetPrimAtPath(header.animation), None, (), frames, path)
+    return shape_controls((), np.zeros((header.frame_count, 0)))
+
+
+def _turn_joints(
+    below: Controls, stage: Usd.Stage, rig: Rig, transforms: Mapping[DriveTarget, FloatArray]
+) -> Controls:
+    """Return the joints of a retargeting, or at rest, with the driven ones rotated in addition."""
+    from scipy.spatial.transform import Rotation  # imported late: joining needs none
+
+    names = list(below.joints)
+    places, turns, scales = (
+        list(np.moveaxis(each, 1, 0))
+        for each in (below.translations, below.rotations, below.scales)
+    )
+    for target, world in transforms.items():
+        rest, parent, is_root = joint_rest(skeleton_with(stage, rig, target.path), target.path)
+        local = np.linalg.inv(parent) @ world @ parent
+        if target.path not in names:
+            place, turn, scale = UsdSkel.DecomposeTransform(Gf.Matrix4d(rest.T.tolist()))
+            names.append(target.path)
+            places.append(np.tile(list(place), (len(world), 1)))
+            turns.append(np.tile([turn.GetReal(), *turn.GetImaginary()], (len(world), 1)))
+            scales.append(np.tile([float(each) for each in scale], (len(world), 1)))
+        at = names.index(target.path)
+        turned = Rotation.from_matrix(local[:, :3, :3]).as_quat(scalar_first=True)
+        turns[at] = multiply_quaternions(turned, turns[at])
+        if is_root:
+            places[at] = np.einsum("fij,fj->fi", local[:, :3, :3], places[at]) + local[:, :3, 3]
+    return Controls(
+        joints=tuple(names),
+        weights=np.zeros((len(places[0]), 0)),
+        translations=np.stack(places, axis=1),
+        rotations=np.stack(turns, axis=1),
+        scales=np.stack(scales, axis=1),
+    )
+
+
+def _author_xform(over: Sdf.PrimSpec, prim: Usd.Prim, world: FloatArray, first: int) -> None:
+    """Write the world transforms of an Xform as an operation before its others."""
+    xform = UsdGeom.Xformable(prim)
+    operations = [str(op) for op in xform.GetXformOpOrderAttr().Get() or ()]
+    start = int(xform.GetResetXformStack())
+    parent = np.eye(4)
+    if not start:
+        parent = column_matrix(UsdGeom.XformCache().GetParentToWorldTransform(prim))
+    order = [*operations[:start], TRANSFORM, *operations[start:]]
+    author_uniform(over, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, order)
+    attribute = Sdf.AttributeSpec(over, TRANSFORM, Sdf.ValueTypeNames.Matrix4d)
+    local = (np.linalg.inv(parent) @ world @ parent).transpose(0, 2, 1)
+    for frame, matrix in enumerate(local.tolist(), start=first):
+        over.layer.SetTimeSample(attribute.path, frame, Gf.Matrix4d(matrix))
+
 
 _OF_JOINTS = ("translations", "rotations", "scales")
 
