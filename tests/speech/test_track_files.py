@@ -98,7 +98,9 @@ def test_bad_files_are_refused_with_the_reason(
 
 
 def test_recorded_textgrids_are_read(shared_data: Path) -> None:
-    for path in sorted((shared_data / "speech_mfa" / "textgrid").glob("*.TextGrid")):
+    paths = sorted((shared_data / "speech_mfa" / "textgrid").glob("*.TextGrid"))
+    assert paths
+    for path in paths:
         track = read_phone_track(path)
         assert all(viseme_of(span.label) is not None for span in track.phones), path
 
