@@ -191,14 +191,14 @@ def parse_cells(
         numbers = []
     if len(numbers) != len(cells):
         numbers = [
-            _number(cell, delimiter, _place(line, columns, index, first_column), gaps)
+            _number(cell, delimiter, _cell_location(line, columns, index, first_column), gaps)
             for index, cell in enumerate(cells)
         ]
     if not gaps and not math.isfinite(math.fsum(0.0 * number for number in numbers)):
         bad = next(index for index, number in enumerate(numbers) if not math.isfinite(number))
         raise InputError(
-            f"{_place(line, columns, bad, first_column)}: {cells[bad]!r} is not a finite number; "
-            "export the take again, or delete the line"
+            f"{_cell_location(line, columns, bad, first_column)}: {cells[bad]!r} is not a finite "
+            "number; export the take again, or delete the line"
         )
     return numbers
 
@@ -284,7 +284,7 @@ def _check_line(line: TableLine, encoding: str) -> None:
         )
 
 
-def _place(line: TableLine, columns: Sequence[str], index: int, first_column: int) -> str:
+def _cell_location(line: TableLine, columns: Sequence[str], index: int, first_column: int) -> str:
     return f"{line.where}, column {first_column + index + 1} ({columns[index][:_LONGEST_QUOTE]})"
 
 

@@ -75,7 +75,7 @@ def validation_messages(
     """
     lines = []
     for fault in _drop_secondary_errors(error.errors()):
-        place = _place(fault["loc"], places)
+        place = _fault_location(fault["loc"], places)
         reason = fault_reason(fault, spec)
         lines.append(f"{place}: {reason}" if place else reason)
     lines = list(dict.fromkeys(lines))  # a fault in a loop over takes occurs once per take
@@ -84,7 +84,7 @@ def validation_messages(
     return f"{len(lines)} faults\n" + "\n".join(f"  {line}" for line in lines)
 
 
-def _place(location: Sequence[str | int], places: Sequence[str]) -> str:
+def _fault_location(location: Sequence[str | int], places: Sequence[str]) -> str:
     """Return step and option of a fault."""
     parts, place = list(location), ""
     if len(parts) > 1 and parts[0] == "steps" and isinstance(parts[1], int):

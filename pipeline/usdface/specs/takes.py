@@ -91,7 +91,7 @@ def write_out(job: Mapping[str, Any]) -> dict[str, Any]:
                 raise ValueError(f"{len(rows)} takes make more than {_MOST_STEPS} steps; split it")
             done += [_filled(each, row, f"step {number}") for row in rows for each in inner]
         else:
-            done.append(_spread(step, rows, f"step {number}"))
+            done.append(_repeated_per_take(step, rows, f"step {number}"))
     written["steps"] = done
     return written
 
@@ -186,17 +186,17 @@ def _filled(value: Any, row: Row, where: str) -> Any:
     return value
 
 
-def _spread(value: Any, rows: list[Row], where: str) -> Any:
+def _repeated_per_take(value: Any, rows: list[Row], where: str) -> Any:
     """Return a step's value with list items that contain a take's value repeated per take."""
     if isinstance(value, Mapping):
-        return {key: _spread(each, rows, where) for key, each in value.items()}
+        return {key: _repeated_per_take(each, rows, where) for key, each in value.items()}
     if isinstance(value, list | tuple):
         items: list[Any] = []
         for each in value:
             if isinstance(each, str) and _names_a_value(each):
                 items += [_filled(each, row, where) for row in rows]
             else:
-                items.append(_spread(each, rows, where))
+                items.append(_repeated_per_take(each, rows, where))
         return items
     if isinstance(value, str):
         if _names_a_value(value):

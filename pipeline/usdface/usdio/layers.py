@@ -16,8 +16,8 @@ from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import replacing_together
 from usdface.core.sidecars import LAYER_SUFFIXES
+from usdface.usdio import SCHEMA_VERSION
 from usdface.usdio.crate import check_crate
-from usdface.usdio.plugin import SCHEMA_VERSION
 from usdface.usdio.reached import check_composed, check_reached
 
 FRAMES_IN_MEMORY = 1 << 15

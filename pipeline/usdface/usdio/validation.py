@@ -58,7 +58,7 @@ def _finding(error: UsdValidation.ValidationError, path: Path) -> Finding | None
         return None
     validator = error.GetValidator()
     name = str(validator.GetMetadata().name) if validator else "usd"
-    sites = [_place(site) for site in error.GetSites()] if name.startswith(_PLUGIN) else []
+    sites = [_site_path(site) for site in error.GetSites()] if name.startswith(_PLUGIN) else []
     return Finding(
         severity="error" if kind == UsdValidation.ValidationErrorType.Error else "warning",
         check=name.replace(_PLUGIN, "usdface", 1),
@@ -67,7 +67,7 @@ def _finding(error: UsdValidation.ValidationError, path: Path) -> Finding | None
     )
 
 
-def _place(site: UsdValidation.ValidationErrorSite) -> str:
+def _site_path(site: UsdValidation.ValidationErrorSite) -> str:
     if site.IsProperty():
         return str(site.GetProperty().GetPath())
     return str(site.GetPrim().GetPath()) if site.IsPrim() else ""

@@ -75,7 +75,7 @@ def paint(meshes: Sequence[RigMesh], pieces: Pieces, *, exposure: FloatArray) ->
     parts = pieces.parts[pieces.of_point]
     skin = parts == FacePart.SKIN
     links = _neighbours(meshes)
-    smooth = _spread(exposure, links, times=2)
+    smooth = _average_neighbours(exposure, links, times=2)
     inside = np.where(skin, _step((_OPEN - smooth) / (_OPEN - _CLOSED)), 0.0)
     colors = palette[parts]
     bare = [mesh.colors is None and mesh.face_colors is None for mesh in meshes]
@@ -120,7 +120,7 @@ def _neighbours(meshes: Sequence[RigMesh]) -> Sparse:
     return links
 
 
-def _spread(values: FloatArray, links: Sparse, *, times: int) -> FloatArray:
+def _average_neighbours(values: FloatArray, links: Sparse, *, times: int) -> FloatArray:
     """Average each point with its neighbours, against the noise of ray counts."""
     degree = np.maximum(np.asarray(links.sum(axis=1)).reshape(-1), 1)
     for _ in range(times):

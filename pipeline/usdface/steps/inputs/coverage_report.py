@@ -198,7 +198,7 @@ def measure_pairs(spec: ReferencesCoverageSpec, *, progress: Progress) -> Measur
     rig = read_rig_of(references, spec.references)
     scene = set_up_scene(takes, rig, placement=stored_placement(references, rig), progress=progress)
     progress(0.7, "measuring the coverage")
-    placed = _place(scene, references, pairs)
+    placed = _locate_pairs(scene, references, pairs)
     candidates = candidate_frames(takes, None)
     coverage = takes_coverage(scene, placed.faces, placed.rows, candidates=candidates)
     is_tuned = references.tuned[pairs]
@@ -261,7 +261,7 @@ def _with_markers_of(
     )
 
 
-def _place(scene: SelectionScene, references: References, pairs: IntArray) -> _Placed:
+def _locate_pairs(scene: SelectionScene, references: References, pairs: IntArray) -> _Placed:
     """Find the pairs among the takes' frames; pairs of other takes use the references' markers."""
     places = [(references.takes[pair], int(references.frames[pair])) for pair in pairs.tolist()]
     found = scene.takes.find_rows(places)

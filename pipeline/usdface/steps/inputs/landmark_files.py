@@ -55,7 +55,7 @@ def read_landmarks(path: Path, names: Sequence[str], rig: Rig) -> dict[str, Floa
             faults.append(f"{where}: {name} is a duplicate; keep one")
             continue
         try:
-            found[name] = _place(value, rig)
+            found[name] = _landmark_position(value, rig)
         except ValueError as error:
             faults.append(f"{where}: {name}: {error}")
     if faults:
@@ -81,7 +81,7 @@ def _rows(path: Path) -> list[tuple[str, str, object]]:
     ]
 
 
-def _place(value: object, rig: Rig) -> FloatArray:
+def _landmark_position(value: object, rig: Rig) -> FloatArray:
     """Return a position on the rig [mm]."""
     if isinstance(value, list):
         return _at_position(value, rig)

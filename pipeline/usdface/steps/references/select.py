@@ -112,7 +112,7 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
     rig = read_rig(spec.rig, prim=spec.prim)
     warnings = plausibility_notes(takes, spec.takes, rig)
     progress(0.1, "placing the markers on the rig")
-    placed = _place(spec, takes, rig)
+    placed = _placement(spec, takes, rig)
     spoken = read_phone_labels(spec, takes)
     kept = find_placed_pairs(spec, takes, rig)
     mapping = None if spec.mapping is None else _mapping_for(spec.mapping, rig)
@@ -268,7 +268,7 @@ def _mapping_for(path: Path, rig: Rig) -> TrainedMapping:
     return mapping
 
 
-def _place(spec: SelectSpec, takes: CleanedTakes, rig: Rig) -> PlacedTakes:
+def _placement(spec: SelectSpec, takes: CleanedTakes, rig: Rig) -> PlacedTakes:
     """Return the placement of --placement, or place the markers by landmarks and corrections."""
     if spec.placement is not None:
         return judge_stored(spec.placement, takes, rig)

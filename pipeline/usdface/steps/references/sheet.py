@@ -151,7 +151,7 @@ class _PairPictures:
                 residual_mm = float(self._residual_mm[pair])
         return ReferenceRow(
             number=pair + 1,
-            place=_place(self._takes.get(name), name, frame),
+            place=_frame_label(self._takes.get(name), name, frame),
             spoken=_labels(references, pair),
             tuned=bool(references.tuned[pair]),
             video=picture,
@@ -213,7 +213,7 @@ def _archived_picture(image: Path | None) -> ByteImage | None:
         return None
 
 
-def _place(take: Take | None, name: str, frame: int) -> str:
+def _frame_label(take: Take | None, name: str, frame: int) -> str:
     timecode = ""
     if take is not None:
         timecode = shift_timecode(take.timecode_start, frame - take.first_frame, take.rate)

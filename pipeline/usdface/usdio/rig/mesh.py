@@ -242,7 +242,7 @@ def read_face_mesh(path: Path, *, prim: str | None = None) -> FaceMesh:
     indices = np.array(_at_rest(geometry.GetFaceVertexIndicesAttr()) or [], np.int64)
     _check_surface(local, counts, indices, where)
     world = column_matrix(UsdGeom.XformCache().GetLocalToWorldTransform(chosen))
-    points, linear = _place(stage, chosen, local, world)
+    points, linear = _rest_points(stage, chosen, local, world)
     kind, attribute, authored = _authored_normals(geometry, len(local), len(indices))
     mesh = RigMesh(
         path=str(chosen.GetPath()),
@@ -333,7 +333,7 @@ def _check_surface(local: FloatArray, counts: IntArray, indices: IntArray, where
         )
 
 
-def _place(
+def _rest_points(
     stage: Usd.Stage, prim: Usd.Prim, local: FloatArray, world: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the points at rest in our space, and the linear map of displacements."""

@@ -69,7 +69,7 @@ class PosedRig:
         points = Vt.Vec3fArray(UsdGeom.Mesh(prim).GetPointsAttr().Get(frame))
         skeleton, target = self._bound.get(str(prim.GetPath()), (None, None))
         if target is None:
-            return _place(transforms.GetLocalToWorldTransform(prim), points, self._ours)
+            return _to_world(transforms.GetLocalToWorldTransform(prim), points, self._ours)
         _deform(prim, points, weights)
         query = self._cache.GetSkelQuery(skeleton)
         joints = query.ComputeSkinningTransforms(frame)
@@ -79,8 +79,8 @@ class PosedRig:
                 joints = mapper.RemapTransforms(joints)
             if target.ComputeSkinnedPoints(joints, points, frame):
                 world = transforms.GetLocalToWorldTransform(query.GetPrim())
-                return _place(world, points, self._ours)
-        return _place(transforms.GetLocalToWorldTransform(prim), points, self._ours)
+                return _to_world(world, points, self._ours)
+        return _to_world(transforms.GetLocalToWorldTransform(prim), points, self._ours)
 
 
 def _deform(prim: Usd.Prim, points: Vt.Vec3fArray, weights: dict[str, float]) -> None:
@@ -100,6 +100,6 @@ def _deform(prim: Usd.Prim, points: Vt.Vec3fArray, weights: dict[str, float]) ->
     )
 
 
-def _place(world: object, points: Vt.Vec3fArray, ours: FloatArray) -> FloatArray:
+def _to_world(world: object, points: Vt.Vec3fArray, ours: FloatArray) -> FloatArray:
     placed = transform_points(column_matrix(world), np.array(points, np.float64))
     return np.asarray(placed @ ours.T)

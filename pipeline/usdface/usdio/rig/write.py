@@ -203,7 +203,7 @@ def _define_keys(target: UsdSkel.BlendShape, keys: tuple[ShapeKey, ...]) -> None
     points = np.unique(np.concatenate([key.points for key in keys]))
     target.CreatePointIndicesAttr(index_array(points))
     for key in keys:
-        offsets = vector_array(_spread(key.points, key.offsets, points) / MM_PER_STAGE_UNIT)
+        offsets = vector_array(_dense_rows(key.points, key.offsets, points) / MM_PER_STAGE_UNIT)
         if key.weight == 1.0:
             target.CreateOffsetsAttr(offsets)
         else:
@@ -211,14 +211,14 @@ def _define_keys(target: UsdSkel.BlendShape, keys: tuple[ShapeKey, ...]) -> None
             between.SetWeight(key.weight)
             between.SetOffsets(offsets)
         if key.normal_offsets is not None:
-            normals = vector_array(_spread(key.points, key.normal_offsets, points))
+            normals = vector_array(_dense_rows(key.points, key.normal_offsets, points))
             if key.weight == 1.0:
                 target.CreateNormalOffsetsAttr(normals)
             else:
                 between.CreateNormalOffsetsAttr(normals)
 
 
-def _spread(indices: IntArray, values: FloatArray, points: IntArray) -> FloatArray:
+def _dense_rows(indices: IntArray, values: FloatArray, points: IntArray) -> FloatArray:
     spread = np.zeros((len(points), 3))
     spread[np.searchsorted(points, indices)] = values
     return spread
