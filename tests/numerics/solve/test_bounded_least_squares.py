@@ -162,3 +162,14 @@ def test_steps_are_as_long_as_the_steepest_direction_allows() -> None:
     for frame, pull in zip(found, linear, strict=True):
         exact = lsq_linear(factor.T, np.linalg.solve(factor, pull), (0.0, 1.0), tol=1e-12).x
         np.testing.assert_allclose(frame, exact, atol=0.01)
+
+
+@pytest.mark.parametrize("size", [1, 8, 9, 51, 64])
+def test_inverses_by_halves_are_those_of_lapack(size: int) -> None:
+    rows = np.random.default_rng(size).normal(size=(5, size, size + 3))
+    matrices = rows @ rows.transpose(0, 2, 1) + np.eye(size)
+    found = hessian.invert_by_halves(matrices)
+    np.testing.assert_allclose(found, np.linalg.inv(matrices), rtol=1e-8, atol=1e-10)
+    single = hessian.invert_by_halves(matrices.astype(np.float32))
+    assert single.dtype == np.float32
+    np.testing.assert_allclose(single, found, atol=1e-4)

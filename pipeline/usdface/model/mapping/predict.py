@@ -21,12 +21,8 @@ from usdface.numerics.regression.usage_prior import expected_weights
 _BLOCK_FRAMES = 1024
 """Frames per block: a block fits in the cache, which is 25 % faster than larger ones."""
 
-_SOLVED_FRAMES = 64
-"""Frames per call of the solver, each with a Jacobian and a Hessian."""
-
-_MEASURED_CONFIDENCE = 0.9
-"""Confidence from which a sample counts as measured: a filled one within .05 s of a measured one.
-Most frames have such samples; they hardly change the uncertainty."""
+_SOLVED_FRAMES = 128
+"""Frames per call of the solver, each with a Jacobian and a Hessian: 8 MB at 102 markers."""
 
 
 @dataclass(frozen=True)
@@ -165,36 +161,28 @@ class WeightPredictor:
             rows = slice(first, first + _SOLVED_FRAMES)
             displacements, seen = positions[rows] - self._mapping.neutral, visible[rows]
             prior_mean = bend((weights[rows] - low) / (high - low), curve)
-            solution = solver.solve(displacements, seen, prior_mean, bounded=solves)
-            estimated = len(self._driving) > 0 and solution.hessian is not None
-            if estimated:
+            known = None if confidence is None else confidence[rows]
+            if len(self._driving):
+                solution = solver.solve(displacements, seen, prior_mean, bounded=solves)
                 prior_mean[:, self._driving] = self._expected(solution)
-                solution = solver.solve(displacements, seen, prior_mean, bounded=False)
-            if solves or estimated:
+            solution = solver.solve(
+                displacements, seen, prior_mean, bounded=solves, confidence=known
+            )
+            if solves or len(self._driving):
                 solved = np.clip(unbend(solution.targets, curve), 0.0, 1.0)
                 weights[rows] = low + (high - low) * solved
             residual[rows] = solution.residual.reshape(-1, *residual.shape[1:])
             uncertainty[rows] = self._uncertainty.deviations(solver, solution, seen)
-            if confidence is not None:
-                known = np.where(seen, confidence[rows], 0.0)
-                filled = np.flatnonzero((seen & (known < _MEASURED_CONFIDENCE)).any(axis=1))
-                if len(filled):
-                    partly_known = solver.with_confidence(
-                        solution.take(filled), prior_mean[filled], known[filled]
-                    )
-                    uncertainty[first + filled] = self._uncertainty.deviations(
-                        solver, partly_known, seen[filled]
-                    )
         return weights, uncertainty, residual
 
     def _find_driving(self) -> IntArray:
         """Return the shapes that drive combinations, whose weights are replaced by expected ones.
 
-        None for methods that solve frames, which take their error into account. In-betweens of one
-        shape (one part, no span) are not combinations.
+        None for methods that solve frames, which take their error into account, and none for rigs
+        of many shapes. In-betweens of one shape (one part, no span) are not combinations.
         """
         driven = self._solver.forward.driven
-        if driven is None or self._method.solves_frames:
+        if driven is None or self._method.solves_frames or not self._solver.has_jacobians:
             return np.zeros(0, np.int64)
         combinations = [
             each for each in driven.logic.combinations if len(each.parts) > 1 or each.spans

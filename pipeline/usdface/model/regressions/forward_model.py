@@ -145,7 +145,7 @@ class ForwardModel:
         precision = np.einsum("knn->nk", self.inverse)[:, :, None]
         return np.asarray(self.dual / precision)
 
-    @property
+    @cached_property
     def residual_variance(self) -> FloatArray:
         """Mean squared leave-one-out residual of a coordinate of each marker: (markers,) [mm^2]."""
         return np.asarray((self.residuals**2).mean(axis=(0, 2)))
@@ -203,11 +203,22 @@ class ForwardModel:
             [mm^2]
         """
         t = targets.astype(np.float64)
-        cross = _kernel(t, self.targets, self.deviation2, self.shape_size2, self.quadratic)
+        linear, product = self._kernel_factors
+        cross: FloatArray = t @ product
+        cross *= cross
+        cross += t @ linear
+        cross += _OFFSET_MM**2
         prior = t**2 @ self.deviation2 + _OFFSET_MM**2
         prior += self.quadratic * (t**2 @ self.shape_size2) ** 2
-        explained = ((cross @ self.inverse) * cross).sum(axis=2).T
+        explained = np.einsum("kfn,kfn->fk", cross @ self.inverse, cross)
         return np.asarray(np.maximum(prior - explained, 0.0))
+
+    @cached_property
+    def _kernel_factors(self) -> tuple[FloatArray, FloatArray]:
+        """Factors of `_kernel`, linear and quadratic, with the pairs: (markers, shapes, pairs)."""
+        product = self.shape_size2.T * np.sqrt(self.quadratic)[:, None]
+        u = self.targets.T
+        return self.deviation2.T[:, :, None] * u, product[:, :, None] * u
 
     def to_arrays(self) -> Arrays:
         """Return the model as arrays of a mapping, the input of `from_arrays`."""

@@ -27,7 +27,7 @@ chi2, so that it adds no jitter.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -37,13 +37,14 @@ from usdface.core.arrays import (
     BoolArray,
     Float32Array,
     FloatArray,
-    IntArray,
     RealArray,
+    frame_blocks,
     single_precision,
 )
 from usdface.model.regressions.bent_weights import unbend
 from usdface.model.regressions.forward_model import ForwardModel
 from usdface.numerics.solve.bounded_least_squares import minimise_within_bounds
+from usdface.numerics.solve.hessian import invert_by_halves
 
 CLEANED_NOISE_MM = 0.05
 """Standard deviation of a marker's coordinate after cleaning."""
@@ -58,6 +59,10 @@ predictive variance, which is added for each frame."""
 
 _CHI2_FAMILIAR, _CHI2_UNFAMILIAR = 0.3, 10.0
 """chi2 up to which sd is the regression's error, and from which it is the spread."""
+
+_MEASURED_CONFIDENCE = 0.9
+"""Confidence from which a sample counts as measured: a filled one within .05 s of a measured one.
+Most frames have such samples; they hardly change the uncertainty."""
 
 _MIN_ERROR = 0.01
 """Smallest error of a normalised weight: keys are not set more finely."""
@@ -74,6 +79,9 @@ _UNBEND_STEP = 1e-3
 _GRADIENT_STEPS = 30
 """Accelerated gradient steps of the bounded solve. The forward model is linearised once, at t0: a
 second linearisation changes crosstake by less than .001 mm and doubles the time."""
+
+_CACHED_FRAMES = 16
+"""Frames whose Jacobians stay in the cache between their products."""
 
 _MAX_DENSE_SHAPES = 200
 """Largest number of shapes with a Jacobian and a Hessian per frame. Beyond, all frames share the
@@ -94,11 +102,6 @@ class FrameSolution:
     hessian: RealArray | None
     """(frames, shapes, shapes): of half the objective; None for rigs of many shapes."""
 
-    def take(self, rows: IntArray) -> "FrameSolution":
-        """Return the solution of some of the frames."""
-        hessian = None if self.hessian is None else self.hessian[rows]
-        return FrameSolution(self.targets[rows], self.precision[rows], self.residual[rows], hessian)
-
     def covariance(self, curve: float) -> RealArray:
         """Return the posterior covariance of the normalised weights: (frames, shapes, shapes).
 
@@ -111,7 +114,7 @@ class FrameSolution:
             raise ValueError("no Hessian per frame: the rig has too many shapes")
         ahead = unbend(self.targets + _UNBEND_STEP, curve)
         slope = ((ahead - unbend(self.targets, curve)) / _UNBEND_STEP).astype(np.float32)
-        covariance: RealArray = np.linalg.inv(self.hessian)
+        covariance = invert_by_halves(self.hessian)
         covariance *= slope[:, :, None] * slope[:, None]
         return covariance
 
@@ -144,6 +147,7 @@ class FrameSolver:
         prior_mean: FloatArray,
         *,
         bounded: bool = True,
+        confidence: RealArray | None = None,
     ) -> FrameSolution:
         """Estimate the weights of frames.
 
@@ -157,6 +161,10 @@ class FrameSolver:
         bounded : bool
             If False, the weights stay at t0, the prediction of another method, and only the terms
             of their posterior covariance are computed.
+        confidence : (frames, markers) float array, optional
+            Confidence in visible markers [0-1], which affects the posterior covariance, not the
+            weights: one of confidence c has ``(1 - c) m_k / 3`` added to the variance of its
+            coordinates, with ``m_k`` its mean squared motion.
         """
         seen = np.repeat(visible, 3, axis=1)
         y = np.where(seen, displacements.reshape(len(seen), -1), 0.0)
@@ -165,55 +173,24 @@ class FrameSolver:
         residual = np.where(seen, y - predicted, 0.0).astype(np.float32)
         predictive = self._predictive_variance(t0, slope)
         precision = self._prior_precision(residual, visible, predictive)
-        likelihood = self._likelihood(slope, visible, self._marker_variance(predictive))
-        if not bounded:
-            hessian = likelihood.hessian(precision)
-            return FrameSolution(prior_mean, precision, residual, hessian)
-        gradient, diagonal = likelihood.gradient(residual), likelihood.diagonal
-        t: RealArray = t0
-        for _ in range(_REWEIGHTING_ROUNDS):
-            reweighted = precision / _huber_divisor(t - t0, precision)
-            t = t0 + minimise_within_bounds(
-                likelihood.product(reweighted),
-                diagonal + reweighted,
-                gradient,
-                lower=-t0,
-                upper=1 - t0,
-                start=t - t0,
-                steps=_GRADIENT_STEPS,
-            )
-        residual = np.where(seen, residual - likelihood.moved(t - t0), 0)
-        targets = np.clip(t, 0.0, 1.0).astype(np.float64)
-        return FrameSolution(targets, reweighted, residual, likelihood.hessian(reweighted))
-
-    def with_confidence(
-        self, solution: FrameSolution, prior_mean: FloatArray, confidence: RealArray
-    ) -> FrameSolution:
-        """Return a solution with the posterior of markers that are partly known; weights stay.
-
-        A marker of confidence c has ``(1 - c) m_k / 3`` added to the variance of its coordinates,
-        with ``m_k`` its mean squared motion.
-
-        Parameters
-        ----------
-        prior_mean : (frames, shapes) float array
-            t0.
-        confidence : (frames, markers) float array
-            ``c`` [0-1]; 0 where a marker is not visible.
-        """
-        t0 = np.clip(prior_mean, 0.0, 1.0).astype(np.float32)
-        _, slope = self.linearise(t0)
-        predictive = self._predictive_variance(t0, slope)
-        variance = self._marker_variance(predictive)
-        unknown = (1 - confidence) * self.forward.motion2 / 3
-        visibility = variance / (variance + unknown) * (confidence > 0)
-        likelihood = self._likelihood(slope, visibility, variance)
-        step = (solution.targets - t0).astype(np.float32)
-        residual = solution.residual + likelihood.moved(step)  # at t0
-        residual = residual * np.repeat(confidence > 0, 3, axis=1)
-        precision = self._prior_precision(residual, visibility, predictive)
-        reweighted = np.asarray(precision / _huber_divisor(step, precision), dtype=np.float32)
-        return replace(solution, precision=reweighted, hessian=likelihood.hessian(reweighted))
+        likelihood = self._likelihood(slope, visible, predictive)
+        step, targets = np.zeros_like(t0), prior_mean
+        if bounded:
+            step, precision = _minimise(likelihood, residual, precision, t0)
+            targets = np.clip(t0 + step, 0.0, 1.0).astype(np.float64)
+        hessian = likelihood.hessian(precision)
+        if confidence is not None and (confidence[visible] < _MEASURED_CONFIDENCE).any():
+            rows = np.flatnonzero((visible & (confidence < _MEASURED_CONFIDENCE)).any(axis=1))
+            predictive = np.broadcast_to(predictive, visible.shape)[rows]
+            visibility = visible[rows] * self._visibility(predictive, confidence[rows])
+            at_t0 = residual[rows] * np.repeat(visibility > 0, 3, axis=1)
+            prior = self._prior_precision(at_t0, visibility, predictive)
+            precision[rows] = prior / _huber_divisor(step[rows], prior)
+            if hessian is not None and slope is not None:
+                known = self._likelihood(slope[rows], visibility, predictive)
+                hessian[rows] = known.hessian(precision[rows])
+        residual = np.where(seen, residual - likelihood.moved(step), 0)
+        return FrameSolution(targets, precision, residual, hessian)
 
     def linearise(self, targets: RealArray) -> tuple[Float32Array, Float32Array | None]:
         """Return the forward model's prediction and its Jacobian.
@@ -235,12 +212,16 @@ class FrameSolver:
         predicted, slope = t @ basis + offset, None
         if curvature is not None:
             slope = (t @ curvature).reshape(len(t), *basis.shape)
-            predicted += (t[:, None] @ slope)[:, 0]
-            slope *= 2
+            predicted += 0.5 * (t[:, None] @ slope)[:, 0]
             slope += basis
         if driven is not None:
             predicted += driven.displacements(t, self.forward.scales.curve, slope)
         return predicted, slope
+
+    @property
+    def has_jacobians(self) -> bool:
+        """Whether frames have a Jacobian and a Hessian each: not for rigs of many shapes."""
+        return len(self.error) <= _MAX_DENSE_SHAPES
 
     @cached_property
     def residual_variance(self) -> FloatArray:
@@ -282,12 +263,12 @@ class FrameSolver:
 
     @cached_property
     def _linear(self) -> tuple[Float32Array, Float32Array, Float32Array | None]:
-        """Return basis (shapes, 3 markers), offset (3 markers) and packed Q, if it is used."""
+        """Return basis (shapes, 3 markers), offset (3 markers) and packed 2 Q, if it is used."""
         model = self.forward
         basis = single_precision(model.basis.reshape(len(model.basis), -1))
         curvature = None
-        if len(basis) <= _MAX_DENSE_SHAPES:
-            curvature = single_precision(model.curvature().reshape(len(basis), -1))
+        if self.has_jacobians:
+            curvature = single_precision(2 * model.curvature().reshape(len(basis), -1))
         return basis, model.offset.reshape(-1).astype(np.float32), curvature
 
     def _predictive_variance(self, t0: RealArray, slope: RealArray | None) -> FloatArray:
@@ -299,10 +280,16 @@ class FrameSolver:
         noise = CLEANED_NOISE_MM**2 + _RESIDUAL_NOISE_SHARE * self.forward.residual_variance
         return np.asarray(noise + predictive)
 
+    def _visibility(self, predictive: FloatArray, confidence: RealArray) -> FloatArray:
+        """Return the share of a marker's information that is left at its confidence; 0 at 0."""
+        variance, unknown = self._marker_variance(predictive), self.forward.motion2 / 3
+        return np.asarray((confidence > 0) * variance / (variance + (1 - confidence) * unknown))
+
     def _likelihood(
-        self, slope: RealArray | None, visibility: RealArray | BoolArray, variance: FloatArray
+        self, slope: RealArray | None, visibility: RealArray | BoolArray, predictive: FloatArray
     ) -> "_FrameJacobians | _SharedJacobian":
-        weight = _MarkerWeight(visibility / (self.inflation * variance), self.forward.common_errors)
+        variance = self.inflation * self._marker_variance(predictive)
+        weight = _MarkerWeight(visibility / variance, self.forward.common_errors)
         if slope is None:
             return _SharedJacobian(self._linear[0], weight)
         return _FrameJacobians(slope, weight)
@@ -324,6 +311,29 @@ class FrameSolver:
         return np.asarray(1 / deviation**2, dtype=np.float32)
 
 
+def _minimise(
+    likelihood: "_FrameJacobians | _SharedJacobian",
+    residual: Float32Array,
+    precision: RealArray,
+    t0: Float32Array,
+) -> tuple[RealArray, RealArray]:
+    """Return the step from t0 and the precision after the last reweighting."""
+    gradient, diagonal = likelihood.gradient(residual), likelihood.diagonal
+    step, reweighted = np.zeros_like(t0), precision
+    for _ in range(_REWEIGHTING_ROUNDS):
+        reweighted = precision / _huber_divisor(step, precision)
+        step = minimise_within_bounds(
+            likelihood.product(reweighted),
+            diagonal + reweighted,
+            gradient,
+            lower=-t0,
+            upper=1 - t0,
+            start=step,
+            steps=_GRADIENT_STEPS,
+        )
+    return step, reweighted
+
+
 def _huber_divisor(step: RealArray, precision: RealArray) -> RealArray:
     """Return the divisor of the precision that makes the quadratic prior tangent to Huber's."""
     return np.asarray(np.maximum(np.abs(step) * np.sqrt(precision) / _HUBER_THRESHOLD, 1))
@@ -332,36 +342,54 @@ def _huber_divisor(step: RealArray, precision: RealArray) -> RealArray:
 class _MarkerWeight:
     """``W``, the inverse covariance of the markers' errors of each frame.
 
-    By Woodbury's identity ``(I + U'U)^-1 = I - U' (I + U U')^-1 U``.
+    By Woodbury's identity ``(I + U'U)^-1 = I - U' C U, C = (I + U U')^-1``.
     """
 
     def __init__(self, precision: FloatArray, common: FloatArray) -> None:
         """Take ``1 / r``, 0 where a marker is not visible: (frames, markers) [mm^-2], and U."""
         self.root = np.repeat(np.sqrt(precision), 3, axis=1).astype(np.float32)
         self._common = single_precision(common)
-        patterns, frames = np.unique(precision > 0, axis=0, return_inverse=True)
+        seen = precision > 0
+        patterns, frames = seen[:1], np.zeros(len(seen), np.int64)
+        if (seen != patterns).any():
+            patterns, frames = np.unique(seen, axis=0, return_inverse=True)
         visible = common * np.repeat(patterns, 3, axis=1)[:, None]
         core = single_precision(np.linalg.inv(visible @ common.T + np.eye(len(common))))
-        self._core = core[frames.ravel()] if len(core) > 1 else core
+        self.core = core[frames.ravel()] if len(core) > 1 else core
+
+    def shared(self, rows: RealArray) -> RealArray:
+        """Return ``x U'`` for each x of (frames, n, 3 markers)."""
+        product = rows.reshape(-1, rows.shape[2]) @ self._common.T
+        return np.asarray(product.reshape(*rows.shape[:2], -1))
 
     def __call__(self, rows: RealArray) -> RealArray:
         """Return ``W x`` for each x of (frames, ..., 3 markers)."""
         x = rows.reshape(len(self.root), -1, self.root.shape[1]) * self.root[:, None]
-        x -= (x @ self._common.T @ self._core) @ self._common
+        x -= (self.shared(x) @ self.core) @ self._common
         x *= self.root[:, None]
         return np.asarray(x.reshape(rows.shape))
 
 
 class _FrameJacobians:
-    """Linearised likelihood ``e' W e, e = residual - J'd``, with a Jacobian J for each frame."""
+    """Linearised likelihood ``e' W e, e = residual - J'd``, with a Jacobian J for each frame.
+
+    With the columns of J divided by ``sqrt r``, ``J W J' = J J' - (J U') C (J U')'``.
+    """
 
     def __init__(self, slope: RealArray, weight: _MarkerWeight) -> None:
-        self._slope, self._weighted = slope, weight(slope)
-        self._normal = self._weighted @ slope.transpose(0, 2, 1)
+        self._slope, self._weight = slope, weight
+        self._normal = np.empty((*slope.shape[:2], slope.shape[1]), dtype=np.float32)
+        core = np.broadcast_to(weight.core, (len(slope), *weight.core.shape[1:]))
+        for block in frame_blocks(len(slope), frames=_CACHED_FRAMES):
+            rows = slope[block] * weight.root[block, None]
+            shared = weight.shared(rows)
+            normal = np.matmul(rows, rows.transpose(0, 2, 1), out=self._normal[block])
+            normal -= shared @ core[block] @ shared.transpose(0, 2, 1)
         self.diagonal = np.einsum("fss->fs", self._normal)
 
     def gradient(self, residual: RealArray) -> RealArray:
-        return np.asarray((self._weighted @ residual[:, :, None])[:, :, 0])
+        weighted = self._weight(residual)
+        return np.asarray((self._slope @ weighted[:, :, None])[:, :, 0])
 
     def moved(self, step: RealArray) -> RealArray:
         """Return the displacement of the markers for a step of the weights."""
