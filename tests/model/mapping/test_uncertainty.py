@@ -73,7 +73,7 @@ def test_nine_of_ten_errors_are_within_what_is_said(noise: float) -> None:
             held.append(
                 (face_errors(shown, found) < LIMIT_DEVIATIONS * found.uncertainty[:, 0]).mean()
             )
-    assert 0.75 < np.mean(held) < 0.97
+    assert 0.85 < np.mean(held) < 0.98  # .9 or more: the posterior is hardly narrowed
 
 
 def test_noise_errs_where_references_are_near_too() -> None:
@@ -168,11 +168,11 @@ def test_constants_of_few_errors_hold_with_confidence(count: int) -> None:
     """Three in four samples give a constant under which nine in ten of all errors lie."""
     rng = np.random.default_rng(count)
     gram, everybody = np.ones((1, 1, 1)), np.abs(rng.standard_normal(20_000))
-    held = []
+    held, deviations = [], np.full((count, 1), 0.5)
     for _ in range(300):
         errors = rng.standard_normal((count, 1))
-        constant = calibrate_uncertainty(gram, errors, np.ones((count, 1)))[0]
-        held.append((everybody < LIMIT_DEVIATIONS * constant).mean() >= 0.9)
+        constant = calibrate_uncertainty(gram, errors, deviations)[0]
+        held.append((everybody < LIMIT_DEVIATIONS * constant * deviations[0]).mean() >= 0.9)
     assert 0.68 < np.mean(held) < 0.82
 
 
