@@ -6,11 +6,12 @@ deviation; the likelihood is that of the markers y under the forward model f (`f
     min over 0 <= t <= 1:   e' W e  +  sum_s rho((t_s - t0_s) / sd_s),    e = y - f(t)
     W^-1 = diag(sqrt r) (I + U'U) diag(sqrt r),    r_k = c (noise_k + predictive variance at t0)
 
-of visible markers. ``U``: errors that markers share (`ForwardModel.common_errors`), as the
-performer's skin departs from the model over whole regions; differences of markers, such as the
-aperture of an eye, are then known better than positions. ``c``: variance inflation. The predictive
-variance gives markers less weight for combinations that no reference shows. ``rho``: Huber's
-function, quadratic up to `_HUBER_THRESHOLD` and linear beyond, as the regression has outliers.
+of visible markers (`frame_likelihood`). ``U``: errors that markers share
+(`ForwardModel.common_errors`), as the performer's skin departs from the model over whole regions;
+differences of markers, such as the aperture of an eye, are then known better than positions. ``c``:
+variance inflation. The predictive variance gives markers less weight for combinations that no
+reference shows. ``rho``: Huber's function, quadratic up to `_HUBER_THRESHOLD` and linear beyond, as
+the regression has outliers.
 
 ``sd_s`` is interpolated, shape by shape, between the regression's error and the spread of the
 shape's weight over faces. Where the markers that a shape moves agree with t0, the frame resembles
@@ -26,7 +27,6 @@ occluded markers is thus released to its spread. The transition takes one and a 
 chi2, so that it adds no jitter.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -38,11 +38,15 @@ from usdface.core.arrays import (
     Float32Array,
     FloatArray,
     RealArray,
-    frame_blocks,
     single_precision,
 )
 from usdface.model.regressions.bent_weights import unbend
 from usdface.model.regressions.forward_model import ForwardModel
+from usdface.model.regressions.frame_likelihood import (
+    FrameJacobians,
+    MarkerWeight,
+    SharedJacobian,
+)
 from usdface.numerics.solve.bounded_least_squares import minimise_within_bounds
 from usdface.numerics.solve.hessian import invert_by_halves
 
@@ -79,9 +83,6 @@ _UNBEND_STEP = 1e-3
 _GRADIENT_STEPS = 30
 """Accelerated gradient steps of the bounded solve. The forward model is linearised once, at t0: a
 second linearisation changes crosstake by less than .001 mm and doubles the time."""
-
-_CACHED_FRAMES = 16
-"""Frames whose Jacobians stay in the cache between their products."""
 
 _MAX_DENSE_SHAPES = 200
 """Largest number of shapes with a Jacobian and a Hessian per frame. Beyond, all frames share the
@@ -246,7 +247,7 @@ class FrameSolver:
         variance = (
             CLEANED_NOISE_MM**2 + (1 + _RESIDUAL_NOISE_SHARE) * self.forward.residual_variance
         )
-        weight = _MarkerWeight(1 / (self.inflation * variance)[None], self.forward.common_errors)
+        weight = MarkerWeight(1 / (self.inflation * variance)[None], self.forward.common_errors)
         basis = self.forward.basis.reshape(1, len(self.error), -1)
         information = (weight(basis) @ basis.transpose(0, 2, 1))[0]
         error2 = np.maximum(self.error, _MIN_ERROR) ** 2
@@ -287,12 +288,12 @@ class FrameSolver:
 
     def _likelihood(
         self, slope: RealArray | None, visibility: RealArray | BoolArray, predictive: FloatArray
-    ) -> "_FrameJacobians | _SharedJacobian":
+    ) -> FrameJacobians | SharedJacobian:
         variance = self.inflation * self._marker_variance(predictive)
-        weight = _MarkerWeight(visibility / variance, self.forward.common_errors)
+        weight = MarkerWeight(visibility / variance, self.forward.common_errors)
         if slope is None:
-            return _SharedJacobian(self._linear[0], weight)
-        return _FrameJacobians(slope, weight)
+            return SharedJacobian(self._linear[0], weight)
+        return FrameJacobians(slope, weight)
 
     def _prior_precision(
         self, residual: RealArray, visibility: RealArray | BoolArray, predictive: RealArray
@@ -312,7 +313,7 @@ class FrameSolver:
 
 
 def _minimise(
-    likelihood: "_FrameJacobians | _SharedJacobian",
+    likelihood: FrameJacobians | SharedJacobian,
     residual: Float32Array,
     precision: RealArray,
     t0: Float32Array,
@@ -337,91 +338,3 @@ def _minimise(
 def _huber_divisor(step: RealArray, precision: RealArray) -> RealArray:
     """Return the divisor of the precision that makes the quadratic prior tangent to Huber's."""
     return np.asarray(np.maximum(np.abs(step) * np.sqrt(precision) / _HUBER_THRESHOLD, 1))
-
-
-class _MarkerWeight:
-    """``W``, the inverse covariance of the markers' errors of each frame.
-
-    By Woodbury's identity ``(I + U'U)^-1 = I - U' C U, C = (I + U U')^-1``.
-    """
-
-    def __init__(self, precision: FloatArray, common: FloatArray) -> None:
-        """Take ``1 / r``, 0 where a marker is not visible: (frames, markers) [mm^-2], and U."""
-        self.root = np.repeat(np.sqrt(precision), 3, axis=1).astype(np.float32)
-        self._common = single_precision(common)
-        seen = precision > 0
-        patterns, frames = seen[:1], np.zeros(len(seen), np.int64)
-        if (seen != patterns).any():
-            patterns, frames = np.unique(seen, axis=0, return_inverse=True)
-        visible = common * np.repeat(patterns, 3, axis=1)[:, None]
-        core = single_precision(np.linalg.inv(visible @ common.T + np.eye(len(common))))
-        self.core = core[frames.ravel()] if len(core) > 1 else core
-
-    def shared(self, rows: RealArray) -> RealArray:
-        """Return ``x U'`` for each x of (frames, n, 3 markers)."""
-        product = rows.reshape(-1, rows.shape[2]) @ self._common.T
-        return np.asarray(product.reshape(*rows.shape[:2], -1))
-
-    def __call__(self, rows: RealArray) -> RealArray:
-        """Return ``W x`` for each x of (frames, ..., 3 markers)."""
-        x = rows.reshape(len(self.root), -1, self.root.shape[1]) * self.root[:, None]
-        x -= (self.shared(x) @ self.core) @ self._common
-        x *= self.root[:, None]
-        return np.asarray(x.reshape(rows.shape))
-
-
-class _FrameJacobians:
-    """Linearised likelihood ``e' W e, e = residual - J'd``, with a Jacobian J for each frame.
-
-    With the columns of J divided by ``sqrt r``, ``J W J' = J J' - (J U') C (J U')'``.
-    """
-
-    def __init__(self, slope: RealArray, weight: _MarkerWeight) -> None:
-        self._slope, self._weight = slope, weight
-        self._normal = np.empty((*slope.shape[:2], slope.shape[1]), dtype=np.float32)
-        core = np.broadcast_to(weight.core, (len(slope), *weight.core.shape[1:]))
-        for block in frame_blocks(len(slope), frames=_CACHED_FRAMES):
-            rows = slope[block] * weight.root[block, None]
-            shared = weight.shared(rows)
-            normal = np.matmul(rows, rows.transpose(0, 2, 1), out=self._normal[block])
-            normal -= shared @ core[block] @ shared.transpose(0, 2, 1)
-        self.diagonal = np.einsum("fss->fs", self._normal)
-
-    def gradient(self, residual: RealArray) -> RealArray:
-        weighted = self._weight(residual)
-        return np.asarray((self._slope @ weighted[:, :, None])[:, :, 0])
-
-    def moved(self, step: RealArray) -> RealArray:
-        """Return the displacement of the markers for a step of the weights."""
-        return np.asarray((step[:, None] @ self._slope)[:, 0])
-
-    def hessian(self, precision: RealArray) -> RealArray:
-        """Return ``J W J' + diag(precision)`` of each frame."""
-        system = self._normal.copy()
-        diagonal = np.arange(system.shape[1])
-        system[:, diagonal, diagonal] += precision
-        return system
-
-    def product(self, precision: RealArray) -> Callable[[RealArray], RealArray]:
-        system = self.hessian(precision)
-        return lambda rows: (system @ rows[:, :, None])[:, :, 0]
-
-
-class _SharedJacobian:
-    """The same with one Jacobian for all frames, and no explicit Hessian."""
-
-    def __init__(self, slope: RealArray, weight: _MarkerWeight) -> None:
-        self._slope, self._weight = slope, weight
-        self.diagonal = weight.root**2 @ (slope**2).T  # an upper bound, which scales the steps
-
-    def gradient(self, residual: RealArray) -> RealArray:
-        return np.asarray(self._weight(residual) @ self._slope.T)
-
-    def moved(self, step: RealArray) -> RealArray:
-        return np.asarray(step @ self._slope)
-
-    def hessian(self, _precision: RealArray) -> None:
-        return None
-
-    def product(self, precision: RealArray) -> Callable[[RealArray], RealArray]:
-        return lambda rows: self.gradient(rows @ self._slope) + precision * rows
