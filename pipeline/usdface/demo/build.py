@@ -130,6 +130,7 @@ def write_clip(
     count = int((DURATION_SECONDS + TAIL_SECONDS - OFFSET_SECONDS) * VIDEO_RATE)
     take_time = np.arange(count) / float(VIDEO_RATE) + OFFSET_SECONDS
     frames = np.clip(np.round(take_time * rate), 0, len(acted.weights.values) - 1).astype(int)
+    frames, counts = np.unique(frames, return_counts=True)  # the ends are still
     ordered = ActorFace(head, np.zeros(1, np.int64)).ordered(
         acted.weights.names, acted.weights.values[frames].astype(np.float64)
     )
@@ -139,9 +140,10 @@ def write_clip(
     tail = np.zeros(round(TAIL_SECONDS * _SAMPLE_RATE), np.float32)
     room = np.random.default_rng(7).standard_normal(len(lead) + len(voice) + len(tail))
     sound = np.concatenate([lead, voice, tail]) + 6e-4 * room.astype(np.float32)
+    pictures = _drawn(Studio(head), (poses, ordered), (size, camera), give_work, progress)
     write_movie(
         path,
-        _drawn(Studio(head), (poses, ordered), (size, camera), give_work, progress),
+        (picture for picture, times in zip(pictures, counts, strict=True) for _ in range(times)),
         rate=VIDEO_RATE,
         audio=sound.astype(np.float32),
         sample_rate=_SAMPLE_RATE,

@@ -125,15 +125,21 @@ def set_up_shot_baseline(shot: Shot) -> BlendshapeEquation:
     )
 
 
-def solve_baseline(equation: BlendshapeEquation, shot: Shot, rows: IntArray) -> FloatArray:
+def solve_baseline(
+    equation: BlendshapeEquation, shot: Shot, rows: IntArray, *, curve: bool = True
+) -> FloatArray:
     """Solve the baseline of a shot, (frames, shapes).
 
-    In a long shot, rows that are not shown repeat the weights of a row shortly before.
+    For a curve of a long shot, rows that are not shown repeat the weights of a row shortly before;
+    without a curve, they are NaN.
     """
     positions = shot.positions
     step = -(-len(positions) // _BASELINE_FRAMES)
-    weights = np.repeat(equation.propose(positions[::step]), step, axis=0)[: len(positions)]
-    if step > 1:
+    if curve:
+        weights = np.repeat(equation.propose(positions[::step]), step, axis=0)[: len(positions)]
+    else:
+        weights = np.full_like(shot.weights, np.nan)
+    if step > 1 or not curve:
         weights[rows] = equation.propose(positions[rows])
     return weights
 

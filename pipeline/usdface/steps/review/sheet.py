@@ -34,6 +34,7 @@ from usdface.steps.review.sheet_columns import (
     SheetColumn,
     SheetComparison,
     compare_shots,
+    open_shots,
     sheet_columns,
 )
 from usdface.steps.review.shot import Shot, ShotCamera
@@ -68,11 +69,14 @@ class _Desk:
 
 def run(spec: SheetSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Draw the sheet and write it."""
+    progress(0.0, "reading")
+    shots = open_shots(spec)
     with ExitStack() as open_files:
-        comparison = compare_shots(spec, progress)
-        shots = comparison.shots
         cameras = [each.camera(spec.camera, spec.camera_stage) for each in shots]
-        pictures = _open_pictures(spec, shots, cameras)
+        with ThreadPoolExecutor(1) as pool:
+            opening = pool.submit(_open_pictures, spec, shots, cameras)
+            comparison = compare_shots(spec, shots, progress)
+            pictures = opening.result()
         desks, stopped = list[_Desk](), Event()
         for _ in range(min(usable_cores(), spec.cores)):
             threads = [open_files.enter_context(each.for_thread()) for each in pictures]

@@ -73,10 +73,8 @@ class SheetColumn:
     draw: Callable[[int], Tile]
 
 
-def compare_shots(spec: SheetSpec, progress: Progress) -> SheetComparison:
-    """Read the shots, measure their weights and choose frames."""
-    progress(0.0, "reading")
-    shots = _open_shots(spec)
+def compare_shots(spec: SheetSpec, shots: list[Shot], progress: Progress) -> SheetComparison:
+    """Measure the weights of the shots and choose frames."""
     shot = shots[0]
     progress(0.1, "placing the markers on the rig")
     equation = None if shot.take.markers is None else set_up_shot_baseline(shot)
@@ -87,7 +85,8 @@ def compare_shots(spec: SheetSpec, progress: Progress) -> SheetComparison:
     rows = [frame.row for frame in chosen]
     scores = [score("solve", shot, shot.weights, truth)]
     if equation is not None and spec.baseline and spec.layout in ("comparison", "worst"):
-        solved = solve_baseline(equation, shot, np.array(rows, np.int64))
+        shown, keyed = np.array(rows, np.int64), truth is not None
+        solved = solve_baseline(equation, shot, shown, curve=keyed)
         scores.insert(0, score("baseline", shot, solved, truth))
     others = [each.performance_file for each in shots[1:]]
     labels = version_labels(others, taken={"baseline", "solve"})
@@ -110,7 +109,7 @@ def row_count(spec: SheetSpec) -> int:
     return spec.rows or (STRIP_ROWS if spec.layout == "strip" else OTHER_ROWS)
 
 
-def _open_shots(spec: SheetSpec) -> list[Shot]:
+def open_shots(spec: SheetSpec) -> list[Shot]:
     """Open every performance over the common frames."""
     check_same_take(spec.performance, spec.take, spec.also)
     files = (spec.performance, *spec.also)
