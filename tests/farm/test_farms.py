@@ -87,8 +87,10 @@ def test_stopping_a_local_run_stops_its_tasks_and_the_next_goes_on(job: Path, sh
     with process:
         assert process.stdout is not None
         for line in process.stdout:
-            if "openjd_status: map: mapped" in line:
+            if "openjd_status: map again.0001.usda: mapped" in line:
                 break
+        else:
+            pytest.fail("the first task was not told to have mapped")
         process.send_signal(signal.SIGTERM)
         process.stdout.read()
     assert process.returncode == 3
