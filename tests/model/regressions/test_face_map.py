@@ -130,7 +130,7 @@ def test_common_errors_are_the_covariance_of_the_residuals() -> None:
     model = fitted()
     samples = model.residuals.reshape(PAIRS, -1)
     covariance = samples.T @ samples
-    scale = np.sqrt(np.diag(covariance))
+    scale = np.repeat(np.sqrt(np.diag(covariance).reshape(-1, 3).mean(axis=1)), 3)
     common = model.common_errors
     np.testing.assert_allclose(common.T @ common, covariance / np.outer(scale, scale), atol=1e-9)
 

@@ -155,11 +155,11 @@ class ForwardModel:
         """Errors that markers share: (components, 3 markers).
 
         The performer's skin departs from the model over whole regions of the face. With N pairs and
-        Z their leave-one-out residuals, each coordinate divided by its root mean square, the rows U
-        are the largest principal components: ``U'U ~ Z'Z / N``.
+        Z their leave-one-out residuals, each marker divided by the root mean square of its
+        coordinates, the rows U are the largest principal components: ``U'U ~ Z'Z / N``.
         """
-        scaled = self.residuals.reshape(len(self.targets), -1)
-        scaled = scaled / np.sqrt(np.maximum((scaled**2).sum(axis=0), 1e-12))
+        size2 = (self.residuals**2).sum(axis=(0, 2), keepdims=True) / 3
+        scaled = (self.residuals / np.sqrt(np.maximum(size2, 1e-12))).reshape(len(self.targets), -1)
         _, size, directions = np.linalg.svd(scaled, full_matrices=False)
         return np.asarray((size[:, None] * directions)[:_COMMON_ERRORS])
 
