@@ -27,13 +27,19 @@ from usdface.numerics.timing.window_delays import (
 _LARGEST_DRIFT = 300e-6
 """Crystal clocks of recorders are accurate to 100 ppm, so two differ by up to 200 ppm."""
 USUAL_DRIFT = 60e-6
+"""Standard deviation of the prior of the drift; most pairs of recorders differ by less."""
 
 LEAST_PEAK = 8.0
+"""[standard deviations] Least height of the onset correlation; see `SoundAlignment.peak`."""
 LEAST_RATIO = 1.15
+"""Least `OnsetCorrelation.ratio`: below it, another shift fits as well."""
 LEAST_AGREEMENT = 0.35
 LEAST_WINDOWS = 4
+"""Least share and number of windows that agree on a shift."""
 LEAST_LEAD = 2.0
+"""Least ratio of the votes for a shift to those for the next one."""
 SHORTEST_SECONDS = 1.5
+"""Least length of a recording: `LEAST_WINDOWS` of the shortest windows."""
 
 _CLEAR_PEAK, _CLEAR_RATIO, _CLEAR_AGREEMENT = 16.0, 1.5, 0.8
 """At which the confidence is 1: about twice the least."""
@@ -44,12 +50,17 @@ _SILENCE_RMS = 1e-5
 _TOLERANCE_SECONDS = 1e-3
 """Largest distance of a window from the line; shifts of the peak by reverberation are smaller."""
 _NOISE_SECONDS = 2e-5
+"""Least standard deviation of a window's delay: about one sample at 48 kHz."""
 _LONGEST_WINDOW_SECONDS, _SHORTEST_WINDOW_SECONDS = 2.0, 0.4
 _WINDOWS_PER_OVERLAP = 5
+"""Windows last a fifth of the recordings' overlap, within these limits."""
 _MOST_WINDOWS = 200
 _SCANNED_WINDOWS = 16
+"""Largest number of windows of the line, and of a search for a shift."""
 _COARSE_ERROR_SECONDS = 0.03
+"""Largest error of the shift by onsets, three of their frames: windows are searched within it."""
 _LOWEST_RATE_HZ = 4000
+"""Lower sample rates have too little of the spectrum of speech for phase correlation."""
 
 
 @dataclass(frozen=True)
