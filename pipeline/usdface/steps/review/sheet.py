@@ -73,10 +73,11 @@ def run(spec: SheetSpec, *, provenance: Provenance, progress: Progress = silent)
     shots = open_shots(spec)
     with ExitStack() as open_files:
         cameras = [each.camera(spec.camera, spec.camera_stage) for each in shots]
-        with ThreadPoolExecutor(1) as pool:
-            opening = pool.submit(_open_pictures, spec, shots, cameras)
-            comparison = compare_shots(spec, shots, progress)
-            pictures = opening.result()
+        pool = ThreadPoolExecutor(1)
+        open_files.callback(pool.shutdown, wait=False)  # Ctrl+C does not wait for a large surface
+        opening = pool.submit(_open_pictures, spec, shots, cameras)
+        comparison = compare_shots(spec, shots, progress)
+        pictures = opening.result()
         desks, stopped = list[_Desk](), Event()
         for _ in range(min(usable_cores(), spec.cores)):
             threads = [open_files.enter_context(each.for_thread()) for each in pictures]
