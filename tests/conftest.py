@@ -9,10 +9,12 @@ import shutil
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
 
+from tests.browser import chromium
 from tests.remembered import REMEMBERED, remember, store
 from tests.steps.small_shot import Shot, make_inputs
 
@@ -98,6 +100,13 @@ def finished_shot(run_folder: Path) -> Shot:
     finally:
         store(done, shot)
     return shot
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """A browser, started once for the tests of a file, each of which opens its own pages."""
+    with chromium() as running:
+        yield running
 
 
 @pytest.fixture

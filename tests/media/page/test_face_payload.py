@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.browser import chromium
 from tests.media.forms import head, sphere
 from tests.usdio.driven_rig import driven_rig
 from tests.usdio.small_rig import small_rig
@@ -136,28 +135,27 @@ def embed(folder: Path, rig: Rig, *, camera: Camera | None = None) -> Path:
     return page
 
 
-def test_a_browser_poses_the_face_as_the_deformer_does(tmp_path: Path, shared_rig: Rig) -> None:
+def test_a_browser_poses_the_face_as_the_deformer_does(
+    tmp_path: Path, shared_rig: Rig, browser: Any
+) -> None:
     rig = shared_rig
     weights = np.random.default_rng(0).uniform(-0.2, 1.1, len(rig.shapes)).astype(np.float32)
-    with chromium() as browser:
-        page = browser.new_page()
-        faults: list[str] = []
-        page.on("pageerror", lambda error: faults.append(str(error)))
-        page.goto(embed(tmp_path, rig).as_uri())
-        page.wait_for_function("window.viewer")
-        posed = page.evaluate(
-            "w => { viewer.setWeights(Float32Array.from(w)); viewer.draw();"
-            " return Array.from(viewer.face.positions); }",
-            weights.tolist(),
-        )
-        shown = page.evaluate("viewer.thumbnail(viewer.weights, 64, 64).data.some((v) => v > 60)")
-        page.evaluate(
-            "window.lose = viewer.gl.getExtension('WEBGL_lose_context'); lose.loseContext()"
-        )
-        page.wait_for_function("viewer.gl.isContextLost()")
-        page.evaluate("lose.restoreContext()")
-        page.wait_for_function("!viewer.gl.isContextLost()")
-        again = page.evaluate("viewer.thumbnail(viewer.weights, 64, 64).data.some((v) => v > 60)")
+    page = browser.new_page()
+    faults: list[str] = []
+    page.on("pageerror", lambda error: faults.append(str(error)))
+    page.goto(embed(tmp_path, rig).as_uri())
+    page.wait_for_function("window.viewer")
+    posed = page.evaluate(
+        "w => { viewer.setWeights(Float32Array.from(w)); viewer.draw();"
+        " return Array.from(viewer.face.positions); }",
+        weights.tolist(),
+    )
+    shown = page.evaluate("viewer.thumbnail(viewer.weights, 64, 64).data.some((v) => v > 60)")
+    page.evaluate("window.lose = viewer.gl.getExtension('WEBGL_lose_context'); lose.loseContext()")
+    page.wait_for_function("viewer.gl.isContextLost()")
+    page.evaluate("lose.restoreContext()")
+    page.wait_for_function("!viewer.gl.isContextLost()")
+    again = page.evaluate("viewer.thumbnail(viewer.weights, 64, 64).data.some((v) => v > 60)")
     away = np.reshape(posed, (-1, 3)) - drawn(rig, weights.astype(np.float64))
     assert not faults
     assert np.abs(away).max() < 0.02  # rounding of every key in play, and single precision
@@ -166,7 +164,7 @@ def test_a_browser_poses_the_face_as_the_deformer_does(tmp_path: Path, shared_ri
 
 
 def test_a_browser_draws_lips_and_brows_where_pictures_have_them(
-    tmp_path: Path, shared_data: Path
+    tmp_path: Path, shared_data: Path, browser: Any
 ) -> None:
     rig = read_rig(shared_data / "rigs" / "facecap_head.usdc")
     weights = np.zeros((1, len(rig.shapes)))
@@ -178,14 +176,13 @@ def test_a_browser_draws_lips_and_brows_where_pictures_have_them(
         renderer._surface = replace(whole, bands=bands)
         pictures.append(renderer.render(points, camera=camera, width=size, height=size))
     expected = np.abs(np.subtract(*pictures, dtype=float)).max(axis=2) > 25
-    with chromium() as browser:
-        page = browser.new_page()
-        page.goto(embed(tmp_path, rig, camera=camera).as_uri())
-        page.wait_for_function("window.viewer")
-        draw = f"w => Array.from(viewer.thumbnail(Float32Array.from(w), {size}, {size}).data)"
-        shown = [np.reshape(page.evaluate(draw, weights[0].tolist()), (size, size, 4))]
-        page.evaluate("viewer.face.bands = []")
-        shown.append(np.reshape(page.evaluate(draw, weights[0].tolist()), (size, size, 4)))
+    page = browser.new_page()
+    page.goto(embed(tmp_path, rig, camera=camera).as_uri())
+    page.wait_for_function("window.viewer")
+    draw = f"w => Array.from(viewer.thumbnail(Float32Array.from(w), {size}, {size}).data)"
+    shown = [np.reshape(page.evaluate(draw, weights[0].tolist()), (size, size, 4))]
+    page.evaluate("viewer.face.bands = []")
+    shown.append(np.reshape(page.evaluate(draw, weights[0].tolist()), (size, size, 4)))
     drawn_there = np.abs(np.subtract(*shown, dtype=float)).max(axis=2) > 25
     assert expected[:60].sum() > 50, "brows"
     assert expected[60:].sum() > 50, "lips"
@@ -194,7 +191,7 @@ def test_a_browser_draws_lips_and_brows_where_pictures_have_them(
         assert both > 0.8 * (drawn_there | expected)[half].sum()
 
 
-def test_a_browser_evaluates_combinations_as_the_rig_does(tmp_path: Path) -> None:
+def test_a_browser_evaluates_combinations_as_the_rig_does(tmp_path: Path, browser: Any) -> None:
     rng = np.random.default_rng(2)
     names = [("half", "smooth", (0.5, 1.0)), ("lip", "minimum", (1.0, 0.3)), ("both", "smooth", ())]
     parts = [("jawOpen", "smile"), ("smile", "eyeBlink"), ("half", "jaw_smile")]
@@ -215,65 +212,66 @@ def test_a_browser_evaluates_combinations_as_the_rig_does(tmp_path: Path) -> Non
     rig = replace(rig, meshes=meshes, combinations=every)
     corners = np.stack(np.meshgrid(*[[-0.3, 0.0, 0.25, 0.5, 1.0, 1.3]] * 3), -1).reshape(-1, 3)
     poses = np.concatenate([corners, rng.uniform(-0.2, 1.2, (100, 3))])
-    with chromium() as browser:
-        page = browser.new_page()
-        page.goto(embed(tmp_path, rig).as_uri())
-        page.wait_for_function("window.viewer")
-        posed = page.evaluate(
-            "rows => rows.map(w => (viewer.face.pose(w), Array.from(viewer.face.positions)))",
-            poses.tolist(),
-        )
+    page = browser.new_page()
+    page.goto(embed(tmp_path, rig).as_uri())
+    page.wait_for_function("window.viewer")
+    posed = page.evaluate(
+        "rows => rows.map(w => (viewer.face.pose(w), Array.from(viewer.face.positions)))",
+        poses.tolist(),
+    )
     expected = np.array([drawn(rig, pose) for pose in poses])
     np.testing.assert_allclose(np.reshape(posed, expected.shape), expected, atol=0.02)
     assert rig.logic.evaluate(poses)[:, len(rig.shapes) :].max(axis=0).min() > 0.2
 
 
-def test_a_page_first_sees_the_face_from_where_the_camera_stands(tmp_path: Path) -> None:
+def test_a_page_first_sees_the_face_from_where_the_camera_stands(
+    tmp_path: Path, browser: Any
+) -> None:
     camera = Camera(eye=(90.0, 60.0, 200.0), target=(15.0, 10.0, 0.0), fov_degrees=30.0)
     flat = Camera(eye=(0.0, 0.0, 100.0), target=(0.0, 0.0, 0.0), span_mm=80.0)
     home = pack_face(small_rig(), camera=flat).header["camera"]
     assert 2 * home["distance"] * np.tan(np.radians(home["fov"] / 2)) == pytest.approx(80.0)
-    with chromium() as browser:
-        page = browser.new_page()
-        page.goto(embed(tmp_path, small_rig(), camera=camera).as_uri())
-        page.wait_for_function("window.viewer")
-        view = np.reshape(page.evaluate("[...viewer.camera.view()]"), (4, 4)).T
-        page.evaluate("viewer.draw()")
-        column, row, away = page.evaluate("viewer.project(15, 10, 0)")
+    page = browser.new_page()
+    page.goto(embed(tmp_path, small_rig(), camera=camera).as_uri())
+    page.wait_for_function("window.viewer")
+    view = np.reshape(page.evaluate("[...viewer.camera.view()]"), (4, 4)).T
+    page.evaluate("viewer.draw()")
+    column, row, away = page.evaluate("viewer.project(15, 10, 0)")
     eye = -view[:3, :3].T @ view[:3, 3]
     np.testing.assert_allclose(eye, camera.eye, atol=0.05)
     assert (column, row) == pytest.approx((150, 150), abs=0.1)
     assert away == pytest.approx(np.linalg.norm(np.subtract(camera.eye, camera.target)), abs=0.05)
 
 
-def test_a_page_of_any_form_first_shows_the_whole_head(tmp_path: Path) -> None:
+def test_a_page_of_any_form_first_shows_the_whole_head(tmp_path: Path, browser: Any) -> None:
     face = head()
     hair = sphere(60.0, path="/Hair")
     hair = replace(hair, points=hair.points + np.array([0.0, 80.0, -30.0]))
     rig = replace(small_rig(), meshes=(face, hair), shapes=("jawOpen", "browUp"), ranges=RANGES)
     corners = np.concatenate([face.points, hair.points])
     heights = []
-    with chromium() as browser:
-        page = browser.new_page()
-        page.goto(embed(tmp_path, rig).as_uri())
-        page.wait_for_function("window.viewer")
-        for width, height in ((200, 500), (300, 375), (500, 300)):
-            shown = page.evaluate(
-                "([width, height, corners]) => {"
-                " viewer.canvas.style.cssText = `width: ${width}px; height: ${height}px`;"
-                " viewer.draw(); return corners.map((corner) => viewer.project(...corner)); }",
-                [width, height, corners.tolist()],
-            )
-            columns, rows, _ = np.transpose(shown)
-            assert 0 < columns.min() < columns.max() < width
-            assert 0 < rows.min()
-            heights.append((np.ptp(columns), np.ptp(rows), width, height))
+    page = browser.new_page()
+    page.goto(embed(tmp_path, rig).as_uri())
+    page.wait_for_function("window.viewer")
+    for width, height in ((200, 500), (300, 375), (500, 300)):
+        shown = page.evaluate(
+            "([width, height, corners]) => {"
+            " viewer.canvas.style.cssText = `width: ${width}px; height: ${height}px`;"
+            " viewer.draw(); return corners.map((corner) => viewer.project(...corner)); }",
+            [width, height, corners.tolist()],
+        )
+        columns, rows, _ = np.transpose(shown)
+        assert 0 < columns.min() < columns.max() < width
+        assert 0 < rows.min()
+        heights.append((np.ptp(columns), np.ptp(rows), width, height))
     narrow, tall, wide = heights
     assert narrow[0] > 0.8 * narrow[2], "as near as its width allows"
     assert tall[1] / tall[3] == pytest.approx(wide[1] / wide[3], rel=0.01), "by its height"
 
 
-def test_what_lies_behind_the_skin_does_not_show_through_as_specks(tmp_path: Path) -> None:
+def test_what_lies_behind_the_skin_does_not_show_through_as_specks(
+    tmp_path: Path, browser: Any
+) -> None:
     # Triangles at the rim of a ball are seen edge on: their depth changes by millimetres within
     # a pixel, and where it is taken beyond a triangle's edge it may come out before the skin.
     rig = small_rig()
@@ -285,18 +283,17 @@ def test_what_lies_behind_the_skin_does_not_show_through_as_specks(tmp_path: Pat
             points = ball.points[:, [0, 2, 1]] * [1, -1, 1] + [x, y, -9.0]  # a pole looks at us
             balls.append(replace(ball, points=points, colors=np.zeros_like(points)))
     camera = Camera(eye=(45.0, 30.0, 300.0), target=(45.0, 30.0, 0.0), fov_degrees=9.0)
-    with chromium() as browser:
-        page = browser.new_page(device_scale_factor=1)
-        page.goto(embed(tmp_path, replace(rig, meshes=(skin, *balls)), camera=camera).as_uri())
-        page.wait_for_function("window.viewer")
-        levels = np.array(
-            page.evaluate(
-                "(() => { viewer.draw(); const { gl, canvas } = viewer;"
-                " const levels = new Uint8Array(4 * canvas.width * canvas.height);"
-                " gl.readPixels(0, 0, canvas.width, canvas.height, gl.RGBA, 5121, levels);"
-                " return [...levels]; })()"
-            )
-        ).reshape(300, 300, 4)
+    page = browser.new_page(device_scale_factor=1)
+    page.goto(embed(tmp_path, replace(rig, meshes=(skin, *balls)), camera=camera).as_uri())
+    page.wait_for_function("window.viewer")
+    levels = np.array(
+        page.evaluate(
+            "(() => { viewer.draw(); const { gl, canvas } = viewer;"
+            " const levels = new Uint8Array(4 * canvas.width * canvas.height);"
+            " gl.readPixels(0, 0, canvas.width, canvas.height, gl.RGBA, 5121, levels);"
+            " return [...levels]; })()"
+        )
+    ).reshape(300, 300, 4)
     assert np.all(levels[..., 3] == 255), "the skin does not fill the picture"
     around = np.median(levels[..., 1])
     assert np.abs(levels[..., 1] - around).max() < 12

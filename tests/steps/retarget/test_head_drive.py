@@ -4,13 +4,13 @@ import shlex
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 from scipy.spatial.transform import Rotation
 
-from tests.browser import chromium
 from tests.regenerate import REPOSITORY
 from tests.steps.review.test_report import visit
 from tests.steps.small_shot import Shot
@@ -226,7 +226,7 @@ def test_joints_that_an_animator_keyed_are_drawn_without_a_take(tmp_path: Path) 
     assert usdface("sheet", out, "--tile", 64, "--rows", 2, "--out", tmp_path / "s.png") == 0
 
 
-def test_sheet_movie_and_report_show_the_head_turn(tmp_path: Path) -> None:
+def test_sheet_movie_and_report_show_the_head_turn(tmp_path: Path, browser: Any) -> None:
     rig = write_character(tmp_path / "hero.usda")
     out, source = tmp_path / "shot.hero.usda", write_source(tmp_path / "shot.csv")
     drive = ("--drive", "head=neck")
@@ -244,19 +244,18 @@ def test_sheet_movie_and_report_show_the_head_turn(tmp_path: Path) -> None:
     surface = build_surface(rig.meshes)
     used, posed = np.unique(surface.triangles), PosedRig(out)
     faults: list[str] = []
-    with chromium() as browser:
-        page = visit(browser.new_page(), tmp_path / "r.html", faults)
-        for row in (5, 16):
-            seen = page.evaluate(
-                f"(report.show({row}), report.viewer.draw(), [...report.viewer.face.positions])"
-            )
-            expected = (surface.matrix @ posed.points(row + 1))[used]
-            np.testing.assert_allclose(np.reshape(seen, (-1, 3)), expected, atol=0.05)
-        page.keyboard.press("e")
-        page.evaluate("report.viewer.draw()")
-        held = np.reshape(page.evaluate("[...report.viewer.face.positions]"), (-1, 3))
-        assert np.abs(held - expected).max() > 5
-        page.close()
+    page = visit(browser.new_page(), tmp_path / "r.html", faults)
+    for row in (5, 16):
+        seen = page.evaluate(
+            f"(report.show({row}), report.viewer.draw(), [...report.viewer.face.positions])"
+        )
+        expected = (surface.matrix @ posed.points(row + 1))[used]
+        np.testing.assert_allclose(np.reshape(seen, (-1, 3)), expected, atol=0.05)
+    page.keyboard.press("e")
+    page.evaluate("report.viewer.draw()")
+    held = np.reshape(page.evaluate("[...report.viewer.face.positions]"), (-1, 3))
+    assert np.abs(held - expected).max() > 5
+    page.close()
     assert not faults
 
 

@@ -2,12 +2,12 @@
 
 from dataclasses import replace
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.browser import chromium
 from tests.steps.review.test_report import give_video, open_page
 from tests.steps.small_shot import Shot
 from usdface.core.assets import Take, WeightsClip
@@ -125,7 +125,7 @@ def test_a_phones_channels_turn_it_without_markers(shot: Shot, channel: str) -> 
     assert np.arctan2(abs(forward[0]), forward[2]) == pytest.approx(0.5, abs=1e-5)
 
 
-def test_markers_of_the_report_turn_with_the_head(shot: Shot) -> None:
+def test_markers_of_the_report_turn_with_the_head(shot: Shot, browser: Any) -> None:
     give_video(shot)
     frames = f"{TURNED - 5}-{TURNED + 5}"
     out = shot / "turned.html"
@@ -135,23 +135,22 @@ def test_markers_of_the_report_turn_with_the_head(shot: Shot) -> None:
     assert opened.motion is not None
     turn = opened.motion.transforms(TURNED)[0]
     faults: list[str] = []
-    with chromium() as browser:
-        page = open_page(browser, out, faults)
-        page.evaluate("report.show(5)")
-        seen = {}
-        page.click("#markers")
-        for head in (True, False):
-            page.set_checked("#head", head)
-            marks = {
-                name: page.evaluate(f"Array.from(report.viewer.marks.{name})")
-                for name in ("points", "targets")
-            }
-            skin = page.evaluate("(report.viewer.draw(), Array.from(report.viewer.face.positions))")
-            seen[head] = {
-                name: np.array(values, np.float64).reshape(-1, 3)
-                for name, values in {**marks, "skin": skin}.items()
-            }
-        page.close()
+    page = open_page(browser, out, faults)
+    page.evaluate("report.show(5)")
+    seen = {}
+    page.click("#markers")
+    for head in (True, False):
+        page.set_checked("#head", head)
+        marks = {
+            name: page.evaluate(f"Array.from(report.viewer.marks.{name})")
+            for name in ("points", "targets")
+        }
+        skin = page.evaluate("(report.viewer.draw(), Array.from(report.viewer.face.positions))")
+        seen[head] = {
+            name: np.array(values, np.float64).reshape(-1, 3)
+            for name, values in {**marks, "skin": skin}.items()
+        }
+    page.close()
     assert not faults
     for name, still in seen[False].items():
         turned = still @ turn[:3, :3].T + turn[:3, 3]
@@ -159,17 +158,18 @@ def test_markers_of_the_report_turn_with_the_head(shot: Shot) -> None:
         assert np.nanmax(np.abs(turned - still)) > 5
 
 
-def test_a_page_with_moving_joints_says_that_markers_hold_the_head_still(shot: Shot) -> None:
+def test_a_page_with_moving_joints_says_that_markers_hold_the_head_still(
+    shot: Shot, browser: Any
+) -> None:
     give_video(shot)
     out = shot / "turned.html"
     execute(ReportSpec(performance=shot / "shot.hero.usda", out=out, frames="1-9", baseline=False))
     text = out.read_text(encoding="utf-8")
     assert '"movesAsOne":true' in text
     out.write_text(text.replace('"movesAsOne":true', '"movesAsOne":false'), encoding="utf-8")
-    with chromium() as browser:
-        page = open_page(browser, out, [])
-        assert page.is_enabled("#head")
-        page.click("#markers")
-        assert page.is_disabled("#head")
-        assert page.evaluate("report.viewer.face.transforms") is None
-        page.close()
+    page = open_page(browser, out, [])
+    assert page.is_enabled("#head")
+    page.click("#markers")
+    assert page.is_disabled("#head")
+    assert page.evaluate("report.viewer.face.transforms") is None
+    page.close()

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from pxr import Sdf
 
-from tests.browser import chromium
 from tests.media.bar_code import read_number, write_numbered
 from tests.steps.small_shot import Shot
 from usdface.core.errors import InputError
@@ -99,7 +98,7 @@ def check_request(url: str, faults: list[str]) -> None:
     [(Fraction(25), -EARLY_PICTURES / 25, 0.0), (Fraction(30000, 1001), -0.411, 900.0)],
 )
 def test_each_seek_shows_the_sheets_picture_and_the_weights_of_its_frame(
-    shot: Shot, rate: Fraction, offset: float, drift: float
+    shot: Shot, rate: Fraction, offset: float, drift: float, browser: Any
 ) -> None:
     give_video(shot, rate=rate, offset=offset, drift=drift, pictures=150)
     execute(spec_of(shot))
@@ -107,7 +106,7 @@ def test_each_seek_shows_the_sheets_picture_and_the_weights_of_its_frame(
     weights = reader.edited()
     faults: list[str] = []
     whole = open_shot(shot / "shot.hero.usda", shot / "shot.clean.take.usda")
-    with chromium() as browser, ShotPictures(whole, height=180, quality="draft") as sheet:
+    with ShotPictures(whole, height=180, quality="draft") as sheet:
         page = open_page(browser, shot / "shot.html", faults)
         names = page.evaluate("report.viewer.face.names")
         order = [reader.names.index(name) for name in names]
@@ -144,89 +143,81 @@ SEEK = """async (picture) => {
 }"""
 
 
-def test_the_page_is_worked_by_keyboard_and_by_address(keyed: tuple[Shot, StepResult]) -> None:
+def test_the_page_is_worked_by_keyboard_and_by_address(
+    keyed: tuple[Shot, StepResult], browser: Any
+) -> None:
     shot, report = keyed
     assert len(report.figures["worst_frames"]) == 4
     faults: list[str] = []
-    with chromium() as browser:
-        page = open_page(browser, shot / "shot.html", faults)
-        frame = "Number(document.getElementById('clock').textContent.split(/\\s+/).at(-1))"
-        page.evaluate("location.hash = '#101'")
-        assert polled(page, frame) == 101
-        page.keyboard.press("ArrowRight")
-        assert polled(page, frame) == 102  # every frame of the take
-        page.wait_for_timeout(300)
-        assert page.evaluate("location.hash") == "#102"  # a link to what is shown
-        page.keyboard.press("End")
-        assert polled(page, frame) == 480
-        worst = report.figures["worst_frames"]
-        for _ in range(2):  # again after Home, though the address has not changed
-            page.click("#worst a >> nth=0")
-            assert polled(page, frame) == worst[0]
-            page.keyboard.press("Home")
-            assert polled(page, frame) == 1
-        # The address may come to name the frame before the link just as the link is followed.
-        page.evaluate(
-            "document.querySelector('#worst a').click(); history.replaceState(0, '', '#1')"
-        )
+    page = open_page(browser, shot / "shot.html", faults)
+    frame = "Number(document.getElementById('clock').textContent.split(/\\s+/).at(-1))"
+    page.evaluate("location.hash = '#101'")
+    assert polled(page, frame) == 101
+    page.keyboard.press("ArrowRight")
+    assert polled(page, frame) == 102  # every frame of the take
+    page.wait_for_timeout(300)
+    assert page.evaluate("location.hash") == "#102"  # a link to what is shown
+    page.keyboard.press("End")
+    assert polled(page, frame) == 480
+    worst = report.figures["worst_frames"]
+    for _ in range(2):  # again after Home, though the address has not changed
+        page.click("#worst a >> nth=0")
         assert polled(page, frame) == worst[0]
         page.keyboard.press("Home")
-        for each in sorted(worst):
-            page.keyboard.press("n")
-            assert polled(page, frame) == each
-        for each in sorted(worst, reverse=True)[1:]:
-            page.keyboard.press("p")
-            assert polled(page, frame) == each
-        still = "document.querySelector('#worst canvas').getContext('2d')"
-        drawn = f"new Set({still}.getImageData(0, 0, 128, 128).data).size"
-        assert page.evaluate(drawn) > 50, "the moments have no pictures"
-        assert page.inner_text("#verdict").split(":")[0] in VERDICT_WORDS.values()
-        page.keyboard.press(" ")
-        assert (
-            page.evaluate("document.getElementById('play').getAttribute('aria-label')") == "Pause"
-        )
-        page.keyboard.press(" ")
-        page.locator("#scrub").focus()
-        page.keyboard.press(" ")
-        assert (
-            page.evaluate("document.getElementById('play').getAttribute('aria-label')") == "Pause"
-        )
-        page.keyboard.press(" ")
-        page.fill("#find", "jawopen")
-        rows = page.locator(".curve:visible")
-        assert rows.count() == 1
-        page.wait_for_selector(".curve:visible path.k-solve")
-        assert page.locator("caption h2", has_text="Measured against the keys").count() == 1
-        assert page.locator("table:not(:has(caption))").count() == 0
-        unnamed = page.locator(
-            "button:not([aria-label], :has(img))", has_not_text=re.compile("[a-z]")
-        )
-        assert unnamed.count() == 0, "buttons of a sign alone need a name"
-        page.emulate_media(media="print")
-        page.evaluate("dispatchEvent(new Event('beforeprint'))")
-        filled = page.evaluate(
-            "(() => { const s = document.getElementById('still'); "
-            "const d = s.getContext('2d').getImageData(0, 0, s.width, s.height).data; "
-            "return new Set(d).size; })()"
-        )
-        assert filled > 50, "the face is not on paper"
-        page.close()
+        assert polled(page, frame) == 1
+    # The address may come to name the frame before the link just as the link is followed.
+    page.evaluate("document.querySelector('#worst a').click(); history.replaceState(0, '', '#1')")
+    assert polled(page, frame) == worst[0]
+    page.keyboard.press("Home")
+    for each in sorted(worst):
+        page.keyboard.press("n")
+        assert polled(page, frame) == each
+    for each in sorted(worst, reverse=True)[1:]:
+        page.keyboard.press("p")
+        assert polled(page, frame) == each
+    still = "document.querySelector('#worst canvas').getContext('2d')"
+    drawn = f"new Set({still}.getImageData(0, 0, 128, 128).data).size"
+    assert page.evaluate(drawn) > 50, "the moments have no pictures"
+    assert page.inner_text("#verdict").split(":")[0] in VERDICT_WORDS.values()
+    page.keyboard.press(" ")
+    assert page.evaluate("document.getElementById('play').getAttribute('aria-label')") == "Pause"
+    page.keyboard.press(" ")
+    page.locator("#scrub").focus()
+    page.keyboard.press(" ")
+    assert page.evaluate("document.getElementById('play').getAttribute('aria-label')") == "Pause"
+    page.keyboard.press(" ")
+    page.fill("#find", "jawopen")
+    rows = page.locator(".curve:visible")
+    assert rows.count() == 1
+    page.wait_for_selector(".curve:visible path.k-solve")
+    assert page.locator("caption h2", has_text="Measured against the keys").count() == 1
+    assert page.locator("table:not(:has(caption))").count() == 0
+    unnamed = page.locator("button:not([aria-label], :has(img))", has_not_text=re.compile("[a-z]"))
+    assert unnamed.count() == 0, "buttons of a sign alone need a name"
+    page.emulate_media(media="print")
+    page.evaluate("dispatchEvent(new Event('beforeprint'))")
+    filled = page.evaluate(
+        "(() => { const s = document.getElementById('still'); "
+        "const d = s.getContext('2d').getImageData(0, 0, s.width, s.height).data; "
+        "return new Set(d).size; })()"
+    )
+    assert filled > 50, "the face is not on paper"
+    page.close()
     assert not faults
 
 
 @pytest.mark.parametrize("width", [390, 480, 760])
 def test_nothing_of_the_page_is_outside_a_narrow_window(
-    keyed: tuple[Shot, StepResult], width: int
+    keyed: tuple[Shot, StepResult], width: int, browser: Any
 ) -> None:
     shot, _ = keyed
-    with chromium() as browser:
-        page = browser.new_page(viewport={"width": width, "height": 900})
-        page.goto((shot / "shot.html").as_uri())
-        page.wait_for_selector("body[data-ready=true]", timeout=60_000)
-        assert page.evaluate("document.documentElement.scrollWidth") <= width
-        assert page.evaluate(BROKEN) == [], "words and numbers of tables are on two lines"
-        scrub = page.evaluate("document.getElementById('scrub').getBoundingClientRect().width")
-        page.close()
+    page = browser.new_page(viewport={"width": width, "height": 900})
+    page.goto((shot / "shot.html").as_uri())
+    page.wait_for_selector("body[data-ready=true]", timeout=60_000)
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    assert page.evaluate(BROKEN) == [], "words and numbers of tables are on two lines"
+    scrub = page.evaluate("document.getElementById('scrub').getBoundingClientRect().width")
+    page.close()
     assert scrub > width / 2
 
 
@@ -240,28 +231,27 @@ def test_the_page_and_evaluate_tell_one_error_of_the_weights(shot: Shot) -> None
     assert f"<td>{error:.3f}</td>" in (shot / "shot.html").read_text(encoding="utf-8")
 
 
-def test_the_page_prints_without_one_thing_over_another(shot: Shot) -> None:
+def test_the_page_prints_without_one_thing_over_another(shot: Shot, browser: Any) -> None:
     execute(spec_of(shot, worst=12))
-    with chromium() as browser:
-        page = browser.new_page(viewport={"width": 794, "height": 1123})  # A4 at 96 dots an inch
-        page.goto((shot / "shot.html").as_uri())
-        page.wait_for_selector("body[data-ready=true]", timeout=60_000)
-        page.emulate_media(media="print")
-        page.evaluate("dispatchEvent(new Event('beforeprint'))")
-        boxes = page.evaluate(BOXES)
-        links = page.evaluate(
-            "(() => { const box = document.querySelector('aside').getBoundingClientRect();"
-            "return [...document.querySelectorAll('#worst a')].filter((a) => "
-            "a.getBoundingClientRect().bottom <= box.bottom + 1).length; })()"
-        )
-        cut = page.evaluate(CUT)
-        drawn = page.evaluate(
-            "[...document.querySelectorAll('.curve')].map((each) => "
-            "getComputedStyle(each).contentVisibility)"
-        )
-        page.emulate_media(media="screen")
-        small = page.evaluate(SMALL)
-        page.close()
+    page = browser.new_page(viewport={"width": 794, "height": 1123})  # A4 at 96 dots an inch
+    page.goto((shot / "shot.html").as_uri())
+    page.wait_for_selector("body[data-ready=true]", timeout=60_000)
+    page.emulate_media(media="print")
+    page.evaluate("dispatchEvent(new Event('beforeprint'))")
+    boxes = page.evaluate(BOXES)
+    links = page.evaluate(
+        "(() => { const box = document.querySelector('aside').getBoundingClientRect();"
+        "return [...document.querySelectorAll('#worst a')].filter((a) => "
+        "a.getBoundingClientRect().bottom <= box.bottom + 1).length; })()"
+    )
+    cut = page.evaluate(CUT)
+    drawn = page.evaluate(
+        "[...document.querySelectorAll('.curve')].map((each) => "
+        "getComputedStyle(each).contentVisibility)"
+    )
+    page.emulate_media(media="screen")
+    small = page.evaluate(SMALL)
+    page.close()
     assert set(drawn) == {"visible"}, "curves below the window are blank on paper"
     assert not small, "letters of less than 12 pixels"
     for (_, bottom), (top, _) in pairwise(boxes):

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.browser import chromium
 from tests.steps.review.test_report import open_page, spec_of, visit
 from tests.steps.small_shot import Shot
 from usdface.core.errors import InputError
@@ -42,12 +41,6 @@ def reported(finished_shot: Shot, tmp_path_factory: pytest.TempPathFactory) -> S
     write_notes(shot / "shot.hero.notes.json", [NOTE | {"version": "of another"}])
     execute(spec_of(shot, against=shot / "keys.csv", also=(shot / "shot.first.usda",), worst=4))
     return shot
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as running:
-        yield running
 
 
 @pytest.fixture
