@@ -23,9 +23,15 @@ PLACING = (
 REMEMBERED = (
     *PLACING,
     ("usdface.demo.rig", "bare_head"),
+    ("usdface.model.mapping.candidates", "fit_pairs_forward"),
+    ("usdface.model.mapping.corrected_pairs", "fit_pairs_forward"),
     ("usdface.model.mapping.evaluation", "points_by_region"),
     ("usdface.model.mapping.take_neutral", "find_offset"),
+    ("usdface.model.placement.shape_parts", "sample_face_skin"),
     ("usdface.model.regressions.forward_model", "_maximise_evidence"),
+    ("usdface.model.retarget.shape_matching", "align_cloud"),
+    ("usdface.model.retarget.shape_matching", "_surface"),
+    ("usdface.model.selection.baseline", "solve_weights"),
     ("usdface.model.surface.binding", "place_markers"),
     ("usdface.numerics.manifold.posterior_prediction", "_right_singular_vectors"),
     ("usdface.steps.inputs.placement", "place_markers"),
@@ -34,6 +40,8 @@ REMEMBERED = (
     ("usdface.steps.inputs.placement", "bind_at"),
     ("usdface.steps.inputs.placement", "draw_binding"),
     ("usdface.steps.inputs.coverage_report", "draw_coverage"),
+    ("usdface.steps.surface.plan", "fit_gp_surface"),
+    ("tests.steps.small_shot", "coarse_head"),
     ("usdface.media.face.surface", "_rest_exposure"),
     ("usdface.media.face.render", "build_surface"),
     ("usdface.media.page.face_payload", "build_surface"),
@@ -41,9 +49,9 @@ REMEMBERED = (
 )
 """The demo's heads, where the shot's markers are placed and how far they move there, the picture of
 it, what is drawn of a rig, how much light falls on each of the face's points, the basis of a scan's
-variances, how far a take's markers lie from the references', and the scales of the forward model:
-most steps ask for them. What is remembered goes by the content of all arguments.
-Tests of one of these call it under its own name."""
+variances, how far a take's markers lie from the references', the forward models of pairs, and what
+the blendshape equation solves: most steps ask for them. What is remembered goes by the content of
+all arguments. Tests of one of these call it under its own name."""
 
 
 def remember(

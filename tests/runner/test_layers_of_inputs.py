@@ -42,14 +42,14 @@ def correct(shot: Shot, marker: str, point: int | None) -> None:
 def test_selecting_again_after_a_correction_places_and_proposes_again(shot: Shot) -> None:
     spec = step(shot, "select")
     assert state(spec).state == "done", "the empty layer of corrections changes nothing"
-    correct(shot, "nose_tip", 700)
+    correct(shot, "cheek_L3", 700)
     stale = state(spec)
     assert (stale.state, "placement.corrected.usda" in stale.reason) == ("stale", True)
     again = execute(spec)
     assert not again.up_to_date
     assert again.figures["placement"]["placed_by_a_person"] == 1
     assert state(spec).state == "done"
-    correct(shot, "nose_tip", None)
+    correct(shot, "cheek_L3", None)
     assert state(spec).state == "stale", "a correction that is removed counts as well"
     assert execute(spec).figures["placement"]["placed_by_a_person"] == 0
     assert state(spec).state == "done"

@@ -3,14 +3,18 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+import pytest
 import yaml
 
 from usdface.capture.c3d_write import write_c3d
+from usdface.core.assets import Rig
+from usdface.demo import half_cage
 from usdface.demo.acting import performance
 from usdface.demo.build import write_weights
 from usdface.demo.capture import demo_markers, simulate_capture
-from usdface.demo.rig import demo_rig, make_head
-from usdface.demo.sculpt import ACTOR
+from usdface.demo.head import DemoHead, bare_head
+from usdface.demo.rig import rig_from_head, with_shapes
+from usdface.demo.sculpt import ACTOR, CHARACTER, Style
 from usdface.usdio.rig.write import write_rig
 
 FRAMES = 480
@@ -29,11 +33,23 @@ class Shot:
         return self.folder / name
 
 
+def coarse_head(style: Style) -> DemoHead:
+    """Build a head of the demo whose cage is subdivided once: 8,000 of 19,000 points."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(half_cage, "REFINEMENT_LEVELS", 1)
+        return with_shapes(bare_head(style))
+
+
+def coarse_rig() -> Rig:
+    """Build the character of the shot."""
+    return rig_from_head(coarse_head(CHARACTER))
+
+
 def make_inputs(folder: Path) -> Shot:
     """Write rig, capture, keys and a job; run nothing."""
-    rig = demo_rig()
+    rig = coarse_rig()
     write_rig(folder / "hero.usdc", rig)
-    actor, acted = make_head(ACTOR), performance()
+    actor, acted = coarse_head(ACTOR), performance()
     markers = demo_markers(actor)
     captured = simulate_capture(actor, acted, markers)
     write_c3d(

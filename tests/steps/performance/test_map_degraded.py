@@ -7,10 +7,9 @@ import pytest
 from pxr import Sdf, Vt
 
 from tests.model.placement.test_rig_orientation import transformed
-from tests.steps.small_shot import Shot
+from tests.steps.small_shot import Shot, coarse_rig
 from usdface.core.assets import Rig
 from usdface.core.errors import InputError
-from usdface.demo.rig import demo_rig
 from usdface.model.mapping.head_space import MINIMUM_SHARE
 from usdface.runner.execute import execute
 from usdface.runner.result import StepResult
@@ -50,7 +49,7 @@ def with_jaw(rig: Rig, factor: float) -> Rig:
 def test_a_shape_sculpted_again_since_training_is_noted_and_mapped(shot: Shot) -> None:
     before = mapped(shot)
     assert not [note for note in before.notes if "since training" in note]
-    write_rig(shot / "other.usdc", with_jaw(demo_rig(), 1.2))
+    write_rig(shot / "other.usdc", with_jaw(coarse_rig(), 1.2))
     (shot / "new.hero.usda").unlink()
     (note,) = [note for note in mapped(shot, rig="other.usdc").notes if "since training" in note]
     assert "1 of the mapping's" in note
@@ -58,7 +57,7 @@ def test_a_shape_sculpted_again_since_training_is_noted_and_mapped(shot: Shot) -
 
 
 def test_a_rig_that_lies_is_refused(shot: Shot) -> None:
-    rig = demo_rig()
+    rig = coarse_rig()
     turn = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
     write_rig(shot / "lying.usdc", transformed(rig, turn))
     with pytest.raises(InputError, match="the head lies"):
@@ -66,7 +65,7 @@ def test_a_rig_that_lies_is_refused(shot: Shot) -> None:
 
 
 def test_a_rig_with_other_points_is_refused(shot: Shot) -> None:
-    rig = demo_rig()
+    rig = coarse_rig()
     face = max(range(len(rig.meshes)), key=lambda index: len(rig.meshes[index].shapes))
     points = np.r_[rig.meshes[face].points, [[0.0, 0.0, 0.0]]]
     meshes = tuple(
