@@ -23,8 +23,8 @@ PLACING = (
 REMEMBERED = (
     *PLACING,
     ("usdface.demo.rig", "bare_head"),
-    ("usdface.model.mapping.candidates", "fit_pairs_forward"),
     ("usdface.model.mapping.corrected_pairs", "fit_pairs_forward"),
+    ("usdface.model.mapping.corrected_pairs", "fit_rig_prior"),
     ("usdface.model.mapping.evaluation", "points_by_region"),
     ("usdface.model.mapping.take_neutral", "find_offset"),
     ("usdface.model.placement.shape_parts", "sample_face_skin"),

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -11,13 +12,19 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress
 from usdface.model.mapping.corrected_pairs import (
     CorrectedPairs,
+    correct_pairs,
     displacements,
-    fit_pairs_forward,
 )
-from usdface.model.mapping.uncertainty import UncertaintyModel
+from usdface.model.mapping.uncertainty import (
+    TOLERANCE_CONFIDENCE,
+    UncertaintyModel,
+    squared_motion,
+)
+from usdface.model.placement.label_hints import are_image_landmarks
 from usdface.model.regressions import AUTO, Choices, Pairs, Regression, Settings, find_method
+from usdface.model.regressions.base import Fitted
 from usdface.model.regressions.bent_weights import bend, unbend
-from usdface.model.regressions.frame_solve import FrameSolver
+from usdface.model.regressions.frame_solve import FrameSolution, FrameSolver
 from usdface.numerics.regression.cross_validation import (
     blocked_folds,
     surface_rms_mm,
@@ -52,16 +59,48 @@ class Candidate:
 
 
 @dataclass(frozen=True)
+class FoldModel:
+    """A candidate fitted to the training pairs of a fold."""
+
+    method: Regression
+    fitted: Fitted
+    corrected: CorrectedPairs
+    """The training pairs."""
+
+    def weights(self, pairs: Pairs) -> FloatArray:
+        """Return the normalised weights of pairs: (pairs, shapes)."""
+        solves = self.method.solves_frames
+        targets = self.solve(pairs, self.solver).targets if solves else self._predict(pairs)
+        return np.clip(unbend(targets, self.corrected.forward.scales.curve), 0.0, 1.0)
+
+    @cached_property
+    def solver(self) -> FrameSolver:
+        """The solver of a method that solves frames."""
+        return self.solver_of(self.fitted.arrays["start_error"])
+
+    def solver_of(self, error: FloatArray) -> FrameSolver:
+        """Return a solver with the error of the method's weights: (shapes,)."""
+        return FrameSolver(self.corrected.forward, error, self.corrected.inflation)
+
+    def solve(self, pairs: Pairs, solver: FrameSolver) -> FrameSolution:
+        """Return the solution of pairs; that of a method that solves no frames is its weights."""
+        displaced, bounded = displacements(pairs), self.method.solves_frames
+        visible = np.ones(displaced.shape[:2], np.bool_)
+        return solver.solve(displaced, visible, self._predict(pairs), bounded=bounded)
+
+    def _predict(self, pairs: Pairs) -> FloatArray:
+        weights = self.method.predict(self.fitted.arrays, self.fitted.settings, pairs.inputs)
+        return bend(pairs.face.normalise(weights), self.corrected.forward.scales.curve)
+
+
+@dataclass(frozen=True)
 class OutOfFold:
     """Out-of-fold predictions of the pairs by one candidate."""
 
     errors: FloatArray
     """(pairs, shapes): predicted weights minus keys."""
-    prior_mean: FloatArray
-    """(pairs, shapes): bent weights predicted by the regression, before the frame solve."""
-    prior_error: FloatArray | None
-    """(pairs, shapes): standard deviation of their errors, as each fold's fit estimates it; None if
-    the method does not solve frames."""
+    models: tuple[FoldModel, ...]
+    """One for each fold."""
 
 
 @dataclass(frozen=True)
@@ -85,71 +124,103 @@ class _Scored:
 
 
 class PairFolds:
-    """Pairs in folds blocked by take and time, with a forward model of each training set."""
+    """Pairs in folds blocked by take and time.
 
-    def __init__(self, corrected: CorrectedPairs, references: References) -> None:
-        pairs, scales = corrected.pairs, corrected.forward.scales
-        self.pairs, self.corrected = pairs, corrected
+    Keys are corrected in each training set anew: corrections from all pairs would make the models
+    of the folds agree.
+    """
+
+    def __init__(self, pairs: Pairs, references: References) -> None:
+        self._parts = references.parts or references.shape_names
+        self._landmarks = are_image_landmarks(references.marker_names)
+        self.corrected = correct_pairs(pairs, self._parts, landmarks=self._landmarks)
+        self.pairs = self.corrected.pairs
         frames, takes, rate = references.frames, references.takes, references.rate or _DEFAULT_RATE
         self.folds = blocked_folds(frames, takes, margin=round(_NEIGHBOUR_SECONDS * rate))
         self.blocks = time_blocks(frames, takes, length=max(round(_BLOCK_SECONDS * rate), 1))
-        self.forwards = [fit_pairs_forward(pairs.rows(fold.train), scales) for fold in self.folds]
-        self.targets = bend(pairs.face.normalise(pairs.outputs), scales.curve)
-        self.curve = scales.curve
 
-    def displacements(self, rows: IntArray) -> tuple[FloatArray, BoolArray]:
-        """Return displacements [mm] and visibility of some pairs."""
-        displaced = displacements(self.pairs.rows(rows))
-        return displaced, np.ones(displaced.shape[:2], dtype=np.bool_)
+    @cached_property
+    def trained(self) -> list[CorrectedPairs]:
+        """Training pairs of each fold."""
+        corrected = self.corrected
+        original = replace(corrected.pairs, outputs=corrected.original_keys)
+        scales = replace(corrected.forward.scales, tau=corrected.key_error)
+        return [
+            correct_pairs(
+                original.rows(fold.train), self._parts, landmarks=self._landmarks, scales=scales
+            )
+            for fold in self.folds
+        ]
 
     def predict(self, candidate: Candidate) -> OutOfFold:
         """Predict every pair by the fit to the other folds."""
         face, method = self.pairs.face, candidate.method
-        errors, prior_mean, prior_error = (
-            np.full_like(self.pairs.outputs, np.nan) for _ in range(3)
-        )
-        for fold, forward in zip(self.folds, self.forwards, strict=True):
+        low, span = face.ranges[:, 0], np.ptp(face.ranges, axis=1)
+        errors, models = -self.corrected.original_keys, []
+        for fold, trained in zip(self.folds, self.trained, strict=True):
             settings = dict(candidate.settings)
             if "dimensions" in settings:  # a training set may have fewer pairs than dimensions
                 most = max(len(fold.train) - 1, 1)
                 settings["dimensions"] = min(int(settings["dimensions"]), most)
-            training = self.corrected.training_pairs(method).rows(fold.train)
-            fitted = method.fit(replace(training, forward=forward), settings)
-            weights = method.predict(fitted.arrays, fitted.settings, self.pairs.inputs[fold.test])
-            prior_mean[fold.test] = bend(face.normalise(weights), self.curve)
-            keys = self.corrected.original_keys[fold.test]
-            errors[fold.test] = np.clip(weights, *face.ranges.T) - keys
-            if method.solves_frames:
-                prior_error[fold.test] = fitted.arrays["start_error"]
-        if not method.solves_frames:
-            return OutOfFold(errors, prior_mean, None)
-        low, span = face.ranges[:, 0], np.ptp(face.ranges, axis=1)
-        for fold, forward in zip(self.folds, self.forwards, strict=True):
-            solver = FrameSolver(forward, prior_error[fold.test[0]], self.corrected.inflation)
-            t = solver.solve(*self.displacements(fold.test), prior_mean[fold.test]).targets
-            weights = low + span * np.clip(unbend(t, self.curve), 0.0, 1.0)
-            errors[fold.test] = weights - self.corrected.original_keys[fold.test]
-        return OutOfFold(errors, prior_mean, prior_error)
+            fitted = method.fit(trained.training_pairs(method), settings)
+            models.append(FoldModel(method, fitted, trained))
+            errors[fold.test] += low + span * models[-1].weights(self.pairs.rows(fold.test))
+        return OutOfFold(errors, tuple(models))
 
     def deviations(
-        self,
-        candidate: Candidate,
-        predicted: OutOfFold,
-        model: UncertaintyModel,
-        default_error: FloatArray,
+        self, predicted: OutOfFold, model: UncertaintyModel, default_error: FloatArray
     ) -> FloatArray:
-        """Return the uncalibrated uncertainty of every pair: (pairs, regions) [mm]."""
-        out = np.empty((len(predicted.prior_mean), len(model.grams)))
-        for fold, forward in zip(self.folds, self.forwards, strict=True):
-            error = default_error
-            if predicted.prior_error is not None:
-                error = predicted.prior_error[fold.test[0]]
-            solver = FrameSolver(forward, error, self.corrected.inflation)
-            displaced, visible = self.displacements(fold.test)
-            prior_mean, bounded = predicted.prior_mean[fold.test], candidate.method.solves_frames
-            solution = solver.solve(displaced, visible, prior_mean, bounded=bounded)
+        """Return the uncalibrated uncertainty of every pair: (pairs, regions) [mm].
+
+        `default_error`, (shapes,), is for methods that do not estimate their own.
+        """
+        out = np.empty((len(predicted.errors), len(model.grams)))
+        for fold, each in zip(self.folds, predicted.models, strict=True):
+            solves = each.method.solves_frames
+            solver = each.solver if solves else each.solver_of(default_error)
+            solution = each.solve(self.pairs.rows(fold.test), solver)
+            visible = np.ones((len(fold.test), len(solver.forward.noise)), np.bool_)
             out[fold.test] = model.deviations(solver, solution, visible)
         return out
+
+    def squared_errors(self, predicted: OutOfFold, grams: FloatArray) -> FloatArray:
+        """Return the estimated squared error of the surface of every pair.
+
+        That of the out-of-fold error, relative to the corrected keys if the original ones have
+        random errors, plus the variance of the prediction by the grouped jackknife: corrected keys
+        do not show errors that the original ones have in common by chance, such as a gain of one
+        shape. As the variance of few folds is imprecise, its upper confidence limit is used.
+
+        Parameters
+        ----------
+        grams : (regions, shapes, shapes) float array
+            Of normalised weights [mm^2].
+
+        Returns
+        -------
+        (pairs, regions) float array
+            [mm^2]
+
+        References
+        ----------
+        Shao and Tu (1995), The Jackknife and Bootstrap, section 2.3.
+        """
+        from scipy.special import chdtri  # only training needs SciPy: mapping starts faster without
+
+        errors = predicted.errors
+        if self.corrected.has_random_errors:
+            errors = errors + self.corrected.original_keys - self.pairs.outputs
+        errors = errors / np.ptp(self.pairs.face.ranges, axis=1)
+        squared, count = squared_motion(grams, errors), len(self.folds)
+        limit = (count - 2) / chdtri(count - 2, TOLERANCE_CONFIDENCE)
+        factor = limit * (count - 1) ** 2 / (count * (count - 2))
+        weights = np.stack([each.weights(self.pairs) for each in predicted.models])
+        for k, fold in enumerate(self.folds):
+            # the fold's own model lacks these pairs and their neighbours
+            others = np.delete(weights[:, fold.test], k, axis=0)
+            spread = sum(squared_motion(grams, each) for each in others - others.mean(axis=0))
+            squared[fold.test] += factor * spread
+        return squared
 
 
 def list_candidates(pairs: Pairs, method: str, choices: Choices) -> list[Candidate]:

@@ -39,6 +39,10 @@ _CONTRADICTION_MM = 0.5
 """Distance below which a contradiction is not reported: keys are not set more precisely than this.
 """
 
+_ROUNDING_ERROR = 0.03
+"""Error of keys, tau, up to which they may be rounded, with small weights dropped: corrections then
+follow what all pairs have in common."""
+
 _KEY_GRADIENT_STEPS = 200
 """Accelerated gradient steps of the correction, whose prior is ill-conditioned."""
 
@@ -48,6 +52,16 @@ corrected: common errors would otherwise be taken for errors of the keys."""
 
 _PRIOR_CURVE = 0.3
 """Parameter of `bend` for locating markers on the rig, which is insensitive to it."""
+
+
+@dataclass(frozen=True)
+class RigPrior:
+    """Motion of the markers by the rig: prior of the forward model."""
+
+    basis: FloatArray
+    """(shapes, markers, 3): displacement by each bent weight at 1 [mm]."""
+    driven: DrivenMotion | None
+    """Of shapes that others drive."""
 
 
 @dataclass(frozen=True)
@@ -75,9 +89,18 @@ class CorrectedPairs:
             return self.pairs
         return replace(self.pairs, outputs=self.original_keys)
 
+    @property
+    def has_random_errors(self) -> bool:
+        """Whether the keys have more errors than those that all pairs have in common."""
+        return self.key_error > _ROUNDING_ERROR or bool(self.log_factor.any())
+
 
 def correct_pairs(
-    pairs: Pairs, parts: tuple[str, ...], *, landmarks: bool = False
+    pairs: Pairs,
+    parts: tuple[str, ...],
+    *,
+    landmarks: bool = False,
+    scales: ForwardScales | None = None,
 ) -> CorrectedPairs:
     """Fit the forward model, and correct the keys if their estimated error tau is positive.
 
@@ -89,11 +112,16 @@ def correct_pairs(
         Part of the face of each shape; see `region_points`.
     landmarks : bool
         Whether the markers are landmarks detected in images, whose errors are correlated.
+    scales : ForwardScales, optional
+        Fixed scales, with tau the error of the original keys; by default they are estimated.
     """
     original_keys, face = pairs.outputs, pairs.face
     inflation = _LANDMARK_KEY_INFLATION if landmarks else KEY_INFLATION
-    uncorrected = fit_pairs_forward(pairs)
-    pairs, forward, log_factor = _equalise_gains(pairs, uncorrected, parts, inflation)
+    prior = fit_rig_prior(pairs)
+    uncorrected = fit_pairs_forward(pairs, scales, prior)
+    pairs, forward, log_factor = _equalise_gains(
+        pairs, uncorrected, parts, inflation, scales, prior
+    )
     scales, keys = forward.scales, forward.targets
     low, span = face.ranges[:, 0], np.ptp(face.ranges, axis=1)
     for _ in range(_KEY_ROUNDS if scales.tau > 0 else 0):
@@ -103,7 +131,9 @@ def correct_pairs(
         corrected = low + span * unbend(posterior.targets, scales.curve)
         pairs = replace(pairs, outputs=corrected)
         share = posterior.variance.sum() / scales.key_variance(keys).sum()
-        forward = fit_pairs_forward(pairs, replace(scales, tau=scales.tau * float(np.sqrt(share))))
+        forward = fit_pairs_forward(
+            pairs, replace(scales, tau=scales.tau * float(np.sqrt(share))), prior
+        )
     return CorrectedPairs(
         replace(pairs, forward=forward),
         forward,
@@ -116,7 +146,12 @@ def correct_pairs(
 
 
 def _equalise_gains(
-    pairs: Pairs, forward: ForwardModel, parts: tuple[str, ...], inflation: float
+    pairs: Pairs,
+    forward: ForwardModel,
+    parts: tuple[str, ...],
+    inflation: float,
+    scales: ForwardScales | None,
+    prior: RigPrior,
 ) -> tuple[Pairs, ForwardModel, FloatArray]:
     """Scale the keys of each pair to the mean gain, if the gains' variance is significant."""
     log_factor = np.zeros(len(pairs.outputs))
@@ -128,8 +163,8 @@ def _equalise_gains(
             forward, parts, inflation, variance=variance, applied=log_factor
         )
         scaled = scale_keys(pairs, log_factor)
-        forward = fit_pairs_forward(scaled, forward.scales)
-    return scaled, fit_pairs_forward(scaled), log_factor
+        forward = fit_pairs_forward(scaled, forward.scales, prior)
+    return scaled, fit_pairs_forward(scaled, scales, prior), log_factor
 
 
 @dataclass(frozen=True)
@@ -225,23 +260,16 @@ def find_contradicted(
     return {pair: (region, residual_mm) for pair, (_, region, residual_mm) in ordered}
 
 
-def fit_pairs_forward(pairs: Pairs, scales: ForwardScales | None = None) -> ForwardModel:
-    """Fit the forward model; its prior basis is the rig's, or without a rig a regression's."""
+def fit_rig_prior(pairs: Pairs) -> RigPrior:
+    """Locate the markers on the rig; without a rig, the prior is a regression's basis."""
     face = pairs.face
     weights, displaced = face.normalise(pairs.outputs), displacements(pairs)
-    neutral = np.zeros(displaced.shape[1:]) if face.neutral is None else face.neutral
     if face.skin is None:
-        expected = marker_motion(weights, displaced)
-        return fit_forward_model(
-            weights, displaced, expected=expected, neutral=neutral, scales=scales, lids=face.lids
-        )
+        return RigPrior(marker_motion(weights, displaced), None)
     skin, bent = face.skin * np.ptp(face.ranges, axis=1)[:, None, None], bend(weights, _PRIOR_CURVE)
-    driven = np.zeros((len(weights), 0))
     if face.driven is not None:
-        low, high = face.ranges.T
-        driven = driven_weights(face.driven.logic, np.clip(pairs.outputs, low, high))
         skin = np.concatenate([skin, face.driven.skin])
-    rest, inputs = face.rest, np.concatenate([bent, driven], axis=1)
+    rest, inputs = face.rest, np.concatenate([bent, _driven_weights(pairs)], axis=1)
     basis = fit_marker_basis(
         skin,
         inputs,
@@ -254,20 +282,42 @@ def fit_pairs_forward(pairs: Pairs, scales: ForwardScales | None = None) -> Forw
     if face.neutral is not None:
         predicted = np.einsum("ns,smc->nmc", inputs, basis, optimize=True)
         seen = np.ones(predicted.shape[:2], np.bool_)
-        basis = rotate_deltas(basis, skin_rotations(neutral, predicted, displaced, visible=seen))
+        basis = rotate_deltas(
+            basis, skin_rotations(face.neutral, predicted, displaced, visible=seen)
+        )
     count = weights.shape[1]
+    if face.driven is None:
+        return RigPrior(basis, None)
     motion = basis[count:].reshape(len(basis) - count, displaced[0].size)
+    return RigPrior(basis[:count], DrivenMotion(face.driven.logic, face.ranges, motion))
+
+
+def fit_pairs_forward(
+    pairs: Pairs, scales: ForwardScales | None = None, prior: RigPrior | None = None
+) -> ForwardModel:
+    """Fit the forward model; by default its scales and the prior are estimated."""
+    face, displaced, prior = pairs.face, displacements(pairs), prior or fit_rig_prior(pairs)
+    if prior.driven is not None:
+        displaced = displaced - (_driven_weights(pairs) @ prior.driven.motion).reshape(
+            displaced.shape
+        )
     forward = fit_forward_model(
-        weights,
-        displaced - (driven @ motion).reshape(displaced.shape),
-        expected=basis[:count],
-        neutral=neutral,
+        face.normalise(pairs.outputs),
+        displaced,
+        expected=prior.basis,
+        neutral=np.zeros(displaced.shape[1:]) if face.neutral is None else face.neutral,
         scales=scales,
         lids=face.lids,
     )
+    return replace(forward, driven=prior.driven)
+
+
+def _driven_weights(pairs: Pairs) -> FloatArray:
+    """Return the weights of the shapes that others drive: (pairs, driven shapes)."""
+    face = pairs.face
     if face.driven is None:
-        return forward
-    return replace(forward, driven=DrivenMotion(face.driven.logic, face.ranges, motion))
+        return np.zeros((len(pairs.outputs), 0))
+    return driven_weights(face.driven.logic, np.clip(pairs.outputs, *face.ranges.T))
 
 
 def displacements(pairs: Pairs) -> FloatArray:

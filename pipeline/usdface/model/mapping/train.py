@@ -18,7 +18,6 @@ from usdface.model.mapping.candidates import (
 from usdface.model.mapping.checks import check_dimensions, check_references, check_skin
 from usdface.model.mapping.corrected_pairs import (
     CorrectedPairs,
-    correct_pairs,
     find_contradicted,
 )
 from usdface.model.mapping.motion_space import marker_coordinates, motion_arrays, motion_of_pairs
@@ -31,7 +30,6 @@ from usdface.model.mapping.regions import (
     regions_without_shapes,
 )
 from usdface.model.mapping.uncertainty import UncertaintyModel, calibrate_uncertainty
-from usdface.model.placement.label_hints import are_image_landmarks
 from usdface.model.regressions import DEFAULT_CHOICES, Choices, Face, Pairs, RestPlaces
 from usdface.model.regressions.base import DrivenSkin, Fitted
 from usdface.model.regressions.frame_solve import FrameSolver
@@ -112,7 +110,7 @@ def train_mapping(
         neutral=checked.neutral.astype(np.float64),
     )
     progress(0.0, "fitting the forward model")
-    folds = PairFolds(_corrected_pairs(checked, face), checked)
+    folds = PairFolds(_pairs(checked, face), checked)
     candidates = list_candidates(folds.pairs, method, choices)
     compared = compare_candidates(candidates, folds, in_mm=gram is not None, progress=progress)
     corrected, best = folds.corrected, compared.best
@@ -170,12 +168,6 @@ def _outer_skin(
 def _pairs(references: References, face: Face) -> Pairs:
     markers = references.markers.astype(np.float64)
     return Pairs(marker_coordinates(face.motion, markers), references.weights, face, markers)
-
-
-def _corrected_pairs(references: References, face: Face) -> CorrectedPairs:
-    parts = references.parts or references.shape_names
-    landmarks = are_image_landmarks(references.marker_names)
-    return correct_pairs(_pairs(references, face), parts, landmarks=landmarks)
 
 
 def _driven_skin(references: References, skin: FloatArray | None) -> DrivenSkin | None:
@@ -243,8 +235,8 @@ def _uncertainty(
     calibration = np.full(len(regions), _DEFAULT_CALIBRATION)
     predicted = compared.out_of_fold
     if predicted is not None:
-        deviations = folds.deviations(compared.best, predicted, model, solver.error)
-        calibration = calibrate_uncertainty(grams, predicted.errors / span, deviations)
+        deviations = folds.deviations(predicted, model, solver.error)
+        calibration = calibrate_uncertainty(folds.squared_errors(predicted, grams), deviations)
     arrays = UncertaintyModel(grams, calibration).to_arrays()
     arrays["region_markers"] = membership(points, len(solver.forward.noise))
     return regions, arrays

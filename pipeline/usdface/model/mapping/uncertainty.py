@@ -20,8 +20,10 @@ mean squared residual in excess of the expected one. The standard deviation is :
 ``c_g`` is calibrated on out-of-fold errors of the references, in folds blocked by take and time,
 such that 90 % are within 1.645 sigma, as for a normal distribution. As few errors determine a
 quantile poorly, its upper tolerance limit is used (Wilks 1941), and regions are shrunk towards the
-constant of the face. Out-of-fold errors include those of the keys; the two are not separable, and a
-solve that follows keys reproduces their errors.
+constant of the face.
+
+The errors are relative to the keys, to the corrected ones if keys have random errors, plus the
+variance of the solve by the jackknife (`PairFolds.squared_errors`, decision 37).
 
 Proposals that were not tuned have errors in common with takes solved by the rig's geometry, which
 cross-validation does not show. These grow with motion (`poe bench untuned`), and are present in a
@@ -49,9 +51,9 @@ ERROR_PROBABILITY = 0.9
 LIMIT_DEVIATIONS = NormalDist().inv_cdf((1 + ERROR_PROBABILITY) / 2)
 """Standard deviations of the two-sided normal interval, 1.645."""
 
-_TOLERANCE_CONFIDENCE = 0.75
-"""Confidence that at least `ERROR_PROBABILITY` of all errors are below the tolerance limit. At .9,
-the limit of 25 references would be their largest error."""
+TOLERANCE_CONFIDENCE = 0.75
+"""Confidence of upper limits in the calibration, as that at least `ERROR_PROBABILITY` of all errors
+are below the tolerance limit. At .9, the limit of 25 references would be their largest error."""
 
 _REGION_PRIOR_ERRORS = 20.0
 """Weight of the face's constant in a region's, as a number of errors: the .9 quantile of 20 errors
@@ -201,17 +203,13 @@ def proposal_error(
     return np.array([share2 * (1 - tuned.mean()) ** 2, motion2.mean()])
 
 
-def calibrate_uncertainty(
-    grams: FloatArray, errors: FloatArray, deviations: FloatArray
-) -> FloatArray:
+def calibrate_uncertainty(squared_errors: FloatArray, deviations: FloatArray) -> FloatArray:
     """Return ``c`` of each region, for which 90 % of the errors are within the limit.
 
     Parameters
     ----------
-    grams : (regions, shapes, shapes) float array
-        [mm^2]
-    errors : (pairs, shapes) float array
-        Out-of-fold errors of normalised weights.
+    squared_errors : (pairs, regions) float array
+        Out of fold [mm^2].
     deviations : (pairs, regions) float array
         Uncalibrated standard deviations of the same [mm].
 
@@ -219,11 +217,10 @@ def calibrate_uncertainty(
     -------
     (regions,) float array
     """
-    squared = np.einsum("ns,rst,nt->nr", errors, grams, errors, optimize=True)
-    ratios = np.sqrt(squared) / np.maximum(deviations, 1e-9)
+    ratios = np.sqrt(squared_errors) / np.maximum(deviations, 1e-9)
     limits = _tolerance_limits(ratios)
     needed = np.log(np.maximum(limits, 1e-6) / LIMIT_DEVIATIONS)
-    share = len(errors) / (len(errors) + _REGION_PRIOR_ERRORS)
+    share = len(ratios) / (len(ratios) + _REGION_PRIOR_ERRORS)
     return np.asarray(
         np.clip(np.exp(share * needed + (1 - share) * needed[0]), *_CALIBRATION_RANGE)
     )
@@ -243,5 +240,5 @@ def _tolerance_limits(sample: FloatArray) -> FloatArray:
 
     count = len(sample)
     below = bdtr(np.arange(count), count, ERROR_PROBABILITY)
-    rank = np.interp(_TOLERANCE_CONFIDENCE, below, np.arange(count))
+    rank = np.interp(TOLERANCE_CONFIDENCE, below, np.arange(count))
     return np.asarray(np.quantile(sample, rank / max(count - 1, 1), axis=0))

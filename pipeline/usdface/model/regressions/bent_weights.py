@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, RealArray
 
 
 def bend(weights: FloatArray, curve: float) -> FloatArray:
@@ -33,3 +33,9 @@ def unbend(bent: FloatArray, curve: float) -> FloatArray:
     weights += np.minimum(bent, 0.0) / (1 + curve)
     weights += np.maximum(bent - 1.0, 0.0) / (1 - curve)
     return weights
+
+
+def unbend_slope(bent: RealArray, curve: float) -> RealArray:
+    """Return the derivative of `unbend`."""
+    slope: RealArray = 1 / np.sqrt((1 + curve) ** 2 - 4 * curve * np.clip(bent, 0.0, 1.0))
+    return slope

@@ -40,7 +40,7 @@ from usdface.core.arrays import (
     RealArray,
     single_precision,
 )
-from usdface.model.regressions.bent_weights import unbend
+from usdface.model.regressions.bent_weights import unbend_slope
 from usdface.model.regressions.forward_model import ForwardModel
 from usdface.model.regressions.frame_likelihood import (
     FrameJacobians,
@@ -77,9 +77,6 @@ _HUBER_THRESHOLD = 1.5
 _REWEIGHTING_ROUNDS = 2
 """Iteratively reweighted solves for the Huber function; the first is unweighted."""
 
-_UNBEND_STEP = 1e-3
-"""Finite difference of a bent weight in the derivative of `unbend`."""
-
 _GRADIENT_STEPS = 30
 """Accelerated gradient steps of the bounded solve. The forward model is linearised once, at t0: a
 second linearisation changes crosstake by less than .001 mm and doubles the time."""
@@ -113,8 +110,7 @@ class FrameSolution:
         """
         if self.hessian is None:
             raise ValueError("no Hessian per frame: the rig has too many shapes")
-        ahead = unbend(self.targets + _UNBEND_STEP, curve)
-        slope = ((ahead - unbend(self.targets, curve)) / _UNBEND_STEP).astype(np.float32)
+        slope = unbend_slope(self.targets, curve).astype(np.float32)
         covariance = invert_by_halves(self.hessian)
         covariance *= slope[:, :, None] * slope[:, None]
         return covariance
