@@ -128,5 +128,5 @@ def test_training_on_the_mirror_image_gives_the_mirrored_mapping(
     positions = frames_of(finished_shot, mapping)
     plain = predict_weights(mapping, positions).weights
     seen = predict_weights(other, mirror.positions(positions)).weights
-    np.testing.assert_allclose(seen, plain[:, shapes], atol=1e-6)
+    np.testing.assert_allclose(seen, plain[:, shapes], atol=5e-6)  # single precision
     assert np.abs(seen - plain).max() > 0.3
