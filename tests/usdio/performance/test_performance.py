@@ -428,6 +428,22 @@ def test_a_rig_inside_an_instance_is_refused_with_the_way_out(tmp_path: Path) ->
         write(tmp_path)
 
 
+@pytest.mark.parametrize("names", [[], ["face", "brows"]], ids=["no_names", "too_few_names"])
+def test_figures_of_more_regions_than_are_named_are_refused(
+    tmp_path: Path, names: list[str]
+) -> None:
+    path = write(tmp_path)
+    layer = Sdf.Layer.FindOrOpen(str(path))
+    animation = Sdf.CreatePrimInLayer(layer, str(PerformanceReader(path).animation.GetPath()))
+    types = Sdf.ValueTypeNames
+    Sdf.AttributeSpec(animation, "face:residual:regions", types.TokenArray).default = names
+    figure = Sdf.AttributeSpec(animation, "face:uncertainty", types.FloatArray)
+    layer.SetTimeSample(figure.path, 1001.0, [0.1, 0.2, 0.3])
+    layer.Save()
+    with pytest.raises(InputError, match=r"face:uncertainty>: 3 values a frame, but \d names"):
+        PerformanceReader(path).figures()
+
+
 def test_regions_that_are_no_names_are_refused_by_the_files_name(tmp_path: Path) -> None:
     path = write(tmp_path)
     layer = Sdf.Layer.FindOrOpen(str(path))

@@ -222,14 +222,20 @@ class PerformanceReader:
 
     @refusing_wrong_types
     def series(self, name: str, first: int, last: int) -> FloatArray | None:
-        """Return an attribute of the animation at frames; None without samples."""
+        """Return a figure of the animation at frames, (frames, regions) or (frames,), or None."""
         attribute = self.animation.GetAttribute(name)
         if not attribute or not attribute.GetNumTimeSamples():
             return None
         query = Usd.AttributeQuery(attribute)
-        return np.array(
+        values = np.array(
             [np.array(query.Get(frame)) for frame in range(first, last + 1)], np.float64
         )
+        if values.ndim > 1 and values.shape[1] not in (1, len(self.regions)):
+            raise InputError(
+                f"{self.path} <{attribute.GetPath()}>: {values.shape[1]} values a frame, "
+                f"but {len(self.regions)} names in face:residual:regions; map again"
+            )
+        return values
 
     def uncertainty_mm(self, first: int, last: int) -> FloatArray | None:
         """Return the uncertainty at frames: (frames, regions), or of the face alone (frames, 1).
