@@ -13,7 +13,7 @@ from usdface.core.errors import InputError
 from usdface.core.rig_logic import Combination
 from usdface.model import predict_weights, sample_skin, train_mapping
 from usdface.model.regressions import Choices, RestPlaces, face_map, frame_solve
-from usdface.model.regressions.bent_weights import bend, unbend
+from usdface.model.regressions.bent_weights import bend, unbend, unbend_slope
 
 CHOSEN = np.arange(0, 1200, 30)
 
@@ -150,6 +150,16 @@ def test_unbending_undoes_bending(weight: float, curve: float) -> None:
     bent = bend(np.array([weight]), curve)
     np.testing.assert_allclose(unbend(bent, curve), weight, atol=1e-9)
     assert bend(np.array([0.0, 1.0]), curve).tolist() == [0.0, 1.0]
+
+
+@pytest.mark.parametrize("curve", [0.0, 0.3, 0.45])
+def test_the_slope_of_unbending_is_its_derivative(curve: float) -> None:
+    bent, step = np.linspace(-0.2, 1.2, 15), 1e-6
+    difference = unbend(bent + step, curve) - unbend(bent - step, curve)
+    inside = np.abs(bent * (1 - bent)) > 1e-3  # at 0 and 1 the second derivative jumps
+    np.testing.assert_allclose(
+        unbend_slope(bent, curve)[inside], (difference / (2 * step))[inside], rtol=1e-6
+    )
 
 
 def test_shapes_that_references_only_use_together_are_told_apart() -> None:
