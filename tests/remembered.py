@@ -30,7 +30,7 @@ REMEMBERED = (
     ("usdface.model.placement.shape_parts", "sample_face_skin"),
     ("usdface.model.regressions.forward_model", "_maximise_evidence"),
     ("usdface.model.retarget.shape_matching", "align_cloud"),
-    ("usdface.model.retarget.shape_matching", "_surface"),
+    ("usdface.model.retarget.shape_matching", "sample_face_skin"),
     ("usdface.model.selection.baseline", "solve_weights"),
     ("usdface.model.surface.binding", "place_markers"),
     ("usdface.numerics.manifold.posterior_prediction", "_right_singular_vectors"),

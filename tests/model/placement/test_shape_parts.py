@@ -43,6 +43,20 @@ def test_foreign_names_give_the_same_points_as_known_ones(rig: Rig) -> None:
     assert missing_parts_note(parts) == ""
 
 
+def test_brows_that_are_a_mesh_of_their_own_are_no_tongue() -> None:
+    rig = demo_rig()
+    cards = tuple(
+        mesh
+        if mesh.path.endswith("brows")
+        else replace(mesh, shapes=tuple(s for s in mesh.shapes if not s.name.startswith("brow")))
+        for mesh in rig.meshes
+    )
+    foreign = tuple(f"Form_{index}" for index in range(len(rig.shapes)))
+    deformer = Deformer(replace(rig, meshes=cards))
+    parts = dict(zip(rig.shapes, shape_parts(with_names(rig, foreign), deformer), strict=True))
+    assert {part for name, part in parts.items() if name.startswith("brow")} == {"brows"}
+
+
 def test_a_shape_whose_name_is_known_keeps_it(rig: Rig) -> None:
     assert shape_parts(rig, Deformer(rig)) is rig.shapes
     some = {"browInnerUp": "Braue_innen_hoch", "eyeLookInLeft": "Blick_innen_L"}

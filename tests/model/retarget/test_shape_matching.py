@@ -11,6 +11,7 @@ from usdface.core.assets import MeshShape, Rig, RigMesh, ShapeKey
 from usdface.demo.rig import demo_rig
 from usdface.demo.sculpt import ACTOR
 from usdface.model.retarget.shape_matching import (
+    Correspondence,
     correspond,
     differing_sides,
     match_deformations,
@@ -88,6 +89,45 @@ def test_sides_of_foreign_names_are_matched_alike(faces) -> None:
     assert len(right) >= 0.9 * len(matches) >= 35
     driven = {match.source: [match.target] for match in matches}
     assert differing_sides(driven, actor.shapes, hero.shapes) == []
+
+
+def doll(rig: Rig) -> Rig:
+    """Return a rig with the proportions of a doll: a high skull, a short jaw and a flat face."""
+    cheek_y = -25.0  # [mm]
+
+    def stretched(mesh: RigMesh) -> RigMesh:
+        scale = np.tile([1.2, 1.0, 0.7], (len(mesh.points), 1))
+        scale[:, 1] = np.where(mesh.points[:, 1] > cheek_y, 1.7, 0.55)
+        shapes = tuple(
+            replace(
+                each,
+                keys=tuple(replace(k, offsets=k.offsets * scale[k.points]) for k in each.keys),
+            )
+            for each in mesh.shapes
+        )
+        points = (mesh.points - [0, cheek_y, 0]) * scale
+        return replace(mesh, points=points, shapes=shapes)
+
+    return replace(rig, meshes=tuple(map(stretched, rig.meshes)))
+
+
+@pytest.mark.parametrize("turn", [1, -1])
+def test_a_stylised_face_is_aligned_by_its_eyes_and_mouth(faces, turn: int) -> None:
+    source, target = (foreign(rig) for rig in (doll(faces[0]), faces[1])[::turn])
+    matches = match_deformations(
+        source, target, source_shapes=source.shapes, target_shapes=target.shapes
+    )
+    right = [match for match in matches if match.source == match.target]
+    assert len(right) >= 0.9 * len(matches) >= 35
+
+
+def test_lids_are_matched_with_no_mouth_wherever_a_face_is_aligned(faces, monkeypatch) -> None:
+    hero, actor = map(foreign, faces)
+    called = dict(zip(faces[0].shapes, hero.shapes, strict=True))
+    blink, smile = called["eyeBlinkLeft"], called["mouthSmileLeft"]
+    monkeypatch.setattr(Correspondence, "similarity", lambda both: np.ones((len(both.source),) * 2))
+    assert match_deformations(actor, hero, source_shapes=(blink,), target_shapes=(smile,)) == ()
+    assert match_deformations(actor, hero, source_shapes=(blink,), target_shapes=(blink,))
 
 
 def test_a_look_down_is_no_blink(faces) -> None:

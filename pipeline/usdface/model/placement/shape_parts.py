@@ -3,8 +3,8 @@
 An adult's face is fitted to the rig's landmarks (`usdface.model.placement.rig_landmarks`), with a
 scale for its breadth and one for its height. A shape belongs to the region whose landmarks are
 nearest to the centroid of its largest displacements, left and right folded onto each other. A shape
-that moves points off the skin further than the skin turns an eye or moves the tongue; so does one
-that turns the same eye.
+that moves points off the skin, and the skin much less, turns an eye or moves the tongue, or brows
+that are meshes of their own; so does one that turns the same eye.
 """
 
 from collections.abc import Sequence
@@ -52,8 +52,9 @@ _FURTHER_MM = (
 _FARTHEST_MM = 30.0
 """Distance from all landmarks, on an adult's face, beyond which a shape has no region."""
 
-_SKIN_SHARE = 2 / 3
-"""Share of a shape's largest displacement that the skin must reach for markers to show it."""
+_LID_SHARE, _SKIN_SHARE = 2 / 3, 1 / 3
+"""Share of a shape's largest displacement below which the skin hardly moves: of the lids, which
+follow an eye that turns, and of other regions."""
 
 _LEAST_MOTION_MM = 0.1
 """Largest displacement below which a shape has no region."""
@@ -86,9 +87,11 @@ def shape_parts(rig: Rig, deformer: Deformer) -> tuple[str, ...]:
     moving = [shape for shape in foreign if motions[shape].max(initial=0.0) > _LEAST_MOTION_MM]
     for shape in moving:
         moved, on_skin = motions[shape], np.linalg.norm(skin.deltas[shape], axis=1)
-        if on_skin.max() < _SKIN_SHARE * moved.max():
-            part = template.part_at(points, moved)
-            found[shape] = GAZE if part == "lids" else TONGUE
+        part, share = template.part_at(points, moved), on_skin.max() / moved.max()
+        if part == "lids" and share < _LID_SHARE:
+            found[shape] = GAZE
+        elif share < _SKIN_SHARE:
+            found[shape] = part if part == "brows" else TONGUE
         else:
             found[shape] = template.part_at(skin.positions, on_skin) or found[shape]
     least = MOST_MOVED_SHARE * motions.max(axis=1, initial=0.0)

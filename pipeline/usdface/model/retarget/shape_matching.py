@@ -1,8 +1,9 @@
 """Matching of the shapes of two rigs by deformation.
 
-The outer surfaces are aligned (rotation, translation, one scale per axis), so that meshes may
-differ in topology, size and proportions. Every shape is then a field of displacements over the same
-samples, and the similarity of two shapes is the cosine between their fields.
+The faces are aligned (rotation, translation, one scale per axis), so that meshes may differ in
+topology, size and proportions: by the landmarks of eyes and mouth, or, on a rig without them, by
+their outer surfaces. Every shape is then a field of displacements over the same samples, and the
+similarity of two shapes is the cosine between their fields.
 
 The same correspondence serves *position matching*, the method of comparison of S11 (section 6.3):
 non-negative weights of the target whose displacements are nearest to the source's.
@@ -16,19 +17,16 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 
-from usdface.core.arrays import BoolArray, FloatArray
+from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
+from usdface.model.placement.rig_landmarks import find_landmarks
 from usdface.model.placement.shape_parts import shape_parts
 from usdface.model.retarget.shape_names import mirrored, read_meanings
-from usdface.numerics.measure.face_regions import gaze_shapes, mirrored_shapes
-from usdface.numerics.registration.cloud_alignment import Alignment, align_cloud
-from usdface.numerics.registration.face_skin import (
-    SurfaceSamples,
-    facing_direction,
-    sample_outer_surface,
-)
+from usdface.numerics.measure.face_regions import gaze_shapes, mirrored_shapes, region_of_shape
+from usdface.numerics.registration.cloud_alignment import Alignment, align_cloud, align_pairs
+from usdface.numerics.registration.face_skin import FaceSkin, sample_face_skin
 from usdface.numerics.solve.bounded_least_squares import solve_bounded_least_squares
 
 CLOUD_POINTS = 400
@@ -36,6 +34,15 @@ CLOUD_POINTS = 400
 
 _SAMPLE_COUNT = 1500
 """Samples on which both faces are compared."""
+
+_ALIGNING_LANDMARKS = ("lid_upper_L", "lid_upper_R", "mouth_middle")
+"""Landmarks without which two faces are aligned by their surfaces."""
+
+_UPPER_FACE, _LOWER_FACE = ("brows", "lids"), ("mouth", "jaw")
+"""Regions of which a shape of one is not matched with a shape of the other."""
+
+_LEAST_DEPTH = 1e-3
+"""Least extent of a face along its shortest axis, relative to its longest."""
 
 _LEAST_SIMILARITY = 0.5
 """Cosine below which two shapes are not matched."""
@@ -54,10 +61,8 @@ class Correspondence:
 
     source: FloatArray
     target: FloatArray
-    """`source`, `target`: (shapes, samples, 3): displacements at weight 1, the source's in the
-    target's space and proportions [mm]."""
-    residual_mm: float
-    """Distance of the aligned surfaces."""
+    """`source`, `target`: (shapes, samples, 3): displacements at weight 1 in the frame of the
+    target's face, the source's in its proportions [mm]."""
 
     def similarity(self) -> FloatArray:
         """Return the cosine between every source and every target shape: (ns, nt)."""
@@ -87,34 +92,38 @@ def correspond(source: Rig, target: Rig) -> Correspondence:
     InputError
         If one of them has no recognisable face, or no alignment is upright.
     """
-    one, other = _surface(source), _surface(target)
+    one, other = _Face.of(source), _Face.of(target)
     with _surface_errors(f"{source.file} on {target.file}"):
         forward, forward_error = _align(one, other)
         backward, backward_error = _align(other, one)
     by_inverse = backward_error < forward_error
     place = backward.undo if by_inverse else forward.apply
     move = backward.undo_motion if by_inverse else forward.apply_to_motion
-    stride = max(len(one.samples.positions) // _SAMPLE_COUNT, 1)
-    chosen = np.arange(0, len(one.samples.positions), stride)
-    _, nearest = KDTree(other.samples.positions).query(place(one.samples.positions[chosen]))
+    stride = max(len(one.skin.positions) // _SAMPLE_COUNT, 1)
+    chosen = np.arange(0, len(one.skin.positions), stride)
+    _, nearest = KDTree(other.skin.positions).query(place(one.skin.positions[chosen]))
     return Correspondence(
-        source=move(one.deltas[:, chosen]),
-        target=other.deltas[:, np.asarray(nearest, np.int64)],
-        residual_mm=min(forward_error, backward_error) * other.size_mm,
+        source=move(one.skin.deltas[:, chosen]),
+        target=other.skin.deltas[:, np.asarray(nearest, np.int64)],
     )
 
 
-def _align(one: "_Surface", other: "_Surface") -> tuple[Alignment, float]:
+def _align(one: "_Face", other: "_Face") -> tuple[Alignment, float]:
     """Return the alignment of a face to another, and its residual over the other's size."""
-    stride = max(len(one.samples.positions) // CLOUD_POINTS, 1)
-    found = align_cloud(
-        one.samples.positions[::stride],
-        other.samples.positions,
-        activity=other.activity,
-        areas=other.samples.areas,
-        amplitude=one.activity[::stride],
-    )
-    return found, found.residual_mm / other.size_mm
+    common = sorted(one.landmarks.keys() & other.landmarks.keys())
+    if set(_ALIGNING_LANDMARKS) <= set(common):
+        places, targets = (np.array([f.landmarks[name] for name in common]) for f in (one, other))
+        found = align_pairs(places, targets, weight=np.ones(len(common)))
+    else:
+        stride = max(len(one.skin.positions) // CLOUD_POINTS, 1)
+        found = align_cloud(
+            one.skin.positions[::stride],
+            other.skin.positions,
+            activity=other.skin.activity(),
+            areas=other.skin.areas,
+            amplitude=one.skin.activity()[::stride],
+        )
+    return found, found.residual_mm / other.skin.size_mm
 
 
 def match_deformations(
@@ -123,7 +132,8 @@ def match_deformations(
     """Match shapes by similarity, each at most once; the best match first.
 
     Both sides of a motion, if known from names, are matched alike or not at all. Shapes of gaze are
-    matched with each other only, since lids that follow the gaze resemble a blink.
+    matched with each other only, since lids that follow the gaze resemble a blink; those of the
+    upper face not with those of the lower.
     """
     if not (source_shapes and target_shapes):
         return ()
@@ -132,8 +142,8 @@ def match_deformations(
     columns = [target.shapes.index(name) for name in target_shapes]
     likeness = fields.similarity()[np.ix_(rows, columns)]
     units = _units(source_shapes), _units(target_shapes)
-    gaze = [_is_gaze(rig)[at] for rig, at in ((source, rows), (target, columns))]
-    likeness = np.where(gaze[0][:, None] == gaze[1], likeness, -1.0)
+    halves = [_halves(rig)[at] for rig, at in ((source, rows), (target, columns))]
+    likeness = np.where(_may_match(*halves), likeness, -1.0)
     found = _assign_units(likeness, *units)
     foreign = [~_understood(names) for names in (source_shapes, target_shapes)]
     single = np.where(foreign[0][:, None] | foreign[1], likeness, -1.0)
@@ -210,10 +220,25 @@ def _assign_one_sides(
     ]
 
 
-def _is_gaze(rig: Rig) -> BoolArray:
-    gaze = np.zeros(len(rig.shapes), dtype=np.bool_)
-    gaze[gaze_shapes(shape_parts(rig, Deformer(rig)))] = True
-    return gaze
+_UNKNOWN, _UPPER, _LOWER, _GAZE = range(4)
+
+
+def _halves(rig: Rig) -> IntArray:
+    """Return the half of the face that each shape moves, or gaze."""
+    parts = shape_parts(rig, Deformer(rig))
+    regions = [region_of_shape(part) for part in parts]
+    halves = np.select(
+        [np.isin(regions, _UPPER_FACE), np.isin(regions, _LOWER_FACE)], [_UPPER, _LOWER], _UNKNOWN
+    )
+    halves[gaze_shapes(parts)] = _GAZE
+    return halves
+
+
+def _may_match(source: IntArray, target: IntArray) -> BoolArray:
+    """Return whether shapes of these halves may be one motion: (ns, nt)."""
+    row = source[:, None]
+    either_unknown = (row != _GAZE) & (target != _GAZE) & ((row == _UNKNOWN) | (target == _UNKNOWN))
+    return np.asarray((row == target) | either_unknown)
 
 
 def differing_sides(
@@ -301,28 +326,21 @@ def match_positions(both: Correspondence, weights: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class _Surface:
-    samples: SurfaceSamples
-    deltas: FloatArray
-    activity: FloatArray
+class _Face:
+    skin: FaceSkin
+    landmarks: dict[str, FloatArray]
 
-    @property
-    def size_mm(self) -> float:
-        """Root mean square distance of the samples from their centre."""
-        return float(np.linalg.norm(self.samples.positions.std(axis=0)))
-
-
-def _surface(rig: Rig) -> _Surface:
-    deformer = Deformer(rig)
-    deltas = deformer.shapes.target_offsets().toarray().reshape(len(rig.shapes), -1, 3)
-    activity = np.linalg.norm(deltas, axis=2).max(axis=0)
-    with _surface_errors(str(rig.file)):
-        facing = facing_direction(deformer.neutral, deformer.triangles, activity)
-        samples = sample_outer_surface(
-            deformer.neutral, deformer.triangles, facing=facing, activity=activity
-        )
-    at = np.einsum("spkc,pk->spc", deltas[:, samples.corners], samples.weights)
-    return _Surface(samples, at, np.linalg.norm(at, axis=2).max(axis=0))
+    @classmethod
+    def of(cls, rig: Rig) -> "_Face":
+        deformer = Deformer(rig)
+        with _surface_errors(str(rig.file)):
+            skin = sample_face_skin(
+                deformer.neutral, deformer.triangles, deformer.shapes.target_offsets()
+            )
+        extents = np.linalg.svd(skin.positions - skin.positions.mean(axis=0), compute_uv=False)
+        if extents[-1] < _LEAST_DEPTH * extents[0]:
+            raise InputError(f"{rig.file}: the surface is too flat for a face")
+        return cls(skin, find_landmarks(skin, rig.shapes))
 
 
 @contextmanager
