@@ -138,7 +138,7 @@ def test_every_fault_is_told_at_once(tmp_path: Path) -> None:
     ("content", "message"),
     [
         (b"job: [", r"no valid YAML or JSON"),
-        (b"\xff\xfe\x00", r"is not UTF-8 at byte 0"),
+        (b"\xff\xfe\x00", r"is no YAML or JSON, as a job or spec is: not UTF-8 at byte 0"),
         (b"- 1\n- 2", r"holds list, not a job"),
         (b"", r"holds NoneType, not a job"),
         (b"job: !!python/object/apply:os.system ['true']", r"no valid YAML or JSON"),

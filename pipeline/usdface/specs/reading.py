@@ -218,7 +218,9 @@ def _read_data(path: Path) -> Any:
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}; check the path") from error
     except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not UTF-8 at byte {error.start}; save it as UTF-8") from error
+        raise InputError(
+            f"{path}: is no YAML or JSON, as a job or spec is: not UTF-8 at byte {error.start}"
+        ) from error
     try:
         return yaml.safe_load(text)
     except yaml.YAMLError as error:
