@@ -1,6 +1,7 @@
 """From face to face as a user does it, by the command line; and what users get wrong."""
 
 import json
+import re
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -30,6 +31,8 @@ from usdface.usdio.layers import read_provenance
 from usdface.usdio.retarget.controls import read_control_clip
 from usdface.usdio.retarget.pairs import read_pairs
 from usdface.usdio.retarget.sequences import read_sequence
+from usdface.usdio.rig.read import read_rig
+from usdface.usdio.rig.write import write_rig
 from usdface.usdio.validation import validate
 
 FRAMES = 200
@@ -476,6 +479,25 @@ def test_a_lying_head_is_retargeted_with_a_note(
         line = ["retarget", str(finished_shot / "shot.hero.usda"), "--rig", str(rig)]
         assert usdface(*line, "--out", str(tmp_path / f"{noted}.usda"), "--frames", "101-110") == 0
         assert ("the head lies" in capsys.readouterr().out) == noted
+
+
+def test_matched_positions_beyond_the_range_are_named(
+    finished_shot: Shot, tmp_path: Path, capsys
+) -> None:
+    rig = read_rig(finished_shot / "hero.usdc")
+    jaws = [each for mesh in rig.meshes for each in mesh.shapes if each.name == "jawOpen"]
+    for key in (key for each in jaws for key in each.keys):
+        key.offsets[:] *= 0.25
+    write_rig(tmp_path / "stiff.usdc", rig)
+    line = ["retarget", str(finished_shot / "shot.hero.usda"), "--out", str(tmp_path / "o.usda")]
+    line += [
+        "--source-rig",
+        str(finished_shot / "hero.usdc"),
+        "--rig",
+        str(tmp_path / "stiff.usdc"),
+    ]
+    assert usdface(*line, "--frames", "101-140") == 0
+    assert re.search(r"exceed the range of .*jawOpen \([1-4]\.", capsys.readouterr().out)
 
 
 def test_positions_are_matched_without_pairs(finished_shot: Shot, tmp_path: Path, capsys) -> None:

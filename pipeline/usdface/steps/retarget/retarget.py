@@ -109,9 +109,10 @@ def run(spec: RetargetSpec, *, provenance: Provenance, progress: Progress = sile
         share = part(progress, index / len(targets), (index + 1) / len(targets))
         header = _header(spec, motion, target)
         header = replace(header, zeroed_shapes=heads[index].zeroed_shapes)
-        _write(out, header, motion, target, heads[index], alpha, share, provenance)
+        largest = _write(out, header, motion, target, heads[index], alpha, share, provenance)
         target_notes = (
             *target.notes,
+            *(_without_limits(target.rig, largest) if target.surfaces else ()),
             *describe_orientation(target.rig),
             *heads[index].notes,
             *edit_notes(out),
@@ -234,8 +235,9 @@ def _write(
     alpha: FloatArray | None,
     progress: Progress,
     provenance: Provenance,
-) -> None:
-    trained = target.trained
+) -> FloatArray:
+    """Write a performance; return the largest weight of each shape."""
+    trained, largest = target.trained, np.zeros(len(target.shapes))
     with writing_control_performance(
         out,
         header,
@@ -248,14 +250,15 @@ def _write(
         count = len(motion.weights)
         for start in range(0, count, _CHUNK_FRAMES):
             rows = slice(start, start + _CHUNK_FRAMES)
-            writer.append(
-                target.controls(motion.weights[rows], None if alpha is None else alpha[rows])
-            )
+            controls = target.controls(motion.weights[rows], None if alpha is None else alpha[rows])
+            writer.append(controls)
+            largest = np.maximum(largest, controls.weights.max(axis=0, initial=0.0))
             done = min(start + _CHUNK_FRAMES, count)
             progress(done / count, f"{out.name}: frame {motion.first_frame + done - 1}")
         write_head_layer(
             out, header, target.rig, head.transforms, controls=writer.layer, provenance=provenance
         )
+    return largest
 
 
 def _dead(
@@ -284,10 +287,7 @@ def _beyond(rig: Rig, motion: SourceMotion, transfer: Transfer) -> list[str]:
     if not several.any():
         return []
     largest = (motion.weights @ transfer.matrix).max(axis=0, initial=0.0)
-    names = [
-        f"{rig.shapes[i]} ({largest[i]:.2f})"
-        for i in np.flatnonzero(several & (largest > rig.ranges[:, 1] + MOVING_WEIGHT)).tolist()
-    ]
+    names = _exceeding(rig, np.where(several, largest, 0.0))
     if not names:
         return []
     return [
@@ -295,3 +295,21 @@ def _beyond(rig: Rig, motion: SourceMotion, transfer: Transfer) -> list[str]:
         f"{first_few(names, most=3)}; MetaHuman's rig clamps its controls, for other rigs lower "
         "the weights with --names"
     ]
+
+
+def _without_limits(rig: Rig, largest: FloatArray) -> list[str]:
+    """Return a note on shapes that exceed their range as matched positions have no upper limit."""
+    names = _exceeding(rig, largest)
+    if not names:
+        return []
+    return [
+        f"weights exceed the range of {pluralize(len(names), 'shape')}: "
+        f"{first_few(names, most=3)}; matched positions have no upper limit, as published: train "
+        "on pairs, or `bake --limit`"
+    ]
+
+
+def _exceeding(rig: Rig, largest: FloatArray) -> list[str]:
+    """Name the shapes whose largest weight exceeds their range."""
+    above = np.flatnonzero(largest > rig.ranges[:, 1] + MOVING_WEIGHT).tolist()
+    return [f"{rig.shapes[i]} ({largest[i]:.2f})" for i in above]
