@@ -12,14 +12,28 @@ from hashlib import sha256
 from importlib import import_module
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
+
+from usdface.numerics.registration import face_skin
+
+COARSE_SAMPLES = 4000
+"""Samples of a face's skin; a third of the usual number, as time is proportional to it."""
 
 PLACING = (
     ("usdface.model.selection.baseline", "place_markers"),
     ("usdface.model.selection.baseline", "match_peaks"),
     ("usdface.model.selection.baseline", "_noise_mm"),
-    ("usdface.model.selection.baseline", "sample_face_skin"),
     ("usdface.steps.inputs.marker_lines", "sample_face_skin"),
 )
+COARSE = (
+    "usdface.model.placement.shape_parts",
+    "usdface.model.retarget.shape_matching",
+    "usdface.model.selection.baseline",
+    "usdface.model.surface.binding",
+    "usdface.steps.inputs.placement",
+)
+"""Modules that sample the skin of a rig coarsely in tests. Tests of where markers lie sample it
+themselves."""
 REMEMBERED = (
     *PLACING,
     ("usdface.demo.rig", "bare_head"),
@@ -27,15 +41,12 @@ REMEMBERED = (
     ("usdface.model.mapping.corrected_pairs", "fit_rig_prior"),
     ("usdface.model.mapping.evaluation", "points_by_region"),
     ("usdface.model.mapping.take_neutral", "find_offset"),
-    ("usdface.model.placement.shape_parts", "sample_face_skin"),
     ("usdface.model.regressions.forward_model", "_maximise_evidence"),
     ("usdface.model.retarget.shape_matching", "align_cloud"),
-    ("usdface.model.retarget.shape_matching", "sample_face_skin"),
     ("usdface.model.selection.baseline", "solve_weights"),
     ("usdface.model.surface.binding", "place_markers"),
     ("usdface.numerics.manifold.posterior_prediction", "_right_singular_vectors"),
     ("usdface.steps.inputs.placement", "place_markers"),
-    ("usdface.steps.inputs.placement", "sample_face_skin"),
     ("usdface.steps.inputs.placement", "judge_placement"),
     ("usdface.steps.inputs.placement", "bind_at"),
     ("usdface.steps.inputs.placement", "draw_binding"),
@@ -55,13 +66,23 @@ all arguments. Tests of one of these call it under its own name."""
 
 
 def remember(
-    folder: Path, names: tuple[tuple[str, str], ...], patch: Callable[[Any, str, Any], None]
+    folder: Path, names: tuple[tuple[str, str], ...], replace: Callable[[Any, str, Any], None]
 ) -> None:
     """Replace functions by ones that compute once what follows from their arguments."""
     folder.mkdir(exist_ok=True)
     for module_name, name in names:
         module = import_module(module_name)
-        patch(module, name, _remembering(getattr(module, name), folder))
+        replace(module, name, _remembering(getattr(module, name), folder))
+    for module_name in COARSE:
+        skin = _remembering(coarse_face_skin, folder)
+        replace(import_module(module_name), "sample_face_skin", skin)
+
+
+def coarse_face_skin(*rig: Any) -> face_skin.FaceSkin:
+    """Sample the skin as `sample_face_skin`, coarsely."""
+    uncached = face_skin.sample_face_skin.__wrapped__  # type: ignore[attr-defined]
+    with patch.object(face_skin, "_SAMPLE_COUNT", COARSE_SAMPLES):
+        return uncached(*rig)  # type: ignore[no-any-return]
 
 
 def _remembering(function: Callable[..., object], folder: Path) -> Callable[..., object]:
