@@ -10,6 +10,7 @@ import pytest
 from usdface.capture.sniff import read_capture
 from usdface.core.deformer import Deformer
 from usdface.demo.rig import demo_rig
+from usdface.demo.sculpt import ACTOR
 from usdface.model.placement.label_hints import side_of_label, skin_motion_mm
 from usdface.model.placement.marker_cloud import marker_cloud
 from usdface.model.placement.place import place_markers
@@ -71,6 +72,26 @@ def test_shapes_with_foreign_names_are_known_by_what_they_do(demo) -> None:
     for name in ("nose_tip", "chin", "mouth_L", "lid_upper_R", "lid_lower_L", "eye_outer_R"):
         np.testing.assert_allclose(found[name], named[name], atol=1e-9)
     assert "brow_inner_L" not in found
+
+
+@pytest.mark.parametrize("head", ["demo", "actor", "facecap_head", "ict_face"])
+def test_a_mouth_whose_jaw_is_a_joint_is_found_from_its_lips(request, head: str) -> None:
+    if head in ("demo", "actor"):
+        rig = demo_rig() if head == "demo" else demo_rig(ACTOR)
+    else:
+        rig = read_rig(request.getfixturevalue("shared_data") / "rigs" / f"{head}.usdc")
+    skin = skin_of(rig)
+    kept = [i for i, name in enumerate(rig.shapes) if not name.startswith(("jaw", "mouthClose"))]
+    names = tuple(rig.shapes[i] for i in kept)
+    found = find_landmarks(replace(skin, deltas=skin.deltas[kept]), names)
+    for name, place in find_landmarks(skin, rig.shapes).items():
+        assert np.linalg.norm(found[name] - place) < 8, name
+
+
+def test_lips_do_not_lie_on_the_nose() -> None:
+    rig = demo_rig(ACTOR)
+    found = find_landmarks(skin_of(rig), rig.shapes)
+    assert found["lip_upper"][1] - found["mouth_middle"][1] < 15
 
 
 def test_a_rig_without_blinks_or_a_jaw_has_no_landmarks_rather_than_wrong_ones(demo) -> None:

@@ -2,7 +2,8 @@
 
 Lids are found from blinks, the line of the mouth from the opening jaw; nose, bridge and chin from
 the profile between them. Shapes are recognised by name; in rigs with foreign names, blinks and jaw
-by their displacements.
+by their displacements. On a rig whose jaw is a joint, the middle of the mouth is where lips pucker,
+and its corners are where they dimple.
 """
 
 from collections.abc import Sequence
@@ -18,6 +19,9 @@ from usdface.numerics.registration.skin_placement import TYPICAL_SIZE_MM
 
 _SIDES = (("L", 1.0), ("R", -1.0))
 """The character's left lies towards +X of the face's frame."""
+
+_JAW, _PUCKER = ("jawopen", ""), ("mouthpucker", "")
+"""Motion and side of shapes from which the mouth is found."""
 
 _SIGNS = dict(_SIDES)
 _OTHER = {"L": "R", "R": "L"}
@@ -114,8 +118,11 @@ def find_landmarks(skin: FaceSkin, shapes: Sequence[str]) -> dict[str, FloatArra
 def _find(skin: FaceSkin, shapes: Sequence[str]) -> dict[str, FloatArray]:
     """Return the landmarks of a face about as large as an adult's."""
     moved = _displacements(skin, shapes)
-    if not {("eyeblink", "L"), ("eyeblink", "R"), ("jawopen", "")} <= moved.keys():
-        moved = recognise_shapes(skin) | moved
+    if not {("eyeblink", "L"), ("eyeblink", "R"), _JAW} <= moved.keys():
+        recognised = recognise_shapes(skin)
+        if _PUCKER in moved:  # the names of the mouth are known, so its jaw is a joint
+            recognised.pop(_JAW, None)
+        moved = recognised | moved
     found: dict[str, FloatArray] = {}
     for side, sign in _SIDES:
         blink = moved.get(("eyeblink", side))
@@ -128,9 +135,10 @@ def _find(skin: FaceSkin, shapes: Sequence[str]) -> dict[str, FloatArray]:
                 found[f"{name}_{side}"] = _centroid(skin, delta, away > least)
         if f"lid_upper_{side}" in found:
             found[f"lid_crease_{side}"] = _crease(skin, found, side)
-    jaw = moved.get(("jawopen", ""))
-    if jaw is not None:
-        found |= _mouth(skin, jaw, found)
+    if _JAW in moved:
+        found |= _mouth(skin, moved[_JAW], found)
+    elif _PUCKER in moved:
+        found |= _lips(skin, moved)
     if "mouth_middle" in found and "lid_upper_L" in found:
         found |= _profile(skin, found)
     return _mirrored(skin, found)
@@ -242,6 +250,22 @@ def _mouth(skin: FaceSkin, jaw: FloatArray, eyes: dict[str, FloatArray]) -> dict
     return found
 
 
+def _lips(skin: FaceSkin, moved: dict[tuple[str, str], FloatArray]) -> dict[str, FloatArray]:
+    """Return the mouth's middle and corners, where lips pucker and dimple.
+
+    On five heads within 6 and 9 mm of those found from the jaw.
+    """
+    away = skin.positions[:, 0] - skin.sagittal_x
+    middle = _centroid(skin, moved[_PUCKER], np.ones(len(away), np.bool_))
+    middle[0] = skin.sagittal_x
+    found = {"mouth_middle": middle}
+    for side, sign in _SIDES:
+        dimple = moved.get(("mouthdimple", side))
+        if dimple is not None:
+            found[f"mouth_{side}"] = _centroid(skin, dimple, sign * away > 0)
+    return found
+
+
 def _profile(skin: FaceSkin, known: dict[str, FloatArray]) -> dict[str, FloatArray]:
     """Return nose, bridge, chin and lips of the profile."""
     at, mouth = skin.positions, known["mouth_middle"]
@@ -259,7 +283,8 @@ def _profile(skin: FaceSkin, known: dict[str, FloatArray]) -> dict[str, FloatArr
             row = band[int(depth.argmax() if foremost else depth.argmin())]
             found[name] = np.array([skin.sagittal_x, at[row, 1], at[row, 2]])
 
-    extreme("nose_tip", mouth[1] + 0.2 * span, mouth[1] + 0.8 * span)
+    nose_y = float(mouth[1]) + 0.2 * span
+    extreme("nose_tip", nose_y, mouth[1] + 0.8 * span)
     extreme("chin", mouth[1] - 0.95 * span, mouth[1] - 0.3 * span)
     extreme("nose_bridge", eye_y - 0.02 * span, eye_y + 0.18 * span, foremost=False)
     if "brow_inner_L" in known and "brow_inner_R" in known:
@@ -269,7 +294,7 @@ def _profile(skin: FaceSkin, known: dict[str, FloatArray]) -> dict[str, FloatArr
         )
     for name, share in (("lip_upper", 0.16), ("lip_lower", -0.2)):
         ahead = np.array([skin.sagittal_x, mouth[1] + share * span, mouth[2] + _AHEAD_MM])
-        found[name] = _nearest(skin, ahead, middle)
+        found[name] = _nearest(skin, ahead, middle & (at[:, 1] < nose_y))
     return found
 
 
