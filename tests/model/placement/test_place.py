@@ -12,7 +12,7 @@ from usdface.core.deformer import Deformer
 from usdface.demo.rig import demo_rig
 from usdface.demo.sculpt import ACTOR
 from usdface.model.placement.label_hints import side_of_label, skin_motion_mm
-from usdface.model.placement.marker_cloud import marker_cloud
+from usdface.model.placement.marker_cloud import MarkerCloud, marker_cloud
 from usdface.model.placement.place import place_markers
 from usdface.model.placement.rig_landmarks import find_landmarks
 from usdface.numerics.registration.face_skin import FaceSkin, sample_face_skin
@@ -213,9 +213,8 @@ def test_a_place_that_a_person_gave_is_kept(demo) -> None:
 FEATURES = {"nose": "NoseHead", "chin": "Chin", "mouth_L": "Mouth_Lend", "mouth_R": "Mouth_Rend"}
 
 
-@pytest.mark.parametrize("take", ["CheeksMoCap", "EyebrowsMoCap"])
-@pytest.mark.parametrize("head", ["facecap_head", "ict_face"])
-def test_a_recorded_performer_sits_right_on_any_head(shared_data, head: str, take: str) -> None:
+def recorded_cloud(shared_data, take: str) -> MarkerCloud:
+    """Return a recorded take's markers, its head held still."""
     markers = read_capture(shared_data / "markers_animface" / f"{take}.c3d").take.markers
     still = stabilize_by_prior(
         markers.positions,
@@ -224,10 +223,34 @@ def test_a_recorded_performer_sits_right_on_any_head(shared_data, head: str, tak
         rate=60.0,
         neutral=0,
     ).positions.astype(float)
+    return marker_cloud(markers.names, still[0], still)
+
+
+@pytest.mark.parametrize("take", ["CheeksMoCap", "EyebrowsMoCap"])
+@pytest.mark.parametrize("head", ["facecap_head", "ict_face"])
+def test_a_recorded_performer_sits_where_he_does_if_the_jaw_is_a_joint(
+    shared_data, head: str, take: str
+) -> None:
+    cloud = recorded_cloud(shared_data, take)
     rig = read_rig(shared_data / "rigs" / f"{head}.usdc")
     skin = skin_of(rig)
-    placed = place_markers(marker_cloud(markers.names, still[0], still), skin, rig.shapes)
-    at = dict(zip(markers.names, skin.positions[placed.samples], strict=True))
+    kept = [i for i, name in enumerate(rig.shapes) if not name.startswith(("jaw", "mouthClose"))]
+    without = replace(skin, deltas=skin.deltas[kept])
+    placed = place_markers(cloud, skin, rig.shapes)
+    joint = place_markers(cloud, without, tuple(rig.shapes[i] for i in kept))
+    away = np.linalg.norm(skin.positions[placed.samples] - skin.positions[joint.samples], axis=1)
+    assert np.median(away) < 3.5
+    assert np.quantile(away, 0.9) < 8  # [mm]
+
+
+@pytest.mark.parametrize("take", ["CheeksMoCap", "EyebrowsMoCap"])
+@pytest.mark.parametrize("head", ["facecap_head", "ict_face"])
+def test_a_recorded_performer_sits_right_on_any_head(shared_data, head: str, take: str) -> None:
+    cloud = recorded_cloud(shared_data, take)
+    rig = read_rig(shared_data / "rigs" / f"{head}.usdc")
+    skin = skin_of(rig)
+    placed = place_markers(cloud, skin, rig.shapes)
+    at = dict(zip(cloud.labels, skin.positions[placed.samples], strict=True))
     picked = json.loads((shared_data / "rigs" / "landmarks.json").read_text())[head]
     away = {name: np.hypot(*(at[label][:2] - picked[name])) for name, label in FEATURES.items()}
     assert away["nose"] <= 4.5

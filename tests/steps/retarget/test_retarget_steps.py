@@ -497,7 +497,7 @@ def test_matched_positions_beyond_the_range_are_named(
         str(tmp_path / "stiff.usdc"),
     ]
     assert usdface(*line, "--frames", "101-140") == 0
-    assert re.search(r"exceed the range of .*jawOpen \([1-4]\.", capsys.readouterr().out)
+    assert re.search(r"drive .* beyond its range: .*jawOpen \([1-4]\.", capsys.readouterr().out)
 
 
 def test_positions_are_matched_without_pairs(finished_shot: Shot, tmp_path: Path, capsys) -> None:

@@ -110,9 +110,15 @@ def run(spec: RetargetSpec, *, provenance: Provenance, progress: Progress = sile
         header = _header(spec, motion, target)
         header = replace(header, zeroed_shapes=heads[index].zeroed_shapes)
         largest = _write(out, header, motion, target, heads[index], alpha, share, provenance)
+        unlimited = _exceeding(
+            target.rig,
+            largest,
+            cause="positions, which are matched without an upper limit, drive",
+            remedy="train on pairs, or `bake --limit`",
+        )
         target_notes = (
             *target.notes,
-            *(_without_limits(target.rig, largest) if target.surfaces else ()),
+            *(unlimited if target.surfaces else ()),
             *describe_orientation(target.rig),
             *heads[index].notes,
             *edit_notes(out),
@@ -287,29 +293,21 @@ def _beyond(rig: Rig, motion: SourceMotion, transfer: Transfer) -> list[str]:
     if not several.any():
         return []
     largest = (motion.weights @ transfer.matrix).max(axis=0, initial=0.0)
-    names = _exceeding(rig, np.where(several, largest, 0.0))
-    if not names:
-        return []
-    return [
-        f"several source shapes add up on {pluralize(len(names), 'shape')} beyond its range: "
-        f"{first_few(names, most=3)}; MetaHuman's rig clamps its controls, for other rigs lower "
-        "the weights with --names"
-    ]
+    return _exceeding(
+        rig,
+        np.where(several, largest, 0.0),
+        cause="several source shapes add up on",
+        remedy="MetaHuman's rig clamps its controls, for other rigs lower the weights with --names",
+    )
 
 
-def _without_limits(rig: Rig, largest: FloatArray) -> list[str]:
-    """Return a note on shapes that exceed their range as matched positions have no upper limit."""
-    names = _exceeding(rig, largest)
-    if not names:
-        return []
-    return [
-        f"weights exceed the range of {pluralize(len(names), 'shape')}: "
-        f"{first_few(names, most=3)}; matched positions have no upper limit, as published: train "
-        "on pairs, or `bake --limit`"
-    ]
-
-
-def _exceeding(rig: Rig, largest: FloatArray) -> list[str]:
-    """Name the shapes whose largest weight exceeds their range."""
+def _exceeding(rig: Rig, largest: FloatArray, *, cause: str, remedy: str) -> list[str]:
+    """Return a note on the shapes whose largest weight exceeds their range."""
     above = np.flatnonzero(largest > rig.ranges[:, 1] + MOVING_WEIGHT).tolist()
-    return [f"{rig.shapes[i]} ({largest[i]:.2f})" for i in above]
+    names = [f"{rig.shapes[i]} ({largest[i]:.2f})" for i in above]
+    if not names:
+        return []
+    return [
+        f"{cause} {pluralize(len(names), 'shape')} beyond its range: "
+        f"{first_few(names, most=3)}; {remedy}"
+    ]
