@@ -54,7 +54,8 @@ def set_up() -> Path:
     venv.create(ENVIRONMENT, with_pip=True, clear=True)
     pip = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
     steps = (
-        [*pip, "--require-hashes", "-r", CONSTRAINTS],
+        # Modules are compiled when they are first imported, as most never are.
+        [*pip, "--require-hashes", "--no-compile", "-r", CONSTRAINTS],
         # The build backend is pinned above, so nothing else is fetched to build ourselves.
         [*pip, "--no-deps", "--no-build-isolation", "--editable", ROOT],
     )

@@ -47,6 +47,8 @@ class Module:
     name: str
     """Below the package, with slashes and without an ending: ``numerics/solve/box``."""
     tree: ast.Module
+    nodes: tuple[ast.AST, ...]
+    """All nodes of the tree, which rules search again and again."""
     line_count: int
 
     @property
@@ -60,7 +62,8 @@ def read_modules() -> dict[str, Module]:
     for path in sorted(PACKAGE.rglob("*.py")):
         text = path.read_text(encoding="utf-8")
         name = path.relative_to(PACKAGE).with_suffix("").as_posix()
-        modules[name] = Module(name, ast.parse(text), text.count("\n"))
+        tree = ast.parse(text)
+        modules[name] = Module(name, tree, tuple(ast.walk(tree)), text.count("\n"))
     return modules
 
 
@@ -101,7 +104,7 @@ def small_files(modules: dict[str, Module]) -> Iterator[Violation]:
 
 
 def _imports_of(module: Module) -> Iterator[str]:
-    for node in ast.walk(module.tree):
+    for node in module.nodes:
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("usdface"):
             base = (node.module or "").replace(".", "/").removeprefix("usdface").lstrip("/")
             yield base
@@ -116,7 +119,7 @@ def _imports_of(module: Module) -> Iterator[str]:
 def vague_names(modules: dict[str, Module]) -> Iterator[Violation]:
     """A definition is named for what it is or does, a constant for its quantity."""
     for name, module in modules.items():
-        for defined in _definitions(module.tree):
+        for defined in _definitions(module):
             words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", defined.strip("_")).lower().split("_")
             if words[0] in VAGUE_WORDS:
                 yield Violation("vague name", f"{name}:{defined}", f"begins with {words[0]!r}")
@@ -124,11 +127,11 @@ def vague_names(modules: dict[str, Module]) -> Iterator[Violation]:
             yield Violation("constant of one word", f"{name}:{constant}", "add quantity or unit")
 
 
-def _definitions(tree: ast.Module) -> Iterator[str]:
-    for node in ast.walk(tree):
+def _definitions(module: Module) -> Iterator[str]:
+    for node in module.nodes:
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
             yield node.name
-    yield from _constants(tree)
+    yield from _constants(module.tree)
 
 
 def _constants(tree: ast.Module) -> Iterator[str]:
@@ -181,7 +184,7 @@ def _is_public(name: str) -> bool:
 def empty_entries(modules: dict[str, Module]) -> Iterator[Violation]:
     """An entry of a docstring says more than its type, or is not there."""
     for name, module in modules.items():
-        for node in ast.walk(module.tree):
+        for node in module.nodes:
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
                 for entry in _entries_without_text(ast.get_docstring(node) or ""):
                     yield Violation("empty entry", f"{name}:{node.name}:{entry}", "only a type")
@@ -206,7 +209,7 @@ def long_functions(modules: dict[str, Module]) -> Iterator[Violation]:
     """A function is read at one sight, and takes no more than it can be read with."""
     for name, module in modules.items():
         most = MOST_PARAMETERS_NUMERICS if name.startswith("numerics/") else MOST_PARAMETERS
-        for node in ast.walk(module.tree):
+        for node in module.nodes:
             if not isinstance(node, Function):
                 continue
             key = f"{name}:{node.name}"
