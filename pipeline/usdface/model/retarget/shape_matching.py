@@ -103,8 +103,8 @@ def correspond(source: Rig, target: Rig) -> Correspondence:
     chosen = np.arange(0, len(one.skin.positions), stride)
     _, nearest = KDTree(other.skin.positions).query(place(one.skin.positions[chosen]))
     return Correspondence(
-        source=move(one.skin.deltas[:, chosen]),
-        target=other.skin.deltas[:, np.asarray(nearest, np.int64)],
+        source=move(one.skin.deltas[:, chosen].astype(np.float64)),
+        target=other.skin.deltas[:, np.asarray(nearest, np.int64)].astype(np.float64),
     )
 
 

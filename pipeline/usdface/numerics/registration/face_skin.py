@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.spatial import KDTree
 
-from usdface.core.arrays import BoolArray, FloatArray, IntArray
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from usdface.core.last_result import cache_last_result
 from usdface.numerics.registration.virtual_markers import Offsets, deltas_at, sparse_offsets
 from usdface.numerics.surface.triangulation import triangle_areas
@@ -202,7 +202,7 @@ class FaceSkin:
     """`positions`, `normals`: (samples, 3): at rest, in the face's frame [mm]."""
     areas: FloatArray
     """(samples,): area that each represents [mm^2]."""
-    deltas: FloatArray
+    deltas: Float32Array
     """(shapes, samples, 3): displacements by each shape at 1, in the face's frame [mm]."""
     sagittal_x: float
     """Offset of the plane of symmetry along its normal, the X axis [mm]."""
@@ -211,7 +211,7 @@ class FaceSkin:
 
     def activity(self) -> FloatArray:
         """Return the root of the summed squared displacements of each sample: (samples,) [mm]."""
-        return np.asarray(np.sqrt((self.deltas**2).sum(axis=(0, 2))))
+        return np.asarray(np.sqrt((self.deltas**2).sum(axis=(0, 2), dtype=np.float64)))
 
     def mirrored(self, points: FloatArray) -> FloatArray:
         """Return points of the face's frame reflected in its plane of symmetry."""
@@ -244,9 +244,9 @@ def sample_face_skin(points: ArrayLike, triangles: ArrayLike, offsets: Offsets) 
     normals = np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0]) @ frame.T
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     # Each axis of a shape is contiguous, as placements multiply axis by axis.
-    deltas = np.moveaxis(deltas_at(matrix, corners, shares), 2, 1)
-    deltas = np.moveaxis(frame @ np.ascontiguousarray(deltas), 1, 2)
-    moved = np.sqrt((deltas**2).sum(axis=(0, 2)))
+    by_axis = np.ascontiguousarray(np.moveaxis(deltas_at(matrix, corners, shares), 2, 1))
+    deltas = np.moveaxis((frame @ by_axis).astype(np.float32), 1, 2)
+    moved = np.sqrt((deltas**2).sum(axis=(0, 2), dtype=np.float64))
     weight = moved / moved.sum()
     radius = np.sqrt(weight @ ((positions - weight @ positions) ** 2).sum(axis=1))
     return FaceSkin(

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.arrays import Float32Array, FloatArray, IntArray
 from usdface.numerics.registration.cloud_alignment import Alignment, align_pairs
 from usdface.numerics.registration.skin_placement import path_misfit, posterior_moments
 from usdface.numerics.solve.bounded_least_squares import solve_bounded_least_squares
@@ -53,7 +53,7 @@ def place_by_motion(
     skin: FloatArray,
     alignment: Alignment,
     *,
-    skin_deltas: FloatArray | None = None,
+    skin_deltas: Float32Array | None = None,
     motion: FloatArray | None = None,
     ranges: FloatArray | None = None,
     pinned: dict[int, FloatArray] | None = None,

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
-from usdface.core.arrays import BoolArray, FloatArray, IntArray
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from usdface.numerics.registration.face_skin import FaceSkin
 from usdface.numerics.solve.bounded_least_squares import (
     minimise_within_bounds,
@@ -322,7 +322,7 @@ def _place_by_skin(
 def _place_by_motion(
     skin: FaceSkin,
     warped: FloatArray,
-    misfit: FloatArray,
+    misfit: Float32Array,
     still: BoolArray,
     reach: float,
 ) -> tuple[FloatArray, FloatArray]:
@@ -346,14 +346,14 @@ def _place_by_motion(
 
 def posterior_moments(cost: FloatArray, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return mean and variance per axis of distributions ``exp(-cost)`` over samples."""
-    probability = np.exp(cost.min(axis=1, keepdims=True) - cost)
-    probability /= probability.sum(axis=1, keepdims=True)
-    mean = probability @ positions
-    variance = probability @ (positions**2).sum(axis=1) - (mean**2).sum(axis=1)
+    density = np.exp((cost.min(axis=1, keepdims=True) - cost).astype(np.float32))
+    total = density.sum(axis=1, dtype=np.float64)
+    mean = density @ positions / total[:, None]
+    variance = density @ (positions**2).sum(axis=1) / total - (mean**2).sum(axis=1)
     return mean, np.maximum(variance, 1e-9) / 3
 
 
-def path_misfit(deltas: FloatArray, weights: FloatArray, paths: FloatArray) -> FloatArray:
+def path_misfit(deltas: Float32Array, weights: FloatArray, paths: FloatArray) -> Float32Array:
     """Return the share of each marker's path that each sample leaves unexplained.
 
     The amplitude (gain) of each path is fitted within limits.
@@ -372,15 +372,16 @@ def path_misfit(deltas: FloatArray, weights: FloatArray, paths: FloatArray) -> F
     """
     # W = QR: products need R alone, which has no more rows than there are shapes.
     basis, root = np.linalg.qr(weights)
-    energy = (paths**2).sum(axis=(0, 2))
+    along = np.einsum("fmc,fr->cmr", paths, basis, optimize=True).astype(np.float32)
+    root, energy = root.astype(np.float32), (paths**2).sum(axis=(0, 2)).astype(np.float32)
     count = deltas.shape[1]
-    product, sample_energy = np.zeros((paths.shape[1], count)), np.zeros(count)
+    product, sample_energy = (np.zeros(n, np.float32) for n in ((len(energy), count), count))
     for axis in range(3):
         moves = root @ deltas[:, :, axis]
-        product += (paths[:, :, axis].T @ basis) @ moves
+        product += along[axis] @ moves
         sample_energy += np.einsum("rs,rs->s", moves, moves)
     gain = np.clip(product / np.maximum(sample_energy, 1e-9), *_GAIN_LIMITS)
-    residual = np.maximum(energy[:, None] - 2 * gain * product + gain**2 * sample_energy, 0)
+    residual = np.maximum(energy[:, None] + gain * (gain * sample_energy - 2 * product), 0)
     noise = 3 * len(paths) * _NOISE_MM**2
     return np.asarray((residual + noise) / (energy + noise)[:, None])
 
