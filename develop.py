@@ -54,8 +54,7 @@ def set_up() -> Path:
     venv.create(ENVIRONMENT, with_pip=True, clear=True)
     pip = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
     steps = (
-        # Modules are compiled when they are first imported, as most never are.
-        [*pip, "--require-hashes", "--no-compile", "-r", CONSTRAINTS],
+        [*pip, "--require-hashes", "-r", CONSTRAINTS],
         # The build backend is pinned above, so nothing else is fetched to build ourselves.
         [*pip, "--no-deps", "--no-build-isolation", "--editable", ROOT],
     )
