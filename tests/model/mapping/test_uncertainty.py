@@ -98,15 +98,40 @@ def test_a_marker_that_jumps_shows_in_its_own_part() -> None:
     assert grown[1] > 2 * grown[2:].max()
 
 
+def with_brows_moved_aside(positions: np.ndarray) -> np.ndarray:
+    """Move the brows' markers by 5 mm as no shape does."""
+    aside = np.random.default_rng(0).normal(size=(6, 3))
+    moved = positions.copy()
+    moved[:, RIGID : RIGID + 6] += 5.0 * aside / np.linalg.norm(aside, axis=1, keepdims=True)
+    return moved
+
+
 def test_skin_that_the_solve_leaves_behind_is_an_error() -> None:
     face = face_in_parts(noise=0.05)
     mapping = trained(face)
-    moved = face.positions[:50].copy()
-    aside = np.random.default_rng(0).normal(size=(6, 3))  # what no shape does
-    moved[:, RIGID : RIGID + 6] += 5.0 * aside / np.linalg.norm(aside, axis=1, keepdims=True)
-    found = predict_weights(mapping, moved)
+    found = predict_weights(mapping, with_brows_moved_aside(face.positions[:50]))
     assert (found.uncertainty[:, 1] > 1.5).all()
     assert np.median(found.uncertainty[:, 3]) < 0.5
+
+
+@pytest.mark.parametrize("size", [0.1, 6.0])
+def test_a_rig_of_another_size_has_the_same_weights_and_errors_in_proportion(size: float) -> None:
+    face = face_in_parts(noise=0.05)
+
+    def solved(times: float) -> Prediction:
+        mapping = train_mapping(
+            replace(references_of(face, CHOSEN), shape_names=NAMES),
+            ranges=face.ranges,
+            gram=times**2 * face.gram,
+            skin=times * face.shapes,
+            rest=RestPlaces(times * face.neutral, times * face.neutral, times),
+            method="ridge",
+        )
+        return predict_weights(mapping, with_brows_moved_aside(face.positions[:50]))
+
+    life_size, found = solved(1.0), solved(size)
+    np.testing.assert_allclose(found.weights, life_size.weights, atol=1e-4)
+    np.testing.assert_allclose(found.uncertainty, size * life_size.uncertainty, rtol=1e-3)
 
 
 def test_a_shape_that_no_reference_moves_is_uncertain_where_it_moves() -> None:

@@ -13,9 +13,10 @@ surface is ``tr(G_g D C D)``. G excludes the shapes of gaze and tongue, which no
 The posterior covers visibility, distance from the references, and the error of the rig as a prior,
 but not motion that no weights explain. ``chi2_g`` is the squared residual at the solution relative
 to its expected value, averaged over the markers that the region's shapes move, and ``d_g^2`` the
-mean squared residual in excess of the expected one. The standard deviation is ::
+mean squared residual in excess of the expected one. With ``a`` the motion of the rig over that of
+the performer, the standard deviation is ::
 
-    sigma_g = c_g sqrt(tr(G_g D C D) (1 + chi2_g) + d_g^2)
+    sigma_g = c_g sqrt(tr(G_g D C D) (1 + chi2_g) + (a d_g)^2)
 
 ``c_g`` is calibrated on out-of-fold errors of the references, in folds blocked by take and time,
 such that 90 % are within 1.645 sigma, as for a normal distribution. As few errors determine a
@@ -87,6 +88,9 @@ class UncertaintyModel:
     """(regions, shapes, shapes): ``G`` for normalised weights [mm^2]."""
     calibration: FloatArray
     """(regions,): ``c``."""
+    motion_scale: float = 1.0
+    """``a``: residuals are as large as the performer's face, errors of the surface as the rig's. 1
+    if unknown, and in mappings of earlier versions."""
     proposals: FloatArray = field(default_factory=lambda: np.zeros(2))
     """``(u rho)^2`` and ``M^2`` [mm^2]; zero in mappings of earlier versions."""
 
@@ -96,6 +100,7 @@ class UncertaintyModel:
         return cls(
             arrays["uncertainty_grams"],
             arrays["uncertainty_calibration"],
+            arrays.get("uncertainty_motion_scale", np.ones(1)).item(),
             arrays.get("uncertainty_proposals", np.zeros(2)),
         )
 
@@ -104,6 +109,7 @@ class UncertaintyModel:
         return {
             "uncertainty_grams": self.grams,
             "uncertainty_calibration": self.calibration,
+            "uncertainty_motion_scale": np.array([self.motion_scale]),
             "uncertainty_proposals": self.proposals,
         }
 
@@ -118,7 +124,10 @@ class UncertaintyModel:
             packed = self.grams.reshape(len(self.grams), -1).astype(np.float32)
             squared = covariance.reshape(len(visible), -1) @ packed.T
         chi2, excess2 = self._residual_terms(solver, solution.residual, visible)
-        squared = np.maximum(squared * (1 + chi2) + excess2, 0.0) * self.calibration**2
+        squared = (
+            np.maximum(squared * (1 + chi2) + self.motion_scale**2 * excess2, 0.0)
+            * self.calibration**2
+        )
         share2, usual2 = self.proposals
         if share2:
             weights = unbend(solution.targets, solver.forward.scales.curve)

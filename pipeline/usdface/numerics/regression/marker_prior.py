@@ -73,14 +73,14 @@ class _Faces:
     seen: FloatArray
     """(markers, pairs, 3): displacements of the markers from their mean [mm]."""
     moved: FloatArray
-    """(points, pairs, 3): the same of the skin, multiplied by `skin_scale`."""
+    """(points, pairs, 3): the same of the skin."""
     energy: FloatArray
     """(markers,): sum of squares of `seen`."""
     rest: FloatArray
     neutral: FloatArray
-    places: FloatArray | None
-    skin_scale: float
-    motion_scale: float | None
+    places: FloatArray
+    usual_gain: float | None
+    """None if the registered positions are to tell it."""
 
 
 def fit_marker_basis(
@@ -96,8 +96,8 @@ def fit_marker_basis(
     """Return the expected displacements of markers by a rig's shapes.
 
     The posterior mean over all points of the skin as candidates, each with a gain. The rotation
-    between the spaces is estimated as well. A rig of implausible size is scaled to the performer's
-    first.
+    between the spaces is estimated as well. The rig is scaled to the performer's size first, if
+    `motion_scale` states it or if its motion is implausible.
 
     Parameters
     ----------
@@ -125,7 +125,10 @@ def fit_marker_basis(
     flat = (weights - weights.mean(axis=0)) @ skin.reshape(len(skin), -1)
     moved = np.ascontiguousarray(flat.reshape(len(weights), -1, 3).transpose(1, 0, 2))
     energy = np.einsum("mnc,mnc->m", seen, seen)
-    scale = _size_of_performer(energy, np.einsum("pnc,pnc->p", moved, moved))
+    if motion_scale is not None:
+        scale = 1 / motion_scale
+    else:
+        scale = _size_of_performer(energy, np.einsum("pnc,pnc->p", moved, moved))
     moved *= scale
     rotation = np.eye(3)
     for turn in range(_MOTION_ROUNDS):
@@ -133,7 +136,9 @@ def fit_marker_basis(
         if turn < _MOTION_ROUNDS - 1:
             rotation = _rotation_of(match, moved, seen)
     if rest is not None and neutral is not None:
-        faces = _Faces(seen, moved, energy, rest, neutral, places, scale, motion_scale)
+        known = np.full_like(neutral, np.nan) if places is None else places
+        usual = None if motion_scale is None else 1.0
+        faces = _Faces(seen, moved, energy, scale * rest, neutral, scale * known, usual)
         match, rotation = _refine_by_place(match, rotation, faces)
     best = match.log_likelihood.argmax(axis=1)
     share = _shares(match.log_likelihood)
@@ -174,18 +179,16 @@ def _refine_by_place(
 ) -> tuple[_Match, FloatArray]:
     """Register the markers with the rig, and weigh candidates by distance as well."""
     seen, moved, energy = faces.seen, faces.moved, faces.energy
-    rest, neutral = faces.rest, faces.neutral
-    places = np.full_like(neutral, np.nan) if faces.places is None else faces.places
+    rest, neutral, places = faces.rest, faces.neutral, faces.places
     known = np.isfinite(places).all(axis=1)
     radius = float(np.sqrt(((rest - rest.mean(axis=0)) ** 2).sum(axis=1).mean()))
-    refined = match
+    refined, gain = match, faces.usual_gain
     for turn in range(_PLACE_ROUNDS):
         share = _shares(refined.log_likelihood)
         laid, scale, distance = _register(neutral @ rotation, share, rest, energy)
         if turn == 0 and not known.any() and distance > _UNRELATED_SHARE * radius:
             return match, rotation
-        motion_scale = scale if faces.motion_scale is None else faces.motion_scale
-        usual = float(np.clip(1 / (motion_scale * faces.skin_scale), *_GAIN_RANGE))
+        usual = float(np.clip(1 / scale, *_GAIN_RANGE)) if gain is None else gain
         refined = _match_motion(seen, moved @ rotation.T, energy, usual)
         deviation = scale * _PLACE_DEVIATIONS_MM[min(turn, len(_PLACE_DEVIATIONS_MM) - 1)]
         deviations = np.full(len(laid), deviation)
