@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -41,6 +42,34 @@ def test_landmarks_of_a_face_stand_in_the_order_of_a_face(demo) -> None:
         left, right = found[f"{name}_L"], found[f"{name}_R"]
         assert left[0] > skin.sagittal_x > right[0]
         np.testing.assert_allclose(skin.mirrored(right[None])[0], left, atol=1e-9)
+
+
+@pytest.mark.fixtures("rigs")
+@pytest.mark.parametrize("name", ["facecap_head", "ict_face", "demo_character"])
+def test_the_mouth_is_where_a_person_sees_it(shared_data: Path, name: str) -> None:
+    seen = json.loads((shared_data / "rigs" / "landmarks.json").read_text("utf-8"))[name]
+    own = name == "demo_character"
+    rig = demo_rig() if own else read_rig(shared_data / "rigs" / f"{name}.usdc")
+    found = find_landmarks(skin_of(rig), rig.shapes)
+    for corner in ("mouth_L", "mouth_R"):
+        np.testing.assert_allclose(found[corner][:2], seen[corner], atol=2.5)
+
+
+def test_a_body_under_the_face_does_not_widen_the_mouth(demo) -> None:
+    rig, skin = demo
+    x, y = np.meshgrid(np.arange(-60.0, 60.0, 6.0), np.arange(10.0, 400.0, 6.0))
+    low = skin.positions.min(axis=0)
+    body = np.stack([x.ravel(), low[1] - y.ravel(), np.full(x.size, low[2])], axis=1)
+    still = np.zeros((len(skin.deltas), len(body), 3), dtype=skin.deltas.dtype)
+    whole = replace(
+        skin,
+        positions=np.vstack([skin.positions, body]),
+        normals=np.vstack([skin.normals, np.tile([0.0, 0.0, 1.0], (len(body), 1))]),
+        areas=np.append(skin.areas, np.ones(len(body))),
+        deltas=np.concatenate([skin.deltas, still], axis=1),
+    )
+    for name, place in find_landmarks(skin, rig.shapes).items():
+        np.testing.assert_allclose(find_landmarks(whole, rig.shapes)[name], place, atol=1e-9)
 
 
 def test_shapes_named_by_the_viewer_show_the_same_landmarks(demo) -> None:

@@ -78,6 +78,22 @@ that rolls in is as small as a lid."""
 _STILL_SHARE = 0.2
 """Share of the jaw's largest displacement below which skin is not of the mouth."""
 
+_SEAM_REACH = 0.12
+"""Largest distance of neighbours over the face's size: both lips have samples within 7 mm."""
+
+_SEAM_STRAIN = 2.0
+"""Least relative displacement of neighbours over their distance where lips part; cheeks stretch by
+1.5 at most."""
+
+_LEAST_DISTANCE_MM = 1.0
+"""Least distance of neighbours: samples on closed lips may coincide."""
+
+_LEAST_PARTED = 0.05
+"""Least relative displacement of neighbours over the jaw's largest; noise has less."""
+
+_MOUTH_LEVEL = 0.25
+"""Largest height of the seam above or below the mouth's middle, over the face's size."""
+
 _CREASE_OF_EYE = 0.45
 """Height of the crease above the margin over the eye's opening, if no brow shape is known."""
 
@@ -211,33 +227,29 @@ def _crease(skin: FaceSkin, found: dict[str, FloatArray], side: str) -> FloatArr
 
 
 def _mouth(skin: FaceSkin, jaw: FloatArray, eyes: dict[str, FloatArray]) -> dict[str, FloatArray]:
-    """Return the mouth's middle and corners, where the jaw parts neighbouring samples."""
+    """Return the mouth's middle and corners, on the seam where the jaw parts neighbours."""
     at, size = skin.positions, np.linalg.norm(jaw, axis=1)
-    height = float(np.ptp(at[:, 1]))
-    share = size / size.max()
-    lower, upper = np.flatnonzero(share > 0.35), np.flatnonzero(share < 0.2)
-    if not len(lower) or not len(upper):
-        return {}
-    away, near = KDTree(at[upper]).query(at[lower])
-    partner = upper[near]
-    widest = abs(eyes["eye_outer_L"][0] - skin.sagittal_x) if "eye_outer_L" in eyes else np.inf
-    line = (at[lower] + at[partner]) / 2
-    parted = np.linalg.norm(jaw[lower] - jaw[partner], axis=1) > 0.3 * size.max()
-    good = (away < 0.045 * height) & parted & (abs(line[:, 0] - skin.sagittal_x) < widest)
-    good &= at[lower, 1] < at[partner, 1] + 0.5
-    line = line[good]
-    if not len(line):
-        return {}
+    pairs = KDTree(at).query_pairs(_SEAM_REACH * skin.size_mm, output_type="ndarray")
+    lower, upper = np.where(
+        (size[pairs[:, 0]] > size[pairs[:, 1]])[:, None], pairs, pairs[:, ::-1]
+    ).T
+    distance = np.linalg.norm(at[lower] - at[upper], axis=1)
+    parted = np.linalg.norm(jaw[lower] - jaw[upper], axis=1)
+    line = (at[lower] + at[upper]) / 2
+    seam = parted > _SEAM_STRAIN * np.maximum(distance, _LEAST_DISTANCE_MM)
+    seam &= parted > _LEAST_PARTED * size.max(initial=0.0)
+    seam &= at[lower, 1] < at[upper, 1] + _LEAST_DISTANCE_MM
+    if "eye_outer_L" in eyes:
+        seam &= abs(line[:, 0] - skin.sagittal_x) < abs(eyes["eye_outer_L"][0] - skin.sagittal_x)
+    line = line[seam]
     across = line[:, 0] - skin.sagittal_x
-    central = abs(across) < 8
-    if central.any():
-        front = line[:, 2] > np.median(line[central, 2]) - 0.35 * height
-        line, across = line[front], across[front]
-    central = abs(across) < 6
-    middle = np.median(line[central] if central.any() else line, axis=0)
+    central = abs(across) < _MIDDLE_MM
+    if not central.any():
+        return {}
+    middle = np.median(line[central], axis=0)
     middle[0] = skin.sagittal_x
     found = {"mouth_middle": middle}
-    level = abs(line[:, 1] - middle[1]) < 0.05 * height
+    level = abs(line[:, 1] - middle[1]) < _MOUTH_LEVEL * skin.size_mm
     for side, sign in _SIDES:
         along = np.sort(np.append(0.0, np.maximum(sign * across[level], 0.0)))
         breaks = np.flatnonzero(np.diff(along) > 6.0)  # beyond a break it is another line
