@@ -103,6 +103,14 @@ def test_shapes_with_foreign_names_are_known_by_what_they_do(demo) -> None:
     assert "brow_inner_L" not in found
 
 
+def test_an_eye_of_a_coarse_lid_is_found(demo) -> None:
+    rig, skin = demo
+    column, deltas = rig.shapes.index("eyeBlinkRight"), skin.deltas.copy()
+    size = np.linalg.norm(deltas[column], axis=1)
+    deltas[column, np.argsort(size)[:-1]] *= 0.75  # one sample is left on the margin
+    assert "eye_inner_R" in find_landmarks(replace(skin, deltas=deltas), rig.shapes)
+
+
 @pytest.mark.parametrize("head", ["demo", "actor", "facecap_head", "ict_face"])
 def test_a_mouth_whose_jaw_is_a_joint_is_found_from_its_lips(request, head: str) -> None:
     if head in ("demo", "actor"):

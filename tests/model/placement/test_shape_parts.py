@@ -12,6 +12,7 @@ from usdface.demo.sculpt import ACTOR
 from usdface.model.placement.shape_parts import missing_parts_note, shape_parts
 from usdface.numerics.measure.face_regions import (
     gaze_shapes,
+    jaw_opener,
     points_by_region,
     region_of_shape,
     tongue_shapes,
@@ -65,6 +66,14 @@ def test_a_shape_whose_name_is_known_keeps_it(rig: Rig) -> None:
     assert parts.pop("browInnerUp") == "brows"
     assert parts.pop("eyeLookInLeft") == "gaze"
     assert all(part == name for name, part in parts.items())
+
+
+def test_an_open_mouth_is_an_open_jaw() -> None:
+    rig = demo_rig()
+    names = tuple("mouthOpen" if name == "jawOpen" else name for name in rig.shapes)
+    parts = shape_parts(with_names(rig, names), Deformer(rig))
+    assert jaw_opener(parts) == rig.shapes.index("jawOpen")
+    assert parts == tuple("jawopen" if name == "mouthOpen" else name for name in names)
 
 
 def test_where_no_eyes_and_mouth_are_found_names_stay_and_a_note_says_what_is_missing() -> None:

@@ -204,7 +204,7 @@ def evaluate_weights(
         if name != FACE
     ]
     lips = None
-    opener = jaw_opener(rig.shapes)
+    opener = jaw_opener(skin.parts)
     if opener is not None and "mouth" in by_region:
         pairs = find_lip_pairs(deformer.neutral, targets, jaw_open=opener, mouth=by_region["mouth"])
         if pairs is not None:

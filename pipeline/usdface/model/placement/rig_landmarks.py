@@ -198,7 +198,7 @@ def _eye(skin: FaceSkin, blink: FloatArray, side: str, sign: float) -> dict[str,
     """Return lids and corners; the upper margin is the lowest part of a blink's displacements."""
     at, size = skin.positions, np.linalg.norm(blink, axis=1)
     lid = size > 0.8 * size.max()
-    margin = lid & (at[:, 1] < np.quantile(at[lid, 1], 0.35))
+    margin = lid & (at[:, 1] <= np.quantile(at[lid, 1], 0.35))
     upper = np.median(at[margin], axis=0)
     lower = upper + blink[margin].mean(axis=0)
     middle = (upper + lower) / 2

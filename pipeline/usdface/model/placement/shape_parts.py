@@ -64,10 +64,11 @@ def shape_parts(rig: Rig, deformer: Deformer) -> tuple[str, ...]:
     """Return a name for each shape from which its region can be read.
 
     A shape whose name tells its region, gaze or tongue keeps it; others get the name of the region
-    that they move (`REGIONS`, ``'gaze'``, ``'tongue'``), which `shapes_by_region` reads as a name.
-    Names are unchanged if the rig's landmarks are not found.
+    that they move (`REGIONS`, ``'gaze'``, ``'tongue'``), which `shapes_by_region` reads as a name,
+    unless the rig's landmarks are not found. A name that a vocabulary reads as motion of another
+    region, such as ``mouthOpen`` for the jaw, is replaced by that motion.
     """
-    names = rig.shapes
+    names = _read_by_vocabulary(rig.shapes)
     foreign = shapes_of_unknown_region(names)
     if not foreign:
         return names
@@ -100,6 +101,16 @@ def shape_parts(rig: Rig, deformer: Deformer) -> tuple[str, ...]:
         for shape in np.intersect1d(moving, np.flatnonzero(carried)).tolist():
             found[shape] = GAZE
     return tuple(found)
+
+
+def _read_by_vocabulary(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Replace names by their motions where these are of another region."""
+    read = list(names)
+    for index, (name, meaning) in enumerate(zip(names, read_meanings(names).values(), strict=True)):
+        named, meant = region_of_shape(name), region_of_shape(meaning.motion)
+        if meaning.understood and named and meant and named != meant:
+            read[index] = meaning.motion
+    return names if read == list(names) else tuple(read)
 
 
 def _motions(offsets: sparse.csr_array) -> FloatArray:

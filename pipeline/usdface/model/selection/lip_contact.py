@@ -51,10 +51,10 @@ class Lips:
 
 
 def find_lips(
-    equation: BlendshapeEquation, deformer: Deformer, shape_names: tuple[str, ...]
+    equation: BlendshapeEquation, deformer: Deformer, parts: tuple[str, ...]
 ) -> Lips | None:
-    """Return lips; None if the rig's names or the markers do not show them."""
-    jaw, regions = jaw_opener(shape_names), shapes_by_region(shape_names)
+    """Return lips; None if the markers or `parts`, of the rig's shapes, do not show them."""
+    jaw, regions = jaw_opener(parts), shapes_by_region(parts)
     if jaw is None or "mouth" not in regions:
         return None
     offsets = deformer.shapes.target_offsets()

@@ -351,7 +351,7 @@ def _propose(selection: _Selection, mapped: TakesPrediction | None, rows: IntArr
     scene = selection.scene
     positions = scene.positions(rows)
     weights = scene.equation.propose(positions, visible=scene.takes.usable_at(rows))
-    lips = find_lips(scene.equation, scene.deformer, scene.rig.shapes)
+    lips = find_lips(scene.equation, scene.deformer, scene.parts)
     if lips is not None:
         weights = keep_lip_contact(scene.equation, scene.deformer, lips, positions, weights)
     if mapped is not None:

@@ -70,7 +70,7 @@ class ShotMetric:
         jumps = surface_jumps(keys, self.skin.grams)
         if equation is None or truth is not None:
             return ReviewSignals(evidence, jumps, jump_regions=self.regions)
-        lips = find_lips(equation, shot.deformer, shot.rig.shapes)
+        lips = find_lips(equation, shot.deformer, self.skin.parts)
         if lips is None:
             return ReviewSignals(evidence, jumps, jump_regions=self.regions)
         on_lips = len(np.union1d(lips.pairs.upper, lips.pairs.lower))
