@@ -235,6 +235,19 @@ def test_numbered_labels_of_a_part_do_not_draw_its_markers_together(demo) -> Non
     assert placed.virtual.motion_scale == pytest.approx(1 / np.sqrt(1.1 * 0.95), rel=0.08)
 
 
+def test_numbered_labels_decide_where_the_rig_does_not_show_the_motion(demo) -> None:
+    rig, skin = demo
+    rng = np.random.default_rng(0)
+    moving = np.flatnonzero(skin.activity() > 0.1 * skin.activity().max())
+    at = skin.positions[rng.choice(moving, 40, replace=False)]
+    moved = np.einsum("fm,mc->fmc", rng.random((80, 40)), 3 * rng.normal(size=(40, 3)))
+    cloud = marker_cloud(numbered_labels(skin, rig.shapes, at), at, at + moved)
+    placed = place_markers(cloud, skin, rig.shapes)
+    assert not placed.by_labels
+    away = np.linalg.norm(skin.positions[placed.samples] - at, axis=1)
+    assert np.median(away) < 15.0  # 60 by motion
+
+
 def test_a_place_that_a_person_gave_is_kept(demo) -> None:
     rig, skin = demo
     found = find_landmarks(skin, rig.shapes)

@@ -16,12 +16,13 @@ Side = str
 """``'L'``, ``'R'`` or empty."""
 
 _LEFT_RIGHT = re.compile(
-    r"""^(?P<front>l|r|left|right)(?=[_\-. ]|(?:up|lo|in|out)?(?:eye|brow|cheek|mouth|lip|nos|lid|
-        chin|jaw|ear|temple))
+    r"""^(?P<front>l|r|left|right)(?=[_\-. ]|(?:up(?:per)?|lo(?:w(?:er)?)?|in(?:ner)?|out(?:er)?|
+        mid(?:dle)?)?(?:eye|bro|cheek|mouth|lip|nos|nstr|lid|chin|jaw|ear|temple|fore|front|f?hd|
+        head|orb|c\d))
       | (?:(?<=[_\-. ])|(?<=[a-z]))(?P<back>l|r|left|right)(?=\d*$|end$|[_\-. ])""",
     re.VERBOSE | re.IGNORECASE,
 )
-_INNER_WORD = re.compile(r"insid|inner|_in\b|_in_|inn")
+_INNER_WORD = re.compile(r"insid|inner|_in\b|_in_|inn|(?:brow|bro|eye)in(?![a-z])")
 _OUTER_WORD = re.compile(r"outsid|outer|_out\b|_out_|out")
 _UPPER_WORD = re.compile(r"up|top")
 _LOWER_WORD = re.compile(r"down|low|bot")
@@ -209,7 +210,7 @@ _Place = tuple[str, tuple[str, ...]]
 
 
 def _brow(text: str, side: Side) -> _Place:
-    if not side or re.search(r"cent|mid(?!dle_)", text):
+    if not side:
         return "brow", ("brow_centre",)
     part = (
         "inner" if _INNER_WORD.search(text) else "outer" if _OUTER_WORD.search(text) else "middle"
@@ -259,14 +260,14 @@ def _only(region: str) -> Callable[[str, Side], _Place]:
 
 _PARTS = (
     (r"band", _only("skull")),
-    (r"fore|front(?!al_)|fhd", _only("forehead")),
+    (r"fore|front(?!al_)|fhd|^fh\d", _only("forehead")),
     (r"brow|bro\d|bro$", _brow),
-    (r"nose|nasi|nostr", _nose),
+    (r"nose|nasi|nostr|nstr", _nose),
     (r"eye|lid", _eye),
-    (r"mouth|lip", _mouth),
-    (r"chin", _chin),
+    (r"mouth|lip|^mou\d", _mouth),
+    (r"chin|^ch\d", _chin),
     (r"jaw", _only("jaw")),
-    (r"cheek", _only("cheek")),
+    (r"cheek|orbi|^[lr]c\d", _only("cheek")),
     (r"ear|temple|head|skull|tragus|cap", _only("skull")),
 )
 """The first match counts: ``band`` before ``fore``, ``brow`` before ``eye``, ``fore`` before

@@ -57,6 +57,10 @@ _WARPED_SPREAD_MM = 6.0
 _WARP_COST = 0.3
 """Reduction of a candidate's value, per mean warp in units of the face's size."""
 
+_LABEL_COST = 0.03
+"""Reduction of a candidate's value, per mean squared distance of labelled parts from their
+landmarks in standard deviations: it decides where shapes explain little of the motion."""
+
 _LEAST_GAIN = 0.03
 """Difference of value above which another candidate replaces that of closest points, which fit
 proportions in every round and are more accurate with dense markers."""
@@ -257,7 +261,7 @@ def _middles(scene: _Scene, positions: FloatArray) -> FloatArray:
 
 
 def _by_motion(scene: _Scene) -> _Start:
-    """Return the best candidate of closest points and of a search in the plane of symmetry.
+    """Return the best candidate of closest points, labels, and a search in the plane of symmetry.
 
     Markers near landmarks are drawn to them, weighted by the probability of the match.
     """
@@ -278,6 +282,8 @@ def _by_motion(scene: _Scene) -> _Start:
     for found in searched:
         turned = levelled * found.turn
         starts.append(_drawn(scene, found.turn[:, None] * frame, turned, found.fit))
+    if len(scene.landmarks) >= FEWEST_HINTS:
+        starts.append(_by_labels(scene))
     values = [_value(scene, start, frame, levelled) for start in starts]
     first = int(np.argmax(values))
     if count and values[0] >= values[first] - _LEAST_GAIN:
@@ -353,6 +359,10 @@ def _value(scene: _Scene, start: _Start, frame: FloatArray, levelled: FloatArray
     away = np.linalg.norm(placement.warped - places, axis=1)
     value = LANDMARK_VALUE * match_landmarks(places, scene.features).score
     value -= _WARP_COST * float(away.mean()) / skin.size_mm + size_cost(fit, scene.usual_scale)
+    if scene.landmarks:
+        misses = _middles(scene, placement.warped) - [each.place for each in scene.landmarks]
+        spreads = np.array([each.spread_mm for each in scene.landmarks])
+        value -= _LABEL_COST * float(((misses**2).sum(axis=1) / spreads**2).mean())
     if motion is not None:
         moved = to_character(motion @ start.frame.T, placement.fit)
         weights = solve_weights_at(skin, placement.samples, moved, scene.ranges)
