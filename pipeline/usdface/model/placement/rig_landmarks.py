@@ -265,7 +265,7 @@ def _mouth(skin: FaceSkin, jaw: FloatArray, eyes: dict[str, FloatArray]) -> dict
 def _lips(skin: FaceSkin, moved: dict[tuple[str, str], FloatArray]) -> dict[str, FloatArray]:
     """Return the mouth's middle and corners, where lips pucker and dimple.
 
-    On five heads within 6 and 9 mm of those found from the jaw.
+    On five heads within 7 and 8 mm of those found from the jaw.
     """
     away = skin.positions[:, 0] - skin.sagittal_x
     middle = _centroid(skin, moved[_PUCKER], np.ones(len(away), np.bool_))
