@@ -408,6 +408,8 @@ class SolveBasis:
     """Shapes of the rig that changed since the training."""
     regions_without_shapes: tuple[str, ...] = ()
     """Regions of the face with markers, and without shapes of the rig."""
+    motion_scale: float = 1.0
+    """Motion of the rig over that of the performer; 1 if unknown."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -144,6 +144,30 @@ def test_a_solve_on_a_rig_without_shapes_for_a_region_is_not_good() -> None:
     assert judge_solve(replace(evidence(), basis=SolveBasis(30, 30))).level == "good"
 
 
+@pytest.mark.parametrize(
+    ("scale", "uncertainty_mm", "level", "limit"),
+    [
+        (0.1, 0.2, "bad", "0.1"),
+        (6.0, 2.5, "good", ""),
+        (6.0, 7.0, "bad", "6"),
+        (1.5, 1.2, "bad", "1"),
+    ],
+)
+def test_errors_on_a_giant_or_a_dwarf_are_judged_in_proportion(
+    scale: float, uncertainty_mm: float, level: str, limit: str
+) -> None:
+    basis = SolveBasis(30, 30, motion_scale=scale)
+    verdict = judge_solve(replace(evidence(uncertainty_mm=uncertainty_mm), basis=basis))
+    assert verdict.level == level
+    assert f"expected error over {limit} mm" in verdict.sentence or not limit
+
+
+def test_residuals_are_the_performers_on_any_rig() -> None:
+    basis = SolveBasis(30, 30, motion_scale=6.0)
+    found = replace(evidence(), residual_mm=np.full((100, 3), 1.2), basis=basis)
+    assert "residual over 1 mm" in judge_solve(found).sentence
+
+
 def test_references_of_regions_without_markers_are_not_asked_for() -> None:
     basis = SolveBasis(30, 30, still_regions=("mouth",), regions_without_markers=("mouth",))
     found = replace(evidence(), basis=basis)

@@ -31,6 +31,7 @@ BASIS = SolveBasis(
     regions_without_markers=("jaw",),
     changed_shapes=("jawOpen",),
     regions_without_shapes=("mouth",),
+    motion_scale=1.25,
 )
 NAMES = ("smile", "jawOpen", "eyeBlink")  # another order than the rig's
 WEIGHTS = np.random.default_rng(0).random((20, 3)).astype(np.float32)
@@ -112,6 +113,19 @@ def test_a_timecode_that_the_rate_cannot_have_is_refused_with_the_file_named(
         layer.Save()
     with pytest.raises(InputError, match=r"shot\.hero\.usda: face:timecode:start: .*not at 7"):
         PerformanceReader(path).timecode_at(1002)
+
+
+@pytest.mark.parametrize("scale", [np.nan, np.inf, 0.0, -1.0])
+def test_a_motion_scale_that_would_lift_all_limits_is_refused(tmp_path: Path, scale: float) -> None:
+    path = write(tmp_path)
+    stage = Usd.Stage.Open(str(path))
+    animation = next(each for each in stage.Traverse() if each.IsA(UsdSkel.Animation))
+    animation.GetAttribute("face:solve:motionScale").Set(scale)
+    stage.Save()
+    with pytest.raises(
+        InputError, match=r"shot\.hero\.usda: face:solve:motionScale is .*map again"
+    ):
+        read_performance(path)
 
 
 @pytest.mark.parametrize("place", [None, "/shot/cast/hero_01"])

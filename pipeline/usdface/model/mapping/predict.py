@@ -266,6 +266,7 @@ def basis_of(mapping: TrainedMapping, rig: Rig) -> SolveBasis | None:
         regions_without_markers=without,
         regions_without_shapes=shapeless,
         changed_shapes=changed_shapes(mapping, rig),
+        motion_scale=UncertaintyModel.from_arrays(mapping.arrays).motion_scale,
     )
 
 

@@ -124,10 +124,8 @@ class UncertaintyModel:
             packed = self.grams.reshape(len(self.grams), -1).astype(np.float32)
             squared = covariance.reshape(len(visible), -1) @ packed.T
         chi2, excess2 = self._residual_terms(solver, solution.residual, visible)
-        squared = (
-            np.maximum(squared * (1 + chi2) + self.motion_scale**2 * excess2, 0.0)
-            * self.calibration**2
-        )
+        squared = squared * (1 + chi2) + self.motion_scale**2 * excess2
+        squared = np.maximum(squared, 0.0) * self.calibration**2
         share2, usual2 = self.proposals
         if share2:
             weights = unbend(solution.targets, solver.forward.scales.curve)

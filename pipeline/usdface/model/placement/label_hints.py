@@ -271,4 +271,4 @@ _PARTS = (
     (r"ear|temple|head|skull|tragus|cap", _only("skull")),
 )
 """The first match counts: ``band`` before ``fore``, ``brow`` before ``eye``, ``fore`` before
-``head``."""
+``head``. ``FH1``, ``MOU3``, ``CH2`` and ``RC7`` are abbreviations of IEMOCAP."""

@@ -7,6 +7,8 @@ from the solve, less that at the references); with keys, by the error against th
     check   coverage below 3/4, or a figure in millimetres above half of VISIBLE_ERROR_MM
     good    otherwise
 
+Limits of errors on a rig that is not about life-size are in proportion to its face.
+
 A take is bad if more than `_BAD_SHARE` of its frames are bad in some region, or if more than
 `_CHANCE_SHARE` exceed `WRONG_EXPRESSION_MM`. It is good if at most `_CHANCE_SHARE` need a check, at
 least half of the references are tuned, and the rig has not changed and has shapes for all regions
@@ -34,6 +36,9 @@ one minute of arc at HDTV's design viewing distance (ITU-R BT.1845)."""
 WRONG_EXPRESSION_MM = 3.0
 """Error of a region that changes the expression: more than a third of a smile, which moves the
 corners of the mouth by 8 mm."""
+
+_LIFE_SIZE = (0.5, 2.0)
+"""Motion of a rig over the performer's within which its limits are those of an adult's face."""
 
 _BAD_COVERAGE = 0.5
 """Coverage of a region below which a frame is bad."""
@@ -85,16 +90,29 @@ class SolveEvidence:
     """Name of a retargeting's source with a bad verdict; else empty."""
     has_video: bool = False
 
+    def on_rig(self, limit_mm: float) -> float:
+        """Return a limit of errors of an adult's face in millimetres of the rig."""
+        scale = 1.0 if self.basis is None else self.basis.motion_scale
+        return limit_mm if _LIFE_SIZE[0] <= scale <= _LIFE_SIZE[1] else scale * limit_mm
+
     def exceeds(self, limit_mm: float, least_coverage: float) -> dict[str, BoolArray]:
-        """Return where each figure exceeds its limit, (frames, regions), by the limit's name."""
+        """Return where each figure exceeds its limit, (frames, regions), by the limit's name.
+
+        Parameters
+        ----------
+        limit_mm : float
+            On an adult's face. Residuals are the performer's.
+        least_coverage : float
+            [0-1]
+        """
+        on_rig = self.on_rig(limit_mm)
         if self.error_mm is not None:
-            return {f"error over {limit_mm:g} mm": np.nan_to_num(self.error_mm) > limit_mm}
-        lengths = {"expected error": self.uncertainty_mm, "residual": self.residual_mm}
-        found = {
-            f"{name} over {limit_mm:g} mm": each > limit_mm
-            for name, each in lengths.items()
-            if each is not None
-        }
+            return {f"error over {on_rig:.2g} mm": np.nan_to_num(self.error_mm) > on_rig}
+        found = {}
+        if self.uncertainty_mm is not None:
+            found[f"expected error over {on_rig:.2g} mm"] = self.uncertainty_mm > on_rig
+        if self.residual_mm is not None:
+            found[f"residual over {limit_mm:g} mm"] = self.residual_mm > limit_mm
         if self.coverage is not None:
             found[f"coverage below {least_coverage:.0%}"] = self.coverage < least_coverage
         width = min((each.shape[1] for each in found.values()), default=0)

@@ -73,7 +73,7 @@ class _Faces:
     seen: FloatArray
     """(markers, pairs, 3): displacements of the markers from their mean [mm]."""
     moved: FloatArray
-    """(points, pairs, 3): the same of the skin."""
+    """(points, pairs, 3): the same of the skin, at the performer's size as `rest` and `places`."""
     energy: FloatArray
     """(markers,): sum of squares of `seen`."""
     rest: FloatArray

@@ -351,18 +351,18 @@ def _report(
 ) -> StepResult:
     uncertainty = np.concatenate(written.uncertainty_mm)
     residual_mm = np.concatenate(written.residual_mm)
-    verdict = judge_solve(
-        SolveEvidence(
-            header.regions,
-            uncertainty_mm=uncertainty,
-            coverage=np.concatenate(written.coverage),
-            residual_mm=residual_mm,
-            basis=header.basis,
-        )
+    evidence = SolveEvidence(
+        header.regions,
+        uncertainty_mm=uncertainty,
+        coverage=np.concatenate(written.coverage),
+        residual_mm=residual_mm,
+        basis=header.basis,
     )
+    verdict = judge_solve(evidence)
     if verdict.advice:
         notes.append(f"to do: {verdict.advice}")
     count = len(uncertainty)
+    uncertain = np.flatnonzero(uncertainty[:, 0] > evidence.on_rig(VISIBLE_ERROR_MM))
     return StepResult(
         (spec.out, weights_path(spec.out), *([head_path(spec.out)] if spec.drive else [])),
         f"{verdict.sentence} ({pluralize(count, 'frame')})",
@@ -370,9 +370,7 @@ def _report(
         {
             "frames": count,
             "mean_uncertainty_mm": float(uncertainty[:, 0].mean()),
-            "uncertain_frames": (
-                header.first_frame + np.flatnonzero(uncertainty[:, 0] > VISIBLE_ERROR_MM)
-            )[:_LISTED_FRAMES].tolist(),
+            "uncertain_frames": (header.first_frame + uncertain)[:_LISTED_FRAMES].tolist(),
             "residual_mm": float(np.sqrt((residual_mm[:, 0] ** 2).mean())),
             "verdict": verdict.figures,
             "neutral": neutral,

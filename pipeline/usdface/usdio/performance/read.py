@@ -21,6 +21,7 @@ from usdface.usdio.performance.weights_layer import (
     ANIMATION,
     CHANGED_SHAPES,
     COVERAGE,
+    MOTION_SCALE,
     NEUTRAL_FRAME,
     PAIR_COUNTS,
     RESIDUAL,
@@ -123,8 +124,14 @@ class PerformanceReader:
         if counts is None or len(counts) != 2:
             return None
         named = (STILL_REGIONS, UNSEEN_REGIONS, CHANGED_SHAPES, SHAPELESS_REGIONS)
-        listed = (names_in(self.animation.GetAttribute(name)) for name in named)
-        return SolveBasis(int(counts[1]), int(counts[0]), *listed)
+        still, unseen, changed, shapeless = (
+            names_in(self.animation.GetAttribute(name)) for name in named
+        )
+        given = value_of(self.animation, MOTION_SCALE)
+        scale = 1.0 if given is None else float(given)
+        if not 0 < scale < np.inf:
+            raise InputError(f"{self.path}: {MOTION_SCALE} is {scale}, not positive; map again")
+        return SolveBasis(int(counts[1]), int(counts[0]), still, unseen, changed, shapeless, scale)
 
     @cached_property
     def version(self) -> str:

@@ -50,6 +50,7 @@ STILL_REGIONS = "face:solve:stillRegions"
 UNSEEN_REGIONS = "face:solve:unseenRegions"
 CHANGED_SHAPES = "face:solve:changedShapes"
 SHAPELESS_REGIONS = "face:solve:shapelessRegions"
+MOTION_SCALE = "face:solve:motionScale"
 NEUTRAL_FRAME = "face:solve:neutralFrame"
 UNMATCHED = "face:source:unmatched"
 UNMATCHED_SHARES = "face:source:unmatchedShares"
@@ -384,6 +385,7 @@ def author_header(layer: Sdf.Layer, header: WeightsHeader, rig: Rig) -> Sdf.Prim
         if header.basis.regions_without_shapes:
             shapeless = list(header.basis.regions_without_shapes)
             author_uniform(prim, SHAPELESS_REGIONS, tokens, shapeless)
+        author_uniform(prim, MOTION_SCALE, Sdf.ValueTypeNames.Double, header.basis.motion_scale)
     if header.unmatched:
         author_uniform(prim, UNMATCHED, tokens, list(header.unmatched))
     if header.unmatched_shares:
