@@ -14,12 +14,13 @@ MOST_WINDING = 1.6
 """Largest ratio of a row's length to its extent. Lips and lids reach 1.4; larger ratios are of two
 rows taken for one, such as both edges of a brow, and are not drawn."""
 
-ROW_REACH_MM = 6.0
+ROW_REACH_MM = 5.0
 """Distance from a row on an adult's face below which a marker without a label belongs to it:
 markers are glued beside the edges of lips and lids, and placed to a few millimetres."""
 
 _SHARED_MM = 1.0
-"""A marker this much farther from another row than from its own is the corner that both share."""
+"""A marker this much farther from another row than from its own is in both, as the corner that they
+share, if it is the nearest to that corner."""
 
 _CORNERS = {
     "lip_upper": ("mouth_L", "mouth_R"),
@@ -93,6 +94,12 @@ def rows_by_place(
     away = np.stack([_distance(at[:, :2], np.array(path)[:, :2]) for path in paths])
     nearest = np.nan_to_num(away, nan=np.inf).min(axis=0)
     is_of = (away <= nearest + _SHARED_MM * unit) & (away < ROW_REACH_MM * unit)
+    shared = is_of.sum(axis=0) > 1
+    for corner in [end for path in paths for end in (path[0], path[-1])]:
+        from_corner = np.linalg.norm(at - corner, axis=1)
+        beside = np.flatnonzero(shared & (from_corner < 2 * ROW_REACH_MM * unit))
+        for marker in beside[from_corner[beside].argsort()][1:].tolist():
+            is_of[:, marker] = np.arange(len(paths)) == away[:, marker].argmin()
     members = [np.flatnonzero(each) for each in is_of if each.sum() >= _LEAST_PLACED]
     return [row for each in members for row in _in_order(at, each.tolist())]
 
