@@ -334,7 +334,8 @@ def test_training_leaves_proposals_out_once_enough_pairs_are_tuned(shot: Shot) -
     only = run(train.model_copy(update={"out": shot / "c.usdc", "tuned_only": True}))
     assert not any("proposals" in note for note in only.notes)
     few = shot / "few.references.usda"
-    run(SelectSpec(takes=(shot / "shot.clean.take.usda",), rig=shot / "hero.usdc", out=few))
+    take = shot / "shot.clean.take.usda"
+    run(SelectSpec(takes=(take,), rig=shot / "hero.usdc", out=few, count=12))
     frames = read_references(few).frames[:7]
     (shot / "few.csv").write_text("frame,jawOpen\n" + "".join(f"{f},0.25\n" for f in frames))
     run(ReferencesImportSpec(references=few, weights=shot / "few.csv"))
