@@ -19,6 +19,7 @@ from usdface.model import Prediction, predict_weights, sample_skin, train_mappin
 from usdface.model.mapping.regions import regions_without_shapes
 from usdface.model.mapping.uncertainty import (
     LIMIT_DEVIATIONS,
+    UncertaintyModel,
     calibrate_uncertainty,
     proposal_error,
 )
@@ -254,6 +255,17 @@ def test_a_solve_learnt_from_proposals_is_as_uncertain_as_they_are() -> None:
     moved2 = np.einsum("fs,st,ft->f", after.weights, face.gram, after.weights)
     np.testing.assert_allclose(added[:, 0], 0.04 * (moved2 + 2.0), rtol=0.02)
     assert (added[:, 1:] >= 0.04 * 2.0 - 1e-6).all()
+
+
+@pytest.mark.parametrize("scale", [[-3.0], [0.0], [np.nan], [1.0, 2.0], None])
+def test_a_mapping_with_damaged_uncertainty_is_refused(scale: list[float] | None) -> None:
+    arrays = {"uncertainty_grams": np.ones((1, 2, 2)), "uncertainty_calibration": np.ones(1)}
+    if scale is None:
+        del arrays["uncertainty_grams"]
+    else:
+        arrays["uncertainty_motion_scale"] = np.array(scale)
+    with pytest.raises(InputError, match="is missing or wrong; train it again"):
+        UncertaintyModel.from_arrays(arrays)
 
 
 @pytest.mark.parametrize(

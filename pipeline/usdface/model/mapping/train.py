@@ -231,15 +231,15 @@ def _uncertainty(
     regions = tuple(points)
     grams = region_grams(face.gram, face.skin, parts, regions)
     grams = np.stack([_skin_gram(each, parts) for each in grams]) * np.outer(span, span)
-    given = None if face.rest is None else face.rest.motion_scale
-    motion_scale = 1.0 if given is None else given
-    model = UncertaintyModel(grams, np.ones(len(regions)), motion_scale)
+    model = UncertaintyModel(grams, np.ones(len(regions)))
+    if face.rest is not None and face.rest.motion_scale is not None:
+        model = replace(model, motion_scale=face.rest.motion_scale)
     calibration = np.full(len(regions), _DEFAULT_CALIBRATION)
     predicted = compared.out_of_fold
     if predicted is not None:
         deviations = folds.deviations(predicted, model, solver.error)
         calibration = calibrate_uncertainty(folds.squared_errors(predicted, grams), deviations)
-    arrays = UncertaintyModel(grams, calibration, motion_scale).to_arrays()
+    arrays = replace(model, calibration=calibration).to_arrays()
     arrays["region_markers"] = membership(points, len(solver.forward.noise))
     return regions, arrays
 

@@ -43,6 +43,7 @@ from statistics import NormalDist
 import numpy as np
 
 from usdface.core.arrays import Arrays, BoolArray, FloatArray, RealArray
+from usdface.core.errors import InputError
 from usdface.model.regressions.bent_weights import unbend
 from usdface.model.regressions.frame_solve import FrameSolution, FrameSolver
 
@@ -96,11 +97,22 @@ class UncertaintyModel:
 
     @classmethod
     def from_arrays(cls, arrays: Arrays) -> "UncertaintyModel":
-        """Rebuild the model from the arrays of a mapping."""
+        """Rebuild the model from the arrays of a mapping.
+
+        Raises
+        ------
+        InputError
+            If an array is missing, or the motion scale is not a positive number.
+        """
+        scale = arrays.get("uncertainty_motion_scale", np.ones(1))
+        missing = {"uncertainty_grams", "uncertainty_calibration"} - arrays.keys()
+        if missing or scale.size != 1 or not 0 < scale.item() < np.inf:
+            wrong = ", ".join(sorted(missing)) or "uncertainty_motion_scale"
+            raise InputError(f"the mapping's array {wrong} is missing or wrong; train it again")
         return cls(
             arrays["uncertainty_grams"],
             arrays["uncertainty_calibration"],
-            arrays.get("uncertainty_motion_scale", np.ones(1)).item(),
+            scale.item(),
             arrays.get("uncertainty_proposals", np.zeros(2)),
         )
 
