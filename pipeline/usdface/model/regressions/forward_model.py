@@ -34,6 +34,7 @@ from usdface.core.arrays import (
     IntArray,
     RealArray,
     sample_frames,
+    single_precision,
 )
 from usdface.model.regressions.bent_weights import bend
 from usdface.model.regressions.driven_motion import DrivenMotion
@@ -84,8 +85,9 @@ _STILL_WEIGHT, _STILL_SPREAD = 0.25, 3**-0.5
 """Largest bent weight in the references of a shape that is still there, and its root mean square
 distance from rest if it is uniform on [0, 1]: it may move in the next take."""
 
-_COMMON_ERRORS = 50
-"""Largest number of components of the errors that markers share."""
+_COMMON_ERRORS = 32
+"""Largest number of components of the errors that markers share: with 50 pairs, the others have less
+than half of the variance of independent errors."""
 
 _EVIDENCE_PAIRS, _EVIDENCE_MARKERS = 60, 48
 """Largest number of each in the evidence of the shared scales, which costs markers pairs^3."""
@@ -189,8 +191,8 @@ class ForwardModel:
     def variance(self, targets: RealArray) -> FloatArray:
         """Return the predictive variance of a coordinate of each marker, without noise.
 
-        In double precision: the prior variance and the part that the references explain cancel to
-        about 1e-4.
+        In single precision, as it only weighs markers: rounding changes a marker's weight by less than
+        2 % in 99 % of the faces tried, and by 30 % in the worst combination of shapes.
 
         Parameters
         ----------
@@ -202,23 +204,29 @@ class ForwardModel:
         (frames, markers) float array
             [mm^2]
         """
-        t = targets.astype(np.float64)
-        linear, product = self._kernel_factors
-        cross: FloatArray = t @ product
+        t = single_precision(targets)
+        linear, product, root = self._kernel_factors
+        cross = t @ product
         cross *= cross
         cross += t @ linear
-        cross += _OFFSET_MM**2
+        cross += np.float32(_OFFSET_MM**2)
         prior = t**2 @ self.deviation2 + _OFFSET_MM**2
         prior += self.quadratic * (t**2 @ self.shape_size2) ** 2
-        explained = np.einsum("kfn,kfn->fk", cross @ self.inverse, cross)
+        cross = cross @ root
+        explained = np.einsum("kfn,kfn->fk", cross, cross)
         return np.asarray(np.maximum(prior - explained, 0.0))
 
     @cached_property
-    def _kernel_factors(self) -> tuple[FloatArray, FloatArray]:
-        """Factors of `_kernel`, linear and quadratic, with the pairs: (markers, shapes, pairs)."""
+    def _kernel_factors(self) -> tuple[Float32Array, Float32Array, Float32Array]:
+        """Return factors of `_kernel` with the pairs, and the Cholesky factor of `inverse`.
+
+        Linear and quadratic factor: (markers, shapes, pairs).
+        """
         product = self.shape_size2.T * np.sqrt(self.quadratic)[:, None]
         u = self.targets.T
-        return self.deviation2.T[:, :, None] * u, product[:, :, None] * u
+        factors = self.deviation2.T[:, :, None] * u, product[:, :, None] * u
+        linear, quadratic = map(single_precision, factors)
+        return linear, quadratic, single_precision(np.linalg.cholesky(self.inverse))
 
     def to_arrays(self) -> Arrays:
         """Return the model as arrays of a mapping, the input of `from_arrays`."""
