@@ -217,7 +217,7 @@ def test_the_variance_of_pairs_left_out_is_that_of_models_without_them(monkeypat
     for left in range(3):
         model = fitted(np.delete(np.arange(PAIRS), left), scales)
         expected = model.variance(whole.targets[[left]])[0] + model.noise
-        np.testing.assert_allclose(whole.leave_one_out_variance[left], expected, rtol=1e-6)
+        np.testing.assert_allclose(whole.leave_one_out_variance[left], expected, rtol=1e-3)
 
 
 def test_keys_of_rigs_of_very_many_shapes_stay(monkeypatch) -> None:

@@ -2,14 +2,14 @@
 
 Each shape s has a Gaussian process. Its inputs are the markers, marker k multiplied by ::
 
-    h_sk = max(|B_sk| / max_j |B_sj|, floor)
+    h_sk = max(|E_sk| / max_j |E_sj|, floor)
 
-with ``B`` the basis of the forward model. The small motion of lids is thus not lost in that of the
-jaw, and shapes that are local on the rig depend on nearby markers only: from references that close
-both eyes, one lid does not learn to follow the other. Features are the principal axes of the
-weighted markers over all frames of the takes; the covariance is linear plus radial
-(`gaussian_process`). All shapes share the covariance of least leave-one-out error; the noise is
-chosen for each shape.
+with ``E`` the displacement of the rig by the shape (`forward_model`). The small motion of lids is
+thus not lost in that of the jaw, and shapes that are local on the rig depend on nearby markers
+only: from references that close both eyes, one lid does not learn to follow the other. Features are
+the principal axes of the weighted markers over all frames of the takes; the covariance is linear
+plus radial (`gaussian_process`). All shapes share the covariance of least leave-one-out error; the
+noise is chosen for each shape.
 
 The prediction is the prior mean of `frame_solve`, and its leave-one-out error the prior deviation.
 """
@@ -39,7 +39,7 @@ _MAX_DIMENSIONS = 50
 _MIN_VARIANCE_MM2 = 1e-4
 """Variance of a component below which it is rounding error."""
 
-_MIN_RELEVANCE = 0.01
+_MIN_RELEVANCE = 0.003
 """``floor``: markers that the shape does not move still distinguish faces."""
 
 _COVARIANCES = tuple(
@@ -69,7 +69,7 @@ def _fit(pairs: Pairs, settings: Settings) -> Fitted:
     if forward is None:
         raise ValueError("the face map needs the pairs' forward model")
     z, targets = pairs.inputs[:, :count], forward.targets
-    length = np.sqrt((forward.basis**2).sum(axis=2))
+    length = np.sqrt(forward.shape_size2)
     share = length / np.maximum(length.max(axis=1, keepdims=True), 1e-9)
     region, relevance = _gather_regions(np.maximum(share, _MIN_RELEVANCE))
     sample, axes = pairs.face.motion.sample[:, :count], pairs.face.motion.components[:count]

@@ -86,8 +86,8 @@ _STILL_WEIGHT, _STILL_SPREAD = 0.25, 3**-0.5
 distance from rest if it is uniform on [0, 1]: it may move in the next take."""
 
 _COMMON_ERRORS = 32
-"""Largest number of components of the errors that markers share: with 50 pairs, the others have less
-than half of the variance of independent errors."""
+"""Largest number of components of the errors that markers share: with 50 pairs, the others have
+less than half of the variance of independent errors."""
 
 _EVIDENCE_PAIRS, _EVIDENCE_MARKERS = 60, 48
 """Largest number of each in the evidence of the shared scales, which costs markers pairs^3."""
@@ -191,8 +191,8 @@ class ForwardModel:
     def variance(self, targets: RealArray) -> FloatArray:
         """Return the predictive variance of a coordinate of each marker, without noise.
 
-        In single precision, as it only weighs markers: rounding changes a marker's weight by less than
-        2 % in 99 % of the faces tried, and by 30 % in the worst combination of shapes.
+        In single precision, as it only weighs markers: rounding changes a marker's weight by less
+        than 2 % in 99 % of the faces tried, and by 30 % in the worst combination of shapes.
 
         Parameters
         ----------
