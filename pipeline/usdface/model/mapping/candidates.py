@@ -13,7 +13,6 @@ from usdface.core.progress import Progress
 from usdface.model.mapping.corrected_pairs import (
     CorrectedPairs,
     correct_pairs,
-    displacements,
 )
 from usdface.model.mapping.uncertainty import (
     TOLERANCE_CONFIDENCE,
@@ -84,12 +83,14 @@ class FoldModel:
 
     def solve(self, pairs: Pairs, solver: FrameSolver) -> FrameSolution:
         """Return the solution of pairs; that of a method that solves no frames is its weights."""
-        displaced, bounded = displacements(pairs), self.method.solves_frames
+        displaced, bounded = pairs.displacements, self.method.solves_frames
         visible = np.ones(displaced.shape[:2], np.bool_)
         return solver.solve(displaced, visible, self._predict(pairs), bounded=bounded)
 
     def _predict(self, pairs: Pairs) -> FloatArray:
-        weights = self.method.predict(self.fitted.arrays, self.fitted.settings, pairs.inputs)
+        markers = pairs.displacements.reshape(len(pairs.outputs), -1)
+        inputs = markers if self.method.solves_frames else pairs.inputs
+        weights = self.method.predict(self.fitted.arrays, self.fitted.settings, inputs)
         return bend(pairs.face.normalise(weights), self.corrected.forward.scales.curve)
 
 

@@ -263,7 +263,7 @@ def find_contradicted(
 def fit_rig_prior(pairs: Pairs) -> RigPrior:
     """Locate the markers on the rig; without a rig, the prior is a regression's basis."""
     face = pairs.face
-    weights, displaced = face.normalise(pairs.outputs), displacements(pairs)
+    weights, displaced = face.normalise(pairs.outputs), pairs.displacements
     if face.skin is None:
         return RigPrior(marker_motion(weights, displaced), None)
     skin, bent = face.skin * np.ptp(face.ranges, axis=1)[:, None, None], bend(weights, _PRIOR_CURVE)
@@ -296,7 +296,7 @@ def fit_pairs_forward(
     pairs: Pairs, scales: ForwardScales | None = None, prior: RigPrior | None = None
 ) -> ForwardModel:
     """Fit the forward model; by default its scales and the prior are estimated."""
-    face, displaced, prior = pairs.face, displacements(pairs), prior or fit_rig_prior(pairs)
+    face, displaced, prior = pairs.face, pairs.displacements, prior or fit_rig_prior(pairs)
     if prior.driven is not None:
         displaced = displaced - (_driven_weights(pairs) @ prior.driven.motion).reshape(
             displaced.shape
@@ -318,10 +318,3 @@ def _driven_weights(pairs: Pairs) -> FloatArray:
     if face.driven is None:
         return np.zeros((len(pairs.outputs), 0))
     return driven_weights(face.driven.logic, np.clip(pairs.outputs, *face.ranges.T))
-
-
-def displacements(pairs: Pairs) -> FloatArray:
-    """Return the displacements of the markers from the neutral: (pairs, markers, 3) [mm]."""
-    if pairs.markers is None or pairs.face.neutral is None:
-        raise ValueError("a mapping's pairs need markers and a neutral")
-    return pairs.markers - pairs.face.neutral

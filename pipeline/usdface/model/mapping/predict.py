@@ -109,11 +109,11 @@ class WeightPredictor:
             block = slice(start, start + _BLOCK_FRAMES)
             block_confidence = None if confidence is None else confidence[block]
             coordinates = marker_coordinates(self._motion, positions[block], visible=seen[block])
+            displacements = self._displacements(positions[block], seen[block], coordinates)
             weights[block], uncertainty[block], residual[block] = self._solve(
-                coordinates, positions[block], seen[block], block_confidence
+                coordinates, displacements, seen[block], block_confidence
             )
             residual_mm[block] = self._excess_residual(residual[block], seen[block])
-            displacements = self._displacements(positions[block], seen[block], coordinates)
             coverage[block] = self._coverage.measure(displacements)
         few_markers = seen.sum(axis=1) < MINIMUM_SHARE * seen.shape[1]
         return Prediction(
@@ -146,28 +146,27 @@ class WeightPredictor:
     def _solve(
         self,
         coordinates: FloatArray,
-        positions: NDArray[np.float32] | NDArray[np.float64],
+        displacements: FloatArray,
         visible: BoolArray,
         confidence: Float32Array | None,
     ) -> tuple[FloatArray, FloatArray, Float32Array]:
         """Return weights, uncertainty (frames, regions) and residuals (frames, markers, 3)."""
         low, high = self._mapping.ranges.T
-        weights = np.clip(self._predict(coordinates), low, high)
         solver, curve = self._solver, self._solver.forward.scales.curve
         solves = self._method.solves_frames
+        inputs = displacements.reshape(len(displacements), -1) if solves else coordinates
+        weights = np.clip(self._predict(inputs), low, high)
         uncertainty = np.empty((len(weights), len(self._regions)))
-        residual = np.empty(positions.shape, dtype=np.float32)
+        residual = np.empty(displacements.shape, dtype=np.float32)
         for first in range(0, len(weights), _SOLVED_FRAMES):
             rows = slice(first, first + _SOLVED_FRAMES)
-            displacements, seen = positions[rows] - self._mapping.neutral, visible[rows]
+            moved, seen = displacements[rows], visible[rows]
             prior_mean = bend((weights[rows] - low) / (high - low), curve)
             known = None if confidence is None else confidence[rows]
             if len(self._driving):
-                solution = solver.solve(displacements, seen, prior_mean, bounded=solves)
+                solution = solver.solve(moved, seen, prior_mean, bounded=solves)
                 prior_mean[:, self._driving] = self._expected(solution)
-            solution = solver.solve(
-                displacements, seen, prior_mean, bounded=solves, confidence=known
-            )
+            solution = solver.solve(moved, seen, prior_mean, bounded=solves, confidence=known)
             if solves or len(self._driving):
                 solved = np.clip(unbend(solution.targets, curve), 0.0, 1.0)
                 weights[rows] = low + (high - low) * solved

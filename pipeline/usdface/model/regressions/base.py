@@ -96,6 +96,19 @@ class Pairs:
     """Posterior given these pairs; None in retargeting."""
 
     @property
+    def displacements(self) -> FloatArray:
+        """Displacements of the markers from the neutral: (pairs, markers, 3) [mm].
+
+        Raises
+        ------
+        ValueError
+            If there are no markers or no neutral.
+        """
+        if self.markers is None or self.face.neutral is None:
+            raise ValueError("a mapping's pairs need markers and a neutral")
+        return self.markers - self.face.neutral
+
+    @property
     def face(self) -> Face:
         """The face of a mapping.
 
@@ -163,7 +176,8 @@ class Regression:
     retarget_name: str = ""
     """Name in retargetings, if it differs."""
     solves_frames: bool = False
-    """Whether the prediction is the prior mean of `frame_solve`, not the result."""
+    """Whether it predicts the prior mean of `frame_solve`, from the displacements of the markers,
+    (frames, 3 markers) [mm], in place of weights from coordinates."""
 
     def candidates(self, pairs: Pairs, choices: Choices = DEFAULT_CHOICES) -> tuple[Settings, ...]:
         """Return the candidate settings for a mapping."""

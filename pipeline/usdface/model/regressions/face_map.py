@@ -2,14 +2,16 @@
 
 Each shape s has a Gaussian process. Its inputs are the markers, marker k multiplied by ::
 
-    h_sk = max(|E_sk| / max_j |E_sj|, floor)
+    h_sk = max(|E_sk| / max(max_j |E_sj|, .1 mm), floor)
 
 with ``E`` the displacement of the rig by the shape (`forward_model`). The small motion of lids is
 thus not lost in that of the jaw, and shapes that are local on the rig depend on nearby markers
 only: from references that close both eyes, one lid does not learn to follow the other. Features are
-the principal axes of the weighted markers over all frames of the takes; the covariance is linear
-plus radial (`gaussian_process`). All shapes share the covariance of least leave-one-out error; the
-noise is chosen for each shape.
+the weighted markers along their principal axes over all frames of the takes. They are computed from
+the markers of a frame, not from its components in the motion space, which cannot represent an
+expression that no take shows, such as a wink, and would pass half of it to the other eye. The
+covariance is linear plus radial (`gaussian_process`). All shapes share the covariance of least
+leave-one-out error; the noise is chosen for each shape.
 
 The prediction is the prior mean of `frame_solve`, and its leave-one-out error the prior deviation.
 """
@@ -42,6 +44,9 @@ _MIN_VARIANCE_MM2 = 1e-4
 _MIN_RELEVANCE = 0.003
 """``floor``: markers that the shape does not move still distinguish faces."""
 
+_LEAST_MOTION_MM = 0.1
+"""A shape that moves no marker farther, such as one of the tongue, depends on all of them alike."""
+
 _COVARIANCES = tuple(
     ProcessSettings(dimensions, 0.25, radial, width)
     for dimensions in (12, 24)
@@ -68,15 +73,17 @@ def _fit(pairs: Pairs, settings: Settings) -> Fitted:
     forward, count = pairs.forward, int(settings["dimensions"])
     if forward is None:
         raise ValueError("the face map needs the pairs' forward model")
-    z, targets = pairs.inputs[:, :count], forward.targets
+    moved = pairs.displacements.reshape(len(pairs.outputs), -1)
     length = np.sqrt(forward.shape_size2)
-    share = length / np.maximum(length.max(axis=1, keepdims=True), 1e-9)
+    share = length / np.maximum(length.max(axis=1, keepdims=True), _LEAST_MOTION_MM)
     region, relevance = _gather_regions(np.maximum(share, _MIN_RELEVANCE))
     sample, axes = pairs.face.motion.sample[:, :count], pairs.face.motion.components[:count]
     covariance = np.cov(sample.T).reshape(count, -1)
     features = [regional_features(axes, covariance, row) for row in relevance]
-    chosen = _choose_covariance(z, targets, [features[k] for k in region], pairs.face.gram)
-    arrays = _fit_regions(z, targets, features, region, chosen)
+    chosen = _choose_covariance(
+        moved, forward.targets, [features[k] for k in region], pairs.face.gram
+    )
+    arrays = _fit_regions(moved, forward.targets, features, region, chosen)
     low, span = pairs.face.ranges[:, 0], np.ptp(pairs.face.ranges, axis=1)
     curve = forward.scales.curve
     return Fitted(
@@ -101,15 +108,15 @@ def _gather_regions(relevance: FloatArray) -> tuple[IntArray, FloatArray]:
 
 
 def _choose_covariance(
-    z: FloatArray, targets: FloatArray, features: list[RegionalFeatures], gram: FloatArray
+    moved: FloatArray, targets: FloatArray, features: list[RegionalFeatures], gram: FloatArray
 ) -> ProcessSettings:
     """Return the covariance of least leave-one-out error, relative to each shape's least."""
-    choices = usable_choices(_COVARIANCES, most=z.shape[1])
+    choices = usable_choices(_COVARIANCES, most=len(features[0].variances))
     by_size = np.argsort(-np.diag(gram), kind="stable")
     errors = np.stack(
         [
             leave_one_out_errors(
-                z @ features[s].projection,
+                moved @ features[s].axes,
                 targets[:, [s]],
                 variances=features[s].variances,
                 choices=choices,
@@ -122,23 +129,23 @@ def _choose_covariance(
 
 
 def _fit_regions(
-    z: FloatArray,
+    moved: FloatArray,
     targets: FloatArray,
     features: list[RegionalFeatures],
     region: IntArray,
     choice: ProcessSettings,
 ) -> Arrays:
     """Fit the processes of each region's shapes, and stack the regions' arrays."""
-    slope, intercept = np.empty((z.shape[1], len(region))), np.empty(len(region))
+    slope, intercept = np.empty((moved.shape[1], len(region))), np.empty(len(region))
     dual, residuals = np.empty_like(targets), np.empty_like(targets)
     projection, centres, exponent = [], [], []
-    for k, axes in enumerate(features):
+    for k, each in enumerate(features):
         shapes = np.flatnonzero(region == k)
-        data = {"features": z @ axes.projection, "outputs": targets[:, shapes]}
-        errors = leave_one_out_errors(**data, variances=axes.variances, choices=(choice,))[0]
+        data = {"features": moved @ each.axes, "outputs": targets[:, shapes]}
+        errors = leave_one_out_errors(**data, variances=each.variances, choices=(choice,))[0]
         noise = NOISES[smoothest_near_best(errors)]
-        fit = fit_gaussian_process(**data, variances=axes.variances, choice=choice, noise=noise)
-        projection.append(axes.projection[:, : len(fit.scale)] * fit.scale)
+        fit = fit_gaussian_process(**data, variances=each.variances, choice=choice, noise=noise)
+        projection.append(each.axes[:, : len(fit.scale)] * fit.scale)
         centres.append(fit.centres)
         exponent.append(fit.exponent)
         slope[:, shapes] = projection[-1] @ fit.slope
@@ -157,15 +164,14 @@ def _fit_regions(
 
 
 def _prepare(arrays: Arrays, settings: Settings) -> Predictor:
-    count, curve = int(settings["dimensions"]), float(arrays["curve"][0])
+    curve = float(arrays["curve"][0])
     local = LocalSums(
         **{name: arrays[name] for name in ("projection", "centres", "exponent", "dual")},
         region=arrays["region"].astype(np.int64),
     )
 
-    def predict(coordinates: FloatArray) -> FloatArray:
-        z = coordinates[:, :count]
-        targets = np.clip(z @ arrays["slope"] + arrays["intercept"] + local(z), 0.0, 1.0)
+    def predict(moved: FloatArray) -> FloatArray:
+        targets = np.clip(moved @ arrays["slope"] + arrays["intercept"] + local(moved), 0.0, 1.0)
         return np.asarray(arrays["low"] + arrays["span"] * unbend(targets, curve))
 
     return predict

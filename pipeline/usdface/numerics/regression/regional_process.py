@@ -36,6 +36,9 @@ class RegionalFeatures:
     first."""
     variances: FloatArray
     """(D,)"""
+    axes: FloatArray
+    """(3 markers, D): ``displacements @ axes`` are the same for displacements that are combinations
+    of the components. For others, they depend on markers by their relevance alone."""
 
 
 def marker_relevance(sample: FloatArray, weights: FloatArray, components: FloatArray) -> FloatArray:
@@ -84,7 +87,9 @@ def regional_features(
     factor = np.linalg.cholesky(metric)
     values, vectors = np.linalg.eigh(factor.T @ covariance @ factor)
     variances = np.maximum(values[::-1], 1e-9 * values[-1])
-    return RegionalFeatures(factor @ vectors[:, ::-1], variances)
+    orthonormal = np.linalg.solve(factor, seen)
+    axes = np.repeat(relevance, 3)[:, None] * (orthonormal.T @ vectors[:, ::-1])
+    return RegionalFeatures(factor @ vectors[:, ::-1], variances, axes)
 
 
 class LocalSums:
