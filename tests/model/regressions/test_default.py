@@ -186,6 +186,31 @@ def test_shapes_that_references_only_use_together_are_told_apart() -> None:
     assert found[-1, 1] < 0.25
 
 
+def test_the_regression_itself_knows_a_wink_though_both_eyes_close_in_all_takes() -> None:
+    """Components of the takes would pass half of a wink to the other eye."""
+    face = synthetic_face()
+    one_side = (face.neutral[:, 0] > np.median(face.neutral[:, 0]))[:, None]
+    shapes = face.shapes.copy()
+    shapes[0] *= one_side
+    shapes[1] *= ~one_side
+    both = face.weights.copy()
+    both[:, 1] = both[:, 0]
+    noise = np.random.default_rng(0).normal(0, 0.1, face.positions.shape)
+    performed = face.neutral + 1.2 * np.einsum("fs,smc->fmc", both, shapes) + noise
+    mapping = train_mapping(
+        references_of(replace(face, weights=both, positions=performed), CHOSEN),
+        ranges=face.ranges,
+        gram=face.gram,
+        skin=sample_skin(shapes.reshape(len(shapes), -1)),
+        method="face_map",
+    )
+    wink = np.full((1, len(shapes)), 0.5)
+    wink[:, :2] = [1.0, 0.0]
+    moved = 1.2 * np.einsum("fs,smc->fmc", wink, shapes).reshape(1, -1)
+    found = face_map.METHOD.predict(mapping.arrays, mapping.settings, moved)[0]
+    np.testing.assert_allclose(found[:2], [1.0, 0.0], atol=0.05)
+
+
 def test_rigs_of_very_many_shapes_are_solved_without_a_matrix_for_each_frame(monkeypatch) -> None:
     """Without the quadratic part both ways minimise the same sum."""
     mapping = trained(skin=True)

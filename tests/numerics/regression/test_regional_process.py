@@ -39,6 +39,7 @@ def test_regional_features_are_uncorrelated_and_measure_the_region() -> None:
     region = regional_features(components, covariance, relevance)
     rows = sample @ region.projection
     np.testing.assert_allclose(np.cov(rows.T), np.diag(region.variances), atol=1e-6)
+    np.testing.assert_allclose((sample @ components) @ region.axes, rows, atol=1e-5)
     weighed = (sample @ components) * np.repeat(relevance, 3)
     distance = np.linalg.norm(weighed[0] - weighed[1])
     assert np.linalg.norm(rows[0] - rows[1]) == pytest.approx(distance, rel=1e-5)
