@@ -181,6 +181,14 @@ def test_a_mapping_by_a_method_of_earlier_versions_is_to_be_trained_again(name: 
         trained(face, name)
 
 
+def test_a_regression_on_components_of_earlier_versions_is_to_be_trained_again() -> None:
+    face = synthetic_face()
+    mapping = trained(face, "face_map")
+    earlier = mapping.arrays | {"slope": mapping.arrays["slope"][:20]}
+    with pytest.raises(InputError, match=r"reads 20 values a frame, such as .*; train it again"):
+        predict_weights(replace(mapping, arrays=earlier), face.positions)
+
+
 def test_arrays_that_earlier_versions_added_are_not_read() -> None:
     face = synthetic_face()
     mapping = trained(face, "face_map")

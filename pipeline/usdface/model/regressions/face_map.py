@@ -171,6 +171,11 @@ def _prepare(arrays: Arrays, settings: Settings) -> Predictor:
     )
 
     def predict(moved: FloatArray) -> FloatArray:
+        if moved.shape[1] != len(arrays["slope"]):
+            raise ValueError(
+                f"its regression reads {len(arrays['slope'])} values a frame, such as the "
+                f"components of earlier versions, not {moved.shape[1]} coordinates of markers"
+            )
         targets = np.clip(moved @ arrays["slope"] + arrays["intercept"] + local(moved), 0.0, 1.0)
         return np.asarray(arrays["low"] + arrays["span"] * unbend(targets, curve))
 
