@@ -137,7 +137,7 @@ def test_a_join_ends_with_the_verdict_of_the_whole(shot: Shot) -> None:
         run(made.model_copy(update={"out": shot / name, "frames": frames}))
     join = JoinSpec(parts=tuple(shot / name for name in parts), out=shot / "joined.usda")
     joined = run(join)
-    # Layers store the uncertainty rounded, so that its last printed digit may differ by one.
+    # Layers thin the uncertainty to within SAMPLE_TOLERANCE_MM: its last digit may differ by one.
     figures = [re.split(r"(\d+\.\d+)", each.summary.split(" (")[0]) for each in (joined, whole)]
     assert figures[0][::2] == figures[1][::2]
     np.testing.assert_allclose(*(np.array(each[1::2], float) for each in figures), atol=0.011)
