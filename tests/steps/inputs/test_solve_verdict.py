@@ -1,10 +1,8 @@
 """What a layer's verdict lets pass: `validate`, publishes, joins."""
 
 import json
-import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 from pxr import Sdf
 
@@ -137,10 +135,7 @@ def test_a_join_ends_with_the_verdict_of_the_whole(shot: Shot) -> None:
         run(made.model_copy(update={"out": shot / name, "frames": frames}))
     join = JoinSpec(parts=tuple(shot / name for name in parts), out=shot / "joined.usda")
     joined = run(join)
-    # Layers thin the uncertainty to within SAMPLE_TOLERANCE_MM: its last digit may differ by one.
-    figures = [re.split(r"(\d+\.\d+)", each.summary.split(" (")[0]) for each in (joined, whole)]
-    assert figures[0][::2] == figures[1][::2]
-    np.testing.assert_allclose(*(np.array(each[1::2], float) for each in figures), atol=0.011)
+    assert joined.summary.split(" (")[0] == whole.summary.split(" (")[0]
     assert joined.figures["verdict"]["level"] == joined.level == whole.level
     for name in parts:
         cover(shot / name, 0.1)

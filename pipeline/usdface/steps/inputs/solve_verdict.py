@@ -25,21 +25,24 @@ WORST_VERDICT = "USDFACE_WORST_VERDICT"
 
 def judge_performance(reader: PerformanceReader) -> SolveVerdict | None:
     """Judge a performance by its layer's figures; None if it has none and is no retarget."""
+    evidence = evidence_of(reader)
+    unknown = evidence.uncertainty_mm is None and evidence.coverage is None
+    return None if unknown and not evidence.retarget else judge_solve(evidence)
+
+
+def evidence_of(reader: PerformanceReader) -> SolveEvidence:
+    """Return the figures that a performance's layer stores."""
     uncertainty_mm, coverage, residual_mm = reader.figures()
     retarget = describe_retarget(reader.path)
-    if uncertainty_mm is None and coverage is None and not retarget:
-        return None
-    return judge_solve(
-        SolveEvidence(
-            reader.regions or ("face",),
-            uncertainty_mm=uncertainty_mm,
-            coverage=coverage,
-            residual_mm=residual_mm,
-            basis=reader.basis,
-            retarget=retarget,
-            unfollowed_share=sum(reader.header.unmatched_shares),
-            bad_source=bad_source(reader.path) if retarget else "",
-        )
+    return SolveEvidence(
+        reader.regions or ("face",),
+        uncertainty_mm=uncertainty_mm,
+        coverage=coverage,
+        residual_mm=residual_mm,
+        basis=reader.basis,
+        retarget=retarget,
+        unfollowed_share=sum(reader.header.unmatched_shares),
+        bad_source=bad_source(reader.path) if retarget else "",
     )
 
 

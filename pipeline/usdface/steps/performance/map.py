@@ -24,16 +24,18 @@ from usdface.model.mapping.predict import Prediction, WeightPredictor, basis_of,
 from usdface.model.mapping.rig_match import check_same_rig
 from usdface.model.mapping.temporal import TemporalSolve, smooth_weights
 from usdface.model.placement.rig_orientation import check_rig_upright
-from usdface.model.review.verdict import VISIBLE_ERROR_MM, SolveEvidence, judge_solve
+from usdface.model.review.verdict import VISIBLE_ERROR_MM, judge_solve
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.performance import MapSpec
 from usdface.steps.inputs.cleaned_takes import read_markers, take_head_space
 from usdface.steps.inputs.edit_ranges import edit_notes
+from usdface.steps.inputs.solve_verdict import evidence_of, with_verdict
 from usdface.steps.inputs.weight_tables import read_alpha
 from usdface.usdio.mapping import read_mapping
 from usdface.usdio.performance.driving_layers import write_head_layer
-from usdface.usdio.performance.weights_layer import WeightsHeader, append_rig_shapes, make_header
+from usdface.usdio.performance.read import PerformanceReader
+from usdface.usdio.performance.weights_layer import append_rig_shapes, make_header
 from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.rig.drive_targets import HeadDrive
 from usdface.usdio.rig.read import read_rig
@@ -104,24 +106,21 @@ residual, above which it is noted: twice the noise of a cleaned marker, and half
 
 
 @dataclass
-class _Written:
-    """Figures of the written frames, one array per block."""
+class _Residuals:
+    """Sums of the written frames' residuals."""
 
-    uncertainty_mm: list[FloatArray] = field(default_factory=list)
-    coverage: list[FloatArray] = field(default_factory=list)
-    residual_mm: list[FloatArray] = field(default_factory=list)
-    few_markers: list[BoolArray] = field(default_factory=list)
-    residual_sum: FloatArray | float = 0.0
+    frames: int = 0
+    total: FloatArray | float = 0.0
     """Sum over frames of each marker's residual vector."""
-    residual_squares: float = 0.0
+    squares: float = 0.0
+    few_markers: list[BoolArray] = field(default_factory=list)
+    """Frames with few markers, one array per block."""
 
     def add(self, solved: Prediction, rows: slice) -> None:
-        residual = solved.residuals_mm[rows].astype(np.float64)
-        self.residual_sum = self.residual_sum + residual.sum(axis=0)
-        self.residual_squares += float((residual**2).sum())
-        self.uncertainty_mm.append(solved.uncertainty[rows])
-        self.coverage.append(solved.coverage[rows])
-        self.residual_mm.append(solved.residual_mm[rows])
+        residuals = solved.residuals_mm[rows].astype(np.float64)
+        self.frames += len(residuals)
+        self.total = self.total + residuals.sum(axis=0)
+        self.squares += float((residuals**2).sum())
         self.few_markers.append(solved.few_markers[rows])
 
 
@@ -147,7 +146,7 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress = silent) -
     margin = temporal.margin_at(float(take.rate))
     blocks = list(_blocks(take, first, last))
     windows = [_window(take, block, margin) for block in blocks]
-    written = _Written()
+    residuals = _Residuals()
     header = replace(
         make_header(
             rig,
@@ -189,15 +188,15 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress = silent) -
                 coverage=solved.coverage[rows],
                 residual_mm=solved.residual_mm[rows],
             )
-            written.add(solved, rows)
+            residuals.add(solved, rows)
             done = min(block.stop - 1, last)
             progress((done - first + 1) / (last - first + 1), f"mapped to frame {done}")
         write_head_layer(spec.out, header, rig, driven.transforms, provenance=provenance)
     notes += [*driven.notes, *_marker_notes(space), *space.neutral.notes(take.name)]
-    notes += _constant_residual_notes(written)
-    notes += _few_marker_notes(first, np.concatenate(written.few_markers))
+    notes += _constant_residual_notes(residuals)
+    notes += _few_marker_notes(first, np.concatenate(residuals.few_markers))
     notes += edit_notes(spec.out)
-    return _report(spec, header, written, notes, space.neutral.figures())
+    return _report(spec, notes, space.neutral.figures())
 
 
 def _predict(
@@ -316,12 +315,11 @@ def _marker_notes(space: HeadSpace) -> list[str]:
     return notes
 
 
-def _constant_residual_notes(written: _Written) -> list[str]:
+def _constant_residual_notes(residuals: _Residuals) -> list[str]:
     """Return a note if most of the residual is the same in every frame."""
-    frames = sum(map(len, written.uncertainty_mm))
-    mean = np.asarray(written.residual_sum) / max(frames, 1)
+    mean = np.asarray(residuals.total) / max(residuals.frames, 1)
     constant_mm = float(np.sqrt((mean**2).sum(axis=-1).mean()))
-    share = frames * float((mean**2).sum()) / max(written.residual_squares, 1e-12)
+    share = residuals.frames * float((mean**2).sum()) / max(residuals.squares, 1e-12)
     if constant_mm <= _CONSTANT_MM or share <= _CONSTANT_SHARE:
         return []
     return [
@@ -342,38 +340,22 @@ def _few_marker_notes(first: int, few_markers: BoolArray) -> list[str]:
     ]
 
 
-def _report(
-    spec: MapSpec,
-    header: WeightsHeader,
-    written: _Written,
-    notes: list[str],
-    neutral: dict[str, object],
-) -> StepResult:
-    uncertainty = np.concatenate(written.uncertainty_mm)
-    residual_mm = np.concatenate(written.residual_mm)
-    evidence = SolveEvidence(
-        header.regions,
-        uncertainty_mm=uncertainty,
-        coverage=np.concatenate(written.coverage),
-        residual_mm=residual_mm,
-        basis=header.basis,
-    )
-    verdict = judge_solve(evidence)
-    if verdict.advice:
-        notes.append(f"to do: {verdict.advice}")
-    count = len(uncertainty)
+def _report(spec: MapSpec, notes: list[str], neutral: dict[str, object]) -> StepResult:
+    """Return the result, by the figures that the layer stores, as every later step reads them."""
+    reader = PerformanceReader(spec.out)
+    evidence = evidence_of(reader)
+    uncertainty, residual = map(np.asarray, (evidence.uncertainty_mm, evidence.residual_mm))
     uncertain = np.flatnonzero(uncertainty[:, 0] > evidence.on_rig(VISIBLE_ERROR_MM))
-    return StepResult(
+    result = StepResult(
         (spec.out, weights_path(spec.out), *([head_path(spec.out)] if spec.drive else [])),
-        f"{verdict.sentence} ({pluralize(count, 'frame')})",
+        pluralize(len(uncertainty), "frame"),
         tuple(notes),
         {
-            "frames": count,
+            "frames": len(uncertainty),
             "mean_uncertainty_mm": float(uncertainty[:, 0].mean()),
-            "uncertain_frames": (header.first_frame + uncertain)[:_LISTED_FRAMES].tolist(),
-            "residual_mm": float(np.sqrt((residual_mm[:, 0] ** 2).mean())),
-            "verdict": verdict.figures,
+            "uncertain_frames": (reader.first_frame + uncertain)[:_LISTED_FRAMES].tolist(),
+            "residual_mm": float(np.sqrt((residual[:, 0] ** 2).mean())),
             "neutral": neutral,
         },
-        level=verdict.level,
     )
+    return with_verdict(result, judge_solve(evidence))
