@@ -22,7 +22,7 @@ Predictions, predictive variance and leave-one-out residuals have closed forms (
 5.12). The motion of the rig's combination shapes is subtracted before (`driven_motion`).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -218,9 +218,9 @@ class ForwardModel:
 
     @cached_property
     def _kernel_factors(self) -> tuple[Float32Array, Float32Array, Float32Array]:
-        """Return factors of `_kernel` with the pairs, and the Cholesky factor of `inverse`.
+        """Return factors of ``k_k`` with the pairs, and the Cholesky factor of `inverse`.
 
-        Linear and quadratic factor: (markers, shapes, pairs).
+        Of its linear and of its quadratic term: (markers, shapes, pairs).
         """
         product = self.shape_size2.T * np.sqrt(self.quadratic)[:, None]
         u = self.targets.T
@@ -232,13 +232,9 @@ class ForwardModel:
         """Return the model as arrays of a mapping, the input of `from_arrays`."""
         names = ("shape_size2", "deviation2", "quadratic", "targets", "dual", "inverse", "noise")
         arrays = {name: getattr(self, name) for name in (*names, "basis", "offset", "spread")}
-        scales = self.scales
-        values = [scales.alpha, scales.floor, scales.eta, scales.tau, scales.curve]
+        arrays["scales"] = np.array(astuple(self.scales))
         driven = {} if self.driven is None else self.driven.to_arrays()
-        return {f"forward_{name}": array for name, array in arrays.items()} | {
-            "forward_scales": np.array(values),
-            **driven,
-        }
+        return {f"forward_{name}": array for name, array in arrays.items()} | driven
 
     @classmethod
     def from_arrays(cls, arrays: Arrays) -> "ForwardModel":
@@ -249,7 +245,6 @@ class ForwardModel:
             if name.startswith("forward_")
         }
         scales, driven = fields.pop("scales").tolist(), DrivenMotion.from_arrays(arrays)
-        fields.setdefault("spread", weight_spread(fields["targets"]))
         return cls(ForwardScales(*scales), **fields, driven=driven)
 
 
@@ -345,10 +340,14 @@ class _Prior:
         self.quadratic = scales.eta**2 / np.maximum(motion2, 1.0)
         deviations = displacements - np.einsum("ns,skc->nkc", t, expected, optimize=True)
         self.deviations = deviations.transpose(1, 0, 2)
-        self.covariance = _kernel(t, t, self.deviation2, size2, self.quadratic)
-        key_noise = scales.key_variance(t) @ size2 / 3
+        covariance: FloatArray = (t * size2.T[:, None, :]) @ t.T
+        covariance **= 2
+        covariance *= self.quadratic[:, None, None]
+        covariance += (t * self.deviation2.T[:, None, :]) @ t.T
+        covariance += _OFFSET_MM**2
         diagonal = np.arange(len(t))
-        self.covariance[:, diagonal, diagonal] += key_noise.T
+        covariance[:, diagonal, diagonal] += (scales.key_variance(t) @ size2 / 3).T
+        self.covariance = covariance
 
     def log_evidence(self) -> FloatArray:
         """Return the log evidence per candidate of sigma, up to a constant: (noises, markers)."""
@@ -380,22 +379,6 @@ class _Prior:
             _OFFSET_MM**2 * dual.sum(axis=0),
             weight_spread(self.targets, lids),
         )
-
-
-def _kernel(
-    t: FloatArray,
-    u: FloatArray,
-    deviation2: FloatArray,
-    size2: FloatArray,
-    quadratic: FloatArray,
-) -> FloatArray:
-    """Return ``k_k(t, u)``, the prior covariance: (markers, rows of t, rows of u) [mm^2]."""
-    covariance: FloatArray = (t * size2.T[:, None, :]) @ u.T
-    covariance **= 2
-    covariance *= quadratic[:, None, None]
-    covariance += (t * deviation2.T[:, None, :]) @ u.T
-    covariance += _OFFSET_MM**2
-    return covariance
 
 
 def _reach(size2: FloatArray, neutral: FloatArray) -> FloatArray:
