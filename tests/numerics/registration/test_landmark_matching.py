@@ -8,7 +8,7 @@ from usdface.numerics.registration.landmark_matching import (
     match_landmarks,
     refine_fit,
 )
-from usdface.numerics.registration.skin_placement import PlaneFit, pitch_rotation
+from usdface.numerics.registration.plane_fit import PlaneFit, pitch_rotation
 
 PLACES = np.array(
     [

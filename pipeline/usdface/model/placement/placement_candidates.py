@@ -18,13 +18,12 @@ from usdface.numerics.registration.motion_search import (
     search_by_motion,
     size_cost,
 )
+from usdface.numerics.registration.plane_fit import PlaneFit, fit_in_plane
 from usdface.numerics.registration.skin_placement import (
     TYPICAL_SIZE_MM,
     KnownPlace,
-    PlaneFit,
     SkinPlacement,
     explained_share,
-    fit_in_plane,
     place_on_skin,
     solve_weights_at,
     to_character,

@@ -12,7 +12,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
 from usdface.core.arrays import FloatArray, IntArray
-from usdface.numerics.registration.skin_placement import PlaneFit, fit_in_plane
+from usdface.numerics.registration.plane_fit import PlaneFit, fit_in_plane
 
 _MARKED_SHARE = 0.7
 """Prior probability that a landmark has a marker: marker sets differ."""

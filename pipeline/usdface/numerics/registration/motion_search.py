@@ -19,11 +19,10 @@ from usdface.numerics.registration.landmark_matching import (
     match_landmarks,
     refine_fit,
 )
+from usdface.numerics.registration.plane_fit import PlaneFit, pitch_rotation
 from usdface.numerics.registration.skin_placement import (
     MODEL_ERROR_SHARE,
-    PlaneFit,
     explained_share,
-    pitch_rotation,
     solve_weights_at,
     to_character,
 )
