@@ -231,7 +231,7 @@ def _setup(
     space = train_mapping(
         references, ranges=np.tile([0.0, 1.0], (len(columns), 1)), gram=None, method="ridge"
     )
-    placed = align_markers(space, some)
+    placed = align_markers(space, some, rate=float(take[0].rate))
     follow = len(rows) if len(rows) > BLOCKS * BLOCK_FRAMES else BLOCK_FRAMES
     return Setup(
         name, references, placed.positions, placed.visible, take[1][rows][:, columns], follow
@@ -343,15 +343,15 @@ def brow_share(folder: Path, ruler: Ruler, method: str) -> float:
     Keys are the baseline's proposals, so that a mapping without error gives the baseline.
     """
     references = read_references(folder / "cheeks.references.usda")
-    cheeks, brows = (
-        read_take(folder / f"{name}.clean.take.usda").markers
-        for name in ("CheeksMoCap", "EyebrowsMoCap")
+    cheeks_take, brows_take = (
+        read_take(folder / f"{name}.clean.take.usda") for name in ("CheeksMoCap", "EyebrowsMoCap")
     )
+    cheeks, brows = cheeks_take.markers, brows_take.markers
     if cheeks is None or brows is None:
         raise SystemExit("the recorded takes have no markers")
     columns = [ruler.rig.shapes.index(name) for name in references.shape_names]
     mapping = ruler.train(references, method)
-    placed = align_markers(mapping, brows)
+    placed = align_markers(mapping, brows, rate=float(brows_take.rate))
     rows = slice(None, None, 3)
     equation = set_up_equation(
         ruler.rig,

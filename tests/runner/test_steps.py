@@ -274,7 +274,7 @@ def test_a_reopened_mapping_predicts_the_same_to_the_last_bit(shot: Shot) -> Non
     reopened = read_mapping(shot / "bits.mapping.usdc")
     markers = read_take(shot / "shot.clean.take.usda").markers
     first, second = (
-        predict_weights(each, align_markers(each, markers).positions)
+        predict_weights(each, align_markers(each, markers, rate=120.0).positions)
         for each in (mapping, reopened)
     )
     np.testing.assert_array_equal(first.weights, second.weights)

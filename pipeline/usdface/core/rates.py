@@ -11,6 +11,10 @@ from math import isfinite
 
 from usdface.core.errors import InputError
 
+_DAY_SECONDS = 86_400
+_DROPPED_LABELS = 2 * (24 * 60 - 24 * 6)
+"""Labels that drop frame leaves out of a day."""
+
 LABEL = re.compile(r"^(\d\d):(\d\d):(\d\d)([:;])(\d\d)$")
 FASTEST_BASE = 30
 
@@ -70,6 +74,13 @@ def timecode_of(frames: int, rate: Fraction, *, drop: bool = False) -> str:
     minutes, second = divmod(seconds, 60)
     hours, minute = divmod(minutes, 60)
     return f"{hours % 24:02d}:{minute:02d}:{second:02d}{';' if drop else ':'}{frame:02d}"
+
+
+def day_seconds(rate: Fraction, *, drop: bool) -> Fraction:
+    """Return the duration of a day of labels at a rate [s]."""
+    if drop:
+        return Fraction(_DAY_SECONDS * 30 - _DROPPED_LABELS) * Fraction(1001, 30_000)
+    return Fraction(_DAY_SECONDS) * (Fraction(1001, 1000) if rate.denominator == 1001 else 1)
 
 
 def shift_timecode(start: str, frames: int, rate: Fraction) -> str:

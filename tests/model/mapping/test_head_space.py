@@ -27,7 +27,9 @@ def test_a_take_in_another_head_space_is_moved_back() -> None:
     other = synthetic_face(noise=0.1)
     turn = Rotation.from_euler("xyz", [8, -12, 4], degrees=True).as_matrix()
     moved = other.positions @ turn.T + [30.0, -20.0, 5.0]
-    mapped = align_markers(trained(), markers_of(other, positions=moved.astype(np.float32)))
+    mapped = align_markers(
+        trained(), markers_of(other, positions=moved.astype(np.float32)), rate=60.0
+    )
     np.testing.assert_allclose(mapped.positions, other.positions, atol=0.1)
     weights = predict_weights(trained(), mapped.positions, visible=mapped.visible).weights
     assert np.sqrt(((weights - other.weights) ** 2).mean()) < 0.02
@@ -45,9 +47,9 @@ def test_markers_are_matched_by_name_in_any_order() -> None:
         visible=np.ones((1200, 25), dtype=bool),
         confidence=np.ones((1200, 25), dtype=np.float32),
     )
-    mapped = align_markers(trained(), shuffled)
+    mapped = align_markers(trained(), shuffled, rate=60.0)
     np.testing.assert_allclose(mapped.positions, face.positions, atol=0.02)
-    space = find_head_space(face_of_mapping(trained()), shuffled)
+    space = find_head_space(face_of_mapping(trained()), shuffled, rate=60.0)
     assert (space.missing, space.extra) == ((), ("nose_extra",))
 
 
@@ -61,8 +63,8 @@ def test_missing_markers_are_marked_unseen() -> None:
         visible=np.ones((1200, 22), dtype=bool),
         confidence=np.ones((1200, 22), dtype=np.float32),
     )
-    mapped = align_markers(trained(), fewer)
-    assert find_head_space(face_of_mapping(trained()), fewer).missing == ("m09", "m14")
+    mapped = align_markers(trained(), fewer, rate=60.0)
+    assert find_head_space(face_of_mapping(trained()), fewer, rate=60.0).missing == ("m09", "m14")
     assert not mapped.visible[:, [9, 14]].any()
     prediction = predict_weights(trained(), mapped.positions, visible=mapped.visible)
     assert np.sqrt(((prediction.weights - face.weights) ** 2).mean()) < 0.03
@@ -75,7 +77,9 @@ def test_a_repaired_sample_is_used_and_a_lost_one_is_not() -> None:
     visible[10:20, 8] = False
     confidence[10:15, 8] = 0.6
     confidence[15:20, 8] = 0.0
-    mapped = align_markers(trained(), markers_of(face, visible=visible, confidence=confidence))
+    mapped = align_markers(
+        trained(), markers_of(face, visible=visible, confidence=confidence), rate=60.0
+    )
     assert mapped.visible[10:15, 8].all()
     assert not mapped.visible[15:20, 8].any()
 
@@ -84,7 +88,9 @@ def test_one_slipped_rigid_marker_does_not_turn_the_head() -> None:
     face = synthetic_face()
     slipped = face.positions.copy()
     slipped[:, 2] += [0.0, 9.0, 0.0]
-    mapped = align_markers(trained(), markers_of(face, positions=slipped.astype(np.float32)))
+    mapped = align_markers(
+        trained(), markers_of(face, positions=slipped.astype(np.float32)), rate=60.0
+    )
     rest = np.delete(np.arange(24), 2)
     np.testing.assert_allclose(mapped.positions[:, rest], face.positions[:, rest], atol=0.5)
 
@@ -92,19 +98,19 @@ def test_one_slipped_rigid_marker_does_not_turn_the_head() -> None:
 def test_takes_that_cannot_be_mapped_say_what_to_do() -> None:
     face, mapping = synthetic_face(), trained()
     with pytest.raises(InputError, match="still holds head motion; run the clean step"):
-        align_markers(mapping, markers_of(face, space="captured"))
+        align_markers(mapping, markers_of(face, space="captured"), rate=60.0)
     renamed = tuple(f"x{i}" for i in range(24))
     with pytest.raises(InputError, match="has 0 of the mapping's 24 markers, at least 12"):
-        align_markers(mapping, markers_of(face, names=renamed))
+        align_markers(mapping, markers_of(face, names=renamed), rate=60.0)
     few = tuple(f"x{i}" if i < 3 else face.names[i] for i in range(24))
     with pytest.raises(InputError, match="has 2 of the mapping's 5 rigid markers, at least 3"):
-        align_markers(mapping, markers_of(face, names=few))
+        align_markers(mapping, markers_of(face, names=few), rate=60.0)
     inches = face.positions * 25.4
     with pytest.raises(InputError, match=r"25.4 times those of .* another unit; .*--units"):
-        align_markers(mapping, markers_of(face, positions=inches.astype(np.float32)))
+        align_markers(mapping, markers_of(face, positions=inches.astype(np.float32)), rate=60.0)
     larger = face.positions * 1.3
     with pytest.raises(InputError, match=r"distance is 1.3 times .* 0.769 times its --scale") as no:
-        align_markers(mapping, markers_of(face, positions=larger.astype(np.float32)))
+        align_markers(mapping, markers_of(face, positions=larger.astype(np.float32)), rate=60.0)
     assert re.search(
         "mm from those of the takes it is compared with .*another performer: select and train",
         str(no.value),
@@ -112,7 +118,7 @@ def test_takes_that_cannot_be_mapped_say_what_to_do() -> None:
     moved = np.random.default_rng(3).normal(0, 20, (24, 3))
     stranger = (face.positions + moved).astype(np.float32)
     with pytest.raises(InputError, match=r"compared with.*; it is another marker set or"):
-        align_markers(mapping, markers_of(face, positions=stranger))
+        align_markers(mapping, markers_of(face, positions=stranger), rate=60.0)
 
 
 def test_a_mapping_without_its_arrays_asks_to_be_trained_again() -> None:
@@ -132,7 +138,7 @@ def test_rigid_markers_on_a_line_do_not_tell_how_the_head_is_turned() -> None:
     )
     turned = face.positions @ Rotation.from_rotvec([0.08, 0.06, 0.0]).as_matrix().T
     whole = markers_of(face, positions=turned.astype(np.float32))
-    found = align_markers(mapping, whole)
+    found = align_markers(mapping, whole, rate=60.0)
     np.testing.assert_allclose(found.positions, face.positions, atol=0.05)
     lacking = np.ones((1200, len(face.names)), dtype=bool)
     lacking[:, 4] = False  # the one rigid marker beside the line
@@ -143,4 +149,4 @@ def test_rigid_markers_on_a_line_do_not_tell_how_the_head_is_turned() -> None:
         confidence=lacking.astype(np.float32),
     )
     with pytest.raises(InputError, match="m00, m01, m02, m03, lie on a line"):
-        align_markers(mapping, line)
+        align_markers(mapping, line, rate=60.0)

@@ -275,6 +275,8 @@ NTSC, FILM = Fraction(30000, 1001), Fraction(24000, 1001)
         ("00:00:01:00", Fraction(24), "23:59:59:00", Fraction(24), -2.0),
         ("10:00:00:00", 4 * NTSC, "10:00:10:00", FILM, 10.01),
         ("10:00:00;00", 2 * NTSC, "10:01:00;02", NTSC, 60.06),
+        ("23:59:59;00", NTSC, "00:00:00;00", NTSC, 1.001),
+        ("23:59:59:00", NTSC, "00:00:00:00", NTSC, 1.001),
     ],
 )
 def test_labels_give_the_shift(take_start, take_rate, video_start, video_rate, offset) -> None:

@@ -11,7 +11,9 @@ from tests.numerics.registration.test_marker_application import GLUE, NEUTRAL, p
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import Markers, Take
 from usdface.core.errors import InputError
+from usdface.model.mapping.performer_face import PerformerFace
 from usdface.steps.inputs.cleaned_takes import read_cleaned_takes
+from usdface.steps.inputs.scene import takes_head_space
 from usdface.usdio.take.read import read_take
 from usdface.usdio.take.write import write_take
 
@@ -19,7 +21,13 @@ NAMES = tuple(f"m{i:02d}" for i in range(len(NEUTRAL)))
 
 
 def write(
-    folder: Path, name: str, positions: FloatArray, *, names: tuple[str, ...] = NAMES, **stated: str
+    folder: Path,
+    name: str,
+    positions: FloatArray,
+    *,
+    names: tuple[str, ...] = NAMES,
+    rate: int = 60,
+    **stated: str,
 ) -> Path:
     seen = np.ones(positions.shape[:2], bool)
     neutral = int(((positions - positions[0]) ** 2).sum(axis=(1, 2)).argmin())
@@ -33,7 +41,7 @@ def write(
         space="stabilized",
     )
     path = folder / f"{name}.take.usda"
-    write_take(path, Take(name, Fraction(60), 1, markers=markers, **stated))
+    write_take(path, Take(name, Fraction(rate), 1, markers=markers, **stated))
     return path
 
 
@@ -52,6 +60,19 @@ def test_a_take_of_another_day_meets_the_first(tmp_path: Path) -> None:
     np.testing.assert_allclose(takes.positions[0], from_neutral(0), atol=1e-4)
     assert not takes.neutrals[0].offset.any()
     assert takes.neutrals[1].is_reapplied
+
+
+def test_takes_are_compared_with_a_mapping_by_their_length_in_seconds(tmp_path: Path) -> None:
+    """An offset is removed from takes of ten seconds and more, whatever their rate."""
+    frames = from_neutral(0)
+    seen = np.ones(frames.shape[:2], bool)
+    face = PerformerFace(NAMES, NAMES[:8], NEUTRAL, frames, seen, "Kim", "")
+    count = len(frames)
+    for rate, compared in ((count // 15, True), (count // 6, False)):
+        moved = from_neutral(1) + GLUE
+        path = write(tmp_path, f"at{rate}", moved, rate=rate, performer="Kim")
+        space = takes_head_space(face, read_cleaned_takes((path,)))
+        assert space.neutral.offset.any() == compared
 
 
 def test_the_session_is_kept_and_used(tmp_path: Path) -> None:

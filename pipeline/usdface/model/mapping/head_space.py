@@ -109,8 +109,8 @@ def find_head_space(
     face: PerformerFace,
     markers: Markers,
     *,
+    rate: float,
     frames: IntArray | None = None,
-    rate: float = 60.0,
     performer: str = "",
     session: str = "",
 ) -> HeadSpace:
@@ -123,10 +123,10 @@ def find_head_space(
     ----------
     markers : Markers
         Stabilised; a sample of frames suffices.
-    frames : (frames,) int array, optional
-        Their frame numbers; by default they begin at 0.
     rate : float
         Frames per second.
+    frames : (frames,) int array, optional
+        Frame numbers of the sample; by default they begin at 0.
     performer, session : str
         Of the take; empty if unknown.
 
@@ -185,9 +185,9 @@ def find_head_space(
     return HeadSpace(columns, slots, count, rotation, shift, missing, extra, neutral)
 
 
-def align_markers(mapping: TrainedMapping, markers: Markers) -> MappedMarkers:
-    """Align a whole take with a mapping; see `find_head_space`."""
-    return find_head_space(face_of_mapping(mapping), markers).place(markers)
+def align_markers(mapping: TrainedMapping, markers: Markers, *, rate: float) -> MappedMarkers:
+    """Align a whole take, at a rate in frames per second, with a mapping; see `find_head_space`."""
+    return find_head_space(face_of_mapping(mapping), markers, rate=rate).place(markers)
 
 
 def _in_order(

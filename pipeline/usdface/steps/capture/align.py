@@ -8,7 +8,7 @@ from usdface.core.assets import Take, Video
 from usdface.core.errors import CheckFailedError, InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
-from usdface.core.rates import frames_of, label_rate
+from usdface.core.rates import day_seconds, frames_of, label_rate
 from usdface.media.charts.alignment import AlignmentPage, ShiftMark, draw_alignment
 from usdface.media.film.sound import read_audio
 from usdface.media.film.video import VideoReader, open_video
@@ -19,8 +19,6 @@ from usdface.runner.result import StepResult
 from usdface.specs.capture import AlignSpec
 from usdface.usdio.take.read import TakeReader
 from usdface.usdio.take.write import VideoSync, write_video_sync
-
-_DAY_SECONDS = 86400
 
 
 @dataclass(frozen=True)
@@ -73,7 +71,7 @@ def timecode_shift(
         video_time = frames_of(video_start, video_rate) / video_rate
     except InputError as error:
         return TimecodeShift(None, reason=str(error))
-    day = _DAY_SECONDS * (Fraction(1001, 1000) if take_rate.denominator == 1001 else 1)
+    day = day_seconds(take_rate, drop=drop[0])
     difference = (video_time - take_time + day / 2) % day - day / 2  # across midnight too
     tolerance = sum((label_rate(rate)[1] / rate for rate in (take_rate, video_rate)), Fraction(0))
     return TimecodeShift(float(difference) - first_picture, float(tolerance))

@@ -15,7 +15,7 @@ from usdface.capture.c3d import C3dFile, is_c3d, open_c3d
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray
 from usdface.core.assets import Markers, Take, WeightsClip
 from usdface.core.errors import InputError
-from usdface.core.rates import frames_of, frames_within, shift_timecode, timecode_of
+from usdface.core.rates import day_seconds, frames_of, frames_within, shift_timecode, timecode_of
 from usdface.core.replacing import replacing
 from usdface.core.text import pluralize
 from usdface.model.placement.label_hints import mirror_partners
@@ -230,9 +230,6 @@ def _numbers(samples: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(samples), samples, np.nan)
 
 
-DAY_SECONDS = Fraction(86_400)
-DROP_DAY_SECONDS = Fraction(86_400 * 30 - 2 * (24 * 60 - 24 * 6)) * Fraction(1001, 30_000)
-"""Duration of a day of drop-frame labels."""
 _LONG_SECOND = Fraction(1001, 1000)
 """Duration of 30 labels at 29.97 frames per second, without drop frame."""
 
@@ -300,7 +297,7 @@ def _start_difference(take: Take, other: Take) -> tuple[float, str]:
     if not take.timecode_start or not other.timecode_start:
         return 0.0, "not both captures have timecode: they are assumed to start together"
     all_drop = ";" in take.timecode_start and ";" in other.timecode_start
-    day = DROP_DAY_SECONDS if all_drop else DAY_SECONDS
+    day = day_seconds(take.rate, drop=all_drop) / _second(take, drop=all_drop)
     difference = _reading(other) - _reading(take)
     difference = (difference + day / 2) % day - day / 2  # recorded across midnight, too
     caveat = ""

@@ -177,7 +177,12 @@ def takes_head_space(face: PerformerFace, takes: CleanedTakes) -> HeadSpace:
     rows = sample_frames(len(takes.frames), _GLANCE_FRAMES)
     first = takes.sources[0]
     return find_head_space(
-        face, _markers(takes, rows), performer=first.performer, session=first.session
+        face,
+        _markers(takes, rows),
+        frames=rows,
+        rate=float(first.rate),
+        performer=first.performer,
+        session=first.session,
     )
 
 
