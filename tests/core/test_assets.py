@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.usdio.small_rig import small_rig
-from usdface.core.assets import Video
+from usdface.core.assets import References, Video
 from usdface.core.errors import InputError
 
 
@@ -25,3 +25,35 @@ def test_shapes_that_a_rig_lacks_are_named_with_the_file_that_has_them() -> None
         InputError, match=r"^a\.usda: 1 of its 2 shapes are not on .*\(grin\); train again$"
     ):
         rig.check_has([rig.shapes[0], "grin"], source="a.usda", remedy="train again")
+
+
+def test_a_part_of_the_references_keeps_what_is_known_of_each_pair() -> None:
+    pairs = References(
+        marker_names=("m",),
+        shape_names=("a", "b"),
+        markers=np.arange(12.0).reshape(4, 1, 3),
+        weights=np.arange(8.0).reshape(4, 2),
+        frames=np.arange(4),
+        takes=("w", "x", "y", "z"),
+        tuned=np.array([True, False, True, False]),
+        rigid=(),
+        neutral=np.zeros((1, 3)),
+        rig_file=Path("rig.usda"),
+        rig_prim="/rig",
+        visemes=("p", "q", "r", "s"),
+        authors=("Kim", "", "Lee", ""),
+        source=np.arange(4.0)[:, None],
+    )
+    for kept in (pairs.tuned, np.array([0, 2])):
+        some = pairs.rows(kept)
+        assert (some.takes, some.visemes, some.authors) == (("w", "y"), ("p", "r"), ("Kim", "Lee"))
+        assert some.emotions == ()
+        assert some.tuned.all()
+        assert some.source is not None
+        for each in (
+            some.frames,
+            some.source[:, 0],
+            some.weights[:, 0] / 2,
+            some.markers[:, 0, 0] / 3,
+        ):
+            np.testing.assert_array_equal(each, [0, 2])

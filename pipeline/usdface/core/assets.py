@@ -6,7 +6,7 @@ converts units when it reads and writes.
 
 import difflib
 from collections.abc import Iterable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Literal, TypeVar
@@ -352,6 +352,26 @@ class References(_Asset):
     source_names: tuple[str, ...] = ()
     source: FloatArray | None = None
     """(pairs, source names): weights in takes that have weights instead of markers, else None."""
+
+    def rows(self, kept: IntArray | BoolArray) -> "References":
+        """Return some of the pairs, by index or mask."""
+        pairs = np.arange(len(self.weights))[kept]
+
+        def named(texts: tuple[str, ...]) -> tuple[str, ...]:
+            return tuple(texts[pair] for pair in pairs) if texts else ()
+
+        return replace(
+            self,
+            markers=self.markers[pairs],
+            weights=self.weights[pairs],
+            frames=self.frames[pairs],
+            tuned=self.tuned[pairs],
+            takes=named(self.takes),
+            visemes=named(self.visemes),
+            emotions=named(self.emotions),
+            authors=named(self.authors),
+            source=None if self.source is None else self.source[pairs],
+        )
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from urllib.parse import quote, unquote
 
 from usdface.core.errors import InputError
 from usdface.core.replacing import replacing, replacing_together
-from usdface.core.text import json_object, read_text
+from usdface.core.text import first_few, json_object, read_text
 from usdface.speech.phones import PhoneTrack, Span, viseme_of
 
 if TYPE_CHECKING:
@@ -121,7 +121,7 @@ def _check_track(path: Path, track: PhoneTrack) -> None:
     sampa = sorted({span.label for span in spoken if not SAMPA_MARKS.isdisjoint(span.label)})
     if sampa:  # its S and T, those of "she" and "thin", would be read as those of "see" and "tin"
         raise InputError(
-            f"{path}: {', '.join(map(repr, sampa[:5]))}: these phones are in SAMPA, whose letters "
+            f"{path}: {first_few(map(repr, sampa))}: these phones are in SAMPA, whose letters "
             "are other phones in ARPAbet; export them as IPA (in WebMAUS, the output symbols `ipa`)"
         )
     unknown = sorted({span.label for span in spoken if viseme_of(span.label) is None})
@@ -129,7 +129,7 @@ def _check_track(path: Path, track: PhoneTrack) -> None:
     if share > 0.5:
         raise InputError(
             f"{path}: {share:.0%} of its phones are in no alphabet known here "
-            f"({', '.join(map(repr, unknown[:5]))}, ...); use ARPAbet, TIMIT or the IPA of the "
+            f"({first_few(map(repr, unknown))}); use ARPAbet, TIMIT or the IPA of the "
             "Montreal Forced Aligner"
         )
 

@@ -64,14 +64,7 @@ def test_weights_beyond_the_range_and_pairs_that_repeat_are_told(
     again = np.r_[np.arange(len(pairs.frames)), 3]
     weights = pairs.weights.copy()
     weights[0, pairs.shape_names.index("jawOpen")] = 1.4
-    changed = replace(
-        pairs,
-        markers=pairs.markers[again],
-        weights=weights[again],
-        frames=pairs.frames[again],
-        takes=(*pairs.takes, pairs.takes[3]),
-        tuned=pairs.tuned[again],
-    )
+    changed = replace(pairs, weights=weights).rows(again)
     monkeypatch.setattr(
         "usdface.steps.performance.train.read_keyed_references", lambda path: changed
     )

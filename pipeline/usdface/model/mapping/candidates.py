@@ -266,8 +266,9 @@ def compare_candidates(
     scored.sort(key=lambda entry: _sort_key(entry.score))
     best = scored[0]
     default = next((entry for entry in scored if entry.candidate.method.name == AUTO[0]), best)
-    errors = default.out_of_fold.errors, best.out_of_fold.errors
-    if paired_t(*errors, pairs.face.gram, folds.blocks) <= _CRITICAL_T:
+    before, after = (each.out_of_fold.errors[:, observable] for each in (default, best))
+    metric = pairs.face.gram[np.ix_(observable, observable)]
+    if paired_t(before, after, metric, folds.blocks) <= _CRITICAL_T:
         best = default
     scores = tuple(entry.score for entry in scored)
     return Comparison(best.candidate, best.out_of_fold, observable, scores)

@@ -7,6 +7,7 @@ import numpy as np
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import MotionSpace, References
 from usdface.core.errors import InputError
+from usdface.core.text import first_few
 
 MINIMUM_PAIRS = 2
 
@@ -106,7 +107,7 @@ def _shape_faults(references: References, ranges: FloatArray, gram: FloatArray |
     for kind, names in (("marker", references.marker_names), ("shape", references.shape_names)):
         repeated = sorted({name for name in names if names.count(name) > 1})
         if repeated:
-            faults.append(f"{kind} names are not unique: {', '.join(repeated[:5])}; rename them")
+            faults.append(f"{kind} names are not unique: {first_few(repeated)}; rename them")
     if references.motion is not None and references.motion.components.shape[1] != 3 * markers:
         faults.append(
             f"the motion space has {references.motion.components.shape[1] // 3} markers, the "
@@ -124,19 +125,19 @@ def _value_faults(references: References) -> list[str]:
     faults = []
     for pair in np.flatnonzero(~np.isfinite(references.markers).all(axis=(1, 2))):
         bad = np.flatnonzero(~np.isfinite(references.markers[pair]).all(axis=1))
-        names = ", ".join(references.marker_names[m] for m in bad[:3])
+        names = first_few([references.marker_names[m] for m in bad], most=3)
         faults.append(
             f"{pair_name(references, int(pair))}: markers {names} are not finite; clean the take"
         )
     for pair in np.flatnonzero(~np.isfinite(references.weights).all(axis=1)):
         bad = np.flatnonzero(~np.isfinite(references.weights[pair]))
-        names = ", ".join(references.shape_names[s] for s in bad[:3])
+        names = first_few([references.shape_names[s] for s in bad], most=3)
         faults.append(
             f"{pair_name(references, int(pair))}: weights {names} are not finite; tune them again"
         )
     still = np.flatnonzero(~np.isfinite(references.neutral).all(axis=1))
     if len(still):
-        names = ", ".join(references.marker_names[m] for m in still[:3])
+        names = first_few([references.marker_names[m] for m in still], most=3)
         faults.append(
             f"the neutral face: markers {names} are not finite; ingest the take again with "
             "another neutral frame"
@@ -179,14 +180,4 @@ def _without_repeats(references: References) -> References:
     kept = np.array([i for i in range(len(references.weights)) if i not in repeated])
     if len(kept) < MINIMUM_PAIRS:
         raise InputError("all pairs are the same frame; choose frames of different faces")
-    return replace(
-        references,
-        markers=references.markers[kept],
-        weights=references.weights[kept],
-        frames=references.frames[kept],
-        takes=tuple(references.takes[i] for i in kept),
-        tuned=references.tuned[kept],
-        visemes=tuple(references.visemes[i] for i in kept) if references.visemes else (),
-        emotions=tuple(references.emotions[i] for i in kept) if references.emotions else (),
-        authors=tuple(references.authors[i] for i in kept) if references.authors else (),
-    )
+    return references.rows(kept)

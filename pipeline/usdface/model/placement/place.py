@@ -101,21 +101,19 @@ def place_markers(
         candidate = candidate_by_pins(inputs)
     else:
         candidate = best_by_motion(inputs)
-    placement = candidate.placement
-    samples = placement.samples
+    samples = candidate.placement.samples.copy()
     if not are_image_landmarks(cloud.labels):
-        samples = _above_lid_margins(inputs, landmarks, samples)
+        _lift_above_lid_margins(inputs, landmarks, samples)
     for marker, at in pins.items():
         samples[marker] = ((skin.positions - at) ** 2).sum(axis=1).argmin()
     virtual = _virtual_markers(inputs, candidate, samples)
     return MarkerPlacement(samples, virtual, named, candidate.overturned_gain)
 
 
-def _above_lid_margins(
+def _lift_above_lid_margins(
     inputs: PlacementInputs, landmarks: dict[str, FloatArray], samples: IntArray
-) -> IntArray:
+) -> None:
     """Move markers of upper lids that lie below the lid's margin above it."""
-    lifted = samples.copy()
     radius = _MARKER_RADIUS_MM * inputs.skin.size_mm / TYPICAL_SIZE_MM
     for marker, label in enumerate(inputs.cloud.labels):
         hint = label_hint(label)
@@ -124,8 +122,7 @@ def _above_lid_margins(
             above = np.flatnonzero(heights >= landmarks[f"lid_upper_{hint.side}"][1] + radius)
             place = inputs.skin.positions[samples[marker]]
             away = ((inputs.skin.positions[above] - place) ** 2).sum(axis=1)
-            lifted[marker] = above[away.argmin()]
-    return lifted
+            samples[marker] = above[away.argmin()]
 
 
 def _virtual_markers(

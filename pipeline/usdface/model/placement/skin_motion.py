@@ -73,13 +73,13 @@ class SkinMotion:
 
 def _flattest(cloud: FloatArray) -> FloatArray:
     _, spread, axes = np.linalg.svd(cloud - cloud.mean(axis=0), full_matrices=False)
-    if len(spread) < 3 or spread[2] > _FLAT_RATIO * spread[1]:
+    if len(spread) < 3 or spread[2] >= _FLAT_RATIO * spread[1]:
         return np.zeros(3)
     return np.asarray(axes[2])
 
 
 def _main_axis(away: FloatArray) -> FloatArray:
     variances, axes = np.linalg.eigh(away.T @ away)
-    if variances[2] < _MAIN_RATIO * variances[1]:
+    if variances[2] <= _MAIN_RATIO * variances[1]:
         return np.zeros(3)
     return np.asarray(axes[:, 2])

@@ -23,14 +23,21 @@ WORST_VERDICT = "USDFACE_WORST_VERDICT"
 """Environment variable: worst verdict that is accepted, a `VerdictLevel`."""
 
 
-def judge_performance(reader: PerformanceReader) -> SolveVerdict | None:
-    """Judge a performance by its layer's figures; None if it has none and is no retarget."""
-    evidence = evidence_of(reader)
+def judge_performance(
+    reader: PerformanceReader, *, judged: frozenset[Path] = frozenset()
+) -> SolveVerdict | None:
+    """Judge a performance by its layer's figures; None if it has none and is no retarget.
+
+    Files may name each other as their source: those `judged` are not judged again.
+    """
+    evidence = evidence_of(reader, judged=judged)
     unknown = evidence.uncertainty_mm is None and evidence.coverage is None
     return None if unknown and not evidence.retarget else judge_solve(evidence)
 
 
-def evidence_of(reader: PerformanceReader) -> SolveEvidence:
+def evidence_of(
+    reader: PerformanceReader, *, judged: frozenset[Path] = frozenset()
+) -> SolveEvidence:
     """Return the figures that a performance's layer stores."""
     uncertainty_mm, coverage, residual_mm = reader.figures()
     retarget = describe_retarget(reader.path)
@@ -42,21 +49,22 @@ def evidence_of(reader: PerformanceReader) -> SolveEvidence:
         basis=reader.basis,
         retarget=retarget,
         unfollowed_share=sum(reader.header.unmatched_shares),
-        bad_source=bad_source(reader.path) if retarget else "",
+        bad_source=bad_source(reader.path, judged=judged) if retarget else "",
     )
 
 
-def bad_source(performance: Path) -> str:
+def bad_source(performance: Path, *, judged: frozenset[Path] = frozenset()) -> str:
     """Return the name of a retarget's source performance if its verdict is bad, else ``''``.
 
-    Sources that are missing or takes are not judged.
+    Sources that are missing, takes, or among those `judged` are not judged.
     """
+    judged = judged | {performance}
     retargeted = find_retargeted(performance)
     source = None if retargeted is None else path_made_from(retargeted, "source")
     try:
-        if source is None or not is_usd_name(source) or is_take(source):
+        if source is None or source in judged or not is_usd_name(source) or is_take(source):
             return ""
-        verdict = judge_performance(PerformanceReader(source))
+        verdict = judge_performance(PerformanceReader(source), judged=judged)
     except InputError:  # damaged, or outside USDFACE_ROOT
         return ""
     return source.name if verdict is not None and verdict.level == "bad" else ""
@@ -64,11 +72,17 @@ def bad_source(performance: Path) -> str:
 
 def find_retargeted(performance: Path) -> Path | None:
     """Return the performance that `retarget` wrote, or that one was baked from; None otherwise."""
-    made = provenance_of(performance)
-    if made is not None and made.step == "bake":
+    seen = set[Path]()
+    while performance not in seen:
+        seen.add(performance)
+        made = provenance_of(performance)
+        if made is None or made.step != "bake":
+            return performance if made is not None and made.step == "retarget" else None
         baked = path_made_from(performance, "performance")
-        return None if baked is None else find_retargeted(baked)
-    return performance if made is not None and made.step == "retarget" else None
+        if baked is None:
+            return None
+        performance = baked
+    return None
 
 
 def describe_retarget(performance: Path) -> str:

@@ -118,17 +118,9 @@ def tuned_conflicts(path: Path) -> tuple[list[str], list[dict[str, object]]]:
     if not references.marker_names:
         return [], []
     places = np.flatnonzero(references.tuned)
-    tuned = replace(
-        references,
-        markers=references.markers[places],
-        weights=references.weights[places],
-        frames=references.frames[places],
-        takes=tuple(references.takes[pair] for pair in places),
-        tuned=references.tuned[places],
-    )
     found = [
         replace(each, first=int(places[each.first]), second=int(places[each.second]))
-        for each in find_reference_conflicts(tuned)
+        for each in find_reference_conflicts(references.rows(places))
     ]
     return _texts(references, found), [_data(each) for each in found]
 

@@ -224,6 +224,7 @@ def _exported_table(
     )
 
 
+_LISTED_SHAPES = 5
 CLAMP_RANGE = (0.0, 1.0)
 """Range of Blender's sliders, to which weights are clamped."""
 CLAMP_TOLERANCE = 1e-5
@@ -272,11 +273,13 @@ def changed_on_other_meshes(
 
 def other_mesh_notes(table: WeightTable, found: Mapping[str, list[str]]) -> tuple[str, ...]:
     """Return notes on shapes that were changed on meshes that are not read."""
-    return tuple(
+    notes = [
         f"{name} differs between {', '.join(meshes)} and {table.meshes[table.names.index(name)]}; "
         "the latter is read, as it has the most shapes; change it there"
-        for name, meshes in list(found.items())[:5]
-    )
+        for name, meshes in list(found.items())[:_LISTED_SHAPES]
+    ]
+    rest = list(found)[_LISTED_SHAPES:]
+    return (*notes, *([f"so do {first_few(rest)}"] if rest else []))
 
 
 def read_alpha(path: Path, frames: IntArray) -> FloatArray:

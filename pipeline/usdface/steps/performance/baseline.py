@@ -15,7 +15,12 @@ from usdface.model.placement.rig_orientation import check_rig_upright
 from usdface.model.selection.baseline import MOTION_FRAMES, BlendshapeEquation, PerformerMarkers
 from usdface.runner.result import StepResult
 from usdface.specs.performance import MapSpec
-from usdface.steps.inputs.cleaned_takes import check_stabilized, read_markers, read_markers_at
+from usdface.steps.inputs.cleaned_takes import (
+    check_neutral_frame,
+    check_stabilized,
+    read_markers,
+    read_markers_at,
+)
 from usdface.steps.inputs.edit_ranges import edit_notes
 from usdface.steps.inputs.placement import placed_equation, read_placement_of
 from usdface.usdio.performance.weights_layer import make_header
@@ -81,8 +86,8 @@ def _equation(spec: MapSpec, take: TakeReader, rig: Rig) -> BlendshapeEquation:
     picks = take.first_frame + sample_frames(count, MOTION_FRAMES)
     sample = read_markers_at(take, picks.tolist())
     check_stabilized(take.path, sample)
-    at = min(max(take.neutral_frame, take.first_frame), take.last_frame)
-    neutral = read_markers(take, at, at).positions[0].astype(np.float64)
+    check_neutral_frame(take.path, sample, take.first_frame, take.last_frame)
+    neutral = read_markers_at(take, [sample.neutral_frame]).positions[0].astype(np.float64)
     placement = None
     if spec.placement is not None:
         placement = read_placement_of(spec.placement, rig, sample.names, neutral)

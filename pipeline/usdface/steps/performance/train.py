@@ -1,7 +1,6 @@
 """Train a mapping on references."""
 
 from dataclasses import replace
-from itertools import compress
 
 import numpy as np
 
@@ -62,7 +61,7 @@ def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress = silent)
     alone = spec.tuned_only or (tuned >= _ENOUGH_TUNED and not spec.all_pairs)
     notes = [] if tuned == pairs or spec.tuned_only else [_proposals_note(spec, tuned, pairs)]
     if alone:
-        references = _subset(references, references.tuned)
+        references = references.rows(references.tuned)
     rig = read_rig_of(references, spec.references)
     notes += check_rig_upright(rig)
     columns = [rig.shapes.index(name) for name in references.shape_names]
@@ -299,18 +298,6 @@ def _summary(mapping: TrainedMapping, references: References) -> str:
         others = [f"{name} {score.vertex_rms_mm:.2f}" for name, score in errors.items()]
         summary += f" ({', '.join(others)} mm)" if others else ""
     return summary
-
-
-def _subset(references: References, keep: np.ndarray) -> References:
-    return replace(
-        references,
-        markers=references.markers[keep],
-        weights=references.weights[keep],
-        frames=references.frames[keep],
-        takes=tuple(compress(references.takes, keep)),
-        tuned=references.tuned[keep],
-        authors=tuple(compress(references.authors, keep)),
-    )
 
 
 def variance_shares(mapping: TrainedMapping) -> FloatArray:

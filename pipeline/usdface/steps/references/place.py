@@ -3,7 +3,7 @@
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import binding_layers
-from usdface.core.text import pluralize
+from usdface.core.text import first_few, pluralize
 from usdface.media.picture.image import write_image
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
@@ -35,7 +35,7 @@ def run(spec: PlaceSpec, *, provenance: Provenance, progress: Progress = silent)
     outputs = [*binding_layers(spec.out)]
     if spec.picture is not None:
         progress(0.7, f"drawing {spec.picture.name}")
-        title = f"{', '.join(source.name for source in takes.sources[:3])} on {spec.rig.stem}"
+        title = f"{first_few([source.name for source in takes.sources], most=3)} on {spec.rig.stem}"
         picture = draw_placement(placed, rig, title=title, quality=spec.quality)
         write_image(spec.picture, picture, metadata=provenance_metadata(provenance))
         outputs.append(spec.picture)

@@ -68,7 +68,7 @@ def write_head_layer(
             author_joints(prim, driven.joints)
             set_joint_samples(layer, header.animation, driven, header.first_frame)
         source = Sdf.Path(rig.prim).GetPrefixes()[0]
-        for target in world.keys() - joints.keys():
+        for target in [each for each in world if not each.is_joint]:
             prim = stage.GetPrimAtPath(target.path)
             over = Sdf.CreatePrimInLayer(
                 layer, prim.GetPath().ReplacePrefix(source, header.rig_path)
