@@ -76,6 +76,16 @@ def timecode_of(frames: int, rate: Fraction, *, drop: bool = False) -> str:
     return f"{hours % 24:02d}:{minute:02d}:{second:02d}{';' if drop else ':'}{frame:02d}"
 
 
+def valid_timecode(timecode: str, rate: Fraction) -> tuple[str, tuple[str, ...]]:
+    """Return a capture's label, or an empty one and a note on what is wrong with it."""
+    try:
+        if timecode:
+            frames_of(timecode, rate)
+    except InputError as error:
+        return "", (f"the capture's timecode was left out: {error}",)
+    return timecode, ()
+
+
 def day_seconds(rate: Fraction, *, drop: bool) -> Fraction:
     """Return the duration of a day of labels at a rate [s]."""
     if drop:

@@ -50,8 +50,9 @@ def one_head(number: int):
     return [turning_head(number)]
 
 
-def clip(path: Path, count: int = 24, rate: int = 24) -> Path:
-    write_movie(path, [np.zeros((HEIGHT, WIDTH, 3), np.uint8)] * count, rate=rate)
+def clip(path: Path, count: int = 24, rate: int = 24, *, timecode: str = "") -> Path:
+    pictures = [np.zeros((HEIGHT, WIDTH, 3), np.uint8)] * count
+    write_movie(path, pictures, rate=rate, timecode=timecode)
     return path
 
 
@@ -126,6 +127,18 @@ def test_uneven_pictures_lie_at_their_times(tracked, tmp_path) -> None:
     # 50 mm a second of the simulated head, and its scale
     expected = np.arange(18)[seen] / 30 * 50 * np.ptp(moved) / (0.05 * 567)
     np.testing.assert_allclose(moved, expected, atol=0.15)
+
+
+def test_timecode_follows_the_frames_and_a_wrong_one_is_named(
+    tracked, tmp_path, monkeypatch
+) -> None:
+    video = clip(tmp_path / "a.mov", 12, timecode="01:00:00:20")
+    assert tracked(video, one_head)[1].timecode_start == "01:00:00:20"
+    assert tracked(video, one_head, frames="6-12")[1].timecode_start == "01:00:01:01"
+    monkeypatch.setattr("usdface.media.film.video._timecode", lambda container: "01:00:00:99")
+    result, take = tracked(video, one_head)
+    assert take.timecode_start == ""
+    assert any("01:00:00:99" in note for note in result.notes)
 
 
 def test_frames_without_a_face_are_gaps_and_frames_are_chosen(tracked, tmp_path) -> None:

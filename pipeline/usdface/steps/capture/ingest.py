@@ -14,7 +14,7 @@ from usdface.core.assets import Take, Video
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.rates import exact_rate, frames_of
+from usdface.core.rates import exact_rate, frames_of, valid_timecode
 from usdface.core.sidecars import is_usd_name, samples_path
 from usdface.core.text import pluralize
 from usdface.media.film.video import open_video
@@ -50,7 +50,8 @@ def run(spec: IngestSpec, *, provenance: Provenance, progress: Progress = silent
     if spec.mirrored in ("labels", "axes"):
         take = exchange_sides(take, spec.mirrored, where=_names(spec))
     warnings = _plausibility(spec, take, captures)
-    timecode, timecode_notes = _timecode(take)
+    timecode, timecode_notes = valid_timecode(take.timecode_start, take.rate)
+    timecode_notes = tuple(f"{note}; name another with --timecode" for note in timecode_notes)
     take = replace(
         take,
         name=spec.take or take.name,
@@ -221,17 +222,6 @@ def _with_options(take: Take, spec: IngestSpec, source: Path) -> Take:
             )
         markers = replace(markers, neutral_frame=spec.neutral)
     return replace(take, markers=markers)
-
-
-def _timecode(take: Take) -> tuple[str, tuple[str, ...]]:
-    """Return the timecode of the first frame, and a note if the capture's is invalid."""
-    start = take.timecode_start
-    try:
-        if start:
-            frames_of(start, take.rate)
-    except InputError as error:
-        return "", (f"the capture's timecode was left out: {error}; name another with --timecode",)
-    return start, ()
 
 
 def _capture_sound(spec: IngestSpec, skipped: tuple[int, int]) -> CaptureSound | None:

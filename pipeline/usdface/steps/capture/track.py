@@ -23,7 +23,7 @@ from usdface.core.assets import Take, Video, WeightsClip
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
-from usdface.core.rates import exact_rate, frames_of
+from usdface.core.rates import exact_rate, shift_timecode, valid_timecode
 from usdface.core.sidecars import samples_path
 from usdface.core.text import first_few, pluralize
 from usdface.media.film.video import OpenVideo, VideoReader, open_video
@@ -132,7 +132,8 @@ def _write(
     # The rate is that of the video, so it is not checked.
     found = judge_markers(take.markers, None) if take.markers else ()
     warnings = check_findings(found, where=spec.video)
-    start = _timecode(clip.video.timecode, take)
+    label, wrong = valid_timecode(clip.video.timecode, take.rate)
+    start = shift_timecode(label, take.first_frame - FIRST_VIDEO_FRAME, take.rate)
     take = replace(take, warnings=warnings, timecode_start=start)
     progress(0.95, f"writing {spec.out.name}")
     write_take(spec.out, take, provenance=provenance)
@@ -146,7 +147,7 @@ def _write(
         f"{100 * clip.track.seen.mean():.1f} % of the pictures{several}"
     )
     figures |= {"model_sha256": detector.digest, "cameras": len(clips)}
-    return StepResult(outputs, summary, (*notes, *built, *warnings), figures)
+    return StepResult(outputs, summary, (*notes, *built, *wrong, *warnings), figures)
 
 
 def _build_take(
@@ -219,17 +220,6 @@ def _with_gaze(
     gaze = gaze_angles(view.scores[:, looks], usable, neutral)
     values = np.concatenate([view.scores[:, others], gaze.look_weights()], axis=1)
     return (*(names[at] for at in others), *LOOK_SHAPES), values
-
-
-def _timecode(start: str, take: Take) -> str:
-    """Return the timecode of the first tracked frame; empty if the video's is invalid."""
-    if not start or take.first_frame != FIRST_VIDEO_FRAME:
-        return ""
-    try:
-        frames_of(start, take.rate)
-    except InputError:
-        return ""
-    return start
 
 
 def _figures(take: Take, track: FaceTrack, camera: PinholeCamera) -> dict[str, object]:
