@@ -232,7 +232,7 @@ CASES: list[tuple[Callable[[Shot], list[str]], tuple[str, ...]]] = [
     (too_many_dimensions, ("40", "24")),
     (unknown_method, ("magic", "d06")),
     (nan_in_the_take, ("frame 7", "marker 3", "NaN")),
-    (another_rig, ("other.usdc", "bs_", "trained for")),
+    (another_rig, ("other.usdc", "bs_", "train again for this rig")),
     (mapping_that_is_none, ("hero.usdc", "usdface train")),
     (frames_outside, ("400-900", "1-480")),
     (frames_backwards, ("frames", "40", "precedes")),

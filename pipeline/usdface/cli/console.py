@@ -154,7 +154,7 @@ def show_details(report: StepResult) -> None:
         echo(f"  {_visible(line)}")
     for note in report.notes:
         echo(f"  note: {_visible(note)}")
-    for path in report.outputs if report.fresh else ():
+    for path in () if report.up_to_date else report.outputs:
         echo(f"  wrote {path}")
 
 

@@ -85,7 +85,7 @@ def showing_events(
     stored = _StoredResults(file)
 
     def ended(step: JobStep, report: StepResult) -> None:
-        if report.fresh and style != "openjd":  # a farm's bundle must not change
+        if not report.up_to_date and style != "openjd":  # a farm's bundle must not change
             stored.add(step, report)
         if report.up_to_date and again:
             report = stored.of(step, report)

@@ -276,9 +276,10 @@ class Rig(_Asset):
                 f"{self.file}, which other shapes drive; {remedy}"
             )
         if missing:
+            other = missing == names and f", which has {first_few(self.shapes, most=3)}"
             raise InputError(
                 f"{source}: {len(missing)} of its {pluralize(len(names), 'shape')} are not on "
-                f"{self.file} ({first_few(missing, most=3)}); {remedy}"
+                f"{self.file} ({first_few(missing, most=3)}){other or ''}; {remedy}"
             )
 
     def undrawn_notes(self) -> tuple[str, ...]:

@@ -72,7 +72,7 @@ def execute(
             provenance = provenance or make_provenance(spec)
             if step_state(spec, provenance).state == "done":
                 summary = f"{spec.step}: up to date; --overwrite runs it again"
-                return StepResult(spec.outputs(), summary, fresh=False)
+                return StepResult(spec.outputs(), summary, up_to_date=True)
         with not_written_since(() if overwrite else spec.paths(Writes)):
             check_outputs(spec, overwrite=overwrite)
             step = find_step(type(spec))

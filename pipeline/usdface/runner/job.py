@@ -85,7 +85,7 @@ def run_job(
             step = JobStep(index + 1, count, spec, make_provenance(spec))
             state = step_state(spec, step.provenance)
             if state.state == "done":
-                report = StepResult(spec.outputs(), f"{spec.step}: up to date", fresh=False)
+                report = StepResult(spec.outputs(), f"{spec.step}: up to date", up_to_date=True)
                 share(1.0, f"{step.label}: up to date")
             else:
                 log.info("%s: %s", step.label, state.reason)

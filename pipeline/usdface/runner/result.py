@@ -25,18 +25,13 @@ class StepResult:
     """Failed checks."""
     level: str = ""
     """``'good'``, ``'check'`` or ``'bad'`` if the summary begins with the verdict on a solve."""
-    fresh: bool = True
-    """False if the outputs were up to date, and nothing was written."""
+    up_to_date: bool = False
+    """Whether the outputs existed, made from the same inputs and options, so nothing ran."""
 
     def __repr__(self) -> str:
         files = ", ".join(path.name for path in self.outputs)
         counts = f"{pluralize(len(self.notes), 'note')}, {pluralize(len(self.figures), 'figure')}"
         return f"<StepResult: {self.summary} [{files or 'no file'}; {counts}]>"
-
-    @property
-    def up_to_date(self) -> bool:
-        """Whether the outputs existed, made from the same inputs and options, so nothing ran."""
-        return not self.fresh
 
     def require_success(self) -> None:
         """Raise CheckFailedError with all failures, if there are any."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
-from usdface.core.arrays import Float32Array, FloatArray, IntArray
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, RealArray
 from usdface.core.errors import InputError
 
 _GAPS = "face:source:unseen"
@@ -131,6 +131,14 @@ def move_samples(layer: Sdf.Layer, moved: Sdf.LayerOffset) -> None:
             layer.SetTimeSample(path, moved * time, value)
 
 
+def author_weights(prim: Sdf.PrimSpec, shapes: Sequence[str], weights: RealArray) -> None:
+    """Write BlendShape weights, (rows, shapes), to an animation from time code 1 on."""
+    author_uniform(prim, "blendShapes", Sdf.ValueTypeNames.TokenArray, list(shapes))
+    samples = Sdf.AttributeSpec(prim, "blendShapeWeights", Sdf.ValueTypeNames.FloatArray)
+    for time, row in enumerate(np.ascontiguousarray(weights, np.float32), start=1):
+        prim.layer.SetTimeSample(samples.path, time, Vt.FloatArray.FromNumpy(row))
+
+
 def author_timing(layer: Sdf.Layer, *, rate: Fraction, first: float, last: float) -> None:
     """Set rates and range; USD rescales layers without a rate."""
     layer.timeCodesPerSecond = float(rate)
@@ -139,17 +147,32 @@ def author_timing(layer: Sdf.Layer, *, rate: Fraction, first: float, last: float
     layer.endTimeCode = last
 
 
-_PREFIX = "face:array:"
+ARRAYS = "face:array:"
 """Namespace of arrays; an array's shape has its name and ``:shape``."""
 
+_ARRAY_KINDS = {
+    "float32": (Sdf.ValueTypeNames.FloatArray, Vt.FloatArray),
+    "bool": (Sdf.ValueTypeNames.BoolArray, Vt.BoolArray),
+}
 
-def author_arrays(prim: Sdf.PrimSpec, arrays: Mapping[str, FloatArray]) -> None:
-    """Write arrays by name, without loss."""
-    kinds = Sdf.ValueTypeNames
+
+def author_arrays(
+    prim: Sdf.PrimSpec,
+    arrays: Mapping[str, FloatArray | Float32Array | BoolArray],
+    *,
+    namespace: str = ARRAYS,
+) -> None:
+    """Write arrays by name, without loss; any but single precision and bool as double."""
     for name, array in arrays.items():
-        author_uniform(prim, f"{_PREFIX}{name}", kinds.DoubleArray, doubles(array))
+        flat, known = np.ravel(array), _ARRAY_KINDS.get(array.dtype.name)
+        kind, values = (
+            (Sdf.ValueTypeNames.DoubleArray, doubles(flat))
+            if known is None
+            else (known[0], known[1].FromNumpy(np.ascontiguousarray(flat)))
+        )
+        author_uniform(prim, f"{namespace}{name}", kind, values)
         shape = Vt.IntArray([int(size) for size in array.shape])
-        author_uniform(prim, f"{_PREFIX}{name}:shape", kinds.IntArray, shape)
+        author_uniform(prim, f"{namespace}{name}:shape", Sdf.ValueTypeNames.IntArray, shape)
 
 
 def read_arrays(path: Path, prim: Usd.Prim) -> dict[str, FloatArray]:
@@ -157,11 +180,11 @@ def read_arrays(path: Path, prim: Usd.Prim) -> dict[str, FloatArray]:
     arrays = {}
     for attribute in prim.GetAttributes():
         name = attribute.GetName()
-        if name.startswith(_PREFIX) and not name.endswith(":shape"):
+        if name.startswith(ARRAYS) and not name.endswith(":shape"):
             shape = prim.GetAttribute(f"{name}:shape").Get()
             if shape is None:
                 raise InputError(f"{path} <{attribute.GetPath()}>: has no :shape beside it")
-            arrays[name.removeprefix(_PREFIX)] = shaped(
+            arrays[name.removeprefix(ARRAYS)] = shaped(
                 path, attribute.Get(), tuple(int(size) for size in shape), name
             )
     return arrays

@@ -102,7 +102,7 @@ def check_same_rig(mapping: TrainedMapping, rig: Rig) -> tuple[str, ...]:
             f"been sculpted or moved since training: {moved}; weights are predicted for the shapes "
             "before the change, train again to follow them"
         )
-    ranges = rig.ranges[[rig.shapes.index(name) for name in mapping.shape_names]]
+    ranges = rig.ranges_of(mapping.shape_names)
     other = np.flatnonzero(np.abs(ranges - mapping.ranges).max(axis=1) > 1e-6)
     if len(other):
         differing = first_few(

@@ -18,10 +18,7 @@ from usdface.core.arrays import (
     single_precision,
 )
 from usdface.core.rig_logic import COMBINATION_MODES, Combination, RigLogic
-from usdface.model.regressions.bent_weights import unbend
-
-_SLOPE_STEP = 1e-4
-"""Finite difference of a bent weight in the derivative of `unbend`."""
+from usdface.model.regressions.bent_weights import unbend, unbend_slope
 
 
 @dataclass(frozen=True)
@@ -48,15 +45,14 @@ class DrivenMotion:
             Jacobian, to which the derivatives are added in place.
         """
         bent, low, span = targets.astype(np.float64), self.ranges[:, 0], np.ptp(self.ranges, axis=1)
-        unbent = unbend(bent, curve)
-        weights = low + span * np.clip(unbent, 0.0, 1.0)
+        weights = low + span * np.clip(unbend(bent, curve), 0.0, 1.0)
         values = self.logic.evaluate(pad_columns(weights, len(self.logic.shapes)))
         if slope is not None:
-            unbend_slope = (unbend(bent + _SLOPE_STEP, curve) - unbent) / _SLOPE_STEP * span
+            slopes = single_precision(unbend_slope(bent, curve) * span)
             link_slopes = single_precision(self.logic.link_slopes(values))
             for shape, links in enumerate(self._links_of_shape):
                 if len(links):
-                    chained = link_slopes[:, links] * unbend_slope[:, [shape]].astype(np.float32)
+                    chained = link_slopes[:, links] * slopes[:, [shape]]
                     slope[:, shape] += chained @ self._link_motion[links]
         combinations = single_precision(values[:, len(self.logic.shapes) :])
         return np.asarray(combinations @ self._motion32)

@@ -1,6 +1,5 @@
 """Map a cleaned take to a performance, in blocks, so that memory is bounded."""
 
-import os
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -14,6 +13,7 @@ import numpy as np
 from usdface.core.arrays import BoolArray, FloatArray
 from usdface.core.assets import Rig, TrainedMapping
 from usdface.core.errors import InputError
+from usdface.core.processes import usable_cores
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.rates import frames_within
@@ -65,7 +65,7 @@ def predict_pipelined(mapping: TrainedMapping, blocks: Iterator[Block]) -> Itera
             markers.positions, visible=markers.visible, confidence=markers.confidence
         )
 
-    workers = min(MAX_WORKERS, os.cpu_count() or 1)
+    workers = min(MAX_WORKERS, usable_cores())
     with ThreadPoolExecutor(max_workers=workers, thread_name_prefix="predict") as pool:
         pending: deque[Future[Prediction]] = deque()
         for block in blocks:
@@ -130,7 +130,8 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress = silent) -
         return _run_baseline(spec, provenance, progress)
     mapping = read_mapping(spec.mapping)
     rig = read_rig(spec.rig, prim=spec.rig_prim)
-    notes = list(_check_rig(spec, mapping, rig))
+    rig.check_has(mapping.shape_names, source=spec.mapping, remedy="train again for this rig")
+    notes = [*check_same_rig(mapping, rig), *check_rig_upright(rig)]
     if spec.alpha is not None and mapping.method != "hybrid":
         raise InputError(
             f"{spec.mapping}: alpha blends the two parts of a hybrid, and this mapping is "
@@ -279,27 +280,6 @@ def _part_frames(spec: MapSpec, frames: int, shapes: int) -> int | None:
         return spec.chunk
     frame_bytes = 4 * shapes
     return None if frames * frame_bytes <= LARGEST_LAYER_BYTES else PART_BYTES // frame_bytes
-
-
-def _check_rig(spec: MapSpec, mapping: TrainedMapping, rig: Rig) -> tuple[str, ...]:
-    missing = [name for name in mapping.shape_names if name not in rig.shapes]
-    if len(missing) == len(mapping.shape_names):
-        raise InputError(
-            f"{spec.rig}: none of the mapping's {len(missing)} shapes ("
-            f"{first_few(missing, most=3)}) is on this rig, which has "
-            f"{first_few(rig.shapes, most=3)}; give the rig that the mapping was trained for"
-        )
-    rig.check_has(
-        [name for name in missing if name in rig.logic.driven],
-        source=spec.mapping,
-        remedy="train again for the rig with its logic",
-    )
-    if missing:
-        raise InputError(
-            f"{spec.rig}: {len(missing)} of the mapping's {len(mapping.shape_names)} shapes are "
-            f"not on this rig: {first_few(missing)}; train again for it"
-        )
-    return (*check_same_rig(mapping, rig), *check_rig_upright(rig))
 
 
 def _marker_notes(space: HeadSpace) -> list[str]:

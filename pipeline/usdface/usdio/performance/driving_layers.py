@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
+from pxr import Gf, Sdf, Usd, UsdGeom
 
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig
@@ -23,7 +23,12 @@ from usdface.numerics.motion.rotation_space import multiply_quaternions
 from usdface.usdio.authoring import author_timing, author_uniform, paths_in, sampled_properties
 from usdface.usdio.layers import new_layer, open_layer, open_stage, relative_path
 from usdface.usdio.performance.weights_layer import WeightsHeader
-from usdface.usdio.retarget.controls import author_joints, controls_at, set_joint_samples
+from usdface.usdio.retarget.controls import (
+    author_joints,
+    controls_at,
+    decompose_joint,
+    set_joint_samples,
+)
 from usdface.usdio.rig.drive_targets import DriveTarget, joint_rest, skeleton_with
 from usdface.usdio.units import author_units, column_matrix, stage_to_ours
 
@@ -100,11 +105,11 @@ def _turn_joints(
         rest, parent, is_root = joint_rest(skeleton_with(stage, rig, target.path), target.path)
         local = np.linalg.inv(parent) @ world @ parent
         if target.path not in names:
-            place, turn, scale = UsdSkel.DecomposeTransform(Gf.Matrix4d(rest.T.tolist()))
             names.append(target.path)
-            places.append(np.tile(list(place), (len(world), 1)))
-            turns.append(np.tile([turn.GetReal(), *turn.GetImaginary()], (len(world), 1)))
-            scales.append(np.tile([float(each) for each in scale], (len(world), 1)))
+            for series, part in zip(
+                (places, turns, scales), decompose_joint(Gf.Matrix4d(rest.T.tolist())), strict=True
+            ):
+                series.append(np.tile(part, (len(world), 1)))
         at = names.index(target.path)
         turned = Rotation.from_matrix(local[:, :3, :3]).as_quat(scalar_first=True)
         turns[at] = multiply_quaternions(turned, turns[at])

@@ -34,12 +34,16 @@ PLACEMENT = "face:reference:placement"
 RATE = "face:reference:rate"
 
 
+def _open(path: Path) -> Usd.Stage:
+    return open_pair_stage(
+        path, ROOT, api="FaceReferencesAPI", kind="references", command="usdface select"
+    )
+
+
 @refusing_wrong_types
 def read_references(path: Path) -> References:
     """Read a references asset, with tuned weights where there are any, else proposals."""
-    stage = open_pair_stage(
-        path, ROOT, api="FaceReferencesAPI", kind="references", command="usdface select"
-    )
+    stage = _open(path)
     root = stage.GetPrimAtPath(ROOT)
     points = UsdGeom.Points(stage.GetPrimAtPath(MARKERS_PATH))
     animation = UsdSkel.Animation(stage.GetPrimAtPath(WEIGHTS_PATH))
@@ -197,9 +201,7 @@ class PairNotes:
 @refusing_wrong_types
 def read_pair_notes(path: Path) -> list[PairNotes]:
     """Return the labels of the pairs of a references asset."""
-    stage = open_pair_stage(
-        path, ROOT, api="FaceReferencesAPI", kind="references", command="usdface select"
-    )
+    stage = _open(path)
     root = stage.GetPrimAtPath(ROOT)
     frames = root.GetAttribute(FRAME_PATH.name)
     notes = []

@@ -16,7 +16,14 @@ from usdface.core.assets import MotionSpace, References, Rig
 from usdface.core.provenance import Provenance
 from usdface.core.rig_logic import logic_of
 from usdface.core.sidecars import proposed_path, samples_path, tuned_path
-from usdface.usdio.authoring import PointExtents, apply_api, author_uniform, define_prim, doubles
+from usdface.usdio.authoring import (
+    PointExtents,
+    apply_api,
+    author_uniform,
+    author_weights,
+    define_prim,
+    doubles,
+)
 from usdface.usdio.layers import new_layer, new_layers, relative_path
 from usdface.usdio.references.pair_layers import author_pair_header
 from usdface.usdio.references.read import (
@@ -33,7 +40,6 @@ from usdface.usdio.references.read import (
     TAKE,
     TUNED,
     VISEME,
-    WEIGHTS_ATTRIBUTE,
     WEIGHTS_PATH,
 )
 from usdface.usdio.references.weight_layers import TunedPair, read_tuned_pairs
@@ -189,15 +195,11 @@ def _author_frames(layer: Sdf.Layer, references: References) -> None:
 
 def _author_weights(layer: Sdf.Layer, references: References, weights: FloatArray) -> None:
     author_pair_header(layer, ROOT, len(references.frames))
-    over = Sdf.CreatePrimInLayer(layer, WEIGHTS_PATH)
-    names = _written_names(references)
     logic = logic_of(references.shape_names, references.combinations)
     if logic is not None:
         weights = logic.complete(weights, references.shape_names)
-    author_uniform(over, "blendShapes", Sdf.ValueTypeNames.TokenArray, names)
-    Sdf.AttributeSpec(over, WEIGHTS_ATTRIBUTE.name, Sdf.ValueTypeNames.FloatArray)
-    for pair, row in enumerate(np.ascontiguousarray(weights, dtype=np.float32)):
-        layer.SetTimeSample(WEIGHTS_ATTRIBUTE, pair + 1, Vt.FloatArray.FromNumpy(row))
+    animation = Sdf.CreatePrimInLayer(layer, WEIGHTS_PATH)
+    author_weights(animation, _written_names(references), weights)
 
 
 def _written_names(references: References) -> list[str]:
@@ -254,11 +256,7 @@ def _author_source(layer: Sdf.Layer, references: References) -> None:
     if references.source is None:
         return
     animation = define_prim(layer, SOURCE_PATH, "SkelAnimation")
-    names = list(references.source_names)
-    author_uniform(animation, "blendShapes", Sdf.ValueTypeNames.TokenArray, names)
-    weights = Sdf.AttributeSpec(animation, "blendShapeWeights", Sdf.ValueTypeNames.FloatArray)
-    for pair, row in enumerate(np.ascontiguousarray(references.source, dtype=np.float32)):
-        layer.SetTimeSample(weights.path, pair + 1, Vt.FloatArray.FromNumpy(row))
+    author_weights(animation, references.source_names, references.source)
 
 
 def _author_images(layer: Sdf.Layer, images: Sequence[Path | None], path: Path) -> None:

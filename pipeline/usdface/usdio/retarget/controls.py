@@ -16,7 +16,7 @@ from usdface.core.errors import InputError
 from usdface.core.rates import frames_within
 from usdface.core.text import first_few
 from usdface.numerics.motion.rotation_space import normalize_quaternions
-from usdface.usdio.authoring import author_uniform, define_prim, names_in, read_array_samples
+from usdface.usdio.authoring import author_uniform, names_in, read_array_samples
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import ANIMATION
@@ -136,7 +136,7 @@ def rest_controls(rig: Rig, *, attributes: Sequence[str] = (), joints: bool = Tr
     top = stage.GetPrimAtPath(Sdf.Path(rig.prim).GetPrefixes()[0])
     attribute_names = find_control_attributes(rig, attributes)
     values = [control_attribute(top, name, rig.file).Get() or 0.0 for name in attribute_names]
-    parts = [_decompose(matrix) for matrix in rest]
+    parts = [decompose_joint(matrix) for matrix in rest]
     return Controls(
         shapes=rig.shapes,
         weights=np.zeros((1, len(rig.shapes))),
@@ -149,7 +149,7 @@ def rest_controls(rig: Rig, *, attributes: Sequence[str] = (), joints: bool = Tr
     )
 
 
-def _decompose(matrix: Gf.Matrix4d) -> tuple[list[float], list[float], list[float]]:
+def decompose_joint(matrix: Gf.Matrix4d) -> tuple[list[float], list[float], list[float]]:
     """Return translation, rotation (w first) and scale of a transform, as in UsdSkel."""
     translation, rotation, scale = UsdSkel.DecomposeTransform(matrix)
     quaternion = [rotation.GetReal(), *rotation.GetImaginary()]
@@ -229,10 +229,8 @@ def _top_or_none(stage: Usd.Stage, animation: Usd.Prim) -> Usd.Prim | None:
 
 def top_of(stage: Usd.Stage, animation: Usd.Prim, path: Path) -> Usd.Prim:
     """Return the prim to which names of attributes are relative: the rig of a performance."""
-    if animation.GetName().startswith(ANIMATION):
-        return animation.GetParent()
-    top = stage.GetDefaultPrim()
-    if not top:
+    top = _top_or_none(stage, animation)
+    if top is None:
         raise InputError(f"{path}: has no default prim; set one, attributes are named from it")
     return top
 
@@ -298,18 +296,6 @@ def set_joint_samples(
         write(places[1], time, Vt.QuatfArray.FromNumpy(row))
     for time, row in enumerate(scales, start=first):
         write(places[2], time, Vt.Vec3hArray.FromNumpy(row))
-
-
-def author_weights(
-    layer: Sdf.Layer, animation: Sdf.Path, shapes: Sequence[str], weights: FloatArray
-) -> None:
-    """Define an animation with BlendShape weights, from time code 1 on."""
-    prim = define_prim(layer, animation, "SkelAnimation")
-    author_uniform(prim, "blendShapes", Sdf.ValueTypeNames.TokenArray, list(shapes))
-    Sdf.AttributeSpec(prim, "blendShapeWeights", Sdf.ValueTypeNames.FloatArray)
-    place = animation.AppendProperty("blendShapeWeights")
-    for time, row in enumerate(np.ascontiguousarray(weights, np.float32), start=1):
-        layer.SetTimeSample(place, time, Vt.FloatArray.FromNumpy(row))
 
 
 def _series(path: Path, attribute: Usd.Attribute, times: Sequence[int]) -> FloatArray:

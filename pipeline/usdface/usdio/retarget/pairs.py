@@ -20,6 +20,7 @@ from usdface.core.sidecars import proposed_path
 from usdface.usdio.authoring import (
     apply_api,
     author_uniform,
+    author_weights,
     define_prim,
     sampled_properties,
     text_of,
@@ -37,7 +38,6 @@ from usdface.usdio.retarget.controls import (
     attribute_names,
     attribute_path,
     author_joints,
-    author_weights,
     control_attribute,
     controls_at,
     set_joint_samples,
@@ -152,7 +152,7 @@ def _author_samples(
         (SOURCE_WEIGHTS, pairs.source_shapes, pairs.source),
         (TARGET_CONTROLS, target.shapes, target.weights),
     ):
-        author_weights(layer, place, shapes, weights)
+        author_weights(define_prim(layer, place, "SkelAnimation"), shapes, weights)
     if target.joints:
         author_joints(layer.GetPrimAtPath(TARGET_CONTROLS), target.joints)
         set_joint_samples(layer, TARGET_CONTROLS, target, 1)

@@ -15,6 +15,7 @@ from usdface.usdio.authoring import (
     apply_api,
     author_timing,
     author_uniform,
+    author_weights,
     define_prim,
     names_in,
     text_of,
@@ -28,7 +29,6 @@ from usdface.usdio.layers import (
 )
 from usdface.usdio.retarget.controls import (
     author_joints,
-    author_weights,
     controls_at,
     set_joint_samples,
 )
@@ -67,7 +67,7 @@ def write_sequence(
             (_SOURCE, sequence.source_shapes, sequence.source),
             (_TARGET, target.shapes, target.weights),
         ):
-            author_weights(layer, place, shapes, weights)
+            author_weights(define_prim(layer, place, "SkelAnimation"), shapes, weights)
         if target.joints:
             author_joints(layer.GetPrimAtPath(_TARGET), target.joints)
             set_joint_samples(layer, _TARGET, target, 1)

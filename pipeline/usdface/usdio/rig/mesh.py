@@ -249,7 +249,7 @@ def read_face_mesh(path: Path, *, prim: str | None = None) -> FaceMesh:
         points=points,
         face_counts=counts,
         face_indices=indices,
-        colors=_colors(geometry, len(local)),
+        colors=read_colors(geometry, len(local), indices),
         subdivision=str(geometry.GetSubdivisionSchemeAttr().Get()),
     )
     return FaceMesh(
@@ -366,13 +366,20 @@ def _authored_normals(
     return "other", attribute, None
 
 
-def _colors(geometry: UsdGeom.Mesh, point_count: int) -> FloatArray | None:
+def read_colors(mesh: UsdGeom.Mesh, point_count: int, indices: IntArray) -> FloatArray | None:
     """Return linear colours of points; None if the file has them with another interpolation."""
-    primvar = geometry.GetDisplayColorPrimvar()
+    primvar = mesh.GetDisplayColorPrimvar()
     values = primvar.ComputeFlattened() if primvar and primvar.HasAuthoredValue() else None
     if values is None:
         return None
-    colors = np.array(values, np.float64).reshape(-1, 3)
+    colors = np.array(values, dtype=np.float64).reshape(-1, 3)
     if len(colors) == 1:
         return np.repeat(colors, point_count, axis=0)
-    return colors if len(colors) == point_count else None
+    if len(colors) == point_count:
+        return colors
+    if len(colors) == len(indices):  # one per face corner: a point takes their mean
+        sums = np.zeros((point_count, 3))
+        np.add.at(sums, indices, colors)
+        used = np.bincount(indices, minlength=point_count)
+        return sums / np.maximum(used, 1)[:, None]
+    return None

@@ -15,7 +15,7 @@ from usdface.core.rig_logic import Combination, CombinationMode, order_combinati
 from usdface.usdio.authoring import names_in, text_of, value_of
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.rig.materials import read_look
-from usdface.usdio.rig.mesh import PlacedMesh, RestPose
+from usdface.usdio.rig.mesh import PlacedMesh, RestPose, read_colors
 from usdface.usdio.units import stage_to_ours
 
 RANGE_ATTRIBUTE = "face:range"
@@ -234,7 +234,7 @@ def _read_mesh(prim: Usd.Prim, rest: RestPose, path: Path) -> RigMesh:
         points=placed.points,
         face_counts=counts,
         face_indices=indices,
-        colors=_read_colors(mesh, len(local), indices),
+        colors=read_colors(mesh, len(local), indices),
         normals=_read_normals(mesh, placed),
         subdivision=str(mesh.GetSubdivisionSchemeAttr().Get()),
         visible=mesh.ComputeVisibility() != UsdGeom.Tokens.invisible
@@ -324,24 +324,6 @@ def _read_ranges(root: Usd.Prim, shapes: tuple[str, ...]) -> FloatArray:
         if value is not None and value[0] < value[1]:
             ranges[name] = (float(value[0]), float(value[1]))
     return np.array([ranges[name] for name in shapes], dtype=np.float64).reshape(-1, 2)
-
-
-def _read_colors(mesh: UsdGeom.Mesh, point_count: int, indices: IntArray) -> FloatArray | None:
-    primvar = mesh.GetDisplayColorPrimvar()
-    values = primvar.ComputeFlattened() if primvar and primvar.HasAuthoredValue() else None
-    if values is None:
-        return None
-    colors = np.array(values, dtype=np.float64).reshape(-1, 3)
-    if len(colors) == 1:
-        return np.repeat(colors, point_count, axis=0)
-    if len(colors) == point_count:
-        return colors
-    if len(colors) == len(indices):  # one per face corner: a point takes their mean
-        sums = np.zeros((point_count, 3))
-        np.add.at(sums, indices, colors)
-        used = np.bincount(indices, minlength=point_count)
-        return sums / np.maximum(used, 1)[:, None]
-    return None
 
 
 def _read_normals(mesh: UsdGeom.Mesh, placed: PlacedMesh) -> FloatArray | None:

@@ -5,27 +5,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from pxr import Sdf, Vt
+from pxr import Sdf
 
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
-from usdface.usdio.authoring import apply_api, author_uniform, define_prim
+from usdface.usdio.authoring import ARRAYS, apply_api, author_arrays, author_uniform, define_prim
 from usdface.usdio.layers import new_layer, open_layer
 from usdface.usdio.units import author_units
 
 _ROOT = Sdf.Path("/Distances")
-_ARRAY = "face:array:"
 KEY = "face:distances:key"
 _FACTS = "face:distances:facts"
 
 _CacheArray = FloatArray | Float32Array | BoolArray
-
-_KINDS = {
-    "float64": (Sdf.ValueTypeNames.DoubleArray, Vt.DoubleArray),
-    "float32": (Sdf.ValueTypeNames.FloatArray, Vt.FloatArray),
-    "bool": (Sdf.ValueTypeNames.BoolArray, Vt.BoolArray),
-}
 
 
 @dataclass(frozen=True)
@@ -47,12 +40,7 @@ def write_distances(path: Path, cached: CachedDistances, *, key: str) -> None:
         apply_api(prim, "FaceDistancesAPI")
         author_uniform(prim, KEY, kinds.String, key)
         author_uniform(prim, _FACTS, kinds.String, json.dumps(cached.counts))
-        for name, array in cached.arrays.items():
-            kind, container = _KINDS[array.dtype.name]
-            values = container.FromNumpy(np.ascontiguousarray(array).ravel())
-            author_uniform(prim, f"{_ARRAY}{name}", kind, values)
-            shape = Vt.IntArray([int(size) for size in array.shape])
-            author_uniform(prim, f"{_ARRAY}{name}:shape", kinds.IntArray, shape)
+        author_arrays(prim, cached.arrays)
 
 
 def read_distances(path: Path, *, key: str) -> CachedDistances | None:
@@ -70,9 +58,9 @@ def read_distances(path: Path, *, key: str) -> CachedDistances | None:
     arrays: dict[str, _CacheArray] = {}
     try:
         for name, value in values.items():
-            if name.startswith(_ARRAY) and not name.endswith(":shape"):
+            if name.startswith(ARRAYS) and not name.endswith(":shape"):
                 shape = tuple(int(size) for size in values[f"{name}:shape"])
-                arrays[name.removeprefix(_ARRAY)] = np.array(value).reshape(shape)
+                arrays[name.removeprefix(ARRAYS)] = np.array(value).reshape(shape)
         counts = json.loads(values[_FACTS])
     except (KeyError, TypeError, ValueError, ArithmeticError, RecursionError):
         return None

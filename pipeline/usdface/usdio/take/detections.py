@@ -4,12 +4,12 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from pxr import Sdf, Vt
+from pxr import Sdf
 
 from usdface.core.arrays import Float32Array
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
-from usdface.usdio.authoring import author_uniform, define_prim
+from usdface.usdio.authoring import author_arrays, author_uniform, define_prim
 from usdface.usdio.layers import new_layer, open_stage, refusing_wrong_types
 
 _ROOT = "Detections"
@@ -25,17 +25,13 @@ def write_detections(
     provenance: Provenance | None = None,
 ) -> None:
     """Write arrays and lists of names, without loss."""
-    kinds = Sdf.ValueTypeNames
     with new_layer(path, provenance) as layer:
         prim = define_prim(layer, Sdf.Path(f"/{_ROOT}"), "Scope")
         layer.defaultPrim = _ROOT
-        for name, array in arrays.items():
-            flat = Vt.FloatArray.FromNumpy(np.ascontiguousarray(array, np.float32).ravel())
-            author_uniform(prim, f"{_PREFIX}{name}", kinds.FloatArray, flat)
-            shape = Vt.IntArray(list(map(int, array.shape)))
-            author_uniform(prim, f"{_PREFIX}{name}:shape", kinds.IntArray, shape)
+        single = {name: np.asarray(array, np.float32) for name, array in arrays.items()}
+        author_arrays(prim, single, namespace=_PREFIX)
         for name, listed in names.items():
-            author_uniform(prim, f"{_PREFIX}{name}", kinds.TokenArray, list(listed))
+            author_uniform(prim, f"{_PREFIX}{name}", Sdf.ValueTypeNames.TokenArray, list(listed))
 
 
 @refusing_wrong_types

@@ -325,10 +325,7 @@ class TakeReader:
                 f"{self.path}: {len(labels)} face:events:labels for {len(times)} face:events:times;"
                 " author one of each per event"
             )
-        return [
-            Event(str(label), float(getattr(time, "GetValue", lambda time=time: time)()))
-            for label, time in zip(labels, times, strict=True)
-        ]
+        return [Event(str(label), float(time)) for label, time in zip(labels, times, strict=True)]
 
     def _read_video(self) -> Video | None:
         asset = self._value("face:video:file")
