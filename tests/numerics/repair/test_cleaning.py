@@ -9,6 +9,7 @@ import pytest
 from tests.numerics.simulated_face import SimulatedFace, simulate_face
 from usdface.numerics.repair.cleaning import CleanedMarkers, clean_markers
 from usdface.numerics.rigid.rigid_markers import find_rigid_markers
+from usdface.numerics.rigid.stabilization import stabilize
 
 
 def clean(face: SimulatedFace, **options) -> CleanedMarkers:
@@ -155,6 +156,21 @@ def test_frames_with_nothing_seen_are_bridged():
     assert cleaned.visible.all()
     assert (cleaned.pose_confidence[400:406] < 1).all()
     assert errors_mm(cleaned.positions, face.truth)[400:406].mean() < 1.5
+
+
+def test_the_face_tells_the_pose_where_too_few_rigid_markers_are_seen():
+    face = simulate_face(frames=1200, noise=0.1)
+    hidden = np.zeros(1200, bool)
+    for start, length in ((100, 3), (300, 30), (600, 90)):
+        hidden[start : start + length] = True
+    face.visible[np.ix_(hidden, list(face.rigid)[2:])] = False
+    cleaned = clean(face)
+    away = errors_mm(cleaned.positions, face.truth)
+    interpolated = stabilize(face.captured, face.visible, rigid=face.rigid, neutral=0).positions
+    assert away[hidden].mean() < 0.5 < errors_mm(interpolated, face.truth)[hidden].mean() / 6
+    confidence = cleaned.pose_confidence
+    assert (confidence[~hidden] == 1).all()
+    assert 1 > confidence[100:103].min() > confidence[300:330].min() > confidence[600:690].min()
 
 
 def test_a_take_seen_in_one_frame_alone_is_cleaned_without_a_warning():

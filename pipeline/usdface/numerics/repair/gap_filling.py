@@ -291,5 +291,9 @@ def _gap_confidence(start: int, stop: int, frame_count: int, rate: float) -> Rea
     frames = np.arange(start, stop)
     before = frames - start + 1 if start > 0 else np.full(stop - start, frame_count)
     after = stop - frames if stop < frame_count else np.full(stop - start, frame_count)
-    away = np.minimum(before, after) / (rate * _MEMORY_SECONDS)
-    return np.asarray(np.maximum(np.exp(-(away**2)), _LEAST_CONFIDENCE))
+    return np.maximum(explained_after(np.minimum(before, after) / rate), _LEAST_CONFIDENCE)
+
+
+def explained_after(seconds: RealArray) -> RealArray:
+    """Return the share of a motion's variance that a sample explains some time away [0-1]."""
+    return np.asarray(np.exp(-((seconds / _MEMORY_SECONDS) ** 2)))

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import distance_transform_edt, uniform_filter1d
 from scipy.spatial.transform import Rotation, Slerp
 
-from usdface.core.arrays import BoolArray, FloatArray, RealArray, sample_frames
+from usdface.core.arrays import BoolArray, FloatArray, IntArray, RealArray, sample_frames
 from usdface.numerics.rigid.rigid_alignment import (
     RigidAlignment,
     align_rigid,
@@ -76,8 +76,6 @@ def align_by_prior(
 
 
 _REFERENCE_FRAMES = 20_000
-INTERPOLATED_CONFIDENCE = 0.25
-"""[0-1] Of an interpolated head pose."""
 
 
 @dataclass(frozen=True)
@@ -89,8 +87,8 @@ class Stabilization:
     the input is."""
     head_motion: FloatArray
     """(frames, 4, 4): for column vectors: ``captured = head_motion @ stabilised``."""
-    pose_confidence: FloatArray
-    """(frames,) [0-1] 1 where measured, `INTERPOLATED_CONFIDENCE` where interpolated."""
+    pose_gap: IntArray
+    """(frames,): frames to the nearest measured pose; 0 where it is measured."""
     reference: FloatArray
     """(rigid, 3) [mm] Rigid markers in the head space."""
 
@@ -177,7 +175,7 @@ def _stabilized(
     return Stabilization(
         positions=remove_motion(points, poses),
         head_motion=poses.matrices(),
-        pose_confidence=np.where(alignment.determined, 1.0, INTERPOLATED_CONFIDENCE),
+        pose_gap=distance_transform_edt(~alignment.determined).astype(np.int64),
         reference=reference,
     )
 

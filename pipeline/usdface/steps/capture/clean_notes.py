@@ -86,7 +86,8 @@ def _repairs(cleaned: CleanedMarkers, markers: Markers, take: Take) -> list[str]
     if len(no_pose):
         notes.append(
             f"too few rigid markers in {pluralize(len(no_pose), 'frame')}, the first "
-            f"{take.first_frame + int(no_pose[0])}; the head's pose is interpolated there"
+            f"{take.first_frame + int(no_pose[0])}; there the head's pose follows the other "
+            "markers, or is interpolated where few are seen"
         )
     return notes
 
