@@ -74,8 +74,16 @@ def test_a_face_that_moves_is_not_called_still(shot: Shot) -> None:
     assert not any("no marker moves" in note for note in report.notes)
 
 
-@pytest.mark.parametrize("seconds", [0.25, 1.0])
-@pytest.mark.parametrize("columns", [slice(None), slice(3, 5)])
+@pytest.mark.parametrize(
+    ("columns", "seconds"),
+    [
+        (slice(None), 0.25),
+        (slice(None), 1.0),
+        (slice(None), 2.2),  # more than half of the take
+        (slice(3, 5), 0.25),
+        (slice(3, 5), 1.0),
+    ],
+)
 def test_markers_of_a_stream_that_froze_are_taken_for_unseen(
     shot: Shot, columns: slice, seconds: float
 ) -> None:

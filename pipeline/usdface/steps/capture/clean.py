@@ -235,7 +235,8 @@ def _soft_notes(names: tuple[str, ...]) -> list[str]:
 def _without_copies(markers: Markers, take: Take) -> tuple[Markers, list[str]]:
     """Return markers with samples that repeat one position marked as not visible, and notes.
 
-    Nothing is marked if several markers do so for most of the take: that is a simulation.
+    Nothing is marked if several markers do so for most of the time in which others move: that is a
+    simulation.
     """
     seen, same = markers.visible, np.zeros_like(markers.visible)
     same[1:] = (markers.positions[1:] == markers.positions[:-1]).all(axis=2) & seen[1:] & seen[:-1]
@@ -244,7 +245,8 @@ def _without_copies(markers: Markers, take: Take) -> tuple[Markers, list[str]]:
     for marker, column in enumerate(same.T):
         for start, stop in runs(column):
             frozen[start:stop, marker] = stop - start >= least
-    stuck = frozen.mean(axis=0) > 0.5
+    moving = ~np.all(frozen | ~seen, axis=1)
+    stuck = frozen[moving].mean(axis=0) > 0.5 if moving.any() else np.ones(len(seen.T), np.bool_)
     if stuck.mean() > _STUCK_SHARE:
         return markers, []
     notes = []
