@@ -51,6 +51,17 @@ def test_swapped_labels_are_put_back_and_good_ones_left(damaged):
     assert wrong[good].mean() < 0.001
 
 
+def test_the_neutral_frame_says_which_labels_of_a_long_swap_are_right():
+    """Swapped for almost half of the take, close together before it: their mean says nothing."""
+    face = simulate_face(frames=1200, noise=0.15)
+    closed = np.clip(np.minimum(np.arange(1200) - 15, 125 - np.arange(1200)) / 10, 0, 1)[:, None]
+    upper, lower = 7, 73
+    face.captured[:, upper] += 0.8 * closed * (face.captured[:, lower] - face.captured[:, upper])
+    face.captured[500:1060, [upper, lower]] = face.captured[500:1060, [lower, upper]]
+    cleaned = clean_markers(face.captured, face.visible, rigid=face.rigid, neutral=0)
+    assert [(swap.start, swap.stop) for swap in cleaned.swaps] == [(500, 1060)]
+
+
 def test_outliers_are_replaced_and_good_samples_are_not(damaged):
     face, cleaned = damaged
     good = face.visible & ~face.swapped & ~face.strays

@@ -41,7 +41,7 @@ def test_a_face_without_swaps_has_none():
     face = simulate_face(frames=2000, noise=0.15, dropout_share=0.05)
     model = fit_low_rank(face.truth, face.visible)
     filled = fill_missing(model, face.truth, face.visible)
-    assert find_swaps(filled, face.visible, model=model, noise=0.15) == ()
+    assert find_swaps(filled, face.visible, model=model, noise=0.15, neutral=0) == ()
 
 
 def test_a_marker_is_predicted_from_the_others_as_linear_regression_does():

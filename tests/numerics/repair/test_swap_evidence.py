@@ -72,17 +72,17 @@ def test_pairs_that_are_passed_over_hold_no_hint(swapped):
 @pytest.mark.parametrize("frames", [97, 700])
 def test_swaps_do_not_depend_on_how_many_frames_are_looked_at_at_once(swapped, monkeypatch, frames):
     still, visible, model = swapped
-    whole = find_swaps(still, visible, model=model, noise=0.15)
+    whole = find_swaps(still, visible, model=model, noise=0.15, neutral=0)
     monkeypatch.setattr("usdface.core.arrays._BLOCK_FRAMES", frames)
     assert whole
-    assert find_swaps(still, visible, model=model, noise=0.15) == whole
+    assert find_swaps(still, visible, model=model, noise=0.15, neutral=0) == whole
 
 
 def test_a_search_of_telling_frames_alone_finds_what_the_whole_take_does(swapped):
     still, visible, model = swapped
     window = open_window(still, visible, model)
     noise = 0.15
-    found = find_swaps(still, visible, model=model, noise=0.15)
+    found = find_swaps(still, visible, model=model, noise=0.15, neutral=0)
     scale = relabeling._jump_scale(still, visible, noise)
     of_whole = set()
     for pair in neighbor_pairs(still, visible, model, noise):

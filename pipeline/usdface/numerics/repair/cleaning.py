@@ -139,7 +139,7 @@ def clean_markers(
     model = fit_low_rank(still.positions, seen, rank_limit=rank, start=model, noise=noise)
     swaps: tuple[Swap, ...] = ()
     if relabel:
-        swaps, model = _relabel(still, model, rank, noise, progress)
+        swaps, model = _relabel(still, model, rank, noise, neutral, progress)
         if {column for swap in swaps for column in (swap.first, swap.second)} & set(rigid):
             del still  # first, to save the memory of one copy of a long take
             captured = np.array(captured)
@@ -291,6 +291,7 @@ def _relabel(
     model: LowRankModel,
     rank: int,
     noise: FloatArray,
+    neutral: int,
     progress: Progress,
 ) -> tuple[tuple[Swap, ...], LowRankModel]:
     """Exchange swapped labels back, in rounds, between which the model is fitted again."""
@@ -298,7 +299,11 @@ def _relabel(
     for number in range(_RELABEL_ROUNDS):
         progress(0.1 + 0.35 * number / _RELABEL_ROUNDS, "labels")
         swaps = find_swaps(
-            still.positions, still.visible, model=model, noise=float(np.median(noise))
+            still.positions,
+            still.visible,
+            model=model,
+            noise=float(np.median(noise)),
+            neutral=neutral,
         )
         if not swaps:
             break

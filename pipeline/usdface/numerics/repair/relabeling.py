@@ -28,6 +28,7 @@ from usdface.numerics.repair.swap_evidence import (
     Pair,
     neighbor_pairs,
     open_window,
+    pair_directed_as,
     suspicious_pairs,
     weigh_swap,
 )
@@ -59,7 +60,7 @@ class Swap:
 
 
 def find_swaps(
-    positions: RealArray, visible: BoolArray, *, model: LowRankModel, noise: float
+    positions: RealArray, visible: BoolArray, *, model: LowRankModel, noise: float, neutral: int
 ) -> tuple[Swap, ...]:
     """Find the ranges of frames in which two neighbouring markers have each other's label.
 
@@ -73,6 +74,8 @@ def find_swaps(
         Fitted to the same take, with its swaps.
     noise : float
         Standard deviation of a measured coordinate [mm].
+    neutral : int
+        Index of a frame whose labels are right, unless the pair is swapped for most of the take.
 
     Returns
     -------
@@ -89,12 +92,25 @@ def find_swaps(
 
     hints = np.sum(map_threads(hints_in, frame_blocks(len(positions))), axis=0)
     suspects = [pair for pair, count in zip(pairs, hints, strict=True) if count >= _HINTS_NEEDED]
-    weighed = _gather_evidence(suspects, positions, visible, model, step_scale)
-    candidates: list[tuple[float, Swap]] = []
-    for pair, found in zip(suspects, weighed, strict=True):
-        swaps = [*_swaps_of(pair, found)]
-        if sum(swap.stop - swap.start for _, swap in swaps) <= _LONGEST_SWAP_SHARE * len(positions):
-            candidates += [(worth, swap) for worth, swap in swaps if worth >= _LEAST_GAIN]
+
+    def swaps_of(pairs: list[Pair]) -> list[list[tuple[float, Swap]]]:
+        weighed = _gather_evidence(pairs, positions, visible, model, step_scale)
+        found = [[*_swaps_of(*each)] for each in zip(pairs, weighed, strict=True)]
+        return [each if _length_of(each) <= longest else [] for each in found]
+
+    longest = _LONGEST_SWAP_SHARE * len(positions)
+    found = swaps_of(suspects)
+    # The mean direction of a pair is the other way round after a long swap, or a long blink.
+    doubted = [
+        row
+        for row, (pair, swaps) in enumerate(zip(suspects, found, strict=True))
+        if any(swap.start <= neutral < swap.stop for _, swap in swaps)
+        and visible[neutral, [pair.first, pair.second]].all()
+    ]
+    turned = [pair_directed_as(suspects[row], positions[neutral]) for row in doubted]
+    for row, swaps in zip(doubted, swaps_of(turned), strict=True):
+        found[row] = swaps or found[row]
+    candidates = [each for swaps in found for each in swaps if each[0] >= _LEAST_GAIN]
     return _without_conflicts(candidates)
 
 
@@ -203,6 +219,10 @@ def _swaps_of(pair: Pair, found: _Evidence) -> Iterator[tuple[float, Swap]]:
             worth = float(gain[start:stop].sum(dtype=np.float64)) - float(toggle[start])
             first = int(found.frames[part[start]])
             yield worth, Swap(pair.first, pair.second, first, first + stop - start)
+
+
+def _length_of(swaps: list[tuple[float, Swap]]) -> int:
+    return sum(swap.stop - swap.start for _, swap in swaps)
 
 
 def _jump_scale(positions: RealArray, visible: BoolArray, noise: float) -> float:

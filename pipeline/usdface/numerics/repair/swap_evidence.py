@@ -5,7 +5,7 @@ close neighbours, directions alone mistake a grimace for a swap, and jumps alone
 to a gap for one.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -40,7 +40,7 @@ class Pair:
     second: int
     """`first`, `second`: Columns, ascending."""
     direction: Float32Array
-    """(3,): vector from the first to the second at rest, over its squared length."""
+    """(3,): vector from the first to the second in the mean face, over its squared length."""
     residual_variance: float
     """Of a coordinate about its prediction from all markers but the two [mm^2]."""
     mixing: Float32Array
@@ -87,10 +87,18 @@ def neighbor_pairs(
         away = mixing @ window.offsets[[first, second]].reshape(6, -1)
         # The median of a squared normal variable is 0.455 times its variance.
         variance = max(float(np.median(away**2)) / 0.455, 2.0 * noise**2, 1e-4)
-        between = rest[second] - rest[first]
-        direction = between / max(float(between @ between), 1e-12)
-        pairs.append(Pair(first, second, direction.astype(np.float32), variance, mixing))
+        pairs.append(Pair(first, second, _direction(rest, first, second), variance, mixing))
     return pairs
+
+
+def pair_directed_as(pair: Pair, positions: RealArray) -> Pair:
+    """Return a pair whose direction is that in one frame, (markers, 3) [mm]."""
+    return replace(pair, direction=_direction(positions, pair.first, pair.second))
+
+
+def _direction(positions: RealArray, first: int, second: int) -> Float32Array:
+    between = positions[second].astype(np.float64) - positions[first]
+    return np.asarray(between / max(float(between @ between), 1e-12), np.float32)
 
 
 def suspicious_pairs(pairs: list[Pair], window: Window, *, step_scale: float) -> IntArray:
