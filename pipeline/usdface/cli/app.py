@@ -24,7 +24,7 @@ from usdface.cli.commands import (
 from usdface.cli.console import (
     STOPPED,
     echo,
-    end_with_main_thread,
+    exit_at_once,
     exit_code_of,
     raise_on_signals,
     set_up_logging,
@@ -95,7 +95,7 @@ def main(arguments: list[str] | None = None) -> None:
         _run(sys.argv[1:] if arguments is None else arguments)
     except SystemExit as ended:
         if arguments is None and (was_stopped() or ended.code == CancelledError.exit_code):
-            end_with_main_thread(int(ended.code or 0))
+            exit_at_once(int(ended.code or 0))
         raise
 
 

@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Iterator
 from types import FrameType
-from typing import Any, Literal
+from typing import Any, Literal, NoReturn
 
 import typer
 
@@ -26,8 +26,6 @@ STOPPED = "interrupted; no partly written files remain"
 
 RETRY_SECONDS = 0.05
 """Interval after which a signal during an import is sent again; imports take a second or two."""
-ENDING_SECONDS = 0.5
-"""Time for other threads to end after the main thread."""
 
 LONGEST_FARM_MESSAGE = 1000
 """Characters; farms truncate or refuse longer lines."""
@@ -218,9 +216,9 @@ def was_stopped() -> bool:
 def raise_on_signals() -> None:
     """Turn SIGTERM, which farms send once, into an exception, so that temporary files are removed.
 
-    Both SIGTERM and Ctrl+C are delayed during imports: USD's loader would ignore the exception and
-    continue partly loaded. If the exception is lost in a callback of a library, the signal is sent
-    again.
+    Both SIGTERM and Ctrl+C are delayed while USD is imported: its loader would ignore the exception
+    and continue partly loaded. If the exception is lost in a callback of a library, the signal is
+    sent again.
     """
 
     def send_again(signum: int) -> None:
@@ -229,11 +227,13 @@ def raise_on_signals() -> None:
         again.start()
 
     def stop(signum: int, frame: FrameType | None) -> None:
-        if _is_importing(frame):
+        imported = [*_imported_by(frame)]
+        if any(name.partition(".")[0] == "pxr" for name in imported):
             send_again(signum)
             return
         _stopped.set()
-        raise KeyboardInterrupt if signum == signal.SIGINT else CancelledError(STOPPED)
+        # Modules that import others if they can may catch any other exception.
+        raise KeyboardInterrupt if signum == signal.SIGINT or imported else CancelledError(STOPPED)
 
     def lost(unraisable: "sys.UnraisableHookArgs") -> None:
         kind = unraisable.exc_type
@@ -250,27 +250,25 @@ def raise_on_signals() -> None:
             signal.signal(signal.SIGINT, stop)
 
 
-def end_with_main_thread(code: int) -> None:
-    """End the process soon after its main thread, even if other threads still run.
+def exit_at_once(code: int) -> NoReturn:
+    """End the process without waiting for its threads, and without clean-up by libraries.
 
     An exception while a thread pool starts, such as MediaPipe's, leaves a worker running, for which
-    the interpreter would wait forever.
+    the interpreter would wait forever; OpenImageIO prints what an exception leaves of its objects.
     """
-
-    def end() -> None:
-        threading.main_thread().join()
-        time.sleep(ENDING_SECONDS)
-        os._exit(code)
-
-    threading.Thread(target=end, daemon=True).start()
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError):
+            stream.flush()
+    os._exit(code)
 
 
-def _is_importing(frame: FrameType | None) -> bool:
+def _imported_by(frame: FrameType | None) -> Iterator[str]:
+    """Yield the names of the modules whose import a frame is part of."""
     while frame is not None:
-        if frame.f_code.co_filename.startswith("<frozen importlib"):
-            return True
-        frame = frame.f_back
-    return False
+        caller = frame.f_back
+        if caller is not None and caller.f_code.co_filename.startswith("<frozen importlib"):
+            yield frame.f_globals.get("__name__", "")
+        frame = caller
 
 
 def exit_code_of(error: BaseException) -> int:
