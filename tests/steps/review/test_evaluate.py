@@ -142,6 +142,13 @@ def test_frames_limit_what_is_measured(finished_shot: Shot) -> None:
     assert all(100 <= frame <= 199 for frame in worst)
 
 
+def test_a_table_that_ends_early_is_named(shot: Shot) -> None:
+    lines = (shot / "keys.csv").read_text("utf-8").splitlines(keepends=True)
+    (shot / "half.csv").write_text("".join(lines[:201]), "utf-8")
+    notes = execute(spec_of(shot, against=shot / "half.csv")).notes
+    assert f"half.csv has 200 of the {FRAMES} frames; the others have no keys" in notes
+
+
 def test_a_truth_at_a_few_frames_is_enough(shot: Shot) -> None:
     table = read_weight_table(shot / "keys.csv")
     rows = table.weights[9:FRAMES:40]
@@ -333,6 +340,13 @@ def another_rate(shot: Shot) -> list[str]:
     return ["--against", "slow.usda"]
 
 
+def rows_of_another_rate(shot: Shot) -> list[str]:
+    header, *rows = (shot / "keys.csv").read_text("utf-8").splitlines()
+    halved = [f"{1 + i},{row.partition(',')[2]}" for i, row in enumerate(rows[::2])]
+    (shot / "film.csv").write_text("\n".join([header, *halved]), "utf-8")
+    return ["--against", "film.csv"]
+
+
 def wrong_ending(shot: Shot) -> list[str]:
     return ["--against", "keys.csv", "--out", "error.txt"]
 
@@ -344,6 +358,7 @@ def wrong_ending(shot: Shot) -> list[str]:
         (no_shape_in_common, ("names.csv", "wiggle", "rename")),
         (frames_outside, ("have no common frame in 900-999",)),
         (another_rate, ("slow.usda", "24 frames per second", "performance's rate")),
+        (rows_of_another_rate, ("film.csv", "count 60 frames per second", "not 120")),
         (wrong_ending, ("error.txt", ".json", ".png")),
     ],
 )

@@ -13,6 +13,7 @@ from usdface.capture.text_table import csv_rows
 from usdface.capture.weight_samples import read_cell, read_weight_samples
 from usdface.capture.weight_table import in_fractions, read_weight_take, row_frames
 from usdface.core.arrays import FloatArray, IntArray, columns_by_name
+from usdface.core.assets import WeightsClip
 from usdface.core.errors import InputError
 from usdface.core.sidecars import is_usd_name
 from usdface.core.text import first_few, pluralize
@@ -107,6 +108,30 @@ class WeightTable:
                 f"{file}: runs at {float(self.rate):g} frames per second, {performance} at "
                 f"{float(rate):g}; export it at the performance's rate, so that frames match"
             )
+
+    def check_numbering(
+        self, solved: WeightsClip, *, columns: Sequence[str], file: Path, performance: Path
+    ) -> None:
+        """Refuse rows whose weights match a performance far better if counted at another rate."""
+        shared = [name for name in columns if name in self.names and name in solved.names]
+        keys = columns_by_name(self.weights, self.names, shared)
+        weights = columns_by_name(solved.values, solved.names, shared)
+
+        def error(ratio: float) -> tuple[float, int]:
+            rows = np.rint((np.array(self.frames) - 1) * ratio).astype(int) + 1 - solved.first_frame
+            inside = (rows >= 0) & (rows < len(weights))
+            away = keys[inside] - weights[rows[inside]]
+            return float(np.sqrt((away**2).mean())) if away.size else np.inf, int(inside.sum())
+
+        own = error(1.0)[0]
+        for rate in USUAL_RATES:
+            found, count = error(float(solved.rate) / rate)
+            if count >= _FEWEST_COUNTED and own > _LEAST_MISCOUNT and found < own / 2:
+                raise InputError(
+                    f"{file}: its rows match {performance} if they count {rate:.5g} frames per "
+                    f"second (a difference of {found:.2g} in the weights), not "
+                    f"{float(solved.rate):.5g} ({own:.2g}); export it at the performance's rate"
+                )
 
 
 def read_weight_table(
@@ -224,6 +249,12 @@ def _exported_table(
     )
 
 
+USUAL_RATES = (24.0, 25.0, 30.0, 50.0, 60.0, 120.0, 24 / 1.001, 30 / 1.001, 60 / 1.001)
+"""[frames/s]"""
+_FEWEST_COUNTED = 20
+"""Fewest rows that tell their rate by their weights."""
+_LEAST_MISCOUNT = 0.03
+"""Smallest root mean square difference of weights that another rate may explain."""
 _LISTED_SHAPES = 5
 CLAMP_RANGE = (0.0, 1.0)
 """Range of Blender's sliders, to which weights are clamped."""

@@ -19,14 +19,16 @@ from usdface.runner.result import StepResult
 from usdface.specs.references import ReferencesImportSpec
 from usdface.steps.inputs.source_motion import check_no_name_twice, transfer_by_table
 from usdface.steps.inputs.tuned_pairs import tuned_conflicts
-from usdface.steps.inputs.weight_tables import WeightTable, read_weight_table, undo_clamping
+from usdface.steps.inputs.weight_tables import (
+    USUAL_RATES,
+    WeightTable,
+    read_weight_table,
+    undo_clamping,
+)
 from usdface.steps.references.coverage import redraw_coverage
 from usdface.usdio.references.weight_layers import TunedPair, read_keyed_references
 from usdface.usdio.references.write import write_tuned_weights
 from usdface.usdio.take.read import TakeReader
-
-_USUAL_RATES = (24.0, 25.0, 30.0, 50.0, 60.0, 24 / 1.001, 30 / 1.001, 60 / 1.001)
-"""[frames/s]"""
 
 _RATE_SHARE = 0.9
 """Share of a table's rows that must be at pairs at another rate for the table to have that rate."""
@@ -266,7 +268,7 @@ def _check_counting(
 ) -> None:
     """Refuse rows of which nearly all are at pairs at another rate."""
     rows = np.unique(table.frames)
-    for rate in _USUAL_RATES if references.rate else ():
+    for rate in USUAL_RATES if references.rate else ():
         if abs(rate / references.rate - 1) < 0.002:
             continue
         # Tools round or truncate to a frame.

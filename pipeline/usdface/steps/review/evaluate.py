@@ -81,6 +81,7 @@ def _compare(
     clip = performance.weights
     given.check_rate(clip.rate, file=spec.against, performance=spec.performance)
     truth, transfer = given.by_meaning(rig.shapes, leave=rig.logic.driven)
+    truth.check_numbering(clip, columns=rig.shapes, file=spec.against, performance=spec.performance)
     driven = truth.shapes_among(rig.shapes, file=spec.against, owner=f"on {rig.file}")
     solved_frames = np.arange(clip.first_frame, clip.first_frame + len(clip.values), dtype=np.int64)
     truth_frames = np.array(truth.frames, dtype=np.int64)
@@ -108,10 +109,18 @@ def _compare(
         notes=(
             *meaning_notes(transfer),
             *given.numbering_notes(spec.against),
+            *_missing_notes(spec, truth_frames, len(solved_frames)),
             *_unknown_notes(spec, given, transfer),
             *_notes(spec, clip.names, truth.names, rig),
         ),
     )
+
+
+def _missing_notes(spec: EvaluateSpec, keyed: IntArray, count: int) -> list[str]:
+    """Return a note if a table with a row for every frame ends before the performance."""
+    if spec.frames or len(keyed) < 2 or len(keyed) >= count or (np.diff(np.sort(keyed)) > 1).any():
+        return []
+    return [f"{spec.against.name} has {len(keyed)} of the {count} frames; the others have no keys"]
 
 
 def _unknown_notes(spec: EvaluateSpec, given: WeightTable, transfer: Transfer) -> list[str]:

@@ -152,6 +152,12 @@ def read_keys(file: Path | None, shot: Shot, unit: str | None = None) -> FloatAr
     given = read_weight_table(file, known=rig.shapes, unit=unit)
     given.check_rate(shot.take.rate, file=file, performance=shot.performance_file)
     table, _ = given.by_meaning(rig.shapes, leave=rig.logic.driven)
+    table.check_numbering(
+        shot.performance.weights,
+        columns=rig.shapes,
+        file=file,
+        performance=shot.performance_file,
+    )
     if not set(table.names) & set(rig.shapes):
         raise InputError(f"{file}: names none of the rig's shapes; give keys of {rig.file.name}")
     row_of = index_of(table.frames)
