@@ -59,10 +59,15 @@ def read_layout(path: Path) -> C3dLayout:
     size = path.stat().st_size
     with path.open("rb") as file:
         header = file.read(BLOCK_BYTES)
-        if len(header) < BLOCK_BYTES or header[1] != C3D_MAGIC:
+        if header[1:2] != bytes([C3D_MAGIC]):
             raise InputError(
-                f"{path}: not a C3D file: {len(header)} bytes of header, second byte "
-                f"{header[1:2].hex() or 'missing'} instead of 50; choose the capture's .c3d export"
+                f"{path}: not a C3D file: its second byte is {header[1:2].hex() or 'missing'} "
+                "instead of 50; choose the capture's .c3d export"
+            )
+        if len(header) < BLOCK_BYTES:
+            raise InputError(
+                f"{path}: ends after {len(header)} of the {BLOCK_BYTES} bytes of a C3D header; "
+                f"{_REPAIR}"
             )
         section_start = (max(header[0], 1) - 1) * BLOCK_BYTES
         file.seek(section_start)

@@ -180,7 +180,9 @@ def _rate_limits(
     seconds: FloatArray, frames: IntArray, *, where: str
 ) -> tuple[float, float, float]:
     """Return the lowest, the measured and the highest rate consistent with rounded times."""
-    usable = len(seconds) > 1 and bool((np.abs(seconds) < _LONGEST_SECONDS).all())  # and not NaN
+    if len(seconds) < 2:
+        raise InputError(f"{where}: one row does not determine a frame rate; give it by --rate")
+    usable = bool((np.abs(seconds) < _LONGEST_SECONDS).all())  # and not NaN
     span = float(seconds[-1] - seconds[0]) if usable else 0.0
     if span <= 0:
         raise InputError(

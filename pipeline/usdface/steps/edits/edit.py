@@ -150,8 +150,10 @@ def _summary(spec: EditSpec, changes: list[_Change]) -> str:
     if spec.notes is not None:
         shapes = dict.fromkeys(shape for change in changes for shape in change.shapes)
         return f"{pluralize(len(changes), 'correction')} of {', '.join(shapes)} applied"
-    done = "cleared" if spec.clear else ("added to" if spec.add is not None else "overridden")
-    return f"{', '.join(spec.shape)} {done}"
+    named = ", ".join(spec.shape)
+    if spec.add is not None:
+        return f"{spec.add:+g} added to {named}"
+    return f"{named} {'cleared' if spec.clear else 'overridden'}"
 
 
 def all_frames(reader: PerformanceReader, *, reach: tuple[int, int] | None = None) -> IntArray:

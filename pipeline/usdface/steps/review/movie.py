@@ -103,7 +103,12 @@ def run(spec: MovieSpec, *, provenance: Provenance, progress: Progress = silent)
             *shot.camera(spec.camera, spec.camera_stage).notes(clock.first_frame),
             *shot.rig.undrawn_notes(),
         ]
-    _draw_all(_Plan(spec, panels, clock), waiting, shot, min(workers, len(waiting)), progress)
+    try:
+        _draw_all(_Plan(spec, panels, clock), waiting, shot, min(workers, len(waiting)), progress)
+    except BaseException:
+        with contextlib.suppress(OSError):  # holds stretches, with which the next run goes on
+            folder.rmdir()
+        raise
     progress(0.97, "joining the stretches")
     sound = take_sound(take, clock, notes) if spec.sound else None
     comment = provenance_metadata(provenance) | {

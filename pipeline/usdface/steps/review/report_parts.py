@@ -19,7 +19,6 @@ from usdface.media.page.report_page import (
     Strip,
     WeightCurves,
 )
-from usdface.media.picture.color import KEYS_RANGE_MM, UNKEYED_RANGE_MM
 from usdface.model.review.moments import ReviewSignals
 from usdface.model.selection.baseline import BlendshapeEquation
 from usdface.numerics.registration.virtual_markers import character_motion
@@ -27,6 +26,7 @@ from usdface.runner.outputs import confine
 from usdface.specs.notes import read_notes
 from usdface.specs.review import ReportSpec
 from usdface.steps.inputs.marker_lines import lines_on_rig
+from usdface.steps.review.scoring import range_mm
 from usdface.steps.review.shot import Shot, version_labels, weights_in_rig_order
 from usdface.usdio.performance.read import PerformanceReader, read_performance
 from usdface.usdio.references.read import read_references
@@ -82,10 +82,12 @@ def page_strips(signals: ReviewSignals) -> tuple[Strip, ...]:
     evidence = signals.evidence
     strips = []
     if evidence.error_mm is not None:
-        strips.append(Strip("error", evidence.error_mm[:, 0], 0.0, KEYS_RANGE_MM, "mm"))
+        strips.append(
+            Strip("error", evidence.error_mm[:, 0], 0.0, range_mm(evidence, keyed=True), "mm")
+        )
     if evidence.uncertainty_mm is not None:
         shown = evidence.uncertainty_mm[:, 0]
-        strips.append(Strip("uncertainty", shown, 0.0, UNKEYED_RANGE_MM, "mm"))
+        strips.append(Strip("uncertainty", shown, 0.0, range_mm(evidence, keyed=False), "mm"))
     if evidence.coverage is not None:
         strips.append(Strip("coverage", 100 * evidence.coverage[:, 0], 0.0, 100.0, "%"))
     return tuple(strips)
@@ -130,15 +132,15 @@ def page_motion(shot: Shot) -> FloatArray | None:
 def page_heat(signals: ReviewSignals, curves: tuple[WeightCurves, ...]) -> PageHeat | None:
     """Return the values painted on the face: the error against keys, else the uncertainty."""
     kinds = [curve.kind for curve in curves]
-    if "keys" in kinds:
-        return PageHeat("error", KEYS_RANGE_MM, against=kinds.index("keys"))
     evidence = signals.evidence
+    if "keys" in kinds:
+        high = range_mm(evidence, keyed=True)
+        return PageHeat("error", high, against=kinds.index("keys"))
     if evidence.uncertainty_mm is None or evidence.uncertainty_mm.shape[1] < 2:
         return None
     regions = evidence.regions[1 : evidence.uncertainty_mm.shape[1]]
-    return PageHeat(
-        "uncertainty", UNKEYED_RANGE_MM, regions=regions, values=evidence.uncertainty_mm[:, 1:]
-    )
+    high, values = range_mm(evidence, keyed=False), evidence.uncertainty_mm[:, 1:]
+    return PageHeat("uncertainty", high, regions=regions, values=values)
 
 
 def page_notes(spec: ReportSpec, shot: Shot) -> PageNotes:

@@ -190,9 +190,9 @@ def surface_distance(shot: Shot, difference: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.maximum(squared, 0.0)))
 
 
-def range_mm(*, keyed: bool) -> float:
-    """Return the end of the colour scale, the same in all pictures with or without keys."""
-    return KEYS_RANGE_MM if keyed else UNKEYED_RANGE_MM
+def range_mm(evidence: SolveEvidence, *, keyed: bool) -> float:
+    """Return the end of the colour scale: the same for all faces, in proportion to other rigs."""
+    return float(f"{evidence.on_rig(KEYS_RANGE_MM if keyed else UNKEYED_RANGE_MM):.2g}")
 
 
 def coverage_curves(shot: Shot) -> tuple[ErrorCurve, ...]:

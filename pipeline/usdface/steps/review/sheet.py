@@ -158,7 +158,7 @@ def _page(
         first_frame=int(shot.frames[0]),
         notes=_notes(spec, comparison, stand_in_eyes=any(each.stand_in_eyes for each in pictures)),
         tile_height=_tile_height(spec),
-        high=range_mm(keyed=keyed)
+        high=range_mm(comparison.signals.evidence, keyed=keyed)
         if known or shot.performance.uncertainty_mm is not None
         else None,
         comparable=keyed,

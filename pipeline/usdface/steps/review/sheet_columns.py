@@ -200,6 +200,7 @@ def _face(pictures: ShotPictures, judged: Score) -> Callable[[int], Tile]:
 def _errors(pictures: ShotPictures, comparison: SheetComparison) -> Callable[[int], Tile]:
     """Return a function that paints the error of the skin, with gaze and tongue of the keys."""
     shot, truth = comparison.shots[0], comparison.truth
+    high = range_mm(comparison.signals.evidence, keyed=True)
 
     def draw(row: int) -> Tile:
         if truth is None or np.isnan(truth[row]).any():
@@ -209,7 +210,7 @@ def _errors(pictures: ShotPictures, comparison: SheetComparison) -> Callable[[in
         weights[excluded] = truth[row, excluded]
         solved, keyed = (shot.deformer.points(w[None])[0] for w in (weights, truth[row]))
         error = np.linalg.norm(solved - keyed, axis=-1)
-        picture = pictures.painted(row, weights, error, high=range_mm(keyed=True))
+        picture = pictures.painted(row, weights, error, high=high)
         return Tile(picture, caption=f"max {error.max():.1f} mm")
 
     return draw
@@ -228,7 +229,9 @@ def _uncertainties(pictures: ShotPictures, comparison: SheetComparison) -> Calla
         for region, value in zip(points.values(), uncertainty[1:], strict=False):
             if region is not None:
                 values[region] = value
-        picture = pictures.painted(row, shot.weights[row], values, high=range_mm(keyed=False))
+        picture = pictures.painted(
+            row, shot.weights[row], values, high=range_mm(evidence, keyed=False)
+        )
         coverage = evidence.coverage
         caption = "" if coverage is None else f"coverage {coverage[row, 0]:.0%}"
         return Tile(picture, caption=caption)
