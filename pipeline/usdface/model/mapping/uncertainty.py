@@ -16,7 +16,10 @@ to its expected value, averaged over the markers that the region's shapes move, 
 mean squared residual in excess of the expected one. With ``a`` the motion of the rig over that of
 the performer, the standard deviation is ::
 
-    sigma_g = c_g sqrt(tr(G_g D C D) (1 + chi2_g) + (a d_g)^2)
+    sigma_g = c_g sqrt(min(tr(G_g D C D) (1 + chi2_g), tr(G_g V)) + (a d_g)^2)
+
+``V``, the prior variance of weights far from the references, bounds the error of a face that no
+marker tells.
 
 ``c_g`` is calibrated on out-of-fold errors of the references, in folds blocked by take and time,
 such that 90 % are within 1.645 sigma, as for a normal distribution. As few errors determine a
@@ -136,7 +139,10 @@ class UncertaintyModel:
             packed = self.grams.reshape(len(self.grams), -1).astype(np.float32)
             squared = covariance.reshape(len(visible), -1) @ packed.T
         chi2, excess2 = self._residual_terms(solver, solution.residual, visible)
-        squared = squared * (1 + chi2) + self.motion_scale**2 * excess2
+        _, _, spread2, _ = solver.limiting_posteriors
+        unknown = np.einsum("rss->rs", self.grams) @ spread2
+        squared = np.minimum(squared * (1 + chi2), np.maximum(squared, unknown))
+        squared += self.motion_scale**2 * excess2
         squared = np.maximum(squared, 0.0) * self.calibration**2
         share2, usual2 = self.proposals
         if share2:
