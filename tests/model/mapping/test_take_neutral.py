@@ -66,6 +66,16 @@ def test_a_stated_frame_that_is_not_neutral_is_said_with_one_that_is() -> None:
     assert found.neutral_frame == found.frame
 
 
+@pytest.mark.parametrize("performer", ["Kim", ""])
+def test_two_markers_with_each_others_label_are_named(performer: str) -> None:
+    other = performance(1)
+    far = int(np.linalg.norm(NEUTRAL - NEUTRAL[9], axis=1).argmax())
+    other[:, [9, far]] = other[:, [far, 9]]
+    named = " and ".join(NAMES[i] for i in sorted((9, far)))
+    with pytest.raises(InputError, match=f"labels of {named} are exchanged throughout the take"):
+        compare(other, performer=performer)
+
+
 def test_another_skull_is_refused_unless_it_is_said_to_be_the_same() -> None:
     wide = performance(1) * [1.12, 1.0, 1.0]
     with pytest.raises(InputError, match=r"of another performer: its face is 1\d% larger"):

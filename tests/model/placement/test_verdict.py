@@ -146,7 +146,7 @@ def test_markers_that_no_shape_moves_are_named(bench: Bench) -> None:
     labels = list(LABELS)
     labels[row] = "m8"
     verdict = bench.judge(bench.local, cloud=replace(bench.cloud, labels=tuple(labels)), skin=bare)
-    assert "the rig has no shape that moves m8" in verdict.sentence
+    assert "no shape of the rig moves the skin at m8" in verdict.sentence
 
 
 def judge_without(bench: Bench, lacking: str, *, foreign: bool = False) -> PlacementVerdict:

@@ -6,6 +6,7 @@ import numpy as np
 
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.core.errors import InputError
+from usdface.core.text import first_few
 from usdface.model.mapping.performer_face import PerformerFace
 from usdface.numerics.registration.marker_application import (
     compare_neighbours,
@@ -39,6 +40,10 @@ _CRITICAL_STRETCH_T = 4.0
 MAX_REAPPLIED_MM = 8.0
 """Largest root mean square shift of reapplied markers: marks on the skin are met within 2 to 4 mm.
 """
+
+_EXCHANGED_SHARE = 0.3
+"""Distance of a marker from another's place, over that of the two places, below which it lies
+there."""
 
 _MIN_MARKERS = 8
 """Fewest markers for an estimate of a face's proportions."""
@@ -157,11 +162,12 @@ def compare_neutral(
     Raises
     ------
     InputError
-        If the take is of another performer.
+        If the labels of two markers are exchanged throughout, or the take is of another performer.
     """
     offset = find_offset(face.frames, face.usable, positions, usable, neutral=face.neutral)
     same_session = bool(session) and session == face.session
     other_session = bool(session and face.session) and not same_session
+    _check_labels(face.marker_names, face.neutral, offset, np.asarray(usable.any(axis=0)))
     if not same_session and not (performer and performer == face.performer):
         _check_performer(face.neutral, offset, np.asarray(usable.any(axis=0)))
     is_long = np.ptp(frames) >= SHORTEST_COMPARED_SECONDS * rate
@@ -183,6 +189,22 @@ def compare_neutral(
         float(stated[0]) if np.isfinite(stated).any() else float("nan"),
         share,
     )
+
+
+def _check_labels(
+    names: tuple[str, ...], neutral: FloatArray, offset: FloatArray, seen: BoolArray
+) -> None:
+    """Refuse a take in which two markers lie at each other's place."""
+    away = np.linalg.norm((neutral + offset)[:, None] - neutral, axis=2)
+    apart = np.linalg.norm(neutral[:, None] - neutral, axis=2)
+    near = (away < _EXCHANGED_SHARE * apart) & (apart > MAX_REAPPLIED_MM) & np.outer(seen, seen)
+    pairs = [(names[i], names[j]) for i, j in np.argwhere(near & near.T).tolist() if i < j]
+    if pairs:
+        listed = first_few([f"{one} and {other}" for one, other in pairs], most=_LISTED_MARKERS)
+        raise InputError(
+            f"the labels of {listed} are exchanged throughout the take: each lies at the other's "
+            "place. Exchange them in the capture, and ingest it again"
+        )
 
 
 def _check_performer(neutral: FloatArray, offset: FloatArray, seen: BoolArray) -> None:

@@ -96,7 +96,7 @@ def words_on_missing_shapes(
     rest = moving & ~np.isin(regions, list(missing)) & (mobility < _LEAST_MOBILITY * motion)
     still = _still_parts(labels, rest)
     if still:
-        words.append(f"the rig has no shape that moves {still}")
+        words.append(f"no shape of the rig moves the skin at {still}")
     return "; ".join(words)
 
 
@@ -182,7 +182,8 @@ def _still_parts(labels: Sequence[str], still: BoolArray) -> str:
         if not part:
             named.append(first_few([labels[marker] for marker in bare.tolist()], most=3))
         elif len(bare) > (hints == part).sum() / 2:
-            named.append(f"the {_PLURALS.get(part, part)} ({pluralize(len(bare), 'marker')})")
+            markers = first_few([labels[marker] for marker in bare.tolist()], most=3)
+            named.append(f"the {_PLURALS.get(part, part)} ({markers})")
     return first_few(named, most=3) if named else ""
 
 
