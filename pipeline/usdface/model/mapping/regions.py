@@ -155,10 +155,14 @@ def skin_points(offsets: FloatArray | sparse.sparray, *, count: int = SKIN_POINT
 
 def sample_skin(offsets: FloatArray | sparse.sparray, *, count: int = SKIN_POINTS) -> FloatArray:
     """Return the displacements of `skin_points` by each shape at 1: (shapes, points, 3) [mm]."""
+    return offsets_at(offsets, skin_points(offsets, count=count))
+
+
+def offsets_at(offsets: FloatArray | sparse.sparray, points: IntArray) -> FloatArray:
+    """Return the displacements of points: (shapes, points, 3) [mm]."""
     from scipy import sparse  # importing takes half a second
 
-    points, table = skin_points(offsets, count=count), sparse.csc_array(offsets)
-    columns = (3 * points[:, None] + np.arange(3)).ravel()
+    table, columns = sparse.csc_array(offsets), (3 * points[:, None] + np.arange(3)).ravel()
     sampled: FloatArray = np.asarray(table[:, columns].toarray(), dtype=np.float64)
     return sampled.reshape(table.shape[0], len(points), 3)
 

@@ -23,8 +23,7 @@ from usdface.usdio.take.read import TakeReader, read_take
 
 def take_head_space(take: TakeReader, mapping: TrainedMapping) -> HeadSpace:
     """Find the transform from a take's markers to those of a mapping, from frames all over it."""
-    count = take.last_frame - take.first_frame + 1
-    picks = np.linspace(take.first_frame, take.last_frame, min(count, SAMPLE_FRAMES)).astype(int)
+    picks = np.array(spread_frames(take, SAMPLE_FRAMES))
     if take.first_frame <= take.neutral_frame <= take.last_frame:
         picks = np.union1d(picks, take.neutral_frame)
     sample = read_markers_at(take, picks.tolist())
@@ -39,6 +38,13 @@ def take_head_space(take: TakeReader, mapping: TrainedMapping) -> HeadSpace:
         )
     except InputError as error:
         raise InputError(f"{take.path}: {error}") from error
+
+
+def spread_frames(take: TakeReader, most: int) -> list[int]:
+    """Return at most `most` frames, spread evenly over a take."""
+    count = take.last_frame - take.first_frame + 1
+    picks = np.linspace(take.first_frame, take.last_frame, min(count, most))
+    return list(map(int, np.unique(picks.astype(int))))
 
 
 def read_markers(take: TakeReader, first: int, last: int) -> Markers:

@@ -16,7 +16,7 @@ from usdface.core.text import counted, first_few, pluralize
 from usdface.media.charts.eigenspace import Eigenspace, draw_eigenspace
 from usdface.media.picture.image import write_image
 from usdface.model.mapping.motion_space import marker_coordinates, motion_of
-from usdface.model.mapping.regions import sample_skin, skin_points
+from usdface.model.mapping.regions import offsets_at, skin_points
 from usdface.model.mapping.rig_match import rig_summary
 from usdface.model.mapping.train import train_mapping
 from usdface.model.mapping.uncertainty import proposal_error
@@ -74,10 +74,14 @@ def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress = silent)
     poses = columns_by_name(references.weights, references.shape_names, rig.shapes)
     mapping = train_mapping(
         replace(references, combinations=(*references.combinations, *bends)),
-        ranges=rig.ranges[columns],
+        ranges=rig.ranges_of(references.shape_names),
         gram=deformer.shapes.gram(poses)[np.ix_(columns, columns)],
         skin=np.concatenate(
-            [sample_skin(offsets)[columns], _driven_skin(deformer, points), bent_skin]
+            [
+                offsets_at(offsets, points)[columns],
+                offsets_at(deformer.shapes.combination_offsets(), points),
+                bent_skin,
+            ]
         ),
         rest=rest_places(references, rig, deformer.neutral[points]),
         method=spec.method,
@@ -138,13 +142,6 @@ def _proposal_error(spec: TrainSpec, mapping: TrainedMapping, references: Refere
         proposals,
         landmarks=are_image_landmarks(references.marker_names),
     )
-
-
-def _driven_skin(deformer: Deformer, points: IntArray) -> FloatArray:
-    """Return the offsets of points by combinations at 1: (combinations, points, 3) [mm]."""
-    columns = (3 * points[:, None] + np.arange(3)).ravel()
-    moved = deformer.shapes.combination_offsets().tocsc()[:, columns].toarray()
-    return np.asarray(moved.reshape(len(moved), len(points), 3))
 
 
 def in_betweens(

@@ -32,6 +32,7 @@ from usdface.steps.inputs.cleaned_takes import (
     check_stabilized,
     read_markers,
     read_markers_at,
+    spread_frames,
 )
 from usdface.usdio.rig.mesh import FaceMesh, read_face_mesh
 from usdface.usdio.rig.read import read_rig
@@ -79,13 +80,6 @@ def sample_take(take: TakeReader) -> TakeSample:
         positions=markers.positions.astype(np.float64),
         visible=markers.usable,
     )
-
-
-def spread_frames(take: TakeReader, most: int) -> list[int]:
-    """Return at most `most` frames, spread evenly over a take."""
-    count = take.last_frame - take.first_frame + 1
-    picks = np.linspace(take.first_frame, take.last_frame, min(count, most))
-    return list(map(int, np.unique(picks.astype(int))))
 
 
 def bind_take(

@@ -15,15 +15,15 @@ from usdface.core.controls import Controls
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import controls_path
 from usdface.usdio.authoring import author_timing, author_uniform
-from usdface.usdio.layers import new_layer, open_stage, save_layer
+from usdface.usdio.layers import new_layer, save_layer
 from usdface.usdio.performance.clips import PartsWriter
 from usdface.usdio.performance.weights_layer import WeightsHeader, WeightsWriter
 from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.retarget.controls import (
     NAMES,
-    attribute_path,
+    author_attribute_specs,
     author_joints,
-    control_attribute,
+    set_attribute_samples,
     set_joint_samples,
 )
 from usdface.usdio.units import author_units
@@ -52,23 +52,14 @@ class ControlsLayer:
             author_joints(prim, joints)
         if attributes:
             author_uniform(prim, NAMES, Sdf.ValueTypeNames.StringArray, list(attributes))
-        stage = open_stage(rig.file)
-        top = stage.GetPrimAtPath(Sdf.Path(rig.prim).GetPrefixes()[0])
-        self._attributes = []
-        for name in attributes:
-            kind = control_attribute(top, name, rig.file).GetTypeName()
-            where = attribute_path(Sdf.Path(header.rig_path), name)
-            if where is not None:
-                over = Sdf.CreatePrimInLayer(layer, where.GetPrimPath())
-                self._attributes.append(Sdf.AttributeSpec(over, where.name, kind).path)
+        top = Sdf.Path(header.rig_path)
+        self._attributes = author_attribute_specs(layer, top, rig, attributes)
 
     def append(self, controls: Controls, first_frame: int) -> None:
         """Append frames of joints and attributes."""
         if controls.joints:
             set_joint_samples(self.layer, self._animation, controls, first_frame)
-        for column, path in enumerate(self._attributes):
-            for frame, value in enumerate(controls.values[:, column].tolist(), start=first_frame):
-                self.layer.SetTimeSample(path, frame, value)
+        set_attribute_samples(self.layer, self._attributes, controls, first_frame)
         self._unsaved += len(controls)
         if self._unsaved >= _FRAMES_PER_SAVE:
             save_layer(self.layer, self._path)

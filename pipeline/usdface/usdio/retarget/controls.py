@@ -298,6 +298,32 @@ def set_joint_samples(
         write(places[2], time, Vt.Vec3hArray.FromNumpy(row))
 
 
+def author_attribute_specs(
+    layer: Sdf.Layer, top: Sdf.Path, rig: Rig, names: Sequence[str]
+) -> list[Sdf.Path | None]:
+    """Define attributes of a rig below a top prim; return their paths, None for invalid names."""
+    stage = open_stage(rig.file)
+    of_rig = stage.GetPrimAtPath(Sdf.Path(rig.prim).GetPrefixes()[0])
+    places: list[Sdf.Path | None] = []
+    for name in names:
+        kind = control_attribute(of_rig, name, rig.file).GetTypeName()
+        where = attribute_path(top, name)
+        places.append(where)
+        if where is not None:
+            over = Sdf.CreatePrimInLayer(layer, where.GetPrimPath())
+            Sdf.AttributeSpec(over, where.name, kind)
+    return places
+
+
+def set_attribute_samples(
+    layer: Sdf.Layer, places: Sequence[Sdf.Path | None], controls: Controls, first: int
+) -> None:
+    """Write the samples of attributes, one after the other."""
+    for place, values in zip(places, controls.values.T.tolist(), strict=True):
+        for time, value in enumerate(values if place else (), start=first):
+            layer.SetTimeSample(place, time, value)
+
+
 def _series(path: Path, attribute: Usd.Attribute, times: Sequence[int]) -> FloatArray:
     values = [attribute.Get(time) for time in times]
     for time, value in zip(times, values, strict=True):

@@ -36,10 +36,11 @@ from usdface.usdio.references.pair_layers import author_pair_header, open_pair_s
 from usdface.usdio.retarget.controls import (
     NAMES,
     attribute_names,
-    attribute_path,
+    author_attribute_specs,
     author_joints,
     control_attribute,
     controls_at,
+    set_attribute_samples,
     set_joint_samples,
 )
 from usdface.usdio.rig.reference import (
@@ -160,21 +161,8 @@ def _author_samples(
         prim = layer.GetPrimAtPath(TARGET_CONTROLS)
         names = list(target.attributes)
         author_uniform(prim, NAMES, Sdf.ValueTypeNames.StringArray, names)
-        _author_attributes(layer, pairs, target_rig)
-
-
-def _author_attributes(layer: Sdf.Layer, pairs: ExpressionPairs, rig: Rig) -> None:
-    stage = open_stage(rig.file)
-    top = stage.GetPrimAtPath(Sdf.Path(rig.prim).GetPrefixes()[0])
-    for column, name in enumerate(pairs.target.attributes):
-        kind = control_attribute(top, name, rig.file).GetTypeName()
-        where = attribute_path(_TARGET, name)
-        if where is None:
-            continue
-        over = Sdf.CreatePrimInLayer(layer, where.GetPrimPath())
-        place = Sdf.AttributeSpec(over, where.name, kind).path
-        for time, value in enumerate(pairs.target.values[:, column].tolist(), start=1):
-            layer.SetTimeSample(place, time, value)
+        places = author_attribute_specs(layer, _TARGET, target_rig, names)
+        set_attribute_samples(layer, places, target, 1)
 
 
 def _times(
