@@ -10,9 +10,10 @@ import pytest
 from tests.steps.small_shot import Shot
 from usdface.core.assets import MeshShape
 from usdface.core.deformer import Deformer
+from usdface.core.sidecars import proposed_path
 from usdface.media.picture.image import read_picture
 from usdface.model.mapping.regions import skin_points
-from usdface.numerics.measure.face_regions import gaze_and_tongue_shapes
+from usdface.numerics.measure.face_regions import gaze_and_tongue_shapes, mirrored_shapes
 from usdface.runner.execute import execute
 from usdface.specs.performance import TrainSpec
 from usdface.specs.references import ReferencesImportSpec
@@ -20,6 +21,7 @@ from usdface.steps.performance import train
 from usdface.steps.performance.describe import describe_mapping
 from usdface.usdio.mapping import read_mapping
 from usdface.usdio.references.read import read_references
+from usdface.usdio.references.weight_layers import read_proposals
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
 from usdface.usdio.take.read import read_take
@@ -72,6 +74,31 @@ def test_weights_beyond_the_range_and_pairs_that_repeat_are_told(
     assert any(note.startswith("1 weight of the pairs outside") for note in notes)
     assert any(note.startswith("left out 1 pair with the markers") for note in notes)
     assert read_mapping(out).settings["limited_weights"] == 1
+
+
+@pytest.mark.parametrize(
+    ("mirrored", "said"), [(0, None), (1, "exchanged in 1 pair, "), (6, "exchanged in ")]
+)
+def test_mirrored_keys_are_noticed(
+    finished_shot: Shot,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    mirrored: int,
+    said: str | None,
+) -> None:
+    given = finished_shot / "hero.references.usda"
+    pairs = read_references(given)
+    other = mirrored_shapes(pairs.shape_names)
+    proposed = read_proposals(proposed_path(given), pairs)
+    leaning = np.argsort(-np.linalg.norm(proposed - proposed[:, other], axis=1))
+    weights = proposed.copy()
+    weights[leaning[:mirrored]] = proposed[leaning[:mirrored]][:, other]
+    keyed = replace(pairs, weights=weights, tuned=np.ones(len(weights), bool))
+    monkeypatch.setattr(train, "read_keyed_references", lambda path: keyed)
+    notes = execute(TrainSpec(references=given, out=tmp_path / "x.usdc", method="ridge")).notes
+    found = [note for note in notes if "left and right may be exchanged" in note]
+    assert len(found) == (said is not None)
+    assert all(said in note for note in found)
 
 
 def test_shapes_that_markers_do_not_show_are_named_and_no_error_of_the_skin(

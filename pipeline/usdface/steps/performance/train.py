@@ -25,7 +25,7 @@ from usdface.model.placement.rig_orientation import check_rig_upright
 from usdface.model.placement.shape_parts import missing_parts_note, shape_parts
 from usdface.model.regressions import Choices
 from usdface.model.regressions.gaussian_rbf import PAPER_DIMENSIONS
-from usdface.numerics.measure.face_regions import gaze_and_tongue_shapes
+from usdface.numerics.measure.face_regions import gaze_and_tongue_shapes, mirrored_shapes
 from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.performance import TrainSpec
@@ -40,6 +40,13 @@ one random order 8 were: the error falls by a quarter to a half (decision 39).""
 
 _LEAST_GAIN_DEVIATION = 0.03
 """Standard deviation of the gains of pairs that is reported; one animator's own is of that size."""
+
+_CRITICAL_T = 3.0
+"""Student's t of the mean cosine of the asymmetries of keys and proposals whose negative calls all
+keys mirrored."""
+_OPPOSITE, _ASYMMETRIC = 0.5, 0.15
+"""Cosine whose negative calls one pair mirrored, and least length of both asymmetries: of thirty
+right pairs, it was above -0.1."""
 
 _SHOWN_MM = 0.5
 """Largest displacement of a marker by a full shape, below which markers do not show the shape."""
@@ -60,6 +67,7 @@ def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress = silent)
         )
     alone = spec.tuned_only or (tuned >= _ENOUGH_TUNED and not spec.all_pairs)
     notes = [] if tuned == pairs or spec.tuned_only else [_proposals_note(spec, tuned, pairs)]
+    notes += _mirrored_notes(spec, references)
     if alone:
         references = references.rows(references.tuned)
     rig = read_rig_of(references, spec.references)
@@ -116,6 +124,35 @@ def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress = silent)
         tuple(notes),
         describe_figures(mapping) | {"unkeyed_shapes": unkeyed},
     )
+
+
+def _mirrored_notes(spec: TrainSpec, references: References) -> list[str]:
+    """Return a note on tuned pairs that are asymmetric the other way round than their proposals."""
+    rows = np.flatnonzero(references.tuned)
+    try:
+        proposals = read_proposals(proposed_path(spec.references), references)
+    except InputError:  # pairs without proposals, or with those of another rig
+        return []
+    other = mirrored_shapes(references.shape_names)
+    keyed, proposed = (
+        each[rows] - each[np.ix_(rows, other)] for each in (references.weights, proposals)
+    )
+    keyed[:, gaze_and_tongue_shapes(references.shape_names)] = 0.0
+    sizes = np.linalg.norm(keyed, axis=1), np.linalg.norm(proposed, axis=1)
+    cosine = (keyed * proposed).sum(axis=1) / np.maximum(sizes[0] * sizes[1], 1e-12)
+    known = np.minimum(*sizes) > _ASYMMETRIC
+    judged = cosine[known]
+    if len(judged) > 1 and judged.mean() < -_CRITICAL_T * judged.std() / len(judged) ** 0.5:
+        which = "the keys"
+    else:
+        wrong = rows[known & (cosine < -_OPPOSITE)]
+        if not len(wrong):
+            return []
+        which = counted((1 + wrong).tolist(), "pair")
+    return [
+        f"left and right may be exchanged in {which}: where the rig's own solve of the markers "
+        "leans to one side, they lean to the other; M on the tuning page mirrors a pair"
+    ]
 
 
 def _unkeyed_shapes(references: References, mapping: TrainedMapping) -> list[str]:
