@@ -87,7 +87,7 @@ def simulate_take(skin: FaceSkin, shapes: tuple[str, ...], *, seed: int) -> Simu
     moved = np.einsum("fs,smc->fmc", weights, skin.deltas[:, samples] * gains, optimize=True)
     moved = moved / _PROPORTIONS[:2].prod() ** 0.5 @ turn.T
     moved += _NOISE_MM * rng.standard_normal(moved.shape)
-    rigid = np.argsort(skin.activity[samples])[:RIGID_COUNT]
+    rigid = np.argsort(skin.activity()[samples])[:RIGID_COUNT]
     return SimulatedTake(
         neutral, neutral + moved, tuple(map(int, np.sort(rigid))), weights, samples
     )
@@ -95,8 +95,8 @@ def simulate_take(skin: FaceSkin, shapes: tuple[str, ...], *, seed: int) -> Simu
 
 def _spread_markers(skin: FaceSkin, rng: np.random.Generator) -> IntArray:
     """Choose distant samples, more densely where the face moves."""
-    share = 0.4 + skin.activity / skin.activity.max()
-    pool = np.flatnonzero(skin.activity > 0.02 * skin.activity.max())
+    share = 0.4 + skin.activity() / skin.activity().max()
+    pool = np.flatnonzero(skin.activity() > 0.02 * skin.activity().max())
     chosen, distance = [int(rng.choice(pool))], np.full(len(pool), np.inf)
     while len(chosen) < MARKER_COUNT:
         step = np.linalg.norm(skin.positions[pool] - skin.positions[chosen[-1]], axis=1)

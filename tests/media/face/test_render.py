@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from tests.media.forms import head, mesh, plate, sphere
 from usdface.core.errors import InputError
@@ -35,6 +36,17 @@ def test_silhouette_of_a_sphere_has_the_area_of_its_disc() -> None:
     # The cone that touches the sphere meets the picture plane in a disc of tan(asin(r / d)).
     radius = np.tan(np.arcsin(50.0 / distance)) / np.tan(np.radians(10)) * size / 2
     assert covered == pytest.approx(np.pi * radius**2, rel=0.025)  # its edge pixels count whole
+
+
+def test_on_paper_the_background_is_white_up_to_the_edge() -> None:
+    ball = sphere(50.0, rows=96, columns=192)
+    camera = Camera(eye=(0.0, 0.0, 400.0), target=(0.0, 0.0, 0.0), fov_degrees=20.0)
+    paper, screen = (draw([ball], camera, 120, quality="draft", paper=each) for each in (1, 0))
+    behind = (screen == wall(120, 120)).all(axis=2)
+    assert (paper[behind] == 255).all()
+    inside = ndimage.binary_erosion(~behind, iterations=2)
+    np.testing.assert_array_equal(paper[inside], screen[inside])
+    assert (paper[~behind] >= screen[~behind]).all()
 
 
 def test_projection_meets_the_ray_through_the_same_pixel() -> None:

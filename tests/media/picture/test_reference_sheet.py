@@ -7,7 +7,7 @@ from usdface.core.errors import InputError
 from usdface.media.face.markers_view import draw_markers
 from usdface.media.face.raycast import background
 from usdface.media.picture.color import bytes_from_linear
-from usdface.media.picture.reference_sheet import ReferenceRow, compose_reference_sheet, on_paper
+from usdface.media.picture.reference_sheet import ReferenceRow, as_ink, compose_reference_sheet
 
 
 def pair(number: int, *, video: bool = True, tuned: bool = False) -> ReferenceRow:
@@ -55,19 +55,9 @@ def test_the_video_is_left_as_it_is_on_paper() -> None:
     assert page.shape == shown.shape
 
 
-def test_a_face_is_cut_out_whole_and_its_mouth_is_no_hole() -> None:
-    wall = bytes_from_linear(background(100, 100))
-    face = wall.copy()
-    face[20:80, 20:80] = (200, 150, 120)
-    face[45:55, 45:55] = wall[45:55, 45:55]  # dark as the wall, but inside
-    cut = on_paper(face, ink=False)
-    assert (cut[:15] == 255).all()
-    np.testing.assert_array_equal(cut[25:75, 25:75], face[25:75, 25:75])
-
-
 def test_dots_become_ink() -> None:
     dots = draw_markers(np.zeros((1, 3)), width=64, height=64)
-    inked = on_paper(dots, ink=True)
+    inked = as_ink(dots)
     assert inked[32, 32].max() < 140
     assert inked[:8].min() > 240
 

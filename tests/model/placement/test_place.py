@@ -219,7 +219,7 @@ def test_numbered_labels_of_a_part_do_not_draw_its_markers_together(demo) -> Non
     """Nine markers of a brow are not at one landmark: the cloud keeps its size."""
     rig, skin = demo
     rng = np.random.default_rng(6)
-    moving = np.flatnonzero(skin.activity > 0.1 * skin.activity.max())
+    moving = np.flatnonzero(skin.activity() > 0.1 * skin.activity().max())
     chosen = rng.choice(moving, 60, replace=False)
     at = skin.positions[chosen]
     labels = numbered_labels(skin, rig.shapes, at)
@@ -239,7 +239,7 @@ def test_numbered_labels_of_a_part_do_not_draw_its_markers_together(demo) -> Non
 def test_numbered_labels_decide_where_the_rig_does_not_show_the_motion(demo) -> None:
     rig, skin = demo
     rng = np.random.default_rng(0)
-    moving = np.flatnonzero(skin.activity > 0.1 * skin.activity.max())
+    moving = np.flatnonzero(skin.activity() > 0.1 * skin.activity().max())
     at = skin.positions[rng.choice(moving, 40, replace=False)]
     moved = np.einsum("fm,mc->fmc", rng.random((12, 40)), 3 * rng.normal(size=(40, 3)))
     cloud = marker_cloud(numbered_labels(skin, rig.shapes, at), at, at + moved)

@@ -60,6 +60,13 @@ class View:
     """`normals`, `colors`: (drawn points, 3): unit normals; linear colours."""
     heat: bool
     """Whether the colours are a heat map."""
+    paper: bool = False
+    """Whether the background is white."""
+
+    def background(self, width: int) -> Float32Array:
+        """Return columns of the background, (height, width, 3): linear light."""
+        wall = background(self.height, width)
+        return np.ones_like(wall) if self.paper else wall
 
     @property
     def tolerance(self) -> float:
@@ -128,7 +135,7 @@ def draw(view: View) -> Float32Array:
     slots[rays] = np.arange(len(rays))
     hit = (slots >= 0).reshape(height, width)
     holes = ndimage.binary_fill_holes(hit) & ~hit
-    picture = background(height, width)
+    picture = view.background(width)
     picture[holes] = _HOLE_LIGHT
     flat = picture.reshape(-1, 3)
     flat[rays] = _light(view, samples, seen)
@@ -318,7 +325,7 @@ def _resample(view: View, edges: IntArray, near_hole: BoolArray, known: _Known) 
         sky=view.ray_counts.edge_sky_rays,
         light=view.ray_counts.edge_light_rays,
     )
-    light = background(view.height, 1)[owner // view.width, 0]
+    light = view.background(1)[owner // view.width, 0]
     light[near_hole[owner]] = _HOLE_LIGHT
     light[rays] = _light(view, samples, seen)
     return np.asarray(light.reshape(len(edges), len(steps), 3).sum(axis=1), np.float32)

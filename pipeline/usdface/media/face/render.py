@@ -69,6 +69,7 @@ class FaceRenderer:
         values: ArrayLike | None = None,
         value_range: tuple[float, float] = (0.0, 1.0),
         sculpted: FloatArray | None = None,
+        paper: bool = False,
     ) -> ByteImage:
         """Draw one pose.
 
@@ -86,6 +87,8 @@ class FaceRenderer:
             Values of the ramp's first and last colour.
         sculpted : (points, 3) array, optional
             Added to the surface's unit normals, see `SculptedNormals`.
+        paper : bool
+            On white, for print.
 
         Returns
         -------
@@ -116,6 +119,7 @@ class FaceRenderer:
             normals=normals.astype(np.float32),
             colors=colors,
             heat=values is not None,
+            paper=paper,
         )
         return (bytes_from_linear if view.heat else self._display)(draw(view))
 

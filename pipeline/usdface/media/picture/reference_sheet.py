@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
 
 from usdface.core.arrays import ByteImage
 from usdface.core.errors import InputError
@@ -39,9 +38,6 @@ _WRITING_LINES, _WRITING_LINE = 3, 46
 PAGE_ASPECT = 1.414
 """Of a landscape page."""
 
-WALL_TOLERANCE = 6
-"""Largest difference of a pixel from the background that counts as background [bytes]."""
-
 
 @dataclass(frozen=True)
 class ReferenceRow:
@@ -61,7 +57,7 @@ class ReferenceRow:
     markers: ByteImage | None
     """(h, w, 3); None for a take of weights."""
     face: ByteImage
-    """(h, w, 3): `markers` and `face` have a dark background."""
+    """(h, w, 3): on a white background for paper; `markers` have a dark one."""
     weights: tuple[tuple[str, float], ...]
     """The strongest shapes, strongest first."""
     residual_mm: float | None
@@ -118,7 +114,7 @@ def compose_reference_sheet(
     tile : int
         Height of every picture [pixels].
     paper : bool
-        Dark on white, with the background of drawn pictures removed.
+        Dark on white.
 
     Returns
     -------
@@ -223,8 +219,8 @@ def _draw_row(
             )
         else:
             shown = fit_picture(picture, width=width, height=tile, color=palette.empty)
-            if paper and picture is not row.video:
-                shown = on_paper(shown, ink=picture is row.markers)
+            if paper and picture is row.markers:
+                shown = as_ink(shown)
             page[top : top + tile, at : at + width] = shown
         outline_box(page, at, top, width, tile, palette.rule)
         at += width + _TILE_GUTTER
@@ -255,31 +251,11 @@ def _draw_weights(
         at += wide + 18
 
 
-def on_paper(picture: ByteImage, *, ink: bool) -> ByteImage:
-    """Replace the dark background of a picture by white.
-
-    Parameters
-    ----------
-    picture : (h, w, 3) uint8 array
-        Drawn on `background`.
-    ink : bool
-        Whether to invert light lines and dots to dark ink.
-    """
+def as_ink(picture: ByteImage) -> ByteImage:
+    """Return a picture of light lines and dots on `background` as dark ink on white."""
     height, width = picture.shape[:2]
-    if ink:
-        light = picture.astype(np.float32).max(axis=2)
-        wall = bytes_from_linear(background(height, width)).astype(np.float32).max(axis=2)
-        cover = np.clip((light - wall) / (200.0 - wall), 0.0, 1.0) ** 0.7
-        gray = (255.0 * (1.0 - cover)).astype(np.uint8)
-        return np.repeat(gray[:, :, None], 3, axis=2)
-    wall = bytes_from_linear(background(height, width)).astype(np.int16)
-    is_wall = np.abs(picture.astype(np.int16) - wall).max(axis=2) <= WALL_TOLERANCE
-    # Only background that is connected to the picture's edge is replaced.
-    parts, _ = ndimage.label(is_wall)
-    edge = np.concatenate([parts[0], parts[-1], parts[:, 0], parts[:, -1]])
-    behind = np.isin(parts, edge[edge > 0])
-    rim = ndimage.binary_dilation(behind) & ~behind
-    out = picture.astype(np.int16)
-    out[rim] += (255 - wall[rim]) // 2  # rim pixels are about half background
-    out[behind] = 255
-    return np.clip(out, 0, 255).astype(np.uint8)
+    light = picture.astype(np.float32).max(axis=2)
+    wall = bytes_from_linear(background(height, width)).astype(np.float32).max(axis=2)
+    cover = np.clip((light - wall) / (200.0 - wall), 0.0, 1.0) ** 0.7
+    gray = (255.0 * (1.0 - cover)).astype(np.uint8)
+    return np.repeat(gray[:, :, None], 3, axis=2)

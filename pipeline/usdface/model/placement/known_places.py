@@ -100,7 +100,7 @@ def places_by_labels(
 def marked_landmarks(skin: FaceSkin, landmarks: dict[str, FloatArray]) -> FaceLandmarks:
     """Return the landmarks that usually carry markers."""
     names = tuple(name for name in landmarks if landmark_spread_mm(name))
-    unit, activity = skin.size_mm / TYPICAL_SIZE_MM, skin.activity
+    unit, activity = skin.size_mm / TYPICAL_SIZE_MM, skin.activity()
     return FaceLandmarks(
         names,
         np.array([landmarks[name] for name in names]).reshape(-1, 3),
@@ -116,7 +116,8 @@ def usual_scale(cloud: MarkerCloud, skin: FaceSkin, landmarks: dict[str, FloatAr
     By the height of the eyes over the mouth, if the markers may be in millimetres; else by the
     spread of the markers relative to that of the moving skin.
     """
-    share = skin.activity / skin.activity.sum()
+    activity = skin.activity()
+    share = activity / activity.sum()
     moving = np.sqrt((share @ (skin.positions - share @ skin.positions) ** 2).sum())
     spread = np.sqrt(cloud.neutral.var(axis=0).sum())
     covering = float(moving / max(spread, 1e-9))

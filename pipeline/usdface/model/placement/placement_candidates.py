@@ -265,7 +265,7 @@ def _by_shape(inputs: PlacementInputs) -> PlacementCandidate:
     found = align_cloud(
         cloud.neutral,
         skin.positions,
-        activity=skin.activity,
+        activity=skin.activity(),
         areas=skin.areas,
         amplitude=moved,
     )

@@ -119,9 +119,9 @@ def _align(one: "_Face", other: "_Face") -> tuple[Alignment, float]:
         found = align_cloud(
             one.skin.positions[::stride],
             other.skin.positions,
-            activity=other.skin.activity,
+            activity=other.skin.activity(),
             areas=other.skin.areas,
-            amplitude=one.skin.activity[::stride],
+            amplitude=one.skin.activity()[::stride],
         )
     return found, found.residual_mm / other.skin.size_mm
 

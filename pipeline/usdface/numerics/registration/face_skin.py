@@ -6,7 +6,6 @@ mouth, eyeballs, teeth and the back of the head, whatever the parts are called.
 """
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -210,9 +209,8 @@ class FaceSkin:
     size_mm: float
     """Root mean square radius of the moving part; 55 on an adult's face."""
 
-    @cached_property
     def activity(self) -> FloatArray:
-        """Root of the summed squared displacements of each sample: (samples,) [mm]."""
+        """Return the root of the summed squared displacements of each sample: (samples,) [mm]."""
         return np.asarray(np.sqrt((self.deltas**2).sum(axis=(0, 2), dtype=np.float64)))
 
     def mirrored(self, points: FloatArray) -> FloatArray:

@@ -141,7 +141,8 @@ class _Search:
     ) -> None:
         self._levelled, self._skin, self._motion, self._ranges = levelled, skin, motion, ranges
         self._usual_scale, self._landmarks = usual_scale, landmarks
-        share = skin.activity / skin.activity.sum()
+        activity = skin.activity()
+        share = activity / activity.sum()
         self._middle_y = float(share @ skin.positions[:, 1])
         self._tree, self._flat = KDTree(skin.positions), KDTree(skin.positions[:, :2])
         self._scores: dict[bytes, float] = {}

@@ -171,6 +171,7 @@ class _PairPictures:
             height=self._spec.tile,
             quality=self._spec.quality,
             sculpted=self._normals.at(weights),
+            paper=self._spec.paper,
         )
 
 
