@@ -41,7 +41,12 @@ def test_silhouette_of_a_sphere_has_the_area_of_its_disc() -> None:
 def test_on_paper_the_background_is_white_up_to_the_edge() -> None:
     ball = sphere(50.0, rows=96, columns=192)
     camera = Camera(eye=(0.0, 0.0, 400.0), target=(0.0, 0.0, 0.0), fov_degrees=20.0)
-    paper, screen = (draw([ball], camera, 120, quality="draft", paper=each) for each in (1, 0))
+    paper, screen = (
+        FaceRenderer([ball], paper=each).render(
+            ball.points, camera=camera, width=120, height=120, quality="draft"
+        )
+        for each in (True, False)
+    )
     behind = (screen == wall(120, 120)).all(axis=2)
     assert (paper[behind] == 255).all()
     inside = ndimage.binary_erosion(~behind, iterations=2)

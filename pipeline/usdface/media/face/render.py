@@ -34,14 +34,23 @@ class FaceRenderer:
         colours, eyes, teeth, lashes and the inside of the mouth are recognised.
     display : callable, optional
         Encodes light as bytes, see `display_view`; default: sRGB, which heat maps always use.
+    paper : bool
+        Whether the background is white, for print.
     """
 
-    def __init__(self, meshes: Sequence[RigMesh], *, display: DisplayView | None = None) -> None:
+    def __init__(
+        self,
+        meshes: Sequence[RigMesh],
+        *,
+        display: DisplayView | None = None,
+        paper: bool = False,
+    ) -> None:
         self._sizes = [len(mesh.points) for mesh in meshes]
         self._surface: Surface = build_surface(meshes)
         self._triangles = traced_triangles(self._surface.triangles)
         self._traced: tuple[Float32Array, Tracer] | None = None
         self._display = display or bytes_from_linear
+        self._paper = paper
 
     @property
     def point_count(self) -> int:
@@ -69,7 +78,6 @@ class FaceRenderer:
         values: ArrayLike | None = None,
         value_range: tuple[float, float] = (0.0, 1.0),
         sculpted: FloatArray | None = None,
-        paper: bool = False,
     ) -> ByteImage:
         """Draw one pose.
 
@@ -87,8 +95,6 @@ class FaceRenderer:
             Values of the ramp's first and last colour.
         sculpted : (points, 3) array, optional
             Added to the surface's unit normals, see `SculptedNormals`.
-        paper : bool
-            On white, for print.
 
         Returns
         -------
@@ -119,7 +125,7 @@ class FaceRenderer:
             normals=normals.astype(np.float32),
             colors=colors,
             heat=values is not None,
-            paper=paper,
+            paper=self._paper,
         )
         return (bytes_from_linear if view.heat else self._display)(draw(view))
 

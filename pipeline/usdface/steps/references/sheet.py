@@ -104,7 +104,7 @@ class _PairPictures:
         self._takes = _takes(spec.takes, references)
         self._videos = {name: _open_video(each, open_files) for name, each in self._takes.items()}
         self._images = read_pair_notes(spec.references)
-        self._deformer, self._renderer = Deformer(rig), FaceRenderer(rig.meshes)
+        self._deformer, self._renderer = Deformer(rig), FaceRenderer(rig.meshes, paper=spec.paper)
         self._normals = SculptedNormals(rig, self._deformer)
         self._camera = frame_rig(rig.meshes, yaw_degrees=facing_degrees(rig), hair=True)
         columns = [rig.shapes.index(name) for name in references.shape_names]
@@ -171,7 +171,6 @@ class _PairPictures:
             height=self._spec.tile,
             quality=self._spec.quality,
             sculpted=self._normals.at(weights),
-            paper=self._spec.paper,
         )
 
 
