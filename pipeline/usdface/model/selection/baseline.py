@@ -268,10 +268,12 @@ class BlendshapeEquation:
         moved = self._moved(weights) / self.virtual.motion_scale
         return np.asarray(self.neutral + moved @ self.virtual.rotation)
 
-    def residual_mm(self, positions: Positions, weights: FloatArray) -> FloatArray:
-        """Return the RMS residual of the markers for given weights: (frames,)."""
+    def residual_mm(
+        self, positions: Positions, weights: FloatArray, *, without: tuple[int, ...] = ()
+    ) -> FloatArray:
+        """Return the RMS residual of the markers, but some, for given weights: (frames,)."""
         motion = self.motion(positions)
-        away = np.delete(motion - self._moved(weights), list(self.unplaced), axis=1)
+        away = np.delete(motion - self._moved(weights), [*self.unplaced, *without], axis=1)
         return np.asarray(np.sqrt((away**2).sum(axis=2).mean(axis=1)))
 
     def _moved(self, weights: FloatArray) -> FloatArray:

@@ -114,6 +114,7 @@ class _PairPictures:
         if not references.marker_names:
             return
         self._cloud = frame_markers(references.markers)
+        rigid = tuple(references.marker_names.index(name) for name in references.rigid)
         equation = placed_equation(
             stored_placement(references, rig),
             rig,
@@ -122,12 +123,12 @@ class _PairPictures:
                 neutral=references.neutral,
                 positions=references.markers,
                 visible=np.ones(references.markers.shape[:2], dtype=np.bool_),
-                rigid=tuple(references.marker_names.index(name) for name in references.rigid),
+                rigid=rigid,
                 labels=references.marker_names,
             ),
         )
         self._lines = lines_on_rig(references.marker_names, equation, self._deformer, rig.shapes)
-        self._residual_mm = equation.residual_mm(references.markers, self._weights)
+        self._residual_mm = equation.residual_mm(references.markers, self._weights, without=rigid)
 
     @property
     def stand_in_eyes(self) -> bool:
