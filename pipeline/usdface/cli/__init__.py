@@ -3,6 +3,8 @@
 import os
 import sys
 
+from usdface.core.errors import CancelledError
+
 # A sum over more threads is rounded otherwise, and the same inputs have to give the same bytes.
 # Matrices are small, too: a second thread mostly waits, and on a busy machine takes four times as
 # long. Read when numpy is first imported.
@@ -17,5 +19,5 @@ def main(arguments: list[str] | None = None) -> None:
         from usdface.cli.app import main as run  # which takes half a second
     except KeyboardInterrupt:
         sys.stderr.write("usdface: interrupted\n")
-        sys.exit(3)
+        sys.exit(CancelledError.exit_code)
     run(arguments)

@@ -20,11 +20,11 @@ def pluralize(count: int, noun: str) -> str:
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
-def first_few(names: Iterable[object], *, most: int = 5) -> str:
+def first_few(names: Iterable[object], *, most: int = 5, between: str = ", ") -> str:
     """Return names as a list that stays short: ``a, b, c and 4 more``."""
     written = list(map(str, names))
     rest = len(written) - most
-    return ", ".join(written[:most]) + (f" and {rest} more" if rest > 0 else "")
+    return between.join(written[:most]) + (f" and {rest} more" if rest > 0 else "")
 
 
 def frame_ranges(stretches: Iterable[tuple[int, int]]) -> str:

@@ -96,7 +96,7 @@ def find_swaps(
     def swaps_of(pairs: list[Pair]) -> list[list[tuple[float, Swap]]]:
         weighed = _gather_evidence(pairs, positions, visible, model, step_scale)
         found = [[*_swaps_of(*each)] for each in zip(pairs, weighed, strict=True)]
-        return [each if _length_of(each) <= longest else [] for each in found]
+        return [each if _swapped_frames(each) <= longest else [] for each in found]
 
     longest = _LONGEST_SWAP_SHARE * len(positions)
     found = swaps_of(suspects)
@@ -221,7 +221,8 @@ def _swaps_of(pair: Pair, found: _Evidence) -> Iterator[tuple[float, Swap]]:
             yield worth, Swap(pair.first, pair.second, first, first + stop - start)
 
 
-def _length_of(swaps: list[tuple[float, Swap]]) -> int:
+def _swapped_frames(swaps: list[tuple[float, Swap]]) -> int:
+    """Return the total length of swaps."""
     return sum(swap.stop - swap.start for _, swap in swaps)
 
 

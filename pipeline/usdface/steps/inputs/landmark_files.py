@@ -17,7 +17,6 @@ from usdface.usdio.rig.mesh import rig_surfaces
 from usdface.usdio.surface.placement import read_given_places, rig_units_to_ours
 
 _LARGEST_BYTES = 1 << 20
-_LISTED_FAULTS = 5
 _FORM = (
     "a CSV table with the columns marker and point, or marker, x, y and z; or JSON, as "
     '{"nose": 120}'
@@ -60,9 +59,7 @@ def read_landmarks(path: Path, names: Sequence[str], rig: Rig) -> dict[str, Floa
         except ValueError as error:
             faults.append(f"{where}: {name}: {error}")
     if faults:
-        rest = len(faults) - _LISTED_FAULTS
-        listed = faults[:_LISTED_FAULTS] + ([f"and {rest} more"] if rest > 0 else [])
-        raise InputError(f"{path}: {'; '.join(listed)}")
+        raise InputError(f"{path}: {first_few(faults, between='; ')}")
     if not found:
         raise InputError(f"{path}: names no landmark; write {_FORM}")
     return found
