@@ -16,9 +16,11 @@ FRAMES = performance(0)
 FACE = PerformerFace(NAMES, NAMES[:8], NEUTRAL, FRAMES, seen(FRAMES), "Kim", "monday")
 
 
-def compare(positions: FloatArray, stated: int = 1, **given: str) -> TakeNeutral:
+def compare(
+    positions: FloatArray, stated: int = 1, face: PerformerFace = FACE, **given: str
+) -> TakeNeutral:
     return compare_neutral(
-        FACE,
+        face,
         positions,
         seen(positions),
         frames=np.arange(1, len(positions) + 1),
@@ -74,6 +76,17 @@ def test_two_markers_with_each_others_label_are_named(performer: str) -> None:
     named = " and ".join(NAMES[i] for i in sorted((9, far)))
     with pytest.raises(InputError, match=f"labels of {named} are exchanged throughout the take"):
         compare(other, performer=performer)
+
+
+def test_labels_of_two_lids_are_named_though_they_meet_in_blinks() -> None:
+    """The offset is that of the frames that match: those in which the exchange is least."""
+    near, far = 9, int(np.linalg.norm(NEUTRAL - NEUTRAL[9], axis=1).argmax())
+    reference, other = performance(0), performance(1)
+    for frames in (reference, other):
+        frames[::4, near] = frames[::4, far]
+    other[:, [near, far]] = other[:, [far, near]]
+    with pytest.raises(InputError, match="are exchanged throughout the take"):
+        compare(other, face=replace(FACE, frames=reference))
 
 
 def test_another_skull_is_refused_unless_it_is_said_to_be_the_same() -> None:

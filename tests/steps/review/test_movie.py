@@ -258,7 +258,7 @@ def test_a_frame_of_a_movie_keeps_its_size_whatever_is_missing() -> None:
     for pixels in (grey, None):
         panels = [MoviePanel(160, pixels, "video", "no video here"), MoviePanel(91, grey, "face")]
         made = compose_movie_frame(
-            panels, height=91, title="a " * 200, clock="01:00:00:00 7", uncertainty_mm=0.4
+            panels, height=91, title="a " * 200, clock="01:00:00:00 7", uncertainty=(0.4, 3.0)
         )
         assert made.shape == (height, wide, 3)
         assert made[92:].max() > 200  # there are letters
@@ -274,7 +274,9 @@ def test_the_uncertainty_of_a_narrow_movie_is_no_part_of_its_digits(
         "usdface.media.picture.text._cut", lambda text, kept: drawn.append(text) or ""
     )
     panels = [MoviePanel(width, np.full((128, 128, 3), 90, np.uint8), "face")]
-    compose_movie_frame(panels, height=128, title="", clock="01:00:00:00  7", uncertainty_mm=1.0)
+    compose_movie_frame(
+        panels, height=128, title="", clock="01:00:00:00  7", uncertainty=(1.0, 3.0)
+    )
     assert not [text for text in drawn if "uncertainty" in text or "1.00" in text]
 
 

@@ -8,7 +8,6 @@ from usdface.media.picture.canvas import empty_tile, fill_box, fit_picture, new_
 from usdface.media.picture.color import (
     BRIGHT,
     SOFT,
-    UNKEYED_RANGE_MM,
     VERDICT_COLORS,
     Color,
     bytes_from_linear,
@@ -49,7 +48,7 @@ def compose_movie_frame(
     height: int,
     title: str,
     clock: str,
-    uncertainty_mm: float | None = None,
+    uncertainty: tuple[float, float] | None = None,
     verdict: tuple[str, ...] = (),
 ) -> ByteImage:
     """Compose one picture.
@@ -62,8 +61,8 @@ def compose_movie_frame(
         Shot and character, at the left of the bar.
     clock : str
         Frame number and timecode, at the right.
-    uncertainty_mm : float, optional
-        [mm] Shown as number and colour in the bar.
+    uncertainty : tuple of float, optional
+        Value, shown as number and colour in the bar, and end of the colour scale [mm].
     verdict : tuple of str
         ``'good'``, ``'check'`` or ``'bad'``, shown as the colour of the bar's upper edge, and
         optional sentences, written over the panels.
@@ -90,9 +89,7 @@ def compose_movie_frame(
         fill_box(picture, x, 0, min(ground, panel.width), small.size + 9, _BAR_COLOR)
         draw_text(picture, panel.label, x=x + 6, y=2, style=label, max_width=panel.width - 12)
         x += panel.width + _PANEL_GAP
-    _draw_bar(
-        picture, height, bar, title=title, clock=clock, uncertainty_mm=uncertainty_mm, small=small
-    )
+    _draw_bar(picture, height, bar, title=title, clock=clock, uncertainty=uncertainty, small=small)
     if verdict:
         fill_box(picture, 0, height, width, max(bar // 10, 2), VERDICT_COLORS[verdict[0]])
         _draw_sentence(picture, height, verdict, TextStyle(size=small.size + 3, color=BRIGHT))
@@ -121,7 +118,7 @@ def _draw_bar(
     *,
     title: str,
     clock: str,
-    uncertainty_mm: float | None,
+    uncertainty: tuple[float, float] | None,
     small: TextStyle,
 ) -> None:
     width = picture.shape[1]
@@ -131,11 +128,12 @@ def _draw_bar(
         picture, clock, x=width - 10, y=y, style=style, anchor="right", max_width=width - 20
     )
     right = width - used - 34
-    if uncertainty_mm is not None:
-        color = bytes_from_linear(heat_ramp(uncertainty_mm, high=UNKEYED_RANGE_MM))
+    if uncertainty is not None:
+        value, high = uncertainty
+        color = bytes_from_linear(heat_ramp(value, high=high))
         side = round(0.44 * bar)
         room = max(right - side - 10, 0)
-        labels = (f"uncertainty {uncertainty_mm:.2f} mm", f"{uncertainty_mm:.2f} mm", "")
+        labels = (f"uncertainty {value:.2f} mm", f"{value:.2f} mm", "")
         label = next(each for each in labels if text_width(each, small) <= room)
         text = draw_text(
             picture,

@@ -167,7 +167,7 @@ def compare_neutral(
     offset = find_offset(face.frames, face.usable, positions, usable, neutral=face.neutral)
     same_session = bool(session) and session == face.session
     other_session = bool(session and face.session) and not same_session
-    _check_labels(face.marker_names, face.neutral, offset, np.asarray(usable.any(axis=0)))
+    _check_labels(face.marker_names, face.neutral, positions, usable)
     if not same_session and not (performer and performer == face.performer):
         _check_performer(face.neutral, offset, np.asarray(usable.any(axis=0)))
     is_long = np.ptp(frames) >= SHORTEST_COMPARED_SECONDS * rate
@@ -192,12 +192,19 @@ def compare_neutral(
 
 
 def _check_labels(
-    names: tuple[str, ...], neutral: FloatArray, offset: FloatArray, seen: BoolArray
+    names: tuple[str, ...], neutral: FloatArray, positions: FloatArray, usable: BoolArray
 ) -> None:
-    """Refuse a take in which two markers lie at each other's place."""
-    away = np.linalg.norm((neutral + offset)[:, None] - neutral, axis=2)
+    """Refuse a take in which two markers lie at each other's place.
+
+    Medians are compared, since frames of one expression are matched by the labels as they are.
+    """
+    seen = usable.any(axis=0)
+    hidden = np.where(usable[:, seen, None], positions[:, seen], np.nan)
+    median = np.full_like(neutral, np.nan)
+    median[seen] = np.nanmedian(hidden, axis=0)
+    away = np.linalg.norm(median[:, None] - neutral, axis=2)
     apart = np.linalg.norm(neutral[:, None] - neutral, axis=2)
-    near = (away < _EXCHANGED_SHARE * apart) & (apart > MAX_REAPPLIED_MM) & np.outer(seen, seen)
+    near = (away < _EXCHANGED_SHARE * apart) & (apart > MAX_REAPPLIED_MM)
     pairs = [(names[i], names[j]) for i, j in np.argwhere(near & near.T).tolist() if i < j]
     if pairs:
         listed = first_few([f"{one} and {other}" for one, other in pairs], most=_LISTED_MARKERS)

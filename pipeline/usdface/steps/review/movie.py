@@ -28,6 +28,7 @@ from usdface.specs.review import MovieSpec, PanelKind
 from usdface.steps.review.clock import SAMPLE_RATE, MovieClock, movie_rate, take_sound
 from usdface.steps.review.head_turn import with_video_head_turn
 from usdface.steps.review.pictures import ShotPictures
+from usdface.steps.review.scoring import range_mm
 from usdface.steps.review.shot import Shot, open_shot
 
 STRETCH_PICTURES = 48
@@ -248,7 +249,8 @@ def _pictures(studio: _Studio, stretch: _Stretch) -> Iterator[ByteImage]:
         widths["performance"] = pictures.face_width
     title = f"{shot.take.name}  ·  {shot.rig.file.stem}"
     uncertainty = shot.face_uncertainty_mm()
-    verdict = judge_solve(shot.evidence_at(slice(None)))  # of the whole performance
+    evidence = shot.evidence_at(slice(None))  # of the whole performance
+    verdict, high = judge_solve(evidence), range_mm(evidence, keyed=False)
     slate_end = shot.performance.weights.first_frame + _SLATE_SECONDS * shot.take.rate
     for number in range(stretch.start, stretch.stop):
         if studio.stopped():
@@ -273,6 +275,6 @@ def _pictures(studio: _Studio, stretch: _Stretch) -> Iterator[ByteImage]:
             height=height,
             title=title,
             clock="  ".join(filter(None, (label or shot.timecode(frame), str(frame)))),
-            uncertainty_mm=None if uncertainty is None else float(uncertainty[row]),
+            uncertainty=None if uncertainty is None else (float(uncertainty[row]), high),
             verdict=(verdict.level, *([verdict.sentence] if frame < slate_end else [])),
         )
