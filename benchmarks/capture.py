@@ -108,7 +108,7 @@ layer.Save()
 
 def _ingest() -> None:
     """Compare ingest with reading the bytes and writing the bare points."""
-    from usdface.capture.c3d_write import write_c3d
+    from tests.c3d_write import write_c3d
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -84,7 +84,7 @@ def _hour() -> None:
 
 def _capture(path: Path, frames: int) -> None:
     """Write the demo's actor, forwards and backwards in a loop, with noise in every frame."""
-    from usdface.capture.c3d_write import write_c3d
+    from tests.c3d_write import write_c3d
     from usdface.demo.acting import performance
     from usdface.demo.capture import demo_markers, simulate_capture
     from usdface.demo.rig import make_head

@@ -16,8 +16,8 @@ import numpy as np
 
 from benchmarks._damage import DAMAGES, damage
 from benchmarks._takes import markers_of, performer_of
+from tests.c3d_write import write_c3d
 from tests.conftest import SHARED_DATA
-from usdface.capture.c3d_write import write_c3d
 from usdface.capture.sniff import read_capture
 from usdface.core.deformer import Deformer
 from usdface.model.regressions import MAPPING_METHODS

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.crosstake import HALF
+from tests.c3d_write import write_c3d
 from tests.conftest import SHARED_DATA
-from usdface.capture.c3d_write import write_c3d
 from usdface.capture.sniff import read_capture
 from usdface.core.arrays import FloatArray
 from usdface.core.deformer import Deformer

@@ -81,8 +81,8 @@ def run(short: int = SHORT, long: int = LONG) -> None:
 
 def _prepare(folder: Path, lengths: tuple[int, ...]) -> None:
     """Train on the small shot, and write captures that repeat it."""
+    from tests.c3d_write import write_c3d
     from tests.steps.small_shot import make_inputs
-    from usdface.capture.c3d_write import write_c3d
     from usdface.demo.acting import performance
     from usdface.demo.capture import demo_markers, simulate_capture
     from usdface.demo.rig import make_head

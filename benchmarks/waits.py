@@ -139,7 +139,7 @@ def _environment(source: Path) -> dict[str, str]:
 
 def _prepare(folder: Path) -> None:
     """Make a demo, a rig with 946 shapes and a take with 1,000 markers."""
-    from usdface.capture.c3d_write import write_c3d
+    from tests.c3d_write import write_c3d
     from usdface.demo.acting import performance
     from usdface.demo.capture import ActorFace
     from usdface.demo.head import HeadPart

@@ -163,7 +163,7 @@ def _process(folder: Path, command: list[str]) -> Cost:
 
 def _prepare(folder: Path, lengths: tuple[int, ...]) -> None:
     """Write captures, rigs, and mappings that were trained on the beginning of the take."""
-    from usdface.capture.c3d_write import write_c3d
+    from tests.c3d_write import write_c3d
     from usdface.demo.acting import performance
     from usdface.demo.capture import demo_markers, simulate_capture
     from usdface.demo.rig import make_head

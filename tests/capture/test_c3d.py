@@ -8,10 +8,10 @@ import ezc3d
 import numpy as np
 import pytest
 
+from tests.c3d_write import write_c3d
 from usdface.capture.axes import mm_per_unit
 from usdface.capture.c3d import open_c3d, read_c3d_take
 from usdface.capture.c3d_parameters import Parameters
-from usdface.capture.c3d_write import write_c3d
 from usdface.capture.marker_take import CaptureOptions
 from usdface.core.errors import InputError
 

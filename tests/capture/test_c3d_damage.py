@@ -8,8 +8,8 @@ import numpy as np
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tests.c3d_write import write_c3d
 from usdface.capture.c3d import open_c3d
-from usdface.capture.c3d_write import write_c3d
 from usdface.capture.sniff import read_capture
 from usdface.core.errors import InputError
 

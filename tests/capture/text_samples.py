@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.capture.c3d_write import write_c3d
+from tests.c3d_write import write_c3d
 
 NAMES = ("brow_L", "brow_R", "lip_U", "chin")
 FRAMES = 12

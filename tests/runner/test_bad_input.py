@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from pxr import Sdf, Vt
 
+from tests.c3d_write import write_c3d
 from tests.steps.small_shot import Shot
-from usdface.capture.c3d_write import write_c3d
 from usdface.cli import main
 from usdface.runner.execute import execute
 from usdface.specs.edits import EditSpec

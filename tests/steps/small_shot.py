@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from usdface.capture.c3d_write import write_c3d
+from tests.c3d_write import write_c3d
 from usdface.core.assets import Rig
 from usdface.demo import half_cage
 from usdface.demo.acting import performance

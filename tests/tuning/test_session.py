@@ -210,10 +210,9 @@ def test_the_second_person_is_refused_until_taking_over(
         (Change(9, "kitchen", 100), "pair 10, and there are 5"),
         (Change(0, "kitchen", 107), "pair 1 was made for frame 107"),
         (Change(0, "kitchen", 100, {"nose": 0.5}), "'nose', which is not a shape"),
-        (Change(0, "kitchen", 100, {"smile": float("nan")}), "smile cannot be nan"),
         (Change(0, "kitchen", 100, {"smile": 1e9}), "smile cannot be 1000000000"),
     ],
-    ids=["pair", "frame", "shape", "nan", "huge"],
+    ids=["pair", "frame", "shape", "huge"],
 )
 def test_a_bad_change_is_refused_whole(session: TuningSession, bad: Change, message: str) -> None:
     good = change(session, 2, jawOpen=0.125)

@@ -12,8 +12,8 @@ from usdface.capture.marker_take import (
     CaptureHeader,
     CaptureOptions,
     MarkerTable,
+    StatedSpace,
     build_table_take,
-    resolve_space,
 )
 from usdface.capture.sample_times import (
     index_kind,
@@ -77,20 +77,10 @@ def read_marker_csv(path: Path, options: CaptureOptions) -> Capture:
     if others:
         named = first_few([titles[place] for place in others])
         notes.append(f"{pluralize(len(others), 'column')} other than markers left out: {named}")
-    to_mm = resolve_space(
-        "",
-        "y",
-        options,
-        notes,
-        where=str(path),
-        field="header",
-        up_note="the table does not state the up axis; Y assumed",
-    )
     return build_table_take(
         CaptureHeader(path, "marker-csv", rate, first_frame, notes=notes),
-        MarkerTable(
-            list(triples), list(triples.values()), table.values, frames, to_mm, where=header.where
-        ),
+        MarkerTable(list(triples), list(triples.values()), table.values, frames, header.where),
+        StatedSpace("", "header", up_note="the table does not state the up axis; Y assumed"),
         options,
     )
 

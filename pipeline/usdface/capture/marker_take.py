@@ -90,10 +90,22 @@ class MarkerTable:
     """(rows, columns): NaN where a marker is occluded."""
     frames: IntArray
     """(rows,): frame of each row from 0, ascending."""
-    to_mm: FloatArray
-    """(3, 3): from the table's units and axes to mm, Y up."""
     where: str
     """File and line of the labels, for messages."""
+
+
+@dataclass(frozen=True)
+class StatedSpace:
+    """What a file states about its units and axes."""
+
+    units: str
+    """Empty if not stated, then mm."""
+    units_field: str
+    """The name of its units in the file, for notes and messages."""
+    up: str = "y"
+    """``'y'`` or ``'z'``: the format's convention."""
+    up_note: str = ""
+    """Note if the convention decides; none if empty."""
 
 
 def build_marker_take(
@@ -214,13 +226,20 @@ def _settle_neutral(
     return neutral
 
 
-def build_table_take(header: CaptureHeader, table: MarkerTable, options: CaptureOptions) -> Capture:
-    """Return a take of the markers of a table.
+def build_table_take(
+    header: CaptureHeader, table: MarkerTable, space: StatedSpace | None, options: CaptureOptions
+) -> Capture:
+    """Return a take of the markers of a table; without `space`, `header.to_mm` is used.
 
     Frames without a row are gaps of all markers, and are reported.
     """
+    notes, to_mm = [*header.notes], header.to_mm
+    if space is not None:
+        to_mm = _resolve_space(space, options, notes, where=str(header.path))
+    if to_mm is None:
+        raise ValueError(f"{header.path}: neither `space` nor `header.to_mm` is given")
     labels = resolve_labels(table.labels, where=table.where)
-    notes = [*header.notes, *labels.notes()]
+    notes += labels.notes()
     frames = table.frames
     count = int(frames[-1]) + 1
     if count > len(frames):
@@ -232,44 +251,22 @@ def build_table_take(header: CaptureHeader, table: MarkerTable, options: Capture
     for start in range(0, len(frames), _CHUNK_ROWS):  # temporaries stay small on long takes
         rows = slice(start, start + _CHUNK_ROWS)
         with np.errstate(invalid="ignore", over="ignore"):  # damaged samples are hidden later
-            samples = table.values[rows][:, axes] @ table.to_mm.T
+            samples = table.values[rows][:, axes] @ to_mm.T
             positions[frames[rows]] = samples
         visible[frames[rows]] = ~np.isnan(samples).any(axis=2)
     return build_marker_take(
-        replace(header, notes=notes, to_mm=table.to_mm), labels.names, positions, visible, options
+        replace(header, notes=notes, to_mm=to_mm), labels.names, positions, visible, options
     )
 
 
-def resolve_space(
-    stated_units: str,
-    assumed_up: str,
-    options: CaptureOptions,
-    notes: list[str],
-    *,
-    where: str,
-    field: str,
-    up_note: str = "",
+def _resolve_space(
+    space: StatedSpace, options: CaptureOptions, notes: list[str], *, where: str
 ) -> FloatArray:
-    """Return the matrix from the file's units and axes to mm with Y up.
-
-    Parameters
-    ----------
-    stated_units : str
-        Units in the file; empty if not stated, then mm.
-    assumed_up : {'y', 'z'}
-        The format's convention.
-    notes : list of str
-        Assumptions are appended.
-    where, field : str
-        File, and the name of its units there, for notes and messages.
-    up_note : str
-        Note if the convention decides; none if empty.
-    """
-    scale = resolve_units(stated_units, options, notes, where=where, field=field)
-    if options.up is None and up_note:
-        notes.append(f"{up_note}; set it with --up")
-    up = assumed_up if options.up is None else options.up
-    return scale * rotation_to_y_up(up=up, where=f"{where} up axis")
+    """Return the matrix from the file's units and axes to mm with Y up; note assumptions."""
+    scale = resolve_units(space.units, options, notes, where=where, field=space.units_field)
+    if options.up is None and space.up_note:
+        notes.append(f"{space.up_note}; set it with --up")
+    return scale * rotation_to_y_up(up=options.up or space.up, where=f"{where} up axis")
 
 
 def resolve_units(

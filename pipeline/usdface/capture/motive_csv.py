@@ -18,8 +18,8 @@ from usdface.capture.marker_take import (
     CaptureHeader,
     CaptureOptions,
     MarkerTable,
+    StatedSpace,
     build_table_take,
-    resolve_space,
 )
 from usdface.capture.sample_times import check_rate, rate_of_times, resolve_frame_numbers
 from usdface.capture.text_table import (
@@ -100,14 +100,6 @@ def read_motive_csv(path: Path, options: CaptureOptions) -> Capture:
         notes.append(f"the first line states no rate; {float(rate):g} taken from the times")
     elif options.rate is None:
         check_rate(rate, "the first line", table.values[:, 1], frames, where=str(path))
-    to_mm = resolve_space(
-        header.stated.get("Length Units", ""),
-        "y",
-        options,
-        notes,
-        where=str(path),
-        field="Length Units",
-    )
     stamp = table.texts[stamps[0]][0] if stamps and table.texts[stamps[0]] else ""
     return build_table_take(
         CaptureHeader(
@@ -123,9 +115,9 @@ def read_motive_csv(path: Path, options: CaptureOptions) -> Capture:
             starts,
             table.values,
             frames,
-            to_mm,
-            where=header.names_line.where,
+            header.names_line.where,
         ),
+        StatedSpace(header.stated.get("Length Units", ""), "Length Units"),
         options,
     )
 

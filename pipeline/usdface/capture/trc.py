@@ -13,8 +13,8 @@ from usdface.capture.marker_take import (
     CaptureHeader,
     CaptureOptions,
     MarkerTable,
+    StatedSpace,
     build_table_take,
-    resolve_space,
 )
 from usdface.capture.sample_times import check_rate, resolve_frame_numbers
 from usdface.capture.text_table import (
@@ -63,19 +63,11 @@ def read_trc(path: Path, options: CaptureOptions) -> Capture:
     rate = read_rate(header.get("DataRate", ""), stated, "DataRate")
     if options.rate is None:
         check_rate(rate, "DataRate", table.values[:, 1], frames, where=str(path))
-    to_mm = resolve_space(
-        header.get("Units", ""),
-        "y",
-        options,
-        notes,
-        where=str(path),
-        field="Units",
-        up_note="TRC does not state the up axis; Y assumed",
-    )
     return build_table_take(
         CaptureHeader(path, "trc", rate, first_frame, notes=notes),
-        MarkerTable(
-            labels, range(2, len(columns), 3), table.values, frames, to_mm, where=titles.where
+        MarkerTable(labels, range(2, len(columns), 3), table.values, frames, titles.where),
+        StatedSpace(
+            header.get("Units", ""), "Units", up_note="TRC does not state the up axis; Y assumed"
         ),
         options,
     )

@@ -18,8 +18,8 @@ from usdface.capture.marker_take import (
     CaptureHeader,
     CaptureOptions,
     MarkerTable,
+    StatedSpace,
     build_table_take,
-    resolve_space,
 )
 from usdface.capture.sample_times import resolve_frame_numbers
 from usdface.capture.text_table import (
@@ -134,24 +134,14 @@ def _read_block(path: Path, lines: Iterator[TableLine], options: CaptureOptions)
     )
     table = without_repeated_rows(table, notes)
     first_frame, frames = resolve_frame_numbers(table.values[:, 0], table.lines, where=str(path))
-    to_mm = resolve_space(
-        header.unit,
-        "z",
-        options,
-        notes,
-        where=str(path),
-        field=f"units, line {header.unit_line.number}",
-        up_note="Vicon's Z taken as up",
-    )
     return build_table_take(
         CaptureHeader(path, "vicon-csv", header.rate, first_frame, notes=notes),
-        MarkerTable(
-            header.labels,
-            header.starts,
-            table.values,
-            frames,
-            to_mm,
-            where=header.names_line.where,
+        MarkerTable(header.labels, header.starts, table.values, frames, header.names_line.where),
+        StatedSpace(
+            header.unit,
+            f"units, line {header.unit_line.number}",
+            up="z",
+            up_note="Vicon's Z taken as up",
         ),
         options,
     )

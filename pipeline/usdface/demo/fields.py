@@ -5,7 +5,6 @@ left and right shapes are exact mirror images.
 """
 
 from collections.abc import Mapping
-from types import MappingProxyType
 
 import numpy as np
 
@@ -17,19 +16,17 @@ from usdface.demo.head import DemoHead, HeadPart, lip_rim, lower_lid_edge, upper
 BLINK_MEETS = 0.16
 """Height at which the lids of a blink meet, as a share of the opening from the lower lid's edge."""
 
-LID_TURNS: Mapping[str, tuple[float, float]] = MappingProxyType(
-    {
-        "eyeBlink": (1.0, 1.0),
-        "eyeSquint": (0.22, 2.0),
-        "eyeWide": (-0.34, -1.3),
-        "eyeLookUp": (-0.24, 0.3),
-        "eyeLookDown": (0.50, -1.6),
-        "cheekSquint": (0.0, 1.7),
-        "mouthSmile": (0.0, 0.9),
-        "noseSneer": (0.06, 0.8),
-        "browDown": (0.18, 0.0),
-    }
-)
+LID_TURNS: Mapping[str, tuple[float, float]] = {
+    "eyeBlink": (1.0, 1.0),
+    "eyeSquint": (0.22, 2.0),
+    "eyeWide": (-0.34, -1.3),
+    "eyeLookUp": (-0.24, 0.3),
+    "eyeLookDown": (0.50, -1.6),
+    "cheekSquint": (0.0, 1.7),
+    "mouthSmile": (0.0, 0.9),
+    "noseSneer": (0.06, 0.8),
+    "browDown": (0.18, 0.0),
+}
 """Rotation of the upper and the lower lid relative to a blink; negative opens."""
 
 Push = tuple[float, float, float]

@@ -5,7 +5,6 @@ The moods are those of Deng et al. (2006): neutral, happiness, anger, sadness.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 
 from usdface.speech.phones import SILENCE, PhoneTrack, Span
 
@@ -138,84 +137,75 @@ def both(**weights: float) -> dict[str, float]:
     return {name + side: value for name, value in weights.items() for side in ("Left", "Right")}
 
 
-VISEME_SHAPES: Mapping[str, Weights] = MappingProxyType(
-    {
-        "PP": both(mouthPress=0.38)
-        | {"mouthRollLower": 0.16, "mouthRollUpper": 0.14, "jawOpen": 0.11},
-        "FF": both(mouthUpperUp=0.20)
-        | {"jawOpen": 0.07, "mouthRollLower": 0.62, "mouthShrugLower": 0.22},
-        "TH": both(mouthLowerDown=0.22, mouthUpperUp=0.12) | {"jawOpen": 0.13, "tongueOut": 0.12},
-        "DD": both(mouthUpperUp=0.12, mouthLowerDown=0.22) | {"jawOpen": 0.12},
-        "KK": both(mouthLowerDown=0.14) | {"jawOpen": 0.18},
-        "CH": {"mouthFunnel": 0.58, "jawOpen": 0.09, "mouthPucker": 0.15},
-        "SS": both(mouthStretch=0.22, mouthSmile=0.08, mouthLowerDown=0.34, mouthUpperUp=0.14)
-        | {"jawOpen": 0.04},
-        "NN": both(mouthUpperUp=0.10, mouthLowerDown=0.18) | {"jawOpen": 0.10},
-        "RR": {"mouthFunnel": 0.34, "mouthPucker": 0.22, "jawOpen": 0.12},
-        "AA": both(mouthLowerDown=0.18, mouthUpperUp=0.14) | {"jawOpen": 0.60},
-        "EH": both(mouthStretch=0.20, mouthLowerDown=0.26, mouthUpperUp=0.16) | {"jawOpen": 0.37},
-        "IY": both(mouthSmile=0.18, mouthStretch=0.30, mouthLowerDown=0.30, mouthUpperUp=0.16)
-        | {"jawOpen": 0.12},
-        "OH": {"mouthFunnel": 0.48, "jawOpen": 0.44, "mouthPucker": 0.10},
-        "UU": {"mouthPucker": 0.68, "mouthFunnel": 0.24, "jawOpen": 0.12},
-    }
-)
+VISEME_SHAPES: Mapping[str, Weights] = {
+    "PP": both(mouthPress=0.38) | {"mouthRollLower": 0.16, "mouthRollUpper": 0.14, "jawOpen": 0.11},
+    "FF": both(mouthUpperUp=0.20)
+    | {"jawOpen": 0.07, "mouthRollLower": 0.62, "mouthShrugLower": 0.22},
+    "TH": both(mouthLowerDown=0.22, mouthUpperUp=0.12) | {"jawOpen": 0.13, "tongueOut": 0.12},
+    "DD": both(mouthUpperUp=0.12, mouthLowerDown=0.22) | {"jawOpen": 0.12},
+    "KK": both(mouthLowerDown=0.14) | {"jawOpen": 0.18},
+    "CH": {"mouthFunnel": 0.58, "jawOpen": 0.09, "mouthPucker": 0.15},
+    "SS": both(mouthStretch=0.22, mouthSmile=0.08, mouthLowerDown=0.34, mouthUpperUp=0.14)
+    | {"jawOpen": 0.04},
+    "NN": both(mouthUpperUp=0.10, mouthLowerDown=0.18) | {"jawOpen": 0.10},
+    "RR": {"mouthFunnel": 0.34, "mouthPucker": 0.22, "jawOpen": 0.12},
+    "AA": both(mouthLowerDown=0.18, mouthUpperUp=0.14) | {"jawOpen": 0.60},
+    "EH": both(mouthStretch=0.20, mouthLowerDown=0.26, mouthUpperUp=0.16) | {"jawOpen": 0.37},
+    "IY": both(mouthSmile=0.18, mouthStretch=0.30, mouthLowerDown=0.30, mouthUpperUp=0.16)
+    | {"jawOpen": 0.12},
+    "OH": {"mouthFunnel": 0.48, "jawOpen": 0.44, "mouthPucker": 0.10},
+    "UU": {"mouthPucker": 0.68, "mouthFunnel": 0.24, "jawOpen": 0.12},
+}
 """Weights of each viseme."""
 
-VISEME_OF_PHONE: Mapping[str, str] = MappingProxyType(
-    {
-        **dict.fromkeys(("P", "B", "M"), "PP"),
-        **dict.fromkeys(("F", "V"), "FF"),
-        **dict.fromkeys(("TH", "DH"), "TH"),
-        **dict.fromkeys(("T", "D"), "DD"),
-        **dict.fromkeys(("K", "G", "NG", "HH"), "KK"),
-        **dict.fromkeys(("CH", "JH", "SH", "ZH"), "CH"),
-        **dict.fromkeys(("S", "Z"), "SS"),
-        **dict.fromkeys(("N", "L"), "NN"),
-        **dict.fromkeys(("R", "ER"), "RR"),
-        **dict.fromkeys(("AA", "AY", "AW"), "AA"),
-        **dict.fromkeys(("AE", "EH", "EY", "AH", "UH"), "EH"),
-        **dict.fromkeys(("IY", "IH", "Y"), "IY"),
-        **dict.fromkeys(("AO", "OW", "OY"), "OH"),
-        **dict.fromkeys(("UW", "W"), "UU"),
-    }
-)
+VISEME_OF_PHONE: Mapping[str, str] = {
+    **dict.fromkeys(("P", "B", "M"), "PP"),
+    **dict.fromkeys(("F", "V"), "FF"),
+    **dict.fromkeys(("TH", "DH"), "TH"),
+    **dict.fromkeys(("T", "D"), "DD"),
+    **dict.fromkeys(("K", "G", "NG", "HH"), "KK"),
+    **dict.fromkeys(("CH", "JH", "SH", "ZH"), "CH"),
+    **dict.fromkeys(("S", "Z"), "SS"),
+    **dict.fromkeys(("N", "L"), "NN"),
+    **dict.fromkeys(("R", "ER"), "RR"),
+    **dict.fromkeys(("AA", "AY", "AW"), "AA"),
+    **dict.fromkeys(("AE", "EH", "EY", "AH", "UH"), "EH"),
+    **dict.fromkeys(("IY", "IH", "Y"), "IY"),
+    **dict.fromkeys(("AO", "OW", "OY"), "OH"),
+    **dict.fromkeys(("UW", "W"), "UU"),
+}
 
-GLIDES: Mapping[str, str] = MappingProxyType(
-    {"AW": "UU", "AY": "IY", "OW": "UU", "EY": "IY", "OY": "IY"}
-)
+GLIDES: Mapping[str, str] = {"AW": "UU", "AY": "IY", "OW": "UU", "EY": "IY", "OY": "IY"}
 """Viseme of the second half of a diphthong."""
 
-EMOTIONS: Mapping[str, Weights] = MappingProxyType(
-    {
-        "neutral": {},
-        "happiness": both(
-            mouthSmile=0.78,
-            cheekSquint=0.62,
-            mouthUpperUp=0.20,
-            mouthDimple=0.22,
-            eyeSquint=0.16,
-            browOuterUp=0.24,
-        )
-        | {"jawOpen": 0.05, "browInnerUp": 0.12},
-        "anger": both(
-            browDown=0.95,
-            noseSneer=0.48,
-            eyeSquint=0.46,
-            mouthPress=0.40,
-            mouthFrown=0.34,
-            mouthUpperUp=0.12,
-        )
-        | {"jawForward": 0.26, "mouthShrugLower": 0.20, "mouthRollUpper": 0.10},
-        "sadness": both(
-            mouthFrown=0.62,
-            browDown=0.16,
-            mouthStretch=0.14,
-            eyeLookDown=0.34,
-            eyeSquint=0.10,
-            mouthDimple=0.06,
-        )
-        | {"browInnerUp": 0.92, "mouthShrugLower": 0.42, "mouthRollLower": 0.12},
-    }
-)
+EMOTIONS: Mapping[str, Weights] = {
+    "neutral": {},
+    "happiness": both(
+        mouthSmile=0.78,
+        cheekSquint=0.62,
+        mouthUpperUp=0.20,
+        mouthDimple=0.22,
+        eyeSquint=0.16,
+        browOuterUp=0.24,
+    )
+    | {"jawOpen": 0.05, "browInnerUp": 0.12},
+    "anger": both(
+        browDown=0.95,
+        noseSneer=0.48,
+        eyeSquint=0.46,
+        mouthPress=0.40,
+        mouthFrown=0.34,
+        mouthUpperUp=0.12,
+    )
+    | {"jawForward": 0.26, "mouthShrugLower": 0.20, "mouthRollUpper": 0.10},
+    "sadness": both(
+        mouthFrown=0.62,
+        browDown=0.16,
+        mouthStretch=0.14,
+        eyeLookDown=0.34,
+        eyeSquint=0.10,
+        mouthDimple=0.06,
+    )
+    | {"browInnerUp": 0.92, "mouthShrugLower": 0.42, "mouthRollLower": 0.12},
+}
 """Weights of each mood at full strength."""

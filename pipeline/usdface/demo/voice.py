@@ -4,7 +4,6 @@ It has the rhythm, pitch, fricatives, closures and silences of a recording, but 
 """
 
 from collections.abc import Mapping
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,58 +16,52 @@ _WINDOW_SAMPLES = 1024  # length of a spectral frame, with an overlap of one hal
 _ROOM_LEVEL = 10.0 ** (-62.0 / 20.0)  # background noise, -62 dB
 
 # First three formants of an adult's vowels and voiced sounds [Hz].
-_FORMANTS: Mapping[str, tuple[int, int, int]] = MappingProxyType(
-    {
-        "AA": (710, 1150, 2500),
-        "AE": (660, 1720, 2420),
-        "AH": (620, 1220, 2550),
-        "AO": (570, 860, 2450),
-        "AW": (700, 1150, 2500),
-        "AY": (700, 1200, 2500),
-        "EH": (530, 1840, 2500),
-        "ER": (490, 1350, 1700),
-        "EY": (480, 2000, 2600),
-        "IH": (400, 1980, 2550),
-        "IY": (290, 2250, 2950),
-        "OW": (520, 950, 2450),
-        "UH": (450, 1050, 2300),
-        "UW": (320, 880, 2250),
-        "M": (260, 1100, 2200),
-        "N": (270, 1600, 2400),
-        "NG": (270, 2000, 2600),
-        "L": (360, 1250, 2600),
-        "R": (340, 1150, 1600),
-        "W": (310, 720, 2250),
-        "Y": (280, 2200, 2950),
-        "V": (300, 1300, 2300),
-        "Z": (300, 1600, 2500),
-        "DH": (300, 1400, 2500),
-    }
-)
+_FORMANTS: Mapping[str, tuple[int, int, int]] = {
+    "AA": (710, 1150, 2500),
+    "AE": (660, 1720, 2420),
+    "AH": (620, 1220, 2550),
+    "AO": (570, 860, 2450),
+    "AW": (700, 1150, 2500),
+    "AY": (700, 1200, 2500),
+    "EH": (530, 1840, 2500),
+    "ER": (490, 1350, 1700),
+    "EY": (480, 2000, 2600),
+    "IH": (400, 1980, 2550),
+    "IY": (290, 2250, 2950),
+    "OW": (520, 950, 2450),
+    "UH": (450, 1050, 2300),
+    "UW": (320, 880, 2250),
+    "M": (260, 1100, 2200),
+    "N": (270, 1600, 2400),
+    "NG": (270, 2000, 2600),
+    "L": (360, 1250, 2600),
+    "R": (340, 1150, 1600),
+    "W": (310, 720, 2250),
+    "Y": (280, 2200, 2950),
+    "V": (300, 1300, 2300),
+    "Z": (300, 1600, 2500),
+    "DH": (300, 1400, 2500),
+}
 _DEFAULT = (450, 1500, 2500)
 _GLIDE_PHONES = {"UU": "UW", "IY": "IY"}
 # Band [Hz] and level of fricatives.
-_HISS: Mapping[str, tuple[float, float, float]] = MappingProxyType(
-    {
-        "S": (4500, 9000, 0.30),
-        "Z": (4500, 9000, 0.16),
-        "F": (1800, 9500, 0.11),
-        "V": (1800, 8500, 0.05),
-        "TH": (2500, 8500, 0.08),
-        "DH": (2500, 8000, 0.03),
-        "HH": (600, 3500, 0.10),
-    }
-)
-_BURST: Mapping[str, tuple[float, float]] = MappingProxyType(
-    {
-        "P": (300, 2500),
-        "B": (300, 2000),
-        "T": (2800, 8000),
-        "D": (2300, 6500),
-        "K": (1400, 4200),
-        "G": (1200, 3600),
-    }
-)
+_HISS: Mapping[str, tuple[float, float, float]] = {
+    "S": (4500, 9000, 0.30),
+    "Z": (4500, 9000, 0.16),
+    "F": (1800, 9500, 0.11),
+    "V": (1800, 8500, 0.05),
+    "TH": (2500, 8500, 0.08),
+    "DH": (2500, 8000, 0.03),
+    "HH": (600, 3500, 0.10),
+}
+_BURST: Mapping[str, tuple[float, float]] = {
+    "P": (300, 2500),
+    "B": (300, 2000),
+    "T": (2800, 8000),
+    "D": (2300, 6500),
+    "K": (1400, 4200),
+    "G": (1200, 3600),
+}
 _NASAL_LEVEL = 0.45
 _PITCH = {"neutral": 118.0, "happiness": 158.0, "anger": 142.0, "sadness": 104.0}
 _LOUD = {"neutral": 0.8, "happiness": 1.0, "anger": 1.15, "sadness": 0.6}

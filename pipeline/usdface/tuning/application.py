@@ -56,21 +56,11 @@ class _Message(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
-class SentChange(_Message):
-    """A change of weights."""
-
-    pair: int = Field(ge=0)
-    take: str
-    frame: int
-    weights: dict[str, StrictFloat] = Field(default_factory=dict, max_length=10_000)
-    done: bool | None = None
-
-
 class SentChanges(_Message):
     """The changes of one request."""
 
     revision: int
-    changes: list[SentChange] = Field(max_length=10_000)
+    changes: list[Change] = Field(max_length=10_000)
 
 
 class SentPlace(_Message):
@@ -135,8 +125,7 @@ class Scene:
 
     def change(self, sent: SentChanges) -> dict[str, Any]:
         """Apply changes; return the new revision."""
-        given = [Change(**each.model_dump()) for each in sent.changes]
-        return {"revision": self.session.apply(given, revision=sent.revision)}
+        return {"revision": self.session.apply(sent.changes, revision=sent.revision)}
 
     def place(self, sent: SentPlace) -> None:
         """Correct the position of a marker, or remove the correction; invalidates `targets`."""

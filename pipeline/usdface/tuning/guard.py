@@ -8,18 +8,19 @@ import asyncio
 import hmac
 import secrets
 from collections.abc import Callable
-from dataclasses import dataclass
 from http.cookies import CookieError, SimpleCookie
 from typing import ClassVar
-from urllib.parse import parse_qs
 
-from starlette.datastructures import MutableHeaders
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import Request
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 HEADER = "x-usdface-tune"
 """Header that scripts of other origins cannot send without a CORS preflight."""
+
+_SINGLE_HEADERS = ("host", "origin", "content-type", "cookie", HEADER)
 
 LARGEST_BODY = 4 << 20
 """Bytes; all weights of a pair with thousands of shapes are far below."""
@@ -36,28 +37,6 @@ _SECURITY_HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cache-Control": "no-store",
 }
-
-
-@dataclass(frozen=True)
-class Request:
-    """The parts of a request that the rules use."""
-
-    method: str
-    path: str
-    query: str
-    headers: dict[str, str]
-
-    @classmethod
-    def of(cls, scope: Scope) -> "Request | None":
-        """Return the request of a scope; None if a relevant header is repeated."""
-        headers: dict[str, str] = {}
-        for raw_name, raw_value in scope["headers"]:
-            name = raw_name.decode("latin-1").lower()
-            if name in headers and name in ("host", "origin", "content-type", "cookie", HEADER):
-                return None
-            headers[name] = raw_value.decode("latin-1")
-        query = scope.get("query_string", b"").decode("latin-1")
-        return cls(scope["method"], scope["path"], query, headers)
 
 
 class Guard:
@@ -88,8 +67,7 @@ class Guard:
         if scope["type"] != "http":  # no web sockets
             await send({"type": "websocket.close", "code": 1008})
             return
-        request = Request.of(scope)
-        answer = _refusal(400, "a header is repeated") if request is None else self._answer(request)
+        answer = self._answer(Request(scope))
 
         async def send_hardened(message: Message) -> None:
             if message["type"] == "http.response.start":
@@ -106,12 +84,15 @@ class Guard:
     def _answer(self, request: Request) -> Response | None:
         """Return the response that refuses a request; None to pass it on."""
         headers = request.headers
+        if any(len(headers.getlist(name)) > 1 for name in _SINGLE_HEADERS):
+            return _refusal(400, "a header is repeated")
         host, origin = headers.get("host", ""), headers.get("origin")
         if host not in self._hosts:  # DNS rebinding
             return _refusal(403, f"this server is not {host!r}; use the link it printed")
         if origin is not None and origin != f"http://{host}":
             return _refusal(403, "another page may not talk to this server")
-        if request.path == "/" and request.method == "GET" and "token=" in request.query:
+        query = request.query_params
+        if request.scope["path"] == "/" and request.method == "GET" and "token" in query:
             return self._enter(request)
         if headers.get("sec-fetch-site", "none") not in ("same-origin", "none"):
             return _refusal(403, "another page may not talk to this server")
@@ -132,7 +113,7 @@ class Guard:
 
     def _enter(self, request: Request) -> Response:
         """Exchange a token, which is valid once, for the cookie."""
-        given = parse_qs(request.query).get("token", [""])[0]
+        given = request.query_params["token"]
         if hmac.compare_digest(given.encode(), self._token.encode()):
             self.link = self._new_link()
             response = RedirectResponse("/", status_code=303)
@@ -145,7 +126,7 @@ class Guard:
         self._announce(self.link)
         return _refusal(403, "this link was used already; a new one is in the terminal")
 
-    def _knows(self, headers: dict[str, str]) -> bool:
+    def _knows(self, headers: Headers) -> bool:
         try:
             morsel = SimpleCookie(headers.get("cookie", "")).get(self._cookie_name)
         except CookieError:

@@ -4,30 +4,36 @@ Writing a line takes 4 ms, a USD layer tens of milliseconds. The layer is writte
 pause; after a crash, the lines are replayed.
 """
 
-import json
 import os
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated
+
+from pydantic import ConfigDict, Field, StrictFloat, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
 
 from usdface.core.errors import InputError
 from usdface.core.side_files import side_stream
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=ConfigDict(extra="forbid", allow_inf_nan=False))
 class Change:
     """New weights of some shapes of one pair, and whether the pair is done."""
 
-    pair: int
+    pair: Annotated[int, Field(ge=0)]
     """Index from 0."""
     take: str
     frame: int
     """`take`, `frame`: of the pair, to detect a changed selection."""
-    weights: dict[str, float] = field(default_factory=dict)
+    weights: Annotated[dict[str, StrictFloat], Field(max_length=10_000)] = Field(
+        default_factory=dict
+    )
     """By shape name."""
     done: bool | None = None
     """None: unchanged."""
+
+
+_CHANGE = TypeAdapter(Change)
 
 
 class Journal:
@@ -76,13 +82,13 @@ class Journal:
 
     def append(self, changes: Iterable[Change]) -> None:
         """Write changes and flush them to disk."""
-        lines = [json.dumps(asdict(change), ensure_ascii=False) + "\n" for change in changes]
+        lines = [_CHANGE.dump_json(change) + b"\n" for change in changes]
         is_new = not self.path.exists()
         try:
             with side_stream(self.path, "ab") as stream:
                 start = stream.tell()
                 try:
-                    stream.write("".join(lines).encode("utf-8"))
+                    stream.write(b"".join(lines))
                     stream.flush()
                     os.fsync(stream.fileno())
                 except OSError:
@@ -113,11 +119,6 @@ def flush_folder(folder: Path) -> None:
 
 def _parse(line: bytes) -> Change | None:
     try:
-        data: Any = json.loads(line)
-        weights = {str(name): float(value) for name, value in data["weights"].items()}
-        done = data["done"]
-        if done is not None and not isinstance(done, bool):
-            return None
-        return Change(int(data["pair"]), str(data["take"]), int(data["frame"]), weights, done)
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        return _CHANGE.validate_json(line)
+    except ValidationError:
         return None

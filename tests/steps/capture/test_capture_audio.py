@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.c3d_write import write_c3d
 from tests.capture.text_samples import live_link_csv
-from usdface.capture.c3d_write import write_c3d
 from usdface.core.errors import InputError
 from usdface.media.film.sound import read_audio
 from usdface.runner.execute import execute

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.c3d_write import write_c3d
 from tests.model.placement.test_plausibility import synthetic, with_sides_exchanged
-from usdface.capture.c3d_write import write_c3d
 from usdface.core.assets import Markers, Take, Video
 from usdface.core.errors import CheckFailedError, InputError
 from usdface.runner.execute import execute

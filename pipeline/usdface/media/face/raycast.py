@@ -90,22 +90,6 @@ class _Samples:
     albedo: Float32Array
     parts: IntArray
 
-    def take(self, rows: IntArray) -> "_Samples":
-        """Return some of the samples."""
-        found = self.found
-        return _Samples(
-            RayHits(
-                found.rays[rows],
-                found.triangles[rows],
-                found.barycentric[rows],
-                found.positions[rows],
-            ),
-            self.normals[rows],
-            self.views[rows],
-            self.albedo[rows],
-            self.parts[rows],
-        )
-
 
 def draw(view: View) -> Float32Array:
     """Draw a view.
@@ -122,12 +106,15 @@ def draw(view: View) -> Float32Array:
     rays = pixels[samples.found.rays]
     pattern = (columns % 4 + 4 * (rows % 4))[samples.found.rays]
     ray_counts = view.ray_counts
-    seen = _occlusion(view, samples, pattern, sky=ray_counts.sky_rays, light=ray_counts.light_rays)
+    positions, normals = samples.found.positions, samples.normals
+    seen = _occlusion(
+        view, positions, normals, pattern, sky=ray_counts.sky_rays, light=ray_counts.light_rays
+    )
     seen = denoise(
         seen,
         rays=rays,
-        normals=samples.normals,
-        positions=samples.found.positions,
+        normals=normals,
+        positions=positions,
         shape=(height, width),
         tolerance=view.tolerance,
     )
@@ -225,21 +212,22 @@ def _paint_bands(surface: Surface, found: RayHits, corners: IntArray, albedo: Fl
 
 
 def _occlusion(
-    view: View, samples: _Samples, patterns: IntArray, *, sky: int, light: int
+    view: View,
+    positions: Float32Array,
+    normals: Float32Array,
+    patterns: IntArray,
+    *,
+    sky: int,
+    light: int,
 ) -> Float32Array:
     """Return the visible shares of sky and key light of each sample: (n, 2)."""
     size = view.surface.size
-    start = samples.found.positions + np.float32(1.5e-3 * size) * samples.normals
+    start = positions + np.float32(1.5e-3 * size) * normals
     seen = np.zeros((len(start), 2), np.float32)
     seen[:, 0] = sky_seen(
-        view.tracer,
-        start,
-        samples.normals,
-        patterns=patterns,
-        ray_count=sky,
-        reach=0.28 * size,
+        view.tracer, start, normals, patterns=patterns, ray_count=sky, reach=0.28 * size
     )
-    facing = np.flatnonzero(samples.normals @ view.key > -0.1)
+    facing = np.flatnonzero(normals @ view.key > -0.1)
     seen[facing, 1] = light_seen(
         view.tracer,
         start[facing],
@@ -317,11 +305,11 @@ def _resample(view: View, edges: IntArray, near_hole: BoolArray, known: _Known) 
     samples = _sample(view, pixels)
     rays = samples.found.rays
     seen, unknown = _borrow(view, samples, owner[rays], known)
-    rest = samples.take(unknown)
     seen[unknown] = _occlusion(
         view,
-        rest,
-        patterns[rest.found.rays],
+        samples.found.positions[unknown],
+        samples.normals[unknown],
+        patterns[rays[unknown]],
         sky=view.ray_counts.edge_sky_rays,
         light=view.ray_counts.edge_light_rays,
     )

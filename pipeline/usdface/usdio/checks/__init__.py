@@ -4,6 +4,8 @@ USD reads ``plugInfo.json`` in this folder and imports this module when a valida
 """
 
 from collections.abc import Callable, Iterable
+from functools import partial
+from typing import Any
 
 from pxr import Sdf, Usd, UsdValidation
 
@@ -42,9 +44,11 @@ _STAGE_CHECKS: dict[str, Callable[[Usd.Stage], Iterable[Fault]]] = {
 }
 
 
-def _errors(
-    name: str, stage: Usd.Stage, faults: Iterable[Fault]
+def _validate(
+    name: str, check: Callable[[Any], Iterable[Fault]], subject: Usd.Prim | Usd.Stage, _: object
 ) -> list[UsdValidation.ValidationError]:
+    """Return the faults of a prim or a stage as errors of USD's validation."""
+    stage = subject.GetStage() if isinstance(subject, Usd.Prim) else subject
     return [
         UsdValidation.ValidationError(
             name,
@@ -52,36 +56,16 @@ def _errors(
             [UsdValidation.ValidationErrorSite(stage, Sdf.Path(fault.path))],
             fault.message,
         )
-        for fault in faults
+        for fault in check(subject)
     ]
 
 
 def _register() -> None:
     registry = UsdValidation.ValidationRegistry()
     for name, check in _PRIM_CHECKS.items():
-
-        def look_at_prim(
-            prim: Usd.Prim,
-            _: object,
-            *,
-            name: str = name,
-            check: Callable[[Usd.Prim], Iterable[Fault]] = check,
-        ) -> list[UsdValidation.ValidationError]:
-            return _errors(name, prim.GetStage(), check(prim))
-
-        registry.RegisterPluginPrimValidator(f"{_PLUGIN}:{name}", look_at_prim)
+        registry.RegisterPluginPrimValidator(f"{_PLUGIN}:{name}", partial(_validate, name, check))
     for name, look in _STAGE_CHECKS.items():
-
-        def look_at_stage(
-            stage: Usd.Stage,
-            _: object,
-            *,
-            name: str = name,
-            check: Callable[[Usd.Stage], Iterable[Fault]] = look,
-        ) -> list[UsdValidation.ValidationError]:
-            return _errors(name, stage, check(stage))
-
-        registry.RegisterPluginStageValidator(f"{_PLUGIN}:{name}", look_at_stage)
+        registry.RegisterPluginStageValidator(f"{_PLUGIN}:{name}", partial(_validate, name, look))
 
 
 _register()
