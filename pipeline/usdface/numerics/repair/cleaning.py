@@ -20,6 +20,7 @@ from usdface.core.arrays import (
 from usdface.core.processes import map_threads
 from usdface.core.progress import Progress, silent
 from usdface.numerics.motion.noise import marker_noise
+from usdface.numerics.repair.face_pose import pose_by_face
 from usdface.numerics.repair.fit_low_rank import choose_rank, fit_low_rank
 from usdface.numerics.repair.gap_filling import complete_take, explained_after
 from usdface.numerics.repair.low_rank import LowRankModel, fill_and_predict
@@ -28,23 +29,20 @@ from usdface.numerics.repair.relabeling import Swap, apply_swaps, find_swaps
 from usdface.numerics.repair.slips import Slip, find_slips, undo_slips
 from usdface.numerics.repair.smoothing import smooth_poses, smooth_take
 from usdface.numerics.rigid.rigid_alignment import (
-    RigidAlignment,
     align_frames,
     alignment_of,
     remove_motion,
 )
-from usdface.numerics.rigid.stabilization import Stabilization, stabilize, stabilize_by_prior
+from usdface.numerics.rigid.stabilization import stabilize, stabilize_by_prior
 
 _RELABEL_ROUNDS = 4
 _RELABELLED_CONFIDENCE = 0.9
 _FEWEST_FACE_MARKERS = 8
 """Fewest markers that determine the head's pose where too few rigid ones are seen."""
-_FACE_POSE_ROUNDS = 4
-_FACE_POSE_AGING = 0.05
-"""Age of a pose by the face over that of an interpolated one of the same confidence: 0.75 s from
-the nearest measured pose, such poses add 0.2 mm to the error of the solved face."""
-_LEAST_POSE_CONFIDENCE = 0.25
-_NO_DISTANCE_MM = 1e-6
+_FEWEST_MEASURED_FRAMES = 200
+"""Fewest frames with a measured pose for a model of the face: those of eight directions."""
+_LEAST_POSE_CONFIDENCE, _MOST_POSE_CONFIDENCE = 0.25, 0.999
+"""Limits of poses that are not measured."""
 _POSE_ROUNDS = 2
 _POSE_INLIER_DEVIATIONS = 3.0
 """Residual of a marker that weighs half (Cauchy weights)."""
@@ -132,11 +130,12 @@ def clean_markers(
     _check(captured, seen, neutral, max_gap)
     progress(0.0, "head motion")
     still = _stabilize(captured, seen, rigid, neutral, rate, skin_motion_mm)
-    noise = marker_noise(still.positions, seen)
+    posed = _with_measured_pose(still)
+    noise = marker_noise(still.positions, posed)
     progress(0.05, "model of the motion")
-    model = fit_low_rank(still.positions, seen, noise=noise)
-    rank = choose_rank(still.positions, seen, start=model, noise=noise)
-    model = fit_low_rank(still.positions, seen, rank_limit=rank, start=model, noise=noise)
+    model = fit_low_rank(still.positions, posed, noise=noise)
+    rank = choose_rank(still.positions, posed, start=model, noise=noise)
+    model = _pose_by_face(still, model, rank, noise)
     swaps: tuple[Swap, ...] = ()
     if relabel:
         swaps, model = _relabel(still, model, rank, noise, neutral, progress)
@@ -145,7 +144,7 @@ def clean_markers(
             captured = np.array(captured)
             apply_swaps(captured, swaps)
             still = _stabilize(captured, seen, rigid, neutral, rate, skin_motion_mm, out=captured)
-            model = fit_low_rank(still.positions, seen, rank_limit=rank, start=model, noise=noise)
+            model = _pose_by_face(still, model, rank, noise)
     progress(0.45, "outliers")
     outliers = find_outliers(still.positions, seen, model=model, noise=noise, rate=rate)
     good = seen & ~outliers
@@ -231,59 +230,45 @@ def _stabilize(
             rate=rate,
             neutral=neutral,
         )
-    poses, confidence = _poses_by_face(captured, seen, body, rate)
-    motion = smooth_poses(poses, center=body.reference.mean(axis=0))
+    motion = smooth_poses(body.head_motion, center=body.reference.mean(axis=0))
     positions = remove_motion(captured, alignment_of(motion), out=out)
+    confidence = np.maximum(explained_after(body.pose_gap / rate), _LEAST_POSE_CONFIDENCE)
     return _StabilizedTake(np.asarray(positions, np.float32), seen, motion, confidence)
 
 
-def _poses_by_face(
-    captured: Float32Array, seen: BoolArray, body: Stabilization, rate: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return head poses, by all markers where too few rigid ones are seen.
+def _with_measured_pose(still: _StabilizedTake) -> BoolArray:
+    """Return the samples to which the face's model is fitted, (frames, markers).
 
-    There the markers are aligned with their positions in the head's space, interpolated between the
-    measured poses on both sides.
-
-    Returns
-    -------
-    poses : (frames, 4, 4) float array
-    confidence : (frames,) float array
+    Those of frames with a measured pose, but for markers that only others show, and in takes that
+    have few such frames.
     """
-    seconds = body.pose_gap / rate
-    frames, known = np.flatnonzero(body.pose_gap), np.flatnonzero(body.pose_gap == 0)
-    at = np.searchsorted(known, frames)
-    ends = known[np.maximum(at - 1, 0)], known[np.minimum(at, len(known) - 1)]
-    poses = body.head_motion.copy()
-    for block in frame_blocks(len(frames)):
-        rows, before, after = frames[block], ends[0][block], ends[1][block]
-        first, second = (
-            remove_motion(captured[each], alignment_of(body.head_motion[each]))
-            for each in (before, after)
-        )
-        share = np.clip((rows - before) / np.maximum(after - before, 1), 0.0, 1.0)
-        common = seen[rows] & seen[before] & seen[after]
-        fit = _align_robustly(
-            captured[rows], first + share[:, None, None] * (second - first), common
-        )
-        enough = common.sum(axis=1) >= _FEWEST_FACE_MARKERS
-        poses[rows[enough]] = fit.matrices()[enough]
-        seconds[rows[enough]] *= _FACE_POSE_AGING
-    return poses, np.maximum(explained_after(seconds), _LEAST_POSE_CONFIDENCE)
+    measured = still.pose_confidence == 1.0
+    if measured.sum() < _FEWEST_MEASURED_FRAMES or measured.all():
+        return still.visible
+    posed = still.visible & measured[:, None]
+    unseen = ~posed.any(axis=0)
+    posed[:, unseen] = still.visible[:, unseen]
+    return np.asarray(posed)
 
 
-def _align_robustly(
-    positions: Float32Array, targets: RealArray, visible: BoolArray
-) -> RigidAlignment:
-    """Align one target per frame, by Cauchy weights relative to the frame's median distance."""
-    weights = visible.astype(np.float64)
-    fit = align_frames(positions, targets, weights=weights)
-    for _ in range(_FACE_POSE_ROUNDS):
-        away = distances(remove_motion(positions, fit), targets)
-        usual = np.array([_median(row[seen]) for row, seen in zip(away, visible, strict=True)])
-        weights = visible / (1.0 + (away / np.maximum(usual, _NO_DISTANCE_MM)[:, None]) ** 2)
-        fit = align_frames(positions, targets, weights=weights)
-    return fit
+def _pose_by_face(
+    still: _StabilizedTake, start: LowRankModel, rank: int, noise: FloatArray
+) -> LowRankModel:
+    """Return the face's model by measured poses, which replaces the interpolated ones in place.
+
+    The confidence of a pose is the share of the markers' motion that its variance leaves.
+    """
+    posed = _with_measured_pose(still)
+    model = fit_low_rank(still.positions, posed, rank_limit=rank, start=start, noise=noise)
+    known = still.visible.sum(axis=1) >= _FEWEST_FACE_MARKERS
+    rows = np.flatnonzero((still.pose_confidence < 1.0) & known)
+    poses, variance = pose_by_face(model, still.positions[rows], still.visible[rows])
+    still.positions[rows] = remove_motion(still.positions[rows], alignment_of(poses))
+    still.head_motion[rows] = still.head_motion[rows] @ poses
+    motion = model.variances.sum() / len(model.noise)
+    share = np.clip(1.0 - variance / motion, _LEAST_POSE_CONFIDENCE, _MOST_POSE_CONFIDENCE)
+    still.pose_confidence[rows] = share
+    return model
 
 
 def _relabel(

@@ -69,7 +69,8 @@ def fit_low_rank(
     noise : (markers,) float array, optional
         `marker_noise` of the samples, if known.
     """
-    rows = sample_frames(len(positions), _FIT_FRAMES)
+    shown = np.flatnonzero(good.any(axis=1))
+    rows = shown[sample_frames(len(shown), _FIT_FRAMES)]
     sample, usable = positions[rows], good[rows]
     if not usable.any(axis=0).all():
         missing = np.flatnonzero(~usable.any(axis=0)).tolist()
@@ -122,7 +123,8 @@ def choose_rank(
     noise : (markers,) float array
         `marker_noise` of the samples.
     """
-    rows = sample_frames(len(positions), _CHOICE_FRAMES)
+    shown = np.flatnonzero(good.any(axis=1))
+    rows = shown[sample_frames(len(shown), _CHOICE_FRAMES)]
     seen = good[rows]
     filled = fill_missing(start, positions[rows], seen)
     sensor_noise = np.maximum(noise, _LEAST_NOISE_MM)
