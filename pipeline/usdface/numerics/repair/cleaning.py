@@ -130,12 +130,8 @@ def clean_markers(
     _check(captured, seen, neutral, max_gap)
     progress(0.0, "head motion")
     still = _stabilize(captured, seen, rigid, neutral, rate, skin_motion_mm)
-    posed = _with_measured_pose(still)
-    noise = marker_noise(still.positions, posed)
     progress(0.05, "model of the motion")
-    model = fit_low_rank(still.positions, posed, noise=noise)
-    rank = choose_rank(still.positions, posed, start=model, noise=noise)
-    model = _pose_by_face(still, model, rank, noise)
+    model, rank, noise = _model_face(still)
     swaps: tuple[Swap, ...] = ()
     if relabel:
         swaps, model = _relabel(still, model, rank, noise, neutral, progress)
@@ -234,6 +230,15 @@ def _stabilize(
     positions = remove_motion(captured, alignment_of(motion), out=out)
     confidence = np.maximum(explained_after(body.pose_gap / rate), _LEAST_POSE_CONFIDENCE)
     return _StabilizedTake(np.asarray(positions, np.float32), seen, motion, confidence)
+
+
+def _model_face(still: _StabilizedTake) -> tuple[LowRankModel, int, FloatArray]:
+    """Return the face's model, its rank, and the noise of the markers; pose frames by the face."""
+    posed = _with_measured_pose(still)
+    noise = marker_noise(still.positions, posed)
+    model = fit_low_rank(still.positions, posed, noise=noise)
+    rank = choose_rank(still.positions, posed, start=model, noise=noise)
+    return _pose_by_face(still, model, rank, noise), rank, noise
 
 
 def _with_measured_pose(still: _StabilizedTake) -> BoolArray:
