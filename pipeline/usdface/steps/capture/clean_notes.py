@@ -97,10 +97,10 @@ def repair_picture(cleaned: CleanedMarkers, markers: Markers, take: Take) -> Byt
     swapped = np.zeros_like(cleaned.outliers)
     for swap in cleaned.swaps:
         swapped[swap.start : swap.stop, [swap.first, swap.second]] = True
-    interpolated = np.zeros_like(cleaned.outliers)
-    interpolated[cleaned.pose_confidence < 1.0] = True
+    by_face = np.zeros_like(cleaned.outliers)
+    by_face[cleaned.pose_confidence < 1.0] = True
     kinds = (
-        RepairKind("head pose interpolated", POSE_COLOR, interpolated),
+        RepairKind("head pose by the face", POSE_COLOR, by_face),
         RepairKind("filled", FILLED_COLOR, cleaned.filled & ~cleaned.outliers),
         RepairKind("relabelled", SWAPPED_COLOR, swapped),
         RepairKind("outlier replaced", OUTLIER_COLOR, cleaned.outliers),
