@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from usdface.core.arrays import FloatArray
 from usdface.core.errors import InputError
@@ -40,6 +41,9 @@ PICKS: dict[SheetLayout, FramePick] = {
 }
 STRIP_ROWS, STRIP_TILE = 48, 192
 OTHER_ROWS, OTHER_TILE = 12, 320
+
+_BLENDED_SHARE = 1 / 200
+"""[of a face's points] Nearest points whose uncertainty is averaged: 4 mm on an adult's face."""
 
 
 @dataclass(frozen=True)
@@ -217,18 +221,23 @@ def _errors(pictures: ShotPictures, comparison: SheetComparison) -> Callable[[in
 
 
 def _uncertainties(pictures: ShotPictures, comparison: SheetComparison) -> Callable[[int], Tile]:
-    """Return a function that paints the uncertainty of each region."""
+    """Return a function that paints the uncertainty of each region, blended at the borders."""
     shot, evidence = comparison.shots[0], comparison.signals.evidence
-    points = {name: comparison.metric.skin.points.get(name) for name in evidence.regions[1:]}
+    neutral, regions = shot.deformer.neutral, comparison.metric.skin.points
+    region_of = np.full(len(neutral), -1)
+    for number, name in enumerate(evidence.regions[1:]):
+        region_of[regions.get(name, [])] = number
+    owned = np.flatnonzero(region_of >= 0)
+    near = owned[:, None]
+    if len(owned):
+        count = max(round(_BLENDED_SHARE * len(owned)), 1)
+        near = owned[KDTree(neutral[owned]).query(neutral[owned], k=[*range(1, count + 1)])[1]]
 
     def draw(row: int) -> Tile:
         if evidence.uncertainty_mm is None:
             return Tile(None)
-        uncertainty = evidence.uncertainty_mm[row]
-        values = np.full(len(shot.deformer.neutral), np.nan)  # unknown outside of regions
-        for region, value in zip(points.values(), uncertainty[1:], strict=False):
-            if region is not None:
-                values[region] = value
+        values = np.full(len(neutral), np.nan)  # unknown outside of regions
+        values[owned] = evidence.uncertainty_mm[row, 1 + region_of[near]].mean(axis=1)
         picture = pictures.painted(
             row, shot.weights[row], values, high=range_mm(evidence, keyed=False)
         )
