@@ -20,7 +20,7 @@ from usdface.core.arrays import (
 from usdface.core.processes import map_threads
 from usdface.core.progress import Progress, silent
 from usdface.numerics.motion.noise import marker_noise
-from usdface.numerics.repair.face_pose import pose_by_face
+from usdface.numerics.repair.face_pose import interpolation_precision, pose_by_face
 from usdface.numerics.repair.fit_low_rank import choose_rank, fit_low_rank
 from usdface.numerics.repair.gap_filling import complete_take, explained_after
 from usdface.numerics.repair.low_rank import LowRankModel, fill_and_predict
@@ -86,6 +86,12 @@ class _StabilizedTake:
     visible: BoolArray
     head_motion: FloatArray
     pose_confidence: FloatArray
+    poses: FloatArray
+    """(frames, 4, 4): measured or interpolated, not smoothed."""
+    measured: BoolArray
+    """(frames,): whether rigid markers determine the pose."""
+    centre: FloatArray
+    """(3,): of the rigid markers [mm]."""
 
 
 def clean_markers(
@@ -226,10 +232,20 @@ def _stabilize(
             rate=rate,
             neutral=neutral,
         )
-    motion = smooth_poses(body.head_motion, center=body.reference.mean(axis=0))
+    centre, measured = body.reference.mean(axis=0), body.pose_gap == 0
+    smooth = smooth_poses(body.head_motion, center=centre)
+    motion = np.where(measured[:, None, None], smooth, body.head_motion)
     positions = remove_motion(captured, alignment_of(motion), out=out)
     confidence = np.maximum(explained_after(body.pose_gap / rate), _LEAST_POSE_CONFIDENCE)
-    return _StabilizedTake(np.asarray(positions, np.float32), seen, motion, confidence)
+    return _StabilizedTake(
+        np.asarray(positions, np.float32),
+        seen,
+        motion,
+        confidence,
+        body.head_motion,
+        measured,
+        centre,
+    )
 
 
 def _model_face(still: _StabilizedTake) -> tuple[LowRankModel, int, FloatArray]:
@@ -247,10 +263,9 @@ def _with_measured_pose(still: _StabilizedTake) -> BoolArray:
     Those of frames with a measured pose, but for markers that only others show, and in takes that
     have few such frames.
     """
-    measured = still.pose_confidence == 1.0
-    if measured.sum() < _FEWEST_MEASURED_FRAMES or measured.all():
+    if still.measured.sum() < _FEWEST_MEASURED_FRAMES or still.measured.all():
         return still.visible
-    posed = still.visible & measured[:, None]
+    posed = still.visible & still.measured[:, None]
     unseen = ~posed.any(axis=0)
     posed[:, unseen] = still.visible[:, unseen]
     return np.asarray(posed)
@@ -266,8 +281,14 @@ def _pose_by_face(
     posed = _with_measured_pose(still)
     model = fit_low_rank(still.positions, posed, rank_limit=rank, start=start, noise=noise)
     known = still.visible.sum(axis=1) >= _FEWEST_FACE_MARKERS
-    rows = np.flatnonzero((still.pose_confidence < 1.0) & known)
-    poses, variance = pose_by_face(model, still.positions[rows], still.visible[rows])
+    rows = np.flatnonzero(~still.measured & known)
+    poses, variance = pose_by_face(
+        model,
+        still.positions[rows],
+        still.visible[rows],
+        precision=interpolation_precision(still.poses, still.measured, still.centre)[rows],
+        centre=still.centre,
+    )
     still.positions[rows] = remove_motion(still.positions[rows], alignment_of(poses))
     still.head_motion[rows] = still.head_motion[rows] @ poses
     motion = model.variances.sum() / len(model.noise)

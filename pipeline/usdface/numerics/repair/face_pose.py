@@ -9,8 +9,10 @@ by Gauss-Newton steps from the alignment with the mean. With J the derivatives o
 ``-inv(J' inv(S) J) J' inv(S) r``, and the inverse matrix is the covariance of the pose. Woodbury's
 identity gives ``inv(S) = inv(N) - inv(N) C' inv(inv(V) + C inv(N) C') C inv(N)``. The noise of a
 marker grows with its residual, so that swapped labels and outliers do not count (Cauchy weights).
-The covariance is scaled by how far the frame exceeds the model: the median of the residuals over
-the noise, or the mean square of the scores over their variances, if either is more than usual.
+The likelihood's covariance is scaled by how far the frame exceeds the model: the median of the
+residuals over the noise, or the mean square of the scores over their variances, if more than usual.
+The prior is the pose interpolated between measured ones, as precise as such poses are in the take:
+short gaps of a still head follow it, long ones of a moving head the face.
 
 References
 ----------
@@ -39,19 +41,30 @@ _INLIER_DEVIATIONS = 3.0
 """Residual at which a marker weighs half [standard deviations of the noise]."""
 _MEDIAN_CHI_SQUARE = 2.366
 """Of three degrees of freedom."""
+_LEAST_VARIANCE = np.repeat([1e-8, 1e-4], 3)
+"""Of interpolated poses: 0.1 mrad and 0.01 mm, squared."""
 
 
 def pose_by_face(
-    model: LowRankModel, positions: RealArray, seen: BoolArray
+    model: LowRankModel,
+    positions: RealArray,
+    seen: BoolArray,
+    *,
+    precision: FloatArray,
+    centre: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the poses of frames of unknown expression, and their variance.
 
     Parameters
     ----------
     positions : (frames, markers, 3) float array
-        [mm] In any pose; anything finite where not seen.
+        [mm] In the poses that the prior expects; anything finite where not seen.
     seen : (frames, markers) bool array
         Three or more in each frame.
+    precision : (frames, 6) float array
+        Of the prior: rotation about the centre [1/rad^2] and shift [1/mm^2]; 0 for none.
+    centre : (3,) float array
+        In or near the head [mm].
 
     Returns
     -------
@@ -62,57 +75,117 @@ def pose_by_face(
     """
     poses, variance = np.empty((len(positions), 4, 4)), np.empty(len(positions))
 
-    def solve(block: slice) -> None:
-        poses[block], variance[block] = _solve(model, positions[block], seen[block])
+    def solve(rows: slice) -> None:
+        given = positions[rows], seen[rows], precision[rows]
+        poses[rows], variance[rows] = _solve(model, *given, centre)
 
     map_threads(solve, frame_blocks(len(positions), frames=_BLOCK_FRAMES))
     return poses, variance
 
 
 def _solve(
-    model: LowRankModel, positions: RealArray, seen: BoolArray
+    model: LowRankModel,
+    positions: RealArray,
+    seen: BoolArray,
+    prior: FloatArray,
+    centre: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     mean = model.mean.reshape(-1, 3)
-    centre, precision = mean.mean(axis=0), seen / model.noise**2
+    weights, excess = seen / model.noise**2, np.ones(len(seen))
     start = align_frames(positions, np.broadcast_to(mean, positions.shape), weights=seen)
     poses, still = start.matrices(), remove_motion(positions.astype(np.float64), start)
     for _ in range(_MOST_STEPS):
-        derivatives = np.zeros((*still.shape, 6))
-        derivatives[..., :3] = np.cross(np.eye(3), (still - centre)[..., None, :]).swapaxes(2, 3)
-        derivatives[..., 3:] = np.eye(3)
-        step, covariance, residual, scores = _step(model, derivatives, still - mean, precision)
-        back = Rotation.from_rotvec(-step[:, :3]).as_matrix()
-        turn = np.tile(np.eye(4), (len(step), 1, 1))
-        turn[:, :3, :3], turn[:, :3, 3] = (
-            back,
-            centre - (back @ (centre + step[:, 3:])[..., None])[..., 0],
-        )
+        known = np.zeros((*still.shape, 7))  # derivatives of r by rotation and shift, and r
+        known[..., :3] = np.cross(np.eye(3), (still - centre)[..., None, :]).swapaxes(2, 3)
+        known[..., 3:6], known[..., 6] = np.eye(3), still - mean
+        left, scores, normal = _marginalise(model, known, weights)
+        normal /= excess[:, None, None]
+        covariance = np.linalg.inv(normal[:, :6, :6] + prior[:, None] * np.eye(6))
+        slope = normal[:, :6, 6] + prior * _coordinates(poses, centre)
+        step = -(covariance @ slope[..., None])[..., 0]
+        turn = _inverse_motion(step, centre)
         poses, still = poses @ turn, remove_motion(still, alignment_of(turn))
-        chi = residual / model.noise
-        precision = seen / (model.noise**2 * (1 + (chi / _INLIER_DEVIATIONS) ** 2))
-        if abs(derivatives @ step[:, None, :, None]).max() < _SETTLED_MM:
+        along = np.append(step, np.ones((len(step), 1)), axis=1)[..., None]
+        chi = np.linalg.norm((left @ along[:, None])[..., 0], axis=2) / model.noise
+        weights = seen / (model.noise**2 * (1 + (chi / _INLIER_DEVIATIONS) ** 2))
+        unexplained = np.nanmedian(np.where(seen, chi**2, np.nan), axis=1) / _MEDIAN_CHI_SQUARE
+        unusual = np.mean((scores @ along)[..., 0] ** 2 / model.variances, axis=1)
+        excess = np.maximum(1.0, np.maximum(unexplained, unusual))
+        if abs(known[..., :6] @ step[:, None, :, None]).max() < _SETTLED_MM:
             break
-    moved = np.einsum("fmci,fij,fmcj->f", derivatives, covariance, derivatives, optimize=True)
-    unexplained = np.nanmedian(np.where(seen, chi**2, np.nan), axis=1) / _MEDIAN_CHI_SQUARE
-    unusual = np.mean(scores**2 / model.variances, axis=1)
-    return poses, moved / seen.shape[1] * np.maximum(1.0, np.maximum(unexplained, unusual))
+    moved = np.einsum("fmci,fij,fmcj->f", known[..., :6], covariance, known[..., :6], optimize=True)
+    return poses, moved / seen.shape[1]
 
 
-def _step(
-    model: LowRankModel, derivatives: FloatArray, offset: FloatArray, precision: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return the step in rotation and shift, its covariance, residuals [mm] and scores."""
+def _marginalise(
+    model: LowRankModel, known: FloatArray, weights: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return what the expression leaves of vectors, its scores, and ``known' inv(S) known``."""
     components = model.components.reshape(len(model.variances), -1, 3)
     grams = np.einsum("kmc,lmc->mkl", components, components)
-    inner = np.einsum("fm,mkl->fkl", precision, grams, optimize=True)
-    inner += np.diag(1 / model.variances)
-    known = np.concatenate([derivatives, offset[..., None]], axis=3)
-    weighed = precision[..., None, None] * known
+    inner = np.einsum("fm,mkl->fkl", weights, grams, optimize=True) + np.diag(1 / model.variances)
+    weighed = weights[..., None, None] * known
     scores = np.linalg.solve(inner, np.einsum("kmc,fmci->fki", components, weighed, optimize=True))
     left = known - np.einsum("kmc,fki->fmci", components, scores, optimize=True)
-    normal = np.einsum("fmci,fmcj->fij", weighed, left, optimize=True)
-    covariance = np.linalg.inv(normal[:, :6, :6])
-    step = -(covariance @ normal[:, :6, 6:])[..., 0]
-    along = np.append(step, np.ones((len(step), 1)), axis=1)[..., None]
-    residual = np.linalg.norm((left @ along[:, None])[..., 0], axis=2)
-    return step, covariance, residual, (scores @ along)[..., 0]
+    return left, scores, np.einsum("fmci,fmcj->fij", weighed, left, optimize=True)
+
+
+def _coordinates(poses: FloatArray, centre: FloatArray) -> FloatArray:
+    """Return the rotation vector and the shift of the inverse of poses about a centre."""
+    back = poses[:, :3, :3].swapaxes(1, 2)
+    shift = (back @ (centre - poses[:, :3, 3])[..., None])[..., 0] - centre
+    return np.hstack([Rotation.from_matrix(back).as_rotvec(), shift])
+
+
+def _inverse_motion(coordinates: FloatArray, centre: FloatArray) -> FloatArray:
+    """Return the poses, (frames, 4, 4), whose `_coordinates` are given."""
+    poses = np.tile(np.eye(4), (len(coordinates), 1, 1))
+    poses[:, :3, :3] = Rotation.from_rotvec(-coordinates[:, :3]).as_matrix()
+    target = (centre + coordinates[:, 3:])[..., None]
+    poses[:, :3, 3] = centre - (poses[:, :3, :3] @ target)[..., 0]
+    return poses
+
+
+def interpolation_precision(
+    poses: FloatArray, measured: BoolArray, centre: FloatArray
+) -> FloatArray:
+    """Return the precision of interpolated poses, from how well measured ones are interpolated.
+
+    A pose a and b frames from the measured ones on both sides is as uncertain as measured poses are
+    when interpolated from those m frames before and after, m the next power of two of sqrt(a b), to
+    which the error is proportional under constant acceleration. At the ends of the take, it is as
+    uncertain as poses held for as long.
+
+    Parameters
+    ----------
+    poses : (frames, 4, 4) float array
+    measured : (frames,) bool array
+    centre : (3,) float array
+        In or near the head, in its space [mm].
+
+    Returns
+    -------
+    (frames, 6) float array
+        Of rotation [1/rad^2] and shift [1/mm^2]; 0 where measured, and where no measured poses are
+        that far apart.
+    """
+    known, frames = np.flatnonzero(measured), np.flatnonzero(~measured)
+    at = np.searchsorted(known, frames)
+    is_inside = (at > 0) & (at < len(known))
+    before = abs(frames - known[np.maximum(at - 1, 0)])
+    after = abs(known[np.minimum(at, len(known) - 1)] - frames)
+    away = np.where(is_inside, np.sqrt(before * after), np.minimum(before, after))
+    precision = np.zeros((len(measured), 6))
+    for power in range(int(away.max(initial=0)).bit_length() + 1):
+        reach = 2**power
+        middle = known[(known >= reach) & (known < len(measured) - reach)]
+        middle = middle[measured[middle - reach] & measured[middle + reach]]
+        if not len(middle):
+            break
+        back = np.linalg.inv(poses[middle])
+        ends = [_coordinates(back @ poses[middle + ahead], centre) for ahead in (-reach, reach)]
+        of_reach = (away > reach / 2) & (away <= reach)
+        for rows, errors in ((is_inside, np.mean(ends, axis=0)), (~is_inside, ends[0])):
+            variance = np.maximum(np.mean(errors**2, axis=0), _LEAST_VARIANCE)
+            precision[frames[of_reach & rows]] = 1 / variance
+    return precision
