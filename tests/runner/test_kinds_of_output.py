@@ -16,7 +16,7 @@ from usdface.media.page.face_payload import FacePayload
 from usdface.media.page.report_page import ReviewPage, WeightCurves, build_page, read_page_origin
 from usdface.runner.execute import execute
 from usdface.runner.job import run_job
-from usdface.runner.origin import provenance_metadata, provenance_of
+from usdface.runner.origin import provenance_of
 from usdface.runner.state import job_states
 from usdface.specs.job import JobSpec
 from usdface.specs.performance import MapSpec
@@ -77,7 +77,7 @@ def test_phones_say_what_made_them_until_someone_changes_them(tmp_path: Path, na
     if name.endswith("TextGrid"):
         pytest.importorskip("praatio")
     path = tmp_path / name
-    write_phone_track(path, TRACK, origin=provenance_metadata(MADE))
+    write_phone_track(path, TRACK, origin=MADE.metadata)
     assert provenance_of(path) == MADE
     assert TRACK.phones[0] in read_phone_track(path).phones
     if name == "a.lab":
@@ -87,7 +87,7 @@ def test_phones_say_what_made_them_until_someone_changes_them(tmp_path: Path, na
 
 def test_a_page_says_what_made_it_whatever_stands_in_that(tmp_path: Path) -> None:
     path = tmp_path / "a.html"
-    path.write_text(_page(provenance_metadata(MADE)), encoding="utf-8")
+    path.write_text(_page(MADE.metadata), encoding="utf-8")
     assert provenance_of(path) == MADE
     path.write_text(_page(None), encoding="utf-8")
     assert provenance_of(path) is None

@@ -31,6 +31,16 @@ class Provenance:
         """Hash of the spec alone."""
         return hash_text(self.spec)
 
+    @property
+    def metadata(self) -> dict[str, object]:
+        """As the metadata of pictures, movies and pages."""
+        return {
+            "usdface": self.version,
+            "step": self.step,
+            "spec": self.spec,
+            "inputs": dict(self.inputs),
+        }
+
 
 def canonical_json(data: Any) -> str:
     """Return JSON that is equal for equal data."""

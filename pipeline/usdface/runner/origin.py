@@ -114,16 +114,6 @@ def _paths_in(value: object, folder: Path = Path()) -> list[Path]:
     return [folder / each for each in several if isinstance(each, str | Path) and str(each)]
 
 
-def provenance_metadata(provenance: Provenance) -> dict[str, object]:
-    """Return provenance as the metadata of an image."""
-    return {
-        "usdface": provenance.version,
-        "step": provenance.step,
-        "spec": provenance.spec,
-        "inputs": dict(provenance.inputs),
-    }
-
-
 def _from_metadata(metadata: dict[str, object]) -> Provenance | None:
     inputs = metadata.get("inputs")
     if "usdface" not in metadata or not isinstance(inputs, dict):

@@ -14,7 +14,7 @@ from usdface.media.film.sound import read_audio
 from usdface.media.film.video import VideoReader, open_video
 from usdface.media.picture.image import write_image
 from usdface.numerics.timing.audio_alignment import SoundAlignment, align_sounds
-from usdface.runner.origin import REFUSED, make_provenance, provenance_metadata, provenance_of
+from usdface.runner.origin import REFUSED, make_provenance, provenance_of
 from usdface.runner.result import StepResult
 from usdface.specs.capture import AlignSpec
 from usdface.usdio.take.read import TakeReader
@@ -138,7 +138,7 @@ def run(spec: AlignSpec, *, provenance: Provenance, progress: Progress = silent)
     page = _page(take, evidence, decision)
     if decision.sync is None:
         refused = Provenance(step=f"{spec.step}{REFUSED}")
-        write_image(picture, draw_alignment(page), metadata=provenance_metadata(refused))
+        write_image(picture, draw_alignment(page), metadata=refused.metadata)
         raise CheckFailedError(
             f"{spec.take}: the video cannot be aligned: {decision.source}. Look at {picture}; set "
             "the offset with --offset SECONDS"
@@ -146,7 +146,7 @@ def run(spec: AlignSpec, *, provenance: Provenance, progress: Progress = silent)
     write_video_sync(spec.take, decision.sync)
     # The take's hash has changed: the picture, written last, stores the new one.
     made = make_provenance(spec)
-    write_image(picture, draw_alignment(page), metadata=provenance_metadata(made))
+    write_image(picture, draw_alignment(page), metadata=made.metadata)
     progress(1.0, "aligned")
     log.info("%s: %s", spec.take, page.verdict)
     return StepResult(

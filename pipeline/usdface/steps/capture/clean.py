@@ -17,7 +17,6 @@ from usdface.media.picture.image import write_image
 from usdface.model.placement.label_hints import is_on_headgear, label_hint, skin_motion_mm
 from usdface.numerics.repair.cleaning import clean_markers
 from usdface.numerics.rigid.rigid_markers import RigidMarkers, find_rigid_markers
-from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.capture import CleanSpec
 from usdface.steps.capture.clean_notes import (
@@ -113,7 +112,7 @@ def run(spec: CleanSpec, *, provenance: Provenance, progress: Progress = silent)
     outputs = tuple(dict.fromkeys((spec.out, samples_path(spec.out))))
     if spec.report is not None:
         picture = repair_picture(cleaned, markers, take)
-        write_image(spec.report, picture, metadata=provenance_metadata(provenance))
+        write_image(spec.report, picture, metadata=provenance.metadata)
         outputs += (spec.report,)
     progress(1.0, "done")
     return StepResult(

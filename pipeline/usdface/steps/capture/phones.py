@@ -7,7 +7,6 @@ from usdface.core.provenance import Provenance
 from usdface.core.sidecars import is_usd_name
 from usdface.core.text import counted, read_text
 from usdface.media.film.sound import read_audio
-from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.capture import PhonesSpec
 from usdface.speech.forced_alignment import (
@@ -50,7 +49,7 @@ def run(spec: PhonesSpec, *, provenance: Provenance, progress: Progress = silent
     )
     outside = share_outside(samples, found.track.words, rate=SPEECH_SAMPLE_RATE)
     track = found.track if video is None else _on_take_clock(found.track, video)
-    origin = provenance_metadata(provenance)
+    origin = provenance.metadata
     write_phone_track(spec.out, track, origin=origin)
     progress(1.0, "done")
     spoken = [span for span in track.phones if viseme_of(span.label) != "pau"]

@@ -26,7 +26,6 @@ from usdface.model.placement.shape_parts import missing_parts_note, shape_parts
 from usdface.model.regressions import Choices
 from usdface.model.regressions.gaussian_rbf import PAPER_DIMENSIONS
 from usdface.numerics.measure.face_regions import gaze_and_tongue_shapes, mirrored_shapes
-from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.performance import TrainSpec
 from usdface.steps.inputs.placement import rest_places
@@ -116,7 +115,7 @@ def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress = silent)
     outputs = [spec.out]
     if spec.picture is not None:
         picture = eigenspace_picture(mapping, references, f"eigen-space of {spec.references.stem}")
-        write_image(spec.picture, picture, metadata=provenance_metadata(provenance))
+        write_image(spec.picture, picture, metadata=provenance.metadata)
         outputs.append(spec.picture)
     return StepResult(
         tuple(outputs),

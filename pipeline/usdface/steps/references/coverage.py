@@ -8,7 +8,7 @@ from usdface.core.provenance import Provenance
 from usdface.core.sidecars import coverage_path
 from usdface.media.picture.image import write_image
 from usdface.model.mapping.coverage import LEAST_COVERAGE
-from usdface.runner.origin import provenance_metadata, provenance_of, spec_of
+from usdface.runner.origin import provenance_of, spec_of
 from usdface.runner.outputs import confine
 from usdface.runner.result import StepResult
 from usdface.specs.references import ReferencesCoverageSpec
@@ -28,7 +28,7 @@ def run(
     measured = measure_pairs(spec, progress=progress)
     measure, takes, pairs = measured.coverage, measured.takes, measured.pairs
     progress(0.9, f"writing {spec.out.name}")
-    metadata = provenance_metadata(provenance)
+    metadata = provenance.metadata
     write_image(spec.out, measured.picture(spec.references.stem), metadata=metadata)
     progress(1.0, "done")
     coverage = measure.frames
@@ -75,5 +75,5 @@ def redraw_coverage(references: Path, progress: Progress) -> tuple[tuple[Path, .
     except InputError as error:
         return (), [f"{picture.name} was not drawn again, and is out of date: {error}"]
     image = measured.picture(references.stem)
-    write_image(picture, image, metadata=provenance_metadata(origin))
+    write_image(picture, image, metadata=origin.metadata)
     return (picture,), []

@@ -5,7 +5,6 @@ from usdface.core.provenance import Provenance
 from usdface.core.sidecars import binding_layers
 from usdface.core.text import first_few, pluralize
 from usdface.media.picture.image import write_image
-from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.references import PlaceSpec
 from usdface.steps.inputs.cleaned_takes import plausibility_notes, read_cleaned_takes
@@ -37,7 +36,7 @@ def run(spec: PlaceSpec, *, provenance: Provenance, progress: Progress = silent)
         progress(0.7, f"drawing {spec.picture.name}")
         title = f"{first_few([source.name for source in takes.sources], most=3)} on {spec.rig.stem}"
         picture = draw_placement(placed, rig, title=title, quality=spec.quality)
-        write_image(spec.picture, picture, metadata=provenance_metadata(provenance))
+        write_image(spec.picture, picture, metadata=provenance.metadata)
         outputs.append(spec.picture)
     progress(1.0, "done")
     return StepResult(

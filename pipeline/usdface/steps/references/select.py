@@ -28,7 +28,6 @@ from usdface.model.selection.design import (
 )
 from usdface.model.selection.lip_contact import find_lips, keep_lip_contact
 from usdface.numerics.motion.noise import measurement_noise, still_range_mm
-from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.references import SelectSpec
 from usdface.speech.phones import VISEMES
@@ -128,7 +127,7 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
         placement=spec.placement or placement_path(spec.out),
     )
     images = PairImages((), ())
-    metadata = provenance_metadata(provenance)
+    metadata = provenance.metadata
     if spec.images:
         progress(0.75, "storing the video frames of the pairs")
         images = write_pair_images(spec.out, references, takes.sources, metadata=metadata)
@@ -202,7 +201,7 @@ def _run_on_weights(spec: SelectSpec, provenance: Provenance, progress: Progress
     references, images = found.references, PairImages((), ())
     if spec.images:
         progress(0.6, "storing the video frames of the pairs")
-        metadata = provenance_metadata(provenance)
+        metadata = provenance.metadata
         images = write_pair_images(spec.out, references, found.takes.sources, metadata=metadata)
     progress(0.9, f"writing {spec.out.name}")
     with tuning_lock(spec.out):
@@ -282,7 +281,7 @@ def _draw_placement(spec: SelectSpec, placed: PlacedTakes, rig: Rig, made: Prove
     """Draw the placement next to the references."""
     title = f"{spec.out.stem} on {rig.file.stem}"
     picture = draw_placement(placed, rig, title=title, quality="draft")
-    write_image(_placement_picture(spec), picture, metadata=provenance_metadata(made))
+    write_image(_placement_picture(spec), picture, metadata=made.metadata)
 
 
 def _placement_picture(spec: SelectSpec) -> Path:

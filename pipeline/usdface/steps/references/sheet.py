@@ -26,7 +26,6 @@ from usdface.media.picture.reference_sheet import (
 )
 from usdface.model.placement.rig_orientation import facing_degrees
 from usdface.model.selection.baseline import PerformerMarkers
-from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.references import ReferenceSheetSpec
@@ -79,7 +78,7 @@ def run(
             file = spec.out
             if number:
                 file = spec.out.with_name(f"{spec.out.stem}.{number + 1}{spec.out.suffix}")
-            write_image(file, page, metadata=provenance_metadata(provenance))
+            write_image(file, page, metadata=provenance.metadata)
             written.append(file)
     progress(1.0, "done")
     notes = tuple(undrawn)

@@ -31,7 +31,6 @@ from usdface.model.retarget.cyclic import (
     CyclicVariant,
     evaluate_cyclic,
 )
-from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.retarget import METHODS, CyclicSpec
@@ -175,7 +174,7 @@ def _write(
     provenance: Provenance,
 ) -> None:
     """Write figures and curves; `source` is the rig and the weights of its shapes."""
-    made = provenance_metadata(provenance)
+    made = provenance.metadata
     for path in spec.out:
         if path.suffix.lower() == ".json":
             data = {"pairs": str(spec.pairs), **figures, "provenance": made}

@@ -29,7 +29,6 @@ from usdface.numerics.motion.laplacian_warp import (
     stretch_motion,
     warp_motion,
 )
-from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.retarget import WarpSpec
 from usdface.steps.inputs.edit_ranges import edit_notes
@@ -312,5 +311,5 @@ def _draw(
         ),
         spans=spans,
     )
-    made = provenance_metadata(provenance)
+    made = provenance.metadata
     write_image(path, picture, metadata=made)

@@ -15,7 +15,6 @@ from usdface.media.charts.evaluation import draw_evaluation
 from usdface.media.picture.image import write_image
 from usdface.model.mapping.evaluation import Evaluation, evaluate_weights
 from usdface.model.retarget.name_matching import Transfer, meaning_notes
-from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.review import EvaluateSpec
@@ -173,7 +172,7 @@ def _write(
     provenance: Provenance,
 ) -> None:
     # Without a spec, failed results are never up to date, so that a job fails again.
-    made = provenance_metadata(replace(provenance, spec="") if failed else provenance)
+    made = (replace(provenance, spec="") if failed else provenance).metadata
     for path in spec.out:
         if path.suffix.lower() == ".json":
             data = {

@@ -14,7 +14,7 @@ from usdface.media.face.render import FaceRenderer
 from usdface.media.picture.image import write_image
 from usdface.media.picture.sheet import SheetPage, SheetRow, Tile, compose_sheet
 from usdface.model.placement.rig_orientation import facing_degrees
-from usdface.runner.origin import pair_with_files, provenance_metadata
+from usdface.runner.origin import pair_with_files
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.review import FacesSpec
@@ -58,7 +58,7 @@ def run(spec: FacesSpec, *, provenance: Provenance, progress: Progress = silent)
         first_frame=int(frames[0]),
         tile_height=spec.tile,
     )
-    made = provenance_metadata(provenance)
+    made = provenance.metadata
     write_image(spec.out, compose_sheet(page), metadata=made)
     return StepResult(
         (spec.out,),

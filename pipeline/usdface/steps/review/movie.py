@@ -22,7 +22,6 @@ from usdface.media.film.movie import write_movie
 from usdface.media.film.movie_frame import MoviePanel, compose_movie_frame
 from usdface.media.film.movie_join import join_movies
 from usdface.model.review.verdict import judge_solve
-from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.review import MovieSpec, PanelKind
 from usdface.steps.review.clock import SAMPLE_RATE, MovieClock, movie_rate, take_sound
@@ -112,7 +111,7 @@ def run(spec: MovieSpec, *, provenance: Provenance, progress: Progress = silent)
         raise
     progress(0.97, "joining the stretches")
     sound = take_sound(take, clock, notes) if spec.sound else None
-    comment = provenance_metadata(provenance) | {
+    comment = provenance.metadata | {
         "rate": str(rate),
         "first_frame": clock.first_frame,
         "pictures": clock.picture_count,
@@ -172,7 +171,7 @@ def _stretches(
 
     A stretch's name has a hash of its provenance and the numbers of its pictures.
     """
-    made_from = provenance_metadata(provenance) | {"rate": str(clock.rate)}
+    made_from = provenance.metadata | {"rate": str(clock.rate)}
     key = hash_text(canonical_json(made_from))[:16]
     count, rounds = clock.picture_count, -(-clock.picture_count // (STRETCH_PICTURES * workers))
     size = -(-count // (rounds * workers))

@@ -14,7 +14,6 @@ from usdface.core.provenance import Provenance
 from usdface.core.text import pluralize
 from usdface.media.film.movie import read_movie_comment
 from usdface.media.film.movie_join import join_movies
-from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.review import MovieJoinSpec
 from usdface.steps.review.clock import SAMPLE_RATE, MovieClock, take_sound
@@ -61,7 +60,7 @@ def run(spec: MovieJoinSpec, *, provenance: Provenance, progress: Progress = sil
         sound = take_sound(take, clock, notes)
         timecode = clock.timecode(reader.timecode_at(reader.first_frame), reader.first_frame)
     progress(0.3, "joining")
-    written = provenance_metadata(provenance)
+    written = provenance.metadata
     written |= {"rate": str(rate), "first_frame": parts_info[0].first, "pictures": count}
     written["movie_parts"] = sum(part.movies for part in parts_info)
     join_movies(

@@ -27,7 +27,7 @@ from usdface.media.picture.canvas import empty_tile, fit_picture
 from usdface.model.review.moments import review_moments
 from usdface.model.review.verdict import judge_solve
 from usdface.numerics.measure.face_regions import region_of_shape
-from usdface.runner.origin import check_same_take, provenance_metadata
+from usdface.runner.origin import check_same_take
 from usdface.runner.result import StepResult
 from usdface.specs.review import ReportSpec
 from usdface.steps.inputs.phone_labels import labels_at
@@ -162,7 +162,7 @@ def _page(
         movie_type=_movie_kind()[1],
         pictures=pictures,
         spoken=spoken,
-        origin=provenance_metadata(provenance),
+        origin=provenance.metadata,
         markers=None if equation is None else page_markers(shot, equation),
         heat=page_heat(signals, curves),
         left_out=tuple(rig.shapes[column] for column in metric.skin.excluded.tolist()),

@@ -20,7 +20,7 @@ from usdface.media.picture.error_strip import ErrorCurve
 from usdface.media.picture.image import display_view, write_image
 from usdface.media.picture.sheet import SheetPage, SheetRow, compose_sheet
 from usdface.model.review.verdict import SolveVerdict, worst_verdict
-from usdface.runner.origin import provenance_metadata, provenance_of, spec_of
+from usdface.runner.origin import provenance_of, spec_of
 from usdface.runner.result import StepResult
 from usdface.specs.review import AUTO_CAMERA, SheetSpec
 from usdface.steps.review.pictures import ShotPictures
@@ -207,7 +207,7 @@ def _write_pages(
             write_image(
                 file,
                 compose_sheet(replace(page, title=title, rows=rows)),
-                metadata=provenance_metadata(provenance),
+                metadata=provenance.metadata,
                 timecode=shot.timecode(int(shot.frames[0])) or None,
                 rate=shot.take.rate,
             )

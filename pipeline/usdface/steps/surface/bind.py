@@ -14,7 +14,6 @@ from usdface.media.picture.image import write_image
 from usdface.model.review.verdict import VERDICT_WORDS
 from usdface.model.surface.binding import UNCERTAIN_CONFIDENCE, facing_yaw
 from usdface.numerics.registration.marker_binding import MarkerBinding
-from usdface.runner.origin import provenance_metadata
 from usdface.runner.result import StepResult
 from usdface.specs.surface import BindSpec
 from usdface.steps.inputs.cleaned_takes import take_warnings
@@ -73,7 +72,7 @@ def run(spec: BindSpec, *, provenance: Provenance, progress: Progress = silent) 
                 yaw_degrees=facing_yaw(face.mesh, at),
                 quality=spec.quality,
             ),
-            metadata=provenance_metadata(provenance),
+            metadata=provenance.metadata,
         )
     progress(1.0, "done")
     report = _report(spec, binding, face, left_out)

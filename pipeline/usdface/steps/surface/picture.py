@@ -22,7 +22,6 @@ from usdface.model.surface.fit import SurfaceModel
 from usdface.model.surface.gp_surface import GpOptions
 from usdface.numerics.manifold.hyper_posterior import HyperPrior
 from usdface.numerics.regression.reference_design import pivoted_selection
-from usdface.runner.origin import provenance_metadata
 from usdface.specs.surface import DeformSpec, MakeShapesSpec
 from usdface.steps.surface.plan import SurfacePlan, fit_surface, surface_options
 from usdface.usdio.rig.mesh import FaceMesh, read_face_mesh
@@ -159,7 +158,7 @@ def _write(
         yaw_degrees=facing_yaw(plan.face.mesh, at),
         quality=quality,
     )
-    metadata = provenance_metadata(provenance)
+    metadata = provenance.metadata
     page = replace(page, rows=tuple(rows), high=UNKEYED_RANGE_MM)
     write_image(path, compose_sheet(page), metadata=metadata)
 
