@@ -13,7 +13,8 @@ from scipy.spatial.transform import Rotation
 from usdface.core.arrays import ByteImage, Float32Array
 from usdface.core.assets import References, Take
 from usdface.core.errors import InputError
-from usdface.media.film.video import OpenVideo, VideoReader, open_video
+from usdface.media.film.timed_frames import OpenVideo
+from usdface.media.film.video import open_video
 from usdface.media.picture.image import encode_image, read_picture
 from usdface.model.retarget.head_pose import HEAD
 from usdface.steps.inputs.head_drive import take_head_source
@@ -122,8 +123,7 @@ class PairPictures:
         """Close the videos."""
         with self._guard:
             for video in self._videos.values():
-                if isinstance(video, VideoReader):
-                    video.close()
+                video.close()
             self._videos.clear()
 
     def _find(self, pair: int, after: float) -> ByteImage:

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.media.film.stated_movie import write_stated_movie
 from usdface.core.errors import InputError
 from usdface.media.film.containers import metadata_of, open_media
-from usdface.media.film.movie import write_movie
 
 HLS = "#EXTM3U\n#EXT-X-TARGETDURATION:10\n#EXTINF:9.0,\n%s\n#EXT-X-ENDLIST\n"
 DASH = (
@@ -44,7 +44,7 @@ def test_a_name_that_reads_as_a_protocol_is_a_file_name(tmp_path: Path, monkeypa
 def test_words_that_are_no_text_can_be_printed(tmp_path: Path) -> None:
     path = tmp_path / "a.mp4"
     pictures = list(np.zeros((3, 64, 64, 3), np.uint8))
-    write_movie(path, pictures, rate=Fraction(24), comment="said by a studio")
+    write_stated_movie(path, pictures, rate=Fraction(24), comment="said by a studio")
     path.write_bytes(path.read_bytes().replace(b"said by", b"s\xe9id\xff\xfey"))
     with open_media(path) as container:
         said = metadata_of(container)["comment"]

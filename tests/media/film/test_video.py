@@ -13,6 +13,7 @@ from tests.media.bar_code import (
     turn_in_header,
     write_numbered,
 )
+from tests.media.film.stated_movie import write_stated_movie
 from usdface.core.errors import InputError
 from usdface.media.film import movie as movie_writer
 from usdface.media.film import video
@@ -32,7 +33,7 @@ def pictures(count: int):
 
 def test_written_movie_gives_every_frame_back_at_random_times(tmp_path: Path) -> None:
     path = tmp_path / "review.mp4"
-    write_movie(path, pictures(60), rate=FILM, timecode="01:02:03:04")
+    write_stated_movie(path, pictures(60), rate=FILM, timecode="01:02:03:04")
     rng = np.random.default_rng(0)
     with VideoReader(path) as movie:
         assert movie.rate == FILM
@@ -255,16 +256,15 @@ def test_failed_write_leaves_the_old_movie_and_no_rubbish(tmp_path: Path) -> Non
     ("change", "message"),
     [
         ({"path": "review.gif"}, "movies end in"),
-        ({"timecode": "25h"}, "not hh:mm:ss:ff"),
         ({"frames": []}, "no frame to write"),
         ({"frames": [np.zeros((8, 8, 3), np.uint8), np.zeros((8, 9, 3), np.uint8)]}, "picture 1"),
         ({"path": "nowhere/review.mp4"}, "does not exist"),
         ({"rate": Fraction(0)}, "cannot be written"),
     ],
-    ids=["extension", "timecode", "no frames", "sizes", "folder", "rate"],
+    ids=["extension", "no frames", "sizes", "folder", "rate"],
 )
 def test_movie_that_cannot_be_written_says_why(tmp_path: Path, change: dict, message: str) -> None:
-    arguments = {"path": "a.mp4", "frames": [draw_number(0)], "rate": Fraction(24), "timecode": ""}
+    arguments = {"path": "a.mp4", "frames": [draw_number(0)], "rate": Fraction(24)}
     arguments |= change
     path = tmp_path / str(arguments.pop("path"))
     with pytest.raises(InputError, match=message):

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from pxr import Sdf
 
+from tests.media.film.stated_movie import write_stated_movie
 from tests.numerics.simulated_sound import Recorder, record, speech, true_line
 from tests.usdio.take.test_take import small_take
 from usdface.cli.app import main
 from usdface.core.assets import Video
 from usdface.core.errors import CheckFailedError, InputError
 from usdface.core.provenance import Provenance
-from usdface.media.film.movie import write_movie
 from usdface.media.picture.image import read_image_metadata, write_image
 from usdface.runner.execute import execute
 from usdface.runner.job import run_job
@@ -46,7 +46,9 @@ def write_wav(path: Path, sound: np.ndarray) -> None:
 
 def write_video(path: Path, sound: np.ndarray | None, timecode: str = "") -> None:
     pictures = (np.full((32, 32, 3), n % 255, np.uint8) for n in range(144))
-    write_movie(path, pictures, rate=Fraction(24), audio=sound, sample_rate=RATE, timecode=timecode)
+    write_stated_movie(
+        path, pictures, rate=Fraction(24), audio=sound, sample_rate=RATE, timecode=timecode
+    )
 
 
 @pytest.fixture(scope="module")

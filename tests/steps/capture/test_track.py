@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 import usdface.steps.capture.track_pictures as step
 from tests.capture.simulated_faces import SCORES, SimulatedFinder, head_points, turning_head
 from tests.media.bar_code import HEIGHT, WIDTH, write_numbered
+from tests.media.film.stated_movie import write_stated_movie
 from usdface.capture.face_landmarks import LANDMARKS
 from usdface.core.errors import InputError
 from usdface.core.sidecars import work_folder
-from usdface.media.film.movie import write_movie
 from usdface.media.picture.image import write_image
 from usdface.numerics.rigid.rigid_alignment import align_rigid
 from usdface.runner.execute import execute
@@ -52,7 +52,7 @@ def one_head(number: int):
 
 def clip(path: Path, count: int = 24, rate: int = 24, *, timecode: str = "") -> Path:
     pictures = [np.zeros((HEIGHT, WIDTH, 3), np.uint8)] * count
-    write_movie(path, pictures, rate=rate, timecode=timecode)
+    write_stated_movie(path, pictures, rate=Fraction(rate), timecode=timecode)
     return path
 
 

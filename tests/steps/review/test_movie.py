@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.media.film.stated_movie import write_stated_movie
 from tests.steps.small_shot import Shot
 from usdface.core.assets import Take, Video
 from usdface.core.errors import InputError
@@ -99,7 +100,7 @@ def part_of(folder: Path, first: int, last: int, take_rate: int = 120, rate: int
     said = {"rate": str(rate), "first_frame": first, "pictures": clock.picture_count}
     path = folder / f"{first}-{last}.mp4"
     pictures = [np.full((16, 16, 3), 99, np.uint8)] * clock.picture_count
-    write_movie(path, pictures, rate=Fraction(rate), comment=json.dumps(said))
+    write_stated_movie(path, pictures, rate=Fraction(rate), comment=json.dumps(said))
     return path
 
 
@@ -234,7 +235,6 @@ def test_a_fast_capture_without_video_is_shown_at_a_rate_of_screens() -> None:
 
 
 def test_the_cameras_sound_is_put_on_the_takes_clock(tmp_path: Path) -> None:
-    from usdface.media.film.movie import write_movie
 
     click = np.zeros(SAMPLE_RATE * 4, np.float32)
     click[SAMPLE_RATE * 2 : SAMPLE_RATE * 2 + 96] = 0.9

@@ -3,14 +3,14 @@
 import re
 from fractions import Fraction
 from pathlib import Path
-from typing import Self
 
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813
 
-from usdface.core.arrays import ByteImage, FloatArray
+from usdface.core.arrays import ByteImage
 from usdface.core.confinement import check_may_open
 from usdface.core.errors import InputError
+from usdface.media.film.timed_frames import OpenVideo
 from usdface.media.picture.color import bytes_from_linear
 from usdface.media.picture.image import check_size, reason_of
 
@@ -18,7 +18,7 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".dpx")
 _NUMBERED = re.compile(r"^(.*?)(\d+)(\.[^.]+)$")
 
 
-class ImageSequence:
+class ImageSequence(OpenVideo):
     """Pictures whose names differ in their number only; a missing one repeats the one before.
 
     Parameters
@@ -27,15 +27,6 @@ class ImageSequence:
         Any picture of the sequence.
     rate : Fraction
         Pictures per second.
-
-    Attributes
-    ----------
-    path : Path
-        The first picture.
-    times : (pictures,) float array
-        Start of each picture [s].
-    duration : float
-        End of the last picture [s].
     """
 
     def __init__(self, first: Path, rate: Fraction) -> None:
@@ -55,15 +46,9 @@ class ImageSequence:
         self._files = [numbers[number] for number in order]
         self.path = self._files[0]
         self.rate = rate
-        self.times: FloatArray = (np.array(order) - order[0]) / float(rate)
+        self.times = (np.array(order) - order[0]) / float(rate)
         self.duration = float(self.times[-1] + 1 / rate)
         self.timecode = ""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        """Do nothing: pictures are opened one by one."""
 
     def index_at(self, seconds: float) -> int | None:
         """Return the index of the picture at a time, None before and after the sequence."""
@@ -72,13 +57,8 @@ class ImageSequence:
             return None
         return int(np.searchsorted(self.times, moment, side="right")) - 1
 
-    def frame_at(self, seconds: float) -> ByteImage | None:
-        """Return the picture at a time, None before and after the sequence."""
-        index = self.index_at(seconds)
-        return None if index is None else self.frame(index)
-
     def frame(self, index: int) -> ByteImage:
-        """Return one picture by its index."""
+        """Read a picture by its index."""
         path = self._files[index]
         check_may_open(path)
         picture = oiio.ImageInput.open(str(path))

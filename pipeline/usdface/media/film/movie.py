@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from fractions import Fraction
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,6 @@ import numpy as np
 
 from usdface.core.arrays import ByteImage, Float32Array
 from usdface.core.errors import InputError
-from usdface.core.rates import frames_of
 from usdface.core.replacing import replacing
 from usdface.media.film.containers import metadata_of, open_media
 
@@ -46,8 +46,6 @@ def write_movie(
     rate: Fraction,
     audio: Float32Array | None = None,
     sample_rate: int = 48000,
-    timecode: str = "",
-    comment: str = "",
     proxy: bool = False,
 ) -> None:
     """Encode pictures and optional sound into a movie that replaces `path` atomically.
@@ -66,10 +64,6 @@ def write_movie(
         Mono [-1 to 1], starting at the first frame.
     sample_rate : int
         Samples per second of `audio`.
-    timecode : str
-        SMPTE timecode of the first frame, ``HH:MM:SS:FF``, or ``;`` before FF for drop-frame.
-    comment : str
-        Stored in the file; see `read_movie_comment`.
     proxy : bool
         A third of the size, for a page: every fifteenth picture is a key frame, and a repeated
         array is not encoded again.
@@ -77,25 +71,23 @@ def write_movie(
     Raises
     ------
     InputError
-        If the extension is unknown, there is no frame, sizes differ, the timecode is malformed or
-        the folder cannot be written. An existing file is then unchanged.
+        If the extension is unknown, there is no frame, sizes differ or the folder cannot be
+        written. An existing file is then unchanged.
     """
     file = Path(path)
     container_format = movie_format(file)
     if not rate > 0:
         raise InputError(f"{file}: a rate of {rate} frames a second cannot be written")
-    if timecode:
-        frames_of(timecode, Fraction(rate))
     pictures = iter(frames)
     first = next(pictures, None)
     if first is None:
         raise InputError(f"{file}: there is no frame to write; check the frame range")
     with replacing(file) as temporary:
         try:
-            with new_movie(temporary, container_format, timecode, comment) as container:
+            with new_movie(temporary, container_format) as container:
                 _encode(
                     container,
-                    _same_size(file, first, pictures),
+                    _same_size(file, first, chain([first], pictures)),
                     size=_even_size(first),
                     rate=Fraction(rate),
                     audio=audio,
@@ -128,7 +120,7 @@ def movie_format(file: Path) -> str:
 
 
 def read_movie_comment(file: Path) -> str:
-    """Return the comment stored by `write_movie`; empty if there is none."""
+    """Return the comment that `join_movies` stored; empty if there is none."""
     with open_media(file) as container:
         return metadata_of(container).get("comment", "")
 
@@ -202,21 +194,15 @@ def _padded(picture: ByteImage, size: tuple[int, int]) -> ByteImage:
     return np.ascontiguousarray(picture)
 
 
-def _same_size(file: Path, first: ByteImage, rest: Iterator[ByteImage]) -> Iterator[ByteImage]:
+def _same_size(file: Path, first: ByteImage, pictures: Iterable[ByteImage]) -> Iterator[ByteImage]:
     """Yield the pictures; refuse one of another size or type than the first."""
-    number, picture = 0, first
-    while True:
+    for number, picture in enumerate(pictures):
         if picture.shape != first.shape or picture.dtype != np.uint8 or picture.ndim != 3:
             raise InputError(
                 f"{file}: picture {number} is {picture.shape} {picture.dtype}, the first is "
                 f"{first.shape} {first.dtype}; every one must be (height, width, 3) uint8"
             )
         yield picture
-        try:
-            picture = next(rest)
-        except StopIteration:
-            return
-        number += 1
 
 
 class SoundTrack:

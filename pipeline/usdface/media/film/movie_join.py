@@ -36,8 +36,12 @@ def join_movies(
         Movies of `write_movie`, of one size, rate and encoder, in order. Their sound is ignored.
     pictures : sequence of int, optional
         Number of pictures from the start of each part; default: all.
-    audio, sample_rate, timecode, comment
+    audio, sample_rate
         Of the whole, as for `write_movie`.
+    timecode : str
+        SMPTE timecode of the first frame, ``HH:MM:SS:FF``, or ``;`` before FF for drop-frame.
+    comment : str
+        Stored in the file; see `read_movie_comment`.
     rate : Fraction, optional
         Pictures per second; default: as stated by the first part, which some containers round.
 

@@ -9,13 +9,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import av
 import av.error
 import numpy as np
 
-from usdface.core.arrays import ByteImage, FloatArray, IntArray
+from usdface.core.arrays import ByteImage, IntArray
 from usdface.core.assets import Take
 from usdface.core.errors import InputError
 from usdface.media.film.containers import (
@@ -26,6 +26,7 @@ from usdface.media.film.containers import (
     unreadable,
 )
 from usdface.media.film.image_sequence import SUFFIXES, ImageSequence
+from usdface.media.film.timed_frames import OpenVideo
 
 MAX_FRAMES = 5_000_000
 """23 hours at 60 frames per second; more is a damaged index."""
@@ -42,21 +43,13 @@ class _Index:
     last_duration: int
 
 
-class VideoReader:
-    """A movie with access to frames by time, a context manager.
+class VideoReader(OpenVideo):
+    """A movie.
 
     Attributes
     ----------
-    rate : Fraction or None
-        Frames per second; None for variable rates.
-    times : (frames,) float array
-        Start of each frame [s]; 0 is where players start the file, including its sound.
-    duration : float
-        End of the last frame [s].
     width, height : int
         As displayed: rotated, with square pixels [pixels].
-    timecode : str
-        SMPTE start time; empty if not stated.
     focal_length : float or None
         Stated by phones [mm, 35 mm equivalent].
     """
@@ -95,7 +88,7 @@ class VideoReader:
         base = Fraction(stream.time_base)
         self._tick = float(base)
         start = start_seconds(self._container)
-        self.times: FloatArray = np.asarray(self._index.stamps * float(base) - start, np.float64)
+        self.times = np.asarray(self._index.stamps * float(base) - start, np.float64)
         self.duration = float(self.times[-1] + self._index.last_duration * float(base))
         self.rate = _even_rate(self._index.stamps, base, stream.average_rate)
         self.timecode = _timecode(self._container)
@@ -105,43 +98,21 @@ class VideoReader:
         self._shown: tuple[int, ByteImage] | None = None
         self.height, self.width = self.frame(0).shape[:2]
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self.close()
-
     def close(self) -> None:
         """Close the file."""
         self._decoded = None
         self._container.close()
 
     def index_at(self, seconds: float) -> int | None:
-        """Return the index in `times` of the frame at a time, None before and after the movie."""
+        """Return the index of the frame at a time, None before and after the movie."""
         # Half a tick, because containers round time stamps.
         moment = seconds + self._tick / 2
         if not self.times[0] <= moment < self.duration + self._tick / 2:
             return None
         return int(np.searchsorted(self.times, moment, side="right")) - 1
 
-    def frame_at(self, seconds: float) -> ByteImage | None:
-        """Return the frame at a time, None before and after the movie.
-
-        Parameters
-        ----------
-        seconds : float
-            On the clock of `times` [s].
-
-        Returns
-        -------
-        (height, width, 3) uint8 array or None
-            sRGB, upright.
-        """
-        index = self.index_at(seconds)
-        return None if index is None else self.frame(index)
-
     def frame(self, index: int) -> ByteImage:
-        """Return one frame by its index in `times`."""
+        """Decode a frame by its index."""
         if not 0 <= index < len(self.times):
             raise InputError(f"{self.path}: has {len(self.times)} frames, there is no {index}")
         if self._shown is None or self._shown[0] != index:
@@ -295,9 +266,6 @@ def _focal_length(container: Any) -> float | None:
     return None
 
 
-OpenVideo = VideoReader | ImageSequence
-
-
 def open_video(path: Path, rate: Fraction | None = None) -> OpenVideo:
     """Open a movie, or the sequence that a picture belongs to.
 
@@ -316,13 +284,7 @@ def open_video(path: Path, rate: Fraction | None = None) -> OpenVideo:
 def picture_at_frame(
     take: Take | None, video: OpenVideo | None, frame: int
 ) -> tuple[ByteImage | None, str]:
-    """Return the picture of a take's video at a frame of the take, or None and the reason.
-
-    Parameters
-    ----------
-    video : VideoReader or ImageSequence, optional
-        The take's video, opened.
-    """
+    """Return the picture of a take's video at a frame of the take, or None and the reason."""
     if take is None or take.video is None or video is None:
         return None, "no video"
     try:

@@ -6,7 +6,6 @@ Cameras are those of a calibration, of options, or of the file's metadata.
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +25,8 @@ from usdface.core.provenance import Provenance
 from usdface.core.rates import exact_rate, shift_timecode, valid_timecode
 from usdface.core.sidecars import samples_path
 from usdface.core.text import first_few, pluralize
-from usdface.media.film.video import OpenVideo, VideoReader, open_video
+from usdface.media.film.timed_frames import OpenVideo
+from usdface.media.film.video import VideoReader, open_video
 from usdface.model.placement.plausibility import check_findings, judge_markers
 from usdface.numerics.rigid.perspective import PinholeCamera
 from usdface.runner.result import StepResult
@@ -57,7 +57,7 @@ def run(spec: TrackSpec, *, provenance: Provenance, progress: Progress = silent)
     rate = None if spec.video_rate is None else exact_rate(spec.video_rate, where="--video-rate")
     with detections_folder(spec.out) as folder, ExitStack() as open_files:
         paths = (spec.video, *(spec.views or ()))
-        videos = [_opened(path, rate, open_files) for path in paths]
+        videos = [open_files.enter_context(open_video(path, rate)) for path in paths]
         timings = [resolve_timing(spec, video, rate) for video in videos]
         if other := [each.rate for each in timings if each.rate != timings[0].rate]:
             raise InputError(
@@ -79,12 +79,6 @@ def run(spec: TrackSpec, *, provenance: Provenance, progress: Progress = silent)
             check_faces(path, track)
             clips.append(_Clip(video, timing, track))
         return _write(spec, clips, cameras, notes, detector, provenance, progress)
-
-
-def _opened(path: Path, rate: Fraction | None, open_files: ExitStack) -> OpenVideo:
-    video = open_video(path, rate)
-    open_files.enter_context(video)
-    return video
 
 
 def _write_part(

@@ -17,7 +17,7 @@ from usdface.media.face.camera import frame_rig
 from usdface.media.face.markers_view import MarkersFrame, draw_markers, frame_markers
 from usdface.media.face.render import FaceRenderer
 from usdface.media.face.sculpted_normals import SculptedNormals
-from usdface.media.film.video import OpenVideo, open_video, picture_at_frame
+from usdface.media.film.video import open_video, picture_at_frame
 from usdface.media.picture.image import read_picture, write_image
 from usdface.media.picture.reference_sheet import (
     PAGE_PAIRS,
@@ -101,9 +101,14 @@ class _PairPictures:
     ) -> None:
         self._spec, self._references = spec, references
         self._takes = _takes(spec.takes, references)
-        self._videos = {name: _open_video(each, open_files) for name, each in self._takes.items()}
+        self._videos = {
+            name: open_files.enter_context(open_video(take.video.file, take.video.rate))
+            for name, take in self._takes.items()
+            if take.video is not None
+        }
         self._images = read_pair_notes(spec.references)
         self._deformer, self._renderer = Deformer(rig), FaceRenderer(rig.meshes, paper=spec.paper)
+        self.stand_in_eyes = self._renderer.has_stand_in_eyes
         self._normals = SculptedNormals(rig, self._deformer)
         self._camera = frame_rig(rig.meshes, yaw_degrees=facing_degrees(rig), hair=True)
         columns = [rig.shapes.index(name) for name in references.shape_names]
@@ -128,11 +133,6 @@ class _PairPictures:
         )
         self._lines = lines_on_rig(references.marker_names, equation, self._deformer, rig.shapes)
         self._residual_mm = equation.residual_mm(references.markers, self._weights, without=rigid)
-
-    @property
-    def stand_in_eyes(self) -> bool:
-        """Whether the rig has no eyes and stand-ins are drawn."""
-        return self._renderer.has_stand_in_eyes
 
     def row(self, pair: int) -> ReferenceRow:
         """Draw one pair."""
@@ -195,14 +195,6 @@ def _pairs(spec: ReferenceSheetSpec, references: References) -> list[int]:
             "none of them"
         )
     return pairs
-
-
-def _open_video(take: Take, stack: ExitStack) -> OpenVideo | None:
-    if take.video is None:
-        return None
-    video = open_video(take.video.file, take.video.rate)
-    stack.enter_context(video)
-    return video
 
 
 def _archived_picture(image: Path | None) -> ByteImage | None:

@@ -2,7 +2,6 @@
 
 from contextlib import ExitStack
 from copy import copy
-from types import TracebackType
 from typing import Literal, Self
 
 import numpy as np
@@ -19,7 +18,8 @@ from usdface.media.face.markers_view import (
 )
 from usdface.media.face.render import FaceRenderer
 from usdface.media.face.sculpted_normals import SculptedNormals
-from usdface.media.film.video import OpenVideo, open_video, picture_at_frame
+from usdface.media.film.timed_frames import OpenVideo
+from usdface.media.film.video import open_video, picture_at_frame
 from usdface.media.picture.canvas import draw_dot, draw_line
 from usdface.media.picture.color import BLUE, BRIGHT, ORANGE
 from usdface.media.picture.image import DisplayView
@@ -68,6 +68,13 @@ class ShotPictures:
         Display transform of renders; see `display_view`.
     camera : ShotCamera, optional
         Default: the automatic camera.
+
+    Attributes
+    ----------
+    face_width : int
+        Of pictures of the face [pixels].
+    stand_in_eyes : bool
+        Whether the rig has no eyes and stand-ins are drawn.
     """
 
     def __init__(
@@ -83,9 +90,10 @@ class ShotPictures:
         self._height = height
         self._quality: Literal["draft", "final"] = quality
         self._renderer = FaceRenderer(shot.rig.meshes, display=display)
+        self.stand_in_eyes = self._renderer.has_stand_in_eyes
         self._normals = SculptedNormals(shot.rig, shot.deformer)
         self._camera = camera or shot.camera()
-        self._width = self._camera.width(height, int(shot.frames[0]))
+        self.face_width = self._camera.width(height, int(shot.frames[0]))
         self._last: dict[tuple[Camera, bytes, int | None], ByteImage] = {}
         self._cloud, self._lines = _frame_of(shot.take)
         self._placed_lines: IntArray | None = None
@@ -99,16 +107,6 @@ class ShotPictures:
         return other
 
     @property
-    def stand_in_eyes(self) -> bool:
-        """Whether the rig has no eyes and stand-ins are drawn."""
-        return self._renderer.has_stand_in_eyes
-
-    @property
-    def face_width(self) -> int:
-        """Width of pictures of the face [pixels]."""
-        return self._width
-
-    @property
     def video_aspect(self) -> float:
         """Aspect ratio of the video's pictures; 16:9 if the first cannot be decoded."""
         try:
@@ -120,16 +118,10 @@ class ShotPictures:
     def __enter__(self) -> Self:
         video = self._shot.take.video
         if video is not None:
-            self._video = open_video(video.file, video.rate)
-            self._open.enter_context(self._video)
+            self._video = self._open.enter_context(open_video(video.file, video.rate))
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self._open.close()
 
     def video(self, frame: int) -> Tile:
@@ -161,7 +153,7 @@ class ShotPictures:
         shot, frame = self._shot, int(self._shot.frames[row])
         repaired = repaired_markers(shot.take, frame)
         still = shot.motion is None or not shot.motion.moves_as_one  # markers ignore joints
-        picture = self._draw(row, shot.weights[row], still=still)
+        picture = self.face(row, shot.weights[row], still=still)
         posed = shot.deformer.points(shot.weights[row][None])[0]
         motion = character_motion(equation.virtual, shot.positions[row][None], equation.neutral)[0]
         seen = equation.virtual.places(shot.deformer.neutral) + motion
@@ -172,7 +164,8 @@ class ShotPictures:
         view = self._camera.at(frame, still=still)
         size = self._height / 320
         ends = [
-            view.project(points, width=self._width, height=self._height)[:, :2] for points in both
+            view.project(points, width=self.face_width, height=self._height)[:, :2]
+            for points in both
         ]
         if self._placed_lines is None:
             names = () if shot.take.markers is None else shot.take.markers.names
@@ -186,11 +179,8 @@ class ShotPictures:
                 draw_dot(picture, x, y, radius, color, hollow=hollow)
         return picture
 
-    def face(self, row: int, weights: FloatArray) -> ByteImage:
-        """Draw the rig at weights, (shapes,), with camera and joints of a row's frame."""
-        return self._draw(row, weights)
-
-    def _draw(self, row: int, weights: FloatArray, *, still: bool = False) -> ByteImage:
+    def face(self, row: int, weights: FloatArray, *, still: bool = False) -> ByteImage:
+        """Draw the rig at weights, (shapes,), with a row's camera; `still`: without its joints."""
         shot = self._shot
         still = still or shot.motion is None
         frame = int(shot.frames[row])
@@ -203,7 +193,7 @@ class ShotPictures:
             picture = self._renderer.render(
                 shot.pose(row, weights, still=still),
                 camera=camera,
-                width=self._width,
+                width=self.face_width,
                 height=self._height,
                 quality=self._quality,
                 sculpted=sculpted,
@@ -218,7 +208,7 @@ class ShotPictures:
         return self._renderer.render(
             self._shot.pose(row, weights),
             camera=self._camera.at(int(self._shot.frames[row])),
-            width=self._width,
+            width=self.face_width,
             height=self._height,
             quality="draft",
             values=values,
