@@ -51,6 +51,19 @@ class PlacedMesh:
         return np.asarray(np.einsum("nji,nj->ni", inverse, normals))
 
 
+def skel_bindings(
+    cache: UsdSkel.Cache, root: UsdSkel.Root
+) -> dict[str, tuple[UsdSkel.SkeletonQuery, UsdSkel.SkinningQuery]]:
+    """Return skeleton and skinning of each skinned mesh below a SkelRoot, by its path."""
+    predicate = Usd.TraverseInstanceProxies()
+    cache.Populate(root, predicate)
+    return {
+        str(target.GetPrim().GetPath()): (cache.GetSkelQuery(binding.GetSkeleton()), target)
+        for binding in cache.ComputeSkelBindings(root, predicate)
+        for target in binding.GetSkinningTargets()
+    }
+
+
 class RestPose:
     """The skeletons of a SkelRoot at rest."""
 
@@ -61,15 +74,7 @@ class RestPose:
 
     @cached_property
     def _bindings(self) -> dict[str, tuple[UsdSkel.SkeletonQuery, UsdSkel.SkinningQuery]]:
-        cache = UsdSkel.Cache()
-        predicate = Usd.TraverseInstanceProxies()
-        cache.Populate(self._root, predicate)
-        bindings = {}
-        for binding in cache.ComputeSkelBindings(self._root, predicate):
-            query = cache.GetSkelQuery(binding.GetSkeleton())
-            for target in binding.GetSkinningTargets():
-                bindings[str(target.GetPrim().GetPath())] = (query, target)
-        return bindings
+        return skel_bindings(UsdSkel.Cache(), self._root)
 
     def place(self, prim: Usd.Prim, local: FloatArray) -> PlacedMesh:
         """Return the points of a mesh skinned at rest, as in UsdSkel."""

@@ -10,6 +10,7 @@ from usdface.core.assets import Rig
 from usdface.core.errors import InputError
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.performance.read import PerformanceReader
+from usdface.usdio.rig.mesh import skel_bindings
 from usdface.usdio.rig.read import faces_below, find_face, read_rig
 from usdface.usdio.rig.reference import rig_path_of, stage_with_rig
 from usdface.usdio.units import column_matrix, stage_to_ours, transform_points
@@ -36,16 +37,11 @@ class PosedRig:
             self._stage = stage_with_rig(path, self.rig, Sdf.Path(rig_path))
         face_path = str(face) if self._stage.GetPrimAtPath(face) else None
         root = UsdSkel.Root(find_face(self._stage, path, face_path))
-        predicate = Usd.TraverseInstanceProxies()
-        self._cache = UsdSkel.Cache()
-        self._cache.Populate(root, predicate)
-        self._bound = {
-            str(target.GetPrim().GetPath()): (binding.GetSkeleton(), target)
-            for binding in self._cache.ComputeSkelBindings(root, predicate)
-            for target in binding.GetSkinningTargets()
-        }
+        self._bound = skel_bindings(UsdSkel.Cache(), root)
         self._meshes = [
-            prim for prim in Usd.PrimRange(root.GetPrim(), predicate) if prim.IsA(UsdGeom.Mesh)
+            prim
+            for prim in Usd.PrimRange(root.GetPrim(), Usd.TraverseInstanceProxies())
+            if prim.IsA(UsdGeom.Mesh)
         ]
         # In the rig's units, which references do not convert.
         self._ours = stage_to_ours(open_stage(file))
@@ -67,11 +63,10 @@ class PosedRig:
         self, prim: Usd.Prim, frame: int, transforms: UsdGeom.XformCache, weights: dict[str, float]
     ) -> FloatArray:
         points = Vt.Vec3fArray(UsdGeom.Mesh(prim).GetPointsAttr().Get(frame))
-        skeleton, target = self._bound.get(str(prim.GetPath()), (None, None))
-        if target is None:
+        query, target = self._bound.get(str(prim.GetPath()), (None, None))
+        if query is None or target is None:
             return _to_world(transforms.GetLocalToWorldTransform(prim), points, self._ours)
         _deform(prim, points, weights)
-        query = self._cache.GetSkelQuery(skeleton)
         joints = query.ComputeSkinningTransforms(frame)
         if target.HasJointInfluences() and joints:
             mapper = target.GetJointMapper()

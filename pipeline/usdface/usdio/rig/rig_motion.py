@@ -16,6 +16,7 @@ from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.core.assets import Rig
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.performance.read import PerformanceReader
+from usdface.usdio.rig.mesh import skel_bindings
 from usdface.usdio.rig.reference import rig_path_of, stage_with_rig
 from usdface.usdio.units import column_matrix, stage_to_ours
 
@@ -162,23 +163,14 @@ class _Placement:
 
     def __init__(self, stage: Usd.Stage, root: Sdf.Path) -> None:
         self.stage, self.root = stage, root
-        skel_root, predicate = (
-            UsdSkel.Root(stage.GetPrimAtPath(root)),
-            Usd.TraverseInstanceProxies(),
-        )
         self._cache = UsdSkel.Cache()
-        self._cache.Populate(skel_root, predicate)
-        self._bound = {
-            target.GetPrim().GetPath(): (self._cache.GetSkelQuery(binding.GetSkeleton()), target)
-            for binding in self._cache.ComputeSkelBindings(skel_root, predicate)
-            for target in binding.GetSkinningTargets()
-        }
+        self._bound = skel_bindings(self._cache, UsdSkel.Root(stage.GetPrimAtPath(root)))
 
     def binding(
         self, mesh: Sdf.Path
     ) -> tuple[UsdSkel.SkeletonQuery | None, UsdSkel.SkinningQuery | None]:
         """Return the skeleton and the skinning of a mesh, or None."""
-        return self._bound.get(mesh.MakeAbsolutePath(self.root), (None, None))
+        return self._bound.get(str(mesh.MakeAbsolutePath(self.root)), (None, None))
 
     def moves(self, below: Sdf.Path) -> bool:
         """Whether a prim, or an ancestor, has an animated transform."""
