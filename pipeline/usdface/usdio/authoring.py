@@ -46,6 +46,15 @@ def apply_api(prim: Sdf.PrimSpec, name: str) -> None:
     prim.SetInfo("apiSchemas", Sdf.TokenListOp.Create(prependedItems=[name]))
 
 
+def check_not_instanced(file: Path, prim: Usd.Prim) -> None:
+    """Refuse a prim inside an instanceable one, where USD ignores overs."""
+    if prim.IsInstanceProxy():
+        raise InputError(
+            f"{file} <{prim.GetPath()}>: lies inside an instanceable prim, and USD ignores what is "
+            "said below one; set instanceable = false there"
+        )
+
+
 def value_of(prim: Usd.Prim, name: str) -> Any:
     """Return an attribute's default value, or None."""
     attribute = prim.GetAttribute(name)

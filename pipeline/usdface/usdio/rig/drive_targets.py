@@ -10,6 +10,7 @@ from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig
 from usdface.core.errors import InputError
 from usdface.core.text import first_few
+from usdface.usdio.authoring import check_not_instanced
 from usdface.usdio.layers import open_stage
 from usdface.usdio.rig.read import skeletons_of
 from usdface.usdio.units import column_matrix, stage_to_ours, transform_points
@@ -115,11 +116,7 @@ def _xform_pivot(stage: Usd.Stage, rig: Rig, path: str) -> tuple[float, float, f
     at a character's feet.
     """
     prim, cache = stage.GetPrimAtPath(path), UsdGeom.XformCache()
-    if prim.IsInstanceProxy():
-        raise InputError(
-            f"{rig.file} <{path}>: lies inside an instanceable prim, and USD ignores what is said "
-            "below one; set instanceable = false there"
-        )
+    check_not_instanced(rig.file, prim)
     origin = column_matrix(cache.GetLocalToWorldTransform(prim))[:3, 3]
     if UsdGeom.Xformable(prim).GetXformOpOrderAttr().Get():
         return _in_millimetres(stage, origin)

@@ -13,6 +13,7 @@ from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import Rig, RigMesh
 from usdface.core.errors import InputError
 from usdface.core.text import first_few
+from usdface.usdio.authoring import check_not_instanced
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.units import column_matrix, stage_to_ours, transform_points
 
@@ -235,11 +236,7 @@ def read_face_mesh(path: Path, *, prim: str | None = None) -> FaceMesh:
     stage = open_stage(path)
     chosen, others = _find_mesh(stage, path, prim)
     where = f"{path} <{chosen.GetPath()}>"
-    if chosen.IsInstanceProxy():
-        raise InputError(
-            f"{where}: lies inside an instanceable prim, and USD ignores what is said below one; "
-            "set instanceable = false there"
-        )
+    check_not_instanced(path, chosen)
     geometry = UsdGeom.Mesh(chosen)
     _refuse_changing_topology(geometry, where)
     local = np.array(_at_rest(geometry.GetPointsAttr()) or [], np.float64).reshape(-1, 3)

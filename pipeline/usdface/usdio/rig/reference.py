@@ -11,7 +11,7 @@ from pxr import Ar, Gf, Sdf, Usd, UsdGeom, UsdSkel
 
 from usdface.core.assets import Rig
 from usdface.core.errors import InputError
-from usdface.usdio.authoring import apply_api, author_uniform, define_prim
+from usdface.usdio.authoring import apply_api, author_uniform, check_not_instanced, define_prim
 from usdface.usdio.layers import open_stage, relative_path, usd_errors_as_input_errors
 from usdface.usdio.rig.read import skeletons_of
 from usdface.usdio.units import MM_PER_STAGE_UNIT, stage_to_ours
@@ -136,21 +136,11 @@ def _is_file_of(reference: Sdf.Reference, files: Collection[Path], at: Path) -> 
 
 
 def point_skeletons_at(layer: Sdf.Layer, rig_path: str, rig: Rig, animation: Sdf.Path) -> None:
-    """Write overs that make the rig's skeletons follow an animation.
-
-    Raises
-    ------
-    InputError
-        If a skeleton lies inside an instanceable prim, where USD ignores overs.
-    """
+    """Write overs that make the rig's skeletons follow an animation."""
     stage = open_stage(rig.file)
     top = Sdf.Path(rig.prim).GetPrefixes()[0]
     for skeleton in skeletons_of(stage.GetPrimAtPath(rig.prim)):
-        if skeleton.IsInstanceProxy():
-            raise InputError(
-                f"{rig.file} <{skeleton.GetPath()}>: lies inside an instanceable prim, and USD "
-                "ignores what is said below one; set instanceable = false there"
-            )
+        check_not_instanced(rig.file, skeleton)
         path = skeleton.GetPath().ReplacePrefix(top, Sdf.Path(rig_path))
         over = Sdf.CreatePrimInLayer(layer, path)
         apply_api(over, "SkelBindingAPI")
