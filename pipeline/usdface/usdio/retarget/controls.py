@@ -16,7 +16,13 @@ from usdface.core.errors import InputError
 from usdface.core.rates import frames_within
 from usdface.core.text import first_few
 from usdface.numerics.motion.rotation_space import normalize_quaternions
-from usdface.usdio.authoring import author_uniform, names_in, read_array_samples
+from usdface.usdio.authoring import (
+    author_uniform,
+    author_weights,
+    define_prim,
+    names_in,
+    read_array_samples,
+)
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import ANIMATION
@@ -296,6 +302,15 @@ def set_joint_samples(
         write(places[1], time, Vt.QuatfArray.FromNumpy(row))
     for time, row in enumerate(scales, start=first):
         write(places[2], time, Vt.Vec3hArray.FromNumpy(row))
+
+
+def author_animation(layer: Sdf.Layer, place: Sdf.Path, controls: Controls) -> None:
+    """Define an animation of weights and joints from time code 1 on."""
+    prim = define_prim(layer, place, "SkelAnimation")
+    author_weights(prim, controls.shapes, controls.weights)
+    if controls.joints:
+        author_joints(prim, controls.joints)
+        set_joint_samples(layer, place, controls, 1)
 
 
 def author_attribute_specs(

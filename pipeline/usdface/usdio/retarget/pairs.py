@@ -13,14 +13,13 @@ import numpy as np
 from pxr import Kind, Sdf, Usd, UsdSkel
 
 from usdface.core.assets import Rig
-from usdface.core.controls import ExpressionPairs
+from usdface.core.controls import ExpressionPairs, shape_controls
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import proposed_path
 from usdface.usdio.authoring import (
     apply_api,
     author_uniform,
-    author_weights,
     define_prim,
     sampled_properties,
     text_of,
@@ -36,12 +35,11 @@ from usdface.usdio.references.pair_layers import author_pair_header, open_pair_s
 from usdface.usdio.retarget.controls import (
     NAMES,
     attribute_names,
+    author_animation,
     author_attribute_specs,
-    author_joints,
     control_attribute,
     controls_at,
     set_attribute_samples,
-    set_joint_samples,
 )
 from usdface.usdio.rig.reference import (
     convert_to_our_units,
@@ -149,14 +147,8 @@ def _author_samples(
         define_reference(layer, str(place), rig, path)
         convert_to_our_units(layer, str(place), rig)
         point_skeletons_at(layer, str(place), rig, animation)
-    for place, shapes, weights in (
-        (SOURCE_WEIGHTS, pairs.source_shapes, pairs.source),
-        (TARGET_CONTROLS, target.shapes, target.weights),
-    ):
-        author_weights(define_prim(layer, place, "SkelAnimation"), shapes, weights)
-    if target.joints:
-        author_joints(layer.GetPrimAtPath(TARGET_CONTROLS), target.joints)
-        set_joint_samples(layer, TARGET_CONTROLS, target, 1)
+    author_animation(layer, SOURCE_WEIGHTS, shape_controls(pairs.source_shapes, pairs.source))
+    author_animation(layer, TARGET_CONTROLS, target)
     if target.attributes:
         prim = layer.GetPrimAtPath(TARGET_CONTROLS)
         names = list(target.attributes)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from pxr import Sdf, Usd, UsdSkel
 
-from usdface.core.controls import Controls, EmotionalSequence, SequenceMatch
+from usdface.core.controls import Controls, EmotionalSequence, SequenceMatch, shape_controls
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.rates import exact_rate, span_of_samples
@@ -15,7 +15,6 @@ from usdface.usdio.authoring import (
     apply_api,
     author_timing,
     author_uniform,
-    author_weights,
     define_prim,
     names_in,
     text_of,
@@ -28,9 +27,8 @@ from usdface.usdio.layers import (
     relative_path,
 )
 from usdface.usdio.retarget.controls import (
-    author_joints,
+    author_animation,
     controls_at,
-    set_joint_samples,
 )
 from usdface.usdio.units import author_units
 
@@ -63,14 +61,8 @@ def write_sequence(
         root = define_prim(layer, _ROOT, "Scope")
         apply_api(root, "FaceSequenceAPI")
         author_uniform(root, _LABEL, kinds.Token, sequence.label)
-        for place, shapes, weights in (
-            (_SOURCE, sequence.source_shapes, sequence.source),
-            (_TARGET, target.shapes, target.weights),
-        ):
-            author_weights(define_prim(layer, place, "SkelAnimation"), shapes, weights)
-        if target.joints:
-            author_joints(layer.GetPrimAtPath(_TARGET), target.joints)
-            set_joint_samples(layer, _TARGET, target, 1)
+        author_animation(layer, _SOURCE, shape_controls(sequence.source_shapes, sequence.source))
+        author_animation(layer, _TARGET, target)
         author_uniform(root, ATTRIBUTES, kinds.StringArray, list(target.attributes))
         if target.attributes:
             Sdf.AttributeSpec(root, VALUES.name, kinds.FloatArray)
