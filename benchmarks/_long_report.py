@@ -12,6 +12,7 @@ from tests.browser import chromium
 from usdface.core.arrays import ByteImage, FloatArray
 from usdface.core.assets import Markers, Rig, Take, Video
 from usdface.core.deformer import Deformer
+from usdface.core.provenance import Provenance
 from usdface.media.face.camera import frame_rig, motion_weights
 from usdface.media.face.render import FaceRenderer
 from usdface.media.film.movie import write_movie
@@ -127,7 +128,7 @@ def _write(folder: Path, rig: Rig, weights: FloatArray) -> Path:
         video=Video(folder / "camera.mp4", VIDEO_RATE),
         timecode_start="01:00:00:00",
     )
-    write_take(folder / "minute.take.usda", take)
+    write_take(folder / "minute.take.usda", take, provenance=Provenance())
     with writing_performance(
         folder / "minute.usda",
         make_header(

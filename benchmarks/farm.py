@@ -68,6 +68,7 @@ def run(frames: int = FRAMES) -> None:
 def _make_shot(folder: Path, frames: int) -> None:
     """Train on a few seconds of the demo's actor, and repeat them into a long cleaned take."""
     from tests.steps.small_shot import make_inputs
+    from usdface.core.provenance import Provenance
     from usdface.runner.job import run_job
     from usdface.specs.reading import read_job
     from usdface.usdio.take.read import read_take
@@ -92,7 +93,7 @@ def _make_shot(folder: Path, frames: int) -> None:
         ),
         head_motion=None if take.head_motion is None else take.head_motion[again],
     )
-    write_take(folder / "long.take.usda", long)
+    write_take(folder / "long.take.usda", long, provenance=Provenance())
 
 
 def _job(folder: Path, name: str) -> Path:

@@ -16,6 +16,7 @@ import numpy as np
 
 from benchmarks.retarget import contradicted
 from usdface.cli import main
+from usdface.core.provenance import Provenance
 from usdface.model.retarget.cyclic import evaluate_cyclic
 from usdface.steps.inputs.source_motion import read_source_motion
 from usdface.usdio.retarget.pairs import read_pairs, write_pairs
@@ -129,4 +130,5 @@ def _contradict(folder: Path) -> None:
         contradicted(read_pairs(folder / "human_dog.pairs.usda")),
         source_rig=read_rig(folder / "human.usdc"),
         target_rig=read_rig(folder / "dog.usdc"),
+        provenance=Provenance(),
     )

@@ -19,6 +19,7 @@ from benchmarks._damage import DAMAGES
 from tests.conftest import SHARED_DATA
 from usdface.core.assets import Markers, References, Take, TrainedMapping
 from usdface.core.deformer import Deformer
+from usdface.core.provenance import Provenance
 from usdface.model.mapping.predict import predict_weights
 from usdface.model.mapping.regions import sample_skin
 from usdface.model.mapping.train import train_mapping
@@ -286,7 +287,7 @@ def _print_speed(folder: Path) -> None:
     _prepare(folder)
     take = read_take(folder / "x.clean.take.usda")
     path = folder / "long.take.usda"
-    write_take(path, _stretched(take, LONG))
+    write_take(path, _stretched(take, LONG), provenance=Provenance())
     begun = time.process_time()
     read_take(path)
     reading = time.process_time() - begun

@@ -13,6 +13,7 @@ from tests.conftest import SHARED_DATA
 from tests.tuning.test_page import Command, Page
 from usdface.core.assets import References, Rig
 from usdface.core.deformer import Deformer
+from usdface.core.provenance import Provenance
 from usdface.core.sidecars import tuned_path
 from usdface.demo.rig import demo_rig
 from usdface.tuning.journal import Change
@@ -171,9 +172,5 @@ def _asset(folder: Path, rig: Rig) -> Path:
         rig_prim=rig.prim,
     )
     path = folder / "large.references.usda"
-    write_references(
-        path,
-        references,
-        rig,
-    )
+    write_references(path, references, rig, provenance=Provenance())
     return path

@@ -197,6 +197,7 @@ def _prepare(folder: Path, lengths: tuple[int, ...]) -> None:
 def _train(folder: Path, shapes: int, markers: object, clip: object) -> None:
     from usdface.core.assets import Markers, References, WeightsClip
     from usdface.core.deformer import Deformer
+    from usdface.core.provenance import Provenance
     from usdface.model import fit_motion_space, sample_skin
     from usdface.model.mapping.train import train_mapping
     from usdface.usdio.mapping import write_mapping
@@ -231,7 +232,7 @@ def _train(folder: Path, shapes: int, markers: object, clip: object) -> None:
         skin=sample_skin(moved.target_offsets()),
         method=METHOD,
     )
-    write_mapping(folder / f"{shapes}.mapping.usdc", mapping)
+    write_mapping(folder / f"{shapes}.mapping.usdc", mapping, provenance=Provenance())
 
 
 def _rig(shapes: int, clip: "WeightsClip") -> tuple["Rig", np.ndarray]:

@@ -6,6 +6,7 @@ import pytest
 
 from tests.small_scan import small_scan, small_scan_take, write_scan
 from tests.test_docs import commands, run
+from usdface.core.provenance import Provenance
 from usdface.usdio.take.write import write_take
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "deform.md"
@@ -16,7 +17,7 @@ def test_the_page_on_any_mesh_runs_from_top_to_bottom(
 ) -> None:
     scan = small_scan()
     write_scan(tmp_path / "scan.usdc", scan)
-    write_take(tmp_path / "talk.take.usda", small_scan_take(scan))
+    write_take(tmp_path / "talk.take.usda", small_scan_take(scan), provenance=Provenance())
     monkeypatch.chdir(tmp_path)
     lines = commands(PAGE)
     assert len(lines) == 6

@@ -9,6 +9,7 @@ import pytest
 
 from usdface.capture.sniff import read_capture, recognise_format
 from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
 from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.usdio.take.write import write_take
 
@@ -109,7 +110,7 @@ def test_a_table_becomes_a_take_to_the_last_bit(tmp_path: Path, name: str) -> No
     assert np.array_equal(take.source.values, WEIGHTS)
     assert take.rate == 30
     assert take.first_frame == (101 if name in FROM_101 else 1)
-    write_take(tmp_path / "x.take.usda", take)
+    write_take(tmp_path / "x.take.usda", take, provenance=Provenance())
     back = read_weight_table(tmp_path / "x.take.usda")
     assert np.array_equal(back.columns(NAMES).astype(np.float32), WEIGHTS)
     assert back.frames[0] == take.first_frame

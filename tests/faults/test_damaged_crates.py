@@ -21,6 +21,7 @@ from tests.faults.world import World
 from tests.small_scan import small_scan, small_scan_take, write_scan
 from tests.usdio.small_rig import small_rig
 from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
 from usdface.usdio.rig.write import write_rig
 from usdface.usdio.take.write import write_take
 
@@ -68,7 +69,7 @@ def test_some_hundred_damaged_layers_and_packages_are_read_or_refused(
 ) -> None:
     scan = small_scan()
     write_scan(tmp_path / "scan.usdc", scan)
-    write_take(tmp_path / "talk.take.usda", small_scan_take(scan))
+    write_take(tmp_path / "talk.take.usda", small_scan_take(scan), provenance=Provenance())
     write_rig(tmp_path / "hero.usdc", small_rig())
     assert UsdUtils.CreateNewUsdzPackage(str(tmp_path / "hero.usdc"), str(tmp_path / "hero.usdz"))
     found = survey(reader, tmp_path, SMALL, CRATE_DAMAGES, each=EACH_QUICK)

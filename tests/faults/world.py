@@ -16,6 +16,7 @@ from tests.steps.capture.test_align import make_take, write_video, write_wav
 from tests.steps.retarget.test_retarget_steps import build
 from tests.steps.small_shot import make_inputs
 from tests.usdio.small_creature import creature_acts, write_creature_performance
+from usdface.core.provenance import Provenance
 from usdface.media.film.sound import read_audio
 from usdface.usdio.take.write import write_take
 
@@ -59,7 +60,7 @@ def build_world(folder: Path) -> World:
     own = creature_acts(np.sin(np.pi * np.linspace(0, 1, 61)[:, None]) * [0.1, 0.6, 1.0])
     write_creature_performance(folder / "own.usda", stall.beast, own)
     scan = small_scan()
-    write_take(folder / "talk.take.usda", small_scan_take(scan))
+    write_take(folder / "talk.take.usda", small_scan_take(scan), provenance=Provenance())
     write_scan(folder / "scan.usdc", scan, z_up=True)
     _write_sounds(folder)
     if "track" in steps_here():

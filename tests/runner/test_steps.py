@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from tests.steps.small_shot import PAIRS, Shot
 from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
 from usdface.core.sidecars import weights_path
 from usdface.media.picture.image import read_image_metadata
 from usdface.model.mapping.head_space import align_markers
@@ -270,7 +271,7 @@ def test_a_reopened_mapping_predicts_the_same_to_the_last_bit(shot: Shot) -> Non
     references = read_references(shot / "hero.references.usda")
     rig = read_rig(shot / "hero.usdc")
     mapping = train_mapping(references, ranges=rig.ranges, gram=None)
-    write_mapping(shot / "bits.mapping.usdc", mapping)
+    write_mapping(shot / "bits.mapping.usdc", mapping, provenance=Provenance())
     reopened = read_mapping(shot / "bits.mapping.usdc")
     markers = read_take(shot / "shot.clean.take.usda").markers
     first, second = (
@@ -375,7 +376,9 @@ def test_a_take_without_markers_says_so(shot: Shot, tmp_path: Path) -> None:
     clip = WeightsClip(
         ("a",), np.zeros((3, 1), np.float32), 1, read_take(shot / "shot.take.usda").rate
     )
-    write_take(tmp_path / "w.take.usda", Take("w", clip.rate, 1, source=clip))
+    write_take(
+        tmp_path / "w.take.usda", Take("w", clip.rate, 1, source=clip), provenance=Provenance()
+    )
     with pytest.raises(InputError, match="has no markers to clean"):
         run(CleanSpec(take=tmp_path / "w.take.usda", out=tmp_path / "n.take.usda"))
 
@@ -392,7 +395,11 @@ def test_a_neutral_frame_without_the_rigid_markers_is_named_by_its_number(
     visible = take.markers.visible.copy()
     visible[4, 1:3] = False
     hidden = tmp_path / "hidden.take.usda"
-    write_take(hidden, replace(take, markers=replace(take.markers, visible=visible)))
+    write_take(
+        hidden,
+        replace(take, markers=replace(take.markers, visible=visible)),
+        provenance=Provenance(),
+    )
     neutral = take.first_frame + 4
     spec = CleanSpec(take=hidden, out=tmp_path / "c.take.usda", rigid=rigid, neutral=neutral)
     with pytest.raises(InputError, match=f"1 of the rigid markers .* neutral frame {neutral}, 3 "):

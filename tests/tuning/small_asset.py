@@ -6,6 +6,7 @@ import numpy as np
 
 from tests.usdio.small_rig import small_rig
 from usdface.core.assets import References
+from usdface.core.provenance import Provenance
 from usdface.tuning.journal import Change
 from usdface.tuning.session import TuningSession
 from usdface.usdio.references.write import write_references
@@ -41,6 +42,7 @@ def write_asset(folder: Path, references: References | None = None) -> Path:
         path,
         references or small_references(folder),
         read_rig(folder / "rig.usda"),
+        provenance=Provenance(),
     )
     return path
 

@@ -16,6 +16,7 @@ from tests.tuning.small_asset import small_references, write_asset
 from tests.usdio.take.test_take import small_take
 from usdface.core.assets import References, Video
 from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
 from usdface.media.picture.image import write_image
 from usdface.tuning.pictures import PairPictures
 from usdface.usdio.references.read import PairNotes, read_pair_notes, take_files
@@ -31,7 +32,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("take")
     write_numbered(made / "kitchen.mov", list(range(60)), base=1 / RATE, rate=RATE)
     video = Video(made / "kitchen.mov", RATE, OFFSET, DRIFT)
-    write_take(made / "kitchen.take.usda", replace(small_take(), video=video))
+    write_take(
+        made / "kitchen.take.usda", replace(small_take(), video=video), provenance=Provenance()
+    )
     return made
 
 
@@ -97,7 +100,9 @@ def test_a_picture_that_the_asset_names_goes_before_the_video(folder: Path) -> N
     ids=["none", "gone"],
 )
 def test_what_is_missing_is_named(tmp_path: Path, video: Video | None, message: str) -> None:
-    write_take(tmp_path / "kitchen.take.usda", replace(small_take(), video=video))
+    write_take(
+        tmp_path / "kitchen.take.usda", replace(small_take(), video=video), provenance=Provenance()
+    )
     with pytest.raises(InputError, match=message):
         pictures(tmp_path).jpeg(0)
 
@@ -130,7 +135,7 @@ def test_the_sound_around_a_pair_is_the_takes_at_its_moment(folder: Path, tmp_pa
         loud = np.sin(2000 * np.pi * moments) * ((moments > 0.49) & (moments < 0.5))
         stream.writeframes((32000 * loud).astype("<i2").tobytes())
     take = replace(small_take(), audio=tmp_path / "kitchen.wav")
-    write_take(tmp_path / "kitchen.take.usda", take)
+    write_take(tmp_path / "kitchen.take.usda", take, provenance=Provenance())
     shown = pictures(tmp_path)
     for pair in (3, 1):
         data = shown.sound(pair)
@@ -148,7 +153,11 @@ def test_the_page_sees_the_head_as_it_was_turned(tmp_path: Path) -> None:
     turn = Rotation.from_euler("YXZ", [20, -7, 4], degrees=True)
     motion = np.tile(np.eye(4), (small_take().frame_count, 1, 1))
     motion[7, :3, :3] = turn.as_matrix()
-    write_take(tmp_path / "kitchen.take.usda", replace(small_take(), head_motion=motion))
+    write_take(
+        tmp_path / "kitchen.take.usda",
+        replace(small_take(), head_motion=motion),
+        provenance=Provenance(),
+    )
     here = replace(references(tmp_path), frames=np.array([101, 108, 109, 110, 111]))
     notes, takes = [PairNotes()] * 5, [tmp_path / "kitchen.take.usda"]
     heads = PairPictures(here, notes, takes).head_degrees()

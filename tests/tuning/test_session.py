@@ -9,6 +9,7 @@ import pytest
 
 from tests.tuning.small_asset import change, put, small_references, write_asset
 from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
 from usdface.core.sidecars import tuned_path
 from usdface.tuning import session as session_module
 from usdface.tuning.journal import Change
@@ -135,6 +136,7 @@ def test_weights_imported_while_the_page_is_open_are_kept(
         references,
         [TunedPair(3, "kitchen", int(references.frames[3]), {"smile": 0.25})],
         layer_path=tuned_path(asset),
+        provenance=Provenance(),
     )
     with pytest.raises(StaleRevisionError, match="changed elsewhere"):
         put(session, 1, jawOpen=0.6)

@@ -15,6 +15,7 @@ from tests.usdio.small_rig import small_rig
 from tests.usdio.take.test_take import small_take
 from usdface.core.controls import EmotionalSequence, SequenceMatch
 from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
 from usdface.core.rates import FRAMES_BETWEEN_KEYS, UNSAMPLED_FRAMES, check_frame_span
 from usdface.steps.edits.edit import all_frames
 from usdface.steps.inputs.weight_tables import read_weight_table
@@ -78,7 +79,7 @@ STRAY = (9e6, 1e9, 1e18, -1e18)
 
 @pytest.mark.parametrize("end", [3e5, 9e6, 1e9, 1e18])
 def test_a_takes_end_that_its_samples_do_not_bear_out(tmp_path: Path, end: float) -> None:
-    write_take(tmp_path / "x.take.usda", small_take())
+    write_take(tmp_path / "x.take.usda", small_take(), provenance=Provenance())
     change(tmp_path / "x.take.usda", set_end(end))
     with pytest.raises(InputError, match=r"x\.take\.usda: startTimeCode to endTimeCode"):
         read_take(tmp_path / "x.take.usda")
@@ -141,7 +142,7 @@ def test_a_sequences_key_that_lies_far_off_the_others(
     tmp_path: Path, time: float, side: str
 ) -> None:
     path = tmp_path / "joy.sequence.usda"
-    write_sequence(path, small_sequence(), rate=Fraction(24))
+    write_sequence(path, small_sequence(), rate=Fraction(24), provenance=Provenance())
     assert len(read_sequence(path).source) == 5
     change(path, stray_sample(f"/Sequence/{side}.blendShapeWeights", time))
     with pytest.raises(InputError, match=rf"joy\.sequence\.usda </Sequence/{side}>"):
@@ -158,7 +159,11 @@ def test_a_sequences_key_that_lies_far_off_the_others(
 )
 def test_a_match_that_is_none(tmp_path: Path, name: str, kind: object, value: object) -> None:
     path = tmp_path / "x.matches.usda"
-    write_matches(path, (SequenceMatch(tmp_path / "joy.sequence.usda", "joy", 10, 20, 0.1),))
+    write_matches(
+        path,
+        (SequenceMatch(tmp_path / "joy.sequence.usda", "joy", 10, 20, 0.1),),
+        provenance=Provenance(),
+    )
 
     def how(layer: Sdf.Layer) -> None:
         prim = layer.GetPrimAtPath("/Matches/match_001")
@@ -173,7 +178,7 @@ def test_a_match_that_is_none(tmp_path: Path, name: str, kind: object, value: ob
 @pytest.mark.parametrize("unit", [0.0, -0.01, float("nan"), float("inf"), 1e300])
 def test_a_unit_that_is_no_length(tmp_path: Path, unit: float) -> None:
     write_rig(tmp_path / "rig.usda", small_rig())
-    write_take(tmp_path / "x.take.usda", small_take())
+    write_take(tmp_path / "x.take.usda", small_take(), provenance=Provenance())
     for name, read in (("rig.usda", read_rig), ("x.take.usda", read_take)):
         change(tmp_path / name, lambda layer: layer.pseudoRoot.SetInfo("metersPerUnit", unit))
         with pytest.raises(InputError, match=rf"{name}: metersPerUnit is"):
@@ -202,7 +207,7 @@ def test_faces_with_fewer_than_no_corners(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("end", [1e18, float("inf"), float("nan")])
 def test_a_range_to_be_cut_into_tasks_that_is_none(tmp_path: Path, end: float) -> None:
-    write_take(tmp_path / "x.take.usda", small_take())
+    write_take(tmp_path / "x.take.usda", small_take(), provenance=Provenance())
     change(tmp_path / "x.take.usda", set_end(end))
     with pytest.raises(InputError, match=r"x\.take\.usda: startTimeCode to endTimeCode"):
         frame_range_of(tmp_path / "x.take.usda")
@@ -236,7 +241,7 @@ def test_a_span_may_be_as_long_as_its_samples_bear_out() -> None:
 def test_a_video_that_would_stand_still_or_be_nowhere(
     tmp_path: Path, name: str, value: float
 ) -> None:
-    write_take(tmp_path / "x.take.usda", small_take())
+    write_take(tmp_path / "x.take.usda", small_take(), provenance=Provenance())
 
     def how(layer: Sdf.Layer) -> None:
         layer.GetAttributeAtPath(f"/Take.face:video:{name}").default = value

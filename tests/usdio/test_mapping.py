@@ -9,6 +9,7 @@ from pxr import Sdf, Usd
 
 from usdface.core.assets import CandidateScore, TrainedMapping
 from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
 from usdface.usdio.mapping import read_mapping, write_mapping
 from usdface.usdio.validation import validate
 
@@ -32,7 +33,7 @@ def small_mapping() -> TrainedMapping:
 @pytest.mark.parametrize("name", ["m.mapping.usda", "m.mapping.usdc"])
 def test_mapping_reads_back_to_the_last_bit(tmp_path: Path, name: str) -> None:
     mapping = small_mapping()
-    write_mapping(tmp_path / name, mapping)
+    write_mapping(tmp_path / name, mapping, provenance=Provenance())
     back = read_mapping(tmp_path / name)
     for field in ("method", "marker_names", "shape_names", "rigid", "settings", "references"):
         assert getattr(back, field) == getattr(mapping, field)
@@ -46,7 +47,7 @@ def test_mapping_reads_back_to_the_last_bit(tmp_path: Path, name: str) -> None:
 
 
 def test_usd_sees_a_typed_prim(tmp_path: Path) -> None:
-    write_mapping(tmp_path / "m.usda", small_mapping())
+    write_mapping(tmp_path / "m.usda", small_mapping(), provenance=Provenance())
     stage = Usd.Stage.Open(str(tmp_path / "m.usda"))
     assert stage.GetDefaultPrim().GetTypeName() == "Scope"
     prim = stage.GetPrimAtPath("/Mapping/FaceMapping")
@@ -64,7 +65,7 @@ def test_usd_sees_a_typed_prim(tmp_path: Path) -> None:
     ids=["shape", "json", "nan"],
 )
 def test_a_damaged_mapping_is_refused(tmp_path: Path, name, value, message) -> None:
-    write_mapping(tmp_path / "m.usda", small_mapping())
+    write_mapping(tmp_path / "m.usda", small_mapping(), provenance=Provenance())
     layer = Sdf.Layer.FindOrOpen(str(tmp_path / "m.usda"))
     layer.GetAttributeAtPath(f"/Mapping/FaceMapping.{name}").default = value
     layer.Save()
@@ -73,7 +74,7 @@ def test_a_damaged_mapping_is_refused(tmp_path: Path, name, value, message) -> N
 
 
 def test_a_mapping_of_an_earlier_version_is_read(tmp_path: Path) -> None:
-    write_mapping(tmp_path / "m.usda", small_mapping())
+    write_mapping(tmp_path / "m.usda", small_mapping(), provenance=Provenance())
     new, old = (
         Sdf.Layer.FindOrOpen(str(tmp_path / "m.usda")),
         Sdf.Layer.CreateNew(str(tmp_path / "old.usda")),

@@ -32,6 +32,11 @@ class Provenance:
         return hash_text(self.spec)
 
     @property
+    def digest(self) -> str:
+        """Eight hex digits that depend on the spec and the inputs, for names of files."""
+        return hash_text(f"{self.spec}{sorted(self.inputs.items())}")[:8]
+
+    @property
     def metadata(self) -> dict[str, object]:
         """As the metadata of pictures, movies and pages."""
         return {

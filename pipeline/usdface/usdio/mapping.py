@@ -27,9 +27,7 @@ from usdface.usdio.units import author_units
 ATTRIBUTE = "face:mapping:alpha"
 
 
-def write_mapping(
-    path: Path, mapping: TrainedMapping, *, provenance: Provenance | None = None
-) -> None:
+def write_mapping(path: Path, mapping: TrainedMapping, *, provenance: Provenance) -> None:
     """Write a mapping, without loss."""
     kinds = Sdf.ValueTypeNames
     tokens, numbers, string = kinds.TokenArray, kinds.DoubleArray, kinds.String

@@ -251,7 +251,7 @@ def test_pictures_have_no_sound_but_may_be_placed_by_hand(take: Path) -> None:
 
 
 def test_a_take_without_video_says_how_to_get_one(tmp_path: Path) -> None:
-    write_take(tmp_path / "x.take.usda", replace(small_take(), video=None))
+    write_take(tmp_path / "x.take.usda", replace(small_take(), video=None), provenance=Provenance())
     with pytest.raises(InputError, match="no video to align; ingest the capture with --video"):
         execute(AlignSpec(take=tmp_path / "x.take.usda"))
 

@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from usdface.core.assets import Markers, Take
+from usdface.core.provenance import Provenance
 from usdface.runner.execute import execute
 from usdface.specs.capture import CleanSpec
 from usdface.usdio.take.read import read_take
@@ -40,7 +41,11 @@ def write_turning(path: Path, *, band_motion_mm: float) -> None:
         confidence=seen.astype(np.float32),
         neutral_frame=1,
     )
-    write_take(path, Take(name="band", rate=Fraction(60), first_frame=1, markers=markers))
+    write_take(
+        path,
+        Take(name="band", rate=Fraction(60), first_frame=1, markers=markers),
+        provenance=Provenance(),
+    )
 
 
 @pytest.mark.parametrize("band_motion_mm", [0.0, 1.5], ids=["band", "loose"])

@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from usdface.core.assets import Take, Video, WeightsClip
 from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
 from usdface.media.film.sound import read_audio
 from usdface.runner.execute import execute
 from usdface.runner.origin import make_provenance, provenance_of
@@ -120,7 +121,9 @@ def test_no_audio_no_transcript_no_words_are_said_plainly(speech: Path, tmp_path
 
 def make_take(path: Path, audio: Path | None) -> Path:
     clip = WeightsClip(("jawOpen",), np.zeros((4, 1), np.float32), 1, Fraction(24))
-    write_take(path, Take(path.stem, Fraction(24), 1, source=clip, audio=audio))
+    write_take(
+        path, Take(path.stem, Fraction(24), 1, source=clip, audio=audio), provenance=Provenance()
+    )
     return path
 
 

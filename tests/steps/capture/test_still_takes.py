@@ -10,6 +10,7 @@ import pytest
 from tests.steps.small_shot import Shot
 from usdface.core.assets import Markers, Take
 from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
 from usdface.core.text import first_few
 from usdface.runner.execute import execute
 from usdface.specs.capture import CleanSpec
@@ -39,7 +40,11 @@ def write_still(path: Path, markers: int, *, noise_mm: float = 0.0, turning: boo
         confidence=visible.astype(np.float32),
         neutral_frame=1,
     )
-    write_take(path, Take(name="still", rate=Fraction(60), first_frame=1, markers=still))
+    write_take(
+        path,
+        Take(name="still", rate=Fraction(60), first_frame=1, markers=still),
+        provenance=Provenance(),
+    )
 
 
 @pytest.mark.parametrize(
@@ -94,7 +99,7 @@ def test_markers_of_a_stream_that_froze_are_taken_for_unseen(
     positions[201 : 201 + count, columns] = positions[200, columns]
     visible[200 : 201 + count, columns] = True
     frozen = replace(take.markers, positions=positions, visible=visible)
-    write_take(shot / "froze.take.usda", replace(take, markers=frozen))
+    write_take(shot / "froze.take.usda", replace(take, markers=frozen), provenance=Provenance())
     out = shot / "froze.clean.take.usda"
     spec = CleanSpec(take=shot / "froze.take.usda", out=out, max_gap=0)
     notes = execute(spec, overwrite=True).notes
@@ -116,7 +121,7 @@ def test_a_take_written_at_twice_the_rate_of_its_capture_is_named(shot: Shot) ->
     first = np.arange(take.frame_count) // 2 * 2
     seen = take.markers.visible[first]
     held = replace(take.markers, positions=take.markers.positions[first], visible=seen)
-    write_take(shot / "held.take.usda", replace(take, markers=held))
+    write_take(shot / "held.take.usda", replace(take, markers=held), provenance=Provenance())
     out = shot / "held.clean.take.usda"
     notes = execute(CleanSpec(take=shot / "held.take.usda", out=out)).notes
     said = f"captured at about {float(take.rate) / 2:g} frames per second and written at"
@@ -131,7 +136,7 @@ def test_a_marker_that_is_stuck_is_named_and_does_not_hide_a_stream_that_froze(s
     positions[:, 7], visible[:, 7] = positions[0, 7], True
     positions[201 : 201 + count], visible[200 : 201 + count] = positions[200], True
     stuck = replace(take.markers, positions=positions, visible=visible)
-    write_take(shot / "stuck.take.usda", replace(take, markers=stuck))
+    write_take(shot / "stuck.take.usda", replace(take, markers=stuck), provenance=Provenance())
     out = shot / "stuck.clean.take.usda"
     notes = execute(CleanSpec(take=shot / "stuck.take.usda", out=out)).notes
     assert any(f"most of the take: {take.markers.names[7]};" in note for note in notes)
@@ -149,6 +154,7 @@ def test_frames_that_show_no_marker_repeat_nothing(shot: Shot) -> None:
     write_take(
         shot / "padded.take.usda",
         replace(take, markers=replace(take.markers, visible=visible)),
+        provenance=Provenance(),
     )
     out = shot / "padded.clean.take.usda"
     notes = execute(CleanSpec(take=shot / "padded.take.usda", out=out)).notes

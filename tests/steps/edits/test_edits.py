@@ -14,6 +14,7 @@ from pxr import Sdf, Usd, UsdSkel
 from tests.steps.small_shot import FRAMES, Shot
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
 from usdface.core.replacing import replacing
 from usdface.core.sidecars import edits_path
 from usdface.numerics.motion.key_reduction import no_edit
@@ -573,7 +574,7 @@ def test_corrections_whose_markers_are_not_seen_teach_nothing_and_stop_no_other(
     free = [name not in take.markers.rigid for name in take.markers.names].index(True)
     visible[90:110, free], confidence[90:110, free] = False, 0.0
     markers = replace(take.markers, visible=visible, confidence=confidence)
-    write_take(clean, replace(take, markers=markers))
+    write_take(clean, replace(take, markers=markers), provenance=Provenance())
     given = {"references": shot / "hero.references.usda", "out": out}
     with pytest.raises(InputError, match=r"no frame with all its markers was edited"):
         run(ReferencesFromEditsSpec(performances=(path,), **given))

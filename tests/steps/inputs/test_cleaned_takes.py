@@ -11,6 +11,7 @@ from tests.numerics.registration.test_marker_application import GLUE, NEUTRAL, p
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import Markers, Take
 from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
 from usdface.model.mapping.performer_face import PerformerFace
 from usdface.steps.inputs.cleaned_takes import read_cleaned_takes
 from usdface.steps.inputs.scene import takes_head_space
@@ -41,7 +42,9 @@ def write(
         space="stabilized",
     )
     path = folder / f"{name}.take.usda"
-    write_take(path, Take(name, Fraction(rate), 1, markers=markers, **stated))
+    write_take(
+        path, Take(name, Fraction(rate), 1, markers=markers, **stated), provenance=Provenance()
+    )
     return path
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from tests.steps.small_shot import Shot
 from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
 from usdface.runner.execute import execute
 from usdface.specs.performance import MapSpec
 from usdface.usdio.performance.read import read_performance
@@ -41,7 +42,9 @@ def test_a_take_of_24_frames_per_second_is_smoothed_without_being_told_a_cutoff(
 ) -> None:
     slow = tmp_path / "slow.clean.take.usda"
     take = read_take(finished_shot / "shot.clean.take.usda")
-    write_take(slow, replace(take, rate=Fraction(24), video=None, audio=None))
+    write_take(
+        slow, replace(take, rate=Fraction(24), video=None, audio=None), provenance=Provenance()
+    )
     plain = mapped(finished_shot, tmp_path / "plain.usda", take=slow)
     calm = mapped(finished_shot, tmp_path / "calm.usda", take=slow, temporal="whole")
     assert np.abs(np.diff(calm, 3, axis=0)).mean() < 0.9 * np.abs(np.diff(plain, 3, axis=0)).mean()

@@ -14,6 +14,7 @@ from tests.steps.small_shot import PAIRS, Shot
 from usdface.core.arrays import columns_by_name
 from usdface.core.assets import Video
 from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
 from usdface.core.sidecars import tuned_path
 from usdface.media.picture.image import read_image_metadata
 from usdface.media.picture.reference_sheet import ReferenceRow, compose_reference_sheet
@@ -359,6 +360,6 @@ def test_a_sheet_of_pairs_that_are_not_there_or_of_another_take_is_refused(shot:
     with pytest.raises(InputError, match="has pairs 1-24; --pairs 30-40"):
         execute(ReferenceSheetSpec(**given, pairs="30-40"))
     take = replace(read_take(shot / "shot.clean.take.usda"), name="other")
-    write_take(shot / "other.take.usda", take)
+    write_take(shot / "other.take.usda", take, provenance=Provenance())
     with pytest.raises(InputError, match=r"no pair is of take 'other'; .* from, shot"):
         execute(ReferenceSheetSpec(**given, takes=(shot / "other.take.usda",)))

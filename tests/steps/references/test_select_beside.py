@@ -14,6 +14,7 @@ from tests.steps.small_shot import PAIRS, Shot
 from usdface.core.assets import Video
 from usdface.core.errors import InputError
 from usdface.core.locks import TuningLock
+from usdface.core.provenance import Provenance
 from usdface.core.sidecars import lock_path
 from usdface.core.text import pluralize
 from usdface.media.picture.image import read_image_metadata, read_picture, write_image
@@ -122,7 +123,11 @@ def test_pairs_cover_another_take_wherever_its_head_stands(shot: Shot) -> None:
     assert take.markers is not None
     turn = Rotation.from_rotvec([0.1, -0.2, 0.05]).as_matrix().astype(np.float32)
     moved = replace(take.markers, positions=take.markers.positions @ turn.T + np.float32(30.0))
-    write_take(shot / "other.take.usda", replace(take, name="other", markers=moved))
+    write_take(
+        shot / "other.take.usda",
+        replace(take, name="other", markers=moved),
+        provenance=Provenance(),
+    )
     told = execute(coverage_spec(shot, "other.take.usda"), overwrite=True)
     assert told.figures["of_other_takes"] == PAIRS
     assert told.notes[0].startswith(f"{PAIRS} of {PAIRS} pairs are of other takes")
@@ -151,7 +156,11 @@ def test_only_tuned_pairs_may_count_and_strange_markers_are_refused(shot: Shot) 
     names = tuple(f"x_{name}" for name in take.markers.names)
     rigid = tuple(f"x_{name}" for name in take.markers.rigid)
     strange = replace(take.markers, names=names, rigid=rigid)
-    write_take(shot / "strange.take.usda", replace(take, name="strange", markers=strange))
+    write_take(
+        shot / "strange.take.usda",
+        replace(take, name="strange", markers=strange),
+        provenance=Provenance(),
+    )
     with pytest.raises(InputError, match=r"has 0 of the takes' \d+ markers"):
         execute(coverage_spec(shot, "strange.take.usda"), overwrite=True)
 
@@ -164,7 +173,7 @@ def filmed(shot: Shot) -> Path:
         write_image(shot / "plate" / f"plate.{number:04d}.png", plate)
     video = Video(file=shot / "plate" / "plate.0000.png", rate=Fraction(24), offset=0.5)
     take = replace(read_take(shot / "shot.clean.take.usda"), video=video)
-    write_take(shot / "filmed.take.usda", take)
+    write_take(shot / "filmed.take.usda", take, provenance=Provenance())
     return shot / "filmed.take.usda"
 
 

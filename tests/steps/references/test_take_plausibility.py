@@ -11,6 +11,7 @@ from tests.model.placement.test_plausibility import synthetic, with_sides_exchan
 from tests.model.placement.test_rig_orientation import transformed
 from usdface.core.assets import Markers, Take
 from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
 from usdface.demo.rig import demo_rig
 from usdface.steps.inputs.cleaned_takes import (
     plausibility_notes,
@@ -35,7 +36,7 @@ def cleaned(
         neutral_frame=1,
         space="stabilized",
     )
-    write_take(path, Take(name, Fraction(60), 1, still, warnings=warnings))
+    write_take(path, Take(name, Fraction(60), 1, still, warnings=warnings), provenance=Provenance())
     return path
 
 

@@ -14,6 +14,7 @@ from tests.test_docs import commands, run
 from tests.usdio.small_rig import small_rig
 from usdface.core.assets import Take, WeightsClip
 from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
 from usdface.runner.execute import execute
 from usdface.specs.performance import TrainSpec
 from usdface.specs.references import ReferencesAddSpec, ReferenceSheetSpec, SelectSpec
@@ -39,7 +40,11 @@ def folder(tmp_path: Path) -> Path:
     steps = np.random.default_rng(3).random((13, 4))
     weights = np.stack([np.interp(np.arange(120), np.arange(13) * 10, row) for row in steps.T], 1)
     source = WeightsClip(NAMES, weights.astype(np.float32), 11, Fraction(30))
-    write_take(tmp_path / "phone.take.usda", Take("phone", Fraction(30), 11, source=source))
+    write_take(
+        tmp_path / "phone.take.usda",
+        Take("phone", Fraction(30), 11, source=source),
+        provenance=Provenance(),
+    )
     return tmp_path
 
 
@@ -188,6 +193,6 @@ def test_frames_of_a_retargeted_performance_are_added(folder: Path) -> None:
 def test_a_still_take_has_no_pairs(folder: Path) -> None:
     still = WeightsClip(NAMES, np.zeros((60, 4), np.float32), 1, Fraction(30))
     take = Take("phone", Fraction(30), 1, source=still)
-    write_take(folder / "phone.take.usda", replace(take, name="still"))
+    write_take(folder / "phone.take.usda", replace(take, name="still"), provenance=Provenance())
     with pytest.raises(InputError, match="--count is 6"):
         execute(select(folder))

@@ -24,6 +24,7 @@ from tests.usdio.small_creature import (
 from tests.usdio.small_rig import small_rig
 from usdface.cli import main
 from usdface.core.assets import Markers, Rig, Take, WeightsClip
+from usdface.core.provenance import Provenance
 from usdface.core.sidecars import head_path
 from usdface.media.face.surface import build_surface
 from usdface.model.placement.rig_orientation import face_axes, face_centre
@@ -277,7 +278,7 @@ def test_a_neutral_frame_without_markers_has_the_head_where_it_was(tmp_path: Pat
     )
     weights = WeightsClip(("jawOpen", "smile"), np.full((count, 2), 0.5, np.float32), 1, RATE)
     take = Take("t", RATE, 1, markers=markers, source=weights, head_motion=motion)
-    write_take(tmp_path / "t.take.usda", take)
+    write_take(tmp_path / "t.take.usda", take, provenance=Provenance())
     out = tmp_path / "o.usda"
     line = ("retarget", tmp_path / "t.take.usda", "--rig", rig.file, "--drive", "head=spine")
     assert usdface(*line, "--out", out) == 0
@@ -529,7 +530,7 @@ def test_a_stabilised_take_of_weights_carries_the_head_along(shot: Shot) -> None
     take = read_take(shot / "shot.clean.take.usda")
     keys = read_weight_table(shot / "keys.csv")
     clip = WeightsClip(keys.names, keys.weights[: take.frame_count], take.first_frame, take.rate)
-    write_take(shot / "both.take.usda", replace(take, source=clip))
+    write_take(shot / "both.take.usda", replace(take, source=clip), provenance=Provenance())
     joint = str(UsdSkel.Skeleton(_skeleton(shot / "hero.usdc")).GetJointsAttr().Get()[0])
     out = shot / "both.hero.usda"
     line = ("retarget", shot / "both.take.usda", "--rig", shot / "hero.usdc", "--frames", "60-200")

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from tests.steps.review.test_report import give_video, open_page
 from tests.steps.small_shot import Shot
 from usdface.core.assets import Take, WeightsClip
+from usdface.core.provenance import Provenance
 from usdface.demo.acting import performance
 from usdface.runner.execute import execute
 from usdface.specs.retarget import RetargetSpec
@@ -107,7 +108,7 @@ def test_a_phones_channels_turn_it_without_markers(shot: Shot, channel: str) -> 
     give_video(shot)
     video = open_shot(shot / "shot.hero.usda").take.video
     take = Take("phone", Fraction(30), 1, source=source, video=video)
-    write_take(shot / "phone.take.usda", take)
+    write_take(shot / "phone.take.usda", take, provenance=Provenance())
     out = shot / "phone.hero.usda"
     names = shot / "names.csv"
     names.write_text("source,target\njawOpen,jawOpen\nsmile,mouthSmileLeft\n", encoding="utf-8")

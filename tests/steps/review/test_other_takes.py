@@ -11,6 +11,7 @@ from tests.steps.review.test_report import give_video, spec_of
 from tests.steps.small_shot import Shot
 from usdface.core.assets import WeightsClip
 from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
 from usdface.media.film.video import VideoReader
 from usdface.media.picture.image import read_picture
 from usdface.model.review.verdict import judge_solve
@@ -44,7 +45,7 @@ def make_phone_take(shot: Shot, *, video: bool) -> None:
     for file in shot.folder.glob("shot.clean.take.*"):
         file.unlink()
     weights = replace(take, markers=None, head_motion=None, source=source)
-    write_take(path, weights)
+    write_take(path, weights, provenance=Provenance())
 
 
 @pytest.mark.parametrize("video", [True, False])

@@ -19,6 +19,7 @@ from tests.small_scan import (
     write_scan,
 )
 from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
 from usdface.core.sidecars import corrected_path
 from usdface.media.picture.image import read_image_metadata
 from usdface.numerics.registration.marker_binding import MarkerBinding
@@ -47,7 +48,7 @@ def scan() -> Scan:
 def moved(tmp_path_factory: pytest.TempPathFactory, scan: Scan) -> Path:
     """A folder with a take, a scan in metres with Z up, its binding and what moves; read only."""
     made = tmp_path_factory.mktemp("scan")
-    write_take(made / "talk.take.usda", small_scan_take(scan))
+    write_take(made / "talk.take.usda", small_scan_take(scan), provenance=Provenance())
     write_scan(made / "scan.usdc", scan, z_up=True)
     run(bind(made, scan))
     run(deform(made))
@@ -367,7 +368,7 @@ def test_three_markers_are_too_few(folder: Path, scan: Scan) -> None:
         confidence=take.markers.confidence[:, :3],
         rigid=(),
     )
-    write_take(folder / "few.take.usda", replace(take, markers=few))
+    write_take(folder / "few.take.usda", replace(take, markers=few), provenance=Provenance())
     with pytest.raises(InputError, match="the take has 3 markers; at least 4 are needed"):
         run(
             BindSpec(

@@ -9,6 +9,7 @@ from pxr import Sdf, Usd
 
 from tests.usdio.small_rig import small_rig
 from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
 from usdface.core.sidecars import edits_path
 from usdface.numerics.motion.key_reduction import EditCurve
 from usdface.usdio.performance.edits import ShapeEdit, read_edits, write_edits
@@ -77,7 +78,13 @@ def test_what_is_written_reads_back_and_opens_above_the_weights(tmp_path: Path) 
     curve = EditCurve(rng.normal(0, 0.2, 40), rng.random(40), rng.random(40))
     solved = WEIGHTS[:, 1].astype(float)
     reader = PerformanceReader(path)
-    write_edits(path, reader.animation, {"jawOpen": ShapeEdit(curve, solved)}, FRAMES)
+    write_edits(
+        path,
+        reader.animation,
+        {"jawOpen": ShapeEdit(curve, solved)},
+        FRAMES,
+        provenance=Provenance(),
+    )
     top = Sdf.Layer.FindOrOpen(str(path))
     assert list(top.subLayerPaths) == ["./shot.hero.edits.usda", "./shot.hero.weights.usdc"]
     back = PerformanceReader(path).edits
@@ -94,12 +101,18 @@ def test_edits_that_are_not_changed_stay_in_time_when_the_rate_is_another(tmp_pa
     reader = PerformanceReader(path)
     offset = np.where((FRAMES >= 110) & (FRAMES <= 120), 0.25, 0.0)
     edit = ShapeEdit(EditCurve(offset, np.zeros(40), np.zeros(40)), np.full(40, np.nan))
-    write_edits(path, reader.animation, {"smile": edit}, FRAMES)
+    write_edits(path, reader.animation, {"smile": edit}, FRAMES, provenance=Provenance())
     perform(tmp_path, rate=48, first=202, last=280)  # the same seconds, twice as many frames
     reader = PerformanceReader(path)
     frames = np.arange(202, 281)
     flat = EditCurve(np.full(79, 0.5), np.zeros(79), np.zeros(79))
-    write_edits(path, reader.animation, {"jawOpen": ShapeEdit(flat, np.full(79, np.nan))}, frames)
+    write_edits(
+        path,
+        reader.animation,
+        {"jawOpen": ShapeEdit(flat, np.full(79, np.nan))},
+        frames,
+        provenance=Provenance(),
+    )
     changed = PerformanceReader(path).edited() - PerformanceReader(path).solved()
     np.testing.assert_allclose(changed[:, NAMES.index("jawOpen")], 0.5, atol=1e-6)
     full = np.flatnonzero(changed[:, NAMES.index("smile")] > 0.249) + 202
@@ -146,7 +159,13 @@ def test_a_stronger_layer_wins_as_in_any_usd(tmp_path: Path) -> None:
     reader = PerformanceReader(path)
     everywhere = EditCurve(np.full(40, 0.1), np.zeros(40), np.zeros(40))
     unknown = np.full(40, np.nan)
-    write_edits(path, reader.animation, {"jawOpen": ShapeEdit(everywhere, unknown)}, FRAMES)
+    write_edits(
+        path,
+        reader.animation,
+        {"jawOpen": ShapeEdit(everywhere, unknown)},
+        FRAMES,
+        provenance=Provenance(),
+    )
     author(path, face__edit__jawOpen=0.3)
     np.testing.assert_allclose(column(path, "jawOpen"), WEIGHTS[:, 1] + 0.3, atol=1e-6)
 
@@ -164,7 +183,7 @@ def test_names_that_no_attribute_can_have_are_kept_whole(tmp_path: Path) -> None
     reader = PerformanceReader(path)
     curve = EditCurve(np.full(40, 0.1), np.zeros(40), np.zeros(40))
     edits = {name: ShapeEdit(curve, np.full(40, np.nan)) for name in names}
-    write_edits(path, reader.animation, edits, FRAMES)
+    write_edits(path, reader.animation, edits, FRAMES, provenance=Provenance())
     assert set(PerformanceReader(path).edits) == set(names)
     np.testing.assert_allclose(PerformanceReader(path).edited(), WEIGHTS + 0.1, atol=1e-6)
 
@@ -175,7 +194,13 @@ def test_two_names_that_would_share_an_attribute_are_refused(tmp_path: Path) -> 
     curve = EditCurve(np.full(40, 0.1), np.zeros(40), np.zeros(40))
     before = path.read_bytes()
     with pytest.raises(InputError, match="would share the attribute"):
-        write_edits(path, reader.animation, {"jaw open": ShapeEdit(curve, np.zeros(40))}, FRAMES)
+        write_edits(
+            path,
+            reader.animation,
+            {"jaw open": ShapeEdit(curve, np.zeros(40))},
+            FRAMES,
+            provenance=Provenance(),
+        )
     assert path.read_bytes() == before
     assert not edits_path(path).exists()
 

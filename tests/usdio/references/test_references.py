@@ -13,6 +13,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 from tests.usdio.small_rig import small_rig
 from usdface.core.assets import MotionSpace, References
 from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
 from usdface.usdio.references.read import PLACEMENT, read_references
 from usdface.usdio.references.weight_layers import TunedPair, read_tuned_pairs
 from usdface.usdio.references.write import write_references, write_tuned_weights
@@ -52,11 +53,7 @@ def write(folder: Path, references: References) -> Path:
     if not (folder / "rig.usda").exists():
         write_rig(folder / "rig.usda", small_rig())
     path = folder / "hero.references.usda"
-    write_references(
-        path,
-        references,
-        read_rig(folder / "rig.usda"),
-    )
+    write_references(path, references, read_rig(folder / "rig.usda"), provenance=Provenance())
     return path
 
 
@@ -70,7 +67,9 @@ def tune(folder: Path, references: References, pairs: dict[int, float]) -> None:
         )
         for pair, value in pairs.items()
     ]
-    write_tuned_weights(references, tuned, layer_path=folder / "hero.references.tuned.usda")
+    write_tuned_weights(
+        references, tuned, layer_path=folder / "hero.references.tuned.usda", provenance=Provenance()
+    )
 
 
 def test_references_read_back_the_same(tmp_path: Path) -> None:
@@ -133,7 +132,7 @@ def test_a_binary_asset_holds_its_arrays_itself(tmp_path: Path) -> None:
     references = small_references(tmp_path)
     write_rig(tmp_path / "rig.usda", small_rig())
     path = tmp_path / "hero.references.usdc"
-    write_references(path, references, read_rig(tmp_path / "rig.usda"))
+    write_references(path, references, read_rig(tmp_path / "rig.usda"), provenance=Provenance())
     assert not (tmp_path / "hero.references.samples.usdc").exists()
     np.testing.assert_allclose(read_references(path).markers, references.markers, rtol=1e-6)
 
@@ -239,10 +238,7 @@ def test_wherever_writing_stops_the_asset_is_old_or_new_or_refused(
         with monkeypatch.context() as patched, contextlib.suppress(InputError):
             stop_at(patched, call, stop)
             write_references(
-                path,
-                new,
-                read_rig(folder / "rig.usda"),
-                tuned=tuned,
+                path, new, read_rig(folder / "rig.usda"), tuned=tuned, provenance=Provenance()
             )
         seen.append(state(path, new))
     nothing = "old" if before else "none"

@@ -17,6 +17,7 @@ from tests.usdio.small_creature import (
 from usdface.core.assets import Rig
 from usdface.core.controls import EmotionalSequence, ExpressionPairs, SequenceMatch
 from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
 from usdface.core.replacing import replacing
 from usdface.core.sidecars import proposed_path
 from usdface.model.retarget.train import retarget, train_retargeting
@@ -50,7 +51,13 @@ def some_pairs(human: Rig, beast: Rig, count: int = 8) -> ExpressionPairs:
 def written(tmp_path: Path) -> tuple[Path, ExpressionPairs]:
     human, beast = write_human(tmp_path / "human.usda"), write_creature(tmp_path / "beast.usda")
     pairs = some_pairs(human, beast)
-    write_pairs(tmp_path / "x.pairs.usda", pairs, source_rig=human, target_rig=beast)
+    write_pairs(
+        tmp_path / "x.pairs.usda",
+        pairs,
+        source_rig=human,
+        target_rig=beast,
+        provenance=Provenance(),
+    )
     return tmp_path / "x.pairs.usda", pairs
 
 
@@ -61,7 +68,13 @@ def test_samples_are_not_replaced_where_the_layer_to_open_cannot_be(
     human, beast = write_human(path.with_name("h.usda")), write_creature(path.with_name("b.usda"))
     before = {each.name: each.read_bytes() for each in path.parent.iterdir()}
     with pytest.raises(InputError, match="another process is writing it"), replacing(path):
-        write_pairs(path, some_pairs(human, beast, 5), source_rig=human, target_rig=beast)
+        write_pairs(
+            path,
+            some_pairs(human, beast, 5),
+            source_rig=human,
+            target_rig=beast,
+            provenance=Provenance(),
+        )
     assert {each.name: each.read_bytes() for each in path.parent.iterdir()} == before
 
 
@@ -103,7 +116,7 @@ def test_what_an_animator_keys_above_goes_before_what_was_proposed(
     stage.GetRootLayer().Save()
     human = write_human(path.parent / "human.usda")
     beast = write_creature(path.parent / "beast.usda")
-    write_pairs(path, pairs, source_rig=human, target_rig=beast)
+    write_pairs(path, pairs, source_rig=human, target_rig=beast, provenance=Provenance())
     np.testing.assert_allclose(
         read_pairs(path).target.weights[:, 2], 0.1 * np.arange(1, 9), atol=1e-6
     )
@@ -163,7 +176,7 @@ def test_a_retargeting_predicts_the_same_to_the_last_bit(
     for method in ("rbf", "kernel_cca", "hybrid", "additive", "ridge"):
         trained = train_retargeting(pairs, method=method)
         out = path.with_name(f"{method}.usdc")
-        write_retargeting(out, trained)
+        write_retargeting(out, trained, provenance=Provenance())
         back = read_retargeting(out)
         one, other = retarget(trained, human_moves(30)), retarget(back, human_moves(30))
         for field, value in vars(one).items():
@@ -178,7 +191,7 @@ def test_a_retargeting_predicts_the_same_to_the_last_bit(
 def test_a_damaged_retargeting_is_refused(written: tuple[Path, ExpressionPairs]) -> None:
     path, pairs = written
     out = path.with_name("r.usda")
-    write_retargeting(out, train_retargeting(pairs, method="ridge"))
+    write_retargeting(out, train_retargeting(pairs, method="ridge"), provenance=Provenance())
     layer = Sdf.Layer.FindOrOpen(str(out))
     layer.GetAttributeAtPath("/Retargeting/FaceRetargeting.face:array:rest").default = [1.0, 2.0]
     layer.Save()
@@ -195,7 +208,7 @@ def test_a_sequence_comes_back_with_sides_of_different_length(tmp_path: Path) ->
         target=target,
         key_weights=np.linspace(0, 1, 37),
     )
-    write_sequence(tmp_path / "s.usda", sequence, rate=RATE)
+    write_sequence(tmp_path / "s.usda", sequence, rate=RATE, provenance=Provenance())
     back = read_sequence(tmp_path / "s.usda")
     assert back.label == "surprise"
     np.testing.assert_allclose(back.source, sequence.source, atol=1e-6)
@@ -212,7 +225,7 @@ def test_matches_come_back_and_deactivated_ones_do_not(tmp_path: Path) -> None:
     matches = tuple(
         SequenceMatch(tmp_path / "s.usda", "joy", first, first + 19, 0.1) for first in (10, 50)
     )
-    write_matches(tmp_path / "m.usda", matches)
+    write_matches(tmp_path / "m.usda", matches, provenance=Provenance())
     assert [vars(m) | {"sequence": 0} for m in read_matches(tmp_path / "m.usda")] == [
         vars(m) | {"sequence": 0} for m in matches
     ]

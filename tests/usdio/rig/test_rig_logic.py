@@ -13,6 +13,7 @@ from tests.usdio.driven_rig import COMBINATIONS, driven_rig
 from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
 from usdface.core.sidecars import tuned_path
 from usdface.numerics.motion.key_reduction import EditCurve
 from usdface.usdio.performance.edits import ShapeEdit, write_edits
@@ -89,7 +90,7 @@ def test_what_is_driven_follows_edits_and_may_be_edited_on_top(
         name: ShapeEdit(EditCurve(np.full(6, by), nothing, nothing), np.full(6, np.nan))
         for name, by in (("jawOpen", -0.1), ("jaw_smile", 0.05))
     }
-    write_edits(performance, reader.animation, edits, reader.frames)
+    write_edits(performance, reader.animation, edits, reader.frames, provenance=Provenance())
     edited = PerformanceReader(performance).edited()
     moved = weights - [0.1, 0, 0]
     expected = rig.logic.evaluate(moved)
@@ -100,12 +101,12 @@ def test_what_is_driven_follows_edits_and_may_be_edited_on_top(
 def test_references_hold_what_is_driven_and_do_not_teach_it(tmp_path: Path, rig: Rig) -> None:
     references = replace(small_references(tmp_path), combinations=rig.combinations)
     path = tmp_path / "hero.references.usda"
-    write_references(path, references, rig)
+    write_references(path, references, rig, provenance=Provenance())
     read = read_references(path)
     assert read.shape_names == references.shape_names
     assert read.combinations == rig.combinations
     pair = TunedPair(1, read.takes[1], int(read.frames[1]), {"jawOpen": 0.7, "smile": 0.5})
-    write_tuned_weights(read, [pair], layer_path=tuned_path(path))
+    write_tuned_weights(read, [pair], layer_path=tuned_path(path), provenance=Provenance())
     stage = Usd.Stage.Open(str(path))
     animation = UsdSkel.Animation.Get(stage, "/References/Weights")
     names = list(animation.GetBlendShapesAttr().Get())

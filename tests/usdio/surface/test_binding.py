@@ -9,6 +9,7 @@ from pxr import Sdf, Usd
 
 from tests.small_scan import small_scan, write_scan
 from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
 from usdface.core.replacing import replacing
 from usdface.numerics.registration.marker_binding import MarkerBinding
 from usdface.numerics.registration.surface_places import nearest_places
@@ -46,6 +47,7 @@ def write(folder: Path, binding: MarkerBinding, face: FaceMesh) -> None:
         face,
         corrected_path=folder / "b.corrected.usda",
         proposed_path=folder / "b.proposed.usda",
+        provenance=Provenance(),
     )
 
 

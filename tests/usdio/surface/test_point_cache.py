@@ -107,6 +107,7 @@ def test_normals_of_the_face_at_rest_are_not_left_on_the_moving_one(tmp_path: Pa
         face,
         PointsHeader(Fraction(24), 1, 1),
         PointsFormat(normals=True),
+        provenance=Provenance(),
     ) as writer:
         writer.append(face.local[None], normals=turned)
     _, mesh = mesh_of(tmp_path / "with.usda")
@@ -188,6 +189,7 @@ def test_nan_is_never_written(tmp_path: Path, face: FaceMesh) -> None:
             face,
             PointsHeader(Fraction(24), 1, 1),
             WHOLE,
+            provenance=Provenance(),
         ) as writer,
     ):
         writer.append(np.full((1, len(face.local), 3), np.nan))

@@ -9,6 +9,7 @@ from pxr import Usd, UsdSkel
 from tests.small_scan import small_scan, write_scan
 from tests.usdio.small_rig import small_rig
 from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
 from usdface.usdio.rig.mesh import read_face_mesh
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
@@ -26,7 +27,9 @@ def test_shapes_come_back_as_they_were_given(tmp_path: Path, z_up: bool) -> None
     source = (tmp_path / "scan.usdc").read_bytes()
     moved = np.zeros_like(face.mesh.points)
     moved[40:90] = np.random.default_rng(0).normal(0, 5, (50, 3))
-    written = write_shape_rig(tmp_path / "rig.usda", face, [shape("smile", moved)])
+    written = write_shape_rig(
+        tmp_path / "rig.usda", face, [shape("smile", moved)], provenance=Provenance()
+    )
     assert (written[0].name, written[0].points) == ("smile", 50)
     rig = read_rig(tmp_path / "rig.usda")
     np.testing.assert_allclose(rig.meshes[0].points, face.mesh.points, atol=1e-3)
@@ -41,7 +44,7 @@ def test_of_a_rig_only_the_new_shapes_are_left(tmp_path: Path) -> None:
     write_rig(tmp_path / "old.usda", small_rig())
     face = read_face_mesh(tmp_path / "old.usda", prim="/Hero/geo/skin")
     moved = np.random.default_rng(0).normal(0, 5, face.mesh.points.shape)
-    write_shape_rig(tmp_path / "new.usda", face, [shape("jawOpen", moved)])
+    write_shape_rig(tmp_path / "new.usda", face, [shape("jawOpen", moved)], provenance=Provenance())
     rig = read_rig(tmp_path / "new.usda")
     assert rig.shapes == ("jawOpen",)
     assert len(rig.meshes) == 2
@@ -64,7 +67,7 @@ def test_a_shape_that_moves_nothing_is_refused(tmp_path: Path) -> None:
     face = read_face_mesh(write_scan(tmp_path / "scan.usdc", small_scan()))
     still = shape("still", np.full_like(face.mesh.points, 0.005))
     with pytest.raises(InputError, match=r"shape still \(frame 120 of talk\) moves no point"):
-        write_shape_rig(tmp_path / "rig.usda", face, [still])
+        write_shape_rig(tmp_path / "rig.usda", face, [still], provenance=Provenance())
     with pytest.raises(InputError, match="there is no shape to write"):
-        write_shape_rig(tmp_path / "rig.usda", face, [])
+        write_shape_rig(tmp_path / "rig.usda", face, [], provenance=Provenance())
     assert not (tmp_path / "rig.usda").exists()

@@ -49,7 +49,7 @@ def small_take(frames: int = 12, rate: Fraction = Fraction(120)) -> Take:
 @pytest.mark.parametrize("name", ["x.take.usda", "x.take.usdc"])
 def test_written_take_reads_back_the_same(tmp_path: Path, name: str) -> None:
     take = small_take()
-    write_take(tmp_path / name, take)
+    write_take(tmp_path / name, take, provenance=Provenance())
     back = read_take(tmp_path / name)
     assert back.markers is not None
     assert take.markers is not None
@@ -70,12 +70,12 @@ def test_written_take_reads_back_the_same(tmp_path: Path, name: str) -> None:
 def test_written_take_passes_every_validator(tmp_path: Path) -> None:
     (tmp_path / "kitchen.mov").touch()
     take = replace(small_take(), video=Video(tmp_path / "kitchen.mov"))
-    write_take(tmp_path / "x.take.usda", take)
+    write_take(tmp_path / "x.take.usda", take, provenance=Provenance())
     assert validate(tmp_path / "x.take.usda") == []
 
 
 def test_a_range_of_frames_is_that_part_of_the_whole(tmp_path: Path) -> None:
-    write_take(tmp_path / "x.take.usda", small_take())
+    write_take(tmp_path / "x.take.usda", small_take(), provenance=Provenance())
     reader = TakeReader(tmp_path / "x.take.usda")
     whole, part = reader.read(), reader.read(104, 107)
     assert part.first_frame == 104
@@ -88,10 +88,12 @@ def test_a_range_of_frames_is_that_part_of_the_whole(tmp_path: Path) -> None:
 def test_cleaned_take_lies_over_the_raw_one_and_leaves_it(tmp_path: Path) -> None:
     raw, cleaned = tmp_path / "x.take.usda", tmp_path / "x.clean.take.usda"
     take = small_take()
-    write_take(raw, take)
+    write_take(raw, take, provenance=Provenance())
     before = raw.read_bytes()
     still = replace(take.markers, positions=take.markers.positions * 0.5, space="stabilized")
-    write_take(cleaned, Take("kitchen", take.rate, 101, markers=still), over=raw)
+    write_take(
+        cleaned, Take("kitchen", take.rate, 101, markers=still), over=raw, provenance=Provenance()
+    )
     back = read_take(cleaned)
     assert back.markers.space == "stabilized"
     np.testing.assert_allclose(back.markers.positions, take.markers.positions * 0.5, rtol=1e-6)
@@ -102,7 +104,11 @@ def test_cleaned_take_lies_over_the_raw_one_and_leaves_it(tmp_path: Path) -> Non
 @pytest.mark.parametrize("rate", ["23.976", "24", "25", "29.97", "59.94", "60", "119.88", "120"])
 def test_rates_stay_exact(tmp_path: Path, rate: str) -> None:
     exact = Fraction(round(float(rate) * 1.001) * 1000, 1001) if "." in rate else Fraction(rate)
-    write_take(tmp_path / "x.take.usda", replace(small_take(rate=exact), source=None))
+    write_take(
+        tmp_path / "x.take.usda",
+        replace(small_take(rate=exact), source=None),
+        provenance=Provenance(),
+    )
     assert TakeReader(tmp_path / "x.take.usda").rate == exact
 
 
@@ -114,21 +120,21 @@ def test_provenance_travels_in_the_layer(tmp_path: Path) -> None:
 
 def test_samples_are_not_replaced_where_the_layer_to_open_cannot_be(tmp_path: Path) -> None:
     path = tmp_path / "x.take.usda"
-    write_take(path, small_take())
+    write_take(path, small_take(), provenance=Provenance())
     before = {each.name: each.read_bytes() for each in tmp_path.iterdir()}
     with pytest.raises(InputError, match="another process is writing it"), replacing(path):
-        write_take(path, small_take(frames=5))
+        write_take(path, small_take(frames=5), provenance=Provenance())
     assert {each.name: each.read_bytes() for each in tmp_path.iterdir()} == before
     assert read_take(path).frame_count == 12
 
 
 def test_failed_writing_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
     path = tmp_path / "x.take.usda"
-    write_take(path, small_take())
+    write_take(path, small_take(), provenance=Provenance())
     before = {each.name: each.read_bytes() for each in tmp_path.iterdir()}
     broken = replace(small_take(), name=object())  # no string: USD refuses it in the last layer
     with pytest.raises(Exception, match=r"name|type|string"):
-        write_take(path, broken)
+        write_take(path, broken, provenance=Provenance())
     after = {each.name: each.read_bytes() for each in tmp_path.iterdir()}
     assert after == before
 
@@ -249,7 +255,7 @@ def spoil_api(layer: Sdf.Layer) -> None:
     ids=lambda value: getattr(value, "__name__", None),
 )
 def test_spoiled_take_is_refused_with_the_place_named(tmp_path, spoil, message) -> None:
-    write_take(tmp_path / "x.take.usdc", small_take())
+    write_take(tmp_path / "x.take.usdc", small_take(), provenance=Provenance())
     layer = Sdf.Layer.FindOrOpen(str(tmp_path / "x.take.usdc"))
     spoil(layer)
     layer.Save()
@@ -265,7 +271,7 @@ def test_a_file_that_is_no_usd_is_refused(tmp_path: Path, content: bytes) -> Non
 
 
 def test_a_take_whose_samples_are_gone_says_which(tmp_path: Path) -> None:
-    write_take(tmp_path / "x.take.usda", small_take())
+    write_take(tmp_path / "x.take.usda", small_take(), provenance=Provenance())
     (tmp_path / "x.take.samples.usdc").unlink()
     with pytest.raises(InputError, match=r"its sublayer \./x\.take\.samples\.usdc cannot be read"):
         read_take(tmp_path / "x.take.usda")

@@ -9,6 +9,7 @@ import pytest
 from pxr import Sdf, Usd
 
 from usdface.core.assets import Event, Markers, Take
+from usdface.core.provenance import Provenance
 from usdface.usdio.take import write as take_write
 from usdface.usdio.take.read import TakeReader, read_take
 from usdface.usdio.take.write import write_take
@@ -35,7 +36,7 @@ def test_what_is_written_where_it_changes_reads_back_at_every_frame(
     visible[15:30] = True
     confidence = np.where(visible, 1.0, rng.random((40, 5)))
     monkeypatch.setattr(take_write, "FRAMES_IN_MEMORY", lot)
-    write_take(tmp_path / "talk.take.usda", make_take(visible, confidence))
+    write_take(tmp_path / "talk.take.usda", make_take(visible, confidence), provenance=Provenance())
     for first, last in ((11, 50), (24, 31), (20, 20)):
         markers = read_take(tmp_path / "talk.take.usda", first=first, last=last).markers
         assert markers is not None
@@ -48,7 +49,7 @@ def test_frames_picked_from_a_take_are_those_of_the_whole(tmp_path: Path) -> Non
     rng = np.random.default_rng(0)
     visible = rng.random((40, 5)) > 0.2
     path = tmp_path / "talk.take.usda"
-    write_take(path, make_take(visible, rng.random((40, 5))))
+    write_take(path, make_take(visible, rng.random((40, 5))), provenance=Provenance())
     samples = Sdf.Layer.FindOrOpen(str(tmp_path / "talk.take.samples.usdc"))
     for name in ("visible", "confidence"):  # as others thin them: between samples, and before all
         root = samples.rootPrims[0].path
@@ -72,7 +73,7 @@ def test_frames_picked_from_a_take_are_those_of_the_whole(tmp_path: Path) -> Non
 def test_usd_itself_sees_the_same_at_every_frame_and_between(tmp_path: Path) -> None:
     visible = np.ones((12, 2), bool)
     visible[5:8, 1] = False
-    write_take(tmp_path / "talk.take.usda", make_take(visible, visible))
+    write_take(tmp_path / "talk.take.usda", make_take(visible, visible), provenance=Provenance())
     stage = Usd.Stage.Open(str(tmp_path / "talk.take.usda"))
     prim = stage.GetPrimAtPath(stage.GetDefaultPrim().GetPath().AppendChild("Markers"))
     confidence = prim.GetAttribute("primvars:face:confidence")
@@ -87,7 +88,7 @@ def test_usd_itself_sees_the_same_at_every_frame_and_between(tmp_path: Path) -> 
 def test_events_keep_their_place_under_a_layer_offset(tmp_path: Path) -> None:
     seen = np.ones((12, 2), bool)
     take = replace(make_take(seen, seen), events=(Event("Clap", 13.0), Event("Slate", 17.5)))
-    write_take(tmp_path / "talk.take.usda", take)
+    write_take(tmp_path / "talk.take.usda", take, provenance=Provenance())
     assert read_take(tmp_path / "talk.take.usda").events == take.events
     assert read_take(tmp_path / "talk.take.usda", first=14, last=22).events == take.events[1:]
     shot = Sdf.Layer.CreateNew(str(tmp_path / "shot.usda"))

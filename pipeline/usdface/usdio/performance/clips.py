@@ -19,7 +19,7 @@ from pxr import Gf, Sdf, Usd, Vt
 from usdface.core.arrays import Float32Array, FloatArray
 from usdface.core.assets import Rig
 from usdface.core.errors import InputError
-from usdface.core.provenance import Provenance, hash_text
+from usdface.core.provenance import Provenance
 from usdface.core.rates import shift_timecode
 from usdface.core.replacing import replacing
 from usdface.usdio.authoring import paths_in
@@ -138,15 +138,8 @@ def part_path(path: Path, first: int, last: int, provenance: Provenance | None) 
 
     It depends on the provenance, so that a new mapping does not replace parts of an old one.
     """
-    return path.with_name(
-        f"{path.stem}.{first}-{last}.{_provenance_digest(provenance)}{path.suffix}"
-    )
-
-
-def _provenance_digest(provenance: Provenance | None) -> str:
-    """Return eight hex digits that depend on the spec and the inputs."""
-    made = "" if provenance is None else f"{provenance.spec}{sorted(provenance.inputs.items())}"
-    return hash_text(made)[:8]
+    digest = (provenance or Provenance()).digest
+    return path.with_name(f"{path.stem}.{first}-{last}.{digest}{path.suffix}")
 
 
 def clear_parts(path: Path) -> None:
@@ -180,7 +173,8 @@ def write_clips(
 ) -> None:
     """Write a weights layer that plays consecutive parts as value clips."""
     parts = [own for part in parts for own in _playable_parts(part, path, provenance)]
-    seams = path.with_name(f"{path.stem}.seams.{_provenance_digest(provenance)}{path.suffix}")
+    digest = (provenance or Provenance()).digest
+    seams = path.with_name(f"{path.stem}.seams.{digest}{path.suffix}")
     with new_layer(seams, provenance) as layer:
         author_header(layer, header, rig)
         for before, after in itertools.pairwise(parts):

@@ -213,7 +213,7 @@ def write_edits(
     frames: IntArray,
     *,
     stamp: str | None = None,
-    provenance: Provenance | None = None,
+    provenance: Provenance,
 ) -> Path:
     """Write edits into NAME.edits.usda, and make it the strongest sublayer of NAME.usda.
 

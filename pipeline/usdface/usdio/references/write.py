@@ -61,7 +61,7 @@ def write_references(
     *,
     tuned: Sequence[TunedPair] = (),
     images: Sequence[Path | None] = (),
-    provenance: Provenance | None = None,
+    provenance: Provenance,
 ) -> None:
     """Write a references asset with its proposals, and preserve tuned pairs.
 
@@ -86,7 +86,8 @@ def write_references(
         if here[each.pair : each.pair + 1] == [(each.take, each.frame)]
     ]
     samples = samples_path(path)
-    made = {layer_paths[1]: provenance, samples: provenance, path: provenance}
+    files = (layer_paths[1], samples, path)
+    made: dict[Path, Provenance | None] = dict.fromkeys(files, provenance)
     if pairs or not layer_paths[0].is_file():
         made = {layer_paths[0]: provenance if tuned else None} | made
     with new_layers(made) as layers:
@@ -121,7 +122,7 @@ def write_tuned_weights(
     pairs: list[TunedPair],
     *,
     layer_path: Path,
-    provenance: Provenance | None = None,
+    provenance: Provenance,
 ) -> None:
     """Add tuned pairs to the tuned layer, or replace them."""
     write_tuned_layer(
@@ -142,7 +143,7 @@ def write_tuned_layer(
     pairs: list[TunedPair],
     *,
     layer_path: Path,
-    provenance: Provenance | None = None,
+    provenance: Provenance,
 ) -> None:
     """Write the tuned layer, in which these pairs are tuned, and the others are proposals.
 

@@ -63,7 +63,7 @@ def write_pairs(
     *,
     source_rig: Rig | None,
     target_rig: Rig,
-    provenance: Provenance | None = None,
+    provenance: Provenance,
 ) -> None:
     """Write a pairs asset, and preserve keys in the layer to open.
 

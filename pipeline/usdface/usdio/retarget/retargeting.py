@@ -25,9 +25,7 @@ from usdface.usdio.units import author_units
 TYPE = "FaceRetargeting"
 
 
-def write_retargeting(
-    path: Path, trained: Retargeting, *, provenance: Provenance | None = None
-) -> None:
+def write_retargeting(path: Path, trained: Retargeting, *, provenance: Provenance) -> None:
     """Write a retargeting, without loss."""
     kinds = Sdf.ValueTypeNames
     rig = "" if trained.target_rig is None else relative_path(trained.target_rig, path)

@@ -48,7 +48,7 @@ def write_sequence(
     sequence: EmotionalSequence,
     *,
     rate: Fraction,
-    provenance: Provenance | None = None,
+    provenance: Provenance,
 ) -> None:
     """Write a sequence: source and target each from time code 1, of different lengths."""
     kinds = Sdf.ValueTypeNames
@@ -119,7 +119,7 @@ def _read_side(stage: Usd.Stage, place: Sdf.Path, path: Path) -> tuple[Controls,
 
 
 def write_matches(
-    path: Path, matches: tuple[SequenceMatch, ...], *, provenance: Provenance | None = None
+    path: Path, matches: tuple[SequenceMatch, ...], *, provenance: Provenance
 ) -> None:
     """Write occurrences of sequences, one prim each, which can be deactivated or edited."""
     kinds = Sdf.ValueTypeNames

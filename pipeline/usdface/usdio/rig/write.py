@@ -157,7 +157,7 @@ def write_logic(
     rig: Rig,
     combinations: tuple[Combination, ...],
     *,
-    provenance: Provenance | None = None,
+    provenance: Provenance,
 ) -> None:
     """Write a layer over a rig's file, with its combinations."""
     source, driven = open_stage(rig.file), {each.shape: each for each in combinations}

@@ -71,7 +71,7 @@ def write_binding(
     *,
     corrected_path: Path,
     proposed_path: Path,
-    provenance: Provenance | None = None,
+    provenance: Provenance,
     author: Callable[[Sdf.PrimSpec], None] | None = None,
 ) -> None:
     """Write a binding with its proposal, and preserve corrections.

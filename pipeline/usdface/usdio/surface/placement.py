@@ -49,7 +49,7 @@ class RigPlacement:
 
 
 def write_placement(
-    path: Path, placement: RigPlacement, rig: Rig, *, provenance: Provenance | None = None
+    path: Path, placement: RigPlacement, rig: Rig, *, provenance: Provenance
 ) -> None:
     """Write a placement, and preserve the layer of corrections."""
 

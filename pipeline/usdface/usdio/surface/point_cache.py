@@ -17,7 +17,7 @@ from pxr import Sdf, Vt
 from usdface.core.arrays import Float32Array, FloatArray
 from usdface.core.assets import Rig
 from usdface.core.errors import InputError
-from usdface.core.provenance import Provenance, hash_text
+from usdface.core.provenance import Provenance
 from usdface.core.replacing import replacing_group
 from usdface.core.sidecars import points_path
 from usdface.usdio.authoring import apply_api, author_timing, author_uniform
@@ -192,7 +192,7 @@ def writing_points(
     header: PointsHeader,
     format_: PointsFormat,
     *,
-    provenance: Provenance | None = None,
+    provenance: Provenance,
 ) -> Iterator[PointsWriter]:
     """Write an animated mesh frame by frame; the files are replaced if the block succeeds.
 
@@ -231,7 +231,7 @@ def _writing_samples(
     at: Sdf.Path,
     header: PointsHeader,
     format_: PointsFormat,
-    provenance: Provenance | None,
+    provenance: Provenance,
 ) -> Iterator[PointsWriter]:
     """Write the points layer, and its clips if the take is larger than one."""
     frames = header.last_frame - header.first_frame + 1
@@ -245,7 +245,8 @@ def _writing_samples(
             writer._layer, writer.next_frame = layer, header.first_frame
             yield writer
         else:
-            stem = points_file.with_name(f"{points_file.stem}.{_key(provenance)}")
+            # By provenance, so that clips of another are not replaced.
+            stem = points_file.with_name(f"{points_file.stem}.{provenance.digest}")
             clips = _ClipNames(header, clip_frames, stem)
             writer = clips_writer = _ClipsWriter(
                 face, at, format_, clips, _clip_files(points_file, at)
@@ -274,13 +275,6 @@ def _frame_bytes(face: FaceMesh, format_: PointsFormat) -> int:
     )
     count = len(face.local)
     return 4 * (3 * (count + normals + 2) + (count if format_.uncertainty else 0))
-
-
-def _key(provenance: Provenance | None) -> str:
-    """Return a name that depends on the spec and inputs, so that other clips are not replaced."""
-    if provenance is None:
-        return "clips"
-    return hash_text(provenance.spec + repr(sorted(provenance.inputs.items())))[:8]
 
 
 def _sample(values: FloatArray | Float32Array) -> Vt.FloatArray | Vt.Vec3fArray:

@@ -77,7 +77,7 @@ def write_shape_rig(
     *,
     name: str = "Face",
     least_mm: float = 0.02,
-    provenance: Provenance | None = None,
+    provenance: Provenance,
 ) -> tuple[WrittenShape, ...]:
     """Write a rig: a SkelRoot with a one-joint Skeleton, the mesh's asset, and shapes on the mesh.
 

@@ -22,7 +22,7 @@ def write_detections(
     arrays: Mapping[str, Float32Array],
     names: Mapping[str, tuple[str, ...]],
     *,
-    provenance: Provenance | None = None,
+    provenance: Provenance,
 ) -> None:
     """Write arrays and lists of names, without loss."""
     with new_layer(path, provenance) as layer:

@@ -33,9 +33,7 @@ MARKER_WIDTH_MM = 3.0
 """Size of a marker in viewers: a common one of facial markers."""
 
 
-def write_take(
-    path: Path, take: Take, *, over: Path | None = None, provenance: Provenance | None = None
-) -> None:
+def write_take(path: Path, take: Take, *, over: Path | None = None, provenance: Provenance) -> None:
     """Write a take.
 
     Parameters
