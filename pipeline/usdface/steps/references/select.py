@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
-from usdface.core.assets import References, Rig, TrainedMapping
+from usdface.core.assets import References, Rig, Take, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.core.locks import check_tuning_lock, tuning_lock
-from usdface.core.progress import Progress, silent
+from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import replacing_group
 from usdface.core.sidecars import (
@@ -34,6 +34,7 @@ from usdface.speech.phones import VISEMES
 from usdface.steps.inputs.cleaned_takes import CleanedTakes, plausibility_notes, read_cleaned_takes
 from usdface.steps.inputs.coverage_report import (
     PairFaces,
+    TakesCoverage,
     coverage_figures,
     coverage_picture,
     takes_coverage,
@@ -84,6 +85,8 @@ class _Selection:
     spoken: PhoneLabels
     kept: list[PlacedPair]
     candidates: BoolArray
+    predicted: TakesPrediction | None
+    """By --mapping."""
 
     @property
     def already(self) -> IntArray:
@@ -112,31 +115,76 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
     warnings = plausibility_notes(takes, spec.takes, rig)
     progress(0.1, "placing the markers on the rig")
     placed = _placement(spec, takes, rig)
-    spoken = read_phone_labels(spec, takes)
-    kept = find_placed_pairs(spec, takes, rig)
-    mapping = None if spec.mapping is None else _mapping_for(spec.mapping, rig)
-    selection = _set_up(spec, takes, rig, placed.placement, spoken, kept, progress)
+    selection = _set_up(spec, takes, rig, placed.placement, progress)
     progress(0.5, "choosing frames")
-    mapped = None if mapping is None else takes_prediction(mapping, takes)
     choice = _choose(selection)
-    rows = np.array(rows_of_pairs(spec.count, kept, choice.rows), dtype=np.int64)
+    rows = np.array(rows_of_pairs(spec.count, selection.kept, choice.rows), dtype=np.int64)
     progress(0.7, "proposing weights")
-    weights = _propose(selection, mapped, rows)
-    references = replace(
-        _references(selection, choice, rows, weights),
-        placement=spec.placement or placement_path(spec.out),
-    )
-    images = PairImages((), ())
-    metadata = provenance.metadata
-    if spec.images:
-        progress(0.75, "storing the video frames of the pairs")
-        images = write_pair_images(spec.out, references, takes.sources, metadata=metadata)
+    references = _references(selection, choice, rows, _propose(selection, rows))
+    images = _store_images(spec, references, takes.sources, provenance, part(progress, 0.75, 0.85))
     progress(0.85, f"writing {spec.out.name}")
+    made_here = None if spec.placement is not None else placed.placement
+    _write(spec, references, rig, selection.kept, images, provenance, made_here)
+    _draw_placement(spec, placed, rig, provenance)
+    progress(0.9, "measuring the coverage")
+    coverage = _measure_coverage(selection, rows, provenance)
+    progress(1.0, "done")
+    return _result(selection, placed, choice, references, images, coverage, warnings)
+
+
+def _run_on_weights(spec: SelectSpec, provenance: Provenance, progress: Progress) -> StepResult:
+    """Choose pairs of takes that carry weights, and write the asset."""
+    rig = read_rig(spec.rig, prim=spec.prim)
+    found = select_by_weights(spec, rig, progress)
+    references = found.references
+    images = _store_images(
+        spec, references, found.takes.sources, provenance, part(progress, 0.6, 0.9)
+    )
+    progress(0.9, f"writing {spec.out.name}")
+    _write(spec, references, rig, found.kept, images, provenance)
+    progress(1.0, "done")
+    return StepResult(
+        reference_layers(spec.out),
+        f"{len(references.frames)} pairs of {len(found.takes.frames)} frames, {len(found.kept)} of "
+        "them tuned",
+        (
+            *found.notes,
+            *images.notes,
+            f"next: `usdface tune {spec.out}`; then `usdface train-retarget` with --references",
+        ),
+        _figures(references, found.kept, images),
+    )
+
+
+def _store_images(
+    spec: SelectSpec,
+    references: References,
+    sources: tuple[Take, ...],
+    provenance: Provenance,
+    progress: Progress,
+) -> PairImages:
+    """Store the video frames of the pairs, unless --no-images is given."""
+    if not spec.images:
+        return PairImages((), ())
+    progress(0.0, "storing the video frames of the pairs")
+    return write_pair_images(spec.out, references, sources, metadata=provenance.metadata)
+
+
+def _write(
+    spec: SelectSpec,
+    references: References,
+    rig: Rig,
+    kept: list[PlacedPair],
+    images: PairImages,
+    provenance: Provenance,
+    placement: RigPlacement | None = None,
+) -> None:
+    """Write references, and a placement made here, unless pairs were tuned since they were read."""
     written = (*binding_layers(placement_path(spec.out)), *reference_layers(spec.out))
     with tuning_lock(spec.out), replacing_group(written):
         _check_tuning_is_as_read(spec, kept)
-        if spec.placement is None:
-            write_placement(placement_path(spec.out), placed.placement, rig, provenance=provenance)
+        if placement is not None:
+            write_placement(placement_path(spec.out), placement, rig, provenance=provenance)
         write_references(
             spec.out,
             references,
@@ -146,14 +194,33 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
             provenance=provenance,
         )
     remove_unused_images(spec.out, images.files)
-    _draw_placement(spec, placed, rig, provenance)
-    progress(0.9, "measuring the coverage")
-    scene = selection.scene
+
+
+def _measure_coverage(
+    selection: _Selection, rows: IntArray, provenance: Provenance
+) -> TakesCoverage:
+    """Measure the coverage of the takes by the pairs, and draw it."""
+    spec, scene = selection.spec, selection.scene
     faces = PairFaces.at(scene, rows)
     coverage = takes_coverage(scene, faces, rows, candidates=selection.candidates)
-    picture = coverage_picture(coverage, takes, rows, tuned=selection.already, title=spec.out.stem)
-    write_image(spec.picture_path(), picture, metadata=metadata)
-    progress(1.0, "done")
+    picture = coverage_picture(
+        coverage, scene.takes, rows, tuned=selection.already, title=spec.out.stem
+    )
+    write_image(spec.picture_path(), picture, metadata=provenance.metadata)
+    return coverage
+
+
+def _result(
+    selection: _Selection,
+    placed: PlacedTakes,
+    choice: ReferenceChoice,
+    references: References,
+    images: PairImages,
+    coverage: TakesCoverage,
+    warnings: list[str],
+) -> StepResult:
+    spec, scene, kept = selection.spec, selection.scene, selection.kept
+    takes = scene.takes
     contradictions, conflicts = tuned_conflicts(spec.out)
     return StepResult(
         (
@@ -162,28 +229,24 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
             *((placement_path(spec.out),) if spec.placement is None else ()),
             _placement_picture(spec),
         ),
-        f"{len(rows)} pairs of {len(takes.frames)} frames, {len(kept)} of them tuned; mean "
-        f"coverage {coverage.frames.mean:.0%}",
+        f"{len(references.frames)} pairs of {len(takes.frames)} frames, {len(kept)} of them tuned; "
+        f"mean coverage {coverage.frames.mean:.0%}",
         (
             *warnings,
             f"placement: {placed.verdict.sentence}; see {_placement_picture(spec).name}",
             *placement_notes(placed),
-            *selection_notes(spec, scene, spoken, kept, choice),
+            *selection_notes(spec, scene, selection.spoken, kept, choice),
             *images.notes,
             *contradictions,
             *next_step(spec.out, spec.count, len(kept)),
         ),
         {
-            "pairs": len(rows),
-            "frames": references.frames.tolist(),
-            "takes": list(references.takes),
-            "kept": len(kept),
+            **_figures(references, kept, images),
             "conflicts": conflicts,
             "design": choice.design,
             "measured_mm": {name: round(mm, 4) for name, mm in choice.measured_mm.items()},
             "visemes": list(references.visemes),
             "emotions": list(references.emotions),
-            "images": sum(file is not None for file in images.files),
             "neutrals": {
                 take.name: neutral.figures()
                 for take, neutral in zip(takes.sources, takes.neutrals, strict=True)
@@ -194,45 +257,16 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
     )
 
 
-def _run_on_weights(spec: SelectSpec, provenance: Provenance, progress: Progress) -> StepResult:
-    """Choose pairs of takes that carry weights, and write the asset."""
-    rig = read_rig(spec.rig, prim=spec.prim)
-    found = select_by_weights(spec, rig, progress)
-    references, images = found.references, PairImages((), ())
-    if spec.images:
-        progress(0.6, "storing the video frames of the pairs")
-        metadata = provenance.metadata
-        images = write_pair_images(spec.out, references, found.takes.sources, metadata=metadata)
-    progress(0.9, f"writing {spec.out.name}")
-    with tuning_lock(spec.out):
-        _check_tuning_is_as_read(spec, found.kept)
-        write_references(
-            spec.out,
-            references,
-            rig,
-            tuned=[each.tuned for each in found.kept if each.is_keyed],
-            images=images.files,
-            provenance=provenance,
-        )
-    remove_unused_images(spec.out, images.files)
-    progress(1.0, "done")
-    count = len(references.frames)
-    return StepResult(
-        reference_layers(spec.out),
-        f"{count} pairs of {len(found.takes.frames)} frames, {len(found.kept)} of them tuned",
-        (
-            *found.notes,
-            *images.notes,
-            f"next: `usdface tune {spec.out}`; then `usdface train-retarget` with --references",
-        ),
-        {
-            "pairs": count,
-            "frames": references.frames.tolist(),
-            "takes": list(references.takes),
-            "kept": len(found.kept),
-            "images": sum(file is not None for file in images.files),
-        },
-    )
+def _figures(
+    references: References, kept: list[PlacedPair], images: PairImages
+) -> dict[str, object]:
+    return {
+        "pairs": len(references.frames),
+        "frames": references.frames.tolist(),
+        "takes": list(references.takes),
+        "kept": len(kept),
+        "images": sum(file is not None for file in images.files),
+    }
 
 
 def _check_something_moves(spec: SelectSpec, takes: CleanedTakes) -> None:
@@ -293,10 +327,11 @@ def _set_up(
     takes: CleanedTakes,
     rig: Rig,
     placement: RigPlacement,
-    spoken: PhoneLabels,
-    kept: list[PlacedPair],
     progress: Progress,
 ) -> _Selection:
+    spoken = read_phone_labels(spec, takes)
+    kept = find_placed_pairs(spec, takes, rig)
+    mapping = None if spec.mapping is None else _mapping_for(spec.mapping, rig)
     candidates = candidate_frames(takes, spec.frames)
     free = candidates.copy()
     free[[each.row for each in kept]] = False
@@ -306,7 +341,8 @@ def _set_up(
             "lower it, widen --frames or give more takes"
         )
     scene = set_up_scene(takes, rig, placement=placement, progress=progress)
-    return _Selection(spec, scene, spoken, kept, candidates)
+    predicted = None if mapping is None else takes_prediction(mapping, takes)
+    return _Selection(spec, scene, spoken, kept, candidates, predicted)
 
 
 def _choose(selection: _Selection) -> ReferenceChoice:
@@ -345,17 +381,17 @@ def _choose(selection: _Selection) -> ReferenceChoice:
     )
 
 
-def _propose(selection: _Selection, mapped: TakesPrediction | None, rows: IntArray) -> FloatArray:
+def _propose(selection: _Selection, rows: IntArray) -> FloatArray:
     """Return proposed weights, from the mapping if there is one, else from the rig's geometry."""
-    scene = selection.scene
+    scene, predicted = selection.scene, selection.predicted
     positions = scene.positions(rows)
     weights = scene.equation.propose(positions, visible=scene.takes.usable_at(rows))
     lips = find_lips(scene.equation, scene.deformer, scene.parts)
     if lips is not None:
         weights = keep_lip_contact(scene.equation, scene.deformer, lips, positions, weights)
-    if mapped is not None:
-        columns = [scene.rig.shapes.index(name) for name in mapped.shape_names]
-        weights[:, columns] = mapped.weights(rows)
+    if predicted is not None:
+        columns = [scene.rig.shapes.index(name) for name in predicted.shape_names]
+        weights[:, columns] = predicted.weights(rows)
     return weights
 
 
@@ -382,4 +418,5 @@ def _references(
         performer=takes.sources[0].performer,
         session=takes.sources[0].session,
         rate=float(takes.sources[0].rate),
+        placement=selection.spec.placement or placement_path(selection.spec.out),
     )
