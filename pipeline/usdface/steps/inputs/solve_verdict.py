@@ -1,10 +1,12 @@
 """The verdict on performances, by the figures that their layers store."""
 
 import os
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
+from usdface.core.arrays import FloatArray
 from usdface.core.errors import InputError
 from usdface.core.sidecars import is_usd_name
 from usdface.core.text import first_few, frame_ranges
@@ -36,10 +38,16 @@ def judge_performance(
 
 
 def evidence_of(
-    reader: PerformanceReader, *, judged: frozenset[Path] = frozenset()
+    reader: PerformanceReader,
+    figures: Iterable[FloatArray | None] | None = None,
+    *,
+    judged: frozenset[Path] = frozenset(),
 ) -> SolveEvidence:
-    """Return the figures that a performance's layer stores."""
-    uncertainty_mm, coverage, residual_mm = reader.figures()
+    """Return the evidence of a performance's verdict.
+
+    `figures`: uncertainty, coverage and residual, by default all that its layer stores.
+    """
+    uncertainty_mm, coverage, residual_mm = reader.figures() if figures is None else figures
     retarget = describe_retarget(reader.path)
     return SolveEvidence(
         reader.regions or ("face",),

@@ -19,7 +19,7 @@ from usdface.runner.origin import find_take, provenance_of, spec_of, take_of_per
 from usdface.specs.paths import frame_range
 from usdface.specs.review import AUTO_CAMERA, FRONT_CAMERA
 from usdface.steps.inputs.cleaned_takes import read_cleaned
-from usdface.steps.inputs.solve_verdict import bad_source, describe_retarget
+from usdface.steps.inputs.solve_verdict import evidence_of
 from usdface.usdio.performance.read import PerformanceReader, read_performance
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.rig_motion import PointMotion, RigMotion
@@ -221,17 +221,13 @@ class Shot:
         """Return the evidence at some rows of the performance."""
         known = self.performance
         figures = (known.uncertainty_mm, known.coverage, known.residual_mm)
-        uncertainty, coverage, residual = (None if each is None else each[rows] for each in figures)
-        return SolveEvidence(
-            known.regions or ("face",),
-            uncertainty_mm=uncertainty,
-            coverage=coverage,
-            residual_mm=residual,
-            basis=known.basis,
+        evidence = evidence_of(
+            PerformanceReader(self.performance_file),
+            [None if each is None else each[rows] for each in figures],
+        )
+        return replace(
+            evidence,
             by_markers=self.take.markers is not None,
-            retarget=describe_retarget(self.performance_file),
-            unfollowed_share=sum(PerformanceReader(self.performance_file).header.unmatched_shares),
-            bad_source=bad_source(self.performance_file),
             has_video=self.take.video is not None,
         )
 
