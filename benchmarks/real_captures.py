@@ -28,7 +28,7 @@ from usdface.core.deformer import Deformer
 from usdface.demo.rig import demo_rig
 from usdface.model.placement.label_hints import label_hint, skin_motion_mm
 from usdface.model.selection.baseline import BlendshapeEquation, PerformerMarkers, set_up_equation
-from usdface.numerics.registration.face_skin import FaceSkin, sample_face_skin
+from usdface.numerics.registration.face_skin import FaceSkin
 from usdface.numerics.registration.skin_placement import explained_share, solve_weights_at
 from usdface.numerics.regression.cross_validation import surface_rms_mm
 from usdface.numerics.repair.cleaning import clean_markers
@@ -134,8 +134,7 @@ def run() -> None:
 
 def head_of(rig: Rig) -> Head:
     deformer = Deformer(rig)
-    offsets = deformer.shapes.target_offsets()
-    return Head(rig, deformer, sample_face_skin(deformer.neutral, deformer.triangles, offsets))
+    return Head(rig, deformer, deformer.face_skin())
 
 
 def _read(name: str) -> tuple[FloatArray, tuple[str, ...]]:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
+from usdface.core import deformer
 from usdface.numerics.registration import face_skin
 
 COARSE_SAMPLES = 4000
@@ -23,17 +24,7 @@ PLACING = (
     ("usdface.model.selection.baseline", "place_markers"),
     ("usdface.model.selection.baseline", "match_peaks"),
     ("usdface.model.selection.baseline", "_noise_mm"),
-    ("usdface.steps.inputs.marker_lines", "sample_face_skin"),
 )
-COARSE = (
-    "usdface.model.placement.shape_parts",
-    "usdface.model.retarget.shape_matching",
-    "usdface.model.selection.baseline",
-    "usdface.model.surface.binding",
-    "usdface.steps.inputs.placement",
-)
-"""Modules that sample the skin of a rig coarsely in tests. Tests of where markers lie sample it
-themselves."""
 REMEMBERED = (
     *PLACING,
     ("usdface.demo.rig", "bare_head"),
@@ -73,9 +64,8 @@ def remember(
     for module_name, name in names:
         module = import_module(module_name)
         replace(module, name, _remembering(getattr(module, name), folder))
-    for module_name in COARSE:
-        skin = _remembering(coarse_face_skin, folder)
-        replace(import_module(module_name), "sample_face_skin", skin)
+    # Tests of where markers lie call `sample_face_skin` themselves.
+    replace(deformer, "sample_face_skin", _remembering(coarse_face_skin, folder))
 
 
 def coarse_face_skin(*rig: Any) -> face_skin.FaceSkin:

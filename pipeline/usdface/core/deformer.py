@@ -4,6 +4,7 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray, index_of
 from usdface.core.assets import Rig
+from usdface.numerics.registration.face_skin import FaceSkin, sample_face_skin
 from usdface.numerics.solve.blendshapes import BlendShapes, ChannelKeys, Key
 from usdface.numerics.surface.triangulation import triangulate
 
@@ -51,3 +52,7 @@ class Deformer:
     def points(self, weights: FloatArray) -> FloatArray:
         """Return the surface for each frame: (frames, points, 3) float array [mm]."""
         return self.neutral + self.shapes.offsets(weights)
+
+    def face_skin(self) -> FaceSkin:
+        """Sample the skin that the shapes move; `ValueError` if there is none."""
+        return sample_face_skin(self.neutral, self.triangles, self.shapes.target_offsets())

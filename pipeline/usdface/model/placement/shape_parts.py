@@ -24,7 +24,7 @@ from usdface.numerics.measure.face_regions import (
     gaze_shapes,
     region_of_shape,
 )
-from usdface.numerics.registration.face_skin import FaceSkin, sample_face_skin
+from usdface.numerics.registration.face_skin import FaceSkin
 
 GAZE, TONGUE = "gaze", "tongue"
 
@@ -72,9 +72,8 @@ def shape_parts(rig: Rig, deformer: Deformer) -> tuple[str, ...]:
     foreign = shapes_of_unknown_region(names)
     if not foreign:
         return names
-    offsets = deformer.shapes.target_offsets()
     try:
-        skin = sample_face_skin(deformer.neutral, deformer.triangles, offsets)
+        skin = deformer.face_skin()
     except ValueError:
         return names
     template = fit_region_template(skin, names)
@@ -84,7 +83,7 @@ def shape_parts(rig: Rig, deformer: Deformer) -> tuple[str, ...]:
     off_skin = np.ones(len(points), dtype=np.bool_)
     off_skin[skin.corners] = False
     found = list(names)
-    motions = _motions(offsets)
+    motions = _motions(deformer.shapes.target_offsets())
     moving = [shape for shape in foreign if motions[shape].max(initial=0.0) > _LEAST_MOTION_MM]
     for shape in moving:
         moved, on_skin = motions[shape], np.linalg.norm(skin.deltas[shape], axis=1)

@@ -26,7 +26,7 @@ from usdface.model.placement.shape_parts import shape_parts
 from usdface.model.retarget.shape_names import mirrored, read_meanings
 from usdface.numerics.measure.face_regions import gaze_shapes, mirrored_shapes, region_of_shape
 from usdface.numerics.registration.cloud_alignment import Alignment, align_cloud, align_pairs
-from usdface.numerics.registration.face_skin import FaceSkin, sample_face_skin
+from usdface.numerics.registration.face_skin import FaceSkin
 from usdface.numerics.solve.bounded_least_squares import solve_bounded_least_squares
 
 CLOUD_POINTS = 400
@@ -334,9 +334,7 @@ class _Face:
     def of(cls, rig: Rig) -> "_Face":
         deformer = Deformer(rig)
         with _surface_errors(str(rig.file)):
-            skin = sample_face_skin(
-                deformer.neutral, deformer.triangles, deformer.shapes.target_offsets()
-            )
+            skin = deformer.face_skin()
         extents = np.linalg.svd(skin.positions - skin.positions.mean(axis=0), compute_uv=False)
         if extents[-1] < _LEAST_DEPTH * extents[0]:
             raise InputError(f"{rig.file}: the surface is too flat for a face")

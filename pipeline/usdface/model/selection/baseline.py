@@ -23,7 +23,6 @@ from usdface.model.placement.label_hints import upper_lid_sides
 from usdface.model.placement.marker_cloud import marker_cloud
 from usdface.model.placement.place import MarkerPlacement, place_markers
 from usdface.model.retarget.shape_names import read_meanings
-from usdface.numerics.registration.face_skin import sample_face_skin
 from usdface.numerics.registration.virtual_markers import (
     VirtualMarkers,
     character_motion,
@@ -307,9 +306,8 @@ def set_up_equation(
     """Return the equation of a performer's markers, placed on a character."""
     positions, visible = performer.positions, performer.visible
     picks = sample_frames(len(positions), MOTION_FRAMES)
-    offsets = deformer.shapes.target_offsets()
     try:
-        skin = sample_face_skin(deformer.neutral, deformer.triangles, offsets)
+        skin = deformer.face_skin()
         cloud = marker_cloud(
             performer.labels,
             performer.neutral,

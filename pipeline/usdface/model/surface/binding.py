@@ -15,7 +15,6 @@ from usdface.model.placement.place import place_markers
 from usdface.numerics.registration.cloud_alignment import align_landmarks
 from usdface.numerics.registration.face_skin import (
     SurfaceSamples,
-    sample_face_skin,
     sample_outer_surface,
 )
 from usdface.numerics.registration.marker_binding import (
@@ -118,8 +117,7 @@ def _by_shapes(mesh: RigMesh, cloud: MarkerCloud, pins: dict[int, FloatArray]) -
     names = tuple(shape.name for shape in mesh.shapes)
     ranges = np.tile([0.0, 1.0], (len(names), 1))
     deformer = Deformer(Rig(Path(), mesh.path, names, (mesh,), ranges))
-    offsets = deformer.shapes.target_offsets()
-    skin = sample_face_skin(deformer.neutral, deformer.triangles, offsets)
+    skin = deformer.face_skin()
     virtual = place_markers(cloud, skin, names, pinned=pins).virtual
     return places_of_corners(mesh.face_counts, mesh.face_indices, virtual.points, virtual.weights)
 

@@ -11,7 +11,6 @@ from usdface.core.deformer import Deformer
 from usdface.model.placement.marker_rows import rows_by_label, rows_by_place
 from usdface.model.placement.rig_landmarks import find_landmarks
 from usdface.model.selection.baseline import BlendshapeEquation
-from usdface.numerics.registration.face_skin import sample_face_skin
 from usdface.numerics.registration.skin_placement import TYPICAL_SIZE_MM
 
 _LEAST_KNOWN = 0.8
@@ -43,8 +42,7 @@ def lines_on_rig(
     if len(by_label):
         return by_label
     try:
-        offsets = deformer.shapes.target_offsets()
-        skin = sample_face_skin(deformer.neutral, deformer.triangles, offsets)
+        skin = deformer.face_skin()
     except ValueError:  # no skin that shapes move
         return by_label
     places = equation.virtual.places(deformer.neutral) @ skin.frame.T

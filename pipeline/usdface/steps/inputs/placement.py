@@ -25,7 +25,6 @@ from usdface.model.selection.baseline import (
     set_up_equation,
 )
 from usdface.model.surface.binding import bind_at
-from usdface.numerics.registration.face_skin import sample_face_skin
 from usdface.numerics.registration.marker_binding import FEWEST_MARKERS
 from usdface.numerics.registration.skin_placement import TYPICAL_SIZE_MM
 from usdface.numerics.registration.surface_places import places_of_corners
@@ -84,9 +83,7 @@ class PlacementScene:
                 visible=takes.usable_at(rows),
                 rigid=[takes.marker_names.index(name) for name in takes.rigid],
             )
-            self._skin = sample_face_skin(
-                deformer.neutral, deformer.triangles, deformer.shapes.target_offsets()
-            )
+            self._skin = deformer.face_skin()
         except ValueError as error:
             raise InputError(f"the markers cannot be placed on {rig.file}: {error}") from error
 
