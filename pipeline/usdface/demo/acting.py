@@ -101,9 +101,13 @@ class ActedPerformance:
     """(frames, 3): of the top of the neck [mm]."""
 
 
-def performance(rate: int = 120) -> ActedPerformance:
+_FRAME_RATE = 120
+"""Frames per second."""
+
+
+def performance() -> ActedPerformance:
     """Return the performance of the script: 15 s, deterministic."""
-    time = np.arange(round(DURATION_SECONDS * rate) + 1) / rate
+    time = np.arange(round(DURATION_SECONDS * _FRAME_RATE) + 1) / _FRAME_RATE
     curves: dict[str, FloatArray] = {}
     speech, closure, activity = _speech(time)
     _add(curves, speech)
@@ -122,8 +126,8 @@ def performance(rate: int = 120) -> ActedPerformance:
     rotation, translation = _head_motion(time)
 
     return ActedPerformance(
-        weights=WeightsClip(names, values.astype(np.float32), FIRST_FRAME, Fraction(rate)),
-        neutral_frame=FIRST_FRAME + round(NEUTRAL_TIME * rate),
+        weights=WeightsClip(names, values.astype(np.float32), FIRST_FRAME, Fraction(_FRAME_RATE)),
+        neutral_frame=FIRST_FRAME + round(NEUTRAL_TIME * _FRAME_RATE),
         rotation=rotation,
         translation=translation,
     )

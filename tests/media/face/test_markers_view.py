@@ -12,7 +12,7 @@ def marked(picture: np.ndarray) -> np.ndarray:
 
 
 def test_dots_lie_where_the_markers_project() -> None:
-    frame = frame_markers(CLOUD, margin=1.5)
+    frame = frame_markers(CLOUD)
     picture = draw_markers(CLOUD, width=400, height=400, frame=frame)
     found = marked(picture)
     scale = 400 / frame.height
@@ -29,7 +29,7 @@ def test_nearer_markers_are_brighter() -> None:
 
 
 def test_unseen_markers_are_hollow() -> None:
-    frame = frame_markers(CLOUD, margin=1.5)
+    frame = frame_markers(CLOUD)
     seen = draw_markers(CLOUD, width=400, height=400, frame=frame)
     hidden = draw_markers(CLOUD, width=400, height=400, frame=frame, visible=[True, True, False])
     row, column = 200 + int((CLOUD[2, 1] - frame.center[1]) * -400 / frame.height), 200

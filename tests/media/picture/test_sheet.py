@@ -84,12 +84,6 @@ def test_sheet_is_neither_a_tower_nor_a_ribbon(row_count: int) -> None:
     assert 0.6 < width / height < 3.2
 
 
-def test_groups_can_be_asked_for() -> None:
-    assert lay_out(make_spec(groups=1)).groups == 1
-    tower, wide = compose_sheet(make_spec(groups=1)), compose_sheet(make_spec(groups=4))
-    assert tower.shape[0] > 2 * wide.shape[0]
-
-
 @pytest.mark.parametrize("tile_height", [64, 160, 320])
 def test_nothing_is_drawn_over_the_page_margin(tile_height: int) -> None:
     sheet = compose_sheet(make_spec(3, tile_height=tile_height, title="long title " * 40))

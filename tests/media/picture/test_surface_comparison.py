@@ -22,9 +22,9 @@ def test_parts_that_stay_are_drawn_in_every_column() -> None:
 
     def middles(still: list[RigMesh]) -> list[np.ndarray]:
         (row,) = draw_compared(
-            face, [moved], still=still, near=face.points, yaw_degrees=0.0, size=40, quality="draft"
+            face, [moved], still=still, near=face.points, yaw_degrees=0.0, quality="draft"
         )
-        return [tile.pixels[20, 20].astype(int) for tile in row.tiles]
+        return [tile.pixels[160, 160].astype(int) for tile in row.tiles]
 
     with_eye, without = middles([eye]), middles([])
     assert len(with_eye) == 3

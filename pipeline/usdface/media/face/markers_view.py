@@ -34,9 +34,11 @@ class MarkersFrame:
     """Median distance of neighbouring markers in the front view [mm]."""
 
 
-def frame_markers(
-    positions: ArrayLike, *, aspect: float = 1.0, margin: float = 1.16
-) -> MarkersFrame:
+_CLOUD_ROOM = 1.16
+"""Height of the tile over that of the cloud."""
+
+
+def frame_markers(positions: ArrayLike, *, aspect: float = 1.0) -> MarkersFrame:
     """Return the framing of a cloud over all of its frames, except outliers.
 
     Parameters
@@ -45,8 +47,6 @@ def frame_markers(
         [mm], without head motion.
     aspect : float
         Width of the tile over its height.
-    margin : float
-        Height of the tile over that of the cloud.
     """
     cloud = np.asarray(positions, np.float64).reshape(-1, 3)
     cloud = cloud[np.isfinite(cloud).all(axis=1)]
@@ -57,7 +57,7 @@ def frame_markers(
     span = np.maximum(high - low, 1e-6)
     return MarkersFrame(
         center=(low + high) / 2,
-        height=float(margin * max(span[1], span[0] / aspect)),
+        height=float(_CLOUD_ROOM * max(span[1], span[0] / aspect)),
         depth=float(span[2]),
         spacing=_spacing(np.asarray(positions, np.float64)),
     )

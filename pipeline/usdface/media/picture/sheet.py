@@ -95,12 +95,12 @@ def compose_sheet(spec: SheetPage) -> ByteImage:
     y = draw_verdict(page, spec.verdict, y=y, scale=scale)
     if spec.curves:
         marks = tuple((row.frame, str(n)) for n, row in enumerate(spec.rows, start=1))
-        strip = ErrorStrip(spec.curves, spec.first_frame, high, marks, spec.unit, scale)
+        strip = ErrorStrip(spec.curves, spec.first_frame, high, marks, scale=scale)
         draw_error_strip(page, strip, x=PAGE_MARGIN, y=y, width=inner)
         y += strip_height(len(spec.curves), scale)
     if has_legend(spec):
         notes = legend_lines(spec.notes, layout.width, scale)
-        unit = f"{high:g} {spec.unit}" if spec.high is not None or len(all_errors(spec)) else ""
+        unit = f"{high:g} mm" if spec.high is not None or len(all_errors(spec)) else ""
         draw_legend(page, notes, x=PAGE_MARGIN, y=y, width=inner, high=unit, scale=scale)
     for group in range(layout.groups):
         first = group * layout.rows_per_group
@@ -251,7 +251,7 @@ def _draw_row(
             side = round(16 * scale)
             fill_box(page, at, below + 6, side, side, (int(color[0]), int(color[1]), int(color[2])))
             style = best_style if tile.value == best else value_style
-            label, style = _value_label(tile.value, spec.unit, style, room=width - side - 8)
+            label, style = _value_label(tile.value, style, room=width - side - 8)
             level = below + (value_style.size - style.size) // 2
             used = side + 22 + draw_text(page, label, x=at + side + 8, y=level, style=style)
         if tile.pixels is not None:
@@ -280,10 +280,10 @@ def _draw_row_head(
         draw_text(page, line, x=x, y=below, style=dim, max_width=layout.group_width)
 
 
-def _value_label(value: float, unit: str, style: TextStyle, *, room: int) -> tuple[str, TextStyle]:
+def _value_label(value: float, style: TextStyle, *, room: int) -> tuple[str, TextStyle]:
     """Return an error's label and the largest style that fits; digits are never cut."""
     number = f"{value:.2f}" if np.isfinite(value) else "no value"
-    whole = f"{number} {unit}" if np.isfinite(value) else number
+    whole = f"{number} mm" if np.isfinite(value) else number
     sizes = [replace(style, size=size) for size in (style.size, 17, 14)]
     choices = [(label, one) for label in (whole, number) for one in sizes]
     smallest = number, replace(style, size=11)

@@ -53,7 +53,7 @@ class Tile:
     caption: str = ""
     """Written below."""
     value: float | None = None
-    """Error in the sheet's unit; written below with its colour on the ramp."""
+    """Error [mm]; written below with its colour on the ramp."""
 
 
 @dataclass(frozen=True)
@@ -91,16 +91,12 @@ class SheetPage:
     """Frame number of each curve's first value."""
     notes: tuple[str, ...] = ()
     """Legend: meaning of marks and colours, sources of the numbers."""
-    unit: str = "mm"
-    """Of all errors."""
     high: float | None = None
-    """Error in the ramp's last colour; None: chosen from curves and rows."""
+    """Error in the ramp's last colour [mm]; None: chosen from curves and rows."""
     tile_height: int = 320
     """[pixels]"""
     comparable: bool = True
     """Whether the values of a row are the same quantity; the smallest is then bold."""
-    groups: int | None = None
-    """Number of blocks of rows side by side; None: chosen by the aspect of the sheet."""
 
 
 @dataclass(frozen=True)
@@ -216,8 +212,7 @@ def lay_out(spec: SheetPage) -> Layout:
         for column in range(len(spec.columns))
     )
     count = len(spec.rows)
-    choices = [spec.groups] if spec.groups else range(1, count + 1)
-    bare = [Layout(widths, spec.tile_height, g, -(-count // g), 0) for g in choices]
+    bare = [Layout(widths, spec.tile_height, g, -(-count // g), 0) for g in range(1, count + 1)]
     layouts = [
         replace(one, head_height=_head_height(spec, one), head_lines=_head_lines(spec, one))
         for one in bare

@@ -30,6 +30,10 @@ class ComparedFrame:
     note: str = ""
 
 
+_TILE_SIZE = 320
+"""Width and height of a picture [pixels]."""
+
+
 def draw_compared(
     mesh: RigMesh,
     frames: Sequence[ComparedFrame],
@@ -37,7 +41,6 @@ def draw_compared(
     still: Sequence[RigMesh] = (),
     near: FloatArray,
     yaw_degrees: float,
-    size: int = 320,
     quality: Quality = "final",
 ) -> Iterator[SheetRow]:
     """Yield rows with a face for each method, and the last one's uncertainty as a heat map.
@@ -50,8 +53,6 @@ def draw_compared(
         Positions on the mesh to frame [mm].
     yaw_degrees : float
         Position of the camera around the head.
-    size : int
-        Width and height of a picture [pixels].
     quality : {'draft', 'final'}
     """
     renderer = FaceRenderer([mesh, *still])
@@ -71,8 +72,8 @@ def draw_compared(
                 renderer.render(
                     np.concatenate([points, others]),
                     camera=camera,
-                    width=size,
-                    height=size,
+                    width=_TILE_SIZE,
+                    height=_TILE_SIZE,
                     quality=quality,
                 )
             )
@@ -82,8 +83,8 @@ def draw_compared(
             heat = renderer.render(
                 np.concatenate([each.surfaces[-1], others]),
                 camera=camera,
-                width=size,
-                height=size,
+                width=_TILE_SIZE,
+                height=_TILE_SIZE,
                 quality=quality,
                 values=np.concatenate([each.uncertainty_mm, np.zeros(len(others))]),
                 value_range=(0.0, UNKEYED_RANGE_MM),
