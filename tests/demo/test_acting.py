@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.demo.posed_head import posed
 from tests.demo.test_shapes import lid_gap, lip_offset
 from usdface.demo.acting import ActedPerformance, performance
 from usdface.demo.head import DemoHead
@@ -147,7 +148,7 @@ def test_lids_never_cross_and_blinks_close_the_eye_in_every_mood(
     assert peaks
     for frame in [*peaks, *range(0, len(blink), 97)]:
         pose = dict(zip(acted.weights.names, acted.weights.values[frame].tolist(), strict=True))
-        gap = lid_gap(character, character.posed(pose))
+        gap = lid_gap(character, posed(character, pose))
         assert gap.min() > -1.2, frame
         if frame in peaks:
             assert gap.max() < 2.5, frame
@@ -161,5 +162,5 @@ def test_lips_touch_on_the_character_in_sounds_made_with_the_lips(
     for sound in closed:
         frame = round(0.5 * (sound.start + sound.stop) * float(acted.weights.rate))
         pose = dict(zip(acted.weights.names, acted.weights.values[frame].tolist(), strict=True))
-        opening = lip_offset(character, character.posed(pose))[:, 1]
+        opening = lip_offset(character, posed(character, pose))[:, 1]
         assert -3.0 < np.median(opening) < 1.5, sound

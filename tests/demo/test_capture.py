@@ -3,15 +3,18 @@
 import numpy as np
 import pytest
 
+from tests.demo.posed_head import posed
 from usdface.demo.acting import ActedPerformance
 from usdface.demo.capture import (
     MARKER_COUNT,
     MARKER_RADIUS,
     NOISE_MM,
+    SWAPPED_LABELS,
     ActorFace,
     MarkerSet,
     SimulatedCapture,
     demo_markers,
+    head_poses,
     simulate_capture,
 )
 from usdface.demo.head import DemoHead, HeadPart
@@ -27,8 +30,9 @@ def captured(actor: DemoHead, acted: ActedPerformance, markers: MarkerSet) -> Si
     return simulate_capture(actor, acted, markers)
 
 
-def stabilised(captured: SimulatedCapture) -> np.ndarray:
-    turn, shift = captured.head_motion[:, :3, :3], captured.head_motion[:, :3, 3]
+def stabilised(captured: SimulatedCapture, acted: ActedPerformance) -> np.ndarray:
+    poses = head_poses(acted)
+    turn, shift = poses[:, :3, :3], poses[:, :3, 3]
     return np.einsum("fji,fmj->fmi", turn, captured.positions - shift[:, None])
 
 
@@ -48,10 +52,10 @@ def test_left_and_right_markers_mirror_each_other(actor: DemoHead, markers: Mark
 
 
 def test_markers_sit_on_the_skin(
-    actor: DemoHead, markers: MarkerSet, captured: SimulatedCapture
+    actor: DemoHead, acted: ActedPerformance, markers: MarkerSet, captured: SimulatedCapture
 ) -> None:
     assert set(actor.parts[markers.points]) <= {HeadPart.SKIN, HeadPart.EARS}
-    local = stabilised(captured)[0]
+    local = stabilised(captured, acted)[0]
     distance = np.linalg.norm(local - actor.points[markers.points], axis=1)
     assert np.all(np.abs(distance - MARKER_RADIUS) < 6.0 * NOISE_MM)
 
@@ -64,10 +68,10 @@ def test_markers_keep_apart(actor: DemoHead, markers: MarkerSet) -> None:
 
 
 def test_rigid_markers_move_with_the_skull_alone(
-    markers: MarkerSet, captured: SimulatedCapture
+    acted: ActedPerformance, markers: MarkerSet, captured: SimulatedCapture
 ) -> None:
     rigid = [markers.names.index(name) for name in markers.rigid]
-    local = stabilised(captured)[:, rigid]
+    local = stabilised(captured, acted)[:, rigid]
     spread = np.abs(local - np.median(local, axis=0)).max()
     assert spread < 0.8 + 6.0 * NOISE_MM  # skin slides a little over the brow and the nose
 
@@ -77,7 +81,7 @@ def test_the_head_moves_as_heads_do(captured: SimulatedCapture, acted: ActedPerf
     middle = captured.positions.mean(axis=1)
     assert 1300.0 < middle[:, 1].mean() < 1700.0
     assert 15.0 < np.ptp(middle, axis=0).max() < 150.0
-    step = np.linalg.norm(np.diff(captured.head_motion[:, :3, 3], axis=0), axis=1)
+    step = np.linalg.norm(np.diff(head_poses(acted)[:, :3, 3], axis=0), axis=1)
     assert step.max() * 120.0 < 800.0
 
 
@@ -97,11 +101,12 @@ def test_the_neutral_frame_is_seen_whole(
     assert np.all(captured.visible[acted.neutral_frame - acted.weights.first_frame])
 
 
-def test_swapped_labels_are_where_the_capture_says(captured: SimulatedCapture) -> None:
-    assert captured.swaps
-    local = stabilised(captured)
-    for first, last, one, other in captured.swaps:
-        a, b = captured.markers.names.index(one), captured.markers.names.index(other)
+def test_swapped_labels_are_where_the_capture_says(
+    markers: MarkerSet, captured: SimulatedCapture, acted: ActedPerformance
+) -> None:
+    local = stabilised(captured, acted)
+    for first, last, one, other in SWAPPED_LABELS:
+        a, b = markers.names.index(one), markers.names.index(other)
         rest = local[first - 1, a] - local[first - 1, b]
         swapped = local[first, a] - local[first, b]
         assert rest @ swapped < 0.0
@@ -115,7 +120,7 @@ def test_the_actor_is_not_the_character(
     face = ActorFace(actor, markers.points)
     weights = face.ordered(acted.weights.names, acted.weights.values[600:601].astype(float))[0]
     named = dict(zip(actor.shapes, weights, strict=True))
-    plain = actor.posed(named)[markers.points]
+    plain = posed(actor, named)[markers.points]
     difference = np.linalg.norm(face.pose(weights) - plain, axis=1)
     assert 0.5 < difference.max() < 8.0
 

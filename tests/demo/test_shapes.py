@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.demo.posed_head import posed
 from usdface.core.arrays import FloatArray
 from usdface.demo.half_cage import Mark
 from usdface.demo.head import DemoHead, HeadPart, lip_rim, lower_lid_edge, upper_lid_edge
@@ -68,21 +69,21 @@ def test_middle_shapes_are_symmetric(head: DemoHead) -> None:
 
 def test_a_blink_closes_the_gap(head: DemoHead) -> None:
     opened = lid_gap(head, head.points)
-    closed = lid_gap(head, head.posed({"eyeBlinkLeft": 1.0}))
+    closed = lid_gap(head, posed(head, {"eyeBlinkLeft": 1.0}))
     assert opened.max() > 8.0
     assert np.abs(closed).max() < 0.8
 
 
 @pytest.mark.parametrize("weight", [0.1, 0.25, 0.375, 0.5, 0.625, 0.75, 0.9, 1.0])
 def test_no_part_of_a_blink_enters_the_eyeball(head: DemoHead, weight: float) -> None:
-    points = head.posed({"eyeBlinkLeft": weight})
+    points = posed(head, {"eyeBlinkLeft": weight})
     skin = (head.parts == HeadPart.SKIN) & (head.points[:, 0] > 0.0)
     distance = np.linalg.norm(points[skin] - head.style.eye.center, axis=1)
     assert distance.min() > head.style.eye.radius
 
 
 def test_half_a_blink_half_closes(head: DemoHead) -> None:
-    opened, half = (lid_gap(head, head.posed({"eyeBlinkLeft": w})).max() for w in (0.0, 0.5))
+    opened, half = (lid_gap(head, posed(head, {"eyeBlinkLeft": w})).max() for w in (0.0, 0.5))
     assert 0.35 * opened < half < 0.65 * opened
 
 
@@ -92,7 +93,7 @@ def test_a_blink_stays_on_its_side(head: DemoHead) -> None:
 
 
 def test_the_jaw_opens_the_mouth_wide_and_round(head: DemoHead) -> None:
-    gap = lip_gap(head, head.posed({"jawOpen": 1.0}))
+    gap = lip_gap(head, posed(head, {"jawOpen": 1.0}))
     assert gap.max() >= 15.0
     x = head.points[lip_rim(head.points, head.marks, upper=True), 0]
     assert np.all(gap[np.abs(x) < 0.5 * head.style.mouth.half_width] > 0.7 * gap.max())
@@ -101,8 +102,8 @@ def test_the_jaw_opens_the_mouth_wide_and_round(head: DemoHead) -> None:
 
 @pytest.mark.parametrize("weight", [0.3, 0.7, 1.0])
 def test_mouth_close_brings_the_lips_of_an_open_jaw_together(head: DemoHead, weight: float) -> None:
-    opened = lip_gap(head, head.posed({"jawOpen": weight}))
-    shut = lip_gap(head, head.posed({"jawOpen": weight, "mouthClose": weight}))
+    opened = lip_gap(head, posed(head, {"jawOpen": weight}))
+    shut = lip_gap(head, posed(head, {"jawOpen": weight, "mouthClose": weight}))
     assert shut.max() < 1.0
     assert shut.max() < 0.12 * opened.max()
 
@@ -120,7 +121,7 @@ def test_the_skull_does_not_move(head: DemoHead) -> None:
 def test_eyes_turn_without_changing_form(head: DemoHead) -> None:
     eye = (head.parts == HeadPart.EYES) & (head.points[:, 0] > 0.0)
     for name in ("eyeLookInLeft", "eyeLookOutLeft", "eyeLookUpLeft", "eyeLookDownLeft"):
-        offset = head.posed({name: 1.0})[eye] - head.style.eye.center
+        offset = posed(head, {name: 1.0})[eye] - head.style.eye.center
         np.testing.assert_allclose(np.linalg.norm(offset, axis=1), head.style.eye.radius, rtol=1e-9)
 
 
@@ -128,8 +129,8 @@ def test_lashes_stay_on_the_edge_of_the_lid(head: DemoHead) -> None:
     lash = np.flatnonzero(head.parts == HeadPart.LASHES)
     root = head.anchors[lash]
     before = np.linalg.norm(head.points[lash] - head.points[root], axis=1)
-    posed = head.posed({"eyeBlinkLeft": 1.0, "eyeBlinkRight": 1.0})
-    after = np.linalg.norm(posed[lash] - posed[root], axis=1)
+    opened = posed(head, {"eyeBlinkLeft": 1.0, "eyeBlinkRight": 1.0})
+    after = np.linalg.norm(opened[lash] - opened[root], axis=1)
     assert np.abs(after - before).max() < 1.5
 
 
@@ -167,8 +168,8 @@ def test_the_mouth_does_not_tear_at_its_corners(head: DemoHead) -> None:
     edges = np.unique(
         np.sort(np.stack([faces, np.roll(faces, -1, 1)], -1).reshape(-1, 2), 1), axis=0
     )
-    posed = head.posed({"jawOpen": 1.0})
+    opened = posed(head, {"jawOpen": 1.0})
     before, after = (
-        np.linalg.norm(p[edges[:, 0]] - p[edges[:, 1]], axis=1) for p in (head.points, posed)
+        np.linalg.norm(p[edges[:, 0]] - p[edges[:, 1]], axis=1) for p in (head.points, opened)
     )
     assert np.max(after / np.maximum(before, 1.0)) < 5.0

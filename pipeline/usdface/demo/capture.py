@@ -186,6 +186,9 @@ class _Picker:
 NOISE_MM = 0.15
 """Standard deviation of a measured position, per axis."""
 
+SWAPPED_LABELS = ((610, 668, "lip_upper_L2", "lip_upper_L3"), (1290, 1333, "brow_R3", "brow_R4"))
+"""First and last frame index of each interval of two swapped labels, and the labels."""
+
 _STANDING = (60.0, 1520.0, 140.0)  # position of the actor's head in the room [mm]
 _NECK = (0.0, -105.0, -25.0)  # centre of the head's rotation [mm]
 _SKIN_LIMIT = 70.0  # a displacement d [mm] becomes L tanh(d / L)
@@ -193,18 +196,13 @@ _SKIN_LIMIT = 70.0  # a displacement d [mm] becomes L tanh(d / L)
 
 @dataclass(frozen=True)
 class SimulatedCapture:
-    """The recorded capture, and the truth."""
+    """The recorded capture."""
 
-    markers: MarkerSet
     positions: Float32Array
     """(frames, markers, 3): with head motion, noise and swapped labels, Y up [mm]; arbitrary if
     occluded."""
     visible: BoolArray
     """(frames, markers)"""
-    head_motion: FloatArray
-    """(frames, 4, 4): true pose of the head in the room [mm]."""
-    swaps: tuple[tuple[int, int, str, str], ...]
-    """First and last frame index of each interval of two swapped labels, and the labels."""
 
 
 class ActorFace:
@@ -280,8 +278,10 @@ def simulate_capture(
     world += rng.normal(0.0, NOISE_MM, world.shape)
     keep_clear = acted.neutral_frame - acted.weights.first_frame
     visible = _dropouts(rng, world.shape[0], markers, keep_clear=keep_clear)
-    swaps = _swap_labels(world, markers)
-    return SimulatedCapture(markers, world.astype(np.float32), visible, poses, swaps)
+    for first, last, one, other in SWAPPED_LABELS:
+        a, b = markers.names.index(one), markers.names.index(other)
+        world[first : last + 1, [a, b]] = world[first : last + 1, [b, a]]
+    return SimulatedCapture(world.astype(np.float32), visible)
 
 
 def head_poses(acted: ActedPerformance) -> FloatArray:
@@ -320,12 +320,3 @@ def _dropouts(
         visible[start:stop, hidden] = False
     visible[max(0, keep_clear - 6) : keep_clear + 7] = True
     return visible
-
-
-def _swap_labels(world: FloatArray, markers: MarkerSet) -> tuple[tuple[int, int, str, str], ...]:
-    """Swap two pairs of labels in place; return the intervals."""
-    swaps = ((610, 668, "lip_upper_L2", "lip_upper_L3"), (1290, 1333, "brow_R3", "brow_R4"))
-    for first, last, one, other in swaps:
-        a, b = markers.names.index(one), markers.names.index(other)
-        world[first : last + 1, [a, b]] = world[first : last + 1, [b, a]]
-    return swaps

@@ -108,18 +108,6 @@ class DemoHead:
     shapes: Mapping[str, tuple[tuple[float, FloatArray], ...]] = field(default_factory=dict)
     """Keys of each shape, ascending to weight 1: (weight, offsets [mm])."""
 
-    def posed(self, weights: Mapping[str, float]) -> FloatArray:
-        """Return the points for weights of shapes, with in-betweens as in UsdSkel."""
-        moved = self.points.copy()
-        for name, weight in weights.items():
-            keys = ((0.0, np.zeros_like(self.points)), *self.shapes[name])
-            upper = next(
-                (k for k in range(1, len(keys) - 1) if weight <= keys[k][0]), len(keys) - 1
-            )
-            (low, start), (high, stop) = keys[upper - 1], keys[upper]
-            moved += start + (stop - start) * ((weight - low) / (high - low))
-        return moved
-
 
 def bare_head(style: Style) -> DemoHead:
     """Build the head of a style at rest, without shapes."""
