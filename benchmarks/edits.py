@@ -20,12 +20,13 @@ from benchmarks.crosstake import (
     read_ruler,
 )
 from tests.conftest import SHARED_DATA
+from tests.edited_weights import read_weights
 from usdface.core.deformer import Deformer
 from usdface.runner.execute import execute
 from usdface.specs.edits import EditsImportSpec
 from usdface.specs.performance import MapSpec, TrainSpec
 from usdface.specs.references import ReferencesFromEditsSpec
-from usdface.usdio.performance.read import PerformanceReader, read_weights
+from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.rig.read import read_rig
 
 CORRECTED = 10

@@ -135,7 +135,7 @@ def _timed(arguments: list[str], *, command: str = "usdface") -> tuple[float, fl
 
 
 def _equal(folder: Path, name: str) -> bool:
-    from usdface.usdio.performance.read import read_weights
+    from tests.edited_weights import read_weights
 
     whole, chunked = (read_weights(folder / f"{each}.usda") for each in ("whole0", name))
     return whole.names == chunked.names and bool(np.array_equal(whole.values, chunked.values))

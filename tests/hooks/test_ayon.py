@@ -12,12 +12,12 @@ from types import ModuleType, SimpleNamespace
 
 import pytest
 
+from tests.edited_weights import read_weights
 from tests.hooks.loading import HOOKS, load
 from tests.regenerate import REPOSITORY
 from tests.steps.small_shot import Shot
 from usdface.core.errors import InputError
 from usdface.publish import ReviewOptions
-from usdface.usdio.performance.read import read_weights
 
 api = pytest.importorskip("pyblish.api", reason="needs pyblish-base")
 util = pytest.importorskip("pyblish.util", reason="needs pyblish-base")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
 
+from tests.edited_weights import read_weights
 from tests.usdio.performance.test_edits import author, perform
 from tests.usdio.small_creature import creature_acts
 from tests.usdio.small_rig import small_rig
@@ -20,7 +21,7 @@ from usdface.core.rates import FRAMES_BETWEEN_KEYS, UNSAMPLED_FRAMES, check_fram
 from usdface.steps.edits.edit import all_frames
 from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.usdio.layers import open_stage, read_provenance
-from usdface.usdio.performance.read import PerformanceReader, read_performance, read_weights
+from usdface.usdio.performance.read import PerformanceReader, read_performance
 from usdface.usdio.referenced_files import frame_range_of
 from usdface.usdio.retarget.sequences import (
     read_matches,

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from pxr import Sdf, Usd, UsdSkel
 
+from tests.edited_weights import read_weights
 from tests.steps.small_shot import FRAMES, Shot
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
@@ -36,7 +37,7 @@ from usdface.steps.references.from_edits import (
     full_strength_frames,
 )
 from usdface.usdio.performance import write
-from usdface.usdio.performance.read import PerformanceReader, read_performance, read_weights
+from usdface.usdio.performance.read import PerformanceReader, read_performance
 from usdface.usdio.references.read import read_references
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import read_take

@@ -11,6 +11,7 @@ import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 from scipy.spatial.transform import Rotation
 
+from tests.edited_weights import read_weights
 from tests.regenerate import REPOSITORY
 from tests.steps.review.test_report import visit
 from tests.steps.small_shot import Shot
@@ -33,7 +34,6 @@ from usdface.steps.inputs.weight_tables import read_weight_table
 from usdface.steps.review.pictures import ShotPictures
 from usdface.steps.review.shot import open_shot
 from usdface.usdio.performance.driving_layers import head_layer_xforms, opens_layer
-from usdface.usdio.performance.read import read_weights
 from usdface.usdio.retarget.controls import read_control_clip
 from usdface.usdio.rig.posed_points import PosedRig
 from usdface.usdio.rig.read import read_rig

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.edited_weights import read_weights
 from tests.usdio.driven_rig import driven_rig
 from tests.usdio.small_creature import write_human
 from usdface.cli import main
@@ -17,7 +18,6 @@ from usdface.steps.inputs.source_motion import (
     unmatched_moving,
 )
 from usdface.steps.review.shot import open_shot
-from usdface.usdio.performance.read import read_weights
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
 from usdface.usdio.validation import validate

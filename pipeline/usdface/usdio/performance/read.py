@@ -326,12 +326,6 @@ def read_solves(path: Path) -> list[PerformanceReader]:
     ]
 
 
-def read_weights(path: Path) -> WeightsClip:
-    """Read the animated weights, with edits, of any USD file of one face."""
-    reader = PerformanceReader(path)
-    return WeightsClip(reader.names, reader.edited(), reader.first_frame, reader.rate)
-
-
 def read_performance(path: Path) -> Performance:
     """Read a performance with edits."""
     reader = PerformanceReader(path)
