@@ -53,6 +53,37 @@ _SHOWN_MM = 0.5
 
 def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Train the mapping, write it, and with --picture draw the eigen-space."""
+    references, notes = _read_pairs(spec)
+    rig = read_rig_of(references, spec.references)
+    notes += check_rig_upright(rig)
+    deformer = Deformer(rig)
+    found = dict(zip(rig.shapes, shape_parts(rig, deformer), strict=True))
+    references = replace(references, parts=tuple(found[name] for name in references.shape_names))
+    mapping = _train(spec, references, rig, deformer, progress)
+    write_mapping(spec.out, mapping, provenance=provenance)
+    unkeyed = _unkeyed_shapes(references, mapping)
+    if unkeyed:
+        notes.append(
+            f"0 in every pair: {counted(unkeyed, 'shape')}. They stay near 0 in the solve, unless "
+            "the other shapes cannot follow the markers; tune frames that show those the performer "
+            "uses"
+        )
+    notes += [*_correction_notes(mapping, references), variance_line(mapping)]
+    outputs = [spec.out]
+    if spec.picture is not None:
+        picture = eigenspace_picture(mapping, references, f"eigen-space of {spec.references.stem}")
+        write_image(spec.picture, picture, metadata=provenance.metadata)
+        outputs.append(spec.picture)
+    return StepResult(
+        tuple(outputs),
+        _summary(mapping, references),
+        tuple(notes),
+        describe_figures(mapping) | {"unkeyed_shapes": unkeyed},
+    )
+
+
+def _read_pairs(spec: TrainSpec) -> tuple[References, list[str]]:
+    """Return the pairs to train on, and notes on proposals and on mirrored pairs."""
     references = read_keyed_references(spec.references)
     if references.source is not None:
         raise InputError(
@@ -64,17 +95,17 @@ def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress = silent)
         raise InputError(
             f"{spec.references}: no pair is tuned; tune some, or train without --tuned-only"
         )
-    alone = spec.tuned_only or (tuned >= _ENOUGH_TUNED and not spec.all_pairs)
     notes = [] if tuned == pairs or spec.tuned_only else [_proposals_note(spec, tuned, pairs)]
     notes += _mirrored_notes(spec, references)
-    if alone:
+    if spec.tuned_only or (tuned >= _ENOUGH_TUNED and not spec.all_pairs):
         references = references.rows(references.tuned)
-    rig = read_rig_of(references, spec.references)
-    notes += check_rig_upright(rig)
+    return references, notes
+
+
+def _train(
+    spec: TrainSpec, references: References, rig: Rig, deformer: Deformer, progress: Progress
+) -> TrainedMapping:
     columns = [rig.shapes.index(name) for name in references.shape_names]
-    deformer = Deformer(rig)
-    found = shape_parts(rig, deformer)
-    references = replace(references, parts=tuple(found[column] for column in columns))
     offsets = deformer.shapes.target_offsets()
     points = skin_points(offsets)
     bends, bent_skin = in_betweens(rig, deformer, points, references.shape_names)
@@ -95,33 +126,13 @@ def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress = silent)
         choices=Choices(spec.dimensions, spec.widths),
         progress=progress,
     )
-    mapping = replace(
+    return replace(
         mapping,
         references=spec.references.name,
         arrays=mapping.arrays
         | rig_summary(rig, mapping.shape_names)
         | {"uncertainty_proposals": _proposal_error(spec, mapping, references)},
         settings=mapping.settings | {"tuned": int(references.tuned.sum())},
-    )
-    write_mapping(spec.out, mapping, provenance=provenance)
-    unkeyed = _unkeyed_shapes(references, mapping)
-    if unkeyed:
-        notes.append(
-            f"0 in every pair: {counted(unkeyed, 'shape')}. They stay near 0 in the solve, unless "
-            "the other shapes cannot follow the markers; tune frames that show those the performer "
-            "uses"
-        )
-    notes += [*_correction_notes(mapping, references), variance_line(mapping)]
-    outputs = [spec.out]
-    if spec.picture is not None:
-        picture = eigenspace_picture(mapping, references, f"eigen-space of {spec.references.stem}")
-        write_image(spec.picture, picture, metadata=provenance.metadata)
-        outputs.append(spec.picture)
-    return StepResult(
-        tuple(outputs),
-        _summary(mapping, references),
-        tuple(notes),
-        describe_figures(mapping) | {"unkeyed_shapes": unkeyed},
     )
 
 
