@@ -122,7 +122,9 @@ def test_several_threads_draw_the_sheet_that_one_draws(shot: Shot, monkeypatch) 
 def test_a_sheet_that_is_given_up_draws_no_further_tile(shot: Shot, monkeypatch) -> None:
     drawn = list[int]()
 
-    def draw(self: ShotPictures, row: int, weights: np.ndarray, *, still: bool = False) -> np.ndarray:
+    def draw(
+        self: ShotPictures, row: int, weights: np.ndarray, *, still: bool = False
+    ) -> np.ndarray:
         drawn.append(row)
         raise KeyboardInterrupt
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
@@ -46,6 +46,50 @@ def run(
     frames = all_frames(reader, reach=(reader.first_frame - 1, reader.last_frame + 1))
     given = _rows(spec, reader, table)
     progress(0.3, "comparing with the solve")
+    changed, elsewhere, differing = _changes(spec, reader, table, known, frames, given)
+    notes = (
+        *table.numbering_notes(spec.changed),
+        *_notes(reader, table),
+        *other_mesh_notes(table, elsewhere),
+    )
+    if not changed:
+        return StepResult(
+            (),
+            "nothing differs from the performance; its edits do not change",
+            notes,
+            {"frames": 0, "shapes": []},
+        )
+    count = int(differing.sum())
+    if 2 * count > len(given) > 1:
+        notes += (
+            "most frames differ: if the take was mapped again after this file was baked, changes "
+            "of the solve are imported as edits; bake again, change that file and import it",
+        )
+    path = write_edits(
+        spec.performance, reader.animation, changed, frames, stamp=stamp, provenance=provenance
+    )
+    progress(1.0, "written")
+    return StepResult(
+        (path,),
+        f"{count} of {len(given)} frames differ from the performance, in "
+        f"{pluralize(len(changed), 'shape')}",
+        notes,
+        {"frames": count, "shapes": sorted(changed)},
+    )
+
+
+def _changes(
+    spec: EditsImportSpec,
+    reader: PerformanceReader,
+    table: WeightTable,
+    known: list[str],
+    frames: IntArray,
+    given: IntArray,
+) -> tuple[dict[str, ShapeEdit], dict[str, list[str]], BoolArray]:
+    """Return new edits by shape, meshes with other values by shape, and which rows differ.
+
+    `given`: frame numbers and rows of the table, as of `_rows`.
+    """
     edits = read_edits(reader.animation, frames)
     solved = solve_at(reader, frames)
     rows = given[:, 0] - int(frames[0])
@@ -79,35 +123,7 @@ def run(
         offset = np.where(np.abs(offset) > spec.least, offset, 0.0)[differs]
         curve = _replaced(old.curve, rows[differs], offset)
         changed[shape] = with_curve(old, curve, solve, touched)
-    notes = (
-        *table.numbering_notes(spec.changed),
-        *_notes(reader, table),
-        *other_mesh_notes(table, elsewhere),
-    )
-    if not changed:
-        return StepResult(
-            (),
-            "nothing differs from the performance; its edits do not change",
-            notes,
-            {"frames": 0, "shapes": []},
-        )
-    count = int(differing.sum())
-    if 2 * count > len(rows) > 1:
-        notes += (
-            "most frames differ: if the take was mapped again after this file was baked, changes "
-            "of the solve are imported as edits; bake again, change that file and import it",
-        )
-    path = write_edits(
-        spec.performance, reader.animation, changed, frames, stamp=stamp, provenance=provenance
-    )
-    progress(1.0, "written")
-    return StepResult(
-        (path,),
-        f"{count} of {len(rows)} frames differ from the performance, in "
-        f"{pluralize(len(changed), 'shape')}",
-        notes,
-        {"frames": count, "shapes": sorted(changed)},
-    )
+    return changed, elsewhere, differing
 
 
 def _replaced(curve: EditCurve, rows: FloatArray, offsets: FloatArray) -> EditCurve:
@@ -117,7 +133,7 @@ def _replaced(curve: EditCurve, rows: FloatArray, offsets: FloatArray) -> EditCu
     return EditCurve(offset, curve.override, mask)
 
 
-def _rows(spec: EditsImportSpec, reader: PerformanceReader, table: WeightTable) -> np.ndarray:
+def _rows(spec: EditsImportSpec, reader: PerformanceReader, table: WeightTable) -> IntArray:
     """Return (frame number, row of the table) of the common frames."""
     pairs = [
         (frame, row)
