@@ -82,10 +82,7 @@ class C3dFile:
     def read_points(self, start: int = 0, stop: int | None = None) -> C3dPoints:
         """Read the points of frames `start` to `stop` (exclusive), counted from 0.
 
-        Raises
-        ------
-        InputError
-            If the file became shorter since it was opened.
+        `InputError` if the file became shorter since it was opened.
         """
         layout = self.layout
         frames = range(layout.frame_count)[start:stop]
@@ -104,9 +101,7 @@ class C3dFile:
     def read_analog(self, start: int = 0, stop: int | None = None) -> Float32Array:
         """Read the analog samples of frames `start` to `stop` (exclusive), in physical units.
 
-        Returns
-        -------
-        (frames * analog_per_frame, channels) float32 array
+        (frames * analog_per_frame, channels)
         """
         layout = self.layout
         frames = range(layout.frame_count)[start:stop]

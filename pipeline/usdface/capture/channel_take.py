@@ -39,10 +39,7 @@ def build_channel_take(
 ) -> Capture:
     """Return a take of weights; missing frames are interpolated and reported.
 
-    Parameters
-    ----------
-    path : Path
-        The capture; its stem names the take.
+    `path`: the capture; its stem names the take.
     """
     found = [*notes, *_describe_times(times, first_frame)]
     seen = np.ones(len(values), dtype=bool)

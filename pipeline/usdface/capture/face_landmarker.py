@@ -140,10 +140,7 @@ class FaceLandmarker:
     def find_faces(self, picture: ByteImage) -> list[FaceDetection]:
         """Return the faces in a picture, at most four.
 
-        Parameters
-        ----------
-        picture : (height, width, 3) uint8 array
-            sRGB, upright.
+        `picture`: (height, width, 3), sRGB, upright.
         """
         image = self._mediapipe.Image(
             image_format=self._mediapipe.ImageFormat.SRGB, data=np.ascontiguousarray(picture)

@@ -174,10 +174,7 @@ class FaceTracker:
     def add(self, found: PictureFaces, *, where: str) -> bool:
         """Add the face of the next picture; return whether there is one.
 
-        Raises
-        ------
-        InputError
-            If no face was chosen and there are several, at the start or for half a second.
+        `InputError` if no face was chosen and there are several, at the start or for half a second.
         """
         faces = _distinct(found.direct)
         marker_count = len(LANDMARKS.names)
@@ -214,10 +211,7 @@ class FaceTracker:
     def track(self, score_names: tuple[str, ...]) -> FaceTrack:
         """Return the pictures so far.
 
-        Parameters
-        ----------
-        score_names : tuple of str
-            Of the `FaceDetector`; scores of mirror images have left and right exchanged.
+        `score_names`: of the `FaceDetector`; scores of mirror images have left and right exchanged.
         """
         other = [score_names.index(_other_side(name)) for name in score_names]
         scores = [

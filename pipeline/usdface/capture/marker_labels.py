@@ -55,10 +55,7 @@ class MarkerLabels:
 def resolve_labels(labels: Sequence[str], *, where: str) -> MarkerLabels:
     """Remove subject prefixes and unlabelled points, and make every name unique.
 
-    Raises
-    ------
-    InputError
-        If two subjects have a marker of the same name, or if no point is labelled.
+    `InputError` if two subjects have a marker of the same name, or if no point is labelled.
     """
     found: list[tuple[str, int]] = []
     dropped: list[str] = []

@@ -130,11 +130,8 @@ def is_weight_npy(head: bytes) -> bool:
 def read_weight_samples(path: Path, *, shapes: Path | None = None) -> WeightSamples:
     """Read a table of weights in the file's units.
 
-    Parameters
-    ----------
-    shapes : Path, optional
-        File with the names of a matrix's columns: one per line, or a JSON list, or ``.npy``.
-        Default: ``NAME.names.txt``, ``.json`` or ``.npy`` in the same folder.
+    `shapes`: file with the names of a matrix's columns: one per line, or a JSON list, or ``.npy``.
+    Default: ``NAME.names.txt``, ``.json`` or ``.npy`` in the same folder.
     """
     check_may_open(path)
     with path.open("rb") as file:

@@ -37,10 +37,7 @@ def columns_by_name(
 ) -> FloatArray:
     """Return columns in the order of other names; 0 for missing ones.
 
-    Parameters
-    ----------
-    values : (rows, names) float array
-        Single or double precision.
+    `values`: (rows, names), single or double precision.
     """
     column = index_of(names)
     present = [index for index, name in enumerate(wanted) if name in column]

@@ -21,10 +21,7 @@ def confinement_root() -> Path | None:
 def check_confined(paths: Sequence[tuple[str, Path]], root: Path) -> None:
     """Refuse paths that lead out of a folder, after links are resolved.
 
-    Parameters
-    ----------
-    paths : sequence of (str, Path)
-        Each with the name of its reader or writer.
+    `paths`: each with the name of its reader or writer.
     """
     if not root.is_dir():
         raise InputError(f"{root}: no such folder, so nothing can be confined to it")
@@ -57,10 +54,7 @@ def check_may_open(path: Path, *, what: str = "open") -> None:
 
     Called by all readers and writers before they open a file, whatever named it.
 
-    Parameters
-    ----------
-    what : str
-        The operation, for the message.
+    `what`: the operation, for the message.
     """
     root = confinement_root()
     if root is not None:

@@ -56,13 +56,7 @@ class TuningLock:
         self._holding: Holder | None = None
 
     def acquire(self, *, take_over: bool = False, remedy: str = _TAKE_OVER) -> None:
-        """Take the lock.
-
-        Parameters
-        ----------
-        take_over : bool
-            Take it from its holder, whose page then refuses changes.
-        """
+        """Take the lock. `take_over`: from its holder, whose page then refuses changes."""
         holding = Holder(
             user=user_name(),
             host=platform.node(),
@@ -193,11 +187,8 @@ _WRITE_REMEDY = (
 def tuning_lock(references: Path) -> Iterator[None]:
     """Hold the tuning lock of a references asset while its pairs are written.
 
-    Raises
-    ------
-    InputError
-        If someone tunes it, or a page that crashed left changes that are not in the tuned layer.
-        Nothing is changed.
+    `InputError` if someone tunes it, or a page that crashed left changes that are not in the tuned
+    layer. Nothing is changed.
     """
     lock = TuningLock(lock_path(references))
     lock.acquire(remedy=_WRITE_REMEDY)

@@ -66,10 +66,8 @@ def worker_processes(
     They are spawned, since a fork would copy locks of the ray tracer and of codecs. Ctrl+C reaches
     this process alone; if the block raises, the others end within a second.
 
-    Parameters
-    ----------
-    set_up : callable
-        Called once in each, with the given arguments and a function that returns whether to stop.
+    `set_up`: called once in each, with the given arguments and a function that returns whether to
+    stop.
     """
     context = get_context("spawn")
     stop, others = context.Event(), set(active_children())

@@ -22,10 +22,7 @@ FASTEST_BASE = 30
 def label_rate(rate: Fraction) -> tuple[int, int]:
     """Return (labels per nominal second, frames per label) of a capture rate.
 
-    Raises
-    ------
-    InputError
-        If the rate is no multiple of a rate of timecode.
+    `InputError` if the rate is no multiple of a rate of timecode.
     """
     nominal = round(float(rate) * 1.001) if rate.denominator == 1001 else round(float(rate))
     for base in (30, 25, 24):

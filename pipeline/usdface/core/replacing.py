@@ -55,10 +55,7 @@ def replacing(path: Path) -> Iterator[Path]:
 def creating(path: Path) -> Iterator[Path]:
     """Yield a temporary path as `replacing` does, and never replace a file.
 
-    Raises
-    ------
-    InputError
-        If a file or a link is at `path`, and as `replacing` does.
+    `InputError` if a file or a link is at `path`, and as `replacing` does.
     """
     with replacing_together([path], new=True) as (temporary,):
         yield temporary
@@ -102,10 +99,7 @@ def replacing_group(paths: Iterable[Path]) -> Iterator[None]:
 
     In the order in which they were completed; other files are renamed at once.
 
-    Parameters
-    ----------
-    paths : iterable of Path
-        Not to be read in the block.
+    `paths`: not to be read in the block.
     """
     group = _Group(frozenset(paths))
     with group.held:

@@ -241,10 +241,7 @@ class RigLogic:
     def evaluate(self, weights: ArrayLike) -> FloatArray:
         """Return the weights of all shapes, combinations last: (frames, shapes + combinations).
 
-        Parameters
-        ----------
-        weights : (frames, shapes) array_like
-            Of the animated shapes.
+        `weights`: (frames, shapes), of the animated shapes.
         """
         given = np.asarray(weights, dtype=np.float64)
         out = np.zeros((len(given), len(self.shapes) + len(self.combinations)))
@@ -288,10 +285,7 @@ class RigLogic:
     def link_slopes(self, values: FloatArray) -> FloatArray:
         """Return the derivatives along `links`, by the chain rule: (frames, links).
 
-        Parameters
-        ----------
-        values : (frames, shapes + combinations) float array
-            From `evaluate`.
+        `values`: (frames, shapes + combinations), from `evaluate`.
         """
         slopes = [np.ones((len(values), 1))]
         for step, links in zip(self._steps, self._paths, strict=True):

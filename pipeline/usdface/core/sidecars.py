@@ -75,10 +75,7 @@ def reference_layers(references: Path) -> tuple[Path, ...]:
 def work_folder(out: Path, purpose: str) -> Path:
     """Return a hidden folder for intermediate files of an output, unique to it.
 
-    Parameters
-    ----------
-    purpose : str
-        Suffix of its name.
+    `purpose`: suffix of its name.
     """
     digest = hashlib.sha256(out.name.encode("utf-8", "surrogateescape")).hexdigest()[:8]
     return out.with_name(f".{out.stem[:40]}.{digest}.{purpose}")

@@ -12,10 +12,7 @@ from usdface.core.errors import InputError
 def pluralize(count: int, noun: str) -> str:
     """Return a number with its noun, ``1 shape`` or ``3 shapes``.
 
-    Parameters
-    ----------
-    noun : str
-        In the singular; one whose plural ends in s.
+    `noun`: in the singular; one whose plural ends in s.
     """
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 

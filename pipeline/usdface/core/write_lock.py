@@ -87,10 +87,7 @@ def write_lock(path: Path) -> Iterator[Callable[[], None]]:
 def _lock(lock: Path) -> int:
     """Take the lock, and return its open file.
 
-    Raises
-    ------
-    BlockingIOError
-        If another process holds it, with its name as text.
+    `BlockingIOError` if another process holds it, with its name as text.
     """
     owner = f"process {os.getpid()} on {socket.gethostname()} {uuid.uuid4().hex}"
     for _ in range(_MOST_TRIES):

@@ -73,13 +73,7 @@ _TOOTH_HEIGHTS = {True: (9.6, 8.6, 9.4, 8.2, 7.6, 7.0), False: (8.6, 8.6, 9.0, 8
 
 
 def teeth(style: Style, *, front: float, upper: bool) -> Piece:
-    """Build one dental arch with teeth and gum.
-
-    Parameters
-    ----------
-    front : float
-        z of the front teeth [mm].
-    """
+    """Build one dental arch with teeth and gum. `front`: z of the front teeth [mm]."""
     widths = 0.92 * np.array(_TOOTH_WIDTHS[upper])
     samples = np.array([0.0, 0.12, 0.35, 0.65, 0.88])
     starts = np.concatenate([[0.0], np.cumsum(widths)])
@@ -201,10 +195,7 @@ def brow(style: Style, form: Form) -> Piece:
 def lashes(style: Style, rim: FloatArray) -> Piece:
     """Build lashes on the edge of the upper lid, longest towards the outer corner.
 
-    Parameters
-    ----------
-    rim : (points, 3) float array
-        The lid's edge from the inner to the outer corner.
+    `rim`: (points, 3), the lid's edge from the inner to the outer corner.
     """
     center = np.array(style.eye.center)
     across = (rim[:, 0] - center[0]) / style.eye.half_width
@@ -254,13 +245,7 @@ _PARTING_X = 20.0
 
 
 def hair_cap(style: Style, form: Form) -> Piece:
-    """Build the hair of a style on its head.
-
-    Parameters
-    ----------
-    form : callable
-        Signed distance to the head [mm].
-    """
+    """Build the hair of a style on its head. `form`: signed distance to the head [mm]."""
     azimuth = np.linspace(-180.0, 180.0, _COLUMNS, endpoint=False)
     line = PchipInterpolator(_LINE_AZIMUTH, _LINE_HEIGHT)(np.abs(azimuth))
     # The fringe covers the forehead on one side of the parting.

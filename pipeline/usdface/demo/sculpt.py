@@ -295,10 +295,8 @@ _ON_SURFACE_MM = 1e-9  # distance at which a ray has arrived
 def trace(form: Form, origins: FloatArray, directions: FloatArray) -> FloatArray:
     """Return the first intersections of rays from outside with the form: (n, 3).
 
-    Parameters
-    ----------
-    origins, directions : (n, 3) float arrays
-        Directions need not be normalised; a ray that misses ends at its nearest point.
+    `origins`, `directions`: (n, 3); directions need not be normalised; a ray that misses ends at
+    its nearest point.
     """
     unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
     points = np.array(origins, dtype=float)

@@ -40,13 +40,7 @@ def check_job_name(name: str) -> None:
 
 
 def job_template(name: str, steps: Sequence[FarmStep]) -> dict[str, Any]:
-    """Return the template of a job.
-
-    Parameters
-    ----------
-    name : str
-        Shown on the farm, verbatim.
-    """
+    """Return the template of a job. `name`: shown on the farm, verbatim."""
     check_job_name(name)
     return {
         "specificationVersion": "jobtemplate-2023-09",
@@ -151,11 +145,8 @@ def bundle_hash(files: Files) -> str:
 def write_bundle(folder: Path, files: Files, *, overwrite: bool = False) -> None:
     """Write a bundle atomically; an equal one is kept.
 
-    Raises
-    ------
-    InputError
-        If the folder cannot be written, or holds something else, or without `overwrite` another
-        bundle.
+    `InputError` if the folder cannot be written, or holds something else, or without `overwrite`
+    another bundle.
     """
     if _equals(folder, files):
         return

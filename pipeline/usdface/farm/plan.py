@@ -41,10 +41,7 @@ def in_chunks(step: Spec, sizes: ChunkSizes, frames: FrameRange | None) -> list[
     Boundaries depend on frames and size only, so that retries and repeated submissions make the
     same files.
 
-    Parameters
-    ----------
-    frames : (first, last), optional
-        None if unknown: then the step is not split.
+    `frames`: None if unknown: then the step is not split.
     """
     size = None
     if isinstance(step, MapSpec):

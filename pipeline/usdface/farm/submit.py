@@ -88,10 +88,7 @@ def build_outline(
 def submit_outline(launcher: Any) -> None:
     """Send an outline to OpenCue; workers need usdface but not pyoutline.
 
-    Raises
-    ------
-    CheckFailedError
-        If OpenCue cannot be reached or refuses the job.
+    `CheckFailedError` if OpenCue cannot be reached or refuses the job.
     """
     try:
         launcher.launch(use_pycuerun=False)

@@ -68,10 +68,7 @@ def validation_messages(
 
     Steps and items of lists count from 1.
 
-    Parameters
-    ----------
-    places : sequence of str
-        Position of each step in the file, if it differs from the index in `steps`.
+    `places`: position of each step in the file, if it differs from the index in `steps`.
     """
     lines = []
     for fault in _drop_secondary_errors(error.errors()):

@@ -182,13 +182,7 @@ def loud_moments(samples: Float32Array, *, rate: int) -> BoolArray:
 
 
 def share_outside(samples: Float32Array, words: Sequence[Span], *, rate: int) -> float:
-    """Return the share of the sound outside all words [0-1].
-
-    Parameters
-    ----------
-    samples : (samples,) float32 array
-        Mono.
-    """
+    """Return the share of the sound outside all words [0-1]. `samples`: (samples,), mono."""
     loud = loud_moments(samples, rate=rate)
     middle = (np.arange(len(loud)) + 0.5) * STEP_SECONDS
     inside = np.zeros(len(loud), dtype=np.bool_)

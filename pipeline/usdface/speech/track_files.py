@@ -39,12 +39,9 @@ _LEAST_SECONDS = 1e-6
 def read_phone_track(path: Path) -> PhoneTrack:
     """Read phones, and words and emotions if the file has them.
 
-    Parameters
-    ----------
-    path : Path
-        ``.TextGrid`` (long, short, UTF-16 or JSON): tiers named phones, words and emotions, or
-        ``speaker - phones``. ``.lab``: HTK, in 100 ns or in seconds. ``.json``:
-        ``{"phones": [{"start": 0.1, "end": 0.2, "label": "AH"}, ...]}``.
+    `path`: ``.TextGrid`` (long, short, UTF-16 or JSON): tiers named phones, words and emotions, or
+    ``speaker - phones``. ``.lab``: HTK, in 100 ns or in seconds. ``.json``:
+    ``{"phones": [{"start": 0.1, "end": 0.2, "label": "AH"}, ...]}``.
     """
     suffix = path.suffix.lower()
     if suffix not in _TRACK_SUFFIXES:
@@ -69,11 +66,8 @@ def write_phone_track(
 ) -> None:
     """Write a track in the format of the extension; see `read_phone_track`.
 
-    Parameters
-    ----------
-    origin : mapping, optional
-        Provenance: in a TextGrid the label of a separate tier, in JSON a key, for HTK's labels a
-        separate file, `origin_path`.
+    `origin`, provenance, is in a TextGrid the label of a separate tier, in JSON a key, for HTK's
+    labels a separate file, `origin_path`.
     """
     suffix = path.suffix.lower()
     if suffix == ".lab":

@@ -37,13 +37,7 @@ _CHANGE = TypeAdapter(Change)
 
 
 class Journal:
-    """An append-only file of changes.
-
-    Parameters
-    ----------
-    path : Path
-        Created with the first change, removed by `clear`.
-    """
+    """An append-only file of changes. `path`: created with the first change, removed by `clear`."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -51,10 +45,7 @@ class Journal:
     def replay(self) -> list[Change]:
         """Return the changes on disk; an incomplete last line is removed.
 
-        Raises
-        ------
-        InputError
-            If a line before the last is not a change.
+        `InputError` if a line before the last is not a change.
         """
         try:
             with side_stream(self.path, "rb") as stream:

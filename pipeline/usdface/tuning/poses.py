@@ -45,10 +45,7 @@ def read_poses(path: Path) -> SavedPoses:
 def save_pose(path: Path, name: str, weights: dict[str, float] | None) -> SavedPoses:
     """Save a pose, or remove it if `weights` is None; return all poses.
 
-    Raises
-    ------
-    InputError
-        If the file is damaged or cannot be written; it is then unchanged.
+    `InputError` if the file is damaged or cannot be written; it is then unchanged.
     """
     poses = {key: value for key, value in read_poses(path).poses.items() if key != name}
     if weights is not None:

@@ -166,10 +166,7 @@ class TuningSession:
     def save(self) -> None:
         """Write the tuned layer and clear the journal if there are changes.
 
-        Raises
-        ------
-        InputError
-            If the lock was lost, or the layer cannot be written; the journal is then kept.
+        `InputError` if the lock was lost, or the layer cannot be written; the journal is then kept.
         """
         with self._guard:
             if not self._unsaved:

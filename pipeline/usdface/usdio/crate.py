@@ -38,10 +38,7 @@ class _Part:
 def check_crate(path: Path) -> None:
     """Refuse a binary layer with sections outside it, or with impossible counts.
 
-    Parameters
-    ----------
-    path : Path
-        Any file; only binary layers, and those in packages (``.usdz``), are checked.
+    `path`: any file; only binary layers, and those in packages (``.usdz``), are checked.
     """
     try:
         with path.open("rb") as stream:

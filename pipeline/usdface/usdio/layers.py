@@ -156,10 +156,7 @@ def new_layers(made: Mapping[Path, Provenance | None]) -> Iterator[tuple[Sdf.Lay
 
     All are saved before the first is renamed, so that a full disk leaves all old ones.
 
-    Parameters
-    ----------
-    made : mapping of Path to Provenance or None
-        Paths and provenance; a layer that refers to others should be last.
+    `made`: paths and provenance; a layer that refers to others should be last.
     """
     paths = list(made)
     for path in paths:

@@ -55,10 +55,7 @@ def is_z_up(stage: Usd.Stage) -> bool:
 def author_units(layer: Sdf.Layer, *, like: Path | None = None) -> None:
     """Set centimetres and Y up on a layer, or the unit and axis of a file that it references.
 
-    Parameters
-    ----------
-    like : Path, optional
-        The referenced file; USD does not convert units of references.
+    `like`: the referenced file; USD does not convert units of references.
     """
     metres, up = _METRES_PER_STAGE_UNIT, "Y"
     if like is not None:

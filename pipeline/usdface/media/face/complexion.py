@@ -63,10 +63,7 @@ class Complexion:
 def paint(meshes: Sequence[RigMesh], pieces: Pieces, *, exposure: FloatArray) -> Complexion:
     """Return colours of all points: the rig's, or else those of its parts.
 
-    Parameters
-    ----------
-    exposure : (points,) float array
-        Visible share of the sky with the mouth shut [0-1].
+    `exposure`: (points,), visible share of the sky with the mouth shut [0-1].
     """
     palette = np.zeros((len(FacePart), 3))
     palette[FacePart.SKIN], palette[FacePart.EYE] = shading.SKIN, shading.SCLERA

@@ -69,10 +69,7 @@ class ColorBand:
     def share(self, rest: Float32Array) -> Float32Array:
         """Return the opacity of the colour at points of the resting face [0-1].
 
-        Parameters
-        ----------
-        rest : (n, 3) float32 array
-            [mm]
+        `rest`: (n, 3) [mm].
         """
         x, y, z = rest.T
         along = (x - self.ends[0]) / (self.ends[1] - self.ends[0])
@@ -91,10 +88,7 @@ def find_bands(
 ) -> tuple[ColorBand, ...]:
     """Return the bands of the lips and the brows that can be located.
 
-    Parameters
-    ----------
-    skin : (points,) bool array
-        Points of skin, all meshes concatenated.
+    `skin`: (points,), points of skin, all meshes concatenated.
     """
     points = np.concatenate([mesh.points for mesh in meshes])
     names, offsets = _offsets(meshes)

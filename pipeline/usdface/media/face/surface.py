@@ -83,10 +83,7 @@ class Surface:
     def normals_at(self, fine: FloatArray) -> FloatArray:
         """Return unit normals of the drawn points in a pose; zero for points without a triangle.
 
-        Parameters
-        ----------
-        fine : (drawn points, 3) float array
-            [mm]
+        `fine`: (drawn points, 3) [mm].
         """
         normals = vertex_normals(fine, self.triangles, self.normals)
         summed = normals[self.middles.corners].sum(axis=1)

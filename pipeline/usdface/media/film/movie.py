@@ -208,10 +208,7 @@ def _same_size(file: Path, first: ByteImage, pictures: Iterable[ByteImage]) -> I
 class SoundTrack:
     """An audio stream of a container.
 
-    Parameters
-    ----------
-    samples : (samples,) float32 array
-        Mono [-1 to 1], starting at the first picture.
+    `samples`: (samples,), mono [-1 to 1], starting at the first picture.
     """
 
     def __init__(self, container: Any, samples: Float32Array, sample_rate: int) -> None:

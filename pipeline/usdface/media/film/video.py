@@ -269,10 +269,7 @@ def _focal_length(container: Any) -> float | None:
 def open_video(path: Path, rate: Fraction | None = None) -> OpenVideo:
     """Open a movie, or the sequence that a picture belongs to.
 
-    Raises
-    ------
-    InputError
-        If it is neither, or a sequence without a rate.
+    `InputError` if it is neither, or a sequence without a rate.
     """
     if path.suffix.lower() not in SUFFIXES:
         return VideoReader(path)

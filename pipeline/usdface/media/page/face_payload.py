@@ -87,10 +87,7 @@ def viewer_source(*scripts: str) -> str:
 
     Scripts use `FaceViewer`, `unpackFace` and `bytesFromBase64` without importing them.
 
-    Parameters
-    ----------
-    *scripts : str
-        Source files of the page, appended.
+    `*scripts`: source files of the page, appended.
     """
     parts = [read_web_file(name).decode("utf-8") for name in (*_VIEWER, *scripts)]
     return "\n".join(_LINKS.sub("", part) for part in parts)

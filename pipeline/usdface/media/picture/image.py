@@ -282,10 +282,7 @@ def reason_of(source: Any) -> str:
 def pack_timecode(label: str) -> int:
     """Return a timecode as binary-coded decimal, hours in the highest byte.
 
-    Parameters
-    ----------
-    label : str
-        ``HH:MM:SS:FF``, or ``;`` before FF for drop-frame.
+    `label`: ``HH:MM:SS:FF``, or ``;`` before FF for drop-frame.
     """
     match = LABEL.match(label)
     if match is None or match[1] > "23" or match[2] > "59" or match[3] > "59" or match[5] > "39":
@@ -315,11 +312,8 @@ DisplayView = Callable[[ArrayLike], ByteImage]
 def display_view(name: str | None) -> DisplayView:
     """Return the function from rendered light, (height, width, 3) linear Rec.709, to bytes.
 
-    Parameters
-    ----------
-    name : str or None
-        A view of the configuration's default display, or ``DISPLAY/VIEW``; None is sRGB. The
-        configuration is that of ``$OCIO``, or else the one built into OpenColorIO.
+    `name`: a view of the configuration's default display, or ``DISPLAY/VIEW``; None is sRGB. The
+    configuration is that of ``$OCIO``, or else the one built into OpenColorIO.
     """
     if name is None:
         return lambda light: bytes_from_linear(np.asarray(light, np.float32))

@@ -148,10 +148,7 @@ def draw_verdict(
 ) -> int:
     """Write a verdict and a bar on the page's left edge in its colour; return the row below.
 
-    Parameters
-    ----------
-    verdict : sequence of str
-        As in `SheetPage`; may be empty.
+    `verdict`: as in `SheetPage`; may be empty.
     """
     if not verdict:
         return y

@@ -57,11 +57,8 @@ class HeadSource:
     ) -> dict[DriveTarget, FloatArray]:
         """Return the transform of each target from rest, (frames, 4, 4), in the rig's world [mm].
 
-        Parameters
-        ----------
-        onto : (4, 4) float array, optional
-            Similarity from the performer's space to the rig's. By default the performer is upright
-            and looks along Z, as tracked and stabilised faces do.
+        `onto`: (4, 4), similarity from the performer's space to the rig's. By default the performer
+        is upright and looks along Z, as tracked and stabilised faces do.
         """
         axes, transforms = face_axes(rig), dict[DriveTarget, FloatArray]()
         for target in targets:

@@ -20,10 +20,8 @@ _LEAST_KNOWN = 0.8
 def marker_lines(labels: Sequence[str], positions: ArrayLike) -> IntArray:
     """Return the markers joined by lines, (lines, 2), as far as labels show neighbours.
 
-    Parameters
-    ----------
-    positions : (markers, 3) array
-        At rest; see `rows_by_label`. Landmarks of `track` are joined as in MediaPipe's mesh.
+    `positions`: (markers, 3), at rest; see `rows_by_label`. Landmarks of `track` are joined as in
+    MediaPipe's mesh.
     """
     place = index_of(labels)
     named = [name for row in LANDMARK_ROWS for name in row]

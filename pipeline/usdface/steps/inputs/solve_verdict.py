@@ -140,11 +140,8 @@ def _pair_words(trained: Path) -> str:
 def verdict_findings(path: Path, worst: VerdictLevel | None = None) -> list[Finding]:
     """Return a finding for each solve of a layer whose verdict is not good.
 
-    Parameters
-    ----------
-    worst : 'good', 'check' or 'bad', optional
-        Verdicts that are worse are errors, others warnings. Default: that of the environment
-        variable `WORST_VERDICT`, else ``'check'``.
+    `worst`: verdicts that are worse are errors, others warnings. Default: that of the environment
+    variable `WORST_VERDICT`, else ``'check'``.
     """
     levels = list(VERDICT_WORDS)
     limit = levels.index(_worst_level(worst))

@@ -109,10 +109,7 @@ def read_source_motion(
 ) -> SourceMotion:
     """Read the weights of a take, of a performance with its edits, or of a capture file.
 
-    Parameters
-    ----------
-    **stated
-        Options of a capture file, or None: fields of `CaptureOptions`.
+    `**stated`: options of a capture file, or None: fields of `CaptureOptions`.
     """
     stated = {name: value for name, value in stated.items() if value is not None}
     is_layer = is_usd_name(path)
@@ -162,10 +159,7 @@ def source_transfer(
     Equal names are matched first, the others by meaning: Live Link's ``EyeBlinkLeft`` drives a
     rig's ``eyeBlink_L``.
 
-    Parameters
-    ----------
-    names : Path, optional
-        Table of pairs to use instead.
+    `names`: table of pairs to use instead.
     """
     if names is None:
         transfer = transfer_by_names(motion.names, wanted)

@@ -265,11 +265,8 @@ CLAMP_TOLERANCE = 1e-5
 def undo_clamping(table: WeightTable, name: str, rows: IntArray, shown: FloatArray) -> FloatArray:
     """Return a shape's weights at some rows, undoing the clamping of a tool.
 
-    Parameters
-    ----------
-    shown : (n,) float array
-        Current weights. Where they lie outside `CLAMP_RANGE` and the table has its end, the
-        weight was clamped and not changed.
+    `shown`: (n,), current weights. Where they lie outside `CLAMP_RANGE` and the table has its end,
+    the weight was clamped and not changed.
     """
     weights: FloatArray = table.weights[rows, table.names.index(name)]
     if not table.clamped:

@@ -148,10 +148,7 @@ def full_strength_frames(edits: Sequence[EditCurve], changes: FloatArray) -> Boo
     near their peaks, as curves of a DCC rarely peak together, frames are returned at which the
     mean strength, weighted by change, is high.
 
-    Parameters
-    ----------
-    changes : (edits, frames) float array
-        Absolute change of the weight by each edit.
+    `changes`: (edits, frames), absolute change of the weight by each edit.
     """
     share = np.ones_like(changes)
     for row, edit in enumerate(edits):

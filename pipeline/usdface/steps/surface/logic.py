@@ -304,11 +304,8 @@ def _simplex(data: dict[str, Any], path: Path) -> tuple[Combination, ...]:
 def combinations_of_metadata(values: Iterable[tuple[str, object]]) -> tuple[Combination, ...]:
     """Read combinations from metadata of exporters: the drivers of each shape.
 
-    Parameters
-    ----------
-    values : iterable of (str, object)
-        Shape, and its drivers: a list of names, or text separated by spaces, commas, ``*`` or
-        ``+``.
+    `values`: shape, and its drivers: a list of names, or text separated by spaces, commas, ``*`` or
+    ``+``.
     """
     found = []
     for shape, value in values:

@@ -160,10 +160,7 @@ def driving_layers(parts: Sequence[Path], beside: Callable[[Path], Path]) -> lis
 
     Since samples of joints are arrays in the order of the names in the header.
 
-    Parameters
-    ----------
-    beside : callable
-        From a performance to the layer, such as `head_path`.
+    `beside`: from a performance to the layer, such as `head_path`.
     """
     driven = [_driven(each, beside(each)) for each in parts]
     for part, names in zip(parts, driven, strict=True):

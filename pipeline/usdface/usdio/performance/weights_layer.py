@@ -216,10 +216,7 @@ class WeightsWriter:
     ) -> None:
         """Append the samples of frames of an animation of the same shapes.
 
-        Parameters
-        ----------
-        copied_to : callable
-            Called with the last frame of every block.
+        `copied_to`: called with the last frame of every block.
         """
         if first != self.next_frame:
             raise ValueError(f"frame {self.next_frame} comes next, not {first}")

@@ -34,11 +34,8 @@ FLOATS = (Sdf.ValueTypeNames.Float, Sdf.ValueTypeNames.Double, Sdf.ValueTypeName
 def find_control_attributes(rig: Rig, patterns: Sequence[str]) -> tuple[str, ...]:
     """Return the float attributes of a rig that match names or patterns.
 
-    Parameters
-    ----------
-    patterns : sequence of str
-        ``PRIM.ATTRIBUTE``, the prim's path relative to the rig's top prim; ``*`` and ``?`` as in a
-        shell.
+    `patterns`: ``PRIM.ATTRIBUTE``, the prim's path relative to the rig's top prim; ``*`` and ``?``
+    as in a shell.
     """
     stage = open_stage(rig.file)
     top = stage.GetPrimAtPath(Sdf.Path(rig.prim).GetPrefixes()[0])

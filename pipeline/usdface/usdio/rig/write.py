@@ -48,10 +48,7 @@ ONE_JOINT = RigControls(("head",), np.zeros((1, 3)), {}, ())
 def write_rig(path: Path, rig: Rig, *, controls: RigControls = ONE_JOINT) -> None:
     """Write a rig: one SkelRoot with a Skeleton, and its meshes bound to it.
 
-    Parameters
-    ----------
-    rig : Rig
-        `rig.prim` is the SkelRoot; mesh paths must be below it.
+    `rig`: `rig.prim` is the SkelRoot; mesh paths must be below it.
     """
     with new_layer(path) as layer:
         author_units(layer)

@@ -50,10 +50,7 @@ class ForeignTake:
 def read_foreign_take(path: Path, *, prim: str | None = None) -> ForeignTake:
     """Read markers and weights from a USD file that is not a take of our schema.
 
-    Parameters
-    ----------
-    prim : str, optional
-        The prim of the markers, or one above it, if the file has several sets.
+    `prim`: the prim of the markers, or one above it, if the file has several sets.
     """
     stage = open_stage(path)
     top = stage.GetPseudoRoot() if prim is None else stage.GetPrimAtPath(prim)
