@@ -208,10 +208,7 @@ def carve(form: FloatArray, tool: FloatArray, rounding: float) -> FloatArray:
 def head_form(style: Style) -> Form:
     """Return the signed distance function of a style's bare head, symmetric in x.
 
-    Returns
-    -------
-    callable
-        (..., 3) float array [mm] to (...) float array [mm], negative inside.
+    From (..., 3) [mm] to (...) [mm], negative inside.
     """
 
     def distance(points: FloatArray) -> FloatArray:

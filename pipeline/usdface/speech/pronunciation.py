@@ -139,10 +139,7 @@ def read_dictionary(path: Path) -> dict[str, tuple[str, ...]]:
     Stress digits are removed, lines that begin with ``;;;`` or ``#`` are comments, and the first of
     several entries for a word is used.
 
-    Returns
-    -------
-    dict of str to tuple of str
-        ARPAbet in upper case, by word in lower case.
+    Returns ARPAbet in upper case, by word in lower case.
     """
     pronunciations: dict[str, tuple[str, ...]] = {}
     for number, line in enumerate(read_text(path, LARGEST_DICTIONARY_BYTES).splitlines(), start=1):

@@ -92,13 +92,7 @@ class _Samples:
 
 
 def draw(view: View) -> Float32Array:
-    """Draw a view.
-
-    Returns
-    -------
-    (height, width, 3) float32 array
-        Linear light [0-1].
-    """
+    """Draw a view: (height, width, 3), linear light [0-1]."""
     height, width = view.height, view.width
     pixels = _framed_pixels(view)
     rows, columns = np.divmod(pixels, width)

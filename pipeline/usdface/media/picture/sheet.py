@@ -74,13 +74,7 @@ _BEST_STYLE = TextStyle(size=21, color=(255, 255, 255), weight="bold")
 
 
 def compose_sheet(spec: SheetPage) -> ByteImage:
-    """Compose a contact sheet.
-
-    Returns
-    -------
-    (height, width, 3) uint8 array
-        sRGB.
-    """
+    """Compose a contact sheet: (height, width, 3) sRGB."""
     check_sheet(spec)
     layout = lay_out(spec)
     if layout.width * layout.height > LARGEST_SHEET_PIXELS:

@@ -292,10 +292,7 @@ class TakeReader:
     def head_motion_from_neutral(self, first: int, last: int) -> np.ndarray | None:
         """Return the head motion relative to the neutral frame, in the head space there.
 
-        Returns
-        -------
-        (frames, 4, 4) float array or None
-            For column vectors [mm]; None without head motion.
+        (frames, 4, 4), for column vectors [mm]; None without head motion.
         """
         motion = self._read_head_motion(range(first, last + 1))
         at = min(max(self.neutral_frame, self.first_frame), self.last_frame)
