@@ -1,7 +1,6 @@
 """Writing of review movies: every frame a key frame, tagged colours, timecode."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
 from fractions import Fraction
 from itertools import chain
 from pathlib import Path
@@ -84,7 +83,7 @@ def write_movie(
         raise InputError(f"{file}: there is no frame to write; check the frame range")
     with replacing(file) as temporary:
         try:
-            with new_movie(temporary, container_format) as container:
+            with av.open(str(temporary), "w", format=container_format) as container:
                 _encode(
                     container,
                     _same_size(file, first, chain([first], pictures)),
@@ -96,19 +95,6 @@ def write_movie(
                 )
         except (av.error.FFmpegError, OSError) as error:
             raise InputError(f"{file}: the movie cannot be encoded ({error})") from error
-
-
-@contextmanager
-def new_movie(
-    file: Path, container_format: str, timecode: str = "", comment: str = ""
-) -> Iterator[Any]:
-    """Open a container to write, with its timecode and comment."""
-    with av.open(str(file), "w", format=container_format) as container:
-        if timecode:
-            container.metadata["timecode"] = timecode
-        if comment:
-            container.metadata["comment"] = comment
-        yield container
 
 
 def movie_format(file: Path) -> str:

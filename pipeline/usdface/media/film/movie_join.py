@@ -6,13 +6,14 @@ from itertools import repeat
 from pathlib import Path
 from typing import Any
 
+import av
 import av.error
 
 from usdface.core.arrays import Float32Array
 from usdface.core.errors import InputError
 from usdface.core.replacing import replacing
 from usdface.media.film.containers import open_media, unreadable
-from usdface.media.film.movie import SoundTrack, movie_format, new_movie
+from usdface.media.film.movie import SoundTrack, movie_format
 
 
 def join_movies(
@@ -56,7 +57,9 @@ def join_movies(
     stated_rate = _check_kinds(parts)
     with replacing(path) as temporary:
         try:
-            with new_movie(temporary, container_format, timecode, comment) as container:
+            with av.open(str(temporary), "w", format=container_format) as container:
+                stated = {"timecode": timecode, "comment": comment}
+                container.metadata.update({key: text for key, text in stated.items() if text})
                 joined = _Joined(container, stated_rate if rate is None else rate)
                 counts = repeat(None) if pictures is None else pictures
                 for part, count in zip(parts, counts, strict=False):

@@ -28,8 +28,8 @@ def run(
     measured = measure_pairs(spec, progress=progress)
     measure, takes, pairs = measured.coverage, measured.takes, measured.pairs
     progress(0.9, f"writing {spec.out.name}")
-    metadata = provenance.metadata
-    write_image(spec.out, measured.picture(spec.references.stem), metadata=metadata)
+    picture = measured.picture(spec.references.stem)
+    write_image(spec.out, picture, metadata=provenance.metadata)
     progress(1.0, "done")
     coverage = measure.frames
     notes = []
@@ -74,6 +74,5 @@ def redraw_coverage(references: Path, progress: Progress) -> tuple[tuple[Path, .
         measured = measure_pairs(spec, progress=progress)
     except InputError as error:
         return (), [f"{picture.name} was not drawn again, and is out of date: {error}"]
-    image = measured.picture(references.stem)
-    write_image(picture, image, metadata=origin.metadata)
+    write_image(picture, measured.picture(references.stem), metadata=origin.metadata)
     return (picture,), []

@@ -311,5 +311,4 @@ def _draw(
         ),
         spans=spans,
     )
-    made = provenance.metadata
-    write_image(path, picture, metadata=made)
+    write_image(path, picture, metadata=provenance.metadata)

@@ -158,9 +158,8 @@ def _write(
         yaw_degrees=facing_yaw(plan.face.mesh, at),
         quality=quality,
     )
-    metadata = provenance.metadata
     page = replace(page, rows=tuple(rows), high=UNKEYED_RANGE_MM)
-    write_image(path, compose_sheet(page), metadata=metadata)
+    write_image(path, compose_sheet(page), metadata=provenance.metadata)
 
 
 def other_meshes(face: FaceMesh) -> list[RigMesh]:
