@@ -49,8 +49,7 @@ def run(spec: PhonesSpec, *, provenance: Provenance, progress: Progress = silent
     )
     outside = share_outside(samples, found.track.words, rate=SPEECH_SAMPLE_RATE)
     track = found.track if video is None else _on_take_clock(found.track, video)
-    origin = provenance.metadata
-    write_phone_track(spec.out, track, origin=origin)
+    write_phone_track(spec.out, track, origin=provenance.metadata)
     progress(1.0, "done")
     spoken = [span for span in track.phones if viseme_of(span.label) != "pau"]
     visemes = sorted({viseme_of(span.label) or "" for span in spoken})

@@ -58,8 +58,7 @@ def run(spec: FacesSpec, *, provenance: Provenance, progress: Progress = silent)
         first_frame=int(frames[0]),
         tile_height=spec.tile,
     )
-    made = provenance.metadata
-    write_image(spec.out, compose_sheet(page), metadata=made)
+    write_image(spec.out, compose_sheet(page), metadata=provenance.metadata)
     return StepResult(
         (spec.out,),
         f"{pluralize(len(actors), 'face')} at {pluralize(len(chosen), 'frame')}",
