@@ -116,14 +116,6 @@ def test_the_performance_is_deterministic(acted: ActedPerformance) -> None:
     np.testing.assert_array_equal(again.rotation, acted.rotation)
 
 
-def test_another_rate_samples_the_same_motion(acted: ActedPerformance) -> None:
-    half = performance(60)
-    common = [n for n in half.weights.names if n in acted.weights.names]
-    assert len(common) >= len(acted.weights.names) - 1
-    for name in common:
-        np.testing.assert_allclose(channel(half, name), channel(acted, name)[::2], atol=1e-5)
-
-
 def test_the_voice_speaks_when_the_mouth_does_and_is_silent_at_rest() -> None:
     rate = 16000
     sound = speak(rate)

@@ -233,6 +233,6 @@ def test_matches_come_back_and_deactivated_ones_do_not(tmp_path: Path) -> None:
     layer.GetPrimAtPath("/Matches/match_001").active = False
     layer.Save()
     assert [m.first_frame for m in read_matches(tmp_path / "m.usda")] == [50]
-    assert read_provenance(tmp_path / "m.usda") is None
+    assert read_provenance(tmp_path / "m.usda") == Provenance()
     with pytest.raises(InputError, match="no </Matches>"):
         read_matches(write_human(tmp_path / "human.usda").file)
