@@ -9,9 +9,11 @@ import pytest
 
 from tests.steps.small_shot import Shot
 from usdface.capture.face_landmarks import LANDMARK_ROWS, LANDMARKS
+from usdface.core import deformer
 from usdface.core.errors import InputError
 from usdface.media.face.markers_view import draw_markers
 from usdface.model.placement.marker_rows import rows_by_place
+from usdface.numerics.registration.face_skin import sample_face_skin
 from usdface.runner.execute import execute
 from usdface.specs.review import ReportSpec
 from usdface.steps.inputs.marker_lines import lines_on_rig, marker_lines
@@ -136,7 +138,9 @@ def test_sheet_and_report_join_the_same_markers(shot: Shot) -> None:
     }
 
 
-def test_markers_without_labels_are_joined_by_where_they_lie_on_the_rig(shot: Shot) -> None:
+def test_markers_without_labels_are_joined_by_where_they_lie_on_the_rig(
+    shot: Shot, monkeypatch: pytest.MonkeyPatch
+) -> None:
     opened = open_shot(shot / "shot.hero.usda", shot / "shot.clean.take.usda")
     equation = set_up_shot_baseline(opened)
     assert opened.take.markers is not None
@@ -144,6 +148,7 @@ def test_markers_without_labels_are_joined_by_where_they_lie_on_the_rig(shot: Sh
     silent = [f"M{index}" for index in range(len(names))]
     assert not len(marker_lines(silent, equation.neutral))
     rig = opened.deformer, opened.rig.shapes
+    monkeypatch.setattr(deformer, "sample_face_skin", sample_face_skin)  # not coarsely
     by_label, by_place = (
         {frozenset(names[end] for end in line) for line in lines.tolist()}
         for lines in (lines_on_rig(names, equation, *rig), lines_on_rig(silent, equation, *rig))
