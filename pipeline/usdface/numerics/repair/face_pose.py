@@ -3,10 +3,11 @@
 The markers of a frame are a rigid transform of ``x ~ N(mean, S)``, with the low-rank model's
 ``S = C' V C + N``. The pose maximises the likelihood, with the expression marginalised:
 
-    minimise r' inv(S) r,   r = R x + t - mean,
+    minimise r' inv(S) r + q' inv(P) q,   r = R x + t - mean,
 
-by Gauss-Newton steps from the alignment with the mean. With J the derivatives of r, a step is
-``-inv(J' inv(S) J) J' inv(S) r``, and the inverse matrix is the covariance of the pose. Woodbury's
+by Gauss-Newton steps from the alignment with the mean; q is the rotation and shift relative to the
+interpolated pose, and P its covariance. With J the derivatives of r, a step is
+``-inv(J' inv(S) J + inv(P)) (J' inv(S) r + inv(P) q)``; the inverse is the covariance of the pose. Woodbury's
 identity gives ``inv(S) = inv(N) - inv(N) C' inv(inv(V) + C inv(N) C') C inv(N)``. The noise of a
 marker grows with its residual, so that swapped labels and outliers do not count (Cauchy weights).
 The likelihood's covariance is scaled by how far the frame exceeds the model: the median of the
