@@ -5,15 +5,16 @@ The markers of a frame are a rigid transform of ``x ~ N(mean, S)``, with the low
 
     minimise r' inv(S) r + q' inv(P) q,   r = R x + t - mean,
 
-by Gauss-Newton steps from the alignment with the mean; q is the rotation and shift relative to the
-interpolated pose, and P its covariance. With J the derivatives of r, a step is
-``-inv(J' inv(S) J + inv(P)) (J' inv(S) r + inv(P) q)``; the inverse is the covariance of the pose. Woodbury's
-identity gives ``inv(S) = inv(N) - inv(N) C' inv(inv(V) + C inv(N) C') C inv(N)``. The noise of a
-marker grows with its residual, so that swapped labels and outliers do not count (Cauchy weights).
-The likelihood's covariance is scaled by how far the frame exceeds the model: the median of the
-residuals over the noise, or the mean square of the scores over their variances, if more than usual.
-The prior is the pose interpolated between measured ones, as precise as such poses are in the take:
-short gaps of a still head follow it, long ones of a moving head the face.
+by Gauss-Newton steps from the alignment with the mean. q is the rotation and shift relative to the
+pose interpolated between measured ones, P its covariance: as such poses are in the take, so that
+short gaps of a still head follow it, long ones of a moving head the face. With J the derivatives of
+r, a step is ``-inv(J' inv(S) J + inv(P)) (J' inv(S) r + inv(P) q)``; the inverse matrix is the
+covariance of the pose. ``inv(S) = inv(N) - inv(N) C' inv(inv(V) + C inv(N) C') C inv(N)`` (Woodbury).
+
+The noise of a marker grows with its residual, so that swapped labels and outliers do not count
+(Cauchy weights). The likelihood's covariance is scaled by how far the frame exceeds the model: the
+median of the residuals over the noise, or the mean square of the scores over their variances, if
+more than usual.
 
 References
 ----------
