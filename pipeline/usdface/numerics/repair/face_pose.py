@@ -9,7 +9,8 @@ by Gauss-Newton steps from the alignment with the mean. q is the rotation and sh
 pose interpolated between measured ones, P its covariance: as such poses are in the take, so that
 short gaps of a still head follow it, long ones of a moving head the face. With J the derivatives of
 r, a step is ``-inv(J' inv(S) J + inv(P)) (J' inv(S) r + inv(P) q)``; the inverse matrix is the
-covariance of the pose. ``inv(S) = inv(N) - inv(N) C' inv(inv(V) + C inv(N) C') C inv(N)`` (Woodbury).
+covariance of the pose. Woodbury's identity gives
+``inv(S) = inv(N) - inv(N) C' inv(inv(V) + C inv(N) C') C inv(N)``.
 
 The noise of a marker grows with its residual, so that swapped labels and outliers do not count
 (Cauchy weights). The likelihood's covariance is scaled by how far the frame exceeds the model: the
