@@ -90,6 +90,13 @@ def test_frames_beyond_the_model_have_more_variance() -> None:
     assert np.median(unusual) > 20 * np.median(usual)
 
 
+def test_markers_on_one_point_have_an_uncertain_pose() -> None:
+    positions = np.full((2, MARKERS, 3), 7.0)
+    poses, variance = by_face(positions, np.ones((2, MARKERS), bool))
+    assert np.isfinite(poses).all()
+    assert variance.min() > 10
+
+
 def test_no_frames_have_no_poses() -> None:
     poses, variance = by_face(np.empty((0, MARKERS, 3)), np.empty((0, MARKERS), bool))
     assert poses.shape == (0, 4, 4)

@@ -59,8 +59,8 @@ class CleanedMarkers:
     visible: BoolArray
     """(frames, markers): measured or filled; False only in gaps that are not filled."""
     confidence: Float32Array
-    """(frames, markers) [0-1] 1 as measured, lower where relabelled, filled, or where the pose was
-    interpolated; 0 in gaps that are not filled."""
+    """(frames, markers) [0-1] 1 as measured, lower where relabelled, filled, or where rigid markers
+    do not tell the pose; 0 in gaps that are not filled."""
     head_motion: FloatArray
     """(frames, 4, 4): for column vectors: ``captured = head_motion @ stabilised``."""
     swaps: tuple[Swap, ...]
@@ -70,8 +70,8 @@ class CleanedMarkers:
     filled: BoolArray
     """(frames, markers): samples that were not measured or were outliers, and were filled."""
     pose_confidence: FloatArray
-    """(frames,) [0-1] 1 where the head's pose is measured, lower where it is interpolated, the
-    lower the longer the gap."""
+    """(frames,) [0-1] 1 where rigid markers tell the head's pose; else one minus the variance of
+    the pose over that of the markers' motion, or lower the longer the gap, where interpolated."""
     noise_mm: float
     """Measurement noise per coordinate before smoothing [mm]."""
     slips: tuple[Slip, ...] = ()
@@ -282,6 +282,8 @@ def _pose_by_face(
     model = fit_low_rank(still.positions, posed, rank_limit=rank, start=start, noise=noise)
     known = still.visible.sum(axis=1) >= _FEWEST_FACE_MARKERS
     rows = np.flatnonzero(~still.measured & known)
+    if not len(rows):
+        return model
     poses, variance = pose_by_face(
         model,
         still.positions[rows],
@@ -291,7 +293,7 @@ def _pose_by_face(
     )
     still.positions[rows] = remove_motion(still.positions[rows], alignment_of(poses))
     still.head_motion[rows] = still.head_motion[rows] @ poses
-    motion = model.variances.sum() / len(model.noise)
+    motion = (model.variances.sum() + 3 * (model.noise**2).sum()) / len(model.noise)
     share = np.clip(1.0 - variance / motion, _LEAST_POSE_CONFIDENCE, _MOST_POSE_CONFIDENCE)
     still.pose_confidence[rows] = share
     return model

@@ -44,6 +44,8 @@ _INLIER_DEVIATIONS = 3.0
 """Residual at which a marker weighs half [standard deviations of the noise]."""
 _MEDIAN_CHI_SQUARE = 2.366
 """Of three degrees of freedom."""
+_VAGUE_PRECISION = np.repeat([0.1, 1e-9], 3)
+"""Of a pose of which nothing is known, within 3 rad and 30 m: markers on one point have one too."""
 _LEAST_VARIANCE = np.repeat([1e-8, 1e-4], 3)
 """Of interpolated poses: 0.1 mrad and 0.01 mm, squared."""
 
@@ -93,7 +95,7 @@ def _solve(
     prior: FloatArray,
     centre: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    mean = model.mean.reshape(-1, 3)
+    mean, prior = model.mean.reshape(-1, 3), np.maximum(prior, _VAGUE_PRECISION)
     weights, excess = seen / model.noise**2, np.ones(len(seen))
     start = align_frames(positions, np.broadcast_to(mean, positions.shape), weights=seen)
     poses, still = start.matrices(), remove_motion(positions.astype(np.float64), start)
