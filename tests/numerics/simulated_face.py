@@ -6,6 +6,9 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
+from usdface.numerics.rigid.rigid_alignment import alignment_of, remove_motion
+from usdface.numerics.rigid.stabilization import Stabilization
+
 
 @dataclass(frozen=True)
 class SimulatedFace:
@@ -115,3 +118,8 @@ def _draw_dropouts(rng, shape, rate, share) -> np.ndarray:
         start, marker = int(rng.integers(shape[0])), int(rng.integers(shape[1]))
         visible[start : start + int(rng.exponential(0.25 * rate)) + 1, marker] = False
     return visible
+
+
+def hold_head(captured: np.ndarray, head: Stabilization) -> np.ndarray:
+    """Return captured markers without the head's motion."""
+    return np.asarray(remove_motion(captured, alignment_of(head.head_motion)))

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.numerics.simulated_face import hold_head
 from usdface.capture.sniff import read_capture
 from usdface.core.deformer import Deformer
 from usdface.demo.rig import demo_rig
@@ -267,13 +268,14 @@ FEATURES = {"nose": "NoseHead", "chin": "Chin", "mouth_L": "Mouth_Lend", "mouth_
 def recorded_cloud(shared_data, take: str) -> MarkerCloud:
     """Return a recorded take's markers, its head held still."""
     markers = read_capture(shared_data / "markers_animface" / f"{take}.c3d").take.markers
-    still = stabilize_by_prior(
+    head = stabilize_by_prior(
         markers.positions,
         markers.visible,
         skin_motion_mm=skin_motion_mm(markers.names),
         rate=60.0,
         neutral=0,
-    ).positions.astype(float)
+    )
+    still = hold_head(markers.positions, head).astype(float)
     return marker_cloud(markers.names, still[0], still)
 
 
@@ -318,13 +320,14 @@ def test_labels_place_markers_of_one_side(shared_data, head: str) -> None:
     markers = read_capture(shared_data / "markers_animface" / "EyebrowsMoCap.c3d").take.markers
     kept = [row for row, name in enumerate(markers.names) if side_of_label(name) != "R"]
     names = tuple(markers.names[row] for row in kept)
-    still = stabilize_by_prior(
+    motion = stabilize_by_prior(
         markers.positions[:, kept],
         markers.visible[:, kept],
         skin_motion_mm=skin_motion_mm(names),
         rate=60.0,
         neutral=0,
-    ).positions.astype(float)
+    )
+    still = hold_head(markers.positions[:, kept], motion).astype(float)
     rig = read_rig(shared_data / "rigs" / f"{head}.usdc")
     skin = skin_of(rig)
     placed = place_markers(marker_cloud(names, still[0], still), skin, rig.shapes)

@@ -7,6 +7,7 @@ import ezc3d
 import numpy as np
 import pytest
 
+from tests.numerics.simulated_face import hold_head
 from usdface.model.placement.marker_cloud import marker_cloud
 from usdface.model.placement.place import place_markers
 from usdface.numerics.registration.face_skin import sample_face_skin
@@ -72,10 +73,11 @@ def crossing(shared_data):
     order = [[str(name) for name in truth["shapes"]].index(shape) for shape in face.shapes]
     positions, visible, labels = read_c3d(folder / "take.c3d")
     rigid = [labels.index(name) for name in meta["rigid"]]
-    still = stabilize(positions, visible, rigid=rigid, neutral=meta["neutral_frame"])
+    head = stabilize(positions, visible, rigid=rigid, neutral=meta["neutral_frame"])
+    still = hold_head(positions, head)
     step = slice(meta["neutral_frame"] % 4, None, 4)
-    moved, seen = np.asarray(still.positions[step], float), visible[step]
-    neutral = np.asarray(still.positions[meta["neutral_frame"]], float)
+    moved, seen = np.asarray(still[step], float), visible[step]
+    neutral = np.asarray(still[meta["neutral_frame"]], float)
     hidden = ~visible[meta["neutral_frame"]]
     neutral[hidden] = np.nanmedian(np.where(seen[..., None], moved, np.nan), axis=0)[hidden]
     moved = np.where(seen[..., None], moved, neutral)
@@ -129,7 +131,7 @@ def test_a_recorded_performer_without_labels_lands_on_the_right_parts(shared_dat
     positions, visible, labels = read_c3d(shared_data / "markers_animface" / "CheeksMoCap.c3d")
     forehead = ["NoseTop", "Leye_Inside", "Reye_Inside", "Eyebrow_Center", "ForeHead_M"]
     head = stabilize(positions, visible, rigid=[labels.index(name) for name in forehead], neutral=0)
-    moved = np.asarray(head.positions, float)
+    moved = np.asarray(hold_head(positions, head), float)
     skin = sample_face_skin(face.points, face.triangles, face.offsets)
     cloud = marker_cloud(tuple(f"m{i}" for i in range(len(labels))), moved[0], moved)
     virtual = place_markers(cloud, skin, face.shapes).virtual

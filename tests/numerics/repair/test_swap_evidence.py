@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.numerics.simulated_face import simulate_face
+from tests.numerics.simulated_face import hold_head, simulate_face
 from usdface.numerics.repair import relabeling
 from usdface.numerics.repair.fit_low_rank import fit_low_rank
 from usdface.numerics.repair.low_rank import fill_missing
@@ -23,7 +23,8 @@ STEP_SCALE = 0.9
 def swapped():
     face = simulate_face(frames=1500, noise=0.15, swapped_share=0.2, dropout_share=0.02)
     neutral = int(np.argmax(face.visible[:, list(face.rigid)].sum(axis=1)))
-    still = stabilize(face.captured, face.visible, rigid=face.rigid, neutral=neutral).positions
+    head = stabilize(face.captured, face.visible, rigid=face.rigid, neutral=neutral)
+    still = hold_head(face.captured, head)
     model = fit_low_rank(still, face.visible)
     return still, face.visible, model
 

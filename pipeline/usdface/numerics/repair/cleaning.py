@@ -219,18 +219,11 @@ def _stabilize(
     Jitter of the pose moves all markers alike, and would be fitted as a direction of the face's
     motion. Fast head motion is restored when the pose is refined.
     """
-    columns = list(rigid)
     if skin_motion_mm is None:
-        body = stabilize(
-            captured[:, columns], seen[:, columns], rigid=range(len(columns)), neutral=neutral
-        )
+        body = stabilize(captured, seen, rigid=rigid, neutral=neutral)
     else:
         body = stabilize_by_prior(
-            captured,
-            seen,
-            skin_motion_mm=skin_motion_mm,
-            rate=rate,
-            neutral=neutral,
+            captured, seen, skin_motion_mm=skin_motion_mm, rate=rate, neutral=neutral
         )
     centre, measured = body.reference.mean(axis=0), body.pose_gap == 0
     smooth = smooth_poses(body.head_motion, center=centre)

@@ -80,11 +80,8 @@ _REFERENCE_FRAMES = 20_000
 
 @dataclass(frozen=True)
 class Stabilization:
-    """A take in the head space, and its head motion."""
+    """The head motion of a take."""
 
-    positions: RealArray
-    """(frames, markers, 3) [mm] Stabilised; the neutral frame as captured. In single precision if
-    the input is."""
     head_motion: FloatArray
     """(frames, 4, 4): for column vectors: ``captured = head_motion @ stabilised``."""
     pose_gap: IntArray
@@ -130,7 +127,7 @@ def stabilize(
     back = align_rigid(start[None], reference[at_neutral])  # identity pose at the neutral frame
     reference = reference @ back.rotations[0].T + back.translations[0]
     alignment = align_rigid_robust(body, reference, visible=body_seen)
-    return _stabilized(points, alignment, reference)
+    return _stabilized(alignment, reference)
 
 
 def stabilize_by_prior(
@@ -158,22 +155,16 @@ def stabilize_by_prior(
     columns = np.flatnonzero(np.isfinite(prior) & seen[neutral])
     start = points[neutral, columns].astype(np.float64)
     _check_reference(start, len(columns), neutral)
+    body, body_seen = points[:, columns], seen[:, columns]
     alignment = align_by_prior(
-        points[:, columns],
-        start,
-        visible=seen[:, columns],
-        skin_motion_mm=prior[columns],
-        rate=rate,
+        body, start, visible=body_seen, skin_motion_mm=prior[columns], rate=rate
     )
-    return _stabilized(points, alignment, start)
+    return _stabilized(alignment, start)
 
 
-def _stabilized(
-    points: RealArray, alignment: RigidAlignment, reference: FloatArray
-) -> Stabilization:
+def _stabilized(alignment: RigidAlignment, reference: FloatArray) -> Stabilization:
     poses = interpolate_poses(alignment)
     return Stabilization(
-        positions=remove_motion(points, poses),
         head_motion=poses.matrices(),
         pose_gap=distance_transform_edt(~alignment.determined).astype(np.int64),
         reference=reference,
