@@ -235,5 +235,5 @@ def _capture(
     packed = (moved + 0.15 * rng.standard_normal(moved.shape)).reshape(len(moved), -1)
     mean = packed.mean(axis=0)
     directions = np.linalg.eigh(np.cov((packed - mean).T))[1][:, ::-1][:, :40]
-    smooth = smooth_tracks((packed - mean) @ directions).values
+    smooth = smooth_tracks((packed - mean) @ directions)
     return (smooth @ directions.T + mean).reshape(moved.shape) + places

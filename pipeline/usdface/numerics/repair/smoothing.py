@@ -8,8 +8,6 @@ Computational Statistics and Data Analysis 54(4), 1167-1178: the cosine domain, 
 cross-validation (GCV) in it.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.fft import dct, idct
@@ -37,46 +35,24 @@ DETAIL_REACH = 96
 _DIRECTIONS_AT_ONCE = 8
 
 
-@dataclass(frozen=True)
-class SmoothedTracks:
-    """Smoothed series and their penalties."""
+def smooth_tracks(values: ArrayLike) -> FloatArray:
+    """Minimise ``|x - y|² + penalty |third differences of x|²`` for every series (frames, series).
 
-    values: FloatArray
-    """(frames, series)"""
-    penalties: FloatArray
-    """(series,): weight of the squared third differences."""
-
-
-def smooth_tracks(values: ArrayLike, *, penalties: ArrayLike | None = None) -> SmoothedTracks:
-    """Minimise ``|x - y|² + penalty |third differences of x|²`` for every series.
-
-    Parameters
-    ----------
-    values : (frames, series) array_like
-        Evenly sampled.
-    penalties : (series,) array_like, optional
-        Not negative. By default each series gets the penalty with the least GCV score.
-
-    Notes
-    -----
-    With the series mirrored at its ends, third differences are diagonal in the cosine domain, so
-    that smoothing takes two transforms.
+    Each with the penalty of least GCV score. With the series mirrored at its ends, third
+    differences are diagonal in the cosine domain, so that smoothing takes two transforms.
     """
     y = np.asarray(values)
     frames, count = y.shape
     smooth = np.empty(y.shape)
-    given = None if penalties is None else np.broadcast_to(np.asarray(penalties, float), (count,))
-    used = np.zeros(count)
     if frames <= _DIFFERENCE_ORDER:
-        return SmoothedTracks(np.array(y, np.float64), used)
+        return np.array(y, np.float64)
     eigenvalues = difference_eigenvalues(frames)
     for start in range(0, count, _COLUMNS_AT_ONCE):
         columns = slice(start, start + _COLUMNS_AT_ONCE)
         spectrum = dct(y[:, columns].astype(np.float64), axis=0, norm="ortho")
-        used[columns] = gcv_penalties(spectrum) if given is None else given[columns]
-        spectrum /= 1.0 + eigenvalues[:, None] * used[columns]
+        spectrum /= 1.0 + eigenvalues[:, None] * gcv_penalties(spectrum)
         smooth[:, columns] = idct(spectrum, axis=0, norm="ortho", overwrite_x=True)
-    return SmoothedTracks(smooth, used)
+    return smooth
 
 
 def smooth_take(positions: RealArray, model: LowRankModel, *, noise: FloatArray) -> None:
@@ -102,7 +78,7 @@ def smooth_take(positions: RealArray, model: LowRankModel, *, noise: FloatArray)
         scores[block] = (flat[block] - mean) @ components.T
     for start in range(0, len(components), _DIRECTIONS_AT_ONCE):
         columns = slice(start, start + _DIRECTIONS_AT_ONCE)
-        scores[:, columns] = smooth_tracks(scores[:, columns]).values
+        scores[:, columns] = smooth_tracks(scores[:, columns])
     # As other blocks are smoothed in place meanwhile, the frames around a block are copied first.
     parts = [
         (block, wide, flat[wide.start : block.start].copy(), flat[block.stop : wide.stop].copy())
@@ -142,7 +118,7 @@ def smooth_poses(head_motion: ArrayLike, *, center: ArrayLike) -> FloatArray:
     mean = rotations.mean()  # rotation vectors about it are small and do not wrap
     vectors = (mean.inv() * rotations).as_rotvec()
     path = motion[:, :3, :3] @ middle + motion[:, :3, 3]
-    smooth = smooth_tracks(np.concatenate([vectors, path], axis=1)).values
+    smooth = smooth_tracks(np.concatenate([vectors, path], axis=1))
     result = np.zeros_like(motion)
     result[:, :3, :3] = (mean * Rotation.from_rotvec(smooth[:, :3])).as_matrix()
     result[:, :3, 3] = smooth[:, 3:] - result[:, :3, :3] @ middle
