@@ -322,7 +322,7 @@ def match_positions(both: Correspondence, weights: FloatArray) -> FloatArray:
         lower=np.zeros(len(both.target)),
         upper=np.full(len(both.target), np.inf),
         ridge=RIDGE_SHARE * float((matrix**2).sum(axis=0).mean()),
-    ).x
+    )
 
 
 @dataclass(frozen=True)

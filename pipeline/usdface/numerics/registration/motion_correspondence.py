@@ -92,7 +92,7 @@ def place_by_motion(
                 lower=ranges[:, 0],
                 upper=ranges[:, 1],
                 ridge=_WEIGHT_RIDGE,
-            ).x
+            )
             misfit = path_misfit(skin_deltas, weights, paths)
             cost = away + _EVIDENCE_SAMPLES / 2 * np.log(misfit + _MODEL_ERROR)
             chosen = cost.argmin(axis=1)

@@ -230,7 +230,7 @@ def solve_weights_at(
     if start is None:
         return solve_bounded_least_squares(
             deltas.T, flat, lower=ranges[:, 0], upper=ranges[:, 1], ridge=_RIDGE_MM2
-        ).x
+        )
     A, ridge = deltas.astype(np.float32), np.float32(_RIDGE_MM2)
     lower, upper = (np.broadcast_to(limit, start.shape).astype(A.dtype) for limit in ranges.T)
     return minimise_within_bounds(

@@ -215,7 +215,7 @@ def _solve_bounded(
             ridge=prior.ridge * abs(spread).sum(axis=1),
             cost=prior.cost[chosen[group]] @ abs(spread).T,
         )
-        out[group] = solved.x @ spread
+        out[group] = solved @ spread
     return out
 
 

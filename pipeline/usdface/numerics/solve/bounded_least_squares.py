@@ -9,7 +9,6 @@ frame, and takes accelerated projected gradient steps alone.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -39,17 +38,6 @@ of the start vector. Gradient steps that prove the estimate too small are repeat
 _TINY = float(np.finfo(np.float32).tiny)
 
 
-@dataclass(frozen=True)
-class BoundedSolution:
-    """Minimisers and their optimality."""
-
-    x: FloatArray
-    """(frames, n): within the bounds exactly."""
-    violation: FloatArray
-    """(frames,): largest violation of the Karush-Kuhn-Tucker conditions, at unit diagonal and
-    relative to the largest linear term."""
-
-
 def solve_bounded_least_squares(
     matrix: ArrayLike,
     targets: ArrayLike,
@@ -58,8 +46,10 @@ def solve_bounded_least_squares(
     upper: ArrayLike,
     ridge: ArrayLike = 0.0,
     cost: ArrayLike = 0.0,
-) -> BoundedSolution:
+) -> FloatArray:
     """Minimise ``|matrix @ x - target|^2 + ridge @ x^2 + 2 cost @ x`` within bounds, per target.
+
+    Returns x, (frames, n), within the bounds exactly.
 
     Parameters
     ----------
@@ -95,15 +85,12 @@ def solve_bounded_least_squares(
     unit = 1 / np.sqrt(np.maximum(diagonal, floor))  # x = unit * z gives z a unit diagonal
     with np.errstate(invalid="ignore"):
         lo_z, hi_z = lo / unit, hi / unit
-    z, violation = _solve_scaled(hessian_of(A * unit, penalty * unit**2), linear * unit, lo_z, hi_z)
-    x = np.where(z <= lo_z, lo, np.where(z >= hi_z, hi, z * unit))  # bounds stay exact
-    return BoundedSolution(x, violation)
+    z = _solve_scaled(hessian_of(A * unit, penalty * unit**2), linear * unit, lo_z, hi_z)
+    return np.where(z <= lo_z, lo, np.where(z >= hi_z, hi, z * unit))  # bounds stay exact
 
 
-def _solve_scaled(
-    H: Hessian, b: FloatArray, lo: FloatArray, hi: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return minimisers of ``0.5 z'Hz - b'z`` within bounds, and their violations."""
+def _solve_scaled(H: Hessian, b: FloatArray, lo: FloatArray, hi: FloatArray) -> FloatArray:
+    """Return minimisers of ``0.5 z'Hz - b'z`` within bounds."""
     low, high, pull = lo.astype(H.dtype), hi.astype(H.dtype), b.astype(H.dtype)
 
     def solve(rows: slice) -> FloatArray:
@@ -112,8 +99,7 @@ def _solve_scaled(
         return _walk(H, b[rows], lo, hi, _pivot(H, b[rows], lo, hi, near))
 
     solved = map_threads(solve, frame_blocks(len(b), frames=_BLOCK_FRAMES))
-    z = np.concatenate([np.zeros_like(b[:0]), *solved])
-    return z, _violation(H, b, lo, hi, z)
+    return np.concatenate([np.zeros_like(b[:0]), *solved])
 
 
 def minimise_within_bounds(
@@ -279,8 +265,6 @@ def _violation(
     H: Hessian, b: FloatArray, lo: FloatArray, hi: FloatArray, z: FloatArray
 ) -> FloatArray:
     """Return the length of a projected gradient step, relative to the linear term."""
-    if not b.size:
-        return np.zeros(len(b))
     moved = np.clip(z - (H.product(z) - b), lo, hi) - z
-    scale = np.maximum(np.abs(b).max(axis=1), np.finfo(float).tiny)
-    return np.asarray(np.abs(moved).max(axis=1) / scale)
+    scale = np.maximum(np.abs(b).max(axis=1, initial=0.0), np.finfo(float).tiny)
+    return np.asarray(np.abs(moved).max(axis=1, initial=0.0) / scale)
