@@ -278,7 +278,7 @@ def fit_rig_prior(pairs: Pairs) -> RigPrior:
         neutral=face.neutral,
         places=None if rest is None else rest.markers,
         motion_scale=None if rest is None else rest.motion_scale,
-    ).basis
+    )
     if face.neutral is not None:
         predicted = np.einsum("ns,smc->nmc", inputs, basis, optimize=True)
         seen = np.ones(predicted.shape[:2], np.bool_)

@@ -175,8 +175,7 @@ def compare_neutral(
         offset = np.zeros_like(offset)
     share = float("nan")
     if is_long and not same_session:
-        ranges = compare_neighbours(face.frames, face.usable, positions, usable)
-        share = len(ranges.disjoint) / max(ranges.compared, 1)
+        share = compare_neighbours(face.frames, face.usable, positions, usable)
     away_mm = measure_distances(positions, usable, face.neutral + offset)
     row = int(away_mm.argmin())
     stated = away_mm[frames == stated_frame]

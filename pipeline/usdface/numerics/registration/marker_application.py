@@ -147,22 +147,10 @@ def _squared_distances(
     return np.where(shared >= 0.5, squared, np.inf)
 
 
-@dataclass(frozen=True)
-class ParallelRanges:
-    """Distances of neighbouring markers over two recordings."""
-
-    compared: int
-    """Number of neighbouring pairs."""
-    disjoint: IntArray
-    """(pairs, 2): pairs whose distances in one recording are all larger than in the other."""
-    gap_mm: FloatArray
-    """(pairs,): between those ranges [mm]."""
-
-
 def compare_neighbours(
     frames: FloatArray, usable: BoolArray, others: FloatArray, others_usable: BoolArray
-) -> ParallelRanges:
-    """Find neighbouring markers whose distances have disjoint ranges in two recordings.
+) -> float:
+    """Return the share of neighbouring markers whose distances have disjoint ranges [0-1].
 
     Skin stretches and folds, but over some seconds distances pass through the same values, unless
     a marker was applied elsewhere.
@@ -181,9 +169,7 @@ def compare_neighbours(
     low, high = _distance_ranges(frames, usable, pairs)
     others_low, others_high = _distance_ranges(others, others_usable, pairs)
     gap = np.maximum(others_low - high, low - others_high)
-    wide = gap > _GAP_MM
-    order = np.argsort(-gap[wide], kind="stable")
-    return ParallelRanges(len(pairs), pairs[wide][order], gap[wide][order])
+    return float((gap > _GAP_MM).sum() / max(len(pairs), 1))
 
 
 def _distance_ranges(
@@ -202,8 +188,6 @@ def _distance_ranges(
 class CloudStretch:
     """Affine stretch from one face to another."""
 
-    size: float
-    """Ratio of the clouds' sizes."""
     stretch: FloatArray
     """(3,): along the principal axes of the stretch; 1 where the faces are alike."""
     error: FloatArray
@@ -224,7 +208,6 @@ def measure_stretch(cloud: FloatArray, other: FloatArray) -> CloudStretch:
         The same markers of two neutral faces [mm]; more than four, not in a plane.
     """
     a, b = cloud - cloud.mean(axis=0), other - other.mean(axis=0)
-    size = float(np.sqrt((b**2).sum() / max((a**2).sum(), 1e-12)))
     linear, *_ = np.linalg.lstsq(a, b, rcond=None)
     residual = b - a @ linear
     freedom = max(3 * (len(a) - 4), 1)
@@ -233,4 +216,4 @@ def measure_stretch(cloud: FloatArray, other: FloatArray) -> CloudStretch:
     stretch = np.sqrt(np.maximum(values, 0.0))
     spread = np.linalg.inv(a.T @ a + 1e-9 * np.eye(3))
     error = sigma * np.sqrt(np.einsum("ij,ik,jk->k", spread, axes, axes))
-    return CloudStretch(size, stretch, error, float(np.sqrt((residual**2).sum(axis=1).mean())))
+    return CloudStretch(stretch, error, float(np.sqrt((residual**2).sum(axis=1).mean())))

@@ -45,24 +45,10 @@ _LEAST_SCALE_MM = 3.0
 
 
 @dataclass(frozen=True)
-class MarkerPrior:
-    """Expected motion of markers."""
-
-    basis: FloatArray
-    """(s, markers, 3): displacements by each shape at 1, in the markers' space [mm]."""
-    rotation: FloatArray
-    """(3, 3): from the rig's space to the markers'."""
-    explained: float
-    """Share of the markers' motion energy in the pairs that the best places explain."""
-
-
-@dataclass(frozen=True)
 class _Match:
     """Fit of each marker's motion by each point of the skin: (markers, points) arrays."""
 
     gain: FloatArray
-    left: FloatArray
-    """Residual sum of squares [mm^2]."""
     log_likelihood: FloatArray
 
 
@@ -92,8 +78,8 @@ def fit_marker_basis(
     neutral: FloatArray | None = None,
     places: FloatArray | None = None,
     motion_scale: float | None = None,
-) -> MarkerPrior:
-    """Return the expected displacements of markers by a rig's shapes.
+) -> FloatArray:
+    """Return the expected displacements of markers by each shape at 1: (s, markers, 3) [mm].
 
     The posterior mean over all points of the skin as candidates, each with a gain. The rotation
     between the spaces is estimated as well. The rig is scaled to the performer's size first, if
@@ -140,11 +126,8 @@ def fit_marker_basis(
         usual = None if motion_scale is None else 1.0
         faces = _Faces(seen, moved, energy, scale * rest, neutral, scale * known, usual)
         match, rotation = _refine_by_place(match, rotation, faces)
-    best = match.log_likelihood.argmax(axis=1)
-    share = _shares(match.log_likelihood)
-    basis = np.einsum("mp,spc->smc", share * match.gain, scale * skin @ rotation.T, optimize=True)
-    left = match.left[np.arange(len(best)), best].sum()
-    return MarkerPrior(basis, rotation, float(1 - left / max(float(energy.sum()), 1e-300)))
+    gain = _shares(match.log_likelihood) * match.gain
+    return np.asarray(np.einsum("mp,spc->smc", gain, scale * skin @ rotation.T, optimize=True))
 
 
 def _match_motion(
@@ -171,7 +154,7 @@ def _match_motion(
     left = energy[:, None] - 2 * gain * product + gain**2 * size
     log_likelihood = -0.5 * _PAIR_SAMPLES * np.log1p(left / values / expected)
     log_likelihood -= 0.5 * ((np.log(gain) - middle) / _LOG_GAIN_DEVIATION) ** 2
-    return _Match(gain, left, log_likelihood)
+    return _Match(gain, log_likelihood)
 
 
 def _refine_by_place(
