@@ -59,7 +59,6 @@ class Bench:
             np.zeros((count, 3)),
             1.0,
             skin.frame.T,
-            np.zeros(count),
         )
         given = {"at": local @ skin.frame, "ranges": self.ranges, "by_labels": True} | changed
         cloud = given.pop("cloud", self.cloud)

@@ -31,7 +31,6 @@ def bent_equation(
         weights=np.repeat([[1.0, 0.0, 0.0]], MARKERS, axis=0),
         motion_scale=scale,
         rotation=np.eye(3) if turn is None else turn,
-        distance_mm=np.zeros(MARKERS),
     )
     equation = BlendshapeEquation(
         virtual=virtual,

@@ -48,7 +48,6 @@ def mouth() -> Mouth:
         weights=np.repeat([[1.0, 0.0, 0.0]], count, axis=0),
         motion_scale=1.0,
         rotation=np.eye(3),
-        distance_mm=np.zeros(count),
     )
     keys = MarkerKeys(
         marker_deltas(virtual, deformer.shapes.key_offsets),

@@ -20,7 +20,6 @@ def test_a_similarity_is_found_to_the_last_digit() -> None:
     turn *= np.sign(np.linalg.det(turn))
     fitted = fit_proportions(at, 1.2 * at @ turn.T + [1, 2, 3], weight=np.ones(len(at)))
     np.testing.assert_allclose(fitted.linear, 1.2 * turn, atol=1e-9)
-    np.testing.assert_allclose(fitted.shift, [1, 2, 3], atol=1e-6)
     assert fitted.away_mm.max() < 1e-6
 
 

@@ -130,13 +130,11 @@ def _virtual_markers(
 ) -> VirtualMarkers:
     skin, fit = inputs.skin, candidate.placement.fit
     rotation = fit.rotation @ candidate.frame
-    away = fit.apply(candidate.levelled) - skin.positions[samples]
     return VirtualMarkers(
         skin.corners[samples],
         skin.shares[samples],
         _motion_scale(inputs.cloud.neutral @ rotation.T, skin, samples),
         skin.frame.T @ rotation,
-        np.linalg.norm(away, axis=1),
     )
 
 

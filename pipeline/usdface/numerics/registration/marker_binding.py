@@ -41,12 +41,10 @@ class MarkerBinding:
 
 @dataclass(frozen=True)
 class Proportions:
-    """Affine map from a performer's face to a character's: ``cloud @ linear.T + shift``."""
+    """Affine map from a performer's face to a character's."""
 
     linear: FloatArray
     """(3, 3): maps displacements."""
-    shift: FloatArray
-    """(3,) [mm]"""
     away_mm: FloatArray
     """(markers,): residual distance between each mapped marker and its place [mm]."""
 
@@ -88,7 +86,7 @@ def fit_proportions(cloud: FloatArray, places: FloatArray, *, weight: FloatArray
         shift = goal - linear @ middle
         away = np.linalg.norm(cloud @ linear.T + shift - places, axis=1)
         robust = np.maximum(weight, 1e-3) / (1 + (away / (_HALF_WEIGHT_SIZE * size)) ** 2)
-    return Proportions(linear, shift, away)
+    return Proportions(linear, away)
 
 
 def motion_agreement(displacements: FloatArray, distances: FloatArray) -> FloatArray:

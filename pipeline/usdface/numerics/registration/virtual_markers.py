@@ -31,9 +31,6 @@ class VirtualMarkers:
     of a face does not predict the amplitude of its motion."""
     rotation: FloatArray
     """(3, 3): from the performer's space to the character's; proper, determinant +1."""
-    distance_mm: FloatArray
-    """(markers,): between the aligned marker and its place: differing proportions, or a marker that
-    is not on the face."""
 
     def places(self, surface: FloatArray) -> FloatArray:
         """Return the positions of the markers for given points of the surface: (markers, 3)."""

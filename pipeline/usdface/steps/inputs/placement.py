@@ -234,7 +234,6 @@ def virtual_markers(
         places.weights[rows],
         placement.motion_scale,
         np.asarray(rotation),
-        placement.binding.distance_mm[rows],
     )
 
 
