@@ -21,6 +21,7 @@ from benchmarks._damage import DAMAGES
 from benchmarks._placement_subjects import simulate_take
 from benchmarks.crosstake import prepare, read_ruler, score
 from tests.conftest import SHARED_DATA
+from tests.model.synthetic import skin_samples
 from usdface.capture.sniff import read_capture
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig
@@ -250,13 +251,19 @@ def _row(
     row += [float(at[label][1] - picked[name][1]) for name, label in LIDS.items()]
     upward = at["ForeHead_M"] - at["Chin"]
     row.append(abs(float(np.degrees(np.arctan2(upward[0], upward[1])))))
-    if equation.placement is None:
-        raise SystemExit("the equation was set up without a placement")
     moved = equation.motion(positions) @ head.skin.frame.T
-    samples = equation.placement.samples
+    samples = skin_samples(head.skin, equation.virtual)
     weights = solve_weights_at(head.skin, samples, moved, head.rig.ranges)
     share = explained_share(head.skin, samples, moved, weights)
     return [*row, share, equation.virtual.motion_scale]
+
+
+def explained_positions(equation: BlendshapeEquation, weights: FloatArray) -> FloatArray:
+    """Return marker positions on the performer for given weights: (frames, markers, 3) [mm]."""
+    keys = equation.keys
+    moved = np.einsum("fk,kmc->fmc", keys.key_weights(weights), keys.deltas, optimize=True)
+    virtual = equation.virtual
+    return np.asarray(equation.neutral + moved / virtual.motion_scale @ virtual.rotation)
 
 
 def _motion_outside(
@@ -271,7 +278,7 @@ def _motion_outside(
     for (rig_name, take), equation in equations.items():
         if take == "EyebrowsMoCap":
             weights = equation.propose(cleaned[take][::EVERY_FRAME])
-            moved = ((equation.explained(weights) - equation.neutral) ** 2).sum(axis=2)
+            moved = ((explained_positions(equation, weights) - equation.neutral) ** 2).sum(axis=2)
             size = np.sqrt(moved.mean(axis=0))
             share = float(size[outside].sum() / size.sum())
             print(f"| {rig_name} | {share:.3f} | {EARLIER_OUTSIDE[rig_name]:.3f} |", flush=True)
@@ -296,7 +303,7 @@ def _held_out_markers(equations: Equations, cleaned: dict[str, FloatArray]) -> N
             trust = equation.trust.copy()
             trust[out] = 0.0
             part = replace(equation, trust=trust)
-            predicted = part.explained(part.propose(positions))
+            predicted = explained_positions(part, part.propose(positions))
             off += float(((positions[:, out] - predicted[:, out]) ** 2).sum())
             still += float(((positions[:, out] - equation.neutral[out]) ** 2).sum())
         earlier = EARLIER_HELD_OUT[rig_name, take]

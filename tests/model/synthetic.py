@@ -5,8 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
+from usdface.core.arrays import IntArray
 from usdface.core.assets import Markers, References
 from usdface.model import fit_motion_space
+from usdface.numerics.registration.face_skin import FaceSkin
+from usdface.numerics.registration.virtual_markers import VirtualMarkers
 
 MARKERS, RIGID, SHAPES = 24, 5, 6
 
@@ -85,3 +88,12 @@ def markers_of(face: SyntheticFace, **changes: object) -> Markers:
         "space": "stabilized",
     }
     return Markers(**(given | changes))  # type: ignore[arg-type]
+
+
+def skin_samples(skin: FaceSkin, virtual: VirtualMarkers) -> IntArray:
+    """Return the indices of the samples of a skin on which markers were placed."""
+    rows = [
+        np.flatnonzero((skin.corners == corners).all(1) & (skin.shares == shares).all(1))[0]
+        for corners, shares in zip(virtual.points, virtual.weights, strict=True)
+    ]
+    return np.array(rows)

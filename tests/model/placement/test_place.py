@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.model.synthetic import skin_samples
 from tests.numerics.simulated_face import hold_head
 from usdface.capture.sniff import read_capture
 from usdface.core.deformer import Deformer
@@ -176,7 +177,7 @@ def test_labels_put_another_performers_markers_on_their_features(demo) -> None:
     neutral = (places * [1.15, 0.9, 1.3]) @ yaw.T + [300.0, 1500.0, -80.0]
     cloud = marker_cloud(tuple(labels), neutral, None)
     placed = place_markers(cloud, skin, rig.shapes)
-    away = np.linalg.norm(skin.positions[placed.samples] - places, axis=1)
+    away = np.linalg.norm(skin.positions[skin_samples(skin, placed.virtual)] - places, axis=1)
     assert placed.by_labels
     assert away.max() < 5.0
     assert placed.virtual.motion_scale == pytest.approx(1 / np.sqrt(1.15 * 0.9), rel=0.05)
@@ -199,7 +200,10 @@ def test_labels_place_markers_on_a_rig_with_foreign_names(demo) -> None:
     cloud = marker_cloud(tuple(labels), places * [1.1, 0.95, 1.2], None)
     placed = place_markers(cloud, skin, tuple(f"shape_{i}" for i in range(len(rig.shapes))))
     assert placed.by_labels
-    assert np.linalg.norm(skin.positions[placed.samples] - places, axis=1).max() < 5.0
+    assert (
+        np.linalg.norm(skin.positions[skin_samples(skin, placed.virtual)] - places, axis=1).max()
+        < 5.0
+    )
 
 
 def numbered_labels(skin: FaceSkin, shapes, at) -> tuple[str, ...]:
@@ -232,7 +236,7 @@ def test_numbered_labels_of_a_part_do_not_draw_its_markers_together(demo) -> Non
     neutral = at * [1.1, 0.95, 1.2]
     cloud = marker_cloud(labels, neutral, neutral + moved)
     placed = place_markers(cloud, skin, rig.shapes)
-    away = np.linalg.norm(skin.positions[placed.samples] - at, axis=1)
+    away = np.linalg.norm(skin.positions[skin_samples(skin, placed.virtual)] - at, axis=1)
     assert np.median(away) < 1.5
     assert placed.virtual.motion_scale == pytest.approx(1 / np.sqrt(1.1 * 0.95), rel=0.08)
 
@@ -246,7 +250,7 @@ def test_numbered_labels_decide_where_the_rig_does_not_show_the_motion(demo) -> 
     cloud = marker_cloud(numbered_labels(skin, rig.shapes, at), at, at + moved)
     placed = place_markers(cloud, skin, rig.shapes)
     assert not placed.by_labels
-    away = np.linalg.norm(skin.positions[placed.samples] - at, axis=1)
+    away = np.linalg.norm(skin.positions[skin_samples(skin, placed.virtual)] - at, axis=1)
     assert np.median(away) < 15.0  # 60 by motion
 
 
@@ -258,7 +262,7 @@ def test_a_place_that_a_person_gave_is_kept(demo) -> None:
     cloud = marker_cloud(tuple("abcde"), places, None)
     pins = {row: place @ skin.frame for row, place in enumerate(places)}
     placed = place_markers(cloud, skin, rig.shapes, pinned=pins)
-    away = np.linalg.norm(skin.positions[placed.samples] - places, axis=1)
+    away = np.linalg.norm(skin.positions[skin_samples(skin, placed.virtual)] - places, axis=1)
     assert away.max() < 3.0  # the distance between samples
 
 
@@ -291,7 +295,11 @@ def test_a_recorded_performer_sits_where_he_does_if_the_jaw_is_a_joint(
     without = replace(skin, deltas=skin.deltas[kept])
     placed = place_markers(cloud, skin, rig.shapes)
     joint = place_markers(cloud, without, tuple(rig.shapes[i] for i in kept))
-    away = np.linalg.norm(skin.positions[placed.samples] - skin.positions[joint.samples], axis=1)
+    away = np.linalg.norm(
+        skin.positions[skin_samples(skin, placed.virtual)]
+        - skin.positions[skin_samples(skin, joint.virtual)],
+        axis=1,
+    )
     assert np.median(away) < 3.5
     assert np.quantile(away, 0.9) < 8  # [mm]
 
@@ -303,7 +311,7 @@ def test_a_recorded_performer_sits_right_on_any_head(shared_data, head: str, tak
     rig = read_rig(shared_data / "rigs" / f"{head}.usdc")
     skin = skin_of(rig)
     placed = place_markers(cloud, skin, rig.shapes)
-    at = dict(zip(cloud.labels, skin.positions[placed.samples], strict=True))
+    at = dict(zip(cloud.labels, skin.positions[skin_samples(skin, placed.virtual)], strict=True))
     picked = json.loads((shared_data / "rigs" / "landmarks.json").read_text())[head]
     away = {name: np.hypot(*(at[label][:2] - picked[name])) for name, label in FEATURES.items()}
     assert away["nose"] <= 4.5
@@ -331,7 +339,7 @@ def test_labels_place_markers_of_one_side(shared_data, head: str) -> None:
     rig = read_rig(shared_data / "rigs" / f"{head}.usdc")
     skin = skin_of(rig)
     placed = place_markers(marker_cloud(names, still[0], still), skin, rig.shapes)
-    at = dict(zip(names, skin.positions[placed.samples], strict=True))
+    at = dict(zip(names, skin.positions[skin_samples(skin, placed.virtual)], strict=True))
     picked = json.loads((shared_data / "rigs" / "landmarks.json").read_text())[head]
     assert placed.by_labels
     assert np.hypot(*(at["NoseHead"][:2] - picked["nose"])) <= 6.0
@@ -387,7 +395,7 @@ def test_landmarks_of_images_are_placed_at_the_rigs_own(demo, tracker: str) -> N
     cloud = marker_cloud(labels, performer, misleading)
     placed = place_markers(cloud, skin, rig.shapes)
     assert placed.by_labels
-    at = skin.positions[placed.samples][: len(pairs)]
+    at = skin.positions[skin_samples(skin, placed.virtual)][: len(pairs)]
     away = np.linalg.norm(at - on_rig, axis=1)
     assert away.max() < 7.0  # samples of the skin are some millimetres apart
     assert away.mean() < 3.5

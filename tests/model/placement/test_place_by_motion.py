@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
+from tests.model.synthetic import skin_samples
 from tests.numerics.small_face import MOUTH, small_actor, small_face
 from tests.remembered import coarse_face_skin
 from usdface.model.placement.marker_cloud import marker_cloud
@@ -51,16 +52,18 @@ def test_finds_known_markers_without_landmarks(face, skin, actor, placed):
     assert np.quantile(error, 0.9) < 8
     moved = character_motion(placed.virtual, actor.positions, actor.neutral) @ skin.frame.T
     ranges = np.tile([0.0, 1.0], (len(skin.deltas), 1))
-    weights = solve_weights_at(skin, placed.samples, moved, ranges)
-    assert explained_share(skin, placed.samples, moved, weights) > 0.9
+    samples = skin_samples(skin, placed.virtual)
+    weights = solve_weights_at(skin, samples, moved, ranges)
+    assert explained_share(skin, samples, moved, weights) > 0.9
     assert not placed.by_labels
 
 
 def test_weights_are_followed_from_samples_nearby(skin, actor, placed):
     moved = character_motion(placed.virtual, actor.positions, actor.neutral) @ skin.frame.T
     ranges = np.tile([0.0, 1.0], (len(skin.deltas), 1))
-    aside = KDTree(skin.positions).query(skin.positions[placed.samples] + (4.0, 2.0, 0.0))[1]
-    start = solve_weights_at(skin, placed.samples, moved, ranges)
+    samples = skin_samples(skin, placed.virtual)
+    aside = KDTree(skin.positions).query(skin.positions[samples] + (4.0, 2.0, 0.0))[1]
+    start = solve_weights_at(skin, samples, moved, ranges)
     near = solve_weights_at(skin, aside, moved, ranges, start=start)
     exact = solve_weights_at(skin, aside, moved, ranges)
     motion = [np.einsum("fs,smc->fmc", w, skin.deltas[:, aside]) for w in (start, near, exact)]

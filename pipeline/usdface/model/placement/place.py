@@ -40,10 +40,8 @@ the two sides of a symmetric face."""
 class MarkerPlacement:
     """Markers on a rig's skin."""
 
-    samples: IntArray
-    """(markers,): indices of skin samples."""
     virtual: VirtualMarkers
-    """The same as points of the rig, with the transform of the performer's motion."""
+    """Points of the rig, with the transform of the performer's motion."""
     by_labels: bool
     """True if placed by labels and landmarks, False if by motion."""
     overturned_gain: float = 0.0
@@ -107,7 +105,7 @@ def place_markers(
     for marker, at in pins.items():
         samples[marker] = ((skin.positions - at) ** 2).sum(axis=1).argmin()
     virtual = _virtual_markers(inputs, candidate, samples)
-    return MarkerPlacement(samples, virtual, named, candidate.overturned_gain)
+    return MarkerPlacement(virtual, named, candidate.overturned_gain)
 
 
 def _lift_above_lid_margins(

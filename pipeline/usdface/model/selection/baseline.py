@@ -21,7 +21,7 @@ from usdface.core.errors import InputError
 from usdface.core.last_result import cache_last_result
 from usdface.model.placement.label_hints import upper_lid_sides
 from usdface.model.placement.marker_cloud import marker_cloud
-from usdface.model.placement.place import MarkerPlacement, place_markers
+from usdface.model.placement.place import place_markers
 from usdface.model.retarget.shape_names import read_meanings
 from usdface.numerics.registration.virtual_markers import (
     VirtualMarkers,
@@ -192,8 +192,6 @@ class BlendshapeEquation:
     """(markers,): weight in the solve; 0 for rigid markers, whose motion is noise."""
     gain: FloatArray
     """(markers,): factor of a marker's motion with which blinks close the eye."""
-    placement: MarkerPlacement | None = None
-    """Placement behind `virtual`; None if that was given."""
     noise_mm: float = 0.0
     """RMS residual of the solve: the error of skin, placement and capture."""
     lids: LidEvidence | None = None
@@ -262,11 +260,6 @@ class BlendshapeEquation:
             tied=() if self.lids is None else self.lids.tied,
         )
 
-    def explained(self, weights: FloatArray) -> FloatArray:
-        """Return marker positions on the performer for given weights: (frames, markers, 3) [mm]."""
-        moved = self._moved(weights) / self.virtual.motion_scale
-        return np.asarray(self.neutral + moved @ self.virtual.rotation)
-
     def residual_mm(
         self, positions: Positions, weights: FloatArray, *, without: tuple[int, ...] = ()
     ) -> FloatArray:
@@ -318,8 +311,7 @@ def set_up_equation(
         placement = place_markers(cloud, skin, rig.shapes, ranges=rig.ranges)
     except ValueError as error:
         raise InputError(f"the markers cannot be placed on {rig.file}: {error}") from error
-    made = equation_at(rig, deformer, placement.virtual, performer)
-    return replace(made, placement=placement)
+    return equation_at(rig, deformer, placement.virtual, performer)
 
 
 @cache_last_result
