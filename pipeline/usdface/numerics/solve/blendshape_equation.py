@@ -38,10 +38,6 @@ class EquationSolution:
     residual_mm: FloatArray
     """(frames, markers): distance between each marker and its position under the weights; NaN where
     it was not visible."""
-    rank: int
-    """Of the equation with all trusted markers. If it is below the number of shapes, the solution
-    is not unique: least squares returns the smallest, the bounded solve has at least a small
-    ridge."""
 
 
 @dataclass(frozen=True)
@@ -109,13 +105,12 @@ def solve_weights(
         raise ValueError(f"method must be 'lstsq' or 'bounded', got {method!r}")
     if not ridge >= 0 or not noise_mm >= 0:
         raise ValueError(f"ridge and noise_mm must not be negative, got {ridge} and {noise_mm}")
-    rank = problem.rank()
     if method == "lstsq":
         if keys is not None or noise_mm or tied:
             raise ValueError("keys, noise_mm and tied need method 'bounded'")
         weights = _least_squares(problem, ridge)
     else:
-        if rank < problem.shape_count:
+        if problem.rank() < problem.shape_count:  # the solution is not unique
             energy = float(np.einsum("smc,m,smc->", problem.deltas, problem.share, problem.deltas))
             ridge = max(ridge, _DEPENDENT_RIDGE * energy / problem.shape_count)
         limits = _limits(ranges, problem.shape_count)
@@ -126,7 +121,7 @@ def solve_weights(
             weights = _relinearise(problem, keys, weights, prior, variables)
     residual = np.linalg.norm(problem.motion - _predict(problem.deltas, keys, weights), axis=2)
     residual[~problem.visible] = np.nan
-    return EquationSolution(weights, residual, rank)
+    return EquationSolution(weights, residual)
 
 
 @dataclass(frozen=True)
