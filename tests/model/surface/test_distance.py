@@ -43,9 +43,7 @@ def test_a_sheet_without_faults_has_nothing_to_report(mouth: Mouth) -> None:
 def test_distances_are_unpacked_as_they_were_packed(mouth: Mouth) -> None:
     distances = mouth.distances(metric="dijkstra-diagonals")
     arrays, counts = distances.pack()
-    again = unpack_distances(
-        mouth.points, mouth.places, metric="dijkstra-diagonals", arrays=arrays, counts=counts
-    )
+    again = unpack_distances(mouth.points, mouth.places, arrays=arrays, counts=counts)
     np.testing.assert_equal(asdict(again), asdict(distances))
 
 

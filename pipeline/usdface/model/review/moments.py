@@ -34,7 +34,6 @@ class Moment:
 
     row: int
     """Row of the frame with the largest score."""
-    score_mm: float
     region: str
     """Region of the face with the largest error; empty if unknown."""
     reason: str
@@ -76,22 +75,22 @@ class ReviewSignals:
 
     def moment(self, row: int) -> Moment:
         """Return the moment at a row, with its region and reason: figures are the region's."""
-        evidence, score = self.evidence, float(self.score_mm[row])
+        evidence = self.evidence
         if evidence.error_mm is not None:
             region, error = _largest_region(evidence.regions, evidence.error_mm[row])
-            return Moment(row, score, region, f"{error:.2f} mm off the keys")
+            return Moment(row, region, f"{error:.2f} mm off the keys")
         gap = 0.0 if self.gap_mm is None else float(self.gap_mm[row])
         jump, expected = float(self.jump_mm[row, 0]), float(self.expected_mm[row, 0])
         lips = f"lips {gap:.1f} mm open, the performer's closed" if gap > LEAST_JUMP_MM else ""
         if gap / 2 * self.lip_share**0.5 > max(jump, expected):
-            return Moment(row, score, "mouth", lips)
+            return Moment(row, "mouth", lips)
         if jump > expected:
             region, most = _largest_region(self.jump_regions or evidence.regions, self.jump_mm[row])
             reason = f"jumps by {most:.2f} mm"
         else:
             region, _ = _largest_region(evidence.regions, self.expected_mm[row])
             reason = "" if evidence.uncertainty_mm is None else _expected(evidence, row, region)
-        return Moment(row, score, region, ", ".join(filter(None, [reason, lips])))
+        return Moment(row, region, ", ".join(filter(None, [reason, lips])))
 
 
 def _expected(evidence: SolveEvidence, row: int, region: str) -> str:

@@ -68,8 +68,6 @@ class SurfaceDistances:
     """(M, N) [mm]"""
     euclidean_between: FloatArray
     """(M, M) [mm]"""
-    metric: Metric
-    """Of the geodesic distances."""
     unreached: UnreachedReport
     """Pairs whose geodesic distance is Euclidean."""
 
@@ -163,7 +161,6 @@ def surface_distances(
         geodesic_between=np.where(unreached_pairs, straight_between, between),
         euclidean_to_points=straight,
         euclidean_between=straight_between,
-        metric=metric,
         unreached=UnreachedReport(
             points=np.asarray(unreached.all(axis=0)),
             pairs=int(unreached_pairs.sum()) // 2,
@@ -178,7 +175,6 @@ def unpack_distances(
     points: FloatArray,
     markers: SurfacePoints,
     *,
-    metric: Metric,
     arrays: Mapping[str, CacheArray],
     counts: Mapping[str, int],
 ) -> SurfaceDistances:
@@ -188,8 +184,6 @@ def unpack_distances(
     ----------
     points : (N, 3) float array
         The mesh at rest [mm].
-    metric : {'dijkstra', 'dijkstra-diagonals', 'heat'}
-        Of the geodesic distances.
     """
     return SurfaceDistances(
         points=points.astype(np.float32),
@@ -198,7 +192,6 @@ def unpack_distances(
         geodesic_between=arrays["geodesicBetween"].astype(np.float64),
         euclidean_to_points=arrays["euclideanToPoints"].astype(np.float32),
         euclidean_between=arrays["euclideanBetween"].astype(np.float64),
-        metric=metric,
         unreached=UnreachedReport(
             points=arrays["unreached"].astype(np.bool_),
             pairs=counts["pairs"],

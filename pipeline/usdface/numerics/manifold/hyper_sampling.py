@@ -48,8 +48,7 @@ class Modes:
     second: LaplaceFit
     """That of the other start; a distinct mode in the chains of `double` alone."""
     theta: FloatArray
-    second_theta: FloatArray
-    """`theta`, `second_theta`: (4, chains)"""
+    """(4, chains): of `best`."""
     double: BoolArray
     """(chains,): chains with two modes, in which motion is signal or noise."""
 
@@ -84,10 +83,8 @@ def find_modes(
         best, other = select_fits(swap, second, first), select_fits(swap, first, second)
         distance = np.minimum(_distance(best, other), _distance(other, best))
         likely = best.log_evidence - other.log_evidence < _LARGEST_LOG_RATIO
-    theta, second_theta = (
-        np.asarray(to_theta(fit.mode.astype(np.float64), gain), np.float64) for fit in (best, other)
-    )
-    return Modes(best, other, theta, second_theta, (distance > _LEAST_DISTANCE) & likely)
+    theta = np.asarray(to_theta(best.mode.astype(np.float64), gain), np.float64)
+    return Modes(best, other, theta, (distance > _LEAST_DISTANCE) & likely)
 
 
 def sample_hyperparameters(
@@ -148,8 +145,6 @@ def _distance(of: LaplaceFit, to: LaplaceFit) -> RealArray:
 class SharedSamples:
     """Samples of hyper-parameters that are common to all frames and axes of a take."""
 
-    mode: FloatArray
-    """(4,): the most probable theta."""
     theta: FloatArray
     """(samples, 4)"""
     acceptance: float
@@ -222,7 +217,6 @@ def sample_shared(
         samples = sample_chains(rng, energy, start, burn=burn, keep=-(-keep // _SHARED_CHAINS))
     each = np.moveaxis(samples.theta, 1, 2).astype(np.float64)
     return SharedSamples(
-        np.asarray(fit.mode[:, 0], np.float64),
         each.reshape(-1, 4)[:keep],
         float(samples.acceptance.mean()),
         float(np.median(effective_sample_size(each))),

@@ -68,8 +68,6 @@ class GaussianProcess:
     """(n, s): coefficients of the local part, 0 without it."""
     residuals: FloatArray
     """(n, s): output minus its leave-one-out prediction."""
-    noise: FloatArray
-    """(s,)"""
 
 
 def usable_choices(choices: Sequence[ProcessSettings], *, most: int) -> tuple[ProcessSettings, ...]:
@@ -165,7 +163,6 @@ def fit_gaussian_process(
         intercept=OFFSET_VARIANCE * dual.sum(axis=0),
         dual=choice.radial * dual,
         residuals=residuals,
-        noise=noise,
     )
 
 

@@ -333,9 +333,7 @@ def _distances(
     path = distances_path(out, face.file, face.hash)
     cached = read_distances(path, key=key)
     if cached is not None:
-        return unpack_distances(
-            mesh.points, places, metric=spec.metric, arrays=cached.arrays, counts=cached.counts
-        )
+        return unpack_distances(mesh.points, places, arrays=cached.arrays, counts=cached.counts)
     found = surface_distances(
         mesh.points,
         mesh.face_counts,
