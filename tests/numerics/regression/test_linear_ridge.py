@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from sklearn.linear_model import Ridge, RidgeCV
 
+from usdface.numerics.regression import linear_ridge
 from usdface.numerics.regression.linear_ridge import LinearRidge, fit_linear_ridge
 
 
@@ -20,18 +21,24 @@ def scale_of(features: np.ndarray) -> float:
     return float(np.linalg.svd(features - features.mean(axis=0))[1][0] ** 2)
 
 
-def test_fit_equals_sklearns_ridge_at_the_same_penalty() -> None:
+def test_fit_equals_sklearns_ridge_at_the_same_penalty(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     features, outputs = lines()
-    model = fit_linear_ridge(features, outputs, ridges=np.array([1e-3]))
+    monkeypatch.setattr(linear_ridge, "_RIDGES", np.array([1e-3]))
+    model = fit_linear_ridge(features, outputs)
     theirs = Ridge(alpha=1e-3 * scale_of(features)).fit(features, outputs)
     np.testing.assert_allclose(model.coefficients, theirs.coef_.T, rtol=1e-8)
     new = np.random.default_rng(1).normal(size=(5, features.shape[1]))
     np.testing.assert_allclose(predicted(model, new), theirs.predict(new), rtol=1e-8)
 
 
-def test_leave_one_out_residuals_equal_refitting_without_each_row() -> None:
+def test_leave_one_out_residuals_equal_refitting_without_each_row(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     features, outputs = lines(rows=12)
-    model = fit_linear_ridge(features, outputs, ridges=np.array([1e-2]))
+    monkeypatch.setattr(linear_ridge, "_RIDGES", np.array([1e-2]))
+    model = fit_linear_ridge(features, outputs)
     penalty = 1e-2 * scale_of(features)
     for row in range(len(features)):
         rest = np.arange(len(features)) != row
@@ -40,10 +47,13 @@ def test_leave_one_out_residuals_equal_refitting_without_each_row() -> None:
         np.testing.assert_allclose(model.loo_residuals[row], expected, rtol=1e-7, atol=1e-10)
 
 
-def test_chosen_ridge_is_the_one_sklearns_leave_one_out_chooses() -> None:
+def test_chosen_ridge_is_the_one_sklearns_leave_one_out_chooses(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     features, outputs = lines(noise=0.5)
     ridges = 10.0 ** np.arange(-6.0, 1.0)
-    model = fit_linear_ridge(features, outputs, ridges=ridges)
+    monkeypatch.setattr(linear_ridge, "_RIDGES", ridges)
+    model = fit_linear_ridge(features, outputs)
     scale = scale_of(features)
     for column in range(outputs.shape[1]):
         theirs = RidgeCV(alphas=ridges * scale).fit(features, outputs[:, column])

@@ -46,10 +46,14 @@ def test_every_pair_is_met_exactly() -> None:
     assert not model.ridge.any()
 
 
-def test_with_one_softness_it_is_scipys_interpolant() -> None:
+def test_with_one_softness_it_is_scipys_interpolant(monkeypatch: pytest.MonkeyPatch) -> None:
     centres, outputs = pairs()
     points = np.random.default_rng(1).normal(size=(200, 7)) * 10
-    model = fit_multiquadric(centres, outputs, softness=np.full(len(centres), 4.0))
+    monkeypatch.setattr(
+        "usdface.numerics.regression.multiquadric_rbf.nearest_softness",
+        lambda centres: np.full(len(centres), 4.0),
+    )
+    model = fit_multiquadric(centres, outputs)
     theirs = RBFInterpolator(centres, outputs, kernel="multiquadric", epsilon=1 / 4.0, degree=-1)
     np.testing.assert_allclose(predict_multiquadric(model, points), theirs(points), atol=1e-9)
 
@@ -111,7 +115,6 @@ def test_centres_that_coincide_are_named_and_can_be_smoothed_over() -> None:
     [
         ({"outputs": np.zeros((3, 2))}, "do not pair up"),
         ({"centres": np.full((34, 7), np.nan)}, "not finite"),
-        ({"softness": np.zeros(34)}, "34 positive numbers"),
         ({"centres": np.zeros((34, 7))}, "all 34 centres coincide"),
     ],
 )
@@ -119,4 +122,4 @@ def test_what_cannot_be_fitted_is_refused(change: dict[str, np.ndarray], message
     centres, outputs = pairs()
     given = {"centres": centres, "outputs": outputs} | change
     with pytest.raises(ValueError, match=message):
-        fit_multiquadric(given.pop("centres"), given.pop("outputs"), **given)
+        fit_multiquadric(**given)

@@ -88,11 +88,7 @@ class SurfaceModel(ABC):
         )
 
     def stream(
-        self,
-        displacements: FloatArray,
-        *,
-        frames_per_part: int | None = None,
-        of_axes: bool = False,
+        self, displacements: FloatArray, *, of_axes: bool = False
     ) -> Iterator[SurfaceMotion]:
         """Predict part by part, in bounded memory; the result does not depend on the parts.
 
@@ -100,8 +96,6 @@ class SurfaceModel(ABC):
         ----------
         displacements : (frames, markers, 3) float array
             [mm]
-        frames_per_part : int, optional
-            Maximum; by default about 16 MB per field.
         of_axes : bool
             Whether to predict `SurfaceMotion.sd_of_axes` too.
         """
@@ -109,7 +103,7 @@ class SurfaceModel(ABC):
         if not len(moved):
             sd = np.zeros((0, self.point_count), np.float32) if self.predicts_sd else None
             yield SurfaceMotion(np.zeros((0, self.point_count, 3), np.float32), sd)
-        size = frames_per_part or max(1, _FIELD_VALUES // max(self.point_count, 1))
+        size = max(1, _FIELD_VALUES // max(self.point_count, 1))
         yield from self._predict(moved, size, of_axes=of_axes)
 
     @abstractmethod

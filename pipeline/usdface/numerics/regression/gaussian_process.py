@@ -85,9 +85,8 @@ def leave_one_out_errors(
     *,
     variances: FloatArray,
     choices: Sequence[ProcessSettings],
-    noises: FloatArray = NOISES,
 ) -> FloatArray:
-    """Return mean squared leave-one-out errors of choices, noises and outputs: (choices, r, s).
+    """Return mean squared leave-one-out errors of choices, `NOISES` and outputs: (choices, r, s).
 
     Parameters
     ----------
@@ -95,38 +94,31 @@ def leave_one_out_errors(
     outputs : (n, s) float array
     variances : (D,) float array
         Of the features over all frames; positive, descending.
-    noises : (r,) float array
     """
     _check(features, outputs, variances, choices)
-    out = np.empty((len(choices), len(noises), outputs.shape[1]))
+    out = np.empty((len(choices), len(NOISES), outputs.shape[1]))
     for i, choice in enumerate(choices):
         covariance = _Scaled(features, variances, choice).covariance()
         values, vectors = np.linalg.eigh(covariance)
         values = np.maximum(values, 0.0)
         rotated = vectors.T @ outputs
-        kept = noises / (values[:, None] + noises)
+        kept = NOISES / (values[:, None] + NOISES)
         leverage = np.minimum(vectors**2 @ (1 - kept), _MOST_LEVERAGE)
-        for k in range(len(noises)):
+        for k in range(len(NOISES)):
             residual = vectors @ (kept[:, k, None] * rotated) / (1 - leverage[:, k, None])
             out[i, k] = (residual**2).mean(axis=0)
     return out
 
 
-def smoothest_near_best(errors: FloatArray, *, slack: float = ERROR_SLACK) -> IntArray:
-    """Return the smoothest setting whose error is near the least.
+def smoothest_near_best(errors: FloatArray) -> IntArray:
+    """Return the smoothest setting whose error is near the least, by column: (s,).
 
     Parameters
     ----------
     errors : (r, s) float array
         In the order of smoothness.
-    slack : float
-        Largest relative difference from the least error.
-
-    Returns
-    -------
-    (s,) int array
     """
-    near = errors <= (1 + slack) * errors.min(axis=0)
+    near = errors <= (1 + ERROR_SLACK) * errors.min(axis=0)
     return np.asarray(len(errors) - 1 - near[::-1].argmax(axis=0))
 
 

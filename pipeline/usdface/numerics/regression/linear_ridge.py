@@ -26,12 +26,7 @@ class LinearRidge:
     """(n, s): output minus its leave-one-out prediction, at the chosen ridge."""
 
 
-def fit_linear_ridge(
-    features: FloatArray,
-    outputs: FloatArray,
-    *,
-    ridges: FloatArray = _RIDGES,
-) -> LinearRidge:
+def fit_linear_ridge(features: FloatArray, outputs: FloatArray) -> LinearRidge:
     """Fit with an unpenalised intercept; choose the ridge by leave-one-out error.
 
     The leave-one-out residual of row i is its residual over one minus its leverage, where the
@@ -41,8 +36,6 @@ def fit_linear_ridge(
     ----------
     features : (n, d) float array
     outputs : (n, s) float array
-    ridges : (r,) float array
-        Candidates, relative to the largest squared singular value of the centred features.
     """
     if features.ndim != 2 or outputs.ndim != 2 or len(features) != len(outputs):
         raise ValueError(f"{features.shape} features and {outputs.shape} outputs do not pair up")
@@ -57,10 +50,11 @@ def fit_linear_ridge(
     scale = float(singular[0]) ** 2
     if scale == 0.0:
         raise ValueError("all rows of the features are equal; there is nothing to regress on")
-    errors = np.stack(
-        [(_loo_residuals(left, singular, centred, rotated, r * scale) ** 2).mean(0) for r in ridges]
-    )
-    chosen = ridges[first_smallest(errors)]
+    errors = [
+        (_loo_residuals(left, singular, centred, rotated, ridge * scale) ** 2).mean(axis=0)
+        for ridge in _RIDGES
+    ]
+    chosen = _RIDGES[first_smallest(np.stack(errors))]
     residuals = np.empty_like(centred)
     for ridge in np.unique(chosen):
         same = chosen == ridge

@@ -60,21 +60,15 @@ def multiquadric_design(
 
 
 def fit_multiquadric(
-    centres: ArrayLike,
-    outputs: ArrayLike,
-    *,
-    softness: ArrayLike | None = None,
-    smooth: bool = False,
+    centres: ArrayLike, outputs: ArrayLike, *, smooth: bool = False
 ) -> Multiquadric:
-    """Fit the network to pairs; each pair is a centre.
+    """Fit the network to pairs; each pair is a centre, of the published `nearest_softness`.
 
     Parameters
     ----------
     centres : (n, d) array
         Inputs of the pairs.
     outputs : (n, s) array
-    softness : (n,) array, optional
-        By default `nearest_softness`, as published.
     smooth : bool
         Penalise squared coefficients, with penalties by generalised cross-validation, instead of
         interpolation: for pairs with noise.
@@ -84,9 +78,7 @@ def fit_multiquadric(
         raise ValueError(f"{C.shape} centres and {Y.shape} outputs do not pair up")
     if not (np.isfinite(C).all() and np.isfinite(Y).all()):
         raise ValueError("centres or outputs hold values that are not finite")
-    s = nearest_softness(C) if softness is None else np.asarray(softness, np.float64)
-    if s.shape != (len(C),) or not (s > 0).all():
-        raise ValueError(f"softness must be {len(C)} positive numbers")
+    s = nearest_softness(C)
     design = multiquadric_design(C, C, s)
     if not smooth:
         _check_distinct(C)

@@ -146,21 +146,9 @@ def smallest_ridge(singular: FloatArray, *, freedom: float) -> float:
     return float(high * singular[0] ** 2)
 
 
-def choose_ridge(rotated: Rotated, *, freedom_limit: float = FREEDOM_LIMIT) -> FloatArray:
-    """Choose each output's ridge by the lowest GCV score on a grid, and on a finer one about it.
-
-    Parameters
-    ----------
-    freedom_limit : float
-        Largest effective degrees of freedom over the number of pairs, in (0, 1].
-
-    Returns
-    -------
-    (s,) float array
-    """
-    if not 0 < freedom_limit <= 1:
-        raise ValueError(f"freedom_limit is a share in (0, 1], got {freedom_limit}")
-    floor = smallest_ridge(rotated.singular, freedom=freedom_limit * len(rotated.left))
+def choose_ridge(rotated: Rotated) -> FloatArray:
+    """Choose each output's ridge, (s,), by the lowest GCV score on a grid, then on a finer one."""
+    floor = smallest_ridge(rotated.singular, freedom=FREEDOM_LIMIT * len(rotated.left))
     top = max(1e3 * float(rotated.singular[0]) ** 2, 10 * floor)
     decades = np.log10(top / floor)
     grid = floor * 10 ** np.linspace(0, decades, int(decades * RIDGES_PER_DECADE) + 2)
@@ -224,7 +212,6 @@ def fit_rbf_ridge(
     *,
     widths: FloatArray,
     ridge: FloatArray | float | None = None,
-    freedom_limit: float = FREEDOM_LIMIT,
 ) -> RBFRidge:
     """Fit the network of eq. 4 by minimising eq. 5 through eq. 6, all outputs at once.
 
@@ -238,8 +225,6 @@ def fit_rbf_ridge(
         See `shared_widths` and `centre_widths`.
     ridge : float or (s,) float array, optional
         Penalty of squared coefficients; by default by `choose_ridge`.
-    freedom_limit : float
-        See `choose_ridge`.
     """
     if centres.ndim != 2 or outputs.ndim != 2 or len(centres) != len(outputs):
         raise ValueError(f"{centres.shape} centres and {outputs.shape} outputs do not pair up")
@@ -249,7 +234,7 @@ def fit_rbf_ridge(
         raise ValueError(f"widths must be {len(centres)} positive numbers")
     rotated = rotate(gaussian_design(centres, centres, widths), outputs)
     if ridge is None:
-        chosen = choose_ridge(rotated, freedom_limit=freedom_limit)
+        chosen = choose_ridge(rotated)
     else:
         chosen = np.broadcast_to(np.asarray(ridge, dtype=float), (outputs.shape[1],)).copy()
         if not (chosen > 0).all():
