@@ -17,9 +17,11 @@ import numpy as np
 from benchmarks import crosstake
 from benchmarks.performers import PERFORMERS, act
 from tests.conftest import SHARED_DATA
+from tests.model.synthetic import sample_skin
 from usdface.core.deformer import Deformer
-from usdface.model import Prediction, predict_weights, sample_skin, train_mapping
+from usdface.model.mapping.predict import Prediction, predict_weights
 from usdface.model.mapping.regions import region_points
+from usdface.model.mapping.train import train_mapping
 from usdface.model.mapping.uncertainty import LIMIT_DEVIATIONS
 from usdface.numerics.measure.face_regions import gaze_and_tongue_shapes
 from usdface.numerics.regression.cross_validation import surface_errors_mm

@@ -23,10 +23,12 @@ from scipy.stats import spearmanr
 from benchmarks import crosstake
 from benchmarks._damage import DAMAGES
 from tests.conftest import SHARED_DATA
+from tests.model.synthetic import align_markers, sample_skin
 from usdface.core.assets import References, Rig, Take, TrainedMapping
 from usdface.core.deformer import Deformer
-from usdface.model import Prediction, align_markers, predict_weights, sample_skin, train_mapping
+from usdface.model.mapping.predict import Prediction, predict_weights
 from usdface.model.mapping.regions import skin_points
+from usdface.model.mapping.train import train_mapping
 from usdface.model.mapping.uncertainty import LIMIT_DEVIATIONS
 from usdface.model.selection.baseline import PerformerMarkers, set_up_equation
 from usdface.numerics.measure.face_regions import points_by_region, region_gram

@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from usdface.core.assets import References
-from usdface.model import fit_motion_space, train_mapping
+from usdface.model.mapping.motion_space import fit_motion_space
 from usdface.model.mapping.temporal import TemporalSolve, smooth_weights
+from usdface.model.mapping.train import train_mapping
 from usdface.numerics.regression.rbf_ridge import (
     choose_ridge,
     fit_rbf_ridge,

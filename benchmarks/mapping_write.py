@@ -181,8 +181,8 @@ def _acted(rng: np.random.Generator) -> Callable[[np.ndarray], np.ndarray]:
 
 def _mapped(folder: Path, frames: int, method: str) -> dict[str, float]:
     from usdface.core.assets import References
-    from usdface.model import fit_motion_space
     from usdface.model.mapping.head_space import MappedMarkers
+    from usdface.model.mapping.motion_space import fit_motion_space
     from usdface.model.mapping.train import train_mapping
     from usdface.steps.performance.map import Block, predict_pipelined
 

@@ -17,10 +17,13 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks._takes import weights_of
 from tests.conftest import SHARED_DATA
+from tests.model.synthetic import sample_skin
 from usdface.capture.sniff import read_capture
 from usdface.core.assets import References, TrainedMapping
 from usdface.core.deformer import Deformer
-from usdface.model import fit_motion_space, predict_weights, sample_skin, train_mapping
+from usdface.model.mapping.motion_space import fit_motion_space
+from usdface.model.mapping.predict import predict_weights
+from usdface.model.mapping.train import train_mapping
 from usdface.model.regressions import MAPPING_METHODS
 from usdface.numerics.regression.cross_validation import surface_rms_mm
 from usdface.numerics.regression.reference_design import design_gp_variance, whiten

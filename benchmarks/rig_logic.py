@@ -23,14 +23,16 @@ import numpy as np
 
 from benchmarks import crosstake
 from benchmarks._damage import DAMAGES
+from tests.model.synthetic import sample_skin
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import MeshShape, References, Rig, ShapeKey
 from usdface.core.deformer import Deformer
 from usdface.core.rig_logic import Combination, RigLogic
-from usdface.model import fit_motion_space, train_mapping
+from usdface.model.mapping.motion_space import fit_motion_space
 from usdface.model.mapping.predict import WeightPredictor
-from usdface.model.mapping.regions import sample_skin, skin_points
-from usdface.model.regressions import RestPlaces
+from usdface.model.mapping.regions import skin_points
+from usdface.model.mapping.train import train_mapping
+from usdface.model.regressions.base import RestPlaces
 from usdface.numerics.measure.face_regions import gaze_shapes
 from usdface.numerics.regression.combination_inference import infer_combinations
 from usdface.numerics.regression.linear_ridge import fit_linear_ridge

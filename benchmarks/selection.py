@@ -17,11 +17,11 @@ import numpy as np
 from benchmarks import crosstake
 from benchmarks._damage import DAMAGES
 from tests.conftest import SHARED_DATA
+from tests.model.synthetic import sample_skin
 from usdface.core.assets import Markers, References, Take, TrainedMapping
 from usdface.core.deformer import Deformer
 from usdface.core.provenance import Provenance
 from usdface.model.mapping.predict import predict_weights
-from usdface.model.mapping.regions import sample_skin
 from usdface.model.mapping.train import train_mapping
 from usdface.model.regressions.forward_model import ForwardScales, fit_forward_model
 from usdface.numerics.measure.face_regions import blinks

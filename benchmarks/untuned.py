@@ -14,9 +14,12 @@ from scipy.stats import spearmanr
 from benchmarks._placement_subjects import SimulatedTake, simulate_take
 from benchmarks.real_captures import Head, find_equation, head_of
 from tests.conftest import SHARED_DATA
+from tests.model.synthetic import sample_skin
 from usdface.core.assets import References, TrainedMapping
 from usdface.demo.rig import demo_rig
-from usdface.model import fit_motion_space, predict_weights, sample_skin, train_mapping
+from usdface.model.mapping.motion_space import fit_motion_space
+from usdface.model.mapping.predict import predict_weights
+from usdface.model.mapping.train import train_mapping
 from usdface.model.mapping.uncertainty import LIMIT_DEVIATIONS, proposal_error
 from usdface.numerics.regression.reference_design import design_gp_variance, whiten
 from usdface.usdio.rig.read import read_rig

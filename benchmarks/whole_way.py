@@ -195,10 +195,11 @@ def _prepare(folder: Path, lengths: tuple[int, ...]) -> None:
 
 
 def _train(folder: Path, shapes: int, markers: object, clip: object) -> None:
+    from tests.model.synthetic import sample_skin
     from usdface.core.assets import Markers, References, WeightsClip
     from usdface.core.deformer import Deformer
     from usdface.core.provenance import Provenance
-    from usdface.model import fit_motion_space, sample_skin
+    from usdface.model.mapping.motion_space import fit_motion_space
     from usdface.model.mapping.train import train_mapping
     from usdface.usdio.mapping import write_mapping
     from usdface.usdio.rig.read import read_rig

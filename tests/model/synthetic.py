@@ -4,10 +4,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy import sparse
 
-from usdface.core.arrays import IntArray
-from usdface.core.assets import Markers, References
-from usdface.model import fit_motion_space
+from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.assets import Markers, References, TrainedMapping
+from usdface.model.mapping.head_space import MappedMarkers, find_head_space
+from usdface.model.mapping.motion_space import fit_motion_space
+from usdface.model.mapping.performer_face import face_of_mapping
+from usdface.model.mapping.regions import SKIN_POINTS, offsets_at, skin_points
 from usdface.numerics.registration.face_skin import FaceSkin
 from usdface.numerics.registration.virtual_markers import VirtualMarkers
 
@@ -97,3 +101,13 @@ def skin_samples(skin: FaceSkin, virtual: VirtualMarkers) -> IntArray:
         for corners, shares in zip(virtual.points, virtual.weights, strict=True)
     ]
     return np.array(rows)
+
+
+def sample_skin(offsets: FloatArray | sparse.sparray, *, count: int = SKIN_POINTS) -> FloatArray:
+    """Return the displacements of `skin_points` by each shape at 1: (shapes, points, 3) [mm]."""
+    return offsets_at(offsets, skin_points(offsets, count=count))
+
+
+def align_markers(mapping: TrainedMapping, markers: Markers, *, rate: float) -> MappedMarkers:
+    """Align a whole take, at a rate in frames per second, with a mapping; see `find_head_space`."""
+    return find_head_space(face_of_mapping(mapping), markers, rate=rate).place(markers)

@@ -9,12 +9,12 @@ import pytest
 from pxr import Sdf, Usd, UsdGeom, Vt
 from pydantic import ValidationError
 
+from tests.model.synthetic import align_markers
 from tests.steps.small_shot import PAIRS, Shot
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import weights_path
 from usdface.media.picture.image import read_image_metadata
-from usdface.model.mapping.head_space import align_markers
 from usdface.model.mapping.predict import predict_weights
 from usdface.model.mapping.train import train_mapping
 from usdface.model.review.verdict import SolveEvidence, judge_solve

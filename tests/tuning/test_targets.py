@@ -9,7 +9,7 @@ import pytest
 from tests.numerics.small_face import SmallActor, SmallFace, small_actor, small_face
 from usdface.core.assets import MeshShape, References, Rig, RigMesh, ShapeKey
 from usdface.core.deformer import Deformer
-from usdface.model import fit_motion_space
+from usdface.model.mapping.motion_space import fit_motion_space
 from usdface.model.selection.baseline import PerformerMarkers, set_up_equation
 from usdface.numerics.measure.face_regions import region_of_shape
 from usdface.tuning.targets import MarkerTargets, find_targets, solve_shapes, targets_or_reason

@@ -14,9 +14,10 @@ from tests.model.synthetic import (
     references_of,
     synthetic_face,
 )
-from usdface.model import predict_weights, train_mapping
 from usdface.model.mapping import candidates, train
 from usdface.model.mapping.candidates import paired_t, time_blocks
+from usdface.model.mapping.predict import predict_weights
+from usdface.model.mapping.train import train_mapping
 from usdface.model.regressions import forward_model
 
 

@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 
 from tests.model.mapping.test_uncertainty import CHOSEN, NAMES, face_in_parts
-from tests.model.synthetic import SHAPES, SyntheticFace, references_of
+from tests.model.synthetic import SHAPES, SyntheticFace, references_of, sample_skin
 from usdface.core.assets import TrainedMapping
-from usdface.model import predict_weights, sample_skin, train_mapping
+from usdface.model.mapping.predict import predict_weights
+from usdface.model.mapping.train import train_mapping
 from usdface.numerics.regression.reference_design import DesignKernel, posterior_share
 
 

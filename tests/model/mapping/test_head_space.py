@@ -5,12 +5,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.model.synthetic import markers_of, references_of, synthetic_face
+from tests.model.synthetic import align_markers, markers_of, references_of, synthetic_face
 from usdface.core.assets import TrainedMapping
 from usdface.core.errors import InputError
-from usdface.model import align_markers, predict_weights, train_mapping
 from usdface.model.mapping.head_space import find_head_space
 from usdface.model.mapping.performer_face import face_of_mapping
+from usdface.model.mapping.predict import predict_weights
+from usdface.model.mapping.train import train_mapping
 
 
 def trained() -> TrainedMapping:

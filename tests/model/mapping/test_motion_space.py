@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from usdface.core.errors import InputError
-from usdface.model import fit_motion_space
+from usdface.model.mapping.motion_space import fit_motion_space
 
 
 def clips() -> list[np.ndarray]:

@@ -5,7 +5,7 @@ import numpy as np
 from usdface.core.assets import MotionSpace
 from usdface.model.mapping.corrected_pairs import correct_pairs, fit_pairs_forward
 from usdface.model.mapping.pair_gains import gain_variance
-from usdface.model.regressions import Face, Pairs
+from usdface.model.regressions.base import Face, Pairs
 
 UPPER = ("browInnerUp", "browDown_L", "browDown_R", "eyeBlink_L", "eyeBlink_R")
 LOWER = ("jawOpen", "jawLeft", "mouthFunnel", "mouthPucker", "mouthSmile_L", "mouthSmile_R")

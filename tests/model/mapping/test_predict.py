@@ -7,9 +7,10 @@ from tests.model.synthetic import MARKERS, SyntheticFace, references_of, synthet
 from usdface.core.assets import TrainedMapping
 from usdface.core.errors import InputError
 from usdface.core.rig_logic import Combination, RigLogic
-from usdface.model import predict_weights, train_mapping
 from usdface.model.mapping.head_space import MINIMUM_SHARE
 from usdface.model.mapping.motion_space import marker_coordinates, motion_of, noise_variance
+from usdface.model.mapping.predict import predict_weights
+from usdface.model.mapping.train import train_mapping
 from usdface.model.regressions import MAPPING_METHODS, REMOVED_METHODS, find_method
 
 

@@ -6,10 +6,12 @@ import pytest
 from tests.model.synthetic import references_of, synthetic_face
 from usdface.core.assets import References
 from usdface.core.errors import InputError
-from usdface.model import predict_weights, train_mapping
 from usdface.model.mapping.candidates import observable_shapes
 from usdface.model.mapping.checks import check_references
-from usdface.model.regressions import MAPPING_METHODS, Choices
+from usdface.model.mapping.predict import predict_weights
+from usdface.model.mapping.train import train_mapping
+from usdface.model.regressions import MAPPING_METHODS
+from usdface.model.regressions.base import Choices
 
 CHOSEN = np.arange(0, 1200, 30)
 each_method = pytest.mark.parametrize("method", sorted(MAPPING_METHODS))

@@ -11,12 +11,14 @@ from tests.model.synthetic import (
     SHAPES,
     SyntheticFace,
     references_of,
+    sample_skin,
     synthetic_face,
 )
 from usdface.core.assets import TrainedMapping
 from usdface.core.errors import InputError
-from usdface.model import Prediction, predict_weights, sample_skin, train_mapping
+from usdface.model.mapping.predict import Prediction, predict_weights
 from usdface.model.mapping.regions import regions_without_shapes
+from usdface.model.mapping.train import train_mapping
 from usdface.model.mapping.uncertainty import (
     LIMIT_DEVIATIONS,
     UncertaintyModel,

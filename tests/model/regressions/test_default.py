@@ -7,12 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.model.synthetic import RIGID, SyntheticFace, references_of, synthetic_face
+from tests.model.synthetic import RIGID, SyntheticFace, references_of, sample_skin, synthetic_face
 from usdface.core.assets import TrainedMapping
 from usdface.core.errors import InputError
 from usdface.core.rig_logic import Combination
-from usdface.model import predict_weights, sample_skin, train_mapping
-from usdface.model.regressions import Choices, RestPlaces, face_map, frame_solve
+from usdface.model.mapping.predict import predict_weights
+from usdface.model.mapping.train import train_mapping
+from usdface.model.regressions import face_map, frame_solve
+from usdface.model.regressions.base import Choices, RestPlaces
 from usdface.model.regressions.bent_weights import bend, unbend, unbend_slope
 
 CHOSEN = np.arange(0, 1200, 30)

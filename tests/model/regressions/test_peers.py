@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from tests.model.synthetic import references_of, synthetic_face
-from usdface.model import predict_weights, train_mapping
+from usdface.model.mapping.predict import predict_weights
+from usdface.model.mapping.train import train_mapping
 from usdface.model.regressions import MAPPING_METHODS, hybrid, kernel_cca, multiquadric
 
 CHOSEN = np.arange(0, 1200, 30)

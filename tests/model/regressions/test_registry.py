@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from tests.model.synthetic import references_of, synthetic_face
-from usdface.model import predict_weights, train_mapping
-from usdface.model.regressions import MAPPING_METHODS, RETARGET_METHODS, Choices, Face, Pairs
+from usdface.model.mapping.predict import predict_weights
+from usdface.model.mapping.train import train_mapping
+from usdface.model.regressions import MAPPING_METHODS, RETARGET_METHODS
+from usdface.model.regressions.base import Choices, Face, Pairs
 from usdface.model.regressions.gaussian_rbf import PUBLISHED
 from usdface.numerics.regression.rbf_ridge import (
     centre_widths,

@@ -14,7 +14,7 @@ from usdface.core.errors import InputError
 from usdface.model.mapping.head_space import MappedMarkers
 from usdface.model.mapping.predict import predict_weights
 from usdface.model.mapping.train import train_mapping
-from usdface.model.regressions import Choices
+from usdface.model.regressions.base import Choices
 from usdface.runner.execute import execute
 from usdface.specs.performance import MapSpec
 from usdface.steps.performance.map import predict_with_keyed_blend

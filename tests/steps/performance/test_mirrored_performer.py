@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.model.synthetic import sample_skin
 from tests.steps.small_shot import Shot
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import MotionSpace, References, TrainedMapping
 from usdface.core.deformer import Deformer
 from usdface.model.mapping.predict import predict_weights
-from usdface.model.mapping.regions import sample_skin
 from usdface.model.mapping.train import train_mapping
 from usdface.numerics.measure.face_regions import mirrored_shapes
 from usdface.usdio.mapping import read_mapping

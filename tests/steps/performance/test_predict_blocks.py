@@ -8,8 +8,8 @@ import pytest
 
 from tests.model.synthetic import references_of, synthetic_face
 from usdface.core.errors import InputError
-from usdface.model import train_mapping
 from usdface.model.mapping.head_space import MappedMarkers
+from usdface.model.mapping.train import train_mapping
 from usdface.steps.performance import map as predict_blocks
 
 ROWS = 40

@@ -20,8 +20,8 @@ from usdface.model.mapping.uncertainty import (
     squared_motion,
 )
 from usdface.model.placement.label_hints import are_image_landmarks
-from usdface.model.regressions import AUTO, Choices, Pairs, Regression, Settings, find_method
-from usdface.model.regressions.base import Fitted
+from usdface.model.regressions import AUTO, find_method
+from usdface.model.regressions.base import Choices, Fitted, Pairs, Regression, Settings
 from usdface.model.regressions.bent_weights import bend, unbend
 from usdface.model.regressions.frame_solve import FrameSolution, FrameSolver
 from usdface.numerics.regression.cross_validation import (

@@ -7,7 +7,7 @@ import numpy as np
 from usdface.core.arrays import FloatArray
 from usdface.model.mapping.pair_gains import gain_variance, predict_log_factors, scale_keys
 from usdface.model.mapping.regions import FACE, marker_motion, region_points
-from usdface.model.regressions import Pairs, Regression
+from usdface.model.regressions.base import Pairs, Regression
 from usdface.model.regressions.bent_weights import bend, unbend
 from usdface.model.regressions.driven_motion import DrivenMotion, driven_weights
 from usdface.model.regressions.forward_model import ForwardModel, ForwardScales, fit_forward_model

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, sample_frames
-from usdface.core.assets import Markers, TrainedMapping
+from usdface.core.assets import Markers
 from usdface.core.errors import InputError
 from usdface.core.text import first_few
-from usdface.model.mapping.performer_face import PerformerFace, face_of_mapping
+from usdface.model.mapping.performer_face import PerformerFace
 from usdface.model.mapping.take_neutral import TakeNeutral, compare_neutral
 from usdface.model.placement.plausibility import unit_remedy
 from usdface.numerics.registration.marker_application import SAMPLE_FRAMES
@@ -183,11 +183,6 @@ def find_head_space(
         neutral = compare()
     extra = tuple(name for name in markers.names if name not in known)
     return HeadSpace(columns, slots, count, rotation, shift, missing, extra, neutral)
-
-
-def align_markers(mapping: TrainedMapping, markers: Markers, *, rate: float) -> MappedMarkers:
-    """Align a whole take, at a rate in frames per second, with a mapping; see `find_head_space`."""
-    return find_head_space(face_of_mapping(mapping), markers, rate=rate).place(markers)
 
 
 def _in_order(

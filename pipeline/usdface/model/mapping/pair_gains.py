@@ -20,7 +20,7 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray
 from usdface.model.mapping.regions import membership, region_points
-from usdface.model.regressions import Pairs
+from usdface.model.regressions.base import Pairs
 from usdface.model.regressions.forward_model import ForwardModel
 from usdface.model.regressions.frame_solve import FrameSolver
 

@@ -213,7 +213,7 @@ def predict_weights(
     Parameters
     ----------
     positions : (frames, markers, 3) float array
-        In the mapping's marker order and head space [mm]; see `align_markers`.
+        In the mapping's marker order and head space [mm]; see `find_head_space`.
     visible : (frames, markers) bool array, optional
         False where a position is ignored: it is estimated from the others, and the uncertainty is
         larger. By default all are visible.

@@ -153,11 +153,6 @@ def skin_points(offsets: FloatArray | sparse.sparray, *, count: int = SKIN_POINT
     return np.asarray(moving[chosen], dtype=np.int64)
 
 
-def sample_skin(offsets: FloatArray | sparse.sparray, *, count: int = SKIN_POINTS) -> FloatArray:
-    """Return the displacements of `skin_points` by each shape at 1: (shapes, points, 3) [mm]."""
-    return offsets_at(offsets, skin_points(offsets, count=count))
-
-
 def offsets_at(offsets: FloatArray | sparse.sparray, points: IntArray) -> FloatArray:
     """Return the displacements of points: (shapes, points, 3) [mm]."""
     from scipy import sparse  # importing takes half a second

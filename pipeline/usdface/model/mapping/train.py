@@ -30,8 +30,15 @@ from usdface.model.mapping.regions import (
     regions_without_shapes,
 )
 from usdface.model.mapping.uncertainty import UncertaintyModel, calibrate_uncertainty
-from usdface.model.regressions import DEFAULT_CHOICES, Choices, Face, Pairs, RestPlaces
-from usdface.model.regressions.base import DrivenSkin, Fitted
+from usdface.model.regressions.base import (
+    DEFAULT_CHOICES,
+    Choices,
+    DrivenSkin,
+    Face,
+    Fitted,
+    Pairs,
+    RestPlaces,
+)
 from usdface.model.regressions.frame_solve import FrameSolver
 from usdface.numerics.measure.face_regions import (
     gaze_and_tongue_shapes,
@@ -85,7 +92,7 @@ def train_mapping(
         metric of errors. Without it, all shapes have equal weight.
     skin : (shapes + combinations, points, 3) float array, optional
         Displacement by each shape at 1, then by each of the references' combinations, of points
-        spread over the rig's surface [mm]; see `sample_skin`. It is the prior of the forward model.
+        spread over the rig's surface [mm]; see `skin_points`. It is the prior of the forward model.
     rest : RestPlaces, optional
         Positions of those points, and of the markers, on the rig's neutral: markers are then
         located on the rig by position as well as by motion.

@@ -1,6 +1,5 @@
 """Registry of the regressions of mappings and retargetings; one module per method."""
 
-from usdface.core.arrays import Arrays
 from usdface.core.errors import InputError
 from usdface.model.regressions import (
     additive,
@@ -11,34 +10,7 @@ from usdface.model.regressions import (
     multiquadric,
     ridge,
 )
-from usdface.model.regressions.base import (
-    DEFAULT_CHOICES,
-    Choices,
-    Face,
-    Fitted,
-    Pairs,
-    Regression,
-    RestPlaces,
-    Settings,
-)
-
-__all__ = [
-    "AUTO",
-    "DEFAULT_CHOICES",
-    "MAPPING_METHODS",
-    "REMOVED_METHODS",
-    "RETARGET_METHODS",
-    "Arrays",
-    "Choices",
-    "Face",
-    "Fitted",
-    "Pairs",
-    "Regression",
-    "RestPlaces",
-    "Settings",
-    "find_method",
-    "find_retarget_method",
-]
+from usdface.model.regressions.base import Regression
 
 _REGRESSIONS = (
     ridge.METHOD,

@@ -12,13 +12,8 @@ from usdface.core.arrays import Arrays, FloatArray
 from usdface.core.controls import Controls, ExpressionPairs, Retargeting, RetargetScore
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
-from usdface.model.regressions import (
-    RETARGET_METHODS,
-    Pairs,
-    Regression,
-    Settings,
-    find_retarget_method,
-)
+from usdface.model.regressions import RETARGET_METHODS, find_retarget_method
+from usdface.model.regressions.base import Pairs, Regression, Settings
 from usdface.model.regressions.hybrid import predict_blended
 from usdface.model.regressions.kernel_cca import PUBLISHED_LINES
 from usdface.model.retarget.control_space import (

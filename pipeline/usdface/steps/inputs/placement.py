@@ -17,7 +17,7 @@ from usdface.model.placement.marker_cloud import MarkerCloud, marker_cloud
 from usdface.model.placement.place import place_markers
 from usdface.model.placement.rig_orientation import facing_degrees
 from usdface.model.placement.verdict import PlacementVerdict, judge_placement, warn_upside_down
-from usdface.model.regressions import RestPlaces
+from usdface.model.regressions.base import RestPlaces
 from usdface.model.selection.baseline import (
     BlendshapeEquation,
     PerformerMarkers,

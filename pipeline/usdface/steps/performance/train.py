@@ -23,7 +23,7 @@ from usdface.model.mapping.uncertainty import proposal_error
 from usdface.model.placement.label_hints import are_image_landmarks
 from usdface.model.placement.rig_orientation import check_rig_upright
 from usdface.model.placement.shape_parts import missing_parts_note, shape_parts
-from usdface.model.regressions import Choices
+from usdface.model.regressions.base import Choices
 from usdface.model.regressions.gaussian_rbf import PAPER_DIMENSIONS
 from usdface.numerics.measure.face_regions import gaze_and_tongue_shapes, mirrored_shapes
 from usdface.runner.result import StepResult
