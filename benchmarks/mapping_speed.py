@@ -79,7 +79,8 @@ def _mapping_ratio(*, pairs: int, shapes: int, with_exp: bool) -> float:
             np.matmul(near, model.coefficients, out=out[part])
 
     least = _fastest(floor)
-    return least / _fastest(lambda: predict_rbf_ridge(model, points))
+    fitted = model.centres, model.widths, model.coefficients
+    return least / _fastest(lambda: predict_rbf_ridge(points, *fitted))
 
 
 def _ridge() -> float:

@@ -37,7 +37,11 @@ from usdface.numerics.manifold.surface_fields import (
 )
 from usdface.numerics.motion.laplacian_warp import Insertion, warp_motion
 from usdface.numerics.motion.sequence_search import find_published, starts_within
-from usdface.numerics.regression.kernel_cca import fit_kernel_cca, predict_kernel_cca
+from usdface.numerics.regression.kernel_cca import (
+    KernelCCA,
+    fit_kernel_cca,
+    predict_expansion,
+)
 from usdface.numerics.regression.multiquadric_rbf import fit_multiquadric, predict_multiquadric
 from usdface.numerics.regression.pca import fit_pca, project
 from usdface.numerics.regression.rbf_ridge import (
@@ -134,7 +138,8 @@ def _d06() -> Iterator[Row]:
     H = gaussian_design(centres, centres, widths)
     direct = np.linalg.solve(H.T @ H + 0.3 * np.eye(40), H.T @ weights)
     network = fit_rbf_ridge(centres, weights, widths=widths, ridge=0.3)
-    yield Row("D06 eq. 5–6", "normal equations", predict_rbf_ridge(network, points), loop @ direct)
+    solved = predict_rbf_ridge(points, centres, widths, network.coefficients)
+    yield Row("D06 eq. 5–6", "normal equations", solved, loop @ direct)
     found = reestimate_ridge(rotate(H, weights), start=1e-3, tolerance=1e-14)
     orr = np.array([_orr(H, column, start=1e-3) for column in weights.T])
     yield Row("D06 λ by re-estimation", "own iteration, dense", found, orr)
@@ -197,13 +202,18 @@ def _pyramid(curves: np.ndarray, gains: tuple[float, ...]) -> np.ndarray:
     return sum(bands) + levels[-1]
 
 
+def _predict(model: KernelCCA, points: np.ndarray) -> np.ndarray:
+    return predict_expansion(points, model.centres, model.width, model.operator, model.intercept)
+
+
 def _s11() -> Iterator[Row]:
     rng = np.random.default_rng(1)
     S, T, points = rng.random((34, 20)), rng.random((34, 15)), rng.random((50, 20))
     soft = np.array([np.sort(np.linalg.norm(S - s, axis=1))[1] for s in S])
     design = np.sqrt(cdist(S, S) ** 2 + soft**2)
     by_hand = np.sqrt(cdist(points, S) ** 2 + soft**2) @ np.linalg.solve(design, T)
-    network = predict_multiquadric(fit_multiquadric(S, T), points)
+    fitted = fit_multiquadric(S, T)
+    network = predict_multiquadric(points, S, fitted.softness, fitted.coefficients)
     yield Row("S11 eq. 3–4", "numpy, dense", network, by_hand)
     widths, kappa = (2.0, 1.7), 1e-3
     few: dict[str, Any] = {
@@ -221,14 +231,14 @@ def _s11() -> Iterator[Row]:
     back = np.linalg.lstsq(reduced[1], T - T.mean(axis=0))[0]
     there = _centred(_gauss(points, S, widths[0]), _gauss(S, S, widths[0])) @ basis
     dense = there @ across @ back + T.mean(axis=0)
-    yield Row("S11 eq. 6–8, as printed", "dense lines", predict_kernel_cca(model, points), dense)
+    regression = _predict(model, points)
+    yield Row("S11 eq. 6–8, as printed", "dense lines", regression, dense)
     penalised = fit_kernel_cca(S, T, **few)
     yield Row(
-        "S11 eq. 6–8, default", "dense lines", predict_kernel_cca(penalised, points), dense,
+        "S11 eq. 6–8, default", "dense lines", _predict(penalised, points), dense,
         "lines penalised as eq. 5 is (`train-retarget --published`: as printed)",
     )  # fmt: skip
     share = rng.random((50, 1))
-    regression = predict_kernel_cca(model, points)
     yield Row(
         "S11 eq. 9, keyed α", "by hand", share * network + (1 - share) * regression,
         share * by_hand + (1 - share) * dense,

@@ -5,6 +5,7 @@ from scipy.optimize import minimize_scalar
 from sklearn.kernel_ridge import KernelRidge
 
 from usdface.numerics.regression.rbf_ridge import (
+    RBFRidge,
     centre_widths,
     choose_ridge,
     effective_freedom,
@@ -18,6 +19,10 @@ from usdface.numerics.regression.rbf_ridge import (
     shared_widths,
     smallest_ridge,
 )
+
+
+def predict(model: RBFRidge, points: np.ndarray) -> np.ndarray:
+    return predict_rbf_ridge(points, model.centres, model.widths, model.coefficients)
 
 
 def pairs(count: int = 40, dimensions: int = 4, outputs: int = 5, noise: float = 0.05):
@@ -61,7 +66,7 @@ def test_weight_decay_equals_kernel_ridge_only_at_a_transformed_kernel() -> None
     centres, outputs = pairs()
     widths = shared_widths(centres, multiple=2.0)
     new = np.random.default_rng(2).normal(size=(30, 4))
-    ours = predict_rbf_ridge(fit_rbf_ridge(centres, outputs, widths=widths, ridge=0.05), new)
+    ours = predict(fit_rbf_ridge(centres, outputs, widths=widths, ridge=0.05), new)
     design = gaussian_design(centres, centres, widths)
     same = KernelRidge(alpha=0.05, kernel="precomputed").fit(design @ design.T, outputs)
     np.testing.assert_allclose(
@@ -76,7 +81,7 @@ def test_a_vanishing_ridge_interpolates_as_scipy_does() -> None:
     centres, outputs = pairs(count=25)
     widths = shared_widths(centres, multiple=1.0)
     new = np.random.default_rng(2).normal(size=(30, 4))
-    ours = predict_rbf_ridge(fit_rbf_ridge(centres, outputs, widths=widths, ridge=1e-14), new)
+    ours = predict(fit_rbf_ridge(centres, outputs, widths=widths, ridge=1e-14), new)
     scipy = RBFInterpolator(
         centres, outputs, kernel="gaussian", epsilon=1 / (np.sqrt(2) * widths[0]), degree=-1
     )
@@ -152,18 +157,16 @@ def test_shift_and_scale_of_the_input_change_nothing() -> None:
     first = fit_rbf_ridge(centres, outputs, widths=shared_widths(centres))
     moved = centres * 7.0 + 100.0
     second = fit_rbf_ridge(moved, outputs, widths=shared_widths(moved))
-    np.testing.assert_allclose(
-        predict_rbf_ridge(first, new), predict_rbf_ridge(second, new * 7.0 + 100.0), atol=1e-6
-    )
+    np.testing.assert_allclose(predict(first, new), predict(second, new * 7.0 + 100.0), atol=1e-6)
 
 
 def test_prediction_does_not_depend_on_the_block_size(monkeypatch: pytest.MonkeyPatch) -> None:
     centres, outputs = pairs()
     model = fit_rbf_ridge(centres, outputs, widths=shared_widths(centres))
     new = np.random.default_rng(2).normal(size=(101, 4))
-    whole = predict_rbf_ridge(model, new)
+    whole = predict(model, new)
     monkeypatch.setattr("usdface.numerics.regression.rbf_ridge.BLOCK_ROWS", 7)
-    np.testing.assert_allclose(predict_rbf_ridge(model, new), whole, atol=1e-12)
+    np.testing.assert_allclose(predict(model, new), whole, atol=1e-12)
 
 
 def test_widths_follow_the_nearest_neighbour_and_survive_coinciding_centres() -> None:

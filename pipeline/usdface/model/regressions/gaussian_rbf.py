@@ -4,7 +4,7 @@ Deng, Chiang, Fox and Neumann (2006), *Animating Blendshape Faces by Cross-Mappi
 Data*, sections 5 and 6.
 """
 
-from usdface.core.arrays import Arrays, FloatArray
+from usdface.core.arrays import Arrays
 from usdface.model.regressions.base import (
     Fitted,
     Pairs,
@@ -97,19 +97,8 @@ def _network_arrays(model: RBFRidge) -> Arrays:
 
 
 def _prepare_network(arrays: Arrays, settings: Settings) -> Predictor:
-    model = RBFRidge(
-        centres=arrays["centres"],
-        widths=arrays["widths"],
-        coefficients=arrays["coefficients"],
-        ridge=arrays["ridge"],
-        freedom=arrays["freedom"],
-        score=arrays["gcv"],
-    )
-
-    def predict(inputs: FloatArray) -> FloatArray:
-        return predict_rbf_ridge(model, leading_inputs(inputs, settings))
-
-    return predict
+    fitted = [arrays[name] for name in ("centres", "widths", "coefficients")]
+    return lambda inputs: predict_rbf_ridge(leading_inputs(inputs, settings), *fitted)
 
 
 METHOD = Regression(

@@ -6,7 +6,7 @@ The lines of eq. 6 and 7 carry the same penalty as eq. 5. They are unpenalised, 
 
 import numpy as np
 
-from usdface.core.arrays import Arrays, FloatArray
+from usdface.core.arrays import Arrays
 from usdface.model.regressions.base import (
     WHITENING_POWERS,
     Fitted,
@@ -94,13 +94,8 @@ def fit_model(pairs: Pairs, scale: Arrays, settings: Settings) -> KernelCCA:
 def prepare_expansion(arrays: Arrays, settings: Settings) -> Predictor:
     """Return the predictor of fitted arrays."""
     sources, width = arrays["sources"], float(arrays["source_width"][0])
-    operator, intercept = arrays["operator"], arrays["intercept"]
-
-    def predict(inputs: FloatArray) -> FloatArray:
-        features = scaled_inputs(arrays, settings, inputs)
-        return predict_expansion(features, sources, width, operator, intercept)
-
-    return predict
+    fitted = sources, width, arrays["operator"], arrays["intercept"]
+    return lambda inputs: predict_expansion(scaled_inputs(arrays, settings, inputs), *fitted)
 
 
 METHOD = Regression(

@@ -3,9 +3,7 @@
 Published for retargeting, where it is named `rbf`; in mappings it is `multiquadric`.
 """
 
-import numpy as np
-
-from usdface.core.arrays import Arrays, FloatArray
+from usdface.core.arrays import Arrays
 from usdface.model.regressions.base import (
     WHITENING_POWERS,
     Fitted,
@@ -17,11 +15,7 @@ from usdface.model.regressions.base import (
     scale_arrays,
     scaled_inputs,
 )
-from usdface.numerics.regression.multiquadric_rbf import (
-    Multiquadric,
-    fit_multiquadric,
-    predict_multiquadric,
-)
+from usdface.numerics.regression.multiquadric_rbf import fit_multiquadric, predict_multiquadric
 
 
 def _candidates(pairs: Pairs, dimensions: tuple[int, ...]) -> tuple[Settings, ...]:
@@ -59,14 +53,8 @@ def fit_network(pairs: Pairs, settings: Settings) -> Fitted:
 
 def prepare_network(arrays: Arrays, settings: Settings) -> Predictor:
     """Return the predictor of fitted arrays."""
-    coefficients = arrays["coefficients"]
-    unpenalised = np.zeros(coefficients.shape[1])  # the ridge is not used in prediction
-    model = Multiquadric(arrays["centres"], arrays["softness"], coefficients, unpenalised)
-
-    def predict(inputs: FloatArray) -> FloatArray:
-        return predict_multiquadric(model, scaled_inputs(arrays, settings, inputs))
-
-    return predict
+    fitted = [arrays[name] for name in ("centres", "softness", "coefficients")]
+    return lambda inputs: predict_multiquadric(scaled_inputs(arrays, settings, inputs), *fitted)
 
 
 METHOD = Regression(

@@ -1,6 +1,6 @@
 """Linear ridge regression, with the ridge chosen by leave-one-out error."""
 
-from usdface.core.arrays import Arrays, FloatArray
+from usdface.core.arrays import Arrays
 from usdface.model.regressions.base import (
     Fitted,
     Pairs,
@@ -33,13 +33,7 @@ def prepare_line(arrays: Arrays, settings: Settings) -> Predictor:
     """Return the predictor of a linear model's arrays."""
     slope = arrays["slope"]
     offset = arrays["intercept"] - arrays["mean"] @ slope
-
-    def predict(inputs: FloatArray) -> FloatArray:
-        out: FloatArray = leading_inputs(inputs, settings) @ slope
-        out += offset
-        return out
-
-    return predict
+    return lambda inputs: leading_inputs(inputs, settings) @ slope + offset
 
 
 METHOD = Regression(

@@ -158,16 +158,6 @@ def fit_kernel_cca(
     )
 
 
-def predict_kernel_cca(model: KernelCCA, points: FloatArray) -> FloatArray:
-    """Evaluate the regression (eq. 8): (f, s).
-
-    Parameters
-    ----------
-    points : (f, d) float array
-    """
-    return predict_expansion(points, model.centres, model.width, model.operator, model.intercept)
-
-
 def predict_expansion(
     points: FloatArray,
     centres: FloatArray,

@@ -89,12 +89,12 @@ def fit_multiquadric(
     return Multiquadric(C, s, rotated.right.T @ (gain * rotated.outputs), ridge)
 
 
-def predict_multiquadric(model: Multiquadric, points: FloatArray) -> FloatArray:
+def predict_multiquadric(
+    points: FloatArray, centres: FloatArray, softness: FloatArray, coefficients: FloatArray
+) -> FloatArray:
     """Evaluate the network (eq. 4) at points (f, d); see `evaluate_network`."""
     return evaluate_network(
-        lambda some: multiquadric_design(some, model.centres, model.softness),
-        model.coefficients,
-        points,
+        lambda some: multiquadric_design(some, centres, softness), coefficients, points
     )
 
 

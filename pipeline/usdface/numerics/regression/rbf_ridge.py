@@ -252,12 +252,12 @@ def fit_rbf_ridge(
     )
 
 
-def predict_rbf_ridge(model: RBFRidge, points: FloatArray) -> FloatArray:
+def predict_rbf_ridge(
+    points: FloatArray, centres: FloatArray, widths: FloatArray, coefficients: FloatArray
+) -> FloatArray:
     """Evaluate the network (eq. 4) at points (f, d); see `evaluate_network`."""
     return evaluate_network(
-        lambda some: gaussian_design(some, model.centres, model.widths),
-        model.coefficients,
-        points,
+        lambda some: gaussian_design(some, centres, widths), coefficients, points
     )
 
 
