@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
+from usdface.numerics.registration.cloud_alignment import Alignment
 from usdface.numerics.registration.landmark_matching import (
     FaceLandmarks,
     match_landmarks,
     refine_fit,
 )
-from usdface.numerics.registration.plane_fit import PlaneFit, pitch_rotation
+from usdface.numerics.registration.plane_fit import pitch_rotation
 
 PLACES = np.array(
     [
@@ -58,6 +59,6 @@ def test_a_face_without_landmarks_matches_nothing() -> None:
 def test_a_cloud_of_other_size_and_pitch_finds_its_landmarks() -> None:
     target = PLACES + np.array([3.0, 0.0, 0.0])
     cloud = (PLACES * [1.1, 1.15, 1.0]) @ pitch_rotation(0.1).T
-    away = PlaneFit(np.eye(3), np.ones(3), np.array([3.0, 6.0, 2.0]))
+    away = Alignment(np.ones(3), np.eye(3), np.array([3.0, 6.0, 2.0]))
     found = refine_fit(cloud, face(target), away, centre_x=3.0)
     np.testing.assert_allclose(found.apply(cloud), target, atol=2.5)

@@ -7,7 +7,11 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray
 from usdface.model.placement.marker_cloud import MarkerCloud, middle_markers
-from usdface.numerics.registration.cloud_alignment import align_cloud, align_landmarks
+from usdface.numerics.registration.cloud_alignment import (
+    Alignment,
+    align_cloud,
+    align_landmarks,
+)
 from usdface.numerics.registration.face_skin import FaceSkin
 from usdface.numerics.registration.landmark_matching import FaceLandmarks, match_landmarks
 from usdface.numerics.registration.motion_correspondence import place_by_motion
@@ -18,7 +22,7 @@ from usdface.numerics.registration.motion_search import (
     search_by_motion,
     size_cost,
 )
-from usdface.numerics.registration.plane_fit import PlaneFit, fit_in_plane
+from usdface.numerics.registration.plane_fit import fit_in_plane
 from usdface.numerics.registration.skin_placement import (
     TYPICAL_SIZE_MM,
     KnownPlace,
@@ -86,7 +90,7 @@ class PlacementCandidate:
 
 
 def _settle(
-    inputs: PlacementInputs, frame: FloatArray, levelled: FloatArray, fit: PlaneFit
+    inputs: PlacementInputs, frame: FloatArray, levelled: FloatArray, fit: Alignment
 ) -> PlacementCandidate:
     cloud, images = inputs.cloud, inputs.skin_share < 1
     placement = place_on_skin(
@@ -113,8 +117,7 @@ def _by_points(
     inputs: PlacementInputs, points: FloatArray, targets: FloatArray
 ) -> PlacementCandidate:
     """Place from a similarity transform fitted to pairs of points."""
-    found = align_landmarks(points, targets)
-    fit = PlaneFit(found.rotation, found.scale, found.translation)
+    fit = align_landmarks(points, targets)
     return _settle(inputs, np.eye(3), inputs.cloud.neutral, fit)
 
 
@@ -125,13 +128,13 @@ def candidate_by_labels(inputs: PlacementInputs) -> PlacementCandidate:
         frame, levelled = inputs.cloud.levelled()
     except ValueError:  # markers of one side
         return _by_points(inputs, _middles(inputs, inputs.cloud.neutral), targets)
-    centre = np.array([inputs.skin.sagittal_x, 0.0, 0.0])
     middles = _middles(inputs, levelled)
     spreads = np.array([each.spread_mm for each in inputs.landmarks])
     # A given place is exact, but differing proportions keep the transform from reaching it.
     least = _PROPORTION_SPREAD_MM * inputs.skin.size_mm / TYPICAL_SIZE_MM
-    first = fit_in_plane(middles, targets - centre, np.maximum(spreads, least))
-    fit = PlaneFit(first.rotation, first.scale, first.shift + centre)
+    fit = fit_in_plane(
+        middles, targets, np.maximum(spreads, least), centre_x=inputs.skin.sagittal_x
+    )
     return _settle(inputs, frame, levelled, fit)
 
 
@@ -198,7 +201,7 @@ def _overturned_gain(
 
 
 def _drawn(
-    inputs: PlacementInputs, frame: FloatArray, levelled: FloatArray, fit: PlaneFit
+    inputs: PlacementInputs, frame: FloatArray, levelled: FloatArray, fit: Alignment
 ) -> PlacementCandidate:
     """Settle a fit with its markers drawn to landmarks nearby."""
     features = inputs.features
@@ -221,12 +224,13 @@ def _turn_of(candidate: PlacementCandidate, frame: FloatArray) -> FloatArray:
     return np.array([yaw, 1.0, yaw])
 
 
-def _fit_to(inputs: PlacementInputs, candidate: PlacementCandidate, turned: FloatArray) -> PlaneFit:
+def _fit_to(
+    inputs: PlacementInputs, candidate: PlacementCandidate, turned: FloatArray
+) -> Alignment:
     """Fit the transform in the plane of symmetry to the settled positions."""
-    centre = np.array([inputs.skin.sagittal_x, 0.0, 0.0])
     spreads = np.full(len(turned), _WARPED_SPREAD_MM * inputs.features.unit)
-    found = fit_in_plane(turned, candidate.placement.warped - centre, spreads)
-    return PlaneFit(found.rotation, found.scale, found.shift + centre)
+    warped = candidate.placement.warped
+    return fit_in_plane(turned, warped, spreads, centre_x=inputs.skin.sagittal_x)
 
 
 def _value(
@@ -278,7 +282,5 @@ def _by_shape(inputs: PlacementInputs) -> PlacementCandidate:
         ranges=inputs.ranges,
         pinned=inputs.pins,
     )
-    alignment = placed.alignment
-    fit = PlaneFit(alignment.rotation, alignment.scale, alignment.translation)
-    placement = SkinPlacement(placed.chosen, placed.warped, fit)
+    placement = SkinPlacement(placed.chosen, placed.warped, placed.alignment)
     return PlacementCandidate(np.eye(3), cloud.neutral, placement)

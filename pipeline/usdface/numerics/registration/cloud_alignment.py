@@ -44,7 +44,7 @@ class Alignment:
     """(3, 3): proper, determinant +1."""
     translation: FloatArray
     """(3,) [mm]"""
-    residual_mm: float
+    residual_mm: float = np.inf
     """Trimmed root mean square distance between the cloud and the skin."""
 
     def apply(self, cloud: ArrayLike) -> FloatArray:
@@ -64,7 +64,7 @@ class Alignment:
         return np.asarray(motion, float) / self.scale @ self.rotation
 
 
-_UNIT = Alignment(np.ones(3), np.eye(3), np.zeros(3), np.inf)
+_UNIT = Alignment(np.ones(3), np.eye(3), np.zeros(3))
 
 
 def align_landmarks(cloud: ArrayLike, targets: ArrayLike) -> Alignment:
@@ -197,7 +197,7 @@ def _starts(y: FloatArray, x: FloatArray, need: FloatArray) -> list[Alignment]:
         for yaw in _YAWS_DEGREES
         for pitch in _PITCHES_DEGREES
     ]
-    return [Alignment(scale, turn, centre - scale * (turn @ middle), np.inf) for turn in turns]
+    return [Alignment(scale, turn, centre - scale * (turn @ middle)) for turn in turns]
 
 
 def _refine(
@@ -242,4 +242,4 @@ def _fit(
         scale = np.clip(scale, middle / _PROPORTION_LIMIT, middle * _PROPORTION_LIMIT)
     else:
         scale = np.full(3, np.sqrt((w @ xc**2).sum() / mean_square.sum()))
-    return Alignment(scale, rotation, x_mean - scale * (rotation @ y_mean), np.inf)
+    return Alignment(scale, rotation, x_mean - scale * (rotation @ y_mean))

@@ -12,7 +12,8 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
 from usdface.core.arrays import FloatArray, IntArray
-from usdface.numerics.registration.plane_fit import PlaneFit, fit_in_plane
+from usdface.numerics.registration.cloud_alignment import Alignment
+from usdface.numerics.registration.plane_fit import fit_in_plane
 
 _MARKED_SHARE = 0.7
 """Prior probability that a landmark has a marker: marker sets differ."""
@@ -89,30 +90,29 @@ def match_landmarks(
 
 
 def refine_fit(
-    levelled: FloatArray, face: FaceLandmarks, fit: PlaneFit, *, centre_x: float
-) -> PlaneFit:
+    levelled: FloatArray, face: FaceLandmarks, fit: Alignment, *, centre_x: float
+) -> Alignment:
     """Fit a cloud to landmarks, alternating between assignment and fit.
 
     Parameters
     ----------
     levelled : (markers, 3) float array
         At rest, its plane of symmetry at x = 0 [mm].
-    fit : PlaneFit
+    fit : Alignment
         Initial fit; returned where too few pairs are probable.
     centre_x : float
         X of the character's plane of symmetry [mm].
     """
-    centre = np.array([centre_x, 0.0, 0.0])
     for proportion in _PROPORTIONS_MM:
         match = match_landmarks(fit.apply(levelled), face, proportion_mm=proportion)
         if len(match.markers) < _FEWEST_PAIRS:
             break
         spreads = np.hypot(face.spreads[match.landmarks], _PROPORTIONS_MM[-1] * face.unit)
-        centred = fit_in_plane(
+        fit = fit_in_plane(
             levelled[match.markers],
-            face.places[match.landmarks] - centre,
+            face.places[match.landmarks],
             spreads / np.sqrt(match.probability),
+            centre_x=centre_x,
             rounds=3,
         )
-        fit = PlaneFit(centred.rotation, centred.scale, centred.shift + centre)
     return fit

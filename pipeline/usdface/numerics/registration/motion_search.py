@@ -13,13 +13,14 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from usdface.core.arrays import FloatArray
+from usdface.numerics.registration.cloud_alignment import Alignment
 from usdface.numerics.registration.face_skin import FaceSkin
 from usdface.numerics.registration.landmark_matching import (
     FaceLandmarks,
     match_landmarks,
     refine_fit,
 )
-from usdface.numerics.registration.plane_fit import PlaneFit, pitch_rotation
+from usdface.numerics.registration.plane_fit import pitch_rotation
 from usdface.numerics.registration.skin_placement import (
     MODEL_ERROR_SHARE,
     explained_share,
@@ -71,7 +72,7 @@ class SearchedFit:
 
     score: float
     yaw: float
-    fit: PlaneFit
+    fit: Alignment
 
     @property
     def turn(self) -> FloatArray:
@@ -147,7 +148,7 @@ class _Search:
         self._tree, self._flat = KDTree(skin.positions), KDTree(skin.positions[:, :2])
         self._scores: dict[bytes, float] = {}
 
-    def fit_of(self, x: FloatArray) -> PlaneFit:
+    def fit_of(self, x: FloatArray) -> Alignment:
         """Return the fit with these coordinates: yaw, pitch, scale, height, depth."""
         yaw, pitch, scale, height, depth = x
         skin, rotation = self._skin, pitch_rotation(np.deg2rad(pitch))
@@ -160,7 +161,7 @@ class _Search:
         foremost = skin.positions[near, 2].max(axis=1)
         over = away[:, 0] < 8 if (away[:, 0] < 8).any() else np.ones(len(placed), np.bool_)
         shift[2] = float(np.median((foremost - placed[:, 2])[over])) + depth
-        return PlaneFit(rotation, np.full(3, size), shift)
+        return Alignment(np.full(3, size), rotation, shift)
 
     def score(self, x: FloatArray) -> float:
         """Return the score at coordinates, to which a pattern search returns several times."""
@@ -169,7 +170,7 @@ class _Search:
             self._scores[key] = self.candidate(float(x[0]), self.fit_of(x)).score
         return self._scores[key]
 
-    def candidate(self, yaw: float, fit: PlaneFit) -> SearchedFit:
+    def candidate(self, yaw: float, fit: Alignment) -> SearchedFit:
         """Return a fit with its score."""
         skin, turn = self._skin, np.array([yaw, 1.0, yaw])
         placed = fit.apply(self._levelled * turn)
@@ -206,7 +207,7 @@ def motion_value(share: float) -> float:
     return -(_USUAL_LEFT + MODEL_ERROR_SHARE) * float(np.log(unexplained))
 
 
-def size_cost(fit: PlaneFit, usual_scale: float) -> float:
+def size_cost(fit: Alignment, usual_scale: float) -> float:
     """Return the cost of an improbable height of the face, as an explained share."""
     return SIZE_COST * abs(float(np.log(fit.scale[1] / usual_scale)))
 

@@ -1,34 +1,22 @@
 """Fit a levelled cloud to a character's face within the plane of symmetry."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from usdface.core.arrays import FloatArray
+from usdface.numerics.registration.cloud_alignment import Alignment
 
 _AXES_HELD = 0.35
 """[of the cloud's energy] Ridge of each axis' scale towards the common scale."""
 
 
-@dataclass(frozen=True)
-class PlaneFit:
-    """``aligned = scale * (levelled @ rotation.T) + shift``."""
-
-    rotation: FloatArray
-    """(3, 3): about the X axis (pitch)."""
-    scale: FloatArray
-    """(3,): character over performer, along the face's axes."""
-    shift: FloatArray
-    """(3,) [mm]"""
-
-    def apply(self, levelled: FloatArray) -> FloatArray:
-        """Return points in the face's frame of the character."""
-        return np.asarray(self.scale * (levelled @ self.rotation.T) + self.shift)
-
-
 def fit_in_plane(
-    levelled: FloatArray, targets: FloatArray, spreads: FloatArray, *, rounds: int = 15
-) -> PlaneFit:
+    levelled: FloatArray,
+    targets: FloatArray,
+    spreads: FloatArray,
+    *,
+    centre_x: float,
+    rounds: int = 15,
+) -> Alignment:
     """Fit pitch, scales and the two shifts in the sagittal plane to targets, robustly.
 
     Minimises ``sum |R s y + t - x|^2 / spread^2`` with Cauchy weights; the axes' scales are shrunk
@@ -39,10 +27,14 @@ def fit_in_plane(
     levelled : (n, 3) float array
         The plane of symmetry at x = 0 [mm].
     targets : (n, 3) float array
-        In the character's frame, its plane of symmetry at x = 0 [mm].
+        In the character's frame [mm].
     spreads : (n,) float array
         Standard deviations of the targets [mm].
+    centre_x : float
+        X of the character's plane of symmetry [mm].
     """
+    centre_of_character = np.array([centre_x, 0.0, 0.0])
+    targets = targets - centre_of_character
     base = 1 / spreads**2
     weight = base
     rotation, scale, shift = np.eye(3), np.ones(3), np.zeros(3)
@@ -60,10 +52,10 @@ def fit_in_plane(
         held = _AXES_HELD * energy.mean()
         scale = (share @ (turned * x) + held * common) / (energy + held)
         shift = goal - scale * (rotation @ centre) * in_plane
-        fit = PlaneFit(rotation, scale, shift)
-        away = np.linalg.norm(fit.apply(levelled) - targets, axis=1) / spreads
+        placed = scale * (levelled @ rotation.T) + shift
+        away = np.linalg.norm(placed - targets, axis=1) / spreads
         weight = base / (1 + (away / 2.0) ** 2)
-    return PlaneFit(rotation, scale, shift)
+    return Alignment(scale, rotation, shift + centre_of_character)
 
 
 def pitch_rotation(angle: float) -> FloatArray:

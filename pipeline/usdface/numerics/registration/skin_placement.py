@@ -18,8 +18,8 @@ from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from usdface.numerics.registration.cloud_alignment import Alignment
 from usdface.numerics.registration.face_skin import FaceSkin
-from usdface.numerics.registration.plane_fit import PlaneFit
 from usdface.numerics.solve.bounded_least_squares import (
     minimise_within_bounds,
     solve_bounded_least_squares,
@@ -99,14 +99,14 @@ class SkinPlacement:
     """(markers,): index of the skin sample."""
     warped: FloatArray
     """(markers, 3): after the warp, before a sample is chosen [mm]."""
-    fit: PlaneFit
+    fit: Alignment
     """Initial fit of the warp."""
 
 
 def place_on_skin(
     levelled: FloatArray,
     skin: FaceSkin,
-    fit: PlaneFit,
+    fit: Alignment,
     *,
     landmarks: Sequence[KnownPlace],
     motion: FloatArray | None,
@@ -121,7 +121,7 @@ def place_on_skin(
     ----------
     levelled : (markers, 3) float array
         At rest, the plane of symmetry at x = 0 [mm].
-    fit : PlaneFit
+    fit : Alignment
         Initial fit.
     landmarks : sequence of KnownPlace
         The markers of one are moved together, and weigh as a single marker.
@@ -182,7 +182,7 @@ def place_on_skin(
     return SkinPlacement(samples, warped, fit)
 
 
-def to_character(motion: FloatArray, fit: PlaneFit) -> FloatArray:
+def to_character(motion: FloatArray, fit: Alignment) -> FloatArray:
     """Return displacements in the character's frame, all axes scaled alike.
 
     By the geometric mean of width and height: the depth of a face does not predict the amplitude
