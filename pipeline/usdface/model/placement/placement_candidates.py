@@ -273,7 +273,7 @@ def _by_shape(inputs: PlacementInputs) -> PlacementCandidate:
         areas=skin.areas,
         amplitude=moved,
     )
-    placed = place_by_motion(
+    placement = place_by_motion(
         cloud.neutral,
         skin.positions,
         found,
@@ -282,5 +282,4 @@ def _by_shape(inputs: PlacementInputs) -> PlacementCandidate:
         ranges=inputs.ranges,
         pinned=inputs.pins,
     )
-    placement = SkinPlacement(placed.chosen, placed.warped, placed.alignment)
     return PlacementCandidate(np.eye(3), cloud.neutral, placement)

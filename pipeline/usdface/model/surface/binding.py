@@ -131,7 +131,10 @@ def _by_landmarks(mesh: RigMesh, neutral: FloatArray, pins: dict[int, FloatArray
     # Samples are millimetres apart; the point nearest to the warped marker is between them.
     near = nearest_places(mesh.points, mesh.face_counts, mesh.face_indices, found.warped)
     sampled = places_of_corners(
-        mesh.face_counts, mesh.face_indices, skin.corners[found.chosen], skin.weights[found.chosen]
+        mesh.face_counts,
+        mesh.face_indices,
+        skin.corners[found.samples],
+        skin.weights[found.samples],
     )
     return _prefer_nearest(mesh, near, sampled, spacing=float(np.sqrt(np.median(skin.areas))))
 

@@ -6,14 +6,16 @@ markers at their current places, compare each marker's path with those of the ne
 these weights, place the marker again, and regularise by a smooth warp.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from usdface.core.arrays import Float32Array, FloatArray, IntArray
+from usdface.core.arrays import Float32Array, FloatArray
 from usdface.numerics.registration.cloud_alignment import Alignment, align_pairs
-from usdface.numerics.registration.skin_placement import path_misfit, posterior_moments
+from usdface.numerics.registration.skin_placement import (
+    SkinPlacement,
+    path_misfit,
+    posterior_moments,
+)
 from usdface.numerics.solve.bounded_least_squares import solve_bounded_least_squares
 
 _SEARCH_RADII = (0.22, 0.20, 0.17, 0.14, 0.12, 0.10, 0.09, 0.08, 0.07, 0.06, 0.05, 0.05)
@@ -36,18 +38,6 @@ _WEIGHT_RIDGE = 25.0
 """[mm^2] (1.5 mm of noise / typical weight of 0.3)^2."""
 
 
-@dataclass(frozen=True)
-class Placement:
-    """Places of markers."""
-
-    chosen: IntArray
-    """(markers,): index of the skin sample."""
-    warped: FloatArray
-    """(markers, 3): after the smooth warp, before a sample is chosen."""
-    alignment: Alignment
-    """Refitted to the placement."""
-
-
 def place_by_motion(
     cloud: FloatArray,
     skin: FloatArray,
@@ -57,7 +47,7 @@ def place_by_motion(
     motion: FloatArray | None = None,
     ranges: FloatArray | None = None,
     pinned: dict[int, FloatArray] | None = None,
-) -> Placement:
+) -> SkinPlacement:
     """Place each marker on a skin sample.
 
     Parameters
@@ -110,7 +100,7 @@ def place_by_motion(
         weight = 1 / (variance + (_WARP_SIZE * size) ** 2) / robust
         alignment = align_pairs(cloud, target, weight=weight)
         warped = _warp(alignment.apply(cloud), target, variance, size)
-    return Placement(chosen, warped, alignment)
+    return SkinPlacement(chosen, warped, alignment)
 
 
 def _motion_evidence(

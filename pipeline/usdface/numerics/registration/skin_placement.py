@@ -100,7 +100,7 @@ class SkinPlacement:
     warped: FloatArray
     """(markers, 3): after the warp, before a sample is chosen [mm]."""
     fit: Alignment
-    """Initial fit of the warp."""
+    """From which the warp starts."""
 
 
 def place_on_skin(
