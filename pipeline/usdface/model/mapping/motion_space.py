@@ -3,7 +3,7 @@
 Coordinates of frames with occluded markers are conditional means.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -17,9 +17,6 @@ from usdface.numerics.registration.marker_application import SAMPLE_FRAMES
 from usdface.numerics.regression.pca import PCA, fit_pca, pca_from_moments, project, sum_moments
 
 _Positions = NDArray[np.float32] | NDArray[np.float64]
-
-_BLOCK_FRAMES = 8192
-"""Frames per block of the moments, which bounds the memory of conversions to float64."""
 
 
 def fit_motion_space(
@@ -54,7 +51,7 @@ def fit_motion_space(
             "give takes of one marker set, in one order"
         )
     try:
-        moments = sum_moments(_blocks(clips))
+        moments = sum_moments(clip.reshape(len(clip), -1) for clip in clips)
     except ValueError as error:
         raise InputError(
             f"the motion space cannot be fitted: {error}; clean the takes first"
@@ -77,13 +74,6 @@ def motion_from_pca(pca: PCA, sample: FloatArray) -> MotionSpace:
         total_variance=pca.total_variance,
         sample=project(pca, sample),
     )
-
-
-def _blocks(clips: Sequence[_Positions]) -> Iterator[_Positions]:
-    for clip in clips:
-        for start in range(0, len(clip), _BLOCK_FRAMES):
-            part = clip[start : start + _BLOCK_FRAMES]
-            yield part.reshape(len(part), -1)
 
 
 def _spread(clips: Sequence[_Positions], count: int) -> list[FloatArray]:

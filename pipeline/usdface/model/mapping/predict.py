@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, frame_blocks
 from usdface.core.assets import Rig, SolveBasis, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.model.mapping.coverage import CoverageModel
@@ -105,8 +105,7 @@ class WeightPredictor:
         weights = np.empty((frames, len(mapping.shape_names)))
         residual_mm, uncertainty, coverage = (np.empty((frames, regions)) for _ in range(3))
         residual = np.empty((frames, len(mapping.marker_names), 3), dtype=np.float32)
-        for start in range(0, frames, _BLOCK_FRAMES):
-            block = slice(start, start + _BLOCK_FRAMES)
+        for block in frame_blocks(frames, frames=_BLOCK_FRAMES):
             block_confidence = None if confidence is None else confidence[block]
             coordinates = marker_coordinates(self._motion, positions[block], visible=seen[block])
             displacements = self._displacements(positions[block], seen[block], coordinates)
@@ -158,8 +157,7 @@ class WeightPredictor:
         weights = np.clip(self._predict(inputs), low, high)
         uncertainty = np.empty((len(weights), len(self._regions)))
         residual = np.empty(displacements.shape, dtype=np.float32)
-        for first in range(0, len(weights), _SOLVED_FRAMES):
-            rows = slice(first, first + _SOLVED_FRAMES)
+        for rows in frame_blocks(len(weights), frames=_SOLVED_FRAMES):
             moved, seen = displacements[rows], visible[rows]
             prior_mean = bend((weights[rows] - low) / (high - low), curve)
             known = None if confidence is None else confidence[rows]

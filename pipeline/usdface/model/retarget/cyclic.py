@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, IntArray, columns_by_name
+from usdface.core.arrays import FloatArray, IntArray, columns_by_name, frame_blocks
 from usdface.core.assets import Rig
 from usdface.core.controls import ExpressionPairs
 from usdface.core.deformer import Deformer
@@ -75,8 +75,7 @@ class SurfaceMetric:
     def mean_vertex_mm(self, first: FloatArray, second: FloatArray) -> FloatArray:
         """Return the mean distance over points for each frame [mm]; weights in the rig's order."""
         out = np.empty(len(first))
-        for start in range(0, len(first), _BLOCK_FRAMES):
-            rows = slice(start, start + _BLOCK_FRAMES)
+        for rows in frame_blocks(len(first), frames=_BLOCK_FRAMES):
             difference = self._shapes.key_weights(first[rows]) - self._shapes.key_weights(
                 second[rows]
             )

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import Arrays, FloatArray
+from usdface.core.arrays import Arrays, FloatArray, sample_frames
 from usdface.core.controls import Controls, ExpressionPairs, Retargeting, RetargetScore
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
@@ -243,8 +243,8 @@ def make_probes(examples: Examples, performance: FloatArray | None) -> FloatArra
     A mixture is the sum of one to four pairs with random weights of 0.2 to 1.
     """
     if performance is not None and len(performance):
-        picks = np.linspace(0, len(performance) - 1, min(len(performance), _MOST_FRAMES))
-        return np.asarray(performance[np.unique(picks.astype(int))], np.float64)
+        picks = sample_frames(len(performance), _MOST_FRAMES)
+        return np.asarray(performance[picks], np.float64)
     rng = np.random.default_rng(0)
     count = len(examples.source)
     shares = np.zeros((PROBE_COUNT, count))

@@ -11,7 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from usdface.core.arrays import Float32Array, FloatArray
+from usdface.core.arrays import Float32Array, FloatArray, sample_frames
 from usdface.core.errors import InputError
 from usdface.model.surface.distance import BLEND_PUBLISHED, SurfaceDistances
 from usdface.numerics.manifold.surface_fields import Folds, find_folds
@@ -142,8 +142,7 @@ def check_displacements(displacements: FloatArray, markers: int) -> FloatArray:
 
 def fitted_frames(moved: FloatArray) -> FloatArray:
     """Return the frames on which settings are chosen: (frames, markers, 3)."""
-    picks = np.linspace(0, len(moved) - 1, min(FITTED_FRAMES, len(moved)))
-    return np.asarray(moved[np.unique(picks.astype(int))])
+    return np.asarray(moved[sample_frames(len(moved), FITTED_FRAMES)])
 
 
 def find_surface_folds(distances: SurfaceDistances) -> Folds:

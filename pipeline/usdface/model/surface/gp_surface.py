@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, frame_blocks
 from usdface.core.errors import InputError
 from usdface.model.surface.distance import BLEND_PUBLISHED, SurfaceDistances
 from usdface.model.surface.fit import (
@@ -152,8 +152,7 @@ class GpSurface(SurfaceModel):
 
     def _fields(self, moved: FloatArray, theta: FloatArray, of_axes: bool) -> SurfaceMotion:
         parts = []
-        for first in range(0, len(moved), _MOMENT_FRAMES):
-            part = slice(first, first + _MOMENT_FRAMES)
+        for part in frame_blocks(len(moved), frames=_MOMENT_FRAMES):
             chains = np.moveaxis(theta[..., part], 2, 3).reshape(len(theta), 4, -1)
             rows = _rows_of_axes(moved[part])
             parts.append(average_dual_weights(self.table.spectrum, rows, chains))

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import Float32Array, FloatArray, RealArray
+from usdface.core.arrays import Float32Array, FloatArray, RealArray, frame_blocks
 from usdface.numerics.manifold.hyper_posterior import SYMMETRIC_ENTRIES, MarkerSpectrum
 
 _LARGEST_LOG = 30.0
@@ -200,8 +200,7 @@ def make_fields(
     directions = np.ascontiguousarray(_right_singular_vectors(_products(sample), rank))
     squares = np.empty((len(basis), len(directions)), np.float32)
     block = max(1, (1 << 22) // directions.shape[1])
-    for start in range(0, len(basis), block):
-        part = slice(start, start + block)
+    for part in frame_blocks(len(basis), frames=block):
         np.matmul(_products(basis[part]), directions.T, out=squares[part])
     return SurfaceFields(basis, squares, directions)
 

@@ -39,7 +39,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from usdface.core.arrays import Float32Array, FloatArray, IntArray, RealArray
+from usdface.core.arrays import Float32Array, FloatArray, IntArray, RealArray, frame_blocks
 
 LEAST_DETOUR, FULL_DETOUR = 2.0, 3.0
 """Distance along the surface over the straight line: s is 0 below the first and 1 above the second.
@@ -175,8 +175,7 @@ def multiquadric_fields(model: DistanceMultiquadric, distances: RealArray) -> Fl
         Displacements of points are ``fields @ displacements``.
     """
     out = np.empty((distances.shape[1], len(distances)), np.float32)
-    for start in range(0, len(out), _BLOCK_POINTS):
-        part = slice(start, start + _BLOCK_POINTS)
+    for part in frame_blocks(len(out), frames=_BLOCK_POINTS):
         out[part] = _values(distances[:, part], model.stiffness) @ model.inverse
     return out
 
@@ -240,8 +239,7 @@ class SurfaceCovariance:
         """
         out = np.empty((distances.shape[1], len(self.features)), np.float32)
         least = _LEAST_LEFT if self.shape == "creased" else 0.0
-        for start in range(0, len(out), _BLOCK_POINTS):
-            part = slice(start, start + _BLOCK_POINTS)
+        for part in frame_blocks(len(out), frames=_BLOCK_POINTS):
             similar = similarity(distances[:, part], self.length_scale, shape=self.shape)
             longest = np.sqrt(1.0 - least * (1.0 - similar.max(axis=0) ** 2))
             out[part] = _shorten(similar.T @ self.projection, longest) @ self.features.T

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, frame_blocks
 
 _BLOCK_ROWS = 8192
 """Rows converted to float64 at a time: a block fits in the cache."""
@@ -120,8 +120,7 @@ def project(pca: PCA, data: ArrayLike) -> FloatArray:
     rows = np.asarray(data)
     out = np.empty((len(rows), len(pca.components)))
     offset = pca.components @ pca.mean
-    for start in range(0, len(rows), _BLOCK_ROWS):
-        part = slice(start, start + _BLOCK_ROWS)
+    for part in frame_blocks(len(rows), frames=_BLOCK_ROWS):
         np.matmul(rows[part].astype(np.float64), pca.components.T, out=out[part])
     out -= offset
     return out

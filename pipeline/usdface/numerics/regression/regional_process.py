@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, IntArray, RealArray
+from usdface.core.arrays import FloatArray, IntArray, RealArray, frame_blocks
 
 _RIDGE_SHARE = 0.02
 """Ridge per frame for standardised weights: correlated shapes share the motion."""
@@ -165,8 +165,7 @@ class _Kernels:
         rows = points.astype(self.dual.dtype)
         sums = np.empty((kernels, len(rows), outputs), self.dual.dtype)
         batch = max(_BLOCK_VALUES // max(len(rows) * pairs, 1), 1)
-        for start in range(0, kernels, batch):
-            some = slice(start, start + batch)
+        for some in frame_blocks(kernels, frames=batch):
             sums[some] = self._sums_of(rows, some)
         return sums.transpose(1, 0, 2).reshape(len(rows), kernels * outputs)
 

@@ -15,7 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, FloatArray, IntArray, RealArray
+from usdface.core.arrays import BoolArray, FloatArray, IntArray, RealArray, frame_blocks
 
 _CHUNK_FRAMES = 512
 """The working arrays of a hundred markers fit in a core's cache."""
@@ -114,8 +114,7 @@ def predict_from_others(model: LowRankModel, filled: RealArray) -> RealArray:
     covariances = model.conditional_covariances.astype(kind)
     flat = filled.reshape(len(filled), -1)
     predicted = np.empty_like(filled)
-    for start in range(0, len(flat), _CHUNK_FRAMES):
-        rows = slice(start, start + _CHUNK_FRAMES)
+    for rows in frame_blocks(len(flat), frames=_CHUNK_FRAMES):
         offset = flat[rows] - mean
         pull = offset * noise - (offset @ weighted) @ solved
         x, y, z = np.moveaxis(pull.reshape(-1, count, 3), 2, 0)

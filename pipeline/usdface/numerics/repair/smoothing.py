@@ -47,8 +47,7 @@ def smooth_tracks(values: ArrayLike) -> FloatArray:
     if frames <= _DIFFERENCE_ORDER:
         return np.array(y, np.float64)
     eigenvalues = difference_eigenvalues(frames)
-    for start in range(0, count, _COLUMNS_AT_ONCE):
-        columns = slice(start, start + _COLUMNS_AT_ONCE)
+    for columns in frame_blocks(count, frames=_COLUMNS_AT_ONCE):
         spectrum = dct(y[:, columns].astype(np.float64), axis=0, norm="ortho")
         spectrum /= 1.0 + eigenvalues[:, None] * gcv_penalties(spectrum)
         smooth[:, columns] = idct(spectrum, axis=0, norm="ortho", overwrite_x=True)
@@ -76,8 +75,7 @@ def smooth_take(positions: RealArray, model: LowRankModel, *, noise: FloatArray)
     scores = np.empty((count, len(components)), kind)
     for block in frame_blocks(count):
         scores[block] = (flat[block] - mean) @ components.T
-    for start in range(0, len(components), _DIRECTIONS_AT_ONCE):
-        columns = slice(start, start + _DIRECTIONS_AT_ONCE)
+    for columns in frame_blocks(len(components), frames=_DIRECTIONS_AT_ONCE):
         scores[:, columns] = smooth_tracks(scores[:, columns])
     # As other blocks are smoothed in place meanwhile, the frames around a block are copied first.
     parts = [

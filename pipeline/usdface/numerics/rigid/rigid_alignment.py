@@ -154,8 +154,7 @@ def align_frames(positions: ArrayLike, targets: ArrayLike, *, weights: ArrayLike
     count = len(points)
     rotations, translations = np.empty((count, 3, 3)), np.empty((count, 3))
     determined = np.empty(count, bool)
-    for start in range(0, count, _CHUNK_FRAMES):
-        rows = slice(start, start + _CHUNK_FRAMES)
+    for rows in frame_blocks(count, frames=_CHUNK_FRAMES):
         x, y = points[rows].astype(np.float64), goals[rows].astype(np.float64)
         share = w[rows] / np.maximum(w[rows].sum(axis=1), np.finfo(np.float64).tiny)[:, None]
         x_center = np.einsum("fk,fki->fi", share, x)
@@ -202,8 +201,7 @@ def remove_motion(
     kind = np.result_type(points.dtype, np.float32)
     still = np.empty(points.shape, kind) if out is None else out
     rotations = alignment.rotations.astype(kind)
-    for start in range(0, len(points), _CHUNK_FRAMES):
-        rows = slice(start, start + _CHUNK_FRAMES)
+    for rows in frame_blocks(len(points), frames=_CHUNK_FRAMES):
         # Subtract in double precision: metres from the origin, single precision loses microns.
         centred = (points[rows] - alignment.translations[rows, None]).astype(kind, copy=False)
         # Row vectors times R are R.T times column vectors; one dtype is six times as fast as two.

@@ -15,7 +15,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial.distance import cdist
 
-from usdface.core.arrays import Float32Array, FloatArray, IntArray
+from usdface.core.arrays import Float32Array, FloatArray, IntArray, frame_blocks
 from usdface.core.progress import Progress, silent
 from usdface.numerics.surface.surface_graph import MeshFaults, surface_graph
 from usdface.numerics.surface.triangulation import triangle_areas, triangulate
@@ -107,8 +107,7 @@ def geodesic_distances(
 def euclidean_distances(positions: FloatArray, points: FloatArray) -> Float32Array:
     """Return Euclidean distances from places to points: (places, points)."""
     out = np.empty((len(positions), len(points)), np.float32)
-    for start in range(0, len(positions), _BLOCK_PLACES):
-        part = slice(start, start + _BLOCK_PLACES)
+    for part in frame_blocks(len(positions), frames=_BLOCK_PLACES):
         out[part] = cdist(positions[part], points)
     return out
 
