@@ -54,7 +54,7 @@ from usdface.numerics.regression.rbf_ridge import (
 )
 from usdface.numerics.rigid.rigid_alignment import align_rigid
 from usdface.numerics.solve.banded_smoothing import apply_filter_bank
-from usdface.numerics.solve.blendshape_equation import solve_weights
+from usdface.numerics.solve.blendshape_equation import solve_least_squares, solve_weights
 from usdface.speech.phones import VISEME_PHONES
 
 EXACT_SHARE = 1e-6
@@ -149,11 +149,11 @@ def _d06() -> Iterator[Row]:
     deltas, motion = rng.normal(size=(12, 30, 3)), 3 * rng.normal(size=(25, 30, 3))
     matrix, right = deltas.reshape(12, -1).T, motion.reshape(25, -1)
     least = np.array([np.linalg.lstsq(matrix, row)[0] for row in right])
-    yield Row("D06 eq. 7", "lstsq, frame by frame", solve_weights(deltas, motion).weights, least)
+    yield Row("D06 eq. 7", "lstsq, frame by frame", solve_least_squares(deltas, motion), least)
     bounded = np.array([lsq_linear(matrix, row, (0, 1), tol=1e-14).x for row in right])
     yield Row(
         "D06 eq. 7 within 0 to 1", "scipy lsq_linear",
-        solve_weights(deltas, motion, method="bounded").weights, bounded,
+        solve_weights(deltas, motion).weights, bounded,
     )  # fmt: skip
     printed_groups = [tuple(group.split()) for group in TABLE_1.split("; ")]
     same = [ours == theirs for ours, theirs in

@@ -25,9 +25,9 @@ def take():
 
 def test_blinks_reach_their_range_after_matching(take):
     deltas, motion, weights, blinks = take
-    before = solve_weights(deltas, motion, method="bounded", ridge=10).weights
+    before = solve_weights(deltas, motion, ridge=10).weights
     gain = match_peaks(deltas, motion, blinks)
-    after = solve_weights(deltas, motion * gain[:, None], method="bounded", ridge=10).weights
+    after = solve_weights(deltas, motion * gain[:, None], ridge=10).weights
     shut = weights[:, blinks] == 1
     assert before[:, blinks][shut].mean() < 0.7
     assert after[:, blinks][shut].mean() > 0.9

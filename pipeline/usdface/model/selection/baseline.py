@@ -32,6 +32,7 @@ from usdface.numerics.rigid.skin_rotation import rotate_deltas, skin_rotations
 from usdface.numerics.solve.blendshape_equation import (
     EquationSolution,
     MarkerKeys,
+    solve_least_squares,
     solve_weights,
 )
 from usdface.numerics.solve.peak_matching import (
@@ -213,9 +214,7 @@ class BlendshapeEquation:
         motion = self.motion(positions)
         placed = np.ones(len(self.neutral))
         placed[list(self.unplaced)] = 0.0
-        return solve_weights(
-            self.deltas, motion, method="lstsq", visible=visible, marker_trust=placed
-        ).weights
+        return solve_least_squares(self.deltas, motion, visible=visible, marker_trust=placed)
 
     def propose(
         self,
@@ -250,7 +249,6 @@ class BlendshapeEquation:
         return solve_weights(
             self.deltas,
             motion * self.gain[:, None],
-            method="bounded",
             ranges=limits,
             visible=visible,
             marker_trust=self.trust,

@@ -8,7 +8,6 @@ their markers move, the solution is a starting pose for an animator.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,8 +15,6 @@ from scipy import sparse
 
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.numerics.solve.bounded_least_squares import solve_bounded_least_squares
-
-_Method = Literal["lstsq", "bounded"]
 
 _MOST_RELINEARISATIONS = 8
 _SMALL_STEP = 1e-6
@@ -57,7 +54,6 @@ def solve_weights(
     deltas: ArrayLike,
     motion: ArrayLike,
     *,
-    method: _Method = "lstsq",
     ranges: ArrayLike | None = None,
     visible: ArrayLike | None = None,
     marker_trust: ArrayLike | None = None,
@@ -66,7 +62,7 @@ def solve_weights(
     noise_mm: float = 0.0,
     tied: Sequence[Sequence[int]] = (),
 ) -> EquationSolution:
-    """Solve the blendshape equation for every frame.
+    """Solve the blendshape equation for every frame, within ranges.
 
     Minimises ``sum_m trust_m |motion_m - sum_i w_i delta_im|^2 + ridge |w|^2
     + 2 sum_i cost_i |w_i|``, in mm^2, where ``cost_i = noise^2 size_i / (seen_i + noise)``.
@@ -83,10 +79,8 @@ def solve_weights(
         Displacements of the virtual markers by each shape at 1 [mm].
     motion : (frames, markers, 3) array
         Displacements from the neutral face, in the character's space and proportions [mm].
-    method : {'lstsq', 'bounded'}, optional
-        Plain least squares as in the paper, or within `ranges`.
     ranges : (shapes, 2) array, optional
-        Lowest and highest weights for ``'bounded'``; 0 to 1 unless given.
+        Lowest and highest weights; 0 to 1 unless given.
     visible : (frames, markers) bool array, optional
         Markers in each frame's equation.
     marker_trust : (markers,) array, optional
@@ -94,31 +88,24 @@ def solve_weights(
     ridge : float, optional
         Penalty [mm^2], not negative.
     keys : MarkerKeys, optional
-        In-betweens, for ``'bounded'``: the equation is linearised again about each solution.
+        In-betweens: the equation is linearised again about each solution.
     noise_mm : float, optional
-        Expected residual of a marker under the true weights, for ``'bounded'``; 0 for no cost.
+        Expected residual of a marker under the true weights; 0 for no cost.
     tied : sequence of sequences of int, optional
-        Shapes that share one weight, for ``'bounded'``.
+        Shapes that share one weight.
     """
     problem = _checked(deltas, motion, visible, marker_trust)
-    if method not in ("lstsq", "bounded"):
-        raise ValueError(f"method must be 'lstsq' or 'bounded', got {method!r}")
     if not ridge >= 0 or not noise_mm >= 0:
         raise ValueError(f"ridge and noise_mm must not be negative, got {ridge} and {noise_mm}")
-    if method == "lstsq":
-        if keys is not None or noise_mm or tied:
-            raise ValueError("keys, noise_mm and tied need method 'bounded'")
-        weights = _least_squares(problem, ridge)
-    else:
-        if problem.rank() < problem.shape_count:  # the solution is not unique
-            energy = float(np.einsum("smc,m,smc->", problem.deltas, problem.share, problem.deltas))
-            ridge = max(ridge, _DEPENDENT_RIDGE * energy / problem.shape_count)
-        limits = _limits(ranges, problem.shape_count)
-        variables = _variables(limits, tied, split=noise_mm > 0)
-        prior = _Prior(ridge, _local_cost(problem, noise_mm))
-        weights = _solve_bounded(problem, prior, variables, problem.deltas, problem.motion)
-        if keys is not None:
-            weights = _relinearise(problem, keys, weights, prior, variables)
+    if problem.rank() < problem.shape_count:  # the solution is not unique
+        energy = float(np.einsum("smc,m,smc->", problem.deltas, problem.share, problem.deltas))
+        ridge = max(ridge, _DEPENDENT_RIDGE * energy / problem.shape_count)
+    limits = _limits(ranges, problem.shape_count)
+    variables = _variables(limits, tied, split=noise_mm > 0)
+    prior = _Prior(ridge, _local_cost(problem, noise_mm))
+    weights = _solve_bounded(problem, prior, variables, problem.deltas, problem.motion)
+    if keys is not None:
+        weights = _relinearise(problem, keys, weights, prior, variables)
     residual = np.linalg.norm(problem.motion - _predict(problem.deltas, keys, weights), axis=2)
     residual[~problem.visible] = np.nan
     return EquationSolution(weights, residual)
@@ -176,15 +163,19 @@ def _local_cost(problem: "_Problem", noise_mm: float) -> FloatArray:
     return np.asarray(noise_mm**2 * size / np.maximum(seen + noise_mm, np.finfo(float).tiny))
 
 
-def _least_squares(problem: "_Problem", ridge: float) -> FloatArray:
+def solve_least_squares(
+    deltas: ArrayLike,
+    motion: ArrayLike,
+    *,
+    visible: ArrayLike | None = None,
+    marker_trust: ArrayLike | None = None,
+) -> FloatArray:
+    """Return the weights of smallest residual, as published; see `solve_weights`."""
+    problem = _checked(deltas, motion, visible, marker_trust)
     weights = np.zeros((problem.frame_count, problem.shape_count))
     for rows in _equal_rows(problem.trust):
         A, b = _stacked(problem, rows, problem.deltas, problem.motion)
-        if ridge == 0:
-            weights[rows] = np.asarray(np.linalg.lstsq(A.T, b.T)[0]).T
-        else:
-            hessian = A @ A.T + ridge * np.eye(len(A))
-            weights[rows] = np.asarray(np.linalg.solve(hessian, (b @ A.T).T)).T
+        weights[rows] = np.asarray(np.linalg.lstsq(A.T, b.T)[0]).T
     return weights
 
 

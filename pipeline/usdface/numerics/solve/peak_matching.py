@@ -181,7 +181,6 @@ def match_peaks(
         weights[near] = solve_weights(
             D,
             m[near] * gain[:, None],
-            method="bounded",
             ranges=limits,
             visible=None if visible is None else np.asarray(visible)[near],
             marker_trust=marker_trust,
