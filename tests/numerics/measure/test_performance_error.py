@@ -2,13 +2,13 @@ import numpy as np
 import pytest
 
 from usdface.numerics.measure.performance_error import (
+    SurfaceError,
     blink_peak_bias,
     measure_lips,
     measure_shapes,
-    measure_surface,
-    measure_weights,
     relative_jitter,
 )
+from usdface.numerics.regression.cross_validation import surface_errors_mm, weight_rmse
 
 
 def acted(frames: int = 400, shapes: int = 4) -> np.ndarray:
@@ -18,25 +18,19 @@ def acted(frames: int = 400, shapes: int = 4) -> np.ndarray:
 
 def test_an_error_of_one_size_is_that_size() -> None:
     errors = np.full((50, 3), -0.2)
-    assert measure_weights(errors) == pytest.approx(0.2)
+    assert weight_rmse(errors) == pytest.approx(0.2)
     shapes = measure_shapes(errors)
     np.testing.assert_allclose(shapes.rmse, 0.2)
     np.testing.assert_allclose(shapes.bias, -0.2)
     np.testing.assert_allclose(shapes.largest, 0.2)
 
 
-def test_shapes_that_cannot_be_seen_do_not_count() -> None:
-    errors = np.zeros((50, 3))
-    errors[:, 1] = 0.7
-    assert measure_weights(errors, observable=np.array([True, False, True])) == 0.0
-    assert np.isnan(measure_weights(errors, observable=np.zeros(3, dtype=bool)))
-
-
 def test_the_surface_by_its_gram_matrix_is_the_surface_point_by_point() -> None:
     rng = np.random.default_rng(0)
     errors, deltas = rng.normal(size=(60, 4)), rng.normal(size=(4, 30, 3))
     distance = np.linalg.norm(np.einsum("fs,svc->fvc", errors, deltas), axis=2)
-    surface = measure_surface(errors, np.einsum("svc,tvc->st", deltas, deltas) / 30)
+    gram = np.einsum("svc,tvc->st", deltas, deltas) / 30
+    surface = SurfaceError(surface_errors_mm(errors, gram))
     frames = np.sqrt((distance**2).mean(axis=1))
     np.testing.assert_allclose(surface.frames_mm, frames, rtol=1e-12)
     assert surface.rms_mm == pytest.approx(np.sqrt((distance**2).mean()), rel=1e-12)

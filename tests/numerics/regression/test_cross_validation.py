@@ -83,6 +83,7 @@ def test_surface_error_equals_moving_every_point() -> None:
     expected = np.sqrt((moved**2).sum(axis=2).mean())
     assert surface_rms_mm(errors, gram) == pytest.approx(expected, rel=1e-12)
     assert weight_rmse(errors) == pytest.approx(np.sqrt((errors**2).mean()))
+    assert np.isnan(weight_rmse(errors[:, :0]))
 
 
 def test_too_few_pairs_or_folds_are_refused() -> None:

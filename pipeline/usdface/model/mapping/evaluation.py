@@ -30,10 +30,9 @@ from usdface.numerics.measure.performance_error import (
     gap_of_keys,
     measure_lips,
     measure_shapes,
-    measure_surface,
-    measure_weights,
     relative_jitter,
 )
+from usdface.numerics.regression.cross_validation import surface_errors_mm, weight_rmse
 
 
 @dataclass(frozen=True)
@@ -103,7 +102,7 @@ class SkinMetric:
             part_weights[:, columns] = weights[:, columns]
             differences = self._key_differences(part_weights, others)
             differences = differences[np.isfinite(differences).all(axis=1)]
-            errors[name] = measure_surface(differences, self.grams[0]).mean_mm
+            errors[name] = float(surface_errors_mm(differences, self.grams[0]).mean())
         return errors
 
 
@@ -187,18 +186,15 @@ def evaluate_weights(
     solved_keys, truth_keys = map(deformer.shapes.key_weights, (solved, truth))
     key_errors, skin_errors = solved_keys - truth_keys, skin.differences(solved, truth)
     errors = solved - truth
-    by_region = shapes_by_region(skin.parts)
+    by_region, counted = shapes_by_region(skin.parts), compared & observable
     grams = dict(zip(skin.points, skin.grams, strict=True))
     regions = [
         RegionError(
             name=name,
             shape_count=int(compared[by_region[name]].sum()),
-            weight_rmse=measure_weights(
-                errors[:, by_region[name]],
-                observable=(compared & observable)[by_region[name]],
-            ),
-            skin=measure_surface(skin_errors, gram),
-            surface=measure_surface(key_errors, gram),
+            weight_rmse=weight_rmse(errors[:, by_region[name][counted[by_region[name]]]]),
+            skin=SurfaceError(surface_errors_mm(skin_errors, gram)),
+            surface=SurfaceError(surface_errors_mm(key_errors, gram)),
         )
         for name, gram in grams.items()
         if name != FACE
@@ -216,9 +212,9 @@ def evaluate_weights(
         frames=frames,
         shape_names=tuple(name for name, used in zip(rig.shapes, compared, strict=True) if used),
         observable=observable[compared],
-        weight_rmse=measure_weights(errors, observable=compared & observable),
-        skin=measure_surface(skin_errors, grams[FACE]),
-        surface=measure_surface(key_errors, grams[FACE]),
+        weight_rmse=weight_rmse(errors[:, counted]),
+        skin=SurfaceError(surface_errors_mm(skin_errors, grams[FACE])),
+        surface=SurfaceError(surface_errors_mm(key_errors, grams[FACE])),
         excluded_mm=skin.excluded_mm(solved, truth),
         regions=tuple(regions),
         shapes=shapes,

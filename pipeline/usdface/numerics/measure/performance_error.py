@@ -10,11 +10,7 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from usdface.core.arrays import BoolArray, FloatArray, IntArray
-from usdface.numerics.regression.cross_validation import (
-    surface_errors_mm,
-    weight_rmse,
-)
+from usdface.core.arrays import FloatArray, IntArray
 
 _LIP_MOTION_SHARE = 0.3
 """[of a mouth shape's largest displacement] Least of the lips; teeth move less."""
@@ -191,19 +187,6 @@ class ShapeErrors:
     weight's error."""
 
 
-def measure_weights(errors: FloatArray, *, observable: BoolArray | None = None) -> float:
-    """Return the root mean square error over frames and shapes.
-
-    Parameters
-    ----------
-    errors : (frames, shapes) float array
-    observable : (shapes,) bool array, optional
-        Shapes that count; by default all. NaN where none does.
-    """
-    counted = errors if observable is None else errors[:, observable]
-    return weight_rmse(counted) if counted.size else float("nan")
-
-
 def measure_shapes(errors: FloatArray) -> ShapeErrors:
     """Return the errors of each shape: (frames, shapes) float array."""
     return ShapeErrors(
@@ -211,19 +194,6 @@ def measure_shapes(errors: FloatArray) -> ShapeErrors:
         bias=errors.mean(axis=0),
         largest=np.abs(errors).max(axis=0),
     )
-
-
-def measure_surface(key_errors: FloatArray, gram: FloatArray) -> SurfaceError:
-    """Return the surface error of errors of weights.
-
-    Parameters
-    ----------
-    key_errors : (frames, keys) float array
-        Of key weights, or of channel weights if no shape has in-betweens.
-    gram : (keys, keys) float array
-        See `region_gram`.
-    """
-    return SurfaceError(surface_errors_mm(key_errors, gram))
 
 
 def measure_lips(

@@ -86,8 +86,8 @@ def predict_out_of_fold(
 
 
 def weight_rmse(errors: FloatArray) -> float:
-    """Return the root mean square over frames and channels."""
-    return float(np.sqrt(np.mean(errors**2)))
+    """Return the root mean square over frames and channels; NaN without any."""
+    return float(np.sqrt(np.mean(errors**2))) if errors.size else float("nan")
 
 
 def surface_rms_mm(errors: FloatArray, gram: FloatArray) -> float:
