@@ -4,8 +4,6 @@ An authored normal is rotated by the smallest rotation that maps the smooth norm
 rest to that of the moved surface, which preserves hard edges and sculpted normals.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
@@ -44,43 +42,8 @@ def _cross_products(points: FloatArray, triangles: IntArray) -> FloatArray:
     return np.cross(b - a, c - a)
 
 
-@dataclass(frozen=True)
 class NormalTurner:
-    """Rotates the authored normals of a mesh; made by `make_normal_rotator`."""
-
-    triangles: IntArray
-    """(triangles, 3)"""
-    smooth: FloatArray
-    """(points, 3): unit normals at rest."""
-    authored: FloatArray
-    """(n, 3)"""
-    owners: IntArray
-    """(n,): the point of each authored normal."""
-
-    def turn(self, points: FloatArray) -> FloatArray:
-        """Return the normals (n, 3) of a moved surface (points, 3)."""
-        now = smooth_normals(points, self.triangles)[self.owners]
-        rest = self.smooth[self.owners]
-        axis = np.cross(rest, now)
-        cosine = np.einsum("ij,ij->i", rest, now)
-        across = np.cross(axis, self.authored)
-        # Rodrigues' formula for the rotation of one unit vector to another, v + a x v +
-        # a x (a x v) / (1 + cos); 1 + cos is bounded for opposite vectors, in folds of skin.
-        twice = np.cross(axis, across) / np.maximum(1 + cosine, 1e-3)[:, None]
-        turned: FloatArray = self.authored + across + twice
-        length = np.linalg.norm(turned, axis=1, keepdims=True)
-        return np.asarray(turned / np.maximum(length, 1e-12))
-
-
-def make_normal_rotator(
-    points: FloatArray,
-    face_counts: IntArray,
-    face_indices: IntArray,
-    authored: FloatArray,
-    *,
-    per_corner: bool,
-) -> NormalTurner:
-    """Return the `NormalTurner` of a mesh at rest.
+    """Rotates the authored normals of a mesh.
 
     Parameters
     ----------
@@ -93,9 +56,33 @@ def make_normal_rotator(
     per_corner : bool
         Whether `authored` has one normal per corner of a face, or one per point.
     """
-    triangles, _ = triangulate(face_counts, face_indices)
-    owners = face_indices if per_corner else np.arange(len(points))
-    return NormalTurner(triangles, smooth_normals(points, triangles), authored, owners)
+
+    def __init__(
+        self,
+        points: FloatArray,
+        face_counts: IntArray,
+        face_indices: IntArray,
+        authored: FloatArray,
+        *,
+        per_corner: bool,
+    ) -> None:
+        self._triangles, _ = triangulate(face_counts, face_indices)
+        self._owners = face_indices if per_corner else np.arange(len(points))
+        self._rest = smooth_normals(points, self._triangles)[self._owners]
+        self._authored = authored
+
+    def turn(self, points: FloatArray) -> FloatArray:
+        """Return the normals (n, 3) of a moved surface (points, 3)."""
+        now = smooth_normals(points, self._triangles)[self._owners]
+        axis = np.cross(self._rest, now)
+        cosine = np.einsum("ij,ij->i", self._rest, now)
+        across = np.cross(axis, self._authored)
+        # Rodrigues' formula for the rotation of one unit vector to another, v + a x v +
+        # a x (a x v) / (1 + cos); 1 + cos is bounded for opposite vectors, in folds of skin.
+        twice = np.cross(axis, across) / np.maximum(1 + cosine, 1e-3)[:, None]
+        turned: FloatArray = self._authored + across + twice
+        length = np.linalg.norm(turned, axis=1, keepdims=True)
+        return np.asarray(turned / np.maximum(length, 1e-12))
 
 
 def smooth_normals(points: FloatArray, triangles: IntArray) -> FloatArray:

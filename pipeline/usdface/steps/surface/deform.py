@@ -7,7 +7,7 @@ from usdface.core.provenance import Provenance
 from usdface.core.rates import frames_within
 from usdface.core.sidecars import points_path
 from usdface.core.text import pluralize
-from usdface.numerics.surface.triangulation import NormalTurner, make_normal_rotator
+from usdface.numerics.surface.triangulation import NormalTurner
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.surface import DeformSpec
@@ -80,7 +80,7 @@ def _normal_turner(face: FaceMesh) -> NormalTurner | None:
     """Return the rotation of the mesh's authored normals; None if renderers ignore them."""
     if face.authored_normals is None or face.mesh.subdivision != "none":
         return None
-    return make_normal_rotator(
+    return NormalTurner(
         face.local,
         face.mesh.face_counts,
         face.mesh.face_indices,
