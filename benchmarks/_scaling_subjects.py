@@ -32,6 +32,7 @@ from usdface.numerics.regression.pca import fit_pca
 from usdface.numerics.repair.cleaning import clean_markers
 from usdface.numerics.rigid.stabilization import stabilize
 from usdface.numerics.surface.geodesic import geodesic_distances
+from usdface.numerics.surface.surface_places import SurfacePoints
 from usdface.numerics.surface.triangulation import triangulate
 from usdface.usdio.performance.weights_layer import make_header
 from usdface.usdio.performance.write import writing_performance
@@ -283,15 +284,8 @@ def _geodesic(size: int, folder: Path) -> Work:
     rng = np.random.default_rng(0)
     chosen = rng.choice(len(corners), MARKERS)
     weights = rng.dirichlet([1, 1, 1], MARKERS)
-    return lambda: geodesic_distances(
-        points,
-        counts,
-        indices,
-        faces=owners[chosen],
-        corners=corners[chosen],
-        weights=weights,
-        metric="dijkstra",
-    )
+    places = SurfacePoints(owners[chosen], corners[chosen], weights)
+    return lambda: geodesic_distances(points, counts, indices, places, metric="dijkstra")
 
 
 FRAMES = (4_096, 8_192, 16_384, 32_768)

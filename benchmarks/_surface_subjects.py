@@ -15,7 +15,7 @@ from usdface.demo.acting import performance
 from usdface.demo.capture import demo_markers
 from usdface.demo.rig import demo_rig, make_head, mesh_points
 from usdface.demo.sculpt import CHARACTER
-from usdface.numerics.registration.surface_places import SurfacePoints, places_at_points
+from usdface.numerics.surface.surface_places import SurfacePoints, places_at_points
 from usdface.usdio.rig.read import read_rig
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from tests.numerics.surface.test_geodesic import sphere
 from usdface.numerics.surface.geodesic import geodesic_distances
+from usdface.numerics.surface.surface_places import SurfacePoints
 from usdface.numerics.surface.triangulation import triangulate
 
 MARKERS = 102
@@ -30,9 +31,7 @@ def run(sizes: tuple[tuple[int, int], ...] = SIZES) -> None:
                 points,
                 counts,
                 indices,
-                faces=owners[chosen],
-                corners=corners[chosen],
-                weights=rng.dirichlet([1, 1, 1], MARKERS),
+                SurfacePoints(owners[chosen], corners[chosen], rng.dirichlet([1, 1, 1], MARKERS)),
                 metric=metric,
             )
             seconds = time.process_time() - start

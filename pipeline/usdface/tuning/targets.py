@@ -13,8 +13,8 @@ from usdface.core.sidecars import corrected_path, proposed_path
 from usdface.model.placement.shape_parts import shape_parts
 from usdface.model.selection.baseline import BlendshapeEquation, PerformerMarkers
 from usdface.numerics.measure.face_regions import shapes_by_region
-from usdface.numerics.registration.surface_places import nearest_places
 from usdface.numerics.registration.virtual_markers import character_motion
+from usdface.numerics.surface.surface_places import nearest_places
 from usdface.runner.outputs import confine
 from usdface.steps.inputs.marker_lines import lines_on_rig
 from usdface.steps.inputs.placement import placed_equation, stored_placement

@@ -6,7 +6,7 @@ import numpy as np
 
 from tests.numerics.surface.test_geodesic import quad_grid
 from usdface.model.surface.distance import SurfaceDistances, surface_distances
-from usdface.numerics.registration.surface_places import SurfacePoints, places_at_points
+from usdface.numerics.surface.surface_places import SurfacePoints, places_at_points
 
 ROWS, COLUMNS, STEP = 31, 31, 4.0
 SLIT = 15

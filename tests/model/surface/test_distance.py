@@ -10,7 +10,7 @@ from tests.numerics.surface.test_geodesic import quad_grid
 from usdface.core.errors import InputError
 from usdface.model.surface.distance import surface_distances, unpack_distances
 from usdface.model.surface.gp_surface import GpOptions, fit_gp_surface
-from usdface.numerics.registration.surface_places import SurfacePoints
+from usdface.numerics.surface.surface_places import SurfacePoints
 
 
 def test_an_island_without_a_marker_follows_by_straight_lines_and_is_reported(mouth: Mouth) -> None:

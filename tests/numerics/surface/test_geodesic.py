@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from usdface.numerics.surface.geodesic import Geodesics, euclidean_distances, geodesic_distances
+from usdface.numerics.surface.surface_places import SurfacePoints
 from usdface.numerics.surface.triangulation import triangulate
 
 METRICS = ("dijkstra", "dijkstra-diagonals", "heat")
@@ -37,9 +38,7 @@ def measure(
         points,
         counts,
         indices,
-        faces=owners[triangles],
-        corners=corners[triangles],
-        weights=np.asarray(weights, float),
+        SurfacePoints(owners[triangles], corners[triangles], np.asarray(weights, float)),
         metric=metric,  # type: ignore[arg-type]
     )
 
@@ -190,7 +189,11 @@ def test_what_is_no_mesh_and_what_is_not_on_it_is_refused(
     } | change
     with pytest.raises(ValueError, match=message):
         geodesic_distances(
-            given.pop("points"), given.pop("face_counts"), given.pop("face_indices"), **given
+            given["points"],
+            given["face_counts"],
+            given["face_indices"],
+            SurfacePoints(given["faces"], given["corners"], given["weights"]),
+            metric=given.get("metric", "dijkstra"),
         )
 
 

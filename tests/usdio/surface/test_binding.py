@@ -12,7 +12,7 @@ from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import replacing
 from usdface.numerics.registration.marker_binding import MarkerBinding
-from usdface.numerics.registration.surface_places import nearest_places
+from usdface.numerics.surface.surface_places import nearest_places
 from usdface.usdio.rig.mesh import FaceMesh, read_face_mesh
 from usdface.usdio.surface.binding import read_binding, write_binding
 from usdface.usdio.validation import validate

@@ -24,12 +24,12 @@ from usdface.numerics.registration.marker_binding import (
     motion_agreement,
 )
 from usdface.numerics.registration.motion_correspondence import place_by_motion
-from usdface.numerics.registration.surface_places import (
+from usdface.numerics.surface.geodesic import geodesic_distances
+from usdface.numerics.surface.surface_places import (
     SurfacePoints,
     nearest_places,
     places_of_corners,
 )
-from usdface.numerics.surface.geodesic import geodesic_distances
 from usdface.numerics.surface.triangulation import triangulate
 
 FEWEST_LANDMARKS = 3
@@ -264,9 +264,7 @@ def _distances_between(mesh: RigMesh, places: SurfacePoints, at: FloatArray) -> 
         mesh.points,
         mesh.face_counts,
         mesh.face_indices,
-        faces=places.faces,
-        corners=places.corners,
-        weights=places.weights,
+        places,
         metric="dijkstra-diagonals",
     ).between
     return np.where(np.isfinite(between), between, straight)

@@ -10,9 +10,9 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.core.text import pluralize
 from usdface.numerics.registration.marker_binding import FEWEST_MARKERS
-from usdface.numerics.registration.surface_places import SurfacePoints
 from usdface.numerics.surface.geodesic import Metric, euclidean_distances, geodesic_distances
 from usdface.numerics.surface.surface_graph import MeshFaults
+from usdface.numerics.surface.surface_places import SurfacePoints
 
 BLEND_PUBLISHED = 0.39
 """Share of the geodesic distance with the smallest error in W06 (section 5, Fig. 6) [0-1]."""
@@ -136,14 +136,7 @@ def surface_distances(
         )
     try:
         found = geodesic_distances(
-            points,
-            face_counts,
-            face_indices,
-            faces=markers.faces,
-            corners=markers.corners,
-            weights=markers.weights,
-            metric=metric,
-            progress=progress,
+            points, face_counts, face_indices, markers, metric=metric, progress=progress
         )
     except ValueError as error:
         raise InputError(str(error)) from error

@@ -11,7 +11,7 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray
 from usdface.numerics.registration.cloud_alignment import align_landmarks
-from usdface.numerics.registration.surface_places import SurfacePoints
+from usdface.numerics.surface.surface_places import SurfacePoints
 
 FEWEST_MARKERS = 4
 """An affine map has four unknown points."""

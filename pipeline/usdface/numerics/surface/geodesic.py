@@ -18,6 +18,7 @@ from scipy.spatial.distance import cdist
 from usdface.core.arrays import Float32Array, FloatArray, IntArray, frame_blocks
 from usdface.core.progress import Progress, silent
 from usdface.numerics.surface.surface_graph import MeshFaults, surface_graph
+from usdface.numerics.surface.surface_places import SurfacePoints
 from usdface.numerics.surface.triangulation import triangle_areas, triangulate
 
 Metric = Literal["dijkstra", "dijkstra-diagonals", "heat"]
@@ -46,10 +47,8 @@ def geodesic_distances(
     points: FloatArray,
     face_counts: IntArray,
     face_indices: IntArray,
+    places: SurfacePoints,
     *,
-    faces: IntArray,
-    corners: IntArray,
-    weights: FloatArray,
     metric: Metric = "dijkstra",
     progress: Progress = silent,
 ) -> Geodesics:
@@ -61,12 +60,6 @@ def geodesic_distances(
         The mesh at rest [mm].
     face_counts, face_indices : int arrays
         Polygons as USD stores them.
-    faces : (places,) int array
-        Polygon of each place.
-    corners : (places, 3) int array
-        Three points of the polygon.
-    weights : (places, 3) float array
-        Barycentric, sum 1.
     metric : {'dijkstra', 'dijkstra-diagonals', 'heat'}
         The heat method factorises a matrix of the mesh, which takes half a minute and 2.4 GB for
         half a million points, and then a third of a second per corner of a place.
@@ -76,11 +69,12 @@ def geodesic_distances(
     graph, islands, faults = surface_graph(
         points, face_counts, face_indices, diagonals=metric != "dijkstra"
     )
-    _check_places(face_counts, face_indices, faces, corners, weights)
-    positions = np.einsum("pk,pkc->pc", weights, points[corners])
+    _check_places(face_counts, face_indices, places)
+    positions = places.positions(points)
     starts = np.cumsum(face_counts) - face_counts
     polygons = [
-        np.unique(face_indices[starts[face] : starts[face] + face_counts[face]]) for face in faces
+        np.unique(face_indices[starts[face] : starts[face] + face_counts[face]])
+        for face in places.faces
     ]
     lengths = [
         np.linalg.norm(points[polygon] - place, axis=1)
@@ -88,19 +82,13 @@ def geodesic_distances(
     ]
     if metric == "heat":
         to_points = _heat_distances(
-            points,
-            face_counts,
-            face_indices,
-            islands=islands,
-            corners=corners,
-            weights=weights,
-            progress=progress,
+            points, face_counts, face_indices, places, islands=islands, progress=progress
         )
         for row, polygon, length in zip(to_points, polygons, lengths, strict=True):
             row[polygon] = length
     else:
         to_points = _shortest_paths(graph, polygons, lengths, progress)
-    between = _between(to_points, faces, positions, polygons, lengths)
+    between = _between(to_points, places.faces, positions, polygons, lengths)
     return Geodesics(to_points, between, positions, islands, faults)
 
 
@@ -143,10 +131,9 @@ def _heat_distances(
     points: FloatArray,
     face_counts: IntArray,
     face_indices: IntArray,
+    at: SurfacePoints,
     *,
     islands: IntArray,
-    corners: IntArray,
-    weights: FloatArray,
     progress: Progress,
 ) -> Float32Array:
     """Return distances by the heat method of potpourri3d: (places, points).
@@ -157,6 +144,7 @@ def _heat_distances(
     """
     triangles, _ = triangulate(face_counts, face_indices)
     triangles = triangles[triangle_areas(points, triangles) > 0]
+    corners, weights = at.corners, at.weights
     out = np.full((len(corners), len(points)), np.inf, np.float32)
     island_of_place = islands[corners[:, 0]]
     done, total = 0, int(np.count_nonzero(weights))
@@ -217,21 +205,15 @@ def _between(
     return between
 
 
-def _check_places(
-    face_counts: IntArray,
-    face_indices: IntArray,
-    faces: IntArray,
-    corners: IntArray,
-    weights: FloatArray,
-) -> None:
-    count = len(faces)
+def _check_places(face_counts: IntArray, face_indices: IntArray, places: SurfacePoints) -> None:
+    corners, weights, count = places.corners, places.weights, len(places.faces)
     if corners.shape != (count, 3) or weights.shape != (count, 3):
         raise ValueError(
             f"{count} faces, {corners.shape} corners and {weights.shape} weights do not pair up"
         )
     starts = np.cumsum(face_counts) - face_counts
     for place in range(count):
-        face = int(faces[place])
+        face = int(places.faces[place])
         if not 0 <= face < len(face_counts):
             raise ValueError(
                 f"marker {place} sits on face {face} and the mesh has {len(face_counts)}; "

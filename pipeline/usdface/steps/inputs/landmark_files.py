@@ -12,7 +12,7 @@ from usdface.core.assets import Rig
 from usdface.core.errors import InputError
 from usdface.core.sidecars import is_usd_name
 from usdface.core.text import first_few, read_json
-from usdface.numerics.registration.surface_places import nearest_places
+from usdface.numerics.surface.surface_places import nearest_places
 from usdface.usdio.rig.mesh import rig_surfaces
 from usdface.usdio.surface.placement import read_given_places, rig_units_to_ours
 

@@ -27,9 +27,9 @@ from usdface.model.selection.baseline import (
 from usdface.model.surface.binding import bind_at
 from usdface.numerics.registration.marker_binding import FEWEST_MARKERS
 from usdface.numerics.registration.skin_placement import TYPICAL_SIZE_MM
-from usdface.numerics.registration.surface_places import places_of_corners
 from usdface.numerics.registration.virtual_markers import VirtualMarkers
 from usdface.numerics.rigid.rigid_alignment import align_rigid_robust
+from usdface.numerics.surface.surface_places import places_of_corners
 from usdface.runner.origin import path_made_from
 from usdface.steps.inputs.cleaned_takes import CleanedTakes
 from usdface.usdio.references.read import read_references

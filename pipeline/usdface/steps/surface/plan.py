@@ -25,7 +25,7 @@ from usdface.numerics.registration.marker_binding import (
     Proportions,
     fit_proportions,
 )
-from usdface.numerics.registration.surface_places import SurfacePoints, places_at_points
+from usdface.numerics.surface.surface_places import SurfacePoints, places_at_points
 from usdface.specs.surface import SurfaceSpec
 from usdface.steps.inputs.cleaned_takes import (
     check_neutral_frame,

@@ -18,7 +18,7 @@ from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.text import first_few
 from usdface.numerics.registration.marker_binding import MarkerBinding
-from usdface.numerics.registration.surface_places import (
+from usdface.numerics.surface.surface_places import (
     SurfacePoints,
     nearest_places,
     place_on_polygon,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from usdface.numerics.registration.surface_places import (
+from usdface.numerics.surface.surface_places import (
     nearest_places,
     place_on_polygon,
     places_at_points,
