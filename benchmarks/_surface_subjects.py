@@ -15,6 +15,8 @@ from usdface.demo.acting import performance
 from usdface.demo.capture import demo_markers
 from usdface.demo.rig import demo_rig, make_head, mesh_points
 from usdface.demo.sculpt import CHARACTER
+from usdface.model.surface.gp_surface import GpSurface, _rows_of_axes
+from usdface.numerics.manifold.posterior_prediction import average_dual_weights, predict_variance
 from usdface.numerics.surface.surface_places import SurfacePoints, places_at_points
 from usdface.usdio.rig.read import read_rig
 
@@ -109,3 +111,13 @@ def _spread_markers(rig, mesh: RigMesh, count: int) -> np.ndarray:  # type: igno
         away = np.minimum(away, newest)
         chosen.append(pool[int((away * importance).argmax())])
     return np.array(chosen)
+
+
+def deviations_of_axes(fitted: GpSurface, moved: np.ndarray) -> np.ndarray:
+    """Return the standard deviation of each axis, (frames, points, 3), of which `sd` is the RMS."""
+    theta, factors = fitted._sample(moved), fitted.factors
+    chains = np.moveaxis(theta, 2, 3).reshape(len(theta), 4, -1)
+    moments = average_dual_weights(fitted.table.spectrum, _rows_of_axes(moved), chains)
+    variance = predict_variance(fitted.fields, moments).reshape(-1, 3, fitted.point_count)
+    deviations = np.sqrt(variance) * factors.of_axes[:, None] * factors.of_points
+    return np.asarray(deviations.transpose(0, 2, 1))

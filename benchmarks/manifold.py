@@ -3,9 +3,10 @@
 import numpy as np
 from scipy import sparse
 
-from benchmarks._surface_subjects import Subject, demo_subject, recorded_subject
+from benchmarks._surface_subjects import Subject, demo_subject, deviations_of_axes, recorded_subject
 from usdface.model.surface.distance import surface_distances
-from usdface.model.surface.gp_surface import GpOptions, fit_gp_surface
+from usdface.model.surface.fit import SurfaceModel
+from usdface.model.surface.gp_surface import GpOptions, GpSurface, fit_gp_surface
 from usdface.model.surface.rbf_surface import RbfOptions, fit_rbf_surface
 from usdface.numerics.measure.performance_error import find_lip_pairs
 
@@ -50,14 +51,16 @@ def accuracy(subject: Subject) -> None:
         moved = subject.motion[:, subject.chosen]
         moved = moved + noise * rng.standard_normal(moved.shape)
         for name, options in METHODS.items():
+            fitted: SurfaceModel
             if isinstance(options, RbfOptions):
-                found = fit_rbf_surface(distances, moved, options).deform(moved)
+                fitted = fit_rbf_surface(distances, moved, options)
             else:
-                found = fit_gp_surface(distances, moved, options).deform(moved, of_axes=True)
+                fitted = fit_gp_surface(distances, moved, options)
+            found = fitted.deform(moved)
             error = (found.mean - subject.motion)[:, moving]
             coverage = "-"
-            if found.sd_of_axes is not None:
-                inside = np.abs(error) < 1.96 * found.sd_of_axes[:, moving]
+            if isinstance(fitted, GpSurface):
+                inside = np.abs(error) < 1.96 * deviations_of_axes(fitted, moved)[:, moving]
                 coverage = f"{100 * inside.mean():.1f} %"
             rms = float(np.sqrt((error**2).mean()))
             print(

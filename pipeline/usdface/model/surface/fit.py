@@ -34,8 +34,6 @@ class SurfaceMotion:
     sd: Float32Array | None
     """(frames, points): standard deviation, root mean square over the axes [mm]; None if the model
     predicts none."""
-    sd_of_axes: Float32Array | None = None
-    """(frames, points, 3): standard deviation of each axis, on request [mm]."""
 
 
 @dataclass(frozen=True)
@@ -70,44 +68,38 @@ class SurfaceModel(ABC):
     marker_count: int
     point_count: int
 
-    def deform(self, displacements: FloatArray, *, of_axes: bool = False) -> SurfaceMotion:
+    def deform(self, displacements: FloatArray) -> SurfaceMotion:
         """Predict all frames at once; `stream` needs less memory.
 
         Parameters
         ----------
         displacements : (frames, markers, 3) float array
             From the neutral frame [mm].
-        of_axes : bool
-            Whether to predict `SurfaceMotion.sd_of_axes` too.
         """
-        parts = list(self.stream(displacements, of_axes=of_axes))
+        parts = list(self.stream(displacements))
+        deviations = [part.sd for part in parts if part.sd is not None]
         return SurfaceMotion(
             np.concatenate([part.mean for part in parts]),
-            _concatenate([part.sd for part in parts]),
-            _concatenate([part.sd_of_axes for part in parts]),
+            np.concatenate(deviations) if self.predicts_sd else None,
         )
 
-    def stream(
-        self, displacements: FloatArray, *, of_axes: bool = False
-    ) -> Iterator[SurfaceMotion]:
+    def stream(self, displacements: FloatArray) -> Iterator[SurfaceMotion]:
         """Predict part by part, in bounded memory; the result does not depend on the parts.
 
         Parameters
         ----------
         displacements : (frames, markers, 3) float array
             [mm]
-        of_axes : bool
-            Whether to predict `SurfaceMotion.sd_of_axes` too.
         """
         moved = check_displacements(displacements, self.marker_count)
         if not len(moved):
             sd = np.zeros((0, self.point_count), np.float32) if self.predicts_sd else None
             yield SurfaceMotion(np.zeros((0, self.point_count, 3), np.float32), sd)
         size = max(1, _FIELD_VALUES // max(self.point_count, 1))
-        yield from self._predict(moved, size, of_axes=of_axes)
+        yield from self._predict(moved, size)
 
     @abstractmethod
-    def _predict(self, moved: FloatArray, size: int, *, of_axes: bool) -> Iterator[SurfaceMotion]:
+    def _predict(self, moved: FloatArray, size: int) -> Iterator[SurfaceMotion]:
         """Predict frames in parts of at most `size`."""
 
 
@@ -153,8 +145,3 @@ def find_surface_folds(distances: SurfaceDistances) -> Folds:
         distances.euclidean_to_points,
         spread=float((markers - markers.mean(axis=0)).std()),
     )
-
-
-def _concatenate(parts: list[Float32Array | None]) -> Float32Array | None:
-    arrays = [part for part in parts if part is not None]
-    return np.concatenate(arrays) if arrays and len(arrays) == len(parts) else None

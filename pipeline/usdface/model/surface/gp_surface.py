@@ -116,7 +116,7 @@ class GpSurface(SurfaceModel):
     shared: FloatArray | None = field(repr=False)
     """(samples, 4): log hyper-parameters of the whole take, with the sampler ``'shared'``."""
 
-    def _predict(self, moved: FloatArray, size: int, *, of_axes: bool) -> Iterator[SurfaceMotion]:
+    def _predict(self, moved: FloatArray, size: int) -> Iterator[SurfaceMotion]:
         # The next block is sampled while this one is predicted.
         with ThreadPoolExecutor(max_workers=1) as executor:
             sampled = executor.submit(self._sample, moved[:_SAMPLED_FRAMES])
@@ -127,7 +127,7 @@ class GpSurface(SurfaceModel):
                 block = moved[start:stop]
                 for first in range(0, len(block), size):
                     part = slice(first, min(first + size, len(block)))
-                    yield self._fields(block[part], theta[..., part], of_axes)
+                    yield self._fields(block[part], theta[..., part])
 
     def _sample(self, moved: FloatArray) -> FloatArray:
         """Return hyper-parameters of each frame and axis: (samples, 4, 3, frames)."""
@@ -150,7 +150,7 @@ class GpSurface(SurfaceModel):
             theta = samples.theta
         return np.moveaxis(theta.reshape(len(theta), 4, len(moved), 3), 3, 2)
 
-    def _fields(self, moved: FloatArray, theta: FloatArray, of_axes: bool) -> SurfaceMotion:
+    def _fields(self, moved: FloatArray, theta: FloatArray) -> SurfaceMotion:
         parts = []
         for part in frame_blocks(len(moved), frames=_MOMENT_FRAMES):
             chains = np.moveaxis(theta[..., part], 2, 3).reshape(len(theta), 4, -1)
@@ -158,14 +158,9 @@ class GpSurface(SurfaceModel):
             parts.append(average_dual_weights(self.table.spectrum, rows, chains))
         moments = join_moments(parts)
         mean = predict_mean(self.fields, moments)
-        shares = self.factors.of_axes**2
-        sd = np.sqrt(predict_variance(self.fields, mix_variances(moments, shares / 3.0)))
-        sd *= self.factors.of_points
-        if not of_axes:
-            return SurfaceMotion(mean, sd)
-        variance = predict_variance(self.fields, moments).reshape(-1, 3, self.point_count)
-        of_axis = np.sqrt(variance * shares.astype(np.float32)[:, None]) * self.factors.of_points
-        return SurfaceMotion(mean, sd, np.ascontiguousarray(of_axis.transpose(0, 2, 1)))
+        shares = self.factors.of_axes**2 / 3.0
+        sd = np.sqrt(predict_variance(self.fields, mix_variances(moments, shares)))
+        return SurfaceMotion(mean, sd * self.factors.of_points)
 
 
 def fit_gp_surface(
