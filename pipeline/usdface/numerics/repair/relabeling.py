@@ -7,6 +7,7 @@ algorithm finds the most likely sequence of states over the take.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,7 +97,8 @@ def find_swaps(
     def swaps_of(pairs: list[Pair]) -> list[list[tuple[float, Swap]]]:
         weighed = _gather_evidence(pairs, positions, visible, model, step_scale)
         found = [[*_swaps_of(*each)] for each in zip(pairs, weighed, strict=True)]
-        return [each if _swapped_frames(each) <= longest else [] for each in found]
+        lengths = [sum(swap.stop - swap.start for _, swap in each) for each in found]
+        return [each if n <= longest else [] for each, n in zip(found, lengths, strict=True)]
 
     longest = _LONGEST_SWAP_SHARE * len(positions)
     found = swaps_of(suspects)
@@ -166,8 +168,7 @@ def likeliest_states(gain: RealArray, toggle: RealArray) -> BoolArray:
     return states
 
 
-@dataclass(frozen=True)
-class _Evidence:
+class _Evidence(NamedTuple):
     """Frames of a pair in or near a possible swap, their gains and costs of changes [nats]."""
 
     frames: IntArray
@@ -201,13 +202,9 @@ def _gather_evidence(
 
     weighed = map_threads(weigh, frame_blocks(len(positions)) if suspects else ())
     return [
-        _Evidence(*(np.concatenate(arrays) for arrays in zip(*map(_arrays, parts), strict=True)))
+        _Evidence(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
         for parts in zip(*weighed, strict=True)
     ]
-
-
-def _arrays(part: _Evidence) -> tuple[NDArray[np.generic], ...]:
-    return part.frames, part.gain, part.toggle
 
 
 def _swaps_of(pair: Pair, found: _Evidence) -> Iterator[tuple[float, Swap]]:
@@ -219,11 +216,6 @@ def _swaps_of(pair: Pair, found: _Evidence) -> Iterator[tuple[float, Swap]]:
             worth = float(gain[start:stop].sum(dtype=np.float64)) - float(toggle[start])
             first = int(found.frames[part[start]])
             yield worth, Swap(pair.first, pair.second, first, first + stop - start)
-
-
-def _swapped_frames(swaps: list[tuple[float, Swap]]) -> int:
-    """Return the total length of swaps."""
-    return sum(swap.stop - swap.start for _, swap in swaps)
 
 
 def _jump_scale(positions: RealArray, visible: BoolArray, noise: float) -> float:

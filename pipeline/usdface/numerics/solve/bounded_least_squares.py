@@ -232,7 +232,9 @@ def _walk(H: Hessian, b: FloatArray, lo: FloatArray, hi: FloatArray, z: FloatArr
     fixes that variable; at such a minimum the variable with the largest multiplier is freed.
     """
     out = z.copy()
-    todo = np.flatnonzero(_violation(H, b, lo, hi, z) > _WALK_TOLERANCE)
+    moved = np.clip(z - (H.product(z) - b), lo, hi) - z  # a projected gradient step
+    scale = np.maximum(np.abs(b).max(axis=1, initial=0.0), np.finfo(float).tiny)
+    todo = np.flatnonzero(np.abs(moved).max(axis=1, initial=0.0) / scale > _WALK_TOLERANCE)
     fixed = (z <= lo) | (z >= hi)
     solve = H.solver()
     for _ in range(_WALK_STEPS_PER_VARIABLE * b.shape[1]):
@@ -259,12 +261,3 @@ def _walk(H: Hessian, b: FloatArray, lo: FloatArray, hi: FloatArray, z: FloatArr
         out[todo], fixed[todo] = now, bound
         todo = todo[blocked | release]
     return out
-
-
-def _violation(
-    H: Hessian, b: FloatArray, lo: FloatArray, hi: FloatArray, z: FloatArray
-) -> FloatArray:
-    """Return the length of a projected gradient step, relative to the linear term."""
-    moved = np.clip(z - (H.product(z) - b), lo, hi) - z
-    scale = np.maximum(np.abs(b).max(axis=1, initial=0.0), np.finfo(float).tiny)
-    return np.asarray(np.abs(moved).max(axis=1, initial=0.0) / scale)
