@@ -6,19 +6,13 @@ from pathlib import Path
 import numpy as np
 
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
-from usdface.core.assets import References, Rig, Take, TrainedMapping
+from usdface.core.assets import References, Rig, TrainedMapping
 from usdface.core.errors import InputError
-from usdface.core.locks import check_tuning_lock, tuning_lock
+from usdface.core.locks import check_tuning_lock
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
-from usdface.core.replacing import replacing_group
-from usdface.core.sidecars import (
-    binding_layers,
-    placement_path,
-    reference_layers,
-    tuned_path,
-)
-from usdface.core.text import first_few, pluralize
+from usdface.core.sidecars import placement_path, reference_layers
+from usdface.core.text import first_few
 from usdface.media.picture.image import write_image
 from usdface.model.selection.design import (
     ReferenceChoice,
@@ -62,18 +56,13 @@ from usdface.steps.inputs.tuned_pairs import (
     rows_of_pairs,
     tuned_conflicts,
 )
-from usdface.steps.references.images import (
-    PairImages,
-    remove_unused_images,
-    write_pair_images,
-)
+from usdface.steps.references.images import PairImages
+from usdface.steps.references.select_files import store_images, write_selection
 from usdface.steps.references.select_notes import next_step, selection_notes
 from usdface.steps.references.weight_takes import have_weights_only, select_by_weights
 from usdface.usdio.mapping import read_mapping
-from usdface.usdio.references.weight_layers import read_tuned_pairs
-from usdface.usdio.references.write import write_references
 from usdface.usdio.rig.read import read_rig
-from usdface.usdio.surface.placement import RigPlacement, write_placement
+from usdface.usdio.surface.placement import RigPlacement
 
 
 @dataclass(frozen=True)
@@ -121,10 +110,10 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
     rows = np.array(rows_of_pairs(spec.count, selection.kept, choice.rows), dtype=np.int64)
     progress(0.7, "proposing weights")
     references = _references(selection, choice, rows, _propose(selection, rows))
-    images = _store_images(spec, references, takes.sources, provenance, part(progress, 0.75, 0.85))
+    images = store_images(spec, references, takes.sources, provenance, part(progress, 0.75, 0.85))
     progress(0.85, f"writing {spec.out.name}")
     made_here = None if spec.placement is not None else placed.placement
-    _write(spec, references, rig, selection.kept, images, provenance, made_here)
+    write_selection(spec, references, rig, selection.kept, images, provenance, made_here)
     _draw_placement(spec, placed, rig, provenance)
     progress(0.9, "measuring the coverage")
     coverage = _measure_coverage(selection, rows, provenance)
@@ -137,11 +126,11 @@ def _run_on_weights(spec: SelectSpec, provenance: Provenance, progress: Progress
     rig = read_rig(spec.rig, prim=spec.prim)
     found = select_by_weights(spec, rig, progress)
     references = found.references
-    images = _store_images(
+    images = store_images(
         spec, references, found.takes.sources, provenance, part(progress, 0.6, 0.9)
     )
     progress(0.9, f"writing {spec.out.name}")
-    _write(spec, references, rig, found.kept, images, provenance)
+    write_selection(spec, references, rig, found.kept, images, provenance)
     progress(1.0, "done")
     return StepResult(
         reference_layers(spec.out),
@@ -154,46 +143,6 @@ def _run_on_weights(spec: SelectSpec, provenance: Provenance, progress: Progress
         ),
         _figures(references, found.kept, images),
     )
-
-
-def _store_images(
-    spec: SelectSpec,
-    references: References,
-    sources: tuple[Take, ...],
-    provenance: Provenance,
-    progress: Progress,
-) -> PairImages:
-    """Store the video frames of the pairs, unless --no-images is given."""
-    if not spec.images:
-        return PairImages((), ())
-    progress(0.0, "storing the video frames of the pairs")
-    return write_pair_images(spec.out, references, sources, metadata=provenance.metadata)
-
-
-def _write(
-    spec: SelectSpec,
-    references: References,
-    rig: Rig,
-    kept: list[PlacedPair],
-    images: PairImages,
-    provenance: Provenance,
-    placement: RigPlacement | None = None,
-) -> None:
-    """Write references, and a placement made here, unless pairs were tuned since they were read."""
-    written = (*binding_layers(placement_path(spec.out)), *reference_layers(spec.out))
-    with tuning_lock(spec.out), replacing_group(written):
-        _check_tuning_is_as_read(spec, kept)
-        if placement is not None:
-            write_placement(placement_path(spec.out), placement, rig, provenance=provenance)
-        write_references(
-            spec.out,
-            references,
-            rig,
-            tuned=[each.tuned for each in kept if each.is_keyed],
-            images=images.files,
-            provenance=provenance,
-        )
-    remove_unused_images(spec.out, images.files)
 
 
 def _measure_coverage(
@@ -279,17 +228,6 @@ def _check_something_moves(spec: SelectSpec, takes: CleanedTakes) -> None:
             f"an axis, in {len(takes.frames)} frames), so there are no expressions to select; give "
             "takes of a moving face. If the face did move, the export lost its motion: export and "
             "ingest it again"
-        )
-
-
-def _check_tuning_is_as_read(spec: SelectSpec, kept: list[PlacedPair]) -> None:
-    """Refuse to write if pairs were tuned since they were read."""
-    now = {(each.pair, each.take, each.frame) for each in read_tuned_pairs(tuned_path(spec.out))}
-    before = {(each.tuned.pair, each.tuned.take, each.tuned.frame) for each in kept}
-    if now - before:
-        raise InputError(
-            f"{tuned_path(spec.out)}: {pluralize(len(now - before), 'pair')} tuned while frames "
-            "were chosen; nothing was changed. Select again, which keeps tuned pairs"
         )
 
 
