@@ -185,7 +185,7 @@ class PairFolds:
         return out
 
     def squared_errors(self, predicted: OutOfFold, grams: FloatArray) -> FloatArray:
-        """Return the estimated squared error of the surface of every pair.
+        """Return the estimated squared error of the surface of every pair: (pairs, regions) [mm^2].
 
         That of the out-of-fold error, relative to the corrected keys if the original ones have
         random errors, plus the variance of the prediction by the grouped jackknife: corrected keys
@@ -196,11 +196,6 @@ class PairFolds:
         ----------
         grams : (regions, shapes, shapes) float array
             Of normalised weights [mm^2].
-
-        Returns
-        -------
-        (pairs, regions) float array
-            [mm^2]
 
         References
         ----------
@@ -307,18 +302,14 @@ def paired_t(default: FloatArray, other: FloatArray, gram: FloatArray, blocks: I
 def observable_shapes(errors: Sequence[FloatArray], weights: FloatArray) -> BoolArray:
     """Find the shapes that some candidate predicts out of fold better than their mean.
 
-    Shapes that move no marker, such as gaze, would add only chance to the comparison.
+    Shapes that move no marker, such as gaze, would add only chance to the comparison. Returns
+    (shapes,), all True if there are no errors or there is no such shape.
 
     Parameters
     ----------
     errors : sequence of (pairs, shapes) float arrays
         Out-of-fold errors of each candidate.
     weights : (pairs, shapes) float array
-
-    Returns
-    -------
-    (shapes,) bool array
-        All True if there are no errors, or no shape would be.
     """
     variance = weights.var(axis=0)
     if not len(errors):

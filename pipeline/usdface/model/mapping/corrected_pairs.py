@@ -233,17 +233,13 @@ def find_contradicted(
     """Find pairs whose leave-one-out residuals contradict their keys.
 
     Each region is tested as well as the face, in whose mean two markers of a lid have no weight.
+    Returns, by pair, the region of largest chi2 and the root mean square residual there [mm], the
+    largest residual first.
 
     Parameters
     ----------
     parts : tuple of str
         Part of the face of each shape.
-
-    Returns
-    -------
-    dict of int to (str, float)
-        Pair: region of largest chi2, and the root mean square residual there [mm]; in descending
-        order of the residual.
     """
     squared = (forward.residuals**2).sum(axis=2)
     chi2 = squared * np.einsum("knn->nk", forward.inverse)

@@ -72,15 +72,12 @@ class CoverageModel:
     def measure(self, displacements: FloatArray) -> FloatArray:
         """Return the coverage of frames.
 
+        Returns (frames, regions) [0-1]; 1 in regions without markers.
+
         Parameters
         ----------
         displacements : (frames, markers, 3) float array
             From the neutral [mm].
-
-        Returns
-        -------
-        (frames, regions) float array
-            [0-1]; 1 in regions without markers.
         """
         coverage = np.ones((len(displacements), len(self._regions)))
         for column, region in enumerate(self._regions):
@@ -93,17 +90,14 @@ class CoverageModel:
     def growth(self, further: FloatArray, displacements: FloatArray) -> FloatArray:
         """Return the mean coverage of the whole face as a function of the number of references.
 
+        Returns (pairs + n + 1,), for the first 0, 1, 2 ... references [0-1].
+
         Parameters
         ----------
         further : (n, markers, 3) float array
             Displacements of frames appended to the references [mm].
         displacements : (frames, markers, 3) float array
             Frames over which the mean is taken [mm].
-
-        Returns
-        -------
-        (pairs + n + 1,) float array
-            For the first 0, 1, 2 ... references [0-1].
         """
         face = self._regions[0]
         if face is None:

@@ -38,6 +38,8 @@ _RIDGE_SHARE = 0.02
 def region_points(names: tuple[str, ...], motion: FloatArray) -> dict[str, IntArray]:
     """Assign every point to the region whose shapes move it most.
 
+    Returns the indices of each region's points, the whole face first.
+
     Parameters
     ----------
     names : tuple of str
@@ -46,11 +48,6 @@ def region_points(names: tuple[str, ...], motion: FloatArray) -> dict[str, IntAr
         whole is the only region.
     motion : (shapes, points, 3) float array
         Displacements by each shape at 1 [mm].
-
-    Returns
-    -------
-    dict of str to (n,) int array
-        Indices of points, the whole face first.
     """
     from scipy import sparse  # importing takes half a second
 

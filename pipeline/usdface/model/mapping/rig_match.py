@@ -26,17 +26,14 @@ _SIZE, _POSITION, _DISPLACEMENT, _KEY_WEIGHT = 0, slice(1, 4), slice(4, 7), 7
 def rig_summary(rig: Rig, shape_names: tuple[str, ...]) -> dict[str, FloatArray]:
     """Return moments of a rig's shapes, as arrays of a mapping.
 
+    ``rig_points``, (1,), is the number of points of the meshes that the shapes move.
+    ``rig_shapes``, (shapes, 8), are means weighted by the displacement of each point: its length,
+    position (x, y, z), displacement (x, y, z) [mm], and the weight of its key.
+
     Parameters
     ----------
     shape_names : tuple of str
         Shapes of the mapping; other shapes, and meshes that none of these moves, are ignored.
-
-    Returns
-    -------
-    dict of str to float array
-        ``rig_points``: (1,), number of points of the meshes that the shapes move. ``rig_shapes``:
-        (shapes, 8), means weighted by the displacement of each point: its length, position
-        (x, y, z), displacement (x, y, z) [mm], and the weight of its key.
     """
     named = frozenset(shape_names)
     meshes = [mesh for mesh in rig.meshes if any(shape.name in named for shape in mesh.shapes)]
@@ -61,17 +58,14 @@ def changed_shapes(mapping: TrainedMapping, rig: Rig) -> tuple[str, ...]:
 def check_same_rig(mapping: TrainedMapping, rig: Rig) -> tuple[str, ...]:
     """Compare a rig with the one a mapping was trained on.
 
+    Returns a note for each kind of change of the shapes, for which the weights are approximate.
+
     Parameters
     ----------
     mapping : TrainedMapping
         Without a summary, as in earlier versions, it is not compared.
     rig : Rig
         With all shapes of the mapping.
-
-    Returns
-    -------
-    tuple of str
-        A note for each kind of change of the shapes, for which the weights are approximate.
 
     Raises
     ------

@@ -95,7 +95,8 @@ def smooth_weights(
     """Smooth consecutive frames of a performance.
 
     Run time is linear in the frames. Smoothing a long take in windows, with `solve.margin_at` more
-    frames on either side, gives the same result to rounding.
+    frames on either side, gives the same result to rounding. Returns (frames, shapes), within the
+    ranges.
 
     Parameters
     ----------
@@ -105,11 +106,6 @@ def smooth_weights(
     ranges : (shapes, 2) float array
     rate : float
         Frames per second.
-
-    Returns
-    -------
-    (frames, shapes) float array
-        Within the ranges.
     """
     lower, upper = ranges[:, 0], ranges[:, 1]
     trust = np.maximum(1 / (1 + (uncertainty_mm / _HALF_WEIGHT_MM) ** 2), _MIN_WEIGHT)

@@ -229,7 +229,7 @@ def proposal_error(
 
 
 def calibrate_uncertainty(squared_errors: FloatArray, deviations: FloatArray) -> FloatArray:
-    """Return ``c`` of each region, for which 90 % of the errors are within the limit.
+    """Return ``c`` of each region, for which 90 % of the errors are within the limit: (regions,).
 
     Parameters
     ----------
@@ -237,10 +237,6 @@ def calibrate_uncertainty(squared_errors: FloatArray, deviations: FloatArray) ->
         Out of fold [mm^2].
     deviations : (pairs, regions) float array
         Uncalibrated standard deviations of the same [mm].
-
-    Returns
-    -------
-    (regions,) float array
     """
     ratios = np.sqrt(squared_errors) / np.maximum(deviations, 1e-9)
     limits = _tolerance_limits(ratios)

@@ -48,15 +48,13 @@ _LEAST_PLACED = 3
 def rows_by_label(labels: Sequence[str], positions: ArrayLike) -> list[IntArray]:
     """Return the markers of each row, in the order in which they lie across the face.
 
+    Returns the columns of each row's labels, at least two in each; labels that say nothing are in
+    none.
+
     Parameters
     ----------
     positions : (markers, 3) array
         At rest [mm]; a marker without one is in no row.
-
-    Returns
-    -------
-    list of (n,) int array
-        Columns of the labels, at least two in each; labels that say nothing are in none.
     """
     at = np.asarray(positions, np.float64)
     if at.shape != (len(labels), 3):

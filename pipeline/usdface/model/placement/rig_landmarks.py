@@ -106,16 +106,13 @@ distances are those of adults."""
 def find_landmarks(skin: FaceSkin, shapes: Sequence[str]) -> dict[str, FloatArray]:
     """Return landmarks by name, each a position in the face's frame [mm].
 
+    Returns the (3,) positions of ``nose_tip``, ``chin``, ``mouth_L``, ``lid_upper_L`` and so on,
+    mirrored onto each other; those whose shapes the rig lacks are left out.
+
     Parameters
     ----------
     shapes : sequence of str
         Names of the rig's shapes, in the order of the skin's deltas.
-
-    Returns
-    -------
-    dict of str to (3,) float array
-        ``nose_tip``, ``chin``, ``mouth_L``, ``lid_upper_L`` and so on, mirrored onto each other;
-        those whose shapes the rig lacks are left out.
     """
     unit = skin.size_mm / TYPICAL_SIZE_MM
     if 1 / _LARGEST_RATIO <= unit <= _LARGEST_RATIO:
@@ -327,11 +324,8 @@ def recognise_shapes(skin: FaceSkin) -> dict[tuple[str, str], FloatArray]:
     Of downward shapes, the jaw is the symmetric one of the most energy. A blink is the one with
     the largest displacement among those as small as a lid, on each side, outside the jaw's region.
 
-    Returns
-    -------
-    dict of (str, str) to (samples, 3) float array
-        Keys as of `motion_and_side`: ``('eyeblink', 'L')``, ``('jawopen', '')``. Empty without a
-        jaw and two blinks that mirror each other.
+    Returns (samples, 3) arrays under keys as of `motion_and_side`, ``('eyeblink', 'L')``,
+    ``('jawopen', '')``; none without a jaw and two blinks that mirror each other.
     """
     side = np.sign(skin.positions[:, 0] - skin.sagittal_x)
     jaw, largest = None, 0.0

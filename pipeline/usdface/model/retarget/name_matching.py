@@ -138,10 +138,7 @@ def transfer_matrix(
 ) -> FloatArray:
     """Return the linear map from the source to the target side of every match.
 
-    Returns
-    -------
-    (source shapes, target shapes) float array
-        Of least norm; exact if each match has one source shape.
+    Returns (source shapes, target shapes), of least norm; exact if each match has one source shape.
     """
     matches = tuple(matches)
     row_of, column_of = index_of(source), index_of(target)

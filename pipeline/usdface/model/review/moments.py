@@ -143,16 +143,13 @@ def review_moments(signals: ReviewSignals, count: int, *, rate: float) -> list[M
 def surface_jumps(weights: FloatArray, grams: FloatArray) -> FloatArray:
     """Return the distance of the surface from the mean of the frames before and after.
 
+    Returns (frames, regions), the root mean square over each region's points [mm]; 0 at the ends.
+
     Parameters
     ----------
     weights : (frames, shapes) float array
     grams : (regions, shapes, shapes) float array
         [mm^2]
-
-    Returns
-    -------
-    (frames, regions) float array
-        Root mean square over each region's points; 0 at the ends [mm].
     """
     off = np.zeros_like(weights)
     off[1:-1] = weights[1:-1] - (weights[:-2] + weights[2:]) / 2

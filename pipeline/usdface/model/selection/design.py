@@ -119,18 +119,15 @@ def viseme_frames(
 ) -> dict[tuple[str, str], int]:
     """Return the frame of the most typical segment for each emotion and spoken viseme.
 
-    That is the segment of at least median length whose middle frame is nearest to the median of
-    all of its kind; short ones are coarticulated with their neighbours. Frames are distinct.
+    That is the segment of at least median length whose middle frame is nearest to the median of all
+    of its kind; short ones are coarticulated with their neighbours. Frames are distinct. Returns
+    the frame of each (emotion, viseme).
 
     Parameters
     ----------
     features : (frames, d) float array
     candidates : (frames,) bool array
         Frames that may be chosen.
-
-    Returns
-    -------
-    dict of (emotion, viseme) to int
     """
     kinds: dict[tuple[str, str], list[Segment]] = {}
     for segment in segments:
@@ -298,17 +295,14 @@ def choose_visemes(
 ) -> ReferenceChoice:
     """Choose as the paper does, and of these the `count` most informative frames.
 
+    Returns fewer than `count` frames if fewer visemes are spoken.
+
     Parameters
     ----------
     visemes : sequence of str
         Visemes wanted in each emotion, spoken or not.
     extremes : int
         Extreme frames of each emotion.
-
-    Returns
-    -------
-    ReferenceChoice
-        Fewer than `count` frames if fewer visemes are spoken.
     """
     free = candidates.copy()
     free[already] = False

@@ -87,16 +87,13 @@ def keep_lip_contact(
 ) -> FloatArray:
     """Close the character's lips at frames at which the performer's are closed.
 
+    Returns (frames, shapes), within the ranges; other frames and shapes are unchanged.
+
     Parameters
     ----------
     positions : (frames, markers, 3) float array
         Stabilised [mm].
     weights : (frames, shapes) float array
-
-    Returns
-    -------
-    (frames, shapes) float array
-        Within the ranges; other frames and shapes unchanged.
     """
     motion = character_motion(equation.virtual, positions, equation.neutral)
     direction = lips.pairs.direction

@@ -182,10 +182,6 @@ def split_rhat(samples: FloatArray) -> FloatArray:
     ----------
     samples : (draws, chains, ...) float array
         Chains of the same posterior.
-
-    Returns
-    -------
-    (...) float array
     """
     half = len(samples) // 2
     halves = np.concatenate([samples[:half], samples[half : 2 * half]], axis=1)
@@ -203,10 +199,6 @@ def effective_sample_size(samples: FloatArray) -> FloatArray:
     ----------
     samples : (draws, chains, ...) float array
         Chains of the same posterior.
-
-    Returns
-    -------
-    (...) float array
     """
     draws, chains = samples.shape[:2]
     centred = samples - samples.mean(axis=0)

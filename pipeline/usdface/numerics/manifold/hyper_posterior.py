@@ -271,16 +271,13 @@ class SharedTable:
 def _cubics(nodes: FloatArray) -> FloatArray:
     """Return the cubic Hermite polynomial of each interval between nodes.
 
+    Returns (chains, nodes, 4 k), coefficients of 1, t, t^2, t^3 with t from 0 to 1 towards the next
+    node; those of the last node are not used.
+
     Parameters
     ----------
     nodes : (chains, nodes, 2 k) float array
         Values, then slopes times the spacing.
-
-    Returns
-    -------
-    (chains, nodes, 4 k) float array
-        Coefficients of 1, t, t^2, t^3 with t from 0 to 1 towards the next node; those of the last
-        node are not used.
     """
     half = nodes.shape[2] // 2
     out = np.zeros((*nodes.shape[:2], 4, half))

@@ -103,15 +103,12 @@ def average_dual_weights(
 def _inverse_roots(G: RealArray) -> Float32Array:
     """Return inverse Cholesky factors of symmetric (4, 4) matrices.
 
+    Returns (..., 4, 4), lower triangular; its transpose times it is the inverse of G.
+
     Parameters
     ----------
     G : (..., 10) float32 array
         Entries in the order of `SYMMETRIC_ENTRIES`.
-
-    Returns
-    -------
-    (..., 4, 4) float32 array
-        Lower triangular; its transpose times it is the inverse of G.
     """
     exact = G.astype(np.float64)
     entry = {pair: exact[..., k] for k, pair in enumerate(SYMMETRIC_ENTRIES)}

@@ -164,15 +164,12 @@ def fit_distance_multiquadric(between: FloatArray, stiffness: FloatArray) -> Dis
 def multiquadric_fields(model: DistanceMultiquadric, distances: RealArray) -> Float32Array:
     """Return the linear map from displacements of markers to those of points.
 
+    Returns (points, markers); displacements of points are ``fields @ displacements``.
+
     Parameters
     ----------
     distances : (markers, points) float array
         [mm]
-
-    Returns
-    -------
-    (points, markers) float32 array
-        Displacements of points are ``fields @ displacements``.
     """
     out = np.empty((distances.shape[1], len(distances)), np.float32)
     for part in frame_blocks(len(out), frames=_BLOCK_POINTS):

@@ -33,16 +33,13 @@ _ONE_SIDE_SHARE = 0.8
 def mirrored_shapes(names: Sequence[str]) -> IntArray:
     """Return the index of each shape's mirror image, or its own index if there is none.
 
+    Returns (shapes,), an involution: ``partner[partner] == arange(shapes)``.
+
     Parameters
     ----------
     names : sequence of str
         ``browDown_L`` and ``browDown_R``, ``mouthSmileLeft`` and ``mouthSmileRight``,
         ``l_brow_down`` and ``r_brow_down``.
-
-    Returns
-    -------
-    (shapes,) int array
-        An involution: ``partner[partner] == arange(shapes)``.
     """
     place = index_of(names)
     partner = np.arange(len(names))
@@ -56,7 +53,7 @@ def mirrored_shapes(names: Sequence[str]) -> IntArray:
 
 
 def sided_shapes(offsets: sparse.csr_array, points: ArrayLike) -> BoolArray:
-    """Return which shapes move one half of the face alone.
+    """Return which shapes move one half of the face alone: (shapes,).
 
     Mirrored shapes such as ``jawLeft`` and ``jawRight``, which move the whole jaw, cancel when they
     are set together.
@@ -67,10 +64,6 @@ def sided_shapes(offsets: sparse.csr_array, points: ArrayLike) -> BoolArray:
         Displacements by each shape at 1.
     points : (points, 3) array
         The neutral face, symmetric about the middle of its range in x.
-
-    Returns
-    -------
-    (shapes,) bool array
     """
     x = np.asarray(points, np.float64)[:, 0]
     squared = offsets.power(2)
@@ -168,7 +161,8 @@ def points_by_region(offsets: sparse.csr_array, names: Sequence[str]) -> dict[st
 
     Displacements are relative to the largest of their shape, so that the jaw, which moves points by
     centimetres, does not take the lips from the mouth. The tongue, which the jaw moves and markers
-    do not observe, and points that hardly move are in no region.
+    do not observe, and points that hardly move are in no region. Returns the points of each region
+    that has any.
 
     Parameters
     ----------
@@ -176,11 +170,6 @@ def points_by_region(offsets: sparse.csr_array, names: Sequence[str]) -> dict[st
         Displacements by each shape at 1.
     names : sequence of str
         Of the shapes; see `region_of_shape`.
-
-    Returns
-    -------
-    dict of str to int array
-        Points of each region that has any.
     """
     shapes = shapes_by_region(names)
     regions = list(shapes)
@@ -201,15 +190,13 @@ def points_by_region(offsets: sparse.csr_array, names: Sequence[str]) -> dict[st
 def region_gram(key_offsets: sparse.csr_array, points: IntArray) -> FloatArray:
     """Return the quadratic form of the mean squared displacement of some points by errors of keys.
 
+    Returns (keys, keys) ``G`` such that ``sqrt(e @ G @ e)`` is the root mean square distance of
+    those points.
+
     Parameters
     ----------
     key_offsets : (keys, 3 * points) sparse array
     points : (n,) int array
-
-    Returns
-    -------
-    (keys, keys) float array
-        ``G`` such that ``sqrt(e @ G @ e)`` is the root mean square distance of those points.
     """
     from scipy import sparse  # imported late: it takes half a second
 

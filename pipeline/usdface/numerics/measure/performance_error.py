@@ -52,7 +52,8 @@ def find_lip_pairs(
     """Find the pairs of points at which the lips touch.
 
     Both lips are moved by shapes of the mouth, unlike teeth; the lower lip moves with the jaw, the
-    upper does not; and the pairs are those nearest to each other.
+    upper does not; and the pairs are those nearest to each other. Returns None if the jaw opens no
+    mouth.
 
     Parameters
     ----------
@@ -66,11 +67,6 @@ def find_lip_pairs(
         The shapes of the mouth.
     to_corners : bool, optional
         Include pairs towards the corners, which the jaw opens less.
-
-    Returns
-    -------
-    LipPairs or None
-        None if the jaw opens no mouth.
     """
     rest = np.asarray(points, np.float64)
     activity = np.zeros(len(rest))
@@ -223,16 +219,13 @@ def measure_lips(
 def blink_peak_bias(errors: FloatArray, truth: FloatArray, blinks: IntArray) -> float:
     """Return the mean error of blinks at their peaks: below 0 the eyes do not close.
 
+    Returns NaN if there is no blink.
+
     Parameters
     ----------
     errors, truth : (frames, shapes) float arrays
     blinks : (n,) int array
         Columns of the shapes that close an eye.
-
-    Returns
-    -------
-    float
-        NaN if there is no blink.
     """
     weights = truth[:, blinks]
     high = np.quantile(weights, PEAK_QUANTILE, axis=0) if len(weights) else np.zeros(len(blinks))
@@ -246,18 +239,14 @@ def blink_peak_bias(errors: FloatArray, truth: FloatArray, blinks: IntArray) -> 
 def relative_jitter(solved: FloatArray, truth: FloatArray, frames: IntArray) -> float:
     """Return the roughness of the solve over that of the truth.
 
-    Roughness is the mean absolute third difference, over runs of consecutive frames.
+    Roughness is the mean absolute third difference, over runs of consecutive frames. Returns NaN
+    without four consecutive frames.
 
     Parameters
     ----------
     solved, truth : (frames, shapes) float arrays
     frames : (frames,) int array
         Ascending frame numbers.
-
-    Returns
-    -------
-    float
-        NaN without four consecutive frames.
     """
     consecutive = frames[3:] - frames[:-3] == 3
     if not consecutive.any():

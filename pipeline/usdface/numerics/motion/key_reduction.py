@@ -108,6 +108,8 @@ def reduce_keys(
 ) -> IntArray:
     """Choose keys by the Ramer-Douglas-Peucker algorithm: lines between them meet a tolerance.
 
+    Returns (keys,) rows of `weights`, ascending, with the first and the last.
+
     Parameters
     ----------
     weights : (frames, shapes) float array
@@ -116,11 +118,6 @@ def reduce_keys(
         Largest error of a frame, in the unit of `deviation`.
     deviation : callable, optional
         By default the largest difference of any weight.
-
-    Returns
-    -------
-    (keys,) int array
-        Rows of `weights`, ascending, with the first and the last.
 
     References
     ----------
@@ -164,7 +161,7 @@ def sparse_rows(values: Float32Array | FloatArray, tolerance: float) -> IntArray
     """Choose rows by bisection, so that lines between them meet all others within a tolerance.
 
     Faster than `reduce_keys`, which chooses fewer. A span whose line misses a row is halved, and so
-    on: all spans of one length at once.
+    on: all spans of one length at once. Returns (n,), ascending, with the first and the last.
 
     Parameters
     ----------
@@ -172,11 +169,6 @@ def sparse_rows(values: Float32Array | FloatArray, tolerance: float) -> IntArray
         Compared in single precision, in which USD stores them.
     tolerance : float
         Largest error of a value.
-
-    Returns
-    -------
-    (n,) int array
-        Ascending, with the first and the last.
     """
     rows = np.asarray(values, dtype=np.float32)
     count = len(rows)

@@ -53,6 +53,8 @@ def warp_motion(
 ) -> FloatArray:
     """Insert sequences into a motion; frames farther than `blend` from them keep their values.
 
+    Returns (frames, controls).
+
     Parameters
     ----------
     motion : (frames, controls) float array
@@ -65,10 +67,6 @@ def warp_motion(
         Weight of the motion outside the sequences and their blends. Infinite: unchanged to the
         last bit. Finite, as published (there 1): changes decay with the distance, and blends have
         no constraints.
-
-    Returns
-    -------
-    (frames, controls) float array
     """
     if motion.ndim != 2:
         raise ValueError(f"a motion is (frames, controls), got {motion.shape}")

@@ -16,14 +16,12 @@ _SMALL_HALF_ANGLE = 1e-8
 def mean_rotation(quaternions: FloatArray) -> FloatArray:
     """Return Markley's mean of rotations, which does not depend on the signs of the quaternions.
 
+    Returns (..., 4).
+
     Parameters
     ----------
     quaternions : (n, ..., 4) float array
         w first, unit length.
-
-    Returns
-    -------
-    (..., 4) float array
 
     References
     ----------

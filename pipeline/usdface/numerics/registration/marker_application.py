@@ -56,6 +56,8 @@ def find_offset(
     Mutual nearest neighbours show nearly the same expression, so that their difference is the
     shift. Matching starts at zero, which favours small shifts. A marker's shift is shrunk by the
     scatter of these differences: recordings that differ by expression alone keep theirs at 0.
+    Returns (markers, 3), to be subtracted from the other recording [mm]; 0 where it cannot be
+    estimated.
 
     Parameters
     ----------
@@ -67,11 +69,6 @@ def find_offset(
     others_usable : (frames, markers) bool array
     neutral : (markers, 3) float array
         The performer's neutral face, used as one more frame [mm].
-
-    Returns
-    -------
-    (markers, 3) float array
-        To be subtracted from the other recording [mm]; 0 where it cannot be estimated.
     """
     known = np.concatenate([np.ones((1, usable.shape[1]), bool), usable])
     ours = np.concatenate([neutral[None], frames])

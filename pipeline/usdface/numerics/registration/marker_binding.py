@@ -93,7 +93,7 @@ def motion_agreement(displacements: FloatArray, distances: FloatArray) -> FloatA
     """Return standardised leave-one-out residuals of each marker's motion, over their median.
 
     Of a Gaussian process over the mesh: large for a lip marker bound to the wrong lip, or for two
-    markers exchanged.
+    markers exchanged. Returns (markers,), about 1 for most markers, 3 and more for misplaced ones.
 
     Parameters
     ----------
@@ -101,11 +101,6 @@ def motion_agreement(displacements: FloatArray, distances: FloatArray) -> FloatA
         [mm]
     distances : (markers, markers) float array
         Along the surface where that is known [mm].
-
-    Returns
-    -------
-    (markers,) float array
-        About 1 for most markers, 3 and more for misplaced ones.
 
     References
     ----------

@@ -292,7 +292,7 @@ def posterior_moments(cost: FloatArray, positions: FloatArray) -> tuple[FloatArr
 def path_misfit(deltas: Float32Array, weights: FloatArray, paths: FloatArray) -> Float32Array:
     """Return the share of each marker's path that each sample leaves unexplained.
 
-    The amplitude (gain) of each path is fitted within limits.
+    The amplitude (gain) of each path is fitted within limits. Returns (markers, samples).
 
     Parameters
     ----------
@@ -301,10 +301,6 @@ def path_misfit(deltas: Float32Array, weights: FloatArray, paths: FloatArray) ->
     weights : (frames, shapes) float array
     paths : (frames, markers, 3) float array
         [mm]
-
-    Returns
-    -------
-    (markers, samples) float array
     """
     # W = QR: products need R alone, which has no more rows than there are shapes.
     basis, root = np.linalg.qr(weights)

@@ -53,17 +53,14 @@ def character_motion(
 ) -> FloatArray:
     """Return a performer's displacements in the character's space and size.
 
+    Returns (frames, markers, 3), the left side of the blendshape equation [mm].
+
     Parameters
     ----------
     positions : (frames, markers, 3) array
         Stabilised [mm].
     neutral : (markers, 3) array
         In the same space.
-
-    Returns
-    -------
-    (frames, markers, 3) float array
-        Left side of the blendshape equation [mm].
     """
     moved = np.asarray(positions, float) - np.asarray(neutral, float)
     return np.asarray(virtual.motion_scale * (moved @ virtual.rotation.T), float)

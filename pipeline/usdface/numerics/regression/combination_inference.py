@@ -70,6 +70,9 @@ def infer_combinations(
 ) -> tuple[Combination, ...]:
     """Infer which shapes drive others, and by which functions.
 
+    Returns combinations in the order of `order_combinations`, without correctives that are at rest
+    in all rows or follow none of the functions.
+
     Parameters
     ----------
     shapes : sequence of str
@@ -79,12 +82,6 @@ def infer_combinations(
         Correctives.
     values : (rows, driven) float array
         Their weights in the same rows.
-
-    Returns
-    -------
-    tuple of Combination
-        In the order of `order_combinations`, without correctives that are at rest in all rows or
-        follow none of the functions.
     """
     factors = dict(zip(shapes, np.maximum(weights, 0.0).T, strict=True))
     columns = dict(zip(driven, values.T, strict=True))

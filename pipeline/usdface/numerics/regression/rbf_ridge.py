@@ -82,10 +82,7 @@ def centre_widths(centres: FloatArray, *, multiple: float = 2.0) -> FloatArray:
 def gaussian_design(points: FloatArray, centres: FloatArray, widths: FloatArray) -> FloatArray:
     """Evaluate every basis function at every point: one matrix product, then exp in place.
 
-    Returns
-    -------
-    (points, centres) float array
-        In (0, 1].
+    Returns (points, centres), in (0, 1].
     """
     scale = -0.5 / widths**2
     design = points @ (-2.0 * centres.T)
@@ -114,14 +111,11 @@ def effective_freedom(singular: FloatArray, ridges: FloatArray) -> FloatArray:
 def gcv_scores(rotated: Rotated, ridges: FloatArray) -> FloatArray:
     """Score ridges by generalised cross-validation; lower is better.
 
+    Returns (r, s), ``n |(I - A) y|^2 / tr(I - A)^2`` for every ridge and output.
+
     Parameters
     ----------
     ridges : (r,) float array
-
-    Returns
-    -------
-    (r, s) float array
-        ``n |(I - A) y|^2 / tr(I - A)^2`` for every ridge and output.
 
     References
     ----------

@@ -73,16 +73,13 @@ class DesignKernel:
 def posterior_share(kernel: DesignKernel, known: FloatArray, rows: FloatArray) -> FloatArray:
     """Return the posterior over the prior variance of every row, given tuned frames.
 
+    Returns (frames,) [0-1].
+
     Parameters
     ----------
     known : (n, d) float array
         Features of the tuned frames.
     rows : (frames, d) float array
-
-    Returns
-    -------
-    (frames,) float array
-        [0-1]
     """
     prior = kernel.diagonal(rows)
     if not len(known):
@@ -271,7 +268,8 @@ def design_gp_variance(
 def pivoted_selection(rows: FloatArray, count: int) -> IntArray:
     """Choose rows by pivoted orthogonalisation: the farthest from the span of those chosen.
 
-    So a half smile is not chosen in addition to the full one.
+    So a half smile is not chosen in addition to the full one. Returns (m,), in the order chosen;
+    fewer than `count` if their span has fewer dimensions.
 
     Parameters
     ----------
@@ -279,11 +277,6 @@ def pivoted_selection(rows: FloatArray, count: int) -> IntArray:
         Differences from the origin.
     count : int
         Most rows to choose.
-
-    Returns
-    -------
-    (m,) int array
-        In the order chosen; fewer than `count` if their span has fewer dimensions.
     """
     residual = np.array(rows, dtype=np.float64)
     energy = np.einsum("nk,nk->n", residual, residual)

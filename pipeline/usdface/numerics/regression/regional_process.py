@@ -45,7 +45,7 @@ def marker_relevance(sample: FloatArray, weights: FloatArray, components: FloatA
     """Return the relevance of each marker for each shape.
 
     The displacement of a marker by a shape in a regression of markers on weights, over the largest
-    of any marker.
+    of any marker. Returns (s, markers), from `LEAST_RELEVANCE` to 1.
 
     Parameters
     ----------
@@ -54,11 +54,6 @@ def marker_relevance(sample: FloatArray, weights: FloatArray, components: FloatA
     weights : (frames, s) float array
         Of the same frames, from any mapping.
     components : (D, markers * 3) float array
-
-    Returns
-    -------
-    (s, markers) float array
-        From `LEAST_RELEVANCE` to 1.
     """
     centred = weights - weights.mean(axis=0)
     standard = centred / (centred.std(axis=0) + 1e-4)

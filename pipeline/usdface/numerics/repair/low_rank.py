@@ -71,15 +71,12 @@ class LowRankModel:
 def fill_missing(model: LowRankModel, positions: RealArray, good: BoolArray) -> RealArray:
     """Return positions with all samples that are not good replaced by their conditional means.
 
+    Returns (frames, markers, 3), of the same precision as `positions`.
+
     Parameters
     ----------
     positions : (frames, markers, 3) float array
     good : (frames, markers) bool array
-
-    Returns
-    -------
-    (frames, markers, 3) float array
-        Of the same precision as `positions`.
     """
     filled = np.array(positions)
     missing_counts = good.shape[1] - np.count_nonzero(good, axis=1)
@@ -96,15 +93,12 @@ def fill_missing(model: LowRankModel, positions: RealArray, good: BoolArray) -> 
 def predict_from_others(model: LowRankModel, filled: RealArray) -> RealArray:
     """Return the conditional mean of each marker given all other markers of its frame.
 
+    Returns (frames, markers, 3), of the same precision as `filled`, and computed in it.
+
     Parameters
     ----------
     filled : (frames, markers, 3) float array
         Complete, as `fill_missing` returns it.
-
-    Returns
-    -------
-    (frames, markers, 3) float array
-        Of the same precision as `filled`, and computed in it.
     """
     kind, count = filled.dtype, len(model.noise)
     # With L the precision, x_m - E[x_m | others] = L_mm^-1 (L (x - mean))_m; L is diagonal plus low

@@ -70,7 +70,7 @@ def find_outliers(
     """Find samples far from their prediction by the other markers that start or end with a jump.
 
     An outlier also distorts the prediction of its neighbours, so samples are removed one at a time,
-    the farthest of a frame first.
+    the farthest of a frame first. Returns (frames, markers).
 
     Parameters
     ----------
@@ -83,10 +83,6 @@ def find_outliers(
         Standard deviation of the measurement noise per coordinate [mm].
     rate : float
         Frames per second.
-
-    Returns
-    -------
-    (frames, markers) bool array
     """
     closing = np.sin(np.pi / 2 * min(1 / (_LID_CLOSES_SECONDS * rate), 1.0))
     sudden_share = max(_SUDDEN_SHARE, float(closing))

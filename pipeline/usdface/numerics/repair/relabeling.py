@@ -65,6 +65,8 @@ def find_swaps(
 ) -> tuple[Swap, ...]:
     """Find the ranges of frames in which two neighbouring markers have each other's label.
 
+    Returns them by start; no marker is in two at the same time.
+
     Parameters
     ----------
     positions : (frames, markers, 3) float array
@@ -77,11 +79,6 @@ def find_swaps(
         Standard deviation of a measured coordinate [mm].
     neutral : int
         Index of a frame whose labels are right, unless the pair is swapped for most of the take.
-
-    Returns
-    -------
-    tuple of Swap
-        By start; no marker is in two at the same time.
     """
     step_scale = _jump_scale(positions, visible, noise)
     pairs = neighbor_pairs(positions, visible, model, noise)

@@ -98,6 +98,8 @@ def smooth_take(positions: RealArray, model: LowRankModel, *, noise: FloatArray)
 def smooth_poses(head_motion: ArrayLike, *, center: ArrayLike) -> FloatArray:
     """Smooth rotations and the path of `center`, with penalties by generalised cross-validation.
 
+    Returns (frames, 4, 4).
+
     Parameters
     ----------
     head_motion : (frames, 4, 4) array_like
@@ -105,10 +107,6 @@ def smooth_poses(head_motion: ArrayLike, *, center: ArrayLike) -> FloatArray:
     center : (3,) array_like
         Point of the head space about which the noise of rotations and of paths is independent,
         such as the centroid of the rigid markers [mm].
-
-    Returns
-    -------
-    (frames, 4, 4) float array
     """
     motion = np.asarray(head_motion, np.float64)
     middle = np.asarray(center, np.float64)
@@ -128,7 +126,7 @@ def significant_detail(rest: ArrayLike, *, noise: ArrayLike) -> RealArray:
     """Return the part of the residuals of smoothing that is significant against the noise.
 
     The penalty of a direction is that of the whole take. A fast movement that is rare in it would
-    be smoothed like noise.
+    be smoothed like noise. Returns (frames, markers, 3), zero nearly everywhere.
 
     Parameters
     ----------
@@ -136,11 +134,6 @@ def significant_detail(rest: ArrayLike, *, noise: ArrayLike) -> RealArray:
         Unsmoothed less smoothed [mm].
     noise : (markers,) array_like
         Standard deviation of the measurement noise per coordinate [mm].
-
-    Returns
-    -------
-    (frames, markers, 3) float array
-        Zero nearly everywhere.
 
     Notes
     -----

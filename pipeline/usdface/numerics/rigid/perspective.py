@@ -109,6 +109,9 @@ def unproject_head(
 ) -> FloatArray:
     """Return landmarks in the camera's space.
 
+    Returns (frames, landmarks, 3) [mm], Y up, the camera at the origin and looking along -Z; NaN in
+    frames without a face.
+
     Parameters
     ----------
     landmarks : (frames, landmarks, 3) float array
@@ -122,11 +125,6 @@ def unproject_head(
         Landmarks whose mean is the centre of the right and of the left eye.
     eye_distance_mm : float
         Between the centres of the eyes.
-
-    Returns
-    -------
-    (frames, landmarks, 3) float array
-        [mm], Y up, the camera at the origin and looking along -Z; NaN in frames without a face.
     """
     if not seen.any():
         raise ValueError("no frame has a face")

@@ -185,17 +185,14 @@ def remove_motion(
 ) -> RealArray:
     """Transform captured positions to the space of the reference.
 
+    Returns (frames, any, 3), in single precision if `positions` are.
+
     Parameters
     ----------
     positions : (frames, any, 3) array_like
     out : (frames, any, 3) float array, optional
         Where to store the result, which may be `positions`. On long takes, allocation takes longer
         than the arithmetic.
-
-    Returns
-    -------
-    (frames, any, 3) float array
-        In single precision if `positions` are.
     """
     points = np.asarray(positions)
     kind = np.result_type(points.dtype, np.float32)

@@ -26,6 +26,8 @@ def skin_rotations(
 ) -> FloatArray:
     """Return the rotation of the motion at each marker, from the character to the performer.
 
+    Returns (markers, 3, 3).
+
     Parameters
     ----------
     neutral : (markers, 3) float array
@@ -34,10 +36,6 @@ def skin_rotations(
         Displacements ``m`` by the shapes, for weights solved without rotation, and ``y`` [mm].
     visible : (frames, markers) bool array
         False also for markers that are not used.
-
-    Returns
-    -------
-    (markers, 3, 3) float array
     """
     near = np.exp(-0.5 * ((neutral[:, None] - neutral) ** 2).sum(axis=2) / _SKIN_MM**2)
     m, y = (np.where(visible[:, :, None], each, 0.0) for each in (predicted, measured))

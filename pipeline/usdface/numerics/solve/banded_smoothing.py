@@ -28,19 +28,15 @@ _KERNEL = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0  # Burt and Adelson's, a = 
 def apply_filter_bank(values: ArrayLike, *, gains: Sequence[float]) -> FloatArray:
     """Return curves with the bands of their Laplacian pyramid scaled.
 
-    G₀ is the curve and G₍ₖ₊₁₎ = Gₖ smoothed by a kernel dilated by 2ᵏ frames; the bands are
-    Lₖ = Gₖ − G₍ₖ₊₁₎, and the result is G_n + Σ gainₖ Lₖ. Curves are padded by their end values.
+    G₀ is the curve and G₍ₖ₊₁₎ = Gₖ smoothed by a kernel dilated by 2ᵏ frames; the bands are Lₖ = Gₖ
+    − G₍ₖ₊₁₎, and the result is G_n + Σ gainₖ Lₖ. Curves are padded by their end values. Returns
+    (frames, curves), which may exceed the range of the input unless all gains are 1.
 
     Parameters
     ----------
     values : (frames, curves) array
     gains : sequence of float
         Of each band, the finest first: band k has about rate/2ᵏ⁺² to rate/2ᵏ⁺¹ Hz.
-
-    Returns
-    -------
-    (frames, curves) float array
-        May exceed the range of the input unless all gains are 1.
 
     References
     ----------

@@ -152,16 +152,14 @@ class BlendShapes:
     def gram(self, poses: FloatArray | None = None) -> FloatArray:
         """Return the quadratic form of the surface error of small errors of the weights.
 
+        Returns (channels, channels) ``G`` such that ``sqrt(e @ G @ e)`` is the root mean square
+        distance of `face_points`.
+
         Parameters
         ----------
         poses : (frames, channels) float array, optional
             Weights at which combinations are linearised; the mean over them is returned. By default
             at rest.
-
-        Returns
-        -------
-        (channels, channels) float array
-            ``G`` such that ``sqrt(e @ G @ e)`` is the root mean square distance of `face_points`.
         """
         columns = (3 * self.face_points[:, None] + np.arange(3)).ravel()
         targets = sparse.csr_array(self.target_offsets()[:, columns])

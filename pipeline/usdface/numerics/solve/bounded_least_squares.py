@@ -114,7 +114,7 @@ def minimise_within_bounds(
 ) -> RealArray:
     """Minimise ``0.5 x'Hx - l'x`` within bounds approximately, with a matrix for each row.
 
-    By accelerated projected gradient steps.
+    By accelerated projected gradient steps. Returns (frames, n), within the bounds exactly.
 
     Parameters
     ----------
@@ -126,11 +126,6 @@ def minimise_within_bounds(
     lower, upper, start : (frames, n) float arrays
     steps : int
         Accelerated gradient steps, at unit diagonal.
-
-    Returns
-    -------
-    (frames, n) float array
-        Within the bounds exactly.
     """
     unit = 1 / np.sqrt(np.maximum(diagonal, np.finfo(np.float32).tiny))
     low, high, pull = lower / unit, upper / unit, unit * linear

@@ -148,7 +148,7 @@ def match_peaks(
     """Return one gain per marker, so that given shapes reach the top of their range in a take.
 
     A marker's share of a shape's gain is the squared ratio of its displacement by that shape to its
-    largest by any shape.
+    largest by any shape. Returns (markers,), factors of the motion for `solve_weights`.
 
     Parameters
     ----------
@@ -160,11 +160,6 @@ def match_peaks(
         Such as both blinks. Shapes that the take does not contain have no effect.
     ranges, visible, marker_trust, ridge
         As in `solve_weights`.
-
-    Returns
-    -------
-    (markers,) float array
-        Factors of the motion for `solve_weights`.
     """
     D, m = np.asarray(deltas, float), np.asarray(motion, float)
     wrong = [shape for shape in shapes if not 0 <= shape < len(D)]

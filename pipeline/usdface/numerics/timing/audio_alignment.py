@@ -103,6 +103,8 @@ def align_sounds(
 ) -> SoundAlignment:
     """Measure shift and clock drift between two recordings of the same event.
 
+    The result has `warnings` if the recordings are silent, unrelated, periodic or too short.
+
     Parameters
     ----------
     first, second : (samples,) float32 array
@@ -111,11 +113,6 @@ def align_sounds(
         Nominal samples per second of both; at least 4000.
     names : (2,) tuple of str
         Of the recordings, for messages.
-
-    Returns
-    -------
-    SoundAlignment
-        With `warnings` if the recordings are silent, unrelated, periodic or too short.
     """
     first, second = _checked(first, names[0]), _checked(second, names[1])
     if rate < _LOWEST_RATE_HZ:

@@ -58,6 +58,8 @@ def scan_phase(
 ) -> PhaseVote | None:
     """Locate windows of the first recording in the second, and return the most frequent shift.
 
+    Returns None for silence.
+
     Parameters
     ----------
     first, second : (samples,) float32 array
@@ -67,11 +69,6 @@ def scan_phase(
         Most windows.
     largest_drift : float
         Largest change of the shift per second.
-
-    Returns
-    -------
-    PhaseVote or None
-        None for silence.
     """
     size = round(window * rate)
     room = max(len(first) - size, 0)
@@ -192,15 +189,12 @@ class OnsetCorrelation:
 def onset_flux(sound: Float32Array, *, rate: int) -> Float32Array:
     """Return the spectral flux of a sound by band, a hundred times a second.
 
+    Returns (24, hops), the positive differences of the logarithmic power; each band has mean 0 and
+    deviation 1, or is 0 if it is constant.
+
     Parameters
     ----------
     sound : (samples,) float32 array
-
-    Returns
-    -------
-    (24, hops) float32 array
-        Positive differences of the logarithmic power; each band has mean 0 and deviation 1, or is
-        0 if it is constant.
     """
     hop, size = rate // HOPS_PER_SECOND, round(_WINDOW_SECONDS * rate)
     count = (len(sound) - size) // hop + 1
@@ -233,17 +227,14 @@ def correlate_onsets(
 ) -> OnsetCorrelation | None:
     """Return the correlation of onsets over shifts, at the best drift.
 
+    Returns None if the recordings are too short, or one is constant.
+
     Parameters
     ----------
     first, second : (bands, hops) float32 array
         From `onset_flux`.
     largest_drift : float
         Largest change of the shift per second.
-
-    Returns
-    -------
-    OnsetCorrelation or None
-        None if the recordings are too short, or one is constant.
     """
     hops = first.shape[1], second.shape[1]
     if min(hops) < _SHORTEST_OVERLAP or not first.any() or not second.any():

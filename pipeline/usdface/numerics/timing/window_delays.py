@@ -200,9 +200,7 @@ def loud_windows(sound: Float32Array, starts: IntArray, size: int) -> IntArray:
 def speech_band(length: int, *, rate: int) -> Float32Array:
     """Return 1 at the frequencies of speech of a transform of `length` samples, else 0.
 
-    Returns
-    -------
-    (length // 2 + 1,) float32 array
+    Returns (length // 2 + 1,).
     """
     frequency = fft.rfftfreq(length, 1 / rate)
     band = (frequency > _LOWEST_HZ) & (frequency < min(_HIGHEST_HZ, 0.45 * rate))
@@ -214,17 +212,14 @@ def whitened_product(
 ) -> ComplexArray | None:
     """Return the partly whitened cross spectrum of two sounds.
 
+    Returns (n,), or None for silence.
+
     Parameters
     ----------
     first, second : (n,) complex array
         Spectra of two sounds.
     band : (n,) float array
         Weight of each frequency.
-
-    Returns
-    -------
-    (n,) complex array or None
-        None for silence.
     """
     cross = first.conj() * second
     size = np.abs(cross)
