@@ -25,11 +25,6 @@ def check_references(
 ) -> CheckedReferences:
     """Return valid references: weights limited to their ranges, repeated pairs dropped.
 
-    Parameters
-    ----------
-    ranges : (shapes, 2) float array
-    gram : (shapes, shapes) float array or None
-
     Raises
     ------
     InputError

@@ -56,12 +56,9 @@ def region_points(names: tuple[str, ...], motion: FloatArray) -> dict[str, IntAr
 
 
 def marker_motion(weights: FloatArray, markers: FloatArray) -> FloatArray:
-    """Fit the displacement of markers by each shape: (shapes, markers, 3) float array [mm].
+    """Fit the displacement of markers by each shape: (shapes, markers, 3) [mm].
 
-    Parameters
-    ----------
-    weights : (pairs, shapes) float array
-    markers : (pairs, markers, 3) float array
+    Of weights (pairs, shapes) and markers (pairs, markers, 3).
     """
     rows = weights - weights.mean(axis=0)
     deviations = (markers - markers.mean(axis=0)).reshape(len(markers), -1)

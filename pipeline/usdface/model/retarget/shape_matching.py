@@ -306,11 +306,7 @@ def _assign_units(
 def match_positions(both: Correspondence, weights: FloatArray) -> FloatArray:
     """Return non-negative target weights whose displacements are nearest to the source's.
 
-    Returns (frames, target shapes).
-
-    Parameters
-    ----------
-    weights : (frames, source shapes) float array
+    Returns (frames, target shapes), from weights (frames, source shapes).
     """
     matrix = both.target.reshape(len(both.target), -1).T
     displacements = weights @ both.source.reshape(len(both.source), -1)

@@ -331,12 +331,7 @@ def choose_visemes(
 def proposal_error_mm(
     features: FloatArray, weights: FloatArray, proposals: WeightProposals
 ) -> float:
-    """Return the RMS error of proposals predicted from some frames [mm].
-
-    Parameters
-    ----------
-    features, weights : (n, d) and (n, shapes) float arrays
-    """
+    """Return the RMS error of proposals predicted from some frames [mm]."""
     kernel = DesignKernel.for_rows(proposals.features)
     predicted = predict_from(kernel, features, weights, proposals.features)
     error = predicted - proposals.weights

@@ -190,13 +190,8 @@ def points_by_region(offsets: sparse.csr_array, names: Sequence[str]) -> dict[st
 def region_gram(key_offsets: sparse.csr_array, points: IntArray) -> FloatArray:
     """Return the quadratic form of the mean squared displacement of some points by errors of keys.
 
-    Returns (keys, keys) ``G`` such that ``sqrt(e @ G @ e)`` is the root mean square distance of
-    those points.
-
-    Parameters
-    ----------
-    key_offsets : (keys, 3 * points) sparse array
-    points : (n,) int array
+    Key offsets are (keys, 3 * points). Returns (keys, keys) ``G`` such that ``sqrt(e @ G @ e)`` is
+    the root mean square distance of those points.
     """
     from scipy import sparse  # imported late: it takes half a second
 

@@ -178,13 +178,9 @@ def ease_weights(count: int, weight: float, *, ease: int) -> FloatArray:
 
 
 def stretch_motion(motion: FloatArray, frames: int) -> FloatArray:
-    """Resample a motion to another number of frames, from its first to its last.
+    """Resample a motion (n, controls) to another number of frames, from its first to its last.
 
     By monotone cubics (Fritsch and Carlson 1980), which do not overshoot.
-
-    Parameters
-    ----------
-    motion : (n, controls) float array
     """
     if len(motion) < 2 or frames < 2:
         raise ValueError(f"cannot stretch {len(motion)} frames to {frames}; both need at least 2")

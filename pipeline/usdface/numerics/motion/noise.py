@@ -18,12 +18,8 @@ def marker_noise(positions: ArrayLike, visible: ArrayLike) -> FloatArray:
     """Return the standard deviation of each marker's measurement noise, per coordinate.
 
     From the median of absolute third differences, robust to motion, gaps, swaps and spikes. Returns
-    (markers,), in the unit of `positions`; 0 for a marker without four frames in a row.
-
-    Parameters
-    ----------
-    positions : (frames, markers, 3) array_like
-    visible : (frames, markers) array_like of bool
+    (markers,), in the unit of `positions` (frames, markers, 3); 0 for a marker without four frames
+    in a row.
     """
     points, seen = np.asarray(positions), np.asarray(visible, bool)
     noise = np.zeros(points.shape[1])

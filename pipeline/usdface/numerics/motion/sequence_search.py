@@ -50,11 +50,7 @@ def mean_face_distance(sequence: FloatArray) -> float:
 def sequence_distances(motion: FloatArray, sequence: FloatArray, starts: IntArray) -> FloatArray:
     """Return the normalised distances of eq. 10 between a motion and a sequence at some starts.
 
-    Parameters
-    ----------
-    motion : (frames, channels) float array
-    sequence : (m, channels) float array
-    starts : (k,) int array
+    Of motion (frames, channels) and sequence (m, channels): (starts,).
     """
     total = np.zeros(len(starts))
     for offset, row in enumerate(sequence):

@@ -160,13 +160,7 @@ def align_cloud(
 
 
 def align_pairs(cloud: ArrayLike, targets: ArrayLike, *, weight: ArrayLike) -> Alignment:
-    """Fit rotation, translation and one scale per axis to corresponding points, weighted.
-
-    Parameters
-    ----------
-    cloud, targets : (n, 3) arrays
-    weight : (n,) array
-    """
+    """Fit rotation, translation and one scale per axis to corresponding points (n, 3), weighted."""
     y, x, w = (np.asarray(value, float) for value in (cloud, targets, weight))
     now = _fit(y, x, w, _UNIT, proportions=False)
     for _ in range(5):

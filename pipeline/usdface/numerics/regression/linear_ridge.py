@@ -31,11 +31,6 @@ def fit_linear_ridge(features: FloatArray, outputs: FloatArray) -> LinearRidge:
 
     The leave-one-out residual of row i is its residual over one minus its leverage, where the
     leverage is ``1/n + sum_k u_ik^2 s_k^2 / (s_k^2 + ridge)``: exact, without refitting.
-
-    Parameters
-    ----------
-    features : (n, d) float array
-    outputs : (n, s) float array
     """
     if features.ndim != 2 or outputs.ndim != 2 or len(features) != len(outputs):
         raise ValueError(f"{features.shape} features and {outputs.shape} outputs do not pair up")

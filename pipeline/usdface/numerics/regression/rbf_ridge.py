@@ -109,13 +109,9 @@ def effective_freedom(singular: FloatArray, ridges: FloatArray) -> FloatArray:
 
 
 def gcv_scores(rotated: Rotated, ridges: FloatArray) -> FloatArray:
-    """Score ridges by generalised cross-validation; lower is better.
+    """Score ridges (r,) by generalised cross-validation; lower is better.
 
     Returns (r, s), ``n |(I - A) y|^2 / tr(I - A)^2`` for every ridge and output.
-
-    Parameters
-    ----------
-    ridges : (r,) float array
 
     References
     ----------

@@ -72,11 +72,6 @@ def fill_missing(model: LowRankModel, positions: RealArray, good: BoolArray) -> 
     """Return positions with all samples that are not good replaced by their conditional means.
 
     Returns (frames, markers, 3), of the same precision as `positions`.
-
-    Parameters
-    ----------
-    positions : (frames, markers, 3) float array
-    good : (frames, markers) bool array
     """
     filled = np.array(positions)
     missing_counts = good.shape[1] - np.count_nonzero(good, axis=1)

@@ -114,12 +114,7 @@ def find_swaps(
 
 
 def apply_swaps(values: NDArray[np.generic], swaps: tuple[Swap, ...]) -> None:
-    """Exchange the two columns of every swap over its frames, in place.
-
-    Parameters
-    ----------
-    values : (frames, markers, ...) array
-    """
+    """Exchange the two columns of every swap in (frames, markers, ...) values, in place."""
     for swap in swaps:
         rows = slice(swap.start, swap.stop)
         first = values[rows, swap.first].copy()

@@ -95,17 +95,11 @@ def align_rigid(
 def align_rigid_robust(
     positions: ArrayLike, reference: ArrayLike, *, visible: ArrayLike
 ) -> RigidAlignment:
-    """Align a reference to every frame, robust to swapped points and outliers.
+    """Align a reference (points, 3) to every frame, robust to swapped points and outliers.
 
     Iteratively reweighted least squares with Geman-McClure weights. Their scale is the median
     residual of the frame, at least that of the take, so that a swap, which distorts the first
     solution, remains an outlier.
-
-    Parameters
-    ----------
-    positions : (frames, points, 3) array_like
-    reference : (points, 3) array_like
-    visible : (frames, points) array_like of bool
     """
     points, y = np.asarray(positions), np.asarray(reference, np.float64)
     seen = np.asarray(visible, bool)

@@ -96,12 +96,7 @@ class BlendShapes:
         return np.where(channels < self.channel_count, channels, -1)
 
     def key_weights(self, weights: ArrayLike) -> FloatArray:
-        """Return key weights of channel weights: (frames, keys).
-
-        Parameters
-        ----------
-        weights : (frames, channels) array_like
-        """
+        """Return key weights (frames, keys) of channel weights (frames, channels)."""
         weights = np.atleast_2d(np.asarray(weights, dtype=np.float64))
         if weights.shape[1] != self.channel_count:
             raise ValueError(f"{weights.shape[1]} weights for {self.channel_count} channels")

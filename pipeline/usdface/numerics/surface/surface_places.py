@@ -56,10 +56,7 @@ def places_of_corners(
 ) -> SurfacePoints:
     """Return places given by three points of one polygon each, or by one point three times.
 
-    Parameters
-    ----------
-    corners : (places, 3) int array
-    weights : (places, 3) float array
+    Corners and barycentric weights are (places, 3).
     """
     triangles, owners = triangulate(face_counts, face_indices)
     near = np.flatnonzero(np.isin(triangles, corners).all(axis=1))
@@ -82,13 +79,7 @@ def places_of_corners(
 def nearest_places(
     points: FloatArray, face_counts: IntArray, face_indices: IntArray, wanted: FloatArray
 ) -> SurfacePoints:
-    """Return the places of the surface nearest to given positions.
-
-    Parameters
-    ----------
-    points : (points, 3) float array
-    wanted : (places, 3) float array
-    """
+    """Return the places of the surface nearest to given positions (places, 3)."""
     triangles, owners = triangulate(face_counts, face_indices)
     if not len(triangles):
         raise ValueError("the mesh has no face to place anything on")

@@ -12,11 +12,6 @@ from usdface.core.arrays import FloatArray, IntArray
 def triangulate(face_counts: IntArray, face_indices: IntArray) -> tuple[IntArray, IntArray]:
     """Triangulate polygons as fans.
 
-    Parameters
-    ----------
-    face_counts : (faces,) int array
-    face_indices : (corners,) int array
-
     Returns
     -------
     triangles : (triangles, 3) int array

@@ -187,14 +187,10 @@ class OnsetCorrelation:
 
 
 def onset_flux(sound: Float32Array, *, rate: int) -> Float32Array:
-    """Return the spectral flux of a sound by band, a hundred times a second.
+    """Return the spectral flux of a sound (samples,) by band, a hundred times a second.
 
     Returns (24, hops), the positive differences of the logarithmic power; each band has mean 0 and
     deviation 1, or is 0 if it is constant.
-
-    Parameters
-    ----------
-    sound : (samples,) float32 array
     """
     hop, size = rate // HOPS_PER_SECOND, round(_WINDOW_SECONDS * rate)
     count = (len(sound) - size) // hop + 1
