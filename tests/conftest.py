@@ -27,12 +27,6 @@ settings.load_profile(os.environ.get("USDFACE_FUZZ", "repeatable"))
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_auto_num_workers() -> int:
-    """One worker more than cores: a sixth of the time, tests wait for browsers and processes."""
-    return (os.cpu_count() or 1) + 1
-
-
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """Folder of the fixture files; the test skips where they are not checked out beside us."""
