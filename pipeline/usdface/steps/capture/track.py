@@ -90,7 +90,7 @@ def _write_part(
     progress: Progress,
 ) -> StepResult:
     faces = list(detector.detect(spec.video, video, timing, progress))
-    detector.write(spec.out, timing.pictures, faces, provenance=provenance)
+    detector.write(spec.out, timing.pictures, faces, provenance)
     share = sum(bool(each.direct) for each in faces) / len(faces)
     summary = f"{spec.out.name}: {pluralize(len(faces), 'picture')}, a face in {share:.1%}"
     return StepResult((spec.out,), summary, timing.notes, {"pictures": len(faces)})

@@ -189,7 +189,11 @@ class PictureDetector:
             yield from self._faces(stretch, video, ahead)
 
     def write(
-        self, out: Path, pictures: IntArray, faces: list[PictureFaces], **about: Provenance
+        self,
+        out: Path,
+        pictures: IntArray,
+        faces: list[PictureFaces],
+        made: Provenance | None = None,
     ) -> None:
         """Write the detections in some pictures."""
         every = [face for each in faces for face in (*each.direct, *each.mirrored)]
@@ -200,7 +204,7 @@ class PictureDetector:
             "scores": np.array([face.scores for face in every]),
         }
         names = {"madeFrom": self._made_from(), "scoreNames": self.score_names}
-        write_detections(out, arrays, names, **about)
+        write_detections(out, arrays, names, provenance=made)
 
     def _made_from(self) -> tuple[str, ...]:
         return (self._video_hash(), self._spec.quality, self.digest)

@@ -22,9 +22,9 @@ def write_detections(
     arrays: Mapping[str, Float32Array],
     names: Mapping[str, tuple[str, ...]],
     *,
-    provenance: Provenance,
+    provenance: Provenance | None,
 ) -> None:
-    """Write arrays and lists of names, without loss."""
+    """Write arrays and lists of names, without loss; intermediate files have no provenance."""
     with new_layer(path, provenance) as layer:
         prim = define_prim(layer, Sdf.Path(f"/{_ROOT}"), "Scope")
         layer.defaultPrim = _ROOT
