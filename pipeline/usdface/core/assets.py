@@ -415,7 +415,7 @@ class TrainedMapping(_Asset):
 
 @dataclass(frozen=True)
 class SolveBasis:
-    """Training data of a solve's mapping."""
+    """What a solve rests on: its mapping's training data, and the regions that markers show."""
 
     pairs: int
     """Number of references."""

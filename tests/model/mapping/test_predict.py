@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 
 from tests.model.synthetic import MARKERS, SyntheticFace, references_of, synthetic_face
+from tests.usdio.small_rig import small_rig
 from usdface.core.assets import TrainedMapping
 from usdface.core.errors import InputError
 from usdface.core.rig_logic import Combination, RigLogic
 from usdface.model.mapping.head_space import MINIMUM_SHARE
 from usdface.model.mapping.motion_space import marker_coordinates, motion_of, noise_variance
-from usdface.model.mapping.predict import predict_weights
+from usdface.model.mapping.predict import basis_of, predict_weights
 from usdface.model.mapping.train import train_mapping
 from usdface.model.regressions import MAPPING_METHODS, REMOVED_METHODS, find_method
 
@@ -93,6 +94,21 @@ def test_a_frame_below_the_stated_share_of_markers_is_named() -> None:
     visible[2, least - 1 :] = False
     prediction = predict_weights(trained(face), face.positions[:3], visible=visible)
     assert prediction.few_markers.tolist() == [False, False, True]
+
+
+def test_a_region_whose_markers_the_take_lacks_has_no_markers() -> None:
+    mapping = trained(synthetic_face())
+    table = np.ones((3, MARKERS))
+    table[1, 2:] = table[2, :2] = 0
+    mapping = replace(
+        mapping,
+        arrays=mapping.arrays | {"region_markers": table},
+        settings=mapping.settings | {"regions": "face,brows,mouth", "pairs": 9, "tuned": 9},
+    )
+    for lost, without in ((1, ()), (2, ("brows",))):
+        basis = basis_of(mapping, small_rig(), missing=mapping.marker_names[:lost])
+        assert basis is not None
+        assert basis.regions_without_markers == without
 
 
 def test_uncertainty_is_low_at_references_and_grows_with_strange_faces() -> None:

@@ -1,5 +1,6 @@
 """Prediction of a mapping: weights of each frame from its markers, with their uncertainty."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from usdface.model.mapping.rig_match import changed_shapes
 from usdface.model.mapping.uncertainty import UncertaintyModel
 from usdface.model.regressions import REMOVED_METHODS, find_method
 from usdface.model.regressions.bent_weights import bend, unbend
+from usdface.model.regressions.forward_model import ForwardModel
 from usdface.model.regressions.frame_solve import FrameSolution, FrameSolver
 from usdface.numerics.regression.usage_prior import expected_weights
 
@@ -23,6 +25,10 @@ _BLOCK_FRAMES = 1024
 
 _SOLVED_FRAMES = 128
 """Frames per call of the solver, each with a Jacobian and a Hessian: 8 MB at 102 markers."""
+
+_LOST_SHARE = 0.9
+"""Share of the squared motion of a region's markers above which the region counts as unseen if the
+take lacks them: markers of its neighbours follow it a little."""
 
 
 @dataclass(frozen=True)
@@ -247,14 +253,30 @@ def regions_of(mapping: TrainedMapping) -> tuple[str, ...]:
     return tuple(str(mapping.settings["regions"]).split(","))
 
 
-def basis_of(mapping: TrainedMapping, rig: Rig) -> SolveBasis | None:
-    """Return the basis of a mapping's solves on a rig; None if an earlier version trained it."""
+def basis_of(
+    mapping: TrainedMapping, rig: Rig, *, missing: Sequence[str] = ()
+) -> SolveBasis | None:
+    """Return the basis of a take's solve on a rig; None if an earlier version trained the mapping.
+
+    Parameters
+    ----------
+    missing : sequence of str
+        Markers of the mapping that the take lacks.
+    """
     settings = mapping.settings
     if "tuned" not in settings or "pairs" not in settings:
         return None
     still, without, shapeless = (
         tuple(filter(None, str(settings.get(f"{each}_regions", "")).split(",")))
         for each in ("still", "unseen", "shapeless")
+    )
+    lost = np.isin(mapping.marker_names, missing)
+    motion2 = ForwardModel.from_arrays(mapping.arrays).motion2 * mapping.arrays["region_markers"]
+    unseen = motion2 @ lost > _LOST_SHARE * motion2.sum(axis=1)
+    without += tuple(
+        region
+        for region, is_unseen in zip(regions_of(mapping), unseen, strict=True)
+        if is_unseen and region not in without
     )
     return SolveBasis(
         pairs=int(settings["pairs"]),

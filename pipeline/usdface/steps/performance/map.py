@@ -160,7 +160,7 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress = silent) -
             timecode_start=take.timecode_at(first),
         ),
         neutral_frame=space.neutral.neutral_frame,
-        basis=basis_of(mapping, rig),
+        basis=basis_of(mapping, rig, missing=space.missing),
         zeroed_shapes=driven.zeroed_shapes,
     )
     with writing_performance(
