@@ -130,6 +130,29 @@ def test_lips_that_touch_are_two_places(metric: str) -> None:
     assert found.to_points[0, twin[slit[7]]] > 12
 
 
+@pytest.mark.parametrize("metric", METRICS)
+def test_a_texture_seam_does_not_cut_the_surface(metric: str) -> None:
+    """Exporters duplicate the points along a seam, which makes two parts that touch."""
+    points, counts, indices = quad_grid(9, 9)
+    seam = np.arange(4 * 9, 5 * 9)
+    copy = np.arange(len(points))
+    copy[seam] = len(points) + np.arange(9)
+    quads = indices.reshape(-1, 4)
+    below = points[quads].mean(axis=1)[:, 1] < 4
+    cut = np.where(below[:, None], copy[quads], quads)
+    whole = measure((points, counts, indices), [0], [[0.2, 0.3, 0.5]], metric)
+    found = measure(
+        (np.concatenate([points, points[seam]]), counts, cut.ravel()),
+        [0],
+        [[0.2, 0.3, 0.5]],
+        metric,
+    )
+    assert np.allclose(found.to_points[:, : len(points)], whole.to_points, atol=1e-5)
+    assert np.array_equal(found.to_points[:, seam], found.to_points[:, len(points) :])
+    assert not found.islands.any()
+    assert found.faults == whole.faults
+
+
 def test_islands_are_told_apart_and_have_no_way_between_them() -> None:
     points, counts, indices = quad_grid(4, 4)
     two = np.concatenate([points, points + np.array([10, 0, 0])])

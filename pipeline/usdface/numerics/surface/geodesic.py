@@ -6,7 +6,7 @@ directions of edges. From a place, anywhere on a face, the distances to that fac
 straight lines, and paths continue from the corners.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -17,7 +17,7 @@ from scipy.spatial.distance import cdist
 
 from usdface.core.arrays import Float32Array, FloatArray, IntArray, frame_blocks
 from usdface.core.progress import Progress, silent
-from usdface.numerics.surface.surface_graph import MeshFaults, surface_graph
+from usdface.numerics.surface.surface_graph import MeshFaults, join_parts, surface_graph
 from usdface.numerics.surface.surface_places import SurfacePoints
 from usdface.numerics.surface.triangulation import triangle_areas, triangulate
 
@@ -54,6 +54,8 @@ def geodesic_distances(
 ) -> Geodesics:
     """Return distances from every place to every point, and between places.
 
+    Parts that only duplicated points separate are one surface; see `join_parts`.
+
     Parameters
     ----------
     points : (points, 3) float array
@@ -66,10 +68,12 @@ def geodesic_distances(
     """
     if metric not in get_args(Metric):
         raise ValueError(f"no metric {metric!r}; there are {', '.join(get_args(Metric))}")
+    joined = join_parts(points, face_counts, face_indices)
+    _check_places(face_counts, face_indices, places)
+    face_indices, places = joined[face_indices], replace(places, corners=joined[places.corners])
     graph, islands, faults = surface_graph(
         points, face_counts, face_indices, diagonals=metric != "dijkstra"
     )
-    _check_places(face_counts, face_indices, places)
     positions = places.positions(points)
     starts = np.cumsum(face_counts) - face_counts
     polygons = [
@@ -89,6 +93,11 @@ def geodesic_distances(
     else:
         to_points = _shortest_paths(graph, polygons, lengths, progress)
     between = _between(to_points, places.faces, positions, polygons, lengths)
+    copies = int((joined != np.arange(len(points))).sum())
+    if copies:
+        to_points = to_points[:, joined]
+        islands = np.unique(islands[joined], return_inverse=True)[1]
+        faults = replace(faults, loose_points=faults.loose_points - copies)
     return Geodesics(to_points, between, positions, islands, faults)
 
 

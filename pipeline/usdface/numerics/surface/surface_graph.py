@@ -103,7 +103,8 @@ def surface_graph(
 ) -> tuple[sparse.csr_array, IntArray, MeshFaults]:
     """Build the graph of a mesh for shortest paths (W06, "Geodesic manifold distances").
 
-    Points at the same position are not merged: closed lips touch, but are far apart on the surface.
+    Points at the same position are two points: closed lips touch, but are far apart on the surface.
+    See `join_parts`.
 
     Parameters
     ----------
@@ -136,3 +137,42 @@ def surface_graph(
     used[face_indices] = True
     faults = MeshFaults(faults.nonmanifold_edges, faults.degenerate_faces, int((~used).sum()))
     return graph, islands, faults
+
+
+def join_parts(points: FloatArray, face_counts: IntArray, face_indices: IntArray) -> IntArray:
+    """Find the points that exporters duplicate where texture coordinates or normals are split.
+
+    These are ends of open edges of different parts, at the same positions. Edges of one part are
+    not joined: closed lips without an inner mouth touch like this.
+
+    Returns
+    -------
+    joined : (points,) int array
+        The first point that each one is a copy of; most often the point itself.
+    """
+    check_surface(points, face_counts, face_indices)
+    following = np.arange(1, len(face_indices) + 1)
+    full = face_counts > 0
+    following[np.cumsum(face_counts)[full] - 1] = (np.cumsum(face_counts) - face_counts)[full]
+    edges, used = _unique_pairs(
+        np.stack([face_indices, face_indices[following]], axis=1), len(points)
+    )
+    parts = _parts(edges, len(points))
+    edges = edges[used == 1]
+    ends, corners = np.unique(edges, return_inverse=True)
+    _, position = np.unique(points[ends], axis=0, return_inverse=True)
+    at = position.ravel()[corners.reshape(edges.shape)]
+    turned = at[:, 0] > at[:, 1]
+    edges[turned], at[turned] = edges[turned, ::-1], at[turned, ::-1]
+    order = np.lexsort((at[:, 1], at[:, 0]))
+    edges, at = edges[order], at[order]
+    same = (at[1:] == at[:-1]).all(axis=1) & (parts[edges[1:, 0]] != parts[edges[:-1, 0]])
+    pairs = np.stack([edges[:-1][same].ravel(), edges[1:][same].ravel()], axis=1)
+    copies = _parts(pairs, len(points))
+    return np.asarray(np.unique(copies, return_index=True)[1][copies])
+
+
+def _parts(pairs: IntArray, points: int) -> IntArray:
+    """Return the connected part of each point."""
+    graph = sparse.coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), (points, points))
+    return np.asarray(connected_components(graph, directed=False)[1], np.int64)

@@ -329,7 +329,7 @@ def _distances(
 ) -> SurfaceDistances:
     mesh = face.mesh
     numbers = (places.faces.tolist(), places.corners.tolist(), places.weights.round(7).tolist())
-    key = hash_text(f"{face.hash} {spec.metric} {numbers}")
+    key = hash_text(f"{face.hash} {spec.metric} {numbers} joined")
     path = distances_path(out, face.file, face.hash)
     cached = read_distances(path, key=key)
     if cached is not None:
