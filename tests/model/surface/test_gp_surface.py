@@ -148,3 +148,33 @@ def test_no_frames_give_no_frames(mouth: Mouth) -> None:
     assert found.mean.shape == (0, len(mouth.points), 3)
     assert found.sd is not None
     assert found.sd.shape == (0, len(mouth.points))
+
+
+@pytest.mark.parametrize("method", ["gp", "rbf"])
+def test_markers_that_vanish_follow_the_others_and_are_less_certain(
+    mouth: Mouth, method: str
+) -> None:
+    """The last position of a vanished marker is no measurement."""
+    moved = mouth.markers()
+    seen = np.ones(moved.shape[:2], bool)
+    seen[1:, ::7] = False
+    held = np.where(seen[..., None], moved, 0.0)
+    model = (
+        fit(mouth, moved, sampler="shared", length_scale=40.0)
+        if method == "gp"
+        else fit_rbf_surface(mouth.distances(), moved, RbfOptions())
+    )
+    found, trusted = model.deform(held, seen), model.deform(held)
+    assert rms(mouth, found.mean) < 0.6 * rms(mouth, trusted.mean)
+    assert np.allclose(found.mean[0], trusted.mean[0])
+    if found.sd is not None and trusted.sd is not None:
+        assert np.allclose(found.sd[0], trusted.sd[0])
+        assert (found.sd[1:] > 0.99 * trusted.sd[1:]).all()
+        assert (found.sd[1:] > 1.3 * trusted.sd[1:]).mean() > 0.03
+
+
+def test_without_any_marker_the_face_rests(mouth: Mouth) -> None:
+    moved = mouth.markers()
+    model = fit(mouth, moved, sampler="shared", length_scale=40.0)
+    found = model.deform(moved, np.zeros(moved.shape[:2], bool))
+    assert np.abs(found.mean).max() < 1e-4

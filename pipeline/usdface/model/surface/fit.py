@@ -6,14 +6,15 @@ predicted independently. Settings that are not given are chosen by leave-one-out
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
 
-from usdface.core.arrays import Float32Array, FloatArray, sample_frames
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, sample_frames
 from usdface.core.errors import InputError
 from usdface.model.surface.distance import BLEND_PUBLISHED, SurfaceDistances
+from usdface.numerics.manifold.posterior_prediction import predict_unseen
 from usdface.numerics.manifold.surface_fields import Folds, find_folds
 
 BLENDS_TRIED = (0.0, 0.2, BLEND_PUBLISHED, 0.6, 0.8, 1.0)
@@ -67,40 +68,51 @@ class SurfaceModel(ABC):
     diagnostics: SurfaceDiagnostics
     marker_count: int
     point_count: int
+    precision: FloatArray = field(repr=False)
+    """(markers, markers): inverse covariance of the markers, up to a factor."""
 
-    def deform(self, displacements: FloatArray) -> SurfaceMotion:
+    def deform(self, displacements: FloatArray, seen: BoolArray | None = None) -> SurfaceMotion:
         """Predict all frames at once; `stream` needs less memory.
 
         Parameters
         ----------
         displacements : (frames, markers, 3) float array
             From the neutral frame [mm].
+        seen : (frames, markers) bool array, optional
+            Other markers are predicted from those seen. Default: all are seen.
         """
-        parts = list(self.stream(displacements))
+        parts = list(self.stream(displacements, seen))
         deviations = [part.sd for part in parts if part.sd is not None]
         return SurfaceMotion(
             np.concatenate([part.mean for part in parts]),
             np.concatenate(deviations) if self.predicts_sd else None,
         )
 
-    def stream(self, displacements: FloatArray) -> Iterator[SurfaceMotion]:
+    def stream(
+        self, displacements: FloatArray, seen: BoolArray | None = None
+    ) -> Iterator[SurfaceMotion]:
         """Predict part by part, in bounded memory; the result does not depend on the parts.
 
         Parameters
         ----------
         displacements : (frames, markers, 3) float array
             [mm]
+        seen : (frames, markers) bool array, optional
+            See `deform`.
         """
         moved = check_displacements(displacements, self.marker_count)
+        if seen is None:
+            seen = np.ones(moved.shape[:2], np.bool_)
+        moved = predict_unseen(moved, seen, self.precision)
         if not len(moved):
             sd = np.zeros((0, self.point_count), np.float32) if self.predicts_sd else None
             yield SurfaceMotion(np.zeros((0, self.point_count, 3), np.float32), sd)
         size = max(1, _FIELD_VALUES // max(self.point_count, 1))
-        yield from self._predict(moved, size)
+        yield from self._predict(moved, seen, size)
 
     @abstractmethod
-    def _predict(self, moved: FloatArray, size: int) -> Iterator[SurfaceMotion]:
-        """Predict frames in parts of at most `size`."""
+    def _predict(self, moved: FloatArray, seen: BoolArray, size: int) -> Iterator[SurfaceMotion]:
+        """Predict frames in parts of at most `size`; `seen` is for the standard deviations."""
 
 
 def check_fit(

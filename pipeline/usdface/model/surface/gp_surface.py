@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, frame_blocks
+from usdface.core.arrays import BoolArray, FloatArray, frame_blocks
 from usdface.core.errors import InputError
 from usdface.model.surface.distance import BLEND_PUBLISHED, SurfaceDistances
 from usdface.model.surface.fit import (
@@ -45,9 +45,11 @@ from usdface.numerics.manifold.posterior_prediction import (
     join_moments,
     leave_markers_out,
     make_fields,
+    marker_precisions,
     mix_variances,
     predict_mean,
     predict_variance,
+    unseen_variances,
 )
 from usdface.numerics.manifold.surface_fields import (
     CovarianceShape,
@@ -113,10 +115,12 @@ class GpSurface(SurfaceModel):
     """Covariances between points and markers."""
     factors: SpreadFactors = field(repr=False)
     """Calibration of standard deviations."""
+    typical: FloatArray = field(repr=False)
+    """(4,): mean log hyper-parameters of the frames of the fit."""
     shared: FloatArray | None = field(repr=False)
     """(samples, 4): log hyper-parameters of the whole take, with the sampler ``'shared'``."""
 
-    def _predict(self, moved: FloatArray, size: int) -> Iterator[SurfaceMotion]:
+    def _predict(self, moved: FloatArray, seen: BoolArray, size: int) -> Iterator[SurfaceMotion]:
         # The next block is sampled while this one is predicted.
         with ThreadPoolExecutor(max_workers=1) as executor:
             sampled = executor.submit(self._sample, moved[:_SAMPLED_FRAMES])
@@ -124,10 +128,10 @@ class GpSurface(SurfaceModel):
                 theta = sampled.result()
                 stop = start + _SAMPLED_FRAMES
                 sampled = executor.submit(self._sample, moved[stop : stop + _SAMPLED_FRAMES])
-                block = moved[start:stop]
+                block, known = moved[start:stop], seen[start:stop]
                 for first in range(0, len(block), size):
                     part = slice(first, min(first + size, len(block)))
-                    yield self._fields(block[part], theta[..., part])
+                    yield self._fields(block[part], known[part], theta[..., part])
 
     def _sample(self, moved: FloatArray) -> FloatArray:
         """Return hyper-parameters of each frame and axis: (samples, 4, 3, frames)."""
@@ -150,7 +154,7 @@ class GpSurface(SurfaceModel):
             theta = samples.theta
         return np.moveaxis(theta.reshape(len(theta), 4, len(moved), 3), 3, 2)
 
-    def _fields(self, moved: FloatArray, theta: FloatArray) -> SurfaceMotion:
+    def _fields(self, moved: FloatArray, seen: BoolArray, theta: FloatArray) -> SurfaceMotion:
         parts = []
         for part in frame_blocks(len(moved), frames=_MOMENT_FRAMES):
             chains = np.moveaxis(theta[..., part], 2, 3).reshape(len(theta), 4, -1)
@@ -159,7 +163,12 @@ class GpSurface(SurfaceModel):
         moments = join_moments(parts)
         mean = predict_mean(self.fields, moments)
         shares = self.factors.of_axes**2 / 3.0
-        sd = np.sqrt(predict_variance(self.fields, mix_variances(moments, shares)))
+        variance = predict_variance(self.fields, mix_variances(moments, shares))
+        if not seen.all():
+            variance += np.float32(shares.sum()) * unseen_variances(
+                self.fields, self.table.spectrum, self.typical, seen, self.precision
+            )
+        sd = np.sqrt(variance)
         return SurfaceMotion(mean, sd * self.factors.of_points)
 
 
@@ -191,16 +200,19 @@ def fit_gp_surface(
     theta, facts = _sample_fitted(rng, table, rows, options)
     thin = max(1, len(theta) // _CALIBRATION_SAMPLES)
     left_out = leave_markers_out(chosen.spectrum, rows, theta[::thin], with_nearest=True)
+    typical = theta.mean(axis=(0, 2))
     return GpSurface(
         blend=chosen.blend,
         length_scale=chosen.length_scale,
         diagnostics=SurfaceDiagnostics(chosen.left_out_rms_mm, covariance.clipped, **facts),
         marker_count=frames.shape[1],
         point_count=len(places),
+        precision=marker_precisions(chosen.spectrum, typical[None])[0],
         options=options,
         table=table,
         fields=fields,
         factors=calibrate_spread(left_out, covariance.matrix(), cross),
+        typical=typical,
         shared=theta[:, :, 0] if options.sampler == "shared" else None,
     )
 

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from usdface.core.arrays import Float32Array, FloatArray
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray
 from usdface.core.errors import InputError
 from usdface.model.surface.distance import BLEND_PUBLISHED, SurfaceDistances
 from usdface.model.surface.fit import (
@@ -46,7 +46,7 @@ class RbfSurface(SurfaceModel):
     operator: Float32Array = field(repr=False)
     """(points, markers): see `multiquadric_fields`."""
 
-    def _predict(self, moved: FloatArray, size: int) -> Iterator[SurfaceMotion]:
+    def _predict(self, moved: FloatArray, seen: BoolArray, size: int) -> Iterator[SurfaceMotion]:
         for start in range(0, len(moved), size):
             part = moved[start : start + size].astype(np.float32)
             flat = part.transpose(1, 0, 2).reshape(self.marker_count, -1)
@@ -86,5 +86,6 @@ def fit_rbf_surface(
         diagnostics=SurfaceDiagnostics(rms),
         marker_count=len(columns),
         point_count=len(operator),
+        precision=network.inverse,
         operator=operator,
     )

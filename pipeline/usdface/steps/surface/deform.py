@@ -55,7 +55,7 @@ def run(spec: DeformSpec, *, provenance: Provenance, progress: Progress = silent
     ) as writer:
         for start in range(first, last + 1, _CHUNK_FRAMES):
             stop = min(start + _CHUNK_FRAMES - 1, last)
-            for moved in plan.stream(plan.frames(take, start, stop)):
+            for moved in plan.stream(take, start, stop):
                 points = face.local + face.to_mesh_space(moved.mean.astype(np.float64))
                 writer.append(
                     points,

@@ -120,9 +120,7 @@ def run(spec: MakeShapesSpec, *, provenance: Provenance, progress: Progress = si
     plan = plan_surface(spec, take, out=spec.out, progress=part(progress, 0.0, 0.6))
     chosen = chosen or _choose_frames(spec, plan, take)
     progress(0.6, f"making {len(chosen)} shapes")
-    moved = plan.deform(
-        np.concatenate([plan.frames(take, each.frame, each.frame) for each in chosen])
-    )
+    moved = plan.deform(take, [each.frame for each in chosen])
     shapes = [
         NewShape(each.name, moved.mean[index].astype(np.float64), take.name, each.frame)
         for index, each in enumerate(chosen)

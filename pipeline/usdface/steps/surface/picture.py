@@ -62,7 +62,8 @@ def write_comparison(
     moved = every[inside]
     rows = np.sort(pivoted_selection(moved.reshape(len(moved), -1), spec.rows))
     columns, models = _compared_models(spec, plan, every)
-    surfaces = [each.deform(moved[rows]) for each in models]
+    seen = plan.sample.visible[inside][rows][:, plan.columns]
+    surfaces = [each.deform(moved[rows], seen) for each in models]
     sds = surfaces[-1].sd
     rest = plan.face.mesh.points
     compared = [

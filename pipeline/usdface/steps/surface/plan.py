@@ -1,6 +1,6 @@
 """Prepare the deformation of a mesh by a take: binding, proportions, distances, model."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -170,18 +170,18 @@ class SurfacePlan:
         moved = positions[:, self.columns].astype(np.float64) - self.sample.neutral[self.columns]
         return np.asarray(moved @ self.proportions.linear.T)
 
-    def frames(self, take: TakeReader, first: int, last: int) -> FloatArray:
-        """Return the displacements of frames of the take; see `displacements`."""
-        return self.displacements(read_markers(take, first, last).positions)
-
-    def deform(self, displacements: FloatArray) -> SurfaceMotion:
-        """Deform the mesh at a few frames."""
-        moved = self.model.deform(displacements)
+    def deform(self, take: TakeReader, frames: Sequence[int]) -> SurfaceMotion:
+        """Deform the mesh at a few frames of the take, in any order."""
+        markers, rows = read_markers_at(take, sorted(frames)), np.argsort(np.argsort(frames))
+        seen = markers.usable[rows][:, self.columns]
+        moved = self.model.deform(self.displacements(markers.positions[rows]), seen)
         return SurfaceMotion(moved.mean * self.fade, moved.sd)
 
-    def stream(self, displacements: FloatArray) -> Iterator[SurfaceMotion]:
-        """Deform the mesh at many frames, block by block."""
-        for moved in self.model.stream(displacements):
+    def stream(self, take: TakeReader, first: int, last: int) -> Iterator[SurfaceMotion]:
+        """Deform the mesh at consecutive frames of the take, block by block."""
+        markers = read_markers(take, first, last)
+        seen = markers.usable[:, self.columns]
+        for moved in self.model.stream(self.displacements(markers.positions), seen):
             yield SurfaceMotion(moved.mean * self.fade, moved.sd)
 
 
@@ -219,6 +219,8 @@ def plan_surface(
     distances = _distances(spec, face, places, out, part(progress, 0.3, 0.6))
     notes.extend(distances.unreached.describe())
     progress(0.6, "fitting the regression")
+    seen = sample.visible[:, columns]
+    notes.extend(_unseen_notes([sample.names[column] for column in columns.tolist()], seen))
     moved = sample.positions[:, columns] - sample.neutral[columns]
     model = fit_surface(spec, distances, moved @ proportions.linear.T, surface_options(spec))
     fade = _fade(distances, spec.reach)
@@ -310,6 +312,18 @@ def _bind(spec: SurfaceSpec, sample: TakeSample, face: FaceMesh) -> tuple[Marker
     if face.others:
         notes.append(f"{len(face.others)} other meshes of {spec.mesh.name} do not move")
     return binding, notes
+
+
+def _unseen_notes(names: list[str], seen: BoolArray) -> list[str]:
+    """Return a note on markers without a position in some frames of the sample."""
+    missing = 1 - seen.mean(axis=0)
+    if not missing.any():
+        return []
+    worst = [names[i] for i in np.argsort(-missing, kind="stable") if missing[i] > 0]
+    return [
+        f"without a position in up to {missing.max():.0%} of the frames, where the others predict "
+        f"them with more uncertainty: {pluralize(len(worst), 'marker')}, {first_few(worst)}"
+    ]
 
 
 def _fade(distances: SurfaceDistances, reach: float | None) -> Float32Array:
