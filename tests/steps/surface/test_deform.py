@@ -392,6 +392,20 @@ def test_landmarks_that_are_not_there_are_named_all_at_once(folder: Path, scan: 
         run(spec)
 
 
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (("nose tip=5", "chin_L=5", "brow_R=5"), "points on the mesh lie on a line or coincide"),
+        (("nose tip=5", "nose tip=6", "brow_R=7"), "nose tip is given twice; correct --landmarks"),
+    ],
+)
+def test_landmarks_that_say_too_little_are_refused(
+    folder: Path, scan: Scan, given: tuple[str, ...], message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        run(bind(folder, scan).model_copy(update={"landmarks": given}))
+
+
 def test_a_mirrored_face_is_refused(folder: Path, scan: Scan) -> None:
     wrong = (
         "skin_13_2=" + str(scan.markers[scan.names.index("skin_13_22")]),

@@ -84,9 +84,10 @@ def align_landmarks(cloud: ArrayLike, targets: ArrayLike) -> Alignment:
     if len(y) < 3 or y.shape != x.shape:
         raise ValueError(f"landmarks need at least 3 pairs of points, got {y.shape} and {x.shape}")
     yc, xc = y - y.mean(axis=0), x - x.mean(axis=0)
-    spread = np.linalg.svd(yc, compute_uv=False)
-    if spread[1] < 0.02 * spread[0]:
-        raise ValueError("the landmarks lie on a line; add one off that line")
+    for points, where in ((yc, "markers"), (xc, "points on the mesh")):
+        spread = np.linalg.svd(points, compute_uv=False)
+        if spread[1] <= 0.02 * spread[0]:
+            raise ValueError(f"the landmarks' {where} lie on a line or coincide; add one off it")
     u, s, vt = np.linalg.svd(xc.T @ yc)
     sign = float(np.sign(np.linalg.det(u @ vt)))
     proper = s @ np.array([1, 1, sign])

@@ -120,7 +120,9 @@ def landmark_places(
     for landmark in landmarks:
         name, _, number = landmark.rpartition("=")
         point = int(number)
-        if name not in names:
+        if name in names and names.index(name) in found:
+            faults.append(f"{name} is given twice")
+        elif name not in names:
             faults.append(f"{take}: has no marker {name!r}; it has {first_few(names)}")
         elif point >= len(face.mesh.points):
             faults.append(
