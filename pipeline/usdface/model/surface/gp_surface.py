@@ -115,6 +115,8 @@ class GpSurface(SurfaceModel):
     """Covariances between points and markers."""
     factors: SpreadFactors = field(repr=False)
     """Calibration of standard deviations."""
+    alone: BoolArray = field(repr=False)
+    """(points,): those of parts without a marker."""
     typical: FloatArray = field(repr=False)
     """(4,): mean log hyper-parameters of the frames of the fit."""
     shared: FloatArray | None = field(repr=False)
@@ -163,11 +165,14 @@ class GpSurface(SurfaceModel):
         moments = join_moments(parts)
         mean = predict_mean(self.fields, moments)
         shares = self.factors.of_axes**2 / 3.0
-        variance = predict_variance(self.fields, mix_variances(moments, shares))
+        mixed = mix_variances(moments, shares)
+        variance = predict_variance(self.fields, mixed)
         if not seen.all():
             variance += np.float32(shares.sum()) * unseen_variances(
                 self.fields, self.table.spectrum, self.typical, seen, self.precision
             )
+        # No marker tells how a separate part moves: its deviation is that of any point.
+        variance[:, self.alone] = np.maximum(variance[:, self.alone], mixed.constant[:, None])
         sd = np.sqrt(variance)
         return SurfaceMotion(mean, sd * self.factors.of_points)
 
@@ -212,6 +217,7 @@ def fit_gp_surface(
         table=table,
         fields=fields,
         factors=calibrate_spread(left_out, covariance.matrix(), cross),
+        alone=distances.unreached.points,
         typical=typical,
         shared=theta[:, :, 0] if options.sampler == "shared" else None,
     )
