@@ -184,3 +184,21 @@ def test_a_side_that_the_other_rig_lacks_is_matched_and_named(faces) -> None:
     assert differing_sides(crossed, actor.shapes, hero.shapes) == []
     whole = called["browInnerUp"]
     assert differing_sides({whole: [left]}, actor.shapes, hero.shapes) == [f"{whole} -> {left}"]
+
+
+@pytest.mark.parametrize("turn", [1, -1])
+def test_numbered_shapes_keep_their_side(faces, turn: int) -> None:
+    hero, actor = faces
+    chosen = ("mouthSmileLeft", "mouthSmileRight", "eyeBlinkLeft", "eyeBlinkRight", "jawOpen")
+    numbers = {name: f"shape_{index:03d}" for index, name in enumerate(hero.shapes)}
+    named, numbered = (actor, hero)[::turn]
+    numbered = foreign(numbered, numbers)
+    sides = chosen, tuple(numbers[name] for name in chosen)
+    (source, target), (names, other_names) = (named, numbered)[::turn], sides[::turn]
+    matches = match_deformations(source, target, source_shapes=names, target_shapes=other_names)
+    assert {each.source: each.target for each in matches} == dict(
+        zip(names, other_names, strict=True)
+    )
+    assert all(each.share == 1.0 for each in matches)
+    driven = {each.source: [each.target] for each in matches}
+    assert differing_sides(driven, source.shapes, target.shapes) == []

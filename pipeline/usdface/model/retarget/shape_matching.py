@@ -251,17 +251,26 @@ def differing_sides(
     driven : mapping of str to collection of str
         Driven target shapes of each matched source shape.
     source, target : sequence of str
-        All shapes of both rigs, with the other sides by name.
+        All shapes of both rigs, with the other sides by name. If no name of a rig has another side,
+        as with numbers, its sides are not compared; the number of driven shapes still is.
     """
     source_mirror, target_mirror = (
         {name: names[other] for name, other in zip(names, mirrored_shapes(names), strict=True)}
         for names in (source, target)
     )
+    source_sided, target_sided = (
+        any(name != other for name, other in mirror.items())
+        for mirror in (source_mirror, target_mirror)
+    )
     lines = []
     for index, name in enumerate(source):
         other = source_mirror[name]
         targets, other_targets = set(driven.get(name, ())), set(driven.get(other, ()))
-        if index > source.index(other) or {target_mirror[n] for n in targets} == other_targets:
+        if target_sided and source_sided:
+            alike = {target_mirror[n] for n in targets} == other_targets
+        else:
+            alike = len(targets) == len(other_targets)
+        if index > source.index(other) or alike:
             continue
         pair = [name] if other == name else [name, other]
         parts = (f"{n} -> {', '.join(sorted(driven.get(n, ()))) or 'nothing'}" for n in pair)
@@ -279,7 +288,8 @@ def _assign_units(
 ) -> list[tuple[int, int, float]]:
     """Match units; return source and target index and the factor of each pair of shapes.
 
-    Two sides drive a shape of both by half each, and are driven by it in full.
+    Two sides drive a shape of both by half each, and are driven by it in full. Both must be similar
+    to it: a shape of one side is no counterpart of the other.
     """
     if not (sources and targets):
         return []
@@ -292,9 +302,11 @@ def _assign_units(
         ]
         return max(ways, key=lambda way: sum(likeness[pair] for pair in way))
 
-    scores = np.array(
-        [[np.mean([likeness[pair] for pair in parts(s, t)]) for t in targets] for s in sources]
-    )
+    def score(source: _Unit, target: _Unit) -> float:
+        of_parts = [likeness[pair] for pair in parts(source, target)]
+        return float(np.mean(of_parts) if len(source) == len(target) else min(of_parts))
+
+    scores = np.array([[score(s, t) for t in targets] for s in sources])
     found = []
     for i, j in zip(*map(np.ndarray.tolist, linear_sum_assignment(-scores)), strict=True):
         if scores[i, j] >= _LEAST_SIMILARITY:
