@@ -586,6 +586,13 @@ def test_a_source_shape_that_no_pair_uses_is_told_at_training_and_at_work(
     assert "are in no pair, so the target does not follow: eyeBlink" in capsys.readouterr().out
     words = describe_retarget(Path("b.usda"))
     assert words == "a retarget of 30 pairs, keyed by hand; eyeBlink moves and is not followed"
+    rows = "".join(f"{frame},0.1,{0.02 * frame},0.1\n" for frame in range(40))
+    Path("phone.csv").write_text(f"frame,JawOpen,EyeBlink,Smile\n{rows}", encoding="utf-8")
+    line = "retarget phone.csv --rate 24 --retargeting x.retarget.usdc --out c.usda"
+    assert usdface(*line.split()) == 0  # the source's own spelling
+    told = capsys.readouterr().out
+    assert "in no pair, so the target does not follow: EyeBlink" in told
+    assert "Do not use" in told
 
 
 def test_conflicting_pairs_are_reported(stall: Stall, capsys) -> None:

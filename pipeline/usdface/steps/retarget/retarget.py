@@ -57,7 +57,7 @@ class _Target:
     unmatched: tuple[str, ...]
     """Moving shapes of the source without a counterpart."""
     unpaired: tuple[str, ...] = ()
-    """Moving shapes of the source that no pair uses."""
+    """Moving shapes of the source that drive only shapes that no pair uses."""
     surfaces: Correspondence | None = None
     """Between the source's rig and this one, to match positions."""
 
@@ -274,11 +274,10 @@ def _dead(
     columns = motion.weights @ transfer.matrix
     moving = np.abs(columns).max(axis=0, initial=0.0) > MOVING_WEIGHT
     unused = trained.arrays.get("unused", np.zeros(len(trained.source_shapes))) > 0
-    names = tuple(
-        name
-        for name, moves, dead in zip(trained.source_shapes, moving, unused, strict=True)
-        if moves and dead
-    )
+    linked = transfer.matrix != 0
+    dead = linked.any(axis=1) & ~linked[:, ~unused].any(axis=1)
+    lost = {name for name, each in zip(transfer.source, dead, strict=True) if each}
+    names = tuple(name for name in motion.shares if name in lost)
     if names and not (moving & ~unused).any():
         raise InputError(
             f"{spec.source}: moves only {first_few(names, most=3)}, which no pair of the "
