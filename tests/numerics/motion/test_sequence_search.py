@@ -65,6 +65,13 @@ def test_planted_gestures_are_found_without_a_threshold():
     assert (found.distances <= found.threshold).all()
 
 
+@pytest.mark.parametrize("start", [0, 1, 137, 939, 940])
+def test_a_copy_is_found_where_it_is_also_at_the_ends_of_a_take(start: int):
+    motion = acted(np.random.default_rng(0), 1000)
+    found = find_sequence(motion, motion[start : start + 60])
+    assert start in found.starts
+
+
 def test_a_motion_without_the_gesture_holds_none():
     found = find_sequence(0.1 * acted(np.random.default_rng(0), 4000), gesture())
     assert not len(found.starts)

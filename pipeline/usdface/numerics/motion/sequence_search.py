@@ -90,7 +90,7 @@ def starts_within(motion: FloatArray, sequence: FloatArray, *, threshold: float)
 def find_sequence(
     motion: FloatArray, sequence: FloatArray, *, threshold: float | None = None
 ) -> Matches:
-    """Return the occurrences of a sequence in a motion, without overlaps.
+    """Return the occurrences of a sequence in a motion, the nearest of those that overlap.
 
     Parameters
     ----------
@@ -108,14 +108,7 @@ def find_sequence(
         threshold = _MATCH_SHARE * mean_face_distance(sequence)
         if threshold == 0.0:
             raise ValueError("the sequence stands still, so any face at rest matches it")
-    matches = starts_within(motion, sequence, threshold=threshold)
-    starts = merge_starts(matches.starts, len(sequence))
-    distances = sequence_distances(motion, sequence, starts)
-    for index in np.flatnonzero(distances > threshold).tolist():
-        # The average of several matches need not be one: replace it by the nearest.
-        nearest = int(np.abs(matches.starts - starts[index]).argmin())
-        starts[index], distances[index] = matches.starts[nearest], matches.distances[nearest]
-    return _drop_overlapping(Matches(starts, distances, threshold), len(sequence))
+    return _drop_overlapping(starts_within(motion, sequence, threshold=threshold), len(sequence))
 
 
 def find_published(motion: FloatArray, sequence: FloatArray, *, delta: float) -> Matches:
@@ -157,9 +150,12 @@ def merge_starts(starts: IntArray, length: int) -> IntArray:
 def _drop_overlapping(matches: Matches, length: int) -> Matches:
     """Return the nearest of matches that overlap."""
     chosen: list[int] = []
+    free = np.ones(int(matches.starts.max(initial=0)) + 1, dtype=np.bool_)
     for index in np.argsort(matches.distances, kind="stable").tolist():
-        if all(abs(matches.starts[index] - matches.starts[other]) >= length for other in chosen):
+        start = int(matches.starts[index])
+        if free[start]:
             chosen.append(index)
+            free[max(start - length + 1, 0) : start + length] = False
     order = sorted(chosen)
     return Matches(matches.starts[order], matches.distances[order], matches.threshold)
 
