@@ -497,7 +497,9 @@ def test_matched_positions_beyond_the_range_are_named(
         str(tmp_path / "stiff.usdc"),
     ]
     assert usdface(*line, "--frames", "101-140") == 0
-    assert re.search(r"drive .* beyond its range: .*jawOpen \([1-4]\.", capsys.readouterr().out)
+    assert re.search(
+        r"drive .* beyond (its|their) range: .*jawOpen \([1-4]\.", capsys.readouterr().out
+    )
 
 
 def test_positions_are_matched_without_pairs(finished_shot: Shot, tmp_path: Path, capsys) -> None:
@@ -593,6 +595,20 @@ def test_a_source_shape_that_no_pair_uses_is_told_at_training_and_at_work(
     told = capsys.readouterr().out
     assert "in no pair, so the target does not follow: EyeBlink" in told
     assert "Do not use" in told
+
+
+def test_weights_cut_at_the_range_are_told(stall: Stall, capsys) -> None:
+    assert import_pairs() == 0
+    line = "train-retarget x.pairs.usda --method additive --out x.retarget.usdc --overwrite"
+    assert usdface(*line.split()) == 0
+    line = "retarget shot.usda --retargeting x.retarget.usdc --out beast.shot.usda --overwrite"
+    assert usdface(*line.split()) == 0
+    assert "beyond" not in capsys.readouterr().out
+    write_human_performance(stall / "shot.usda", stall.human, 2 * stall.weights, first=FIRST)
+    assert usdface(*line.split()) == 0
+    told = capsys.readouterr().out
+    assert re.search(r"expressions that add up would drive \d shapes? beyond", told)
+    assert "cut there" in told
 
 
 def test_conflicting_pairs_are_reported(stall: Stall, capsys) -> None:

@@ -136,10 +136,10 @@ def train_retargeting(
     )
 
 
-def retarget(
+def predict_coordinates(
     trained: Retargeting, source: FloatArray, *, alpha: FloatArray | None = None
-) -> Controls:
-    """Return the target's controls for source weights.
+) -> FloatArray:
+    """Return the target's coordinates for source weights, beyond their limits too.
 
     Parameters
     ----------
@@ -163,14 +163,24 @@ def retarget(
             moved = predict_blended(arrays, trained.settings, inputs, alpha)
         if "target_units" in arrays:  # absent in earlier versions
             moved = moved * arrays["target_units"]
-        moved += trained.rest
-        np.clip(moved, trained.ranges[:, 0], trained.ranges[:, 1], out=moved)
-        return space_of(trained).decode(moved)
+        return np.asarray(moved + trained.rest)
     except (KeyError, ValueError, IndexError, TypeError) as error:
         raise InputError(
             f"the retargeting's arrays do not fit its method, {trained.method}, or the source: "
             f"{type(error).__name__}: {error}; train it again"
         ) from error
+
+
+def retarget(
+    trained: Retargeting, source: FloatArray, *, alpha: FloatArray | None = None
+) -> Controls:
+    """Return the target's controls for source weights; see `predict_coordinates`."""
+    return limited_controls(trained, predict_coordinates(trained, source, alpha=alpha))
+
+
+def limited_controls(trained: Retargeting, coordinates: FloatArray) -> Controls:
+    """Return the controls at coordinates, within their limits."""
+    return space_of(trained).decode(np.clip(coordinates, *trained.ranges.T))
 
 
 def describe_retargeting_figures(trained: Retargeting) -> dict[str, object]:

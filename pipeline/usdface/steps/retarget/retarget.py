@@ -16,7 +16,7 @@ from usdface.core.text import first_few, frame_ranges, pluralize
 from usdface.model.placement.rig_orientation import describe_orientation
 from usdface.model.retarget.name_matching import Transfer
 from usdface.model.retarget.shape_matching import Correspondence, correspond, match_positions
-from usdface.model.retarget.train import retarget
+from usdface.model.retarget.train import limited_controls, predict_coordinates
 from usdface.model.review.verdict import worst_verdict
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
@@ -42,6 +42,9 @@ from usdface.usdio.rig.read import read_rig
 from usdface.usdio.take.read import TakeReader, is_take
 
 _CHUNK_FRAMES = 8192
+
+_CUT_SHARE = 0.1
+"""[of a shape's range] Least excess over it that is reported."""
 
 
 @dataclass(frozen=True)
@@ -71,14 +74,16 @@ class _Target:
     def shapes(self) -> tuple[str, ...]:
         return self.rig.shapes if self.trained is None else self.trained.shapes
 
-    def controls(self, source: FloatArray, alpha: FloatArray | None) -> Controls:
-        """Return the controls for source weights, (frames, source shapes)."""
+    def controls(self, source: FloatArray, alpha: FloatArray | None) -> tuple[Controls, FloatArray]:
+        """Return the controls for source weights, and the weights before they are limited."""
         columns = source @ self.transfer.matrix
+        if self.trained is not None:
+            coordinates = predict_coordinates(self.trained, columns, alpha=alpha)
+            controls = limited_controls(self.trained, coordinates)
+            return controls, coordinates[:, : len(self.trained.shapes)]
         if self.surfaces is not None:
-            return shape_controls(self.rig.shapes, match_positions(self.surfaces, columns))
-        if self.trained is None:
-            return shape_controls(self.rig.shapes, columns)
-        return retarget(self.trained, columns, alpha=alpha)
+            columns = match_positions(self.surfaces, columns)
+        return shape_controls(self.rig.shapes, columns), columns
 
 
 def run(spec: RetargetSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
@@ -110,15 +115,9 @@ def run(spec: RetargetSpec, *, provenance: Provenance, progress: Progress = sile
         header = _header(spec, motion, target)
         header = replace(header, zeroed_shapes=heads[index].zeroed_shapes)
         largest = _write(out, header, motion, target, heads[index], alpha, share, provenance)
-        unlimited = _exceeding(
-            target.rig,
-            largest,
-            cause="positions, which are matched without an upper limit, drive",
-            remedy="train on pairs, or `bake --limit`",
-        )
         target_notes = (
             *target.notes,
-            *(unlimited if target.surfaces else ()),
+            *_unlimited(target, largest),
             *describe_orientation(target.rig),
             *heads[index].notes,
             *edit_notes(out),
@@ -242,7 +241,7 @@ def _write(
     progress: Progress,
     provenance: Provenance,
 ) -> FloatArray:
-    """Write a performance; return the largest weight of each shape."""
+    """Write a performance; return the largest weight of each shape without limits."""
     trained, largest = target.trained, np.zeros(len(target.shapes))
     with writing_control_performance(
         out,
@@ -256,9 +255,10 @@ def _write(
         count = len(motion.weights)
         for start in range(0, count, _CHUNK_FRAMES):
             rows = slice(start, start + _CHUNK_FRAMES)
-            controls = target.controls(motion.weights[rows], None if alpha is None else alpha[rows])
+            keyed = None if alpha is None else alpha[rows]
+            controls, weights = target.controls(motion.weights[rows], keyed)
             writer.append(controls)
-            largest = np.maximum(largest, controls.weights.max(axis=0, initial=0.0))
+            largest = np.maximum(largest, weights.max(axis=0, initial=0.0))
             done = min(start + _CHUNK_FRAMES, count)
             progress(done / count, f"{out.name}: frame {motion.first_frame + done - 1}")
         write_head_layer(
@@ -293,20 +293,47 @@ def _beyond(rig: Rig, motion: SourceMotion, transfer: Transfer) -> list[str]:
         return []
     largest = (motion.weights @ transfer.matrix).max(axis=0, initial=0.0)
     return _exceeding(
-        rig,
+        rig.shapes,
+        rig.ranges,
         np.where(several, largest, 0.0),
         cause="several source shapes add up on",
         remedy="MetaHuman's rig clamps its controls, for other rigs lower the weights with --names",
     )
 
 
-def _exceeding(rig: Rig, largest: FloatArray, *, cause: str, remedy: str) -> list[str]:
+def _unlimited(target: _Target, largest: FloatArray) -> list[str]:
+    """Return a note on shapes that pairs or positions drive beyond their range."""
+    if target.surfaces is not None:
+        return _exceeding(
+            target.rig.shapes,
+            target.rig.ranges,
+            largest,
+            cause="positions, which are matched without an upper limit, drive",
+            remedy="train on pairs, or `bake --limit`",
+        )
+    if target.trained is None:
+        return []
+    low, high = target.trained.ranges[: len(largest)].T
+    return _exceeding(
+        target.trained.shapes,
+        np.stack([low, high + _CUT_SHARE * (high - low)], axis=1),
+        largest,
+        cause="expressions that add up would drive",
+        remedy="cut there, at the largest weight of rig and pairs: key pairs of such expressions, "
+        "or a pair with the full weight",
+    )
+
+
+def _exceeding(
+    shapes: tuple[str, ...], ranges: FloatArray, largest: FloatArray, *, cause: str, remedy: str
+) -> list[str]:
     """Return a note on the shapes whose largest weight exceeds their range."""
-    above = np.flatnonzero(largest > rig.ranges[:, 1] + MOVING_WEIGHT).tolist()
-    names = [f"{rig.shapes[i]} ({largest[i]:.2f})" for i in above]
+    above = np.flatnonzero(largest > ranges[:, 1] + MOVING_WEIGHT).tolist()
+    names = [f"{shapes[i]} ({largest[i]:.2f})" for i in above]
     if not names:
         return []
+    whose = "its" if len(names) == 1 else "their"
     return [
-        f"{cause} {pluralize(len(names), 'shape')} beyond its range: "
+        f"{cause} {pluralize(len(names), 'shape')} beyond {whose} range: "
         f"{first_few(names, most=3)}; {remedy}"
     ]
