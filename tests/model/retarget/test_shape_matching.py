@@ -202,3 +202,28 @@ def test_numbered_shapes_keep_their_side(faces, turn: int) -> None:
     assert all(each.share == 1.0 for each in matches)
     driven = {each.source: [each.target] for each in matches}
     assert differing_sides(driven, source.shapes, target.shapes) == []
+
+
+def test_the_same_head_is_not_moved_whatever_its_shapes_tell(faces, monkeypatch) -> None:
+    hero = faces[0]
+    numbered = foreign(hero, {name: f"s{index}" for index, name in enumerate(hero.shapes)})
+    landmarks = iter(({"lid_upper_L": np.zeros(3)}, {"mouth_middle": np.zeros(3)}))
+    monkeypatch.setattr(
+        "usdface.model.retarget.shape_matching.find_landmarks", lambda *_: next(landmarks)
+    )
+    both = correspond(hero, numbered)
+    np.testing.assert_allclose(both.source, both.target, atol=1e-3)  # [mm]
+
+
+def test_one_equal_pair_outweighs_two_half_similar_ones(faces, monkeypatch) -> None:
+    hero, actor = map(foreign, faces)
+    chosen = tuple(
+        dict(zip(faces[0].shapes, hero.shapes, strict=True))[name]
+        for name in ("mouthPucker", "mouthFunnel")
+    )
+    rows = [hero.shapes.index(name) for name in chosen]
+    made = np.zeros((len(hero.shapes),) * 2)
+    made[np.ix_(rows, rows)] = [[1.0, 0.6], [0.6, 0.0]]
+    monkeypatch.setattr(Correspondence, "similarity", lambda _: made)
+    found = match_deformations(actor, hero, source_shapes=chosen, target_shapes=chosen)
+    assert [(each.source, each.target) for each in found] == [(chosen[0], chosen[0])]

@@ -25,7 +25,12 @@ from usdface.model.placement.rig_landmarks import find_landmarks
 from usdface.model.placement.shape_parts import shape_parts
 from usdface.model.retarget.shape_names import mirrored, read_meanings
 from usdface.numerics.measure.face_regions import gaze_shapes, mirrored_shapes, region_of_shape
-from usdface.numerics.registration.cloud_alignment import Alignment, align_cloud, align_pairs
+from usdface.numerics.registration.cloud_alignment import (
+    UNMOVED,
+    Alignment,
+    align_cloud,
+    align_pairs,
+)
 from usdface.numerics.registration.face_skin import FaceSkin
 from usdface.numerics.solve.bounded_least_squares import solve_bounded_least_squares
 
@@ -43,6 +48,9 @@ _UPPER_FACE, _LOWER_FACE = ("brows", "lids"), ("mouth", "jaw")
 
 _LEAST_DEPTH = 1e-3
 """Least extent of a face along its shortest axis, relative to its longest."""
+
+_SAME_SHARE = 1e-3
+"""[of the face's size] Largest distance between the points of the same head."""
 
 _LEAST_SIMILARITY = 0.5
 """Cosine below which two shapes are not matched."""
@@ -84,8 +92,9 @@ class ShapeMatch:
 def correspond(source: Rig, target: Rig) -> Correspondence:
     """Align two faces.
 
-    Each is aligned to the other, and the alignment with the smaller residual is used, so that the
-    result does not depend on which one is the source.
+    The same head, with other shapes, is not moved. Else each is aligned to the other, and the
+    alignment with the smaller residual is used, so that the result does not depend on which one is
+    the source.
 
     Raises
     ------
@@ -110,6 +119,8 @@ def correspond(source: Rig, target: Rig) -> Correspondence:
 
 def _align(one: "_Face", other: "_Face") -> tuple[Alignment, float]:
     """Return the alignment of a face to another, and its residual over the other's size."""
+    if one.has_surface_of(other):
+        return UNMOVED, 0.0
     common = sorted(one.landmarks.keys() & other.landmarks.keys())
     if set(_ALIGNING_LANDMARKS) <= set(common):
         places, targets = (np.array([f.landmarks[name] for name in common]) for f in (one, other))
@@ -308,7 +319,8 @@ def _assign_units(
 
     scores = np.array([[score(s, t) for t in targets] for s in sources])
     found = []
-    for i, j in zip(*map(np.ndarray.tolist, linear_sum_assignment(-scores)), strict=True):
+    explained = scores * np.abs(scores)  # a cosine's square is the share of the motion
+    for i, j in zip(*map(np.ndarray.tolist, linear_sum_assignment(-explained)), strict=True):
         if scores[i, j] >= _LEAST_SIMILARITY:
             share = 0.5 if len(sources[i]) > len(targets[j]) else 1.0
             found += [(row, column, share) for row, column in parts(sources[i], targets[j])]
@@ -345,6 +357,12 @@ class _Face:
         if extents[-1] < _LEAST_DEPTH * extents[0]:
             raise InputError(f"{rig.file}: the surface is too flat for a face")
         return cls(skin, find_landmarks(skin, rig.shapes))
+
+    def has_surface_of(self, other: "_Face") -> bool:
+        """Return whether both are the same head at rest, whatever its shapes are called."""
+        one, two = self.skin.positions, other.skin.positions
+        tolerance_mm = _SAME_SHARE * self.skin.size_mm
+        return one.shape == two.shape and bool(np.abs(one - two).max() < tolerance_mm)
 
 
 @contextmanager

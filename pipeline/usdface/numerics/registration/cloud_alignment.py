@@ -64,7 +64,7 @@ class Alignment:
         return np.asarray(motion, float) / self.scale @ self.rotation
 
 
-_UNIT = Alignment(np.ones(3), np.eye(3), np.zeros(3))
+UNMOVED = Alignment(np.ones(3), np.eye(3), np.zeros(3))
 
 
 def align_landmarks(cloud: ArrayLike, targets: ArrayLike) -> Alignment:
@@ -163,7 +163,7 @@ def align_cloud(
 def align_pairs(cloud: ArrayLike, targets: ArrayLike, *, weight: ArrayLike) -> Alignment:
     """Fit rotation, translation and one scale per axis to corresponding points (n, 3), weighted."""
     y, x, w = (np.asarray(value, float) for value in (cloud, targets, weight))
-    now = _fit(y, x, w, _UNIT, proportions=False)
+    now = _fit(y, x, w, UNMOVED, proportions=False)
     for _ in range(5):
         now = _fit(y, x, w, now, proportions=True)
     squared = ((now.apply(y) - x) ** 2).sum(axis=1)
