@@ -597,6 +597,16 @@ def test_a_source_shape_that_no_pair_uses_is_told_at_training_and_at_work(
     assert "Do not use" in told
 
 
+@pytest.mark.parametrize("side", ["source", "target"])
+def test_a_sequence_of_one_frame_names_the_option(stall: Stall, capsys, side: str) -> None:
+    line = "make-sequence --source shot.usda --target beast_poses.usda --label joy --out j.usda"
+    frames = {"source": "150-150", "target": "5-5"}[side]
+    assert usdface(*line.split(), f"--{side}-frames", frames) == 2
+    assert f"1 frame to pair, and a sequence needs at least 2; widen --{side}-frames" in (
+        capsys.readouterr().err
+    )
+
+
 def test_weights_cut_at_the_range_are_told(stall: Stall, capsys) -> None:
     assert import_pairs() == 0
     line = "train-retarget x.pairs.usda --method additive --out x.retarget.usdc --overwrite"

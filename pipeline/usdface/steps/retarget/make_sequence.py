@@ -33,9 +33,14 @@ def run(
         spec.target, attributes=attributes, frames=frame_range(spec.target_frames)
     )
     target = read.clip.controls
-    for path, count in ((spec.source, len(source.weights)), (spec.target, len(target))):
+    for path, count, option in (
+        (spec.source, len(source.weights), "--source-frames"),
+        (spec.target, len(target), "--target-frames"),
+    ):
         if count < 2:
-            raise InputError(f"{path}: has {count} frame; a sequence needs at least 2")
+            raise InputError(
+                f"{path}: {count} frame to pair, and a sequence needs at least 2; widen {option}"
+            )
     if mean_face_distance(source.weights) == 0.0:
         raise InputError(
             f"{spec.source}: frames {source.first_frame}-{source.last_frame} do not move, and "

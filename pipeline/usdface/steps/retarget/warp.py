@@ -137,7 +137,7 @@ def _placements(spec: WarpSpec, read: ReadControls) -> list[_Placement]:
         if count > last - first + 1:
             raise InputError(
                 f"{where}: has {count} frames, more than {spec.performance} ({first}-{last}); "
-                "deactivate the match"
+                "deactivate the match, or use --timing fit"
             )
         stop = match.first_frame + count - 1
         if match.first_frame < first or stop > last:
