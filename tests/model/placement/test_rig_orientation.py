@@ -14,6 +14,7 @@ from usdface.core.errors import InputError
 from usdface.demo.dog import dog_rig
 from usdface.demo.rig import demo_rig
 from usdface.model.placement.rig_orientation import check_rig_upright, facing_degrees
+from usdface.steps.retarget.pairs_propose import match_rigs
 from usdface.usdio.rig.read import read_rig
 
 HEADS = ("facecap_head.usdc", "ict_head.usdc", "ict_face.usdc")
@@ -75,6 +76,14 @@ def test_a_lying_head_is_refused_with_the_axis_that_is_up(
 def test_exchanged_sides_are_a_doubt(rig: Rig) -> None:
     (note,) = check_rig_upright(transformed(rig, np.diag([-1.0, 1, 1])))
     assert "shapes named left move the right side" in note
+
+
+def test_names_match_rigs_whose_sides_differ_with_a_note(rig: Rig) -> None:
+    viewers = replace(transformed(rig, np.diag([-1.0, 1, 1])), file=Path("viewers.usda"))
+    for source, target, count in ((rig, viewers, 1), (viewers, rig, 1), (viewers, viewers, 0)):
+        notes = match_rigs(source, target, by="name")[1]
+        noted = [each for each in notes if each.startswith("viewers.usda: shapes named left")]
+        assert len(noted) == count
 
 
 def test_foreign_names_are_not_judged(rig: Rig) -> None:

@@ -113,7 +113,7 @@ def test_motion_that_a_retargeting_lost_is_said_beside_the_error() -> None:
     )
     verdict = judge_solve(found)
     assert verdict.sentence.startswith("Check: mouthPucker and 3 more are not followed; 0.70 mm")
-    assert verdict.advice.startswith("pair these shapes")
+    assert verdict.advice.startswith("give these shapes counterparts")
     small = judge_solve(replace(found, unfollowed_share=0.01))
     assert "mouthPucker" not in small.sentence
 

@@ -148,7 +148,7 @@ def test_what_moves_most_is_named_first_and_gaze_is_no_motion_of_the_face(
     assert f"({share:.0%} of the motion): mouthPucker, browDownLeft, eyeLookInLeft;" in told
     assert "Do not use: a retarget by names; mouthPucker, browDownLeft, eyeLookInLeft" in told
     assert f"{share:.0%} of the source's motion (40 frames" in told
-    assert "to do: pair these shapes (`usdface names`, --names)" in told
+    assert "to do: give these shapes counterparts, in a table (`usdface names`, --names)" in told
     shot = open_shot(Path("p.usda"))
     assert judge_solve(shot.evidence()).level == "bad"  # sheets and reports say so too
     assert usdface("validate", "p.usda") == 1

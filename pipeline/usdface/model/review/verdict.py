@@ -49,7 +49,10 @@ _CHANCE_SHARE = 0.05
 _BAD_SHARE = 0.5
 """Share of bad frames above which mapping again is less work than edits."""
 
-_PAIR_ADVICE = "pair these shapes (`usdface names`, --names), then retarget again"
+_PAIR_ADVICE = (
+    "give these shapes counterparts, in a table (`usdface names`, --names) or in pairs to train on "
+    "(`usdface train-retarget`), then retarget again"
+)
 
 VERDICT_WORDS = {"good": "Good", "check": "Check", "bad": "Do not use"}
 """First words of the verdict by level, the best level first."""

@@ -15,6 +15,7 @@ from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import is_usd_name, proposed_path
 from usdface.core.text import counted, first_few, pluralize
+from usdface.model.placement.rig_orientation import describe_orientation
 from usdface.model.retarget.control_space import constant_controls
 from usdface.model.retarget.name_matching import (
     NameMatch,
@@ -122,6 +123,9 @@ def match_rigs(
     named = NameMatching(()) if by == "deformation" else match_names(source.shapes, target.shapes)
     matches, how = list(named.matches), dict(named.by)
     notes = [f"matched {pluralize(len(matches), 'shape')} by name"] if matches else []
+    about = {rig.file.name: describe_orientation(rig) for rig in (source, target)}
+    if matches and len(set(about.values())) > 1:  # two rigs of the viewer's names agree
+        notes += [f"{name}: {note}" for name, each in about.items() for note in each]
     if by != "name":
         progress(0.2, "registering the faces")
         driven: dict[str, list[tuple[str, float]]] = {}

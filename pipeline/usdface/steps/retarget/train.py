@@ -73,7 +73,12 @@ def run(
     write_retargeting(spec.out, trained, provenance=provenance)
     return StepResult(
         (spec.out,),
-        _summary(trained, pairs, millimetres=surface is not None),
+        _summary(
+            trained,
+            pairs,
+            unit="mm on the source's surface" if surface is not None else "in the weights",
+            probes="mixtures of the pairs" if performance is None else "the performance",
+        ),
         tuple(notes),
         describe_retargeting_figures(trained)
         | {
@@ -179,9 +184,8 @@ def _pair(pairs: ExpressionPairs, index: int) -> str:
     return f"{index + 1} ({name})" if name else f"{index + 1}"
 
 
-def _summary(trained: Retargeting, pairs: ExpressionPairs, *, millimetres: bool) -> str:
-    unit = " mm on the source's surface" if millimetres else " in the weights"
+def _summary(trained: Retargeting, pairs: ExpressionPairs, *, unit: str, probes: str) -> str:
     return (
         f"{trained.method} on {len(pairs)} pairs, {len(trained.source_shapes)} shapes to "
-        f"{pairs.target.summary}; round trip {trained.scores[0].cyclic_mm:.3f}{unit}"
+        f"{pairs.target.summary}; round trip of {probes}: {trained.scores[0].cyclic_mm:.3f} {unit}"
     )
