@@ -91,7 +91,7 @@ _Refuser = Callable[[Request, Exception], Awaitable[Response]]
 
 
 class Scene:
-    """Data of the page; the face is packed on the first request, so that the page opens at once."""
+    """Data of the page."""
 
     def __init__(
         self,
@@ -111,10 +111,16 @@ class Scene:
         self.first_pair = first_pair
         self.waits = Waits()
         self._writing = threading.Lock()
+        self._packing = threading.Lock()
+
+    @property
+    def payload(self) -> FacePayload:
+        """The face, packed for the first of its callers; the others wait."""
+        with self._packing:  # since Python 3.12, cached properties have no lock
+            return self._payload
 
     @functools.cached_property
-    def payload(self) -> FacePayload:
-        """The face."""
+    def _payload(self) -> FacePayload:
         camera = frame_rig(self.rig.meshes, yaw_degrees=facing_degrees(self.rig), hair=True)
         return pack_face(self.rig, camera=camera, parts=shape_parts(self.rig, Deformer(self.rig)))
 

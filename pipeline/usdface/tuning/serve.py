@@ -104,9 +104,7 @@ def _run(
         lifespan="off",
     )
     try:
-        asyncio.run(
-            _serve_and_save(_Server(config, scene.waits), session, guard, listener, announce)
-        )
+        asyncio.run(_serve_and_save(_Server(config, scene.waits), scene, guard, listener, announce))
     except (KeyboardInterrupt, CancelledError):
         log.info("interrupted; saving")
     finally:
@@ -141,17 +139,21 @@ def _first_pair(spec: TuneSpec, session: TuningSession) -> int:
 
 async def _serve_and_save(
     server: uvicorn.Server,
-    session: TuningSession,
+    scene: Scene,
     guard: Guard,
     listener: socket.socket,
     announce: Callable[[str], None],
 ) -> None:
-    saving = asyncio.create_task(_save_when_idle(session))
+    saving = asyncio.create_task(_save_when_idle(scene.session))
+    # The face is packed while the browser starts; an error is told by the request for it.
+    packing = asyncio.create_task(scene.waits.result_of(lambda: scene.payload))
     announce(guard.link)  # the socket is listening already
     try:
         await server.serve(sockets=[listener])
     finally:
         saving.cancel()
+        packing.cancel()
+        await asyncio.gather(packing, return_exceptions=True)
         with contextlib.suppress(asyncio.CancelledError):
             await saving
 
