@@ -76,6 +76,18 @@ def test_a_saved_job_reads_back_the_same(tmp_path: Path) -> None:
     assert read_job(path).steps == tuple(anchored)
 
 
+@pytest.mark.parametrize("text", ["{job: a, job: b, steps: []}", '{"job": "a", "job": "b"}'])
+def test_a_key_given_twice_is_refused_with_its_place(tmp_path: Path, text: str) -> None:
+    with pytest.raises(InputError, match=r"line 1, column \d+: job is given twice in one table"):
+        read_job(write(tmp_path, text))
+
+
+def test_options_shared_by_steps_may_be_changed_for_one(tmp_path: Path) -> None:
+    shared = "&a {step: clean, take: a.usda, out: b.usda, max_gap: 9}"
+    text = f"{{job: a, steps: [{shared}, {{<<: *a, out: c.usda, max_gap: 8}}]}}"
+    assert [each.max_gap for each in read_job(write(tmp_path, text)).steps] == [9, 8]
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -219,13 +219,32 @@ def _read_data(path: Path) -> Any:
             f"{path}: is no YAML or JSON, as a job or spec is: not UTF-8 at byte {error.start}"
         ) from error
     try:
-        return yaml.safe_load(text)
+        return yaml.load(text, _unique_keys())
     except yaml.YAMLError as error:
         raise InputError(f"{path}: is no valid YAML or JSON: {_yaml_reason(error)}") from error
     except RecursionError as error:
         raise InputError(f"{path}: is nested too deeply for a spec") from error
     except (ValueError, LookupError, AttributeError) as error:  # a malformed number or date
         raise InputError(f"{path}: holds a value that cannot be read: {error}") from error
+
+
+def _unique_keys() -> "type[yaml.SafeLoader]":
+    """Return a loader that refuses keys given twice, of which YAML's would use the last."""
+    import yaml
+
+    class Loader(yaml.SafeLoader):
+        def compose_mapping_node(self, anchor: Any) -> Any:
+            node = super().compose_mapping_node(anchor)
+            seen = set()
+            for key, _ in node.value:
+                name = key.tag, str(key.value)
+                if name in seen and key.tag != "tag:yaml.org,2002:merge":
+                    problem = f"{key.value} is given twice in one table; keep one"
+                    raise yaml.composer.ComposerError(None, None, problem, key.start_mark)
+                seen.add(name)
+            return node
+
+    return Loader
 
 
 def _yaml_reason(error: "yaml.YAMLError") -> str:
