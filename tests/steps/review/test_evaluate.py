@@ -297,6 +297,7 @@ def test_a_job_stops_at_a_limit_each_time_and_goes_on_once_it_is_kept(shot: Shot
     for _ in range(2):
         with pytest.raises(CheckFailedError, match=r"step 1 of 1, evaluate: .*surface is"):
             run_job(read_job(shot / "guard.yaml"))
+    assert "a run that failed a check" in job_states(read_job(shot / "guard.yaml"))[0].reason
     (shot / "guard.yaml").write_text(text.replace("0.01", "100"))
     run_job(read_job(shot / "guard.yaml"))
     assert job_states(read_job(shot / "guard.yaml"))[0].state == "done"

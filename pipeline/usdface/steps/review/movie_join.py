@@ -40,7 +40,9 @@ def run(spec: MovieJoinSpec, *, provenance: Provenance, progress: Progress = sil
     count = sum(pictures)
     notes: list[str] = []
     sound, timecode = None, ""
-    if spec.take is not None:
+    if spec.take is None:
+        notes.append("no sound, no timecode and no search for missing frames; they need --take")
+    else:
         reader = TakeReader(spec.take)
         take = reader.read(reader.first_frame, reader.first_frame)
         _check_consecutive(spec.parts, parts_info, take.rate)
