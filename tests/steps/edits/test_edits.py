@@ -369,6 +369,30 @@ def test_limiting_touches_edited_frames_only(shot: Shot) -> None:
     np.testing.assert_array_equal(read_weights(out).values[110:], solved[110:])
 
 
+def test_samples_between_the_frames_of_a_shot_are_told_when_they_are_left_out(shot: Shot) -> None:
+    path = shot / "shot.hero.usda"
+    assert not run(BakeSpec(performance=path, out=shot / "whole.usdc")).notes
+    slow = Sdf.Layer.FindOrOpen(str(shot_above(path)))
+    slow.timeCodesPerSecond = slow.framesPerSecond = 24
+    slow.Save()
+    note = run(BakeSpec(performance=Path(slow.realPath), out=shot / "few.usdc")).notes[0]
+    assert note.startswith(f"{FRAMES - FRAMES // 5} of {FRAMES} samples lie between the frames of")
+
+
+def test_weights_beyond_their_range_that_come_back_are_told(shot: Shot) -> None:
+    path = shot / "shot.hero.usda"
+    (shot / "dcc.csv").write_text("frame,jawOpen\n10,1.2\n11,1.4\n", encoding="utf-8")
+    notes = run(EditsImportSpec(performance=path, changed=shot / "dcc.csv")).notes
+    assert any("jawOpen is outside 0 to 1 at 2 frames (1.20 to 1.40)" in note for note in notes)
+
+
+def test_a_clearing_counts_the_frames_that_had_an_edit(shot: Shot) -> None:
+    path = shot / "shot.hero.usda"
+    edit(path, add=0.1, frames="100-120")
+    assert edit(path, clear=True, frames="300-320").figures["frames"] == 0
+    assert edit(path, clear=True, frames="115-320").figures["frames"] == 6
+
+
 def test_an_animation_changed_in_another_tool_comes_back_as_edits(shot: Shot) -> None:
     path = shot / "shot.hero.usda"
     edit(path, override=0.9, frames="30-40")  # made before the export, so it is in the file

@@ -115,6 +115,38 @@ def test_a_timecode_that_the_rate_cannot_have_is_refused_with_the_file_named(
         PerformanceReader(path).timecode_at(1002)
 
 
+def exported(path: Path, names: list[str], samples: list[object]) -> Path:
+    """Write an animation as a tool without usdface does."""
+    stage = Usd.Stage.CreateNew(str(path))
+    animation = UsdSkel.Animation.Define(stage, "/face")
+    animation.CreateBlendShapesAttr(names)
+    for time, weights in enumerate(samples, start=7):
+        animation.CreateBlendShapeWeightsAttr().Set(weights, time)
+    stage.Save()
+    return path
+
+
+@pytest.mark.parametrize(
+    ("sample", "fault"),
+    [
+        (Sdf.ValueBlock(), "has no value"),
+        ([0.5], "has 1 weight for 2 shapes"),
+        ([0.5, np.nan], "smile is nan, not finite"),
+    ],
+)
+def test_a_sample_that_no_one_can_use_is_told_with_its_fault(tmp_path, sample, fault) -> None:
+    path = exported(tmp_path / "dcc.usda", ["jaw", "smile"], [[0.1, 0.2], sample])
+    match = rf"dcc\.usda </face\.blend.*> time code 8: {fault}.*; export the file again"
+    with pytest.raises(InputError, match=match):
+        PerformanceReader(path).solved()
+
+
+def test_a_shape_named_twice_is_refused_as_either_weight_may_be_meant(tmp_path: Path) -> None:
+    path = exported(tmp_path / "dcc.usda", ["jaw", "smile", "jaw"], [[0.1, 0.2, 0.9]])
+    with pytest.raises(InputError, match=r"dcc\.usda </face>: blendShapes names jaw twice"):
+        PerformanceReader(path)
+
+
 @pytest.mark.parametrize("scale", [np.nan, np.inf, 0.0, -1.0])
 def test_a_motion_scale_that_would_lift_all_limits_is_refused(tmp_path: Path, scale: float) -> None:
     path = write(tmp_path)

@@ -50,7 +50,7 @@ def run(spec: BakeSpec, *, provenance: Provenance, progress: Progress = silent) 
             )
             done = last - reader.first_frame + 1
             progress(done / header.frame_count, f"baked to frame {last}")
-    notes = []
+    notes = reader.sampling_notes()
     unknown = sorted(set(reader.edits) - set(reader.names))
     if unknown:
         notes.append(

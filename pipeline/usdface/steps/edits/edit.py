@@ -1,7 +1,9 @@
 """Add a change of shapes over a range of frames to the edits of a performance."""
 
 import difflib
+from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -36,6 +38,9 @@ MAX_FRAMES_BEYOND = UNSAMPLED_FRAMES // 4
 """Largest distance of an edit's end from the performance; with it on both sides, the span of frames
 is still below the limit of `check_frame_span`."""
 
+_LISTED_SHAPES = 5
+"""Largest number of shapes with a note of their own."""
+
 
 @dataclass(frozen=True)
 class _Change:
@@ -47,6 +52,11 @@ class _Change:
     frames: tuple[int, int] | None = None
     """None means all."""
     fade: int = 0
+
+    @property
+    def clears(self) -> bool:
+        """Whether edits are removed."""
+        return self.add is None and self.override is None
 
     @property
     def reach(self) -> tuple[int, int] | None:
@@ -89,13 +99,13 @@ def run(spec: EditSpec, *, provenance: Provenance, progress: Progress = silent) 
     touched = np.zeros(len(frames), dtype=bool)
     for change in changes:
         mask = change.mask(frames)
-        touched |= mask > 0
         for shape in change.shapes:
             fresh = ShapeEdit(no_edit(len(frames)), np.full(len(frames), np.nan))
             old = changed.get(shape, edits.get(shape, fresh))
             solve = np.full(len(frames), np.nan)  # if the solve no longer has the shape
             if shape in reader.names:
                 solve = solved[:, reader.names.index(shape)]
+            touched |= (mask > 0) & (old.curve.active | (not change.clears))
             changed[shape] = with_curve(old, change.folded(old.curve, mask), solve, mask > 0)
     path = write_edits(
         spec.performance, reader.animation, changed, frames, stamp=stamp, provenance=provenance
@@ -105,7 +115,7 @@ def run(spec: EditSpec, *, provenance: Provenance, progress: Progress = silent) 
     return StepResult(
         (path,),
         f"{_summary(spec, changes)} over {pluralize(int(inside.sum()), 'frame')}",
-        (*notes, *_range_notes(spec, tuple(changed))),
+        (*notes, *range_notes(spec.performance, spec.prim, changed)),
         {"frames": int(inside.sum()), "shapes": list(changed)},
     )
 
@@ -200,9 +210,9 @@ def _check_shapes(spec: EditSpec, change: _Change, reader: PerformanceReader) ->
             )
 
 
-def _range_notes(spec: EditSpec, shapes: tuple[str, ...]) -> list[str]:
+def range_notes(performance: Path, prim: str | None, shapes: Iterable[str]) -> list[str]:
     """Return a note on each shape whose edited weights are outside 0 to 1."""
-    again = PerformanceReader(spec.performance, prim=spec.prim)
+    again = PerformanceReader(performance, prim=prim)
     edited = again.edited()
     notes = []
     for shape in shapes:
@@ -218,4 +228,5 @@ def _range_notes(spec: EditSpec, shapes: tuple[str, ...]) -> list[str]:
                 f"{shape} is outside 0 to 1 at {pluralize(int(beyond.sum()), 'frame')} "
                 f"({low:.2f} to {high:.2f}); `usdface bake --limit` clamps it to the rig's range"
             )
-    return notes
+    rest = pluralize(len(notes) - _LISTED_SHAPES, "more shape")
+    return notes if len(notes) <= _LISTED_SHAPES else [*notes[:_LISTED_SHAPES], f"also {rest}"]

@@ -10,7 +10,7 @@ from usdface.core.text import first_few, pluralize
 from usdface.numerics.motion.key_reduction import EditCurve, no_edit
 from usdface.runner.result import StepResult
 from usdface.specs.edits import EditsImportSpec
-from usdface.steps.edits.edit import all_frames, solve_at, with_curve
+from usdface.steps.edits.edit import all_frames, range_notes, solve_at, with_curve
 from usdface.steps.inputs.weight_tables import (
     WeightTable,
     changed_on_other_meshes,
@@ -68,6 +68,7 @@ def run(
     path = write_edits(
         spec.performance, reader.animation, changed, frames, stamp=stamp, provenance=provenance
     )
+    notes += tuple(range_notes(spec.performance, spec.prim, changed))
     progress(1.0, "written")
     return StepResult(
         (path,),

@@ -1,6 +1,7 @@
 """Reading of performances: solve, edits and rig."""
 
 import hashlib
+from collections import Counter
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
@@ -14,6 +15,7 @@ from usdface.core.assets import Performance, SolveBasis, WeightsClip
 from usdface.core.errors import InputError
 from usdface.core.rates import exact_rate, shift_timecode, span_of_samples
 from usdface.core.rig_logic import Combination
+from usdface.core.text import first_few, pluralize
 from usdface.usdio.authoring import names_in, read_gaps, text_of, value_of
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.performance.edits import ShapeEdit, edited_weights, read_edits
@@ -38,6 +40,9 @@ from usdface.usdio.rig.reference import rig_of, rig_path_of
 _CONFIDENCE_RANGE = (0.001, 0.9999)
 """Limits of the confidence of earlier versions: at 0 and 1 the uncertainty would be infinite or 0.
 """
+
+_TIME_ROUNDING = 1e-6
+"""[frames] Rounding of time codes by layer offsets."""
 
 _VERSION_STEPS = 5000
 """Steps of a weight of 1 that make different versions: the resolution of a report."""
@@ -69,6 +74,12 @@ class PerformanceReader:
         )
         weights = UsdSkel.Animation(self.animation)
         self.names = tuple(map(str, weights.GetBlendShapesAttr().Get() or ()))
+        twice = [name for name, count in Counter(self.names).items() if count > 1]
+        if twice:
+            raise InputError(
+                f"{path} <{self.animation.GetPath()}>: blendShapes names {first_few(twice)} twice, "
+                "so that their weights are ambiguous; name each shape once"
+            )
         self._weights = weights.GetBlendShapeWeightsAttr()
         self.first_frame, self.last_frame = span_of_samples(
             f"{path} <{self._weights.GetPath()}>", self._weights.GetTimeSamples()
@@ -102,6 +113,18 @@ class PerformanceReader:
         """Frames with a sample of the solve, which is interpolated between them."""
         times = self._weights.GetTimeSamples()
         return frozenset(int(time) for time in times if float(time).is_integer())
+
+    def sampling_notes(self) -> list[str]:
+        """Return a note if frames leave out samples, as of a capture in a stage of fewer frames."""
+        times = np.array(self._weights.GetTimeSamples())
+        between = int((np.abs(times - np.round(times)) > _TIME_ROUNDING).sum())
+        if not between:
+            return []
+        return [
+            f"{between} of {pluralize(len(times), 'sample')} lie between the frames of "
+            f"{self.path.name}, {float(self.rate):g} per second: left out, weights at frames are "
+            "interpolated; to keep them, author the capture's timeCodesPerSecond in that layer"
+        ]
 
     @property
     @refusing_wrong_types
@@ -200,20 +223,24 @@ class PerformanceReader:
         query = Usd.AttributeQuery(self._weights)  # twice as fast as the attribute
         for index, frame in enumerate(range(first, last + 1)):
             row = query.Get(frame)
-            if row is None or len(row) != len(self.names):
-                raise self._sample_error(frame, f"{0 if row is None else len(row)}")
+            if row is None:
+                raise self._sample_error(frame, "has no value, as of a block")
+            if len(row) != len(self.names):
+                count = pluralize(len(row), "weight")
+                raise self._sample_error(frame, f"has {count} for {len(self.names)} shapes")
             values[index] = row
         finite = np.isfinite(values).all(axis=1)
         if not finite.all():
             frame = int(np.argmin(finite))
-            bad = self.names[int(np.argmin(np.isfinite(values[frame])))]
-            raise self._sample_error(first + frame, f"one of {bad} that is not")
+            column = int(np.argmin(np.isfinite(values[frame])))
+            fault = f"{self.names[column]} is {values[frame, column]}, not finite"
+            raise self._sample_error(first + frame, fault)
         return values
 
-    def _sample_error(self, frame: int, got: str) -> InputError:
+    def _sample_error(self, frame: int, fault: str) -> InputError:
+        remedy = "map again" if self.animation.HasAPI("FaceSolveAPI") else "export the file again"
         return InputError(
-            f"{self.path} <{self._weights.GetPath()}> time code {frame}: needs {len(self.names)} "
-            f"finite weights, one per shape, got {got}; map again"
+            f"{self.path} <{self._weights.GetPath()}> time code {frame}: {fault}; {remedy}"
         )
 
     def edited(self, first: int | None = None, last: int | None = None) -> Float32Array:
