@@ -66,6 +66,15 @@ def test_every_take_plays_on_the_character_by_its_variant(folder: Path) -> None:
     assert [each.message for each in validate(out) if each.severity == "error"] == []
 
 
+def test_takes_keep_their_names_in_any_script(folder: Path) -> None:
+    names = ("küche", "cu\u0308che", "日本_1", "a b")
+    paths = tuple(perform(folder / f"{name}.hero.usda", np.zeros((2, 3))) for name in names)
+    execute(CombineSpec(performances=paths, out=folder / "takes.usda"))
+    stage = Usd.Stage.Open(str(folder / "takes.usda"))
+    found = stage.GetDefaultPrim().GetVariantSet("take").GetVariantNames()
+    assert sorted(found) == sorted((*names[:3], "a_b"))
+
+
 def test_what_does_not_belong_together_is_refused(folder: Path) -> None:
     weights = np.random.default_rng(0).random((4, 3))
     one = perform(folder / "a.usda", weights)

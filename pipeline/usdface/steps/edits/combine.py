@@ -1,6 +1,5 @@
 """Combine performances of one character in an asset with a variant per take."""
 
-import re
 from collections.abc import Sequence
 
 from usdface.core.errors import InputError
@@ -61,11 +60,16 @@ def _names(spec: CombineSpec) -> list[str]:
     while min(map(len, stems)) - common > 1 and len({s[-1 - common] for s in stems}) == 1:
         common += 1
     names = given or [".".join(stem[: len(stem) - common]) for stem in stems]
-    names = [re.sub(r"[^A-Za-z0-9_|-]", "_", name) for name in names]
+    names = ["".join(each if _may_name_variant(each) else "_" for each in name) for name in names]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise InputError(f"two performances would be named {twice[0]}; name them with --takes")
     return names
+
+
+def _may_name_variant(letter: str) -> bool:
+    """Whether USD accepts a character in the name of a variant: letters of all scripts."""
+    return letter in "|-" or f"a{letter}".isidentifier()
 
 
 def _check_alike(spec: CombineSpec, readers: Sequence[PerformanceReader]) -> None:
