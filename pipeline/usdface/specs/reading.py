@@ -219,7 +219,8 @@ def _read_data(path: Path) -> Any:
             f"{path}: is no YAML or JSON, as a job or spec is: not UTF-8 at byte {error.start}"
         ) from error
     try:
-        return yaml.load(text, _unique_keys())
+        _check_keys(text)
+        return yaml.safe_load(text)
     except yaml.YAMLError as error:
         raise InputError(f"{path}: is no valid YAML or JSON: {_yaml_reason(error)}") from error
     except RecursionError as error:
@@ -228,23 +229,27 @@ def _read_data(path: Path) -> Any:
         raise InputError(f"{path}: holds a value that cannot be read: {error}") from error
 
 
-def _unique_keys() -> "type[yaml.SafeLoader]":
-    """Return a loader that refuses keys given twice, of which YAML's would use the last."""
+def _check_keys(text: str) -> None:
+    """Refuse keys given twice in one table, of which YAML would use the last."""
     import yaml
 
-    class Loader(yaml.SafeLoader):
-        def compose_mapping_node(self, anchor: Any) -> Any:
-            node = super().compose_mapping_node(anchor)
-            seen = set()
-            for key, _ in node.value:
-                name = key.tag, str(key.value)
-                if name in seen and key.tag != "tag:yaml.org,2002:merge":
-                    problem = f"{key.value} is given twice in one table; keep one"
-                    raise yaml.composer.ComposerError(None, None, problem, key.start_mark)
-                seen.add(name)
-            return node
-
-    return Loader
+    nodes, seen = [yaml.compose(text, yaml.SafeLoader)], set[int]()
+    while nodes:
+        node = nodes.pop()
+        if id(node) in seen or not isinstance(node, yaml.CollectionNode):
+            continue
+        seen.add(id(node))  # aliases share nodes
+        if isinstance(node, yaml.SequenceNode):
+            nodes += node.value
+            continue
+        keys = set[tuple[str, str]]()
+        for key, value in node.value:
+            name = key.tag, str(key.value)
+            if name in keys and key.tag != "tag:yaml.org,2002:merge":
+                problem = f"{key.value} is given twice in one table; keep one"
+                raise yaml.MarkedYAMLError(None, None, problem, key.start_mark)
+            keys.add(name)
+            nodes += [key, value]
 
 
 def _yaml_reason(error: "yaml.YAMLError") -> str:
