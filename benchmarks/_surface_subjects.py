@@ -118,6 +118,8 @@ def deviations_of_axes(fitted: GpSurface, moved: np.ndarray) -> np.ndarray:
     theta, factors = fitted._sample(moved), fitted.factors
     chains = np.moveaxis(theta, 2, 3).reshape(len(theta), 4, -1)
     moments = average_dual_weights(fitted.table.spectrum, _rows_of_axes(moved), chains)
-    variance = predict_variance(fitted.fields, moments).reshape(-1, 3, fitted.point_count)
+    variance = predict_variance(fitted.fields, moments)
+    variance += moments.constant[:, None] * fitted.added
+    variance = variance.reshape(-1, 3, fitted.point_count)
     deviations = np.sqrt(variance) * factors.of_axes[:, None] * factors.of_points
     return np.asarray(deviations.transpose(0, 2, 1))

@@ -99,8 +99,9 @@ class SurfaceSpec(Spec):
     is in the result. `creased` is rarely indefinite, and its intervals are calibrated."""
     priors: tuple[_Positive, _Positive, _Positive, _Positive] = (9.0, 0.05, 4.0, 1.0)
     """Medians of the log-normal priors of the hyper-parameters, in mm²: motion beyond a linear
-    field, noise of the markers, motion common to all, linear motion (v0, v1, a0, a1 of eq. 7). The
-    paper has no priors; these suit faces of human size."""
+    field, noise of the markers, motion common to all, linear motion (v0, v1, a0, a1 of eq. 7), on
+    the performer's face; scaled by the squared ratio of the mesh's size to it. The paper has no
+    priors."""
     prior_spread: Annotated[float, Field(gt=0.0, le=10.0)] = 1.5
     """Standard deviation of the logarithms. At 10 the priors are almost flat."""
     blend: Annotated[float, Field(ge=0.0, le=1.0)] = 0.39

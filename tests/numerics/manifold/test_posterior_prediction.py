@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
+from scipy.special import polygamma
 
 from tests.numerics.manifold.small_process import (
     dense_covariance,
@@ -11,6 +12,7 @@ from tests.numerics.manifold.small_process import (
     small_places,
     small_spectrum,
 )
+from usdface.numerics.manifold.hyper_posterior import HyperPrior
 from usdface.numerics.manifold.posterior_prediction import (
     LeaveOneOut,
     average_dual_weights,
@@ -21,6 +23,7 @@ from usdface.numerics.manifold.posterior_prediction import (
     mix_variances,
     predict_mean,
     predict_variance,
+    prior_shares,
 )
 from usdface.numerics.manifold.surface_fields import fit_covariance
 
@@ -133,6 +136,17 @@ def test_intervals_widen_where_and_along_which_axis_markers_surprise() -> None:
     assert found.of_axes[1] / found.of_axes[0] == pytest.approx(3.0, rel=0.1)
     assert found.of_axes[2] / found.of_axes[0] == pytest.approx(0.5, rel=0.1)
     assert found.of_points[1] / found.of_points[0] > 1.3
+
+
+def test_the_prior_counts_as_a_few_markers_where_no_marker_is() -> None:
+    prior = HyperPrior()
+    variance = polygamma(1, prior.markers / 2)  # of the logarithm of a mean of squares
+    assert variance == pytest.approx(prior.spread[0] ** 2, rel=0.2)
+    similar, level = np.array([0.0, 1.0, 0.6]), np.array([1.0, 1.0, 20.0])
+    for markers in (5, 50):
+        weight = prior.markers / (prior.markers + markers)
+        added = prior_shares(similar, level, prior, markers=markers)
+        np.testing.assert_allclose(added, [weight * 8.0, 0.0, 0.0], rtol=1e-5)
 
 
 def test_what_samples_do_not_agree_on_is_part_of_the_variance_of_a_marker_left_out() -> None:

@@ -66,6 +66,13 @@ def run(spec: Spec) -> StepResult:
     return execute(spec, overwrite=True)
 
 
+def read_spread(folder: Path) -> np.ndarray:
+    """Standard deviations in the middle of the take [mm]."""
+    stage = Usd.Stage.Open(str(folder / "talk.scan.usda"))
+    mesh = next(each for each in stage.Traverse() if each.HasAttribute("primvars:face:uncertainty"))
+    return np.array(mesh.GetAttribute("primvars:face:uncertainty").Get(FIRST + 20))
+
+
 def bind(folder: Path, scan: Scan, **more: object) -> BindSpec:
     return BindSpec(
         take=folder / "talk.take.usda",
@@ -355,6 +362,16 @@ def test_the_paper_s_choices_are_options_and_the_sampler_says_how_it_did(
     assert figures["covariance_clipped"] > 0
     assert any("R-hat" in note for note in made.notes)
     assert any("was not positive definite" in note for note in made.notes)
+
+
+def test_a_small_face_moves_like_a_large_one(folder: Path, scan: Scan) -> None:
+    large = read_spread(folder)
+    for file in folder.glob("scan.*"):
+        file.unlink()
+    write_scan(folder / "scan.usdc", replace(scan, points=0.1 * scan.points), z_up=True)
+    run(bind(folder, scan))
+    run(deform(folder))
+    np.testing.assert_allclose(read_spread(folder), 0.1 * large, rtol=0.02)
 
 
 def test_three_markers_are_too_few(folder: Path, scan: Scan) -> None:

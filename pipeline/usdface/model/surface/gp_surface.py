@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, FloatArray, frame_blocks
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, frame_blocks
 from usdface.core.errors import InputError
 from usdface.model.surface.distance import BLEND_PUBLISHED, SurfaceDistances
 from usdface.model.surface.fit import (
@@ -49,12 +49,14 @@ from usdface.numerics.manifold.posterior_prediction import (
     mix_variances,
     predict_mean,
     predict_variance,
+    prior_shares,
     unseen_variances,
 )
 from usdface.numerics.manifold.surface_fields import (
     CovarianceShape,
     SurfaceCovariance,
     fit_covariance,
+    similarity,
 )
 
 Sampler = Literal["hmc", "map", "shared"]
@@ -115,6 +117,8 @@ class GpSurface(SurfaceModel):
     """Covariances between points and markers."""
     factors: SpreadFactors = field(repr=False)
     """Calibration of standard deviations."""
+    added: Float32Array = field(repr=False)
+    """(points,): variance that the prior adds, as a share of v0."""
     alone: BoolArray = field(repr=False)
     """(points,): those of parts without a marker."""
     typical: FloatArray = field(repr=False)
@@ -173,6 +177,7 @@ class GpSurface(SurfaceModel):
             )
         # No marker tells how a separate part moves: its deviation is that of any point.
         variance[:, self.alone] = np.maximum(variance[:, self.alone], mixed.constant[:, None])
+        variance += mixed.constant[:, None] * self.added
         sd = np.sqrt(variance)
         return SurfaceMotion(mean, sd * self.factors.of_points)
 
@@ -206,6 +211,7 @@ def fit_gp_surface(
     thin = max(1, len(theta) // _CALIBRATION_SAMPLES)
     left_out = leave_markers_out(chosen.spectrum, rows, theta[::thin], with_nearest=True)
     typical = theta.mean(axis=(0, 2))
+    factors = calibrate_spread(left_out, covariance.matrix(), cross)
     return GpSurface(
         blend=chosen.blend,
         length_scale=chosen.length_scale,
@@ -216,10 +222,29 @@ def fit_gp_surface(
         options=options,
         table=table,
         fields=fields,
-        factors=calibrate_spread(left_out, covariance.matrix(), cross),
+        factors=factors,
+        added=_prior_shares(distances, chosen, factors, theta, options),
         alone=distances.unreached.points,
         typical=typical,
         shared=theta[:, :, 0] if options.sampler == "shared" else None,
+    )
+
+
+def _prior_shares(
+    distances: SurfaceDistances,
+    chosen: "_Settings",
+    factors: SpreadFactors,
+    theta: FloatArray,
+    options: GpOptions,
+) -> Float32Array:
+    shortest = _median_spacing(distances.blended_between(chosen.blend))
+    nearest = distances.blended_to_points(chosen.blend).min(axis=0)
+    level = np.exp(theta[:, 0]).mean() * (factors.of_axes**2).mean() * factors.of_points**2
+    return prior_shares(
+        similarity(nearest, shortest, shape=options.covariance),
+        level,
+        options.prior,
+        markers=len(chosen.spectrum.values),
     )
 
 
@@ -240,7 +265,7 @@ def _choose_settings(
     places = distances.scaled(distances.marker_positions)
     for blend in BLENDS_TRIED if options.blend is None else (options.blend,):
         between = distances.blended_between(blend)
-        spacing = float(np.median(np.where(between > 0, between, np.inf).min(axis=1)))
+        spacing = _median_spacing(between)
         scales = [scale * spacing for scale in SCALES_TRIED]
         for scale in scales if options.length_scale is None else [options.length_scale]:
             covariance = fit_covariance(between, length_scale=scale, shape=options.covariance)
@@ -275,6 +300,11 @@ def _sample_fitted(
         "rhat": float(np.median(split_rhat(both))),
         "two_modes": float(np.mean(modes.double)),
     }
+
+
+def _median_spacing(between: FloatArray) -> float:
+    """Return the median distance from a marker to the nearest other place [mm]."""
+    return float(np.median(np.where(between > 0, between, np.inf).min(axis=1)))
 
 
 def _rows_of_axes(moved: FloatArray) -> FloatArray:

@@ -69,6 +69,17 @@ class HyperPrior:
         """Medians of theta: (4,) float array."""
         return np.log(self.medians)
 
+    @property
+    def markers(self) -> float:
+        """Number of markers whose mean square tells v0 as well as the prior does.
+
+        The logarithm of a mean of n squares has the variance ``psi'(n / 2)``, with the trigamma
+        function ``psi'(x) = 1/x + 1/(2 x^2)``, to second order; it is that of the prior at
+        ``n = (1 + sqrt(1 + 2 s^2)) / s^2``.
+        """
+        square = self.spread[0] ** 2
+        return (1.0 + math.sqrt(1.0 + 2.0 * square)) / square
+
 
 @dataclass(frozen=True)
 class MarkerSpectrum:

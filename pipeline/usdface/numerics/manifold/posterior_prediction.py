@@ -15,6 +15,13 @@ A Gaussian process is overconfident where a face is rougher than on average and 
 it is smoother. Calibration is by errors at left-out markers over their expected deviations. Along
 lids and lips markers form rows, whose neighbours predict a left-out marker better than points off
 the row: its nearest neighbour is left out as well.
+
+Markers tell how much they move themselves, in all frames alike, and hardly how much the skin far
+from them does. There, v0 is averaged with its prior median m, weighted by their numbers of markers
+(`HyperPrior.markers`), n and N. The variance grows by the share of v0 that no marker explains, with
+the shortest length scale l that markers can tell, their median distance from each other::
+
+    added(x) = (1 - max_i c(d_i(x) / l)^2) max(n (m - v0) / (N + n), 0)
 """
 
 from collections.abc import Iterator
@@ -30,7 +37,11 @@ from usdface.core.arrays import (
     RealArray,
     frame_blocks,
 )
-from usdface.numerics.manifold.hyper_posterior import SYMMETRIC_ENTRIES, MarkerSpectrum
+from usdface.numerics.manifold.hyper_posterior import (
+    SYMMETRIC_ENTRIES,
+    HyperPrior,
+    MarkerSpectrum,
+)
 
 _LARGEST_LOG = 30.0
 """Bound of |theta|: in a take without motion scales tend to 0, and overflow in single precision."""
@@ -43,6 +54,9 @@ _JITTER_SHARE = 1e-10
 
 _LEAST_FACTOR = 1e-3
 """Of a standard deviation; errors at left-out markers are 0 in a take without motion."""
+
+_LEAST_VARIANCE = 1e-12
+"""[mm^2] Of v0, in a take without motion."""
 
 _PRIOR_MARKERS = 0.3
 """Weight, in markers, of the overall mean squared error in the local one."""
@@ -406,6 +420,25 @@ def calibrate_spread(
     factors = np.quantile(np.moveaxis(scaled, 1, 0).reshape(3, -1), 0.95, axis=1) / _NORMAL_95
     of_points = np.sqrt(_average_nearby(np.maximum(cross, 0.0) ** 2, squares))
     return SpreadFactors(np.maximum(factors, _LEAST_FACTOR), of_points.astype(np.float32))
+
+
+def prior_shares(
+    similar: RealArray, level: RealArray, prior: HyperPrior, *, markers: int
+) -> Float32Array:
+    """Return what the prior adds to the variance of points, as shares of v0: (points,).
+
+    Parameters
+    ----------
+    similar : (points,) float array
+        Correlation with the most similar marker, at the shortest length scale.
+    level : (points,) float array
+        Calibrated v0 [mm^2].
+    markers : int
+        N
+    """
+    weight = prior.markers / (markers + prior.markers)
+    excess = np.maximum(prior.medians[0] / np.maximum(level, _LEAST_VARIANCE) - 1.0, 0.0)
+    return ((1.0 - similar**2) * weight * excess).astype(np.float32)
 
 
 def _average_nearby(weights: RealArray, squares: FloatArray) -> FloatArray:

@@ -48,6 +48,11 @@ class Proportions:
     away_mm: FloatArray
     """(markers,): residual distance between each mapped marker and its place [mm]."""
 
+    @property
+    def scale(self) -> float:
+        """Size of the character over that of the performer, root mean square over directions."""
+        return float(np.sqrt((self.linear**2).sum() / 3.0))
+
 
 def fit_proportions(cloud: FloatArray, places: FloatArray, *, weight: FloatArray) -> Proportions:
     """Fit the affine map from a performer's neutral markers to their places on a mesh.

@@ -98,7 +98,9 @@ def _compared_models(
     spec: DeformSpec, plan: SurfacePlan, moved: FloatArray
 ) -> tuple[tuple[str, ...], tuple[SurfaceModel, ...]]:
     """Return the compared models: each metric, the blend without and with smoothing."""
-    options = replace(surface_options(spec), sampler="shared", blend=plan.model.blend)
+    options = replace(
+        surface_options(spec, plan.proportions), sampler="shared", blend=plan.model.blend
+    )
 
     def fit(of: GpOptions) -> SurfaceModel:
         return fit_surface(spec, plan.distances, moved, of)

@@ -43,6 +43,9 @@ from usdface.usdio.take.read import TakeReader
 _REACH_SPACINGS = 4.0
 """Default reach of the markers, as a multiple of the median distance between neighbours."""
 
+_FEW_MARKERS = 14
+"""Markers below which the prior of v0 weighs more than a tenth in its mean."""
+
 _SAMPLE_FRAMES = 400
 """Frames of a `TakeSample`."""
 
@@ -224,7 +227,13 @@ def plan_surface(
     seen = sample.visible[:, columns]
     notes.extend(_unseen_notes([sample.names[column] for column in columns.tolist()], seen))
     moved = sample.positions[:, columns] - sample.neutral[columns]
-    model = fit_surface(spec, distances, moved @ proportions.linear.T, surface_options(spec))
+    options = surface_options(spec, proportions)
+    model = fit_surface(spec, distances, moved @ proportions.linear.T, options)
+    if model.predicts_sd and len(bound) < _FEW_MARKERS:
+        notes.append(
+            f"{len(bound)} markers hardly tell how far the skin between them moves; there, the "
+            "standard deviation is mostly that of any face (--priors)"
+        )
     fade = _fade(distances, spec.reach)
     progress(1.0, "ready")
     return SurfacePlan(
@@ -232,15 +241,16 @@ def plan_surface(
     )
 
 
-def surface_options(spec: SurfaceSpec) -> GpOptions:
-    """Return the model's options of a spec."""
-    spread = spec.prior_spread
+def surface_options(spec: SurfaceSpec, proportions: Proportions) -> GpOptions:
+    """Return the model's options of a spec, priors scaled from the performer to the mesh."""
+    spread, square = spec.prior_spread, proportions.scale**2
+    v0, v1, a0, a1 = (median * square for median in spec.priors)
     return GpOptions(
         sampler=spec.sampler,
         blend=None if spec.choose_blend else spec.blend,
         length_scale=spec.length_scale,
         covariance=spec.covariance,
-        prior=HyperPrior(spec.priors, (spread, spread, spread, spread)),
+        prior=HyperPrior((v0, v1, a0, a1), (spread, spread, spread, spread)),
         folds=spec.folds,
         samples=spec.samples,
         burn_in=spec.burn_in,
