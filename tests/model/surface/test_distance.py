@@ -10,7 +10,7 @@ from tests.numerics.surface.test_geodesic import quad_grid
 from usdface.core.errors import InputError
 from usdface.model.surface.distance import surface_distances, unpack_distances
 from usdface.model.surface.gp_surface import GpOptions, fit_gp_surface
-from usdface.numerics.surface.surface_places import SurfacePoints
+from usdface.numerics.surface.surface_places import SurfacePoints, places_at_points
 
 
 def test_an_island_without_a_marker_follows_by_straight_lines_and_is_reported(mouth: Mouth) -> None:
@@ -30,7 +30,7 @@ def test_an_island_without_a_marker_follows_by_straight_lines_and_is_reported(mo
     assert np.array_equal(
         distances.geodesic_to_points[:, start:], distances.euclidean_to_points[:, start:]
     )
-    assert "9 of 989 points are on 1 separate part without" in distances.unreached.describe()[0]
+    assert "9 of 989 points are on 1 separate part without" in distances.unreached.describe([])[0]
     options = GpOptions(sampler="map")
     found = fit_gp_surface(distances, mouth.markers(), options).deform(mouth.markers())
     assert np.isfinite(found.mean).all()
@@ -38,8 +38,23 @@ def test_an_island_without_a_marker_follows_by_straight_lines_and_is_reported(mo
     assert (found.sd[:, start:].min(axis=1) > 1.5 * np.median(found.sd[:, :start], axis=1)).all()
 
 
+def test_the_markers_on_the_smaller_of_two_parts_are_named(mouth: Mouth) -> None:
+    points, counts, indices = quad_grid(3, 3)
+    chosen = np.concatenate([mouth.chosen, [len(mouth.points) + 4]])
+    two = replace(
+        mouth,
+        points=np.concatenate([mouth.points, points + np.array([0.0, 0.0, -9.0])]),
+        counts=np.concatenate([mouth.counts, counts]),
+        indices=np.concatenate([mouth.indices, indices + len(mouth.points)]),
+    )
+    two = replace(two, places=places_at_points(two.counts, two.indices, chosen))
+    names = [f"m{number}" for number in range(len(chosen))]
+    (told,) = two.distances().unreached.describe(names)
+    assert f"parts than most markers: 1 marker, {names[-1]};" in told
+
+
 def test_a_sheet_without_faults_has_nothing_to_report(mouth: Mouth) -> None:
-    assert mouth.distances().unreached.describe() == ()
+    assert mouth.distances().unreached.describe([]) == ()
 
 
 def test_distances_are_unpacked_as_they_were_packed(mouth: Mouth) -> None:

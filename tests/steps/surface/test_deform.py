@@ -115,6 +115,16 @@ def test_a_landmark_on_the_wrong_point_is_suspected(folder: Path, scan: Scan) ->
     ), report
 
 
+def test_two_landmarks_exchanged_are_suspected(folder: Path, scan: Scan) -> None:
+    right = bind(folder, scan)
+    assert not any("landmarks are" in note for note in run(right).notes)
+    names, points = zip(*(each.split("=") for each in right.landmarks), strict=True)
+    order = [0, 4, 2, 3, 1]  # chin and brow
+    wrong = tuple(f"{name}={points[i]}" for name, i in zip(names, order, strict=True))
+    report = run(right.model_copy(update={"landmarks": wrong, "out": folder / "other.usda"}))
+    assert any("the landmarks are" in note and "% of the face" in note for note in report.notes)
+
+
 def points_at(path: Path, frame: float) -> np.ndarray:
     """The moving mesh in millimetres, Y up, as any USD reader finds it."""
     stage = Usd.Stage.Open(str(path))
@@ -374,6 +384,24 @@ def test_a_small_face_moves_like_a_large_one(folder: Path, scan: Scan) -> None:
     np.testing.assert_allclose(read_spread(folder), 0.1 * large, rtol=0.02)
 
 
+def test_a_binding_of_two_markers_to_one_place_is_told(folder: Path, scan: Scan) -> None:
+    take = small_scan_take(scan)
+    twice = replace(
+        take.markers,
+        names=(*scan.names, "twin"),
+        **{
+            name: np.concatenate([getattr(take.markers, name)] * 2, axis=1)[
+                :, : len(scan.names) + 1
+            ]
+            for name in ("positions", "visible", "confidence")
+        },
+    )
+    write_take(folder / "talk.take.usda", replace(take, markers=twice), provenance=Provenance())
+    run(bind(folder, scan))
+    notes = run(deform(folder)).notes
+    assert any(f"at one place of the mesh: {scan.names[0]} and twin" in note for note in notes)
+
+
 def test_three_markers_are_too_few(folder: Path, scan: Scan) -> None:
     take = small_scan_take(scan)
     assert take.markers is not None
@@ -495,6 +523,7 @@ def test_what_deform_cannot_do_is_said(moved: Path, more: dict[str, object], mes
         ({"shape_frames": ("7",)}, "has no frame 7; give frames within 101-140"),
         ({"shape_frames": ("110=a", "110=b")}, "frame 110 is given for two shapes"),
         ({"shape_frames": ("101",)}, "moves no point"),
+        ({"count": 3, "least_mm": 9.0}, "--count is 3, but . of the faces"),
         ({"count": 500}, "faces of the take differ"),
         ({"shape_frames": ("110",), "names": Path("x.csv")}, "chosen by one of"),
     ],
@@ -503,4 +532,4 @@ def test_what_make_shapes_cannot_do_is_said(
     moved: Path, more: dict[str, object], message: str
 ) -> None:
     with pytest.raises((InputError, ValueError), match=message):
-        run(make_shapes(moved, out=moved / "bad.rig.usda", least_mm=0.6, **more))
+        run(make_shapes(moved, out=moved / "bad.rig.usda", **({"least_mm": 0.6} | more)))

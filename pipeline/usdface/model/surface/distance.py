@@ -1,6 +1,6 @@
 """Geodesic and Euclidean distances from markers to every point of a mesh."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,7 +8,7 @@ import numpy as np
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
-from usdface.core.text import pluralize
+from usdface.core.text import counted, pluralize
 from usdface.numerics.registration.marker_binding import FEWEST_MARKERS
 from usdface.numerics.surface.geodesic import Metric, euclidean_distances, geodesic_distances
 from usdface.numerics.surface.surface_graph import MeshFaults
@@ -27,15 +27,18 @@ class UnreachedReport:
     points: BoolArray
     """(points,): points without a path to any marker: islands without a marker (teeth, eyes) and
     loose points."""
-    pairs: int
-    """Pairs of markers on different islands."""
+    apart: BoolArray
+    """(markers,): those on other islands than most markers."""
     islands: int
     """Connected parts of the mesh."""
     islands_without_marker: int
     faults: MeshFaults
 
-    def describe(self) -> tuple[str, ...]:
-        """Return a sentence for each finding; none if all pairs are connected."""
+    def describe(self, names: Sequence[str]) -> tuple[str, ...]:
+        """Return a sentence for each finding; none if all pairs are connected.
+
+        `names`: of the markers.
+        """
         lines = []
         if self.points.any():
             lines.append(
@@ -43,8 +46,12 @@ class UnreachedReport:
                 f"{pluralize(self.islands_without_marker, 'separate part')} without a marker and "
                 "use straight-line distances; bind markers there, or omit these parts from the mesh"
             )
-        if self.pairs:
-            lines.append(f"{self.pairs} pairs of markers are on different separate parts")
+        if self.apart.any():
+            apart = [name for name, other in zip(names, self.apart, strict=True) if other]
+            lines.append(
+                f"on other separate parts than most markers: {counted(apart, 'marker')}; check "
+                "them with `usdface bind`"
+            )
         if self.faults.nonmanifold_edges:
             lines.append(f"{self.faults.nonmanifold_edges} edges have more than two faces")
         if self.faults.degenerate_faces:
@@ -90,9 +97,9 @@ class SurfaceDistances:
             "euclideanToPoints": self.euclidean_to_points,
             "euclideanBetween": self.euclidean_between,
             "unreached": self.unreached.points,
+            "apart": self.unreached.apart,
         }
         return arrays, {
-            "pairs": self.unreached.pairs,
             "islands": self.unreached.islands,
             "islandsWithoutMarker": self.unreached.islands_without_marker,
             "nonmanifoldEdges": faults.nonmanifold_edges,
@@ -147,6 +154,7 @@ def surface_distances(
     unreached_pairs = ~np.isfinite(between)
     np.copyto(to_points, straight, where=unreached)
     islands = int(found.islands.max()) + 1
+    of_markers = found.islands[markers.corners[:, 0]]
     return SurfaceDistances(
         points=points.astype(np.float32),
         marker_positions=found.positions,
@@ -156,9 +164,9 @@ def surface_distances(
         euclidean_between=straight_between,
         unreached=UnreachedReport(
             points=np.asarray(unreached.all(axis=0)),
-            pairs=int(unreached_pairs.sum()) // 2,
+            apart=np.asarray(of_markers != np.bincount(of_markers).argmax()),
             islands=islands,
-            islands_without_marker=islands - len(np.unique(found.islands[markers.corners[:, 0]])),
+            islands_without_marker=islands - len(np.unique(of_markers)),
             faults=found.faults,
         ),
     )
@@ -187,7 +195,7 @@ def unpack_distances(
         euclidean_between=arrays["euclideanBetween"].astype(np.float64),
         unreached=UnreachedReport(
             points=arrays["unreached"].astype(np.bool_),
-            pairs=counts["pairs"],
+            apart=arrays["apart"].astype(np.bool_),
             islands=counts["islands"],
             islands_without_marker=counts["islandsWithoutMarker"],
             faults=MeshFaults(

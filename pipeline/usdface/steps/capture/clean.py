@@ -196,7 +196,7 @@ def _head_markers(
         found = _find_rigid(take, markers)
     except ValueError as error:
         raise InputError(
-            f"{spec.take}: no rigid markers are named and none were detected: {error}"
+            f"{spec.take}: no rigid markers are named and none were detected: {error}, with --rigid"
         ) from error
     names = tuple(markers.names[index] for index in found.indices)
     notes.append(

@@ -11,6 +11,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
 from usdface.core.text import first_few
+from usdface.model.surface.fit import SurfaceMotion
 from usdface.numerics.regression.reference_design import pivoted_selection
 from usdface.runner.result import StepResult
 from usdface.specs.surface import MakeShapesSpec
@@ -116,11 +117,13 @@ def _from_references(path: Path, take: TakeReader) -> tuple[ShapeFrame, ...]:
 def run(spec: MakeShapesSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Choose frames, deform the mesh, and write the rig."""
     take = TakeReader(spec.take)
-    chosen = given_frames(spec, take)
+    given = given_frames(spec, take)
     plan = plan_surface(spec, take, out=spec.out, progress=part(progress, 0.0, 0.6))
-    chosen = chosen or _choose_frames(spec, plan, take)
+    chosen = given or _choose_frames(spec, plan, take)
     progress(0.6, f"making {len(chosen)} shapes")
     moved = plan.deform(take, [each.frame for each in chosen])
+    if not given:
+        _check_motion(spec, moved)
     shapes = [
         NewShape(each.name, moved.mean[index].astype(np.float64), take.name, each.frame)
         for index, each in enumerate(chosen)
@@ -152,6 +155,16 @@ def _choose_frames(
         markers.usable[:, plan.columns],
         count=spec.count,
     )
+
+
+def _check_motion(spec: MakeShapesSpec, moved: SurfaceMotion) -> None:
+    """Refuse chosen frames in which no point moves."""
+    moving = np.linalg.norm(moved.mean, axis=2).max(axis=1) >= spec.least_mm
+    if not moving.all():
+        raise InputError(
+            f"--count is {spec.count}, but {np.count_nonzero(moving)} of the faces that differ "
+            f"most move a point by {spec.least_mm:g} mm; lower it, or take a livelier take"
+        )
 
 
 def _report(

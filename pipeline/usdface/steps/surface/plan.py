@@ -43,6 +43,8 @@ from usdface.usdio.take.read import TakeReader
 _REACH_SPACINGS = 4.0
 """Default reach of the markers, as a multiple of the median distance between neighbours."""
 
+_COINCIDENCE_MM = 0.01
+
 _FEW_MARKERS = 14
 """Markers below which the prior of v0 weighs more than a tenth in its mean."""
 
@@ -222,10 +224,11 @@ def plan_surface(
         raise InputError(f"{spec.take} cannot be aligned with {spec.mesh}: {error}") from error
     progress(0.3, "measuring distances over the mesh")
     distances = _distances(spec, face, places, out, part(progress, 0.3, 0.6))
-    notes.extend(distances.unreached.describe())
+    names = [sample.names[column] for column in columns.tolist()]
+    notes.extend([*distances.unreached.describe(names), *_coinciding_notes(names, distances)])
     progress(0.6, "fitting the regression")
     seen = sample.visible[:, columns]
-    notes.extend(_unseen_notes([sample.names[column] for column in columns.tolist()], seen))
+    notes.extend(_unseen_notes(names, seen))
     moved = sample.positions[:, columns] - sample.neutral[columns]
     options = surface_options(spec, proportions)
     model = fit_surface(spec, distances, moved @ proportions.linear.T, options)
@@ -326,6 +329,15 @@ def _bind(spec: SurfaceSpec, sample: TakeSample, face: FaceMesh) -> tuple[Marker
     return binding, notes
 
 
+def _coinciding_notes(names: list[str], distances: SurfaceDistances) -> list[str]:
+    """Return a note on markers at one place of the mesh."""
+    pairs = np.argwhere(np.triu(distances.euclidean_between < _COINCIDENCE_MM, 1)).tolist()
+    if not pairs:
+        return []
+    listed = first_few([f"{names[i]} and {names[j]}" for i, j in pairs])
+    return [f"at one place of the mesh: {listed}; leave one of them out"]
+
+
 def _unseen_notes(names: list[str], seen: BoolArray) -> list[str]:
     """Return a note on markers without a position in some frames of the sample."""
     missing = 1 - seen.mean(axis=0)
@@ -355,7 +367,7 @@ def _distances(
 ) -> SurfaceDistances:
     mesh = face.mesh
     numbers = (places.faces.tolist(), places.corners.tolist(), places.weights.round(7).tolist())
-    key = hash_text(f"{face.hash} {spec.metric} {numbers} joined")
+    key = hash_text(f"{face.hash} {spec.metric} {numbers} joined apart")
     path = distances_path(out, face.file, face.hash)
     cached = read_distances(path, key=key)
     if cached is not None:

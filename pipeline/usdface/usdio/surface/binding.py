@@ -119,8 +119,9 @@ def read_binding(path: Path, face: BoundSurface) -> ReadBinding:
     stage = open_stage(path)
     if read_surface_hash(path) != face.hash:
         raise InputError(
-            f"{path}: was made on another surface than {face.file} <{face.path}>, whose points or "
-            "faces differ; bind again, under another name if its corrections are to be kept"
+            f"{path}: was made on another surface than {face.file} <{face.path}>, whose points, in "
+            "millimetres, or faces differ; bind again, under another name if its corrections are "
+            "to be kept"
         )
     names, places, left_out, authors = [], [], [], {}
     holder = stage.GetPrimAtPath(_MARKERS)
