@@ -7,9 +7,11 @@ from benchmarks._surface_subjects import deviations_of_axes
 from tests.model.surface.mouth import Mouth, opening, rms
 from usdface.core.errors import InputError
 from usdface.model.surface import fit as surface_fit
+from usdface.model.surface import gp_surface
 from usdface.model.surface.distance import surface_distances
 from usdface.model.surface.gp_surface import GpOptions, GpSurface, fit_gp_surface
 from usdface.model.surface.rbf_surface import RbfOptions, fit_rbf_surface
+from usdface.numerics.manifold.posterior_prediction import DualMoments, SurfaceFields
 from usdface.numerics.surface.surface_places import places_at_points
 
 CORNERS = np.array([[-60, -60, 0], [60, -60, 0], [-60, 60, 0], [60, 60, 0], [0, 60, 0]])
@@ -59,6 +61,20 @@ def test_noise_is_smoothed_and_95_percent_intervals_contain_95_percent(
     np.testing.assert_allclose(np.sqrt((of_axes**2).mean(axis=2)), found.sd, rtol=1e-3)
     inside = np.abs(found.mean - mouth.motion) < 1.96 * of_axes
     assert 0.91 < inside.mean() < 0.99
+
+
+def test_no_point_is_surer_than_all_markers_together(
+    mouth: Mouth, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def nothing(fields: SurfaceFields, moments: DualMoments) -> np.ndarray:
+        return np.zeros((len(moments.constant), len(fields.basis)), np.float32)
+
+    moved = mouth.markers(noise=0.5)
+    fitted = fit(mouth, moved, sampler="shared", length_scale=40.0, samples=20)
+    monkeypatch.setattr(gp_surface, "predict_variance", nothing)
+    found = fitted.deform(moved)
+    assert found.sd is not None
+    assert found.sd[:, mouth.chosen].min() > 0.2 * 0.5 / np.sqrt(len(mouth.chosen))
 
 
 def test_few_markers_that_hold_still_do_not_tell_that_the_face_does(mouth: Mouth) -> None:

@@ -126,6 +126,15 @@ class GpSurface(SurfaceModel):
     shared: FloatArray | None = field(repr=False)
     """(samples, 4): log hyper-parameters of the whole take, with the sampler ``'shared'``."""
 
+    @property
+    def least_variance(self) -> float:
+        """Variance of a point at which all N markers are, ``1 / (1 / v0 + N / v1)`` [mm^2].
+
+        At markers the low-rank approximation of variances may be less, or 0.
+        """
+        v0, v1 = np.exp(self.typical[:2])
+        return float(1.0 / (1.0 / v0 + self.marker_count / v1))
+
     def _predict(self, moved: FloatArray, seen: BoolArray, size: int) -> Iterator[SurfaceMotion]:
         # The next block is sampled while this one is predicted.
         with ThreadPoolExecutor(max_workers=1) as executor:
@@ -171,6 +180,7 @@ class GpSurface(SurfaceModel):
         shares = self.factors.of_axes**2 / 3.0
         mixed = mix_variances(moments, shares)
         variance = predict_variance(self.fields, mixed)
+        np.maximum(variance, np.float32(shares.sum() * self.least_variance), out=variance)
         if not seen.all():
             variance += np.float32(shares.sum()) * unseen_variances(
                 self.fields, self.table.spectrum, self.typical, seen, self.precision
