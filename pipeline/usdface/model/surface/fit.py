@@ -14,8 +14,8 @@ import numpy as np
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, sample_frames
 from usdface.core.errors import InputError
 from usdface.model.surface.distance import BLEND_PUBLISHED, SurfaceDistances
-from usdface.numerics.manifold.posterior_prediction import predict_unseen
 from usdface.numerics.manifold.surface_fields import Folds, find_folds
+from usdface.numerics.manifold.unseen_markers import predict_unseen
 
 BLENDS_TRIED = (0.0, 0.2, BLEND_PUBLISHED, 0.6, 0.8, 1.0)
 

@@ -50,7 +50,6 @@ from usdface.numerics.manifold.posterior_prediction import (
     predict_mean,
     predict_variance,
     prior_shares,
-    unseen_variances,
 )
 from usdface.numerics.manifold.surface_fields import (
     CovarianceShape,
@@ -58,6 +57,7 @@ from usdface.numerics.manifold.surface_fields import (
     fit_covariance,
     similarity,
 )
+from usdface.numerics.manifold.unseen_markers import unseen_variances
 
 Sampler = Literal["hmc", "map", "shared"]
 

@@ -24,16 +24,13 @@ the shortest length scale l that markers can tell, their median distance from ea
     added(x) = (1 - max_i c(d_i(x) / l)^2) max(n (m - v0) / (N + n), 0)
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from usdface.core.arrays import (
-    BoolArray,
     Float32Array,
     FloatArray,
-    IntArray,
     RealArray,
     frame_blocks,
 )
@@ -329,68 +326,6 @@ def marker_precisions(spectrum: MarkerSpectrum, theta: FloatArray) -> FloatArray
     C = v0 * ((Q * spectrum.values) @ Q.T) + a0 + a1 * (trend[:, 1:] @ trend[:, 1:].T)
     noise = v1 + _JITTER_SHARE * np.trace(C + v1 * np.eye(len(Q)), axis1=1, axis2=2)[:, None, None]
     return np.asarray(np.linalg.inv(C + noise * np.eye(len(Q))))
-
-
-def predict_unseen(moved: FloatArray, seen: BoolArray, precision: FloatArray) -> FloatArray:
-    """Replace the displacements of markers that were not seen by those that the others predict.
-
-    Without any marker seen, they are 0.
-
-    Parameters
-    ----------
-    moved : (frames, N, 3) float array
-        [mm]
-    seen : (frames, N) bool array
-    precision : (N, N) float array
-        Inverse covariance of the markers.
-    """
-    out = moved.copy()
-    for pattern, rows in _rows_by_pattern(seen):
-        hidden = ~pattern
-        if hidden.any():
-            known = np.where(pattern[:, None], moved[rows], 0.0)
-            right = (precision[hidden] @ known).transpose(1, 0, 2).reshape(hidden.sum(), -1)
-            found = -np.linalg.solve(precision[np.ix_(hidden, hidden)], right)
-            out[np.ix_(rows, np.flatnonzero(hidden))] = found.reshape(
-                len(found), len(rows), 3
-            ).transpose(1, 0, 2)
-    return out
-
-
-def unseen_variances(
-    fields: SurfaceFields,
-    spectrum: MarkerSpectrum,
-    theta: FloatArray,
-    seen: BoolArray,
-    precision: FloatArray,
-) -> Float32Array:
-    """Return the variance that predicted markers add to the surface: (frames, points) [mm^2].
-
-    Parameters
-    ----------
-    theta : (4,) float array
-        Log hyper-parameters.
-    seen, precision
-        See `predict_unseen`.
-    """
-    v0, _, a0, a1 = np.exp(np.clip(theta, -_LARGEST_LOG, _LARGEST_LOG))
-    Q = spectrum.vectors
-    trend = (Q @ spectrum.trend).T
-    dual = np.concatenate([v0 * Q.T, a0 * trend[:1], a1 * trend[1:]])
-    out = np.zeros((len(seen), len(fields.basis)), np.float32)
-    for pattern, rows in _rows_by_pattern(seen):
-        hidden = ~pattern
-        if hidden.any():
-            root = np.linalg.cholesky(np.linalg.inv(precision[np.ix_(hidden, hidden)]))
-            gain = fields.basis @ (dual @ precision[:, hidden] @ root).astype(np.float32)
-            out[rows] = (gain**2).sum(axis=1)
-    return out
-
-
-def _rows_by_pattern(seen: BoolArray) -> Iterator[tuple[BoolArray, IntArray]]:
-    patterns, which = np.unique(seen, axis=0, return_inverse=True)
-    for number, pattern in enumerate(patterns):
-        yield pattern, np.flatnonzero(which.ravel() == number)
 
 
 def calibrate_spread(
