@@ -56,6 +56,11 @@ def _column(name: str, names: tuple[str, ...], what: str) -> int:
     raise KeyError(f"no {what} {name!r}; did you mean {first_few(near)}?")
 
 
+MEASURED_CONFIDENCE = 0.9
+"""Confidence from which a sample counts as measured: a filled one within .05 s of a measured one.
+Most frames have such samples; they hardly change the uncertainty."""
+
+
 @dataclass(frozen=True, repr=False)
 class Markers(_Asset):
     """A cloud of named markers over the frames of a take."""

@@ -128,8 +128,9 @@ def open_stage(path: Path) -> Usd.Stage:
             if not Sdf.Layer.FindOrOpen(layer.ComputeAbsolutePath(asset))
         )
     if missing:
+        link = " (a symbolic link, beside which USD looks)" if path.is_symlink() else ""
         raise InputError(
-            f"{path}: its sublayer {missing[0]} cannot be read; put it back beside the file, "
+            f"{path}: its sublayer {missing[0]} cannot be read; put it back beside the file{link}, "
             "or take it out of the layer's subLayers"
         )
     return stage

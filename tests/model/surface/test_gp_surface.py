@@ -196,17 +196,20 @@ def test_markers_that_vanish_follow_the_others_and_are_less_certain(
         if method == "gp"
         else fit_rbf_surface(mouth.distances(), moved, RbfOptions())
     )
-    found, trusted = model.deform(held, seen), model.deform(held)
+    found, trusted = model.deform(held, seen.astype(float)), model.deform(held)
     assert rms(mouth, found.mean) < 0.6 * rms(mouth, trusted.mean)
     assert np.allclose(found.mean[0], trusted.mean[0])
     if found.sd is not None and trusted.sd is not None:
         assert np.allclose(found.sd[0], trusted.sd[0])
         assert (found.sd[1:] > 0.99 * trusted.sd[1:]).all()
         assert (found.sd[1:] > 1.1 * trusted.sd[1:]).mean() > 0.03
+        filled = model.deform(moved, np.where(seen, 1.0, 0.5))
+        assert np.array_equal(filled.mean, model.deform(moved).mean)
+        assert np.allclose(filled.sd, found.sd, rtol=0.2)
 
 
 def test_without_any_marker_the_face_rests(mouth: Mouth) -> None:
     moved = mouth.markers()
     model = fit(mouth, moved, sampler="shared", length_scale=40.0)
-    found = model.deform(moved, np.zeros(moved.shape[:2], bool))
+    found = model.deform(moved, np.zeros(moved.shape[:2]))
     assert np.abs(found.mean).max() < 1e-4

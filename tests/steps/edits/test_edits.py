@@ -447,7 +447,7 @@ def test_a_file_that_was_baked_from_another_solve_is_suspected_and_listed_in_sho
         rows[250, clip.names.index("jawOpen")] += 0.5
         writer.writerows([i + 1, *row] for i, row in enumerate(rows.tolist()))
     report = run(EditsImportSpec(performance=path, changed=other))
-    assert any("mapped again after this file was baked" in note for note in report.notes)
+    assert any("mapped again after it was baked" in note for note in report.notes)
     monkeypatch.setattr("usdface.steps.edits.list_._LISTED_RANGES", 5)
     listed = list_edits(path)
     assert len(listed.table) == 6

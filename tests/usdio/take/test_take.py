@@ -272,6 +272,11 @@ def test_a_file_that_is_no_usd_is_refused(tmp_path: Path, content: bytes) -> Non
 
 def test_a_take_whose_samples_are_gone_says_which(tmp_path: Path) -> None:
     write_take(tmp_path / "x.take.usda", small_take(), provenance=Provenance())
+    (tmp_path / "links").mkdir()
+    link = tmp_path / "links" / "x.take.usda"
+    link.symlink_to(tmp_path / "x.take.usda")
+    with pytest.raises(InputError, match=r"cannot be read; put it back .* symbolic link"):
+        read_take(link)
     (tmp_path / "x.take.samples.usdc").unlink()
     with pytest.raises(InputError, match=r"its sublayer \./x\.take\.samples\.usdc cannot be read"):
         read_take(tmp_path / "x.take.usda")

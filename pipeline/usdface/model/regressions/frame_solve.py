@@ -40,6 +40,7 @@ from usdface.core.arrays import (
     RealArray,
     single_precision,
 )
+from usdface.core.assets import MEASURED_CONFIDENCE
 from usdface.model.regressions.bent_weights import unbend_slope
 from usdface.model.regressions.forward_model import ForwardModel
 from usdface.model.regressions.frame_likelihood import (
@@ -63,10 +64,6 @@ predictive variance, which is added for each frame."""
 
 _CHI2_FAMILIAR, _CHI2_UNFAMILIAR = 0.3, 10.0
 """chi2 up to which sd is the regression's error, and from which it is the spread."""
-
-_MEASURED_CONFIDENCE = 0.9
-"""Confidence from which a sample counts as measured: a filled one within .05 s of a measured one.
-Most frames have such samples; they hardly change the uncertainty."""
 
 _MIN_ERROR = 0.01
 """Smallest error of a normalised weight: keys are not set more finely."""
@@ -176,8 +173,8 @@ class FrameSolver:
             step, precision = _minimise(likelihood, residual, precision, t0)
             targets = np.clip(t0 + step, 0.0, 1.0).astype(np.float64)
         hessian = likelihood.hessian(precision)
-        if confidence is not None and (confidence[visible] < _MEASURED_CONFIDENCE).any():
-            rows = np.flatnonzero((visible & (confidence < _MEASURED_CONFIDENCE)).any(axis=1))
+        if confidence is not None and (confidence[visible] < MEASURED_CONFIDENCE).any():
+            rows = np.flatnonzero((visible & (confidence < MEASURED_CONFIDENCE)).any(axis=1))
             predictive = np.broadcast_to(predictive, visible.shape)[rows]
             visibility = visible[rows] * self._visibility(predictive, confidence[rows])
             at_t0 = residual[rows] * np.repeat(visibility > 0, 3, axis=1)

@@ -11,7 +11,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray, sample_frames
+from usdface.core.arrays import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    RealArray,
+    sample_frames,
+)
+from usdface.core.assets import MEASURED_CONFIDENCE
 from usdface.core.errors import InputError
 from usdface.model.surface.distance import BLEND_PUBLISHED, SurfaceDistances
 from usdface.numerics.manifold.surface_fields import Folds, find_folds
@@ -71,17 +78,21 @@ class SurfaceModel(ABC):
     precision: FloatArray = field(repr=False)
     """(markers, markers): inverse covariance of the markers, up to a factor."""
 
-    def deform(self, displacements: FloatArray, seen: BoolArray | None = None) -> SurfaceMotion:
+    def deform(
+        self, displacements: FloatArray, confidence: RealArray | None = None
+    ) -> SurfaceMotion:
         """Predict all frames at once; `stream` needs less memory.
 
         Parameters
         ----------
         displacements : (frames, markers, 3) float array
             From the neutral frame [mm].
-        seen : (frames, markers) bool array, optional
-            Other markers are predicted from those seen. Default: all are seen.
+        confidence : (frames, markers) float array, optional
+            [0-1]. Markers of confidence 0 are predicted from the others. Those below
+            `MEASURED_CONFIDENCE` are filled: the points are as uncertain as if these were
+            predicted. Default: 1.
         """
-        parts = list(self.stream(displacements, seen))
+        parts = list(self.stream(displacements, confidence))
         deviations = [part.sd for part in parts if part.sd is not None]
         return SurfaceMotion(
             np.concatenate([part.mean for part in parts]),
@@ -89,7 +100,7 @@ class SurfaceModel(ABC):
         )
 
     def stream(
-        self, displacements: FloatArray, seen: BoolArray | None = None
+        self, displacements: FloatArray, confidence: RealArray | None = None
     ) -> Iterator[SurfaceMotion]:
         """Predict part by part, in bounded memory; the result does not depend on the parts.
 
@@ -97,22 +108,24 @@ class SurfaceModel(ABC):
         ----------
         displacements : (frames, markers, 3) float array
             [mm]
-        seen : (frames, markers) bool array, optional
+        confidence : (frames, markers) float array, optional
             See `deform`.
         """
         moved = check_displacements(displacements, self.marker_count)
-        if seen is None:
-            seen = np.ones(moved.shape[:2], np.bool_)
-        moved = predict_unseen(moved, seen, self.precision)
+        if confidence is None:
+            confidence = np.ones(moved.shape[:2])
+        moved = predict_unseen(moved, confidence > 0, self.precision)
         if not len(moved):
             sd = np.zeros((0, self.point_count), np.float32) if self.predicts_sd else None
             yield SurfaceMotion(np.zeros((0, self.point_count, 3), np.float32), sd)
         size = max(1, _FIELD_VALUES // max(self.point_count, 1))
-        yield from self._predict(moved, seen, size)
+        yield from self._predict(moved, confidence >= MEASURED_CONFIDENCE, size)
 
     @abstractmethod
-    def _predict(self, moved: FloatArray, seen: BoolArray, size: int) -> Iterator[SurfaceMotion]:
-        """Predict frames in parts of at most `size`; `seen` is for the standard deviations."""
+    def _predict(
+        self, moved: FloatArray, measured: BoolArray, size: int
+    ) -> Iterator[SurfaceMotion]:
+        """Predict frames in parts of at most `size`; `measured` is for the standard deviations."""
 
 
 def check_fit(

@@ -135,7 +135,9 @@ class GpSurface(SurfaceModel):
         v0, v1 = np.exp(self.typical[:2])
         return float(1.0 / (1.0 / v0 + self.marker_count / v1))
 
-    def _predict(self, moved: FloatArray, seen: BoolArray, size: int) -> Iterator[SurfaceMotion]:
+    def _predict(
+        self, moved: FloatArray, measured: BoolArray, size: int
+    ) -> Iterator[SurfaceMotion]:
         # The next block is sampled while this one is predicted.
         with ThreadPoolExecutor(max_workers=1) as executor:
             sampled = executor.submit(self._sample, moved[:_SAMPLED_FRAMES])
@@ -143,7 +145,7 @@ class GpSurface(SurfaceModel):
                 theta = sampled.result()
                 stop = start + _SAMPLED_FRAMES
                 sampled = executor.submit(self._sample, moved[stop : stop + _SAMPLED_FRAMES])
-                block, known = moved[start:stop], seen[start:stop]
+                block, known = moved[start:stop], measured[start:stop]
                 for first in range(0, len(block), size):
                     part = slice(first, min(first + size, len(block)))
                     yield self._fields(block[part], known[part], theta[..., part])
@@ -169,7 +171,7 @@ class GpSurface(SurfaceModel):
             theta = samples.theta
         return np.moveaxis(theta.reshape(len(theta), 4, len(moved), 3), 3, 2)
 
-    def _fields(self, moved: FloatArray, seen: BoolArray, theta: FloatArray) -> SurfaceMotion:
+    def _fields(self, moved: FloatArray, measured: BoolArray, theta: FloatArray) -> SurfaceMotion:
         parts = []
         for part in frame_blocks(len(moved), frames=_MOMENT_FRAMES):
             chains = np.moveaxis(theta[..., part], 2, 3).reshape(len(theta), 4, -1)
@@ -181,9 +183,9 @@ class GpSurface(SurfaceModel):
         mixed = mix_variances(moments, shares)
         variance = predict_variance(self.fields, mixed)
         np.maximum(variance, np.float32(shares.sum() * self.least_variance), out=variance)
-        if not seen.all():
+        if not measured.all():
             variance += np.float32(shares.sum()) * unseen_variances(
-                self.fields, self.table.spectrum, self.typical, seen, self.precision
+                self.fields, self.table.spectrum, self.typical, measured, self.precision
             )
         # No marker tells how a separate part moves: its deviation is that of any point.
         variance[:, self.alone] = np.maximum(variance[:, self.alone], mixed.constant[:, None])

@@ -46,7 +46,9 @@ class RbfSurface(SurfaceModel):
     operator: Float32Array = field(repr=False)
     """(points, markers): see `multiquadric_fields`."""
 
-    def _predict(self, moved: FloatArray, seen: BoolArray, size: int) -> Iterator[SurfaceMotion]:
+    def _predict(
+        self, moved: FloatArray, measured: BoolArray, size: int
+    ) -> Iterator[SurfaceMotion]:
         for start in range(0, len(moved), size):
             part = moved[start : start + size].astype(np.float32)
             flat = part.transpose(1, 0, 2).reshape(self.marker_count, -1)

@@ -62,8 +62,9 @@ def run(
     count = int(differing.sum())
     if 2 * count > len(given) > 1:
         notes += (
-            "most frames differ: if the take was mapped again after this file was baked, changes "
-            "of the solve are imported as edits; bake again, change that file and import it",
+            "most frames differ: between sparse keys the file's interpolation is imported, and if "
+            "the take was mapped again after it was baked, the changes of the solve; key every "
+            "frame, or bake again, change that file and import it",
         )
     path = write_edits(
         spec.performance, reader.animation, changed, frames, stamp=stamp, provenance=provenance

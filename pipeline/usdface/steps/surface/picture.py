@@ -62,7 +62,7 @@ def write_comparison(
     moved = every[inside]
     rows = np.sort(pivoted_selection(moved.reshape(len(moved), -1), spec.rows))
     columns, models = _compared_models(spec, plan, every)
-    seen = plan.sample.visible[inside][rows][:, plan.columns]
+    seen = plan.sample.visible[inside][rows][:, plan.columns].astype(np.float64)
     surfaces = [each.deform(moved[rows], seen) for each in models]
     sds = surfaces[-1].sd
     rest = plan.face.mesh.points

@@ -180,15 +180,15 @@ class SurfacePlan:
     def deform(self, take: TakeReader, frames: Sequence[int]) -> SurfaceMotion:
         """Deform the mesh at a few frames of the take, in any order."""
         markers, rows = read_markers_at(take, sorted(frames)), np.argsort(np.argsort(frames))
-        seen = markers.usable[rows][:, self.columns]
-        moved = self.model.deform(self.displacements(markers.positions[rows]), seen)
+        confidence = markers.confidence[rows][:, self.columns]
+        moved = self.model.deform(self.displacements(markers.positions[rows]), confidence)
         return SurfaceMotion(moved.mean * self.fade, moved.sd)
 
     def stream(self, take: TakeReader, first: int, last: int) -> Iterator[SurfaceMotion]:
         """Deform the mesh at consecutive frames of the take, block by block."""
         markers = read_markers(take, first, last)
-        seen = markers.usable[:, self.columns]
-        for moved in self.model.stream(self.displacements(markers.positions), seen):
+        confidence = markers.confidence[:, self.columns]
+        for moved in self.model.stream(self.displacements(markers.positions), confidence):
             yield SurfaceMotion(moved.mean * self.fade, moved.sd)
 
 
