@@ -10,6 +10,8 @@ import pytest
 
 from tests.regenerate import REPOSITORY
 
+pytestmark = pytest.mark.slow
+
 DOCS = REPOSITORY / "docs"
 MENUS = ("README", "reference/commands/README", "changes/README")
 BUILD = f"""

@@ -10,6 +10,8 @@ from tests.numerics.small_face import SmallActor, SmallFace, small_actor, small_
 from usdface.core.assets import MeshShape, References, Rig, RigMesh, ShapeKey
 from usdface.core.deformer import Deformer
 from usdface.model.mapping.motion_space import fit_motion_space
+from usdface.model.placement.place import MarkerPlacement
+from usdface.model.selection import baseline
 from usdface.model.selection.baseline import PerformerMarkers, set_up_equation
 from usdface.numerics.measure.face_regions import region_of_shape
 from usdface.tuning.targets import MarkerTargets, find_targets, solve_shapes, targets_or_reason
@@ -123,9 +125,16 @@ def test_some_shapes_are_solved_while_the_others_hold(made) -> None:
     assert ((found >= low) & (found <= high))[held].all()
 
 
-def test_blinks_are_judged_take_by_take_as_by_select(made) -> None:
+def test_blinks_are_judged_take_by_take_as_by_select(made, monkeypatch) -> None:
     """The lids of one take lie lower than those of the other, by another head pose."""
     rig, actor, references, targets = made
+    place, places = baseline.place_markers, []
+
+    def place_once(*given: object, **named: object) -> MarkerPlacement:
+        places.append(places[0] if places else place(*given, **named))
+        return places[0]
+
+    monkeypatch.setattr(baseline, "place_markers", place_once)
     clips = [actor.positions[:160].copy(), actor.positions[160:].copy()]
     lids = np.array(targets.regions) == "lids"
     clips[1][:, lids, 1] -= 3.0

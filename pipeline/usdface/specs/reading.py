@@ -219,21 +219,23 @@ def _read_data(path: Path) -> Any:
             f"{path}: is no YAML or JSON, as a job or spec is: not UTF-8 at byte {error.start}"
         ) from error
     try:
+        data = yaml.safe_load(text)
         _check_keys(text)
-        return yaml.safe_load(text)
     except yaml.YAMLError as error:
         raise InputError(f"{path}: is no valid YAML or JSON: {_yaml_reason(error)}") from error
     except RecursionError as error:
         raise InputError(f"{path}: is nested too deeply for a spec") from error
     except (ValueError, LookupError, AttributeError) as error:  # a malformed number or date
         raise InputError(f"{path}: holds a value that cannot be read: {error}") from error
+    return data
 
 
 def _check_keys(text: str) -> None:
     """Refuse keys given twice in one table, of which YAML would use the last."""
     import yaml
 
-    nodes, seen = [yaml.compose(text, yaml.SafeLoader)], set[int]()
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times as fast, where it is built
+    nodes, seen = [yaml.compose(text, loader)], set[int]()
     while nodes:
         node = nodes.pop()
         if id(node) in seen or not isinstance(node, yaml.CollectionNode):
