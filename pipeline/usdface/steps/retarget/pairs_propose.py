@@ -123,9 +123,12 @@ def match_rigs(
     named = NameMatching(()) if by == "deformation" else match_names(source.shapes, target.shapes)
     matches, how = list(named.matches), dict(named.by)
     notes = [f"matched {pluralize(len(matches), 'shape')} by name"] if matches else []
-    about = {rig.file.name: describe_orientation(rig) for rig in (source, target)}
-    if matches and len(set(about.values())) > 1:  # two rigs of the viewer's names agree
-        notes += [f"{name}: {note}" for name, each in about.items() for note in each]
+    about = [describe_orientation(rig) for rig in (source, target)]
+    if matches and about[0] != about[1]:  # two rigs of the viewer's names agree
+        files = (source.file.name, target.file.name)
+        notes += [
+            f"{name}: {note}" for name, each in zip(files, about, strict=True) for note in each
+        ]
     if by != "name":
         progress(0.2, "registering the faces")
         driven: dict[str, list[tuple[str, float]]] = {}
