@@ -10,8 +10,6 @@ import pytest
 
 from tests.regenerate import REPOSITORY
 
-pytestmark = pytest.mark.slow
-
 DOCS = REPOSITORY / "docs"
 MENUS = ("README", "reference/commands/README", "changes/README")
 BUILD = f"""
