@@ -1,6 +1,8 @@
 """Latency of the tuning page: from a slider to the face, and from a change to the disk."""
 
 import os
+import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -8,6 +10,7 @@ from pathlib import Path
 import httpx
 import numpy as np
 
+from benchmarks.waits import many_shapes
 from tests.browser import chromium
 from tests.conftest import SHARED_DATA
 from tests.tuning.test_page import Command, Page
@@ -24,6 +27,9 @@ from usdface.usdio.rig.write import write_rig
 
 PAIRS, MARKERS, SLIDES = 100, 100, 60
 LIMIT_MS = 50.0
+MANY_SHAPES, RUNS = 250, 3
+BROWSER_START_SECONDS = 1.0
+"""Time that a person's browser takes from the command's link to its request of the page."""
 
 _SLIDE = """async (count) => {
   const times = [];
@@ -56,15 +62,45 @@ def run() -> None:
         _saving(path)
         _posting(path, rig.shapes[0])
         _sliding(path)
+        _opening(folder)
+
+
+def _opening(folder: Path) -> None:
+    """Print how long the page of a rig with many shapes takes, from the server's first line."""
+    rig, take, asset = (folder / name for name in ("many.rig.usdc", "demo", "many.usda"))
+    write_rig(rig, many_shapes(MANY_SHAPES))
+    select = f"select {take}/demo.clean.take.usda --rig {rig} --count {PAIRS // 2} --out {asset}"
+    for words in (f"demo --out {take}", select):
+        subprocess.run(
+            [sys.executable, "-m", "usdface", *words.split()], check=True, capture_output=True
+        )
+    face, markers = [], []
+    with chromium() as browser:
+        for _ in range(RUNS):
+            command = Command(asset)
+            try:
+                time.sleep(BROWSER_START_SECONDS)
+                begun = time.perf_counter()
+                page = Page(browser.new_context(), command.link)
+                face.append(time.perf_counter() - begun)
+                page.wait("!!tune.residual")
+                markers.append(time.perf_counter() - begun)
+                page.page.close()
+            finally:
+                command.interrupt()
+    print(f"| {MANY_SHAPES} shapes, page opened until the face is shown | {_seconds(face)} |")
+    print(f"| {MANY_SHAPES} shapes, page opened until markers are shown | {_seconds(markers)} |")
+
+
+def _seconds(found: list[float]) -> str:
+    return f"{np.median(found):.1f} s | {np.percentile(found, 95):.1f} s | "
 
 
 def _sliding(path: Path) -> None:
     with chromium() as browser:
         command = Command(path)
         try:
-            begun = time.perf_counter()
             page = Page(browser.new_context(viewport={"width": 1600, "height": 900}), command.link)
-            opened = time.perf_counter() - begun
             page.wait("!!tune.residual || document.getElementById('markers').disabled")
             page.page.evaluate(_SLIDE, 8)  # lets the browser compile the script
             found = page.page.evaluate(_SLIDE, SLIDES)
@@ -74,7 +110,6 @@ def _sliding(path: Path) -> None:
     limit = f"limit {LIMIT_MS:g} ms"
     _row("slider to commands of the new picture, script", found["times"], limit)
     _row("of that: morph, normals, upload, draw calls", found["draws"], "")
-    print(f"| page opened until the face is shown | {opened:.1f} s | | |")
 
 
 def _posting(path: Path, shape: str) -> None:
@@ -82,10 +117,11 @@ def _posting(path: Path, shape: str) -> None:
     command = Command(path)
     home = command.link.split("/?")[0]
     rights = {"origin": home, "x-usdface-tune": "1", "content-type": "application/json"}
-    taken, revision = [], 0
+    taken: list[float] = []
     try:
         with httpx.Client(base_url=home) as client:
             client.get(command.link)
+            revision = client.get("/state.json").json()["revision"]
             for step in range(60):
                 change = {"pair": 1, "take": "take", "frame": 1, "weights": {shape: step / 100}}
                 begun = time.perf_counter()

@@ -149,7 +149,7 @@ def _prepare(folder: Path) -> None:
 
     here = Path(__file__).parents[1] / "pipeline"
     _usdface(folder, here, ["demo", "--out", "demo"])
-    write_rig(folder / "many.rig.usdc", _many_shapes())
+    write_rig(folder / "many.rig.usdc", many_shapes(SHAPES))
     rng = np.random.default_rng(0)
     head, acted = make_head(ACTOR), performance()
     front = (head.parts == HeadPart.SKIN) & (head.points[:, 2] > 0)
@@ -167,13 +167,13 @@ def _prepare(folder: Path) -> None:
     _usdface(folder, here, "ingest dense.c3d --out dense.take.usda --neutral 1".split())
 
 
-def _many_shapes() -> Rig:
+def many_shapes(shapes: int) -> Rig:
     """Return the demo's rig without in-betweens, with correctives that are parts of its shapes."""
     from usdface.demo.rig import demo_rig
 
     rig = demo_rig()
     own = rig.shapes
-    count = SHAPES - len(own)
+    count = shapes - len(own)
     names = tuple(f"corrective_{number}" for number in range(count))
     meshes = []
     for mesh in rig.meshes:
@@ -190,5 +190,5 @@ def _many_shapes() -> Rig:
                 replace(shape, name=name, keys=(replace(key, points=part, offsets=offsets),))
             )
         meshes.append(replace(mesh, shapes=tuple(plain)))
-    ranges = np.tile([0.0, 1.0], (SHAPES, 1))
+    ranges = np.tile([0.0, 1.0], (shapes, 1))
     return replace(rig, shapes=(*own, *names), meshes=tuple(meshes), ranges=ranges)

@@ -36,12 +36,12 @@ PATIENCE_SECONDS = 40.0
 class Command:
     """`usdface tune`, running."""
 
-    remembered_folder: Path
+    program: tuple[str, ...] = ("usdface",)
 
     def __init__(self, asset: Path, *options: str) -> None:
         command = ["tune", str(asset), "--no-browser", "--json", *options]
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "tests.remembered", str(self.remembered_folder), *command],
+            [sys.executable, "-m", *self.program, *command],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -99,7 +99,7 @@ class Page:
 
 @pytest.fixture(scope="module")
 def browser(remembered_folder: Path) -> Iterator[Any]:
-    Command.remembered_folder = remembered_folder
+    Command.program = ("tests.remembered", str(remembered_folder))
     with chromium() as running:
         yield running
 
