@@ -27,6 +27,10 @@ STOPPED = "interrupted; no partly written files remain"
 RETRY_SECONDS = 0.05
 """Interval after which a signal during an import is sent again; imports take a second or two."""
 
+UNINTERRUPTIBLE_IMPORTS = frozenset({"pxr", "OpenImageIO"})
+"""Packages in whose import an exception is not safe: USD's loader ignores it and continues partly
+loaded, OpenImageIO's ends the process."""
+
 LONGEST_FARM_MESSAGE = 1000
 """Characters; farms truncate or refuse longer lines."""
 
@@ -216,8 +220,7 @@ def was_stopped() -> bool:
 def raise_on_signals() -> None:
     """Turn SIGTERM, which farms send once, into an exception, so that temporary files are removed.
 
-    Both SIGTERM and Ctrl+C are delayed while USD is imported: its loader would ignore the exception
-    and continue partly loaded. If the exception is lost in a callback of a library, the signal is
+    Both SIGTERM and Ctrl+C are delayed during imports of `UNINTERRUPTIBLE_IMPORTS`. If the exception is lost in a callback of a library, the signal is
     sent again.
     """
 
@@ -228,7 +231,7 @@ def raise_on_signals() -> None:
 
     def stop(signum: int, frame: FrameType | None) -> None:
         imported = [*_imported_by(frame)]
-        if any(name.partition(".")[0] == "pxr" for name in imported):
+        if any(name.partition(".")[0] in UNINTERRUPTIBLE_IMPORTS for name in imported):
             send_again(signum)
             return
         _stopped.set()
