@@ -220,8 +220,8 @@ def was_stopped() -> bool:
 def raise_on_signals() -> None:
     """Turn SIGTERM, which farms send once, into an exception, so that temporary files are removed.
 
-    Both SIGTERM and Ctrl+C are delayed during imports of `UNINTERRUPTIBLE_IMPORTS`. If the exception is lost in a callback of a library, the signal is
-    sent again.
+    Both SIGTERM and Ctrl+C are delayed during imports of `UNINTERRUPTIBLE_IMPORTS`. If the
+    exception is lost in a callback of a library, the signal is sent again.
     """
 
     def send_again(signum: int) -> None:
