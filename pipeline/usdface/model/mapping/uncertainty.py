@@ -64,8 +64,8 @@ _REGION_PRIOR_ERRORS = 20.0
 """Weight of the face's constant in a region's, as a number of errors: the .9 quantile of 20 errors
 is as uncertain as the constants of regions differ."""
 
-_CALIBRATION_RANGE = (0.9, 4.0)
-"""Limits of ``c``. It hardly narrows the posterior: folds lack references that the mapping has, so
+_CALIBRATION_RANGE = (1.0, 4.0)
+"""Limits of ``c``. It never narrows the posterior: folds lack references that the mapping has, so
 that their posteriors are wider than those of takes (decision 43)."""
 
 _PROPOSAL_ERROR = 0.25
