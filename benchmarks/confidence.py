@@ -3,7 +3,7 @@
 A mapping predicts an uncertainty of the face and each region for every frame; 90 % of the errors
 should be within 1.645 of it. The share is measured on frames with known weights: the second half of
 `crosstake` at three levels of noise, and three takes of each performer of `performers`, whose keys
-are exact, or have random errors.
+are exact, or have random errors, and of performers that chose nothing.
 """
 
 import tempfile
@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import crosstake
-from benchmarks.performers import PERFORMERS, act
+from benchmarks.performers import PERFORMERS, UNSEEN_PERFORMERS, Performer, act
 from tests.conftest import SHARED_DATA
 from tests.model.synthetic import sample_skin
 from usdface.core.deformer import Deformer
@@ -120,9 +120,9 @@ def _crosstake(counts: tuple[int, ...]) -> Iterator[Claims]:
 
 
 def _performers(counts: tuple[int, ...]) -> Iterator[Claims]:
-    for performer in PERFORMERS:
+    for performer in (*PERFORMERS, *UNSEEN_PERFORMERS):
         for count, keys in product(counts, KEYS):
-            if keys and count != INEXACT_COUNT:
+            if keys and (count != INEXACT_COUNT or performer in UNSEEN_PERFORMERS):
                 continue
             acted = act(performer, count)
             shapes, weights = acted.shapes, acted.references.weights
@@ -140,8 +140,12 @@ def _performers(counts: tuple[int, ...]) -> Iterator[Claims]:
                 error = _errors(
                     said.weights - truth, said.regions, shapes.names, shapes.gram, shapes.skin
                 )
-                group = f"{performer[0]}, {performer[1]}{keys}"
+                group = f"{_name(performer)}{keys}"
                 yield _claims(group, take, count, error, said)
+
+
+def _name(performer: Performer) -> str:
+    return f"{performer[0]}, {performer[1]}"
 
 
 def _claims(group: str, take: str, count: int, error: np.ndarray, said: Prediction) -> Claims:
@@ -172,7 +176,11 @@ def _print_claims(found: list[Claims]) -> None:
     print("|---|---|---|")
     for label, own in (
         ("crosstake", [each for each in found if each.group == "crosstake"]),
-        ("performers", [each for each in found if each.group[-1].isdigit()]),
+        ("performers", [each for each in found if each.group in map(_name, PERFORMERS)]),
+        (
+            "performers that chose nothing",
+            [e for e in found if e.group in map(_name, UNSEEN_PERFORMERS)],
+        ),
         ("performers, inexact keys or gains", [each for each in found if "inexact" in each.group]),
     ):
         for count in sorted({each.count for each in own}):

@@ -30,13 +30,18 @@ from usdface.numerics.regression.reference_design import design_gp_variance, whi
 from usdface.numerics.repair.smoothing import smooth_tracks
 from usdface.usdio.rig.read import read_rig
 
-PERFORMERS = (
-    # rig, seed, lids with a marker, displacement at which skin saturates [mm]
+Performer = tuple[str, int, int, float]
+"""Rig, seed, lids with a marker, displacement at which skin saturates [mm]."""
+
+PERFORMERS: tuple[Performer, ...] = (
     ("ict_face", 21, 2, 60.0),
     ("ict_face", 22, 1, 25.0),
     ("facecap_head", 23, 2, 60.0),
     ("facecap_head", 24, 0, 25.0),
 )
+UNSEEN_PERFORMERS = tuple((rig, seed + 10, lids, limit) for rig, seed, lids, limit in PERFORMERS)
+"""Others of the same kinds, that chose nothing."""
+
 COUNTS = (25, 50, 100)
 MARKERS = 92
 DESIGN_DIMENSIONS = 32
@@ -100,6 +105,26 @@ def run(
         for (rig, seed, lids, _), figures in zip(PERFORMERS, each, strict=True):
             print(f"| {rig}, {seed} | {lids} | {_cells(figures)} |", flush=True)
         print()
+    print("brows, which no reference moves, in the other performance: share of their motion\n")
+    print("| performer | share | error, relative to the motion |\n|---|---|---|")
+    for performer in (*PERFORMERS, *UNSEEN_PERFORMERS):
+        share, error = _brow_share(performer)
+        print(f"| {performer[0]}, {performer[1]} | {share:.2f} | {error:.2f} |", flush=True)
+
+
+def _brow_share(performer: Performer) -> tuple[float, float]:
+    """Return the slope of predicted over true motion of the brows, and the relative error.
+
+    With references whose brows are at rest; both over the surface.
+    """
+    acted = act(performer, 50, still="brow")
+    (_, markers, truth), shapes = acted.takes[1], acted.shapes
+    predicted = predict_weights(_trained(acted, "auto"), markers).weights
+    brows = [i for i, name in enumerate(shapes.names) if name.startswith("brow")]
+    root = np.linalg.cholesky(shapes.gram[np.ix_(brows, brows)] + 1e-9 * np.eye(len(brows)))
+    wanted, found = (each[:, brows] @ root for each in (truth, predicted))
+    share = (wanted * found).sum() / (wanted**2).sum()
+    return float(share), float(np.linalg.norm(found - wanted) / np.linalg.norm(wanted))
 
 
 def _cells(figures: Iterable[Iterable[float]]) -> str:
@@ -107,28 +132,36 @@ def _cells(figures: Iterable[Iterable[float]]) -> str:
 
 
 def _score_performer(
-    performer: tuple[str, int, int, float], count: int, methods: tuple[str, ...]
+    performer: Performer, count: int, methods: tuple[str, ...]
 ) -> dict[str, list[tuple[float, float]]]:
     acted = act(performer, count)
     found = {}
     for method in methods:
-        mapping = train_mapping(
-            acted.references,
-            ranges=np.tile([0.0, 1.0], (len(acted.shapes.names), 1)),
-            gram=acted.shapes.gram,
-            skin=acted.shapes.skin,
-            method=method,
-        )
+        mapping = _trained(acted, method)
         found[method] = [
             _figures(mapping, acted.shapes, markers, truth) for _, markers, truth in acted.takes
         ]
     return found
 
 
-def act(performer: tuple[str, int, int, float], count: int) -> Acted:
-    """Simulate a performer's takes, and choose references from the first half."""
+def _trained(acted: Acted, method: str) -> TrainedMapping:
+    return train_mapping(
+        acted.references,
+        ranges=np.tile([0.0, 1.0], (len(acted.shapes.names), 1)),
+        gram=acted.shapes.gram,
+        skin=acted.shapes.skin,
+        method=method,
+    )
+
+
+def act(performer: Performer, count: int, *, still: str = "-") -> Acted:
+    """Simulate a performer's takes, and choose references from the first half.
+
+    Shapes whose name begins with `still` do not move in the first performance.
+    """
     rig, seed, lids, limit = performer
     weights, names = _performance("livelink_alex/alex_rom_3.csv", 30)
+    weights[:, [name.startswith(still) for name in names]] = 0
     other, _ = _performance("livelink_jmtechart/MySlate_3_Jason_Millers_iPhone.csv", 60)
     shapes = _shapes(SHARED_DATA / "rigs" / f"{rig}.usdc", names)
     upper = np.array([name.startswith(("brow", "eye")) for name in names])
