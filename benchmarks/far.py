@@ -11,8 +11,10 @@ Frames are blocks of consecutive ones, evenly spread over the take, for the meas
 
 import csv
 import tempfile
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +45,7 @@ from usdface.usdio.take.read import read_take
 METHODS = ("face_map", "ridge", "kernel_cca")
 RIG = SHARED_DATA / "rigs" / "facecap_head.usdc"
 BLOCKS, BLOCK_FRAMES = 16, 60
+REFERENCE_COUNTS = (50, 25)
 SEEDS = range(5)
 KEY_ERROR, DROPPED_BELOW, DROPPED_SHARE = 0.15, 0.1, 1 / 3
 """Inexact keys: errors of 15 %, and a third of the keys below 0.1 set to 0."""
@@ -144,6 +147,13 @@ def compare(folder: Path, methods: tuple[str, ...], *, full: bool = False) -> No
     print(f"| bounded least squares | {' | '.join(cells)} |\n", flush=True)
     _print_uncertainty(methods[0], setups, judged[methods[0]], ruler)
     _print_partly_tuned(setups[0], ruler, folder)
+    print(f"\n{methods[0]}: processor time per frame [ms], of all frames\n")
+    print("| set-up | value | wanted |\n|---|---|---|")
+    for each in islice(read_setups(folder, full=True), len(REFERENCE_COUNTS)):
+        mapping, start = ruler.train(each.references, methods[0]), time.process_time()
+        predict_weights(mapping, each.markers, visible=each.visible)
+        elapsed_ms = 1e3 * (time.process_time() - start)
+        print(f"| {each.name} | {elapsed_ms / len(each.markers):.2f} | ≤ 0.15 |", flush=True)
     print("\nbrows through references of the cheeks: share of the baseline's motion\n")
     print("| method | value | wanted |\n|---|---|---|")
     for method in methods:
@@ -157,7 +167,7 @@ def prepare(folder: Path) -> None:
             (folder / name).mkdir()
             truth = np.load(SHARED_DATA / name / "truth.npz")
             crosstake.prepare(folder / name, DAMAGES[0], truth, name)
-    for count in (50, 25):
+    for count in REFERENCE_COUNTS:
         if not (folder / "crosstake" / f"{count}.references.usda").is_file():
             crosstake.choose_references(folder / "crosstake", RIG, count)
     for name in ("CheeksMoCap", "EyebrowsMoCap"):
@@ -177,7 +187,7 @@ def read_setups(folder: Path, *, full: bool = False) -> Iterator[Setup]:
     near, far = (_read_take(folder / name) for name in ("crosstake", "onesided"))
     references = {
         count: read_references(folder / "crosstake" / f"{count}.references.usda")
-        for count in (50, 25)
+        for count in REFERENCE_COUNTS
     }
     second, whole = _blocks(crosstake.HALF, len(near[1]), full), _blocks(0, len(far[1]), full)
     for count, each in references.items():
