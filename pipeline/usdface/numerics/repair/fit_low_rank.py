@@ -21,6 +21,7 @@ from usdface.core.arrays import (
     sample_frames,
 )
 from usdface.numerics.motion.noise import marker_noise
+from usdface.numerics.repair.first_fill import FOLD_COUNT, STRETCH_COUNT, first_fill
 from usdface.numerics.repair.low_rank import LowRankModel, fill_missing, predict_from_others
 from usdface.numerics.repair.outliers import find_spikes
 
@@ -42,7 +43,6 @@ _LEAST_RANK_LIMIT = 8
 fit their swaps."""
 _CANDIDATE_RANKS = (6, 9, 13, 19, 28, 40, 60)
 _CHOICE_FRAMES = 4000
-_STRETCH_COUNT, _FOLD_COUNT = 24, 3
 _OUTLIER_DEVIATIONS = 6.0
 
 
@@ -65,7 +65,7 @@ def fit_low_rank(
     rank_limit : int
         Most directions; those below the measurement noise are left out.
     start : LowRankModel, optional
-        Initial model, fitted to nearly the same samples; by default medians.
+        Initial model, fitted to nearly the same samples; by default gaps start as `first_fill`.
     noise : (markers,) float array, optional
         `marker_noise` of the samples, if known.
     """
@@ -79,9 +79,9 @@ def fit_low_rank(
     sensor_noise = np.maximum(noise, _LEAST_NOISE_MM)
     settled = _SETTLED_SHARE * float(np.median(sensor_noise))
     if start is None:
-        middle = np.stack([np.median(sample[ok, m], axis=0) for m, ok in enumerate(usable.T)])
         trusted = usable & ~find_spikes(positions, good, noise=sensor_noise)[rows]
-        filled = np.where(trusted[..., None], sample, middle.astype(sample.dtype))
+        trusted |= usable & ~trusted.any(axis=0)
+        filled = first_fill(sample, trusted)
     else:
         trusted, filled = usable, fill_missing(start, sample, usable)
     moments = _Moments.of(filled)
@@ -128,11 +128,11 @@ def choose_rank(
     seen = good[rows]
     filled = fill_missing(start, positions[rows], seen)
     sensor_noise = np.maximum(noise, _LEAST_NOISE_MM)
-    fold = np.arange(len(rows)) * _STRETCH_COUNT // len(rows) % _FOLD_COUNT
+    fold = np.arange(len(rows)) * STRETCH_COUNT // len(rows) % FOLD_COUNT
     candidates = [rank for rank in _CANDIDATE_RANKS if rank < len(start.variances)]
     candidates.append(len(start.variances))
     scores = np.zeros(len(candidates))
-    for left_out in range(_FOLD_COUNT):
+    for left_out in range(FOLD_COUNT):
         test = fold == left_out
         if test.all() or not seen[test].any():  # nothing to compare with
             continue
