@@ -161,6 +161,19 @@ def edit_faces(stage: Usd.Stage) -> None:
     mesh.GetFaceVertexIndicesAttr().Set([0, 1, 2])
 
 
+def edit_skeleton_beside(stage: Usd.Stage) -> None:
+    Sdf.CopySpec(stage.GetRootLayer(), "/Hero/rig/skeleton", stage.GetRootLayer(), "/skeleton")
+    for prim in stage.Traverse():
+        if prim.IsA(UsdGeom.Mesh):
+            UsdSkel.BindingAPI(prim).GetSkeletonRel().SetTargets(["/skeleton"])
+
+
+def edit_shape_beside(stage: Usd.Stage) -> None:
+    Sdf.CopySpec(stage.GetRootLayer(), "/Hero/geo/skin/smile", stage.GetRootLayer(), "/smile")
+    targets = UsdSkel.BindingAPI(stage.GetPrimAtPath("/Hero/geo/skin")).GetBlendShapeTargetsRel()
+    targets.SetTargets([*targets.GetTargets()[:2], "/smile"])
+
+
 @pytest.mark.parametrize(
     ("edit", "message"),
     [
@@ -169,6 +182,8 @@ def edit_faces(stage: Usd.Stage) -> None:
         (edit_point_beyond, r"</Hero/geo/skin/smile>: pointIndices name a point beyond"),
         (edit_nan, r"</Hero/geo/skin>: points hold NaN"),
         (edit_unbound, r"no skel:skeleton; UsdSkel animates them only through a Skeleton"),
+        (edit_skeleton_beside, r"</skeleton>: moves </Hero> and lies outside </Hero>"),
+        (edit_shape_beside, r"</smile>: moves </Hero> and lies outside </Hero>"),
         (edit_no_root, r"has BlendShapes but no SkelRoot above it"),
         (edit_faces, r"</Hero/geo/skin>: its faces name points that are not there"),
     ],

@@ -198,7 +198,22 @@ def find_face(stage: Usd.Stage, path: Path, prim: str | None) -> Usd.Prim:
             f"{path} <{face.GetPath()}>: its meshes have BlendShapes but no skel:skeleton; UsdSkel "
             "animates them only through a Skeleton: bind the meshes to one, a single joint will do"
         )
+    _check_below_top(face, path)
     return face
+
+
+def _check_below_top(face: Usd.Prim, path: Path) -> None:
+    """Refuse skeletons and BlendShapes that a reference to the face's top prim does not bring."""
+    top = face.GetPath().GetPrefixes()[0]
+    used = [each.GetPath() for each in skeletons_of(face)]
+    for mesh in _meshes_below(face):
+        used += UsdSkel.BindingAPI(mesh).GetBlendShapeTargetsRel().GetTargets()
+    outside = [each for each in used if not each.HasPrefix(top)]
+    if outside:
+        raise InputError(
+            f"{path} <{outside[0]}>: moves <{face.GetPath()}> and lies outside <{top}>, the prim "
+            f"that performances reference: the face would not move in them; put it below <{top}>"
+        )
 
 
 def _skel_roots(top: Usd.Prim) -> list[Usd.Prim]:
