@@ -183,25 +183,33 @@ def test_a_version_and_a_package_show_the_variant_that_was_chosen(
     assert shown.GetDefaultPrim().GetAttribute("hair").Get() == "long"
 
 
-@pytest.mark.parametrize("name", ["shot.hero.usda", "cut.usda"])
+@pytest.mark.parametrize(
+    ("name", "slower", "moved"),
+    [
+        ("shot.hero.usda", 1, "by +40 frames"),
+        ("cut.usda", 1, "by +40 frames"),
+        ("cut.usda", 5, "by +8 frames and scales their times by 0.2"),
+    ],
+)
 def test_what_was_moved_in_time_is_not_shown_beside_the_take_as_it_was(
-    shot: Shot, tmp_path: Path, name: str, caplog
+    shot: Shot, tmp_path: Path, name: str, slower: int, moved: str, caplog
 ) -> None:
     mapped = Sdf.Layer.FindOrOpen(str(shot / "shot.hero.usda"))
     top = mapped
     if name == "cut.usda":  # moved in a shot above
         top = Sdf.Layer.CreateNew(str(shot / name))
         top.subLayerPaths = ["./shot.hero.usda"]
-        top.timeCodesPerSecond, top.defaultPrim = mapped.timeCodesPerSecond, mapped.defaultPrim
-    top.subLayerOffsets[0] = Sdf.LayerOffset(40)
+        top.timeCodesPerSecond = mapped.timeCodesPerSecond / slower
+        top.defaultPrim = mapped.defaultPrim
+    top.subLayerOffsets[0] = Sdf.LayerOffset(40 / slower)
     top.Save()
     take = shot / "shot.clean.take.usda"
-    with pytest.raises(InputError, match=r"moves its weights by \+40 frames"):
+    with pytest.raises(InputError, match=re.escape(f"moves its weights {moved}")):
         execute(SheetSpec(performance=shot / name, take=take, out=shot / "moved.jpg", rows=1))
     (item,) = collect_performances([shot / name])
     extracted = extract_performance(replace(item, take=take), tmp_path, review=DRAFT)
     assert set(extracted.files) == {"performance", "weights"}
-    assert "no pictures: a layer offset" in caplog.text
+    assert f"no pictures: a layer moves it {moved}" in caplog.text
 
 
 def test_what_a_publish_left_that_was_killed_long_ago_is_cleared(

@@ -129,7 +129,7 @@ def _extract(
     if item.take is None:
         return Extracted(item, folder, files)
     if reader.moved:
-        log.warning("%s: no pictures: a layer offset moves it from its take", item.performance)
+        log.warning("%s: no pictures: a layer moves it %s", item.performance, reader.moved)
         return Extracted(item, folder, files)
     if review.sheet:
         sheet = folder / f"{item.name}.sheet.jpg"

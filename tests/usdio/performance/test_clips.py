@@ -89,7 +89,7 @@ def test_parts_that_were_moved_are_merged_and_not_played(tmp_path: Path) -> None
     back = read_performance(merged).weights
     np.testing.assert_array_equal(back.values, WEIGHTS)
     assert back.first_frame == 47
-    with pytest.raises(InputError, match=r"a\.usda: layer offsets move it by 50 frames"):
+    with pytest.raises(InputError, match=r"a\.usda: a layer above moves it by \+50 frames"):
         execute(JoinSpec(parts=parts, out=played, clips="always"))
     assert not played.exists()
 

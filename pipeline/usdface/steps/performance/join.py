@@ -108,9 +108,8 @@ def _check_not_moved(readers: list[PerformanceReader]) -> None:
     moved = next((reader for reader in readers if reader.moved), None)
     if moved is not None:
         raise InputError(
-            f"{moved.path}: layer offsets move it by {moved.moved:g} frames, which value clips and "
-            "layers that drive joints do not support; remove the offsets, and move the joined "
-            "performance"
+            f"{moved.path}: a layer above moves it {moved.moved}, which value clips and layers "
+            "that drive joints do not support; join without that, and move the joined performance"
         )
 
 

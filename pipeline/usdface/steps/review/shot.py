@@ -261,8 +261,8 @@ def open_shot(
     moved = PerformanceReader(performance_file).moved
     if moved and not keyed:
         raise InputError(
-            f"{performance_file}: a layer offset moves its weights by {moved:+g} frames, so they "
-            f"do not match those of {take_file}; give the performance without the offset"
+            f"{performance_file}: a layer offset or another timeCodesPerSecond moves its weights "
+            f"{moved}, so they do not match those of {take_file}; give the performance as mapped"
         )
     performance = read_performance(performance_file)
     if keyed:

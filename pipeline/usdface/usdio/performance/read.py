@@ -102,11 +102,15 @@ class PerformanceReader:
         return np.arange(self.first_frame, self.last_frame + 1, dtype=np.int64)
 
     @property
-    def moved(self) -> float:
-        """Layer offset of the weights [frames]."""
+    def moved(self) -> str:
+        """How offsets and rates of the layers above move the weights; empty if they do not."""
         stack = self._weights.GetPropertyStackWithLayerOffsets(Usd.TimeCode.EarliestTime())
         sampled = (offset for spec, offset in stack if spec.HasInfo("timeSamples"))
-        return float(next(sampled, Sdf.LayerOffset()).offset)
+        moved = next(sampled, Sdf.LayerOffset())
+        if moved.IsIdentity():
+            return ""
+        scaled = "" if moved.scale == 1 else f" and scales their times by {moved.scale:g}"
+        return f"by {moved.offset:+g} frames{scaled}"
 
     @property
     def keyed_frames(self) -> frozenset[int]:
