@@ -125,6 +125,8 @@ def _extract(
     header, made_by = reader.header, make_provenance(bake)
     with writing_top(opened, header, rig, shown=reader.stage, provenance=made_by):
         execute(bake, progress=part(progress, 0.0, 0.3))
+    for note in PerformanceReader(opened).replaced_motion_notes():
+        log.warning("%s: %s", opened.name, note)
     files = {"performance": opened.name, "weights": bake.out.name}
     if item.take is None:
         return Extracted(item, folder, files)

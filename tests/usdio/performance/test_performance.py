@@ -463,6 +463,31 @@ def test_an_interrupted_mapping_leaves_the_old_performance(tmp_path: Path) -> No
     assert {each.name: each.read_bytes() for each in tmp_path.iterdir()} == before
 
 
+def test_an_animation_of_the_rig_s_joints_is_named_until_it_plays_again(tmp_path: Path) -> None:
+    write_rig(tmp_path / "rig.usda", small_rig())
+    stage = Usd.Stage.Open(str(tmp_path / "rig.usda"))
+    body = UsdSkel.Animation.Define(stage, "/Hero/body")
+    skeleton = UsdSkel.Skeleton(stage.GetPrimAtPath("/Hero/rig/skeleton"))
+    body.GetJointsAttr().Set(skeleton.GetJointsAttr().Get())
+    body.SetTransforms([Gf.Matrix4d(1).SetTranslate((0, 7, 0))], 1010)
+    UsdSkel.BindingAPI.Apply(stage.GetPrimAtPath("/Hero"))
+    source = UsdSkel.BindingAPI(stage.GetPrimAtPath("/Hero")).CreateAnimationSourceRel()
+    source.SetTargets(["/Hero/body"])
+    stage.Save()
+    path = write(tmp_path, place="/World/Face")
+    (note,) = PerformanceReader(path).replaced_motion_notes()
+    assert "1 joint, </World/Face/body>" in note
+    layer = Sdf.Layer.FindOrOpen(str(path))
+    solve = Sdf.CreatePrimInLayer(layer, "/World/Face/FaceSolve")
+    solve.referenceList.prependedItems = [Sdf.Reference("", "/World/Face/body")]
+    layer.Save()
+    reader = PerformanceReader(path)
+    assert reader.replaced_motion_notes() == []
+    played = UsdSkel.Animation(reader.animation).GetTransforms(1010)
+    assert played[0].ExtractTranslation() == (0, 7, 0)
+    np.testing.assert_array_equal(reader.solved(), WEIGHTS)
+
+
 def test_a_rig_inside_an_instance_is_refused_with_the_way_out(tmp_path: Path) -> None:
     write_rig(tmp_path / "inner.usda", small_rig())
     stage = Usd.Stage.CreateNew(str(tmp_path / "rig.usda"))

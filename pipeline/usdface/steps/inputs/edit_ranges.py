@@ -73,11 +73,15 @@ def edits_outside(reader: PerformanceReader) -> list[str]:
     ]
 
 
-def edit_notes(performance: Path) -> list[str]:
-    """Return notes on edits kept above a new solve: where it changed, and edits without effect."""
-    if not edits_path(performance).is_file():
-        return []
+def performance_notes(performance: Path) -> list[str]:
+    """Return notes on a new solve: on motion of the rig that it replaces, and on edits above it."""
     reader = PerformanceReader(performance)
+    notes = reader.replaced_motion_notes()
+    return [*notes, *_edit_notes(reader)] if edits_path(performance).is_file() else notes
+
+
+def _edit_notes(reader: PerformanceReader) -> list[str]:
+    """Return notes on edits kept above a new solve: where it changed, and edits without effect."""
     ranges = find_edited_ranges(reader)
     shapes = {each.shape for each in ranges}
     notes = (
@@ -106,7 +110,7 @@ def edit_notes(performance: Path) -> list[str]:
     notes += [
         f"edits at <{path}> have no effect, as there is no animation; they are kept: map with that "
         "--prim again, or move them"
-        for path in edits_elsewhere(performance, reader.animation)
+        for path in edits_elsewhere(reader.path, reader.animation)
     ]
     return notes
 

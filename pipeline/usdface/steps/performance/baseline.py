@@ -21,7 +21,7 @@ from usdface.steps.inputs.cleaned_takes import (
     read_markers,
     read_markers_at,
 )
-from usdface.steps.inputs.edit_ranges import edit_notes
+from usdface.steps.inputs.edit_ranges import performance_notes
 from usdface.steps.inputs.placement import placed_equation, read_placement_of
 from usdface.usdio.performance.weights_layer import make_header
 from usdface.usdio.performance.write import writing_performance
@@ -75,7 +75,11 @@ def write_baseline(
     return StepResult(
         (spec.out, weights_path(spec.out)),
         f"{pluralize(count, 'frame')} of the baseline; residual {residual:.2f} mm at the markers",
-        (*check_rig_upright(rig), *_notes(spec, equation, rig, share), *edit_notes(spec.out)),
+        (
+            *check_rig_upright(rig),
+            *_notes(spec, equation, rig, share),
+            *performance_notes(spec.out),
+        ),
         {"frames": count, "residual_mm": residual, "outside_ranges": share},
     )
 

@@ -11,7 +11,7 @@ from usdface.core.sidecars import controls_path, head_path, weights_path
 from usdface.core.text import first_few, pluralize
 from usdface.runner.result import StepResult
 from usdface.specs.performance import JoinSpec
-from usdface.steps.inputs.edit_ranges import edit_notes
+from usdface.steps.inputs.edit_ranges import performance_notes
 from usdface.steps.inputs.solve_verdict import judge_performance, with_verdict
 from usdface.steps.performance.map import LARGEST_LAYER_BYTES
 from usdface.usdio.performance.clips import ClipPart, write_clips
@@ -57,7 +57,7 @@ def run(spec: JoinSpec, *, provenance: Provenance, progress: Progress = silent) 
                     )
         for layer, of_parts in driving.items():
             join_driving_layers(layer, of_parts, last_frame=whole.last_frame, provenance=provenance)
-    notes = edit_notes(spec.out)
+    notes = performance_notes(spec.out)
     notes += [
         f"{reader.path}: its edits of {first_few(sorted(reader.edits))} are not joined; edit the "
         "joined performance"

@@ -29,7 +29,7 @@ from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.performance import MapSpec
 from usdface.steps.inputs.cleaned_takes import read_markers, take_head_space
-from usdface.steps.inputs.edit_ranges import edit_notes
+from usdface.steps.inputs.edit_ranges import performance_notes
 from usdface.steps.inputs.solve_verdict import evidence_of, with_verdict
 from usdface.steps.inputs.weight_tables import read_alpha
 from usdface.usdio.mapping import read_mapping
@@ -196,7 +196,7 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress = silent) -
     notes += [*driven.notes, *_marker_notes(space), *space.neutral.notes(take.name)]
     notes += _constant_residual_notes(residuals)
     notes += _few_marker_notes(first, np.concatenate(residuals.few_markers))
-    notes += edit_notes(spec.out)
+    notes += performance_notes(spec.out)
     return _report(spec, notes, space.neutral.figures())
 
 

@@ -21,7 +21,7 @@ from usdface.model.review.verdict import worst_verdict
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.retarget import RetargetSpec
-from usdface.steps.inputs.edit_ranges import edit_notes
+from usdface.steps.inputs.edit_ranges import performance_notes
 from usdface.steps.inputs.head_drive import named_targets, take_head_source, weights_head_source
 from usdface.steps.inputs.solve_verdict import judge_performance, with_verdict
 from usdface.steps.inputs.source_motion import (
@@ -120,7 +120,7 @@ def run(spec: RetargetSpec, *, provenance: Provenance, progress: Progress = sile
             *_unlimited(target, largest),
             *describe_orientation(target.rig),
             *heads[index].notes,
-            *edit_notes(out),
+            *performance_notes(out),
         )
         notes += [f"{out.name}: {note}" for note in target_notes]
         outputs += [out, weights_path(out)]

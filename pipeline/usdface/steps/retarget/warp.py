@@ -31,7 +31,7 @@ from usdface.numerics.motion.laplacian_warp import (
 )
 from usdface.runner.result import StepResult
 from usdface.specs.retarget import WarpSpec
-from usdface.steps.inputs.edit_ranges import edit_notes
+from usdface.steps.inputs.edit_ranges import performance_notes
 from usdface.steps.retarget.make_sequence import read_sequence_at
 from usdface.usdio.performance.driving_layers import head_layer_xforms
 from usdface.usdio.performance.read import PerformanceReader
@@ -94,7 +94,7 @@ def run(spec: WarpSpec, *, provenance: Provenance, progress: Progress = silent) 
         (
             *filter(None, dict.fromkeys(each.rate_note for each in placements)),
             *_beyond_notes(placements),
-            *edit_notes(spec.out),
+            *performance_notes(spec.out),
             *_head_notes(spec.performance),
         ),
         {
