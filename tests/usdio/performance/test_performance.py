@@ -14,6 +14,8 @@ from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import weights_path
+from usdface.runner.execute import execute
+from usdface.specs.edits import EditSpec
 from usdface.usdio.layers import relative_path
 from usdface.usdio.performance import weights_layer
 from usdface.usdio.performance.read import PerformanceReader, read_performance
@@ -486,6 +488,22 @@ def test_an_animation_of_the_rig_s_joints_is_named_until_it_plays_again(tmp_path
     played = UsdSkel.Animation(reader.animation).GetTransforms(1010)
     assert played[0].ExtractTranslation() == (0, 7, 0)
     np.testing.assert_array_equal(reader.solved(), WEIGHTS)
+
+
+def test_a_performance_instanced_in_a_shot_is_read_and_not_edited(tmp_path: Path) -> None:
+    performance = write(tmp_path)
+    shot = Sdf.Layer.CreateNew(str(tmp_path / "shot.usda"))
+    shot.TransferContent(Sdf.Layer.FindOrOpen(str(performance)))
+    shot.subLayerPaths.clear()
+    shot.rootPrims[0].referenceList.prependedItems = [Sdf.Reference("./shot.hero.usda")]
+    shot.rootPrims[0].SetInfo("instanceable", True)
+    shot.Save()
+    reader = PerformanceReader(tmp_path / "shot.usda")
+    np.testing.assert_array_equal(reader.edited(), WEIGHTS)
+    assert reader.rig()[0].resolve() == (tmp_path / "rig.usda").resolve()
+    assert validate(tmp_path / "shot.usda") == []
+    with pytest.raises(InputError, match="instanceable = false"):
+        execute(EditSpec(performance=reader.path, shape=("smile",), add=0.1))
 
 
 def test_a_rig_inside_an_instance_is_refused_with_the_way_out(tmp_path: Path) -> None:

@@ -87,7 +87,7 @@ def _unmatched(prim: Usd.Prim) -> Iterator[Fault]:
 def _skipped_shapes(animation: Usd.Prim, names: set[str]) -> dict[str, list[str]]:
     """Return the shapes of each animated mesh that the animation does not name."""
     skipped: dict[str, list[str]] = {}
-    for prim in animation.GetStage().Traverse():
+    for prim in animation.GetStage().Traverse(Usd.TraverseInstanceProxies()):
         binding = UsdSkel.BindingAPI(prim)
         shapes = list(map(str, binding.GetBlendShapesAttr().Get() or []))
         if not names.intersection(shapes) or names.issuperset(shapes):
@@ -125,7 +125,7 @@ def _bound_shapes(animation: Usd.Prim) -> tuple[set[str], bool]:
     """
     on_meshes: set[str] = set()
     followed = False
-    for prim in animation.GetStage().Traverse():
+    for prim in animation.GetStage().Traverse(Usd.TraverseInstanceProxies()):
         binding = UsdSkel.BindingAPI(prim)
         on_meshes.update(map(str, binding.GetBlendShapesAttr().Get() or []))
         if prim.IsA(UsdSkel.Skeleton):

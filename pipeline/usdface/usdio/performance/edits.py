@@ -25,7 +25,7 @@ from usdface.numerics.motion.key_reduction import (
     no_edit,
     reduce_keys,
 )
-from usdface.usdio.authoring import author_timing, paths_in, retime_layer
+from usdface.usdio.authoring import author_timing, check_not_instanced, paths_in, retime_layer
 from usdface.usdio.layers import (
     new_layers,
     open_layer,
@@ -236,6 +236,7 @@ def write_edits(
         If a layer cannot be written, two shapes have the same attribute name, a stronger layer has
         edits of a shape, or another process changed the edits since.
     """
+    check_not_instanced(performance, animation)
     path = edits_path(performance)
     top = animation.GetStage().GetRootLayer()
     names = UsdSkel.Animation(animation).GetBlendShapesAttr().Get() or ()

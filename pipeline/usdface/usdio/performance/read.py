@@ -359,7 +359,7 @@ def animations_of_skeletons(
 ) -> dict[str, Usd.Prim]:
     """Return the animations with weights over time that skeletons of a stage follow, by path."""
     animations: dict[str, Usd.Prim] = {}
-    for prim in stage.Traverse():
+    for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
         if prim.IsA(UsdSkel.Skeleton) and prim.GetPath().HasPrefix(below):
             source = UsdSkel.BindingAPI(prim).GetInheritedAnimationSource()
             if source and _weight_samples(source):

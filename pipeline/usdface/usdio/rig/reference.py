@@ -153,7 +153,7 @@ def rig_path_of(stage: Usd.Stage, animation: Usd.Prim) -> str:
 
     In our files it is the animation's parent; other tools use other places.
     """
-    for prim in stage.Traverse():
+    for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
         if not (prim.IsA(UsdSkel.Skeleton) and _follows(prim, animation)):
             continue
         source = _source_of(prim, animation)
@@ -173,7 +173,7 @@ def rig_of(stage: Usd.Stage, animation: Usd.Prim) -> tuple[Path, str]:
     The outermost file with the rig and without the animation.
     """
     moved = os.environ.get(_MOVED_RIG)
-    for prim in stage.Traverse():
+    for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
         if prim.IsA(UsdSkel.Skeleton) and _follows(prim, animation):
             source = _source_of(prim, animation)
             if source is not None:
