@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
-from pxr import Sdf, Tf, Usd, UsdUtils, Vt
+from pxr import Ar, Sdf, Tf, Usd, UsdUtils, Vt
 
 from usdface.core.confinement import check_may_open
 from usdface.core.errors import InputError
@@ -64,17 +64,18 @@ def is_layer_name(path: Path) -> bool:
 
 
 def open_layer(path: Path) -> Sdf.Layer:
-    """Open one layer, or reload it from disk."""
-    if path.is_dir():
+    """Open one layer, or a layer in a package (``a.usdz[b.usdc]``), or reload it from disk."""
+    file = Path(Ar.SplitPackageRelativePathOuter(str(path))[0])
+    if file.is_dir():
         raise InputError(f"{path}: is a folder; name a file in it")
-    if not path.is_file():
+    if not file.is_file():
         raise InputError(f"{path}: no such file; check the path")
-    if not is_layer_name(path):
+    if not is_layer_name(file):
         raise InputError(
             f"{path}: not a USD file by its name; expected .usd, .usda, .usdc or .usdz"
         )
-    check_may_open(path)
-    check_crate(path)
+    check_may_open(file)
+    check_crate(file)
     with usd_errors_as_input_errors(path, "opening it"):
         layer = Sdf.Layer.FindOrOpen(str(path))
         if layer is not None:

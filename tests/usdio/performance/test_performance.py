@@ -15,7 +15,7 @@ from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import weights_path
 from usdface.runner.execute import execute
-from usdface.specs.edits import EditSpec
+from usdface.specs.edits import EditSpec, PackageSpec
 from usdface.usdio.layers import relative_path
 from usdface.usdio.performance import weights_layer
 from usdface.usdio.performance.read import PerformanceReader, read_performance
@@ -504,6 +504,20 @@ def test_a_performance_instanced_in_a_shot_is_read_and_not_edited(tmp_path: Path
     assert validate(tmp_path / "shot.usda") == []
     with pytest.raises(InputError, match="instanceable = false"):
         execute(EditSpec(performance=reader.path, shape=("smile",), add=0.1))
+
+
+def test_a_package_is_read_with_the_rig_inside_it(tmp_path: Path) -> None:
+    performance, package = write(tmp_path), tmp_path / "review.usdz"
+    execute(PackageSpec(performance=performance, out=package))
+    shapes = read_rig(tmp_path / "rig.usda").shapes
+    (tmp_path / "rig.usda").unlink()
+    back = read_performance(package)
+    np.testing.assert_allclose(back.weights.values, WEIGHTS, atol=1e-6)
+    rig = read_rig(back.rig_file, prim=back.rig_prim)
+    assert rig.shapes == shapes
+    assert package.name in str(rig.file)
+    with pytest.raises(InputError, match="no such file"):
+        read_rig(tmp_path / "other.usdz[rig.usda]")
 
 
 def test_a_rig_inside_an_instance_is_refused_with_the_way_out(tmp_path: Path) -> None:

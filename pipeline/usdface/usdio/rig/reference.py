@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from pxr import Ar, Gf, Sdf, Usd, UsdGeom, UsdSkel
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 
 from usdface.core.assets import Rig
 from usdface.core.errors import InputError
@@ -292,8 +292,6 @@ def _defining_rig(skeleton: Usd.Prim) -> _Source | None:
 
 
 def _open(file: str) -> Usd.Stage:
-    if Ar.IsPackageRelativePath(file):  # checked with its package
-        return Usd.Stage.Open(file)
     return open_stage(Path(os.path.relpath(file)))
 
 
