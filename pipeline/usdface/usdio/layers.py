@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
-from pxr import Ar, Sdf, Tf, Usd, UsdUtils, Vt
+from pxr import Sdf, Tf, Usd, UsdUtils, Vt
 
 from usdface.core.confinement import check_may_open
 from usdface.core.errors import InputError
@@ -65,12 +65,13 @@ def is_layer_name(path: Path) -> bool:
 
 def open_layer(path: Path) -> Sdf.Layer:
     """Open one layer, or a layer in a package (``a.usdz[b.usdc]``), or reload it from disk."""
-    file = Path(Ar.SplitPackageRelativePathOuter(str(path))[0])
+    package, inner, _ = str(path).partition(".usdz[")
+    file = Path(f"{package}.usdz") if inner else path
     if file.is_dir():
         raise InputError(f"{path}: is a folder; name a file in it")
     if not file.is_file():
         raise InputError(f"{path}: no such file; check the path")
-    if not is_layer_name(file):
+    if not is_layer_name(path):
         raise InputError(
             f"{path}: not a USD file by its name; expected .usd, .usda, .usdc or .usdz"
         )
