@@ -199,17 +199,13 @@ def _parse_value(section: bytes, position: int, name: str, processor: Processor)
         raise ValueError(f"{name} claims {count} values, {stop - len(section)} bytes past its end")
     raw = section[start:stop]
     if kind == _TYPE_TEXT:
-        return _split_texts(raw, dimensions)
+        length = dimensions[0] if dimensions else 1
+        if length == 0:
+            return ("",) * min(math.prod(dimensions[1:]), 0xFF)
+        pieces = (raw[start : start + length] for start in range(0, len(raw), length))
+        return tuple(piece.decode("latin-1").strip(" \t\r\n\x00") for piece in pieces)
     if kind == _TYPE_BYTE:
         return np.frombuffer(raw, np.int8).astype(np.float64)
     if kind == _TYPE_INTEGER:
         return np.frombuffer(raw, processor.integer).astype(np.float64)
     return processor.floats(raw).astype(np.float64)
-
-
-def _split_texts(raw: bytes, dimensions: tuple[int, ...]) -> tuple[str, ...]:
-    length = dimensions[0] if dimensions else 1
-    if length == 0:
-        return ("",) * min(math.prod(dimensions[1:]), 0xFF)
-    pieces = (raw[start : start + length] for start in range(0, len(raw), length))
-    return tuple(piece.decode("latin-1").strip(" \t\r\n\x00") for piece in pieces)

@@ -145,7 +145,10 @@ def build_marker_take(
         names=tuple(names),
         positions=positions,
         visible=visible,
-        confidence=_confidence(visible),
+        # A broadcast view if all are visible.
+        confidence=np.broadcast_to(np.float32(1), visible.shape)
+        if visible.all()
+        else visible.astype(np.float32),
         rigid=match_labels(options.rigid, names, where=str(path)),
         neutral_frame=neutral_frame,
     )
@@ -173,13 +176,6 @@ def _settle_rate(header: CaptureHeader, options: CaptureOptions, notes: list[str
             "for and used"
         )
     return stated
-
-
-def _confidence(visible: BoolArray) -> Float32Array:
-    """Return 1 where visible, else 0; a broadcast view if all are visible."""
-    if visible.all():
-        return np.broadcast_to(np.float32(1), visible.shape)
-    return visible.astype(np.float32)
 
 
 def _hide_impossible(positions: Float32Array, visible: BoolArray) -> list[str]:
@@ -235,7 +231,11 @@ def build_table_take(
     """
     notes, to_mm = [*header.notes], header.to_mm
     if space is not None:
-        to_mm = _resolve_space(space, options, notes, where=str(header.path))
+        where = str(header.path)
+        scale = resolve_units(space.units, options, notes, where=where, field=space.units_field)
+        if options.up is None and space.up_note:
+            notes.append(f"{space.up_note}; set it with --up")
+        to_mm = scale * rotation_to_y_up(up=options.up or space.up, where=f"{where} up axis")
     if to_mm is None:
         raise ValueError(f"{header.path}: neither `space` nor `header.to_mm` is given")
     labels = resolve_labels(table.labels, where=table.where)
@@ -257,16 +257,6 @@ def build_table_take(
     return build_marker_take(
         replace(header, notes=notes, to_mm=to_mm), labels.names, positions, visible, options
     )
-
-
-def _resolve_space(
-    space: StatedSpace, options: CaptureOptions, notes: list[str], *, where: str
-) -> FloatArray:
-    """Return the matrix from the file's units and axes to mm with Y up; note assumptions."""
-    scale = resolve_units(space.units, options, notes, where=where, field=space.units_field)
-    if options.up is None and space.up_note:
-        notes.append(f"{space.up_note}; set it with --up")
-    return scale * rotation_to_y_up(up=options.up or space.up, where=f"{where} up axis")
 
 
 def resolve_units(

@@ -52,7 +52,9 @@ def read_vicon_csv(path: Path, options: CaptureOptions) -> Capture:
     skipped: list[str] = []
     capture: Capture | None = None
     for line in lines:
-        title = _title(line)
+        # A title is a line of one cell that begins with a letter.
+        cells = without_empty_tail(split_cells(line, sniff_delimiter(line.text) or ","))
+        title = cells[0] if len(cells) == 1 and cells[0][:1].isalpha() else None
         if title is None:
             continue
         if title.lower() != _TITLE:
@@ -73,12 +75,6 @@ def read_vicon_csv(path: Path, options: CaptureOptions) -> Capture:
         return capture
     note = f"blocks left out: {first_few(skipped)}"
     return replace(capture, notes=(note, *capture.notes))
-
-
-def _title(line: TableLine) -> str | None:
-    """Return a block's title: a line of one cell that begins with a letter."""
-    cells = without_empty_tail(split_cells(line, sniff_delimiter(line.text) or ","))
-    return cells[0] if len(cells) == 1 and cells[0][:1].isalpha() else None
 
 
 @dataclass(frozen=True)

@@ -69,8 +69,9 @@ def options_of(spec: type[Spec]) -> list[inspect.Parameter]:
             info: Any = typer.Argument(help=texts.get(name), show_default=False)
         else:
             named = "<str,...>" if _is_list_of_names(field.annotation) else None
+            flag = f"--{name.replace('_', '-')}"
             info = typer.Option(
-                _option_name(name, field),
+                f"{flag}/--no-{flag[2:]}" if field.annotation is bool else flag,
                 help=texts.get(name),
                 metavar=named,
                 case_sensitive=False,
@@ -134,11 +135,6 @@ def help_of(spec: type[Spec]) -> str:
     """Return the help of a command: docstring and example of its spec."""
     text = inspect.cleandoc(spec.__doc__ or "")
     return f"{text}\n\nExample:\n\n{spec.example}" if spec.example else text
-
-
-def _option_name(name: str, field: FieldInfo) -> str:
-    flag = f"--{name.replace('_', '-')}"
-    return f"{flag}/--no-{flag[2:]}" if field.annotation is bool else flag
 
 
 def _default(field: FieldInfo, kind: Any) -> Any:

@@ -273,7 +273,11 @@ def _temporary(path: Path) -> Iterator[tuple[Path, Callable[[], None]]]:
         unique = f"{name_digest(path)}{uuid.uuid4().hex[:8]}"
         temporary = path.with_name(f".{stem}.{unique}{path.suffix}")
         try:
-            _touch(temporary, target=path)
+            # Made here, so that errors have its name, rather than an encoder's message.
+            try:
+                os.close(open_side_file(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL))
+            except OSError as error:
+                raise not_writable_error(path, error) from error
             yield temporary, check_lock
         finally:
             with contextlib.suppress(OSError):  # the folder may have been removed
@@ -289,14 +293,6 @@ def _as_input_error(path: Path) -> Iterator[None]:
             f"{path}: cannot be replaced ({error.strerror}); free the disk or the file, "
             "and see that the folder is still there"
         ) from error
-
-
-def _touch(temporary: Path, *, target: Path) -> None:
-    """Make the file, so that errors have its name, rather than an encoder's message."""
-    try:
-        os.close(open_side_file(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL))
-    except OSError as error:
-        raise not_writable_error(target, error) from error
 
 
 def _clear_leftovers(path: Path) -> None:

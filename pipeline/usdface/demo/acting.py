@@ -115,7 +115,15 @@ def performance() -> ActedPerformance:
     _add(curves, _beats(time))
     _add(curves, _gaze(time))
     _add(curves, _blinks(time))
-    _share_lids(curves)
+    # Lids do not cross: blinks are smaller where other shapes close the eye.
+    for side in ("Left", "Right"):
+        shut = sum(
+            lid_closing(name) * np.clip(curves[name + side], 0.0, 1.0)
+            for name in LID_TURNS
+            if name != "eyeBlink" and name + side in curves
+        )
+        room = np.clip(1.0 - np.asarray(shut), 0.0, 1.0)
+        curves["eyeBlink" + side] *= room
     for name in _PARTING_LIPS:  # closed lips take precedence over moods
         curves[name] *= 1.0 - 0.85 * closure
     # A sneer lifts the upper lip by about 4 mm, a seventh of the opening by jawOpen.
@@ -217,18 +225,6 @@ def _blinks(time: FloatArray) -> dict[str, FloatArray]:
         curves["eyeBlink" + side] = 0.98 * lids
         curves["cheekSquint" + side] = 0.10 * lids
     return curves
-
-
-def _share_lids(curves: dict[str, FloatArray]) -> None:
-    """Reduce blinks where other shapes close the eye, so that lids do not cross."""
-    for side in ("Left", "Right"):
-        shut = sum(
-            lid_closing(name) * np.clip(curves[name + side], 0.0, 1.0)
-            for name in LID_TURNS
-            if name != "eyeBlink" and name + side in curves
-        )
-        room = np.clip(1.0 - np.asarray(shut), 0.0, 1.0)
-        curves["eyeBlink" + side] *= room
 
 
 def _gaze(time: FloatArray) -> dict[str, FloatArray]:

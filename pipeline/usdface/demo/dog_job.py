@@ -91,15 +91,8 @@ def write_dog_inputs(folder: Path, *, progress: Progress = silent) -> None:
     _, poses = expressions(human.shapes)
     _write_human(folder / "human_poses.usda", human, poses)
     _write_dog(folder / "dog_poses.usda", dog, act(human.shapes, poses))
-    _write_dog(folder / "dog_smile.usda", dog, _dog_smile(human, weights))
-    progress(1.0, "posed both")
-
-
-def _dog_smile(human: Rig, weights: FloatArray) -> Controls:
-    """Return the dog's animation of happiness: a wince, an overshoot, and the actor's end pose.
-
-    Its first and last frames equal the actor's, for a continuous transition.
-    """
+    # Happiness: a wince, an overshoot, and the actor's end pose. The first and last frames
+    # equal the actor's, for a continuous transition.
     start = _SMILE.start - 1
     first, last = weights[start], weights[start + _DOG_FRAMES - 1]
     peak = np.zeros_like(first)
@@ -117,7 +110,12 @@ def _dog_smile(human: Rig, weights: FloatArray) -> Controls:
         wince[human.shapes.index(name)] = 0.7
     times = np.array([0, 11, 23, 34, _DOG_FRAMES - 1])
     keys = np.stack([first, wince, peak, 0.7 * peak, last])
-    return act(human.shapes, PchipInterpolator(times, keys)(np.arange(_DOG_FRAMES)))
+    _write_dog(
+        folder / "dog_smile.usda",
+        dog,
+        act(human.shapes, PchipInterpolator(times, keys)(np.arange(_DOG_FRAMES))),
+    )
+    progress(1.0, "posed both")
 
 
 def _write_human(path: Path, rig: Rig, weights: FloatArray) -> None:

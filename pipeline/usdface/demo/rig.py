@@ -203,6 +203,9 @@ def _whole(f: FaceFields) -> dict[str, FloatArray]:
     near = f.soft * np.exp(-((tall / 13.0) ** 2))
     upper_cone, lower_cone = f.upper * f.open_width, f.lower * f.open_width
     chin = f.push(0, skull.chin[1] + 2.0, 17, 12, (0, 4.4, 1.8))
+    tongue = f.head.parts == HeadPart.TONGUE
+    back = f.z[tongue].min() if np.any(tongue) else 0.0
+    along = np.clip((f.z - back) / 36.0, 0.0, 1.0) * tongue
     return {
         "browInnerUp": f.push(9, by, 15, 15, (-0.4, 8.6, 0.4), f.off_lid)
         + f.fold((0.0, by + 22.0), (20.0, by + 21.0), 3.0, -0.9),
@@ -226,7 +229,7 @@ def _whole(f: FaceFields) -> dict[str, FloatArray]:
         + np.outer(upper_cone, (0, 3.2, 1.4))
         + chin,
         "mouthShrugUpper": np.outer(f.upper, (0, 3.8, 2.6)) + np.outer(lower_cone, (0, 2.8, 1.0)),
-        "tongueOut": _tongue_out(f),
+        "tongueOut": (np.outer(along, (0.0, 9.5, 27.0)) - np.outer(along**4, (0.0, 4.0, 0.0))),
     }
 
 
@@ -236,13 +239,6 @@ def _rolled(f: FaceFields, lip: FloatArray, sign: float) -> FloatArray:
     return np.column_stack(
         [0 * width, -0.42 * width * f.above_line - 0.2 * sign * width, -3.6 * width]
     )
-
-
-def _tongue_out(f: FaceFields) -> FloatArray:
-    tongue = f.head.parts == HeadPart.TONGUE
-    back = f.z[tongue].min() if np.any(tongue) else 0.0
-    along = np.clip((f.z - back) / 36.0, 0.0, 1.0) * tongue
-    return np.outer(along, (0.0, 9.5, 27.0)) - np.outer(along**4, (0.0, 4.0, 0.0))
 
 
 def _sideways(f: FaceFields) -> dict[str, FloatArray]:

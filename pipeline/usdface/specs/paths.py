@@ -159,7 +159,16 @@ PathRules = tuple[PathRule, ...]
 
 def read_path_rules(path: Path) -> PathRules:
     """Read Open Job Description's ``Session.PathMappingRulesFile``, the deepest source first."""
-    data = _read_document(path)
+    try:
+        if path.stat().st_size > LARGEST_RULES_BYTES:
+            raise InputError(f"{path}: is too large for path mapping rules")
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}; check the path") from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: is no valid JSON: {error}") from error
+    if not isinstance(data, dict):
+        raise InputError(f"{path}: holds {type(data).__name__}, not path mapping rules")
     if not data:
         return ()
     listed = data.get("path_mapping_rules")
@@ -180,20 +189,6 @@ def map_path(path: Path, rules: PathRules) -> Path:
         if given.is_relative_to(rule.source):
             return rule.destination.joinpath(*given.relative_to(rule.source).parts)
     return path
-
-
-def _read_document(path: Path) -> dict[str, Any]:
-    try:
-        if path.stat().st_size > LARGEST_RULES_BYTES:
-            raise InputError(f"{path}: is too large for path mapping rules")
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}; check the path") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: is no valid JSON: {error}") from error
-    if not isinstance(data, dict):
-        raise InputError(f"{path}: holds {type(data).__name__}, not path mapping rules")
-    return data
 
 
 def _rule(given: Any, where: str) -> PathRule:

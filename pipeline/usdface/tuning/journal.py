@@ -55,15 +55,16 @@ class Journal:
         whole = raw.rfind(b"\n") + 1
         changes = []
         for number, line in enumerate(raw[:whole].splitlines(), start=1):
-            change = _parse(line)
-            if change is None:
+            try:
+                change = _CHANGE.validate_json(line)
+            except ValidationError:
                 if number == raw[:whole].count(b"\n"):  # a partly written page
                     whole = raw.rfind(b"\n", 0, whole - 1) + 1
                     break
                 raise InputError(
                     f"{self.path}: line {number} is not a change of weights; nothing was changed. "
                     "Move the file away to tune without its changes, and send it to your TD"
-                )
+                ) from None
             changes.append(change)
         if whole < len(raw):
             with side_stream(self.path, "rb+") as stream:
@@ -106,10 +107,3 @@ def flush_folder(folder: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
-
-
-def _parse(line: bytes) -> Change | None:
-    try:
-        return _CHANGE.validate_json(line)
-    except ValidationError:
-        return None

@@ -138,14 +138,6 @@ def open_stage(path: Path) -> Usd.Stage:
     return stage
 
 
-def check_layer_name(path: Path) -> None:
-    """Refuse a file name that is not of a USD layer."""
-    if path.suffix not in LAYER_SUFFIXES:
-        raise InputError(
-            f"{path}: a USD layer is written, so the name must end in {', '.join(LAYER_SUFFIXES)}"
-        )
-
-
 @contextlib.contextmanager
 def new_layer(path: Path, provenance: Provenance | None = None) -> Iterator[Sdf.Layer]:
     """Yield an empty layer that replaces the file at `path` if the block succeeds."""
@@ -163,7 +155,11 @@ def new_layers(made: Mapping[Path, Provenance | None]) -> Iterator[tuple[Sdf.Lay
     """
     paths = list(made)
     for path in paths:
-        check_layer_name(path)
+        if path.suffix not in LAYER_SUFFIXES:
+            raise InputError(
+                f"{path}: a USD layer is written, so the name must end in "
+                f"{', '.join(LAYER_SUFFIXES)}"
+            )
     with (
         replacing_together(paths, then=_reload) as temporaries,
         usd_errors_as_input_errors(paths[-1], "writing it"),

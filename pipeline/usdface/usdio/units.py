@@ -21,7 +21,8 @@ _SMALLEST_UNIT_M, _LARGEST_UNIT_M = 1e-9, 1e6
 
 def stage_to_ours(stage: Usd.Stage) -> FloatArray:
     """Return the (3, 3) matrix from a stage's column vectors to millimetres, Y up."""
-    rotation = Z_UP_TO_Y_UP if is_z_up(stage) else np.eye(3)
+    is_z_up = UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z
+    rotation = Z_UP_TO_Y_UP if is_z_up else np.eye(3)
     return millimetres(stage) * rotation
 
 
@@ -45,11 +46,6 @@ def millimetres(stage: Usd.Stage) -> float:
             "is measured in; correct it: 0.01 is centimetres"
         )
     return metres * 1000.0
-
-
-def is_z_up(stage: Usd.Stage) -> bool:
-    """Whether a stage's up axis is Z."""
-    return bool(UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z)
 
 
 def author_units(layer: Sdf.Layer, *, like: Path | None = None) -> None:

@@ -190,7 +190,11 @@ def plot_curve(axes: Axes, values: FloatArray, heights: FloatArray, color: Color
         steps = np.diff(values)
         gaps = np.flatnonzero(steps > _GAP_STEPS * np.median(steps)) + 1
         values, heights = np.insert(values, gaps, np.nan), np.insert(heights, gaps, np.nan)
-    values, heights = _column_extremes(values, heights, round(axes.bbox.width))
+    columns = round(axes.bbox.width)
+    if len(values) > 8 * columns:  # the lowest and the highest sample of each half pixel suffice
+        edges = np.linspace(0, len(values), 2 * columns, endpoint=False).astype(np.int64)
+        extremes = [np.fmin.reduceat(heights, edges), np.fmax.reduceat(heights, edges)]
+        values, heights = np.repeat(values[edges], 2), np.stack(extremes, axis=1).ravel()
     axes.plot(values, heights, color=display_color(color), linewidth=2, solid_joinstyle="round")
 
 
@@ -248,14 +252,3 @@ def font_families() -> list[str]:
     font_manager.fontManager.addfont(str(file))
     name = font_manager.FontProperties(fname=str(file)).get_name()
     return ["DejaVu Sans", name]
-
-
-def _column_extremes(
-    values: FloatArray, heights: FloatArray, columns: int
-) -> tuple[FloatArray, FloatArray]:
-    """Return the lowest and the highest sample of each half pixel if there are many more."""
-    if len(values) <= 8 * columns:
-        return values, heights
-    edges = np.linspace(0, len(values), 2 * columns, endpoint=False).astype(np.int64)
-    extremes = [np.fmin.reduceat(heights, edges), np.fmax.reduceat(heights, edges)]
-    return np.repeat(values[edges], 2), np.stack(extremes, axis=1).ravel()

@@ -115,7 +115,12 @@ def find_pieces(meshes: Sequence[RigMesh], *, exposure: FloatArray) -> Pieces:
         if piece == largest or sizes[piece] > 0.5 * sizes[largest]:
             continue
         cloud = points[members[piece]]
-        if bool(open_rim[members[piece]].any()) and _near_eye(cloud, eyeballs):
+        # A tear line, shadow catcher or lash card, which production shaders make
+        # transparent; drawn opaque, it would hide the lid.
+        if bool(open_rim[members[piece]].any()) and any(
+            np.linalg.norm(cloud - ball.center, axis=1).max() < _EYE_SHEET * ball.radius
+            for ball in eyeballs.values()
+        ):
             parts[piece] = FacePart.HIDDEN
         elif np.median(exposure[members[piece]]) < _CLOSED_IN:
             small = np.linalg.norm(np.ptp(cloud, axis=0)) < _TOOTH_SIZE * width
@@ -211,14 +216,3 @@ def _outermost(balls: dict[int, Eyeball]) -> tuple[dict[int, Eyeball], list[int]
         )
     ]
     return {piece: ball for piece, ball in balls.items() if piece not in inner}, inner
-
-
-def _near_eye(cloud: FloatArray, eyeballs: dict[int, Eyeball]) -> bool:
-    """Return whether an open sheet belongs to an eye: a tear line, shadow catcher or lash card.
-
-    Production shaders make these transparent; drawn opaque, they would hide the lid.
-    """
-    return any(
-        np.linalg.norm(cloud - ball.center, axis=1).max() < _EYE_SHEET * ball.radius
-        for ball in eyeballs.values()
-    )

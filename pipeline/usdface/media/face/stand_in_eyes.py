@@ -55,7 +55,12 @@ def fit_stand_in_eyes(meshes: Sequence[RigMesh]) -> StandIns | None:
         center = _behind_lids(rest, blink, moved, hole, radius=radius)
         balls.append(_ball(f"/{name}", center, radius))
     every = np.concatenate([ball.points for ball in balls])
-    return StandIns(meshes=tuple(balls), matrix=_hang(every, rest, _stillness(meshes)))
+    total = [np.zeros(len(mesh.points)) for mesh in meshes]
+    for own, mesh in zip(total, meshes, strict=True):
+        for shape in mesh.shapes:
+            key = shape.keys[-1]
+            own[key.points] += np.linalg.norm(key.offsets, axis=1)
+    return StandIns(meshes=tuple(balls), matrix=_hang(every, rest, np.concatenate(total)))
 
 
 def _blink_offsets(mesh: RigMesh) -> FloatArray:
@@ -125,16 +130,6 @@ def _ball(path: str, center: FloatArray, radius: float) -> RigMesh:
         face_counts=np.full(len(quads), 4, np.int64),
         face_indices=quads.ravel(),
     )
-
-
-def _stillness(meshes: Sequence[RigMesh]) -> FloatArray:
-    """Return the sum of the displacements of each point over all shapes [mm]."""
-    total = [np.zeros(len(mesh.points)) for mesh in meshes]
-    for own, mesh in zip(total, meshes, strict=True):
-        for shape in mesh.shapes:
-            key = shape.keys[-1]
-            own[key.points] += np.linalg.norm(key.offsets, axis=1)
-    return np.concatenate(total)
 
 
 def _hang(balls: FloatArray, rest: FloatArray, moved: FloatArray) -> Sparse:

@@ -128,6 +128,10 @@ def build_surface(meshes: Sequence[RigMesh]) -> Surface:
     cage = np.concatenate([mesh.points for mesh in visible])
     rest = np.asarray(drawn.matrix @ cage)
     complexion = paint(visible, pieces, exposure=exposure.seen)
+    band_opacity = drawn.matrix @ complexion.band_opacity
+    near = np.zeros(len(band_opacity), bool)
+    for band in complexion.bands:
+        near[triangles[band.meets(rest[triangles])]] = True
     return Surface(
         matrix=drawn.matrix @ selection,
         triangles=triangles,
@@ -137,9 +141,7 @@ def build_surface(meshes: Sequence[RigMesh]) -> Surface:
         albedo=_of_points_too(drawn.matrix @ complexion.colors, triangles, painted),
         painted=painted.astype(np.float32),
         bands=complexion.bands,
-        band_opacity=_near_bands(
-            drawn.matrix @ complexion.band_opacity, complexion.bands, rest, triangles
-        ),
+        band_opacity=np.asarray(np.where(near, band_opacity, 0.0), np.float32),
         rest=rest.astype(np.float32),
         eyes=eyes[piece_of_triangle[kept]],
         eye_centers=np.array(
@@ -209,16 +211,6 @@ def _of_points_too(albedo: FloatArray, triangles: IntArray, painted: FloatArray)
             summed = np.bincount(corners, np.repeat(painted[known, axis], 3), minlength=len(albedo))
             albedo[:, axis] = np.where(uses > 0, summed / np.maximum(uses, 1), albedo[:, axis])
     return np.asarray(albedo, np.float32)
-
-
-def _near_bands(
-    band_opacity: FloatArray, bands: Sequence[ColorBand], rest: FloatArray, triangles: IntArray
-) -> Float32Array:
-    """Return `band_opacity` at the corners of triangles that may meet a band, else 0."""
-    near = np.zeros(len(band_opacity), bool)
-    for band in bands:
-        near[triangles[band.meets(rest[triangles])]] = True
-    return np.asarray(np.where(near, band_opacity, 0.0), np.float32)
 
 
 def _refine(mesh: RigMesh, *, least_edge: float) -> _Drawn:

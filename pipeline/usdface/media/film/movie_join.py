@@ -94,24 +94,21 @@ class _Joined:
                 self._begin(video, audio, sample_rate)
             for packet in source.demux(video):
                 if packet.size and self.count != end:
-                    self._copy(packet)
+                    # One packet is one picture: counting avoids the accumulation of rounding.
+                    packet.pts = packet.dts = self.count
+                    packet.duration = 1
+                    packet.time_base = 1 / self._rate
+                    packet.stream = self._stream
+                    self._container.mux(packet)
+                    self.count += 1
+                    if self._sound is not None:
+                        self._sound.encode_until(Fraction(self.count) / self._rate)
 
     def _begin(self, template: Any, audio: Float32Array | None, sample_rate: int) -> None:
         self._stream = self._container.add_stream_from_template(template)
         self._stream.time_base = 1 / self._rate
         if audio is not None:
             self._sound = SoundTrack(self._container, audio, sample_rate)
-
-    def _copy(self, packet: Any) -> None:
-        # One packet is one picture: counting avoids the accumulation of rounding.
-        packet.pts = packet.dts = self.count
-        packet.duration = 1
-        packet.time_base = 1 / self._rate
-        packet.stream = self._stream
-        self._container.mux(packet)
-        self.count += 1
-        if self._sound is not None:
-            self._sound.encode_until(Fraction(self.count) / self._rate)
 
     def finish(self) -> None:
         """Write the rest of the sound."""

@@ -241,15 +241,7 @@ def _tracks(rig: Rig, keys: _Keys) -> list[dict[str, Any]]:
 def _colors(rig: Rig, deformer: Deformer, surface: Surface) -> NDArray[np.uint8]:
     """Return red, green, blue (sRGB) and visible share of the sky of every drawn point: bytes."""
     paint = bytes_from_linear(surface.albedo[None])[0]
-    opened = np.round(255 * np.clip(_openness(rig, deformer, surface), 0, 1)).astype(np.uint8)
-    return np.concatenate([paint, opened[:, None]], axis=1)
-
-
-def _openness(rig: Rig, deformer: Deformer, surface: Surface) -> Float32Array:
-    """Return the largest visible share of the sky of each point [0-1].
-
-    Of the poses at rest, eyes shut and mouth open: lids are lit in a blink, and teeth not black.
-    """
+    # At rest, eyes shut and mouth open: lids are lit in a blink, and teeth not black.
     poses = np.zeros((3, len(rig.shapes)))
     poses[1, blinks(rig.shapes)] = 1.0
     jaw = jaw_opener(rig.shapes)
@@ -262,7 +254,8 @@ def _openness(rig: Rig, deformer: Deformer, surface: Surface) -> Float32Array:
         # Points that are open at rest need no other pose.
         rows = np.flatnonzero(best < _OPEN_SHARE)
         best[rows] = np.maximum(best[rows], _sky_of(surface, cage, rows))
-    return _averaged(best, surface)
+    opened = np.round(255 * np.clip(_averaged(best, surface), 0, 1)).astype(np.uint8)
+    return np.concatenate([paint, opened[:, None]], axis=1)
 
 
 def _sky_of(surface: Surface, cage: FloatArray, rows: IntArray) -> Float32Array:

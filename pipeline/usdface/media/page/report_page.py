@@ -219,7 +219,8 @@ def build_page(page: ReviewPage) -> str:
         "@VERDICT@": html.escape(page.verdict[1]),
         "@TODO@": html.escape(f"To do: {page.verdict[2]}" if page.verdict[2] else ""),
         "@FACTS@": "".join(f"<li>{html.escape(fact)}</li>" for fact in page.facts),
-        "@POLICY@": _policy(script, style),
+        "@POLICY@": "default-src 'none'; img-src data: blob:; media-src blob:; base-uri 'none'; "
+        f"form-action 'none'; script-src '{_hash(script)}'; style-src '{_hash(style)}'",
         "@ORIGIN@": html.escape(json.dumps(page.origin, ensure_ascii=False) if page.origin else ""),
         "@STYLE@": style,
         "@DATA@": json_in_script(_data(page)),
@@ -239,6 +240,9 @@ def build_page(page: ReviewPage) -> str:
 def _data(page: ReviewPage) -> Mapping[str, Any]:
     labels = list(dict.fromkeys(page.spoken))
     place = index_of(labels)
+    # Shape errors are relative to the first of these kinds.
+    kinds = [curve.kind for curve in page.curves]
+    ranked = (kinds.index(kind) for kind in ("keys", "version", "baseline") if kind in kinds)
     return {
         "labels": labels,
         "spoken": [place[label] for label in page.spoken],
@@ -249,7 +253,7 @@ def _data(page: ReviewPage) -> Mapping[str, Any]:
         "regions": list(page.regions),
         "steps": WEIGHT_STEPS,
         "curves": [{"name": curve.name, "kind": curve.kind} for curve in page.curves],
-        "compared": _compared(page.curves),
+        "compared": next(ranked, None),
         "ramp": np.round(heat_ramp(np.linspace(0, 1, 5)), 4).tolist(),
         "heat": _heat(page.heat),
         "leftOut": list(page.left_out),
@@ -281,13 +285,6 @@ def _data(page: ReviewPage) -> Mapping[str, Any]:
         ],
         "movie": page.movie_type if page.movie else "",
     }
-
-
-def _compared(curves: Sequence[WeightCurves]) -> int | None:
-    """Return the index of the curves that shape errors are relative to, or None."""
-    kinds = [curve.kind for curve in curves]
-    ranked = (kinds.index(kind) for kind in ("keys", "version", "baseline") if kind in kinds)
-    return next(ranked, None)
 
 
 def _heat(heat: PageHeat | None) -> Mapping[str, Any] | None:
@@ -373,13 +370,6 @@ def _listing(listing: Listing) -> str:
     return (
         f"<section><table><caption><h2>{title}</h2></caption><thead><tr>{head}</tr></thead>"
         f"<tbody>{''.join(body)}</tbody></table></section>"
-    )
-
-
-def _policy(script: str, style: str) -> str:
-    return (
-        "default-src 'none'; img-src data: blob:; media-src blob:; base-uri 'none'; "
-        f"form-action 'none'; script-src '{_hash(script)}'; style-src '{_hash(style)}'"
     )
 
 

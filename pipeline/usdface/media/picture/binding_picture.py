@@ -102,7 +102,11 @@ def draw_binding(
         raise InputError(f"{title}: no marker to draw")
     renderer = FaceRenderer(meshes)
     points = np.concatenate([mesh.points for mesh in meshes])
-    reach = _near_markers(points, _both_sides(points, markers.positions, yaw_degrees))
+    # Points within the markers' bounding box, without neck and shoulders.
+    at = _both_sides(points, markers.positions, yaw_degrees)
+    box = np.ptp(at, axis=0).max() * 0.12
+    low, high = at.min(axis=0) - box, at.max(axis=0) + box
+    reach = ((points >= low) & (points <= high)).all(axis=1).astype(np.float64)
     views = [
         _view(points, markers, reach, side=side, facing=yaw_degrees)
         for side in (-_SIDE_DEGREES, 0.0, _SIDE_DEGREES)
@@ -142,13 +146,6 @@ def _both_sides(points: FloatArray, at: FloatArray, facing: float) -> FloatArray
 def _right(facing: float) -> FloatArray:
     """Return the direction to the right of the picture from the front."""
     return np.array([np.cos(np.radians(facing)), 0.0, -np.sin(np.radians(facing))])
-
-
-def _near_markers(points: FloatArray, at: FloatArray) -> FloatArray:
-    """Return 1 for points within the markers' bounding box, else 0 (neck and shoulders)."""
-    box = np.ptp(at, axis=0).max() * 0.12
-    low, high = at.min(axis=0) - box, at.max(axis=0) + box
-    return np.asarray(((points >= low) & (points <= high)).all(axis=1).astype(np.float64))
 
 
 @dataclass(frozen=True)

@@ -79,7 +79,10 @@ class WeightPredictor:
             self._solver = FrameSolver.from_arrays(mapping.arrays)
             self._uncertainty = UncertaintyModel.from_arrays(mapping.arrays)
             self._members = mapping.arrays["region_markers"]
-            self._coverage = _coverage_of(self._solver, self._members)
+            # Coverage by the references, with the forward model's displacements.
+            packed, _ = self._solver.linearise(self._solver.forward.targets.astype(np.float32))
+            pairs = packed.reshape(len(packed), -1, 3).astype(np.float64)
+            self._coverage = CoverageModel(self._solver.forward.basis, pairs, self._members)
             self._method = find_method(mapping.method)
             self._driving = self._find_driving()
             with np.errstate(all="ignore"):  # values that are not finite are refused below
@@ -226,13 +229,6 @@ def predict_weights(
         uncertainty, not the weights. By default 1.
     """
     return WeightPredictor(mapping).predict(positions, visible=visible, confidence=confidence)
-
-
-def _coverage_of(solver: FrameSolver, membership: FloatArray) -> CoverageModel:
-    """Return the coverage model of the references, with the forward model's displacements."""
-    packed, _ = solver.linearise(solver.forward.targets.astype(np.float32))
-    pairs = packed.reshape(len(packed), -1, 3).astype(np.float64)
-    return CoverageModel(solver.forward.basis, pairs, membership)
 
 
 def regions_of(mapping: TrainedMapping) -> tuple[str, ...]:

@@ -128,18 +128,15 @@ def _virtual_markers(
 ) -> VirtualMarkers:
     skin, fit = inputs.skin, candidate.placement.fit
     rotation = fit.rotation @ candidate.frame
-    return VirtualMarkers(
-        skin.corners[samples],
-        skin.shares[samples],
-        _motion_scale(inputs.cloud.neutral @ rotation.T, skin, samples),
-        skin.frame.T @ rotation,
-    )
-
-
-def _motion_scale(turned: FloatArray, skin: FaceSkin, samples: IntArray) -> float:
-    """Return sqrt(sx sy) of the axes' scales, fitted to the places by least squares."""
+    # The axes' scales are fitted to the places by least squares.
+    turned = inputs.cloud.neutral @ rotation.T
     performer = turned - turned.mean(axis=0)
     places = skin.positions[samples]
     places = places - places.mean(axis=0)
     scale = (performer * places).sum(axis=0) / (performer**2).sum(axis=0)
-    return float(np.sqrt(max(scale[0] * scale[1], 1e-12)))
+    return VirtualMarkers(
+        skin.corners[samples],
+        skin.shares[samples],
+        float(np.sqrt(max(scale[0] * scale[1], 1e-12))),
+        skin.frame.T @ rotation,
+    )

@@ -161,7 +161,11 @@ def best_by_motion(inputs: PlacementInputs) -> PlacementCandidate:
     count = len(candidates)
     searched = _search(inputs, levelled, motion @ frame.T)
     value = max(found.score for found in searched)
-    gain = _overturned_gain(inputs, levelled, motion @ frame.T, value)
+    gain = 0.0
+    if value < _DOUBTFUL_VALUE:  # does the cloud fit better upside down?
+        over = np.array([-1.0, -1.0, 1.0])
+        overturned = _search(inputs, levelled * over, motion @ frame.T * over)
+        gain = max(max(found.score for found in overturned) - value, 0.0)
     for found in searched:
         turned = levelled * found.turn
         candidates.append(_drawn(inputs, found.turn[:, None] * frame, turned, found.fit))
@@ -187,17 +191,6 @@ def _search(inputs: PlacementInputs, levelled: FloatArray, motion: FloatArray) -
         usual_scale=inputs.usual_scale,
         landmarks=inputs.features,
     )
-
-
-def _overturned_gain(
-    inputs: PlacementInputs, levelled: FloatArray, motion: FloatArray, value: float
-) -> float:
-    """Return the gain of a cloud upside down over its best candidate, of the given value."""
-    if value >= _DOUBTFUL_VALUE:
-        return 0.0
-    over = np.array([-1.0, -1.0, 1.0])
-    best = max(found.score for found in _search(inputs, levelled * over, motion * over))
-    return max(best - value, 0.0)
 
 
 def _drawn(

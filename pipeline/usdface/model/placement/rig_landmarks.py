@@ -147,7 +147,12 @@ def _find(skin: FaceSkin, shapes: Sequence[str]) -> dict[str, FloatArray]:
                 away = sign * (skin.positions[:, 0] - skin.sagittal_x)
                 found[f"{name}_{side}"] = _centroid(skin, delta, away > least)
         if f"lid_upper_{side}" in found:
-            found[f"lid_crease_{side}"] = _crease(skin, found, side)
+            margin, brow = found[f"lid_upper_{side}"], found.get(f"brow_middle_{side}")
+            if brow is None:
+                rise = _CREASE_OF_EYE * (margin - found[f"lid_lower_{side}"]) * [0.0, 1.0, 0.0]
+            else:
+                rise = _CREASE_SHARE * (brow - margin)
+            found[f"lid_crease_{side}"] = _nearest(skin, margin + rise)
     if _JAW in moved:
         found |= _mouth(skin, moved[_JAW], found)
     elif _PUCKER in moved:
@@ -164,18 +169,14 @@ def _displacements(skin: FaceSkin, shapes: Sequence[str]) -> dict[tuple[str, str
         if np.abs(skin.deltas[index]).max(initial=0.0) > _LEAST_MOTION_MM:
             meant = meanings[shapes[index]]
             found.setdefault((meant.motion, meant.side), skin.deltas[index])
-    if _named_by_viewer(skin, found):
-        return {(motion, _OTHER.get(side, side)): delta for (motion, side), delta in found.items()}
-    return found
-
-
-def _named_by_viewer(skin: FaceSkin, moved: dict[tuple[str, str], FloatArray]) -> bool:
-    """Whether most shapes named left move the character's right side, the viewer's left."""
+    # Named by the viewer's sides if most shapes named left move the character's right side.
     votes = 0.0
-    for (_, side), delta in moved.items():
+    for (_, side), delta in found.items():
         across = np.linalg.norm(delta, axis=1) @ (skin.positions[:, 0] - skin.sagittal_x)
         votes += _SIGNS.get(side, 0.0) * np.sign(across)
-    return votes < 0
+    if votes < 0:
+        return {(motion, _OTHER.get(side, side)): delta for (motion, side), delta in found.items()}
+    return found
 
 
 def _centroid(skin: FaceSkin, delta: FloatArray, mask: BoolArray) -> FloatArray:
@@ -212,15 +213,6 @@ def _eye(skin: FaceSkin, blink: FloatArray, side: str, sign: float) -> dict[str,
             [skin.sagittal_x + sign * edge, *np.median(at[near][:, 1:], axis=0)]
         )
     return found
-
-
-def _crease(skin: FaceSkin, found: dict[str, FloatArray], side: str) -> FloatArray:
-    margin, brow = found[f"lid_upper_{side}"], found.get(f"brow_middle_{side}")
-    if brow is None:
-        rise = _CREASE_OF_EYE * (margin - found[f"lid_lower_{side}"]) * [0.0, 1.0, 0.0]
-    else:
-        rise = _CREASE_SHARE * (brow - margin)
-    return _nearest(skin, margin + rise)
 
 
 def _mouth(skin: FaceSkin, jaw: FloatArray, eyes: dict[str, FloatArray]) -> dict[str, FloatArray]:

@@ -69,7 +69,8 @@ def shape_parts(rig: Rig, deformer: Deformer) -> tuple[str, ...]:
     region, such as ``mouthOpen`` for the jaw, is replaced by that motion.
     """
     names = _read_by_vocabulary(rig.shapes)
-    foreign = shapes_of_unknown_region(names)
+    unseen = set(gaze_and_tongue_shapes(names).tolist())
+    foreign = [i for i, name in enumerate(names) if i not in unseen and not region_of_shape(name)]
     if not foreign:
         return names
     try:
@@ -125,12 +126,6 @@ def _eyes(motions: FloatArray, gaze: IntArray, off_skin: BoolArray) -> list[IntA
     least = MOST_MOVED_SHARE * motions.max(axis=1)
     found = [np.flatnonzero(off_skin & (motions[each] > least[each])) for each in gaze.tolist()]
     return [points for points in found if len(points)]
-
-
-def shapes_of_unknown_region(names: Sequence[str]) -> list[int]:
-    """Return the columns of shapes whose names tell no region of the face."""
-    unseen = set(gaze_and_tongue_shapes(names).tolist())
-    return [i for i, name in enumerate(names) if i not in unseen and not region_of_shape(name)]
 
 
 def missing_parts_note(parts: Sequence[str]) -> str:

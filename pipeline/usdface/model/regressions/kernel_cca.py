@@ -19,7 +19,6 @@ from usdface.model.regressions.base import (
     scaled_inputs,
 )
 from usdface.numerics.regression.kernel_cca import (
-    KernelCCA,
     fit_kernel_cca,
     median_width,
     predict_expansion,
@@ -64,23 +63,10 @@ def mapping_spaces(pairs: Pairs, dimensions: tuple[int, ...]) -> tuple[Settings,
 def fit_expansion(pairs: Pairs, settings: Settings) -> Fitted:
     """Fit to pairs; the arrays hold the prediction's operator and the canonical correlations."""
     scale = scale_arrays(pairs, settings)
-    model = fit_model(pairs, scale, settings)
-    arrays = {
-        "sources": model.centres,
-        "source_width": np.array([model.width]),
-        "operator": model.operator,
-        "intercept": model.intercept,
-        "correlations": model.correlations,
-    }
-    return Fitted(arrays | scale, settings)
-
-
-def fit_model(pairs: Pairs, scale: Arrays, settings: Settings) -> KernelCCA:
-    """Fit with the settings ``width`` and ``kappa``, and optional ``lines`` and ``components``."""
     features = scaled_inputs(scale, settings, pairs.inputs)
     multiple = float(settings["width"])
     constant = bool((pairs.outputs == pairs.outputs[0]).all())  # any width fits a constant
-    return fit_kernel_cca(
+    model = fit_kernel_cca(
         features,
         pairs.outputs,
         source_width=median_width(features, multiple=multiple),
@@ -89,6 +75,14 @@ def fit_model(pairs: Pairs, scale: Arrays, settings: Settings) -> KernelCCA:
         components=int(settings["components"]) if "components" in settings else None,
         lines="published" if settings.get("lines") == "published" else "penalised",
     )
+    arrays = {
+        "sources": model.centres,
+        "source_width": np.array([model.width]),
+        "operator": model.operator,
+        "intercept": model.intercept,
+        "correlations": model.correlations,
+    }
+    return Fitted(arrays | scale, settings)
 
 
 def prepare_expansion(arrays: Arrays, settings: Settings) -> Predictor:

@@ -81,7 +81,15 @@ def recorded_angles(names: Sequence[str], weights: FloatArray) -> dict[str, Floa
         found.setdefault(part, np.zeros((len(weights), 3)))[:, at] = weights[:, column]
     looked = look_angles(names, weights)
     _check_radians(found, looked)
-    signs = _recorded_signs(found, looked)
+    # The signs of a recorder's angles about x, y and z are those of its looks.
+    both = [(found[eye], looked[eye]) for eye in EYES if eye in found and eye in looked]
+    signs = _RECORDED_SIGNS.copy()
+    for axis in (0, 1):
+        spread = np.sqrt(sum(look[:, axis].var() for _, look in both))
+        covariance = sum(np.cov(a[:, axis], look[:, axis], bias=True)[0, 1] for a, look in both)
+        if spread > _TELLING_RADIANS and covariance:
+            signs[axis] = np.sign(covariance)
+    signs[2] = signs[0] * signs[1]
     return {part: signs * angles for part, angles in found.items()}
 
 
@@ -124,19 +132,6 @@ def _check_radians(recorded: dict[str, FloatArray], looked: dict[str, FloatArray
                     "times as large as those of its looks, so they are in degrees; convert them, "
                     "and those of the head, to radians"
                 )
-
-
-def _recorded_signs(recorded: dict[str, FloatArray], looked: dict[str, FloatArray]) -> FloatArray:
-    """Return the factors, 1 or -1, of a recorder's angles about x, y and z."""
-    both = [(recorded[eye], looked[eye]) for eye in EYES if eye in recorded and eye in looked]
-    signs = _RECORDED_SIGNS.copy()
-    for axis in (0, 1):
-        spread = np.sqrt(sum(look[:, axis].var() for _, look in both))
-        covariance = sum(np.cov(a[:, axis], look[:, axis], bias=True)[0, 1] for a, look in both)
-        if spread > _TELLING_RADIANS and covariance:
-            signs[axis] = np.sign(covariance)
-    signs[2] = signs[0] * signs[1]
-    return signs
 
 
 def rotations_of(angles: FloatArray) -> FloatArray:

@@ -19,7 +19,7 @@ A retargeting has no such figures. It is bad if more than `_BAD_SHARE` of the so
 nothing, or if its source is bad.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -130,7 +130,8 @@ def judge_solve(evidence: SolveEvidence) -> SolveVerdict:
     bad = evidence.exceeds(VISIBLE_ERROR_MM, _BAD_COVERAGE)
     if not bad:
         return _judge_without_figures(evidence)
-    proposals = _mostly_proposals(evidence)
+    basis = evidence.basis
+    proposals = basis is not None and 2 * basis.tuned < basis.pairs
     level, beyond = "bad", bad
     if _frame_share(bad) <= _BAD_SHARE:
         wrong = evidence.exceeds(WRONG_EXPRESSION_MM, 0.0)
@@ -142,7 +143,13 @@ def judge_solve(evidence: SolveEvidence) -> SolveVerdict:
             checked = _frame_share(doubtful) > _CHANCE_SHARE or unproven or stated
             level, beyond = "check" if checked else "good", doubtful
     shares = _by_any(beyond).mean(axis=0)
-    where = _worst_regions(evidence.regions, shares)
+    # Regions that exceed limits in more frames than chance, the worst first.
+    found = {
+        region: float(share)
+        for region, share in zip(evidence.regions[1:], shares[1:], strict=False)
+        if share > _CHANCE_SHARE
+    }
+    where = dict(sorted(found.items(), key=lambda item: -item[1]))
     retarget = evidence.retarget if evidence.unfollowed_share > _CHANCE_SHARE else ""
     parts = [retarget, _coverage(evidence), _tuned(evidence), _name_changed(evidence)]
     parts += [_name_without_markers(evidence), _name_without_shapes(evidence)]
@@ -211,12 +218,6 @@ def worst_verdict(verdicts: Mapping[str, SolveVerdict]) -> SolveVerdict:
     return replace(worst, sentence=sentence, figures=worst.figures | {"of": name})
 
 
-def _mostly_proposals(evidence: SolveEvidence) -> bool:
-    """Whether fewer references are tuned than not."""
-    basis = evidence.basis
-    return basis is not None and 2 * basis.tuned < basis.pairs
-
-
 def _is_covered(evidence: SolveEvidence) -> bool:
     """Whether the references cover most frames, so that only their weights may be wrong."""
     beyond = replace(evidence, uncertainty_mm=None).exceeds(VISIBLE_ERROR_MM, _BAD_COVERAGE)
@@ -231,16 +232,6 @@ def _by_any(beyond: Mapping[str, BoolArray]) -> BoolArray:
 def _frame_share(beyond: Mapping[str, BoolArray]) -> float:
     """Return the share of the frames in which any figure of any region exceeds its limit."""
     return float(_by_any(beyond).any(axis=1).mean())
-
-
-def _worst_regions(regions: Sequence[str], shares: FloatArray) -> dict[str, float]:
-    """Return the regions that exceed limits in more frames than chance, the worst first."""
-    found = {
-        region: float(share)
-        for region, share in zip(regions[1:], shares[1:], strict=False)
-        if share > _CHANCE_SHARE
-    }
-    return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
 def _list_limits(beyond: Mapping[str, BoolArray], columns: list[int]) -> str:

@@ -136,15 +136,8 @@ def _by_landmarks(mesh: RigMesh, neutral: FloatArray, pins: dict[int, FloatArray
         skin.corners[found.samples],
         skin.weights[found.samples],
     )
-    return _prefer_nearest(mesh, near, sampled, spacing=float(np.sqrt(np.median(skin.areas))))
-
-
-def _prefer_nearest(
-    mesh: RigMesh, near: SurfacePoints, sampled: SurfacePoints, *, spacing: float
-) -> SurfacePoints:
-    """Replace a sample by the nearest point of the mesh, unless that is on other skin."""
     distance = np.linalg.norm(near.positions(mesh.points) - sampled.positions(mesh.points), axis=1)
-    same = distance < 2 * spacing
+    same = distance < 2 * np.sqrt(np.median(skin.areas))  # else it is on other skin
     return SurfacePoints(
         np.where(same, near.faces, sampled.faces),
         np.where(same[:, None], near.corners, sampled.corners),
@@ -201,18 +194,6 @@ def _facing(
     return np.asarray(horizontal / length)
 
 
-def _pin(mesh: RigMesh, places: SurfacePoints, pins: dict[int, FloatArray]) -> SurfacePoints:
-    if not pins:
-        return places
-    markers = list(pins)
-    at = nearest_places(
-        mesh.points, mesh.face_counts, mesh.face_indices, np.array([pins[m] for m in markers])
-    )
-    faces, corners, weights = places.faces.copy(), places.corners.copy(), places.weights.copy()
-    faces[markers], corners[markers], weights[markers] = at.faces, at.corners, at.weights
-    return replace(places, faces=faces, corners=corners, weights=weights)
-
-
 def bind_at(
     mesh: RigMesh,
     places: SurfacePoints,
@@ -232,12 +213,20 @@ def bind_at(
     pins : dict of int to (3,) float array
         Positions that replace those in `places` [mm].
     """
-    places = _pin(mesh, places, pins)
+    if pins:
+        given, pinned = np.array(list(pins.values())), list(pins)
+        on_skin = nearest_places(mesh.points, mesh.face_counts, mesh.face_indices, given)
+        faces, corners, weights = places.faces.copy(), places.corners.copy(), places.weights.copy()
+        faces[pinned], corners[pinned] = on_skin.faces, on_skin.corners
+        weights[pinned] = on_skin.weights
+        places = replace(places, faces=faces, corners=corners, weights=weights)
     at = places.positions(mesh.points)
     fitted = fit_proportions(neutral, at, weight=np.ones(len(neutral)))
     size = float(np.sqrt(((at - at.mean(axis=0)) ** 2).sum(axis=1).mean()))
     # The residual of the affine map is mostly proportion, equal among neighbours: use the excess.
-    excess = _excess_over_neighbours(at, fitted.away_mm)
+    near = np.argsort(np.linalg.norm(at[:, None] - at[None], axis=2), axis=1)[:, 1:5]
+    median = np.median(fitted.away_mm[near], axis=1)
+    excess = np.maximum(fitted.away_mm - median, 0.0)
     confidence = 1 / (1 + (excess / (_HALF_DISTANCE_SHARE * size)) ** 2)
     moved = (sample - neutral) @ fitted.linear.T
     difference = motion_agreement(moved, _distances_between(mesh, places, at))
@@ -268,13 +257,6 @@ def _distances_between(mesh: RigMesh, places: SurfacePoints, at: FloatArray) -> 
         metric="dijkstra-diagonals",
     ).between
     return np.where(np.isfinite(between), between, straight)
-
-
-def _excess_over_neighbours(at: FloatArray, away: FloatArray) -> FloatArray:
-    """Return the excess of each marker's distance over the median of four neighbours [mm]."""
-    near = np.argsort(np.linalg.norm(at[:, None] - at[None], axis=2), axis=1)[:, 1:5]
-    median = np.median(away[near], axis=1)
-    return np.asarray(np.maximum(away - median, 0.0))
 
 
 def _three_of(names: tuple[str, ...]) -> str:

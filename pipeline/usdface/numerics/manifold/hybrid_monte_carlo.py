@@ -236,24 +236,21 @@ def _jump_some(
     """Propose a jump in the chains of `jumps`."""
     some = jumps.chains
     before = ChainState(state.white[:, some], np.take(state.energy, some), state.residual[:, some])
-    after = _jump(rng, before, laplace.take(some), jumps)
+    # Proposals are draws of the equal mixture of two Gaussians, independent of the state.
+    fit = laplace.take(some)
+    chains = len(before.energy)
+    first = rng.random((chains,)) < 0.5
+    drawn = _PROPOSAL_WIDTH * rng.standard_normal((4, chains)).astype(before.energy.dtype)
+    one, other = jumps.modes
+    theta = fit.theta(before.white)
+    target = np.where(first, one.theta(drawn), other.theta(drawn))
+    proposed = start_chains(jumps.energy, fit, fit.whiten(target))
+    gained = before.energy - proposed.energy
+    gained = gained + _log_mixture(theta, jumps.modes) - _log_mixture(target, jumps.modes)
+    after = _accept(before, proposed, gained, rng.random((chains,)).astype(before.energy.dtype))[0]
     white, energy, residual = state.white.copy(), state.energy.copy(), state.residual.copy()
     white[:, some], energy[some], residual[:, some] = after.white, after.energy, after.residual
     return ChainState(white, energy, residual)
-
-
-def _jump(rng: RandomSource, state: ChainState, fit: LaplaceFit, jumps: ModeJumps) -> ChainState:
-    """Propose a draw of the equal mixture of two Gaussians, independent of the state."""
-    chains = len(state.energy)
-    first = rng.random((chains,)) < 0.5
-    drawn = _PROPOSAL_WIDTH * rng.standard_normal((4, chains)).astype(state.energy.dtype)
-    one, other = jumps.modes
-    theta = fit.theta(state.white)
-    target = np.where(first, one.theta(drawn), other.theta(drawn))
-    proposed = start_chains(jumps.energy, fit, fit.whiten(target))
-    gained = state.energy - proposed.energy
-    gained = gained + _log_mixture(theta, jumps.modes) - _log_mixture(target, jumps.modes)
-    return _accept(state, proposed, gained, rng.random((chains,)).astype(state.energy.dtype))[0]
 
 
 def _log_mixture(theta: RealArray, modes: tuple[LaplaceFit, LaplaceFit]) -> RealArray:

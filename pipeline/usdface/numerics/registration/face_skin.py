@@ -96,7 +96,10 @@ def sample_outer_surface(
     moves = np.asarray(activity, float)
     if not moves.max(initial=0.0) > 0:
         raise ValueError("the shapes move no part of the surface; check that it is the face's mesh")
-    T = T[_within_reach(P, T, moves)]
+    middle, weight = P[T].mean(axis=1), moves[T].mean(axis=1) * triangle_areas(P, T)
+    centre = np.average(middle, axis=0, weights=weight)
+    distance = np.linalg.norm(middle - centre, axis=1)
+    T = T[distance < _REACH_RADII * np.sqrt(np.average(distance**2, weights=weight))]
     density = 0.3 + moves[T].mean(axis=1) / moves.max()
     dense, weights, owner = _low_discrepancy_samples(P, T, density, count=3 * _SAMPLE_COUNT)
     forward = np.asarray(facing, float)
@@ -110,13 +113,6 @@ def sample_outer_surface(
     share = 1 / density[owner[chosen]]
     areas = share * (triangle_areas(P, T).sum() * visible.mean() / share.sum())
     return SurfaceSamples(T[owner[chosen]], weights[chosen], dense[chosen], areas)
-
-
-def _within_reach(P: FloatArray, T: IntArray, activity: FloatArray) -> BoolArray:
-    middle, weight = P[T].mean(axis=1), activity[T].mean(axis=1) * triangle_areas(P, T)
-    centre = np.average(middle, axis=0, weights=weight)
-    distance = np.linalg.norm(middle - centre, axis=1)
-    return np.asarray(distance < _REACH_RADII * np.sqrt(np.average(distance**2, weights=weight)))
 
 
 def _low_discrepancy_samples(

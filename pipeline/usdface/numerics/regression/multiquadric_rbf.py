@@ -81,8 +81,23 @@ def fit_multiquadric(
     s = nearest_softness(C)
     design = multiquadric_design(C, C, s)
     if not smooth:
-        _check_distinct(C)
-        return Multiquadric(C, s, _interpolate(design, Y), np.zeros(Y.shape[1]))
+        from scipy.spatial.distance import cdist  # imported late: it takes half a second
+
+        distances = cdist(C, C)
+        distances[np.tril_indices(len(C))] = np.inf
+        if distances.min() == 0.0:
+            first, second = np.argwhere(distances == 0.0)[0]
+            raise ValueError(
+                f"centres {first} and {second} coincide, so their pairs cannot both be met; "
+                "leave one out, or fit with smooth=True"
+            )
+        coefficients, _, rank, singular = np.linalg.lstsq(design, Y, rcond=_LEAST_CONDITION)
+        if rank < len(design):
+            raise ValueError(
+                f"the pairs cannot be met exactly: rank {rank} of {len(design)}, smallest share of "
+                f"a singular value {singular[-1] / singular[0]:.1e}; fit with smooth=True"
+            )
+        return Multiquadric(C, s, np.asarray(coefficients, np.float64), np.zeros(Y.shape[1]))
     rotated = rotate(design, Y)
     ridge = choose_ridge(rotated)
     gain = rotated.singular[:, None] / (rotated.singular[:, None] ** 2 + ridge)
@@ -96,27 +111,3 @@ def predict_multiquadric(
     return evaluate_network(
         lambda some: multiquadric_design(some, centres, softness), coefficients, points
     )
-
-
-def _check_distinct(centres: FloatArray) -> None:
-    from scipy.spatial.distance import cdist  # imported late: it takes half a second
-
-    distances = cdist(centres, centres)
-    distances[np.tril_indices(len(centres))] = np.inf
-    if distances.min() == 0.0:
-        first, second = np.argwhere(distances == 0.0)[0]
-        raise ValueError(
-            f"centres {first} and {second} coincide, so their pairs cannot both be met; "
-            "leave one out, or fit with smooth=True"
-        )
-
-
-def _interpolate(design: FloatArray, outputs: FloatArray) -> FloatArray:
-    """Return the coefficients of interpolation; the design is not symmetric."""
-    coefficients, _, rank, singular = np.linalg.lstsq(design, outputs, rcond=_LEAST_CONDITION)
-    if rank < len(design):
-        raise ValueError(
-            f"the pairs cannot be met exactly: rank {rank} of {len(design)}, smallest share of a "
-            f"singular value {singular[-1] / singular[0]:.1e}; fit with smooth=True"
-        )
-    return np.asarray(coefficients, np.float64)

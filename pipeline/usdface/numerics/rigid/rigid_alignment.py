@@ -107,14 +107,19 @@ def align_rigid_robust(
     rotations, translations = first.rotations.copy(), first.translations.copy()
     determined, weights = first.determined.copy(), first.weights
     residuals = alignment_residuals(points, y, first)
-    take_scale = max(_median_where(residuals, seen), _LEAST_SCALE)
+    chosen = residuals[seen]
+    take_scale = max(float(np.median(chosen)) if chosen.size else 0.0, _LEAST_SCALE)
 
     def reweigh(block: slice) -> None:
         active = np.flatnonzero(determined[block]) + block.start
         for _ in range(_IRLS_ROUNDS):
             if not active.size:
                 break
-            frame_scale = _frame_medians(residuals[active], seen[active])
+            # The lower median of each frame's visible values, of which there must be one.
+            mask = seen[active]
+            ordered = np.sort(np.where(mask, residuals[active], np.inf), axis=1)
+            middle = (mask.sum(axis=1) - 1) // 2
+            frame_scale = np.asarray(ordered[np.arange(len(ordered)), middle])
             scale = _INLIER_MEDIANS * np.maximum(frame_scale, take_scale)[:, None]
             fresh = seen[active] / (1.0 + (residuals[active] / scale) ** 2) ** 2
             moved = np.abs(fresh - weights[active]).max(axis=1) > _IRLS_SETTLED
@@ -304,18 +309,6 @@ def _moments(x: FloatArray, y: FloatArray, w: FloatArray) -> FloatArray:
     sums = flat @ operator.reshape(count * 3, 12)
     of_reference = w @ np.column_stack([np.ones(count), y])
     return np.concatenate([sums[:, :9], of_reference[:, :1], sums[:, 9:], of_reference[:, 1:]], 1)
-
-
-def _median_where(values: FloatArray, mask: BoolArray) -> float:
-    chosen = values[mask]
-    return float(np.median(chosen)) if chosen.size else 0.0
-
-
-def _frame_medians(values: FloatArray, mask: BoolArray) -> FloatArray:
-    """Return the lower median of each frame's visible values, of which there must be one."""
-    ordered = np.sort(np.where(mask, values, np.inf), axis=1)
-    middle = (mask.sum(axis=1) - 1) // 2
-    return np.asarray(ordered[np.arange(len(ordered)), middle])
 
 
 def _product(A: FloatArray, B: FloatArray) -> FloatArray:

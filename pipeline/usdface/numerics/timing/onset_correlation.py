@@ -197,7 +197,12 @@ def onset_flux(sound: Float32Array, *, rate: int) -> Float32Array:
     if count < 2:
         return np.zeros((_BAND_COUNT, 0), np.float32)
     length = fft.next_fast_len(size, real=True)
-    edges = _band_edges(rate, length)
+    highest = min(_HIGHEST_HZ, 0.45 * rate)
+    bins = np.geomspace(_LOWEST_HZ, highest, _BAND_COUNT + 1) * length / rate
+    edges: IntArray = np.round(bins).astype(np.int64)
+    # Low bands may be narrower than one bin of the spectrum: each has at least one.
+    for index in range(1, len(edges)):
+        edges[index] = max(edges[index], edges[index - 1] + 1)
     window = np.hanning(size).astype(np.float32)
     frames = sliding_window_view(sound, size)[::hop]
     power = np.empty((_BAND_COUNT, count), np.float32)
@@ -335,13 +340,3 @@ def _add_at(total: Float32Array, part: Float32Array, place: int) -> None:
     start, stop = max(place, 0), min(place + len(part), len(total))
     if stop > start:
         total[start:stop] += part[start - place : stop - place]
-
-
-def _band_edges(rate: int, length: int) -> IntArray:
-    highest = min(_HIGHEST_HZ, 0.45 * rate)
-    bins = np.geomspace(_LOWEST_HZ, highest, _BAND_COUNT + 1) * length / rate
-    edges: IntArray = np.round(bins).astype(np.int64)
-    # Low bands may be narrower than one bin of the spectrum: each has at least one.
-    for index in range(1, len(edges)):
-        edges[index] = max(edges[index], edges[index - 1] + 1)
-    return edges

@@ -27,7 +27,16 @@ _LISTED_SWAPS = 20
 
 def cleaning_notes(cleaned: CleanedMarkers, markers: Markers, take: Take) -> list[str]:
     """Return notes on the repairs and what was left."""
-    slips = _slip_notes(cleaned, markers, take)
+    slips = [
+        f"{markers.names[slip.marker]} slipped on the skin by {slip.distance_mm:.1f} mm near frame "
+        f"{take.first_frame + slip.row}: "
+        + (
+            "corrected to its position in the neutral frame"
+            if slip.distance_mm <= MOST_SLIP_MM
+            else "too far to be corrected; check it, and leave it out unless its skin moved so far"
+        )
+        for slip in cleaned.slips
+    ]
     return _still_notes(cleaned) + slips + _repairs(cleaned, markers, take)
 
 
@@ -41,20 +50,6 @@ def _still_notes(cleaned: CleanedMarkers) -> list[str]:
         f"{cleaned.noise_mm:.2f} mm of noise): the take shows one expression, and references "
         "cannot be selected from it alone; if the face did move, the export lost its motion (a "
         "static pose, a frozen stream): export and ingest it again"
-    ]
-
-
-def _slip_notes(cleaned: CleanedMarkers, markers: Markers, take: Take) -> list[str]:
-    """Return a note on each marker that slipped on the skin."""
-    return [
-        f"{markers.names[slip.marker]} slipped on the skin by {slip.distance_mm:.1f} mm near frame "
-        f"{take.first_frame + slip.row}: "
-        + (
-            "corrected to its position in the neutral frame"
-            if slip.distance_mm <= MOST_SLIP_MM
-            else "too far to be corrected; check it, and leave it out unless its skin moved so far"
-        )
-        for slip in cleaned.slips
     ]
 
 

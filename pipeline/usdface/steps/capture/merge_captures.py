@@ -13,7 +13,7 @@ import numpy as np
 
 from usdface.capture.c3d import C3dFile, is_c3d, open_c3d
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray
-from usdface.core.assets import Markers, Take, WeightsClip
+from usdface.core.assets import Take, WeightsClip
 from usdface.core.errors import InputError
 from usdface.core.rates import day_seconds, frames_of, frames_within, shift_timecode, timecode_of
 from usdface.core.replacing import replacing
@@ -55,7 +55,17 @@ def cut_frames(take: Take, limits: tuple[int, int], *, where: object) -> Take:
     rows = slice(skipped, last - take.first_frame + 1)
     markers, source, video = take.markers, take.source, take.video
     if markers is not None:
-        markers = _cut_markers(markers, rows, first)
+        visible = markers.visible[rows]
+        neutral = markers.neutral_frame
+        if not first <= neutral < first + len(visible):  # cut off: take the most complete frame
+            neutral = first + int(np.argmax(visible.sum(axis=1)))
+        markers = replace(
+            markers,
+            positions=markers.positions[rows],
+            visible=visible,
+            confidence=markers.confidence[rows],
+            neutral_frame=neutral,
+        )
     if source is not None:
         source = replace(source, values=source.values[rows], first_frame=first)
     if video is not None:
@@ -69,21 +79,6 @@ def cut_frames(take: Take, limits: tuple[int, int], *, where: object) -> Take:
         head_motion=None if take.head_motion is None else take.head_motion[rows],
         timecode_start=shift_timecode(take.timecode_start, skipped, take.rate),
         events=tuple(event for event in take.events if first <= event.frame <= last),
-    )
-
-
-def _cut_markers(markers: Markers, rows: slice, first: int) -> Markers:
-    """Keep rows of the markers; if the neutral frame is cut off, choose the most complete frame."""
-    visible = markers.visible[rows]
-    neutral = markers.neutral_frame
-    if not first <= neutral < first + len(visible):
-        neutral = first + int(np.argmax(visible.sum(axis=1)))
-    return replace(
-        markers,
-        positions=markers.positions[rows],
-        visible=visible,
-        confidence=markers.confidence[rows],
-        neutral_frame=neutral,
     )
 
 

@@ -87,7 +87,13 @@ def run(spec: EditSpec, *, provenance: Provenance, progress: Progress = silent) 
     notes: list[str] = []
     changes = _changes(spec, reader, notes)
     for change in changes:
-        _check_change(spec, change, reader)
+        _check_shapes(spec, change, reader)
+        first, last = change.frames or (reader.first_frame, reader.last_frame)
+        if last < reader.first_frame or first > reader.last_frame:
+            raise InputError(
+                f"{spec.performance}: frames {first}-{last} are outside the performance, "
+                f"{reader.first_frame}-{reader.last_frame}; give some of these"
+            )
     # A change of all frames also holds beyond the performance, in case more of the take is mapped;
     # a change of a range ends with the range, even at the end of the performance.
     reaches = [change.reach for change in changes if change.reach is not None]
@@ -144,16 +150,6 @@ def _changes(spec: EditSpec, reader: PerformanceReader, notes: list[str]) -> lis
         _Change((str(note.shape),), note.add, note.override, note.span, note.fade)
         for note in by_time
     ]
-
-
-def _check_change(spec: EditSpec, change: _Change, reader: PerformanceReader) -> None:
-    _check_shapes(spec, change, reader)
-    first, last = change.frames or (reader.first_frame, reader.last_frame)
-    if last < reader.first_frame or first > reader.last_frame:
-        raise InputError(
-            f"{spec.performance}: frames {first}-{last} are outside the performance, "
-            f"{reader.first_frame}-{reader.last_frame}; give some of these"
-        )
 
 
 def _summary(spec: EditSpec, changes: list[_Change]) -> str:

@@ -193,47 +193,44 @@ def measure_pairs(spec: ReferencesCoverageSpec, *, progress: Progress) -> Measur
     """Measure the coverage of the takes by the pairs."""
     progress(0.0, "reading the takes")
     references = read_keyed_references(spec.references)
-    pairs = _counted(spec, references)
+    pairs = np.arange(len(references.frames), dtype=np.int64)
+    if spec.tuned_only:
+        pairs = np.flatnonzero(references.tuned)
+        if not len(pairs):
+            raise InputError(
+                f"{spec.references}: none of its {len(references.frames)} pairs is tuned; leave "
+                "out --tuned-only for the coverage by all pairs"
+            )
     takes = _with_markers_of(read_cleaned_takes(spec.takes), references, spec)
     rig = read_rig_of(references, spec.references)
     scene = set_up_scene(takes, rig, placement=stored_placement(references, rig), progress=progress)
     progress(0.7, "measuring the coverage")
-    placed = _locate_pairs(scene, references, pairs)
-    candidates = candidate_frames(takes, None)
-    coverage = takes_coverage(scene, placed.faces, placed.rows, candidates=candidates)
+    # Pairs of other takes use the references' markers.
+    places = [(references.takes[pair], int(references.frames[pair])) for pair in pairs.tolist()]
+    found = takes.find_rows(places)
+    is_here = np.array([row is not None for row in found], dtype=np.bool_)
+    rows = np.array([row for row in found if row is not None], dtype=np.int64)
+    here = PairFaces.at(scene, rows)
+    features = np.empty((len(pairs), scene.features.shape[1]))
+    displacements = np.empty((len(pairs), *takes.neutral.shape))
+    features[is_here], displacements[is_here] = here.features, here.displacements
+    if not is_here.all():
+        columns = [references.marker_names.index(name) for name in takes.marker_names]
+        space = takes_head_space(face_of_references(references), takes)
+        markers = space.restore(references.markers)[:, columns][pairs[~is_here]]
+        features[~is_here] = scene.space.features(marker_coordinates(scene.motion, markers))
+        displacements[~is_here] = scene.equation.motion(markers)
+    faces = PairFaces(features, displacements)
+    coverage = takes_coverage(scene, faces, rows, candidates=candidate_frames(takes, None))
     is_tuned = references.tuned[pairs]
-    tuned, count = placed.rows[is_tuned[placed.is_here]], int(is_tuned.sum())
+    tuned, count = rows[is_tuned[is_here]], int(is_tuned.sum())
     notes = tuple(scene.notes)
     if not count:
         notes += (
             "no pair is tuned: pairs count by their markers, as if their weights fitted them; the "
             "coverage of a mapping trained on proposals may be lower. Tune them first",
         )
-    return MeasuredCoverage(coverage, takes, pairs, placed.rows, tuned, count, notes)
-
-
-@dataclass(frozen=True)
-class _Placed:
-    """Pairs and their frames in the takes."""
-
-    faces: PairFaces
-    is_here: np.ndarray
-    """(pairs,): whether the pair is a frame of the takes."""
-    rows: IntArray
-    """(n,): rows of those pairs."""
-
-
-def _counted(spec: ReferencesCoverageSpec, references: References) -> IntArray:
-    """Return the indices of the pairs that count."""
-    if not spec.tuned_only:
-        return np.arange(len(references.frames), dtype=np.int64)
-    pairs = np.flatnonzero(references.tuned)
-    if not len(pairs):
-        raise InputError(
-            f"{spec.references}: none of its {len(references.frames)} pairs is tuned; leave out "
-            "--tuned-only for the coverage by all pairs"
-        )
-    return pairs
+    return MeasuredCoverage(coverage, takes, pairs, rows, tuned, count, notes)
 
 
 def _with_markers_of(
@@ -259,27 +256,3 @@ def _with_markers_of(
         positions=tuple(clip[:, columns] for clip in takes.positions),
         usable=tuple(clip[:, columns] for clip in takes.usable),
     )
-
-
-def _locate_pairs(scene: SelectionScene, references: References, pairs: IntArray) -> _Placed:
-    """Find the pairs among the takes' frames; pairs of other takes use the references' markers."""
-    places = [(references.takes[pair], int(references.frames[pair])) for pair in pairs.tolist()]
-    found = scene.takes.find_rows(places)
-    is_here = np.array([row is not None for row in found], dtype=np.bool_)
-    rows = np.array([row for row in found if row is not None], dtype=np.int64)
-    faces = PairFaces.at(scene, rows)
-    features = np.empty((len(pairs), scene.features.shape[1]))
-    displacements = np.empty((len(pairs), *scene.takes.neutral.shape))
-    features[is_here], displacements[is_here] = faces.features, faces.displacements
-    if not is_here.all():
-        markers = _in_head_space(scene.takes, references)[pairs[~is_here]]
-        features[~is_here] = scene.space.features(marker_coordinates(scene.motion, markers))
-        displacements[~is_here] = scene.equation.motion(markers)
-    return _Placed(PairFaces(features, displacements), is_here, rows)
-
-
-def _in_head_space(takes: CleanedTakes, references: References) -> FloatArray:
-    """Return the markers of all pairs in the head space and marker order of the takes."""
-    columns = [references.marker_names.index(name) for name in takes.marker_names]
-    space = takes_head_space(face_of_references(references), takes)
-    return space.restore(references.markers)[:, columns]

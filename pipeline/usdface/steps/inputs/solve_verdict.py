@@ -144,7 +144,13 @@ def verdict_findings(path: Path, worst: VerdictLevel | None = None) -> list[Find
     variable `WORST_VERDICT`, else ``'check'``.
     """
     levels = list(VERDICT_WORDS)
-    limit = levels.index(_worst_level(worst))
+    level = worst or os.environ.get(WORST_VERDICT) or "check"
+    if level not in get_args(VerdictLevel):
+        raise InputError(
+            f"{WORST_VERDICT}={level}: is no verdict; set it to "
+            f"{' or '.join(get_args(VerdictLevel))}"
+        )
+    limit = levels.index(level)
     found = []
     try:
         judged = [(each, judge_performance(each)) for each in read_solves(path)]
@@ -174,13 +180,3 @@ def with_verdict(result: StepResult, verdict: SolveVerdict | None) -> StepResult
         figures=result.figures | {"verdict": verdict.figures},
         level=verdict.level,
     )
-
-
-def _worst_level(given: VerdictLevel | None) -> str:
-    level = given or os.environ.get(WORST_VERDICT) or "check"
-    if level not in get_args(VerdictLevel):
-        raise InputError(
-            f"{WORST_VERDICT}={level}: is no verdict; set it to "
-            f"{' or '.join(get_args(VerdictLevel))}"
-        )
-    return level

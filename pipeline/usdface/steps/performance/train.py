@@ -61,7 +61,12 @@ def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress = silent)
     references = replace(references, parts=tuple(found[name] for name in references.shape_names))
     mapping = _train(spec, references, rig, deformer, progress)
     write_mapping(spec.out, mapping, provenance=provenance)
-    unkeyed = _unkeyed_shapes(references, mapping)
+    # Shapes that move markers and are 0 in every pair, the largest motion first.
+    moved_mm = np.sqrt(mapping.arrays["forward_shape_size2"].max(axis=1))
+    moved_mm[references.weights.any(axis=0)] = 0.0
+    moved_mm[gaze_and_tongue_shapes(references.parts or references.shape_names)] = 0.0
+    order = np.argsort(-moved_mm, kind="stable").tolist()
+    unkeyed = [references.shape_names[column] for column in order if moved_mm[column] > _SHOWN_MM]
     if unkeyed:
         notes.append(
             f"0 in every pair: {counted(unkeyed, 'shape')}. They stay near 0 in the solve, unless "
@@ -163,15 +168,6 @@ def _mirrored_notes(spec: TrainSpec, references: References) -> list[str]:
         f"left and right may be exchanged in {which}: where the rig's own solve of the markers "
         "leans to one side, they lean to the other; M on the tuning page mirrors a pair"
     ]
-
-
-def _unkeyed_shapes(references: References, mapping: TrainedMapping) -> list[str]:
-    """Return the shapes that move markers and are 0 in every pair, the largest motion first."""
-    moved_mm = np.sqrt(mapping.arrays["forward_shape_size2"].max(axis=1))
-    moved_mm[references.weights.any(axis=0)] = 0.0
-    moved_mm[gaze_and_tongue_shapes(references.parts or references.shape_names)] = 0.0
-    order = np.argsort(-moved_mm, kind="stable").tolist()
-    return [references.shape_names[column] for column in order if moved_mm[column] > _SHOWN_MM]
 
 
 def _proposal_error(spec: TrainSpec, mapping: TrainedMapping, references: References) -> FloatArray:

@@ -99,11 +99,25 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
             f"{first_few(spec.takes)}: has markers, so --names has no effect; leave it out"
         )
     takes = read_cleaned_takes(spec.takes)
-    _check_something_moves(spec, takes)
+    clip, usable = takes.positions[0], takes.usable[0]
+    still = still_range_mm(takes.positions, measurement_noise(clip, usable))
+    if still is not None:
+        raise InputError(
+            f"{first_few(spec.takes)}: no marker moves on the head (at most {still:.2f} mm along "
+            f"an axis, in {len(takes.frames)} frames), so there are no expressions to select; give "
+            "takes of a moving face. If the face did move, the export lost its motion: export and "
+            "ingest it again"
+        )
     rig = read_rig(spec.rig, prim=spec.prim)
     warnings = plausibility_notes(takes, spec.takes, rig)
     progress(0.1, "placing the markers on the rig")
-    placed = _placement(spec, takes, rig)
+    if spec.placement is not None:
+        placed = judge_stored(spec.placement, takes, rig)
+    else:
+        landmarks = {}
+        if spec.landmarks is not None:
+            landmarks = read_landmarks(spec.landmarks, takes.marker_names, rig)
+        placed = PlacementScene(takes, rig).place(out=placement_path(spec.out), landmarks=landmarks)
     selection = _set_up(spec, takes, rig, placed.placement, progress)
     progress(0.5, "choosing frames")
     choice = _choose(selection)
@@ -114,7 +128,9 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
     progress(0.85, f"writing {spec.out.name}")
     made_here = None if spec.placement is not None else placed.placement
     write_selection(spec, references, rig, selection.kept, images, provenance, made_here)
-    _draw_placement(spec, placed, rig, provenance)
+    title = f"{spec.out.stem} on {rig.file.stem}"
+    picture = draw_placement(placed, rig, title=title, quality="draft")
+    write_image(_placement_picture(spec), picture, metadata=provenance.metadata)
     progress(0.9, "measuring the coverage")
     coverage = _measure_coverage(selection, rows, provenance)
     progress(1.0, "done")
@@ -218,42 +234,12 @@ def _figures(
     }
 
 
-def _check_something_moves(spec: SelectSpec, takes: CleanedTakes) -> None:
-    """Refuse takes of a single expression, whose frames differ only by noise."""
-    clip, usable = takes.positions[0], takes.usable[0]
-    still = still_range_mm(takes.positions, measurement_noise(clip, usable))
-    if still is not None:
-        raise InputError(
-            f"{first_few(spec.takes)}: no marker moves on the head (at most {still:.2f} mm along "
-            f"an axis, in {len(takes.frames)} frames), so there are no expressions to select; give "
-            "takes of a moving face. If the face did move, the export lost its motion: export and "
-            "ingest it again"
-        )
-
-
 def _mapping_for(path: Path, rig: Rig) -> TrainedMapping:
     """Read the mapping; refuse one for another rig."""
     mapping = read_mapping(path)
     remedy = "it was trained for another rig: give the mapping of this one"
     rig.check_has(mapping.shape_names, source=path, remedy=remedy)
     return mapping
-
-
-def _placement(spec: SelectSpec, takes: CleanedTakes, rig: Rig) -> PlacedTakes:
-    """Return the placement of --placement, or place the markers by landmarks and corrections."""
-    if spec.placement is not None:
-        return judge_stored(spec.placement, takes, rig)
-    landmarks = {}
-    if spec.landmarks is not None:
-        landmarks = read_landmarks(spec.landmarks, takes.marker_names, rig)
-    return PlacementScene(takes, rig).place(out=placement_path(spec.out), landmarks=landmarks)
-
-
-def _draw_placement(spec: SelectSpec, placed: PlacedTakes, rig: Rig, made: Provenance) -> None:
-    """Draw the placement next to the references."""
-    title = f"{spec.out.stem} on {rig.file.stem}"
-    picture = draw_placement(placed, rig, title=title, quality="draft")
-    write_image(_placement_picture(spec), picture, metadata=made.metadata)
 
 
 def _placement_picture(spec: SelectSpec) -> Path:

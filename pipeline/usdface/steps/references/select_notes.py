@@ -15,21 +15,6 @@ from usdface.steps.inputs.scene import SelectionScene
 from usdface.steps.inputs.tuned_pairs import PlacedPair
 
 
-def _neutral_notes(scene: SelectionScene) -> list[str]:
-    """Return a note if the first take's neutral frame shows an expression."""
-    takes = scene.takes
-    rows = np.flatnonzero(takes.usable[0].all(axis=1))
-    found = find_better_neutral(scene.equation, takes.positions[0], rows)
-    if found is None:
-        return []
-    name, frame = takes.sources[0].name, int(takes.frames[found.row])
-    return [
-        f"{name}: its neutral frame is not neutral: the residual of the rig's shapes is "
-        f"{found.stated_mm:.1f} mm with it, and {found.residual_mm:.1f} mm with frame {frame}. "
-        f"Clean the take with --neutral {frame}, or another frame of the face at rest"
-    ]
-
-
 def selection_notes(
     spec: SelectSpec,
     scene: SelectionScene,
@@ -44,7 +29,16 @@ def selection_notes(
         notes.append(
             f"left out {pluralize(len(dropped), 'marker')}, not in every take: {first_few(dropped)}"
         )
-    notes += _neutral_notes(scene)
+    usable = np.flatnonzero(takes.usable[0].all(axis=1))
+    better = find_better_neutral(scene.equation, takes.positions[0], usable)
+    if better is not None:
+        frame = int(takes.frames[better.row])
+        notes.append(
+            f"{takes.sources[0].name}: its neutral frame is not neutral: the residual of the rig's "
+            f"shapes is {better.stated_mm:.1f} mm with it, and {better.residual_mm:.1f} mm with "
+            f"frame {frame}. Clean the take with --neutral {frame}, or another frame of the face "
+            "at rest"
+        )
     for take, neutral in zip(takes.sources, takes.neutrals, strict=True):
         notes += neutral.notes(take.name)
     if kept:

@@ -1,6 +1,6 @@
 """Draw reference pairs as a sheet for tuning."""
 
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import numpy as np
@@ -138,9 +138,12 @@ class _PairPictures:
         """Draw one pair."""
         references, tile = self._references, self._spec.tile
         name, frame = references.takes[pair], int(references.frames[pair])
-        picture, missing = picture_at_frame(self._takes.get(name), self._videos.get(name), frame)
+        take = self._takes.get(name)
+        picture, missing = picture_at_frame(take, self._videos.get(name), frame)
         if picture is None:
-            picture = _archived_picture(self._images[pair].image)
+            image = self._images[pair].image
+            with suppress(InputError):  # stored by `select`, it may be gone
+                picture = None if image is None else read_picture(image)
         markers, residual_mm = None, None
         if self._cloud is not None:
             size = {"width": tile, "height": tile}
@@ -149,9 +152,12 @@ class _PairPictures:
             )
             if not references.tuned[pair]:  # the residual of a correct key may be larger
                 residual_mm = float(self._residual_mm[pair])
+        timecode = ""
+        if take is not None:
+            timecode = shift_timecode(take.timecode_start, frame - take.first_frame, take.rate)
         return ReferenceRow(
             number=pair + 1,
-            place=_frame_label(self._takes.get(name), name, frame),
+            place="  ".join(part for part in (name, f"frame {frame}", timecode) if part),
             spoken=_labels(references, pair),
             tuned=bool(references.tuned[pair]),
             video=picture,
@@ -195,21 +201,6 @@ def _pairs(spec: ReferenceSheetSpec, references: References) -> list[int]:
             "none of them"
         )
     return pairs
-
-
-def _archived_picture(image: Path | None) -> ByteImage | None:
-    """Return the image that `select` stored, if it still exists."""
-    try:
-        return None if image is None else read_picture(image)
-    except InputError:
-        return None
-
-
-def _frame_label(take: Take | None, name: str, frame: int) -> str:
-    timecode = ""
-    if take is not None:
-        timecode = shift_timecode(take.timecode_start, frame - take.first_frame, take.rate)
-    return "  ".join(part for part in (name, f"frame {frame}", timecode) if part)
 
 
 def _labels(references: References, pair: int) -> str:

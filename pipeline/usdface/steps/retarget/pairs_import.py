@@ -1,7 +1,6 @@
 """Make pairs from the common frames of two animations."""
 
 from dataclasses import replace
-from pathlib import Path
 
 from usdface.core.assets import Rig
 from usdface.core.controls import ControlClip, Controls, ExpressionPairs, shape_controls
@@ -24,7 +23,13 @@ def run(
     spec: PairsImportSpec, *, provenance: Provenance, progress: Progress = silent
 ) -> StepResult:
     """Read both sides, pair them by frame, and write the asset."""
-    _check_no_keys(spec.out)
+    keyed = keyed_above(spec.out) if spec.out.is_file() else ()
+    if keyed:
+        raise InputError(
+            f"{spec.out}: keys made in it by hand, of {pluralize(len(keyed), 'attribute')} "
+            f"({first_few(keyed, most=3)}), would hide the imported pairs; nothing was changed. "
+            "Write to another --out, or remove these keys"
+        )
     source_rig = read_rig(spec.source_rig, prim=spec.source_prim)
     target_rig = read_rig(spec.target_rig, prim=spec.target_prim)
     given = read_weight_table(spec.source, unit=spec.weight_unit)
@@ -70,17 +75,6 @@ def run(
         tuple(notes),
         {"pairs": len(pairs), "unused": list(unused)},
     )
-
-
-def _check_no_keys(out: Path) -> None:
-    """Refuse an existing asset with keys in a stronger layer, which would hide imported pairs."""
-    keyed = keyed_above(out) if out.is_file() else ()
-    if keyed:
-        raise InputError(
-            f"{out}: keys made in it by hand, of {pluralize(len(keyed), 'attribute')} "
-            f"({first_few(keyed, most=3)}), would hide the imported pairs; nothing was changed. "
-            "Write to another --out, or remove these keys"
-        )
 
 
 def _read_target(spec: PairsImportSpec, rig: Rig) -> tuple[list[int], Controls]:

@@ -270,7 +270,10 @@ def list_names(
     """Match a source's shapes, by default ARKit's, with a rig's; write the table to `out`."""
     files = [each for each in (rig, source, names) if each is not None]
     confine("names", reads=files, writes=[] if out is None else [out])
-    _check_out(out, overwrite=overwrite)
+    if out is not None and out.suffix.lower() not in _TABLES:
+        raise InputError(f"{out}: a table is written, so the name must end in {', '.join(_TABLES)}")
+    if out is not None and out.exists() and not overwrite:
+        raise InputError(f"{out} exists; choose another --out, or --overwrite it")
     target = read_rig(rig)
     shapes, other = (tuple(ARKIT), None) if source is None else source_shapes(source)
     notes: list[str] = []
@@ -284,15 +287,6 @@ def list_names(
     if out is not None:
         write_name_table(out, transfer)
     return _report(transfer, source, rig, out, notes)
-
-
-def _check_out(out: Path | None, *, overwrite: bool) -> None:
-    if out is None:
-        return
-    if out.suffix.lower() not in _TABLES:
-        raise InputError(f"{out}: a table is written, so the name must end in {', '.join(_TABLES)}")
-    if out.exists() and not overwrite:
-        raise InputError(f"{out} exists; choose another --out, or --overwrite it")
 
 
 def _report(

@@ -75,7 +75,13 @@ def run(spec: WarpSpec, *, provenance: Provenance, progress: Progress = silent) 
     insertions = [_insertion(spec, each, read, space, before) for each in placements]
     keep = math.inf if spec.outside == "exact" else PUBLISHED_KEEP
     after = warp_motion(before, insertions, blend=spec.blend, keep=keep)
-    _limit(after, before, insertions, rig, space)
+    # Weights stay in the ranges of the rig, the performance and the sequences together.
+    count = len(space.shapes)
+    ranges = rig.ranges_of(space.shapes)
+    parts = [before[:, :count], *(each.keys[:, :count] for each in insertions)]
+    low = np.min([ranges[:, 0], *(part.min(axis=0) for part in parts)], axis=0)
+    high = np.max([ranges[:, 1], *(part.max(axis=0) for part in parts)], axis=0)
+    np.clip(after[:, :count], low, high, out=after[:, :count])
     # Unchanged frames keep their controls, as rotations change by rounding when converted.
     warped = _replace_changed(read.clip.controls, space.decode(after), after != before)
     progress(0.6, "writing")
@@ -227,22 +233,6 @@ def _insertion(
     ease = min(spec.blend, each.frame_count // 4)
     eased = ease_weights(each.frame_count, spec.weight, ease=ease)
     return Insertion(start, keys, eased * np.maximum(weights[:, 0], 0.0))
-
-
-def _limit(
-    after: FloatArray,
-    before: FloatArray,
-    insertions: list[Insertion],
-    rig: Rig,
-    space: ControlSpace,
-) -> None:
-    """Clamp weights to the ranges of the rig, the performance and the sequences together."""
-    count = len(space.shapes)
-    ranges = rig.ranges_of(space.shapes)
-    parts = [before[:, :count], *(each.keys[:, :count] for each in insertions)]
-    low = np.min([ranges[:, 0], *(part.min(axis=0) for part in parts)], axis=0)
-    high = np.max([ranges[:, 1], *(part.max(axis=0) for part in parts)], axis=0)
-    np.clip(after[:, :count], low, high, out=after[:, :count])
 
 
 def _replace_changed(old: Controls, new: Controls, changed: np.ndarray) -> Controls:

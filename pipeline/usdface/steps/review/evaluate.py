@@ -49,7 +49,14 @@ def run(spec: EvaluateSpec, *, provenance: Provenance, progress: Progress = sile
     rig = read_rig(performance.rig_file, prim=performance.rig_prim)
     given = read_weight_table(spec.against, known=rig.shapes, unit=spec.weight_unit)
     comparison = _compare(spec, performance, given, rig)
-    observable, notes = _observable(spec, rig)
+    observable, notes = None, list[str]()
+    if spec.unobservable is not None:
+        observable = shapes_with_motion(rig.shapes, spec.unobservable)
+        notes = [
+            f"--unobservable {pattern} matches no shape of the rig"
+            for pattern in spec.unobservable
+            if shapes_with_motion(rig.shapes, [pattern]).all()
+        ]
     progress(0.4, "measuring")
     evaluation = evaluate_weights(
         rig,
@@ -149,19 +156,6 @@ def _notes(
                 f"{first_few(missing)}"
             )
     return tuple(notes)
-
-
-def _observable(spec: EvaluateSpec, rig: Rig) -> tuple[BoolArray | None, tuple[str, ...]]:
-    """Return which of the rig's shapes count, and a note for each pattern without a match."""
-    if spec.unobservable is None:
-        return None, ()
-    seen = shapes_with_motion(rig.shapes, spec.unobservable)
-    notes = [
-        f"--unobservable {pattern} matches no shape of the rig"
-        for pattern in spec.unobservable
-        if shapes_with_motion(rig.shapes, [pattern]).all()
-    ]
-    return seen, tuple(notes)
 
 
 def _write(

@@ -34,7 +34,10 @@ MOST_POSES = 4000
 
 def run(spec: FacesSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Choose frames, draw every face at each of them, and write the sheet."""
-    actors = _actors(spec)
+    actors = []
+    for path, rig in pair_with_files(spec.performances, spec.rig, "rig"):
+        with moved_rig(rig):
+            actors.append(PosedRig(path))
     frames = _shared(spec, actors)
     chosen = _most_different(actors[0], frames, spec.rows)
     rows = []
@@ -65,15 +68,6 @@ def run(spec: FacesSpec, *, provenance: Provenance, progress: Progress = silent)
         (),
         {"frames": chosen.tolist(), "performances": [str(path) for path in spec.performances]},
     )
-
-
-def _actors(spec: FacesSpec) -> list[PosedRig]:
-    """Open every performance, with --rig if its rig has moved."""
-    actors = []
-    for path, rig in pair_with_files(spec.performances, spec.rig, "rig"):
-        with moved_rig(rig):
-            actors.append(PosedRig(path))
-    return actors
 
 
 class _Column:

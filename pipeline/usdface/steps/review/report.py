@@ -69,7 +69,18 @@ def run(spec: ReportSpec, *, provenance: Provenance, progress: Progress = silent
     check_same_take(spec.performance, spec.take, spec.also)
     shot = open_shot(spec.performance, spec.take, frames=spec.frames, video=spec.video)
     shot = with_video_head_turn(shot, spec.camera)
-    clock = _clock(spec, shot)
+    # One picture per frame of the take, so that video frames match those of the sheet.
+    clock = MovieClock(
+        rate=shot.take.rate,
+        take_rate=shot.take.rate,
+        first_frame=int(shot.frames[0]),
+        frame_count=len(shot.frames),
+    )
+    if len(shot.frames) > LONGEST_FRAMES:
+        raise InputError(
+            f"{spec.performance}: {len(shot.frames)} frames are too many for a report, at most "
+            f"{LONGEST_FRAMES}; show parts of it with --frames"
+        )
     notes: list[str] = []
     page = _page(spec, shot, clock, notes, provenance, progress)
     progress(0.97, f"writing {spec.out.name}")
@@ -90,22 +101,6 @@ def run(spec: ReportSpec, *, provenance: Provenance, progress: Progress = silent
         },
         level=page.verdict[0],
     )
-
-
-def _clock(spec: ReportSpec, shot: Shot) -> MovieClock:
-    # One picture per frame of the take, so that video frames match those of the sheet.
-    clock = MovieClock(
-        rate=shot.take.rate,
-        take_rate=shot.take.rate,
-        first_frame=int(shot.frames[0]),
-        frame_count=len(shot.frames),
-    )
-    if len(shot.frames) > LONGEST_FRAMES:
-        raise InputError(
-            f"{spec.performance}: {len(shot.frames)} frames are too many for a report, at most "
-            f"{LONGEST_FRAMES}; show parts of it with --frames"
-        )
-    return clock
 
 
 def _page(

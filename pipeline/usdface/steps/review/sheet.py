@@ -19,7 +19,7 @@ from usdface.core.text import pluralize
 from usdface.media.picture.error_strip import ErrorCurve
 from usdface.media.picture.image import display_view, write_image
 from usdface.media.picture.sheet import SheetPage, SheetRow, compose_sheet
-from usdface.model.review.verdict import SolveVerdict, worst_verdict
+from usdface.model.review.verdict import worst_verdict
 from usdface.runner.origin import provenance_of, spec_of
 from usdface.runner.result import StepResult
 from usdface.specs.review import AUTO_CAMERA, SheetSpec
@@ -148,9 +148,16 @@ def _page(
     ]
     if not keyed and len(curves) == 1:
         curves = [replace(curves[0], label="uncertainty")]
+    worst = worst_verdict(comparison.verdicts)
+    advice = [f"To do: {worst.advice}"] if worst.advice else []
+    rest = [
+        f"{name}: {each.sentence}"
+        for name, each in comparison.verdicts.items()
+        if name != worst.figures.get("of", name)
+    ]
     return SheetPage(
         title=f"{shot.take.name} on {', '.join(rigs)}",
-        verdict=_verdict_lines(comparison.verdicts),
+        verdict=(worst.level, worst.sentence, *advice, *rest),
         facts=_facts(spec, shot),
         columns=tuple(column.head for column in columns),
         rows=(),
@@ -163,18 +170,6 @@ def _page(
         else None,
         comparable=keyed,
     )
-
-
-def _verdict_lines(verdicts: dict[str, SolveVerdict]) -> tuple[str, ...]:
-    """Return level, sentence and advice of the worst verdict, then the sentences of the others."""
-    worst = worst_verdict(verdicts)
-    advice = [f"To do: {worst.advice}"] if worst.advice else []
-    rest = [
-        f"{name}: {each.sentence}"
-        for name, each in verdicts.items()
-        if name != worst.figures.get("of", name)
-    ]
-    return (worst.level, worst.sentence, *advice, *rest)
 
 
 def _write_pages(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray
+from usdface.core.arrays import Float32Array, FloatArray
 from usdface.core.assets import RigMesh
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress
@@ -153,11 +153,13 @@ def _write(
     provenance: Provenance,
 ) -> None:
     at = plan.places.positions(plan.face.mesh.points)
+    moved = plan.displacements(plan.sample.positions)
+    far = np.linalg.norm(moved, axis=2).max(axis=0)
     rows = draw_compared(
         plan.face.mesh,
         compared,
         still=other_meshes(plan.face),
-        near=at[_moving(plan)],
+        near=at[far >= _MOVING_SHARE * far.max()],
         yaw_degrees=facing_yaw(plan.face.mesh, at),
         quality=quality,
     )
@@ -172,10 +174,3 @@ def other_meshes(face: FaceMesh) -> list[RigMesh]:
         with contextlib.suppress(InputError):
             found.append(read_face_mesh(face.file, prim=path).mesh)
     return found
-
-
-def _moving(plan: SurfacePlan) -> BoolArray:
-    """Return which markers move with the face, by which the picture is framed."""
-    moved = plan.displacements(plan.sample.positions)
-    far = np.linalg.norm(moved, axis=2).max(axis=0)
-    return np.asarray(far >= _MOVING_SHARE * far.max(), np.bool_)

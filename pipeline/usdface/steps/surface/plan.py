@@ -225,7 +225,11 @@ def plan_surface(
     progress(0.3, "measuring distances over the mesh")
     distances = _distances(spec, face, places, out, part(progress, 0.3, 0.6))
     names = [sample.names[column] for column in columns.tolist()]
-    notes.extend([*distances.unreached.describe(names), *_coinciding_notes(names, distances)])
+    notes.extend(distances.unreached.describe(names))
+    coinciding = np.argwhere(np.triu(distances.euclidean_between < _COINCIDENCE_MM, 1)).tolist()
+    if coinciding:
+        listed = first_few([f"{names[i]} and {names[j]}" for i, j in coinciding])
+        notes.append(f"at one place of the mesh: {listed}; leave one of them out")
     progress(0.6, "fitting the regression")
     seen = sample.visible[:, columns]
     notes.extend(_unseen_notes(names, seen))
@@ -327,15 +331,6 @@ def _bind(spec: SurfaceSpec, sample: TakeSample, face: FaceMesh) -> tuple[Marker
     if face.others:
         notes.append(f"{len(face.others)} other meshes of {spec.mesh.name} do not move")
     return binding, notes
-
-
-def _coinciding_notes(names: list[str], distances: SurfaceDistances) -> list[str]:
-    """Return a note on markers at one place of the mesh."""
-    pairs = np.argwhere(np.triu(distances.euclidean_between < _COINCIDENCE_MM, 1)).tolist()
-    if not pairs:
-        return []
-    listed = first_few([f"{names[i]} and {names[j]}" for i, j in pairs])
-    return [f"at one place of the mesh: {listed}; leave one of them out"]
 
 
 def _unseen_notes(names: list[str], seen: BoolArray) -> list[str]:

@@ -119,7 +119,11 @@ def check_curves(prim: Usd.Prim) -> list[Fault]:
     ranges = _ranges(prim, samples)
     found = _out_of_range(samples, ranges)
     if len(samples.times) > 2:
-        captured = _captured(prim, samples)
+        # Gaps have a fault of their own.
+        inside = np.zeros(len(samples.times), dtype=np.bool_)
+        for first, last in read_gaps(prim):
+            inside |= (samples.times >= first) & (samples.times <= last)
+        captured = ~(inside[1:] | inside[:-1])
         found += [*_jumps(samples), *_frozen(samples, captured)]
         found += _stuck(samples, ranges, captured)
         found += [*_motionless(samples), *_side_swaps(samples)]
@@ -156,14 +160,6 @@ def _ranges(prim: Usd.Prim, samples: Samples) -> FloatArray:
             if name in place and authored is not None:
                 ranges[place[name]] = list(authored)
     return ranges
-
-
-def _captured(prim: Usd.Prim, samples: Samples) -> BoolArray:
-    """Return whether each step between samples is outside the gaps, which have their own fault."""
-    inside = np.zeros(len(samples.times), dtype=np.bool_)
-    for first, last in read_gaps(prim):
-        inside |= (samples.times >= first) & (samples.times <= last)
-    return ~(inside[1:] | inside[:-1])
 
 
 def _out_of_range(samples: Samples, ranges: FloatArray) -> list[Fault]:

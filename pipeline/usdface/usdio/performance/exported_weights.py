@@ -86,7 +86,9 @@ def read_exported_weights(path: Path) -> ExportedWeights | None:
         values = reader.edited().astype(np.float64)
         columns = dict(zip(reader.names, values.T, strict=True))
         for mesh in _meshes(stage, reader.animation.GetPath()):
-            shapes = _shapes_of_channels(mesh)
+            targets = mesh.GetBlendShapeTargetsRel().GetTargets()
+            channels = map(str, mesh.GetBlendShapesAttr().Get() or ())
+            shapes = dict(zip(channels, (each.name for each in targets), strict=False))
             of_mesh = {shape: columns[name] for name, shape in shapes.items() if name in columns}
             by_mesh.append((len(of_mesh), mesh.GetPrim().GetName(), of_mesh))
     curves: dict[str, list[MeshCurve]] = {}
@@ -137,10 +139,3 @@ def _meshes(stage: Usd.Stage, animation: Sdf.Path) -> list[UsdSkel.BindingAPI]:
             if source and source.GetPath() == animation:
                 bindings.append(binding)
     return bindings
-
-
-def _shapes_of_channels(mesh: UsdSkel.BindingAPI) -> dict[str, str]:
-    """Return the name of the shape key that each channel drives on a mesh."""
-    targets = mesh.GetBlendShapeTargetsRel().GetTargets()
-    channels = map(str, mesh.GetBlendShapesAttr().Get() or ())
-    return dict(zip(channels, (each.name for each in targets), strict=False))

@@ -272,7 +272,12 @@ def writing_weights(
         If other frames were appended than those of the header.
     """
     with new_layer(path) as layer:
-        _fill(layer, header, rig, provenance)
+        # By way of text, so that the order of tokens is deterministic.
+        written, parsed = Sdf.Layer.CreateAnonymous(), Sdf.Layer.CreateAnonymous()
+        author_header(written, header, rig)
+        author_provenance(written, provenance)
+        parsed.ImportFromString(written.ExportToString())
+        layer.TransferContent(parsed)
         writer = WeightsWriter(path, layer, header)
         yield writer
         if writer.next_frame != header.last_frame + 1:
@@ -280,15 +285,6 @@ def writing_weights(
                 f"{path}: {writer.next_frame - header.first_frame} frames were appended where "
                 f"{header.frame_count} were announced"
             )
-
-
-def _fill(layer: Sdf.Layer, header: WeightsHeader, rig: Rig, provenance: Provenance | None) -> None:
-    """Write all but the samples, by way of text, so that the order of tokens is deterministic."""
-    written, parsed = Sdf.Layer.CreateAnonymous(), Sdf.Layer.CreateAnonymous()
-    author_header(written, header, rig)
-    author_provenance(written, provenance)
-    parsed.ImportFromString(written.ExportToString())
-    layer.TransferContent(parsed)
 
 
 def animation_name(rig: Rig) -> str:

@@ -249,11 +249,6 @@ def _author_samples(layer: Sdf.Layer, references: References) -> None:
     extents.author(layer, range(1, len(references.frames) + 1), stage_points)
     for pair, row in enumerate(stage_points):
         layer.SetTimeSample(attribute.path, pair + 1, Vt.Vec3fArray.FromNumpy(row))
-    _author_source(layer, references)
-
-
-def _author_source(layer: Sdf.Layer, references: References) -> None:
-    """Write the weights of the takes at each pair."""
     if references.source is None:
         return
     animation = define_prim(layer, SOURCE_PATH, "SkelAnimation")

@@ -166,7 +166,15 @@ def _author_proposed(layer: Sdf.Layer, binding: MarkerBinding, face: BoundSurfac
     define_prim(layer, _MARKERS, "Scope")
     taken: set[str] = set()
     for index, name in enumerate(binding.names):
-        prim = define_prim(layer, _MARKERS.AppendChild(_prim_name(name, taken)), "Sphere")
+        base = unique = (
+            name if Sdf.Path.IsValidIdentifier(name) else str(Tf.MakeValidIdentifier(name))
+        )
+        number = 2
+        while unique in taken:
+            unique = f"{base}_{number}"
+            number += 1
+        taken.add(unique)
+        prim = define_prim(layer, _MARKERS.AppendChild(unique), "Sphere")
         apply_api(prim, "FaceMarkerBindingAPI")
         confidence = float(binding.confidence[index])
         weights = Vt.FloatArray([round(float(w), 6) for w in shares[index]])
@@ -187,20 +195,6 @@ def _author_proposed(layer: Sdf.Layer, binding: MarkerBinding, face: BoundSurfac
         Sdf.AttributeSpec(prim, "extent", kinds.Float3Array).default = extent
         color = [Gf.Vec3f(0.9 - 0.8 * confidence, 0.15 + 0.6 * confidence, 0.1)]
         Sdf.AttributeSpec(prim, "primvars:displayColor", kinds.Color3fArray).default = color
-
-
-def _prim_name(name: str, taken: set[str]) -> str:
-    """Return a valid and unique name of a marker's prim.
-
-    Valid Unicode names are unchanged, as corrections are found by them.
-    """
-    base = unique = name if Sdf.Path.IsValidIdentifier(name) else str(Tf.MakeValidIdentifier(name))
-    number = 2
-    while unique in taken:
-        unique = f"{base}_{number}"
-        number += 1
-    taken.add(unique)
-    return unique
 
 
 def _show_mesh(layer: Sdf.Layer, face: BoundSurface, stage: Usd.Stage, path: Path) -> None:

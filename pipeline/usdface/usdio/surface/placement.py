@@ -4,7 +4,7 @@ The asset is that of `usdio.surface.binding`, with its corrections; its surface 
 meshes of the rig, in the rig's order.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from usdface.core.sidecars import corrected_path, proposed_path
 from usdface.numerics.registration.marker_binding import MarkerBinding
 from usdface.usdio.authoring import apply_api, author_uniform, doubles
 from usdface.usdio.layers import open_stage, refusing_wrong_types
-from usdface.usdio.rig.mesh import BoundSurface, rig_surfaces
+from usdface.usdio.rig.mesh import rig_surfaces
 from usdface.usdio.surface.binding import read_binding, read_surface_hash, write_binding
 from usdface.usdio.units import MM_PER_STAGE_UNIT, stage_to_ours
 
@@ -130,24 +130,19 @@ class GivenPlaces:
 
 def read_given_places(path: Path, rig: Rig) -> GivenPlaces:
     """Read the corrections and landmarks of a binding on the rig, or on one of its meshes."""
-    surface = _surface_of(path, rig_surfaces(rig))
+    surfaces, made_on = rig_surfaces(rig), read_surface_hash(path)
+    surface = next((each for each in surfaces if each.hash == made_on), None)
+    if surface is None:
+        raise InputError(
+            f"{path}: was made on another surface than those of {surfaces[0].file}, whose points "
+            "or faces differ; give the corrections of this rig"
+        )
     read = read_binding(path, surface)
     at = read.binding.places.positions(surface.mesh.points)
     given: dict[str, dict[str, FloatArray]] = {"corrected": {}, "landmark": {}, "proposed": {}}
     for row, name in enumerate(read.binding.names):
         given[read.binding.sources[row]][name] = at[row]
     return GivenPlaces(given["corrected"], given["landmark"], read.left_out, read.authors)
-
-
-def _surface_of(path: Path, surfaces: Sequence[BoundSurface]) -> BoundSurface:
-    made_on = read_surface_hash(path)
-    for surface in surfaces:
-        if surface.hash == made_on:
-            return surface
-    raise InputError(
-        f"{path}: was made on another surface than those of {surfaces[0].file}, whose points or "
-        "faces differ; give the corrections of this rig"
-    )
 
 
 def rig_units_to_ours(rig: Rig) -> FloatArray:

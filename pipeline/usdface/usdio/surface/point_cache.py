@@ -239,7 +239,12 @@ def _writing_samples(
     with new_layer(points_file, provenance) as layer:
         _author_header(layer, face, at, header)
         _declare(layer, face, at, format_)
-        _author_method(layer, at, header)
+        prim = layer.GetPrimAtPath(at)
+        apply_api(prim, "FaceDeformAPI")
+        author_uniform(prim, "face:deform:method", Sdf.ValueTypeNames.Token, header.method)
+        if header.timecode_start:
+            kind = Sdf.ValueTypeNames.String
+            author_uniform(prim, "face:timecode:start", kind, header.timecode_start)
         if frames * _frame_bytes(face, format_) <= format_.clip_bytes:
             writer = PointsWriter(face, at, format_)
             writer._layer, writer.next_frame = layer, header.first_frame
@@ -313,15 +318,6 @@ def _declare(layer: Sdf.Layer, face: FaceMesh, at: Sdf.Path, format_: PointsForm
     if format_.uncertainty:
         uncertainty = Sdf.AttributeSpec(prim, UNCERTAINTY, kinds.FloatArray)
         uncertainty.SetInfo("interpolation", "vertex")
-
-
-def _author_method(layer: Sdf.Layer, at: Sdf.Path, header: PointsHeader) -> None:
-    prim = layer.GetPrimAtPath(at)
-    apply_api(prim, "FaceDeformAPI")
-    author_uniform(prim, "face:deform:method", Sdf.ValueTypeNames.Token, header.method)
-    if header.timecode_start:
-        kind = Sdf.ValueTypeNames.String
-        author_uniform(prim, "face:timecode:start", kind, header.timecode_start)
 
 
 def _author_clips(

@@ -234,7 +234,9 @@ class TakeReader:
         if not attribute or not attribute.HasAuthoredValue():
             return np.broadcast_to(np.ones((), kind), shape)
         # Values are written where they change: read no frames between samples.
-        times = self._sample_times(attribute)
+        if attribute.GetName() not in self._times:  # USD makes a list of all each time
+            self._times[attribute.GetName()] = np.array(attribute.GetTimeSamples())
+        times = self._times[attribute.GetName()]
         if not len(times):
             times = np.array([frames[0]])
         wanted = np.asarray(frames)
@@ -260,12 +262,6 @@ class TakeReader:
         if attribute.GetName() not in self._queries:
             self._queries[attribute.GetName()] = Usd.AttributeQuery(attribute)
         return self._queries[attribute.GetName()]
-
-    def _sample_times(self, attribute: Usd.Attribute) -> np.ndarray:
-        """Return an attribute's sample times, cached, as USD makes a list of all each time."""
-        if attribute.GetName() not in self._times:
-            self._times[attribute.GetName()] = np.array(attribute.GetTimeSamples())
-        return self._times[attribute.GetName()]
 
     @refusing_wrong_types
     def read_source(self, frames: range) -> WeightsClip | None:
