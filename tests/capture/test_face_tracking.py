@@ -11,7 +11,7 @@ import pytest
 from tests.capture.simulated_faces import SCORES, SimulatedFinder, turning_head
 from usdface.capture.face_landmarker import FaceLandmarker, check_model, named_model
 from usdface.capture.face_landmarks import LANDMARK_COUNT, LANDMARKS
-from usdface.capture.face_tracking import FaceTracker, detect_faces
+from usdface.capture.face_tracking import LASTING_PICTURES, FaceTracker, detect_faces
 from usdface.core.errors import InputError
 from usdface.model.placement.label_hints import label_hint, mirrored_label
 
@@ -20,10 +20,11 @@ PICTURE = np.zeros((480, 640, 3), np.uint8)
 
 def follow(finder: SimulatedFinder, count: int, choice=None, *, mirrored: bool = False):
     tracker = FaceTracker(choice, mirrored=mirrored)
-    for number in range(count):
-        found = detect_faces(finder, PICTURE, mirrored=mirrored)
+    pictures = [detect_faces(finder, PICTURE, mirrored=mirrored) for _ in range(count)]
+    tracker.choose(pictures[:LASTING_PICTURES])
+    for number, found in enumerate(pictures):
         tracker.add(found, where=f"clip.mp4 picture {number}")
-    return tracker.track(SCORES)
+    return tracker.track(SCORES, (640, 480))
 
 
 def test_names_say_part_and_side_and_mirror_each_other() -> None:
@@ -82,6 +83,27 @@ def test_the_other_face_is_never_measured_while_one_is_lost(choice: str) -> None
     track = follow(SimulatedFinder(two, focal_pixels=600), 9, choice)
     np.testing.assert_array_equal(np.flatnonzero(~track.seen), [3, 4, 5])
     assert np.ptp(track.positions[track.seen, :, 0].mean(axis=1)) < 20
+
+
+@pytest.mark.parametrize("choice", ["left", "right"])
+def test_the_wanted_face_may_be_missed_or_a_false_one_found_at_the_start(choice: str) -> None:
+    """Models find some faces only from the third picture on."""
+    near, far, false = (
+        turning_head(0, at=at) for at in ((90, 0, -600), (-150, 0, -800), (0, 0, -700))
+    )
+
+    def two(number: int):
+        if number < 2:
+            return [near if choice == "left" else far]
+        return [near, far, np.add(false, [300 if choice == "right" else -300, 0, 0])][
+            : 3 if number == 4 else 2
+        ]
+
+    track = follow(SimulatedFinder(two, focal_pixels=600), 15, choice)
+    np.testing.assert_array_equal(np.flatnonzero(~track.seen), [0, 1])
+    middle = track.positions[2:, :, 0].mean(axis=1)
+    assert np.ptp(middle) < 20
+    assert 0 < middle.mean() < 320 if choice == "left" else 320 < middle.mean() < 500
 
 
 def test_one_face_that_is_found_twice_is_one() -> None:

@@ -1,6 +1,8 @@
 """Tracking of one face through pictures, from detections in each picture and its mirror image."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import mode
 from typing import Literal, Protocol
 
 import numpy as np
@@ -17,7 +19,7 @@ _SAME_FACE = 0.5
 _BACKGROUND_SHARE = 0.5
 """Breadth relative to the broadest face below which a detection is ignored: a person at twice the
 distance, or hair and patterns detected as small faces."""
-_LASTING_PICTURES = 12
+LASTING_PICTURES = 12
 """Half a second at 24 pictures per second: shorter second faces are false detections."""
 _DOUBTED_RATIO = 3.0
 """Difference relative to the median over the take above which confidence falls: exceeded by 1 in
@@ -90,11 +92,19 @@ class FaceTrack:
     scores: Float32Array
     """(pictures, scores): the model's weights, mean of picture and mirror image; NaN without a
     face."""
+    size: tuple[int, int]
+    """Width and height of the pictures [pixels]."""
 
     @property
     def seen(self) -> BoolArray:
         """(pictures,): whether there is a face."""
         return np.isfinite(self.positions[:, 0, 0])
+
+    @property
+    def outside(self) -> BoolArray:
+        """(pictures, markers): whether the picture's edge cuts a landmark off."""
+        at = self.positions[..., :2]
+        return np.asarray(((at < 0) | (at > self.size)).any(axis=-1))
 
     def jumps(self) -> BoolArray:
         """Return the first pictures after a cut: (pictures,) bool.
@@ -171,6 +181,20 @@ class FaceTracker:
         self._crowded_pictures = 0
         self._rows: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray | None]] = []
 
+    def choose(self, opening: Sequence[PictureFaces]) -> None:
+        """Choose the face to start with from the first pictures, if a choice was given.
+
+        The first picture may lack a face that the next ones show, and some show false faces: the
+        first picture that has as many faces as most of them decides.
+        """
+        pictures = [faces for each in opening if (faces := _distinct(each.direct))]
+        if self._choice is None or not pictures:
+            return
+        usual = mode(map(len, pictures))
+        face = self._pick(next(faces for faces in pictures if len(faces) == usual))
+        assert face is not None
+        self._last = face.landmarks
+
     def add(self, found: PictureFaces, *, where: str) -> bool:
         """Add the face of the next picture; return whether there is one.
 
@@ -179,7 +203,7 @@ class FaceTracker:
         faces = _distinct(found.direct)
         marker_count = len(LANDMARKS.names)
         self._crowded_pictures = self._crowded_pictures + 1 if len(faces) > 1 else 0
-        lasting = self._last is None or self._crowded_pictures >= _LASTING_PICTURES
+        lasting = self._last is None or self._crowded_pictures >= LASTING_PICTURES
         if len(faces) > 1 and lasting and self._choice is None:
             raise InputError(
                 f"{where}: {len(faces)} faces in the picture; choose one with --face largest, left "
@@ -208,8 +232,8 @@ class FaceTracker:
         self._rows.append((positions, difference, face.scores, mirrored_scores))
         return True
 
-    def track(self, score_names: tuple[str, ...]) -> FaceTrack:
-        """Return the pictures so far.
+    def track(self, score_names: tuple[str, ...], size: tuple[int, int]) -> FaceTrack:
+        """Return the pictures so far, of a width and height.
 
         `score_names`: of the `FaceDetector`; scores of mirror images have left and right exchanged.
         """
@@ -223,6 +247,7 @@ class FaceTracker:
             np.array([row[0] for row in self._rows], np.float32),
             np.array([row[1] for row in self._rows], np.float32),
             np.array([np.broadcast_to(each, count) for each in scores], np.float32),
+            size,
         )
 
     def _pick(self, faces: list[FaceDetection]) -> FaceDetection | None:

@@ -6,6 +6,7 @@ Cameras are those of a calibration, of options, or of the file's metadata.
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from itertools import chain, islice
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from usdface.capture.channel_take import gap_ranges
 from usdface.capture.face_gaze import LOOK_SHAPES, gaze_angles
 from usdface.capture.face_landmarker import KNOWN_MODELS
 from usdface.capture.face_landmarks import LANDMARKS
-from usdface.capture.face_tracking import FaceTrack, FaceTracker
+from usdface.capture.face_tracking import LASTING_PICTURES, FaceTrack, FaceTracker
 from usdface.capture.marker_take import CaptureHeader, CaptureOptions, build_marker_take
 from usdface.core.arrays import Float32Array
 from usdface.core.assets import Take, Video, WeightsClip
@@ -31,7 +32,7 @@ from usdface.model.placement.plausibility import check_findings, judge_markers
 from usdface.numerics.rigid.perspective import PinholeCamera
 from usdface.runner.result import StepResult
 from usdface.specs.capture import TrackSpec
-from usdface.steps.capture.track_notes import check_faces, track_notes
+from usdface.steps.capture.track_notes import DOUBTFUL_SHARE, check_faces, track_notes
 from usdface.steps.capture.track_pictures import (
     FIRST_VIDEO_FRAME,
     PictureDetector,
@@ -72,10 +73,13 @@ def run(spec: TrackSpec, *, provenance: Provenance, progress: Progress = silent)
         for number, (path, video, timing) in enumerate(zip(paths, videos, timings, strict=True)):
             share = part(progress, 0.95 * number / len(paths), 0.95 * (number + 1) / len(paths))
             detected = detector.detect(path, video, timing, share)
+            opening = list(islice(detected, LASTING_PICTURES))
             tracker = FaceTracker(spec.face, mirrored=spec.quality == "final")
-            for index, found in zip(timing.pictures.tolist(), detected, strict=True):
+            tracker.choose(opening)
+            faces = chain(opening, detected)
+            for index, found in zip(timing.pictures.tolist(), faces, strict=True):
                 tracker.add(found, where=f"{path} at {video.times[index]:.2f} s")
-            track = tracker.track(detector.score_names)
+            track = tracker.track(detector.score_names, _picture_size(video))
             check_faces(path, track)
             clips.append(_Clip(video, timing, track))
         return _write(spec, clips, cameras, notes, detector, provenance, progress)
@@ -194,7 +198,9 @@ def _neutral_frame(
     if neutral is None:
         expressive = [at for at, name in enumerate(names) if not name.startswith(("eyeLook", "_"))]
         expression = view.scores[:, expressive].sum(axis=1)
-        neutral = int(np.argmin(np.where(view.present, expression, np.inf))) + view.first_frame
+        trusted = (view.visible & (view.confidence >= 0.5)).mean(axis=1)
+        usable = view.present & (trusted >= trusted.max() - DOUBTFUL_SHARE)
+        neutral = int(np.argmin(np.where(usable, expression, np.inf))) + view.first_frame
         return neutral, [f"frame {neutral} has the least expression, and is used as neutral"]
     row = neutral - view.first_frame
     if not (0 <= row < len(view.present) and view.present[row]):

@@ -7,7 +7,7 @@ import numpy as np
 
 from usdface.capture.face_landmarks import LANDMARKS
 from usdface.capture.face_tracking import FaceTrack
-from usdface.core.arrays import IntArray, runs
+from usdface.core.arrays import BoolArray, IntArray, runs
 from usdface.core.errors import InputError
 from usdface.core.text import first_few, frame_ranges, pluralize
 
@@ -24,10 +24,10 @@ _BLINK_RATE = 15.0
 """Pictures per second that show a blink, which lasts 0.1 to 0.2 s."""
 
 
-_COVERED_SHARE = 0.05
+DOUBTFUL_SHARE = 0.05
 """Share of the landmarks with a confidence below a half: 0.00 to 0.01 in most pictures of an
 uncovered face, 0.1 to 0.4 with a hand in front of it."""
-_COVERED_SECONDS = 0.25
+_LASTING_SECONDS = 0.25
 """Shortest duration that is noted; interruptions up to twice that are included."""
 
 
@@ -45,9 +45,10 @@ def check_faces(video: Path, track: FaceTrack) -> None:
     # In an upright face, the performer's left eye is on the right.
     roll = np.degrees(np.arctan2(np.median(across[:, 1]), np.median(across[:, 0])))
     if abs(roll) > _LYING_DEGREES:
+        quarter = 90 * round(roll / 90)  # ffmpeg counts counterclockwise, as `roll` does clockwise
         raise InputError(
             f"{video}: the face is rotated by {roll:.0f} degrees in the picture; rotate the video "
-            "first (ffmpeg -display_rotation 90 -i IN -c copy OUT, or -90)"
+            f"first (ffmpeg -display_rotation {quarter} -i IN -c copy OUT)"
         )
 
 
@@ -65,7 +66,7 @@ def track_notes(track: FaceTrack, *, rate: Fraction, frames: IntArray) -> list[s
     if not seen.all():
         missing = (
             f"no face, or not the tracked one, in {pluralize(int((~seen).sum()), 'picture')} of "
-            f"{len(seen)}: these are gaps"
+            f"{len(seen)}, {_named(runs(~seen), frames)}: these are gaps"
         )
         if seen.mean() < _USUAL_SHARE:
             missing += (
@@ -86,13 +87,7 @@ def track_notes(track: FaceTrack, *, rate: Fraction, frames: IntArray) -> list[s
             "breadth (usually 0.5 to 0.8 %): the face is partly covered, turned away, in the dark "
             "or upside down, and many landmarks are inaccurate"
         )
-    covered = _covered_stretches(track, float(rate))
-    if covered:
-        stretches = [(int(frames[start]), int(frames[stop - 1])) for start, stop in covered]
-        notes.append(
-            f"{frame_ranges(stretches)}: the face is partly covered, as by a hand, or turned away: "
-            "landmarks are inaccurate there, with low confidence; choose no references there"
-        )
+    notes += _doubtful_frames(track, float(rate), frames)
     cuts = frames[np.flatnonzero(track.jumps())]
     if len(cuts):
         notes.append(
@@ -111,16 +106,42 @@ def track_notes(track: FaceTrack, *, rate: Fraction, frames: IntArray) -> list[s
     return notes
 
 
-def _covered_stretches(track: FaceTrack, rate: float) -> list[tuple[int, int]]:
-    """Return the rows, (start, stop), where many landmarks have low confidence for a while."""
-    both_seen = np.isfinite(track.difference).all(axis=1)
-    doubtful = (track.confidence() < 0.5).mean(axis=1) > _COVERED_SHARE
+def _doubtful_frames(track: FaceTrack, rate: float, frames: IntArray) -> list[str]:
+    """Return notes on the frames in which the face is covered, or cut off by the picture's edge."""
+    notes = []
+    both_seen = np.isfinite(track.difference).all(axis=1, keepdims=True)
+    covered = _lasting(np.asarray(both_seen & (track.confidence() < 0.5)), rate)
+    if covered:
+        notes.append(
+            f"{_named(covered, frames)}: the face is partly covered, as by a hand, or turned away: "
+            "landmarks are inaccurate there, with low confidence; choose no references there"
+        )
+    cut_off = _lasting(track.outside, rate)
+    if cut_off:
+        notes.append(
+            f"{_named(cut_off, frames)}: the picture's edge cuts off up to "
+            f"{track.outside.mean(axis=1).max():.0%} of the landmarks: these are gaps; choose no "
+            "references there, and film the whole face"
+        )
+    return notes
+
+
+def _lasting(doubtful: BoolArray, rate: float) -> list[tuple[int, int]]:
+    """Return the rows, (start, stop), in which many landmarks are doubtful for a while.
+
+    `doubtful` is (pictures, markers).
+    """
     stretches: list[tuple[int, int]] = []
-    for start, stop in runs(np.asarray(both_seen & doubtful)):
-        if stretches and start - stretches[-1][1] <= 2 * _COVERED_SECONDS * rate:
+    for start, stop in runs(np.asarray(doubtful.mean(axis=1) > DOUBTFUL_SHARE)):
+        if stretches and start - stretches[-1][1] <= 2 * _LASTING_SECONDS * rate:
             start = stretches.pop()[0]
         stretches.append((start, stop))
-    return [each for each in stretches if each[1] - each[0] >= _COVERED_SECONDS * rate]
+    return [each for each in stretches if each[1] - each[0] >= _LASTING_SECONDS * rate]
+
+
+def _named(stretches: list[tuple[int, int]], frames: IntArray) -> str:
+    """Return the frames of rows, (start, stop), as text."""
+    return frame_ranges((int(frames[start]), int(frames[stop - 1])) for start, stop in stretches)
 
 
 def eye_columns() -> tuple[IntArray, IntArray]:

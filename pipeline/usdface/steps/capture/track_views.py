@@ -73,7 +73,8 @@ def measure_view(
     scores = _on_frames(track.scores.astype(np.float64)[seen], timing.frames[seen], rows)
     positions = positions.reshape(len(rows), -1, 3)
     closed = closed_eyes(positions, present)
-    visible = present[:, None] & ~_turned_away(positions) & ~_behind_lids(closed)
+    outside = _on_frames(track.outside.astype(np.float64)[seen], timing.frames[seen], rows) > 0
+    visible = present[:, None] & ~outside & ~_turned_away(positions) & ~_behind_lids(closed)
     return FaceView(timing.first_frame, positions, confidence, visible, present, scores, closed)
 
 
