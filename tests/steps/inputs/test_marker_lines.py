@@ -159,7 +159,8 @@ def test_markers_without_labels_are_joined_by_where_they_lie_on_the_rig(
     for line in by_place:
         assert all(name.startswith(rows) for name in line), line
         kinds = {next(row for row in rows if name.startswith(row)) for name in line}
-        assert len(kinds - {"mouth_corner"}) <= 1, "no line from one row to another"
+        at_corner = all(name.endswith("3") for name in line)  # may be placed beyond the corner
+        assert at_corner or len(kinds - {"mouth_corner"}) <= 1, "no line from one row to another"
 
 
 def test_rows_are_found_whichever_way_the_face_looks() -> None:
