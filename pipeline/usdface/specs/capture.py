@@ -309,7 +309,7 @@ class CleanSpec(Spec):
     max_gap: Annotated[int, Field(ge=0)] | None = None
     """Longest gap to fill, in frames. Default: 2 seconds. Longer gaps keep confidence 0."""
     relabel: bool = True
-    """Correct swapped labels and mistracked markers."""
+    """Correct swapped labels and mistracked markers; not of landmarks, which a model names."""
     report: ImageOut | None = None
     """Picture of the repairs to write, per marker over time."""
     smooth: bool = True

@@ -14,7 +14,12 @@ from usdface.core.provenance import Provenance
 from usdface.core.sidecars import samples_path
 from usdface.core.text import first_few, pluralize
 from usdface.media.picture.image import write_image
-from usdface.model.placement.label_hints import is_on_headgear, label_hint, skin_motion_mm
+from usdface.model.placement.label_hints import (
+    are_image_landmarks,
+    is_on_headgear,
+    label_hint,
+    skin_motion_mm,
+)
 from usdface.numerics.repair.cleaning import clean_markers
 from usdface.numerics.rigid.rigid_markers import RigidMarkers, find_rigid_markers
 from usdface.runner.result import StepResult
@@ -81,7 +86,8 @@ def run(spec: CleanSpec, *, provenance: Provenance, progress: Progress = silent)
             skin_motion_mm=prior,
             max_gap=max_gap,
             smooth=spec.smooth,
-            relabel=spec.relabel,
+            # A model names landmarks by what they show.
+            relabel=spec.relabel and not are_image_landmarks(markers.names),
             progress=part(progress, 0.1, 0.9),
         )
     except ValueError as error:
