@@ -120,6 +120,7 @@ def test_uneven_pictures_lie_at_their_times(tracked, tmp_path) -> None:
     result, take = tracked(video, nodding)
     assert (take.rate, take.frame_count) == (30, 18)
     assert any("the video's rate varies" in note for note in result.notes)
+    assert any(note.startswith("no pictures in frames 11-15") for note in result.notes)
     seen = take.markers.visible.any(axis=1)
     np.testing.assert_array_equal(np.flatnonzero(~seen), np.arange(10, 15))
     nose = take.markers.positions[:, take.markers.names.index("nose_tip_1")]

@@ -10,6 +10,7 @@ from usdface.capture.face_tracking import FaceTrack
 from usdface.core.arrays import BoolArray, IntArray, runs
 from usdface.core.errors import InputError
 from usdface.core.text import first_few, frame_ranges, pluralize
+from usdface.steps.capture.track_pictures import LONGEST_BRIDGED
 
 _SMALLEST_EYE_PIXELS = 30.0
 """Distance between the eyes: the model's input of 192 or 256 pixels has about 70."""
@@ -74,6 +75,10 @@ def track_notes(track: FaceTrack, *, rate: Fraction, frames: IntArray) -> list[s
                 "behind or in the dark"
             )
         notes.append(missing)
+    pauses = np.flatnonzero(np.diff(frames) > LONGEST_BRIDGED)
+    if len(pauses):
+        without = [(int(frames[at]) + 1, int(frames[at + 1]) - 1) for at in pauses]
+        notes.append(f"no pictures in {frame_ranges(without)}: the video pauses; these are gaps")
     unsure = seen & ~np.isfinite(track.difference[:, 0])
     if unsure.any():
         notes.append(

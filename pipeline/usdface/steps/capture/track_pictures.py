@@ -25,6 +25,9 @@ from usdface.specs.capture import TrackSpec
 from usdface.specs.paths import frame_range
 from usdface.usdio.take.detections import read_detections, write_detections
 
+LONGEST_BRIDGED = 2.5
+"""Largest distance in frames of two pictures to interpolate between: one may be missing."""
+
 FIRST_VIDEO_FRAME = 1
 
 _STRETCH_PICTURES = 240

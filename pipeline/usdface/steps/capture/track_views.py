@@ -20,10 +20,8 @@ from usdface.numerics.rigid.camera_views import (
 )
 from usdface.numerics.rigid.perspective import PinholeCamera, unproject_head
 from usdface.steps.capture.track_notes import eye_columns
-from usdface.steps.capture.track_pictures import PictureTiming
+from usdface.steps.capture.track_pictures import LONGEST_BRIDGED, PictureTiming
 
-_LONGEST_BRIDGED = 2.5
-"""Largest distance in frames of two pictures to interpolate between: one may be missing."""
 _PROFILE_SINE = 0.17
 """Sine of 10 degrees: skin turned away further than that beyond the silhouette is not visible."""
 _HIDDEN_WEIGHT = 0.1
@@ -178,7 +176,7 @@ def _even_rows(frames: FloatArray, seen: BoolArray) -> tuple[IntArray, BoolArray
     rows = np.arange(int(np.floor(frames[-1])) + 1)
     before = np.clip(np.searchsorted(frames, rows + 1e-6) - 1, 0, len(frames) - 1)
     after = np.where(frames[before] >= rows - 1e-6, before, np.minimum(before + 1, len(frames) - 1))
-    near = frames[after] - frames[before] <= _LONGEST_BRIDGED
+    near = frames[after] - frames[before] <= LONGEST_BRIDGED
     return rows, seen[before] & seen[after] & near
 
 
