@@ -488,6 +488,10 @@ def test_an_animation_of_the_rig_s_joints_is_named_until_it_plays_again(tmp_path
     played = UsdSkel.Animation(reader.animation).GetTransforms(1010)
     assert played[0].ExtractTranslation() == (0, 7, 0)
     np.testing.assert_array_equal(reader.solved(), WEIGHTS)
+    execute(PackageSpec(performance=path, out=tmp_path / "review.usdz"))
+    packed = PerformanceReader(tmp_path / "review.usdz")
+    played = UsdSkel.Animation(packed.animation).GetTransforms(1010)
+    assert played[0].ExtractTranslation() == (0, 7, 0)
 
 
 def test_a_performance_instanced_in_a_shot_is_read_and_not_edited(tmp_path: Path) -> None:

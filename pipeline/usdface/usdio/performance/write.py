@@ -88,6 +88,7 @@ def write_package(
         prim.specifier = Sdf.SpecifierDef
         prim.referenceList.prependedItems = [Sdf.Reference(str(rig_file), source)]
         copy_variants(top, reader.stage, str(rig_path), rig_file, str(source))
+        _keep_joint_animation(top, opened.GetPrimAtPath(reader.animation.GetPath()))
         save_layer(top, target)
         _, _, missing = UsdUtils.ComputeAllDependencies(str(top_file))
         if missing:
@@ -102,6 +103,15 @@ def write_package(
             "elsewhere"
         )
     _zero_times(target)
+
+
+def _keep_joint_animation(top: Sdf.Layer, solve: Sdf.PrimSpec | None) -> None:
+    """Copy a solve's reference to the animation of joints of its rig, which plays with it."""
+    if solve is None:
+        return
+    inside = [each for each in solve.referenceList.GetAppliedItems() if not each.assetPath]
+    if inside:
+        Sdf.CreatePrimInLayer(top, solve.path).referenceList.prependedItems = inside
 
 
 def _moved_layer(file: Path, moved: Sdf.LayerOffset, folder: Path) -> Path:
