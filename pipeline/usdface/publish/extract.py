@@ -22,6 +22,7 @@ from usdface.specs.review import MovieSpec, SheetSpec
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.write import writing_top
 from usdface.usdio.rig.read import read_rig
+from usdface.usdio.rig.reference import replaced_motion_notes
 
 log = logging.getLogger(__name__)
 
@@ -125,7 +126,8 @@ def _extract(
     header, made_by = reader.header, make_provenance(bake)
     with writing_top(opened, header, rig, shown=reader.stage, provenance=made_by):
         execute(bake, progress=part(progress, 0.0, 0.3))
-    for note in PerformanceReader(opened).replaced_motion_notes():
+    published = PerformanceReader(opened)
+    for note in replaced_motion_notes(published.stage, published.animation):
         log.warning("%s: %s", opened.name, note)
     files = {"performance": opened.name, "weights": bake.out.name}
     if item.take is None:

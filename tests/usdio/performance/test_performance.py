@@ -23,6 +23,7 @@ from usdface.usdio.performance.weights_layer import make_header
 from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.rig.posed_points import PosedRig
 from usdface.usdio.rig.read import read_rig
+from usdface.usdio.rig.reference import replaced_motion_notes
 from usdface.usdio.rig.write import write_rig
 from usdface.usdio.validation import validate
 
@@ -477,14 +478,15 @@ def test_an_animation_of_the_rig_s_joints_is_named_until_it_plays_again(tmp_path
     source.SetTargets(["/Hero/body"])
     stage.Save()
     path = write(tmp_path, place="/World/Face")
-    (note,) = PerformanceReader(path).replaced_motion_notes()
+    reader = PerformanceReader(path)
+    (note,) = replaced_motion_notes(reader.stage, reader.animation)
     assert "1 joint, </World/Face/body>" in note
     layer = Sdf.Layer.FindOrOpen(str(path))
     solve = Sdf.CreatePrimInLayer(layer, "/World/Face/FaceSolve")
     solve.referenceList.prependedItems = [Sdf.Reference("", "/World/Face/body")]
     layer.Save()
     reader = PerformanceReader(path)
-    assert reader.replaced_motion_notes() == []
+    assert replaced_motion_notes(reader.stage, reader.animation) == []
     played = UsdSkel.Animation(reader.animation).GetTransforms(1010)
     assert played[0].ExtractTranslation() == (0, 7, 0)
     np.testing.assert_array_equal(reader.solved(), WEIGHTS)

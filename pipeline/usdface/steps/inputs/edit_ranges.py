@@ -1,4 +1,4 @@
-"""Edited ranges of a performance, and notes on edits after mapping again."""
+"""Edited ranges of a performance, and notes on a new solve below them."""
 
 from dataclasses import dataclass
 from itertools import starmap
@@ -11,6 +11,7 @@ from usdface.core.sidecars import edits_path
 from usdface.core.text import first_few, pluralize
 from usdface.usdio.performance.edits import edited_frames, edits_elsewhere, read_edits
 from usdface.usdio.performance.read import PerformanceReader
+from usdface.usdio.rig.reference import replaced_motion_notes
 
 NOTABLE_CHANGE = 0.1
 """Change of the solved weight below an edit that is reported: a tenth of a shape is visible."""
@@ -76,7 +77,7 @@ def edits_outside(reader: PerformanceReader) -> list[str]:
 def performance_notes(performance: Path) -> list[str]:
     """Return notes on a new solve: on motion of the rig that it replaces, and on edits above it."""
     reader = PerformanceReader(performance)
-    notes = reader.replaced_motion_notes()
+    notes = replaced_motion_notes(reader.stage, reader.animation)
     return [*notes, *_edit_notes(reader)] if edits_path(performance).is_file() else notes
 
 

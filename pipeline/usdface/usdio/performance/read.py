@@ -34,7 +34,7 @@ from usdface.usdio.performance.weights_layer import (
     UNSEEN_REGIONS,
     WeightsHeader,
 )
-from usdface.usdio.rig.read import combinations_below, skeletons_of
+from usdface.usdio.rig.read import combinations_below
 from usdface.usdio.rig.reference import rig_of, rig_path_of
 
 _CONFIDENCE_RANGE = (0.001, 0.9999)
@@ -129,26 +129,6 @@ class PerformanceReader:
             f"{self.path.name}, {float(self.rate):g} per second: left out, weights at frames are "
             "interpolated; to keep them, author the capture's timeCodesPerSecond in that layer"
         ]
-
-    @refusing_wrong_types
-    def replaced_motion_notes(self) -> list[str]:
-        """Return a note if the rig's skeletons have an animation of joints, which this replaces."""
-        file, prim = self.rig()
-        rig_path = rig_path_of(self.stage, self.animation)
-        ours = names_in(UsdSkel.Animation(self.animation).GetJointsAttr())
-        stage = open_stage(file)  # prims do not outlive their stage
-        for skeleton in skeletons_of(stage.GetPrimAtPath(prim)):
-            source = UsdSkel.BindingAPI(skeleton).GetInheritedAnimationSource()
-            joints = names_in(UsdSkel.Animation(source).GetJointsAttr()) if source else ()
-            if not set(joints) <= set(ours):
-                at = source.GetPath().ReplacePrefix(Sdf.Path(prim).GetPrefixes()[0], rig_path)
-                return [
-                    f"{file.name} has an animation of {pluralize(len(joints), 'joint')}, <{at}>, "
-                    "which the solve replaces, as a skeleton has one: the joints rest. To keep "
-                    f"it, add `references = <{at}>` to <{self.animation.GetPath()}> in "
-                    f"{self.path.name}"
-                ]
-        return []
 
     @property
     @refusing_wrong_types

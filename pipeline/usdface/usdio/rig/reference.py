@@ -11,8 +11,20 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 
 from usdface.core.assets import Rig
 from usdface.core.errors import InputError
-from usdface.usdio.authoring import apply_api, author_uniform, check_not_instanced, define_prim
-from usdface.usdio.layers import open_stage, relative_path, usd_errors_as_input_errors
+from usdface.core.text import pluralize
+from usdface.usdio.authoring import (
+    apply_api,
+    author_uniform,
+    check_not_instanced,
+    define_prim,
+    names_in,
+)
+from usdface.usdio.layers import (
+    open_stage,
+    refusing_wrong_types,
+    relative_path,
+    usd_errors_as_input_errors,
+)
 from usdface.usdio.rig.read import skeletons_of
 from usdface.usdio.units import MM_PER_STAGE_UNIT, stage_to_ours
 
@@ -189,6 +201,30 @@ def rig_of(stage: Usd.Stage, animation: Usd.Prim) -> tuple[Path, str]:
     if moved is None:
         remedy = "write the performance on it where it is by `usdface join PERFORMANCE --rig RIG`"
     raise InputError(f"{where}: its rig, {file}, is gone; put it back, or {remedy}")
+
+
+@refusing_wrong_types
+def replaced_motion_notes(stage: Usd.Stage, animation: Usd.Prim) -> list[str]:
+    """Return a note if the rig's skeletons have an animation of joints, which another replaces."""
+    file, prim = rig_of(stage, animation)
+    rig_path, ours = rig_path_of(stage, animation), _joints(animation)
+    rig_stage = open_stage(file)  # prims do not outlive their stage
+    for skeleton in skeletons_of(rig_stage.GetPrimAtPath(prim)):
+        source = UsdSkel.BindingAPI(skeleton).GetInheritedAnimationSource()
+        joints = _joints(source) if source else ()
+        if not set(joints) <= set(ours):
+            at = source.GetPath().ReplacePrefix(Sdf.Path(prim).GetPrefixes()[0], rig_path)
+            return [
+                f"{file.name} has an animation of {pluralize(len(joints), 'joint')}, <{at}>, "
+                "which the solve replaces, as a skeleton has one: the joints rest. To keep "
+                f"it, add `references = <{at}>` to <{animation.GetPath()}> in "
+                f"{Path(stage.GetRootLayer().realPath).name}"
+            ]
+    return []
+
+
+def _joints(animation: Usd.Prim) -> tuple[str, ...]:
+    return names_in(UsdSkel.Animation(animation).GetJointsAttr())
 
 
 _MOVED_RIG = "USDFACE_MOVED_RIG"
