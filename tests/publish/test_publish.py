@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Sdf, Usd
+from pxr import Gf, Sdf, Usd, UsdSkel
 
 from tests.regenerate import REPOSITORY
 from tests.steps.small_shot import FRAMES, Shot
@@ -33,7 +33,7 @@ from usdface.specs.edits import EditSpec, PackageSpec
 from usdface.specs.performance import JoinSpec, MapSpec
 from usdface.specs.review import SheetSpec
 from usdface.usdio.layers import new_layer
-from usdface.usdio.performance.read import read_performance
+from usdface.usdio.performance.read import PerformanceReader, read_performance
 from usdface.usdio.performance.weights_layer import make_header
 from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.rig.read import read_rig
@@ -181,6 +181,67 @@ def test_a_version_and_a_package_show_the_variant_that_was_chosen(
     shown = Usd.Stage.Open(str(package))
     shown.Reload()
     assert shown.GetDefaultPrim().GetAttribute("hair").Get() == "long"
+
+
+@pytest.mark.parametrize("opened", ["shot.hero.usda", "cut.usda"])
+def test_a_version_and_a_package_play_the_joints_that_the_performance_plays(
+    shot: Shot, tmp_path: Path, opened: str
+) -> None:
+    rig = Usd.Stage.Open(str(shot / "hero.usdc"))
+    top = rig.GetDefaultPrim()
+    skeleton = next(each for each in rig.Traverse() if each.IsA(UsdSkel.Skeleton))
+    body = UsdSkel.Animation.Define(rig, top.GetPath().AppendChild("body"))
+    body.GetJointsAttr().Set(UsdSkel.Skeleton(skeleton).GetJointsAttr().Get())
+    body.SetTransforms([Gf.Matrix4d(1).SetTranslate((0, 7, 0))], 50)
+    bound = UsdSkel.BindingAPI.Apply(skeleton).CreateAnimationSourceRel()
+    bound.SetTargets([body.GetPath()])
+    rig.Save()
+    performance = Sdf.Layer.FindOrOpen(str(shot / "shot.hero.usda"))
+    solve = Sdf.CreatePrimInLayer(performance, top.GetPath().AppendChild("FaceSolve"))
+    solve.referenceList.prependedItems = [Sdf.Reference("", body.GetPath())]
+    performance.Save()
+    if opened == "cut.usda":
+        cut = Sdf.Layer.CreateNew(str(shot / opened))
+        cut.TransferContent(performance)
+        cut.subLayerPaths.clear()
+        cut.rootPrims.clear()
+        placed = Sdf.CreatePrimInLayer(cut, "/cast/actor")
+        placed.specifier = placed.nameParent.specifier = Sdf.SpecifierDef
+        moved = Sdf.LayerOffset(40)
+        reference = Sdf.Reference("./shot.hero.usda", top.GetPath(), moved)
+        placed.referenceList.prependedItems = [reference]
+        cut.defaultPrim = "cast"
+        cut.Save()
+    (item,) = collect_performances([shot / opened])
+    extracted = extract_performance(item, tmp_path, review=NO_REVIEW)
+    execute(PackageSpec(performance=shot / opened, out=tmp_path / "review.usdz"))
+    reader = PerformanceReader(shot / opened)
+    wanted = UsdSkel.Animation(reader.animation).GetTranslationsAttr()
+    assert len(wanted.GetTimeSamples()) == 1
+    for file in (extracted.path("performance"), tmp_path / "review.usdz"):
+        got = PerformanceReader(file)
+        played = UsdSkel.Animation(got.animation).GetTranslationsAttr()
+        assert played.GetTimeSamples() == wanted.GetTimeSamples()
+
+
+def test_a_version_turns_the_head_as_the_performance_does(shot: Shot, tmp_path: Path) -> None:
+    hero = shot / "shot.hero.usda"
+    execute(
+        MapSpec(
+            take=shot / "shot.clean.take.usda",
+            mapping=shot / "hero.mapping.usdc",
+            rig=shot / "hero.usdc",
+            out=hero,
+            drive=("head=head",),
+        ),
+        overwrite=True,
+    )
+    published = publish(shot, tmp_path)
+    assert published.files["head"].name == "shot.hero.head.usdc"
+    readers = [PerformanceReader(each) for each in (hero, published.files["performance"])]
+    wanted, got = (UsdSkel.Animation(each.animation).GetTransforms(100) for each in readers)
+    assert wanted
+    assert got == wanted
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from typing import Literal
 
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
-from usdface.core.sidecars import weights_path
+from usdface.core.sidecars import controls_path, head_path, weights_path
 from usdface.publish.collect import PublishItem
 from usdface.runner.execute import execute
 from usdface.runner.origin import make_provenance
@@ -50,7 +50,7 @@ class Extracted:
     folder: Path
     """Next to the future version, so that relative references stay valid."""
     files: Mapping[str, str]
-    """File names by role: `performance`, `weights`, `sheet`, `movie`."""
+    """File names by role: `performance`, `weights`, `head`, `controls`, `sheet`, `movie`."""
     movie_pictures: int = 0
     movie_rate: float = 0.0
     """`movie_pictures`, `movie_rate`: number of pictures and pictures per second of the movie, if
@@ -124,12 +124,14 @@ def _extract(
     file, prim = reader.rig()
     rig = read_rig(file, prim=prim)
     header, made_by = reader.header, make_provenance(bake)
-    with writing_top(opened, header, rig, shown=reader.stage, provenance=made_by):
+    with writing_top(opened, header, rig, shown=reader, provenance=made_by):
         execute(bake, progress=part(progress, 0.0, 0.3))
     published = PerformanceReader(opened)
     for note in replaced_motion_notes(published.stage, published.animation):
         log.warning("%s: %s", opened.name, note)
     files = {"performance": opened.name, "weights": bake.out.name}
+    driving = {"head": head_path(opened), "controls": controls_path(opened)}
+    files |= {role: each.name for role, each in driving.items() if each.is_file()}
     if item.take is None:
         return Extracted(item, folder, files)
     if reader.moved:

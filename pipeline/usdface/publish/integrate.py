@@ -26,7 +26,7 @@ class Published:
     """From 1."""
     folder: Path
     files: dict[str, Path]
-    """By role: `performance`, `weights`, `sheet`, `movie`."""
+    """By role, as in `Extracted`."""
     is_new: bool = True
     """False if the newest version was equal, and none was made."""
 

@@ -20,6 +20,7 @@ from usdface.usdio.authoring import author_timing, move_samples
 from usdface.usdio.layers import (
     new_layer,
     open_layer,
+    open_stage,
     provenance_data,
     read_provenance,
     relative_path,
@@ -71,24 +72,16 @@ def write_package(
             top.customLayerData = {"usdface": provenance_data(provenance)}
         author_timing(top, rate=reader.rate, first=reader.first_frame, last=reader.last_frame)
         top.defaultPrim = rig_path.GetPrefixes()[0].name
-        others = [each(reader.path) for each in (head_path, controls_path)]
-        present = {relative_path(each, reader.path): each for each in others}
-        opened = open_layer(reader.path)
-        layers = zip(opened.subLayerPaths, opened.subLayerOffsets, strict=True)
-        below = [
-            _moved_layer(present[each], moved, weights.parent)
-            for each, moved in layers
-            if each in present
-        ]
-        top.subLayerPaths = [*map(str, below), f"./{weights.name}"]
+        driving = [weights.with_name(beside(reader.path).name) for beside in _DRIVING]
+        below = [*_copy_driving_layers(reader, driving), weights]
+        top.subLayerPaths = [f"./{each.name}" for each in below]
         for above in rig_path.GetParentPath().GetPrefixes():
             prim = Sdf.CreatePrimInLayer(top, above)
             prim.specifier, prim.typeName = Sdf.SpecifierDef, "Xform"
         prim = Sdf.CreatePrimInLayer(top, rig_path)
         prim.specifier = Sdf.SpecifierDef
         prim.referenceList.prependedItems = [Sdf.Reference(str(rig_file), source)]
-        copy_variants(top, reader.stage, str(rig_path), rig_file, str(source))
-        _keep_joint_animation(top, opened.GetPrimAtPath(reader.animation.GetPath()))
+        _copy_rig_use(top, reader, str(source))
         save_layer(top, target)
         _, _, missing = UsdUtils.ComputeAllDependencies(str(top_file))
         if missing:
@@ -105,24 +98,55 @@ def write_package(
     _zero_times(target)
 
 
-def _keep_joint_animation(top: Sdf.Layer, solve: Sdf.PrimSpec | None) -> None:
-    """Copy a solve's reference to the animation of joints of its rig, which plays with it."""
-    if solve is None:
-        return
-    inside = [each for each in solve.referenceList.GetAppliedItems() if not each.assetPath]
-    if inside:
-        Sdf.CreatePrimInLayer(top, solve.path).referenceList.prependedItems = inside
+def _copy_rig_use(top: Sdf.Layer, shown: PerformanceReader, source: str) -> None:
+    """Copy a performance's variants of its rig, and its reference to the rig's joint animation.
+
+    `source`: the referenced prim of the rig's file.
+    """
+    rig_path, header = rig_path_of(shown.stage, shown.animation), shown.header
+    rig_file, _ = shown.rig()
+    copy_variants(top, shown.stage, rig_path, rig_file, source)
+    rig_stage, kept = open_stage(rig_file), list[Sdf.Reference]()
+    for arc in Usd.PrimCompositionQuery(shown.animation).GetCompositionArcs():
+        above, to_root = arc.GetIntroducingNode(), arc.GetIntroducingNode().mapToRoot
+        if arc.IsAncestral() or arc.GetTargetNode().layerStack != above.layerStack:
+            continue
+        at = to_root.MapSourceToTarget(arc.GetTargetPrimPath())
+        inside = at.ReplacePrefix(rig_path, source)
+        if at == header.animation or not (
+            at.HasPrefix(rig_path) and rig_stage.GetPrimAtPath(inside)
+        ):
+            continue
+        moved, (_, reference) = to_root.timeOffset, arc.GetIntroducingListEditor()
+        # USD scales by the rates of layers itself, there and here.
+        faster = above.layerStack.identifier.rootLayer.timeCodesPerSecond / float(shown.rate)
+        moved = Sdf.LayerOffset(moved.offset, moved.scale * faster) * reference.layerOffset
+        kept.append(Sdf.Reference("", at, moved))
+    if kept:
+        Sdf.CreatePrimInLayer(top, header.animation).referenceList.prependedItems = kept
 
 
-def _moved_layer(file: Path, moved: Sdf.LayerOffset, folder: Path) -> Path:
-    """Return a layer with a layer offset applied, which packages do not have."""
-    if moved.IsIdentity():
-        return file.resolve()
-    copy = Sdf.Layer.CreateNew(str(folder / file.name))
-    copy.TransferContent(open_layer(file))
-    move_samples(copy, moved)
-    save_layer(copy, file)
-    return folder / file.name
+_DRIVING = (head_path, controls_path)
+"""Layers of joints, Xforms and attributes; the head turns joints that the controls have."""
+
+
+def _copy_driving_layers(
+    shown: PerformanceReader, targets: Sequence[Path], provenance: Provenance | None = None
+) -> list[Path]:
+    """Copy the `_DRIVING` layers that a performance opens, moved as it moves them, to targets.
+
+    Returns the targets that were written.
+    """
+    opened, written = open_layer(shown.path), list[Path]()
+    moved = dict(zip(opened.subLayerPaths, opened.subLayerOffsets, strict=True))
+    for beside, target in zip(_DRIVING, targets, strict=True):
+        asset = relative_path(beside(shown.path), shown.path)
+        if asset in moved:
+            with new_layer(target, provenance) as copy:
+                copy.TransferContent(open_layer(beside(shown.path)))
+                move_samples(copy, moved[asset])
+            written.append(target)
+    return written
 
 
 def _is_whole(target: Path) -> bool:
@@ -195,7 +219,7 @@ def writing_top(
     rig: Rig,
     *,
     above: Sequence[Path] = (),
-    shown: Usd.Stage | None = None,
+    shown: PerformanceReader | None = None,
     provenance: Provenance | None = None,
 ) -> Iterator[None]:
     """Write the top layer of a performance around the writing of its weights.
@@ -207,10 +231,11 @@ def writing_top(
     above : sequence of Path
         Those of its head and controls layers that are written, as sublayers above the weights; the
         others are removed from its sublayers.
-    shown : Usd.Stage, optional
-        With the rig at the same path, whose variant selections are copied.
+    shown : PerformanceReader, optional
+        With the rig at the same path, whose head and controls layers, variant selections and
+        reference to the rig's animation of joints are copied.
     """
-    besides = (head_path(path), controls_path(path))
+    besides = [beside(path) for beside in _DRIVING]
     with (
         replacing_group((path, weights_path(path), *besides)),
         new_layer(path, provenance) as layer,
@@ -218,6 +243,8 @@ def writing_top(
         check_not_written_since(path)
         before = _previous(path)
         yield
+        if shown is not None:
+            above = _copy_driving_layers(shown, besides, provenance)
         if path.is_file():
             layer.TransferContent(open_layer(path))
         author_units(layer, like=rig.file)
@@ -231,12 +258,12 @@ def writing_top(
         author_timing(layer, rate=header.rate, first=first, last=last)
         define_reference(layer, header.rig_path, rig, path, again=again)
         if shown is not None:
-            copy_variants(layer, shown, header.rig_path, rig.file, default_rig_path(rig))
+            _copy_rig_use(layer, shown, default_rig_path(rig))
         if before.rig_path not in ("", header.rig_path):
             remove_reference(layer, before.rig_path, {rig.file.resolve(), *before.files}, path)
         if not again:
             layer.subLayerPaths.append(weights_asset)
-        for each in besides:  # the head turns joints that the controls have
+        for each in besides:
             _open_above(layer, relative_path(each, path), weights_asset, wanted=each in above)
         edits_asset = relative_path(edits_path(path), path)
         if edits_path(path).is_file() and edits_asset not in list(layer.subLayerPaths):
