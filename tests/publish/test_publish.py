@@ -271,6 +271,8 @@ def test_what_was_moved_in_time_is_not_shown_beside_the_take_as_it_was(
     extracted = extract_performance(replace(item, take=take), tmp_path, review=DRAFT)
     assert set(extracted.files) == {"performance", "weights"}
     assert f"no pictures: a layer moves it {moved}" in caplog.text
+    left_out = f"{FRAMES - FRAMES // slower} of {FRAMES} samples lie between the frames of {name}"
+    assert (left_out in caplog.text) == (slower > 1)
 
 
 def test_what_a_publish_left_that_was_killed_long_ago_is_cleared(

@@ -125,9 +125,10 @@ def _extract(
     rig = read_rig(file, prim=prim)
     header, made_by = reader.header, make_provenance(bake)
     with writing_top(opened, header, rig, shown=reader, provenance=made_by):
-        execute(bake, progress=part(progress, 0.0, 0.3))
+        baked = execute(bake, progress=part(progress, 0.0, 0.3))
     published = PerformanceReader(opened)
-    for note in replaced_motion_notes(published.stage, published.animation):
+    replaced = replaced_motion_notes(published.stage, published.animation)
+    for note in (*baked.notes, *replaced):
         log.warning("%s: %s", opened.name, note)
     files = {"performance": opened.name, "weights": bake.out.name}
     driving = {"head": head_path(opened), "controls": controls_path(opened)}
