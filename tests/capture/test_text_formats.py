@@ -390,6 +390,21 @@ def test_rows_without_a_face_at_the_ends_are_left_out_and_not_said_to_be_interpo
     assert noted(capture, "3 rows without a face at the ends, left out")
 
 
+@pytest.mark.parametrize(("column", "value", "large"), [(2, "9.5", True), (-1, "-2.5", False)])
+def test_a_weight_that_no_device_measures_is_named_and_an_angle_is_not(put, column, value, large):
+    lines = samples.live_link_csv().splitlines()
+    cells = lines[5].split(",")
+    name = lines[0].split(",")[column]
+    cells[column] = value
+    lines[5] = ",".join(cells)
+    capture = read_capture(put("\n".join(lines)))
+    assert capture.take.source.values[4, capture.take.source.names.index(name)] == float(value)
+    assert (
+        noted(capture, f"{name} is 9.5 at frame 5, and weights are about 0 to 1; 1 weight") == large
+    )
+    assert noted(capture, "beyond 2") == large
+
+
 def test_a_recording_through_midnight_goes_on(put):
     capture = read_capture(put(samples.live_link_csv(start="23:59:59:53")))
     assert capture.take.frame_count == samples.FRAMES

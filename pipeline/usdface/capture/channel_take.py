@@ -1,5 +1,6 @@
 """From the weight samples of a file to a take: missing frames are interpolated and reported."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +17,12 @@ from usdface.core.text import frame_ranges, pluralize
 
 _FIRST_FRAME = 1
 """Number of the first frame for formats without frame numbers, as in optical takes."""
+
+LARGEST_FRACTION = 2.0
+"""Largest plausible weight: weights exceed 1 slightly in extreme expressions."""
+
+_ANGLE = re.compile(r"(yaw|pitch|roll|rotation_?[xyz])$", re.IGNORECASE)
+"""Names of channels that are angles, not weights."""
 
 _CLOCK_ERROR = 0.002
 """Largest relative difference of a stated rate; 60 and 59.94 differ by 0.001."""
@@ -43,8 +50,9 @@ def build_channel_take(
     """
     found = [*notes, *_describe_times(times, first_frame)]
     seen = np.ones(len(values), dtype=bool)
-    if format_name != "weights":  # authored curves may be constant
+    if format_name != "weights":  # authored curves may be constant, and state their unit
         seen = ~_frozen_rows(values, times)
+        found += _describe_large_weights(names, values, first_frame + times.frames)
     if not seen.all():
         numbers = first_frame + times.frames.astype(np.int64)
         stretches = [(int(numbers[a]), int(numbers[b - 1])) for a, b in runs(~seen)]
@@ -67,6 +75,24 @@ def build_channel_take(
         timecode_start=timecode_start,
     )
     return Capture(take, format_name, tuple(found))
+
+
+def _describe_large_weights(
+    names: Sequence[str], values: FloatArray, frames: FloatArray
+) -> list[str]:
+    """Return a note on weights above `LARGEST_FRACTION`, which no device measures."""
+    weights = [column for column, name in enumerate(names) if not _ANGLE.search(name)]
+    size = np.abs(values[:, weights])
+    large = size > LARGEST_FRACTION
+    if not large.any():
+        return []
+    row, at = np.unravel_index(int(size.argmax()), size.shape)
+    column = weights[int(at)]
+    return [
+        f"{names[column]} is {values[row, column]:g} at frame {frames[row]:.0f}, and weights are "
+        f"about 0 to 1; {pluralize(int(large.sum()), 'weight')} beyond {LARGEST_FRACTION:g}, kept: "
+        "correct the recording and ingest it again"
+    ]
 
 
 def with_stated_rate(capture: Capture, rate: float, *, where: object) -> Capture:

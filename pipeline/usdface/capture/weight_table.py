@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.capture.channel_take import build_channel_take
+from usdface.capture.channel_take import LARGEST_FRACTION, build_channel_take
 from usdface.capture.marker_take import Capture, CaptureOptions
 from usdface.capture.sample_times import (
     SampleTimes,
@@ -23,8 +23,6 @@ from usdface.core.errors import InputError
 from usdface.core.rates import MAX_FRAME, exact_rate
 from usdface.core.text import first_few, pluralize
 
-LARGEST_FRACTION = 2.0
-"""Largest weight without a stated unit: weights exceed 1 slightly in extreme expressions."""
 _OTHER_RATE = 1.2
 """Ratio between a stated rate and that of the times above which the times are used."""
 _PER_UNIT = {"one": 1.0, "percent": 0.01}
