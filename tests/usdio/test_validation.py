@@ -345,7 +345,30 @@ def test_layers_of_different_rates_are_named(tmp_path: Path) -> None:
 def test_samples_outside_the_range_are_named(tmp_path: Path) -> None:
     path = write(tmp_path)
     change(path, lambda layer: setattr(layer, "endTimeCode", 100))
-    assert "samples from 1 to 1400 lie outside" in only(path, "Timing").message
+    message = only(path, "Timing").message
+    assert "samples from 1 to 1400 lie outside the stage's range, 1 to 100" in message
+    assert "author startTimeCode 1 and endTimeCode 1400, and cut in a layer above" in message
+
+
+@pytest.mark.parametrize(("offset", "first", "last"), [(0, 200, 400), (1000, 1200, 3000)])
+def test_a_cut_of_a_performance_has_samples_on_both_sides_and_not_elsewhere(
+    tmp_path: Path, offset: int, first: int, last: int
+) -> None:
+    performance = Sdf.Layer.FindOrOpen(str(write(tmp_path)))
+    cut = Sdf.Layer.CreateNew(str(tmp_path / "cut.usda"))
+    cut.TransferContent(performance)
+    cut.customLayerData = {}
+    cut.rootPrims.clear()
+    cut.subLayerPaths = ["./shot.hero.usda"]
+    cut.subLayerOffsets[0] = Sdf.LayerOffset(offset)
+    cut.startTimeCode, cut.endTimeCode = first, last
+    cut.Save()
+    assert validate(tmp_path / "cut.usda") == []
+    cut.startTimeCode, cut.endTimeCode = 4000, 5000
+    cut.Save()
+    assert (
+        "move them into the range by a layer offset" in only(Path(cut.realPath), "Timing").message
+    )
 
 
 def test_missing_provenance_is_named(tmp_path: Path) -> None:

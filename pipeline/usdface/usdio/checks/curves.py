@@ -25,16 +25,26 @@ def check_timing(stage: Usd.Stage) -> Iterator[Fault]:
     yield from _same_rate(stage)
     start, end = stage.GetStartTimeCode(), stage.GetEndTimeCode()
     has_range = stage.HasAuthoredTimeCodeRange()
+    top = stage.GetRootLayer()
+    is_ours = "usdface" in top.customLayerData
     for attribute in animated:
         times = np.array(attribute.GetTimeSamples())
         path = str(attribute.GetPath())
-        if has_range and (times[0] < start or times[-1] > end):
+        # The range of a layer above is that of a cut, with samples on both sides.
+        is_cut = not (is_ours or top.GetNumTimeSamplesForPath(attribute.GetPath()))
+        beyond = times[0] < start or times[-1] > end
+        if has_range and beyond and not (is_cut and times[0] <= end and times[-1] >= start):
             yield Fault(
                 "warning",
                 path,
                 f"samples from {times[0]:g} to {times[-1]:g} lie outside the stage's range, "
-                f"{start:g} to {end:g}: a player would not show them; author startTimeCode and "
-                "endTimeCode",
+                f"{start:g} to {end:g}: a player would not show them; author startTimeCode "
+                f"{times[0]:g} and endTimeCode {times[-1]:g}, "
+                + (
+                    "or move them into the range by a layer offset"
+                    if is_cut
+                    else "and cut in a layer above, which sublayers or references this one"
+                ),
             )
         odd = times[np.abs(times - np.round(times)) > 1e-6]
         if len(odd):
@@ -42,7 +52,8 @@ def check_timing(stage: Usd.Stage) -> Iterator[Fault]:
                 "warning",
                 path,
                 f"{len(odd)} samples lie between time codes, the first at {odd[0]:g}: was the "
-                "animation retimed by another layer's rate? Author the same rate in both",
+                "animation retimed by another layer's rate, or moved by a part of a frame? Author "
+                "the same rate in both, and a whole layer offset",
             )
 
 
