@@ -83,9 +83,10 @@ def traced_files(spec: Spec) -> dict[Path, Reads]:
     The provenance of a performance names take and mapping, that of a mapping the references. A
     binding is made again from its corrections.
     """
-    given = {name for name in _TRACED if getattr(spec, name, None) is not None}
+    given = {name for name in _TRACED if getattr(spec, name, None)}
     found: dict[Path, Reads] = {}
-    waiting = [path for name in type(spec).traces for path in _paths_in(getattr(spec, name))]
+    traced = [path for name in type(spec).traces for path in _paths_in(getattr(spec, name))]
+    waiting = [file for path in traced if path.is_file() for file in made_files(path)]
     seen: set[Path] = set()
     while waiting:
         file = waiting.pop()
@@ -106,6 +107,17 @@ def traced_files(spec: Spec) -> dict[Path, Reads]:
     if binding is not None and has_corrections(corrections := corrected_path(binding)):
         found[corrections] = Reads(alone=True)
     return found
+
+
+def made_files(performance: Path) -> list[Path]:
+    """Return a performance and, if it does not name its inputs, as a shot, the files below it."""
+    if _TRACED.keys() & spec_of(provenance_of(performance)).keys() or not is_usd_name(performance):
+        return [performance]
+    try:
+        files = PerformanceReader(performance).files
+    except InputError:  # damaged, and perhaps about to be replaced
+        return [performance]
+    return [performance, *(each for each in files if each.resolve() != performance.resolve())]
 
 
 def _paths_in(value: object, folder: Path = Path()) -> list[Path]:

@@ -13,6 +13,7 @@ from pxr import Sdf, Usd, UsdSkel
 
 from tests.edited_weights import read_weights
 from tests.steps.small_shot import FRAMES, Shot
+from usdface.core.assets import References
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
@@ -25,7 +26,11 @@ from usdface.runner.result import StepResult
 from usdface.specs.base import Spec
 from usdface.specs.edits import BakeSpec, EditsImportSpec, EditSpec, PackageSpec
 from usdface.specs.performance import MapSpec, TrainSpec
-from usdface.specs.references import ReferencesFromEditsSpec, ReferencesImportSpec
+from usdface.specs.references import (
+    ReferencesAddSpec,
+    ReferencesFromEditsSpec,
+    ReferencesImportSpec,
+)
 from usdface.specs.retarget import RetargetSpec
 from usdface.steps.edits import bake
 from usdface.steps.edits import edit as edit_step
@@ -511,6 +516,51 @@ def test_curves_of_a_dcc_that_peak_at_different_frames_teach_where_they_are_stro
     assert len(taken) == 4
     change = np.abs(wanted - clip.values).max(axis=1)
     assert change[taken - 1].max() > 0.99 * change.max()
+
+
+@pytest.mark.parametrize("moved", [0, 40])
+def test_edits_in_a_shot_teach_at_the_frames_of_the_take_that_it_plays(
+    shot: Shot, moved: int
+) -> None:
+    cut, flat = shot / "cut.usda", shot / "flat.usda"
+    performance = Sdf.Layer.FindOrOpen(str(shot / "shot.hero.usda"))
+    layer = Sdf.Layer.CreateNew(str(cut))
+    layer.timeCodesPerSecond = layer.framesPerSecond = performance.timeCodesPerSecond
+    placed = Sdf.CreatePrimInLayer(layer, "/cast/actor")
+    top, offset = performance.rootPrims[0].path, Sdf.LayerOffset(moved)
+    placed.referenceList.prependedItems = [Sdf.Reference("./shot.hero.usda", top, offset)]
+    placed.specifier = placed.nameParent.specifier = Sdf.SpecifierDef
+    layer.defaultPrim = "cast"
+    layer.Save()
+    edit(cut, override=0.8, frames=f"{100 + moved}-{102 + moved}", fade=3)
+    edit(shot / "shot.hero.usda", override=0.8, frames="100-102", fade=3)
+
+    def learn(path: Path) -> tuple[set[int], References]:
+        references, out = shot / "hero.references.usda", path.with_suffix(".references.usda")
+        spec = ReferencesFromEditsSpec(performances=(path,), references=references, out=out)
+        return set(run(spec).figures["frames"]), read_references(out)
+
+    frames, taught = learn(cut)
+    wanted_frames, wanted = learn(shot / "shot.hero.usda")
+    assert frames == wanted_frames
+    np.testing.assert_array_equal(taught.markers, wanted.markers)
+    made = provenance_of(shot / "cut.references.usda")
+    assert "shot.clean.take.usda" in made.inputs
+    flattened = Usd.Stage.Open(str(cut)).Flatten()
+    flattened.customLayerData = {}
+    flattened.Export(str(flat))
+    with pytest.raises(InputError, match=r"the take and mapping .* give --take and --mapping,"):
+        learn(flat)
+    if moved:
+        with pytest.raises(InputError, match=r"moves its weights by \+40 frames"):
+            run(
+                ReferencesAddSpec(
+                    performance=cut,
+                    references=shot / "hero.references.usda",
+                    out=shot / "more.references.usda",
+                    frames="100",
+                )
+            )
 
 
 def test_where_no_frame_has_all_edits_at_their_peaks_those_nearest_are_meant() -> None:

@@ -17,7 +17,7 @@ from usdface.core.sidecars import proposed_path, reference_layers, tuned_path
 from usdface.core.text import first_few, pluralize
 from usdface.numerics.motion.key_reduction import EditCurve
 from usdface.numerics.regression.reference_design import design_k_centre
-from usdface.runner.origin import pair_with_files, spec_of
+from usdface.runner.origin import made_files, pair_with_files, spec_of
 from usdface.runner.result import StepResult
 from usdface.specs.references import ReferencesAddSpec, ReferencesFromEditsSpec
 from usdface.steps.inputs.cleaned_takes import read_markers, take_head_space
@@ -125,8 +125,9 @@ def _edited_frames(
         notes.append(f"{performance}: no frame was edited")
         return _NO_FRAMES
     take, mapping = find_take_and_mapping(performance, old, take=moved_take, mapping=spec.mapping)
-    captured, seen = captured_markers(take, mapping, old, reader.frames[rows])
-    rows, captured = rows[seen], captured[seen]
+    frames = reader.frames_below(reader.frames[rows])
+    captured, seen = captured_markers(take, mapping, old, frames)
+    rows, frames, captured = rows[seen], frames[seen], captured[seen]
     if not seen.all():
         notes.append(
             f"{performance}: left out, missing a marker: "
@@ -138,7 +139,7 @@ def _edited_frames(
     if len(chosen) < len(rows):
         notes.append(f"{performance}: used {len(chosen)} of {len(rows)} edited frames")
     weights = columns_by_name(edited[rows[chosen]], reader.names, old.shape_names)
-    return _EditedFrames(take.name, reader.frames[rows[chosen]], captured[chosen], weights)
+    return _EditedFrames(take.name, frames[chosen], captured[chosen], weights)
 
 
 def full_strength_frames(edits: Sequence[EditCurve], changes: FloatArray) -> BoolArray:
@@ -341,39 +342,46 @@ def _with_edited(old: References, edited: list[_EditedFrames], notes: list[str])
 def find_take_and_mapping(
     performance: Path, old: References, *, take: Path | None, mapping: Path | None
 ) -> tuple[TakeReader, TrainedMapping | None]:
-    """Return take and mapping, from new paths or by the provenance of a performance or its parts.
+    """Return take and mapping, from new paths or by the provenance of a performance.
 
-    References of takes that carry weights have no mapping.
+    Or by that of the performance in a shot, or of parts. References of takes that carry weights
+    have no mapping.
     """
-    if old.source is not None:
-        source = _spec_of(performance, "retarget").get("source")
-        if take is None and not isinstance(source, str):
-            raise InputError(
-                f"{performance}: does not name the take it was retargeted from; give it by "
-                "--take, or give a performance that `usdface retarget` wrote of a take"
-            )
-        named = performance.resolve().parent / str(source)
-        return TakeReader(take or _present(performance, "take", named)), None
-    file, spec = performance, _spec_of(performance, "map")
-    seen = set[Path]()
-    while not spec and file not in seen:
+    step = "map" if old.source is None else "retarget"
+    given = {"take": take} | ({"mapping": mapping} if step == "map" else {})
+    fields = {"take": "take" if step == "map" else "source", "mapping": "mapping"}
+    file, spec = _made_by(performance, step)
+    missing = [name for name in given if given[name] is None and fields[name] not in spec]
+    if missing:
+        names, options = " and ".join(missing), " and ".join(f"--{name}" for name in missing)
+        below = first_few(each.name for each in made_files(performance)[1:])
+        raise InputError(
+            f"{performance}: does not name the {names} it was made from"
+            f"{f', nor does {below}, which holds its weights' if below else ''}; give {options}, "
+            f"or give a performance that `usdface {step}` wrote, or one joined from such parts "
+            "that still exist"
+        )
+    paths = {
+        name: path or _present(performance, name, file.resolve().parent / str(spec[fields[name]]))
+        for name, path in given.items()
+    }
+    return TakeReader(paths["take"]), read_mapping(paths["mapping"]) if step == "map" else None
+
+
+def _made_by(performance: Path, step: str) -> tuple[Path, dict[str, object]]:
+    """Return the file of a performance that a step wrote, and its spec; an empty one if none."""
+    waiting, seen = made_files(performance), set[Path]()
+    while waiting:
+        file = waiting.pop(0)
+        if file in seen or not file.is_file():
+            continue
         seen.add(file)
-        parts = _spec_of(file, "join").get("parts")
-        if isinstance(parts, list) and parts:
-            part = file.resolve().parent / str(parts[0])
-            if part.is_file():
-                file, spec = part, _spec_of(part, "map")
-    paths: dict[str, Path] = {}
-    for name, given in (("take", take), ("mapping", mapping)):
-        if given is None and name not in spec:
-            raise InputError(
-                f"{performance}: does not name the {name} it was made from; give it by --{name}, "
-                "or give a performance that `usdface map` wrote, or one joined from such parts "
-                "that still exist"
-            )
-        named = file.resolve().parent / str(spec.get(name))
-        paths[name] = given or _present(performance, name, named)
-    return TakeReader(paths["take"]), read_mapping(paths["mapping"])
+        made = read_provenance(file)
+        if made is not None and made.step == step:
+            return file, spec_of(made)
+        if made is not None and made.step == "join":
+            waiting += [file.resolve().parent / str(each) for each in spec_of(made)["parts"][:1]]
+    return performance, {}
 
 
 def _present(performance: Path, what: str, file: Path) -> Path:
@@ -382,9 +390,3 @@ def _present(performance: Path, what: str, file: Path) -> Path:
     raise InputError(
         f"{performance}: its {what}, {file}, is gone; put it back, or give its new path by --{what}"
     )
-
-
-def _spec_of(file: Path, step: str) -> dict[str, object]:
-    """Return the spec of a file made by `step`; empty if another step made it."""
-    made = read_provenance(file)
-    return spec_of(made) if made is not None and made.step == step else {}

@@ -92,25 +92,42 @@ class PerformanceReader:
         return exact_rate(rate, where=f"{self.path}: timeCodesPerSecond")
 
     @property
-    def rig_path(self) -> str:
-        """Parent of the animation, the rig's prim in our files."""
-        return str(self.animation.GetPath().GetParentPath())
-
-    @property
     def frames(self) -> IntArray:
         """Frame numbers, one per sample."""
         return np.arange(self.first_frame, self.last_frame + 1, dtype=np.int64)
 
     @property
-    def moved(self) -> str:
-        """How offsets and rates of the layers above move the weights; empty if they do not."""
+    def files(self) -> tuple[Path, ...]:
+        """Layers of the weights, the strongest first: in a shot, those of the performance."""
+        stack = self._weights.GetPropertyStack(Usd.TimeCode.EarliestTime())
+        return tuple(Path(each.layer.realPath) for each in stack if each.layer.realPath)
+
+    @property
+    def _offset(self) -> Sdf.LayerOffset:
+        """From the times of the weights' layer to those of the stage."""
         stack = self._weights.GetPropertyStackWithLayerOffsets(Usd.TimeCode.EarliestTime())
         sampled = (offset for spec, offset in stack if spec.HasInfo("timeSamples"))
-        moved = next(sampled, Sdf.LayerOffset())
+        return next(sampled, Sdf.LayerOffset())
+
+    @property
+    def moved(self) -> str:
+        """How offsets and rates of the layers above move the weights; empty if they do not."""
+        moved = self._offset
         if moved.IsIdentity():
             return ""
         scaled = "" if moved.scale == 1 else f" and scales their times by {moved.scale:g}"
         return f"by {moved.offset:+g} frames{scaled}"
+
+    def frames_below(self, frames: IntArray) -> IntArray:
+        """Return the frames of the weights' layer, those of its take, at frames of the stage."""
+        times = (frames - self._offset.offset) / self._offset.scale
+        below: IntArray = np.rint(times).astype(np.int64)
+        if (np.abs(times - below) > _TIME_ROUNDING).any():
+            raise InputError(
+                f"{self.path}: a layer moves its weights {self.moved}, so that its frames lie "
+                "between those of the take; move them by whole frames, or edit the performance"
+            )
+        return below
 
     @property
     def keyed_frames(self) -> frozenset[int]:
