@@ -113,5 +113,5 @@ def test_the_environment_file_is_all_that_a_shell_needs(shot: Shot, tmp_path: Pa
         check=True,
     )
     assert "CollectFacePerformances" in ran.stdout
-    assert ran.stdout.splitlines()[0] == "10"
+    assert ran.stdout.splitlines()[0] == "11"
     assert ran.stdout.splitlines()[-1] == "True"

@@ -11,13 +11,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Sdf, Usd, Vt
+from pxr import Sdf, Usd, UsdShade, Vt
 
 from tests.usdio.small_rig import small_rig
 from usdface.core.assets import MeshShape, ShapeKey
 from usdface.core.plugin_path import plugin_folders
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import weights_path
+from usdface.steps.inputs.edit_ranges import performance_notes
 from usdface.usdio.authoring import author_gaps
 from usdface.usdio.performance.weights_layer import make_header
 from usdface.usdio.performance.write import writing_performance
@@ -371,6 +372,33 @@ def test_a_cut_of_a_performance_has_samples_on_both_sides_and_not_elsewhere(
     )
 
 
+def test_a_material_that_the_reference_to_the_rig_does_not_bring_is_named(tmp_path: Path) -> None:
+    path = write(tmp_path)
+    rig = Usd.Stage.Open(str(tmp_path / "rig.usda"))
+    inside = UsdShade.Material.Define(rig, "/Hero/Looks/teeth")
+    for name, material in (
+        ("skin", UsdShade.Material.Define(rig, "/Looks/skin")),
+        ("teeth", inside),
+    ):
+        mesh = rig.GetPrimAtPath(f"/Hero/geo/{name}")
+        UsdShade.MaterialBindingAPI.Apply(mesh).Bind(material)
+    rig.Save()
+    found = only(path, "Targets")
+    assert found.severity == "warning"
+    assert found.where.endswith("</Hero/geo/skin.material:binding>")
+    wanted = "rig.usda targets </Looks/skin>, which lies outside </Hero>"
+    assert wanted in found.message
+    (note,) = performance_notes(path)
+    assert wanted in note
+    assert not [each for each in validate(tmp_path / "rig.usda") if "Targets" in each.check]
+    rebound = Sdf.Layer.FindOrOpen(str(path))
+    over = Sdf.CreatePrimInLayer(rebound, "/Hero/geo/skin")
+    binding = Sdf.RelationshipSpec(over, "material:binding", False)
+    binding.targetPathList.explicitItems = ["/Hero/Looks/teeth"]
+    rebound.Save()
+    assert validate(path) == []
+
+
 def test_missing_provenance_is_named(tmp_path: Path) -> None:
     path = write(tmp_path)
     change(weights_path(path), lambda layer: setattr(layer, "customLayerData", {}))
@@ -410,7 +438,7 @@ def test_other_tools_find_our_validators_through_the_plugin_path(tmp_path: Path)
 from pxr import Usd, UsdValidation
 registry = UsdValidation.ValidationRegistry()
 ours = registry.GetValidatorMetadataForKeyword("usdface")
-assert len(ours) == 10, [each.name for each in ours]
+assert len(ours) == 11, [each.name for each in ours]
 assert all(each.doc for each in ours)
 context = UsdValidation.ValidationContext(registry.GetOrLoadAllValidators())
 for error in context.Validate(Usd.Stage.Open({str(path)!r})):

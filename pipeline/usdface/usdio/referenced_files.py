@@ -1,9 +1,9 @@
-"""Files that a USD file refers to, and its range of frames."""
+"""What a USD file refers to: files and their range of frames, and targets that are lost."""
 
 from collections.abc import Iterable
 from pathlib import Path
 
-from pxr import Ar, UsdUtils
+from pxr import Ar, Sdf, Usd, UsdUtils
 
 from usdface.core.rates import check_frame_span
 from usdface.core.sidecars import edits_path
@@ -68,3 +68,42 @@ def missing_sublayers(path: Path) -> list[str]:
         for file in sublayers
         if file.name.startswith(f"{path.stem}.") and file != edits_path(path) and not file.is_file()
     ]
+
+
+def lost_targets(stage: Usd.Stage) -> dict[Sdf.Path, str]:
+    """Return the properties with a target that no reference brings, and what to do, by their path.
+
+    Such as the binding of a material beside the top prim of a rig, which USD drops.
+    """
+    return {
+        each.GetPath(): lost
+        for prim in stage.Traverse()
+        for each in prim.GetAuthoredProperties()
+        if (lost := _lost_target(prim, each))
+    }
+
+
+def _lost_target(prim: Usd.Prim, of_prim: Usd.Property) -> str:
+    is_relationship = isinstance(of_prim, Usd.Relationship)
+    if not (is_relationship or of_prim.HasAuthoredConnections()):
+        return ""
+    arcs = Usd.PrimCompositionQuery(prim).GetCompositionArcs()  # nodes do not outlive them
+    nodes = [arc.GetTargetNode() for arc in arcs]
+    for spec in of_prim.GetPropertyStack():
+        targets = spec.targetPathList if is_relationship else spec.connectionPathList
+        at, layer = spec.path.GetPrimPath(), spec.layer
+        here = [each for each in nodes if each.path == at and layer in each.layerStack.layers]
+        for target in targets.GetAddedOrExplicitItems() if here else ():
+            node, mapped = here[0], target
+            while not node.IsRootNode():
+                above = node.mapToParent.MapSourceToTarget(mapped)
+                if above.isEmpty:
+                    top = node.GetPathAtIntroduction()
+                    return (
+                        f"{Path(layer.realPath).name} targets <{target}>, which lies outside "
+                        f"<{top}>, the prim that is referenced, and is lost; put it below <{top}>"
+                    )
+                node, mapped = node.parent, above
+        if targets.isExplicit:
+            break  # it hides those of weaker layers
+    return ""

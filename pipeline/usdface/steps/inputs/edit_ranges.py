@@ -11,6 +11,7 @@ from usdface.core.sidecars import edits_path
 from usdface.core.text import first_few, pluralize
 from usdface.usdio.performance.edits import edited_frames, edits_elsewhere, read_edits
 from usdface.usdio.performance.read import PerformanceReader
+from usdface.usdio.referenced_files import lost_targets
 from usdface.usdio.rig.reference import replaced_motion_notes
 
 NOTABLE_CHANGE = 0.1
@@ -75,9 +76,13 @@ def edits_outside(reader: PerformanceReader) -> list[str]:
 
 
 def performance_notes(performance: Path) -> list[str]:
-    """Return notes on a new solve: on motion of the rig that it replaces, and on edits above it."""
+    """Return notes on a new solve: on what it loses of the rig, and on edits above it."""
     reader = PerformanceReader(performance)
     notes = replaced_motion_notes(reader.stage, reader.animation)
+    lost = [f"<{path}>: {fault}" for path, fault in lost_targets(reader.stage).items()]
+    if lost:
+        more = f" ({len(lost) - 1} more: `usdface validate` names them)" if lost[1:] else ""
+        notes.append(lost[0] + more)
     return [*notes, *_edit_notes(reader)] if edits_path(performance).is_file() else notes
 
 

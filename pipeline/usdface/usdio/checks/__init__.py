@@ -18,6 +18,7 @@ from usdface.usdio.checks.files import (
     check_names,
     check_provenance,
     check_sides,
+    check_targets,
 )
 from usdface.usdio.checks.weights import check_edits, check_weights
 
@@ -40,6 +41,7 @@ _STAGE_CHECKS: dict[str, Callable[[Usd.Stage], Iterable[Fault]]] = {
     "MissingFiles": check_missing_files,
     "Provenance": check_provenance,
     "Sides": check_sides,
+    "Targets": check_targets,
     "Timing": check_timing,
 }
 

@@ -13,6 +13,7 @@ from usdface.usdio.authoring import read_gaps
 from usdface.usdio.checks.curves import pair_sides
 from usdface.usdio.checks.fault import Fault, is_recorded, is_solved
 from usdface.usdio.performance.weights_layer import UNMATCHED
+from usdface.usdio.referenced_files import lost_targets
 
 CLEAR_SHARE = 0.2
 """[of the whole displacement] Least difference between the sides of a one-sided shape."""
@@ -232,6 +233,12 @@ def check_missing_files(stage: Usd.Stage) -> Iterator[Fault]:
                 f"{layer.GetDisplayName()} is built from {first_few(missing)}, which cannot be "
                 "opened: was it moved? Put it back, or map again with the rig where it is now",
             )
+
+
+def check_targets(stage: Usd.Stage) -> Iterator[Fault]:
+    """Find bindings, and other targets, that are lost as they lie outside a referenced prim."""
+    for path, lost in lost_targets(stage).items():
+        yield Fault("warning", str(path), lost)
 
 
 def check_provenance(stage: Usd.Stage) -> Iterator[Fault]:
