@@ -98,6 +98,22 @@ def test_confidence_is_one_where_measured_and_lower_where_mended(damaged):
     assert np.isfinite(cleaned.positions).all()
 
 
+@pytest.mark.parametrize("share", [0.6, 0.05])
+def test_a_marker_that_falls_off_is_a_gap_from_its_first_step(share):
+    face = simulate_face(frames=150, noise=0.1)
+    still, marker = clean(face, rate=30.0), 20
+    start = round(150 * (1 - share))
+    seconds = np.arange(1, 151 - start) / 30.0
+    face.captured[start:, marker, 1] -= np.minimum(4905.0 * seconds**2, 1400.0)
+    cleaned = clean(face, rate=30.0)
+    assert cleaned.lost[start:, marker].all()
+    assert not np.delete(cleaned.lost, marker, axis=1).any()
+    assert (cleaned.confidence[start:, marker] < 1).all()
+    others = np.linalg.norm(cleaned.positions - still.positions, axis=2)
+    assert np.delete(others, marker, axis=1).max() < 0.1
+    assert others[:, marker].max() < 5.0
+
+
 def test_gaps_longer_than_allowed_are_left_and_hold_the_last_position():
     face = simulate_face(frames=600, noise=0.1)
     face.visible[200:241, 20] = False

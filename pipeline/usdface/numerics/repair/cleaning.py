@@ -24,7 +24,7 @@ from usdface.numerics.repair.face_pose import interpolation_precision, pose_by_f
 from usdface.numerics.repair.fit_low_rank import choose_rank, fit_low_rank
 from usdface.numerics.repair.gap_filling import complete_take, explained_after
 from usdface.numerics.repair.low_rank import LowRankModel, fill_and_predict
-from usdface.numerics.repair.outliers import USUAL_RATE, find_outliers
+from usdface.numerics.repair.outliers import USUAL_RATE, find_lost, find_outliers
 from usdface.numerics.repair.relabeling import Swap, apply_swaps, find_swaps
 from usdface.numerics.repair.slips import Slip, find_slips, undo_slips
 from usdface.numerics.repair.smoothing import smooth_poses, smooth_take
@@ -67,6 +67,8 @@ class CleanedMarkers:
     """Swapped labels that were exchanged back."""
     outliers: BoolArray
     """(frames, markers): measured samples that were replaced."""
+    lost: BoolArray
+    """(frames, markers): measured samples of markers that were off the face, which are gaps."""
     filled: BoolArray
     """(frames, markers): samples that were not measured or were outliers, and were filled."""
     pose_confidence: FloatArray
@@ -109,9 +111,9 @@ def clean_markers(
 ) -> CleanedMarkers:
     """Clean a take's markers.
 
-    In this order: head pose from the rigid markers, swapped labels, outliers, head pose from all
-    markers against their predictions, markers that slipped on the skin, gaps, and noise, with a
-    penalty for each direction of the face's motion.
+    In this order: head pose from the rigid markers, markers that left the face, swapped labels,
+    outliers, head pose from all markers against their predictions, markers that slipped on the
+    skin, gaps, and noise, with a penalty for each direction of the face's motion.
 
     Parameters
     ----------
@@ -136,6 +138,8 @@ def clean_markers(
     _check(captured, seen, neutral, max_gap)
     progress(0.0, "head motion")
     still = _stabilize(captured, seen, rigid, neutral, rate, skin_motion_mm)
+    lost = find_lost(still.positions, seen, neutral=neutral)
+    seen &= ~lost
     progress(0.05, "model of the motion")
     model, rank, noise = _model_face(still)
     swaps: tuple[Swap, ...] = ()
@@ -171,6 +175,7 @@ def clean_markers(
         head_motion=still.head_motion,
         swaps=swaps,
         outliers=outliers,
+        lost=lost,
         filled=gaps.filled,
         pose_confidence=still.pose_confidence,
         noise_mm=sigma,

@@ -1,8 +1,8 @@
 """Outliers of marker tracks, such as reflections and other markers' labels.
 
-`find_outliers` compares each marker with its prediction from the others. `find_spikes` looks for
-leaps away and back in single tracks, before a model is fitted: in a short take the model would fit
-them as directions of the face's motion.
+`find_outliers` compares each marker with its prediction from the others. `find_lost` looks for
+markers that left the face, `find_spikes` for leaps away and back in single tracks, before a model
+is fitted: the model would fit them as directions of the face's motion.
 """
 
 from itertools import pairwise
@@ -47,6 +47,10 @@ _LEAP_REACH_FRAMES = 2
 """Frames on either side of a step that `_leap_sizes` uses."""
 _MOST_PER_FRAME = 8
 """Outliers sought per frame."""
+
+_LOST_RADII = 4.0
+"""Least distance from its place at rest of a marker that left the face, in median distances of the
+markers from their centre: about 30 cm. Skin moves by less than one."""
 
 _LEAP_MEDIAN_STEPS = 12.0
 _LEAP_NOISE_DEVIATIONS = 8.0
@@ -205,6 +209,35 @@ def _leap_sizes(track: RealArray) -> RealArray:
     change = np.linalg.norm(np.diff(steps, axis=0), axis=1)
     size = np.linalg.norm(steps[1:-1], axis=1)
     return np.asarray(np.minimum(size, np.maximum(change[:-1], change[1:])))
+
+
+def find_lost(positions: RealArray, visible: BoolArray, *, neutral: int) -> BoolArray:
+    """Return the samples of markers that left the face: (frames, markers) bool array.
+
+    With the frames in which they move away and back.
+
+    Parameters
+    ----------
+    positions : (frames, markers, 3) float array
+        [mm] Without head motion.
+    visible : (frames, markers) bool array
+    neutral : int
+        Index of a frame with the markers at rest; others are compared with their median position.
+    """
+    lost = np.zeros_like(visible)
+    rest = positions[neutral, visible[neutral]]
+    limit = _LOST_RADII * float(np.median(distances(rest, np.median(rest, axis=0))))
+    for marker, seen in enumerate(visible.T):
+        track = positions[:, marker]
+        place = track[neutral] if seen[neutral] else np.median(track[seen], axis=0)
+        away = np.where(seen, distances(track, place), 0.0)
+        for start, stop in runs(away > limit):
+            while start > 0 and away[start - 1] < away[start]:
+                start -= 1
+            while stop < len(away) and away[stop] < away[stop - 1]:
+                stop += 1
+            lost[start:stop, marker] = True
+    return lost & visible
 
 
 def find_spikes(positions: RealArray, visible: BoolArray, *, noise: FloatArray) -> BoolArray:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from usdface.core.arrays import ByteImage, longest_run
+from usdface.core.arrays import ByteImage, longest_run, runs
 from usdface.core.assets import Markers, Take
 from usdface.core.text import first_few, frame_ranges, pluralize
 from usdface.media.charts.repair import RepairKind, draw_repairs
@@ -63,6 +63,15 @@ def _repairs(cleaned: CleanedMarkers, markers: Markers, take: Take) -> list[str]
         )
     if len(cleaned.swaps) > _LISTED_SWAPS:
         notes.append(f"and {len(cleaned.swaps) - _LISTED_SWAPS} more swaps")
+    first, left = take.first_frame, []
+    for index in np.flatnonzero(cleaned.lost.any(axis=0)):
+        spans = [(first + a, first + b - 1) for a, b in runs(cleaned.lost[:, index])]
+        left.append(f"{markers.names[index]} ({frame_ranges(spans)})")
+    if left:
+        notes.append(
+            f"left the face, by the size of the face or more: {first_few(left)}; treated as gaps. "
+            "Export later takes without a marker that fell off"
+        )
     if cleaned.outliers.any():
         counts = cleaned.outliers.sum(axis=0)
         whose = "of" if np.count_nonzero(counts) == 1 else "most of them of"
