@@ -71,6 +71,28 @@ def test_written_rig_reads_back_the_same(tmp_path: Path) -> None:
     np.testing.assert_allclose(back.meshes[0].colors, rig.meshes[0].colors, atol=1e-6)
 
 
+@pytest.mark.parametrize("stated", ["skin", "teeth"])
+def test_ranges_of_one_shape_on_several_meshes_are_equal(tmp_path: Path, stated: str) -> None:
+    write_rig(tmp_path / "rig.usda", small_rig())
+    stage = Usd.Stage.Open(str(tmp_path / "rig.usda"))
+    ranges = {}
+    for mesh in ("skin", "teeth"):
+        binding = UsdSkel.BindingAPI(stage.GetPrimAtPath(f"/Hero/geo/{mesh}"))
+        at = list(binding.GetBlendShapesAttr().Get()).index("jawOpen")
+        shape = stage.GetPrimAtPath(binding.GetBlendShapeTargetsRel().GetTargets()[at])
+        ranges[mesh] = shape.CreateAttribute("face:range", Sdf.ValueTypeNames.Double2)
+        ranges[mesh].Clear()
+    ranges[stated].Set((0.0, 0.5))
+    stage.Save()
+    np.testing.assert_array_equal(read_rig(tmp_path / "rig.usda").ranges[0], [0.0, 0.5])
+    for each in ranges.values():
+        each.Set((0.0, 0.5))
+    ranges[stated].Set((0.0, 1.0))
+    stage.Save()
+    with pytest.raises(InputError, match=r"face:range is 0 to .* on another mesh 0 to .* equal"):
+        read_rig(tmp_path / "rig.usda")
+
+
 def test_deformation_equals_usdskel_with_inbetweens_and_beyond_the_range(tmp_path: Path) -> None:
     write_rig(tmp_path / "rig.usda", small_rig())
     weights = np.random.default_rng(2).uniform(-0.7, 1.7, (40, 3))

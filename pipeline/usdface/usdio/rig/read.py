@@ -53,7 +53,7 @@ def read_rig(path: Path, *, prim: str | None = None) -> Rig:
         prim=str(root.GetPath()),
         shapes=shapes,
         meshes=meshes,
-        ranges=_read_ranges(root, shapes),
+        ranges=_read_ranges(root, shapes, path),
         combinations=combinations,
     )
 
@@ -332,13 +332,17 @@ def _shape_keys(
     return sorted(keys, key=lambda key: key[0])
 
 
-def _read_ranges(root: Usd.Prim, shapes: tuple[str, ...]) -> FloatArray:
-    ranges = {name: (0.0, 1.0) for name in shapes}
+def _read_ranges(root: Usd.Prim, shapes: tuple[str, ...], path: Path) -> FloatArray:
+    stated = dict[str, tuple[float, float]]()
     for name, prim in shape_prims(root):
-        value = value_of(prim, RANGE_ATTRIBUTE)
-        if value is not None and value[0] < value[1]:
-            ranges[name] = (float(value[0]), float(value[1]))
-    return np.array([ranges[name] for name in shapes], dtype=np.float64).reshape(-1, 2)
+        low, high = value_of(prim, RANGE_ATTRIBUTE) or (0.0, 0.0)
+        if low < high and stated.setdefault(name, (low, high)) != (low, high):
+            raise InputError(
+                f"{path} <{prim.GetPath()}>: {RANGE_ATTRIBUTE} is {low:g} to {high:g}, on another "
+                f"mesh {stated[name][0]:g} to {stated[name][1]:g}; one weight moves both: make "
+                "them equal"
+            )
+    return np.array([stated.get(name, (0.0, 1.0)) for name in shapes], float).reshape(-1, 2)
 
 
 def _read_normals(mesh: UsdGeom.Mesh, placed: PlacedMesh) -> FloatArray | None:
