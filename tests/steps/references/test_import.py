@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pxr import Usd, UsdSkel
 
 from tests.usdio.references.test_references import small_references, write
 from usdface.core.errors import InputError
@@ -68,6 +69,23 @@ def test_keys_that_count_at_another_rate_are_refused_with_it(tmp_path: Path) -> 
     elsewhere = [int(before.frames[0]), *range(200, 211)]
     elsewhere[5] += 40
     assert import_rows(path, keys_at(elsewhere)).figures["pairs"] == 1
+
+
+def test_usd_of_another_rate_is_refused_unless_its_time_codes_are_pairs(tmp_path: Path) -> None:
+    path, keys = asset(tmp_path), tmp_path / "keys.usda"
+    stage = Usd.Stage.CreateNew(str(keys))
+    stage.SetTimeCodesPerSecond(24)
+    animation = UsdSkel.Animation.Define(stage, "/Anim")
+    animation.CreateBlendShapesAttr(["jawOpen", "eyeBlink", "smile"])
+    for frame in range(1, 200):
+        animation.CreateBlendShapeWeightsAttr().Set([0.5, 0.25, 0.0], frame)
+    stage.Save()
+    with pytest.raises(InputError, match=r"runs at 24 frames per second, .* at 120; export it"):
+        execute(ReferencesImportSpec(references=path, weights=keys), overwrite=True)
+    assert not read_references(path).tuned.any()
+    by_pair = ReferencesImportSpec(references=path, weights=keys, at="pairs")
+    result = execute(by_pair, overwrite=True)
+    assert result.figures["pairs"] == PAIRS
 
 
 def test_shapes_without_a_column_are_at_rest_where_nobody_had_tuned(tmp_path: Path) -> None:

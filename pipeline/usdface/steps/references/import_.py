@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence, Set
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -48,7 +49,9 @@ def run(
     given = read_weight_table(
         spec.weights, known=references.shape_names, unit=spec.weight_unit, shapes=spec.shapes
     )
-    _check_rate(spec, given)
+    if spec.at == "frames" and references.rate:
+        rate = Fraction(references.rate)
+        given.check_rate(rate, file=spec.weights, performance=spec.references)
     if spec.at == "video":
         given = _at_times_of_pairs(spec, references, given)
     combinations = {each.shape for each in references.combinations}
@@ -171,15 +174,6 @@ def _missing_notes(
             f"tuned before: {counted(missing, 'shape')}"
         )
     return notes
-
-
-def _check_rate(spec: ReferencesImportSpec, table: WeightTable) -> None:
-    """Refuse a table with another rate than the pairs' takes, as far as these exist."""
-    takes = spec_of(provenance_of(spec.references)).get("takes", [])
-    for name in takes if spec.at == "frames" and not table.numbered else ():
-        take = spec.references.parent / str(name)
-        if take.is_file():
-            table.check_rate(TakeReader(take).rate, file=spec.weights, performance=take)
 
 
 def _at_times_of_pairs(
