@@ -116,6 +116,9 @@ FAULTS = {
         "marker-csv", "frame,time_s,a.x,a.y,a.z\n0,0,1,2,3\n1,0,1,2,3\n", "do not determine a"),
     "table: nothing seen": (
         "marker-csv", "frame,time_s,a.x,a.y,a.z\n0,0,,,\n1,1,,,\n", "none of 1 markers is seen"),
+    "table: all far away": (
+        "marker-csv", "frame,time_s,a.x,a.y,a.z\n0,0,2e5,3,4\n1,1,2e5,3,5\n",
+        r"2 frames \(2 samples more than 100 m away, counted as gaps\); export .* in the unit"),
     "thousands": ("marker-csv", replaced(TABLE, 3, 3, '"1,234.5"'), r"column 3 .*: '1,234.5'"),
     "underscore": ("marker-csv", replaced(TABLE, 3, 3, "1_0"), r"column 3 \(brow_L\.x\): '1_0'"),
     "a NUL byte": ("marker-csv", TABLE.replace("0.0", "\0.0", 1), "character .*: a NUL byte"),

@@ -126,13 +126,14 @@ def build_marker_take(
         `MAX_COORDINATE_MM` become invisible.
     """
     path, first_frame = header.path, header.first_frame
-    found = [*header.notes]
-    found += _hide_impossible(positions, visible)
+    hidden = _hide_impossible(positions, visible)
+    found = [*header.notes, *hidden]
     ever_seen = np.asarray(visible.any(axis=0))
     if not ever_seen.any():
+        why = f" ({', '.join(hidden)})" if hidden else ""
         raise InputError(
-            f"{path}: none of {len(names)} markers is seen in any of {len(positions)} frames; "
-            "export the reconstructed trajectories"
+            f"{path}: none of {len(names)} markers is seen in any of {len(positions)} frames{why}; "
+            "export the reconstructed trajectories, in the unit that the file states"
         )
     if not ever_seen.all():
         never = [name for name, seen in zip(names, ever_seen, strict=True) if not seen]

@@ -171,6 +171,15 @@ def test_a_part_without_markers_is_refused_until_it_is_stated(regions, side, wor
     assert aspects(hidden) == {"part": True}, "markers that are never seen are as good as none"
 
 
+def test_few_labels_do_not_say_where_the_other_markers_lie() -> None:
+    markers = synthetic()
+    lids = [label_hint(name).region == "lid" for name in markers.names]
+    names = (each if lids[i] else f"F{i}" for i, each in enumerate(markers.names))
+    (finding,) = judge_markers(replace(markers, names=tuple(names)), RATE)
+    assert (finding.aspect, finding.impossible) == ("part", False)
+    assert f"unless {len(lids) - sum(lids)} without such a label cover it" in finding.message
+
+
 def test_speed_is_judged_over_the_skull_and_by_the_rate() -> None:
     markers = synthetic()
     assert aspects(markers, RATE * 12)["rate"]

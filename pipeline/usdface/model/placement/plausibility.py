@@ -302,6 +302,8 @@ def _part(labels: Sequence[str], seen: BoolArray) -> Iterable[PlausibilityFindin
     ]
     left, right = (sum(hint.side == side and bool(hint.region) for hint in hints) for side in "LR")
     upper, lower = (sum(hint.region in part for hint in hints) for part in (_UPPER, _LOWER))
+    unnamed = sum(not hint.region for hint in hints)
+    known = 2 * unnamed < len(hints)
     for count, other, words in (
         (left, right, "right side"),
         (right, left, "left side"),
@@ -311,9 +313,10 @@ def _part(labels: Sequence[str], seen: BoolArray) -> Iterable[PlausibilityFindin
         if count >= _FEWEST_OF_A_PART and other == 0:
             yield PlausibilityFinding(
                 "part",
-                True,
+                known,
                 f"no marker is labelled on the {words} of the face, {count} on the other: nothing "
-                "can be solved there",
+                "can be solved there"
+                + ("" if known else f", unless {unnamed} without such a label cover it"),
                 "label its markers, or state with --partial that it has none",
             )
 
