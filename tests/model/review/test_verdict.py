@@ -204,6 +204,7 @@ def test_keys_decide_where_they_are_known() -> None:
 def test_nothing_known_is_not_good() -> None:
     verdict = judge_solve(SolveEvidence(()))
     assert (verdict.level, "no record of its references" in verdict.sentence) == ("check", True)
+    assert verdict.advice.startswith("map it with a mapping, or"), "a baseline is of this version"
 
 
 def test_weights_of_others_say_what_they_are_and_name_a_video_only_where_there_is_one() -> None:

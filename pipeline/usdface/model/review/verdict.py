@@ -203,7 +203,7 @@ def _judge_without_figures(evidence: SolveEvidence) -> SolveVerdict:
     return SolveVerdict(
         "check",
         f"{VERDICT_WORDS['check']}: this solve has no record of its references or its error",
-        "map it with this version, or measure it against keys (--against)",
+        "map it with a mapping, or measure it against keys (--against)",
     )
 
 

@@ -252,7 +252,7 @@ def _notes(spec: SheetSpec, comparison: SheetComparison, *, stand_in_eyes: bool)
         with_video = "" if shot.take.video is None else "compare with the video, or "
         notes = [f"the take has weights and no markers: {with_video}give keys (--against)"]
     elif shot.performance.uncertainty_mm is None:
-        notes = ["uncertainty unknown: the performance was not mapped by this version"]
+        notes = ["uncertainty unknown: only solves by a mapping of this version state it"]
     if spec.layout != "strip" and comparison.equation is not None:
         notes.append(
             "dots: markers on the character, hollow if repaired; white lines: residual; blue "
