@@ -8,6 +8,7 @@ import pytest
 from tests.steps.small_shot import Shot
 from usdface.runner.execute import execute
 from usdface.specs.performance import MapSpec
+from usdface.steps.inputs.solve_verdict import verdict_findings
 from usdface.steps.review.scoring import set_up_shot_baseline
 from usdface.steps.review.shot import open_shot
 from usdface.usdio.performance.read import read_performance
@@ -45,6 +46,9 @@ def test_a_stretch_of_frames_is_solved_as_the_whole_take(
     whole = solved(finished_shot, tmp_path / "whole.usda")
     part = solved(finished_shot, tmp_path / "part.usda", frames="101-140")
     np.testing.assert_allclose(part, whole[100:140], atol=1e-6)
+    (finding,) = verdict_findings(tmp_path / "whole.usda")
+    assert finding.severity == "warning"
+    assert "Check: this solve has no record of its references or its error" in finding.message
 
 
 @pytest.mark.parametrize(

@@ -204,6 +204,7 @@ def _judge_without_figures(evidence: SolveEvidence) -> SolveVerdict:
         "check",
         f"{VERDICT_WORDS['check']}: this solve has no record of its references or its error",
         "map it with a mapping, or measure it against keys (--against)",
+        {"level": "check"},
     )
 
 

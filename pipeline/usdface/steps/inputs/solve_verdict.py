@@ -28,13 +28,15 @@ WORST_VERDICT = "USDFACE_WORST_VERDICT"
 def judge_performance(
     reader: PerformanceReader, *, judged: frozenset[Path] = frozenset()
 ) -> SolveVerdict | None:
-    """Judge a performance by its layer's figures; None if it has none and is no retarget.
+    """Judge a performance by its layer's figures; None if it has none and no step solved it.
 
     Files may name each other as their source: those `judged` are not judged again.
     """
     evidence = evidence_of(reader, judged=judged)
+    made = provenance_of(reader.path)
+    solved = evidence.retarget or (made is not None and made.step == "map")
     unknown = evidence.uncertainty_mm is None and evidence.coverage is None
-    return None if unknown and not evidence.retarget else judge_solve(evidence)
+    return None if unknown and not solved else judge_solve(evidence)
 
 
 def evidence_of(
