@@ -7,8 +7,9 @@ from pxr import Usd, UsdSkel
 
 from usdface.core.arrays import BoolArray, FloatArray, index_of, runs
 from usdface.core.text import first_few, pluralize
-from usdface.usdio.authoring import read_gaps
+from usdface.usdio.authoring import read_gaps, value_of
 from usdface.usdio.checks.fault import Fault, Samples, is_recorded, is_solved, read_samples
+from usdface.usdio.rig.read import RANGE_ATTRIBUTE, shape_prims
 
 
 def check_timing(stage: Usd.Stage) -> Iterator[Fault]:
@@ -161,15 +162,10 @@ def _ranges(prim: Usd.Prim, samples: Samples) -> FloatArray:
         return np.stack([samples.values.min(axis=0), samples.values.max(axis=0)], axis=1)
     ranges = np.tile([0.0, 1.0], (len(names), 1))
     place = index_of(names)
-    for mesh in prim.GetStage().Traverse():
-        binding = UsdSkel.BindingAPI(mesh)
-        shapes = binding.GetBlendShapesAttr().Get() or []
-        targets = binding.GetBlendShapeTargetsRel().GetTargets() if shapes else []
-        for name, target in zip(map(str, shapes), targets, strict=False):
-            shape = prim.GetStage().GetPrimAtPath(target)
-            authored = shape.GetAttribute("face:range").Get() if shape else None
-            if name in place and authored is not None:
-                ranges[place[name]] = list(authored)
+    for name, shape in shape_prims(prim.GetStage().GetPseudoRoot()):
+        authored = value_of(shape, RANGE_ATTRIBUTE) if shape else None
+        if name in place and authored is not None:
+            ranges[place[name]] = list(authored)
     return ranges
 
 

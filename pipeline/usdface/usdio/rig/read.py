@@ -59,11 +59,12 @@ def read_rig(path: Path, *, prim: str | None = None) -> Rig:
 
 
 def shape_prims(root: Usd.Prim) -> Iterator[tuple[str, Usd.Prim]]:
-    """Yield name and BlendShape prim of the shapes of all meshes below a SkelRoot."""
+    """Yield name and BlendShape prim of the shapes of all meshes below a prim."""
     for mesh in _meshes_below(root):
         binding = UsdSkel.BindingAPI(mesh)
         names = binding.GetBlendShapesAttr().Get() or []
-        for name, target in zip(names, binding.GetBlendShapeTargetsRel().GetTargets(), strict=True):
+        targets = binding.GetBlendShapeTargetsRel().GetTargets() if names else []
+        for name, target in zip(names, targets, strict=False):  # `_read_mesh` refuses others
             yield str(name), root.GetStage().GetPrimAtPath(target)
 
 
