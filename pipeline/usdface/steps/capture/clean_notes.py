@@ -55,36 +55,33 @@ def _still_notes(cleaned: CleanedMarkers) -> list[str]:
 
 def _repairs(cleaned: CleanedMarkers, markers: Markers, take: Take) -> list[str]:
     notes = []
+    names, first = markers.names, take.first_frame
     for swap in cleaned.swaps[:_LISTED_SWAPS]:
-        stretch = (take.first_frame + swap.start, take.first_frame + swap.stop - 1)
-        notes.append(
-            f"{frame_ranges([stretch])}: labels "
-            f"{markers.names[swap.first]} and {markers.names[swap.second]} were swapped"
-        )
+        frames = frame_ranges([(first + swap.start, first + swap.stop - 1)])
+        notes.append(f"{frames}: labels {names[swap.first]} and {names[swap.second]} were swapped")
     if len(cleaned.swaps) > _LISTED_SWAPS:
         notes.append(f"and {len(cleaned.swaps) - _LISTED_SWAPS} more swaps")
-    first, left = take.first_frame, []
-    for index in np.flatnonzero(cleaned.lost.any(axis=0)):
-        spans = [(first + a, first + b - 1) for a, b in runs(cleaned.lost[:, index])]
-        left.append(f"{markers.names[index]} ({frame_ranges(spans)})")
+    left = [
+        f"{name} ({frame_ranges((first + a, first + b - 1) for a, b in runs(track))})"
+        for name, track in zip(names, cleaned.lost.T, strict=True)
+        if track.any()
+    ]
     if left:
         notes.append(
-            f"left the face, by the size of the face or more: {first_few(left)}; treated as gaps. "
+            f"left the face: {first_few(left)}; treated as gaps. "
             "Export later takes without a marker that fell off"
         )
     if cleaned.outliers.any():
         counts = cleaned.outliers.sum(axis=0)
         whose = "of" if np.count_nonzero(counts) == 1 else "most of them of"
-        notes.append(
-            f"replaced {pluralize(int(counts.sum()), 'outlier')}, {whose} "
-            f"{markers.names[int(counts.argmax())]}"
-        )
+        outliers = pluralize(int(counts.sum()), "outlier")
+        notes.append(f"replaced {outliers}, {whose} {names[int(counts.argmax())]}")
     missing = ~cleaned.visible
     if missing.any():
-        names = [markers.names[i] for i in np.flatnonzero(missing.any(axis=0))]
+        whose = first_few([names[i] for i in np.flatnonzero(missing.any(axis=0))])
         notes.append(
             f"{pluralize(int(missing.sum()), 'sample')} in gaps too long to fill, with confidence "
-            f"0 ({first_few(names)}): raise --max-gap to fill them"
+            f"0 ({whose}): raise --max-gap to fill them"
         )
     no_pose = np.flatnonzero(cleaned.pose_confidence < 1.0)
     if len(no_pose):
@@ -163,6 +160,7 @@ def cleaning_figures(cleaned: CleanedMarkers, rigid: tuple[str, ...]) -> dict[st
     return {
         "swaps": len(cleaned.swaps),
         "outliers": int(cleaned.outliers.sum()),
+        "lost": int(cleaned.lost.sum()),
         "filled": int(cleaned.filled.sum()),
         "left": int((~cleaned.visible).sum()),
         "noise_mm": cleaned.noise_mm,

@@ -1,0 +1,25 @@
+"""Markers that fall off the face during a take."""
+
+from dataclasses import replace
+
+from tests.steps.small_shot import Shot
+from usdface.core.provenance import Provenance
+from usdface.runner.execute import execute
+from usdface.specs.capture import CleanSpec
+from usdface.usdio.take.read import read_take
+from usdface.usdio.take.write import write_take
+
+
+def test_a_marker_that_falls_off_is_named_with_its_frames(shot: Shot) -> None:
+    take = read_take(shot / "shot.take.usda")
+    assert take.markers is not None
+    positions, marker = take.markers.positions.copy(), len(take.markers.names) - 1
+    positions[-40:, marker, 1] -= 1000.0
+    fallen = replace(take, markers=replace(take.markers, positions=positions))
+    write_take(shot / "fallen.take.usda", fallen, provenance=Provenance())
+    result = execute(CleanSpec(take=shot / "fallen.take.usda", out=shot / "fallen.clean.take.usda"))
+    (note,) = (note for note in result.notes if note.startswith("left the face"))
+    last = take.first_frame + take.frame_count - 1
+    assert take.markers.names[marker] in note
+    assert f"-{last})" in note
+    assert result.figures["lost"] >= 40
