@@ -119,8 +119,8 @@ def _copy_rig_use(top: Sdf.Layer, shown: PerformanceReader, source: str) -> None
             continue
         moved, (_, reference) = to_root.timeOffset, arc.GetIntroducingListEditor()
         # USD scales by the rates of layers itself, there and here.
-        faster = above.layerStack.identifier.rootLayer.timeCodesPerSecond / float(shown.rate)
-        moved = Sdf.LayerOffset(moved.offset, moved.scale * faster) * reference.layerOffset
+        rate_ratio = above.layerStack.identifier.rootLayer.timeCodesPerSecond / float(shown.rate)
+        moved = Sdf.LayerOffset(moved.offset, moved.scale * rate_ratio) * reference.layerOffset
         kept.append(Sdf.Reference("", at, moved))
     if kept:
         Sdf.CreatePrimInLayer(top, header.animation).referenceList.prependedItems = kept
