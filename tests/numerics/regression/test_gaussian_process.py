@@ -40,7 +40,7 @@ def test_prediction_equals_sklearns_process_with_the_same_covariance() -> None:
         features, outputs, variances=variances, choice=choice, noise=np.full(3, 0.01)
     )
     size = variances[:4].sum()
-    length = np.sqrt(-0.5 / model.exponent)
+    length = np.sqrt(-0.5 / model.exponent) / model.scale[0]
     kernel = ConstantKernel(LINE_VARIANCE / size, "fixed") * DotProduct(0.0, "fixed")
     kernel += ConstantKernel(OFFSET_VARIANCE, "fixed") + ConstantKernel(2.0, "fixed") * RBF(
         length, "fixed"
@@ -57,7 +57,7 @@ def test_width_is_measured_in_median_distances_of_whitened_features() -> None:
     model = fit_gaussian_process(
         features, outputs, variances=variances, choice=choice, noise=np.full(3, 0.1)
     )
-    white = features / np.sqrt(variances)
+    white = features * np.sqrt(LINE_VARIANCE / (5 * variances))
     away = ((white[:, None] - white) ** 2).sum(axis=2)
     middle = np.median(away[np.triu_indices(30, 1)])
     assert model.exponent == pytest.approx(-0.5 / (3.0 * middle))
@@ -69,16 +69,20 @@ def test_leave_one_out_residuals_equal_refitting_without_each_pair(radial: float
     choice, noise = ProcessSettings(5, 0.5, radial=radial), np.array([0.01, 0.1, 1.0])
     whole = fit_gaussian_process(features, outputs, variances=variances, choice=choice, noise=noise)
     scaled = features * whole.scale
-    covariance = (
-        LINE_VARIANCE / (variances * whole.scale**2).sum() * scaled @ scaled.T + OFFSET_VARIANCE
-    )
+    assert (variances * whole.scale**2).sum() == pytest.approx(LINE_VARIANCE)
+    covariance = scaled @ scaled.T + OFFSET_VARIANCE
     covariance += radial * radial_values(scaled, scaled, whole.exponent)
+    variance = np.empty((12, 3))
     for i in range(12):
         rest = np.arange(12) != i
         for j, level in enumerate(noise):
             inner = covariance[np.ix_(rest, rest)] + level * np.eye(11)
-            unseen = covariance[i, rest] @ np.linalg.solve(inner, outputs[rest, j])
+            gain = np.linalg.solve(inner, covariance[rest, i])
+            unseen = gain @ outputs[rest, j]
             assert whole.residuals[i, j] == pytest.approx(outputs[i, j] - unseen, abs=1e-8)
+            variance[i, j] = covariance[i, i] + level - gain @ covariance[rest, i]
+    expected = (whole.residuals**2 / variance).mean(axis=0)
+    np.testing.assert_allclose(whole.amplitude, expected, rtol=1e-6)
 
 
 def test_errors_of_the_search_are_those_of_the_fit(monkeypatch: pytest.MonkeyPatch) -> None:

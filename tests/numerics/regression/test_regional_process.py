@@ -1,12 +1,15 @@
-"""What part of the face each shape moves, and sums of kernels over it."""
+"""What part of the face each shape moves, and Gaussian processes over it."""
 
 from typing import Any
 
 import numpy as np
 import pytest
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF, ConstantKernel, DotProduct
 
+from usdface.numerics.regression.gaussian_process import OFFSET_VARIANCE
 from usdface.numerics.regression.regional_process import (
-    LocalSums,
+    RegionalProcesses,
     marker_relevance,
     regional_features,
 )
@@ -53,26 +56,20 @@ def parts(*, regions: int = OUTPUTS) -> dict[str, Any]:
         "projection": rng.normal(size=(regions, GIVEN, KEPT)),
         "centres": 3 * rng.normal(size=(regions, PAIRS, KEPT)),
         "exponent": -rng.uniform(0.01, 0.1, size=regions),
+        "noise": 10.0 ** rng.integers(-3, 1, size=regions),
+        "radial": 3.0,
         "dual": dual,
         "region": np.minimum(np.arange(OUTPUTS)[::-1], regions - 1),
     }
 
 
-def direct(
-    points: np.ndarray,
-    *,
-    projection: np.ndarray,
-    centres: np.ndarray,
-    exponent: np.ndarray,
-    dual: np.ndarray,
-    region: np.ndarray,
-) -> np.ndarray:
+def direct(points: np.ndarray, given: dict[str, Any]) -> np.ndarray:
     """Every sum by itself, from differences."""
     out = np.empty((len(points), OUTPUTS))
-    for j, k in enumerate(region):
-        rows = points @ projection[k]
-        squared = ((rows[:, None] - centres[k][None]) ** 2).sum(axis=2)
-        out[:, j] = np.exp(exponent[k] * squared) @ dual[:, j]
+    for j, k in enumerate(given["region"]):
+        rows = points @ given["projection"][k]
+        squared = ((rows[:, None] - given["centres"][k][None]) ** 2).sum(axis=2)
+        out[:, j] = np.exp(given["exponent"][k] * squared) @ given["dual"][:, j]
     return out
 
 
@@ -81,19 +78,37 @@ def direct(
 def test_sums_side_by_side_equal_those_taken_one_by_one(regions: int, frames: int) -> None:
     given = parts(regions=regions)
     points = np.random.default_rng(1).normal(size=(frames, GIVEN))
-    found = LocalSums(**given)(points)
-    wanted = direct(points, **given)
+    found, _ = RegionalProcesses(**given)(points)
+    wanted = direct(points, given)
     np.testing.assert_allclose(found, wanted, atol=1e-6)
     large = np.linalg.norm(given["dual"], axis=0) > 1.5  # no rounding of these
     np.testing.assert_allclose(found[:, large], wanted[:, large], atol=1e-12)
 
 
+def test_variances_are_those_of_sklearns_processes() -> None:
+    given, points = parts(), np.random.default_rng(1).normal(size=(50, GIVEN))
+    _, variance = RegionalProcesses(**given)(points)
+    unused = given["region"][0]  # its dual is 0
+    assert not variance[:, unused].any()
+    for k in set(range(OUTPUTS)) - {unused}:
+        width = np.sqrt(-0.5 / given["exponent"][k])
+        kernel = DotProduct(0.0, "fixed") + ConstantKernel(OFFSET_VARIANCE, "fixed")
+        kernel += ConstantKernel(given["radial"], "fixed") * RBF(width, "fixed")
+        theirs = GaussianProcessRegressor(kernel, alpha=given["noise"][k], optimizer=None)
+        theirs.fit(given["centres"][k], given["dual"])
+        _, deviation = theirs.predict(points @ given["projection"][k], return_std=True)
+        np.testing.assert_allclose(variance[:, k], deviation[:, 0] ** 2, rtol=2e-3, atol=1e-4)
+
+
 def test_points_do_not_depend_on_how_many_there_are() -> None:
-    sums = LocalSums(**parts())
+    processes = RegionalProcesses(**parts())
     points = np.random.default_rng(1).normal(size=(3000, GIVEN))
-    np.testing.assert_allclose(sums(points)[1000:1010], sums(points[1000:1010]), atol=1e-6)
+    for whole, some in zip(processes(points), processes(points[1000:1010]), strict=True):
+        np.testing.assert_allclose(whole[1000:1010], some, rtol=1e-5, atol=1e-6)
 
 
 def test_without_any_dual_there_is_nothing_to_add() -> None:
     given = parts() | {"dual": np.zeros((PAIRS, OUTPUTS))}
-    assert not LocalSums(**given)(np.ones((5, GIVEN))).any()
+    local, variance = RegionalProcesses(**given)(np.ones((5, GIVEN)))
+    assert not local.any()
+    assert not variance.any()

@@ -83,14 +83,15 @@ class FoldModel:
 
     def solve(self, pairs: Pairs, solver: FrameSolver) -> FrameSolution:
         """Return the solution of pairs; that of a method that solves no frames is its weights."""
-        displaced, bounded = pairs.displacements, self.method.solves_frames
+        displaced = pairs.displacements
         visible = np.ones(displaced.shape[:2], np.bool_)
-        return solver.solve(displaced, visible, self._predict(pairs), bounded=bounded)
+        if self.method.prepare_prior is None:
+            return solver.solve(displaced, visible, self._predict(pairs), bounded=False)
+        prior = self.method.prepare_prior(self.fitted.arrays, self.fitted.settings)
+        return solver.solve(displaced, visible, *prior(displaced.reshape(len(displaced), -1)))
 
     def _predict(self, pairs: Pairs) -> FloatArray:
-        markers = pairs.displacements.reshape(len(pairs.outputs), -1)
-        inputs = markers if self.method.solves_frames else pairs.inputs
-        weights = self.method.predict(self.fitted.arrays, self.fitted.settings, inputs)
+        weights = self.method.predict(self.fitted.arrays, self.fitted.settings, pairs.inputs)
         return bend(pairs.face.normalise(weights), self.corrected.forward.scales.curve)
 
 

@@ -83,10 +83,11 @@ class WeightPredictor:
             packed, _ = self._solver.linearise(self._solver.forward.targets.astype(np.float32))
             pairs = packed.reshape(len(packed), -1, 3).astype(np.float64)
             self._coverage = CoverageModel(self._solver.forward.basis, pairs, self._members)
-            self._method = find_method(mapping.method)
-            self._driving = self._find_driving()
+            method, given = find_method(mapping.method), (mapping.arrays, mapping.settings)
             with np.errstate(all="ignore"):  # values that are not finite are refused below
-                self._predict = self._method.prepare(mapping.arrays, mapping.settings)
+                self._predict = method.prepare(*given)
+                self._prior = method.prepare_prior and method.prepare_prior(*given)
+                self._driving = self._find_driving()
                 trial = self.predict(mapping.neutral[None])
         except (KeyError, ValueError, IndexError, TypeError) as error:
             raise InputError(
@@ -161,22 +162,25 @@ class WeightPredictor:
         """Return weights, uncertainty (frames, regions) and residuals (frames, markers, 3)."""
         low, high = self._mapping.ranges.T
         solver, curve = self._solver, self._solver.forward.scales.curve
-        solves = self._method.solves_frames
-        inputs = displacements.reshape(len(displacements), -1) if solves else coordinates
-        weights = np.clip(self._predict(inputs), low, high)
+        if self._prior is None:
+            predicted = np.clip(self._predict(coordinates), low, high)
+            prior_mean, deviation = bend((predicted - low) / (high - low), curve), None
+        else:
+            prior_mean, deviation = self._prior(displacements.reshape(len(displacements), -1))
+        solves = self._prior is not None
+        weights = np.empty_like(prior_mean)
         uncertainty = np.empty((len(weights), len(self._regions)))
         residual = np.empty(displacements.shape, dtype=np.float32)
         for rows in frame_blocks(len(weights), frames=_SOLVED_FRAMES):
-            moved, seen = displacements[rows], visible[rows]
-            prior_mean = bend((weights[rows] - low) / (high - low), curve)
+            moved, seen, mean = displacements[rows], visible[rows], prior_mean[rows]
+            error = None if deviation is None else deviation[rows]
             known = None if confidence is None else confidence[rows]
             if len(self._driving):
-                solution = solver.solve(moved, seen, prior_mean, bounded=solves)
-                prior_mean[:, self._driving] = self._expected(solution)
-            solution = solver.solve(moved, seen, prior_mean, bounded=solves, confidence=known)
-            if solves or len(self._driving):
-                solved = np.clip(unbend(solution.targets, curve), 0.0, 1.0)
-                weights[rows] = low + (high - low) * solved
+                solution = solver.solve(moved, seen, mean, bounded=False)
+                mean[:, self._driving] = self._expected(solution)
+            solution = solver.solve(moved, seen, mean, error, bounded=solves, confidence=known)
+            solved = np.clip(unbend(solution.targets, curve), 0.0, 1.0)
+            weights[rows] = low + (high - low) * solved
             residual[rows] = solution.residual.reshape(-1, *residual.shape[1:])
             uncertainty[rows] = self._uncertainty.deviations(solver, solution, seen)
         return weights, uncertainty, residual
@@ -188,7 +192,7 @@ class WeightPredictor:
         of many shapes. In-betweens of one shape (one part, no span) are not combinations.
         """
         driven = self._solver.forward.driven
-        if driven is None or self._method.solves_frames or not self._solver.has_jacobians:
+        if driven is None or self._prior is not None or not self._solver.has_jacobians:
             return np.zeros(0, np.int64)
         combinations = [
             each for each in driven.logic.combinations if len(each.parts) > 1 or each.spans

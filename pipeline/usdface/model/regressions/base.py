@@ -20,6 +20,10 @@ Settings = dict[str, float | int | str | bool]
 Predictor = Callable[[FloatArray], FloatArray]
 """Function from inputs (frames, d) to outputs (frames, k)."""
 
+PriorPredictor = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+"""Function from the displacements of the markers (frames, 3 markers) [mm] to the prior mean of
+`frame_solve` and its standard deviation, (frames, shapes) bent weights."""
+
 WHITENING_POWERS = (0.0, 0.125, 0.25)
 """Candidates: coordinates are divided by this power of their variance. 0 leaves them as captured;
 .5, full whitening, would amplify noise to the size of the jaw's motion."""
@@ -175,9 +179,14 @@ class Regression:
     """Candidate settings; empty if the method is not available for retargeting."""
     retarget_name: str = ""
     """Name in retargetings, if it differs."""
-    solves_frames: bool = False
-    """Whether it predicts the prior mean of `frame_solve`, from the displacements of the markers,
-    (frames, 3 markers) [mm], in place of weights from coordinates."""
+    prepare_prior: Callable[[Arrays, Settings], PriorPredictor] | None = None
+    """As `prepare`, for a method that predicts the prior of `frame_solve`; its `prepare` reads
+    displacements as well."""
+
+    @property
+    def solves_frames(self) -> bool:
+        """Whether its prediction is the prior of `frame_solve`."""
+        return self.prepare_prior is not None
 
     def candidates(self, pairs: Pairs, choices: Choices = DEFAULT_CHOICES) -> tuple[Settings, ...]:
         """Return the candidate settings for a mapping."""

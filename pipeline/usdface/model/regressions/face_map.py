@@ -13,13 +13,25 @@ expression that no take shows, such as a wink, and would pass half of it to the 
 covariance is linear plus radial (`gaussian_process`). All shapes share the covariance of least
 leave-one-out error; the noise is chosen for each shape.
 
-The prediction is the prior mean of `frame_solve`, and its leave-one-out error the prior deviation.
+The prediction is the prior mean of `frame_solve`, and its standard deviation the prior's ::
+
+    deviation_s^2 = a_s (variance_s(x) + noise_s)
+
+with ``a_s`` such that leave-one-out residuals have their expected size (`GaussianProcess`). It
+increases with the distance of a frame from the references.
 """
 
 import numpy as np
 
 from usdface.core.arrays import Arrays, FloatArray, IntArray, sample_frames
-from usdface.model.regressions.base import Fitted, Pairs, Predictor, Regression, Settings
+from usdface.model.regressions.base import (
+    Fitted,
+    Pairs,
+    Predictor,
+    PriorPredictor,
+    Regression,
+    Settings,
+)
 from usdface.model.regressions.bent_weights import unbend
 from usdface.numerics.regression.gaussian_process import (
     NOISES,
@@ -30,8 +42,8 @@ from usdface.numerics.regression.gaussian_process import (
     usable_choices,
 )
 from usdface.numerics.regression.regional_process import (
-    LocalSums,
     RegionalFeatures,
+    RegionalProcesses,
     regional_features,
 )
 
@@ -138,6 +150,7 @@ def _fit_regions(
     """Fit the processes of each region's shapes, and stack the regions' arrays."""
     slope, intercept = np.empty((moved.shape[1], len(region))), np.empty(len(region))
     dual, residuals = np.empty_like(targets), np.empty_like(targets)
+    amplitude, noises = np.empty(len(region)), np.empty(len(region))
     projection, centres, exponent = [], [], []
     for k, each in enumerate(features):
         shapes = np.flatnonzero(region == k)
@@ -151,6 +164,7 @@ def _fit_regions(
         slope[:, shapes] = projection[-1] @ fit.slope
         intercept[shapes], dual[:, shapes] = fit.intercept, fit.dual
         residuals[:, shapes] = fit.residuals
+        amplitude[shapes], noises[shapes] = fit.amplitude, noise
     return {
         "slope": slope,
         "intercept": intercept,
@@ -159,27 +173,43 @@ def _fit_regions(
         "exponent": np.array(exponent),
         "dual": dual,
         "region": region.astype(np.float64),
+        "radial": np.array([choice.radial]),
+        "noise": noises,
+        "amplitude": amplitude,
         "start_error": np.sqrt((residuals**2).mean(axis=0)),
     }
 
 
-def _prepare(arrays: Arrays, settings: Settings) -> Predictor:
-    curve = float(arrays["curve"][0])
-    local = LocalSums(
+def _prepare_prior(arrays: Arrays, _settings: Settings) -> PriorPredictor:
+    region, noise = arrays["region"].astype(np.int64), arrays["noise"]
+    mean_log_noise = np.bincount(region, np.log(noise)) / np.bincount(region)
+    processes = RegionalProcesses(
         **{name: arrays[name] for name in ("projection", "centres", "exponent", "dual")},
-        region=arrays["region"].astype(np.int64),
+        noise=np.exp(mean_log_noise),
+        radial=float(arrays["radial"][0]),
+        region=region,
     )
 
-    def predict(moved: FloatArray) -> FloatArray:
+    def predict(moved: FloatArray) -> tuple[FloatArray, FloatArray]:
         if moved.shape[1] != len(arrays["slope"]):
             raise ValueError(
                 f"its regression reads {len(arrays['slope'])} values a frame, such as the "
                 f"components of earlier versions, not {moved.shape[1]} coordinates of markers"
             )
-        targets = np.clip(moved @ arrays["slope"] + arrays["intercept"] + local(moved), 0.0, 1.0)
-        return np.asarray(arrays["low"] + arrays["span"] * unbend(targets, curve))
+        local, variance = processes(moved)
+        mean = np.clip(moved @ arrays["slope"] + arrays["intercept"] + local, 0.0, 1.0)
+        return mean, np.sqrt(arrays["amplitude"] * (variance[:, region] + noise))
 
     return predict
+
+
+def _prepare(arrays: Arrays, settings: Settings) -> Predictor:
+    predict, curve = _prepare_prior(arrays, settings), float(arrays["curve"][0])
+
+    def predict_weights(moved: FloatArray) -> FloatArray:
+        return np.asarray(arrays["low"] + arrays["span"] * unbend(predict(moved)[0], curve))
+
+    return predict_weights
 
 
 METHOD = Regression(
@@ -187,6 +217,6 @@ METHOD = Regression(
     summary="Gaussian processes near the references, and beyond them the rig's geometry",
     fit=_fit,
     prepare=_prepare,
+    prepare_prior=_prepare_prior,
     mapping_candidates=_candidates,
-    solves_frames=True,
 )

@@ -1,7 +1,7 @@
 """Bounded maximum a posteriori estimate of a frame's weights.
 
-The prior is centred on the regression's prediction ``t0``, with its leave-one-out error as standard
-deviation; the likelihood is that of the markers y under the forward model f (`forward_model`)::
+The prior is centred on the regression's prediction ``t0``, with its predictive standard deviation
+``error``; the likelihood is that of the markers y under the forward model f (`forward_model`)::
 
     min over 0 <= t <= 1:   e' W e  +  sum_s rho((t_s - t0_s) / sd_s),    e = y - f(t)
     W^-1 = diag(sqrt r) (I + U'U) diag(sqrt r),    r_k = c (noise_k + predictive variance at t0)
@@ -21,10 +21,10 @@ references and the regression determines the shape; where they disagree, the mar
     g_s    = log(chi2_s / .3) / log(10 / .3), limited to [0, 1]
     sd_s   = error_s^(1 - g'_s) spread_s^g'_s,    1 - g'_s = (1 - g_s) sum_k h_sk v_k
 
-``expected_k``: variance due to noise, predictive variance and the regression's error. ``h_sk``:
-share of marker k in the information of the markers on shape s; its sum over k is 1. A shape with
-occluded markers is thus released to its spread. The transition takes one and a half decades of
-chi2, so that it adds no jitter.
+``expected_k``: variance in frames similar to references, due to noise, predictive variance and the
+regression's error there. ``h_sk``: share of marker k in the information of the markers on shape s;
+its sum over k is 1. A shape with occluded markers is thus released to its spread. The transition
+takes one and a half decades of chi2, so that it adds no jitter.
 """
 
 from dataclasses import dataclass
@@ -119,7 +119,7 @@ class FrameSolver:
 
     forward: ForwardModel
     error: FloatArray
-    """(shapes,): standard deviation of the error of t0."""
+    """(shapes,): root mean square of the error of t0 over the references."""
     inflation: float = MARKER_INFLATION
     """``c``, factor on the variance of the markers."""
 
@@ -139,6 +139,7 @@ class FrameSolver:
         displacements: FloatArray,
         visible: BoolArray,
         prior_mean: FloatArray,
+        prior_deviation: FloatArray | None = None,
         *,
         bounded: bool = True,
         confidence: RealArray | None = None,
@@ -152,6 +153,8 @@ class FrameSolver:
         visible : (frames, markers) bool array
         prior_mean : (frames, shapes) float array
             t0: bent weights predicted by the regression [0-1].
+        prior_deviation : (frames, shapes) float array, optional
+            Standard deviation of the error of t0; by default `error` in each frame.
         bounded : bool
             If False, the weights stay at t0, the prediction of another method, and only the terms
             of their posterior covariance are computed.
@@ -166,7 +169,9 @@ class FrameSolver:
         predicted, slope = self.linearise(t0)
         residual = np.where(seen, y - predicted, 0.0).astype(np.float32)
         predictive = self._predictive_variance(t0, slope)
-        precision = self._prior_precision(residual, visible, predictive)
+        error = self.error if prior_deviation is None else prior_deviation
+        error = np.maximum(np.broadcast_to(error, t0.shape), _MIN_ERROR)
+        precision = self._prior_precision(residual, visible, predictive, error)
         likelihood = self._likelihood(slope, visible, predictive)
         step, targets = np.zeros_like(t0), prior_mean
         if bounded:
@@ -178,7 +183,7 @@ class FrameSolver:
             predictive = np.broadcast_to(predictive, visible.shape)[rows]
             visibility = visible[rows] * self._visibility(predictive, confidence[rows])
             at_t0 = residual[rows] * np.repeat(visibility > 0, 3, axis=1)
-            prior = self._prior_precision(at_t0, visibility, predictive)
+            prior = self._prior_precision(at_t0, visibility, predictive, error[rows])
             precision[rows] = prior / _huber_divisor(step[rows], prior)
             if hessian is not None and slope is not None:
                 known = self._likelihood(slope[rows], visibility, predictive)
@@ -289,7 +294,11 @@ class FrameSolver:
         return FrameJacobians(slope, weight)
 
     def _prior_precision(
-        self, residual: RealArray, visibility: RealArray | BoolArray, predictive: RealArray
+        self,
+        residual: RealArray,
+        visibility: RealArray | BoolArray,
+        predictive: RealArray,
+        error: FloatArray,
     ) -> Float32Array:
         """Return ``1 / sd^2`` from residuals at t0: (frames, shapes); visibility is in [0-1]."""
         squared = (residual.reshape(len(residual), -1, 3) ** 2).sum(axis=2) / 3
@@ -300,7 +309,6 @@ class FrameSolver:
         decades = np.log(np.maximum(chi2, 1e-9) / _CHI2_FAMILIAR)
         gate = np.clip(decades / np.log(_CHI2_UNFAMILIAR / _CHI2_FAMILIAR), 0.0, 1.0)
         gate = 1 - (1 - gate) * seen
-        error = np.maximum(self.error, _MIN_ERROR)
         deviation = error * (np.maximum(self.forward.spread, error) / error) ** gate
         return np.asarray(1 / deviation**2, dtype=np.float32)
 

@@ -2,11 +2,11 @@
 
 The covariance is the sum of those of a linear function, a local correction and a constant::
 
-    k(x, y) = LINE_VARIANCE <x, y> / size + radial exp(-|x - y|^2 / (2 width m)) + OFFSET_VARIANCE
+    k(x, y) = <x, y> + radial exp(-|x - y|^2 / (2 width m)) + OFFSET_VARIANCE
 
-of features scaled by ``variance ** (-power / 2)``, where size is the expected ``<x, x>`` and m the
-median squared distance between the pairs. Chosen are the number of features, power, radial, width
-and, for every output, the noise.
+of features scaled by ``variance ** (-power / 2)``, and such that the expected ``<x, x>`` is
+LINE_VARIANCE; m is the median squared distance between the pairs. Chosen are the number of
+features, power, radial, width and, for every output, the noise.
 """
 
 from collections.abc import Sequence
@@ -43,8 +43,6 @@ class ProcessSettings:
     """Prior variance of the local part."""
     width: float = 1.0
     """Squared width of the local part in median squared distances."""
-    line: float = LINE_VARIANCE
-    """Prior variance of the linear part."""
 
 
 @dataclass(frozen=True)
@@ -68,13 +66,15 @@ class GaussianProcess:
     """(n, s): coefficients of the local part, 0 without it."""
     residuals: FloatArray
     """(n, s): output minus its leave-one-out prediction."""
+    amplitude: FloatArray
+    """(s,): factor of the covariance, noise included, with which the leave-one-out residuals have
+    their expected size: the mean of ``residual^2 / variance``."""
 
 
 def usable_choices(choices: Sequence[ProcessSettings], *, most: int) -> tuple[ProcessSettings, ...]:
     """Return the distinct choices limited to the dimensions available."""
     limited = (
-        ProcessSettings(min(c.dimensions, most), c.power, c.radial, c.width, c.line)
-        for c in choices
+        ProcessSettings(min(c.dimensions, most), c.power, c.radial, c.width) for c in choices
     )
     return tuple(dict.fromkeys(limited))
 
@@ -141,20 +141,21 @@ def fit_gaussian_process(
     _check(features, outputs, variances, (choice,))
     scaled = _Scaled(features, variances, choice)
     covariance = scaled.covariance()
-    dual, residuals = np.empty_like(outputs), np.empty_like(outputs)
+    dual, precision = np.empty_like(outputs), np.empty_like(outputs)
     for level in np.unique(noise):
         same = noise == level
         inverse = np.linalg.inv(covariance + level * np.eye(len(covariance)))
-        dual[:, same] = inverse @ outputs[:, same]
-        residuals[:, same] = dual[:, same] / np.diag(inverse)[:, None]  # Rasmussen, eq. 5.12
+        dual[:, same], precision[:, same] = inverse @ outputs[:, same], np.diag(inverse)[:, None]
+    residuals = dual / precision  # Rasmussen and Williams 2006, eq. 5.12
     return GaussianProcess(
         scale=scaled.scale,
         centres=scaled.rows,
         exponent=scaled.exponent,
-        slope=choice.line / scaled.size * (scaled.rows.T @ dual),
+        slope=scaled.rows.T @ dual,
         intercept=OFFSET_VARIANCE * dual.sum(axis=0),
         dual=choice.radial * dual,
         residuals=residuals,
+        amplitude=(residuals**2 * precision).mean(axis=0),
     )
 
 
@@ -166,19 +167,18 @@ class _Scaled:
     ) -> None:
         kept = variances[: choice.dimensions]
         self.choice = choice
-        self.scale: FloatArray = kept ** (-choice.power / 2)
+        whitened = kept ** (1 - choice.power)
+        self.scale: FloatArray = np.sqrt(LINE_VARIANCE * whitened / (kept * whitened.sum()))
         self.rows: FloatArray = features[:, : choice.dimensions] * self.scale
-        self.size = float((kept * self.scale**2).sum())
         squared = np.einsum("ij,ij->i", self.rows, self.rows)
         self.product: FloatArray = self.rows @ self.rows.T
         self.distances: FloatArray = np.maximum(squared[:, None] + squared - 2 * self.product, 0.0)
         pairs = self.distances[np.triu_indices(len(squared), 1)]
         middle = float(np.median(pairs)) if len(pairs) else 0.0
-        self.exponent = -0.5 / (choice.width * max(middle, 1e-12 * self.size))
+        self.exponent = -0.5 / (choice.width * max(middle, 1e-12 * LINE_VARIANCE))
 
     def covariance(self) -> FloatArray:
-        out: FloatArray = self.choice.line / self.size * self.product
-        out += OFFSET_VARIANCE
+        out: FloatArray = self.product + OFFSET_VARIANCE
         if self.choice.radial:
             out += self.choice.radial * np.exp(self.exponent * self.distances)
         return out

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray, RealArray, frame_blocks
+from usdface.numerics.regression.gaussian_process import OFFSET_VARIANCE
 
 _RIDGE_SHARE = 0.02
 """Ridge per frame for standardised weights: correlated shapes share the motion."""
@@ -87,19 +88,28 @@ def regional_features(
     return RegionalFeatures(factor @ vectors[:, ::-1], variances, axes)
 
 
-class LocalSums:
-    """``sum_i dual[i, j] exp(exponent[k] |x projection[k] - centres[k, i]|^2)``, k the region of j.
+class RegionalProcesses:
+    """Gaussian processes of all regions: local parts and variances.
 
-    The kernels of all regions are evaluated in batches. Kernels with small duals are evaluated in
-    single precision, in half the time.
+    With ``x = point @ projection[k]`` the features of region k::
+
+        local_j    = sum_i dual[i, j] exp(exponent[k] |x - c_i|^2),    k the region of output j
+        k_i        = <x, c_i> + radial exp(exponent[k] |x - c_i|^2) + OFFSET_VARIANCE
+        variance_k = k(x, x) - k' (K + noise[k] I)^-1 k
+
+    Regions are evaluated in batches. Those with small duals are evaluated in single precision, in
+    half the time.
 
     Parameters
     ----------
     projection : (k, D, d) float array
         From coordinates to the features of each region.
     centres : (k, n, d) float array
-    exponent : (k,) float array
-        Negative.
+        Features of the pairs, c.
+    exponent, noise : (k,) float arrays
+        Exponents are negative.
+    radial : float
+        Prior variance of the local part.
     dual : (n, s) float array
     region : (s,) int array
         Of each output.
@@ -110,66 +120,104 @@ class LocalSums:
         projection: FloatArray,
         centres: FloatArray,
         exponent: FloatArray,
+        noise: FloatArray,
+        radial: float,
         dual: FloatArray,
         region: IntArray,
     ) -> None:
-        self._outputs = dual.shape[1]
+        self._outputs, self._regions = dual.shape[1], len(projection)
         most = int(np.bincount(region).max())
-        columns = np.full((len(projection), most), self._outputs)  # padded by an unused output
-        duals = np.zeros((len(projection), len(dual), most))
-        for k in range(len(projection)):
+        columns = np.full((self._regions, most), self._outputs)  # padded by an unused output
+        duals = np.zeros((self._regions, len(dual), most))
+        for k in range(self._regions):
             outputs = np.flatnonzero(region == k)
             columns[k, : len(outputs)], duals[k, :, : len(outputs)] = outputs, dual[:, outputs]
-        # maps features, their squared norm and 1 to exponents
-        squares = np.einsum("knd,knd->kn", centres, centres)[:, :, None]
-        operand = np.concatenate([-2.0 * centres, np.ones_like(squares), squares], axis=2)
-        operand = operand.transpose(0, 2, 1) * exponent[:, None, None]
+        products, size2 = centres @ centres.transpose(0, 2, 1), (centres**2).sum(axis=2)[:, None]
+        curve = exponent[:, None, None]
+        covariance = radial * np.exp(curve * (size2 + size2.transpose(0, 2, 1) - 2 * products))
+        covariance += products + OFFSET_VARIANCE + noise[:, None, None] * np.eye(len(dual))
+        root = np.linalg.cholesky(np.linalg.inv(covariance))
+        offset = OFFSET_VARIANCE * root.sum(axis=1)[:, None]
+        arrays = {
+            "projection": projection,
+            "centres": centres.transpose(0, 2, 1),
+            "size2": size2,
+            "exponent": curve,
+            "dual": duals,
+            "root": root,
+            "offset": 2 * offset,
+            "rest_variance": OFFSET_VARIANCE + radial - (offset**2).sum(axis=2),
+        }
         norms = np.linalg.norm(duals, axis=1).max(axis=1)
-        rounded = norms <= _SINGLE_NORM
-        self._groups: list[_Kernels] = []
-        for kind, chosen in ((np.float32, rounded & (norms > 0)), (np.float64, ~rounded)):
-            parts: list[RealArray] = [
-                array[chosen].astype(kind, order="C") for array in (projection, operand, duals)
-            ]
-            self._groups.append(_Kernels(columns[chosen].ravel(), *parts))
+        single, double = (norms > 0) & (norms <= _SINGLE_NORM), norms > _SINGLE_NORM
+        self._batches: list[_Batch] = []
+        for kind, chosen in ((np.float32, single), (np.float64, double)):
+            own = {name: each[chosen].astype(kind, order="C") for name, each in arrays.items()}
+            regions = np.flatnonzero(chosen)
+            self._batches.append(_Batch(regions, columns[regions].ravel(), radial, **own))
 
-    def __call__(self, points: FloatArray) -> FloatArray:
-        """Evaluate the sums: (f, D) points to (f, s) outputs."""
-        out = np.zeros((len(points), self._outputs + 1))
-        for group in self._groups:
-            out[:, group.columns] = group.sums(points)
-        return out[:, :-1]
+    def __call__(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Evaluate (f, D) points: (f, s) local parts, and (f, k) variances.
+
+        The variance of a region whose duals are 0 is 0.
+        """
+        local = np.zeros((len(points), self._outputs + 1))
+        variance = np.zeros((len(points), self._regions))
+        for batch in self._batches:
+            local[:, batch.columns], variance[:, batch.regions] = batch.evaluate(points)
+        return local[:, :-1], np.maximum(variance, 0.0)
 
 
 @dataclass(frozen=True)
-class _Kernels:
-    """Kernels of one precision."""
+class _Batch:
+    """Regions of one precision."""
 
+    regions: IntArray
+    """(k,)"""
     columns: IntArray
     """(k * m,): their outputs."""
+    radial: float
     projection: RealArray
     """(k, D, d)"""
-    operand: RealArray
-    """(k, d + 2, n)"""
+    centres: RealArray
+    """(k, d, n)"""
+    size2: RealArray
+    """(k, 1, n): ``|c|^2``."""
+    exponent: RealArray
+    """(k, 1, 1)"""
     dual: RealArray
-    """(k, n, m): of the m outputs of each kernel."""
+    """(k, n, m): of the m outputs of each region."""
+    root: RealArray
+    """(k, n, n): R, of which ``R R' = (K + noise I)^-1``."""
+    offset: RealArray
+    """(k, 1, n): ``2 OFFSET_VARIANCE R' 1``."""
+    rest_variance: RealArray
+    """(k, 1): the terms of the variance that do not depend on the point."""
 
-    def sums(self, points: FloatArray) -> RealArray:
-        """Evaluate them: (f, D) points to (f, k * m) outputs."""
-        kernels, pairs, outputs = self.dual.shape
+    def evaluate(self, points: FloatArray) -> tuple[RealArray, RealArray]:
+        """Evaluate (f, D) points: (f, k * m) local parts and (f, k) variances."""
+        count, pairs, outputs = self.dual.shape
         rows = points.astype(self.dual.dtype)
-        sums = np.empty((kernels, len(rows), outputs), self.dual.dtype)
-        batch = max(_BLOCK_VALUES // max(len(rows) * pairs, 1), 1)
-        for some in frame_blocks(kernels, frames=batch):
-            sums[some] = self._sums_of(rows, some)
-        return sums.transpose(1, 0, 2).reshape(len(rows), kernels * outputs)
+        local = np.empty((count, len(rows), outputs), self.dual.dtype)
+        variance = np.empty((count, len(rows)), self.dual.dtype)
+        most = max(_BLOCK_VALUES // max(len(rows) * pairs, 1), 1)
+        for some in frame_blocks(count, frames=most):
+            local[some], variance[some] = self._evaluate_some(rows, some)
+        return local.transpose(1, 0, 2).reshape(len(rows), count * outputs), variance.T
 
-    def _sums_of(self, points: RealArray, some: slice) -> RealArray:
-        projection = self.projection[some]
-        rows = np.empty((len(projection), len(points), projection.shape[2] + 2), points.dtype)
-        features = np.matmul(points, projection, out=rows[:, :, :-2])
-        np.einsum("kfd,kfd->kf", features, features, out=rows[:, :, -2])
-        rows[:, :, -1] = 1.0
-        values: RealArray = np.matmul(rows, self.operand[some])
+    def _evaluate_some(self, points: RealArray, some: slice) -> tuple[RealArray, RealArray]:
+        features = np.matmul(points, self.projection[some])
+        size2 = np.einsum("kfd,kfd->kf", features, features)
+        products = np.matmul(features, self.centres[some])
+        values: RealArray = -2 * products
+        values += self.size2[some]
+        values += size2[:, :, None]
+        values *= self.exponent[some]
         np.exp(values, out=values)
-        return np.asarray(np.matmul(values, self.dual[some]))
+        local = np.matmul(values, self.dual[some])
+        values *= self.radial
+        values += products  # of the constant part, `offset` and `rest_variance`
+        explained = np.matmul(values, self.root[some])
+        variance = size2 + self.rest_variance[some]
+        variance -= np.einsum("kfn,kfn->kf", explained, explained + self.offset[some])
+        return local, variance
