@@ -13,29 +13,25 @@ import numpy as np
 from usdface.core.arrays import FloatArray, IntArray
 
 
-def _none(*shape: int) -> FloatArray:
-    return np.zeros(shape)
-
-
 @dataclass(frozen=True)
 class Controls:
     """Control vectors of a character, over frames or pairs."""
 
     shapes: tuple[str, ...] = ()
     """BlendShape channels."""
-    weights: FloatArray = field(default_factory=lambda: _none(0, 0))
+    weights: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     """(n, shapes)"""
     joints: tuple[str, ...] = ()
     """Joint paths, in the order of the UsdSkel skeleton."""
-    translations: FloatArray = field(default_factory=lambda: _none(0, 0, 3))
+    translations: FloatArray = field(default_factory=lambda: np.zeros((0, 0, 3)))
     """(n, joints, 3): local to the parent joint [unit of the skeleton]."""
-    rotations: FloatArray = field(default_factory=lambda: _none(0, 0, 4))
+    rotations: FloatArray = field(default_factory=lambda: np.zeros((0, 0, 4)))
     """(n, joints, 4): unit quaternions, w first."""
-    scales: FloatArray = field(default_factory=lambda: _none(0, 0, 3))
+    scales: FloatArray = field(default_factory=lambda: np.zeros((0, 0, 3)))
     """(n, joints, 3)"""
     attributes: tuple[str, ...] = ()
     """``PRIM.ATTRIBUTE``, the prim's path relative to the character's top prim."""
-    values: FloatArray = field(default_factory=lambda: _none(0, 0))
+    values: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     """(n, attributes)"""
 
     def __len__(self) -> int:
@@ -69,10 +65,10 @@ def shape_controls(shapes: tuple[str, ...], weights: FloatArray) -> Controls:
     return Controls(
         shapes=shapes,
         weights=weights,
-        translations=_none(count, 0, 3),
-        rotations=_none(count, 0, 4),
-        scales=_none(count, 0, 3),
-        values=_none(count, 0),
+        translations=np.zeros((count, 0, 3)),
+        rotations=np.zeros((count, 0, 4)),
+        scales=np.zeros((count, 0, 3)),
+        values=np.zeros((count, 0)),
     )
 
 
