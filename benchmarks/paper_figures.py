@@ -110,11 +110,13 @@ def _call(line: str) -> None:
 def _key_alpha(folder: Path) -> None:
     """Key alpha per range of frames by the part of the hybrid with the smaller error."""
     pairs = read_pairs(folder / "human_dog.pairs.usda")
-    rig = read_rig(folder / "human.usdc")
+    rig, target = read_rig(folder / "human.usdc"), read_rig(folder / "dog.usdc")
     motion = read_source_motion(folder / "talk.human.usda", None)
     columns = [motion.names.index(name) for name in pairs.source_shapes]
     weights = motion.weights[::EVERY, columns]
-    network, regression = evaluate_cyclic(pairs, weights, methods=("rbf", "kernel_cca"), rig=rig)
+    network, regression = evaluate_cyclic(
+        pairs, weights, methods=("rbf", "kernel_cca"), rig=rig, target_rig=target
+    )
     better = network.mean_vertex_mm < regression.mean_vertex_mm
     lines = ["frame,alpha"]
     for rows in np.array_split(np.arange(len(weights)), ALPHA_KEYS):

@@ -81,10 +81,9 @@ class PlacementInputs:
 
 @dataclass(frozen=True)
 class PlacementCandidate:
-    """A placement, with the rotation and the rotated cloud to which it applies."""
+    """A placement, with the rotation of the cloud to which it applies."""
 
     frame: FloatArray
-    levelled: FloatArray
     placement: SkinPlacement
     overturned_gain: float = 0.0
 
@@ -104,7 +103,7 @@ def _settle(
         middle=middle_markers(cloud.labels),
         skin_share=inputs.skin_share,
     )
-    return PlacementCandidate(frame, levelled, placement)
+    return PlacementCandidate(frame, placement)
 
 
 def candidate_by_pins(inputs: PlacementInputs) -> PlacementCandidate:
@@ -275,4 +274,4 @@ def _by_shape(inputs: PlacementInputs) -> PlacementCandidate:
         ranges=inputs.ranges,
         pinned=inputs.pins,
     )
-    return PlacementCandidate(np.eye(3), cloud.neutral, placement)
+    return PlacementCandidate(np.eye(3), placement)

@@ -8,7 +8,6 @@ from usdface.core.arrays import FloatArray, IntArray, columns_by_name, frame_blo
 from usdface.core.assets import Rig
 from usdface.core.controls import ExpressionPairs
 from usdface.core.deformer import Deformer
-from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.model.retarget.shape_matching import correspond, match_positions
 from usdface.model.retarget.train import (
@@ -105,7 +104,7 @@ def evaluate_cyclic(
     *,
     methods: tuple[str, ...],
     rig: Rig,
-    target_rig: Rig | None = None,
+    target_rig: Rig,
     shape_ranges: FloatArray | None = None,
     variant: CyclicVariant = DEFAULT_VARIANT,
     progress: Progress = silent,
@@ -122,16 +121,14 @@ def evaluate_cyclic(
         Names of methods; ``auto`` for the method that training chooses, ``positions`` for
         non-negative least squares on the two surfaces, ``hybrid, keyed`` for a hybrid with the
         variant's alpha.
-    rig : Rig
-        Of the source, with all of ``pairs.source_shapes``.
-    target_rig : Rig, optional
-        Needed for ``positions`` and the variant's truth.
+    rig, target_rig : Rig
+        Of the source, with all of ``pairs.source_shapes``, and of the target.
     shape_ranges : (target shapes, 2) float array, optional
     """
     surface = sampled_displacements(rig, pairs.source_shapes)
     source_meter = SurfaceMetric(rig)
     truth = variant.truth
-    target_meter = None if truth is None or target_rig is None else SurfaceMetric(target_rig)
+    target_meter = None if truth is None else SurfaceMetric(target_rig)
     source_weights = columns_by_name(performance, pairs.source_shapes, rig.shapes)
     errors = []
     for number, method in enumerate(methods):
@@ -158,7 +155,7 @@ def evaluate_cyclic(
             back = round_trip(examples, trained.method, trained.settings, performance, alpha=alpha)
         returned = columns_by_name(back, pairs.source_shapes, rig.shapes)
         direct = None
-        if target_meter is not None and truth is not None and target_rig is not None:
+        if target_meter is not None and truth is not None:
             direct = target_meter.mean_vertex_mm(
                 columns_by_name(forward, pairs.target.shapes, target_rig.shapes),
                 columns_by_name(truth, pairs.target.shapes, target_rig.shapes),
@@ -169,11 +166,9 @@ def evaluate_cyclic(
 
 
 def _match_positions(
-    pairs: ExpressionPairs, performance: FloatArray, rig: Rig, target_rig: Rig | None
+    pairs: ExpressionPairs, performance: FloatArray, rig: Rig, target_rig: Rig
 ) -> tuple[FloatArray, FloatArray]:
     """Return target weights by position matching, and source weights by matching these."""
-    if target_rig is None:
-        raise InputError("matching positions needs the target's rig; put it back")
     source_weights = columns_by_name(performance, pairs.source_shapes, rig.shapes)
     forward = match_positions(correspond(rig, target_rig), source_weights)
     back = match_positions(correspond(target_rig, rig), forward)
