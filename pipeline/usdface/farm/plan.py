@@ -177,15 +177,9 @@ def _tasks_before(tasks: list[Spec]) -> list[set[int]]:
     readers: dict[Path, set[int]] = {}
     before: list[set[int]] = []
     for index, task in enumerate(tasks):
-        waits: set[int] = set()
-        reads = set(task.paths(Reads))
-        for path in reads:
-            if path in writer:
-                waits.add(writer[path])
-        changes = set(task.changes())
+        reads, changes = set(task.paths(Reads)), set(task.changes())
+        waits = {writer[path] for path in reads | changes if path in writer}
         for path in changes:
-            if path in writer:
-                waits.add(writer[path])
             waits |= readers.pop(path, set())
         for path in reads:
             readers.setdefault(path, set()).add(index)

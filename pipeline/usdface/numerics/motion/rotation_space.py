@@ -7,7 +7,7 @@ so regressions use these vectors.
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, row_lengths
 
 _SMALL_HALF_ANGLE = 1e-8
 """[rad] Below it the sine over the angle is 1 to rounding."""
@@ -44,7 +44,7 @@ def rotation_vectors(quaternions: FloatArray, mean: FloatArray) -> FloatArray:
 
 def rotations_at(vectors: FloatArray, mean: FloatArray) -> FloatArray:
     """Return the mean rotated by rotation vectors: (..., 4) unit quaternions, w first."""
-    half = 0.5 * np.sqrt(np.einsum("...i,...i->...", vectors, vectors))[..., None]
+    half = 0.5 * row_lengths(vectors)
     ratio = 0.5 * np.where(
         half > _SMALL_HALF_ANGLE, np.sin(half) / np.maximum(half, _SMALL_HALF_ANGLE), 1.0
     )

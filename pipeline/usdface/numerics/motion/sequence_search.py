@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.arrays import FloatArray, IntArray, distances
 
 PAPER_DELTA = 1.0
 """Threshold of eq. 10 in the paper, for its source of 33 shapes and its sequence."""
@@ -54,7 +54,7 @@ def sequence_distances(motion: FloatArray, sequence: FloatArray, starts: IntArra
     """
     total = np.zeros(len(starts))
     for offset, row in enumerate(sequence):
-        total += _lengths(motion[starts + offset] - row)
+        total += distances(motion[starts + offset], row)
     return np.asarray(total / (len(sequence) * np.sqrt(sequence.shape[1])))
 
 
@@ -173,10 +173,6 @@ def _bounded_starts(motion: FloatArray, sequence: FloatArray, limit: float) -> I
                 part_sum = sums[stop : stop + len(starts)] - sums[first : first + len(starts)]
             else:
                 part_sum = sums[starts + stop] - sums[starts + first]
-            bound += _lengths(part_sum - sequence[first:stop].sum(axis=0))
+            bound += distances(part_sum, sequence[first:stop].sum(axis=0))
         starts = starts[bound <= limit + slack]
     return starts
-
-
-def _lengths(vectors: FloatArray) -> FloatArray:
-    return np.asarray(np.sqrt(np.einsum("nc,nc->n", vectors, vectors)))
