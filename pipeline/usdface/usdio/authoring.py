@@ -1,6 +1,6 @@
 """Authoring and reading of prims, uniform attributes, timing and arrays."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -78,6 +78,15 @@ def author_uniform(prim: Sdf.PrimSpec, name: str, kind: Sdf.ValueTypeName, value
     Sdf.AttributeSpec(prim, name, kind, Sdf.VariabilityUniform).default = value
 
 
+def author_series(
+    prim: Sdf.PrimSpec, name: str, kind: Sdf.ValueTypeName, values: Iterable[object]
+) -> None:
+    """Write the values of an attribute at time codes 1, 2, ...."""
+    path, write = Sdf.AttributeSpec(prim, name, kind).path, prim.layer.SetTimeSample
+    for time, value in enumerate(values, start=1):
+        write(path, time, value)
+
+
 def author_gaps(prim: Sdf.PrimSpec, stretches: Sequence[tuple[int, int]]) -> None:
     """Write the first and last frame of each stretch without a capture, if there are any."""
     if stretches:
@@ -143,9 +152,8 @@ def move_samples(layer: Sdf.Layer, moved: Sdf.LayerOffset) -> None:
 def author_weights(prim: Sdf.PrimSpec, shapes: Sequence[str], weights: RealArray) -> None:
     """Write BlendShape weights, (rows, shapes), to an animation from time code 1 on."""
     author_uniform(prim, "blendShapes", Sdf.ValueTypeNames.TokenArray, list(shapes))
-    samples = Sdf.AttributeSpec(prim, "blendShapeWeights", Sdf.ValueTypeNames.FloatArray)
-    for time, row in enumerate(np.ascontiguousarray(weights, np.float32), start=1):
-        prim.layer.SetTimeSample(samples.path, time, Vt.FloatArray.FromNumpy(row))
+    rows = map(Vt.FloatArray.FromNumpy, np.ascontiguousarray(weights, np.float32))
+    author_series(prim, "blendShapeWeights", Sdf.ValueTypeNames.FloatArray, rows)
 
 
 def author_timing(layer: Sdf.Layer, *, rate: Fraction, first: float, last: float) -> None:

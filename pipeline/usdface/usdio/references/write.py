@@ -19,6 +19,7 @@ from usdface.core.sidecars import proposed_path, samples_path, tuned_path
 from usdface.usdio.authoring import (
     PointExtents,
     apply_api,
+    author_series,
     author_uniform,
     author_weights,
     define_prim,
@@ -171,27 +172,19 @@ def _author_tuned_layer(layer: Sdf.Layer, references: References, pairs: list[Tu
     _author_weights(layer, references, weights)
     done = {each.pair: each.done for each in pairs}
     _author_frames(layer, references)
-    over = layer.GetPrimAtPath(ROOT)
-    Sdf.AttributeSpec(over, TUNED.name, Sdf.ValueTypeNames.Bool)
-    Sdf.AttributeSpec(over, DONE.name, Sdf.ValueTypeNames.Bool)
-    for pair in range(len(references.frames)):
-        layer.SetTimeSample(TUNED, pair + 1, pair in done)
-        layer.SetTimeSample(DONE, pair + 1, done.get(pair, False))
+    over, kinds, every = layer.GetPrimAtPath(ROOT), Sdf.ValueTypeNames, range(len(weights))
+    author_series(over, TUNED.name, kinds.Bool, (pair in done for pair in every))
+    author_series(over, DONE.name, kinds.Bool, (done.get(pair, False) for pair in every))
     authors = {each.pair: each.author for each in pairs}
     if any(authors.values()):
-        Sdf.AttributeSpec(over, AUTHOR.name, Sdf.ValueTypeNames.Token)
-        for pair in range(len(references.frames)):
-            layer.SetTimeSample(AUTHOR, pair + 1, authors.get(pair, ""))
+        author_series(over, AUTHOR.name, kinds.Token, (authors.get(pair, "") for pair in every))
 
 
 def _author_frames(layer: Sdf.Layer, references: References) -> None:
     """Write the frame and the take of each pair, which identify the selection of a layer."""
     over = Sdf.CreatePrimInLayer(layer, ROOT)
-    Sdf.AttributeSpec(over, FRAME_PATH.name, Sdf.ValueTypeNames.Int)
-    Sdf.AttributeSpec(over, TAKE.name, Sdf.ValueTypeNames.Token)
-    for pair in range(len(references.frames)):
-        layer.SetTimeSample(FRAME_PATH, pair + 1, int(references.frames[pair]))
-        layer.SetTimeSample(TAKE, pair + 1, references.takes[pair])
+    author_series(over, FRAME_PATH.name, Sdf.ValueTypeNames.Int, references.frames.tolist())
+    author_series(over, TAKE.name, Sdf.ValueTypeNames.Token, references.takes)
 
 
 def _author_weights(layer: Sdf.Layer, references: References, weights: FloatArray) -> None:
@@ -237,18 +230,15 @@ def _author_samples(layer: Sdf.Layer, references: References) -> None:
     _author_frames(layer, references)
     for path, labels in ((VISEME, references.visemes), (EMOTION, references.emotions)):
         if any(labels):
-            Sdf.AttributeSpec(root, path.name, Sdf.ValueTypeNames.Token)
-            for pair, label in enumerate(labels):
-                layer.SetTimeSample(path, pair + 1, label)
+            author_series(root, path.name, Sdf.ValueTypeNames.Token, labels)
     points = Sdf.CreatePrimInLayer(layer, MARKERS_PATH)
     neutral = doubles(references.neutral / MM_PER_STAGE_UNIT)
     author_uniform(points, NEUTRAL, Sdf.ValueTypeNames.DoubleArray, neutral)
     extents = PointExtents(points, len(references.marker_names), 0.3)
-    attribute = Sdf.AttributeSpec(points, "points", Sdf.ValueTypeNames.Point3fArray)
     stage_points = (references.markers / MM_PER_STAGE_UNIT).astype(np.float32)
     extents.author(layer, range(1, len(references.frames) + 1), stage_points)
-    for pair, row in enumerate(stage_points):
-        layer.SetTimeSample(attribute.path, pair + 1, Vt.Vec3fArray.FromNumpy(row))
+    rows = map(Vt.Vec3fArray.FromNumpy, stage_points)
+    author_series(points, "points", Sdf.ValueTypeNames.Point3fArray, rows)
     if references.source is None:
         return
     animation = define_prim(layer, SOURCE_PATH, "SkelAnimation")
@@ -258,10 +248,9 @@ def _author_samples(layer: Sdf.Layer, references: References) -> None:
 def _author_images(layer: Sdf.Layer, images: Sequence[Path | None], path: Path) -> None:
     if not any(images):
         return
-    Sdf.AttributeSpec(layer.GetPrimAtPath(ROOT), IMAGE.name, Sdf.ValueTypeNames.Asset)
-    for pair, image in enumerate(images):
-        named = "" if image is None else relative_path(image, path)
-        layer.SetTimeSample(IMAGE, pair + 1, Sdf.AssetPath(named))
+    named = ("" if image is None else relative_path(image, path) for image in images)
+    root, assets = layer.GetPrimAtPath(ROOT), map(Sdf.AssetPath, named)
+    author_series(root, IMAGE.name, Sdf.ValueTypeNames.Asset, assets)
 
 
 def _author_motion(root: Sdf.PrimSpec, motion: MotionSpace) -> None:

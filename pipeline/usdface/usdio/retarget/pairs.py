@@ -19,6 +19,7 @@ from usdface.core.provenance import Provenance
 from usdface.core.sidecars import proposed_path
 from usdface.usdio.authoring import (
     apply_api,
+    author_series,
     author_uniform,
     define_prim,
     sampled_properties,
@@ -135,9 +136,7 @@ def _author_samples(
     target = pairs.target
     author_pair_header(layer, _ROOT, len(pairs))
     root = Sdf.CreatePrimInLayer(layer, _ROOT)
-    Sdf.AttributeSpec(root, _NAME.name, Sdf.ValueTypeNames.String)
-    for time, name in enumerate(pairs.names, start=1):
-        layer.SetTimeSample(_NAME, time, name)
+    author_series(root, _NAME.name, Sdf.ValueTypeNames.String, pairs.names)
     for place, rig, animation in (
         (_SOURCE, source_rig, SOURCE_WEIGHTS),
         (_TARGET, target_rig, TARGET_CONTROLS),

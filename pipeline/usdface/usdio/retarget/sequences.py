@@ -13,6 +13,7 @@ from usdface.core.provenance import Provenance
 from usdface.core.rates import exact_rate, span_of_samples
 from usdface.usdio.authoring import (
     apply_api,
+    author_series,
     author_timing,
     author_uniform,
     define_prim,
@@ -65,12 +66,8 @@ def write_sequence(
         author_animation(layer, _TARGET, target)
         author_uniform(root, ATTRIBUTES, kinds.StringArray, list(target.attributes))
         if target.attributes:
-            Sdf.AttributeSpec(root, VALUES.name, kinds.FloatArray)
-            for time, row in enumerate(target.values.tolist(), start=1):
-                layer.SetTimeSample(VALUES, time, row)
-        Sdf.AttributeSpec(root, KEY_WEIGHT.name, kinds.Float)
-        for time, weight in enumerate(sequence.key_weights.tolist(), start=1):
-            layer.SetTimeSample(KEY_WEIGHT, time, weight)
+            author_series(root, VALUES.name, kinds.FloatArray, target.values.tolist())
+        author_series(root, KEY_WEIGHT.name, kinds.Float, sequence.key_weights.tolist())
 
 
 @refusing_wrong_types
