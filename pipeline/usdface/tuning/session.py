@@ -93,9 +93,6 @@ class TuningSession:
         self.references: References = read_references(path)
         check_tuned_layer(self.tuned_path, self.references)
         self._proposals = read_proposals(proposed_path(path), self.references)
-        self._weights: FloatArray = self.references.weights.copy()
-        self._done: BoolArray = np.zeros(len(self._weights), dtype=np.bool_)
-        self._authors: list[str] = []
         self._column = index_of(self.references.shape_names)
         self._selected = [_signature(path), _signature(proposed_path(path))]
         self._guard = threading.Lock()
@@ -211,9 +208,9 @@ class TuningSession:
     def _read_layer(self) -> None:
         """Read the weights from disk and apply unsaved changes."""
         self._seen = _signature(self.tuned_path)
-        self._weights = read_references(self.path).weights.copy()
-        self._done = np.zeros(len(self._weights), dtype=np.bool_)
-        self._authors = [""] * len(self._weights)
+        self._weights: FloatArray = read_references(self.path).weights.copy()
+        self._done: BoolArray = np.zeros(len(self._weights), dtype=np.bool_)
+        self._authors: list[str] = [""] * len(self._weights)
         for pair in read_tuned_pairs(self.tuned_path):
             self._done[pair.pair], self._authors[pair.pair] = pair.done, pair.author
         for change in self._unsaved:

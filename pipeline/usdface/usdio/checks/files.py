@@ -184,27 +184,20 @@ def _side_shares(mesh: Usd.Prim) -> list[float]:
     return out
 
 
-def _saved_layers(stage: Usd.Stage) -> list[Sdf.Layer]:
-    return [each for each in stage.GetLayerStack(includeSessionLayers=False) if not each.anonymous]
-
-
-def _is_ours(stage: Usd.Stage) -> bool:
-    return any("usdface" in layer.customLayerData for layer in _saved_layers(stage))
+def _layers_of_ours(stage: Usd.Stage) -> list[Sdf.Layer]:
+    """Return the layers of a stage that are files; none if we wrote none of them."""
+    stack = stage.GetLayerStack(includeSessionLayers=False)
+    layers = [each for each in stack if not each.anonymous]
+    return layers if any("usdface" in each.customLayerData for each in layers) else []
 
 
 def check_absolute_paths(stage: Usd.Stage) -> Iterator[Fault]:
     """Find absolute paths in our layers."""
-    if not _is_ours(stage):
-        return
-    for layer in _saved_layers(stage):
-        named = [
-            str(asset)
-            for kind in UsdUtils.ExtractExternalReferences(layer.realPath)
-            for asset in kind
-        ]
+    for layer in _layers_of_ours(stage):
         absolute = [
             asset
-            for asset in named
+            for kind in UsdUtils.ExtractExternalReferences(layer.realPath)
+            for asset in kind
             if PurePosixPath(asset).is_absolute() or PureWindowsPath(asset).is_absolute()
         ]
         if absolute:
@@ -218,9 +211,7 @@ def check_absolute_paths(stage: Usd.Stage) -> Iterator[Fault]:
 
 def check_missing_files(stage: Usd.Stage) -> Iterator[Fault]:
     """Find missing references and sublayers of our layers."""
-    if not _is_ours(stage):
-        return
-    for layer in _saved_layers(stage):
+    for layer in _layers_of_ours(stage):
         missing = [
             asset
             for asset in layer.GetCompositionAssetDependencies()

@@ -162,9 +162,8 @@ class WeightsWriter:
         keys : (keys,) int array, optional
             Rows whose weights are written; by default all.
         """
-        wanted = np.ones(len(weights), dtype=bool)
+        wanted = np.full(len(weights), keys is None)
         if keys is not None:
-            wanted[:] = False
             wanted[keys] = True
         rest = len(self._header.shape_names) - weights.shape[1]
         for start in range(0, len(weights), self._save_frames):

@@ -110,8 +110,7 @@ def _constant(given: UsdShade.Input | None) -> tuple[Any, str]:
         return None, ""
     for attribute in UsdShade.Utils.GetValueProducingAttributes(given):
         if UsdShade.Utils.GetType(attribute.GetName()) != UsdShade.AttributeType.Output:
-            value = attribute.Get()
-            return (value, "") if value is not None else (None, "")
+            return attribute.Get(), ""
         return None, _connected(UsdShade.Shader(attribute.GetPrim()))
     return None, ""
 

@@ -165,17 +165,13 @@ def rig_path_of(stage: Usd.Stage, animation: Usd.Prim) -> str:
 
     In our files it is the animation's parent; other tools use other places.
     """
-    for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
-        if not (prim.IsA(UsdSkel.Skeleton) and _follows(prim, animation)):
-            continue
-        source = _source_of(prim, animation)
-        if source is not None:
-            below = source.skeleton.MakeRelativePath(source.skeleton.GetPrefixes()[0])
-            rig_path = prim.GetPath()
-            for _ in range(below.pathElementCount):
-                rig_path = rig_path.GetParentPath()
-            if not rig_path.isEmpty and rig_path.AppendPath(below) == prim.GetPath():
-                return str(rig_path)
+    for skeleton, source in _driven_rigs(stage, animation):
+        below = source.skeleton.MakeRelativePath(source.skeleton.GetPrefixes()[0])
+        rig_path = skeleton
+        for _ in range(below.pathElementCount):
+            rig_path = rig_path.GetParentPath()
+        if not rig_path.isEmpty and rig_path.AppendPath(below) == skeleton:
+            return str(rig_path)
     return str(animation.GetPath().GetParentPath())
 
 
@@ -185,11 +181,8 @@ def rig_of(stage: Usd.Stage, animation: Usd.Prim) -> tuple[Path, str]:
     The outermost file with the rig and without the animation.
     """
     moved = os.environ.get(_MOVED_RIG)
-    for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
-        if prim.IsA(UsdSkel.Skeleton) and _follows(prim, animation):
-            source = _source_of(prim, animation)
-            if source is not None:
-                return Path(moved) if moved else source.file, source.root
+    for _, source in _driven_rigs(stage, animation):
+        return Path(moved) if moved else source.file, source.root
     where = f"{stage.GetRootLayer().realPath} <{animation.GetPath()}>"
     missing = missing_reference(stage.GetPseudoRoot())
     if missing is None:
@@ -290,8 +283,13 @@ class _Source:
     """The skeleton in it."""
 
 
-def _source_of(skeleton: Usd.Prim, animation: Usd.Prim) -> _Source | None:
-    return _referenced_rig(skeleton, animation) or _defining_rig(skeleton)
+def _driven_rigs(stage: Usd.Stage, animation: Usd.Prim) -> Iterator[tuple[Sdf.Path, _Source]]:
+    """Yield the skeletons of a stage that follow an animation, with the rig of each."""
+    for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
+        if prim.IsA(UsdSkel.Skeleton) and _follows(prim, animation):
+            source = _referenced_rig(prim, animation) or _defining_rig(prim)
+            if source is not None:
+                yield prim.GetPath(), source
 
 
 def _referenced_rig(skeleton: Usd.Prim, animation: Usd.Prim) -> _Source | None:
