@@ -23,13 +23,15 @@ _FORM = (
 )
 
 
-def read_landmarks(path: Path, names: Sequence[str], rig: Rig) -> dict[str, FloatArray]:
-    """Return the position on the rig of each marker in a file [mm].
+def read_landmarks(path: Path | None, names: Sequence[str], rig: Rig) -> dict[str, FloatArray]:
+    """Return the position on the rig of each marker in a file [mm]; none without a file.
 
     `path`: .csv with the columns ``marker`` and ``point``, or ``marker``, ``x``, ``y``, ``z``;
     .json with a point or [x, y, z] by marker; or USD, whose corrections are used. A point is an
     index, ``MESH:INDEX`` if the rig has several meshes; x, y, z are in the rig's units.
     """
+    if path is None:
+        return {}
     if is_usd_name(path):
         places = read_given_places(path, rig)
         every = {**places.landmarks, **places.corrected}

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.arrays import FloatArray, IntArray, columns_by_name
 from usdface.core.assets import References
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
@@ -108,7 +108,6 @@ def _with_pairs(
             f"{reader.path}: its shapes {first_few(missing)} are not in the references; give the "
             "references that its mapping was trained on"
         )
-    weights = np.zeros((len(frames), len(old.shape_names)))
-    columns = [old.shape_names.index(name) for name in reader.names]
-    weights[:, columns] = reader.edited()[frames - reader.first_frame]
+    edited = reader.edited()[frames - reader.first_frame]
+    weights = columns_by_name(edited, reader.names, old.shape_names)
     return with_pairs(old, take, frames, captured, weights, tuned=False)

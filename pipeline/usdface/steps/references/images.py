@@ -42,33 +42,29 @@ def write_pair_images(
     folder = images_folder(path)
     check_side_folder(folder)
     for take in sources:
-        pairs = [i for i, name in enumerate(references.takes) if name == take.name]
-        if not pairs:
+        named = _image_files(folder, references, take)
+        if not named:
             continue
-        shown: dict[int, Path] = {}
         if take.video is None:
-            shown = _existing_pictures(folder, references, take, pairs)
+            shown = _existing(named)
         else:
             try:
-                shown = _write_take(folder, references, take, take.video, pairs, metadata)
+                shown = _write_take(named, references, take, take.video, metadata)
                 foreign = [
-                    pair
-                    for pair in pairs
-                    if pair not in shown and _path(folder, references, take, pair).exists()
+                    file.name for pair, file in named.items() if pair not in shown and file.exists()
                 ]
                 if foreign:
-                    names = [_path(folder, references, take, pair).name for pair in foreign]
                     notes.append(
-                        f"{first_few(names)} in {folder.name}: not written by select, so the pair "
-                        "has no picture; move the file away"
+                        f"{first_few(foreign)} in {folder.name}: not written by select, so the "
+                        "pair has no picture; move the file away"
                     )
-                if unseen := len(pairs) - len(shown) - len(foreign):
+                if unseen := len(named) - len(shown) - len(foreign):
                     notes.append(
-                        f"the video of {take.name} does not show {unseen} of {len(pairs)} pairs"
+                        f"the video of {take.name} does not show {unseen} of {len(named)} pairs"
                     )
             except (InputError, OSError) as error:
-                shown = _existing_pictures(folder, references, take, pairs)
-                kept = f"{len(shown)} of {len(pairs)} pairs of {take.name} keep their earlier"
+                shown = _existing(named)
+                kept = f"{len(shown)} of {len(named)} pairs of {take.name} keep their earlier"
                 notes.append(
                     f"{kept} pictures, as the video cannot be read: {error}"
                     if shown
@@ -79,38 +75,35 @@ def write_pair_images(
     return PairImages(tuple(files), tuple(notes))
 
 
-def _existing_pictures(
-    folder: Path, references: References, take: Take, pairs: list[int]
-) -> dict[int, Path]:
-    """Return the existing images of earlier selections."""
-    files = {pair: _path(folder, references, take, pair) for pair in pairs}
+def _image_files(folder: Path, references: References, take: Take) -> dict[int, Path]:
+    """Return the path of the image of each of a take's pairs."""
+    name = re.sub(r"[^\w.-]", "_", take.name)
+    pairs = [i for i, of in enumerate(references.takes) if of == take.name]
+    return {pair: folder / f"{name}.{int(references.frames[pair])}.jpg" for pair in pairs}
+
+
+def _existing(files: Mapping[int, Path]) -> dict[int, Path]:
+    """Return the existing images, of earlier selections."""
     return {pair: file for pair, file in files.items() if file.is_file()}
 
 
-def _path(folder: Path, references: References, take: Take, pair: int) -> Path:
-    """Return the path of a pair's image."""
-    name = re.sub(r"[^\w.-]", "_", take.name)
-    return folder / f"{name}.{int(references.frames[pair])}.jpg"
-
-
 def _write_take(
-    folder: Path,
+    files: Mapping[int, Path],
     references: References,
     take: Take,
     video: Video,
-    pairs: list[int],
     metadata: Mapping[str, object],
 ) -> dict[int, Path]:
     """Write the images of one take's pairs, in the order of the video; return those written."""
     shown = {}
     with open_video(video.file, video.rate) as movie:
-        for pair in sorted(pairs, key=lambda each: int(references.frames[each])):
+        for pair in sorted(files, key=lambda each: int(references.frames[each])):
             frame = int(references.frames[pair])
             picture = movie.frame_at(take.video_seconds(frame))
             if picture is None:
                 continue
-            make_side_folder(folder)
-            file = _path(folder, references, take, pair)
+            file = files[pair]
+            make_side_folder(file.parent)
             if _is_ours(file) or not os.path.lexists(file):
                 write_image(file, picture, metadata=metadata)
                 shown[pair] = file

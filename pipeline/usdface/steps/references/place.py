@@ -25,9 +25,7 @@ def run(spec: PlaceSpec, *, provenance: Provenance, progress: Progress = silent)
     takes = read_cleaned_takes(spec.takes)
     rig = read_rig(spec.rig, prim=spec.prim)
     notes = plausibility_notes(takes, spec.takes, rig)
-    landmarks = {}
-    if spec.landmarks is not None:
-        landmarks = read_landmarks(spec.landmarks, takes.marker_names, rig)
+    landmarks = read_landmarks(spec.landmarks, takes.marker_names, rig)
     progress(0.2, "placing the markers on the rig")
     placed = PlacementScene(takes, rig).place(out=spec.out, landmarks=landmarks)
     write_placement(spec.out, placed.placement, rig, provenance=provenance)

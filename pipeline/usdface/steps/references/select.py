@@ -114,9 +114,7 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
     if spec.placement is not None:
         placed = judge_stored(spec.placement, takes, rig)
     else:
-        landmarks = {}
-        if spec.landmarks is not None:
-            landmarks = read_landmarks(spec.landmarks, takes.marker_names, rig)
+        landmarks = read_landmarks(spec.landmarks, takes.marker_names, rig)
         placed = PlacementScene(takes, rig).place(out=placement_path(spec.out), landmarks=landmarks)
     selection = _set_up(spec, takes, rig, placed.placement, progress)
     progress(0.5, "choosing frames")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import ByteImage
+from usdface.core.arrays import ByteImage, columns_by_name
 from usdface.core.assets import References, Rig, Take
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
@@ -111,9 +111,7 @@ class _PairPictures:
         self.stand_in_eyes = self._renderer.has_stand_in_eyes
         self._normals = SculptedNormals(rig, self._deformer)
         self._camera = frame_rig(rig.meshes, yaw_degrees=facing_degrees(rig), hair=True)
-        columns = [rig.shapes.index(name) for name in references.shape_names]
-        self._weights = np.zeros((len(references.weights), len(rig.shapes)))
-        self._weights[:, columns] = references.weights
+        self._weights = columns_by_name(references.weights, references.shape_names, rig.shapes)
         self._cloud: MarkersFrame | None = None
         if not references.marker_names:
             return

@@ -129,10 +129,7 @@ def _repairs(shot: Shot) -> Listing:
 
 def _provenance(shot: Shot, page: Provenance) -> Listing:
     rows = []
-    try:
-        solved = provenance_of(shot.performance_file)
-    except InputError:
-        solved = None
+    solved = provenance_of(shot.performance_file)
     for name, each in ((shot.performance_file.name, solved), ("this page", page)):
         if each is None:
             rows.append((name, "not written by usdface", ""))
