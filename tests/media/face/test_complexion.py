@@ -54,12 +54,16 @@ def test_a_clear_face_hides_nothing() -> None:
     clear = replace(glass, face_colors=np.array([(*BLUE[:3], 0.1)] * 2))
     shown = [
         FaceRenderer([ball, pane]).render(
-            [ball.points, pane.points], camera=FAR, width=90, height=90, quality="draft"
+            np.concatenate([ball.points, pane.points]),
+            camera=FAR,
+            width=90,
+            height=90,
+            quality="draft",
         )
         for pane in (glass, clear)
     ]
     alone = FaceRenderer([ball]).render(
-        [ball.points], camera=FAR, width=90, height=90, quality="draft"
+        ball.points, camera=FAR, width=90, height=90, quality="draft"
     )
     assert np.abs(shown[0][45, 45].astype(int) - alone[45, 45]).max() > 60
     assert np.abs(shown[1].astype(int) - alone).mean() < 3

@@ -22,14 +22,14 @@ def test_heads_without_colours_are_read_as_faces(
 ) -> None:
     rig = read_rig(shared_data / "rigs" / f"{name}.usdc")
     renderer = FaceRenderer(rig.meshes)
-    surface = renderer.surface
+    surface = renderer._surface
     assert surface.has_stand_in_eyes is has_stand_in_eyes
     assert len(surface.eye_centers) == 2
     left, right = surface.eye_centers
     np.testing.assert_allclose(left * [-1, 1, 1], right, atol=0.5)
     assert np.any(surface.parts == FacePart.TEETH) is np.bool_(has_teeth)
     picture = renderer.render(
-        [mesh.points for mesh in rig.meshes],
+        np.concatenate([mesh.points for mesh in rig.meshes]),
         camera=frame_rig(rig.meshes),
         width=128,
         height=128,
@@ -65,7 +65,7 @@ def test_lips_and_brows_are_where_a_person_sees_them(shared_data: Path, name: st
 def test_brows_move_with_the_skin_of_a_coarse_mesh(shared_data: Path) -> None:
     rig = read_rig(shared_data / "rigs" / "facecap_head.usdc")
     renderer, camera, size = FaceRenderer(rig.meshes), frame_rig(rig.meshes), 200
-    whole = renderer.surface
+    whole = renderer._surface
     brow = max(whole.bands, key=lambda band: float(band.rows[:, 0].mean()))
     near = np.flatnonzero(brow.share(whole.rest) * whole.band_opacity > 0.5)
     poses = np.zeros((3, len(rig.shapes)))

@@ -18,12 +18,12 @@ def wall(height: int, width: int) -> np.ndarray:
     speck = plate(0.1, 0.0)
     away = Camera(eye=(0.0, 1000.0, 500.0), target=(0.0, 1000.0, 0.0))
     return FaceRenderer([speck]).render(
-        [speck.points], camera=away, width=width, height=height, quality="draft"
+        speck.points, camera=away, width=width, height=height, quality="draft"
     )
 
 
 def draw(meshes, camera=FAR, size=200, **options) -> np.ndarray:
-    points = [m.points for m in meshes]
+    points = np.concatenate([m.points for m in meshes])
     return FaceRenderer(meshes).render(points, camera=camera, width=size, height=size, **options)
 
 
@@ -71,7 +71,7 @@ def test_shadow_falls_where_the_light_is_hidden() -> None:
     # The key light comes from the upper left: the shadow lies to the lower right of the plate.
     renderer = FaceRenderer([both])
     camera = Camera(eye=(0.0, 0.0, 2000.0), target=(0.0, 0.0, 0.0), fov_degrees=16.0)
-    lit = renderer.render([both.points], camera=camera, width=200, height=200)
+    lit = renderer.render(both.points, camera=camera, width=200, height=200)
     key = shading.KEY_DIRECTION
     moved = -key / key[2] * 120.0
     middle = camera.project(moved[None], width=200, height=200)[0, :2].astype(int)
@@ -171,15 +171,6 @@ def test_hidden_meshes_are_not_drawn_and_still_count_points() -> None:
     camera = frame_face(ball.points)
     picture = renderer.render(together, camera=camera, width=90, height=90)
     np.testing.assert_array_equal(picture, draw([ball], camera, 90))
-    listed = renderer.render([guide.points, ball.points], camera=camera, width=90, height=90)
-    np.testing.assert_array_equal(picture, listed)
-
-
-def test_mesh_given_as_a_whole_or_as_a_list_of_one_draws_alike() -> None:
-    ball = sphere()
-    camera = frame_face(ball.points)
-    whole = FaceRenderer([ball]).render(ball.points, camera=camera, width=60, height=60)
-    np.testing.assert_array_equal(whole, draw([ball], camera, 60))
 
 
 def test_loose_eyeballs_are_recognised_and_get_dark_pupils() -> None:

@@ -170,7 +170,7 @@ def test_a_browser_draws_lips_and_brows_where_pictures_have_them(
     weights = np.zeros((1, len(rig.shapes)))
     weights[0, rig.shapes.index("browInnerUp")] = 1.0
     renderer, camera, size = FaceRenderer(rig.meshes), frame_rig(rig.meshes), 160
-    points, whole = Deformer(rig).points(weights)[0], renderer.surface
+    points, whole = Deformer(rig).points(weights)[0], renderer._surface
     pictures = []
     for bands in (whole.bands, ()):
         renderer._surface = replace(whole, bands=bands)

@@ -11,7 +11,7 @@ from usdface.core.assets import RigMesh
 from usdface.core.errors import InputError
 from usdface.media.face.camera import Camera
 from usdface.media.face.raycast import RAY_COUNTS, View, draw
-from usdface.media.face.surface import Surface, build_surface
+from usdface.media.face.surface import build_surface
 from usdface.media.face.tracing import Tracer, traced_triangles
 from usdface.media.picture.color import bytes_from_linear, heat_ramp
 from usdface.media.picture.image import DisplayView
@@ -45,22 +45,13 @@ class FaceRenderer:
         display: DisplayView | None = None,
         paper: bool = False,
     ) -> None:
-        self._sizes = [len(mesh.points) for mesh in meshes]
-        self._surface: Surface = build_surface(meshes)
+        self.point_count = sum(len(mesh.points) for mesh in meshes)
+        """Number of points of all meshes, drawn or not."""
+        self._surface = build_surface(meshes)
         self._triangles = traced_triangles(self._surface.triangles)
         self._traced: tuple[Float32Array, Tracer] | None = None
         self._display = display or bytes_from_linear
         self._paper = paper
-
-    @property
-    def point_count(self) -> int:
-        """Number of points of all meshes, drawn or not."""
-        return sum(self._sizes)
-
-    @property
-    def surface(self) -> Surface:
-        """The drawn surface, with parts and colours."""
-        return self._surface
 
     @property
     def has_stand_in_eyes(self) -> bool:
@@ -69,7 +60,7 @@ class FaceRenderer:
 
     def render(
         self,
-        points: Sequence[ArrayLike] | ArrayLike,
+        points: FloatArray | Float32Array,
         *,
         camera: Camera,
         width: int,
@@ -83,7 +74,7 @@ class FaceRenderer:
 
         Parameters
         ----------
-        points : (points, 3) array or sequence of one such array per mesh
+        points : (points, 3) array
             [mm]; all meshes of the rig, in order.
         width, height : int
             [pixels]
@@ -103,7 +94,7 @@ class FaceRenderer:
         """
         _check_size(width, height)
         surface = self._surface
-        cage = self._gather(points)
+        cage = _finite(points.astype(np.float64), (self.point_count, 3), "points")
         fine = np.asarray(surface.matrix @ cage)
         colors = surface.albedo
         if values is not None:
@@ -144,21 +135,6 @@ class FaceRenderer:
         share = np.asarray(self._surface.matrix @ known.astype(np.float64))
         means = np.asarray(self._surface.matrix @ given) / np.maximum(share, _LEAST_KNOWN)
         return np.where(share < _LEAST_KNOWN, np.nan, means)
-
-    def _gather(self, points: Sequence[ArrayLike] | ArrayLike) -> FloatArray:
-        """Concatenate the points of all meshes and check them."""
-        shape = (self.point_count, 3)
-        if isinstance(points, np.ndarray) and points.shape == shape:
-            return _finite(points.astype(np.float64), shape, "points")
-        parts = [np.asarray(part, np.float64) for part in points]  # type: ignore[union-attr]
-        if len(self._sizes) == 1 and len(parts) != 1:
-            return _finite(np.asarray(points, np.float64), shape, "points")
-        if [part.shape for part in parts] != [(size, 3) for size in self._sizes]:
-            raise InputError(
-                f"points to draw have shapes {[part.shape for part in parts]} and the rig's meshes "
-                f"have {self._sizes} points; pass the points of every mesh of the rig"
-            )
-        return _finite(np.concatenate(parts), shape, "points")
 
 
 def _finite(array: FloatArray, shape: tuple[int, ...], name: str) -> FloatArray:
