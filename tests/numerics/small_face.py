@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 from scipy.spatial.transform import Rotation
 
 FloatArray = NDArray[np.float64]
@@ -19,6 +20,11 @@ class SmallFace:
     names: tuple[str, ...]
     skin: NDArray[np.int64]
     """Points of the outer face; the others are the back of the head, a mouth bag, eyeballs."""
+
+    @property
+    def flat_offsets(self) -> sparse.csr_array:
+        """(shapes, 3 * points)"""
+        return sparse.csr_array(self.offsets.reshape(len(self.offsets), -1))
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ def face():
 
 @pytest.fixture(scope="module")
 def skin(face):
-    return coarse_face_skin(face.points, face.triangles, face.offsets)
+    return coarse_face_skin(face.points, face.triangles, face.flat_offsets)
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +122,7 @@ def test_no_marker_lands_inside_the_mouth_or_behind(face, placed):
 
 def test_deltas_explain_the_motion_of_the_performer(actor, face, placed):
     motion = character_motion(placed.virtual, actor.positions, actor.neutral)
-    deltas = marker_deltas(placed.virtual, face.offsets)
+    deltas = marker_deltas(placed.virtual, face.flat_offsets)
     predicted = np.einsum("fs,smc->fmc", actor.weights, deltas)
     correlation = (predicted * motion).sum((0, 2)) / np.sqrt(
         (predicted**2).sum((0, 2)) * (motion**2).sum((0, 2)) + 1e-9
@@ -146,7 +146,7 @@ def test_mirrored_places_are_refused(face, skin, actor):
 
 
 def test_frames_with_unseen_markers_are_avoided(face, actor):
-    skin = sample_face_skin(face.points, face.triangles, face.offsets)
+    skin = sample_face_skin(face.points, face.triangles, face.flat_offsets)
     spoiled, visible = actor.positions.copy(), np.ones(actor.positions.shape[:2], bool)
     spoiled[::3, ::5] = 0
     visible[::3, ::5] = False
@@ -161,7 +161,7 @@ def test_a_take_of_one_frame_is_placed_by_its_shape_alone(face, skin, actor):
 
 def test_a_surface_that_nothing_moves_is_refused(face):
     with pytest.raises(ValueError, match="the shapes move no part of the surface"):
-        sample_face_skin(face.points, face.triangles, 0 * face.offsets)
+        sample_face_skin(face.points, face.triangles, 0 * face.flat_offsets)
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import ezc3d
 import numpy as np
 import pytest
+from scipy import sparse
 
 from tests.numerics.simulated_face import hold_head
 from usdface.model.placement.marker_cloud import marker_cloud
@@ -23,6 +24,10 @@ class Surface:
     triangles: np.ndarray
     offsets: np.ndarray
     shapes: tuple[str, ...]
+
+    @property
+    def flat_offsets(self):
+        return sparse.csr_array(self.offsets.reshape(len(self.offsets), -1))
 
 
 def read_surface(path):
@@ -81,14 +86,14 @@ def crossing(shared_data):
     hidden = ~visible[meta["neutral_frame"]]
     neutral[hidden] = np.nanmedian(np.where(seen[..., None], moved, np.nan), axis=0)[hidden]
     moved = np.where(seen[..., None], moved, neutral)
-    skin = sample_face_skin(face.points, face.triangles, face.offsets)
+    skin = sample_face_skin(face.points, face.triangles, face.flat_offsets)
     cloud = marker_cloud(tuple(labels), neutral, moved, visible=seen, rigid=rigid)
     virtual = place_markers(cloud, skin, face.shapes).virtual
     mobile = np.ones(len(labels), bool)
     mobile[rigid] = False
     return Crossing(
         face,
-        marker_deltas(virtual, face.offsets),
+        marker_deltas(virtual, face.flat_offsets),
         character_motion(virtual, moved, neutral),
         seen,
         truth["weights"][step][:, order].astype(float),
@@ -130,7 +135,7 @@ def test_a_recorded_performer_without_labels_lands_on_the_right_parts(shared_dat
     forehead = ["NoseTop", "Leye_Inside", "Reye_Inside", "Eyebrow_Center", "ForeHead_M"]
     head = stabilize(positions, visible, rigid=[labels.index(name) for name in forehead], neutral=0)
     moved = np.asarray(hold_head(positions, head), float)
-    skin = sample_face_skin(face.points, face.triangles, face.offsets)
+    skin = sample_face_skin(face.points, face.triangles, face.flat_offsets)
     cloud = marker_cloud(tuple(f"m{i}" for i in range(len(labels))), moved[0], moved)
     virtual = place_markers(cloud, skin, face.shapes).virtual
     at = dict(zip(labels, virtual.places(face.points), strict=True))
@@ -138,7 +143,7 @@ def test_a_recorded_performer_without_labels_lands_on_the_right_parts(shared_dat
     assert (np.diff([at[name][1] for name in down]) < 0).all()
     for left, right in (("Leye_Outside", "Reye_Outside"), ("Mouth_Lend", "Mouth_Rend")):
         assert at[left][0] > 0 > at[right][0]
-    jaw = marker_deltas(virtual, face.offsets)[face.shapes.index("jawOpen"), :, 1]
+    jaw = marker_deltas(virtual, face.flat_offsets)[face.shapes.index("jawOpen"), :, 1]
     fall = dict(zip(labels, jaw, strict=True))
     assert fall["Mouth_Down"] < -10  # mm: lips are told apart
     assert abs(fall["Mouth_Up"]) < 0.2 * abs(fall["Mouth_Down"])

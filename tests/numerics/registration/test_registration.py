@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from tests.numerics.small_face import small_face
 from usdface.numerics.registration.cloud_alignment import align_landmarks, align_pairs
 from usdface.numerics.registration.face_skin import facing_direction, sample_outer_surface
-from usdface.numerics.registration.virtual_markers import deltas_at, sparse_offsets
+from usdface.numerics.registration.virtual_markers import deltas_at
 
 
 @pytest.fixture(scope="module")
@@ -16,19 +16,12 @@ def face():
     return small_face()
 
 
-def test_dense_and_sparse_offsets_give_the_same_deltas(face):
+def test_deltas_are_interpolated_in_triangles(face):
     rng = np.random.default_rng(0)
     corners, shares = face.triangles[::97], rng.dirichlet(np.ones(3), len(face.triangles[::97]))
-    flat = sparse.csr_array(face.offsets.reshape(len(face.offsets), -1))
     by_hand = np.einsum("mk,smkc->smc", shares, face.offsets[:, corners])
-    for offsets in (face.offsets, flat):
-        at = deltas_at(sparse_offsets(offsets), corners, shares)
-        np.testing.assert_allclose(at, by_hand, atol=1e-12)
-
-
-def test_offsets_of_another_surface_are_refused(face):
-    with pytest.raises(ValueError, match="offsets are for 7 points"):
-        sparse_offsets(np.zeros((2, 7, 3)), point_count=len(face.points))
+    at = deltas_at(sparse.csc_array(face.flat_offsets), corners, shares)
+    np.testing.assert_allclose(at, by_hand, atol=1e-12)
 
 
 def test_only_skin_seen_from_in_front_is_sampled(face):

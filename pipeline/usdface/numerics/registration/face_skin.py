@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from usdface.core.last_result import cache_last_result
-from usdface.numerics.registration.virtual_markers import Offsets, deltas_at, sparse_offsets
+from usdface.numerics.registration.virtual_markers import deltas_at
 from usdface.numerics.surface.triangulation import triangle_areas
 
 _SAMPLE_COUNT = 12_000  # about 2 mm apart on a face
@@ -215,7 +215,7 @@ class FaceSkin:
 
 
 @cache_last_result
-def sample_face_skin(points: ArrayLike, triangles: ArrayLike, offsets: Offsets) -> FaceSkin:
+def sample_face_skin(points: ArrayLike, triangles: ArrayLike, offsets: sparse.sparray) -> FaceSkin:
     """Sample the skin of a rig's face.
 
     Parameters
@@ -223,11 +223,11 @@ def sample_face_skin(points: ArrayLike, triangles: ArrayLike, offsets: Offsets) 
     points : (points, 3) array
         At rest, Y up [mm].
     triangles : (triangles, 3) int array
-    offsets : (shapes, points, 3) array or (shapes, 3 * points) sparse array
+    offsets : (shapes, 3 * points) sparse array
         Displacements by each shape at 1 [mm].
     """
     rest, faces = np.asarray(points, float), np.asarray(triangles, np.int64)
-    matrix = sparse_offsets(offsets, point_count=len(rest))
+    matrix = sparse.csc_array(offsets)
     squares = np.asarray(matrix.power(2).sum(axis=0), float).reshape(-1, 3).sum(axis=1)
     activity = np.sqrt(squares)
     facing = facing_direction(rest, faces, activity)

@@ -11,8 +11,6 @@ from scipy import sparse
 
 from usdface.core.arrays import FloatArray, IntArray
 
-Offsets = ArrayLike | sparse.sparray
-
 
 @dataclass(frozen=True)
 class VirtualMarkers:
@@ -37,15 +35,15 @@ class VirtualMarkers:
         return np.asarray(np.einsum("mk,mkc->mc", self.weights, surface[self.points]))
 
 
-def marker_deltas(virtual: VirtualMarkers, offsets: Offsets) -> FloatArray:
+def marker_deltas(virtual: VirtualMarkers, offsets: sparse.sparray) -> FloatArray:
     """Return displacements of the markers by each shape, or key of a shape: (shapes, markers, 3).
 
     Parameters
     ----------
-    offsets : (shapes, points, 3) array or (shapes, 3 * points) sparse array
+    offsets : (shapes, 3 * points) sparse array
         Of the surface on which the markers were placed.
     """
-    return deltas_at(sparse_offsets(offsets), virtual.points, virtual.weights)
+    return deltas_at(sparse.csc_array(offsets), virtual.points, virtual.weights)
 
 
 def character_motion(
@@ -64,25 +62,6 @@ def character_motion(
     """
     moved = np.asarray(positions, float) - np.asarray(neutral, float)
     return np.asarray(virtual.motion_scale * (moved @ virtual.rotation.T), float)
-
-
-def sparse_offsets(offsets: Offsets, *, point_count: int | None = None) -> sparse.csc_array:
-    """Return shapes over a surface as (shapes, 3 * points)."""
-    if isinstance(offsets, sparse.sparray):
-        matrix = sparse.csc_array(offsets)
-    else:
-        dense = np.asarray(offsets, float)
-        if dense.ndim != 3 or dense.shape[2] != 3:
-            raise ValueError(
-                f"offsets must be (shapes, points, 3) or sparse (shapes, 3 * points), "
-                f"got {dense.shape}"
-            )
-        matrix = sparse.csc_array(dense.reshape(len(dense), -1))
-    if point_count is not None and matrix.shape[1] != 3 * point_count:
-        raise ValueError(
-            f"offsets are for {matrix.shape[1] // 3} points, the surface has {point_count}"
-        )
-    return matrix
 
 
 def deltas_at(matrix: sparse.csc_array, corners: IntArray, weights: FloatArray) -> FloatArray:
