@@ -39,7 +39,7 @@ _AAC_BLOCK = 1024
 
 
 def write_movie(
-    path: Path | str,
+    path: Path,
     frames: Iterable[ByteImage],
     *,
     rate: Fraction,
@@ -73,20 +73,19 @@ def write_movie(
         If the extension is unknown, there is no frame, sizes differ or the folder cannot be
         written. An existing file is then unchanged.
     """
-    file = Path(path)
-    container_format = movie_format(file)
+    container_format = movie_format(path)
     if not rate > 0:
-        raise InputError(f"{file}: a rate of {rate} frames a second cannot be written")
+        raise InputError(f"{path}: a rate of {rate} frames a second cannot be written")
     pictures = iter(frames)
     first = next(pictures, None)
     if first is None:
-        raise InputError(f"{file}: there is no frame to write; check the frame range")
-    with replacing(file) as temporary:
+        raise InputError(f"{path}: there is no frame to write; check the frame range")
+    with replacing(path) as temporary:
         try:
             with av.open(str(temporary), "w", format=container_format) as container:
                 _encode(
                     container,
-                    _same_size(file, first, chain([first], pictures)),
+                    _same_size(path, first, chain([first], pictures)),
                     size=_even_size(first),
                     rate=Fraction(rate),
                     audio=audio,
@@ -94,7 +93,7 @@ def write_movie(
                     proxy=proxy,
                 )
         except (av.error.FFmpegError, OSError) as error:
-            raise InputError(f"{file}: the movie cannot be encoded ({error})") from error
+            raise InputError(f"{path}: the movie cannot be encoded ({error})") from error
 
 
 def movie_format(file: Path) -> str:

@@ -19,7 +19,7 @@ _RATES = range(1000, 768_001)
 """[Hz] Lower rates hold no speech, and a small file would be hours long."""
 
 
-def read_audio(path: Path | str, *, rate: int = 16000) -> Float32Array:
+def read_audio(path: Path, *, rate: int = 16000) -> Float32Array:
     """Read sound as mono samples on the clock of the file's pictures.
 
     Parameters
@@ -35,17 +35,16 @@ def read_audio(path: Path | str, *, rate: int = 16000) -> Float32Array:
         [-1 to 1]; mean of all channels. Sample 0 is time 0 of the file: silence is inserted before
         sound that begins later than the picture, and in gaps of the recording.
     """
-    file = Path(path)
     if not 1000 <= rate <= 384000:
-        raise InputError(f"{file}: cannot be read at {rate} samples a second; ask for 16000")
-    with open_media(file) as container:
-        stream = _sound_stream(file, container)
+        raise InputError(f"{path}: cannot be read at {rate} samples a second; ask for 16000")
+    with open_media(path) as container:
+        stream = _sound_stream(path, container)
         try:
-            blocks = list(_blocks(file, container, stream, rate))
+            blocks = list(_blocks(path, container, stream, rate))
         except (av.error.FFmpegError, OSError, ValueError) as error:
-            raise unreadable(file, error) from error
+            raise unreadable(path, error) from error
     if not blocks:
-        raise InputError(f"{file}: its sound is empty; record or export it again")
+        raise InputError(f"{path}: its sound is empty; record or export it again")
     return np.concatenate(blocks)
 
 

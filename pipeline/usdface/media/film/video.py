@@ -54,8 +54,8 @@ class VideoReader(OpenVideo):
         Stated by phones [mm, 35 mm equivalent].
     """
 
-    def __init__(self, path: Path | str) -> None:
-        self.path = Path(path)
+    def __init__(self, path: Path) -> None:
+        self.path = path
         self._container = open_media(self.path)
         try:
             self._prepare()

@@ -48,7 +48,7 @@ _DROP_BIT = 1 << 6
 
 
 def write_image(
-    path: Path | str,
+    path: Path,
     pixels: ByteImage,
     *,
     metadata: Mapping[str, Any] | None = None,
@@ -76,41 +76,39 @@ def write_image(
         If the extension is unknown, the timecode malformed, the picture not of bytes, or the file
         cannot be written. An existing file is then unchanged.
     """
-    file = Path(path)
-    suffix = file.suffix.lower()
+    suffix = path.suffix.lower()
     if suffix not in _IMAGE_SUFFIXES:
-        raise InputError(f"{file}: pictures end in {', '.join(_IMAGE_SUFFIXES)}; rename it")
+        raise InputError(f"{path}: pictures end in {', '.join(_IMAGE_SUFFIXES)}; rename it")
     image = np.asarray(pixels)
     if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or not image.size:
         raise InputError(
-            f"{file}: a picture is (height, width, 3) uint8, got {image.shape} {image.dtype}"
+            f"{path}: a picture is (height, width, 3) uint8, got {image.shape} {image.dtype}"
         )
     height, width = image.shape[:2]
     if suffix in (".jpg", ".jpeg") and max(height, width) > _MAX_JPEG:
         raise InputError(
-            f"{file}: {width} × {height} pixels, JPEG ends at {_MAX_JPEG}; write .png or .exr"
+            f"{path}: {width} × {height} pixels, JPEG ends at {_MAX_JPEG}; write .png or .exr"
         )
     description = _description(metadata or {}, timecode, rate)
-    with replacing(file) as temporary:
+    with replacing(path) as temporary:
         if suffix in _IN_MEMORY:
-            _write_encoded(file, temporary, _encoded(file, image, description))
+            _write_encoded(path, temporary, _encoded(path, image, description))
             return
         spec = _specification(suffix, width, height, description, timecode, rate)
         linear = suffix == ".exr"
         data = linear_from_srgb(image / 255.0).astype(np.float32) if linear else image
-        _see_that_there_is_room(file, temporary, data.nbytes + len(description))
-        _write(file, temporary, spec, np.ascontiguousarray(data))
+        _see_that_there_is_room(path, temporary, data.nbytes + len(description))
+        _write(path, temporary, spec, np.ascontiguousarray(data))
 
 
-def read_image_metadata(path: Path | str) -> dict[str, Any]:
+def read_image_metadata(path: Path) -> dict[str, Any]:
     """Return the metadata, timecode and rate stored by `write_image`; empty for other pictures."""
-    file = Path(path)
-    check_may_open(file)
-    if not file.is_file():
-        raise InputError(f"{file}: no such file; check the path")
-    source = oiio.ImageInput.open(str(file.absolute()))
+    check_may_open(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; check the path")
+    source = oiio.ImageInput.open(str(path.absolute()))
     if source is None:
-        raise InputError(f"{file}: cannot be read as a picture ({reason_of(oiio)}); write it again")
+        raise InputError(f"{path}: cannot be read as a picture ({reason_of(oiio)}); write it again")
     try:
         spec = source.spec()
         caption = spec.getattribute("ImageDescription")  # of any type if damaged
