@@ -156,7 +156,7 @@ def frame_face(
     face = cloud[_face_mask(len(cloud), weights)]
     yaw = np.radians(yaw_degrees)
     backward = np.array([np.sin(yaw), 0.0, np.cos(yaw)])
-    axes = Camera(eye=_triple(backward), target=(0.0, 0.0, 0.0)).axes()
+    axes = Camera(eye=triple(backward), target=(0.0, 0.0, 0.0)).axes()
     low, high = (face @ axes.T).min(axis=0), (face @ axes.T).max(axis=0)
     sides = np.array([low[0], high[0]])
     if hair:
@@ -174,8 +174,8 @@ def frame_face(
     target = middle @ axes
     across = float(2 * _FACE_MARGIN * np.abs(sides - middle[0]).max() / span)
     return Camera(
-        eye=_triple(target + distance * backward),
-        target=_triple(target),
+        eye=triple(target + distance * backward),
+        target=triple(target),
         framed_width=min(across, 1.0),
     )
 
@@ -224,6 +224,7 @@ def _axes(eye: tuple[float, ...], target: tuple[float, ...], up: tuple[float, ..
     return axes
 
 
-def _triple(vector: FloatArray) -> tuple[float, float, float]:
+def triple(vector: FloatArray) -> tuple[float, float, float]:
+    """Return a vector, (3,), as numbers."""
     x, y, z = (float(v) for v in vector)
     return x, y, z

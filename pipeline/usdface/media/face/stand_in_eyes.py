@@ -37,7 +37,7 @@ class StandIns:
 def fit_stand_in_eyes(meshes: Sequence[RigMesh]) -> StandIns | None:
     """Return eyeballs behind the two holes whose rims move in a blink; None without such a pair."""
     rest = np.concatenate([mesh.points for mesh in meshes])
-    blink = np.concatenate([_blink_offsets(mesh) for mesh in meshes])
+    blink = np.concatenate([blink_offsets(mesh) for mesh in meshes])
     moved = np.linalg.norm(blink, axis=1)
     if not moved.any():
         return None
@@ -63,7 +63,8 @@ def fit_stand_in_eyes(meshes: Sequence[RigMesh]) -> StandIns | None:
     return StandIns(meshes=tuple(balls), matrix=_hang(every, rest, np.concatenate(total)))
 
 
-def _blink_offsets(mesh: RigMesh) -> FloatArray:
+def blink_offsets(mesh: RigMesh) -> FloatArray:
+    """Return the displacement of each point by all blinks at 1: (points, 3) [mm]."""
     offsets = np.zeros_like(mesh.points, dtype=np.float64)
     for shape in mesh.shapes:
         if "blink" in shape.name.lower():

@@ -20,7 +20,7 @@ from usdface.media.face.mesh_topology import (
     vertex_normals,
 )
 from usdface.media.face.parts import FacePart, Pieces, find_pieces
-from usdface.media.face.stand_in_eyes import fit_stand_in_eyes
+from usdface.media.face.stand_in_eyes import blink_offsets, fit_stand_in_eyes
 from usdface.media.face.subdivision import catmull_clark
 from usdface.media.face.tracing import PATTERN_COUNT, Tracer, sky_seen, traced_triangles
 
@@ -288,20 +288,12 @@ def _rest_exposure(meshes: Sequence[RigMesh], drawn: _Drawn, *, rays: int) -> _E
     out, into = (posed.sky_over(few, outward=side, rays=PATTERN_COUNT).mean() for side in (1, -1))
     outward = 1.0 if out >= into else -1.0
     seen = posed.sky_over(np.arange(len(rest)), outward=outward, rays=rays)
-    blink = np.concatenate([_blinking(mesh) for mesh in meshes])
+    blink = rest + np.concatenate([blink_offsets(mesh) for mesh in meshes])
     folded = np.flatnonzero(np.any(blink != rest, axis=1))
     if len(folded):
         shut = _Posed(blink, drawn).sky_over(folded, outward=outward, rays=rays)
         seen[folded] = np.maximum(seen[folded], shut)
     return _Exposure(seen=seen, outward=outward)
-
-
-def _blinking(mesh: RigMesh) -> FloatArray:
-    posed = mesh.points.astype(np.float64, copy=True)
-    for shape in mesh.shapes:
-        if "blink" in shape.name.lower():
-            posed[shape.keys[-1].points] += shape.keys[-1].offsets
-    return posed
 
 
 class _Posed:

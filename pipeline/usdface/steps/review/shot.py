@@ -12,7 +12,7 @@ from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.rates import shift_timecode
 from usdface.core.sidecars import is_usd_name
-from usdface.media.face.camera import Camera, frame_rig, motion_weights
+from usdface.media.face.camera import Camera, frame_rig, motion_weights, triple
 from usdface.model.placement.rig_orientation import facing_degrees
 from usdface.model.review.verdict import SolveEvidence
 from usdface.runner.origin import find_take, provenance_of, spec_of, take_of_performance
@@ -85,8 +85,8 @@ class ShotCamera:
         step = (motion.apply(self._points, frame) - self._points)[self._face].mean(axis=0)
         return replace(
             self._framed,
-            eye=_triple(self._framed.eye + step),
-            target=_triple(self._framed.target + step),
+            eye=triple(self._framed.eye + step),
+            target=triple(self._framed.target + step),
         )
 
     def width(self, height: int, frame: int) -> int:
@@ -124,18 +124,13 @@ def _as_camera(view: StageView, framed: Camera) -> Camera:
     reach = float(np.subtract(framed.target, view.eye) @ view.forward)
     aim = view.eye + (reach if reach > 0 else 1000.0) * view.forward
     return Camera(
-        eye=_triple(view.eye),
-        target=_triple(aim),
+        eye=triple(view.eye),
+        target=triple(aim),
         fov_degrees=view.fov_degrees,
-        up=_triple(view.up),
+        up=triple(view.up),
         shift=view.shift,
         span_mm=view.span_mm,
     )
-
-
-def _triple(vector: FloatArray) -> tuple[float, float, float]:
-    x, y, z = (float(each) for each in vector)
-    return x, y, z
 
 
 @dataclass(frozen=True)
