@@ -145,25 +145,12 @@ def compose_reference_sheet(
         )
     page = new_picture(wide, tall, palette.page)
     bold = TextStyle(size=38, color=palette.title, weight="bold")
-    draw_text(
-        page,
-        title,
-        x=_PAGE_MARGIN,
-        y=_PAGE_MARGIN - 10,
-        style=bold,
-        max_width=wide - 2 * _PAGE_MARGIN,
-    )
+    inner = wide - 2 * _PAGE_MARGIN
+    draw_text(page, title, x=_PAGE_MARGIN, y=_PAGE_MARGIN - 10, style=bold, max_width=inner)
     style = TextStyle(size=18, color=palette.dim)
     line = "   ·   ".join(facts)
-    draw_text(
-        page,
-        line,
-        x=_PAGE_MARGIN,
-        y=_PAGE_MARGIN + 44,
-        style=style,
-        max_width=wide - 2 * _PAGE_MARGIN,
-    )
-    fill_box(page, _PAGE_MARGIN, _PAGE_MARGIN + 78, wide - 2 * _PAGE_MARGIN, 1, palette.rule)
+    draw_text(page, line, x=_PAGE_MARGIN, y=_PAGE_MARGIN + 44, style=style, max_width=inner)
+    fill_box(page, _PAGE_MARGIN, _PAGE_MARGIN + 78, inner, 1, palette.rule)
     for index, row in enumerate(rows):
         x = _PAGE_MARGIN + (index % columns) * (block + BLOCK_GAP)
         y = _PAGE_MARGIN + _TITLE_HEIGHT + index // columns * height
