@@ -130,7 +130,7 @@ def read_source_motion(
         return replace(motion, notes=capture.notes)
     if is_take(path):
         reader = TakeReader(path)
-        first, last = frames_within(path, frames, reader.first_frame, reader.last_frame)
+        first, last = reader.frames_within(frames)
         return _of_take(path, reader.read(first, last), first, last)
     performance = PerformanceReader(path)
     first, last = frames_within(path, frames, performance.first_frame, performance.last_frame)

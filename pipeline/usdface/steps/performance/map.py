@@ -16,7 +16,6 @@ from usdface.core.errors import InputError
 from usdface.core.processes import usable_cores
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
-from usdface.core.rates import frames_within
 from usdface.core.sidecars import head_path, weights_path
 from usdface.core.text import counted, first_few, pluralize
 from usdface.model.mapping.head_space import MINIMUM_SHARE, HeadSpace, MappedMarkers
@@ -138,9 +137,7 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress = silent) -
             f"{mapping.method}; train with --method hybrid"
         )
     take = TakeReader(spec.take)
-    first, last = frames_within(
-        spec.take, frame_range(spec.frames), take.first_frame, take.last_frame
-    )
+    first, last = take.frames_within(frame_range(spec.frames))
     space = take_head_space(take, mapping)
     driven = _driven(spec, take, mapping, space, rig, (first, last))
     temporal = TemporalSolve(spec.temporal, spec.cutoff, spec.lag, spec.bands)
@@ -244,9 +241,7 @@ def _driven(
 
 def _run_baseline(spec: MapSpec, provenance: Provenance, progress: Progress) -> StepResult:
     rig, take = read_rig(spec.rig, prim=spec.rig_prim), TakeReader(spec.take)
-    first, last = frames_within(
-        spec.take, frame_range(spec.frames), take.first_frame, take.last_frame
-    )
+    first, last = take.frames_within(frame_range(spec.frames))
     from usdface.steps.performance.baseline import write_baseline  # slow to import
 
     return write_baseline(

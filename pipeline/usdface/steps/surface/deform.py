@@ -4,7 +4,6 @@ import numpy as np
 
 from usdface.core.progress import Progress, part, silent
 from usdface.core.provenance import Provenance
-from usdface.core.rates import frames_within
 from usdface.core.sidecars import points_path
 from usdface.core.text import pluralize
 from usdface.numerics.surface.triangulation import NormalTurner
@@ -29,9 +28,7 @@ _CHUNK_FRAMES = 2048
 def run(spec: DeformSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Deform the mesh at every frame of the take, and write its points."""
     take = TakeReader(spec.take)
-    first, last = frames_within(
-        spec.take, frame_range(spec.frames), take.first_frame, take.last_frame
-    )
+    first, last = take.frames_within(frame_range(spec.frames))
     plan = plan_surface(spec, take, out=spec.out, progress=part(progress, 0.0, 0.2))
     face = plan.face
     turner = _normal_turner(face)

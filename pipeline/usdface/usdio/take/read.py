@@ -113,6 +113,10 @@ class TakeReader:
         except InputError as error:
             raise InputError(f"{self.path}: face:timecode:start: {error}") from error
 
+    def frames_within(self, frames: tuple[int, int] | None) -> tuple[int, int]:
+        """Return the first and the last of the frames, by default all; refuse missing ones."""
+        return frames_within(self.path, frames, self.first_frame, self.last_frame)
+
     @refusing_wrong_types
     def read(
         self, first: int | None = None, last: int | None = None, *, head_motion: bool = True
@@ -123,7 +127,7 @@ class TakeReader:
         """
         first = self.first_frame if first is None else first
         last = self.last_frame if last is None else last
-        frames_within(self.path, (first, last), self.first_frame, self.last_frame)
+        self.frames_within((first, last))
         frames = range(first, last + 1)
         return Take(
             name=self.name,
