@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from tests.numerics.simulated_face import SimulatedFace, hold_head, simulate_face
+from usdface.capture.sniff import read_capture
 from usdface.numerics.repair.cleaning import CleanedMarkers, clean_markers
+from usdface.numerics.repair.outliers import find_lost
 from usdface.numerics.rigid.rigid_alignment import align_frames
 from usdface.numerics.rigid.rigid_markers import find_rigid_markers
 from usdface.numerics.rigid.stabilization import stabilize
@@ -98,20 +100,74 @@ def test_confidence_is_one_where_measured_and_lower_where_mended(damaged):
     assert np.isfinite(cleaned.positions).all()
 
 
+def drop(face: SimulatedFace, marker: int, *, start: int, mm: float, rate: float) -> None:
+    """Let a marker fall at a frame and hang, swinging, at a distance below its place."""
+    seconds = np.arange(1, len(face.captured) + 1 - start) / rate
+    face.captured[start:, marker, 1] -= np.minimum(4905.0 * seconds**2, mm)
+    swing = 0.1 * min(mm, 100.0) * np.sin(9.0 * seconds) * np.exp(-seconds)
+    face.captured[start:, marker, 0] += swing
+
+
 @pytest.mark.parametrize("share", [0.6, 0.05])
-def test_a_marker_that_falls_off_is_a_gap_from_its_first_step(share):
-    face = simulate_face(frames=150, noise=0.1)
-    still, marker = clean(face, rate=30.0), 20
-    start = round(150 * (1 - share))
-    seconds = np.arange(1, 151 - start) / 30.0
-    face.captured[start:, marker, 1] -= np.minimum(4905.0 * seconds**2, 1400.0)
-    cleaned = clean(face, rate=30.0)
-    assert cleaned.lost[start:, marker].all()
+@pytest.mark.parametrize(("mm", "rate"), [(1400.0, 30.0), (60.0, 30.0), (60.0, 120.0)])
+def test_a_marker_that_falls_off_is_a_gap_from_its_first_step(share, mm, rate):
+    face = simulate_face(frames=round(5 * rate), rate=rate, noise=0.1)
+    still, marker = clean(face, rate=rate), 20
+    start = round(len(face.captured) * (1 - share))
+    drop(face, marker, start=start, mm=mm, rate=rate)
+    cleaned = clean(face, rate=rate)
+    step = start + round(0.02 * rate)  # by more than noise
+    assert cleaned.lost[step:, marker].all()
     assert not np.delete(cleaned.lost, marker, axis=1).any()
-    assert (cleaned.confidence[start:, marker] < 1).all()
+    assert (cleaned.confidence[step:, marker] < 1).all()
     others = np.linalg.norm(cleaned.positions - still.positions, axis=2)
     assert np.delete(others, marker, axis=1).max() < 0.1
     assert others[:, marker].max() < 5.0
+
+
+def test_a_rigid_marker_that_falls_off_does_not_pull_the_head():
+    face = simulate_face(frames=300, rate=60.0, noise=0.1)
+    still, marker = clean(face, rate=60.0), face.rigid[0]
+    drop(face, marker, start=150, mm=80.0, rate=60.0)
+    cleaned = clean(face, rate=60.0)
+    assert cleaned.lost[153:, marker].all()
+    others = np.linalg.norm(cleaned.positions - still.positions, axis=2)
+    assert np.delete(others, marker, axis=1).max() < 1.0  # 20 if it counts for the pose
+
+
+def test_labels_swapped_up_to_the_end_are_no_markers_that_fell_off():
+    face = simulate_face(frames=600, markers=24, noise=0.1)
+    places = face.truth[0]
+    away = np.linalg.norm(places - places[20], axis=1)
+    other = int(np.argmin(np.where(away > 40.0, away, np.inf)))
+    swapped = face.captured.copy()
+    swapped[300:, [20, other]] = swapped[300:, [other, 20]]
+    assert not find_lost(swapped - swapped[:, :1] + swapped[0, 0], face.visible, neutral=0).any()
+
+
+@pytest.mark.parametrize("name", ["crosstake", "onesided"])
+def test_skin_of_recorded_motion_is_never_off_the_face(shared_data, name):
+    """In pieces that end and start with any expression, of all markers or few of them."""
+    take = read_capture(shared_data / name / "take.c3d").take
+    about = json.loads((shared_data / name / "take.json").read_text())
+    rigid = [take.markers.names.index(label) for label in about["rigid"]]
+    positions, visible = take.markers.positions, take.markers.visible.copy()
+    neutral = about["neutral_frame"]
+    for first, second, start, stop in np.load(shared_data / name / "truth.npz")["swaps"]:
+        visible[start:stop, [first, second]] = False
+    head = stabilize(positions, visible, rigid=rigid, neutral=neutral)
+    still = hold_head(positions, head)
+    motion = np.linalg.norm(still - still[neutral], axis=2)
+    assert np.quantile(motion[visible], 0.9999) > 30.0, "the jaw opens wide"
+    rng = np.random.default_rng(0)
+    for count in (102, 60, 30, 15) * 20:
+        rows = rng.integers(len(still) - 120) + np.arange(rng.integers(60, 900))
+        rows = rows[rows < len(still)]
+        columns = rng.choice(102, count, replace=False)
+        columns = columns[visible[rows][:, columns].any(axis=0)]
+        at_rest = int(np.median(motion[rows], axis=1).argmin())
+        piece = np.ix_(rows, columns)
+        assert not find_lost(still[piece], visible[piece], neutral=at_rest).any()
 
 
 def test_gaps_longer_than_allowed_are_left_and_hold_the_last_position():

@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 
+import pytest
+
 from tests.steps.small_shot import Shot
 from usdface.core.provenance import Provenance
 from usdface.runner.execute import execute
@@ -10,16 +12,26 @@ from usdface.usdio.take.read import read_take
 from usdface.usdio.take.write import write_take
 
 
-def test_a_marker_that_falls_off_is_named_with_its_frames(shot: Shot) -> None:
+@pytest.mark.parametrize(("mm", "max_gap"), [(1000.0, None), (60.0, 5)])
+def test_a_marker_that_falls_off_is_named_with_its_frames(
+    shot: Shot, mm: float, max_gap: int | None
+) -> None:
     take = read_take(shot / "shot.take.usda")
     assert take.markers is not None
     positions, marker = take.markers.positions.copy(), len(take.markers.names) - 1
-    positions[-40:, marker, 1] -= 1000.0
+    positions[-40:, marker, 1] -= mm
     fallen = replace(take, markers=replace(take.markers, positions=positions))
     write_take(shot / "fallen.take.usda", fallen, provenance=Provenance())
-    result = execute(CleanSpec(take=shot / "fallen.take.usda", out=shot / "fallen.clean.take.usda"))
+    result = execute(
+        CleanSpec(
+            take=shot / "fallen.take.usda", out=shot / "fallen.clean.take.usda", max_gap=max_gap
+        )
+    )
     (note,) = (note for note in result.notes if note.startswith("left the face"))
     last = take.first_frame + take.frame_count - 1
     assert take.markers.names[marker] in note
     assert f"-{last})" in note
     assert result.figures["lost"] >= 40
+    assert ("too long to fill" in note) == (max_gap is not None)
+    advice = [each for each in result.notes if "raise --max-gap" in each]
+    assert not any(take.markers.names[marker] in each for each in advice)

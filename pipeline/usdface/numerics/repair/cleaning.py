@@ -137,9 +137,7 @@ def clean_markers(
     captured, seen = np.asarray(positions, np.float32), np.array(visible, bool)
     _check(captured, seen, neutral, max_gap)
     progress(0.0, "head motion")
-    still = _stabilize(captured, seen, rigid, neutral, rate, skin_motion_mm)
-    lost = find_lost(still.positions, seen, neutral=neutral)
-    seen &= ~lost
+    still, lost = _stabilize_without_lost(captured, seen, rigid, neutral, rate, skin_motion_mm)
     progress(0.05, "model of the motion")
     model, rank, noise = _model_face(still)
     swaps: tuple[Swap, ...] = ()
@@ -244,6 +242,24 @@ def _stabilize(
         measured,
         centre,
     )
+
+
+def _stabilize_without_lost(
+    captured: Float32Array,
+    seen: BoolArray,
+    rigid: Sequence[int],
+    neutral: int,
+    rate: float,
+    skin_motion_mm: FloatArray | None,
+) -> tuple[_StabilizedTake, BoolArray]:
+    """Return the take and the samples of markers that left the face, cleared in `seen`."""
+    still = _stabilize(captured, seen, rigid, neutral, rate, skin_motion_mm)
+    lost = find_lost(still.positions, seen, neutral=neutral)
+    seen &= ~lost
+    if lost[:, rigid].any():  # it pulled the head's pose
+        del still  # first, to save the memory of one copy of a long take
+        still = _stabilize(captured, seen, rigid, neutral, rate, skin_motion_mm)
+    return still, lost
 
 
 def _model_face(still: _StabilizedTake) -> tuple[LowRankModel, int, FloatArray]:

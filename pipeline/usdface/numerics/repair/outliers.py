@@ -49,8 +49,18 @@ _MOST_PER_FRAME = 8
 """Outliers sought per frame."""
 
 _LOST_RADII = 4.0
-"""Least distance from its place at rest of a marker that left the face, in median distances of the
-markers from their centre: about 30 cm. Skin moves by less than one."""
+"""Distance from its place at rest beyond which a marker is off the face even if it comes back, in
+median distances of the markers from their centre: about 30 cm. Skin moves by less than one."""
+_NEIGHBOR_COUNT = 8
+_LEAST_FALL_MM = 30.0
+"""Relative to the second most similar neighbour. Skin reaches 19 mm in recordings, and 25 mm with
+all shapes of three rigs at random; where markers are sparse, less than their spacing."""
+_FALLEN_SHARE = 0.9
+"""[of its samples from the fall on] A fallen marker swings, but does not come back."""
+_MOST_FALLEN_SHARE = 0.25
+"""[of the markers] If more move so far, it is no face, as in captures of bodies."""
+_PLACE_REACH_FRAMES = 2
+"""Frames on either side of the neutral one, so that a reflection in it is no place."""
 
 _LEAP_MEDIAN_STEPS = 12.0
 _LEAP_NOISE_DEVIATIONS = 8.0
@@ -214,7 +224,9 @@ def _leap_sizes(track: RealArray) -> RealArray:
 def find_lost(positions: RealArray, visible: BoolArray, *, neutral: int) -> BoolArray:
     """Return the samples of markers that left the face: (frames, markers) bool array.
 
-    With the frames in which they move away and back.
+    A marker left for good if it moves away from its neighbours by more than skin stretches, up to
+    the end of the take, or from its start if it fell before the neutral frame; for a while, if it
+    is farther away than the face is wide. With the frames in which it moves away and back.
 
     Parameters
     ----------
@@ -224,20 +236,74 @@ def find_lost(positions: RealArray, visible: BoolArray, *, neutral: int) -> Bool
     neutral : int
         Index of a frame with the markers at rest; others are compared with their median position.
     """
-    lost = np.zeros_like(visible)
-    rest = positions[neutral, visible[neutral]]
-    limit = _LOST_RADII * float(np.median(distances(rest, np.median(rest, axis=0))))
-    for marker, seen in enumerate(visible.T):
-        track = positions[:, marker]
-        place = track[neutral] if seen[neutral] else np.median(track[seen], axis=0)
-        away = np.where(seen, distances(track, place), 0.0)
-        for start, stop in runs(away > limit):
-            while start > 0 and away[start - 1] < away[start]:
+    around = slice(max(neutral - _PLACE_REACH_FRAMES, 0), neutral + _PLACE_REACH_FRAMES + 1)
+    places = np.array(
+        [
+            np.median(track[around][seen[around]] if seen[neutral] else track[seen], axis=0)
+            for track, seen in zip(np.swapaxes(positions, 0, 1), visible.T, strict=True)
+        ]
+    )
+    away = np.where(visible, distances(positions, places), 0.0)
+    rest = places[visible[neutral]]
+    far = _LOST_RADII * float(np.median(distances(rest, np.median(rest, axis=0))))
+    lost = (away > far) | _left_neighbors(positions, visible, places, away)
+    for marker, track in enumerate(away.T):
+        for start, stop in runs(lost[:, marker]):
+            while start > 0 and track[start - 1] < track[start]:
                 start -= 1
-            while stop < len(away) and away[stop] < away[stop - 1]:
+            while stop < len(track) and track[stop] < track[stop - 1]:
                 stop += 1
             lost[start:stop, marker] = True
-    return lost & visible
+    return np.asarray(lost & visible)
+
+
+def _left_neighbors(
+    positions: RealArray, visible: BoolArray, places: RealArray, away: RealArray
+) -> BoolArray:
+    """Return the samples since markers left their neighbours for good: (frames, markers).
+
+    Parameters
+    ----------
+    places : (markers, 3) float array
+        At rest [mm].
+    away : (frames, markers) float array
+        Distance from the place at rest [mm]; 0 where not visible.
+    """
+    apart = distances(places[:, None], places)
+    np.fill_diagonal(apart, np.inf)
+    limit = max(_LEAST_FALL_MM, float(np.median(apart.min(axis=1))))
+    near = np.argsort(apart, axis=1, kind="stable")[:, :_NEIGHBOR_COUNT]
+    fallen = np.zeros_like(visible)
+    for marker in np.flatnonzero((away > limit).any(axis=0)):
+        rows, others = np.flatnonzero(away[:, marker] > limit), near[marker]
+        moved = positions[rows[:, None], others] - places[others]
+        apart_mm = distances(positions[rows, marker, None] - places[marker], moved)
+        apart_mm[~visible[rows[:, None], others]] = np.inf
+        nearest = np.sort(apart_mm, axis=1)[:, :2].max(axis=1)
+        fallen[rows, marker] = np.isfinite(nearest) & (nearest > limit)
+    _leave_swaps(fallen, positions, places)
+    if fallen.any(axis=0).mean() > _MOST_FALLEN_SHARE:
+        return np.zeros_like(fallen)
+    for marker in np.flatnonzero(fallen.any(axis=0)):
+        frames = np.flatnonzero(visible[:, marker])
+        track = fallen[frames, marker]
+        counts = np.arange(1, len(track) + 1)
+        gone = np.zeros_like(track)
+        for side in (slice(None), slice(None, None, -1)):  # from the start on, and to the end
+            share = np.cumsum(track[side]) / counts
+            ends = np.flatnonzero((share >= _FALLEN_SHARE) & track[side])
+            gone[side][: ends[-1] + 1 if len(ends) else 0] = True
+        fallen[frames, marker] = gone
+    return fallen
+
+
+def _leave_swaps(fallen: BoolArray, positions: RealArray, places: RealArray) -> None:
+    """Clear samples, in place, of two markers at each other's places, as with swapped labels."""
+    for frame in np.flatnonzero(fallen.sum(axis=1) > 1):
+        markers = np.flatnonzero(fallen[frame])
+        nearest = distances(positions[frame, markers, None], places[markers]).argmin(axis=1)
+        swapped = (nearest[nearest] == np.arange(len(markers))) & (nearest != nearest[nearest])
+        fallen[frame, markers[swapped]] = False
 
 
 def find_spikes(positions: RealArray, visible: BoolArray, *, noise: FloatArray) -> BoolArray:

@@ -66,9 +66,12 @@ def _repairs(cleaned: CleanedMarkers, markers: Markers, take: Take) -> list[str]
         for name, track in zip(names, cleaned.lost.T, strict=True)
         if track.any()
     ]
+    missing = ~cleaned.visible
     if left:
+        unfilled = int((missing & cleaned.lost).sum())
+        gaps = f", {pluralize(unfilled, 'sample')} too long to fill, with confidence 0"
         notes.append(
-            f"left the face: {first_few(left)}; treated as gaps. "
+            f"left the face: {first_few(left)}; treated as gaps{gaps if unfilled else ''}. "
             "Export later takes without a marker that fell off"
         )
     if cleaned.outliers.any():
@@ -76,7 +79,7 @@ def _repairs(cleaned: CleanedMarkers, markers: Markers, take: Take) -> list[str]
         whose = "of" if np.count_nonzero(counts) == 1 else "most of them of"
         outliers = pluralize(int(counts.sum()), "outlier")
         notes.append(f"replaced {outliers}, {whose} {names[int(counts.argmax())]}")
-    missing = ~cleaned.visible
+    missing &= ~cleaned.lost
     if missing.any():
         whose = first_few([names[i] for i in np.flatnonzero(missing.any(axis=0))])
         notes.append(
