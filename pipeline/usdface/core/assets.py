@@ -259,6 +259,8 @@ class Rig(_Asset):
     """(shapes, 2): lowest and highest weight; 0 to 1 unless the rig has others."""
     combinations: tuple[Combination, ...] = ()
     """Shapes that others drive, in the order of evaluation."""
+    variants: tuple[tuple[str, str, str], ...] = ()
+    """Prim path, variant set and variant of selections that are not the file's."""
 
     @property
     def logic(self) -> RigLogic:

@@ -27,8 +27,8 @@ from usdface.steps.review.evaluation_tables import (
     failures,
     shapes_with_motion,
 )
-from usdface.usdio.performance.read import read_performance
-from usdface.usdio.rig.read import read_rig
+from usdface.usdio.performance.read import PerformanceReader, read_performance
+from usdface.usdio.rig.reference import read_rig_of_stage
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,8 @@ def run(spec: EvaluateSpec, *, provenance: Provenance, progress: Progress = sile
     """Measure the performance and write figures and curves."""
     progress(0.0, "reading")
     performance = read_performance(spec.performance)
-    rig = read_rig(performance.rig_file, prim=performance.rig_prim)
+    reader = PerformanceReader(spec.performance)
+    rig = read_rig_of_stage(reader.stage, reader.animation)
     given = read_weight_table(spec.against, known=rig.shapes, unit=spec.weight_unit)
     comparison = _compare(spec, performance, given, rig)
     observable, notes = None, list[str]()

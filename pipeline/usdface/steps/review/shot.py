@@ -21,7 +21,7 @@ from usdface.specs.review import AUTO_CAMERA, FRONT_CAMERA
 from usdface.steps.inputs.cleaned_takes import read_cleaned
 from usdface.steps.inputs.solve_verdict import evidence_of
 from usdface.usdio.performance.read import PerformanceReader, read_performance
-from usdface.usdio.rig.read import read_rig
+from usdface.usdio.rig.reference import read_rig_of_stage
 from usdface.usdio.rig.rig_motion import PointMotion, RigMotion
 from usdface.usdio.rig.stage_camera import StageCamera, StageView
 
@@ -253,11 +253,12 @@ def open_shot(
     """
     keyed = take_file is None and take_of_performance(performance_file) is None
     take_file = performance_file if keyed else find_take(performance_file, take_file)
-    moved = PerformanceReader(performance_file).moved
-    if moved and not keyed:
+    reader = PerformanceReader(performance_file)
+    if reader.moved and not keyed:
         raise InputError(
             f"{performance_file}: a layer offset or another timeCodesPerSecond moves its weights "
-            f"{moved}, so they do not match those of {take_file}; give the performance as mapped"
+            f"{reader.moved}, so they do not match those of {take_file}; give the performance as "
+            "mapped"
         )
     performance = read_performance(performance_file)
     if keyed:
@@ -265,7 +266,7 @@ def open_shot(
     else:
         take = _read_take(take_file, performance_file)
     take = _with_video(take_file, take, video)
-    rig = read_rig(performance.rig_file, prim=performance.rig_prim)
+    rig = read_rig_of_stage(reader.stage, reader.animation)
     clip = performance.weights
     first = max(clip.first_frame, take.first_frame)
     last = min(clip.first_frame + len(clip.values), take.first_frame + take.frame_count)

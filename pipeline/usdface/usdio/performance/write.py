@@ -36,11 +36,11 @@ from usdface.usdio.performance.weights_layer import (
     writing_weights,
 )
 from usdface.usdio.rig.reference import (
-    copy_variants,
     default_rig_path,
     define_reference,
     remove_reference,
     rig_path_of,
+    variant_choices,
 )
 from usdface.usdio.units import author_units
 
@@ -105,7 +105,9 @@ def _copy_rig_use(top: Sdf.Layer, shown: PerformanceReader, source: str) -> None
     """
     rig_path, header = rig_path_of(shown.stage, shown.animation), shown.header
     rig_file, _ = shown.rig()
-    copy_variants(top, shown.stage, rig_path, rig_file, source)
+    for path, name, choice in variant_choices(shown.stage, rig_path, rig_file, source):
+        at = Sdf.Path(path).ReplacePrefix(source, rig_path)
+        Sdf.CreatePrimInLayer(top, at).variantSelections[name] = choice
     rig_stage, kept = open_stage(rig_file), list[Sdf.Reference]()
     for arc in Usd.PrimCompositionQuery(shown.animation).GetCompositionArcs():
         above, to_root = arc.GetIntroducingNode(), arc.GetIntroducingNode().mapToRoot

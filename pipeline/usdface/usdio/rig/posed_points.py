@@ -11,8 +11,8 @@ from usdface.core.errors import InputError
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.rig.mesh import skel_bindings
-from usdface.usdio.rig.read import faces_below, find_face, read_rig
-from usdface.usdio.rig.reference import rig_path_of, stage_with_rig
+from usdface.usdio.rig.read import faces_below, find_face
+from usdface.usdio.rig.reference import read_rig_of_stage, rig_path_of, stage_with_rig
 from usdface.usdio.units import column_matrix, stage_to_ours, transform_points
 
 
@@ -24,7 +24,7 @@ class PosedRig:
         self.path = path
         self.reader = PerformanceReader(path)
         file, prim = self.reader.rig()
-        self.rig: Rig = read_rig(file, prim=prim)
+        self.rig: Rig = read_rig_of_stage(self.reader.stage, self.reader.animation)
         self._stage = open_stage(path)
         # The face that moves, of a file with several.
         rig_path = rig_path_of(

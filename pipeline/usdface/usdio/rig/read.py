@@ -29,7 +29,9 @@ COMBINATION_SPANS = "face:combination:spans"
 
 
 @refusing_wrong_types
-def read_rig(path: Path, *, prim: str | None = None) -> Rig:
+def read_rig(
+    path: Path, *, prim: str | None = None, variants: tuple[tuple[str, str, str], ...] = ()
+) -> Rig:
     """Read a character's face.
 
     Parameters
@@ -38,8 +40,10 @@ def read_rig(path: Path, *, prim: str | None = None) -> Rig:
         A USD file with a SkelRoot, a Skeleton and meshes bound to BlendShapes.
     prim : str, optional
         Path of the SkelRoot, or of a prim above it, if the file has several faces.
+    variants : tuple of (prim path, variant set, variant)
+        Selections instead of the file's.
     """
-    stage = open_stage(path)
+    stage = open_variant(path, variants)
     root = find_face(stage, path, prim)
     ours = stage_to_ours(stage)
     rest = RestPose(UsdSkel.Root(root), ours)
@@ -55,7 +59,17 @@ def read_rig(path: Path, *, prim: str | None = None) -> Rig:
         meshes=meshes,
         ranges=_read_ranges(root, shapes, path),
         combinations=combinations,
+        variants=variants,
     )
+
+
+def open_variant(path: Path, variants: tuple[tuple[str, str, str], ...]) -> Usd.Stage:
+    """Open a rig with selections of its variants; see `Rig.variants`."""
+    stage = open_stage(path)
+    with Usd.EditContext(stage, stage.GetSessionLayer()):
+        for at, name, variant in variants:
+            stage.OverridePrim(at).GetVariantSet(name).SetVariantSelection(variant)
+    return stage
 
 
 def shape_prims(root: Usd.Prim) -> Iterator[tuple[str, Usd.Prim]]:

@@ -25,7 +25,7 @@ from usdface.usdio.layers import (
     relative_path,
     usd_errors_as_input_errors,
 )
-from usdface.usdio.rig.read import skeletons_of
+from usdface.usdio.rig.read import read_rig, skeletons_of
 from usdface.usdio.units import MM_PER_STAGE_UNIT, stage_to_ours
 
 UNITS = "xformOp:transform:units"
@@ -336,21 +336,28 @@ def _skel_root_above(stage: Usd.Stage, skeleton: Sdf.Path) -> str:
     return str(prim.GetPath()) if prim else ""
 
 
-def copy_variants(layer: Sdf.Layer, stage: Usd.Stage, rig_path: str, rig: Path, top: str) -> None:
-    """Copy a stage's selections of a rig's variants to a layer, if they are not the rig's defaults.
+def read_rig_of_stage(stage: Usd.Stage, animation: Usd.Prim) -> Rig:
+    """Read the rig that an animation drives, with the variants that the stage selects."""
+    file, prim = rig_of(stage, animation)
+    rig_path, top = rig_path_of(stage, animation), str(Sdf.Path(prim).GetPrefixes()[0])
+    return read_rig(file, prim=prim, variants=variant_choices(stage, rig_path, file, top))
+
+
+def variant_choices(
+    stage: Usd.Stage, rig_path: str, rig: Path, top: str
+) -> tuple[tuple[str, str, str], ...]:
+    """Return a stage's selections of a rig's variants that are not the rig's defaults.
 
     Parameters
     ----------
-    layer : Sdf.Layer
-        With the rig at the same path.
     rig_path : str
-        Prim path of the rig.
+        Prim path of the rig in the stage.
     rig : Path
         Its file.
     top : str
         The referenced prim of the file.
     """
-    rig_stage = open_stage(rig)
+    rig_stage, choices = open_stage(rig), list[tuple[str, str, str]]()
     for prim in Usd.PrimRange(stage.GetPrimAtPath(rig_path)):
         sets = prim.GetVariantSets()
         for name in sets.GetNames():
@@ -358,4 +365,5 @@ def copy_variants(layer: Sdf.Layer, stage: Usd.Stage, rig_path: str, rig: Path, 
             path = prim.GetPath().ReplacePrefix(Sdf.Path(rig_path), Sdf.Path(top))
             default = rig_stage.GetPrimAtPath(path)
             if not default or default.GetVariantSet(name).GetVariantSelection() != choice:
-                Sdf.CreatePrimInLayer(layer, prim.GetPath()).variantSelections[name] = choice
+                choices.append((str(path), name, choice))
+    return tuple(choices)

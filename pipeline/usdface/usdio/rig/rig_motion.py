@@ -14,9 +14,10 @@ from scipy import sparse
 
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.core.assets import Rig
-from usdface.usdio.layers import open_stage, refusing_wrong_types
+from usdface.usdio.layers import refusing_wrong_types
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.rig.mesh import skel_bindings
+from usdface.usdio.rig.read import open_variant
 from usdface.usdio.rig.reference import rig_path_of, stage_with_rig
 from usdface.usdio.units import column_matrix, stage_to_ours
 
@@ -58,9 +59,9 @@ class RigMotion(PointMotion):
         source = Sdf.Path(rig.prim).GetPrefixes()[0]
         rig_path = Sdf.Path(rig_path_of(reader.stage, reader.animation))
         self._ours = np.eye(4)
-        self._ours[:3, :3] = stage_to_ours(open_stage(rig.file))
-        root = Sdf.Path(rig.prim)
-        self._rest = _Placement(open_stage(rig.file), root)
+        root, rest = Sdf.Path(rig.prim), open_variant(rig.file, rig.variants)
+        self._ours[:3, :3] = stage_to_ours(rest)
+        self._rest = _Placement(rest, root)
         posed = root.ReplacePrefix(source, rig_path)
         stage = reader.stage
         if not UsdSkel.Root(stage.GetPrimAtPath(posed)):  # only overs: the rig's file is missing
@@ -141,7 +142,7 @@ def points_following(rig: Rig, path: str, *, is_joint: bool) -> BoolArray:
         return np.concatenate(
             [np.full(len(mesh.points), Sdf.Path(mesh.path).HasPrefix(path)) for mesh in rig.meshes]
         )
-    rest = _Placement(open_stage(rig.file), Sdf.Path(rig.prim))
+    rest = _Placement(open_variant(rig.file, rig.variants), Sdf.Path(rig.prim))
     following = []
     for mesh in rig.meshes:
         share = np.zeros(len(mesh.points))
