@@ -50,6 +50,17 @@ def test_rows_at_no_pair_are_named(tmp_path: Path) -> None:
     assert noted(result, "not imported: 1 of 3 rows have numbers of no pair (13)")
 
 
+def test_pairs_that_the_range_of_a_file_misses_are_named(tmp_path: Path) -> None:
+    path = asset(tmp_path)
+    frames = read_references(path).frames
+    late = np.sort(frames)[-3:]
+    result = import_rows(path, keys_at(list(range(1, int(late[0])))))
+    note = noted(result, f"not in keys.csv, whose frames are 1-{late[0] - 1}: 3 of {PAIRS} pairs")
+    for pair in np.flatnonzero(frames >= late[0]):
+        assert f"{pair + 1} at frame {frames[pair]}" in note
+    assert not noted(import_rows(path, keys_at(frames.tolist())), "not in keys.csv")
+
+
 def test_a_file_with_a_row_for_every_frame_has_no_lost_keys(tmp_path: Path) -> None:
     path = asset(tmp_path)
     result = import_rows(path, keys_at(list(range(1, 3000))))

@@ -75,6 +75,7 @@ def run(
     notes = [
         *picture_notes,
         *_row_notes(spec, table, pairs, unmatched),
+        *_missed_notes(spec, references, table, pairs),
         *meaning_notes(transfer),
         *given.numbering_notes(spec.weights),
         *_column_notes(given, combinations, transfer.matched),
@@ -126,6 +127,25 @@ def _row_notes(
             f"interpolated between keys of {spec.weights.name}: {pluralize(between, 'pair')}"
         )
     return notes
+
+
+def _missed_notes(
+    spec: ReferencesImportSpec, references: References, table: WeightTable, pairs: list[TunedPair]
+) -> list[str]:
+    """Return a note on pairs that the file has no weights for, if it has those of some."""
+    imported = {pair.pair for pair in pairs}
+    missed = [
+        f"{pair + 1} at frame {frame}"
+        for pair, frame in enumerate(references.frames.tolist())
+        if pair not in imported
+    ]
+    if not missed:
+        return []
+    return [
+        f"not in {spec.weights.name}, whose {'pairs' if spec.at != 'frames' else 'frames'} are "
+        f"{min(table.frames)}-{max(table.frames)}: {len(missed)} of "
+        f"{pluralize(len(references.frames), 'pair')} ({first_few(missed)})"
+    ]
 
 
 def _column_notes(given: WeightTable, combinations: Set[str], matched: Sequence[str]) -> list[str]:
