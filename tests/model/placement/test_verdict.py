@@ -148,6 +148,25 @@ def test_markers_that_no_shape_moves_are_named(bench: Bench) -> None:
     assert "no shape of the rig moves the skin at m8" in verdict.sentence
 
 
+def test_markers_that_a_joint_would_move_are_named(bench: Bench) -> None:
+    """The jaw opens by a joint, and has a shape for other motion."""
+    opening = list(bench.shapes).index("jawOpen")
+    near = ((bench.local[:, None] - bench.skin.positions) ** 2).sum(axis=2).argmin(axis=1)
+    opened = 1.5 * np.sin(np.arange(60) / 4.0)[:, None, None] ** 2
+    jaw = opened * bench.skin.deltas[opening, near]
+    cloud = replace(bench.cloud, motion=bench.cloud.motion + jaw)
+    assert "do not follow" not in bench.judge(bench.local, cloud=cloud).sentence
+    upwards = bench.skin.deltas.copy()
+    upwards[opening] *= [1.0, -1.0, 1.0]
+    skin = replace(bench.skin, deltas=upwards)
+    verdict = bench.judge(bench.local, cloud=cloud, skin=skin)
+    assert re.search(r"shapes of the rig do not follow Chin \d+ mm", verdict.sentence)
+    assert "no reference or tuning helps" in verdict.sentence
+    # Placed by motion, the markers may as well be at wrong places.
+    by_motion = bench.judge(bench.local, cloud=cloud, skin=skin, by_labels=False)
+    assert "do not follow" not in by_motion.sentence
+
+
 def judge_without(bench: Bench, lacking: str, *, foreign: bool = False) -> PlacementVerdict:
     """Judge right places on a rig without some shapes, named or numbered."""
     keep = [i for i, name in enumerate(bench.shapes) if not re.search(lacking, name)]

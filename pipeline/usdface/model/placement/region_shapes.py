@@ -37,6 +37,11 @@ _FOLLOWED_SHARE = 0.9
 _FARTHER_WEIGHT = 2.0
 """Largest weight, over its limit, for that share: performers differ in amplitude by that factor."""
 
+_UNFOLLOWED_MM, _UNFOLLOWED_SHARE = 4.5, 0.5
+"""RMS motion of a marker on an adult's face that all shapes leave, and the share of its motion
+that they follow, above and below which no shape is for it. Recordings on rigs with all shapes leave
+3.8 mm at most; without a shape for the jaw, 5 to 9 mm at the chin."""
+
 _CELL_MM = 30.0
 """Distance from the nearest marker, on an adult's face, up to which skin belongs to its region."""
 
@@ -53,8 +58,13 @@ def words_on_missing_shapes(
     samples: IntArray,
     moved: FloatArray,
     ranges: FloatArray,
+    *,
+    placed: bool,
 ) -> str:
     """Return words on regions whose markers move and whose shapes the rig lacks; ``''`` if none.
+
+    With `placed`, places are known other than by motion; then single markers that all shapes do not
+    follow are named as well.
 
     Parameters
     ----------
@@ -97,6 +107,14 @@ def words_on_missing_shapes(
     still = _still_parts(labels, rest)
     if still:
         words.append(f"no shape of the rig moves the skin at {still}")
+    left = _unfollowed_mm(skin, samples, moved, ranges)
+    left[~moving | rest | np.isin(regions, list(missing))] = 0.0
+    if placed and left.any():
+        worst = [f"{labels[m]} {left[m]:.0f} mm" for m in np.argsort(-left) if left[m]]
+        words.append(
+            f"shapes of the rig do not follow {first_few(worst, most=3)}, as of skin that a joint "
+            "moves: no reference or tuning helps; add a shape for it"
+        )
     return "; ".join(words)
 
 
@@ -158,6 +176,18 @@ def _followed_share(
     weights = solve_weights_at(skin, samples, moved, _FARTHER_WEIGHT * ranges)
     away = moved - np.einsum("fk,kmc->fmc", weights, skin.deltas[:, samples], optimize=True)
     return 1.0 - float((away**2).sum() / (moved**2).sum())
+
+
+def _unfollowed_mm(
+    skin: FaceSkin, samples: IntArray, moved: FloatArray, ranges: FloatArray
+) -> FloatArray:
+    """Return the RMS motion that all shapes leave, (markers,) [mm]; 0 where they follow it."""
+    weights = solve_weights_at(skin, samples, moved, _FARTHER_WEIGHT * ranges)
+    away = moved - np.einsum("fk,kmc->fmc", weights, skin.deltas[:, samples], optimize=True)
+    left, motion = (np.sqrt((each**2).sum(axis=2).mean(axis=0)) for each in (away, moved))
+    follows = left**2 < (1 - _UNFOLLOWED_SHARE) * motion**2
+    follows |= left < _UNFOLLOWED_MM * skin.size_mm / TYPICAL_SIZE_MM
+    return np.asarray(np.where(follows, 0.0, left))
 
 
 def _closes_eyes(skin: FaceSkin, shapes: tuple[str, ...], owners: np.ndarray) -> bool:

@@ -132,7 +132,9 @@ def judge_placement(
             shifted = solve_weights_at(skin, there, moved, ranges, start=weights)
             gains[way] = explained_share(skin, there, moved, shifted) - explained
         reasons.append(_better_elsewhere(gains, shift_mm))
-        missing = words_on_missing_shapes(cloud.labels, skin, shapes, samples, moved, ranges)
+        missing = words_on_missing_shapes(
+            cloud.labels, skin, shapes, samples, moved, ranges, placed=by_labels or bool(placed)
+        )
         reasons.append(("check", missing) if missing else _FINE)
     if not by_labels and not placed:
         reasons.append(_by_motion(len(known), explained))
