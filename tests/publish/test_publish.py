@@ -314,7 +314,7 @@ def test_without_its_take_a_performance_is_published_without_a_sheet(
 def test_what_cannot_be_published_is_refused(shot: Shot, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         collect_performances([tmp_path / "no.usda"])
-    with pytest.raises(InputError, match="no SkelAnimation"):
+    with pytest.raises(InputError, match="no active SkelAnimation"):
         collect_performances([shot / "hero.usdc"])
     other = tmp_path / "shot.hero.usda"
     shutil.copy(shot / "shot.hero.usda", other)

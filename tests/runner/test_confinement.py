@@ -113,7 +113,7 @@ def test_names_with_the_letters_of_a_shell_are_only_names(
     monkeypatch.chdir(tmp_path)
     write_rig(tmp_path / "rig.usda", small_rig())
     shutil.copy(tmp_path / "rig.usda", tmp_path / name)
-    with pytest.raises(InputError, match="no SkelAnimation with blendShapeWeights"):
+    with pytest.raises(InputError, match="no active SkelAnimation with blendShapeWeights"):
         bake(tmp_path / name, tmp_path / "b.usda")
     with pytest.raises(SystemExit):
         main(["validate", name])
@@ -126,7 +126,7 @@ def test_a_layer_that_carries_code_is_data(tmp_path: Path) -> None:
         "usdface": {"schema": 1, "version": "1", "step": "__import__('os').system('touch owned')"}
     }
     layer.Save()
-    with pytest.raises(InputError, match="no SkelAnimation"):
+    with pytest.raises(InputError, match="no active SkelAnimation"):
         bake(tmp_path / "a.usda", tmp_path / "b.usda")
     assert not (tmp_path / "owned").exists()
 

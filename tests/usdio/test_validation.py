@@ -15,11 +15,13 @@ from pxr import Sdf, Usd, UsdShade, Vt
 
 from tests.usdio.small_rig import small_rig
 from usdface.core.assets import MeshShape, ShapeKey
+from usdface.core.errors import InputError
 from usdface.core.plugin_path import plugin_folders
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import weights_path
 from usdface.steps.inputs.edit_ranges import performance_notes
 from usdface.usdio.authoring import author_gaps
+from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import make_header
 from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.rig.read import read_rig
@@ -146,6 +148,19 @@ def test_an_animation_that_nobody_follows_is_orphaned(tmp_path: Path) -> None:
     change(weights_path(path), unfollow)
     found = only(path, "Names")
     assert (found.severity, "no skeleton follows" in found.message) == ("warning", True)
+
+
+def test_a_deactivated_animation_is_an_error_and_not_read(tmp_path: Path) -> None:
+    """In the shot the face rests; reviewed, it would move."""
+    path = write(tmp_path)
+    shot = Usd.Stage.CreateNew(str(tmp_path / "shot.usda"))
+    shot.GetRootLayer().subLayerPaths = [path.name]
+    shot.OverridePrim(PRIM).SetActive(False)
+    shot.Save()
+    found = only(tmp_path / "shot.usda", "Targets")
+    assert (found.severity, "is not active" in found.message) == ("error", True)
+    with pytest.raises(InputError, match="no active SkelAnimation"):
+        PerformanceReader(tmp_path / "shot.usda")
 
 
 def test_an_animation_of_the_rig_that_a_solve_replaces_is_no_orphan(tmp_path: Path) -> None:

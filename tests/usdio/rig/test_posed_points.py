@@ -65,5 +65,5 @@ def test_without_joints_it_is_the_deformer(tmp_path: Path) -> None:
 
 def test_what_is_no_performance_is_refused(tmp_path: Path) -> None:
     write_human(tmp_path / "human.usda")
-    with pytest.raises(InputError, match="no SkelAnimation with blendShapeWeights"):
+    with pytest.raises(InputError, match="no active SkelAnimation with blendShapeWeights"):
         PosedRig(tmp_path / "human.usda")

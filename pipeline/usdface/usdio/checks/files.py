@@ -227,9 +227,18 @@ def check_missing_files(stage: Usd.Stage) -> Iterator[Fault]:
 
 
 def check_targets(stage: Usd.Stage) -> Iterator[Fault]:
-    """Find bindings, and other targets, that are lost as they lie outside a referenced prim."""
+    """Find targets that are lost outside a referenced prim, and animations that are not active."""
     for path, lost in lost_targets(stage).items():
         yield Fault("warning", str(path), lost)
+    for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
+        source = UsdSkel.BindingAPI(prim).GetInheritedAnimationSource()
+        if prim.IsA(UsdSkel.Skeleton) and source and not source.IsActive():
+            yield Fault(
+                "error",
+                str(source.GetPath()),
+                f"is not active, so that <{prim.GetPath()}>, which follows it, rests: author "
+                "active = true on it in this layer",
+            )
 
 
 def check_provenance(stage: Usd.Stage) -> Iterator[Fault]:

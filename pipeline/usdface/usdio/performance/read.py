@@ -342,7 +342,7 @@ def find_animation(stage: Usd.Stage, path: Path, *, prim: str | None = None) -> 
         }
     if not found:
         where = f" at or below <{prim}>; check --prim" if prim else ""
-        raise InputError(f"{path}: no SkelAnimation with blendShapeWeights over time{where}")
+        raise InputError(f"{path}: no active SkelAnimation with blendShapeWeights over time{where}")
     if len(found) > 1:
         raise InputError(
             f"{path}: {len(found)} animations with blendShapeWeights, {', '.join(found)}; "
@@ -395,4 +395,4 @@ def read_performance(path: Path) -> Performance:
 
 def _weight_samples(prim: Usd.Prim) -> bool:
     attribute = UsdSkel.Animation(prim).GetBlendShapeWeightsAttr()
-    return bool(attribute) and attribute.GetNumTimeSamples() > 0
+    return prim.IsActive() and bool(attribute) and attribute.GetNumTimeSamples() > 0
