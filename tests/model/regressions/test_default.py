@@ -209,8 +209,11 @@ def test_the_regression_itself_knows_a_wink_though_both_eyes_close_in_all_takes(
     wink = np.full((1, len(shapes)), 0.5)
     wink[:, :2] = [1.0, 0.0]
     moved = 1.2 * np.einsum("fs,smc->fmc", wink, shapes).reshape(1, -1)
-    found = face_map.METHOD.predict(mapping.arrays, mapping.settings, moved)[0]
-    np.testing.assert_allclose(found[:2], [1.0, 0.0], atol=0.05)
+    assert face_map.METHOD.prepare_process is not None
+    predict = face_map.METHOD.prepare_process(mapping.arrays, mapping.settings)
+    np.testing.assert_allclose(predict(moved)[0][0, :2], [1.0, 0.0], atol=0.05)
+    _, deviation = predict(np.array([[1.0], [3.0], [9.0]]) * moved)
+    assert (np.diff(deviation[:, :2], axis=0) > 0).all()  # farther from the references
 
 
 def test_rigs_of_very_many_shapes_are_solved_without_a_matrix_for_each_frame(monkeypatch) -> None:

@@ -22,7 +22,7 @@ from usdface.model.mapping.uncertainty import (
 from usdface.model.placement.label_hints import are_image_landmarks
 from usdface.model.regressions import AUTO, find_method
 from usdface.model.regressions.base import Choices, Fitted, Pairs, Regression, Settings
-from usdface.model.regressions.bent_weights import bend, unbend
+from usdface.model.regressions.bent_weights import unbend
 from usdface.model.regressions.frame_solve import FrameSolution, FrameSolver
 from usdface.numerics.regression.cross_validation import (
     blocked_folds,
@@ -69,7 +69,7 @@ class FoldModel:
     def weights(self, pairs: Pairs) -> FloatArray:
         """Return the normalised weights of pairs: (pairs, shapes)."""
         solves = self.method.solves_frames
-        targets = self.solve(pairs, self.solver).targets if solves else self._predict(pairs)
+        targets = self.solve(pairs, self.solver).targets if solves else self._prior(pairs)[0]
         return np.clip(unbend(targets, self.corrected.forward.scales.curve), 0.0, 1.0)
 
     @cached_property
@@ -83,16 +83,18 @@ class FoldModel:
 
     def solve(self, pairs: Pairs, solver: FrameSolver) -> FrameSolution:
         """Return the solution of pairs; that of a method that solves no frames is its weights."""
-        displaced = pairs.displacements
+        displaced, bounded = pairs.displacements, self.method.solves_frames
         visible = np.ones(displaced.shape[:2], np.bool_)
-        if self.method.prepare_prior is None:
-            return solver.solve(displaced, visible, self._predict(pairs), bounded=False)
-        prior = self.method.prepare_prior(self.fitted.arrays, self.fitted.settings)
-        return solver.solve(displaced, visible, *prior(displaced.reshape(len(displaced), -1)))
+        return solver.solve(displaced, visible, *self._prior(pairs), bounded=bounded)
 
-    def _predict(self, pairs: Pairs) -> FloatArray:
-        weights = self.method.predict(self.fitted.arrays, self.fitted.settings, pairs.inputs)
-        return bend(pairs.face.normalise(weights), self.corrected.forward.scales.curve)
+    def _prior(self, pairs: Pairs) -> tuple[FloatArray, FloatArray | None]:
+        predict = self.method.prepare_prior(
+            self.fitted.arrays,
+            self.fitted.settings,
+            ranges=pairs.face.ranges,
+            curve=self.corrected.forward.scales.curve,
+        )
+        return predict(pairs.inputs, pairs.displacements)
 
 
 @dataclass(frozen=True)

@@ -83,11 +83,15 @@ class WeightPredictor:
             packed, _ = self._solver.linearise(self._solver.forward.targets.astype(np.float32))
             pairs = packed.reshape(len(packed), -1, 3).astype(np.float64)
             self._coverage = CoverageModel(self._solver.forward.basis, pairs, self._members)
-            method, given = find_method(mapping.method), (mapping.arrays, mapping.settings)
+            self._method = find_method(mapping.method)
+            self._driving = self._find_driving()
             with np.errstate(all="ignore"):  # values that are not finite are refused below
-                self._predict = method.prepare(*given)
-                self._prior = method.prepare_prior and method.prepare_prior(*given)
-                self._driving = self._find_driving()
+                self._prior = self._method.prepare_prior(
+                    mapping.arrays,
+                    mapping.settings,
+                    ranges=mapping.ranges,
+                    curve=self._solver.forward.scales.curve,
+                )
                 trial = self.predict(mapping.neutral[None])
         except (KeyError, ValueError, IndexError, TypeError) as error:
             raise InputError(
@@ -162,12 +166,8 @@ class WeightPredictor:
         """Return weights, uncertainty (frames, regions) and residuals (frames, markers, 3)."""
         low, high = self._mapping.ranges.T
         solver, curve = self._solver, self._solver.forward.scales.curve
-        if self._prior is None:
-            predicted = np.clip(self._predict(coordinates), low, high)
-            prior_mean, deviation = bend((predicted - low) / (high - low), curve), None
-        else:
-            prior_mean, deviation = self._prior(displacements.reshape(len(displacements), -1))
-        solves = self._prior is not None
+        solves = self._method.solves_frames
+        prior_mean, deviation = self._prior(coordinates, displacements)
         weights = np.empty_like(prior_mean)
         uncertainty = np.empty((len(weights), len(self._regions)))
         residual = np.empty(displacements.shape, dtype=np.float32)
@@ -192,7 +192,7 @@ class WeightPredictor:
         of many shapes. In-betweens of one shape (one part, no span) are not combinations.
         """
         driven = self._solver.forward.driven
-        if driven is None or self._prior is not None or not self._solver.has_jacobians:
+        if driven is None or self._method.solves_frames or not self._solver.has_jacobians:
             return np.zeros(0, np.int64)
         combinations = [
             each for each in driven.logic.combinations if len(each.parts) > 1 or each.spans

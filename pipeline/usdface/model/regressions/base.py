@@ -13,6 +13,7 @@ import numpy as np
 from usdface.core.arrays import Arrays, FloatArray, IntArray
 from usdface.core.assets import MotionSpace
 from usdface.core.rig_logic import RigLogic
+from usdface.model.regressions.bent_weights import bend
 from usdface.model.regressions.forward_model import ForwardModel
 
 Settings = dict[str, float | int | str | bool]
@@ -20,9 +21,13 @@ Settings = dict[str, float | int | str | bool]
 Predictor = Callable[[FloatArray], FloatArray]
 """Function from inputs (frames, d) to outputs (frames, k)."""
 
-PriorPredictor = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
-"""Function from the displacements of the markers (frames, 3 markers) [mm] to the prior mean of
-`frame_solve` and its standard deviation, (frames, shapes) bent weights."""
+ProcessPredictor = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+"""Function from displacements of the markers (frames, 3 markers) [mm] to bent weights and their
+standard deviation, (frames, shapes) each."""
+
+PriorPredictor = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray | None]]
+"""Function from coordinates (frames, d) and displacements (frames, markers, 3) [mm] to the prior
+mean of `frame_solve` and its standard deviation, None if the method has none; (frames, shapes)."""
 
 WHITENING_POWERS = (0.0, 0.125, 0.25)
 """Candidates: coordinates are divided by this power of their variance. 0 leaves them as captured;
@@ -169,9 +174,9 @@ class Regression:
     """One line of help."""
     fit: Callable[[Pairs, Settings], Fitted]
     """``(pairs, settings) -> Fitted``"""
-    prepare: Callable[[Arrays, Settings], Predictor]
+    prepare: Callable[[Arrays, Settings], Predictor] | None = None
     """``(arrays, settings) -> Predictor``, with all work that does not depend on the inputs done.
-    Outputs are not limited to ranges."""
+    Outputs are not limited to ranges. None for a method that solves frames."""
     mapping_candidates: Callable[[Pairs, tuple[int, ...]], tuple[Settings, ...]] | None = None
     """``(pairs, dimensions) -> candidate settings``; dimensions, if any, replace the default ones.
     None if the method is not available for mappings."""
@@ -179,14 +184,13 @@ class Regression:
     """Candidate settings; empty if the method is not available for retargeting."""
     retarget_name: str = ""
     """Name in retargetings, if it differs."""
-    prepare_prior: Callable[[Arrays, Settings], PriorPredictor] | None = None
-    """As `prepare`, for a method that predicts the prior of `frame_solve`; its `prepare` reads
-    displacements as well."""
+    prepare_process: Callable[[Arrays, Settings], ProcessPredictor] | None = None
+    """As `prepare`, for a method that solves frames: it predicts the prior of `frame_solve`."""
 
     @property
     def solves_frames(self) -> bool:
-        """Whether its prediction is the prior of `frame_solve`."""
-        return self.prepare_prior is not None
+        """Whether its prediction is the prior of `frame_solve`, in place of the weights."""
+        return self.prepare_process is not None
 
     def candidates(self, pairs: Pairs, choices: Choices = DEFAULT_CHOICES) -> tuple[Settings, ...]:
         """Return the candidate settings for a mapping."""
@@ -200,7 +204,35 @@ class Regression:
 
     def predict(self, arrays: Arrays, settings: Settings, inputs: FloatArray) -> FloatArray:
         """Evaluate a fit: (frames, d) inputs to (frames, k) outputs."""
-        return self.prepare(arrays, settings)(inputs)
+        return self._prepared(arrays, settings)(inputs)
+
+    def prepare_prior(
+        self, arrays: Arrays, settings: Settings, *, ranges: FloatArray, curve: float
+    ) -> PriorPredictor:
+        """Return the predictor of a mapping.
+
+        Parameters
+        ----------
+        ranges : (shapes, 2) float array
+            Lowest and highest weight of each shape.
+        curve : float
+            As of `bend`.
+        """
+        if self.prepare_process is not None:
+            process = self.prepare_process(arrays, settings)
+            return lambda _coordinates, moved: process(moved.reshape(len(moved), -1))
+        predict, low, span = self._prepared(arrays, settings), ranges[:, 0], np.ptp(ranges, axis=1)
+
+        def prior(coordinates: FloatArray, _moved: FloatArray) -> tuple[FloatArray, None]:
+            normalised = np.clip((predict(coordinates) - low) / span, 0.0, 1.0)
+            return bend(normalised, curve), None
+
+        return prior
+
+    def _prepared(self, arrays: Arrays, settings: Settings) -> Predictor:
+        if self.prepare is None:
+            raise ValueError(f"{self.name} predicts a prior, not weights")
+        return self.prepare(arrays, settings)
 
 
 def dimension_choices(

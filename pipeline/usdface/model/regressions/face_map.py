@@ -27,12 +27,10 @@ from usdface.core.arrays import Arrays, FloatArray, IntArray, sample_frames
 from usdface.model.regressions.base import (
     Fitted,
     Pairs,
-    Predictor,
-    PriorPredictor,
+    ProcessPredictor,
     Regression,
     Settings,
 )
-from usdface.model.regressions.bent_weights import unbend
 from usdface.numerics.regression.gaussian_process import (
     NOISES,
     ProcessSettings,
@@ -96,12 +94,7 @@ def _fit(pairs: Pairs, settings: Settings) -> Fitted:
         moved, forward.targets, [features[k] for k in region], pairs.face.gram
     )
     arrays = _fit_regions(moved, forward.targets, features, region, chosen)
-    low, span = pairs.face.ranges[:, 0], np.ptp(pairs.face.ranges, axis=1)
-    curve = forward.scales.curve
-    return Fitted(
-        arrays | {"curve": np.array([curve]), "low": low, "span": span},
-        settings | {"curve": curve, "features": chosen.dimensions},
-    )
+    return Fitted(arrays, settings | {"curve": forward.scales.curve, "features": chosen.dimensions})
 
 
 def _gather_regions(relevance: FloatArray) -> tuple[IntArray, FloatArray]:
@@ -180,7 +173,7 @@ def _fit_regions(
     }
 
 
-def _prepare_prior(arrays: Arrays, _settings: Settings) -> PriorPredictor:
+def _prepare_process(arrays: Arrays, _settings: Settings) -> ProcessPredictor:
     region, noise = arrays["region"].astype(np.int64), arrays["noise"]
     mean_log_noise = np.bincount(region, np.log(noise)) / np.bincount(region)
     processes = RegionalProcesses(
@@ -203,20 +196,10 @@ def _prepare_prior(arrays: Arrays, _settings: Settings) -> PriorPredictor:
     return predict
 
 
-def _prepare(arrays: Arrays, settings: Settings) -> Predictor:
-    predict, curve = _prepare_prior(arrays, settings), float(arrays["curve"][0])
-
-    def predict_weights(moved: FloatArray) -> FloatArray:
-        return np.asarray(arrays["low"] + arrays["span"] * unbend(predict(moved)[0], curve))
-
-    return predict_weights
-
-
 METHOD = Regression(
     name="face_map",
     summary="Gaussian processes near the references, and beyond them the rig's geometry",
     fit=_fit,
-    prepare=_prepare,
-    prepare_prior=_prepare_prior,
+    prepare_process=_prepare_process,
     mapping_candidates=_candidates,
 )
