@@ -162,6 +162,7 @@ def test_what_lies_between_two_keyed_pairs_is_nobodys_tuning(shot: Shot) -> None
     asset = shot / "hero.references.usda"
     before = read_references(asset)
     layer = Sdf.Layer.CreateNew(str(shot / "sparse.usda"))
+    layer.timeCodesPerSecond = before.rate
     prim = Sdf.CreatePrimInLayer(layer, "/anim")
     prim.specifier, prim.typeName = Sdf.SpecifierDef, "SkelAnimation"
     names = Sdf.AttributeSpec(prim, "blendShapes", Sdf.ValueTypeNames.TokenArray)

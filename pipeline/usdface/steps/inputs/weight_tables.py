@@ -38,7 +38,7 @@ class WeightTable:
     weights: FloatArray
     """(frames, shapes)"""
     rate: Fraction | None = None
-    """Frames per second; None if the file does not state it."""
+    """Frames per second; None if the file does not state it, or its tool ignores it."""
     keyed: frozenset[int] = frozenset()
     """Frames with samples in the file; others, of USD, are interpolated."""
     meshes: tuple[str, ...] = ()
@@ -238,7 +238,7 @@ def _exported_table(
         names,
         exported.frames,
         np.stack([curves[0].values for curves in exported.curves], axis=1),
-        exported.rate,
+        None if clamped else exported.rate,  # Blender imports time codes as frames at any rate
         exported.keyed,
         tuple(curves[0].mesh for curves in exported.curves),
         {
