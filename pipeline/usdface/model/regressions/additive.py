@@ -32,7 +32,6 @@ def _prepare(arrays: Arrays, settings: Settings) -> Predictor:
 
 METHOD = Regression(
     name="additive",
-    summary="linear map through rest, plus a multiquadric for its residual",
     fit=_fit,
     prepare=_prepare,
     retarget_candidates=tuple({"shrink": shrink} for shrink in _SHRINKS),

@@ -170,8 +170,6 @@ class Regression:
 
     name: str
     """In mappings and on the command line."""
-    summary: str
-    """One line of help."""
     fit: Callable[[Pairs, Settings], Fitted]
     """``(pairs, settings) -> Fitted``"""
     prepare: Callable[[Arrays, Settings], Predictor] | None = None

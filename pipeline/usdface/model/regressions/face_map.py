@@ -198,7 +198,6 @@ def _prepare_process(arrays: Arrays, _settings: Settings) -> ProcessPredictor:
 
 METHOD = Regression(
     name="face_map",
-    summary="Gaussian processes near the references, and beyond them the rig's geometry",
     fit=_fit,
     prepare_process=_prepare_process,
     mapping_candidates=_candidates,

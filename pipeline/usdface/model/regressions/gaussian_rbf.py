@@ -103,7 +103,6 @@ def _prepare_network(arrays: Arrays, settings: Settings) -> Predictor:
 
 METHOD = Regression(
     name="rbf",
-    summary="linear map plus Gaussian RBF, components and width by cross-validation",
     fit=_fit,
     prepare=_prepare,
     mapping_candidates=_candidates,
@@ -111,7 +110,6 @@ METHOD = Regression(
 
 PUBLISHED = Regression(
     name="d06",
-    summary="Gaussian RBF as published: 4 components, a width per centre, ridge by GCV",
     fit=_fit_published,
     prepare=_prepare_network,
     mapping_candidates=_published_candidates,

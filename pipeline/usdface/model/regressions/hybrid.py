@@ -86,7 +86,6 @@ def _choose_alpha(pairs: Pairs, settings: Settings) -> float:
 
 METHOD = Regression(
     name="hybrid",
-    summary="multiquadric and kernel CCA, blended with a weight chosen by cross-validation",
     fit=_fit,
     prepare=_prepare,
     mapping_candidates=_candidates,

@@ -94,7 +94,6 @@ def prepare_expansion(arrays: Arrays, settings: Settings) -> Predictor:
 
 METHOD = Regression(
     name="kernel_cca",
-    summary="kernel canonical correlation, penalty and width by cross-validation",
     fit=fit_expansion,
     prepare=prepare_expansion,
     mapping_candidates=_candidates,

@@ -59,7 +59,6 @@ def prepare_network(arrays: Arrays, settings: Settings) -> Predictor:
 
 METHOD = Regression(
     name="multiquadric",
-    summary="Hardy multiquadric interpolation, softness of a centre from its nearest neighbour",
     fit=fit_network,
     prepare=prepare_network,
     mapping_candidates=_candidates,

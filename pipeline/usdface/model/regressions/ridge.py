@@ -38,7 +38,6 @@ def prepare_line(arrays: Arrays, settings: Settings) -> Predictor:
 
 METHOD = Regression(
     name="ridge",
-    summary="linear ridge regression, a ridge per shape by leave-one-out",
     fit=_fit,
     prepare=prepare_line,
     mapping_candidates=_candidates,
