@@ -37,7 +37,7 @@ OBSERVABLE_ERROR_SHARE = 0.9
 """Mean squared error of a shape, relative to its variance, above which it is not observable."""
 
 _CRITICAL_T = 2.0
-"""Student's t from which another method replaces the default: p = .05, two-sided."""
+"""Student's t above which another method replaces the default: p = .05, two-sided."""
 
 _NEIGHBOUR_SECONDS = 0.5
 """Margin between training and test pairs: nearer frames show the same expression."""
@@ -82,7 +82,7 @@ class FoldModel:
         return FrameSolver(self.corrected.forward, error, self.corrected.inflation)
 
     def solve(self, pairs: Pairs, solver: FrameSolver) -> FrameSolution:
-        """Return the solution of pairs; that of a method that solves no frames is its weights."""
+        """Return the solution of pairs, at the predicted weights if the method solves no frames."""
         displaced, bounded = pairs.displacements, self.method.solves_frames
         visible = np.ones(displaced.shape[:2], np.bool_)
         return solver.solve(displaced, visible, *self._prior(pairs), bounded=bounded)
@@ -144,7 +144,7 @@ class PairFolds:
         self.blocks = time_blocks(frames, takes, length=max(round(_BLOCK_SECONDS * rate), 1))
 
     @cached_property
-    def trained(self) -> list[CorrectedPairs]:
+    def training_sets(self) -> list[CorrectedPairs]:
         """Training pairs of each fold."""
         corrected = self.corrected
         original = replace(corrected.pairs, outputs=corrected.original_keys)
@@ -161,13 +161,13 @@ class PairFolds:
         face, method = self.pairs.face, candidate.method
         low, span = face.ranges[:, 0], np.ptp(face.ranges, axis=1)
         errors, models = -self.corrected.original_keys, []
-        for fold, trained in zip(self.folds, self.trained, strict=True):
+        for fold, training in zip(self.folds, self.training_sets, strict=True):
             settings = dict(candidate.settings)
             if "dimensions" in settings:  # a training set may have fewer pairs than dimensions
                 most = max(len(fold.train) - 1, 1)
                 settings["dimensions"] = min(int(settings["dimensions"]), most)
-            fitted = method.fit(trained.training_pairs(method), settings)
-            models.append(FoldModel(method, fitted, trained))
+            fitted = method.fit(training.training_pairs(method), settings)
+            models.append(FoldModel(method, fitted, training))
             errors[fold.test] += low + span * models[-1].weights(self.pairs.rows(fold.test))
         return OutOfFold(errors, tuple(models))
 
@@ -306,7 +306,7 @@ def observable_shapes(errors: Sequence[FloatArray], weights: FloatArray) -> Bool
     """Find the shapes that some candidate predicts out of fold better than their mean.
 
     Shapes that move no marker, such as gaze, would add only chance to the comparison. Returns
-    (shapes,), all True if there are no errors or there is no such shape.
+    (shapes,), True also for shapes of constant weight; all True without errors, or if none is.
 
     Parameters
     ----------
@@ -325,15 +325,15 @@ def observable_shapes(errors: Sequence[FloatArray], weights: FloatArray) -> Bool
 def _score(
     candidate: Candidate, errors: FloatArray, observable: BoolArray, gram: FloatArray | None
 ) -> CandidateScore:
-    kept = errors[:, observable]
+    errors = errors[:, observable]
     return CandidateScore(
         method=candidate.method.name,
         settings=_readable(candidate.settings),
-        weight_rmse=weight_rmse(kept),
+        weight_rmse=weight_rmse(errors),
         vertex_rms_mm=(
             float("nan")
             if gram is None
-            else surface_rms_mm(kept, gram[np.ix_(observable, observable)])
+            else surface_rms_mm(errors, gram[np.ix_(observable, observable)])
         ),
     )
 

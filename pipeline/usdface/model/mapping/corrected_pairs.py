@@ -36,12 +36,12 @@ _REGION_CONTRADICTION_CHI2 = 30.0
 reaches 35, correct keys of a rig of 137 shapes up to 25."""
 
 _CONTRADICTION_MM = 0.5
-"""Distance below which a contradiction is not reported: keys are not set more precisely than this.
-"""
+"""Root mean square residual up to which a contradiction is not reported: keys are not set more
+precisely than this."""
 
 _ROUNDING_ERROR = 0.03
-"""Error of keys, tau, up to which they may be rounded, with small weights dropped: corrections then
-follow what all pairs have in common."""
+"""Largest tau that rounding of keys and leaving out small weights can cause. Up to it, corrections
+are of errors that all pairs have in common."""
 
 _KEY_GRADIENT_STEPS = 200
 """Accelerated gradient steps of the correction, whose prior is ill-conditioned."""
@@ -79,7 +79,7 @@ class CorrectedPairs:
     uncorrected: ForwardModel
     """Posterior given the original keys."""
     inflation: float
-    """As of `FrameSolver`."""
+    """Of takes, as of `FrameSolver`; keys are corrected with `KEY_INFLATION`."""
     log_factor: FloatArray
     """(pairs,): logarithm of the factor that scaled each pair's keys to the mean gain."""
 
@@ -116,17 +116,17 @@ def correct_pairs(
         Fixed scales, with tau the error of the original keys; by default they are estimated.
     """
     original_keys, face = pairs.outputs, pairs.face
-    inflation = _LANDMARK_KEY_INFLATION if landmarks else KEY_INFLATION
+    key_inflation = _LANDMARK_KEY_INFLATION if landmarks else KEY_INFLATION
     prior = fit_rig_prior(pairs)
     uncorrected = fit_pairs_forward(pairs, scales, prior)
     pairs, forward, log_factor = _equalise_gains(
-        pairs, uncorrected, parts, inflation, scales, prior
+        pairs, uncorrected, parts, key_inflation, scales, prior
     )
     scales, keys = forward.scales, forward.targets
     low, span = face.ranges[:, 0], np.ptp(face.ranges, axis=1)
     for _ in range(_KEY_ROUNDS if scales.tau > 0 else 0):
-        posterior = correct_keys(forward, keys, scales.tau, inflation=inflation)
-        if posterior.targets is forward.targets:
+        posterior = correct_keys(forward, keys, scales.tau, inflation=key_inflation)
+        if posterior.targets is forward.targets:  # not corrected: too many shapes
             break
         corrected = low + span * unbend(posterior.targets, scales.curve)
         pairs = replace(pairs, outputs=corrected)
@@ -140,8 +140,8 @@ def correct_pairs(
         original_keys,
         scales.tau,
         uncorrected,
-        LANDMARK_INFLATION if landmarks else MARKER_INFLATION,
-        log_factor,
+        inflation=LANDMARK_INFLATION if landmarks else MARKER_INFLATION,
+        log_factor=log_factor,
     )
 
 
@@ -149,18 +149,18 @@ def _equalise_gains(
     pairs: Pairs,
     forward: ForwardModel,
     parts: tuple[str, ...],
-    inflation: float,
+    key_inflation: float,
     scales: ForwardScales | None,
     prior: RigPrior,
 ) -> tuple[Pairs, ForwardModel, FloatArray]:
     """Scale the keys of each pair to the mean gain, if the gains' variance is significant."""
     log_factor = np.zeros(len(pairs.outputs))
-    variance = gain_variance(forward, parts, inflation)
+    variance = gain_variance(forward, parts, key_inflation)
     if variance == 0:
         return pairs, forward, log_factor
     for _ in range(_GAIN_ROUNDS):
         log_factor = predict_log_factors(
-            forward, parts, inflation, variance=variance, applied=log_factor
+            forward, parts, key_inflation, variance=variance, applied=log_factor
         )
         scaled = scale_keys(pairs, log_factor)
         forward = fit_pairs_forward(scaled, forward.scales, prior)
@@ -233,8 +233,8 @@ def find_contradicted(
     """Find pairs whose leave-one-out residuals contradict their keys.
 
     Each region is tested as well as the face, in whose mean two markers of a lid have no weight.
-    Returns, by pair, the region of largest chi2 and the root mean square residual there [mm], the
-    largest residual first.
+    Returns, by pair, the region with the largest ratio of chi2 to its threshold, and the root mean
+    square residual there [mm], the largest residual first.
 
     Parameters
     ----------

@@ -26,9 +26,9 @@ _BLOCK_FRAMES = 1024
 _SOLVED_FRAMES = 128
 """Frames per call of the solver, each with a Jacobian and a Hessian: 8 MB at 102 markers."""
 
-_LOST_SHARE = 0.9
-"""Share of the squared motion of a region's markers above which the region counts as unseen if the
-take lacks them: markers of its neighbours follow it a little."""
+_MISSING_SHARE = 0.9
+"""A region is unseen if the take lacks the markers of more than this share of its markers' squared
+motion: those of its neighbours follow it a little."""
 
 
 @dataclass(frozen=True)
@@ -78,11 +78,11 @@ class WeightPredictor:
             self._regions = regions_of(mapping)
             self._solver = FrameSolver.from_arrays(mapping.arrays)
             self._uncertainty = UncertaintyModel.from_arrays(mapping.arrays)
-            self._members = mapping.arrays["region_markers"]
+            self._region_markers = mapping.arrays["region_markers"]
             # Coverage by the references, with the forward model's displacements.
             packed, _ = self._solver.linearise(self._solver.forward.targets.astype(np.float32))
             pairs = packed.reshape(len(packed), -1, 3).astype(np.float64)
-            self._coverage = CoverageModel(self._solver.forward.basis, pairs, self._members)
+            self._coverage = CoverageModel(self._solver.forward.basis, pairs, self._region_markers)
             self._method = find_method(mapping.method)
             self._driving = self._find_driving()
             with np.errstate(all="ignore"):  # values that are not finite are refused below
@@ -153,7 +153,8 @@ class WeightPredictor:
         seen = visible.astype(np.float64)
         squared = np.square(residual).sum(axis=2, dtype=np.float64)
         squared -= 3 * self._solver.residual_variance
-        mean = (seen * squared) @ self._members.T / np.maximum(seen @ self._members.T, 1)
+        counts = np.maximum(seen @ self._region_markers.T, 1)
+        mean = (seen * squared) @ self._region_markers.T / counts
         return np.asarray(np.sqrt(np.maximum(mean, 0.0)))
 
     def _solve(
@@ -188,8 +189,8 @@ class WeightPredictor:
     def _find_driving(self) -> IntArray:
         """Return the shapes that drive combinations, whose weights are replaced by expected ones.
 
-        None for methods that solve frames, which take their error into account, and none for rigs
-        of many shapes. In-betweens of one shape (one part, no span) are not combinations.
+        Empty for methods that solve frames, whose solve includes the error of the prior, and for
+        rigs of many shapes. In-betweens of one shape (one part, no span) are not combinations.
         """
         driven = self._solver.forward.driven
         if driven is None or self._method.solves_frames or not self._solver.has_jacobians:
@@ -266,23 +267,23 @@ def basis_of(
     settings = mapping.settings
     if "tuned" not in settings or "pairs" not in settings:
         return None
-    still, without, shapeless = (
+    still, unmarked, shapeless = (
         tuple(filter(None, str(settings.get(f"{each}_regions", "")).split(",")))
         for each in ("still", "unseen", "shapeless")
     )
-    lost = np.isin(mapping.marker_names, missing)
+    is_missing = np.isin(mapping.marker_names, missing)
     motion2 = ForwardModel.from_arrays(mapping.arrays).motion2 * mapping.arrays["region_markers"]
-    unseen = motion2 @ lost > _LOST_SHARE * motion2.sum(axis=1)
-    without += tuple(
+    unseen = motion2 @ is_missing > _MISSING_SHARE * motion2.sum(axis=1)
+    unmarked += tuple(
         region
         for region, is_unseen in zip(regions_of(mapping), unseen, strict=True)
-        if is_unseen and region not in without
+        if is_unseen and region not in unmarked
     )
     return SolveBasis(
         pairs=int(settings["pairs"]),
         tuned=int(settings["tuned"]),
         still_regions=still,
-        regions_without_markers=without,
+        regions_without_markers=unmarked,
         regions_without_shapes=shapeless,
         changed_shapes=changed_shapes(mapping, rig),
         motion_scale=UncertaintyModel.from_arrays(mapping.arrays).motion_scale,
@@ -301,7 +302,7 @@ def _check_positions(
             "bring the take's markers into the mapping's order first"
         )
     if visible.shape != positions.shape[:2]:
-        raise InputError(f"visible has shape {visible.shape}, positions {positions.shape}")
+        raise InputError(f"visible has shape {visible.shape}; give {positions.shape[:2]}")
     if np.isfinite(positions.sum()):
         return  # a sum with a non-finite term is not finite
     bad = visible & ~np.isfinite(positions).all(axis=2)

@@ -259,14 +259,14 @@ def _region_settings(
     A still region is one that no reference moves: its motion in takes follows from the rig alone.
     """
     face, shapes = folds.pairs.face, shapes_by_region(parts)
-    without = regions_without_markers(parts, face, references.marker_names, references.rigid)
-    reach = np.ptp(face.normalise(folds.pairs.outputs), axis=0)
+    unmarked = regions_without_markers(parts, face, references.marker_names, references.rigid)
+    used = np.ptp(face.normalise(folds.pairs.outputs), axis=0)
     still = [
         region
         for region in regions[1:]
-        if region in shapes and region not in without and reach[shapes[region]].max() < _STILL_SHARE
+        if region in shapes and region not in unmarked and used[shapes[region]].max() < _STILL_SHARE
     ]
-    named = {"regions": regions, "still_regions": still, "unseen_regions": without}
+    named = {"regions": regions, "still_regions": still, "unseen_regions": unmarked}
     shapeless = regions_without_shapes(parts, references.marker_names, references.rigid)
     if shapeless:
         named["shapeless_regions"] = shapeless

@@ -3,12 +3,13 @@
 The posterior of a frame's bent weights is approximated by a normal distribution at the solution
 (Laplace's method), with covariance ::
 
-    C = (J' R^-1 J + P)^-1
+    C = (J W J' + P)^-1
 
-``J``: Jacobian of the forward model. ``R``, ``P``: variance of the markers and prior precision of
-`frame_solve`. With ``D`` the derivative of unbending and ``G_g`` the Gram matrix of the
-displacements of region g (mean dot products over its points), the expected squared error of the
-surface is ``tr(G_g D C D)``. G excludes the shapes of gaze and tongue, which no marker shows.
+``J``: Jacobian of the forward model, a row per shape. ``W``, ``P``: inverse covariance of the
+markers' errors and prior precision, of `frame_solve`. With ``D`` the derivative of unbending and
+``G_g`` the Gram matrix of the displacements of region g (mean dot products over its points), the
+expected squared error of the surface is ``tr(G_g D C D)``. G excludes the shapes of gaze and
+tongue, which no marker shows.
 
 The posterior covers visibility, distance from the references, and the error of the rig as a prior,
 but not motion that no weights explain. ``chi2_g`` is the squared residual at the solution relative
@@ -16,10 +17,9 @@ to its expected value, averaged over the markers that the region's shapes move, 
 mean squared residual in excess of the expected one. With ``a`` the motion of the rig over that of
 the performer, the standard deviation is ::
 
-    sigma_g = c_g sqrt(min(tr(G_g D C D) (1 + chi2_g), tr(G_g V)) + (a d_g)^2)
+    sigma_g = c_g sqrt(min(v_g (1 + chi2_g), max(v_g, tr(G_g V))) + (a d_g)^2),  v_g = tr(G_g D C D)
 
-``V``, the prior variance of weights far from the references, bounds the error of a face that no
-marker tells.
+``V``: prior variance of bent weights far from the references, which bounds the effect of chi2.
 
 ``c_g`` is calibrated on out-of-fold errors of the references, in folds blocked by take and time,
 such that 90 % are within 1.645 sigma, as for a normal distribution. As few errors determine a
@@ -144,14 +144,14 @@ class UncertaintyModel:
         squared = np.minimum(squared * (1 + chi2), np.maximum(squared, unknown))
         squared += self.motion_scale**2 * excess2
         squared = np.maximum(squared, 0.0) * self.calibration**2
-        share2, usual2 = self.proposals
+        share2, mean_motion2 = self.proposals
         if share2:
             weights = unbend(solution.targets, solver.forward.scales.curve)
-            squared = squared + share2 * (squared_motion(self.grams, weights) + usual2)
+            squared = squared + share2 * (squared_motion(self.grams, weights) + mean_motion2)
         return np.asarray(np.sqrt(squared))
 
     def _interpolated_variance(self, solver: FrameSolver, solution: FrameSolution) -> FloatArray:
-        """Return ``tr(G C)`` for solutions without a Hessian: (frames, regions) [mm^2].
+        """Return ``tr(G C)``, without D, for solutions without a Hessian: (frames, regions) [mm^2].
 
         Interpolated between the posteriors at the narrowest and the widest prior, linearly in the
         logarithm of the region's prior variance.
