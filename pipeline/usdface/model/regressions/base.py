@@ -229,7 +229,7 @@ class Regression:
 
     def _prepared(self, arrays: Arrays, settings: Settings) -> Predictor:
         if self.prepare is None:
-            raise ValueError(f"{self.name} predicts a prior, not weights")
+            raise ValueError(f"{self.name} predicts a prior, not weights; use prepare_prior")
         return self.prepare(arrays, settings)
 
 

@@ -86,7 +86,7 @@ def _fit(pairs: Pairs, settings: Settings) -> Fitted:
     moved = pairs.displacements.reshape(len(pairs.outputs), -1)
     length = np.sqrt(forward.shape_size2)
     share = length / np.maximum(length.max(axis=1, keepdims=True), _LEAST_MOTION_MM)
-    region, relevance = _gather_regions(np.maximum(share, _MIN_RELEVANCE))
+    region, relevance = _cluster_shapes(np.maximum(share, _MIN_RELEVANCE))
     sample, axes = pairs.face.motion.sample[:, :count], pairs.face.motion.components[:count]
     covariance = np.cov(sample.T).reshape(count, -1)
     features = [regional_features(axes, covariance, row) for row in relevance]
@@ -97,7 +97,7 @@ def _fit(pairs: Pairs, settings: Settings) -> Fitted:
     return Fitted(arrays, settings | {"curve": forward.scales.curve, "features": chosen.dimensions})
 
 
-def _gather_regions(relevance: FloatArray) -> tuple[IntArray, FloatArray]:
+def _cluster_shapes(relevance: FloatArray) -> tuple[IntArray, FloatArray]:
     """Return the region of each shape, and the relevance of the markers to each region.
 
     Up to `_MAX_REGIONS` shapes have a region each; more are clustered by the markers they move.

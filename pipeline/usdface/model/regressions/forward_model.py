@@ -14,12 +14,12 @@ rig stay local. Each coordinate of a marker is a Gaussian process in t with cova
     k_k(t, u) = offset^2 + sum_s t_s u_s var(D_sk) + eta^2 / m_k (sum_s t_s u_s |E_sk|^2)^2
     noise     = sigma_k^2 + sum_s tau^2 (t_s^2 + 1/25) |E_sk|^2 / 3
 
-``m_k``: mean squared motion of the marker, which makes eta dimensionless. The second term of the
-noise propagates the errors of the keys, which animators set by eye: standard deviation about tau at
-a weight of 1, tau / 5 at 0. The scales (alpha, floor, eta, tau, curve, and sigma per marker)
-maximise the marginal likelihood of the references (Rasmussen and Williams 2006, eq. 5.8).
-Predictions, predictive variance and leave-one-out residuals have closed forms (eq. 2.25, 2.26 and
-5.12). The motion of the rig's combination shapes is subtracted before (`driven_motion`).
+``m_k``: mean squared motion of the marker [mm^2], at least 1; eta is dimensionless. The second term
+of the noise propagates the errors of the keys, which animators set by eye: standard deviation about
+tau at a weight of 1, tau / 5 at 0. The scales (alpha, floor, eta, tau, curve, and sigma per marker)
+maximise the marginal likelihood of the references (Rasmussen and Williams 2006, eq. 5.8) times the
+prior of sigma. Predictions, predictive variance and leave-one-out residuals have closed forms (eq.
+2.25, 2.26, 5.12). The motion of the rig's combination shapes is subtracted first (`driven_motion`).
 """
 
 from dataclasses import astuple, dataclass, replace
@@ -58,6 +58,9 @@ _GLOBAL_REACH = 0.2
 
 _MIN_SHAPE_MM2 = 0.5
 """Smallest normaliser of a shape's reach: the extent of a shape that moves less is noise."""
+
+_MIN_MOTION_MM2 = 1.0
+"""Smallest ``m_k``, for markers that the references hardly move."""
 
 _ZERO_KEY_ERROR = 0.2
 """Standard deviation of the error of a key at 0, relative to that of a key at 1."""
@@ -214,9 +217,9 @@ class ForwardModel:
 
     @cached_property
     def _kernel_factors(self) -> tuple[Float32Array, Float32Array, Float32Array]:
-        """Return factors of ``k_k`` with the pairs, and the Cholesky factor of `inverse`.
+        """Return ``var(D) u`` and ``eta / sqrt(m) |E|^2 u``, and the Cholesky factor of `inverse`.
 
-        Of its linear and of its quadratic term: (markers, shapes, pairs).
+        u: `targets` of the pairs. The first two are (markers, shapes, pairs).
         """
         product = self.shape_size2.T * np.sqrt(self.quadratic)[:, None]
         u = self.targets.T
@@ -278,16 +281,16 @@ def fit_forward_model(
 def weight_spread(targets: FloatArray, lids: IntArray | None = None) -> FloatArray:
     """Return the standard deviation of weights where a frame does not resemble the references.
 
-    That of a uniform distribution between rest and the largest weight in the references.
+    That of a uniform distribution between rest and the largest weight in the references; for shapes
+    that are at rest there, `_STILL_SPREAD`. Returns (shapes,).
 
     Parameters
     ----------
     targets : (pairs, shapes) float array
         Bent weights.
     lids : int array, optional
-        Shapes of the lids. If they are still in the references they are not given the spread of a
-        shape that may move: markers above the lids follow the brows as well, and eyes that close
-        with the brows are seen at once.
+        Shapes of the lids, which never get `_STILL_SPREAD`: markers above the lids follow the brows
+        as well, and eyes that close with the brows are a conspicuous error.
     """
     largest = targets.max(axis=0)
     still = largest <= _STILL_WEIGHT
@@ -333,7 +336,7 @@ class _Prior:
         self.scales, self.targets, self.expected, self.size2 = scales, t, expected, size2
         self.deviation2 = scales.alpha**2 * size2 + scales.floor**2 * _reach(size2, neutral)
         motion2 = (displacements**2).sum(axis=2).mean(axis=0)
-        self.quadratic = scales.eta**2 / np.maximum(motion2, 1.0)
+        self.quadratic = scales.eta**2 / np.maximum(motion2, _MIN_MOTION_MM2)
         deviations = displacements - np.einsum("ns,skc->nkc", t, expected, optimize=True)
         self.deviations = deviations.transpose(1, 0, 2)
         covariance: FloatArray = (t * size2.T[:, None, :]) @ t.T

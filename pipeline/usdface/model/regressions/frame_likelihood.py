@@ -63,7 +63,7 @@ class FrameJacobians:
         weighted = self._weight(residual)
         return np.asarray((self._slope @ weighted[:, :, None])[:, :, 0])
 
-    def moved(self, step: RealArray) -> RealArray:
+    def displacements(self, step: RealArray) -> RealArray:
         """Return the displacement of the markers for a step of the weights."""
         return np.asarray((step[:, None] @ self._slope)[:, 0])
 
@@ -91,7 +91,7 @@ class SharedJacobian:
         """As of `FrameJacobians`."""
         return np.asarray(self._weight(residual) @ self._slope.T)
 
-    def moved(self, step: RealArray) -> RealArray:
+    def displacements(self, step: RealArray) -> RealArray:
         """As of `FrameJacobians`."""
         return np.asarray(step @ self._slope)
 

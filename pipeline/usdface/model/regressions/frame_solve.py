@@ -6,7 +6,7 @@ The prior is centred on the regression's prediction ``t0``, with its predictive 
     min over 0 <= t <= 1:   e' W e  +  sum_s rho((t_s - t0_s) / sd_s),    e = y - f(t)
     W^-1 = diag(sqrt r) (I + U'U) diag(sqrt r),    r_k = c (noise_k + predictive variance at t0)
 
-of visible markers (`frame_likelihood`). ``U``: errors that markers share
+of the visible markers (`frame_likelihood`). ``U``: errors that markers share
 (`ForwardModel.common_errors`), as the performer's skin departs from the model over whole regions;
 differences of markers, such as the aperture of an eye, are then known better than positions. ``c``:
 variance inflation. The predictive variance gives markers less weight for combinations that no
@@ -15,16 +15,17 @@ the regression has outliers.
 
 ``sd_s`` is interpolated, shape by shape, between the regression's error and the spread of the
 shape's weight over faces. Where the markers that a shape moves agree with t0, the frame resembles
-references and the regression determines the shape; where they disagree, the markers do::
+references and the regression determines the shape; where they disagree, the markers do. With
+``v_k`` 1 where marker k is visible, else 0::
 
     chi2_s = sum_k h_sk v_k |y_k - f_k(t0)|^2 / (3 expected_k) / sum_k h_sk v_k
     g_s    = log(chi2_s / .3) / log(10 / .3), limited to [0, 1]
     sd_s   = error_s^(1 - g'_s) spread_s^g'_s,    1 - g'_s = (1 - g_s) sum_k h_sk v_k
 
-``expected_k``: variance in frames similar to references, due to noise, predictive variance and the
-regression's error there. ``h_sk``: share of marker k in the information of the markers on shape s;
-its sum over k is 1. A shape with occluded markers is thus released to its spread. The transition
-takes one and a half decades of chi2, so that it adds no jitter.
+``expected_k``: variance of a coordinate in frames similar to references, due to noise, predictive
+variance and the regression's error. ``h_sk``: share of marker k in the information of the markers
+on shape s; its sum over k is 1. The more of its markers are occluded, the closer a shape's sd is to
+its spread. The transition takes one and a half decades of chi2, so that it adds no jitter.
 """
 
 from dataclasses import dataclass
@@ -159,9 +160,9 @@ class FrameSolver:
             If False, the weights stay at t0, the prediction of another method, and only the terms
             of their posterior covariance are computed.
         confidence : (frames, markers) float array, optional
-            Confidence in visible markers [0-1], which affects the posterior covariance, not the
-            weights: one of confidence c has ``(1 - c) m_k / 3`` added to the variance of its
-            coordinates, with ``m_k`` its mean squared motion.
+            Confidence q in visible markers [0-1], which affects the posterior covariance, not the
+            weights: in frames with some q below `MEASURED_CONFIDENCE`, the variance of coordinates
+            is ``r_k + c (1 - q) m_k / 3``, with ``m_k`` the marker's mean squared motion.
         """
         seen = np.repeat(visible, 3, axis=1)
         y = np.where(seen, displacements.reshape(len(seen), -1), 0.0)
@@ -188,7 +189,7 @@ class FrameSolver:
             if hessian is not None and slope is not None:
                 known = self._likelihood(slope[rows], visibility, predictive)
                 hessian[rows] = known.hessian(precision[rows])
-        residual = np.where(seen, residual - likelihood.moved(step), 0)
+        residual = np.where(seen, residual - likelihood.displacements(step), 0)
         return FrameSolution(targets, precision, residual, hessian)
 
     def linearise(self, targets: RealArray) -> tuple[Float32Array, Float32Array | None]:
@@ -271,7 +272,7 @@ class FrameSolver:
         return basis, model.offset.reshape(-1).astype(np.float32), curvature
 
     def _predictive_variance(self, t0: RealArray, slope: RealArray | None) -> FloatArray:
-        """Return it per frame, or for rigs of many shapes its mean: ([frames,] markers) [mm^2]."""
+        """Return that at t0, with many shapes the mean over pairs: ([frames,] markers) [mm^2]."""
         return self.forward.residual_variance if slope is None else self.forward.variance(t0)
 
     def _marker_variance(self, predictive: FloatArray) -> FloatArray:
