@@ -21,14 +21,15 @@ OFFSET_VARIANCE = 100.0
 """Prior variance of the constant, large against weights in [0-1]."""
 
 NOISES = 10.0 ** np.arange(-3.0, 1.1, 0.5)
-"""Noise variances tried, in units of the prior variance. With less than 1e-3 (a standard deviation
-of a weight of about .01) fits would follow the markers' noise."""
+"""Noise variances tried, in units of the covariance before its factor `amplitude`. With less than
+1e-3 (a standard deviation of a weight of about .01) fits would follow the markers' noise."""
 
 ERROR_SLACK = 0.05
 """Relative difference from the least error up to which the smoothest fit is chosen: few pairs do
 not resolve less."""
 
 _MOST_LEVERAGE = 1 - 1e-6
+"""Keeps leave-one-out residuals finite."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,7 @@ def leave_one_out_errors(
     variances: FloatArray,
     choices: Sequence[ProcessSettings],
 ) -> FloatArray:
-    """Return mean squared leave-one-out errors of choices, `NOISES` and outputs: (choices, r, s).
+    """Return mean squared leave-one-out errors by choice, noise and output: (choices, r, s).
 
     Parameters
     ----------
@@ -102,21 +103,21 @@ def leave_one_out_errors(
         values, vectors = np.linalg.eigh(covariance)
         values = np.maximum(values, 0.0)
         rotated = vectors.T @ outputs
-        kept = NOISES / (values[:, None] + NOISES)
-        leverage = np.minimum(vectors**2 @ (1 - kept), _MOST_LEVERAGE)
+        unfitted = NOISES / (values[:, None] + NOISES)  # eigenvalues of I - hat matrix
+        leverage = np.minimum(vectors**2 @ (1 - unfitted), _MOST_LEVERAGE)
         for k in range(len(NOISES)):
-            residual = vectors @ (kept[:, k, None] * rotated) / (1 - leverage[:, k, None])
+            residual = vectors @ (unfitted[:, k, None] * rotated) / (1 - leverage[:, k, None])
             out[i, k] = (residual**2).mean(axis=0)
     return out
 
 
 def smoothest_near_best(errors: FloatArray) -> IntArray:
-    """Return the smoothest setting whose error is near the least, by column: (s,).
+    """Return the row of the smoothest setting whose error is near the least, by column: (s,).
 
     Parameters
     ----------
     errors : (r, s) float array
-        In the order of smoothness.
+        Rows from the roughest to the smoothest setting.
     """
     near = errors <= (1 + ERROR_SLACK) * errors.min(axis=0)
     return np.asarray(len(errors) - 1 - near[::-1].argmax(axis=0))
@@ -170,17 +171,17 @@ class _Scaled:
         whitened = kept ** (1 - choice.power)
         self.scale: FloatArray = np.sqrt(LINE_VARIANCE * whitened / (kept * whitened.sum()))
         self.rows: FloatArray = features[:, : choice.dimensions] * self.scale
-        squared = np.einsum("ij,ij->i", self.rows, self.rows)
+        size2 = np.einsum("ij,ij->i", self.rows, self.rows)
         self.product: FloatArray = self.rows @ self.rows.T
-        self.distances: FloatArray = np.maximum(squared[:, None] + squared - 2 * self.product, 0.0)
-        pairs = self.distances[np.triu_indices(len(squared), 1)]
-        middle = float(np.median(pairs)) if len(pairs) else 0.0
-        self.exponent = -0.5 / (choice.width * max(middle, 1e-12 * LINE_VARIANCE))
+        self.distance2: FloatArray = np.maximum(size2[:, None] + size2 - 2 * self.product, 0.0)
+        pairs = self.distance2[np.triu_indices(len(size2), 1)]
+        median = float(np.median(pairs)) if len(pairs) else 0.0
+        self.exponent = -0.5 / (choice.width * max(median, 1e-12 * LINE_VARIANCE))
 
     def covariance(self) -> FloatArray:
         out: FloatArray = self.product + OFFSET_VARIANCE
         if self.choice.radial:
-            out += self.choice.radial * np.exp(self.exponent * self.distances)
+            out += self.choice.radial * np.exp(self.exponent * self.distance2)
         return out
 
 

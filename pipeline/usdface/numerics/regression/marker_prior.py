@@ -56,17 +56,17 @@ class _Match:
 class _Faces:
     """Motion and neutral of markers and skin, as of `fit_marker_basis`."""
 
-    seen: FloatArray
+    motion: FloatArray
     """(markers, pairs, 3): displacements of the markers from their mean [mm]."""
-    moved: FloatArray
+    skin_motion: FloatArray
     """(points, pairs, 3): the same of the skin, at the performer's size as `rest` and `places`."""
     energy: FloatArray
-    """(markers,): sum of squares of `seen`."""
+    """(markers,): sum of squares of `motion`."""
     rest: FloatArray
     neutral: FloatArray
     places: FloatArray
-    usual_gain: float | None
-    """None if the registered positions are to tell it."""
+    prior_gain: float | None
+    """Median of the gain's prior; None to estimate it by registration."""
 
 
 def fit_marker_basis(
@@ -100,60 +100,60 @@ def fit_marker_basis(
         Known places of markers on the rig's neutral, else NaN [mm]; used with `rest` and
         `neutral`. By default they are estimated by registration.
     motion_scale : float, optional
-        Motion of the rig over that of the performer, the inverse of the usual gain. By default that
-        of the registered positions.
+        Motion of the rig over that of the performer, the inverse of the prior gain. By default
+        estimated by registration.
     """
     if skin.ndim != 3 or skin.shape[2] != 3 or skin.shape[0] != weights.shape[1]:
         raise ValueError(f"skin {skin.shape} and weights {weights.shape} do not fit together")
     if markers.shape[0] != len(weights):
         raise ValueError(f"{markers.shape[0]} marker clouds but {len(weights)} weights")
-    seen = (markers - markers.mean(axis=0)).transpose(1, 0, 2)
+    motion = (markers - markers.mean(axis=0)).transpose(1, 0, 2)
     flat = (weights - weights.mean(axis=0)) @ skin.reshape(len(skin), -1)
-    moved = np.ascontiguousarray(flat.reshape(len(weights), -1, 3).transpose(1, 0, 2))
-    energy = np.einsum("mnc,mnc->m", seen, seen)
+    skin_motion = np.ascontiguousarray(flat.reshape(len(weights), -1, 3).transpose(1, 0, 2))
+    energy = np.einsum("mnc,mnc->m", motion, motion)
     if motion_scale is not None:
         scale = 1 / motion_scale
     else:
-        scale = _size_of_performer(energy, np.einsum("pnc,pnc->p", moved, moved))
-    moved *= scale
+        scale = _size_of_performer(energy, np.einsum("pnc,pnc->p", skin_motion, skin_motion))
+    skin_motion *= scale
     rotation = np.eye(3)
     for turn in range(_MOTION_ROUNDS):
-        match = _match_motion(seen, moved @ rotation.T, energy)
+        match = _match_motion(motion, skin_motion @ rotation.T, energy)
         if turn < _MOTION_ROUNDS - 1:
-            rotation = _rotation_of(match, moved, seen)
+            rotation = _rotation_of(match, skin_motion, motion)
     if rest is not None and neutral is not None:
         known = np.full_like(neutral, np.nan) if places is None else places
-        usual = None if motion_scale is None else 1.0
-        faces = _Faces(seen, moved, energy, scale * rest, neutral, scale * known, usual)
+        gain = None if motion_scale is None else 1.0
+        faces = _Faces(motion, skin_motion, energy, scale * rest, neutral, scale * known, gain)
         match, rotation = _refine_by_place(match, rotation, faces)
-    gain = _shares(match.log_likelihood) * match.gain
-    return np.asarray(np.einsum("mp,spc->smc", gain, scale * skin @ rotation.T, optimize=True))
+    gains = _shares(match.log_likelihood) * match.gain
+    return np.asarray(np.einsum("mp,spc->smc", gains, scale * skin @ rotation.T, optimize=True))
 
 
 def _match_motion(
-    seen: FloatArray, moved: FloatArray, energy: FloatArray, usual_gain: float | None = None
+    motion: FloatArray, skin_motion: FloatArray, energy: FloatArray, prior_gain: float | None = None
 ) -> _Match:
     """Compare the motion of every marker with that of every point of the skin.
 
     The variance of a residual is the sum of `expected` and of the residual of the best gain. So a
-    marker whose motion no skin explains is placed by position, with the usual gain.
+    marker whose motion no skin explains is placed by position, with the prior gain.
 
-    The gain is the maximum likelihood estimate or, with a usual gain, its posterior mean.
+    The gain is the maximum likelihood estimate or, with `prior_gain`, its posterior mean.
     """
-    values = seen[0].size
-    size = np.einsum("pnc,pnc->p", moved, moved)
+    values = motion[0].size
+    size = np.einsum("pnc,pnc->p", skin_motion, skin_motion)
     expected = _MARKER_NOISE_MM**2 + _MODEL_ERROR_SHARE**2 * energy[:, None] / values
-    product = seen.reshape(len(seen), -1) @ moved.reshape(len(moved), -1).T
+    product = motion.reshape(len(motion), -1) @ skin_motion.reshape(len(skin_motion), -1).T
     gain = np.clip(product / np.maximum(size, 1e-9), *_GAIN_RANGE)
-    middle = 0.0 if usual_gain is None else np.log(usual_gain)
-    if usual_gain is not None:
+    log_median = 0.0 if prior_gain is None else np.log(prior_gain)
+    if prior_gain is not None:
         least = (energy[:, None] - 2 * gain * product + gain**2 * size) / values
         evidence = size * _PAIR_SAMPLES / values / (expected + least)
         precision = 1 / _LOG_GAIN_DEVIATION**2
-        gain = (gain * evidence + usual_gain * precision) / (evidence + precision)
-    left = energy[:, None] - 2 * gain * product + gain**2 * size
-    log_likelihood = -0.5 * _PAIR_SAMPLES * np.log1p(left / values / expected)
-    log_likelihood -= 0.5 * ((np.log(gain) - middle) / _LOG_GAIN_DEVIATION) ** 2
+        gain = (gain * evidence + prior_gain * precision) / (evidence + precision)
+    squared = energy[:, None] - 2 * gain * product + gain**2 * size
+    log_likelihood = -0.5 * _PAIR_SAMPLES * np.log1p(squared / values / expected)
+    log_likelihood -= 0.5 * ((np.log(gain) - log_median) / _LOG_GAIN_DEVIATION) ** 2
     return _Match(gain, log_likelihood)
 
 
@@ -161,25 +161,26 @@ def _refine_by_place(
     match: _Match, rotation: FloatArray, faces: _Faces
 ) -> tuple[_Match, FloatArray]:
     """Register the markers with the rig, and weigh candidates by distance as well."""
-    seen, moved, energy = faces.seen, faces.moved, faces.energy
+    motion, skin_motion, energy = faces.motion, faces.skin_motion, faces.energy
     rest, neutral, places = faces.rest, faces.neutral, faces.places
     known = np.isfinite(places).all(axis=1)
     radius = float(np.sqrt(((rest - rest.mean(axis=0)) ** 2).sum(axis=1).mean()))
-    refined, gain = match, faces.usual_gain
+    refined = match
     for turn in range(_PLACE_ROUNDS):
         share = _shares(refined.log_likelihood)
-        laid, scale, distance = _register(neutral @ rotation, share, rest, energy)
+        placed, scale, distance = _register(neutral @ rotation, share, rest, energy)
         if turn == 0 and not known.any() and distance > _UNRELATED_SHARE * radius:
             return match, rotation
-        usual = float(np.clip(1 / scale, *_GAIN_RANGE)) if gain is None else gain
-        refined = _match_motion(seen, moved @ rotation.T, energy, usual)
+        by_registration = float(np.clip(1 / scale, *_GAIN_RANGE))
+        gain = by_registration if faces.prior_gain is None else faces.prior_gain
+        refined = _match_motion(motion, skin_motion @ rotation.T, energy, gain)
         deviation = scale * _PLACE_DEVIATIONS_MM[min(turn, len(_PLACE_DEVIATIONS_MM) - 1)]
-        deviations = np.full(len(laid), deviation)
-        laid[known], deviations[known] = places[known], _REGISTERED_DEVIATION_MM
-        squared = ((laid[:, None] - rest) ** 2).sum(axis=2)
+        deviations = np.full(len(placed), deviation)
+        placed[known], deviations[known] = places[known], _REGISTERED_DEVIATION_MM
+        squared = ((placed[:, None] - rest) ** 2).sum(axis=2)
         refined.log_likelihood[:] -= 0.5 * squared / deviations[:, None] ** 2
         if turn < _PLACE_ROUNDS - 1:
-            rotation = _rotation_of(refined, moved, seen)
+            rotation = _rotation_of(refined, skin_motion, motion)
     return refined, rotation
 
 
@@ -196,18 +197,18 @@ def _register(
     trust = moving / (moving + np.median(moving) + 1e-12) / (1 + spread2 / _SPREAD_MM**2)
     weight = trust
     for _ in range(_SIMILARITY_ROUNDS):
-        middle = weight @ markers / weight.sum(), weight @ target / weight.sum()
-        centred = markers - middle[0]
-        along = weight @ (centred * (target - middle[1]))
-        across = weight @ centred**2
-        common = max(float(along.sum() / across.sum()), 1e-3)
-        held = _ISOTROPIC_SHARE * across.sum()
-        laid = centred * (along + held * common) / (across + held) + middle[1]
-        distance = np.linalg.norm(laid - target, axis=1)
+        centre = weight @ target / weight.sum()
+        centred = markers - weight @ markers / weight.sum()
+        covariance = weight @ (centred * (target - centre))
+        variance = weight @ centred**2
+        common = max(float(covariance.sum() / variance.sum()), 1e-3)
+        ridge = _ISOTROPIC_SHARE * variance.sum()
+        placed = centred * (covariance + ridge * common) / (variance + ridge) + centre
+        distance = np.linalg.norm(placed - target, axis=1)
         known = trust > np.median(trust)
-        usual = float(np.median(distance[known] if known.any() else distance))
-        weight = trust / (1 + (distance / max(usual, _LEAST_SCALE_MM)) ** 2)
-    return laid, common, usual
+        median_mm = float(np.median(distance[known] if known.any() else distance))
+        weight = trust / (1 + (distance / max(median_mm, _LEAST_SCALE_MM)) ** 2)
+    return placed, common, median_mm
 
 
 def _shares(log_likelihood: FloatArray) -> FloatArray:
@@ -215,21 +216,21 @@ def _shares(log_likelihood: FloatArray) -> FloatArray:
     return np.asarray(share / share.sum(axis=1, keepdims=True))
 
 
-def _rotation_of(match: _Match, moved: FloatArray, seen: FloatArray) -> FloatArray:
+def _rotation_of(match: _Match, skin_motion: FloatArray, motion: FloatArray) -> FloatArray:
     """Return the rotation from each marker's best skin to its motion (Kabsch, uncentred)."""
     best = match.log_likelihood.argmax(axis=1)
     gain = match.gain[np.arange(len(best)), best]
-    cross = np.einsum("mni,mnj->ij", moved[best] * gain[:, None, None], seen)
+    cross = np.einsum("mni,mnj->ij", skin_motion[best] * gain[:, None, None], motion)
     left, _, right = np.linalg.svd(cross)
     flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(right.T @ left.T))])
     return np.asarray(right.T @ flip @ left.T)
 
 
-def _size_of_performer(seen: FloatArray, moved: FloatArray) -> float:
+def _size_of_performer(marker_energy: FloatArray, skin_energy: FloatArray) -> float:
     """Return the scale from a rig's motion to the markers'; 1 within the range of gains."""
-    rig_motion = float(np.quantile(moved, _SIZE_QUANTILE)) if len(moved) else 0.0
-    marker_motion = float(np.quantile(seen, _SIZE_QUANTILE)) if len(seen) else 0.0
-    if rig_motion == 0 or marker_motion == 0:
+    markers = float(np.quantile(marker_energy, _SIZE_QUANTILE)) if len(marker_energy) else 0.0
+    skin = float(np.quantile(skin_energy, _SIZE_QUANTILE)) if len(skin_energy) else 0.0
+    if markers == 0 or skin == 0:
         return 1.0
-    scale = float(np.sqrt(marker_motion / rig_motion))
+    scale = float(np.sqrt(markers / skin))
     return 1.0 if _GAIN_RANGE[0] <= scale <= _GAIN_RANGE[1] else scale

@@ -1,8 +1,8 @@
 """Regional features of a Gaussian process, and its evaluation.
 
 The jaw moves by centimetres, a lid by millimetres: distances between faces over all markers hardly
-depend on the lid. Features of a region weigh markers by their relevance for its shapes, estimated
-from all frames of a take and the weights of a global mapping.
+depend on the lid. Features of a region weigh markers by their relevance for its shapes, from the
+rig (`face_map`) or from frames with weights (`marker_relevance`).
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ _RIDGE_SHARE = 0.02
 """Ridge per frame for standardised weights: correlated shapes share the motion."""
 
 LEAST_RELEVANCE = 0.05
-"""Of a marker for a shape."""
+"""Smallest relevance of a marker for a shape: all markers distinguish faces."""
 
 _BLOCK_VALUES = 1 << 17
 """Kernel values per block. Larger arrays are allocated from the system each time, which is
@@ -135,15 +135,15 @@ class RegionalProcesses:
             self._columns[k, : len(outputs)] = outputs
             duals[k, :, : len(outputs)] = dual[:, outputs]
         products, size2 = centres @ centres.transpose(0, 2, 1), (centres**2).sum(axis=2)[:, None]
-        curve = exponent[:, None, None]
-        covariance = radial * np.exp(curve * (size2 + size2.transpose(0, 2, 1) - 2 * products))
+        exponents = exponent[:, None, None]
+        covariance = radial * np.exp(exponents * (size2 + size2.transpose(0, 2, 1) - 2 * products))
         covariance += products + OFFSET_VARIANCE + noise[:, None, None] * np.eye(len(dual))
         root = np.linalg.cholesky(np.linalg.inv(covariance))
         # The terms of OFFSET_VARIANCE, which would take the digits of single precision in k.
         offset = OFFSET_VARIANCE * root.sum(axis=1)[:, None]
         constant = OFFSET_VARIANCE + radial - (offset**2).sum(axis=2)
         self._radial = radial
-        self._projection, self._exponent = single_precision(projection), single_precision(curve)
+        self._projection, self._exponent = single_precision(projection), single_precision(exponents)
         self._centres = single_precision(centres.transpose(0, 2, 1))
         self._size2, self._dual = single_precision(size2), single_precision(duals)
         self._root, self._offset = single_precision(root), single_precision(2 * offset)
