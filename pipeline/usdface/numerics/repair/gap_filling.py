@@ -33,7 +33,7 @@ _TRIAL_COUNT = 120
 _INFORMED_SHARE = 0.3
 """[0-1] Share of visible markers below which a prediction is close to the take's mean."""
 _UNINFORMED_LIMIT = 16
-"""[frames] Longest gap filled by a spline where it is."""
+"""[frames] Longest gap filled by a spline where fewer markers are visible."""
 _END_SAMPLES = 5
 """Samples next to a gap over which the prediction's error is averaged."""
 _SPLINE_KNOTS = 4
@@ -45,7 +45,7 @@ _FADE_FRAMES = 30.0
 side only."""
 _LEAST_CONFIDENCE = 0.01
 """Of a filled sample; 0 is one that is not filled."""
-_MEMORY_SECONDS = 0.15
+_CORRELATION_SECONDS = 0.15
 """Correlation time of a marker's motion: a sample t seconds from the nearest visible one explains
 the share exp(-(t / .15)^2) of its variance. In stretches hidden on five takes, simulated and
 recorded, the shares at .04, .1 and .15 s were .94, .65 and .4 in speech, and larger in slow
@@ -62,7 +62,7 @@ class GapFill:
     """(frames, markers)"""
     confidence: Float32Array
     """(frames, markers) [0-1] 1 where visible, 0 where not filled, else the share of the variance
-    of the marker's motion that the nearest visible sample explains; see `_MEMORY_SECONDS`."""
+    of the marker's motion that the nearest visible sample explains; see `_CORRELATION_SECONDS`."""
 
 
 def complete_take(
@@ -228,9 +228,9 @@ def choose_spline_limit(
                 continue
             ok[first:last] = False
             track, base = positions[window, marker], prediction[window, marker]
-            by_curve = _spline(track, ok, first, last)
+            by_spline = _spline(track, ok, first, last)
             by_others = base[first:last] + _blend_offsets(track - base, ok, first, last, noise)
-            for i, values in enumerate((by_curve, by_others)):
+            for i, values in enumerate((by_spline, by_others)):
                 errors[i] += float(np.linalg.norm(values - track[first:last], axis=1).mean())
         if errors[0] >= errors[1]:
             return limit
@@ -244,11 +244,11 @@ def _spline(track: RealArray, ok: BoolArray, start: int, stop: int) -> RealArray
     near = np.flatnonzero(ok[low:high]) + low
     before, after = near[near < start][-_SPLINE_KNOTS:], near[near >= stop][:_SPLINE_KNOTS]
     knots = np.concatenate([before, after])
-    return np.asarray(_curve_weights(tuple((knots - start).tolist()), stop - start) @ track[knots])
+    return np.asarray(_spline_weights(tuple((knots - start).tolist()), stop - start) @ track[knots])
 
 
 @lru_cache(maxsize=4096)
-def _curve_weights(knots: tuple[int, ...], length: int) -> FloatArray:
+def _spline_weights(knots: tuple[int, ...], length: int) -> FloatArray:
     """Return the spline's weight of each knot in each frame of a gap, (length, knots)."""
     frames, unit = np.arange(length), np.eye(len(knots))
     if len(knots) > 2:
@@ -287,7 +287,7 @@ def _end_offset(offsets: RealArray, noise: float) -> FloatArray:
 
 
 def _gap_confidence(start: int, stop: int, frame_count: int, rate: float) -> RealArray:
-    """Return the variance share that the nearest visible sample explains; see `_MEMORY_SECONDS`."""
+    """Return the variance share that the nearest visible sample explains; see `explained_after`."""
     frames = np.arange(start, stop)
     before = frames - start + 1 if start > 0 else np.full(stop - start, frame_count)
     after = stop - frames if stop < frame_count else np.full(stop - start, frame_count)
@@ -296,4 +296,4 @@ def _gap_confidence(start: int, stop: int, frame_count: int, rate: float) -> Rea
 
 def explained_after(seconds: RealArray) -> RealArray:
     """Return the share of a motion's variance that a sample explains some time away [0-1]."""
-    return np.asarray(np.exp(-((seconds / _MEMORY_SECONDS) ** 2)))
+    return np.asarray(np.exp(-((seconds / _CORRELATION_SECONDS) ** 2)))

@@ -1,7 +1,7 @@
 """Outliers of marker tracks, such as reflections and other markers' labels.
 
 `find_outliers` compares each marker with its prediction from the others. `find_lost` looks for
-markers that left the face, `find_spikes` for leaps away and back in single tracks, before a model
+markers that left the face, `find_spikes` for jumps away and back in single tracks, before a model
 is fitted: the model would fit them as directions of the face's motion.
 """
 
@@ -23,28 +23,28 @@ from usdface.core.processes import map_threads
 from usdface.numerics.repair.low_rank import LowRankModel, fill_and_predict
 
 _LIMIT_MEDIANS = 4.5
-"""Medians of the distance from the prediction; exceeded by one in 10^8 normal samples."""
+"""Medians of the distance from the prediction; exceeded by one in 4e9 isotropic normal errors."""
 _LIMIT_NOISE_DEVIATIONS = 5.0
 _LEAST_LIMIT_MM = 1.0
-"""Nearer outliers are harmless."""
+"""Smaller errors are not repaired."""
 _JUMP_SHARE = 0.5
 """[of the limit] Least jump at the start and end of an outlier; skin does not jump."""
 _FAR_LIMITS = 2.0
-"""Distance in limits from which one jump is enough, or gaps on both sides."""
+"""Distance in limits above which one jump is enough, or gaps on both sides."""
 USUAL_RATE = 60.0
 """Frames per second."""
 
 _LID_CLOSES_SECONDS = 0.078
 _SUDDEN_SHARE = 1 / 3
-"""[of the farthest distance] Least largest jump of an outlier. At low rates, the largest step of a
-lid that closes along half a cosine, since no other marker predicts a wink."""
+"""[of the farthest distance] The largest jump of an outlier exceeds it; at low rates, it exceeds
+the largest step of a lid that closes along half a cosine, as no other marker predicts a wink."""
 _MOST_LIMITS = 1000.0
 """Distances in limits are truncated here, within the range of float16."""
 _LONGEST_SHARE = 0.2
 """[of the take] Longer deviations are markers that slipped."""
 _LIMIT_SAMPLE_FRAMES = 8192
-_LEAP_REACH_FRAMES = 2
-"""Frames on either side of a step that `_leap_sizes` uses."""
+_JUMP_REACH_FRAMES = 2
+"""Frames on either side of a step that `_jump_sizes` uses."""
 _MOST_PER_FRAME = 8
 """Outliers sought per frame."""
 
@@ -53,21 +53,22 @@ _LOST_RADII = 4.0
 median distances of the markers from their centre: about 30 cm. Skin moves by less than one."""
 _NEIGHBOR_COUNT = 8
 _LEAST_FALL_MM = 30.0
-"""Relative to the second most similar neighbour. Skin reaches 19 mm in recordings, and 25 mm with
-all shapes of three rigs at random; where markers are sparse, less than their spacing."""
+"""Displacement of a fallen marker relative to the second most similar neighbour. Skin reaches 19 mm
+in recordings, and 25 mm with all shapes of three rigs at random; where markers are sparse, less
+than their spacing."""
 _FALLEN_SHARE = 0.9
-"""[of its samples from the fall on] A fallen marker swings, but does not come back."""
+"""[of its samples from the fall on] Least share beyond that, as a fallen marker swings."""
 _MOST_FALLEN_SHARE = 0.25
 """[of the markers] If more move so far, it is no face, as in captures of bodies."""
 _PLACE_REACH_FRAMES = 2
-"""Frames on either side of the neutral one, so that a reflection in it is no place."""
+"""Frames on either side of the neutral one: the place at rest is their median, without outliers."""
 
-_LEAP_MEDIAN_STEPS = 12.0
-_LEAP_NOISE_DEVIATIONS = 8.0
-"""A step larger than both is a leap."""
+_JUMP_MEDIAN_STEPS = 12.0
+_JUMP_NOISE_DEVIATIONS = 8.0
+"""A step larger than both is a jump."""
 _LONGEST_SPIKE_FRAMES = 150
 _RETURN_COSINE = -0.5
-"""Largest cosine between a leap and the leap back."""
+"""Largest cosine between a jump and the jump back."""
 _SPIKE_MOST_SHARE = 0.3
 """[of its samples] Spikes of a marker with more of them are taken for its motion."""
 _USUAL_STEP_FRAMES = 20_000
@@ -103,10 +104,10 @@ def find_outliers(
     count = len(positions)
     limits = _limits(positions, visible, model, noise)
     distant = np.zeros(visible.shape, bool)
-    excess, leaps = (np.zeros(visible.shape, np.float16) for _ in range(2))  # in limits
+    excess, jumps = (np.zeros(visible.shape, np.float16) for _ in range(2))  # in limits
 
     def compare(block: slice) -> None:
-        around = extend_block(block, _LEAP_REACH_FRAMES, count)
+        around = extend_block(block, _JUMP_REACH_FRAMES, count)
         inner = slice(block.start - around.start, block.stop - around.start)
         points, seen = positions[around], visible[around]
         complete, predicted = fill_and_predict(model, points, seen)
@@ -117,18 +118,18 @@ def find_outliers(
             limit = limits[marker]
             distance = distances(points[:, marker], predicted[:, marker])
             excess[block, marker] = np.minimum(distance[inner] / limit, _MOST_LIMITS)
-            leap = np.minimum(_leap_sizes(points[:, marker]), _leap_sizes(offsets[:, marker]))
-            steps = slice(inner.start, min(inner.stop, len(leap)))
-            size = np.minimum(leap[steps] / limit, _MOST_LIMITS)
-            leaps[block.start : block.start + len(size), marker] = size
+            jump = np.minimum(_jump_sizes(points[:, marker]), _jump_sizes(offsets[:, marker]))
+            steps = slice(inner.start, min(inner.stop, len(jump)))
+            size = np.minimum(jump[steps] / limit, _MOST_LIMITS)
+            jumps[block.start : block.start + len(size), marker] = size
 
     map_threads(compare, frame_blocks(count))
     outliers = np.zeros_like(distant)
     for marker in np.flatnonzero(distant.any(axis=0)):
-        outliers[:, marker] = _between_leaps(
+        outliers[:, marker] = _between_jumps(
             distant[:, marker],
             excess[:, marker],
-            leaps[:, marker],
+            jumps[:, marker],
             visible[:, marker],
             sudden_share,
         )
@@ -177,10 +178,10 @@ def _limits(
     return limits
 
 
-def _between_leaps(
+def _between_jumps(
     distant: BoolArray,
     excess: RealArray,
-    leaps: RealArray,
+    jumps: RealArray,
     seen: BoolArray,
     sudden_share: float,
 ) -> BoolArray:
@@ -189,10 +190,10 @@ def _between_leaps(
     Parameters
     ----------
     distant, seen : (frames,) bool arrays
-    excess, leaps : (frames,) arrays
-        Distance from the prediction, and leap to the next frame [limits].
+    excess, jumps : (frames,) arrays
+        Distance from the prediction, and jump to the next frame [limits].
     sudden_share : float
-        Least ratio of the largest leap to the farthest distance.
+        Least ratio of the largest jump to the farthest distance.
     """
     outliers = np.zeros_like(distant)
     tracked = seen[1:] & seen[:-1]
@@ -201,19 +202,19 @@ def _between_leaps(
             continue
         farthest = excess[start:stop].max()
         ends = [edge - 1 for edge in (start, stop) if 0 < edge < len(seen)]
-        sudden = leaps[max(start - 1, 0) : stop].max() > sudden_share * farthest
-        leap = [bool(tracked[edge] and sudden and leaps[edge] > _JUMP_SHARE) for edge in ends]
-        leap_or_gaps = any(leap) or not tracked[ends].any()
-        outliers[start:stop] = (len(ends) == 2 and all(leap)) or (
-            farthest > _FAR_LIMITS and leap_or_gaps
+        sudden = jumps[max(start - 1, 0) : stop].max() > sudden_share * farthest
+        jump = [bool(tracked[edge] and sudden and jumps[edge] > _JUMP_SHARE) for edge in ends]
+        jump_or_gaps = any(jump) or not tracked[ends].any()
+        outliers[start:stop] = (len(ends) == 2 and all(jump)) or (
+            farthest > _FAR_LIMITS and jump_or_gaps
         )
     return outliers
 
 
-def _leap_sizes(track: RealArray) -> RealArray:
+def _jump_sizes(track: RealArray) -> RealArray:
     """Return each step's size, at most its difference from a neighbouring step [mm].
 
-    Fast skin accelerates over several frames, a leap starts from rest.
+    Fast skin accelerates over several frames, a jump starts from rest.
     """
     steps = np.diff(track, axis=0, prepend=track[:1], append=track[-1:])
     change = np.linalg.norm(np.diff(steps, axis=0), axis=1)
@@ -224,9 +225,9 @@ def _leap_sizes(track: RealArray) -> RealArray:
 def find_lost(positions: RealArray, visible: BoolArray, *, neutral: int) -> BoolArray:
     """Return the samples of markers that left the face: (frames, markers) bool array.
 
-    A marker left for good if it moves away from its neighbours by more than skin stretches, up to
-    the end of the take, or from its start if it fell before the neutral frame; for a while, if it
-    is farther away than the face is wide. With the frames in which it moves away and back.
+    A marker has left for good if it is farther from its neighbours than skin stretches, up to the
+    end of the take, or from its start if it fell before the neutral frame; for a time, if it is
+    farther from its place at rest than the face is wide. Frames of moving away and back included.
 
     Parameters
     ----------
@@ -260,7 +261,7 @@ def find_lost(positions: RealArray, visible: BoolArray, *, neutral: int) -> Bool
 def _left_neighbors(
     positions: RealArray, visible: BoolArray, places: RealArray, away: RealArray
 ) -> BoolArray:
-    """Return the samples since markers left their neighbours for good: (frames, markers).
+    """Return the samples of markers that have left their neighbours for good: (frames, markers).
 
     Parameters
     ----------
@@ -307,14 +308,14 @@ def _leave_swaps(fallen: BoolArray, positions: RealArray, places: RealArray) -> 
 
 
 def find_spikes(positions: RealArray, visible: BoolArray, *, noise: FloatArray) -> BoolArray:
-    """Return the samples between a leap and the next leap back: (frames, markers) bool array.
+    """Return the samples between a jump and the next jump back: (frames, markers) bool array.
 
     Parameters
     ----------
     positions : (frames, markers, 3) float array
         [mm] Without head motion.
     visible : (frames, markers) bool array
-        Leaps across a gap start at the last sample before it.
+        Jumps across a gap start at the last sample before it.
     noise : (markers,) float array
         Standard deviation of the measurement noise per coordinate [mm].
     """
@@ -326,11 +327,11 @@ def find_spikes(positions: RealArray, visible: BoolArray, *, noise: FloatArray) 
         steps = np.diff(positions[frames, marker].astype(np.float64), axis=0)
         sizes = np.linalg.norm(steps, axis=1)
         usual = float(np.median(sizes[:_USUAL_STEP_FRAMES]))
-        leaps = sizes > max(
-            _LEAP_MEDIAN_STEPS * usual, _LEAP_NOISE_DEVIATIONS * float(noise[marker]), 1e-6
+        jumps = sizes > max(
+            _JUMP_MEDIAN_STEPS * usual, _JUMP_NOISE_DEVIATIONS * float(noise[marker]), 1e-6
         )
-        # Leaps in consecutive steps are one leap: their sum.
-        joined = [(start, stop, steps[start:stop].sum(axis=0)) for start, stop in runs(leaps)]
+        # Jumps in consecutive steps are one jump: their sum.
+        joined = [(start, stop, steps[start:stop].sum(axis=0)) for start, stop in runs(jumps)]
         track = np.zeros(len(seen), bool)
         for (_, leave, out), (back, _, home) in pairwise(joined):
             lengths = float(np.linalg.norm(out) * np.linalg.norm(home))
