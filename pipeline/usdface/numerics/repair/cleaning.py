@@ -40,7 +40,7 @@ _RELABELLED_CONFIDENCE = 0.9
 _FEWEST_FACE_MARKERS = 8
 """Fewest markers that determine the head's pose where too few rigid ones are seen."""
 _FEWEST_MEASURED_FRAMES = 200
-"""Fewest frames with a measured pose for a model of the face: those of eight directions."""
+"""Fewest frames with a measured pose for a model of the face: 25 for each of eight directions."""
 _LEAST_POSE_CONFIDENCE, _MOST_POSE_CONFIDENCE = 0.25, 0.999
 """Limits of poses that are not measured."""
 _POSE_ROUNDS = 2
@@ -137,59 +137,57 @@ def clean_markers(
     captured, seen = np.asarray(positions, np.float32), np.array(visible, bool)
     _check(captured, seen, neutral, max_gap)
     progress(0.0, "head motion")
-    still, lost = _stabilize_without_lost(captured, seen, rigid, neutral, rate, skin_motion_mm)
+    take, lost = _stabilize_without_lost(captured, seen, rigid, neutral, rate, skin_motion_mm)
     progress(0.05, "model of the motion")
-    model, rank, noise = _model_face(still)
+    model, rank, noise = _model_face(take)
     swaps: tuple[Swap, ...] = ()
     if relabel:
-        swaps, model = _relabel(still, model, rank, noise, neutral, progress)
+        swaps, model = _relabel(take, model, rank, noise, neutral, progress)
         if {column for swap in swaps for column in (swap.first, swap.second)} & set(rigid):
-            del still  # first, to save the memory of one copy of a long take
+            del take  # first, to save the memory of one copy of a long take
             captured = np.array(captured)
             apply_swaps(captured, swaps)
-            still = _stabilize(captured, seen, rigid, neutral, rate, skin_motion_mm, out=captured)
-            model = _pose_by_face(still, model, rank, noise)
+            take = _stabilize(captured, seen, rigid, neutral, rate, skin_motion_mm, out=captured)
+            model = _pose_by_face(take, model, rank, noise)
     progress(0.45, "outliers")
-    outliers = find_outliers(still.positions, seen, model=model, noise=noise, rate=rate)
+    outliers = find_outliers(take.positions, seen, model=model, noise=noise, rate=rate)
     good = seen & ~outliers
     progress(0.6, "head motion, from all markers")
-    noise, slips = _refine_pose_and_slips(still, good, model, neutral=neutral, rate=rate)
+    noise, slips = _refine_pose_and_slips(take, good, model, neutral=neutral, rate=rate)
     progress(0.7, "gaps")
-    model = fit_low_rank(still.positions, good, rank_limit=rank, start=model, noise=noise)
+    model = fit_low_rank(take.positions, good, rank_limit=rank, start=model, noise=noise)
     sigma = float(np.median(noise))
-    gaps = complete_take(
-        still.positions, good, model=model, max_gap=max_gap, noise=sigma, rate=rate
-    )
+    gaps = complete_take(take.positions, good, model=model, max_gap=max_gap, noise=sigma, rate=rate)
     if smooth:
         progress(0.8, "noise")
-        smooth_take(still.positions, model, noise=noise)
+        smooth_take(take.positions, model, noise=noise)
     known = good | gaps.filled
-    hold_last_seen(still.positions, known)
+    hold_last_seen(take.positions, known)
     progress(1.0, "clean")
     return CleanedMarkers(
-        positions=still.positions,
+        positions=take.positions,
         visible=known,
-        confidence=_scale_confidence(gaps.confidence, swaps, still.pose_confidence),
-        head_motion=still.head_motion,
+        confidence=_scale_confidence(gaps.confidence, swaps, take.pose_confidence),
+        head_motion=take.head_motion,
         swaps=swaps,
         outliers=outliers,
         lost=lost,
         filled=gaps.filled,
-        pose_confidence=still.pose_confidence,
+        pose_confidence=take.pose_confidence,
         noise_mm=sigma,
         slips=slips,
     )
 
 
 def _refine_pose_and_slips(
-    still: _StabilizedTake, good: BoolArray, model: LowRankModel, *, neutral: int, rate: float
+    take: _StabilizedTake, good: BoolArray, model: LowRankModel, *, neutral: int, rate: float
 ) -> tuple[FloatArray, tuple[Slip, ...]]:
     """Refine the head pose and correct slips, in place; return the noise and the slips."""
-    _refine_pose(still, good, model)
-    noise = marker_noise(still.positions, good)
-    slips = find_slips(still.positions, good, model=model, rate=rate)
+    _refine_pose(take, good, model)
+    noise = marker_noise(take.positions, good)
+    slips = find_slips(take.positions, good, model=model, rate=rate)
     rank = len(model.variances)
-    return noise, undo_slips(still.positions, good, slips, neutral=neutral, rank=rank, noise=noise)
+    return noise, undo_slips(take.positions, good, slips, neutral=neutral, rank=rank, noise=noise)
 
 
 def _check(captured: Float32Array, seen: BoolArray, neutral: int, max_gap: int) -> None:
@@ -253,68 +251,68 @@ def _stabilize_without_lost(
     skin_motion_mm: FloatArray | None,
 ) -> tuple[_StabilizedTake, BoolArray]:
     """Return the take and the samples of markers that left the face, cleared in `seen`."""
-    still = _stabilize(captured, seen, rigid, neutral, rate, skin_motion_mm)
-    lost = find_lost(still.positions, seen, neutral=neutral)
+    take = _stabilize(captured, seen, rigid, neutral, rate, skin_motion_mm)
+    lost = find_lost(take.positions, seen, neutral=neutral)
     seen &= ~lost
     if lost[:, rigid].any():  # it pulled the head's pose
-        del still  # first, to save the memory of one copy of a long take
-        still = _stabilize(captured, seen, rigid, neutral, rate, skin_motion_mm)
-    return still, lost
+        del take  # first, to save the memory of one copy of a long take
+        take = _stabilize(captured, seen, rigid, neutral, rate, skin_motion_mm)
+    return take, lost
 
 
-def _model_face(still: _StabilizedTake) -> tuple[LowRankModel, int, FloatArray]:
-    """Return the face's model, its rank, and the noise of the markers; pose frames by the face."""
-    posed = _with_measured_pose(still)
-    noise = marker_noise(still.positions, posed)
-    model = fit_low_rank(still.positions, posed, noise=noise)
-    rank = choose_rank(still.positions, posed, start=model, noise=noise)
-    return _pose_by_face(still, model, rank, noise), rank, noise
+def _model_face(take: _StabilizedTake) -> tuple[LowRankModel, int, FloatArray]:
+    """Return the face's model, its rank, and the markers' noise; replace interpolated poses."""
+    posed = _with_measured_pose(take)
+    noise = marker_noise(take.positions, posed)
+    model = fit_low_rank(take.positions, posed, noise=noise)
+    rank = choose_rank(take.positions, posed, start=model, noise=noise)
+    return _pose_by_face(take, model, rank, noise), rank, noise
 
 
-def _with_measured_pose(still: _StabilizedTake) -> BoolArray:
+def _with_measured_pose(take: _StabilizedTake) -> BoolArray:
     """Return the samples to which the face's model is fitted, (frames, markers).
 
-    Those of frames with a measured pose, but for markers that only others show, and in takes that
-    have few such frames.
+    Those of frames with a measured pose; all, for markers that are visible only in other frames,
+    and in takes of fewer such frames than `_FEWEST_MEASURED_FRAMES`.
     """
-    if still.measured.sum() < _FEWEST_MEASURED_FRAMES or still.measured.all():
-        return still.visible
-    posed = still.visible & still.measured[:, None]
+    if take.measured.sum() < _FEWEST_MEASURED_FRAMES or take.measured.all():
+        return take.visible
+    posed = take.visible & take.measured[:, None]
     unseen = ~posed.any(axis=0)
-    posed[:, unseen] = still.visible[:, unseen]
+    posed[:, unseen] = take.visible[:, unseen]
     return np.asarray(posed)
 
 
 def _pose_by_face(
-    still: _StabilizedTake, start: LowRankModel, rank: int, noise: FloatArray
+    take: _StabilizedTake, start: LowRankModel, rank: int, noise: FloatArray
 ) -> LowRankModel:
-    """Return the face's model by measured poses, which replaces the interpolated ones in place.
+    """Fit the face's model at measured poses, and replace the interpolated poses by it, in place.
 
-    The confidence of a pose is the share of the markers' motion that its variance leaves.
+    The confidence of a pose is ``1 - variance / motion``, mean squares of a marker [mm^2].
     """
-    posed = _with_measured_pose(still)
-    model = fit_low_rank(still.positions, posed, rank_limit=rank, start=start, noise=noise)
-    known = still.visible.sum(axis=1) >= _FEWEST_FACE_MARKERS
-    rows = np.flatnonzero(~still.measured & known)
+    posed = _with_measured_pose(take)
+    model = fit_low_rank(take.positions, posed, rank_limit=rank, start=start, noise=noise)
+    known = take.visible.sum(axis=1) >= _FEWEST_FACE_MARKERS
+    rows = np.flatnonzero(~take.measured & known)
     if not len(rows):
         return model
     poses, variance = pose_by_face(
         model,
-        still.positions[rows],
-        still.visible[rows],
-        precision=interpolation_precision(still.poses, still.measured, still.centre)[rows],
-        centre=still.centre,
+        take.positions[rows],
+        take.visible[rows],
+        precision=interpolation_precision(take.poses, take.measured, take.centre)[rows],
+        centre=take.centre,
     )
-    still.positions[rows] = remove_motion(still.positions[rows], alignment_of(poses))
-    still.head_motion[rows] = still.head_motion[rows] @ poses
+    take.positions[rows] = remove_motion(take.positions[rows], alignment_of(poses))
+    take.head_motion[rows] = take.head_motion[rows] @ poses
     motion = (model.variances.sum() + 3 * (model.noise**2).sum()) / len(model.noise)
     share = np.clip(1.0 - variance / motion, _LEAST_POSE_CONFIDENCE, _MOST_POSE_CONFIDENCE)
-    still.pose_confidence[rows] = share
+    take.pose_confidence[rows] = share
     return model
 
 
 def _relabel(
-    still: _StabilizedTake,
+    take: _StabilizedTake,
     model: LowRankModel,
     rank: int,
     noise: FloatArray,
@@ -326,26 +324,26 @@ def _relabel(
     for number in range(_RELABEL_ROUNDS):
         progress(0.1 + 0.35 * number / _RELABEL_ROUNDS, "labels")
         swaps = find_swaps(
-            still.positions,
-            still.visible,
+            take.positions,
+            take.visible,
             model=model,
             noise=float(np.median(noise)),
             neutral=neutral,
         )
         if not swaps:
             break
-        apply_swaps(still.positions, swaps)
-        apply_swaps(still.visible, swaps)
+        apply_swaps(take.positions, swaps)
+        apply_swaps(take.visible, swaps)
         found += swaps
         model = fit_low_rank(
-            still.positions, still.visible, rank_limit=rank, start=model, noise=noise
+            take.positions, take.visible, rank_limit=rank, start=model, noise=noise
         )
     return tuple(found), model
 
 
-def _refine_pose(still: _StabilizedTake, good: BoolArray, model: LowRankModel) -> None:
+def _refine_pose(take: _StabilizedTake, good: BoolArray, model: LowRankModel) -> None:
     """Align each frame with the predictions of its markers from each other, in place."""
-    positions, motion = still.positions, still.head_motion
+    positions, motion = take.positions, take.head_motion
     sample = sample_frames(len(positions), _POSE_SAMPLE_FRAMES)
     for _ in range(_POSE_ROUNDS):
         complete, predicted = fill_and_predict(model, positions[sample], good[sample])

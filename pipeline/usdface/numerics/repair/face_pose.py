@@ -6,8 +6,8 @@ The markers of a frame are a rigid transform of ``x ~ N(mean, S)``, with the low
     minimise r' inv(S) r + q' inv(P) q,   r = R x + t - mean,
 
 by Gauss-Newton steps from the alignment with the mean. q is the rotation and shift relative to the
-pose interpolated between measured ones, P its covariance: as such poses are in the take, so that
-short gaps of a still head follow it, long ones of a moving head the face. With J the derivatives of
+pose interpolated between measured ones, P its covariance, as `interpolation_precision` estimates it
+from the take: small in short gaps of a still head, large in long ones. With J the derivatives of
 r, a step is ``-inv(J' inv(S) J + inv(P)) (J' inv(S) r + inv(P) q)``; the inverse matrix is the
 covariance of the pose. Woodbury's identity gives
 ``inv(S) = inv(N) - inv(N) C' inv(inv(V) + C inv(N) C') C inv(N)``.
@@ -45,7 +45,7 @@ _INLIER_DEVIATIONS = 3.0
 _MEDIAN_CHI_SQUARE = 2.366
 """Of three degrees of freedom."""
 _VAGUE_PRECISION = np.repeat([0.1, 1e-9], 3)
-"""Of a pose of which nothing is known, within 3 rad and 30 m: markers on one point have one too."""
+"""Of a pose known to 3 rad and 30 m: the matrix is invertible even if all markers are one point."""
 _LEAST_VARIANCE = np.repeat([1e-8, 1e-4], 3)
 """Of interpolated poses: 0.1 mrad and 0.01 mm, squared."""
 
@@ -98,41 +98,42 @@ def _solve(
     mean, prior = model.mean.reshape(-1, 3), np.maximum(prior, _VAGUE_PRECISION)
     weights, excess = seen / model.noise**2, np.ones(len(seen))
     start = align_frames(positions, np.broadcast_to(mean, positions.shape), weights=seen)
-    poses, still = start.matrices(), remove_motion(positions.astype(np.float64), start)
+    poses, aligned = start.matrices(), remove_motion(positions.astype(np.float64), start)
     for _ in range(_MOST_STEPS):
-        known = np.zeros((*still.shape, 7))  # derivatives of r by rotation and shift, and r
-        known[..., :3] = np.cross(np.eye(3), (still - centre)[..., None, :]).swapaxes(2, 3)
-        known[..., 3:6], known[..., 6] = np.eye(3), still - mean
-        left, scores, normal = _marginalise(model, known, weights)
+        vectors = np.zeros((*aligned.shape, 7))  # derivatives of r by rotation and shift, and r
+        vectors[..., :3] = np.cross(np.eye(3), (aligned - centre)[..., None, :]).swapaxes(2, 3)
+        vectors[..., 3:6], vectors[..., 6] = np.eye(3), aligned - mean
+        remainder, scores, normal = _marginalise(model, vectors, weights)
         normal /= excess[:, None, None]
         covariance = np.linalg.inv(normal[:, :6, :6] + prior[:, None] * np.eye(6))
-        slope = normal[:, :6, 6] + prior * _coordinates(poses, centre)
-        step = -(covariance @ slope[..., None])[..., 0]
-        turn = _inverse_motion(step, centre)
-        poses, still = poses @ turn, remove_motion(still, alignment_of(turn))
-        along = np.append(step, np.ones((len(step), 1)), axis=1)[..., None]
-        chi = np.linalg.norm((left @ along[:, None])[..., 0], axis=2) / model.noise
+        gradient = normal[:, :6, 6] + prior * _coordinates(poses, centre)
+        step = -(covariance @ gradient[..., None])[..., 0]
+        correction = _inverse_motion(step, centre)
+        poses, aligned = poses @ correction, remove_motion(aligned, alignment_of(correction))
+        combination = np.append(step, np.ones((len(step), 1)), axis=1)[..., None]
+        chi = np.linalg.norm((remainder @ combination[:, None])[..., 0], axis=2) / model.noise
         weights = seen / (model.noise**2 * (1 + (chi / _INLIER_DEVIATIONS) ** 2))
         unexplained = np.nanmedian(np.where(seen, chi**2, np.nan), axis=1) / _MEDIAN_CHI_SQUARE
-        unusual = np.mean((scores @ along)[..., 0] ** 2 / model.variances, axis=1)
+        unusual = np.mean((scores @ combination)[..., 0] ** 2 / model.variances, axis=1)
         excess = np.maximum(1.0, np.maximum(unexplained, unusual))
-        if abs(known[..., :6] @ step[:, None, :, None]).max() < _SETTLED_MM:
+        if abs(vectors[..., :6] @ step[:, None, :, None]).max() < _SETTLED_MM:
             break
-    moved = np.einsum("fmci,fij,fmcj->f", known[..., :6], covariance, known[..., :6], optimize=True)
+    slope = vectors[..., :6]
+    moved = np.einsum("fmci,fij,fmcj->f", slope, covariance, slope, optimize=True)
     return poses, moved / seen.shape[1]
 
 
 def _marginalise(
-    model: LowRankModel, known: FloatArray, weights: FloatArray
+    model: LowRankModel, vectors: FloatArray, weights: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return what the expression leaves of vectors, its scores, and ``known' inv(S) known``."""
+    """Return the remainder of vectors, their scores, and ``vectors' inv(S) vectors``."""
     components = model.components.reshape(len(model.variances), -1, 3)
     grams = np.einsum("kmc,lmc->mkl", components, components)
     inner = np.einsum("fm,mkl->fkl", weights, grams, optimize=True) + np.diag(1 / model.variances)
-    weighed = weights[..., None, None] * known
+    weighed = weights[..., None, None] * vectors
     scores = np.linalg.solve(inner, np.einsum("kmc,fmci->fki", components, weighed, optimize=True))
-    left = known - np.einsum("kmc,fki->fmci", components, scores, optimize=True)
-    return left, scores, np.einsum("fmci,fmcj->fij", weighed, left, optimize=True)
+    remainder = vectors - np.einsum("kmc,fki->fmci", components, scores, optimize=True)
+    return remainder, scores, np.einsum("fmci,fmcj->fij", weighed, remainder, optimize=True)
 
 
 def _coordinates(poses: FloatArray, centre: FloatArray) -> FloatArray:
@@ -157,8 +158,8 @@ def interpolation_precision(
     """Return the precision of interpolated poses, from how well measured ones are interpolated.
 
     A pose a and b frames from the measured ones on both sides is as uncertain as measured poses are
-    when interpolated from those m frames before and after, m the next power of two of sqrt(a b), to
-    which the error is proportional under constant acceleration. At the ends of the take, it is as
+    when interpolated from those m frames before and after, m the next power of two of sqrt(a b): at
+    constant acceleration the error is proportional to a b. At the ends of the take, it is as
     uncertain as poses held for as long.
 
     Parameters

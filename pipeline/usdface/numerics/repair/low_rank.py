@@ -42,21 +42,21 @@ class LowRankModel:
         return np.asarray(self.components / np.repeat(self.noise**2, 3))
 
     @cached_property
-    def inner(self) -> FloatArray:
+    def score_precision(self) -> FloatArray:
         """Precision of the scores when all markers are seen, (rank, rank)."""
         return np.asarray(self.weighted @ self.components.T + np.diag(1.0 / self.variances))
 
     @cached_property
-    def solved(self) -> FloatArray:
-        """``inverse(inner) @ weighted``, (rank, markers * 3)."""
-        return np.asarray(np.linalg.solve(self.inner, self.weighted))
+    def score_weights(self) -> FloatArray:
+        """``inverse(score_precision) @ weighted``: from centred frames to scores."""
+        return np.asarray(np.linalg.solve(self.score_precision, self.weighted))
 
     def precision_of(self, entries: IntArray) -> FloatArray:
         """Return blocks of the inverse covariance: (..., n) entries to (..., n, n).
 
         The whole matrix takes 72 MB for a thousand markers.
         """
-        blocks = -(self.weighted.T[entries] @ np.swapaxes(self.solved.T[entries], -1, -2))
+        blocks = -(self.weighted.T[entries] @ np.swapaxes(self.score_weights.T[entries], -1, -2))
         rows = np.arange(entries.shape[-1])
         blocks[..., rows, rows] += np.repeat(self.noise**-2.0, 3)[entries]
         return np.asarray(blocks)
@@ -99,7 +99,7 @@ def predict_from_others(model: LowRankModel, filled: RealArray) -> RealArray:
     # With L the precision, x_m - E[x_m | others] = L_mm^-1 (L (x - mean))_m; L is diagonal plus low
     # rank.
     mean, noise = model.mean.astype(kind), np.repeat(model.noise**-2.0, 3).astype(kind)
-    weighted, solved = model.weighted.T.astype(kind), model.solved.astype(kind)
+    weighted, solved = model.weighted.T.astype(kind), model.score_weights.astype(kind)
     covariances = model.conditional_covariances.astype(kind)
     flat = filled.reshape(len(filled), -1)
     predicted = np.empty_like(filled)
@@ -134,12 +134,12 @@ def _expected(model: LowRankModel, positions: RealArray, missing: IntArray) -> F
     entries = (3 * missing[..., None] + np.arange(3)).reshape(frames, 3 * count)
     if 3 * count <= len(model.variances):
         # x_m = mean_m - L_mm^-1 L_mo (x_o - mean_o), L the precision matrix
-        pull = np.take_along_axis(weighted_offset @ model.solved, entries, axis=1)
+        pull = np.take_along_axis(weighted_offset @ model.score_weights, entries, axis=1)
         system = model.precision_of(entries)
         shift = np.linalg.solve(system, pull[..., None])
     else:
         # Posterior mean of the scores given the visible markers.
         directions = model.components.T[entries]
-        inner = model.inner - np.swapaxes(model.weighted.T[entries], 1, 2) @ directions
+        inner = model.score_precision - np.swapaxes(model.weighted.T[entries], 1, 2) @ directions
         shift = directions @ np.linalg.solve(inner, weighted_offset[..., None])
     return np.asarray((model.mean[entries] + shift[..., 0]).reshape(frames, count, 3))
