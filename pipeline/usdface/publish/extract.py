@@ -124,7 +124,7 @@ def _extract(
     file, prim = reader.rig()
     rig = read_rig(file, prim=prim)
     header, made_by = reader.header, make_provenance(bake)
-    with writing_top(opened, header, rig, shown=reader, provenance=made_by):
+    with writing_top(opened, header, rig, copied=reader, provenance=made_by):
         baked = execute(bake, progress=part(progress, 0.0, 0.3))
     published = PerformanceReader(opened)
     replaced = replaced_motion_notes(published.stage, published.animation)

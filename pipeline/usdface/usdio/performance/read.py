@@ -309,10 +309,9 @@ class PerformanceReader:
         return np.array([[1 / quantile((1 + each) / 2)] for each in inside.tolist()])
 
     def figures(self) -> tuple[FloatArray | None, FloatArray | None, FloatArray | None]:
-        """Return uncertainty [mm], coverage [0-1] and residual [mm], each (frames, regions).
+        """Return uncertainty [mm], coverage [0-1], residual [mm]: (frames, regions) or None each.
 
-        Or None. In earlier versions, without coverage, the residual was another quantity, and is
-        left out.
+        Layers of earlier versions, without coverage, have another quantity as residual: None.
         """
         first, last = self.first_frame, self.last_frame
         coverage = self.series(COVERAGE, first, last)

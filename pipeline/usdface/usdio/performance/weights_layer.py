@@ -191,7 +191,7 @@ class WeightsWriter:
     def _append_block(
         self,
         rows: Float32Array,
-        beside: list[tuple[Sdf.Path, Float32Array, float]],
+        figures: list[tuple[Sdf.Path, Float32Array, float]],
         keys: IntArray,
     ) -> None:
         # Writing samples dominates the time of mapping with a fast regression: names are looked up
@@ -200,7 +200,7 @@ class WeightsWriter:
         with Sdf.ChangeBlock():
             for index in keys.tolist():
                 write(self._weights, first + index, array(rows[index]))
-            for path, values, tolerance in beside:
+            for path, values, tolerance in figures:
                 for index in sparse_rows(values, tolerance).tolist():
                     write(path, first + index, array(values[index]))
         self._count(len(rows))

@@ -72,7 +72,7 @@ def write_package(
             top.customLayerData = {"usdface": provenance_data(provenance)}
         author_timing(top, rate=reader.rate, first=reader.first_frame, last=reader.last_frame)
         top.defaultPrim = rig_path.GetPrefixes()[0].name
-        driving = [weights.with_name(beside(reader.path).name) for beside in _DRIVING]
+        driving = [weights.with_name(path_of(reader.path).name) for path_of in _DRIVING_PATHS]
         below = [*_copy_driving_layers(reader, driving), weights]
         top.subLayerPaths = [f"./{each.name}" for each in below]
         for above in rig_path.GetParentPath().GetPrefixes():
@@ -98,54 +98,54 @@ def write_package(
     _zero_times(target)
 
 
-def _copy_rig_use(top: Sdf.Layer, shown: PerformanceReader, source: str) -> None:
+def _copy_rig_use(top: Sdf.Layer, copied: PerformanceReader, rig_prim: str) -> None:
     """Copy a performance's variants of its rig, and its reference to the rig's joint animation.
 
-    `source`: the referenced prim of the rig's file.
+    `rig_prim`: the referenced prim of the rig's file.
     """
-    rig_path, header = rig_path_of(shown.stage, shown.animation), shown.header
-    rig_file, _ = shown.rig()
-    for path, name, choice in variant_choices(shown.stage, rig_path, rig_file, source):
-        at = Sdf.Path(path).ReplacePrefix(source, rig_path)
+    rig_path, header = rig_path_of(copied.stage, copied.animation), copied.header
+    rig_file, _ = copied.rig()
+    for path, name, choice in variant_choices(copied.stage, rig_path, rig_file, rig_prim):
+        at = Sdf.Path(path).ReplacePrefix(rig_prim, rig_path)
         Sdf.CreatePrimInLayer(top, at).variantSelections[name] = choice
     rig_stage, kept = open_stage(rig_file), list[Sdf.Reference]()
-    for arc in Usd.PrimCompositionQuery(shown.animation).GetCompositionArcs():
+    for arc in Usd.PrimCompositionQuery(copied.animation).GetCompositionArcs():
         above, to_root = arc.GetIntroducingNode(), arc.GetIntroducingNode().mapToRoot
         if arc.IsAncestral() or arc.GetTargetNode().layerStack != above.layerStack:
             continue
         at = to_root.MapSourceToTarget(arc.GetTargetPrimPath())
-        inside = at.ReplacePrefix(rig_path, source)
+        inside = at.ReplacePrefix(rig_path, rig_prim)
         if at == header.animation or not (
             at.HasPrefix(rig_path) and rig_stage.GetPrimAtPath(inside)
         ):
             continue
         moved, (_, reference) = to_root.timeOffset, arc.GetIntroducingListEditor()
         # USD scales by the rates of layers itself, there and here.
-        rate_ratio = above.layerStack.identifier.rootLayer.timeCodesPerSecond / float(shown.rate)
+        rate_ratio = above.layerStack.identifier.rootLayer.timeCodesPerSecond / float(copied.rate)
         moved = Sdf.LayerOffset(moved.offset, moved.scale * rate_ratio) * reference.layerOffset
         kept.append(Sdf.Reference("", at, moved))
     if kept:
         Sdf.CreatePrimInLayer(top, header.animation).referenceList.prependedItems = kept
 
 
-_DRIVING = (head_path, controls_path)
-"""Layers of joints, Xforms and attributes; the head turns joints that the controls have."""
+_DRIVING_PATHS = (head_path, controls_path)
+"""Of layers of joints, Xforms and attributes, the stronger first: both may have the same joints."""
 
 
 def _copy_driving_layers(
-    shown: PerformanceReader, targets: Sequence[Path], provenance: Provenance | None = None
+    copied: PerformanceReader, targets: Sequence[Path], provenance: Provenance | None = None
 ) -> list[Path]:
-    """Copy the `_DRIVING` layers that a performance opens, moved as it moves them, to targets.
+    """Copy the driving layers that a performance opens, moved as it moves them, to targets.
 
     Returns the targets that were written.
     """
-    opened, written = open_layer(shown.path), list[Path]()
+    opened, written = open_layer(copied.path), list[Path]()
     moved = dict(zip(opened.subLayerPaths, opened.subLayerOffsets, strict=True))
-    for beside, target in zip(_DRIVING, targets, strict=True):
-        asset = relative_path(beside(shown.path), shown.path)
+    for path_of, target in zip(_DRIVING_PATHS, targets, strict=True):
+        asset = relative_path(path_of(copied.path), copied.path)
         if asset in moved:
             with new_layer(target, provenance) as copy:
-                copy.TransferContent(open_layer(beside(shown.path)))
+                copy.TransferContent(open_layer(path_of(copied.path)))
                 move_samples(copy, moved[asset])
             written.append(target)
     return written
@@ -221,7 +221,7 @@ def writing_top(
     rig: Rig,
     *,
     above: Sequence[Path] = (),
-    shown: PerformanceReader | None = None,
+    copied: PerformanceReader | None = None,
     provenance: Provenance | None = None,
 ) -> Iterator[None]:
     """Write the top layer of a performance around the writing of its weights.
@@ -233,39 +233,39 @@ def writing_top(
     above : sequence of Path
         Those of its head and controls layers that are written, as sublayers above the weights; the
         others are removed from its sublayers.
-    shown : PerformanceReader, optional
+    copied : PerformanceReader, optional
         With the rig at the same path, whose head and controls layers, variant selections and
         reference to the rig's animation of joints are copied.
     """
-    besides = [beside(path) for beside in _DRIVING]
+    driving = [path_of(path) for path_of in _DRIVING_PATHS]
     with (
-        replacing_group((path, weights_path(path), *besides)),
+        replacing_group((path, weights_path(path), *driving)),
         new_layer(path, provenance) as layer,
     ):
         check_not_written_since(path)
         before = _previous(path)
         yield
-        if shown is not None:
-            above = _copy_driving_layers(shown, besides, provenance)
+        if copied is not None:
+            above = _copy_driving_layers(copied, driving, provenance)
         if path.is_file():
             layer.TransferContent(open_layer(path))
         author_units(layer, like=rig.file)
         layer.defaultPrim = Sdf.Path(header.rig_path).GetPrefixes()[0].name
         weights_asset = relative_path(weights_path(path), path)
         below = list(layer.subLayerPaths)
-        again = weights_asset in below
-        moved = layer.subLayerOffsets[below.index(weights_asset)] if again else Sdf.LayerOffset()
+        is_open = weights_asset in below
+        moved = layer.subLayerOffsets[below.index(weights_asset)] if is_open else Sdf.LayerOffset()
         ends = (header.first_frame, header.last_frame)
         first, last = (moved.offset + moved.scale * each for each in ends)
         author_timing(layer, rate=header.rate, first=first, last=last)
-        define_reference(layer, header.rig_path, rig, path, again=again)
-        if shown is not None:
-            _copy_rig_use(layer, shown, default_rig_path(rig))
+        define_reference(layer, header.rig_path, rig, path, replace_rig=is_open)
+        if copied is not None:
+            _copy_rig_use(layer, copied, default_rig_path(rig))
         if before.rig_path not in ("", header.rig_path):
             remove_reference(layer, before.rig_path, {rig.file.resolve(), *before.files}, path)
-        if not again:
+        if not is_open:
             layer.subLayerPaths.append(weights_asset)
-        for each in besides:
+        for each in driving:
             _open_above(layer, relative_path(each, path), weights_asset, wanted=each in above)
         edits_asset = relative_path(edits_path(path), path)
         if edits_path(path).is_file() and edits_asset not in list(layer.subLayerPaths):

@@ -37,7 +37,7 @@ def default_rig_path(rig: Rig) -> str:
 
 
 def define_reference(
-    layer: Sdf.Layer, rig_path: str, rig: Rig, layer_path: Path, *, again: bool = False
+    layer: Sdf.Layer, rig_path: str, rig: Rig, layer_path: Path, *, replace_rig: bool = False
 ) -> None:
     """Define a prim that references the rig's top prim; prims above it become Xforms.
 
@@ -47,8 +47,8 @@ def define_reference(
     ----------
     layer_path : Path
         Final path of the layer.
-    again : bool
-        Whether the layer has a reference to a rig, perhaps another one, which is replaced.
+    replace_rig : bool
+        Replace the layer's reference to its previous rig, if it has none to this one.
     """
     source = Sdf.Path(rig.prim).GetPrefixes()[0]
     for above in Sdf.Path(rig_path).GetParentPath().GetPrefixes():
@@ -60,7 +60,7 @@ def define_reference(
     references = prim.referenceList
     name = "explicitItems" if references.isExplicit else "prependedItems"
     existing = list(getattr(references, name))
-    ours = _index_to_replace(existing, reference, rig.file, layer_path, again=again)
+    ours = _index_to_replace(existing, reference, rig.file, layer_path, replace_rig=replace_rig)
     setattr(references, name, [*existing[: ours.start], reference, *existing[ours.stop :]])
 
 
@@ -88,7 +88,7 @@ def _index_to_replace(
     file: Path,
     layer_path: Path,
     *,
-    again: bool,
+    replace_rig: bool,
 ) -> range:
     """Return the reference to replace: that to the same file, or that to a previous rig.
 
@@ -97,7 +97,7 @@ def _index_to_replace(
     for index, each in enumerate(existing):
         if _is_file_of(each, {file.resolve()}, layer_path):
             return range(index, index + 1)
-    if not again or not existing:
+    if not replace_rig or not existing:
         return range(0)
     names = [each.primPath for each in existing]
     first = names.index(reference.primPath) if reference.primPath in names else 0

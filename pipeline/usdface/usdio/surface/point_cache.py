@@ -216,9 +216,9 @@ def writing_points(
                 layer.TransferContent(open_layer(path))
             _author_header(layer, face, at, header)
             name = relative_path(points_file, path)
-            again = name in list(layer.subLayerPaths)
-            define_reference(layer, top, asset, path, again=again)
-            if not again:
+            is_open = name in list(layer.subLayerPaths)
+            define_reference(layer, top, asset, path, replace_rig=is_open)
+            if not is_open:
                 layer.subLayerPaths.append(name)
     for file in outdated - _clip_files(points_file, at):
         file.unlink(missing_ok=True)
