@@ -184,7 +184,7 @@ def _mapped(folder: Path, frames: int, method: str) -> dict[str, float]:
     from usdface.model.mapping.head_space import MappedMarkers
     from usdface.model.mapping.motion_space import fit_motion_space
     from usdface.model.mapping.train import train_mapping
-    from usdface.steps.performance.map import Block, predict_pipelined
+    from usdface.steps.performance.map import MarkerSource, predict_pipelined
 
     rng = np.random.default_rng(0)
     neutral = rng.uniform(-70, 70, (MARKERS, 3))
@@ -223,7 +223,7 @@ def _mapped(folder: Path, frames: int, method: str) -> dict[str, float]:
     clouds, _ = markers(0, 10 * BLOCK)
     visible, sure = np.ones((BLOCK, MARKERS), dtype=bool), np.ones((BLOCK, MARKERS), np.float32)
 
-    def placed() -> Iterator[Block]:
+    def placed() -> Iterator[MarkerSource]:
         for start in range(0, frames, BLOCK):
             part = clouds[start % len(clouds) :][: min(BLOCK, frames - start)]
             yield partial(MappedMarkers, part, visible[: len(part)], sure[: len(part)])

@@ -15,7 +15,7 @@ from usdface.steps.performance import map as predict_blocks
 ROWS = 40
 
 
-def blocks(positions: np.ndarray, taken: list[int]) -> Iterator[predict_blocks.Block]:
+def blocks(positions: np.ndarray, taken: list[int]) -> Iterator[predict_blocks.MarkerSource]:
     for start in range(0, len(positions), ROWS):
         taken.append(start)
         part = positions[start : start + ROWS].astype(np.float32)

@@ -12,10 +12,7 @@ from usdface.core.errors import InputError
 from usdface.model.mapping.head_space import MINIMUM_SHARE, HeadSpace, find_head_space
 from usdface.model.mapping.performer_face import PerformerFace, face_of_mapping
 from usdface.model.mapping.take_neutral import TakeNeutral
-from usdface.model.placement.plausibility import (
-    check_findings,
-    judge_markers,
-)
+from usdface.model.placement.plausibility import check_findings, judge_markers
 from usdface.model.placement.rig_orientation import check_rig_upright
 from usdface.numerics.registration.marker_application import SAMPLE_FRAMES
 from usdface.usdio.take.read import TakeReader, read_take
@@ -61,8 +58,8 @@ def read_markers_at(take: TakeReader, frames: Sequence[int]) -> Markers:
 
 
 FEWEST_RIGID = 3
-MIDDLE_FRAMES = 20_000
-"""Frames for a median, accurate to a hundredth of the noise."""
+_COMPARED_FRAMES = 20_000
+"""Frames of a take that are compared with those before it; their median has 1 % of the noise."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +87,7 @@ class CleanedTakes:
     neutrals: tuple[TakeNeutral, ...]
     """Difference of each take's neutral face from the first one's, removed from `positions`."""
 
-    def places(self, rows: IntArray) -> list[tuple[int, int]]:
+    def take_rows(self, rows: IntArray) -> list[tuple[int, int]]:
         """Return the take of each row of all frames, and its row in that take."""
         starts = np.cumsum([0, *(len(clip) for clip in self.positions)])
         take = np.searchsorted(starts, rows, side="right") - 1
@@ -114,12 +111,14 @@ class CleanedTakes:
     def positions_at(self, rows: IntArray) -> Float32Array:
         """Return the markers at rows of all frames, (rows, markers, 3) [mm]."""
         shape = (len(rows), len(self.marker_names), 3)
-        found = [self.positions[take][row] for take, row in self.places(rows)]
+        found = [self.positions[take][row] for take, row in self.take_rows(rows)]
         return np.array(found, dtype=np.float32).reshape(shape)
 
     def usable_at(self, rows: IntArray) -> BoolArray:
         """Return which markers were measured or repaired at rows of all frames."""
-        return np.array([self.usable[take][row] for take, row in self.places(rows)], dtype=np.bool_)
+        return np.array(
+            [self.usable[take][row] for take, row in self.take_rows(rows)], dtype=np.bool_
+        )
 
 
 def read_cleaned(path: Path, *, need_markers: bool = True) -> Take:
@@ -149,7 +148,7 @@ def check_neutral_frame(path: Path, markers: Markers, first: int, last: int) -> 
 
 
 def read_cleaned_takes(paths: tuple[Path, ...]) -> CleanedTakes:
-    """Read cleaned takes and bring them together."""
+    """Read cleaned takes in a common marker order, head space and neutral face."""
     takes = [read_cleaned(path) for path in paths]
     _check_names(paths, takes)
     _check_performers(paths, takes)
@@ -202,13 +201,13 @@ def _onto_first(
     marker_names, rigid = names
     neutrals = [TakeNeutral(marker_names, np.zeros_like(neutral))]
     for index in range(1, len(takes)):
-        frames, seen = _spread_frames(positions[:index], usable[:index])
+        frames, seen = _sample_takes(positions[:index], usable[:index])
         face = PerformerFace(
             marker_names, rigid, neutral, frames, seen, takes[0].performer, takes[0].session
         )
         take, cloud = takes[index], takes[index].markers
         row = 0 if cloud is None else cloud.neutral_frame - take.first_frame
-        rows = sample_frames(take.frame_count, MIDDLE_FRAMES)
+        rows = sample_frames(take.frame_count, _COMPARED_FRAMES)
         if 0 <= row < take.frame_count:
             rows = np.union1d(rows, row)
         sample = Markers(
@@ -236,7 +235,7 @@ def _onto_first(
     return tuple(neutrals)
 
 
-def _spread_frames(
+def _sample_takes(
     positions: list[Float32Array], usable: list[BoolArray]
 ) -> tuple[FloatArray, BoolArray]:
     """Return an equal number of frames of each take, and which markers are usable there."""
@@ -293,7 +292,7 @@ def _check_performers(paths: tuple[Path, ...], takes: list[Take]) -> None:
         )
 
 
-_SAMPLE_FRAMES = 64
+_WARNING_FRAMES = 64
 
 
 def plausibility_notes(takes: CleanedTakes, paths: tuple[Path, ...], rig: Rig) -> list[str]:
@@ -315,8 +314,7 @@ def take_warnings(take: TakeReader) -> list[str]:
     """Return warnings about a take: those of ingest, else by frames spread over it."""
     if take.warnings is not None:
         return list(take.warnings)
-    frames = np.unique(np.linspace(take.first_frame, take.last_frame, _SAMPLE_FRAMES).astype(int))
-    markers = take.read_markers_at(frames.tolist())
+    markers = take.read_markers_at(spread_frames(take, _WARNING_FRAMES))
     return [] if markers is None else list(_judge(markers, take.path, None))
 
 

@@ -38,7 +38,7 @@ from usdface.usdio.references.weight_layers import read_keyed_references
 NEXT_FRAME_COUNT = 10
 """Number of frames to suggest."""
 
-LEAST_MARKERS = 0.5
+LEAST_MARKER_SHARE = 0.5
 """Smallest share of a take's markers that references must have."""
 
 
@@ -240,11 +240,12 @@ def _with_markers_of(
     columns = [i for i, name in enumerate(takes.marker_names) if name in references.marker_names]
     names = tuple(takes.marker_names[i] for i in columns)
     rigid = tuple(name for name in takes.rigid if name in names)
-    if len(names) < LEAST_MARKERS * len(takes.marker_names) or len(rigid) < FEWEST_RIGID:
+    if len(names) < LEAST_MARKER_SHARE * len(takes.marker_names) or len(rigid) < FEWEST_RIGID:
         raise InputError(
             f"{spec.references}: has {len(names)} of the takes' {len(takes.marker_names)} markers, "
-            f"{len(rigid)} of them rigid; at least {LEAST_MARKERS:.0%} and {FEWEST_RIGID} rigid "
-            "ones are needed. Give takes of the marker set that the references were selected from"
+            f"{len(rigid)} of them rigid; at least {LEAST_MARKER_SHARE:.0%} and {FEWEST_RIGID} "
+            "rigid ones are needed. Give takes of the marker set that the references were selected "
+            "from"
         )
     if len(names) == len(takes.marker_names):
         return takes

@@ -129,7 +129,7 @@ class PlacementScene:
 
     def judge(self, placement: RigPlacement) -> PlacedTakes:
         """Judge a placement of these markers on this rig."""
-        row_of = _bound(placement)
+        row_of = _rows_by_name(placement)
         rows = [row for row, name in enumerate(self._takes.marker_names) if name in row_of]
         names = tuple(self._takes.marker_names[row] for row in rows)
         cloud = self._cloud
@@ -157,7 +157,7 @@ class PlacementScene:
         )
 
 
-def _bound(placement: RigPlacement) -> dict[str, int]:
+def _rows_by_name(placement: RigPlacement) -> dict[str, int]:
     """Return the row of every marker that the placement does not leave out."""
     return {
         name: row
@@ -197,7 +197,7 @@ def _missing(placement: RigPlacement, names: tuple[str, ...]) -> list[str]:
 
 def is_placement_of(placement: RigPlacement, names: tuple[str, ...], neutral: FloatArray) -> bool:
     """Whether a placement is of these markers and this performer's face."""
-    row_of = _bound(placement)
+    row_of = _rows_by_name(placement)
     bound = [marker for marker, name in enumerate(names) if name in row_of]
     if len(_missing(placement, names)) > (1 - _LEAST_COMMON_SHARE) * len(names):
         return False
@@ -219,7 +219,7 @@ def virtual_markers(
     `neutral`: the performer's neutral face in that space, (markers, 3) [mm]. Markers that the
     placement leaves out get the place of the first; see `placed_equation`.
     """
-    row_of = _bound(placement)
+    row_of = _rows_by_name(placement)
     rows = [row_of.get(name, 0) for name in names]
     bound = [marker for marker, name in enumerate(names) if name in row_of]
     here, there = neutral[bound], placement.neutral[[row_of[names[m]] for m in bound]]
@@ -247,7 +247,7 @@ def placed_equation(
     labels, neutral = performer.labels, performer.neutral
     if placement is None or not is_placement_of(placement, labels, neutral):
         return set_up_equation(rig, deformer, performer)
-    unplaced = [m for m, name in enumerate(labels) if name not in _bound(placement)]
+    unplaced = [m for m, name in enumerate(labels) if name not in _rows_by_name(placement)]
     used = replace(performer, rigid=tuple(sorted({*performer.rigid, *unplaced})))
     made = equation_at(rig, deformer, virtual_markers(placement, labels, neutral), used)
     return replace(made, unplaced=tuple(unplaced))
@@ -279,7 +279,7 @@ def rest_places(references: References, rig: Rig, points: FloatArray) -> RestPla
         placement, references.marker_names, references.neutral
     ):
         return RestPlaces(points)
-    binding, row_of = placement.binding, _bound(placement)
+    binding, row_of = placement.binding, _rows_by_name(placement)
     at = binding.places.positions(rig_surfaces(rig)[0].mesh.points)
     places = np.full((len(references.marker_names), 3), np.nan)
     for marker, name in enumerate(references.marker_names):
@@ -311,7 +311,7 @@ def draw_placement(
 ) -> ByteImage:
     """Draw the markers on the rig with the verdict."""
     placement, verdict = placed.placement, placed.verdict
-    row_of = _bound(placement)
+    row_of = _rows_by_name(placement)
     names, rows = tuple(row_of), list(row_of.values())
     binding = placement.binding
     yaw = facing_degrees(rig)

@@ -144,7 +144,7 @@ def _equation(
     )
 
 
-_GLANCE_FRAMES = 2000
+_HEAD_SPACE_FRAMES = 2000
 """Frames used to find the head space, evenly spread."""
 
 
@@ -174,7 +174,7 @@ def takes_prediction(mapping: TrainedMapping, takes: CleanedTakes) -> TakesPredi
 
 def takes_head_space(face: PerformerFace, takes: CleanedTakes) -> HeadSpace:
     """Find the transform from the common head space of takes to that of a face."""
-    rows = sample_frames(len(takes.frames), _GLANCE_FRAMES)
+    rows = sample_frames(len(takes.frames), _HEAD_SPACE_FRAMES)
     first = takes.sources[0]
     return find_head_space(
         face,

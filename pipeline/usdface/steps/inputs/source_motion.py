@@ -85,7 +85,7 @@ class SourceMotion:
         Mean square of its weight times, if the rig is known, the squared displacement of its
         surface.
         """
-        motion = (self.weights**2).mean(axis=0) * self._reach()
+        motion = (self.weights**2).mean(axis=0) * self._squared_displacements()
         looks = look_shapes(self.names)
         named = dict(zip(self.names, motion.tolist(), strict=True))
         of_face = {name: 0.0 if name in looks else named[name] for name in self.moving}
@@ -94,8 +94,8 @@ class SourceMotion:
             name: each / total for name, each in sorted(of_face.items(), key=lambda item: -item[1])
         }
 
-    def _reach(self) -> FloatArray:
-        """Return the squared displacement of the rig's surface by each shape; 1 without a rig."""
+    def _squared_displacements(self) -> FloatArray:
+        """Return those of the rig's surface, summed over points, by each shape; 1 without a rig."""
         if self.rig is None or not self.rig[0].is_file():
             return np.ones(len(self.names))
         rig = read_rig(self.rig[0], prim=self.rig[1])
@@ -168,10 +168,10 @@ def source_transfer(
         transfer = transfer_by_table(names, motion.names, wanted)
     matched, moving = set(transfer.matched), motion.moving
     if not matched or (moving and not matched & set(moving)):
-        lost = moving if matched else motion.names
-        what = pluralize(len(lost), "moving shape" if matched else "shape")
+        unmatched = moving if matched else motion.names
+        what = pluralize(len(unmatched), "moving shape" if matched else "shape")
         raise InputError(
-            f"{path}: none of its {what} ({first_few(lost, most=3)}) "
+            f"{path}: none of its {what} ({first_few(unmatched, most=3)}) "
             f"has a counterpart among {first_few(wanted, most=3)}, so nothing would move; write a "
             "table of pairs with `usdface names RIG SOURCE --out FILE.csv`, edit it and give it "
             "with --names" + "".join(f". {note}" for note in meaning_notes(transfer))
@@ -189,8 +189,8 @@ def source_columns(
 
 def unmatched_moving(transfer: Transfer, motion: SourceMotion) -> tuple[str, ...]:
     """Return moving shapes without a counterpart, the largest motion first."""
-    lost = set(motion.moving) - set(transfer.matched)
-    return tuple(name for name in motion.shares if name in lost) if lost else ()
+    unmatched = set(motion.moving) - set(transfer.matched)
+    return tuple(name for name in motion.shares if name in unmatched) if unmatched else ()
 
 
 def _rig_of(performance: PerformanceReader) -> tuple[Path, str] | None:
@@ -202,13 +202,13 @@ def _rig_of(performance: PerformanceReader) -> tuple[Path, str] | None:
 
 def _transfer_notes(path: Path, transfer: Transfer, motion: SourceMotion) -> tuple[str, ...]:
     notes = meaning_notes(transfer)
-    lost = unmatched_moving(transfer, motion)
-    if lost:
-        share = sum(motion.shares[name] for name in lost)
+    unmatched = unmatched_moving(transfer, motion)
+    if unmatched:
+        share = sum(motion.shares[name] for name in unmatched)
         of_motion = f" ({share:.0%} of the motion)" if share >= 0.01 else ""
         notes.append(
-            f"{path.name}: no counterpart for {pluralize(len(lost), 'moving shape')}{of_motion}: "
-            f"{first_few(lost)}; pair them with --names, or leave them out"
+            f"{path.name}: no counterpart for {pluralize(len(unmatched), 'moving shape')}"
+            f"{of_motion}: {first_few(unmatched)}; pair them with --names, or leave them out"
         )
     return tuple(notes)
 
@@ -242,7 +242,7 @@ def _gaps(
 
 LARGEST_NAMES_BYTES = 16 << 20
 COLUMNS = ("source", "target", "weight")
-LARGEST_SHARE = 10.0
+_LARGEST_WEIGHT = 10.0
 """Largest weight in a table; larger ones are percent or typing errors."""
 
 
@@ -336,9 +336,9 @@ def _checked(path: Path, where: str, row: dict[str, object]) -> tuple[str, str, 
         weight = 1.0 if given in (None, "") else float(str(given))
     except ValueError:
         weight = math.nan
-    if not abs(weight) <= LARGEST_SHARE:
+    if not abs(weight) <= _LARGEST_WEIGHT:
         raise InputError(
-            f"{path} {where}: weight {given!r} of {source} is no number from -{LARGEST_SHARE:g} to "
-            f"{LARGEST_SHARE:g}; 1 keeps the weight"
+            f"{path} {where}: weight {given!r} of {source} is no number from "
+            f"-{_LARGEST_WEIGHT:g} to {_LARGEST_WEIGHT:g}; 1 keeps the weight"
         )
     return where, source, target, weight

@@ -252,7 +252,7 @@ def _exported_table(
 USUAL_RATES = (24.0, 25.0, 30.0, 50.0, 60.0, 120.0, 24 / 1.001, 30 / 1.001, 60 / 1.001)
 """[frames/s]"""
 _FEWEST_COUNTED = 20
-"""Fewest rows that tell their rate by their weights."""
+"""Fewest rows from whose weights a rate is inferred."""
 _LEAST_MISCOUNT = 0.03
 """Smallest root mean square difference of weights that another rate may explain."""
 _LISTED_SHAPES = 5

@@ -43,23 +43,25 @@ from usdface.usdio.take.read import TakeReader
 MAX_WORKERS = 4
 """Largest number of prediction threads; the writing thread cannot consume the output of more."""
 
-Block = Callable[[], MappedMarkers]
+MarkerSource = Callable[[], MappedMarkers]
 """Returns the markers of some frames in the mapping's space; called in a prediction thread."""
 
 QUEUE_DEPTH = 2
 """Predicted blocks that wait to be written, to bound memory."""
 
 
-def predict_pipelined(mapping: TrainedMapping, blocks: Iterator[Block]) -> Iterator[Prediction]:
-    """Yield the prediction of each block, in order, while threads predict the next ones.
+def predict_pipelined(
+    mapping: TrainedMapping, sources: Iterator[MarkerSource]
+) -> Iterator[Prediction]:
+    """Yield the prediction of each source, in order, while threads predict the next ones.
 
     Array arithmetic releases the interpreter lock, which writing samples needs. The result does not
     depend on the number of threads.
     """
     predictor = WeightPredictor(mapping)
 
-    def predict(block: Block) -> Prediction:
-        markers = block()
+    def predict(source: MarkerSource) -> Prediction:
+        markers = source()
         return predictor.predict(
             markers.positions, visible=markers.visible, confidence=markers.confidence
         )
@@ -67,8 +69,8 @@ def predict_pipelined(mapping: TrainedMapping, blocks: Iterator[Block]) -> Itera
     workers = min(MAX_WORKERS, usable_cores())
     with ThreadPoolExecutor(max_workers=workers, thread_name_prefix="predict") as pool:
         pending: deque[Future[Prediction]] = deque()
-        for block in blocks:
-            pending.append(pool.submit(predict, block))
+        for source in sources:
+            pending.append(pool.submit(predict, source))
             if len(pending) >= workers + QUEUE_DEPTH:
                 yield pending.popleft().result()
         while pending:
@@ -76,13 +78,13 @@ def predict_pipelined(mapping: TrainedMapping, blocks: Iterator[Block]) -> Itera
 
 
 def predict_with_keyed_blend(
-    mapping: TrainedMapping, placed: Iterator[Block], alpha: Path, blocks: list[range]
+    mapping: TrainedMapping, sources: Iterator[MarkerSource], alpha: Path, windows: list[range]
 ) -> Iterator[Prediction]:
-    """Yield the prediction of each block, with the share of `alpha` at each frame."""
-    keyed = [read_alpha(alpha, np.arange(block.start, block.stop)) for block in blocks]
+    """Yield the prediction of each window of frames, with the share of `alpha` at each frame."""
+    keyed = [read_alpha(alpha, np.arange(window.start, window.stop)) for window in windows]
     parts = [
         predict_pipelined(replace(mapping, settings=mapping.settings | {"alpha": share}), each)
-        for share, each in zip((1.0, 0.0), tee(placed), strict=True)
+        for share, each in zip((1.0, 0.0), tee(sources), strict=True)
     ]
     for share, network, regression in zip(keyed, *parts, strict=True):
         blend = share[:, None] * network.weights + (1 - share[:, None]) * regression.weights
@@ -205,12 +207,12 @@ def _predict(
     windows: list[range],
 ) -> Iterator[Prediction]:
     """Yield the prediction of each window of frames."""
-    placed = (
+    sources = (
         partial(space.place, read_markers(take, each.start, each.stop - 1)) for each in windows
     )
     if spec.alpha is None:
-        return predict_pipelined(mapping, placed)
-    return predict_with_keyed_blend(mapping, placed, spec.alpha, windows)
+        return predict_pipelined(mapping, sources)
+    return predict_with_keyed_blend(mapping, sources, spec.alpha, windows)
 
 
 def _driven(

@@ -41,11 +41,11 @@ _LEAST_GAIN_DEVIATION = 0.03
 """Standard deviation of the gains of pairs that is reported; one animator's own is of that size."""
 
 _CRITICAL_T = 3.0
-"""Student's t of the mean cosine of the asymmetries of keys and proposals whose negative calls all
-keys mirrored."""
-_OPPOSITE, _ASYMMETRIC = 0.5, 0.15
-"""Cosine whose negative calls one pair mirrored, and least length of both asymmetries: of eighty
-right pairs of two performers, it was above -0.3."""
+"""All keys count as mirrored if Student's t of the mean cosine between the asymmetries of keys and
+proposals is below its negative."""
+_MIRRORED_COSINE, _LEAST_ASYMMETRY = -0.5, 0.15
+"""A pair counts as mirrored below this cosine; least length of both asymmetries. In eighty correct
+pairs of two performers, the cosine was above -0.3."""
 
 _SHOWN_MM = 0.5
 """Largest displacement of a marker by a full shape, below which markers do not show the shape."""
@@ -57,8 +57,8 @@ def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress = silent)
     rig = read_rig_of(references, spec.references)
     notes += check_rig_upright(rig)
     deformer = Deformer(rig)
-    found = dict(zip(rig.shapes, shape_parts(rig, deformer), strict=True))
-    references = replace(references, parts=tuple(found[name] for name in references.shape_names))
+    part_of = dict(zip(rig.shapes, shape_parts(rig, deformer), strict=True))
+    references = replace(references, parts=tuple(part_of[name] for name in references.shape_names))
     mapping = _train(spec, references, rig, deformer, progress)
     write_mapping(spec.out, mapping, provenance=provenance)
     # Shapes that move markers and are 0 in every pair, the largest motion first.
@@ -113,17 +113,17 @@ def _train(
     columns = [rig.shapes.index(name) for name in references.shape_names]
     offsets = deformer.shapes.target_offsets()
     points = skin_points(offsets)
-    bends, bent_skin = in_betweens(rig, deformer, points, references.shape_names)
+    between, between_skin = in_betweens(rig, deformer, points, references.shape_names)
     poses = columns_by_name(references.weights, references.shape_names, rig.shapes)
     mapping = train_mapping(
-        replace(references, combinations=(*references.combinations, *bends)),
+        replace(references, combinations=(*references.combinations, *between)),
         ranges=rig.ranges_of(references.shape_names),
         gram=deformer.shapes.gram(poses)[np.ix_(columns, columns)],
         skin=np.concatenate(
             [
                 offsets_at(offsets, points)[columns],
                 offsets_at(deformer.shapes.combination_offsets(), points),
-                bent_skin,
+                between_skin,
             ]
         ),
         rest=rest_places(references, rig, deformer.neutral[points]),
@@ -155,12 +155,12 @@ def _mirrored_notes(spec: TrainSpec, references: References) -> list[str]:
     keyed[:, gaze_and_tongue_shapes(references.shape_names)] = 0.0
     sizes = np.linalg.norm(keyed, axis=1), np.linalg.norm(proposed, axis=1)
     cosine = (keyed * proposed).sum(axis=1) / np.maximum(sizes[0] * sizes[1], 1e-12)
-    known = np.minimum(*sizes) > _ASYMMETRIC
+    known = np.minimum(*sizes) > _LEAST_ASYMMETRY
     judged = cosine[known]
     if len(judged) > 1 and judged.mean() < -_CRITICAL_T * judged.std() / len(judged) ** 0.5:
         which = "the keys"
     else:
-        wrong = rows[known & (cosine < -_OPPOSITE)]
+        wrong = rows[known & (cosine < _MIRRORED_COSINE)]
         if not len(wrong):
             return []
         which = counted((1 + wrong).tolist(), "pair")
@@ -171,7 +171,7 @@ def _mirrored_notes(spec: TrainSpec, references: References) -> list[str]:
 
 
 def _proposal_error(spec: TrainSpec, mapping: TrainedMapping, references: References) -> FloatArray:
-    """Return the error of weights trained on proposals; see `proposal_error`."""
+    """Return the terms of the uncertainty due to proposals; see `proposal_error`."""
     low, high = mapping.ranges.T
     shown = np.clip((references.weights - low) / (high - low), 0.0, 1.0)
     proposals = None

@@ -79,7 +79,7 @@ def select_by_weights(spec: SelectSpec, rig: Rig, progress: Progress) -> WeightS
         rig_file=rig.file,
         rig_prim=rig.prim,
         combinations=rig.combinations,
-        emotions=tuple(motions[take].emotion for take, _ in takes.places(rows)),
+        emotions=tuple(motions[take].emotion for take, _ in takes.take_rows(rows)),
         performer=takes.sources[0].performer,
         session=takes.sources[0].session,
         rate=float(takes.sources[0].rate),
