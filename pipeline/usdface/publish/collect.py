@@ -16,7 +16,7 @@ from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.take.read import is_take
 from usdface.usdio.validation import Finding
 
-MAKERS = ("map", "join", "retarget", "warp")
+PERFORMANCE_STEPS = ("map", "join", "retarget", "warp")
 """Steps that write performances."""
 
 
@@ -107,7 +107,7 @@ def _in_folder(folder: Path) -> list[Path]:
 def _is_performance(path: Path) -> bool:
     try:
         made = read_provenance(path)
-        if made is None or made.step not in MAKERS:
+        if made is None or made.step not in PERFORMANCE_STEPS:
             return False
         # Its other layers (weights, their parts and seams, controls) have the same provenance;
         # only the layer to open has a weights file of its name.
@@ -124,7 +124,7 @@ def validate_performance(item: PublishItem) -> tuple[Finding, ...]:
     findings = check_layer(item.performance)
     if item.take is None:
         made = read_provenance(item.performance)
-        again = (
+        remedy = (
             "retarget a take again (ingest a capture first)"
             if made is not None and made.step == "retarget"
             else "map it again"
@@ -135,7 +135,7 @@ def validate_performance(item: PublishItem) -> tuple[Finding, ...]:
                 "usdface:take",
                 str(item.performance),
                 "its take is unknown or missing, so it is published without a sheet; "
-                f"{again} to have one",
+                f"{remedy} to have one",
             )
         )
     return tuple(sorted(findings, key=lambda finding: finding.severity != "error"))

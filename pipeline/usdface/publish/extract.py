@@ -95,7 +95,9 @@ def extract_performance(
     try:
         folder.mkdir(parents=True)
     except OSError as error:
-        raise InputError(f"{folder.parent}: cannot be made: {error.strerror}") from error
+        raise InputError(
+            f"{folder.parent}: cannot be made: {error.strerror}; choose another root folder"
+        ) from error
     try:
         extracted = _extract(item, folder, review, progress)
     except BaseException:

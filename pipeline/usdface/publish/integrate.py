@@ -64,10 +64,13 @@ def integrate_performance(extracted: Extracted, *, comment: str = "") -> Publish
             if (parent / _folder_name(version)).exists():
                 continue  # a concurrent publish
             raise InputError(
-                f"{parent / _folder_name(version)}: cannot be made: {error.strerror}"
+                f"{parent / _folder_name(version)}: cannot be made: {error.strerror}; make the "
+                "folder above it writable"
             ) from error
         return _published(extracted, version, is_new=True)
-    raise InputError(f"{parent}: no version number is free after v{newest:03}")
+    raise InputError(
+        f"{parent}: no version is free from v{newest + 1:03} to v{version:03}; publish elsewhere"
+    )
 
 
 def latest_version(folder: Path) -> int:
@@ -86,7 +89,7 @@ def read_manifest(folder: Path) -> dict[str, object]:
             f"{file}: cannot be read ({error}); is this a published version?"
         ) from error
     if not isinstance(data, dict) or not isinstance(data.get("files"), dict):
-        raise InputError(f"{file}: does not describe a published version")
+        raise InputError(f"{file}: does not describe a published version; give a version's folder")
     return data
 
 
@@ -126,7 +129,10 @@ def _write_manifest(
     try:
         (folder / MANIFEST).write_text(text, encoding="utf-8", newline="\n")
     except OSError as error:
-        raise InputError(f"{folder / MANIFEST}: cannot be written: {error.strerror}") from error
+        raise InputError(
+            f"{folder / MANIFEST}: cannot be written: {error.strerror}; free space, or make the "
+            "folder writable"
+        ) from error
 
 
 def _hashes_of(folder: Path) -> dict[str, str] | None:
