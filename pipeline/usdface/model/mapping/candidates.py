@@ -10,25 +10,14 @@ from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.core.assets import CandidateScore, References
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress
-from usdface.model.mapping.corrected_pairs import (
-    CorrectedPairs,
-    correct_pairs,
-)
-from usdface.model.mapping.uncertainty import (
-    TOLERANCE_CONFIDENCE,
-    UncertaintyModel,
-    squared_motion,
-)
+from usdface.model.mapping.corrected_pairs import CorrectedPairs, correct_pairs
+from usdface.model.mapping.uncertainty import TOLERANCE_CONFIDENCE, UncertaintyModel, squared_motion
 from usdface.model.placement.label_hints import are_image_landmarks
 from usdface.model.regressions import AUTO, find_method
 from usdface.model.regressions.base import Choices, Fitted, Pairs, Regression, Settings
 from usdface.model.regressions.bent_weights import unbend
 from usdface.model.regressions.frame_solve import FrameSolution, FrameSolver
-from usdface.numerics.regression.cross_validation import (
-    blocked_folds,
-    surface_rms_mm,
-    weight_rmse,
-)
+from usdface.numerics.regression.cross_validation import blocked_folds, surface_rms_mm, weight_rmse
 
 MINIMUM_TO_COMPARE = 8
 """Fewest pairs for cross-validation; with fewer, the first candidate is taken."""

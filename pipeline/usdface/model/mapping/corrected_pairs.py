@@ -11,11 +11,7 @@ from usdface.model.regressions.base import Pairs, Regression
 from usdface.model.regressions.bent_weights import bend, unbend
 from usdface.model.regressions.driven_motion import DrivenMotion, driven_weights
 from usdface.model.regressions.forward_model import ForwardModel, ForwardScales, fit_forward_model
-from usdface.model.regressions.frame_solve import (
-    LANDMARK_INFLATION,
-    MARKER_INFLATION,
-    FrameSolver,
-)
+from usdface.model.regressions.frame_solve import LANDMARK_INFLATION, MARKER_INFLATION, FrameSolver
 from usdface.numerics.regression.marker_prior import fit_marker_basis
 from usdface.numerics.rigid.skin_rotation import rotate_deltas, skin_rotations
 from usdface.numerics.solve.bounded_least_squares import minimise_within_bounds

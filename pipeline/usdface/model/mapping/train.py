@@ -16,10 +16,7 @@ from usdface.model.mapping.candidates import (
     list_candidates,
 )
 from usdface.model.mapping.checks import check_dimensions, check_references, check_skin
-from usdface.model.mapping.corrected_pairs import (
-    CorrectedPairs,
-    find_contradicted,
-)
+from usdface.model.mapping.corrected_pairs import CorrectedPairs, find_contradicted
 from usdface.model.mapping.motion_space import marker_coordinates, motion_arrays, motion_of_pairs
 from usdface.model.mapping.pair_gains import mean_gains
 from usdface.model.mapping.regions import (

@@ -24,13 +24,7 @@ increases with the distance of a frame from the references.
 import numpy as np
 
 from usdface.core.arrays import Arrays, FloatArray, IntArray, sample_frames
-from usdface.model.regressions.base import (
-    Fitted,
-    Pairs,
-    ProcessPredictor,
-    Regression,
-    Settings,
-)
+from usdface.model.regressions.base import Fitted, Pairs, ProcessPredictor, Regression, Settings
 from usdface.numerics.regression.gaussian_process import (
     NOISES,
     ProcessSettings,

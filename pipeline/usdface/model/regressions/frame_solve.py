@@ -44,11 +44,7 @@ from usdface.core.arrays import (
 from usdface.core.assets import MEASURED_CONFIDENCE
 from usdface.model.regressions.bent_weights import unbend_slope
 from usdface.model.regressions.forward_model import ForwardModel
-from usdface.model.regressions.frame_likelihood import (
-    FrameJacobians,
-    MarkerWeight,
-    SharedJacobian,
-)
+from usdface.model.regressions.frame_likelihood import FrameJacobians, MarkerWeight, SharedJacobian
 from usdface.numerics.solve.bounded_least_squares import minimise_within_bounds
 from usdface.numerics.solve.hessian import invert_by_halves
 

@@ -28,11 +28,7 @@ from usdface.numerics.repair.outliers import USUAL_RATE, find_lost, find_outlier
 from usdface.numerics.repair.relabeling import Swap, apply_swaps, find_swaps
 from usdface.numerics.repair.slips import Slip, find_slips, undo_slips
 from usdface.numerics.repair.smoothing import smooth_poses, smooth_take
-from usdface.numerics.rigid.rigid_alignment import (
-    align_frames,
-    alignment_of,
-    remove_motion,
-)
+from usdface.numerics.rigid.rigid_alignment import align_frames, alignment_of, remove_motion
 from usdface.numerics.rigid.stabilization import stabilize, stabilize_by_prior
 
 _RELABEL_ROUNDS = 4

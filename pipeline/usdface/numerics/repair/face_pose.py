@@ -29,11 +29,7 @@ from scipy.spatial.transform import Rotation
 from usdface.core.arrays import BoolArray, FloatArray, RealArray, frame_blocks
 from usdface.core.processes import map_threads
 from usdface.numerics.repair.low_rank import LowRankModel
-from usdface.numerics.rigid.rigid_alignment import (
-    align_frames,
-    alignment_of,
-    remove_motion,
-)
+from usdface.numerics.rigid.rigid_alignment import align_frames, alignment_of, remove_motion
 
 _BLOCK_FRAMES = 256
 """The derivatives of a hundred markers take 4 MB."""
