@@ -137,8 +137,8 @@ def _extract(
     files |= {role: each.name for role, each in driving.items() if each.is_file()}
     if item.take is None:
         return Extracted(item, folder, files)
-    if reader.moved:
-        log.warning("%s: no pictures: a layer moves it %s", item.performance, reader.moved)
+    if reader.time_shift:
+        log.warning("%s: no pictures: a layer moves it %s", item.performance, reader.time_shift)
         return Extracted(item, folder, files)
     if review.sheet:
         sheet = folder / f"{item.name}.sheet.jpg"

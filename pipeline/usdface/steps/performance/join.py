@@ -105,11 +105,12 @@ def _check_parts(readers: list[PerformanceReader], headers: list[WeightsHeader])
 
 def _check_not_moved(readers: list[PerformanceReader]) -> None:
     """Refuse parts with layer offsets, as their layers' samples stay at the mapped frames."""
-    moved = next((reader for reader in readers if reader.moved), None)
+    moved = next((reader for reader in readers if reader.time_shift), None)
     if moved is not None:
         raise InputError(
-            f"{moved.path}: a layer above moves it {moved.moved}, which value clips and layers "
-            "that drive joints do not support; join without that, and move the joined performance"
+            f"{moved.path}: a layer above moves it {moved.time_shift}, which value clips and "
+            "layers that drive joints do not support; join without that, and move the joined "
+            "performance"
         )
 
 

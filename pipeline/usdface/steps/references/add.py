@@ -31,10 +31,10 @@ def run(
     """Add the frames with the performance's weights as proposals."""
     old = read_references(spec.references)
     reader = PerformanceReader(spec.performance)
-    if reader.moved:
+    if reader.time_shift:
         raise InputError(
-            f"{spec.performance}: a layer moves its weights {reader.moved}, so that its frames are "
-            "others than those of its take; give the performance as mapped"
+            f"{spec.performance}: a layer moves its weights {reader.time_shift}, so that its "
+            "frames are others than those of its take; give the performance as mapped"
         )
     notes: list[str] = []
     take, mapping = find_take_and_mapping(

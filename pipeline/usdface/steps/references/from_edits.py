@@ -125,7 +125,7 @@ def _edited_frames(
         notes.append(f"{performance}: no frame was edited")
         return _NO_FRAMES
     take, mapping = find_take_and_mapping(performance, old, take=moved_take, mapping=spec.mapping)
-    frames = reader.frames_below(reader.frames[rows])
+    frames = reader.take_frames_at(reader.frames[rows])
     captured, seen = captured_markers(take, mapping, old, frames)
     rows, frames, captured = rows[seen], frames[seen], captured[seen]
     if not seen.all():

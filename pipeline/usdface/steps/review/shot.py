@@ -254,11 +254,11 @@ def open_shot(
     keyed = take_file is None and take_of_performance(performance_file) is None
     take_file = performance_file if keyed else find_take(performance_file, take_file)
     reader = PerformanceReader(performance_file)
-    if reader.moved and not keyed:
+    if reader.time_shift and not keyed:
         raise InputError(
             f"{performance_file}: a layer offset or another timeCodesPerSecond moves its weights "
-            f"{reader.moved}, so they do not match those of {take_file}; give the performance as "
-            "mapped"
+            f"{reader.time_shift}, so they do not match those of {take_file}; give the performance "
+            "as mapped"
         )
     performance = read_performance(performance_file)
     if keyed:

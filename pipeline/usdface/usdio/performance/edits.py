@@ -26,12 +26,7 @@ from usdface.numerics.motion.key_reduction import (
     reduce_keys,
 )
 from usdface.usdio.authoring import author_timing, check_not_instanced, paths_in, retime_layer
-from usdface.usdio.layers import (
-    new_layers,
-    open_layer,
-    relative_path,
-    usd_errors_as_input_errors,
-)
+from usdface.usdio.layers import new_layers, open_layer, relative_path, usd_errors_as_input_errors
 from usdface.usdio.units import author_units
 
 _OFFSET = "face:edit:"

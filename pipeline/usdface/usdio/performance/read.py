@@ -110,21 +110,21 @@ class PerformanceReader:
         return next(sampled, Sdf.LayerOffset())
 
     @property
-    def moved(self) -> str:
-        """How offsets and rates of the layers above move the weights; empty if they do not."""
+    def time_shift(self) -> str:
+        """Text on how offsets and rates of layers above move the weights; empty if they do not."""
         moved = self._offset
         if moved.IsIdentity():
             return ""
         scaled = "" if moved.scale == 1 else f" and scales their times by {moved.scale:g}"
         return f"by {moved.offset:+g} frames{scaled}"
 
-    def frames_below(self, frames: IntArray) -> IntArray:
-        """Return the frames of the weights' layer, those of its take, at frames of the stage."""
+    def take_frames_at(self, frames: IntArray) -> IntArray:
+        """Return the take's frames, those of the weights' layer, at frames of the stage."""
         times = (frames - self._offset.offset) / self._offset.scale
         below: IntArray = np.rint(times).astype(np.int64)
         if (np.abs(times - below) > _TIME_ROUNDING).any():
             raise InputError(
-                f"{self.path}: a layer moves its weights {self.moved}, so that its frames lie "
+                f"{self.path}: a layer moves its weights {self.time_shift}, so that its frames lie "
                 "between those of the take; move them by whole frames, or edit the performance"
             )
         return below
@@ -337,11 +337,15 @@ def find_animation(stage: Usd.Stage, path: Path, *, prim: str | None = None) -> 
             for each in stage.TraverseAll()  # a layer of weights alone has only overs above
             if each.GetPath().HasPrefix(top)
             and each.IsA(UsdSkel.Animation)
-            and _weight_samples(each)
+            and _has_weight_samples(each)
         }
     if not found:
-        where = f" at or below <{prim}>; check --prim" if prim else ""
-        raise InputError(f"{path}: no active SkelAnimation with blendShapeWeights over time{where}")
+        more = (
+            f" at or below <{prim}>; check --prim"
+            if prim
+            else "; give a performance, or export one"
+        )
+        raise InputError(f"{path}: no active SkelAnimation with blendShapeWeights over time{more}")
     if len(found) > 1:
         raise InputError(
             f"{path}: {len(found)} animations with blendShapeWeights, {', '.join(found)}; "
@@ -358,7 +362,7 @@ def animations_of_skeletons(
     for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
         if prim.IsA(UsdSkel.Skeleton) and prim.GetPath().HasPrefix(below):
             source = UsdSkel.BindingAPI(prim).GetInheritedAnimationSource()
-            if source and _weight_samples(source):
+            if source and _has_weight_samples(source):
                 animations[str(source.GetPath())] = source
     return animations
 
@@ -392,6 +396,6 @@ def read_performance(path: Path) -> Performance:
     )
 
 
-def _weight_samples(prim: Usd.Prim) -> bool:
+def _has_weight_samples(prim: Usd.Prim) -> bool:
     attribute = UsdSkel.Animation(prim).GetBlendShapeWeightsAttr()
     return prim.IsActive() and bool(attribute) and attribute.GetNumTimeSamples() > 0

@@ -230,11 +230,11 @@ class WeightsWriter:
             stop = min(start + block, last + 1)
             with Sdf.ChangeBlock():
                 for path, query, sampled in copied:
-                    own = sampled[slice(*np.searchsorted(sampled, (start, stop)))].tolist()
-                    values = [query.Get(time) for time in own]
+                    inside = sampled[slice(*np.searchsorted(sampled, (start, stop)))].tolist()
+                    values = [query.Get(time) for time in inside]
                     if path == self._weights:
                         self._check_samples(animation, values, stop - start)
-                    for time, value in zip(own, values, strict=True):
+                    for time, value in zip(inside, values, strict=True):
                         write(path, time, value)
             self._count(stop - start)
             copied_to(stop - 1)
