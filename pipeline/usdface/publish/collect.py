@@ -95,8 +95,8 @@ def collect_performance(path: Path) -> PublishItem:
 def _take_of(performance: Path) -> Path | None:
     """Return the take of a performance if it exists, else None."""
     take = take_of_performance(performance)
-    shown = take is not None and is_usd_name(take) and take.is_file() and is_take(take)
-    return take if shown else None
+    is_usable = take is not None and is_usd_name(take) and take.is_file() and is_take(take)
+    return take if is_usable else None
 
 
 def _in_folder(folder: Path) -> list[Path]:

@@ -109,7 +109,7 @@ def _changes(
             shape,
             given[:, 1],
             weights=now,
-            shown=before,
+            current=before,
             solved=solve[rows],
             least=spec.least,
         )

@@ -77,8 +77,8 @@ class HeadSource:
     def drive(
         self, rig: Rig, targets: Sequence[DriveTarget], onto: FloatArray | None = None
     ) -> HeadDrive:
-        """Return transforms, held shapes and notes of the targets; see `transforms`."""
-        held = redundant_look_shapes(rig, targets)
+        """Return transforms, zeroed shapes and notes of the targets; see `transforms`."""
+        zeroed = redundant_look_shapes(rig, targets)
         notes = []
         for target in targets:
             turns = self.turns.get(target.part)
@@ -89,12 +89,12 @@ class HeadSource:
                     f"{target.part} turns by up to {degrees:.0f} degrees"
                     + ("; if that is too far, its angles are not in radians: convert them" * far)
                 )
-        if held:
+        if zeroed:
             notes.append(
-                f"held at 0, as --drive turns the same eyeballs: {first_few(held)}; lids that they "
-                "move do not follow the gaze"
+                f"held at 0, as --drive turns the same eyeballs: {first_few(zeroed)}; lids that "
+                "they move do not follow the gaze"
             )
-        return HeadDrive(self.transforms(rig, targets, onto), held, tuple(notes))
+        return HeadDrive(self.transforms(rig, targets, onto), zeroed, tuple(notes))
 
     def _upright_onto(self, rig: Rig, axes: FloatArray) -> FloatArray:
         onto = np.eye(4)

@@ -65,7 +65,9 @@ def read_phone_labels(spec: SelectSpec, takes: CleanedTakes) -> PhoneLabels:
             emotion_at = [label_at(track.emotions, at) or take_emotion for at in seconds]
         if not any(emotion_at):
             unmarked.append(source.name)
-        viseme_at = [viseme_of(label) or "" if label else "" for label in _labels(track, seconds)]
+        viseme_at = [
+            viseme_of(label) or "" if label else "" for label in _phones_at(track, seconds)
+        ]
         for span in track.phones:
             row = round(span.middle * rate)
             viseme = viseme_of(span.label)
@@ -83,7 +85,7 @@ def read_phone_labels(spec: SelectSpec, takes: CleanedTakes) -> PhoneLabels:
     return PhoneLabels(tuple(segments), tuple(visemes), tuple(emotions), tuple(notes))
 
 
-def _labels(track: PhoneTrack, seconds: Sequence[float]) -> list[str]:
+def _phones_at(track: PhoneTrack, seconds: Sequence[float]) -> list[str]:
     """Return the phone at each time, ``sil`` in silence; empty outside of all phones."""
     if not track.phones:
         return [""] * len(seconds)
@@ -110,10 +112,10 @@ def labels_at(phones: Path | None, take: Take, frames: IntArray) -> tuple[str, .
             "phones of this take"
         )
     seconds = take.seconds(np.asarray(frames, np.float64))
-    return tuple(_label(track, at) for at in seconds.tolist())
+    return tuple(_label_text(track, at) for at in seconds.tolist())
 
 
-def _label(track: PhoneTrack, seconds: float) -> str:
+def _label_text(track: PhoneTrack, seconds: float) -> str:
     phone = label_at(track.phones, seconds)
     viseme = viseme_of(phone) if phone else None
     if viseme is None:

@@ -203,11 +203,11 @@ def is_placement_of(placement: RigPlacement, names: tuple[str, ...], neutral: Fl
         return False
     if len(bound) < FEWEST_MARKERS:
         return False
-    there = placement.neutral[[row_of[names[marker]] for marker in bound]]
+    placed = placement.neutral[[row_of[names[marker]] for marker in bound]]
     everywhere = np.ones((1, len(bound)), np.bool_)
-    turned = align_rigid_robust(neutral[None, bound], there, visible=everywhere)
-    away = neutral[bound] - there @ turned.rotations[0].T - turned.translations[0]
-    size = np.sqrt(((there - there.mean(axis=0)) ** 2).sum(axis=1).mean())
+    turned = align_rigid_robust(neutral[None, bound], placed, visible=everywhere)
+    away = neutral[bound] - placed @ turned.rotations[0].T - turned.translations[0]
+    size = np.sqrt(((placed - placed.mean(axis=0)) ** 2).sum(axis=1).mean())
     return bool(np.sqrt((away**2).sum(axis=1).mean()) <= _SAME_FACE_SHARE * size)
 
 
@@ -222,11 +222,11 @@ def virtual_markers(
     row_of = _rows_by_name(placement)
     rows = [row_of.get(name, 0) for name in names]
     bound = [marker for marker, name in enumerate(names) if name in row_of]
-    here, there = neutral[bound], placement.neutral[[row_of[names[m]] for m in bound]]
+    current, placed = neutral[bound], placement.neutral[[row_of[names[m]] for m in bound]]
     rotation = placement.rotation
-    if not np.array_equal(here, there):  # another head space than the one it was placed in
+    if not np.array_equal(current, placed):  # another head space than the one it was placed in
         everywhere = np.ones((1, len(bound)), np.bool_)
-        turned = align_rigid_robust(there[None], here, visible=everywhere)
+        turned = align_rigid_robust(placed[None], current, visible=everywhere)
         rotation = rotation @ turned.rotations[0]
     places = placement.binding.places
     return VirtualMarkers(

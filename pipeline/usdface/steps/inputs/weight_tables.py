@@ -123,14 +123,19 @@ class WeightTable:
             away = keys[inside] - weights[rows[inside]]
             return float(np.sqrt((away**2).mean())) if away.size else np.inf, int(inside.sum())
 
-        own = error(1.0)[0]
+        as_numbered = error(1.0)[0]
         for rate in USUAL_RATES:
             found, count = error(float(solved.rate) / rate)
-            if count >= _FEWEST_COUNTED and own > _LEAST_MISCOUNT and found < own / 2:
+            if (
+                count >= _FEWEST_COUNTED
+                and as_numbered > _LEAST_MISCOUNT
+                and found < as_numbered / 2
+            ):
                 raise InputError(
                     f"{file}: its rows match {performance} if they count {rate:.5g} frames per "
                     f"second (a difference of {found:.2g} in the weights), not "
-                    f"{float(solved.rate):.5g} ({own:.2g}); export it at the performance's rate"
+                    f"{float(solved.rate):.5g} ({as_numbered:.2g}); export it at the "
+                    "performance's rate"
                 )
 
 
@@ -262,17 +267,17 @@ CLAMP_TOLERANCE = 1e-5
 """Rounding of float32."""
 
 
-def undo_clamping(table: WeightTable, name: str, rows: IntArray, shown: FloatArray) -> FloatArray:
+def undo_clamping(table: WeightTable, name: str, rows: IntArray, current: FloatArray) -> FloatArray:
     """Return a shape's weights at some rows, undoing the clamping of a tool.
 
-    `shown`: (n,), current weights. Where they lie outside `CLAMP_RANGE` and the table has its end,
+    `current`: (n,), weights now. Where they lie outside `CLAMP_RANGE` and the table has its end,
     the weight was clamped and not changed.
     """
     weights: FloatArray = table.weights[rows, table.names.index(name)]
     if not table.clamped:
         return weights
-    end = np.clip(shown, *CLAMP_RANGE)
-    return np.where((end != shown) & (np.abs(weights - end) < CLAMP_TOLERANCE), shown, weights)
+    end = np.clip(current, *CLAMP_RANGE)
+    return np.where((end != current) & (np.abs(weights - end) < CLAMP_TOLERANCE), current, weights)
 
 
 def changed_on_other_meshes(
@@ -281,7 +286,7 @@ def changed_on_other_meshes(
     rows: IntArray,
     *,
     weights: FloatArray,
-    shown: FloatArray,
+    current: FloatArray,
     solved: FloatArray,
     least: float,
 ) -> list[str]:
@@ -290,11 +295,11 @@ def changed_on_other_meshes(
     Meshes whose weights equal the solve were not changed.
     """
     found = []
-    still = np.abs(weights - shown) <= least
+    unchanged = np.abs(weights - current) <= least
     for mesh, curve in table.other_meshes.get(name, {}).items():
         other = curve[rows]
-        changed = (np.abs(other - shown) > least) & (np.abs(other - solved) > least)
-        if (still & changed & ((other > CLAMP_RANGE[0]) & (other < CLAMP_RANGE[1]))).any():
+        changed = (np.abs(other - current) > least) & (np.abs(other - solved) > least)
+        if (unchanged & changed & ((other > CLAMP_RANGE[0]) & (other < CLAMP_RANGE[1]))).any():
             found.append(mesh)
     return found
 

@@ -173,14 +173,14 @@ def _mirrored_notes(spec: TrainSpec, references: References) -> list[str]:
 def _proposal_error(spec: TrainSpec, mapping: TrainedMapping, references: References) -> FloatArray:
     """Return the terms of the uncertainty due to proposals; see `proposal_error`."""
     low, high = mapping.ranges.T
-    shown = np.clip((references.weights - low) / (high - low), 0.0, 1.0)
+    normalised = np.clip((references.weights - low) / (high - low), 0.0, 1.0)
     proposals = None
     layer = proposed_path(spec.references)
     if 0 < references.tuned.sum() < len(references.tuned) and layer.is_file():
         proposals = np.clip((read_proposals(layer, references) - low) / (high - low), 0.0, 1.0)
     return proposal_error(
         mapping.arrays["uncertainty_grams"],
-        shown,
+        normalised,
         references.tuned,
         proposals,
         landmarks=are_image_landmarks(references.marker_names),
