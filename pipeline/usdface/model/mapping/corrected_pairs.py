@@ -126,6 +126,7 @@ def correct_pairs(
             break
         corrected = low + span * unbend(posterior.targets, scales.curve)
         pairs = replace(pairs, outputs=corrected)
+        # The errors of corrected keys are those of the posterior.
         share = posterior.variance.sum() / scales.key_variance(keys).sum()
         forward = fit_pairs_forward(
             pairs, replace(scales, tau=scales.tau * float(np.sqrt(share))), prior

@@ -232,6 +232,11 @@ def predict_weights(
     confidence : (frames, markers) float array, optional
         Confidence in visible positions [0-1], less than 1 in filled gaps. It affects the
         uncertainty, not the weights. By default 1.
+
+    Raises
+    ------
+    InputError
+        If shapes do not fit, a visible position is not finite, or as of `WeightPredictor`.
     """
     return WeightPredictor(mapping).predict(positions, visible=visible, confidence=confidence)
 

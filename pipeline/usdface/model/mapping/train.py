@@ -97,6 +97,11 @@ def train_mapping(
         A key of `usdface.model.regressions.MAPPING_METHODS`, or ``'auto'`` to try several.
     choices : Choices, optional
         Numbers of principal components, and widths, to compare in place of the method's candidates.
+
+    Raises
+    ------
+    InputError
+        If the references, the skin or the choices do not fit each other or the method.
     """
     check = check_references(references, ranges=ranges, gram=gram)
     checked, parts = check.references, references.parts or references.shape_names

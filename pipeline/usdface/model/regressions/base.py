@@ -234,13 +234,13 @@ class Regression:
 
 
 def dimension_choices(
-    pairs: Pairs, fixed: tuple[int, ...], usual: tuple[int, ...]
+    pairs: Pairs, fixed: tuple[int, ...], defaults: tuple[int, ...]
 ) -> tuple[int, ...]:
-    """Return `fixed`, or the usual dimensions, limited by the pairs and the motion space."""
+    """Return `fixed`, or the default dimensions, limited by the pairs and the motion space."""
     if fixed:
         return fixed
     largest = min(len(pairs.inputs) - 1, pairs.inputs.shape[1])
-    return tuple(sorted({min(d, largest) for d in usual}))
+    return tuple(sorted({min(d, largest) for d in defaults}))
 
 
 def leading_inputs(inputs: FloatArray, settings: Settings) -> FloatArray:

@@ -18,11 +18,7 @@ from usdface.model.regressions.base import (
     scale_arrays,
     scaled_inputs,
 )
-from usdface.numerics.regression.kernel_cca import (
-    fit_kernel_cca,
-    median_width,
-    predict_expansion,
-)
+from usdface.numerics.regression.kernel_cca import fit_kernel_cca, median_width, predict_expansion
 
 _MAPPING_WIDTHS = (4.0, 8.0)
 """Candidates, as multiples of the median distance between pairs. Narrower kernels return to the

@@ -24,6 +24,7 @@ _MODEL_ERROR_SHARE = 0.15
 _PAIR_SAMPLES = 24.0
 """Effective number of independent samples of the pairs."""
 _MOTION_ROUNDS, _PLACE_ROUNDS = 3, 6
+"""Alternations of matching with rotation, and of registration, matching by place, and rotation."""
 _SIZE_QUANTILE = 0.97
 """Quantile of the points' motion at which the sizes of two faces are compared."""
 

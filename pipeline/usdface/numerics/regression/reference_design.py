@@ -8,13 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import (
-    ROUNDING_SHARE,
-    BoolArray,
-    FloatArray,
-    IntArray,
-    first_largest,
-)
+from usdface.core.arrays import ROUNDING_SHARE, BoolArray, FloatArray, IntArray, first_largest
 
 KEY_VARIANCE = 1e-2
 """Variance of a tuned weight around the true one; the kernel's is of the order of 10."""

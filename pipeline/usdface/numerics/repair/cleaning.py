@@ -56,7 +56,7 @@ class CleanedMarkers:
     """(frames, markers): measured or filled; False only in gaps that are not filled."""
     confidence: Float32Array
     """(frames, markers) [0-1] 1 as measured, lower where relabelled, filled, or where rigid markers
-    do not tell the pose; 0 in gaps that are not filled."""
+    do not determine the pose; 0 in gaps that are not filled."""
     head_motion: FloatArray
     """(frames, 4, 4): for column vectors: ``captured = head_motion @ stabilised``."""
     swaps: tuple[Swap, ...]
@@ -68,8 +68,8 @@ class CleanedMarkers:
     filled: BoolArray
     """(frames, markers): samples that were not measured or were outliers, and were filled."""
     pose_confidence: FloatArray
-    """(frames,) [0-1] 1 where rigid markers tell the head's pose; else one minus the variance of
-    the pose over that of the markers' motion, or lower the longer the gap, where interpolated."""
+    """(frames,) [0-1] 1 where rigid markers determine the head's pose; else one minus the variance
+    of the pose over that of the markers' motion or, if interpolated, lower the longer the gap."""
     noise_mm: float
     """Measurement noise per coordinate before smoothing [mm]."""
     slips: tuple[Slip, ...] = ()
@@ -129,6 +129,11 @@ def clean_markers(
         Longest gap to fill [frames].
     smooth, relabel : bool
         Whether to smooth, and to exchange swapped labels.
+
+    Raises
+    ------
+    ValueError
+        If shapes do not fit, or a marker is never visible.
     """
     captured, seen = np.asarray(positions, np.float32), np.array(visible, bool)
     _check(captured, seen, neutral, max_gap)
@@ -344,8 +349,8 @@ def _refine_pose(take: _StabilizedTake, good: BoolArray, model: LowRankModel) ->
     for _ in range(_POSE_ROUNDS):
         complete, predicted = fill_and_predict(model, positions[sample], good[sample])
         distance = distances(complete, predicted)
-        usual = np.array([_median(distance[ok, m]) for m, ok in enumerate(good[sample].T)])
-        deviation = np.maximum(MAD_TO_DEVIATION * usual, model.noise)
+        median = np.array([_median(distance[ok, m]) for m, ok in enumerate(good[sample].T)])
+        deviation = np.maximum(MAD_TO_DEVIATION * median, model.noise)
 
         def align(block: slice, deviation: FloatArray = deviation) -> None:
             complete, predicted = fill_and_predict(model, positions[block], good[block])

@@ -1,9 +1,9 @@
 """First fill of gaps, from which the fit of the low-rank model starts.
 
-Expectation-maximisation that fills samples, and fits a model to them, forgets its first fill slowly
-(Ilin and Raiko 2010): the step from a marker's samples to a constant fill is a direction of motion,
-which the fit keeps. Here a marker with long gaps is regressed on the others, over the frames in
-which it is seen, and never on values that were filled for it::
+Expectation-maximisation that fills samples, and fits a model to them, converges slowly from its
+first fill (Ilin and Raiko 2010): the step from a marker's samples to a constant fill is a
+direction of motion, which the fit keeps. Here a marker with long gaps is regressed on the others,
+over the frames in which it is seen, and never on values that were filled for it::
 
     x_m - mean = z a + noise,    z = V_s' (x_s - mean),    a = (Z' Z + penalty I)^-1 Z' X_m
 

@@ -236,8 +236,8 @@ def _refill(
         moments.add(before.reshape(len(rows), -1), -1.0)
         moments.add(filled[rows].reshape(len(rows), -1))
     else:
-        again = _Moments.of(filled)
-        moments.center, moments.total, moments.products = again.center, again.total, again.products
+        new = _Moments.of(filled)
+        moments.center, moments.total, moments.products = new.center, new.total, new.products
     moved = distances(filled[rows], before)[~ok]
     return float(np.sqrt(np.mean(moved**2))) if moved.size else 0.0
 
@@ -285,6 +285,6 @@ def _outliers(distance: RealArray, usable: BoolArray, sensor_noise: FloatArray) 
     for marker, ok in enumerate(usable.T):
         rows = np.flatnonzero(ok)
         some = distance[rows[:: max(1, len(rows) // _MEDIAN_FRAMES)], marker]
-        usual = MAD_TO_DEVIATION * float(np.median(some))
-        limit[marker] = _OUTLIER_DEVIATIONS * max(usual, float(sensor_noise[marker]))
+        deviation = MAD_TO_DEVIATION * float(np.median(some))
+        limit[marker] = _OUTLIER_DEVIATIONS * max(deviation, float(sensor_noise[marker]))
     return np.asarray(distance > limit)

@@ -271,9 +271,10 @@ def _blend_offsets(
 
 
 def _end_offset(offsets: RealArray, noise: float) -> FloatArray:
-    """Return the mean offset of the samples next to a gap, with James-Stein shrinkage.
+    """Return the mean offset of the n samples next to a gap, shrunk as by James and Stein (1961).
 
-    Positive part, in three dimensions.
+    ``mean max(0, 1 - 2 s^2 / |mean|^2)``, with ``s^2 = noise^2 (1 + 1 / n)``: the noise of the
+    samples' mean, and that of a prediction of about the same quality as a sample.
     """
     if not len(offsets):
         return np.zeros(3)
@@ -281,7 +282,6 @@ def _end_offset(offsets: RealArray, noise: float) -> FloatArray:
     square = float(mean @ mean)
     if square == 0.0:
         return mean
-    # The noise of the samples, and that of a prediction of about the same quality.
     expected = 2.0 * noise**2 * (1.0 + 1.0 / len(offsets))
     return np.asarray(mean * max(0.0, 1.0 - expected / square))
 

@@ -173,8 +173,8 @@ def _limits(
     limits = np.maximum(_LIMIT_NOISE_DEVIATIONS * noise, _LEAST_LIMIT_MM)
     for marker, ok in enumerate(seen.T):
         if ok.any():
-            usual = float(np.median(distance[ok, marker]))
-            limits[marker] = max(limits[marker], _LIMIT_MEDIANS * usual)
+            median = float(np.median(distance[ok, marker]))
+            limits[marker] = max(limits[marker], _LIMIT_MEDIANS * median)
     return limits
 
 
@@ -326,9 +326,9 @@ def find_spikes(positions: RealArray, visible: BoolArray, *, noise: FloatArray) 
             continue
         steps = np.diff(positions[frames, marker].astype(np.float64), axis=0)
         sizes = np.linalg.norm(steps, axis=1)
-        usual = float(np.median(sizes[:_USUAL_STEP_FRAMES]))
+        median = float(np.median(sizes[:_USUAL_STEP_FRAMES]))
         jumps = sizes > max(
-            _JUMP_MEDIAN_STEPS * usual, _JUMP_NOISE_DEVIATIONS * float(noise[marker]), 1e-6
+            _JUMP_MEDIAN_STEPS * median, _JUMP_NOISE_DEVIATIONS * float(noise[marker]), 1e-6
         )
         # Jumps in consecutive steps are one jump: their sum.
         joined = [(start, stop, steps[start:stop].sum(axis=0)) for start, stop in runs(jumps)]

@@ -217,8 +217,8 @@ def _jump_scale(positions: RealArray, visible: BoolArray, noise: float) -> float
     stretch = slice(max(0, middle - half), middle + half)
     both = visible[stretch][1:] & visible[stretch][:-1]
     steps = np.abs(np.diff(positions[stretch], axis=0))[both]
-    usual = float(np.median(steps)) if steps.size else 0.0
-    return max(_JUMP_MEDIAN_STEPS * usual, 3.0 * noise, 1e-3)
+    median = float(np.median(steps)) if steps.size else 0.0
+    return max(_JUMP_MEDIAN_STEPS * median, 3.0 * noise, 1e-3)
 
 
 def _without_conflicts(candidates: list[tuple[float, Swap]]) -> tuple[Swap, ...]:
