@@ -128,6 +128,7 @@ class FrameSolver:
 
     def to_arrays(self) -> Arrays:
         """Return the solver as arrays of a mapping, the input of `from_arrays`."""
+        # Files have the name that `inflation` had in earlier versions.
         arrays = {"start_error": self.error, "common_error": np.array([self.inflation])}
         return self.forward.to_arrays() | arrays
 

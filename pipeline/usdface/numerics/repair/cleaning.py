@@ -133,7 +133,7 @@ def clean_markers(
     Raises
     ------
     ValueError
-        If shapes do not fit, or a marker is never visible.
+        If shapes do not fit, `neutral` or `max_gap` is out of range, or a marker is never visible.
     """
     captured, seen = np.asarray(positions, np.float32), np.array(visible, bool)
     _check(captured, seen, neutral, max_gap)

@@ -284,7 +284,10 @@ def _read_mesh(prim: Usd.Prim, rest: RestPose, path: Path) -> RigMesh:
     for name, target in zip(names, targets, strict=True):
         shape = UsdSkel.BlendShape(prim.GetStage().GetPrimAtPath(target))
         if not shape:
-            raise InputError(f"{where}: shape {name} targets <{target}>, which is no BlendShape")
+            raise InputError(
+                f"{where}: shape {name} targets <{target}>, which is no BlendShape; "
+                "correct skel:blendShapeTargets"
+            )
         keys = tuple(
             ShapeKey(
                 weight=weight,
@@ -306,7 +309,9 @@ def _shape_keys(
     authored = shape.GetPointIndicesAttr().Get()
     points = np.arange(point_count) if not authored else np.array(authored, dtype=np.int64)
     if len(points) and (points.min() < 0 or points.max() >= point_count):
-        raise InputError(f"{where}: pointIndices name a point beyond the mesh's {point_count}")
+        raise InputError(
+            f"{where}: pointIndices name a point beyond the mesh's {point_count}; repair the shape"
+        )
 
     def check(values: object, what: str) -> FloatArray:
         array = np.array(values if values is not None else [], dtype=np.float64).reshape(-1, 3)
