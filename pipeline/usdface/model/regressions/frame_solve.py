@@ -301,7 +301,7 @@ class FrameSolver:
         """Return ``1 / sd^2`` from residuals at t0: (frames, shapes); visibility is in [0-1]."""
         squared = (residual.reshape(len(residual), -1, 3) ** 2).sum(axis=2) / 3
         expected = self.residual_variance + self._propagated_error + predictive
-        chi2 = (squared / expected) @ self.marker_share.T
+        chi2 = (visibility * squared / expected) @ self.marker_share.T
         seen = 1 - (1 - visibility) @ self.marker_share.T
         chi2 /= np.maximum(seen, 1e-9)
         decades = np.log(np.maximum(chi2, 1e-9) / _CHI2_FAMILIAR)
