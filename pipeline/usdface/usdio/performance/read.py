@@ -88,8 +88,8 @@ class PerformanceReader:
     @property
     def rate(self) -> Fraction:
         """Frames per second."""
-        rate = self.stage.GetTimeCodesPerSecond()
-        return exact_rate(rate, where=f"{self.path}: timeCodesPerSecond")
+        where = f"{self.path}: timeCodesPerSecond"
+        return exact_rate(self.stage.GetTimeCodesPerSecond(), where=where)
 
     @property
     def frames(self) -> IntArray:
@@ -112,8 +112,7 @@ class PerformanceReader:
     @property
     def time_shift(self) -> str:
         """Text on how offsets and rates of layers above move the weights; empty if they do not."""
-        moved = self._offset
-        if moved.IsIdentity():
+        if (moved := self._offset).IsIdentity():
             return ""
         scaled = "" if moved.scale == 1 else f" and scales their times by {moved.scale:g}"
         return f"by {moved.offset:+g} frames{scaled}"
@@ -121,13 +120,12 @@ class PerformanceReader:
     def take_frames_at(self, frames: IntArray) -> IntArray:
         """Return the take's frames, those of the weights' layer, at frames of the stage."""
         times = (frames - self._offset.offset) / self._offset.scale
-        below: IntArray = np.rint(times).astype(np.int64)
-        if (np.abs(times - below) > _TIME_ROUNDING).any():
+        if (np.abs(times - np.rint(times)) > _TIME_ROUNDING).any():
             raise InputError(
                 f"{self.path}: a layer moves its weights {self.time_shift}, so that its frames lie "
                 "between those of the take; move them by whole frames, or edit the performance"
             )
-        return below
+        return np.asarray(np.rint(times), np.int64)
 
     @property
     def keyed_frames(self) -> frozenset[int]:
