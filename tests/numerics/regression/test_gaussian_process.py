@@ -72,7 +72,6 @@ def test_leave_one_out_residuals_equal_refitting_without_each_pair(radial: float
     assert (variances * whole.scale**2).sum() == pytest.approx(LINE_VARIANCE)
     covariance = scaled @ scaled.T + OFFSET_VARIANCE
     covariance += radial * radial_values(scaled, scaled, whole.exponent)
-    variance = np.empty((12, 3))
     for i in range(12):
         rest = np.arange(12) != i
         for j, level in enumerate(noise):
@@ -80,9 +79,36 @@ def test_leave_one_out_residuals_equal_refitting_without_each_pair(radial: float
             gain = np.linalg.solve(inner, covariance[rest, i])
             unseen = gain @ outputs[rest, j]
             assert whole.residuals[i, j] == pytest.approx(outputs[i, j] - unseen, abs=1e-8)
-            variance[i, j] = covariance[i, i] + level - gain @ covariance[rest, i]
-    expected = (whole.residuals**2 / variance).mean(axis=0)
-    np.testing.assert_allclose(whole.amplitude, expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("smooth", [True, False])
+def test_amplitude_is_that_of_pairs_left_out_singly_or_with_similar_ones(smooth: bool) -> None:
+    rng = np.random.default_rng(3)
+    group = np.repeat(np.arange(4), 5)
+    features = 8 * np.eye(4)[group] + 0.3 * rng.standard_normal((20, 4))
+    outputs = (np.array([0.0, 1.0, -1.0, 3.0])[group] if smooth else rng.standard_normal(20))[
+        :, None
+    ]
+    variances = np.sort(features.var(axis=0))[::-1]
+    choice, noise = ProcessSettings(4, 0.5, radial=3.0), np.array([0.03])
+    whole = fit_gaussian_process(features, outputs, variances=variances, choice=choice, noise=noise)
+    scaled = features * whole.scale
+    covariance = scaled @ scaled.T + OFFSET_VARIANCE
+    covariance += 3.0 * radial_values(scaled, scaled, whole.exponent)
+
+    def amplitude(folds: np.ndarray) -> float:
+        ratios = []
+        for i in range(20):
+            rest = folds != folds[i]
+            inner = covariance[np.ix_(rest, rest)] + noise * np.eye(rest.sum())
+            gain = np.linalg.solve(inner, covariance[rest, i])
+            variance = covariance[i, i] + noise[0] - gain @ covariance[rest, i]
+            ratios.append((outputs[i, 0] - gain @ outputs[rest, 0]) ** 2 / variance)
+        return float(np.mean(ratios))
+
+    singly, in_groups = amplitude(np.arange(20)), amplitude(group)
+    assert (in_groups > singly) == smooth, "smooth outputs are known from similar pairs"
+    assert whole.amplitude[0] == pytest.approx(max(singly, in_groups), rel=1e-6)
 
 
 def test_errors_of_the_search_are_those_of_the_fit(monkeypatch: pytest.MonkeyPatch) -> None:

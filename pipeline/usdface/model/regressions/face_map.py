@@ -17,8 +17,8 @@ The prediction is the prior mean of `frame_solve`, and its standard deviation th
 
     deviation_s^2 = a_s (variance_s(x) + noise_s)
 
-with ``a_s`` such that leave-one-out residuals have their expected size (`GaussianProcess`). It
-increases with the distance of a frame from the references.
+with ``a_s`` such that residuals of left-out references have their expected size
+(`GaussianProcess`). It increases with the distance of a frame from the references.
 """
 
 import numpy as np
