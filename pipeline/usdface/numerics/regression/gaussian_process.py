@@ -28,7 +28,7 @@ ERROR_SLACK = 0.05
 """Relative difference from the least error up to which the smoothest fit is chosen: few pairs do
 not resolve less."""
 
-_GROUPS = 4
+_GROUP_COUNT = 4
 """Number of groups of similar pairs that are left out together. Of 3 to 10, 4 and 3 give the best
 coverage on simulated performers with few markers (decision 49)."""
 
@@ -173,10 +173,10 @@ def fit_gaussian_process(
 
 
 def _similar_pairs(rows: FloatArray) -> list[IntArray]:
-    """Return up to `_GROUPS` clusters of rows by Ward's method."""
+    """Return up to `_GROUP_COUNT` clusters of rows by Ward's method."""
     from scipy.cluster.hierarchy import fcluster, linkage  # SciPy is only loaded for training
 
-    group = fcluster(linkage(rows, "ward"), _GROUPS, "maxclust")
+    group = fcluster(linkage(rows, "ward"), _GROUP_COUNT, "maxclust")
     return [np.flatnonzero(group == k) for k in np.unique(group)]
 
 
