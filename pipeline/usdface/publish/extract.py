@@ -21,8 +21,7 @@ from usdface.specs.edits import BakeSpec
 from usdface.specs.review import MovieSpec, SheetSpec
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.write import writing_top
-from usdface.usdio.rig.read import read_rig
-from usdface.usdio.rig.reference import replaced_motion_notes
+from usdface.usdio.rig.reference import read_rig_of_stage, replaced_motion_notes
 
 log = logging.getLogger(__name__)
 
@@ -123,8 +122,7 @@ def _extract(
     opened = folder / f"{item.name}.usda"
     bake = BakeSpec(performance=item.performance, out=weights_path(opened))
     reader = PerformanceReader(item.performance)
-    file, prim = reader.rig()
-    rig = read_rig(file, prim=prim)
+    rig = read_rig_of_stage(reader.stage, reader.animation)
     header, made_by = reader.header, make_provenance(bake)
     with writing_top(opened, header, rig, copied=reader, provenance=made_by):
         baked = execute(bake, progress=part(progress, 0.0, 0.3))

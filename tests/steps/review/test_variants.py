@@ -1,11 +1,15 @@
-"""A shot that selects a variant of its rig is drawn and measured with it."""
+"""A shot that selects a variant of its rig is drawn, measured and limited with it."""
 
 import numpy as np
-from pxr import Sdf, Usd, UsdGeom
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 
 from tests.steps.small_shot import Shot
+from usdface.runner.execute import execute
+from usdface.specs.edits import BakeSpec, EditSpec
 from usdface.steps.review.shot import open_shot
+from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.rig.posed_points import PosedRig
+from usdface.usdio.rig.read import RANGE_ATTRIBUTE
 
 
 def test_the_variant_that_a_shot_selects_is_drawn(shot: Shot) -> None:
@@ -34,3 +38,30 @@ def test_the_variant_that_a_shot_selects_is_drawn(shot: Shot) -> None:
     )
     posed = PosedRig(shot / "shot.hero.usda").points(int(old.frames[9]))
     np.testing.assert_allclose(old.pose(9, old.weights[9]), posed, atol=1e-2)
+
+
+def test_bake_limits_weights_to_the_ranges_of_the_variant_that_is_selected(shot: Shot) -> None:
+    rig = Usd.Stage.Open(str(shot / "hero.usdc"))
+    jaw_open = next(
+        each
+        for each in rig.Traverse()
+        if each.IsA(UsdSkel.BlendShape) and each.GetName() == "jawOpen"
+    )
+    styles = rig.GetDefaultPrim().GetVariantSets().AddVariantSet("style")
+    for style, high in (("free", 1.5), ("stiff", 0.1)):
+        styles.AddVariant(style)
+        styles.SetVariantSelection(style)
+        with styles.GetVariantEditContext():
+            limits = jaw_open.CreateAttribute(RANGE_ATTRIBUTE, Sdf.ValueTypeNames.Double2)
+            limits.Set(Gf.Vec2d(0, high))
+    styles.SetVariantSelection("free")
+    rig.Save()
+    performance = Sdf.Layer.FindOrOpen(str(shot / "shot.hero.usda"))
+    performance.rootPrims[0].variantSelections["style"] = "stiff"
+    performance.Save()
+    edited = EditSpec(performance=shot / "shot.hero.usda", shape=("jawOpen",), override=0.5)
+    execute(edited)
+    execute(BakeSpec(performance=edited.performance, out=shot / "stiff.usdc", limit=True))
+    baked = PerformanceReader(shot / "stiff.usdc")
+    weights = baked.solved()[:, baked.names.index("jawOpen")]
+    np.testing.assert_allclose(weights, 0.1, atol=1e-6)

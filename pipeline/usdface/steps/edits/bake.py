@@ -16,7 +16,7 @@ from usdface.specs.edits import BakeSpec
 from usdface.usdio.performance.edits import edited_weights
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import writing_weights
-from usdface.usdio.rig.read import read_rig
+from usdface.usdio.rig.reference import read_rig_of_stage
 
 _BLOCK_FRAMES = 4096
 """Frames per block, to bound memory; keys are reduced within blocks."""
@@ -28,8 +28,7 @@ SURFACE_FRAMES = 8
 def run(spec: BakeSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
     """Write the edited weights as one layer of UsdSkel animation."""
     reader = PerformanceReader(spec.performance, prim=spec.prim)
-    file, prim = reader.rig()
-    rig = read_rig(file, prim=prim)
+    rig = read_rig_of_stage(reader.stage, reader.animation)
     # Performances made before the rig had its logic lack the driven shapes.
     missing = tuple(each for each in rig.combinations if each.shape not in reader.names)
     header = replace(reader.header, combinations=missing)

@@ -19,7 +19,7 @@ from usdface.usdio.performance.driving_layers import driving_layers, join_drivin
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import WeightsHeader, writing_weights
 from usdface.usdio.performance.write import writing_top
-from usdface.usdio.rig.read import read_rig
+from usdface.usdio.rig.reference import read_rig_of_stage
 
 
 def run(spec: JoinSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
@@ -27,8 +27,7 @@ def run(spec: JoinSpec, *, provenance: Provenance, progress: Progress = silent) 
     readers = sorted(map(PerformanceReader, spec.parts), key=lambda each: each.first_frame)
     headers = [reader.header for reader in readers]
     _check_parts(readers, headers)
-    file, prim = readers[0].rig()
-    rig = read_rig(file, prim=prim)
+    rig = read_rig_of_stage(readers[0].stage, readers[0].animation)
     whole = replace(headers[0], last_frame=headers[-1].last_frame)
     size = 4 * whole.frame_count * len(whole.shape_names)
     clips = spec.clips == "always" or (spec.clips == "auto" and size > LARGEST_LAYER_BYTES)

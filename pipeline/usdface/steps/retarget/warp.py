@@ -39,7 +39,7 @@ from usdface.usdio.performance.weights_layer import make_header
 from usdface.usdio.retarget.control_performance import writing_control_performance
 from usdface.usdio.retarget.controls import ReadControls, read_control_clip
 from usdface.usdio.retarget.sequences import read_matches
-from usdface.usdio.rig.read import read_rig
+from usdface.usdio.rig.reference import read_rig_of_stage
 
 PUBLISHED_KEEP = 1.0
 _CHUNK_FRAMES = 8192
@@ -65,8 +65,7 @@ def run(spec: WarpSpec, *, provenance: Provenance, progress: Progress = silent) 
     """Warp every control to the sequences and write the performance."""
     progress(0.0, "reading")
     reader = PerformanceReader(spec.performance)
-    rig_file, rig_prim = reader.rig()
-    rig = read_rig(rig_file, prim=rig_prim)
+    rig = read_rig_of_stage(reader.stage, reader.animation)
     read = read_control_clip(spec.performance)
     placements = _placements(spec, read)
     space = control_space(read.clip.controls)
