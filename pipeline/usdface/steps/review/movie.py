@@ -202,7 +202,7 @@ def _draw_all(
             for future in done:
                 future.result()
             share = 1 - len(left) / len(stretches)
-            progress(0.02 + 0.95 * share, f"{len(left)} stretches to draw")
+            progress(0.02 + 0.95 * share, f"{pluralize(len(left), 'part')} to draw")
 
 
 def _open_studio(plan: _Plan, shot: Shot, open_files: ExitStack) -> _Studio:
