@@ -135,11 +135,11 @@ def _expected(model: LowRankModel, positions: RealArray, missing: IntArray) -> F
     if 3 * count <= len(model.variances):
         # x_m = mean_m - L_mm^-1 L_mo (x_o - mean_o), L the precision matrix
         pull = weighted_offset @ model.score_weights.astype(kind)
-        pull = np.take_along_axis(pull, entries, axis=1)[..., None]
+        missed = np.take_along_axis(pull, entries, axis=1)[..., None]
         if count == 1:
-            shift = model.conditional_covariances[missing[:, 0]] @ pull
+            shift = model.conditional_covariances[missing[:, 0]] @ missed
         else:
-            shift = np.linalg.solve(model.precision_of(entries), pull)
+            shift = np.asarray(np.linalg.solve(model.precision_of(entries), missed), np.float64)
     else:
         # Posterior mean of the scores given the visible markers.
         directions = model.components.T[entries]
