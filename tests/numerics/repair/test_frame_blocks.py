@@ -19,6 +19,11 @@ def clean(face: SimulatedFace) -> CleanedMarkers:
     return clean_markers(captured, face.visible, rigid=face.rigid, neutral=neutral, max_gap=60)
 
 
+def set_blocks(monkeypatch: pytest.MonkeyPatch, frames: int) -> None:
+    monkeypatch.setattr("usdface.core.arrays._BLOCK_FRAMES", frames)
+    monkeypatch.setattr("usdface.numerics.repair.gap_filling._FILL_FRAMES", frames)
+
+
 @pytest.fixture(scope="module")
 def damaged() -> tuple[SimulatedFace, CleanedMarkers]:
     face = simulate_face(
@@ -32,7 +37,7 @@ def damaged() -> tuple[SimulatedFace, CleanedMarkers]:
 @pytest.mark.parametrize("frames", [64, 500])
 def test_a_clean_take_does_not_depend_on_the_size_of_blocks(damaged, monkeypatch, frames):
     face, whole = damaged
-    monkeypatch.setattr("usdface.core.arrays._BLOCK_FRAMES", frames)
+    set_blocks(monkeypatch, frames)
     in_blocks = clean(face)
     np.testing.assert_allclose(in_blocks.positions, whole.positions, rtol=0, atol=LAST_PLACE_MM)
     np.testing.assert_allclose(in_blocks.head_motion, whole.head_motion, rtol=0, atol=LAST_PLACE_MM)
@@ -49,7 +54,7 @@ def test_a_gap_of_any_length_may_be_filled_whatever_the_size_of_blocks(damaged, 
     neutral = int(np.argmax(face.visible[:, list(face.rigid)].sum(axis=1)))
     results = []
     for frames, max_gap in ((64, 400), (2048, 400), (64, 10**6)):
-        monkeypatch.setattr("usdface.core.arrays._BLOCK_FRAMES", frames)
+        set_blocks(monkeypatch, frames)
         cleaned = clean_markers(
             face.captured, face.visible, rigid=face.rigid, neutral=neutral, max_gap=max_gap
         )

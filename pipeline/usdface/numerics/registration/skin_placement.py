@@ -233,9 +233,11 @@ def solve_weights_at(
         )
     A, ridge = deltas.astype(np.float32), np.float32(_RIDGE_MM2)
     lower, upper = (np.broadcast_to(limit, start.shape).astype(A.dtype) for limit in ranges.T)
+    gram = A @ A.T + ridge * np.eye(len(A), dtype=A.dtype)
+    few = len(A) < 2 * A.shape[1]  # shapes; the product with their Gram matrix takes less
     return minimise_within_bounds(
-        lambda z: (z @ A) @ A.T + ridge * z,
-        np.broadcast_to((A**2).sum(axis=1) + ridge, start.shape),
+        (lambda z: z @ gram) if few else (lambda z: (z @ A) @ A.T + ridge * z),
+        np.broadcast_to(gram.diagonal(), start.shape),
         flat.astype(A.dtype) @ A.T,
         lower=lower,
         upper=upper,

@@ -98,18 +98,18 @@ def predict_from_others(model: LowRankModel, filled: RealArray) -> RealArray:
     kind, count = filled.dtype, len(model.noise)
     # With L the precision, x_m - E[x_m | others] = L_mm^-1 (L (x - mean))_m; L is diagonal plus low
     # rank.
-    mean, noise = model.mean.astype(kind), np.repeat(model.noise**-2.0, 3).astype(kind)
-    weighted, solved = model.weighted.T.astype(kind), model.score_weights.astype(kind)
-    covariances = model.conditional_covariances.astype(kind)
+    covariances = model.conditional_covariances
+    own = np.swapaxes(covariances, 1, 2) / model.noise[:, None, None] ** 2
+    solved = (covariances @ model.score_weights.T.reshape(count, 3, -1)).reshape(3 * count, -1)
+    mean, weighted = model.mean.astype(kind), model.weighted.T.astype(kind)
+    own, solved = own.astype(kind), solved.T.astype(kind)
     flat = filled.reshape(len(filled), -1)
     predicted = np.empty_like(filled)
     for rows in frame_blocks(len(flat), frames=_CHUNK_FRAMES):
         offset = flat[rows] - mean
-        pull = offset * noise - (offset @ weighted) @ solved
-        x, y, z = np.moveaxis(pull.reshape(-1, count, 3), 2, 0)
-        for axis, (to_x, to_y, to_z) in enumerate(covariances.T):  # six times as fast as einsum
-            away = x * to_x + y * to_y + z * to_z
-            predicted[rows, :, axis] = filled[rows, :, axis] - away
+        predicted[rows] = filled[rows] + (offset @ weighted @ solved).reshape(-1, count, 3)
+        offset = offset.reshape(-1, count, 3)
+        predicted[rows] -= np.swapaxes(np.swapaxes(offset, 0, 1) @ own, 0, 1)
     return predicted
 
 
@@ -127,16 +127,19 @@ def _expected(model: LowRankModel, positions: RealArray, missing: IntArray) -> F
     For frames with the same number of missing markers: one small system each, in the missing
     coordinates or in the directions, whichever are fewer, solved in one batch.
     """
-    frames, count = missing.shape
-    offset = positions.astype(np.float64) - model.mean.reshape(-1, 3)
+    kind, (frames, count) = positions.dtype, missing.shape
+    offset = positions - model.mean.reshape(-1, 3).astype(kind)
     offset[np.arange(frames)[:, None], missing] = 0.0
-    weighted_offset = offset.reshape(frames, -1) @ model.weighted.T
+    weighted_offset = offset.reshape(frames, -1) @ model.weighted.T.astype(kind)
     entries = (3 * missing[..., None] + np.arange(3)).reshape(frames, 3 * count)
     if 3 * count <= len(model.variances):
         # x_m = mean_m - L_mm^-1 L_mo (x_o - mean_o), L the precision matrix
-        pull = np.take_along_axis(weighted_offset @ model.score_weights, entries, axis=1)
-        system = model.precision_of(entries)
-        shift = np.linalg.solve(system, pull[..., None])
+        pull = weighted_offset @ model.score_weights.astype(kind)
+        missed = np.take_along_axis(pull, entries, axis=1)[..., None]
+        if count == 1:
+            shift = model.conditional_covariances[missing[:, 0]] @ missed
+        else:
+            shift = np.asarray(np.linalg.solve(model.precision_of(entries), missed), np.float64)
     else:
         # Posterior mean of the scores given the visible markers.
         directions = model.components.T[entries]

@@ -16,6 +16,7 @@ from usdface.core.arrays import (
     distances,
     extend_block,
     frame_blocks,
+    row_lengths,
     runs,
     sample_frames,
 )
@@ -324,8 +325,8 @@ def find_spikes(positions: RealArray, visible: BoolArray, *, noise: FloatArray) 
         frames = np.flatnonzero(seen)
         if len(frames) < 4:
             continue
-        steps = np.diff(positions[frames, marker].astype(np.float64), axis=0)
-        sizes = np.linalg.norm(steps, axis=1)
+        steps = np.diff(positions[frames, marker].T.astype(np.float64)).T
+        sizes = row_lengths(steps)[:, 0]
         median = float(np.median(sizes[:_USUAL_STEP_FRAMES]))
         jumps = sizes > max(
             _JUMP_MEDIAN_STEPS * median, _JUMP_NOISE_DEVIATIONS * float(noise[marker]), 1e-6

@@ -146,8 +146,8 @@ def significant_detail(rest: ArrayLike, *, noise: ArrayLike) -> RealArray:
         return np.zeros_like(away)
     gain = 1.0 / (1.0 + _DETAIL_PENALTY * difference_eigenvalues(_FREQUENCY_BINS))
     floor = _DETAIL_ENERGY_RATIO * 3.0 * np.asarray(noise, float) ** 2 * float(np.mean(gain**2))
-    spectrum = dct(away.reshape(frames, -1).astype(np.float64), axis=0, norm="ortho")
-    spectrum /= 1.0 + _DETAIL_PENALTY * difference_eigenvalues(frames)[:, None]
+    spectrum = dct(away.reshape(frames, -1), axis=0, norm="ortho")
+    spectrum /= (1.0 + _DETAIL_PENALTY * difference_eigenvalues(frames)[:, None]).astype(away.dtype)
     lightly = idct(spectrum, axis=0, norm="ortho", overwrite_x=True).reshape(away.shape)
     energy = uniform_filter1d(np.einsum("fki,fki->fk", lightly, lightly), _DETAIL_FRAMES, axis=0)
     share = np.maximum(0.0, 1.0 - floor / np.maximum(energy, 1e-12))

@@ -154,14 +154,14 @@ def align_frames(positions: ArrayLike, targets: ArrayLike, *, weights: ArrayLike
     rotations, translations = np.empty((count, 3, 3)), np.empty((count, 3))
     determined = np.empty(count, bool)
     for rows in frame_blocks(count, frames=_CHUNK_FRAMES):
-        x, y = points[rows].astype(np.float64), goals[rows].astype(np.float64)
         share = w[rows] / np.maximum(w[rows].sum(axis=1), np.finfo(np.float64).tiny)[:, None]
-        x_center = np.einsum("fk,fki->fi", share, x)
-        y_center = np.einsum("fk,fki->fi", share, y)
-        x -= x_center[:, None]
+        x, y = points[rows].astype(np.float64), np.ones((*share.shape, 4))
         x *= share[..., None]
-        y -= y_center[:, None]
-        R, known = optimal_rotations(np.swapaxes(x, 1, 2) @ y, rank_tolerance=_RANK_TOLERANCE)
+        y[..., :3] = goals[rows]
+        moments, y_center = np.swapaxes(x, 1, 2) @ y, (share[:, None] @ y)[:, 0, :3]
+        x_center = moments[:, :, 3]
+        moments = moments[:, :, :3] - x_center[:, :, None] * y_center[:, None]
+        R, known = optimal_rotations(moments, rank_tolerance=_RANK_TOLERANCE)
         known &= (w[rows] > 0).sum(axis=1) >= 3
         R[~known] = np.eye(3)
         rotations[rows], determined[rows] = R, known

@@ -117,13 +117,7 @@ def stabilize(
     at_neutral = np.flatnonzero(body_seen[neutral])
     start = body[neutral, at_neutral].astype(np.float64)
     _check_reference(start, len(columns), neutral)
-    first = align_rigid_robust(body[:, at_neutral], start, visible=body_seen[:, at_neutral])
-    if not first.determined.any():
-        raise ValueError(
-            f"no frame of {len(points)} shows three of the {len(columns)} rigid markers off one "
-            "line; name more rigid markers"
-        )
-    reference = _mean_shape(remove_motion(body, first), body_seen & first.determined[:, None])
+    reference = _mean_shape(body, body_seen, start, at_neutral)
     back = align_rigid(start[None], reference[at_neutral])  # identity pose at the neutral frame
     reference = reference @ back.rotations[0].T + back.translations[0]
     alignment = align_rigid_robust(body, reference, visible=body_seen)
@@ -205,18 +199,28 @@ def _check_reference(start: FloatArray, named: int, neutral: int) -> None:
         )
 
 
-def _mean_shape(still: RealArray, seen: BoolArray) -> FloatArray:
-    """Return the median position of each rigid marker, robust to swaps and outliers."""
-    rows = sample_frames(len(still), _REFERENCE_FRAMES)
-    shape = np.empty(still.shape[1:])
-    for marker in range(still.shape[1]):
-        track = still[rows, marker][seen[rows, marker]]
-        if not len(track):
-            track = still[seen[:, marker], marker]
-        if not len(track):
-            raise ValueError(
-                f"rigid marker {marker} (in the order given) is never seen together with three "
-                "others; leave it out"
-            )
-        shape[marker] = np.median(track, axis=0)
-    return shape
+def _mean_shape(
+    body: RealArray, seen: BoolArray, start: FloatArray, at_neutral: IntArray
+) -> FloatArray:
+    """Return the median position of each rigid marker, robust to swaps and outliers.
+
+    In the space of `start`, the markers `at_neutral`; of a sample of the frames, or of all if the
+    sample does not show a marker.
+    """
+    for rows in (sample_frames(len(body), _REFERENCE_FRAMES), np.arange(len(body))):
+        first = align_rigid_robust(
+            body[rows[:, None], at_neutral], start, visible=seen[rows[:, None], at_neutral]
+        )
+        still, known = remove_motion(body[rows], first), seen[rows] & first.determined[:, None]
+        if known.any(axis=0).all():
+            tracks = zip(np.swapaxes(still, 0, 1), known.T, strict=True)
+            return np.stack([np.median(track[ok], axis=0) for track, ok in tracks])
+    if not first.determined.any():
+        raise ValueError(
+            f"no frame of {len(body)} shows three of the {body.shape[1]} rigid markers off one "
+            "line; name more rigid markers"
+        )
+    raise ValueError(
+        f"rigid marker {int(known.any(axis=0).argmin())} (in the order given) is never seen "
+        "together with three others; leave it out"
+    )
