@@ -5,7 +5,8 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from usdface.capture.sample_times import rate_of_times, resolve_device_times
+from usdface.capture.sample_times import check_rate, rate_of_times, resolve_device_times
+from usdface.core.errors import InputError
 
 NTSC = [Fraction(24000, 1001), Fraction(30000, 1001), Fraction(60000, 1001)]
 
@@ -56,3 +57,28 @@ def test_a_short_take_is_of_a_rate_that_video_has(rate, frames):
     assert told in (rate, round(rate))  # 60 and 59.94 may fit such times both
     if abs(round(rate) / rate - 1) * frames / rate > 2e-3:
         assert told == rate
+
+
+@pytest.mark.parametrize("kind", ["renumbered", "back", "jump", "two rates"])
+def test_times_that_contradict_the_frame_numbers_are_refused(kind):
+    """The rate was that of the first and last rows: 55, 86, 20 and 80 for 60."""
+    seconds = np.arange(600) / 60
+    if kind == "renumbered":
+        seconds = np.delete(seconds, slice(200, 230))
+    elif kind == "back":
+        seconds[450:] -= 3
+    elif kind == "jump":
+        seconds[300:] += 20
+    else:
+        seconds[300:] = 5 + np.arange(300) / 120
+    frames = np.arange(len(seconds))
+    with pytest.raises(InputError, match=r"frame numbers of the rows differ by up to .* s"):
+        rate_of_times(seconds, frames, where="take")
+    with pytest.raises(InputError, match=r"frame numbers of the rows differ by up to .* s"):
+        check_rate(Fraction(60), "DataRate", seconds, frames, where="take")
+
+
+def test_times_of_arrival_may_be_uneven():
+    late = np.random.default_rng(0).exponential(0.008, 600)
+    seconds = np.maximum.accumulate(np.arange(600) / 60 + late) + 1e-6 * np.arange(600)
+    assert float(rate_of_times(seconds, np.arange(600), where="take")) == pytest.approx(60, 1e-2)

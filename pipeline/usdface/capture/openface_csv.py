@@ -82,14 +82,15 @@ def read_openface_csv(path: Path, options: CaptureOptions) -> Capture:
     first_frame, frames = resolve_frame_numbers(
         table.values[:, columns.at["frame"]], table.lines, where=str(path)
     )
-    rate = rate_of_times(table.values[:, columns.at["timestamp"]], frames, where=str(path))
     if options.rate is not None:
         rate = exact_rate(options.rate, where="--rate")
-    elif rate >= _FASTEST_CAMERA:
-        notes.append(
-            f"{float(rate):g} frames per second by the timestamps, as OpenFace counts pictures "
-            "whose rate it does not know; state it with --rate"
-        )
+    else:
+        rate = rate_of_times(table.values[:, columns.at["timestamp"]], frames, where=str(path))
+        if rate >= _FASTEST_CAMERA:
+            notes.append(
+                f"{float(rate):g} frames per second by the timestamps, as OpenFace counts pictures "
+                "whose rate it does not know; state it with --rate"
+            )
     seen = _rows_with_face(table.values[:, columns.at["success"]], path, notes)
     source = None
     if columns.units:

@@ -32,6 +32,10 @@ _LONGEST_SECONDS = 1e10
 """Times may count from 1970."""
 _LOWEST_RATE = 1.0
 """Lowest rate of a capture [Hz]; below it, times are in milliseconds."""
+_LARGEST_STRAY = (2.0, 0.1)
+"""[frames, s] Largest distance of a row's time from even frames, by the larger of the two: times of
+arrival are uneven. Beyond it the sound is visibly out of step: frames are missing from the count,
+or recordings were joined."""
 _LARGEST_RATIO = 10
 """Frames per sample above which frame numbers count as damaged."""
 
@@ -198,6 +202,15 @@ def _rate_limits(
         7,
     )
     count = float(frames[-1] - frames[0])
+    stray = np.abs((seconds - seconds[0]) - (frames - frames[0]) * (span / count))
+    if stray.max() > max(_LARGEST_STRAY[0] * span / count, _LARGEST_STRAY[1]):
+        row = int(np.argmax(np.abs(np.diff(seconds) - np.diff(frames) * (span / count)))) + 1
+        raise InputError(
+            f"{where}: times and frame numbers of the rows differ by up to {stray.max():.3g} s at "
+            f"{count / span:.4g} frames per second, most between rows {row} and {row + 1}: frames "
+            "are missing from the count, or two recordings were joined; export without frame "
+            "numbers, or split the recording; of markers, --rate sets the rate without the times"
+        )
     rounding = min(10.0**-decimals, span / 2)  # half a unit at either end
     return count / (span + rounding), count / span, count / (span - rounding)
 

@@ -82,9 +82,11 @@ def test_a_face_that_moves_is_not_called_still(shot: Shot) -> None:
 @pytest.mark.parametrize(
     ("columns", "seconds"),
     [
+        (slice(None), 0.02),  # one dropped frame
         (slice(None), 0.25),
         (slice(None), 1.0),
         (slice(None), 2.2),  # more than half of the take
+        (slice(3, 5), 0.07),  # a short gap that was filled
         (slice(3, 5), 0.25),
         (slice(3, 5), 1.0),
     ],
@@ -107,12 +109,12 @@ def test_markers_of_a_stream_that_froze_are_taken_for_unseen(
     who = "every marker" if columns == slice(None) else names
     first = take.first_frame + 201
     said = f"exactly one position for {count} frames ({first}-{first + count - 1}): {who}"
-    assert any(said in note for note in notes) == (seconds > 0.5)
+    assert any(said in note for note in notes)
     cleaned = read_take(out).markers
     assert cleaned is not None
-    assert cleaned.visible[201 : 201 + count, columns].any() == (seconds < 0.5)
+    assert not cleaned.visible[201 : 201 + count, columns].any()
     assert cleaned.visible[150:200, columns].any()
-    assert cleaned.visible[201 : 201 + count].any() == (who != "every marker" or seconds < 0.5)
+    assert cleaned.visible[201 : 201 + count].any() == (who != "every marker")
 
 
 def test_a_take_written_at_twice_the_rate_of_its_capture_is_named(shot: Shot) -> None:

@@ -126,12 +126,14 @@ def find_outliers(
 
     map_threads(compare, frame_blocks(count))
     outliers = np.zeros_like(distant)
+    shown = np.asarray(visible.any(axis=1))
     for marker in np.flatnonzero(distant.any(axis=0)):
         outliers[:, marker] = _between_jumps(
             distant[:, marker],
             excess[:, marker],
             jumps[:, marker],
             visible[:, marker],
+            shown,
             sudden_share,
         )
     return outliers
@@ -184,6 +186,7 @@ def _between_jumps(
     excess: RealArray,
     jumps: RealArray,
     seen: BoolArray,
+    shown: BoolArray,
     sudden_share: float,
 ) -> BoolArray:
     """Return the distant stretches of a marker that start or end with a jump.
@@ -191,6 +194,8 @@ def _between_jumps(
     Parameters
     ----------
     distant, seen : (frames,) bool arrays
+    shown : (frames,) bool array
+        Whether any marker is seen: a dropped frame tells nothing of one marker.
     excess, jumps : (frames,) arrays
         Distance from the prediction, and jump to the next frame [limits].
     sudden_share : float
@@ -198,6 +203,7 @@ def _between_jumps(
     """
     outliers = np.zeros_like(distant)
     tracked = seen[1:] & seen[:-1]
+    gaps = shown[1:] & shown[:-1] & ~tracked
     for start, stop in runs(distant):
         if stop - start > _LONGEST_SHARE * len(seen):
             continue
@@ -205,7 +211,7 @@ def _between_jumps(
         ends = [edge - 1 for edge in (start, stop) if 0 < edge < len(seen)]
         sudden = jumps[max(start - 1, 0) : stop].max() > sudden_share * farthest
         jump = [bool(tracked[edge] and sudden and jumps[edge] > _JUMP_SHARE) for edge in ends]
-        jump_or_gaps = any(jump) or not tracked[ends].any()
+        jump_or_gaps = any(jump) or bool(gaps[ends].all())
         outliers[start:stop] = (len(ends) == 2 and all(jump)) or (
             farthest > _FAR_LIMITS and jump_or_gaps
         )

@@ -11,7 +11,7 @@ every frame, the centroid of the rigid markers seen in the frame is used: it car
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -76,6 +76,11 @@ def align_by_prior(
 
 
 _REFERENCE_FRAMES = 20_000
+_MOST_POSE_ERROR_MM = 0.5
+"""Of the face's markers, by noise of the rigid markers that are seen, if nearly on a line. Above it
+the face tells the pose better: to 0.2 to 0.5 mm in gaps of recorded takes (decision 47)."""
+_LOOSE_RATIO = 3.0
+"""Of that error to the take's usual one, which smoothing and `clean_markers` reduce."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +126,23 @@ def stabilize(
     back = align_rigid(start[None], reference[at_neutral])  # identity pose at the neutral frame
     reference = reference @ back.rotations[0].T + back.translations[0]
     alignment = align_rigid_robust(body, reference, visible=body_seen)
+    noise = np.median(alignment_residuals(body, reference, alignment)[body_seen])
+    reach = np.sqrt(points[neutral, seen[neutral]].var(axis=0, dtype=np.float64).sum())
+    turn = _turn_per_mm(reference, body_seen)
+    loose = (turn * reach * noise > _MOST_POSE_ERROR_MM) & (turn > _LOOSE_RATIO * np.median(turn))
+    alignment = replace(alignment, determined=alignment.determined & ~loose)
     return _stabilized(alignment, reference)
+
+
+def _turn_per_mm(reference: FloatArray, seen: BoolArray) -> FloatArray:
+    """Return by how much noise of 1 mm turns a frame's rigid markers about their line [rad]."""
+    patterns, rows = np.unique(seen, axis=0, return_inverse=True)
+    widths = np.zeros(len(patterns))
+    for row, pattern in enumerate(patterns):
+        if pattern.any():
+            each = reference[pattern] - reference[pattern].mean(axis=0)
+            widths[row] = np.linalg.norm(np.linalg.svd(each, compute_uv=False)[1:])
+    return np.asarray(1.0 / np.maximum(widths, 1e-9))[rows.ravel()]
 
 
 def stabilize_by_prior(

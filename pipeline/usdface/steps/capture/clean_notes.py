@@ -89,7 +89,7 @@ def _repairs(cleaned: CleanedMarkers, markers: Markers, take: Take) -> list[str]
     no_pose = np.flatnonzero(cleaned.pose_confidence < 1.0)
     if len(no_pose):
         notes.append(
-            f"too few rigid markers in {pluralize(len(no_pose), 'frame')}, the first "
+            f"too few rigid markers off a line in {pluralize(len(no_pose), 'frame')}, the first "
             f"{take.first_frame + int(no_pose[0])}; there the head's pose follows the other "
             "markers, or is interpolated where few are seen"
         )
