@@ -51,7 +51,7 @@ class Capture:
 
     take: Take
     format: str
-    """Key of the reader, such as ``'c3d'``."""
+    """Name of the format, such as ``'c3d'``; ``'weights'`` for all tables of weights."""
     notes: tuple[str, ...] = ()
     """Samples dropped, repairs and assumptions, one sentence each."""
     axes: FloatArray | None = None
@@ -122,8 +122,8 @@ def build_marker_take(
     positions : (frames, markers, 3) float32 array
         [mm]; changed in place. Arbitrary where not visible.
     visible : (frames, markers) bool array
-        Changed in place: samples that are not finite, have three equal coordinates or are beyond
-        `MAX_COORDINATE_MM` become invisible.
+        Changed in place: samples that are not finite, have coordinates of one size, whatever their
+        signs, or are beyond `MAX_COORDINATE_MM` become invisible.
     """
     path, first_frame = header.path, header.first_frame
     hidden = _hide_impossible(positions, visible)

@@ -25,7 +25,7 @@ from usdface.capture.sample_times import rate_of_times, resolve_frame_numbers
 from usdface.capture.text_table import (
     NumberTable,
     TableLine,
-    head_lines,
+    head_titles,
     read_header,
     read_lines,
     read_number_table,
@@ -46,9 +46,7 @@ _TO_Y_UP = np.diag([1.0, -1.0, -1.0])
 
 def is_openface_csv(head: bytes) -> bool:
     """Return whether a file is an OpenFace table, from its first bytes."""
-    lines = head_lines(head, 1)
-    titles = {title.strip('" ') for title in re.split(r"[,;\t]", lines[0])} if lines else set()
-    return titles.issuperset(_NEEDED)
+    return set(head_titles(head)).issuperset(_NEEDED)
 
 
 @dataclass(frozen=True)

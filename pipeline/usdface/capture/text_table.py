@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.confinement import check_may_open
 from usdface.core.errors import InputError
 from usdface.core.rates import exact_rate
 from usdface.core.text import first_few, pluralize, read_text
@@ -67,8 +68,16 @@ def head_lines(head: bytes, count: int) -> list[str]:
     return [] if "\0" in text else text.splitlines()[:count]
 
 
+def head_titles(head: bytes) -> list[str]:
+    """Return the cells of the first line of `head`; none if it is not text."""
+    lines = head_lines(head, 1)
+    cells = lines[0].split(sniff_delimiter(lines[0]) or ",") if lines else []
+    return [cell.strip('" ') for cell in cells]
+
+
 def read_lines(path: Path) -> Iterator[TableLine]:
-    r"""Yield all lines of a text file: UTF-8 or UTF-16, with any line ends."""
+    """Yield all lines of a text file: UTF-8 or UTF-16, with any line ends."""
+    check_may_open(path)
     size = path.stat().st_size
     if size == 0:
         raise InputError(f"{path}: the file is empty (0 bytes); export the take again")
