@@ -20,7 +20,13 @@ from usdface.core.provenance import Provenance
 from usdface.core.sidecars import head_path
 from usdface.core.text import first_few
 from usdface.numerics.motion.rotation_space import multiply_quaternions
-from usdface.usdio.authoring import author_timing, author_uniform, paths_in, sampled_properties
+from usdface.usdio.authoring import (
+    author_series,
+    author_timing,
+    author_uniform,
+    paths_in,
+    sampled_properties,
+)
 from usdface.usdio.layers import new_layer, open_layer, open_stage, relative_path
 from usdface.usdio.performance.weights_layer import WeightsHeader
 from usdface.usdio.retarget.controls import (
@@ -134,10 +140,9 @@ def _author_xform(over: Sdf.PrimSpec, prim: Usd.Prim, world: FloatArray, first: 
         parent = column_matrix(UsdGeom.XformCache().GetParentToWorldTransform(prim))
     order = [*operations[:start], TRANSFORM, *operations[start:]]
     author_uniform(over, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, order)
-    attribute = Sdf.AttributeSpec(over, TRANSFORM, Sdf.ValueTypeNames.Matrix4d)
     local = (np.linalg.inv(parent) @ world @ parent).transpose(0, 2, 1)
-    for frame, matrix in enumerate(local.tolist(), start=first):
-        over.layer.SetTimeSample(attribute.path, frame, Gf.Matrix4d(matrix))
+    matrices = map(Gf.Matrix4d, local.tolist())
+    author_series(over, TRANSFORM, Sdf.ValueTypeNames.Matrix4d, matrices, first=first)
 
 
 _OF_JOINTS = ("translations", "rotations", "scales")

@@ -288,17 +288,15 @@ def set_joint_samples(
     layer: Sdf.Layer, animation: Sdf.Path, controls: Controls, first: int
 ) -> None:
     """Write the samples of joints, one attribute after the other."""
-    write = layer.SetTimeSample
-    places = [animation.AppendProperty(n) for n in ("translations", "rotations", "scales")]
-    translations = np.ascontiguousarray(controls.translations, np.float32)
-    in_memory_order = np.ascontiguousarray(controls.rotations[..., [1, 2, 3, 0]], np.float32)
-    scales = np.ascontiguousarray(controls.scales, np.float16)
-    for time, row in enumerate(translations, start=first):
-        write(places[0], time, Vt.Vec3fArray.FromNumpy(row))
-    for time, row in enumerate(in_memory_order, start=first):
-        write(places[1], time, Vt.QuatfArray.FromNumpy(row))
-    for time, row in enumerate(scales, start=first):
-        write(places[2], time, Vt.Vec3hArray.FromNumpy(row))
+    in_memory_order = controls.rotations[..., [1, 2, 3, 0]]
+    for name, kind, values in (
+        ("translations", Vt.Vec3fArray, controls.translations.astype(np.float32)),
+        ("rotations", Vt.QuatfArray, in_memory_order.astype(np.float32)),
+        ("scales", Vt.Vec3hArray, controls.scales.astype(np.float16)),
+    ):
+        path = animation.AppendProperty(name)
+        for time, row in enumerate(np.ascontiguousarray(values), start=first):
+            layer.SetTimeSample(path, time, kind.FromNumpy(row))
 
 
 def author_animation(layer: Sdf.Layer, place: Sdf.Path, controls: Controls) -> None:

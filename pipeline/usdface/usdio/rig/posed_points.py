@@ -8,6 +8,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig
 from usdface.core.errors import InputError
+from usdface.usdio.authoring import prims_below
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.rig.mesh import skel_bindings
@@ -38,11 +39,7 @@ class PosedRig:
         face_path = str(face) if self._stage.GetPrimAtPath(face) else None
         root = UsdSkel.Root(find_face(self._stage, path, face_path))
         self._bound = skel_bindings(UsdSkel.Cache(), root)
-        self._meshes = [
-            prim
-            for prim in Usd.PrimRange(root.GetPrim(), Usd.TraverseInstanceProxies())
-            if prim.IsA(UsdGeom.Mesh)
-        ]
+        self._meshes = prims_below(root.GetPrim(), UsdGeom.Mesh)
         # In the rig's units, which references do not convert.
         self._ours = stage_to_ours(open_stage(file))
         if [len(mesh.points) for mesh in self.rig.meshes] != [
