@@ -75,8 +75,8 @@ class SoundAlignment:
     drift: float
     """As a share; a millionth is 1 ppm."""
     confidence: float
-    """[0-1] The least of three criteria: peak, ratio and agreement. 0.5 if one of them is at its
-    limit, 1 if all are clear."""
+    """[0-1] The least of three criteria: peak, ratio (of a shift by phase, share and lead of its
+    votes) and agreement. 0.5 if one of them is at its limit, 1 if all are clear."""
     warnings: tuple[str, ...]
     """Reasons not to use the result."""
     peak: float = 0.0

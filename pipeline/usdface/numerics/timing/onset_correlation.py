@@ -329,7 +329,7 @@ def _overlap(first: int, second: int) -> FloatArray:
 
 
 def _drifts(hops: int, largest: float) -> FloatArray:
-    """Return the drifts to try, at a spacing of one hop over the recording."""
+    """Return the drifts to try, spaced by one hop at either end of the recording."""
     if hops <= _STRETCH_HOPS:
         return np.zeros(1)
     count = int(np.ceil(largest * hops / 2))
