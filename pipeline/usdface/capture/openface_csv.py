@@ -9,6 +9,7 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
@@ -31,7 +32,7 @@ from usdface.capture.text_table import (
     read_number_table,
 )
 from usdface.core.arrays import BoolArray, FloatArray, IntArray, index_of
-from usdface.core.assets import Take, WeightsClip
+from usdface.core.assets import Markers, Take, WeightsClip
 from usdface.core.errors import InputError
 from usdface.core.rates import exact_rate
 
@@ -197,9 +198,7 @@ def _read_units(
 
 def _add(capture: Capture, source: WeightsClip | None, confidence: FloatArray) -> Capture:
     """Add weights and the tracker's confidence to a take of markers."""
-    take = capture.take
-    if take.markers is not None:
-        seen = take.markers.confidence * np.clip(confidence, 0, 1)[:, None]
-        markers = replace(take.markers, confidence=seen.astype(np.float32))
-        take = replace(take, markers=markers, source=source)
-    return replace(capture, take=take)
+    markers = cast(Markers, capture.take.markers)
+    seen = markers.confidence * np.clip(confidence, 0, 1)[:, None]
+    markers = replace(markers, confidence=seen.astype(np.float32))
+    return replace(capture, take=replace(capture.take, markers=markers, source=source))

@@ -175,9 +175,7 @@ def _out_of_range(samples: Samples, ranges: FloatArray) -> list[Fault]:
     columns = np.flatnonzero(beyond.max(axis=0) > RANGE_TOLERANCE)
     counts = (beyond > RANGE_TOLERANCE).sum(axis=0)
     return [
-        Fault(
-            "warning",
-            samples.path,
+        samples.warning(
             f"time code {samples.times[row]:g}: {samples.names[column]} is "
             f"{samples.values[row, column]:.2f}, its range is {ranges[column, 0]:g} to "
             f"{ranges[column, 1]:g} ({pluralize(int(counts[column]), 'sample')}); bake with "
@@ -197,9 +195,7 @@ def _jumps(samples: Samples) -> Iterator[Fault]:
     for column in np.flatnonzero(too_fast.any(axis=0)):
         row = int(np.where(too_fast[:, column], speed[:, column], 0).argmax())
         change = samples.values[row + 1, column] - samples.values[row, column]
-        yield Fault(
-            "warning",
-            samples.path,
+        yield samples.warning(
             f"time code {samples.times[row + 1]:g}: {samples.names[column]} jumps by "
             f"{change:+.2f} in {1000 * seconds[row]:.0f} ms "
             f"({pluralize(int(too_fast[:, column].sum()), 'jump')}); look at the "
@@ -212,9 +208,7 @@ def _frozen(samples: Samples, captured: BoolArray) -> list[Fault]:
     if still.all():
         return []  # a pose, not a performance
     return [
-        Fault(
-            "warning",
-            samples.path,
+        samples.warning(
             f"time codes {first:g} to {last:g}: the face is frozen for {seconds:.1f} s; was the "
             "capture lost there? Clean the take again or cut",
         )
@@ -234,9 +228,7 @@ def _stuck(samples: Samples, ranges: FloatArray, captured: BoolArray) -> Iterato
         if stretches:
             first, last, seconds = max(stretches, key=lambda stretch: stretch[2])
             value = samples.values[np.searchsorted(samples.times, last), column]
-            yield Fault(
-                "warning",
-                samples.path,
+            yield samples.warning(
                 f"time codes {first:g} to {last:g}: {samples.names[column]} stays at "
                 f"{value:.2f} for {seconds:.1f} s while the face moves; if no edit holds it, "
                 "map again",
@@ -264,9 +256,7 @@ def _motionless(samples: Samples) -> list[Fault]:
         return []
     motionless = [samples.names[column] for column in np.flatnonzero(still)]
     return [
-        Fault(
-            "warning",
-            samples.path,
+        samples.warning(
             f"{pluralize(len(motionless), 'shape')} without any motion: {first_few(motionless)}; "
             "tune references that show movement there, or leave such shapes out of the mapping",
         )

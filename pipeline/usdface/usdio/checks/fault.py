@@ -35,6 +35,10 @@ class Samples:
     rate: float
     """Time codes per second."""
 
+    def warning(self, message: str) -> Fault:
+        """Return a warning at the attribute."""
+        return Fault("warning", self.path, message)
+
 
 def read_samples(prim: Usd.Prim) -> Samples | None:
     """Return an animation's samples; None without any, or if they do not match the names."""
