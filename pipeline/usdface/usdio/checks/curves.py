@@ -35,8 +35,7 @@ def check_timing(stage: Usd.Stage) -> Iterator[Fault]:
         is_cut = not (is_ours or top.GetNumTimeSamplesForPath(attribute.GetPath()))
         beyond = times[0] < start or times[-1] > end
         if has_range and beyond and not (is_cut and times[0] <= end and times[-1] >= start):
-            yield Fault(
-                "warning",
+            yield Fault.warning(
                 path,
                 f"samples from {times[0]:g} to {times[-1]:g} lie outside the stage's range, "
                 f"{start:g} to {end:g}: a player would not show them; author startTimeCode "
@@ -49,8 +48,7 @@ def check_timing(stage: Usd.Stage) -> Iterator[Fault]:
             )
         odd = times[np.abs(times - np.round(times)) > 1e-6]
         if len(odd):
-            yield Fault(
-                "warning",
+            yield Fault.warning(
                 path,
                 f"{len(odd)} samples lie between time codes, the first at {odd[0]:g}: was the "
                 "animation retimed by another layer's rate, or moved by a part of a frame? Author "
@@ -61,8 +59,7 @@ def check_timing(stage: Usd.Stage) -> Iterator[Fault]:
 def _authored(stage: Usd.Stage) -> list[Fault]:
     layer = stage.GetRootLayer()
     return [
-        Fault(
-            "error",
+        Fault.error(
             "/",
             f"animated, but {name} is not authored: another root layer would rescale it; author "
             f"{name}",
@@ -82,8 +79,7 @@ def _same_rate(stage: Usd.Stage) -> Iterator[Fault]:
     if top.HasTimeCodesPerSecond() and top.HasFramesPerSecond():
         codes, frames = top.timeCodesPerSecond, top.framesPerSecond
         if codes != frames:
-            yield Fault(
-                "warning",
+            yield Fault.warning(
                 "/",
                 f"{codes:g} time codes and {frames:g} frames per second: tools disagree on "
                 "what a frame is then; author the same number",
@@ -91,8 +87,7 @@ def _same_rate(stage: Usd.Stage) -> Iterator[Fault]:
     for layer in stage.GetLayerStack(includeSessionLayers=False):
         rate = layer.timeCodesPerSecond
         if layer != top and layer.HasTimeCodesPerSecond() and rate != top.timeCodesPerSecond:
-            yield Fault(
-                "warning",
+            yield Fault.warning(
                 "/",
                 f"{layer.GetDisplayName()} has {rate:g} time codes per second, "
                 f"{top.GetDisplayName()} {top.timeCodesPerSecond:g}: USD moves its samples off "
@@ -276,8 +271,7 @@ def _side_swaps(samples: Samples) -> list[Fault]:
     if not len(rows):
         return []
     return [
-        Fault(
-            "error",
+        Fault.error(
             samples.path,
             f"time code {samples.times[rows[0] + 1]:g}: left and right shapes exchange their "
             f"weights ({len(rows)} times in all); look for swapped markers and clean again",

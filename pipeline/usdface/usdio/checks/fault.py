@@ -20,6 +20,16 @@ class Fault:
     message: str
     """The fault, its time and its remedy."""
 
+    @classmethod
+    def error(cls, path: object, message: str) -> "Fault":
+        """Return an error at a path."""
+        return cls("error", str(path), message)
+
+    @classmethod
+    def warning(cls, path: object, message: str) -> "Fault":
+        """Return a warning at a path."""
+        return cls("warning", str(path), message)
+
 
 @dataclass(frozen=True)
 class Samples:
@@ -37,7 +47,7 @@ class Samples:
 
     def warning(self, message: str) -> Fault:
         """Return a warning at the attribute."""
-        return Fault("warning", self.path, message)
+        return Fault.warning(self.path, message)
 
 
 def read_samples(prim: Usd.Prim) -> Samples | None:

@@ -28,8 +28,7 @@ def check_weights(prim: Usd.Prim) -> list[Fault]:
     authored = bool(attribute) and attribute.HasAuthoredValue()
     if names and not authored:
         return [
-            Fault(
-                "error",
+            Fault.error(
                 path,
                 f"{len(names)} shapes are named and there is no weight; map again, or take the "
                 "names out",
@@ -37,20 +36,20 @@ def check_weights(prim: Usd.Prim) -> list[Fault]:
         ]
     if authored and not names:
         message = "weights without blendShapes, so nobody knows whose they are; name the shapes"
-        return [Fault("error", path, message)]
+        return [Fault.error(path, message)]
     if not authored:
         return []
     query = Usd.AttributeQuery(attribute)
     for time in attribute.GetTimeSamples():
         fault = _fault(names, np.asarray(query.Get(time)))
         if fault:
-            return [Fault("error", path, f"time code {time:g}: {fault}")]
+            return [Fault.error(path, f"time code {time:g}: {fault}")]
     default = attribute.Get(Usd.TimeCode.Default())
     fault = "" if default is None else _fault(names, np.asarray(default))
     if fault:
-        return [Fault("error", path, f"its default: {fault}")]
+        return [Fault.error(path, f"its default: {fault}")]
     changed = changed_part(prim)
-    return [Fault("error", path, changed)] if changed else []
+    return [Fault.error(path, changed)] if changed else []
 
 
 def _fault(names: list[str], weights: np.ndarray) -> str:
@@ -103,7 +102,7 @@ def check_edits(prim: Usd.Prim) -> list[Fault]:
     try:
         edits = read_edits(prim, frames.astype(np.int64))
     except InputError as error:
-        return [Fault("error", path, str(error))]
+        return [Fault.error(path, str(error))]
     found = []
     unknown = sorted(set(edits) - set(names))
     if unknown:
@@ -111,10 +110,10 @@ def check_edits(prim: Usd.Prim) -> list[Fault]:
             f"edits of {first_few(unknown)} find no such shape and change nothing; rename them, or "
             "clear them"
         )
-        found.append(Fault("warning", path, message))
+        found.append(Fault.warning(path, message))
     if not is_solved(prim):
         message = "edits of an animation that is no solve: only usdface composes them; bake them"
-        found.append(Fault("warning", path, message))
+        found.append(Fault.warning(path, message))
     for shape, edit in sorted(edits.items()):
         if samples is None or shape not in names:
             continue
@@ -123,8 +122,7 @@ def check_edits(prim: Usd.Prim) -> list[Fault]:
         row = int(moved.argmax())
         if moved[row] > _CHANGED_WEIGHT:
             found.append(
-                Fault(
-                    "warning",
+                Fault.warning(
                     path,
                     f"time code {samples.times[row]:g}: the solve below the edit of {shape} has "
                     f"changed by {moved[row]:.2f} since it was made; look at the edit again",

@@ -352,11 +352,16 @@ def rig_path_in(layer: Sdf.Layer) -> str:
     return places[0] if len(places) == 1 else ""
 
 
-def author_header(layer: Sdf.Layer, header: WeightsHeader, rig: Rig) -> Sdf.PrimSpec:
-    """Write all of a weights layer but its samples; return the animation prim."""
+def author_layer_metadata(layer: Sdf.Layer, header: WeightsHeader, rig: Rig) -> None:
+    """Set units, timing and the default prim of a layer of a performance."""
     author_units(layer, like=rig.file)
     author_timing(layer, rate=header.rate, first=header.first_frame, last=header.last_frame)
     layer.defaultPrim = Sdf.Path(header.rig_path).GetPrefixes()[0].name
+
+
+def author_header(layer: Sdf.Layer, header: WeightsHeader, rig: Rig) -> Sdf.PrimSpec:
+    """Write all of a weights layer but its samples; return the animation prim."""
+    author_layer_metadata(layer, header, rig)
     prim = define_prim(layer, header.animation, "SkelAnimation")
     apply_api(prim, "FaceSolveAPI")
     tokens = Sdf.ValueTypeNames.TokenArray
