@@ -138,12 +138,7 @@ def rate_of_times(seconds: FloatArray, frames: IntArray, *, where: str) -> Fract
 
 
 def check_rate(
-    rate: Fraction,
-    stated_in: str,
-    seconds: FloatArray,
-    frames: IntArray,
-    *,
-    where: str,
+    rate: Fraction, stated_in: str, seconds: FloatArray, frames: IntArray, *, where: str
 ) -> None:
     """Refuse a header and times whose frame rates differ by more than rounding and one per cent.
 

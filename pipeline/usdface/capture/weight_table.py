@@ -35,13 +35,7 @@ def read_weight_take(path: Path, options: CaptureOptions) -> Capture:
     values = in_fractions(path, samples.values, options.weight_unit, samples.names, notes)
     first, times = _times(path, samples, options.rate, notes)
     built = build_channel_take(
-        path,
-        samples.names,
-        values,
-        times,
-        notes=notes,
-        format_name="weights",
-        first_frame=first,
+        path, samples.names, values, times, notes=notes, format_name="weights", first_frame=first
     )
     return replace(built, take=replace(built.take, name=options.take or built.take.name))
 

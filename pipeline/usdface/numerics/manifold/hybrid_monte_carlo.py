@@ -92,12 +92,7 @@ def start_chains(energy: Energy, fit: LaplaceFit, white: RealArray) -> ChainStat
 
 
 def take_hmc_step(
-    rng: RandomSource,
-    state: ChainState,
-    energy: Energy,
-    fit: LaplaceFit,
-    *,
-    angle: RealArray,
+    rng: RandomSource, state: ChainState, energy: Energy, fit: LaplaceFit, *, angle: RealArray
 ) -> tuple[ChainState, RealArray]:
     """Take one step of split Hamiltonian Monte Carlo in every chain.
 

@@ -256,11 +256,7 @@ def _place_by_skin(
 
 
 def _place_by_motion(
-    skin: FaceSkin,
-    warped: FloatArray,
-    misfit: Float32Array,
-    still: BoolArray,
-    reach: float,
+    skin: FaceSkin, warped: FloatArray, misfit: Float32Array, still: BoolArray, reach: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return each marker's place by motion alone, and its precision, 0 for `still` ones."""
     before = cdist(warped, skin.positions, "sqeuclidean") / (2 * reach**2)

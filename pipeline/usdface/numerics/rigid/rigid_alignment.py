@@ -177,10 +177,7 @@ def alignment_of(matrices: ArrayLike) -> RigidAlignment:
 
 
 def remove_motion(
-    positions: ArrayLike,
-    alignment: RigidAlignment,
-    *,
-    out: RealArray | None = None,
+    positions: ArrayLike, alignment: RigidAlignment, *, out: RealArray | None = None
 ) -> RealArray:
     """Transform captured positions to the space of the reference.
 

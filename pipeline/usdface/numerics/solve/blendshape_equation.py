@@ -218,11 +218,7 @@ def _stacked(
 
 
 def _relinearise(
-    problem: "_Problem",
-    keys: MarkerKeys,
-    weights: FloatArray,
-    prior: _Prior,
-    variables: _Variables,
+    problem: "_Problem", keys: MarkerKeys, weights: FloatArray, prior: _Prior, variables: _Variables
 ) -> FloatArray:
     """Solve again with the slopes of shapes at the last solution, while the objective decreases.
 

@@ -174,7 +174,7 @@ def _out_of_range(samples: Samples, ranges: FloatArray) -> list[Fault]:
             f"time code {samples.times[row]:g}: {samples.names[column]} is "
             f"{samples.values[row, column]:.2f}, its range is {ranges[column, 0]:g} to "
             f"{ranges[column, 1]:g} ({pluralize(int(counts[column]), 'sample')}); bake with "
-            "--limit, or author face:range on the BlendShape",
+            "--limit, or author face:range on the BlendShape"
         )
         for column in columns
         for row in [int(beyond[:, column].argmax())]
@@ -194,7 +194,7 @@ def _jumps(samples: Samples) -> Iterator[Fault]:
             f"time code {samples.times[row + 1]:g}: {samples.names[column]} jumps by "
             f"{change:+.2f} in {1000 * seconds[row]:.0f} ms "
             f"({pluralize(int(too_fast[:, column].sum()), 'jump')}); look at the "
-            "markers there, or fade the edit",
+            "markers there, or fade the edit"
         )
 
 
@@ -205,7 +205,7 @@ def _frozen(samples: Samples, captured: BoolArray) -> list[Fault]:
     return [
         samples.warning(
             f"time codes {first:g} to {last:g}: the face is frozen for {seconds:.1f} s; was the "
-            "capture lost there? Clean the take again or cut",
+            "capture lost there? Clean the take again or cut"
         )
         for first, last, seconds in _stretches(samples, still & captured, FROZEN_SECONDS)
     ]
@@ -226,7 +226,7 @@ def _stuck(samples: Samples, ranges: FloatArray, captured: BoolArray) -> Iterato
             yield samples.warning(
                 f"time codes {first:g} to {last:g}: {samples.names[column]} stays at "
                 f"{value:.2f} for {seconds:.1f} s while the face moves; if no edit holds it, "
-                "map again",
+                "map again"
             )
 
 
@@ -253,7 +253,7 @@ def _motionless(samples: Samples) -> list[Fault]:
     return [
         samples.warning(
             f"{pluralize(len(motionless), 'shape')} without any motion: {first_few(motionless)}; "
-            "tune references that show movement there, or leave such shapes out of the mapping",
+            "tune references that show movement there, or leave such shapes out of the mapping"
         )
     ]
 

@@ -170,11 +170,7 @@ def driving_layers(parts: Sequence[Path], beside: Callable[[Path], Path]) -> lis
 
 
 def join_driving_layers(
-    path: Path,
-    layers: Sequence[Path],
-    *,
-    last_frame: int,
-    provenance: Provenance | None = None,
+    path: Path, layers: Sequence[Path], *, last_frame: int, provenance: Provenance | None = None
 ) -> None:
     """Join driving layers of parts of a performance, in the order of their frames."""
     if not layers:

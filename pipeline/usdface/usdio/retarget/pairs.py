@@ -157,11 +157,7 @@ def _author_samples(
 
 
 def _times(
-    stage: Usd.Stage,
-    source: Usd.Prim,
-    target: Usd.Prim,
-    attributes: tuple[str, ...],
-    path: Path,
+    stage: Usd.Stage, source: Usd.Prim, target: Usd.Prim, attributes: tuple[str, ...], path: Path
 ) -> list[int]:
     """Return the time codes of the pairs, at which both sides must have keys."""
     top = stage.GetPrimAtPath(_TARGET)

@@ -15,13 +15,7 @@ from usdface.core.rig_logic import Combination, CombinationMode, order_combinati
 from usdface.usdio.authoring import names_in, prims_below, text_of, value_of
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.rig.materials import read_look
-from usdface.usdio.rig.mesh import (
-    PlacedMesh,
-    RestPose,
-    authored_normals,
-    check_mesh,
-    read_colors,
-)
+from usdface.usdio.rig.mesh import PlacedMesh, RestPose, authored_normals, check_mesh, read_colors
 from usdface.usdio.units import stage_to_ours
 
 RANGE_ATTRIBUTE = "face:range"

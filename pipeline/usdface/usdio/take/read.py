@@ -370,11 +370,7 @@ def _between(times: np.ndarray, values: np.ndarray, frames: np.ndarray) -> np.nd
 
 @refusing_wrong_types
 def read_take(
-    path: Path,
-    *,
-    first: int | None = None,
-    last: int | None = None,
-    head_motion: bool = True,
+    path: Path, *, first: int | None = None, last: int | None = None, head_motion: bool = True
 ) -> Take:
     """Read a take, or a range of its frames; see `TakeReader.read`."""
     return TakeReader(path).read(first, last, head_motion=head_motion)
