@@ -39,7 +39,7 @@ LEAST_WINDOWS = 4
 LEAST_LEAD = 2.0
 """Least ratio of the votes for a shift to those for the next one."""
 SHORTEST_SECONDS = 1.5
-"""Least length of a recording: `LEAST_WINDOWS` of the shortest windows."""
+"""Least length of a recording: six of the shortest windows, which overlap by half."""
 
 _CLEAR_PEAK, _CLEAR_RATIO, _CLEAR_AGREEMENT = 16.0, 1.5, 0.8
 """At which the confidence is 1: about twice the least."""

@@ -9,7 +9,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel, UsdUtils
 
 from usdface.core.arrays import FloatArray
 from usdface.core.text import first_few, frame_ranges
-from usdface.usdio.authoring import read_gaps
+from usdface.usdio.authoring import names_in, read_gaps
 from usdface.usdio.checks.curves import pair_sides
 from usdface.usdio.checks.fault import Fault, is_recorded, is_solved
 from usdface.usdio.performance.weights_layer import UNMATCHED
@@ -21,7 +21,7 @@ CLEAR_SHARE = 0.2
 
 def check_names(prim: Usd.Prim) -> Iterator[Fault]:
     """Find shapes that no mesh has or that are named twice, and animations without a skeleton."""
-    names = list(map(str, UsdSkel.Animation(prim).GetBlendShapesAttr().Get() or []))
+    names = names_in(UsdSkel.Animation(prim).GetBlendShapesAttr())
     if not names or is_recorded(prim):
         return
     path = str(prim.GetPath())
@@ -57,7 +57,7 @@ def check_names(prim: Usd.Prim) -> Iterator[Fault]:
 
 def _unmatched(prim: Usd.Prim) -> Iterator[Fault]:
     """Find unmatched shapes of a retargeting, interpolated frames, and weights that are all 0."""
-    lost = list(map(str, prim.GetAttribute(UNMATCHED).Get() or ()))
+    lost = names_in(prim.GetAttribute(UNMATCHED))
     if lost:
         yield Fault.warning(
             prim.GetPath(),
@@ -85,7 +85,7 @@ def _skipped_shapes(animation: Usd.Prim, names: set[str]) -> dict[str, list[str]
     skipped: dict[str, list[str]] = {}
     for prim in animation.GetStage().Traverse(Usd.TraverseInstanceProxies()):
         binding = UsdSkel.BindingAPI(prim)
-        shapes = list(map(str, binding.GetBlendShapesAttr().Get() or []))
+        shapes = names_in(binding.GetBlendShapesAttr())
         if not names.intersection(shapes) or names.issuperset(shapes):
             continue
         skeleton = binding.GetInheritedSkeleton()
@@ -122,7 +122,7 @@ def _bound_shapes(animation: Usd.Prim) -> tuple[set[str], bool]:
     followed = False
     for prim in animation.GetStage().Traverse(Usd.TraverseInstanceProxies()):
         binding = UsdSkel.BindingAPI(prim)
-        on_meshes.update(map(str, binding.GetBlendShapesAttr().Get() or []))
+        on_meshes.update(names_in(binding.GetBlendShapesAttr()))
         if prim.IsA(UsdSkel.Skeleton):
             source = binding.GetInheritedAnimationSource()
             if source:
@@ -135,7 +135,7 @@ def check_sides(stage: Usd.Stage) -> Iterator[Fault]:
     """Find pairs of shapes whose sides are exchanged, compared with the majority of pairs."""
     for mesh in stage.Traverse():
         binding = UsdSkel.BindingAPI(mesh) if mesh.IsA(UsdGeom.Mesh) else None
-        names = tuple(map(str, (binding.GetBlendShapesAttr().Get() or []) if binding else []))
+        names = names_in(binding.GetBlendShapesAttr()) if binding else ()
         pairs = pair_sides(names)
         if len(pairs) < 3:
             continue

@@ -7,6 +7,7 @@ from pxr import Sdf, Usd, UsdSkel
 
 from usdface.core.errors import InputError
 from usdface.core.text import first_few
+from usdface.usdio.authoring import names_in
 from usdface.usdio.checks.fault import Fault, is_solved, read_samples
 from usdface.usdio.performance.clips import CLIP_SET
 from usdface.usdio.performance.edits import PREFIXES, read_edits
@@ -22,7 +23,7 @@ _CHANGED_WEIGHT = 0.1
 def check_weights(prim: Usd.Prim) -> list[Fault]:
     """Check the number and the values of the weights in every sample."""
     animation = UsdSkel.Animation(prim)
-    names = list(map(str, animation.GetBlendShapesAttr().Get() or []))
+    names = names_in(animation.GetBlendShapesAttr())
     attribute = animation.GetBlendShapeWeightsAttr()
     path = str(attribute.GetPath())
     authored = bool(attribute) and attribute.HasAuthoredValue()
@@ -52,7 +53,7 @@ def check_weights(prim: Usd.Prim) -> list[Fault]:
     return [Fault.error(path, changed)] if changed else []
 
 
-def _fault(names: list[str], weights: np.ndarray) -> str:
+def _fault(names: tuple[str, ...], weights: np.ndarray) -> str:
     if not weights.ndim or len(weights) != len(names):
         count = len(weights) if weights.ndim else 0
         return f"{count} weights for {len(names)} shapes; write one per shape"
@@ -96,7 +97,7 @@ def check_edits(prim: Usd.Prim) -> list[Fault]:
     path = str(prim.GetPath())
     if not any(name.startswith(PREFIXES) for name in prim.GetAuthoredPropertyNames()):
         return []
-    names = list(map(str, UsdSkel.Animation(prim).GetBlendShapesAttr().Get() or []))
+    names = names_in(UsdSkel.Animation(prim).GetBlendShapesAttr())
     samples = read_samples(prim)
     frames = np.zeros(1) if samples is None else np.round(samples.times)
     try:

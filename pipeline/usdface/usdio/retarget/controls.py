@@ -132,7 +132,7 @@ def rest_controls(rig: Rig, *, attributes: Sequence[str] = (), joints: bool = Tr
     skeletons = skeletons_of(stage.GetPrimAtPath(rig.prim))
     if joints and skeletons:
         skeleton = UsdSkel.Skeleton(skeletons[0])
-        names = tuple(map(str, skeleton.GetJointsAttr().Get() or ()))
+        names = names_in(skeleton.GetJointsAttr())
         rest = list(skeleton.GetRestTransformsAttr().Get() or ())
     if len(names) < 2 or len(rest) != len(names):
         names, rest = (), []

@@ -10,7 +10,7 @@ from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig
 from usdface.core.errors import InputError
 from usdface.core.text import first_few
-from usdface.usdio.authoring import check_not_instanced, prims_below
+from usdface.usdio.authoring import check_not_instanced, names_in, prims_below
 from usdface.usdio.layers import open_stage
 from usdface.usdio.rig.read import skeletons_of
 from usdface.usdio.units import column_matrix, stage_to_ours, transform_points
@@ -84,7 +84,7 @@ def _xforms(stage: Usd.Stage, rig: Rig) -> list[str]:
 
 def joint_rest(skeleton: UsdSkel.Skeleton, joint: str) -> tuple[FloatArray, FloatArray, bool]:
     """Return a joint's rest, its parent's rest in the stage's world, and whether it has none."""
-    names = list(map(str, skeleton.GetJointsAttr().Get()))
+    names = names_in(skeleton.GetJointsAttr())
     rest = [column_matrix(each) for each in skeleton.GetRestTransformsAttr().Get()]
     world = column_matrix(UsdGeom.XformCache().GetLocalToWorldTransform(skeleton.GetPrim()))
     above = [name for name in names if joint.startswith(f"{name}/")]

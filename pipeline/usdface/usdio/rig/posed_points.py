@@ -8,7 +8,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig
 from usdface.core.errors import InputError
-from usdface.usdio.authoring import prims_below
+from usdface.usdio.authoring import names_in, prims_below
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.rig.mesh import skel_bindings, skin_points
@@ -75,7 +75,7 @@ class PosedRig:
 def _deform(prim: Usd.Prim, points: Vt.Vec3fArray, weights: dict[str, float]) -> None:
     """Move points by the mesh's shapes, in place."""
     binding = UsdSkel.BindingAPI(prim)
-    names = list(map(str, binding.GetBlendShapesAttr().Get() or ()))
+    names = names_in(binding.GetBlendShapesAttr())
     if not names:
         return
     query = UsdSkel.BlendShapeQuery(binding)

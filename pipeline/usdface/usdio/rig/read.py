@@ -115,7 +115,7 @@ def channels_per_mesh(meshes: Iterable[UsdSkel.BindingAPI]) -> dict[str, list[st
     """
     by_mesh = []
     for mesh in meshes:
-        channels = list(map(str, mesh.GetBlendShapesAttr().Get() or ()))
+        channels = names_in(mesh.GetBlendShapesAttr())
         shapes = [each.name for each in mesh.GetBlendShapeTargetsRel().GetTargets()]
         prefixes = {each.removesuffix(name) for each, name in zip(channels, shapes, strict=False)}
         if len(prefixes) > 1 or prefixes & {"", *channels}:
