@@ -210,10 +210,6 @@ class FaceMesh(BoundSurface):
     """(3, 3) or (points, 3, 3): from displacements in the mesh's space to ours [mm]."""
     world: FloatArray
     """(4, 4): its transform in its stage, for column vectors and in the stage's unit."""
-    meters_per_unit: float
-    """Of its stage [m]."""
-    up_axis: str
-    """Of its stage: ``'Y'`` or ``'Z'``."""
     normals: str = ""
     """Interpolation of authored normals: ``'vertex'``, ``'faceVarying'``, ``'other'`` or, without
     any, ``''``."""
@@ -269,8 +265,6 @@ def read_face_mesh(path: Path, *, prim: str | None = None) -> FaceMesh:
         local=local,
         linear=placed.linear,
         world=column_matrix(UsdGeom.XformCache().GetLocalToWorldTransform(chosen)),
-        meters_per_unit=float(UsdGeom.GetStageMetersPerUnit(stage)),
-        up_axis=str(UsdGeom.GetStageUpAxis(stage)),
         normals=kind,
         normals_attribute=attribute,
         authored_normals=authored,

@@ -24,6 +24,7 @@ from usdface.usdio.authoring import apply_api, author_timing, author_uniform
 from usdface.usdio.layers import new_layer, open_layer, relative_path
 from usdface.usdio.rig.mesh import FaceMesh
 from usdface.usdio.rig.reference import default_rig_path, define_reference
+from usdface.usdio.units import author_units
 
 UNCERTAINTY = "primvars:face:uncertainty"
 UNSAVED_BYTES = 128 << 20
@@ -279,11 +280,10 @@ def _sample(values: FloatArray | Float32Array) -> Vt.FloatArray | Vt.Vec3fArray:
 
 
 def _author_header(layer: Sdf.Layer, face: FaceMesh, at: Sdf.Path, header: PointsHeader) -> None:
-    """Set timing, and the units of the mesh's stage, which a reference does not convert."""
+    """Set timing and the mesh's units."""
     author_timing(layer, rate=header.rate, first=header.first_frame, last=header.last_frame)
     layer.defaultPrim = at.GetPrefixes()[0].name
-    layer.pseudoRoot.SetInfo("metersPerUnit", face.meters_per_unit)
-    layer.pseudoRoot.SetInfo("upAxis", face.up_axis)
+    author_units(layer, like=face.file)
 
 
 def _declare(layer: Sdf.Layer, face: FaceMesh, at: Sdf.Path, format_: PointsFormat) -> None:

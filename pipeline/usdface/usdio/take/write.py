@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from pxr import Kind, Sdf, UsdGeom, UsdMedia, Vt
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, frame_blocks
 from usdface.core.assets import Markers, Take
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
@@ -135,8 +135,7 @@ def _author_markers(layer: Sdf.Layer, markers: Markers, frames: np.ndarray) -> N
         primvar.SetInfo("interpolation", UsdGeom.Tokens.vertex)
     # Setting samples on the layer is three times as fast as through the stage.
     writers = _ChangeWriter(visible.path), _ChangeWriter(confidence.path)
-    for start in range(0, len(frames), FRAMES_IN_MEMORY):
-        block = slice(start, start + FRAMES_IN_MEMORY)
+    for block in frame_blocks(len(frames), frames=FRAMES_IN_MEMORY):
         numbers = frames[block].tolist()
         positions = markers.positions[block] / np.float32(MM_PER_STAGE_UNIT)
         for index, frame in enumerate(numbers):
