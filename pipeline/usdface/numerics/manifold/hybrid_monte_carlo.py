@@ -47,9 +47,9 @@ class ChainState:
 class ChainSamples:
     """The samples after the burn-in."""
 
-    theta: RealArray
+    theta: FloatArray
     """(samples, 4, chains): in the coordinates that the energy takes."""
-    acceptance: RealArray
+    acceptance: FloatArray
     """(chains,): mean probability of acceptance after the burn-in."""
 
 
@@ -163,7 +163,7 @@ def sample_chains(
         weight = m**-0.75
         averaged = weight * log_angle + (1.0 - weight) * averaged
         angle = np.exp(averaged if index == burn - 1 else log_angle)
-    return ChainSamples(np.stack(samples), accepted / keep)
+    return ChainSamples(np.stack(samples, dtype=np.float64), accepted.astype(np.float64) / keep)
 
 
 def split_rhat(samples: FloatArray) -> FloatArray:

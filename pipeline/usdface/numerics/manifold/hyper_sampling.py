@@ -115,9 +115,9 @@ def sample_hyperparameters(
         samples = sample_chains(
             rng, PhiEnergy(energy, gain), found.best, burn=burn, keep=keep, jumps=jumps
         )
-    phi = np.moveaxis(samples.theta.astype(np.float64), 1, 0)
+    phi = np.moveaxis(samples.theta, 1, 0)
     theta = np.moveaxis(np.asarray(to_theta(phi, gain), np.float64), 0, 1)
-    return ChainSamples(theta, samples.acceptance.astype(np.float64)), found
+    return ChainSamples(theta, samples.acceptance), found
 
 
 def draw_laplace(rng: RandomSource, table: SharedTable, modes: Modes, *, keep: int) -> FloatArray:
@@ -208,7 +208,7 @@ def sample_shared(
     start = fit.take(np.zeros(_SHARED_CHAINS, np.int64))
     with np.errstate(all="ignore"):
         samples = sample_chains(rng, energy, start, burn=burn, keep=-(-keep // _SHARED_CHAINS))
-    each = np.moveaxis(samples.theta, 1, 2).astype(np.float64)
+    each = np.moveaxis(samples.theta, 1, 2)
     return SharedSamples(
         each.reshape(-1, 4)[:keep],
         float(samples.acceptance.mean()),
