@@ -65,7 +65,7 @@ def skel_bindings(
     }
 
 
-def skin_points(
+def skin_in_place(
     target: UsdSkel.SkinningQuery,
     joints: Vt.Matrix4dArray,
     points: Vt.Vec3fArray,
@@ -115,7 +115,7 @@ def _skin_at_rest(
 
     def skin(points: FloatArray) -> FloatArray | None:
         moved = Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(points, dtype=np.float32))
-        if not skin_points(target, skinning, moved, Usd.TimeCode.Default()):
+        if not skin_in_place(target, skinning, moved, Usd.TimeCode.Default()):
             return None
         return np.array(moved, dtype=np.float64)
 
