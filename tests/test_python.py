@@ -103,3 +103,5 @@ def test_tuned_weights_are_given_as_a_table(shot: Shot) -> None:
         assert usdface.read_references(file).weights[2, 0] == pytest.approx(value)
     with pytest.raises(usdface.UsdfaceError, match="no column `frame`"):
         usdface.run_step("references-import", references=file, weights={shape: [0.5]})
+    with pytest.raises(usdface.UsdfaceError, match="references"):
+        usdface.run_step("references-import", weights={frame: {shape: 0.625}})

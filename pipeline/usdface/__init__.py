@@ -1,8 +1,8 @@
 """Facial capture to BlendShape weights, as a stage of an OpenUSD pipeline.
 
-Ten names are promised to scripts; each is imported when it is first used, so that
-``import usdface`` costs nothing and a machine without USD can still check specs. Where USD finds
-our schemas is said at once: it looks when it starts, which may be in a script's next line.
+The names of `__all__` are the public API. Each is imported when it is first used, so that
+``import usdface`` is fast, and specs can be checked on a machine without USD. The folder of our
+schemas is registered at once, as USD reads PXR_PLUGINPATH_NAME when it is first imported.
 """
 
 import contextlib
@@ -41,7 +41,7 @@ __all__ = [
     "validate",
 ]
 
-with contextlib.suppress(_UsdfaceError):  # what reads USD says it again, where somebody listens
+with contextlib.suppress(_UsdfaceError):  # raised again by readers of USD
     register_plugin_path()
 
 

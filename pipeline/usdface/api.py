@@ -78,10 +78,11 @@ def run_step(
     if spec is None:
         raise InputError(f"no step {step!r}; there are {', '.join(SPEC_BY_STEP)}")
     with _options_as_arguments():
-        if spec is ReferencesImportSpec and not isinstance(
-            values.get("weights"), str | Path | None
-        ):
-            values["weights"] = _write_table(values["weights"], Path(values["references"]))
+        table, references = values.get("weights"), values.get("references")
+        if spec is ReferencesImportSpec and not isinstance(table, str | Path | None):
+            if not isinstance(references, str | Path):
+                raise InputError(f"references: {references!r}, expected the file of references")
+            values["weights"] = _write_table(table, Path(references))
         try:
             made = spec.model_validate(values)
         except ValidationError as error:

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from usdface.capture.sniff import recognise_format
+from usdface.capture.sniff import read_capture, recognise_format
 from usdface.cli import main
+from usdface.core.confinement import ROOT_VARIABLE
 from usdface.core.errors import InputError
 
 MEDIAPIPE = ",".join(["frame", *(f"{axis}_{n}" for n in range(478) for axis in "xyz")])
@@ -41,6 +42,17 @@ def test_what_is_no_capture_says_the_way(tmp_path: Path, name, content, message)
         recognise_format(path)
     if name.endswith((".mp4", ".ma", ".fbx")):
         assert "begins with" not in str(refused.value)
+
+
+@pytest.mark.parametrize("format", [None, "trc", "openface-csv", "face-cap"])
+def test_a_capture_outside_the_confinement_is_refused_also_by_its_named_format(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, format
+) -> None:
+    (tmp_path / "show").mkdir()
+    (tmp_path / "walk.trc").write_text("PathFileType\t4\n")
+    monkeypatch.setenv(ROOT_VARIABLE, str(tmp_path / "show"))
+    with pytest.raises(InputError, match="lies outside"):
+        read_capture(tmp_path / "walk.trc", format=format)
 
 
 @pytest.mark.parametrize(

@@ -52,6 +52,7 @@ def test_shift_keeps_drop_frame_and_wraps_at_midnight() -> None:
     [
         ("00:01:00;00", NTSC, "does not exist: drop frame leaves out"),
         ("00:00:00:30", Fraction(30), "does not exist at 30 labels"),
+        ("24:00:00:00", Fraction(24), "does not exist at 24 labels"),
         ("1:2:3:4", Fraction(30), "is not hh:mm:ss:ff"),
         ("00:00:10;00", Fraction(25), "drop frame exists only at multiples of 29.97"),
         ("00:00:10:00", Fraction(37), "cannot label 37 frames per second"),

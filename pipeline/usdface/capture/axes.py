@@ -6,23 +6,16 @@ from usdface.core.arrays import FloatArray
 from usdface.core.errors import InputError
 
 _MM_PER_UNIT = {
-    "mm": 1.0,
-    "millimeter": 1.0,
-    "millimetre": 1.0,
-    "cm": 10.0,
-    "centimeter": 10.0,
-    "centimetre": 10.0,
-    "dm": 100.0,
-    "decimeter": 100.0,
-    "decimetre": 100.0,
-    "m": 1000.0,
-    "meter": 1000.0,
-    "metre": 1000.0,
-    "in": 25.4,
-    "inch": 25.4,
-    "inches": 25.4,
-    "ft": 304.8,
-    "feet": 304.8,
+    name: mm
+    for mm, names in (
+        (1.0, ("mm", "millimeter", "millimetre")),
+        (10.0, ("cm", "centimeter", "centimetre")),
+        (100.0, ("dm", "decimeter", "decimetre")),
+        (1000.0, ("m", "meter", "metre")),
+        (25.4, ("in", "inch", "inches")),
+        (304.8, ("ft", "feet")),
+    )
+    for name in names
 }
 _CUT_LENGTH = 4
 """Some programs truncate the unit in a C3D file to four letters."""

@@ -1,7 +1,7 @@
 """C3D, the exchange format of optical capture: points, analog channels and events.
 
-Written for takes of hundreds of thousands of frames: samples are read by range, so memory is
-bounded by the size of the result, and takes of more than 65,535 frames are read completely.
+Written for takes of hundreds of thousands of frames: samples are read by ranges, which bounds the
+memory, and takes of more than 65,535 frames are read completely.
 
 References
 ----------
@@ -24,14 +24,13 @@ from usdface.capture.marker_take import (
     build_marker_take,
     resolve_units,
 )
-from usdface.core.arrays import Float32Array
+from usdface.core.arrays import Float32Array, frame_blocks
 from usdface.core.assets import Event
 from usdface.core.errors import InputError
 from usdface.core.rates import exact_rate
 
 _EVENT_MARK = 12345
 _HEADER_EVENT_LIMIT = 18
-_CHUNK_BYTES = 32 << 20
 
 
 @dataclass(frozen=True)
@@ -85,18 +84,12 @@ class C3dFile:
         `InputError` if the file became shorter since it was opened.
         """
         layout = self.layout
-        frames = range(layout.frame_count)[start:stop]
-        positions = np.empty((len(frames), layout.point_count, 3), np.float32)
-        residuals = np.empty((len(frames), layout.point_count), np.float32)
-        for chunk in self._chunks(frames):
-            items = self._read_items(chunk)[:, : layout.point_count * 4]
-            samples = items.reshape(len(chunk), layout.point_count, 4)
-            rows = slice(chunk.start - frames.start, chunk.stop - frames.start)
-            positions[rows] = samples[..., :3]
-            residuals[rows] = _residuals(samples[..., 3], abs(layout.scale))
-            if layout.scale > 0:
-                positions[rows] *= np.float32(layout.scale)
-        return C3dPoints(positions, residuals)
+        items = self._read_items(range(layout.frame_count)[start:stop])
+        samples = items[:, : layout.point_count * 4].reshape(len(items), layout.point_count, 4)
+        positions = samples[..., :3].astype(np.float32)
+        if layout.scale > 0:
+            positions *= np.float32(layout.scale)
+        return C3dPoints(positions, _residuals(samples[..., 3], abs(layout.scale)))
 
     def read_analog(self, start: int = 0, stop: int | None = None) -> Float32Array:
         """Read the analog samples of frames `start` to `stop` (exclusive), in physical units.
@@ -104,21 +97,11 @@ class C3dFile:
         (frames * analog_per_frame, channels)
         """
         layout = self.layout
-        frames = range(layout.frame_count)[start:stop]
-        shape = (len(frames) * layout.analog_per_frame, layout.analog_count)
-        samples = np.empty(shape, np.float32)
-        if not layout.analog_count:
-            return samples
+        items = self._read_items(range(layout.frame_count)[start:stop])
+        shape = (len(items) * layout.analog_per_frame, layout.analog_count)
+        stored = items[:, layout.point_count * 4 :].reshape(shape).astype(np.float32)
         scale, offset = self._analog_calibration()
-        for chunk in self._chunks(frames):
-            rows = slice(
-                (chunk.start - frames.start) * layout.analog_per_frame,
-                (chunk.stop - frames.start) * layout.analog_per_frame,
-            )
-            items = self._read_items(chunk)[:, layout.point_count * 4 :]
-            stored = items.reshape(-1, layout.analog_count).astype(np.float32)
-            samples[rows] = (stored - offset) * scale
-        return samples
+        return np.asarray((stored - offset) * scale)
 
     def events(self) -> tuple[C3dEvent, ...]:
         """Return the events of the EVENT group, or else of the header."""
@@ -163,10 +146,6 @@ class C3dFile:
         if parameters.text("ANALOG:FORMAT").upper().startswith("UNSIGNED"):
             offset %= 0x10000
         return scale * np.float32(1.0 if general is None else general), offset
-
-    def _chunks(self, frames: range) -> list[range]:
-        step = max(1, _CHUNK_BYTES // (self.layout.frame_items * 4))
-        return [frames[at : at + step] for at in range(0, len(frames), step)]
 
     def _read_items(self, frames: range) -> NDArray[np.generic]:
         """Read the stored numbers of some frames: (frames, items)."""
@@ -256,8 +235,7 @@ def read_c3d_take(path: Path, options: CaptureOptions) -> Capture:
     positions = np.empty((file.frame_count, len(columns), 3), np.float32)
     visible = np.empty((file.frame_count, len(columns)), bool)
     odd = np.empty_like(visible)
-    for start in range(0, file.frame_count, _CHUNK_FRAMES):
-        rows = slice(start, min(start + _CHUNK_FRAMES, file.frame_count))
+    for rows in frame_blocks(file.frame_count, frames=_CHUNK_FRAMES):
         points = file.read_points(rows.start, rows.stop)
         with np.errstate(invalid="ignore", over="ignore"):  # damaged samples are hidden later
             # one long product: a small one for each frame takes several times as long

@@ -279,13 +279,7 @@ def _analog_readings(
 
 
 def _settle_frames(
-    notes: list[str],
-    parameters: Parameters,
-    first: int,
-    last: int,
-    capacity: int,
-    *,
-    padding: int,
+    notes: list[str], parameters: Parameters, first: int, last: int, capacity: int, *, padding: int
 ) -> tuple[int, int]:
     """Return the number of the first frame and the frame count.
 

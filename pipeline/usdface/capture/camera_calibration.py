@@ -1,6 +1,5 @@
 """Camera calibrations, as written by caliscope, anipose and other programs that use OpenCV."""
 
-import math
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
@@ -101,6 +100,6 @@ def _numbers(value: object, shape: tuple[int, ...], where: str) -> FloatArray:
         numbers = np.array(value, np.float64).reshape(shape)
     except (TypeError, ValueError) as error:
         raise InputError(f"{where} is {str(value)[:60]}, not numbers {shape}") from error
-    if not all(map(math.isfinite, numbers.ravel().tolist())):
+    if not np.isfinite(numbers).all():
         raise InputError(f"{where} holds NaN or infinity; calibrate again")
     return numbers

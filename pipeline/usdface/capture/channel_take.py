@@ -3,6 +3,7 @@
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -178,16 +179,16 @@ def gap_ranges(missing: BoolArray, first_frame: int) -> tuple[tuple[int, int], .
 
 def describe_missing(frames: FloatArray, first_frame: int = _FIRST_FRAME) -> list[str]:
     """Return a note with the missing frames between samples at whole frames, if any."""
-    skipped = (np.diff(frames) - 1).astype(np.int64)
-    if not skipped.any():
+    missing = [
+        (first_frame + int(before) + 1, first_frame + int(after) - 1)
+        for before, after in pairwise(frames.tolist())
+        if after - before > 1
+    ]
+    if not missing:
         return []
-    missing = []
-    for before in np.flatnonzero(skipped):
-        first = first_frame + int(frames[before]) + 1
-        last = first + int(skipped[before]) - 1
-        missing.append((first, last))
+    count = sum(last - first + 1 for first, last in missing)
     return [
-        f"{skipped.sum()} of {int(frames[-1]) + 1} frames were dropped by the recorder and are "
+        f"{count} of {int(frames[-1]) + 1} frames were dropped by the recorder and are "
         f"interpolated: {frame_ranges(missing)}"
     ]
 

@@ -18,7 +18,7 @@ from usdface.capture.marker_take import Capture, CaptureOptions
 from usdface.capture.sample_times import SampleTimes, resolve_device_times
 from usdface.capture.text_table import (
     TableLine,
-    head_lines,
+    head_titles,
     parse_cells,
     read_header,
     read_lines,
@@ -58,9 +58,7 @@ class _Rows:
 
 def is_live_link_csv(head: bytes) -> bool:
     """Return whether a file is a Live Link Face recording, from its first bytes."""
-    lines = head_lines(head, 1)
-    titles = re.split(r"[,;\t]", lines[0].lower()) if lines else []
-    return tuple(title.strip('" ') for title in titles[:2]) == _TITLES
+    return tuple(title.lower() for title in head_titles(head)[:2]) == _TITLES
 
 
 def read_live_link_csv(path: Path, options: CaptureOptions) -> Capture:

@@ -24,11 +24,10 @@ from usdface.capture.sample_times import (
 )
 from usdface.capture.text_table import (
     NumberTable,
-    head_lines,
+    head_titles,
     read_header,
     read_lines,
     read_number_table,
-    sniff_delimiter,
     without_repeated_rows,
 )
 from usdface.core.arrays import FloatArray, IntArray
@@ -41,13 +40,9 @@ _X = re.compile(r"(.+)[._: ]x", re.IGNORECASE)
 
 def is_marker_csv(head: bytes) -> bool:
     """Return whether a file is a table of markers, from its first bytes."""
-    lines = head_lines(head, 1)
-    if not lines:
-        return False
-    titles = [title.strip('" ') for title in lines[0].split(sniff_delimiter(lines[0]) or ",")]
-    coordinates = 3 * len(_triples(titles))
-    least = 3 if index_kind(titles[0]) == "frame" else max(9, len(titles) / 2)
-    return coordinates >= least
+    titles = head_titles(head)
+    least = 3 if titles and index_kind(titles[0]) == "frame" else max(9, len(titles) / 2)
+    return 3 * len(_triples(titles)) >= least
 
 
 def read_marker_csv(path: Path, options: CaptureOptions) -> Capture:

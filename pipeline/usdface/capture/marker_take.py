@@ -9,7 +9,14 @@ import numpy as np
 
 from usdface.capture.axes import mm_per_unit, rotation_to_y_up
 from usdface.capture.marker_labels import match_labels, resolve_labels
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, hold_last_seen
+from usdface.core.arrays import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    frame_blocks,
+    hold_last_seen,
+)
 from usdface.core.assets import Markers, Take
 from usdface.core.errors import InputError
 from usdface.core.rates import exact_rate
@@ -19,6 +26,7 @@ MAX_COORDINATE_MM = 1e5
 """Distance from the origin beyond which a sample is damaged: capture volumes are below 100 m."""
 
 _CHUNK_ROWS = 8192
+"""Temporary arrays stay small on long takes."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +59,7 @@ class Capture:
 
     take: Take
     format: str
-    """Key of the reader, such as ``'c3d'``."""
+    """Name of the format, such as ``'c3d'``; ``'weights'`` for all tables of weights."""
     notes: tuple[str, ...] = ()
     """Samples dropped, repairs and assumptions, one sentence each."""
     axes: FloatArray | None = None
@@ -122,8 +130,8 @@ def build_marker_take(
     positions : (frames, markers, 3) float32 array
         [mm]; changed in place. Arbitrary where not visible.
     visible : (frames, markers) bool array
-        Changed in place: samples that are not finite, have three equal coordinates or are beyond
-        `MAX_COORDINATE_MM` become invisible.
+        Changed in place: samples that are not finite, have coordinates of one size, whatever their
+        signs, or are beyond `MAX_COORDINATE_MM` become invisible.
     """
     path, first_frame = header.path, header.first_frame
     hidden = _hide_impossible(positions, visible)
@@ -182,8 +190,7 @@ def _settle_rate(header: CaptureHeader, options: CaptureOptions, notes: list[str
 def _hide_impossible(positions: Float32Array, visible: BoolArray) -> list[str]:
     """Mark impossible samples as invisible; return notes with their numbers."""
     counts = np.zeros(3, np.int64)
-    for start in range(0, len(positions), _CHUNK_ROWS):  # temporaries stay small on long takes
-        rows = slice(start, start + _CHUNK_ROWS)
+    for rows in frame_blocks(len(positions), frames=_CHUNK_ROWS):
         seen = visible[rows]
         size = np.abs(positions[rows])
         with np.errstate(invalid="ignore"):
@@ -249,8 +256,7 @@ def build_table_take(
     positions = np.zeros((count, len(starts), 3), np.float32)
     visible = np.zeros((count, len(starts)), bool)
     axes = starts[:, None] + np.arange(3)
-    for start in range(0, len(frames), _CHUNK_ROWS):  # temporaries stay small on long takes
-        rows = slice(start, start + _CHUNK_ROWS)
+    for rows in frame_blocks(len(frames), frames=_CHUNK_ROWS):
         with np.errstate(invalid="ignore", over="ignore"):  # damaged samples are hidden later
             samples = table.values[rows][:, axes] @ to_mm.T
             positions[frames[rows]] = samples

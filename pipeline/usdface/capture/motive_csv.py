@@ -34,7 +34,7 @@ from usdface.capture.text_table import (
     without_repeated_rows,
 )
 from usdface.core.errors import InputError
-from usdface.core.rates import frames_of
+from usdface.core.rates import valid_timecode
 from usdface.core.text import first_few
 
 _MOST_HEADER_ROWS = 12
@@ -190,18 +190,15 @@ def _rate(stated: dict[str, str], line: TableLine) -> Fraction | None:
 def _timecode(stamp: str, rate: Fraction, notes: list[str]) -> str:
     """Return the SMPTE timecode of the first frame; empty, with a note, if it is invalid."""
     match = _TIMECODE.fullmatch(stamp)
-    if match is not None:
-        try:
-            frames_of(match[1], rate)
-        except InputError as error:
-            notes.append(f"the timecode column is not used: {error}")
-        else:
-            if int(match[2] or 0):
-                notes.append(
-                    f"the take begins at sub-frame {match[2]} of the label {match[1]}, which names "
-                    "whole frames: the sub-frame is left out"
-                )
-            return match[1]
-    elif stamp:
-        notes.append(f"the timecode column is not used: it begins {stamp[:24]!r}")
-    return ""
+    if match is None:
+        if stamp:
+            notes.append(f"the timecode column is not used: it begins {stamp[:24]!r}")
+        return ""
+    label, faults = valid_timecode(match[1], rate)
+    notes += faults
+    if label and int(match[2] or 0):
+        notes.append(
+            f"the take begins at sub-frame {match[2]} of the label {label}, which names whole "
+            "frames: the sub-frame is left out"
+        )
+    return label

@@ -9,6 +9,7 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
@@ -25,13 +26,13 @@ from usdface.capture.sample_times import rate_of_times, resolve_frame_numbers
 from usdface.capture.text_table import (
     NumberTable,
     TableLine,
-    head_lines,
+    head_titles,
     read_header,
     read_lines,
     read_number_table,
 )
 from usdface.core.arrays import BoolArray, FloatArray, IntArray, index_of
-from usdface.core.assets import Take, WeightsClip
+from usdface.core.assets import Markers, Take, WeightsClip
 from usdface.core.errors import InputError
 from usdface.core.rates import exact_rate
 
@@ -46,9 +47,7 @@ _TO_Y_UP = np.diag([1.0, -1.0, -1.0])
 
 def is_openface_csv(head: bytes) -> bool:
     """Return whether a file is an OpenFace table, from its first bytes."""
-    lines = head_lines(head, 1)
-    titles = {title.strip('" ') for title in re.split(r"[,;\t]", lines[0])} if lines else set()
-    return titles.issuperset(_NEEDED)
+    return set(head_titles(head)).issuperset(_NEEDED)
 
 
 @dataclass(frozen=True)
@@ -200,9 +199,7 @@ def _read_units(
 
 def _add(capture: Capture, source: WeightsClip | None, confidence: FloatArray) -> Capture:
     """Add weights and the tracker's confidence to a take of markers."""
-    take = capture.take
-    if take.markers is not None:
-        seen = take.markers.confidence * np.clip(confidence, 0, 1)[:, None]
-        markers = replace(take.markers, confidence=seen.astype(np.float32))
-        take = replace(take, markers=markers, source=source)
-    return replace(capture, take=take)
+    markers = cast(Markers, capture.take.markers)
+    seen = markers.confidence * np.clip(confidence, 0, 1)[:, None]
+    markers = replace(markers, confidence=seen.astype(np.float32))
+    return replace(capture, take=replace(capture.take, markers=markers, source=source))

@@ -38,6 +38,8 @@ arrival are uneven. Beyond it the sound is visibly out of step: frames are missi
 or recordings were joined."""
 _LARGEST_RATIO = 10
 """Frames per sample above which frame numbers count as damaged."""
+_LARGEST_FRAME_NUMBER = 2**31
+"""USD stores frame numbers of references and neutral faces in 32 bits."""
 
 
 @dataclass(frozen=True)
@@ -103,18 +105,24 @@ def resolve_frame_numbers(
     numbers: FloatArray, lines: IntArray, *, where: str
 ) -> tuple[int, IntArray]:
     """Return the first frame number, and the frame of each row from 0."""
-    whole = np.isfinite(numbers) & (np.abs(numbers) < 2**31)
+    whole = whole_numbers(numbers, lines, where=where)
+    check_ascending(numbers, lines, where=where)
+    frames = whole - whole[0]
+    check_span(frames, lines, where=where)
+    return int(whole[0]), frames
+
+
+def whole_numbers(numbers: FloatArray, lines: IntArray, *, where: str) -> IntArray:
+    """Return frame numbers as integers; refuse others."""
+    whole = np.isfinite(numbers) & (np.abs(numbers) < _LARGEST_FRAME_NUMBER)
     whole[whole] = numbers[whole] == np.rint(numbers[whole])
     if not whole.all():
         bad = int(np.argmin(whole))
         raise InputError(
-            f"{where} line {lines[bad]}: frame number {numbers[bad]:g}; it must be a whole number: "
-            "export the take again"
+            f"{where} line {lines[bad]}: frame number {numbers[bad]:g}; it must be a whole number "
+            f"below {_LARGEST_FRAME_NUMBER}: export the take again, or correct it"
         )
-    check_ascending(numbers, lines, where=where)
-    frames = numbers - numbers[0]
-    check_span(frames, lines, where=where)
-    return int(numbers[0]), frames.astype(np.int64)
+    return numbers.astype(np.int64)
 
 
 def rate_of_times(seconds: FloatArray, frames: IntArray, *, where: str) -> Fraction:
@@ -134,12 +142,7 @@ def rate_of_times(seconds: FloatArray, frames: IntArray, *, where: str) -> Fract
 
 
 def check_rate(
-    rate: Fraction,
-    stated_in: str,
-    seconds: FloatArray,
-    frames: IntArray,
-    *,
-    where: str,
+    rate: Fraction, stated_in: str, seconds: FloatArray, frames: IntArray, *, where: str
 ) -> None:
     """Refuse a header and times whose frame rates differ by more than rounding and one per cent.
 
@@ -170,7 +173,7 @@ def check_ascending(values: FloatArray, lines: IntArray, *, where: str) -> None:
         )
 
 
-def check_span(frames: FloatArray, lines: IntArray, *, where: str) -> None:
+def check_span(frames: FloatArray | IntArray, lines: IntArray, *, where: str) -> None:
     """Refuse samples so sparse that most frames of the take would be missing."""
     if frames[-1] > _LARGEST_RATIO * (len(frames) + 100):
         row = int(np.argmax(np.diff(frames))) + 1

@@ -15,12 +15,13 @@ from pathlib import Path
 import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.confinement import check_may_open
 from usdface.core.errors import InputError
 from usdface.core.rates import exact_rate
-from usdface.core.text import first_few, pluralize, read_text
+from usdface.core.text import first_few, pluralize, read_text, text_encoding
 
 LARGEST_BYTES = 4 << 30
-"""About ten hours of 100 markers at 120 frames per second."""
+"""About four hours of 100 markers at 120 frames per second, with nine characters a number."""
 LONGEST_LINE = 1 << 20
 MOST_LINES = 10_000_000
 DELIMITERS = ("\t", ",", ";")
@@ -62,13 +63,20 @@ class NumberTable:
 
 def head_lines(head: bytes, count: int) -> list[str]:
     """Return the first lines of `head` as text; none if it is not text."""
-    encoding = _encoding(head)
-    text = head.decode(encoding, errors="replace")
+    text = head.decode(text_encoding(head), errors="replace")
     return [] if "\0" in text else text.splitlines()[:count]
 
 
+def head_titles(head: bytes) -> list[str]:
+    """Return the cells of the first line of `head`; none if it is not text."""
+    lines = head_lines(head, 1)
+    cells = lines[0].split(sniff_delimiter(lines[0]) or ",") if lines else []
+    return [cell.strip('" ') for cell in cells]
+
+
 def read_lines(path: Path) -> Iterator[TableLine]:
-    r"""Yield all lines of a text file: UTF-8 or UTF-16, with any line ends."""
+    """Yield all lines of a text file: UTF-8 or UTF-16, with any line ends."""
+    check_may_open(path)
     size = path.stat().st_size
     if size == 0:
         raise InputError(f"{path}: the file is empty (0 bytes); export the take again")
@@ -78,7 +86,7 @@ def read_lines(path: Path) -> Iterator[TableLine]:
             "export the take in parts, or as C3D"
         )
     with path.open("rb") as file:
-        encoding = _encoding(file.read(4))
+        encoding = text_encoding(file.read(4))
     with path.open(encoding=encoding, errors="replace") as stream:
         number = 0
         while text := stream.readline(LONGEST_LINE):
@@ -256,12 +264,6 @@ def without_repeated_rows(table: NumberTable, notes: list[str]) -> NumberTable:
     notes.append(f"{pluralize(int(same.sum()), 'row')} written twice, read once: line {lines}")
     texts = {at: [cells[row] for row in rows] for at, cells in table.texts.items()}
     return NumberTable(table.values[rows], table.lines[rows], texts)
-
-
-def _encoding(head: bytes) -> str:
-    if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        return "utf-16"
-    return "utf-8-sig"
 
 
 def _check_line(line: TableLine, encoding: str) -> None:

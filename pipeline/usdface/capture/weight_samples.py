@@ -150,7 +150,7 @@ def _read_csv(path: Path) -> WeightSamples:
     lines = read_lines(path)
     header, delimiter, titles = read_header(lines)
     kinds = [index_kind(title) for title in titles]
-    if not any(kind in ("frame", "time", "ms") for kind in kinds) and len(titles) < _FEWEST_SHAPES:
+    if not any(kind in _COUNTED for kind in kinds) and len(titles) < _FEWEST_SHAPES:
         raise InputError(
             f"{header.where}: has no `frame` column; the first line must name the columns"
         )

@@ -16,16 +16,16 @@ from usdface.capture.sample_times import (
     rate_of_times,
     resolve_device_times,
     resolve_frame_numbers,
+    whole_numbers,
 )
 from usdface.capture.weight_samples import WeightSamples, read_weight_samples
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.errors import InputError
-from usdface.core.rates import MAX_FRAME, exact_rate
+from usdface.core.rates import exact_rate
 from usdface.core.text import first_few, pluralize
 
 _OTHER_RATE = 1.2
 """Ratio between a stated rate and that of the times above which the times are used."""
-_PER_UNIT = {"one": 1.0, "percent": 0.01}
 
 
 def read_weight_take(path: Path, options: CaptureOptions) -> Capture:
@@ -35,13 +35,7 @@ def read_weight_take(path: Path, options: CaptureOptions) -> Capture:
     values = in_fractions(path, samples.values, options.weight_unit, samples.names, notes)
     first, times = _times(path, samples, options.rate, notes)
     built = build_channel_take(
-        path,
-        samples.names,
-        values,
-        times,
-        notes=notes,
-        format_name="weights",
-        first_frame=first,
+        path, samples.names, values, times, notes=notes, format_name="weights", first_frame=first
     )
     return replace(built, take=replace(built.take, name=options.take or built.take.name))
 
@@ -52,15 +46,7 @@ def row_frames(path: Path, samples: WeightSamples) -> tuple[IntArray, Fraction |
     Without frame numbers, takes begin at frame 1 and rows are consecutive or at their times.
     """
     if samples.frames is not None:
-        whole = np.isfinite(samples.frames) & (np.abs(samples.frames) < MAX_FRAME)
-        whole[whole] = samples.frames[whole] == np.rint(samples.frames[whole])
-        if not whole.all():
-            row = int(np.argmin(whole))
-            raise InputError(
-                f"{path} line {samples.lines[row]}: {samples.frames[row]:g} is not a frame number; "
-                "correct it"
-            )
-        frames = samples.frames.astype(np.int64)
+        frames = whole_numbers(samples.frames, samples.lines, where=str(path))
         return frames, samples.rate or _rate_beside(path, samples, frames)
     takes = np.array(samples.takes or [""] * len(samples.values), object)
     frames, rate = np.zeros(len(takes), np.int64), samples.rate
@@ -91,11 +77,10 @@ def in_fractions(
     path: Path, values: FloatArray, unit: str | None, names: Sequence[str], notes: list[str]
 ) -> FloatArray:
     """Return weights as fractions of 1; values in percent require a stated unit."""
-    if unit is not None:
-        if unit == "percent":
-            notes.append("weights read as percent, as stated")
-        return values * _PER_UNIT[unit] if unit == "percent" else values
-    if values.size and np.abs(values).max() > LARGEST_FRACTION:
+    if unit == "percent":
+        notes.append("weights read as percent, as stated")
+        return values * 0.01
+    if unit is None and values.size and np.abs(values).max() > LARGEST_FRACTION:
         row, column = np.unravel_index(int(np.abs(values).argmax()), values.shape)
         raise InputError(
             f"{path}: {names[int(column)]} is {values[row, column]:g}, and weights are about 0 to "

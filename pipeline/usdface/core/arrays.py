@@ -72,7 +72,7 @@ def row_lengths(rows: NDArray[np.floating]) -> Any:
 
 
 def distances(one: NDArray[np.floating], other: NDArray[np.floating]) -> Any:
-    """Return the distances of points, (..., 3) to (...), of their type."""
+    """Return the distances of points, (..., k) to (...), of their type."""
     return row_lengths(one - other)[..., 0]
 
 

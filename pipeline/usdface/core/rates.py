@@ -1,7 +1,7 @@
 """Exact frame rates, frame ranges and SMPTE timecode.
 
-A timecode's label counts at a base rate of at most 30 (24, 25 or 30, whole or over 1.001); faster
-captures have several frames per label, as on recorders: at 120 frames per second four.
+A timecode's label counts at a base rate of at most 30, whole or over 1.001; captures at multiples
+of 24, 25 or 30 have several frames per label, as on recorders: at 120 frames per second four.
 """
 
 import re
@@ -22,7 +22,7 @@ FASTEST_BASE = 30
 def label_rate(rate: Fraction) -> tuple[int, int]:
     """Return (labels per nominal second, frames per label) of a capture rate.
 
-    `InputError` if the rate is no multiple of a rate of timecode.
+    `InputError` if the rate is above 30 and no multiple of 24, 25 or 30.
     """
     nominal = round(float(rate) * 1.001) if rate.denominator == 1001 else round(float(rate))
     for base in (30, 25, 24):
@@ -43,7 +43,7 @@ def frames_of(timecode: str, rate: Fraction) -> int:
     if match is None:
         raise InputError(f"timecode {timecode!r} is not hh:mm:ss:ff or hh:mm:ss;ff")
     hours, minutes, seconds, frames = (int(match[group]) for group in (1, 2, 3, 5))
-    if minutes > 59 or seconds > 59 or frames >= base:
+    if hours > 23 or minutes > 59 or seconds > 59 or frames >= base:
         raise InputError(f"timecode {timecode!r} does not exist at {base} labels per second")
     labels = ((hours * 60 + minutes) * 60 + seconds) * base + frames
     if match[4] == ";":

@@ -45,11 +45,15 @@ def read_text(path: Path, largest_bytes: int) -> str:
         data = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}; check the path") from error
-    encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
     try:
-        return data.decode(encoding)
+        return data.decode(text_encoding(data))
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: is not UTF-8 at byte {error.start}; save it as UTF-8") from error
+
+
+def text_encoding(head: bytes) -> str:
+    """Return the encoding of a text by its first bytes: UTF-16 with a byte order mark, or UTF-8."""
+    return "utf-16" if head[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
 
 
 def read_json(path: Path, largest_bytes: int) -> Any:

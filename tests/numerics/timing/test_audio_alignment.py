@@ -13,7 +13,7 @@ from usdface.numerics.timing.onset_correlation import (
     onset_flux,
     scan_phase,
 )
-from usdface.numerics.timing.window_delays import fit_robust_line
+from usdface.numerics.timing.window_delays import fit_robust_line, window_delays
 
 MILLISECOND = 1e-3
 CAPTURE = Recorder(start=0.3, seconds=17.0, ppm=40, snr_db=30)
@@ -210,3 +210,17 @@ def test_a_line_through_nothing_is_refused() -> None:
         fit_robust_line(
             np.zeros(0), np.zeros(0), tolerance=1, largest_slope=1, usual_slope=1, noise=1
         )
+
+
+def test_windows_before_the_other_recording_have_no_delay() -> None:
+    noise = np.random.default_rng(0).normal(0, 0.1, 40_000).astype(np.float32)
+    found = window_delays(
+        noise,
+        noise,
+        rate=RATE,
+        window=0.4,
+        count=8,
+        expected=(-0.1, -3.0),  # clocks so different that windows end before the other begins
+        radius=(0.03, 0.0),
+    )
+    assert len(found.times) < 8

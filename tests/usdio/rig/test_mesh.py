@@ -126,7 +126,9 @@ def test_points_that_are_nan_are_named(scan_file: Path) -> None:
     points[[17, 40]] = np.nan
     mesh.GetPointsAttr().Set(points)
     stage.Save()
-    with pytest.raises(InputError, match=r"2 points hold NaN or infinity \(first: point 17\)"):
+    with pytest.raises(
+        InputError, match=r"points hold NaN or infinity \(2, the first is point 17\)"
+    ):
         read_face_mesh(scan_file)
 
 

@@ -100,6 +100,23 @@ def test_deformation_equals_usdskel_with_inbetweens_and_beyond_the_range(tmp_pat
     assert_moves_as_usdskel_does(read_rig(tmp_path / "rig.usda"), weights)
 
 
+def test_normals_of_corners_are_not_those_of_points(tmp_path: Path) -> None:
+    write_rig(tmp_path / "rig.usda", small_rig())
+    stage = Usd.Stage.Open(str(tmp_path / "rig.usda"))
+    skin = UsdGeom.Mesh(stage.GetPrimAtPath("/Hero/geo/skin"))
+    count = len(skin.GetPointsAttr().Get())  # as many corners as points, in another order
+    skin.GetFaceVertexCountsAttr().Set([count])
+    skin.GetFaceVertexIndicesAttr().Set(list(range(count))[::-1])
+    skin.CreateNormalsAttr([Gf.Vec3f(0, 0, 1)] * count)
+    for interpolation, known in (("vertex", True), ("faceVarying", False)):
+        skin.SetNormalsInterpolation(interpolation)
+        stage.Save()
+        mesh = next(
+            mesh for mesh in read_rig(tmp_path / "rig.usda").meshes if mesh.path == "/Hero/geo/skin"
+        )
+        assert (mesh.normals is not None) == known
+
+
 def test_units_up_axis_and_transforms_are_converted_once(tmp_path: Path) -> None:
     path = tmp_path / "rig.usda"
     write_rig(path, small_rig())

@@ -235,6 +235,10 @@ def spoil_nan(layer: Sdf.Layer) -> None:
     layer.SetTimeSample("/Take/Markers.points", 105, Vt.Vec3fArray.FromNumpy(bad))
 
 
+def spoil_weights(layer: Sdf.Layer) -> None:
+    layer.SetTimeSample("/Take/Source.blendShapeWeights", 105, Vt.FloatArray([0.5, np.nan]))
+
+
 def spoil_schema(layer: Sdf.Layer) -> None:
     layer.customLayerData = {"usdface": {"schema": 99}}
 
@@ -249,6 +253,7 @@ def spoil_api(layer: Sdf.Layer) -> None:
         (spoil_rate, r"timeCodesPerSecond is 0; a take needs a rate above 0"),
         (spoil_names, r"points> frame 101: 4 points for 1 marker names"),
         (spoil_nan, r"points> frame 105: marker 2 is NaN"),
+        (spoil_weights, r"Weights> time code 105: 2 values where 2 finite ones are needed"),
         (spoil_schema, r"written with usdface schema 99, this version knows 1; update usdface"),
         (spoil_api, r"no FaceTakeAPI; make one from it with `usdface ingest`"),
     ],

@@ -47,9 +47,9 @@ class ChainState:
 class ChainSamples:
     """The samples after the burn-in."""
 
-    theta: RealArray
+    theta: FloatArray
     """(samples, 4, chains): in the coordinates that the energy takes."""
-    acceptance: RealArray
+    acceptance: FloatArray
     """(chains,): mean probability of acceptance after the burn-in."""
 
 
@@ -92,12 +92,7 @@ def start_chains(energy: Energy, fit: LaplaceFit, white: RealArray) -> ChainStat
 
 
 def take_hmc_step(
-    rng: RandomSource,
-    state: ChainState,
-    energy: Energy,
-    fit: LaplaceFit,
-    *,
-    angle: RealArray,
+    rng: RandomSource, state: ChainState, energy: Energy, fit: LaplaceFit, *, angle: RealArray
 ) -> tuple[ChainState, RealArray]:
     """Take one step of split Hamiltonian Monte Carlo in every chain.
 
@@ -155,10 +150,10 @@ def sample_chains(
     for index in range(burn + keep):
         state, acceptance = take_hmc_step(rng, state, energy, laplace, angle=angle)
         if jumps is not None and index % 2:
-            state = _jump_some(rng, state, laplace, jumps)
+            state = _jump_between_modes(rng, state, laplace, jumps)
         if index >= burn:
             accepted = accepted + acceptance
-            samples.append(state.white)
+            samples.append(laplace.theta(state.white))
             continue
         # Hoffman and Gelman (2014), eq. 6, around the first angle
         m = index + 1.0
@@ -168,11 +163,7 @@ def sample_chains(
         weight = m**-0.75
         averaged = weight * log_angle + (1.0 - weight) * averaged
         angle = np.exp(averaged if index == burn - 1 else log_angle)
-    white = np.stack(samples)
-    theta = np.stack(
-        [laplace.mode[a] + np.sum(laplace.root[a] * white, axis=1) for a in range(4)], axis=1
-    )
-    return ChainSamples(theta, accepted / keep)
+    return ChainSamples(np.stack(samples, dtype=np.float64), accepted.astype(np.float64) / keep)
 
 
 def split_rhat(samples: FloatArray) -> FloatArray:
@@ -230,7 +221,7 @@ def _accept(
     ), acceptance
 
 
-def _jump_some(
+def _jump_between_modes(
     rng: RandomSource, state: ChainState, laplace: LaplaceFit, jumps: ModeJumps
 ) -> ChainState:
     """Propose a jump in the chains of `jumps`."""
@@ -254,7 +245,7 @@ def _jump_some(
 
 
 def _log_mixture(theta: RealArray, modes: tuple[LaplaceFit, LaplaceFit]) -> RealArray:
-    """Return the log density of the proposals of `_jump`, up to a constant."""
+    """Return the log density of the proposals of `_jump_between_modes`, up to a constant."""
     logs = []
     for mode in modes:
         white = mode.whiten(theta) / _PROPOSAL_WIDTH

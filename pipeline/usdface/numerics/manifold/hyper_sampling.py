@@ -6,6 +6,7 @@ import numpy as np
 
 from usdface.core.arrays import BoolArray, FloatArray, RealArray
 from usdface.numerics.manifold.hybrid_monte_carlo import (
+    ChainSamples,
     ModeJumps,
     RandomSource,
     effective_sample_size,
@@ -27,16 +28,6 @@ _LEAST_DISTANCE = 2.5
 
 _LARGEST_LOG_RATIO = 7.0
 """Of the evidence of two modes; beyond it the less probable one is ignored."""
-
-
-@dataclass(frozen=True)
-class HyperSamples:
-    """Samples of the hyper-parameters of every chain."""
-
-    theta: FloatArray
-    """(samples, 4, chains): ``log(v0, v1, a0, a1)``"""
-    acceptance: FloatArray
-    """(chains,): mean probability of acceptance after the burn-in."""
 
 
 @dataclass(frozen=True)
@@ -95,8 +86,10 @@ def sample_hyperparameters(
     burn: int = 40,
     keep: int = 200,
     modes: Modes | None = None,
-) -> tuple[HyperSamples, Modes]:
+) -> tuple[ChainSamples, Modes]:
     """Sample every chain's posterior in single precision: W06, eq. 3 and "200 sampled values".
+
+    Samples are ``log(v0, v1, a0, a1)``.
 
     Parameters
     ----------
@@ -122,9 +115,9 @@ def sample_hyperparameters(
         samples = sample_chains(
             rng, PhiEnergy(energy, gain), found.best, burn=burn, keep=keep, jumps=jumps
         )
-    phi = np.moveaxis(samples.theta.astype(np.float64), 1, 0)
+    phi = np.moveaxis(samples.theta, 1, 0)
     theta = np.moveaxis(np.asarray(to_theta(phi, gain), np.float64), 0, 1)
-    return HyperSamples(theta, samples.acceptance.astype(np.float64)), found
+    return ChainSamples(theta, samples.acceptance), found
 
 
 def draw_laplace(rng: RandomSource, table: SharedTable, modes: Modes, *, keep: int) -> FloatArray:
@@ -215,7 +208,7 @@ def sample_shared(
     start = fit.take(np.zeros(_SHARED_CHAINS, np.int64))
     with np.errstate(all="ignore"):
         samples = sample_chains(rng, energy, start, burn=burn, keep=-(-keep // _SHARED_CHAINS))
-    each = np.moveaxis(samples.theta, 1, 2).astype(np.float64)
+    each = np.moveaxis(samples.theta, 1, 2)
     return SharedSamples(
         each.reshape(-1, 4)[:keep],
         float(samples.acceptance.mean()),

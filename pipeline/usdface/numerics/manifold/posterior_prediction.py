@@ -28,17 +28,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import (
-    Float32Array,
-    FloatArray,
-    RealArray,
-    frame_blocks,
-)
-from usdface.numerics.manifold.hyper_posterior import (
-    SYMMETRIC_ENTRIES,
-    HyperPrior,
-    MarkerSpectrum,
-)
+from usdface.core.arrays import Float32Array, FloatArray, RealArray, frame_blocks
+from usdface.numerics.manifold.hyper_posterior import SYMMETRIC_ENTRIES, HyperPrior, MarkerSpectrum
 
 _LARGEST_LOG = 30.0
 """Bound of |theta|: in a take without motion scales tend to 0, and overflow in single precision."""

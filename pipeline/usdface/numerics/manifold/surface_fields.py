@@ -34,7 +34,7 @@ features as h the covariance remains positive semidefinite, and what they lose i
 independent variance. Predictions at markers do not change.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -91,16 +91,16 @@ def find_folds(geodesic: RealArray, euclidean: RealArray, *, spread: float) -> F
     """
     points, shares, weights = [], [], []
     near = NEAR_MARKER_SHARE * spread
-    for start in range(0, geodesic.shape[1], _BLOCK_POINTS):
-        along = np.asarray(geodesic[:, start : start + _BLOCK_POINTS], np.float64)
-        straight = np.asarray(euclidean[:, start : start + _BLOCK_POINTS], np.float64)
+    for part in frame_blocks(geodesic.shape[1], frames=_BLOCK_POINTS):
+        along = np.asarray(geodesic[:, part], np.float64)
+        straight = np.asarray(euclidean[:, part], np.float64)
         detour = along / np.maximum(straight, 1e-6)
         fold = _smoothstep(detour, LEAST_DETOUR, FULL_DETOUR)
         share = (fold * (1 - _smoothstep(straight, near, 2 * near))).max(axis=0)
         inside = np.flatnonzero(share > 0)
         distance = np.maximum(along[:, inside], 1e-6)
         q = (distance.min(axis=0) / distance) ** _WEIGHT_POWER
-        points.append(inside + start)
+        points.append(inside + part.start)
         shares.append(share[inside].astype(np.float32))
         weights.append((q / q.sum(axis=0)).T.astype(np.float32))
     return Folds(np.concatenate(points), np.concatenate(shares), np.concatenate(weights))
@@ -283,7 +283,7 @@ def fit_covariance(
     features = _shorten(similar @ projection)
     covariance = SurfaceCovariance(shape, length_scale, projection, features, 0.0)
     change = float(np.linalg.norm(covariance.matrix() - similar) / np.linalg.norm(similar))
-    return SurfaceCovariance(shape, length_scale, projection, features, change)
+    return replace(covariance, clipped=change)
 
 
 def _shorten(features: FloatArray, longest: FloatArray | float = 1.0) -> FloatArray:

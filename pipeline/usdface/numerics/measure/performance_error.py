@@ -124,7 +124,7 @@ PEAK_QUANTILE = 0.97
 """Of a blink's true weights: frames above it are its peaks, or, if there are none, frames at it."""
 
 CLOSED_MM = 1.0
-"""Largest true distance of closed lips."""
+"""Largest true distance of closed lips, unless they are farther apart at rest."""
 
 _QUANTILE_95 = 0.95
 _LEAST_ROUGHNESS = 1e-9

@@ -17,9 +17,9 @@ _STILL_MM, _STILL_NOISE_DEVIATIONS = 0.5, 6.0
 def marker_noise(positions: ArrayLike, visible: ArrayLike) -> FloatArray:
     """Return the standard deviation of each marker's measurement noise, per coordinate.
 
-    From the median of absolute third differences, robust to motion, gaps, swaps and spikes. Returns
-    (markers,), in the unit of `positions` (frames, markers, 3); 0 for a marker without four frames
-    in a row.
+    From the median of absolute third differences, robust to motion, gaps, swaps and spikes, in the
+    middle 20,000 frames. Returns (markers,), in the unit of `positions` (frames, markers, 3); 0 for
+    a marker without four frames in a row.
     """
     points, seen = np.asarray(positions), np.asarray(visible, bool)
     noise = np.zeros(points.shape[1])

@@ -76,15 +76,15 @@ def starts_within(motion: FloatArray, sequence: FloatArray, *, threshold: float)
         raise ValueError(f"the threshold must be at least 0, got {threshold}")
     limit = threshold * len(sequence) * np.sqrt(sequence.shape[1])
     count = len(motion) - len(sequence) + 1
-    starts, distances = [], []
+    starts, found = [], []
     for first in range(0, count, _BLOCK_STARTS):
         stop = min(first + _BLOCK_STARTS, count)
         part = motion[first : stop + len(sequence) - 1]
         candidates = _bounded_starts(part, sequence, limit)
         near = sequence_distances(part, sequence, candidates)
         starts.append(candidates[near <= threshold] + first)
-        distances.append(near[near <= threshold])
-    return Matches(np.concatenate(starts), np.concatenate(distances), threshold)
+        found.append(near[near <= threshold])
+    return Matches(np.concatenate(starts), np.concatenate(found), threshold)
 
 
 def find_sequence(

@@ -72,11 +72,7 @@ def facing_direction(points: ArrayLike, triangles: ArrayLike, activity: ArrayLik
 
 
 def sample_outer_surface(
-    points: ArrayLike,
-    triangles: ArrayLike,
-    *,
-    facing: ArrayLike,
-    activity: ArrayLike,
+    points: ArrayLike, triangles: ArrayLike, *, facing: ArrayLike, activity: ArrayLike
 ) -> SurfaceSamples:
     """Sample the skin of the face that is visible from the front.
 
@@ -151,11 +147,7 @@ def _visible_from_front(q: FloatArray) -> BoolArray:
 
 
 def _on_skin(
-    P: FloatArray,
-    T: IntArray,
-    owner: IntArray,
-    visible: BoolArray,
-    activity: FloatArray,
+    P: FloatArray, T: IntArray, owner: IntArray, visible: BoolArray, activity: FloatArray
 ) -> BoolArray:
     """Return which samples lie on a large connected part that moves, coincident points welded."""
     size = float(np.ptp(P, axis=0).max())

@@ -13,8 +13,8 @@ from usdface.core.arrays import Float32Array, FloatArray
 from usdface.numerics.registration.cloud_alignment import Alignment, align_pairs
 from usdface.numerics.registration.skin_placement import (
     SkinPlacement,
+    likelihood_moments,
     path_misfit,
-    posterior_moments,
 )
 from usdface.numerics.solve.bounded_least_squares import solve_bounded_least_squares
 
@@ -69,7 +69,6 @@ def place_by_motion(
     size = float(np.sqrt(((skin - skin.mean(axis=0)) ** 2).sum(axis=1).mean()))
     pins = pinned or {}
     warped = alignment.apply(cloud)
-    chosen = cdist(warped, skin).argmin(axis=1)
     for radius in _SEARCH_RADII:
         away = cdist(warped, skin, "sqeuclidean") / (2 * (radius * size) ** 2)
         chosen = away.argmin(axis=1)
@@ -86,7 +85,7 @@ def place_by_motion(
             misfit = path_misfit(skin_deltas, weights, paths)
             cost = away + _EVIDENCE_SAMPLES / 2 * np.log(misfit + _MODEL_ERROR)
             chosen = cost.argmin(axis=1)
-            moved_to, moved_variance = _motion_evidence(away, cost, skin)
+            moved_to, moved_variance = likelihood_moments(away, cost, skin, largest_share=0.9)
             moved_variance += (_LEAST_DEVIATION * size) ** 2
             target = (target / variance[:, None] + moved_to / moved_variance[:, None]) / (
                 1 / variance + 1 / moved_variance
@@ -101,21 +100,6 @@ def place_by_motion(
         alignment = align_pairs(cloud, target, weight=weight)
         warped = _warp(alignment.apply(cloud), target, variance, size)
     return SkinPlacement(chosen, warped, alignment)
-
-
-def _motion_evidence(
-    before: FloatArray, after: FloatArray, skin: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return each marker's place and its variance from motion alone.
-
-    The Gaussian likelihood, as posterior over prior: for markers that hardly move the variance is
-    large.
-    """
-    mean_before, wide = posterior_moments(before, skin)
-    mean_after, narrow = posterior_moments(after, skin)
-    narrow = np.minimum(narrow, 0.9 * wide)
-    mean = mean_before + (mean_after - mean_before) * (wide / (wide - narrow))[:, None]
-    return mean, narrow * wide / (wide - narrow)
 
 
 def _warp(start: FloatArray, target: FloatArray, variance: FloatArray, size: float) -> FloatArray:

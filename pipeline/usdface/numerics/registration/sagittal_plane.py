@@ -107,27 +107,21 @@ def plane_by_reflection(points: FloatArray) -> SagittalPlane:
     centre = points.mean(axis=0)
     tolerance = _TOLERANCE_SHARE * float(np.sqrt(((points - centre) ** 2).sum(axis=1).mean()))
     tree = KDTree(points)
-    best_cost, best = np.inf, None
+    candidates = []
     for yaw in np.deg2rad(_YAWS_DEGREES):
         for roll in np.deg2rad(_ROLLS_DEGREES):
             level = np.array([np.cos(yaw), 0.0, -np.sin(yaw)])
             normal = np.cos(roll) * level + np.sin(roll) * _UP
-            cost, plane = _nearest_refined(points, tree, normal, centre, tolerance)
-            if cost < best_cost:
-                best_cost, best = cost, plane
+            candidates.append(_nearest_refined(points, tree, normal, centre, tolerance))
+    _, best = min(candidates, key=lambda candidate: candidate[0])
     for _ in range(10):
-        if best is None:
-            break
         pairs = _assigned_pairs(points, best, tolerance)
         if len(pairs) < _FEWEST_PAIRS:
-            best = None
-            break
+            raise ValueError(
+                "the markers show no plane of symmetry; name sides in their labels (L, R), or give "
+                "landmarks"
+            )
         best = plane_of_pairs(points, pairs, np.zeros(0, np.int64), rounds=3)
-    if best is None:
-        raise ValueError(
-            "the markers show no plane of symmetry; name sides in their labels (L, R), or give "
-            "landmarks"
-        )
     return best
 
 

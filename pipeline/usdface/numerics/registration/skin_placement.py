@@ -258,31 +258,40 @@ def _place_by_skin(
 
 
 def _place_by_motion(
-    skin: FaceSkin,
-    warped: FloatArray,
-    misfit: Float32Array,
-    still: BoolArray,
-    reach: float,
+    skin: FaceSkin, warped: FloatArray, misfit: Float32Array, still: BoolArray, reach: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return each marker's place by motion alone, and its precision.
-
-    The Gaussian likelihood, as posterior over prior: its precision is near 0 for a marker that
-    hardly moves.
-    """
+    """Return each marker's place by motion alone, and its precision, 0 for `still` ones."""
     before = cdist(warped, skin.positions, "sqeuclidean") / (2 * reach**2)
-    cost = before + _EVIDENCE_FRAMES / 2 * np.log(misfit + MODEL_ERROR_SHARE)
-    mean_before, wide = posterior_moments(before, skin.positions)
-    mean_after, narrow = posterior_moments(cost, skin.positions)
-    narrow = np.minimum(narrow, 0.95 * wide)
-    place = mean_before + (mean_after - mean_before) * (wide / (wide - narrow))[:, None]
+    after = before + _EVIDENCE_FRAMES / 2 * np.log(misfit + MODEL_ERROR_SHARE)
+    place, variance = likelihood_moments(before, after, skin.positions, largest_share=0.95)
     step = place - warped
     length = np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-9)
     place = warped + step * np.minimum(reach / length, 1.0)
-    variance = narrow * wide / (wide - narrow) + (0.05 * skin.size_mm) ** 2
-    return place, np.where(still, 0.0, 1 / variance)
+    return place, np.where(still, 0.0, 1 / (variance + (0.05 * skin.size_mm) ** 2))
 
 
-def posterior_moments(cost: FloatArray, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
+def likelihood_moments(
+    prior_cost: FloatArray, cost: FloatArray, positions: FloatArray, *, largest_share: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return mean and variance per axis of Gaussian likelihoods, as posterior over prior.
+
+    For markers that hardly move the variance is large.
+
+    Parameters
+    ----------
+    prior_cost, cost : (markers, samples) float arrays
+        Negative logarithms of prior and posterior.
+    largest_share : float
+        Limit of the posterior's variance over that of the prior, below 1.
+    """
+    prior_mean, wide = _moments(prior_cost, positions)
+    mean, narrow = _moments(cost, positions)
+    narrow = np.minimum(narrow, largest_share * wide)
+    gain = wide / (wide - narrow)
+    return prior_mean + (mean - prior_mean) * gain[:, None], narrow * gain
+
+
+def _moments(cost: FloatArray, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return mean and variance per axis of distributions ``exp(-cost)`` over samples."""
     density = np.exp((cost.min(axis=1, keepdims=True) - cost).astype(np.float32))
     total = density.sum(axis=1, dtype=np.float64)

@@ -46,7 +46,7 @@ class RigidAlignment:
     determined: BoolArray
     """(frames,): False where fewer than three points are visible, or all are collinear."""
     weights: FloatArray
-    """(frames, points) [0-1] Final weights; 0 where not visible."""
+    """(frames, points): final weights; 0 where not visible."""
 
     def matrices(self) -> FloatArray:
         """Return (frames, 4, 4) transforms for column vectors."""
@@ -177,10 +177,7 @@ def alignment_of(matrices: ArrayLike) -> RigidAlignment:
 
 
 def remove_motion(
-    positions: ArrayLike,
-    alignment: RigidAlignment,
-    *,
-    out: RealArray | None = None,
+    positions: ArrayLike, alignment: RigidAlignment, *, out: RealArray | None = None
 ) -> RealArray:
     """Transform captured positions to the space of the reference.
 

@@ -61,7 +61,8 @@ def find_rigid_markers(positions: ArrayLike, visible: ArrayLike) -> RigidMarkers
     Raises
     ------
     ValueError
-        If the expected error of all sets of four or more markers exceeds 1.2 degrees.
+        If there is no set of four or more markers, or the expected error of each exceeds 1.2
+        degrees.
     """
     points, seen = np.asarray(positions), np.asarray(visible, bool)
     noise = measurement_noise(points, seen)

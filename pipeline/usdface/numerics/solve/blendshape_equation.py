@@ -100,8 +100,8 @@ def solve_weights(
     if problem.rank() < problem.shape_count:  # the solution is not unique
         energy = float(np.einsum("smc,m,smc->", problem.deltas, problem.share, problem.deltas))
         ridge = max(ridge, _DEPENDENT_RIDGE * energy / problem.shape_count)
-    limits = _limits(ranges, problem.shape_count)
-    variables = _variables(limits, tied, split=noise_mm > 0)
+    limits = np.asarray([[0.0, 1.0]] * problem.shape_count if ranges is None else ranges, float)
+    variables = _variables(limits, problem.shape_count, tied, split=noise_mm > 0)
     prior = _Prior(ridge, _local_cost(problem, noise_mm))
     weights = _solve_bounded(problem, prior, variables, problem.deltas, problem.motion)
     if keys is not None:
@@ -134,9 +134,13 @@ class _Variables:
     """`lower`, `upper`: (variables,)"""
 
 
-def _variables(limits: "_Limits", tied: Sequence[Sequence[int]], *, split: bool) -> _Variables:
-    low, high = limits
-    leader = np.arange(len(low))
+def _variables(
+    limits: FloatArray, shapes: int, tied: Sequence[Sequence[int]], *, split: bool
+) -> _Variables:
+    if limits.shape != (shapes, 2):
+        raise ValueError(f"ranges must be ({shapes}, 2), got {limits.shape}")
+    low, high = limits.T
+    leader = np.arange(shapes)
     for group in tied:
         leader[list(group)] = min(group)
     member = leader == np.unique(leader)[:, None]
@@ -214,11 +218,7 @@ def _stacked(
 
 
 def _relinearise(
-    problem: "_Problem",
-    keys: MarkerKeys,
-    weights: FloatArray,
-    prior: _Prior,
-    variables: _Variables,
+    problem: "_Problem", keys: MarkerKeys, weights: FloatArray, prior: _Prior, variables: _Variables
 ) -> FloatArray:
     """Solve again with the slopes of shapes at the last solution, while the objective decreases.
 
@@ -342,14 +342,3 @@ def _checked(
         frame = int(np.flatnonzero(~np.isfinite(m).all(axis=(1, 2)))[0])
         raise ValueError(f"motion is not finite at index {frame}; mark unseen markers in visible")
     return _Problem(D, m, seen, share, seen * share)
-
-
-_Limits = tuple[FloatArray, FloatArray]
-"""Lowest and highest weights, (shapes,) each."""
-
-
-def _limits(ranges: ArrayLike | None, shapes: int) -> _Limits:
-    limits = np.asarray([[0.0, 1.0]] * shapes if ranges is None else ranges, float)
-    if limits.shape != (shapes, 2):
-        raise ValueError(f"ranges must be ({shapes}, 2), got {limits.shape}")
-    return limits[:, 0], limits[:, 1]

@@ -26,8 +26,8 @@ _BLOCK_FRAMES = 32
 _MOST_PIVOT_STEPS = 120
 _PATIENCE_ROUNDS = 3
 """Of pivoting without progress, before variables change one at a time."""
-_WALK_STEPS_PER_VARIABLE = 5
-_WALK_TOLERANCE = 1e-10
+_ACTIVE_SET_STEPS_PER_VARIABLE = 5
+_ACTIVE_SET_TOLERANCE = 1e-10
 """[of the largest linear term] Violation of optimality above which the active-set method runs."""
 _POWER_STEPS = 6
 _POWER_MARGIN = 1.1
@@ -94,9 +94,9 @@ def _solve_scaled(H: Hessian, b: FloatArray, lo: FloatArray, hi: FloatArray) -> 
     low, high, pull = lo.astype(H.dtype), hi.astype(H.dtype), b.astype(H.dtype)
 
     def solve(rows: slice) -> FloatArray:
-        near = _alternate(H, pull[rows], low, high)
+        near = _alternate_directions(H, pull[rows], low, high)
         near = np.where(near <= low, lo, np.where(near >= high, hi, near))
-        return _walk(H, b[rows], lo, hi, _pivot(H, b[rows], lo, hi, near))
+        return _solve_by_active_set(H, b[rows], lo, hi, _exchange_blocks(H, b[rows], lo, hi, near))
 
     solved = map_threads(solve, frame_blocks(len(b), frames=_BLOCK_FRAMES))
     return np.concatenate([np.zeros_like(b[:0]), *solved])
@@ -172,7 +172,7 @@ def _check(A: FloatArray, linear: FloatArray, lo: FloatArray, hi: FloatArray) ->
         )
 
 
-def _alternate(H: Hessian, b: Any, lower: Any, upper: Any) -> Any:
+def _alternate_directions(H: Hessian, b: Any, lower: Any, upper: Any) -> Any:
     """Alternate between minimisers without bounds, near the last values, and their projections."""
     inverse, nearness = H.shifted_inverse(), H.dtype.type(EIGENVALUE_SHIFT)
     now = np.clip(np.zeros_like(b), lower, upper)
@@ -186,7 +186,9 @@ def _alternate(H: Hessian, b: Any, lower: Any, upper: Any) -> Any:
     return now
 
 
-def _pivot(H: Hessian, b: FloatArray, lo: FloatArray, hi: FloatArray, z: FloatArray) -> FloatArray:
+def _exchange_blocks(
+    H: Hessian, b: FloatArray, lo: FloatArray, hi: FloatArray, z: FloatArray
+) -> FloatArray:
     """Exchange free and bound variables by block principal pivoting."""
     out = z.copy()
     side = np.where(z <= lo, -1, np.where(z >= hi, 1, 0))
@@ -220,7 +222,9 @@ def _pivot(H: Hessian, b: FloatArray, lo: FloatArray, hi: FloatArray, z: FloatAr
     return out
 
 
-def _walk(H: Hessian, b: FloatArray, lo: FloatArray, hi: FloatArray, z: FloatArray) -> FloatArray:
+def _solve_by_active_set(
+    H: Hessian, b: FloatArray, lo: FloatArray, hi: FloatArray, z: FloatArray
+) -> FloatArray:
     """Solve by a primal active-set method from a feasible start: slow, but without cycles.
 
     A step goes to the minimum over the free variables, or to the first bound on the way, which
@@ -229,10 +233,10 @@ def _walk(H: Hessian, b: FloatArray, lo: FloatArray, hi: FloatArray, z: FloatArr
     out = z.copy()
     moved = np.clip(z - (H.product(z) - b), lo, hi) - z  # a projected gradient step
     scale = np.maximum(np.abs(b).max(axis=1, initial=0.0), np.finfo(float).tiny)
-    todo = np.flatnonzero(np.abs(moved).max(axis=1, initial=0.0) / scale > _WALK_TOLERANCE)
+    todo = np.flatnonzero(np.abs(moved).max(axis=1, initial=0.0) / scale > _ACTIVE_SET_TOLERANCE)
     fixed = (z <= lo) | (z >= hi)
     solve = H.solver()
-    for _ in range(_WALK_STEPS_PER_VARIABLE * b.shape[1]):
+    for _ in range(_ACTIVE_SET_STEPS_PER_VARIABLE * b.shape[1]):
         if not len(todo):
             break
         rows = np.arange(len(todo))
@@ -251,7 +255,9 @@ def _walk(H: Hessian, b: FloatArray, lo: FloatArray, hi: FloatArray, z: FloatArr
         gradient = H.product(now) - right
         pull = np.where(now <= lo, -gradient, gradient) * (bound & (lo < hi))
         hardest = pull.argmax(axis=1)
-        release = ~blocked & (pull[rows, hardest] > _WALK_TOLERANCE * np.abs(right).max(axis=1))
+        release = ~blocked & (
+            pull[rows, hardest] > _ACTIVE_SET_TOLERANCE * np.abs(right).max(axis=1)
+        )
         bound[rows[release], hardest[release]] = False
         out[todo], fixed[todo] = now, bound
         todo = todo[blocked | release]

@@ -110,10 +110,7 @@ def euclidean_distances(positions: FloatArray, points: FloatArray) -> Float32Arr
 
 
 def _shortest_paths(
-    graph: sparse.csr_array,
-    polygons: list[IntArray],
-    lengths: list[FloatArray],
-    progress: Progress,
+    graph: sparse.csr_array, polygons: list[IntArray], lengths: list[FloatArray], progress: Progress
 ) -> Float32Array:
     """Run Dijkstra from places, as nodes with directed edges to their face's corners.
 

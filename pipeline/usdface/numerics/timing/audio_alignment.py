@@ -39,7 +39,7 @@ LEAST_WINDOWS = 4
 LEAST_LEAD = 2.0
 """Least ratio of the votes for a shift to those for the next one."""
 SHORTEST_SECONDS = 1.5
-"""Least length of a recording: `LEAST_WINDOWS` of the shortest windows."""
+"""Least length of a recording: six of the shortest windows, which overlap by half."""
 
 _CLEAR_PEAK, _CLEAR_RATIO, _CLEAR_AGREEMENT = 16.0, 1.5, 0.8
 """At which the confidence is 1: about twice the least."""
@@ -75,8 +75,8 @@ class SoundAlignment:
     drift: float
     """As a share; a millionth is 1 ppm."""
     confidence: float
-    """[0-1] The least of three criteria: peak, ratio and agreement. 0.5 if one of them is at its
-    limit, 1 if all are clear."""
+    """[0-1] The least of three criteria: peak, ratio (of a shift by phase, share and lead of its
+    votes) and agreement. 0.5 if one of them is at its limit, 1 if all are clear."""
     warnings: tuple[str, ...]
     """Reasons not to use the result."""
     peak: float = 0.0

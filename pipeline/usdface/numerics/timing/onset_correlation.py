@@ -77,8 +77,8 @@ def scan_phase(
     taper = np.hanning(size).astype(np.float32)
     times, delays = list[float](), list[FloatArray]()
     for start in starts.tolist():
-        heights = _heights(first[start : start + size] * taper, second, rate)
-        places = _highest(heights, spacing=round(_PEAK_SPACING_SECONDS * rate))
+        heights = _whitened_correlation(first[start : start + size] * taper, second, rate)
+        places = _largest_peaks(heights, spacing=round(_PEAK_SPACING_SECONDS * rate))
         if len(places):
             times.append((start + size / 2) / rate)
             delays.append((places - (size - 1) - start) / rate)
@@ -87,7 +87,7 @@ def scan_phase(
     return _count_votes(np.array(times), delays, largest_drift)
 
 
-def _heights(sound: Float32Array, second: Float32Array, rate: int) -> Float32Array:
+def _whitened_correlation(sound: Float32Array, second: Float32Array, rate: int) -> Float32Array:
     """Return the whitened correlation of a window with the second recording at all lags."""
     size = len(sound)
     total = len(second) + size - 1
@@ -108,7 +108,7 @@ def _heights(sound: Float32Array, second: Float32Array, rate: int) -> Float32Arr
     return heights
 
 
-def _highest(heights: Float32Array, *, spacing: int) -> IntArray:
+def _largest_peaks(heights: Float32Array, *, spacing: int) -> IntArray:
     remaining = heights.copy()
     places = list[int]()
     for _ in range(_PEAKS_PER_WINDOW):
@@ -255,7 +255,7 @@ def correlate_onsets(
         if score > best_score:
             best_sum, best_drift, best_score = total, drift, score
     shifts = (np.arange(sum(hops) - 1) - (hops[0] - 1)) / HOPS_PER_SECOND
-    return _judge(
+    return _rank_shifts(
         shifts,
         best_sum.astype(np.float64),
         np.where(enough, overlap, np.nan),
@@ -264,7 +264,7 @@ def correlate_onsets(
     )
 
 
-def _judge(
+def _rank_shifts(
     shifts: FloatArray,
     products: FloatArray,
     overlap: FloatArray,
@@ -329,7 +329,7 @@ def _overlap(first: int, second: int) -> FloatArray:
 
 
 def _drifts(hops: int, largest: float) -> FloatArray:
-    """Return the drifts to try, at a spacing of one hop over the recording."""
+    """Return the drifts to try, spaced by one hop at either end of the recording."""
     if hops <= _STRETCH_HOPS:
         return np.zeros(1)
     count = int(np.ceil(largest * hops / 2))

@@ -178,9 +178,9 @@ def window_delays(
         guess = round((expected[0] + expected[1] * seconds) * rate)
         reach = round((radius[0] + radius[1] * abs(start - middle) / rate) * rate)
         begin = start + guess - reach
-        region = second[max(begin, 0) : max(begin + size + 2 * reach, 0)]
-        region = np.pad(region, (max(-begin, 0), 0))
-        region = np.pad(region, (0, size + 2 * reach - len(region)))
+        region = np.zeros(size + 2 * reach, np.float32)
+        covered = second[max(begin, 0) : max(begin + len(region), 0)]
+        region[max(-begin, 0) :][: len(covered)] = covered
         delay = _delay(first[start : start + size] * taper, region, reach, rate)
         if delay is not None:
             times.append(seconds)

@@ -35,8 +35,7 @@ def check_timing(stage: Usd.Stage) -> Iterator[Fault]:
         is_cut = not (is_ours or top.GetNumTimeSamplesForPath(attribute.GetPath()))
         beyond = times[0] < start or times[-1] > end
         if has_range and beyond and not (is_cut and times[0] <= end and times[-1] >= start):
-            yield Fault(
-                "warning",
+            yield Fault.warning(
                 path,
                 f"samples from {times[0]:g} to {times[-1]:g} lie outside the stage's range, "
                 f"{start:g} to {end:g}: a player would not show them; author startTimeCode "
@@ -49,8 +48,7 @@ def check_timing(stage: Usd.Stage) -> Iterator[Fault]:
             )
         odd = times[np.abs(times - np.round(times)) > 1e-6]
         if len(odd):
-            yield Fault(
-                "warning",
+            yield Fault.warning(
                 path,
                 f"{len(odd)} samples lie between time codes, the first at {odd[0]:g}: was the "
                 "animation retimed by another layer's rate, or moved by a part of a frame? Author "
@@ -61,8 +59,7 @@ def check_timing(stage: Usd.Stage) -> Iterator[Fault]:
 def _authored(stage: Usd.Stage) -> list[Fault]:
     layer = stage.GetRootLayer()
     return [
-        Fault(
-            "error",
+        Fault.error(
             "/",
             f"animated, but {name} is not authored: another root layer would rescale it; author "
             f"{name}",
@@ -82,8 +79,7 @@ def _same_rate(stage: Usd.Stage) -> Iterator[Fault]:
     if top.HasTimeCodesPerSecond() and top.HasFramesPerSecond():
         codes, frames = top.timeCodesPerSecond, top.framesPerSecond
         if codes != frames:
-            yield Fault(
-                "warning",
+            yield Fault.warning(
                 "/",
                 f"{codes:g} time codes and {frames:g} frames per second: tools disagree on "
                 "what a frame is then; author the same number",
@@ -91,8 +87,7 @@ def _same_rate(stage: Usd.Stage) -> Iterator[Fault]:
     for layer in stage.GetLayerStack(includeSessionLayers=False):
         rate = layer.timeCodesPerSecond
         if layer != top and layer.HasTimeCodesPerSecond() and rate != top.timeCodesPerSecond:
-            yield Fault(
-                "warning",
+            yield Fault.warning(
                 "/",
                 f"{layer.GetDisplayName()} has {rate:g} time codes per second, "
                 f"{top.GetDisplayName()} {top.timeCodesPerSecond:g}: USD moves its samples off "
@@ -175,13 +170,11 @@ def _out_of_range(samples: Samples, ranges: FloatArray) -> list[Fault]:
     columns = np.flatnonzero(beyond.max(axis=0) > RANGE_TOLERANCE)
     counts = (beyond > RANGE_TOLERANCE).sum(axis=0)
     return [
-        Fault(
-            "warning",
-            samples.path,
+        samples.warning(
             f"time code {samples.times[row]:g}: {samples.names[column]} is "
             f"{samples.values[row, column]:.2f}, its range is {ranges[column, 0]:g} to "
             f"{ranges[column, 1]:g} ({pluralize(int(counts[column]), 'sample')}); bake with "
-            "--limit, or author face:range on the BlendShape",
+            "--limit, or author face:range on the BlendShape"
         )
         for column in columns
         for row in [int(beyond[:, column].argmax())]
@@ -197,13 +190,11 @@ def _jumps(samples: Samples) -> Iterator[Fault]:
     for column in np.flatnonzero(too_fast.any(axis=0)):
         row = int(np.where(too_fast[:, column], speed[:, column], 0).argmax())
         change = samples.values[row + 1, column] - samples.values[row, column]
-        yield Fault(
-            "warning",
-            samples.path,
+        yield samples.warning(
             f"time code {samples.times[row + 1]:g}: {samples.names[column]} jumps by "
             f"{change:+.2f} in {1000 * seconds[row]:.0f} ms "
             f"({pluralize(int(too_fast[:, column].sum()), 'jump')}); look at the "
-            "markers there, or fade the edit",
+            "markers there, or fade the edit"
         )
 
 
@@ -212,11 +203,9 @@ def _frozen(samples: Samples, captured: BoolArray) -> list[Fault]:
     if still.all():
         return []  # a pose, not a performance
     return [
-        Fault(
-            "warning",
-            samples.path,
+        samples.warning(
             f"time codes {first:g} to {last:g}: the face is frozen for {seconds:.1f} s; was the "
-            "capture lost there? Clean the take again or cut",
+            "capture lost there? Clean the take again or cut"
         )
         for first, last, seconds in _stretches(samples, still & captured, FROZEN_SECONDS)
     ]
@@ -234,12 +223,10 @@ def _stuck(samples: Samples, ranges: FloatArray, captured: BoolArray) -> Iterato
         if stretches:
             first, last, seconds = max(stretches, key=lambda stretch: stretch[2])
             value = samples.values[np.searchsorted(samples.times, last), column]
-            yield Fault(
-                "warning",
-                samples.path,
+            yield samples.warning(
                 f"time codes {first:g} to {last:g}: {samples.names[column]} stays at "
                 f"{value:.2f} for {seconds:.1f} s while the face moves; if no edit holds it, "
-                "map again",
+                "map again"
             )
 
 
@@ -264,11 +251,9 @@ def _motionless(samples: Samples) -> list[Fault]:
         return []
     motionless = [samples.names[column] for column in np.flatnonzero(still)]
     return [
-        Fault(
-            "warning",
-            samples.path,
+        samples.warning(
             f"{pluralize(len(motionless), 'shape')} without any motion: {first_few(motionless)}; "
-            "tune references that show movement there, or leave such shapes out of the mapping",
+            "tune references that show movement there, or leave such shapes out of the mapping"
         )
     ]
 
@@ -286,8 +271,7 @@ def _side_swaps(samples: Samples) -> list[Fault]:
     if not len(rows):
         return []
     return [
-        Fault(
-            "error",
+        Fault.error(
             samples.path,
             f"time code {samples.times[rows[0] + 1]:g}: left and right shapes exchange their "
             f"weights ({len(rows)} times in all); look for swapped markers and clean again",

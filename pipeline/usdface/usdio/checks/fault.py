@@ -20,6 +20,16 @@ class Fault:
     message: str
     """The fault, its time and its remedy."""
 
+    @classmethod
+    def error(cls, path: object, message: str) -> "Fault":
+        """Return an error at a path."""
+        return cls("error", str(path), message)
+
+    @classmethod
+    def warning(cls, path: object, message: str) -> "Fault":
+        """Return a warning at a path."""
+        return cls("warning", str(path), message)
+
 
 @dataclass(frozen=True)
 class Samples:
@@ -34,6 +44,10 @@ class Samples:
     """(samples, shapes)"""
     rate: float
     """Time codes per second."""
+
+    def warning(self, message: str) -> Fault:
+        """Return a warning at the attribute."""
+        return Fault.warning(self.path, message)
 
 
 def read_samples(prim: Usd.Prim) -> Samples | None:

@@ -9,7 +9,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel, UsdUtils
 
 from usdface.core.arrays import FloatArray
 from usdface.core.text import first_few, frame_ranges
-from usdface.usdio.authoring import read_gaps
+from usdface.usdio.authoring import names_in, read_gaps
 from usdface.usdio.checks.curves import pair_sides
 from usdface.usdio.checks.fault import Fault, is_recorded, is_solved
 from usdface.usdio.performance.weights_layer import UNMATCHED
@@ -21,14 +21,14 @@ CLEAR_SHARE = 0.2
 
 def check_names(prim: Usd.Prim) -> Iterator[Fault]:
     """Find shapes that no mesh has or that are named twice, and animations without a skeleton."""
-    names = list(map(str, UsdSkel.Animation(prim).GetBlendShapesAttr().Get() or []))
+    names = names_in(UsdSkel.Animation(prim).GetBlendShapesAttr())
     if not names or is_recorded(prim):
         return
     path = str(prim.GetPath())
     twice = [name for name, count in Counter(names).items() if count > 1]
     if twice:
         message = f"{first_few(twice)}: named twice; name each shape once"
-        yield Fault("error", path, message)
+        yield Fault.error(path, message)
     yield from _unmatched(prim)
     on_meshes, followed = _bound_shapes(prim)
     if not followed:
@@ -36,11 +36,10 @@ def check_names(prim: Usd.Prim) -> Iterator[Fault]:
             "no skeleton follows this animation; point skel:animationSource at it, or open the "
             "layer above that references the rig"
         )
-        yield Fault("warning", path, message)
+        yield Fault.warning(path, message)
     missing = sorted(set(names) - on_meshes)
     if missing and on_meshes:
-        yield Fault(
-            "error",
+        yield Fault.error(
             path,
             f"{len(missing)} shapes are on no mesh: {first_few(missing)}; is it this rig's "
             "animation? Map again for the rig, or rename the shapes",
@@ -48,8 +47,7 @@ def check_names(prim: Usd.Prim) -> Iterator[Fault]:
     skipped = _skipped_shapes(prim, set(names)) if is_solved(prim) and not missing else {}
     if skipped:
         mesh, shapes = next(iter(skipped.items()))
-        yield Fault(
-            "warning",
+        yield Fault.warning(
             path,
             f"{len(skipped)} of the meshes that it animates have shapes it does not "
             f"name, such as {first_few(shapes, most=3)} of {mesh}: importers that pair by order "
@@ -59,27 +57,24 @@ def check_names(prim: Usd.Prim) -> Iterator[Fault]:
 
 def _unmatched(prim: Usd.Prim) -> Iterator[Fault]:
     """Find unmatched shapes of a retargeting, interpolated frames, and weights that are all 0."""
-    lost = list(map(str, prim.GetAttribute(UNMATCHED).Get() or ()))
+    lost = names_in(prim.GetAttribute(UNMATCHED))
     if lost:
-        yield Fault(
-            "warning",
-            str(prim.GetPath()),
+        yield Fault.warning(
+            prim.GetPath(),
             f"{len(lost)} shapes of the source move and have no counterpart here: "
             f"{first_few(lost)}; pair them with `usdface names` and --names, and retarget again",
         )
     if gaps := read_gaps(prim):
-        yield Fault(
-            "warning",
-            str(prim.GetPath()),
+        yield Fault.warning(
+            prim.GetPath(),
             f"nothing was captured in {frame_ranges(gaps)}: what is there is interpolated. "
             "Animate it by hand, or take another take",
         )
     weights = UsdSkel.Animation(prim).GetBlendShapeWeightsAttr()
     times = weights.GetTimeSamples() if weights and is_solved(prim) else []
     if len(times) > 1 and not any(np.any(np.asarray(weights.Get(time))) for time in times):
-        yield Fault(
-            "error",
-            str(prim.GetPath()),
+        yield Fault.error(
+            prim.GetPath(),
             "no shape ever moves: every weight is 0 at every frame. Look at the source and at the "
             "names that are matched (`usdface names`)",
         )
@@ -90,7 +85,7 @@ def _skipped_shapes(animation: Usd.Prim, names: set[str]) -> dict[str, list[str]
     skipped: dict[str, list[str]] = {}
     for prim in animation.GetStage().Traverse(Usd.TraverseInstanceProxies()):
         binding = UsdSkel.BindingAPI(prim)
-        shapes = list(map(str, binding.GetBlendShapesAttr().Get() or []))
+        shapes = names_in(binding.GetBlendShapesAttr())
         if not names.intersection(shapes) or names.issuperset(shapes):
             continue
         skeleton = binding.GetInheritedSkeleton()
@@ -111,9 +106,8 @@ def check_instances(stage: Usd.Stage) -> Iterator[Fault]:
             if (spec := layer.GetPrimAtPath(prim.GetPath())) is not None and spec.nameChildren
         ]
         if ignored:
-            yield Fault(
-                "error",
-                str(prim.GetPath()),
+            yield Fault.error(
+                prim.GetPath(),
                 f"is instanceable, and USD ignores what {first_few(ignored)} says below it: "
                 "the face would not move. Author instanceable = false on it in the shot",
             )
@@ -128,7 +122,7 @@ def _bound_shapes(animation: Usd.Prim) -> tuple[set[str], bool]:
     followed = False
     for prim in animation.GetStage().Traverse(Usd.TraverseInstanceProxies()):
         binding = UsdSkel.BindingAPI(prim)
-        on_meshes.update(map(str, binding.GetBlendShapesAttr().Get() or []))
+        on_meshes.update(names_in(binding.GetBlendShapesAttr()))
         if prim.IsA(UsdSkel.Skeleton):
             source = binding.GetInheritedAnimationSource()
             if source:
@@ -141,7 +135,7 @@ def check_sides(stage: Usd.Stage) -> Iterator[Fault]:
     """Find pairs of shapes whose sides are exchanged, compared with the majority of pairs."""
     for mesh in stage.Traverse():
         binding = UsdSkel.BindingAPI(mesh) if mesh.IsA(UsdGeom.Mesh) else None
-        names = tuple(map(str, (binding.GetBlendShapesAttr().Get() or []) if binding else []))
+        names = names_in(binding.GetBlendShapesAttr()) if binding else ()
         pairs = pair_sides(names)
         if len(pairs) < 3:
             continue
@@ -155,9 +149,8 @@ def check_sides(stage: Usd.Stage) -> Iterator[Fault]:
         side = np.sign(sum(np.sign(lean) for _, lean in clear))
         flipped = [name for name, lean in clear if side and np.sign(lean) != side]
         if flipped:
-            yield Fault(
-                "error",
-                str(mesh.GetPath()),
+            yield Fault.error(
+                mesh.GetPath(),
                 f"{first_few(flipped)}: left and right are exchanged, compared with the other "
                 f"{len(clear) - len(flipped)} pairs of this mesh; rename the shapes on the rig",
             )
@@ -201,8 +194,7 @@ def check_absolute_paths(stage: Usd.Stage) -> Iterator[Fault]:
             if PurePosixPath(asset).is_absolute() or PureWindowsPath(asset).is_absolute()
         ]
         if absolute:
-            yield Fault(
-                "warning",
+            yield Fault.warning(
                 "/",
                 f"{layer.GetDisplayName()} names {first_few(absolute)} by an absolute path: on "
                 "another machine it is not there; name it relative to the layer",
@@ -218,8 +210,7 @@ def check_missing_files(stage: Usd.Stage) -> Iterator[Fault]:
             if asset and not Sdf.Layer.FindOrOpen(layer.ComputeAbsolutePath(asset))
         ]
         if missing:
-            yield Fault(
-                "error",
+            yield Fault.error(
                 "/",
                 f"{layer.GetDisplayName()} is built from {first_few(missing)}, which cannot be "
                 "opened: was it moved? Put it back, or map again with the rig where it is now",
@@ -229,13 +220,12 @@ def check_missing_files(stage: Usd.Stage) -> Iterator[Fault]:
 def check_targets(stage: Usd.Stage) -> Iterator[Fault]:
     """Find targets that are lost outside a referenced prim, and animations that are not active."""
     for path, lost in lost_targets(stage).items():
-        yield Fault("warning", str(path), lost)
+        yield Fault.warning(path, lost)
     for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
         source = UsdSkel.BindingAPI(prim).GetInheritedAnimationSource()
         if prim.IsA(UsdSkel.Skeleton) and source and not source.IsActive():
-            yield Fault(
-                "error",
-                str(source.GetPath()),
+            yield Fault.error(
+                source.GetPath(),
                 f"is not active, so that <{prim.GetPath()}>, which follows it, rests: author "
                 "active = true on it in this layer",
             )
@@ -248,9 +238,8 @@ def check_provenance(stage: Usd.Stage) -> Iterator[Fault]:
             continue
         specs = prim.GetPrimStack()
         if not any("usdface" in spec.layer.customLayerData for spec in specs):
-            yield Fault(
-                "warning",
-                str(prim.GetPath()),
+            yield Fault.warning(
+                prim.GetPath(),
                 "says nothing of the take, the mapping and the versions it was made from, so "
                 "nobody can make it again; write it with usdface, or copy "
                 'customLayerData["usdface"] with the samples',

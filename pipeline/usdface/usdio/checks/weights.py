@@ -7,6 +7,7 @@ from pxr import Sdf, Usd, UsdSkel
 
 from usdface.core.errors import InputError
 from usdface.core.text import first_few
+from usdface.usdio.authoring import names_in
 from usdface.usdio.checks.fault import Fault, is_solved, read_samples
 from usdface.usdio.performance.clips import CLIP_SET
 from usdface.usdio.performance.edits import PREFIXES, read_edits
@@ -22,14 +23,13 @@ _CHANGED_WEIGHT = 0.1
 def check_weights(prim: Usd.Prim) -> list[Fault]:
     """Check the number and the values of the weights in every sample."""
     animation = UsdSkel.Animation(prim)
-    names = list(map(str, animation.GetBlendShapesAttr().Get() or []))
+    names = names_in(animation.GetBlendShapesAttr())
     attribute = animation.GetBlendShapeWeightsAttr()
     path = str(attribute.GetPath())
     authored = bool(attribute) and attribute.HasAuthoredValue()
     if names and not authored:
         return [
-            Fault(
-                "error",
+            Fault.error(
                 path,
                 f"{len(names)} shapes are named and there is no weight; map again, or take the "
                 "names out",
@@ -37,23 +37,23 @@ def check_weights(prim: Usd.Prim) -> list[Fault]:
         ]
     if authored and not names:
         message = "weights without blendShapes, so nobody knows whose they are; name the shapes"
-        return [Fault("error", path, message)]
+        return [Fault.error(path, message)]
     if not authored:
         return []
     query = Usd.AttributeQuery(attribute)
     for time in attribute.GetTimeSamples():
         fault = _fault(names, np.asarray(query.Get(time)))
         if fault:
-            return [Fault("error", path, f"time code {time:g}: {fault}")]
+            return [Fault.error(path, f"time code {time:g}: {fault}")]
     default = attribute.Get(Usd.TimeCode.Default())
     fault = "" if default is None else _fault(names, np.asarray(default))
     if fault:
-        return [Fault("error", path, f"its default: {fault}")]
+        return [Fault.error(path, f"its default: {fault}")]
     changed = changed_part(prim)
-    return [Fault("error", path, changed)] if changed else []
+    return [Fault.error(path, changed)] if changed else []
 
 
-def _fault(names: list[str], weights: np.ndarray) -> str:
+def _fault(names: tuple[str, ...], weights: np.ndarray) -> str:
     if not weights.ndim or len(weights) != len(names):
         count = len(weights) if weights.ndim else 0
         return f"{count} weights for {len(names)} shapes; write one per shape"
@@ -97,13 +97,13 @@ def check_edits(prim: Usd.Prim) -> list[Fault]:
     path = str(prim.GetPath())
     if not any(name.startswith(PREFIXES) for name in prim.GetAuthoredPropertyNames()):
         return []
-    names = list(map(str, UsdSkel.Animation(prim).GetBlendShapesAttr().Get() or []))
+    names = names_in(UsdSkel.Animation(prim).GetBlendShapesAttr())
     samples = read_samples(prim)
     frames = np.zeros(1) if samples is None else np.round(samples.times)
     try:
         edits = read_edits(prim, frames.astype(np.int64))
     except InputError as error:
-        return [Fault("error", path, str(error))]
+        return [Fault.error(path, str(error))]
     found = []
     unknown = sorted(set(edits) - set(names))
     if unknown:
@@ -111,10 +111,10 @@ def check_edits(prim: Usd.Prim) -> list[Fault]:
             f"edits of {first_few(unknown)} find no such shape and change nothing; rename them, or "
             "clear them"
         )
-        found.append(Fault("warning", path, message))
+        found.append(Fault.warning(path, message))
     if not is_solved(prim):
         message = "edits of an animation that is no solve: only usdface composes them; bake them"
-        found.append(Fault("warning", path, message))
+        found.append(Fault.warning(path, message))
     for shape, edit in sorted(edits.items()):
         if samples is None or shape not in names:
             continue
@@ -123,8 +123,7 @@ def check_edits(prim: Usd.Prim) -> list[Fault]:
         row = int(moved.argmax())
         if moved[row] > _CHANGED_WEIGHT:
             found.append(
-                Fault(
-                    "warning",
+                Fault.warning(
                     path,
                     f"time code {samples.times[row]:g}: the solve below the edit of {shape} has "
                     f"changed by {moved[row]:.2f} since it was made; look at the edit again",

@@ -20,9 +20,9 @@ from usdface.core.provenance import Provenance
 from usdface.core.sidecars import head_path
 from usdface.core.text import first_few
 from usdface.numerics.motion.rotation_space import multiply_quaternions
-from usdface.usdio.authoring import author_timing, author_uniform, paths_in, sampled_properties
+from usdface.usdio.authoring import author_series, author_uniform, paths_in, sampled_properties
 from usdface.usdio.layers import new_layer, open_layer, open_stage, relative_path
-from usdface.usdio.performance.weights_layer import WeightsHeader
+from usdface.usdio.performance.weights_layer import WeightsHeader, author_layer_metadata
 from usdface.usdio.retarget.controls import (
     author_joints,
     controls_at,
@@ -30,7 +30,7 @@ from usdface.usdio.retarget.controls import (
     set_joint_samples,
 )
 from usdface.usdio.rig.drive_targets import DriveTarget, joint_rest, skeleton_with
-from usdface.usdio.units import author_units, column_matrix, stage_to_ours
+from usdface.usdio.units import column_matrix, stage_to_ours
 
 TRANSFORM = "xformOp:transform:head"
 
@@ -64,9 +64,7 @@ def write_head_layer(
     world = {target: back @ values @ ours for target, values in transforms.items()}
     joints = {target: values for target, values in world.items() if target.is_joint}
     with new_layer(head_path(path), provenance) as layer:
-        author_units(layer, like=rig.file)
-        author_timing(layer, rate=header.rate, first=header.first_frame, last=header.last_frame)
-        layer.defaultPrim = Sdf.Path(header.rig_path).GetPrefixes()[0].name
+        author_layer_metadata(layer, header, rig)
         if joints:
             driven = _turn_joints(_joints_of(controls, header, path), stage, rig, joints)
             prim = Sdf.CreatePrimInLayer(layer, header.animation)
@@ -134,10 +132,9 @@ def _author_xform(over: Sdf.PrimSpec, prim: Usd.Prim, world: FloatArray, first: 
         parent = column_matrix(UsdGeom.XformCache().GetParentToWorldTransform(prim))
     order = [*operations[:start], TRANSFORM, *operations[start:]]
     author_uniform(over, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, order)
-    attribute = Sdf.AttributeSpec(over, TRANSFORM, Sdf.ValueTypeNames.Matrix4d)
     local = (np.linalg.inv(parent) @ world @ parent).transpose(0, 2, 1)
-    for frame, matrix in enumerate(local.tolist(), start=first):
-        over.layer.SetTimeSample(attribute.path, frame, Gf.Matrix4d(matrix))
+    matrices = map(Gf.Matrix4d, local.tolist())
+    author_series(over, TRANSFORM, Sdf.ValueTypeNames.Matrix4d, matrices, first=first)
 
 
 _OF_JOINTS = ("translations", "rotations", "scales")
@@ -173,11 +170,7 @@ def driving_layers(parts: Sequence[Path], beside: Callable[[Path], Path]) -> lis
 
 
 def join_driving_layers(
-    path: Path,
-    layers: Sequence[Path],
-    *,
-    last_frame: int,
-    provenance: Provenance | None = None,
+    path: Path, layers: Sequence[Path], *, last_frame: int, provenance: Provenance | None = None
 ) -> None:
     """Join driving layers of parts of a performance, in the order of their frames."""
     if not layers:

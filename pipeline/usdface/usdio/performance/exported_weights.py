@@ -16,6 +16,7 @@ from pxr import Sdf, Usd, UsdSkel
 
 from usdface.core.arrays import FloatArray
 from usdface.core.errors import InputError
+from usdface.usdio.authoring import names_in
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.performance.read import PerformanceReader, animations_of_skeletons
 from usdface.usdio.rig.read import channels_per_mesh
@@ -87,7 +88,7 @@ def read_exported_weights(path: Path) -> ExportedWeights | None:
         columns = dict(zip(reader.names, values.T, strict=True))
         for mesh in _meshes(stage, reader.animation.GetPath()):
             targets = mesh.GetBlendShapeTargetsRel().GetTargets()
-            channels = map(str, mesh.GetBlendShapesAttr().Get() or ())
+            channels = names_in(mesh.GetBlendShapesAttr())
             shapes = dict(zip(channels, (each.name for each in targets), strict=False))
             of_mesh = {shape: columns[name] for name, shape in shapes.items() if name in columns}
             by_mesh.append((len(of_mesh), mesh.GetPrim().GetName(), of_mesh))

@@ -73,7 +73,7 @@ class PerformanceReader:
             else self.stage.GetPrimAtPath(animation)
         )
         weights = UsdSkel.Animation(self.animation)
-        self.names = tuple(map(str, weights.GetBlendShapesAttr().Get() or ()))
+        self.names = names_in(weights.GetBlendShapesAttr())
         twice = [name for name, count in Counter(self.names).items() if count > 1]
         if twice:
             raise InputError(

@@ -9,7 +9,14 @@ from pathlib import Path
 import numpy as np
 from pxr import Sdf, Usd, Vt
 
-from usdface.core.arrays import Float32Array, FloatArray, IntArray, RealArray, index_of
+from usdface.core.arrays import (
+    Float32Array,
+    FloatArray,
+    IntArray,
+    RealArray,
+    frame_blocks,
+    index_of,
+)
 from usdface.core.assets import Rig, SolveBasis
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
@@ -166,8 +173,7 @@ class WeightsWriter:
         if keys is not None:
             wanted[keys] = True
         rest = len(self._header.shape_names) - weights.shape[1]
-        for start in range(0, len(weights), self._save_frames):
-            part = slice(start, start + self._save_frames)
+        for part in frame_blocks(len(weights), frames=self._save_frames):
             rows: RealArray = np.pad(weights[part], ((0, 0), (0, rest)))
             rows[:, self._zeroed] = 0.0
             if self._logic is not None:
@@ -352,11 +358,16 @@ def rig_path_in(layer: Sdf.Layer) -> str:
     return places[0] if len(places) == 1 else ""
 
 
-def author_header(layer: Sdf.Layer, header: WeightsHeader, rig: Rig) -> Sdf.PrimSpec:
-    """Write all of a weights layer but its samples; return the animation prim."""
+def author_layer_metadata(layer: Sdf.Layer, header: WeightsHeader, rig: Rig) -> None:
+    """Set units, timing and the default prim of a layer of a performance."""
     author_units(layer, like=rig.file)
     author_timing(layer, rate=header.rate, first=header.first_frame, last=header.last_frame)
     layer.defaultPrim = Sdf.Path(header.rig_path).GetPrefixes()[0].name
+
+
+def author_header(layer: Sdf.Layer, header: WeightsHeader, rig: Rig) -> Sdf.PrimSpec:
+    """Write all of a weights layer but its samples; return the animation prim."""
+    author_layer_metadata(layer, header, rig)
     prim = define_prim(layer, header.animation, "SkelAnimation")
     apply_api(prim, "FaceSolveAPI")
     tokens = Sdf.ValueTypeNames.TokenArray

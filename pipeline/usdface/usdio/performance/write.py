@@ -46,11 +46,7 @@ from usdface.usdio.units import author_units
 
 
 def write_package(
-    target: Path,
-    reader: PerformanceReader,
-    weights: Path,
-    *,
-    provenance: Provenance | None = None,
+    target: Path, reader: PerformanceReader, weights: Path, *, provenance: Provenance | None = None
 ) -> None:
     """Write a ``.usdz`` of a performance, with another layer of weights.
 

@@ -26,6 +26,11 @@ from usdface.usdio.references.read import (
 SAME_WEIGHT = 1e-6
 """Difference up to which weights are equal: that of single precision."""
 
+_OTHER_SELECTION = (
+    "it belongs to another selection. Nothing was changed; put back the layer that belongs here, "
+    "or move this one away and bring its weights in with `usdface references import`"
+)
+
 
 @dataclass(frozen=True)
 class TunedPair:
@@ -95,24 +100,17 @@ def check_tuned_layer(path: Path, references: References) -> None:
     count = len(references.frames)
     if [round(time) for time in times] != list(range(1, count + 1)):
         raise InputError(
-            f"{path}: holds {len(times)} pairs and the references {count}: it belongs to "
-            "another selection. Nothing was changed; put back the layer that belongs here, or "
-            "move this one away and bring its weights in with `usdface references import`"
+            f"{path}: holds {len(times)} pairs and the references {count}: {_OTHER_SELECTION}"
         )
     for pair in range(count):
-        frame, take = (
-            layer.QueryTimeSample(FRAME_PATH, pair + 1),
-            layer.QueryTimeSample(TAKE, pair + 1),
-        )
+        frame, take = (layer.QueryTimeSample(each, pair + 1) for each in (FRAME_PATH, TAKE))
         if frame is None and take is None:
             continue  # keyed in a DCC, without our attributes
         expected = (int(references.frames[pair]), references.takes[pair])
         if (frame, str(take)) != expected:
             raise InputError(
                 f"{path}: pair {pair + 1} was tuned for frame {frame} of {take}, and the "
-                f"references have frame {expected[0]} of {expected[1]} there: it belongs to "
-                "another selection. Nothing was changed; put back the layer that belongs here, or "
-                "move this one away and bring its weights in with `usdface references import`"
+                f"references have frame {expected[0]} of {expected[1]} there: {_OTHER_SELECTION}"
             )
 
 

@@ -44,11 +44,7 @@ from usdface.usdio.references.read import (
     WEIGHTS_PATH,
 )
 from usdface.usdio.references.weight_layers import TunedPair, read_tuned_pairs
-from usdface.usdio.rig.reference import (
-    convert_to_our_units,
-    define_reference,
-    point_skeletons_at,
-)
+from usdface.usdio.rig.reference import convert_to_our_units, define_reference, point_skeletons_at
 from usdface.usdio.units import MM_PER_STAGE_UNIT
 
 IMAGE = ROOT.AppendProperty("face:reference:image")
@@ -119,18 +115,11 @@ def write_references(
 
 
 def write_tuned_weights(
-    references: References,
-    pairs: list[TunedPair],
-    *,
-    layer_path: Path,
-    provenance: Provenance,
+    references: References, pairs: list[TunedPair], *, layer_path: Path, provenance: Provenance
 ) -> None:
     """Add tuned pairs to the tuned layer, or replace them."""
     write_tuned_layer(
-        references,
-        _merge_tuned(layer_path, pairs),
-        layer_path=layer_path,
-        provenance=provenance,
+        references, _merge_tuned(layer_path, pairs), layer_path=layer_path, provenance=provenance
     )
 
 
@@ -140,11 +129,7 @@ def _merge_tuned(layer_path: Path, pairs: Sequence[TunedPair]) -> list[TunedPair
 
 
 def write_tuned_layer(
-    references: References,
-    pairs: list[TunedPair],
-    *,
-    layer_path: Path,
-    provenance: Provenance,
+    references: References, pairs: list[TunedPair], *, layer_path: Path, provenance: Provenance
 ) -> None:
     """Write the tuned layer, in which these pairs are tuned, and the others are proposals.
 

@@ -14,10 +14,14 @@ from usdface.core.assets import Rig
 from usdface.core.controls import Controls
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import controls_path
-from usdface.usdio.authoring import author_timing, author_uniform
+from usdface.usdio.authoring import author_uniform
 from usdface.usdio.layers import new_layer, save_layer
 from usdface.usdio.performance.clips import PartsWriter
-from usdface.usdio.performance.weights_layer import WeightsHeader, WeightsWriter
+from usdface.usdio.performance.weights_layer import (
+    WeightsHeader,
+    WeightsWriter,
+    author_layer_metadata,
+)
 from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.retarget.controls import (
     NAMES,
@@ -26,7 +30,6 @@ from usdface.usdio.retarget.controls import (
     set_attribute_samples,
     set_joint_samples,
 )
-from usdface.usdio.units import author_units
 
 _FRAMES_PER_SAVE = 1 << 14
 """Frames between two saves, which bounds the memory."""
@@ -115,9 +118,7 @@ def writing_control_performance(
         others = None
         if controls_file is not None:
             layer = stack.enter_context(new_layer(controls_file, provenance))
-            author_units(layer, like=rig.file)
-            author_timing(layer, rate=header.rate, first=header.first_frame, last=header.last_frame)
-            layer.defaultPrim = Sdf.Path(header.rig_path).GetPrefixes()[0].name
+            author_layer_metadata(layer, header, rig)
             others = ControlsLayer(
                 layer, controls_file, header, rig, joints=joints, attributes=attributes
             )

@@ -63,7 +63,7 @@ def _match_attributes(top: Usd.Prim, patterns: Sequence[str], path: Path) -> tup
 def control_attribute(top: Usd.Prim, name: str, path: Path) -> Usd.Attribute:
     """Return the attribute of a control's name, relative to a character's top prim."""
     _, dot, attribute_name = name.rpartition(".")
-    target = attribute_path(top.GetPath(), name) if dot else None
+    target = _attribute_path(top.GetPath(), name) if dot else None
     if target is None:
         raise InputError(
             f"{path}: {name!r} names no attribute; write PRIM.ATTRIBUTE, the prim's path taken "
@@ -86,7 +86,7 @@ def control_attribute(top: Usd.Prim, name: str, path: Path) -> Usd.Attribute:
     return attribute
 
 
-def attribute_path(top: Sdf.Path, name: str) -> Sdf.Path | None:
+def _attribute_path(top: Sdf.Path, name: str) -> Sdf.Path | None:
     """Return a control's property path below a top prim; None if the name is invalid."""
     place, _, attribute = name.rpartition(".")
     if not Sdf.Path.IsValidNamespacedIdentifier(attribute):
@@ -132,7 +132,7 @@ def rest_controls(rig: Rig, *, attributes: Sequence[str] = (), joints: bool = Tr
     skeletons = skeletons_of(stage.GetPrimAtPath(rig.prim))
     if joints and skeletons:
         skeleton = UsdSkel.Skeleton(skeletons[0])
-        names = tuple(map(str, skeleton.GetJointsAttr().Get() or ()))
+        names = names_in(skeleton.GetJointsAttr())
         rest = list(skeleton.GetRestTransformsAttr().Get() or ())
     if len(names) < 2 or len(rest) != len(names):
         names, rest = (), []
@@ -288,17 +288,15 @@ def set_joint_samples(
     layer: Sdf.Layer, animation: Sdf.Path, controls: Controls, first: int
 ) -> None:
     """Write the samples of joints, one attribute after the other."""
-    write = layer.SetTimeSample
-    places = [animation.AppendProperty(n) for n in ("translations", "rotations", "scales")]
-    translations = np.ascontiguousarray(controls.translations, np.float32)
-    in_memory_order = np.ascontiguousarray(controls.rotations[..., [1, 2, 3, 0]], np.float32)
-    scales = np.ascontiguousarray(controls.scales, np.float16)
-    for time, row in enumerate(translations, start=first):
-        write(places[0], time, Vt.Vec3fArray.FromNumpy(row))
-    for time, row in enumerate(in_memory_order, start=first):
-        write(places[1], time, Vt.QuatfArray.FromNumpy(row))
-    for time, row in enumerate(scales, start=first):
-        write(places[2], time, Vt.Vec3hArray.FromNumpy(row))
+    in_memory_order = controls.rotations[..., [1, 2, 3, 0]]
+    for name, kind, values in (
+        ("translations", Vt.Vec3fArray, controls.translations.astype(np.float32)),
+        ("rotations", Vt.QuatfArray, in_memory_order.astype(np.float32)),
+        ("scales", Vt.Vec3hArray, controls.scales.astype(np.float16)),
+    ):
+        path = animation.AppendProperty(name)
+        for time, row in enumerate(np.ascontiguousarray(values), start=first):
+            layer.SetTimeSample(path, time, kind.FromNumpy(row))
 
 
 def author_animation(layer: Sdf.Layer, place: Sdf.Path, controls: Controls) -> None:
@@ -312,27 +310,24 @@ def author_animation(layer: Sdf.Layer, place: Sdf.Path, controls: Controls) -> N
 
 def author_attribute_specs(
     layer: Sdf.Layer, top: Sdf.Path, rig: Rig, names: Sequence[str]
-) -> list[Sdf.Path | None]:
-    """Define attributes of a rig below a top prim; return their paths, None for invalid names."""
+) -> list[Sdf.Path]:
+    """Define attributes of a rig below a top prim; return their paths."""
     stage = open_stage(rig.file)
     of_rig = stage.GetPrimAtPath(Sdf.Path(rig.prim).GetPrefixes()[0])
-    places: list[Sdf.Path | None] = []
-    for name in names:
-        kind = control_attribute(of_rig, name, rig.file).GetTypeName()
-        where = attribute_path(top, name)
-        places.append(where)
-        if where is not None:
-            over = Sdf.CreatePrimInLayer(layer, where.GetPrimPath())
-            Sdf.AttributeSpec(over, where.name, kind)
+    places = []
+    for attribute in [control_attribute(of_rig, name, rig.file) for name in names]:
+        place = attribute.GetPath().ReplacePrefix(of_rig.GetPath(), top)
+        over = Sdf.CreatePrimInLayer(layer, place.GetPrimPath())
+        places.append(Sdf.AttributeSpec(over, place.name, attribute.GetTypeName()).path)
     return places
 
 
 def set_attribute_samples(
-    layer: Sdf.Layer, places: Sequence[Sdf.Path | None], controls: Controls, first: int
+    layer: Sdf.Layer, places: Sequence[Sdf.Path], controls: Controls, first: int
 ) -> None:
     """Write the samples of attributes, one after the other."""
     for place, values in zip(places, controls.values.T.tolist(), strict=True):
-        for time, value in enumerate(values if place else (), start=first):
+        for time, value in enumerate(values, start=first):
             layer.SetTimeSample(place, time, value)
 
 

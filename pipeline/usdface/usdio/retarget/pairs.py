@@ -157,11 +157,7 @@ def _author_samples(
 
 
 def _times(
-    stage: Usd.Stage,
-    source: Usd.Prim,
-    target: Usd.Prim,
-    attributes: tuple[str, ...],
-    path: Path,
+    stage: Usd.Stage, source: Usd.Prim, target: Usd.Prim, attributes: tuple[str, ...], path: Path
 ) -> list[int]:
     """Return the time codes of the pairs, at which both sides must have keys."""
     top = stage.GetPrimAtPath(_TARGET)
@@ -207,16 +203,16 @@ def _rig(stage: Usd.Stage, animation: Usd.Prim, place: Sdf.Path) -> tuple[Path |
 def merge_pairs(old: ExpressionPairs, new: ExpressionPairs) -> ExpressionPairs:
     """Return old pairs at their time codes, followed by new ones with other names."""
     added = [i for i, name in enumerate(new.names) if name not in old.names]
-    if old.source_shapes != new.source_shapes or old.target.attributes != new.target.attributes:
-        raise InputError(
-            "the source's shapes or the target's attributes are not those of the pairs that are "
-            "there; choose another --out"
-        )
-    if old.target.shapes != new.target.shapes or old.target.joints != new.target.joints:
-        raise InputError(
-            "the target's shapes or joints are not those of the pairs that are there; choose "
-            "another --out"
-        )
+    for what, of_old, of_new in (
+        ("source's shapes", old.source_shapes, new.source_shapes),
+        ("target's shapes", old.target.shapes, new.target.shapes),
+        ("target's joints", old.target.joints, new.target.joints),
+        ("target's attributes", old.target.attributes, new.target.attributes),
+    ):
+        if of_old != of_new:
+            raise InputError(
+                f"the {what} are not those of the pairs that are there; choose another --out"
+            )
     more = new.rows(np.array(added, dtype=np.int64))
     return replace(
         new,

@@ -27,10 +27,7 @@ from usdface.usdio.layers import (
     refusing_wrong_types,
     relative_path,
 )
-from usdface.usdio.retarget.controls import (
-    author_animation,
-    controls_at,
-)
+from usdface.usdio.retarget.controls import author_animation, controls_at
 from usdface.usdio.units import author_units
 
 _ROOT = Sdf.Path("/Sequence")
@@ -45,11 +42,7 @@ MATCHES = Sdf.Path("/Matches")
 
 
 def write_sequence(
-    path: Path,
-    sequence: EmotionalSequence,
-    *,
-    rate: Fraction,
-    provenance: Provenance,
+    path: Path, sequence: EmotionalSequence, *, rate: Fraction, provenance: Provenance
 ) -> None:
     """Write a sequence: source and target each from time code 1, of different lengths."""
     kinds = Sdf.ValueTypeNames

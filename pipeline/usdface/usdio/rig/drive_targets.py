@@ -10,7 +10,7 @@ from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig
 from usdface.core.errors import InputError
 from usdface.core.text import first_few
-from usdface.usdio.authoring import check_not_instanced
+from usdface.usdio.authoring import check_not_instanced, names_in, prims_below
 from usdface.usdio.layers import open_stage
 from usdface.usdio.rig.read import skeletons_of
 from usdface.usdio.units import column_matrix, stage_to_ours, transform_points
@@ -78,17 +78,13 @@ def _joints(stage: Usd.Stage, rig: Rig) -> list[str]:
 
 def _xforms(stage: Usd.Stage, rig: Rig) -> list[str]:
     top = stage.GetPrimAtPath(Sdf.Path(rig.prim).GetPrefixes()[0])
-    prims = Usd.PrimRange(top, Usd.TraverseInstanceProxies())
-    return [
-        str(prim.GetPath())
-        for prim in prims
-        if prim.IsA(UsdGeom.Xformable) and not prim.IsA(UsdSkel.Skeleton)
-    ]
+    prims = prims_below(top, UsdGeom.Xformable)
+    return [str(prim.GetPath()) for prim in prims if not prim.IsA(UsdSkel.Skeleton)]
 
 
 def joint_rest(skeleton: UsdSkel.Skeleton, joint: str) -> tuple[FloatArray, FloatArray, bool]:
     """Return a joint's rest, its parent's rest in the stage's world, and whether it has none."""
-    names = list(map(str, skeleton.GetJointsAttr().Get()))
+    names = names_in(skeleton.GetJointsAttr())
     rest = [column_matrix(each) for each in skeleton.GetRestTransformsAttr().Get()]
     world = column_matrix(UsdGeom.XformCache().GetLocalToWorldTransform(skeleton.GetPrim()))
     above = [name for name in names if joint.startswith(f"{name}/")]
@@ -122,8 +118,8 @@ def _xform_pivot(stage: Usd.Stage, rig: Rig, path: str) -> tuple[float, float, f
         return _in_millimetres(stage, origin)
     clouds = [
         transform_points(column_matrix(cache.GetLocalToWorldTransform(each)), points)
-        for each in Usd.PrimRange(prim, Usd.TraverseInstanceProxies())
-        if each.IsA(UsdGeom.Mesh) and (points := UsdGeom.Mesh(each).GetPointsAttr().Get())
+        for each in prims_below(prim, UsdGeom.Mesh)
+        if (points := UsdGeom.Mesh(each).GetPointsAttr().Get())
     ]
     if not clouds:
         return _in_millimetres(stage, origin)

@@ -29,13 +29,10 @@ class Look:
 
 @dataclass(frozen=True)
 class _Surface:
-    """Constant colour of a material, or NaN, and what is left out."""
+    """Constant colour of a material, if it has one, and what is left out."""
 
-    color: tuple[float, float, float, float]
+    color: tuple[float, float, float, float] | None
     undrawn: str = ""
-
-
-_NOTHING = (np.nan, np.nan, np.nan, np.nan)
 
 
 def read_look(prim: Usd.Prim, face_count: int) -> Look:
@@ -53,7 +50,7 @@ def read_look(prim: Usd.Prim, face_count: int) -> Look:
         )
         if material:
             surface = _read_surface(material)
-            if not np.isnan(surface.color[0]):
+            if surface.color is not None:
                 colors[faces] = surface.color
             if surface.undrawn:
                 undrawn.append(surface.undrawn)
@@ -92,14 +89,14 @@ def _read_surface(material: UsdShade.Material) -> _Surface:
     where = f"<{material.GetPath()}>"
     shader, _, _ = material.ComputeSurfaceSource()
     if not shader:
-        return _Surface(_NOTHING, f"{where}: has no surface that a preview shows")
+        return _Surface(None, f"{where}: has no surface that a preview shows")
     kind = shader.GetShaderId()
     if kind != SURFACE:
-        return _Surface(_NOTHING, f"{where}: is a {kind or 'shader'}, not a {SURFACE}")
+        return _Surface(None, f"{where}: is a {kind or 'shader'}, not a {SURFACE}")
     color, left_out = _constant(shader.GetInput("diffuseColor"))
     opacity, _ = _constant(shader.GetInput("opacity"))
     if color is None:
-        return _Surface(_NOTHING, f"{where}: {left_out}" if left_out else "")
+        return _Surface(None, f"{where}: {left_out}" if left_out else "")
     red, green, blue = (max(float(each), 0.0) for each in color)
     return _Surface((red, green, blue, 1.0 if opacity is None else float(opacity)))
 

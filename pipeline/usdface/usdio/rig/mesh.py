@@ -13,7 +13,7 @@ from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import Rig, RigMesh
 from usdface.core.errors import InputError
 from usdface.core.text import first_few
-from usdface.usdio.authoring import check_not_instanced
+from usdface.usdio.authoring import check_not_instanced, prims_below
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.units import column_matrix, stage_to_ours, transform_points
 
@@ -65,8 +65,21 @@ def skel_bindings(
     }
 
 
+def skin_in_place(
+    target: UsdSkel.SkinningQuery,
+    joints: Vt.Matrix4dArray,
+    points: Vt.Vec3fArray,
+    time: Usd.TimeCode,
+) -> bool:
+    """Skin points in place by transforms in the order of the skeleton; return whether it could."""
+    mapper = target.GetJointMapper()
+    if mapper and not mapper.IsIdentity():
+        joints = mapper.RemapTransforms(joints)
+    return bool(target.ComputeSkinnedPoints(joints, points, time))
+
+
 class RestPose:
-    """The skeletons of a SkelRoot at rest."""
+    """The skeletons of a SkelRoot at rest; meshes without one have only their transforms."""
 
     def __init__(self, root: UsdSkel.Root, ours: FloatArray) -> None:
         self._root = root
@@ -75,7 +88,7 @@ class RestPose:
 
     @cached_property
     def _bindings(self) -> dict[str, tuple[UsdSkel.SkeletonQuery, UsdSkel.SkinningQuery]]:
-        return skel_bindings(UsdSkel.Cache(), self._root)
+        return skel_bindings(UsdSkel.Cache(), self._root) if self._root else {}
 
     def place(self, prim: Usd.Prim, local: FloatArray) -> PlacedMesh:
         """Return the points of a mesh skinned at rest, as in UsdSkel."""
@@ -99,13 +112,10 @@ def _skin_at_rest(
     if not rest or not bind or len(rest) != len(bind):
         return None
     skinning = Vt.Matrix4dArray([b.GetInverse() * r for b, r in zip(bind, rest, strict=True)])
-    mapper = target.GetJointMapper()
-    if mapper and not mapper.IsIdentity():
-        skinning = mapper.RemapTransforms(skinning)
 
     def skin(points: FloatArray) -> FloatArray | None:
         moved = Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(points, dtype=np.float32))
-        if not target.ComputeSkinnedPoints(skinning, moved, Usd.TimeCode.Default()):
+        if not skin_in_place(target, skinning, moved, Usd.TimeCode.Default()):
             return None
         return np.array(moved, dtype=np.float64)
 
@@ -200,10 +210,6 @@ class FaceMesh(BoundSurface):
     """(3, 3) or (points, 3, 3): from displacements in the mesh's space to ours [mm]."""
     world: FloatArray
     """(4, 4): its transform in its stage, for column vectors and in the stage's unit."""
-    meters_per_unit: float
-    """Of its stage [m]."""
-    up_axis: str
-    """Of its stage: ``'Y'`` or ``'Z'``."""
     normals: str = ""
     """Interpolation of authored normals: ``'vertex'``, ``'faceVarying'``, ``'other'`` or, without
     any, ``''``."""
@@ -243,12 +249,11 @@ def read_face_mesh(path: Path, *, prim: str | None = None) -> FaceMesh:
     counts = np.array(_at_rest(geometry.GetFaceVertexCountsAttr()) or [], np.int64)
     indices = np.array(_at_rest(geometry.GetFaceVertexIndicesAttr()) or [], np.int64)
     _check_surface(local, counts, indices, where)
-    world = column_matrix(UsdGeom.XformCache().GetLocalToWorldTransform(chosen))
-    points, linear = _rest_points(stage, chosen, local, world)
-    kind, attribute, authored = _authored_normals(geometry, len(local), len(indices))
+    placed = RestPose(UsdSkel.Root.Find(chosen), stage_to_ours(stage)).place(chosen, local)
+    kind, attribute, authored = authored_normals(geometry, len(local), len(indices))
     mesh = RigMesh(
         path=str(chosen.GetPath()),
-        points=points,
+        points=placed.points,
         face_counts=counts,
         face_indices=indices,
         colors=read_colors(geometry, len(local), indices),
@@ -258,10 +263,8 @@ def read_face_mesh(path: Path, *, prim: str | None = None) -> FaceMesh:
         file=path,
         mesh=mesh,
         local=local,
-        linear=linear,
-        world=world,
-        meters_per_unit=float(UsdGeom.GetStageMetersPerUnit(stage)),
-        up_axis=str(UsdGeom.GetStageUpAxis(stage)),
+        linear=placed.linear,
+        world=column_matrix(UsdGeom.XformCache().GetLocalToWorldTransform(chosen)),
         normals=kind,
         normals_attribute=attribute,
         authored_normals=authored,
@@ -279,11 +282,7 @@ def _find_mesh(stage: Usd.Stage, path: Path, prim: str | None) -> tuple[Usd.Prim
     top = stage.GetPseudoRoot() if prim is None else stage.GetPrimAtPath(prim)
     if not top:
         raise InputError(f"{path}: there is no prim <{prim}>; check --mesh-prim")
-    every = [
-        each
-        for each in Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies())
-        if each.IsA(UsdGeom.Mesh)
-    ]
+    every = prims_below(stage.GetPseudoRoot(), UsdGeom.Mesh)
     found = [each for each in every if each.GetPath().HasPrefix(top.GetPath())]
     if not found:
         raise InputError(f"{path} <{top.GetPath()}>: holds no mesh; is it the face's file?")
@@ -324,30 +323,23 @@ def _check_surface(local: FloatArray, counts: IntArray, indices: IntArray, where
             f"{where}: has {len(local)} points and no faces; distances on a surface need one: "
             "mesh the points first"
         )
-    fits = counts.min() >= 0 and counts.sum() == len(indices)
-    if not fits or indices.min() < 0 or indices.max() >= len(local):
+    check_mesh(local, counts, indices, where)
+
+
+def check_mesh(local: FloatArray, counts: IntArray, indices: IntArray, where: str) -> None:
+    """Refuse faces of points that are not there, and points that are not finite."""
+    fits = counts.min(initial=0) >= 0 and counts.sum() == len(indices)
+    if not fits or indices.min(initial=0) < 0 or indices.max(initial=-1) >= len(local):
         raise InputError(f"{where}: its faces name points that are not there; repair the mesh")
     bad = np.flatnonzero(~np.isfinite(local).all(axis=1))
     if len(bad):
         raise InputError(
-            f"{where}: {len(bad)} points hold NaN or infinity (first: point {bad[0]}); repair the "
-            "mesh"
+            f"{where}: points hold NaN or infinity ({len(bad)}, the first is point {bad[0]}); "
+            "repair the mesh"
         )
 
 
-def _rest_points(
-    stage: Usd.Stage, prim: Usd.Prim, local: FloatArray, world: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the points at rest in our space, and the linear map of displacements."""
-    ours = stage_to_ours(stage)
-    root = UsdSkel.Root.Find(prim)
-    if root:
-        placed = RestPose(root, ours).place(prim, local)
-        return placed.points, placed.linear
-    return transform_points(world, local) @ ours.T, ours @ world[:3, :3]
-
-
-def _authored_normals(
+def authored_normals(
     geometry: UsdGeom.Mesh, point_count: int, corner_count: int
 ) -> tuple[str, str, FloatArray | None]:
     """Return interpolation, attribute and values of the authored normals."""

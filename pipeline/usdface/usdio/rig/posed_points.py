@@ -8,9 +8,10 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig
 from usdface.core.errors import InputError
+from usdface.usdio.authoring import names_in, prims_below
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.performance.read import PerformanceReader
-from usdface.usdio.rig.mesh import skel_bindings
+from usdface.usdio.rig.mesh import skel_bindings, skin_in_place
 from usdface.usdio.rig.read import faces_below, find_face
 from usdface.usdio.rig.reference import read_rig_of_stage, rig_path_of, stage_with_rig
 from usdface.usdio.units import column_matrix, stage_to_ours, transform_points
@@ -38,11 +39,7 @@ class PosedRig:
         face_path = str(face) if self._stage.GetPrimAtPath(face) else None
         root = UsdSkel.Root(find_face(self._stage, path, face_path))
         self._bound = skel_bindings(UsdSkel.Cache(), root)
-        self._meshes = [
-            prim
-            for prim in Usd.PrimRange(root.GetPrim(), Usd.TraverseInstanceProxies())
-            if prim.IsA(UsdGeom.Mesh)
-        ]
+        self._meshes = prims_below(root.GetPrim(), UsdGeom.Mesh)
         # In the rig's units, which references do not convert.
         self._ours = stage_to_ours(open_stage(file))
         if [len(mesh.points) for mesh in self.rig.meshes] != [
@@ -69,10 +66,7 @@ class PosedRig:
         _deform(prim, points, weights)
         joints = query.ComputeSkinningTransforms(frame)
         if target.HasJointInfluences() and joints:
-            mapper = target.GetJointMapper()
-            if mapper and not mapper.IsIdentity():
-                joints = mapper.RemapTransforms(joints)
-            if target.ComputeSkinnedPoints(joints, points, frame):
+            if skin_in_place(target, joints, points, Usd.TimeCode(frame)):
                 world = transforms.GetLocalToWorldTransform(query.GetPrim())
                 return _to_world(world, points, self._ours)
         return _to_world(transforms.GetLocalToWorldTransform(prim), points, self._ours)
@@ -81,7 +75,7 @@ class PosedRig:
 def _deform(prim: Usd.Prim, points: Vt.Vec3fArray, weights: dict[str, float]) -> None:
     """Move points by the mesh's shapes, in place."""
     binding = UsdSkel.BindingAPI(prim)
-    names = list(map(str, binding.GetBlendShapesAttr().Get() or ()))
+    names = names_in(binding.GetBlendShapesAttr())
     if not names:
         return
     query = UsdSkel.BlendShapeQuery(binding)

@@ -12,10 +12,10 @@ from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import MeshShape, Rig, RigMesh, ShapeKey
 from usdface.core.errors import InputError
 from usdface.core.rig_logic import Combination, CombinationMode, order_combinations
-from usdface.usdio.authoring import names_in, text_of, value_of
+from usdface.usdio.authoring import names_in, prims_below, text_of, value_of
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.rig.materials import read_look
-from usdface.usdio.rig.mesh import PlacedMesh, RestPose, read_colors
+from usdface.usdio.rig.mesh import PlacedMesh, RestPose, authored_normals, check_mesh, read_colors
 from usdface.usdio.units import stage_to_ours
 
 RANGE_ATTRIBUTE = "face:range"
@@ -47,7 +47,7 @@ def read_rig(
     root = find_face(stage, path, prim)
     ours = stage_to_ours(stage)
     rest = RestPose(UsdSkel.Root(root), ours)
-    meshes = tuple(_read_mesh(mesh, rest, path) for mesh in _meshes_below(root))
+    meshes = tuple(_read_mesh(mesh, rest, path) for mesh in prims_below(root, UsdGeom.Mesh))
     every = tuple(dict.fromkeys(shape.name for mesh in meshes for shape in mesh.shapes))
     combinations = read_combinations(root, path)
     driven = {each.shape for each in combinations}
@@ -74,7 +74,7 @@ def open_variant(path: Path, variants: tuple[tuple[str, str, str], ...]) -> Usd.
 
 def shape_prims(root: Usd.Prim) -> Iterator[tuple[str, Usd.Prim]]:
     """Yield name and BlendShape prim of the shapes of all meshes below a prim."""
-    for mesh in _meshes_below(root):
+    for mesh in prims_below(root, UsdGeom.Mesh):
         binding = UsdSkel.BindingAPI(mesh)
         names = binding.GetBlendShapesAttr().Get() or []
         targets = binding.GetBlendShapeTargetsRel().GetTargets() if names else []
@@ -115,7 +115,7 @@ def channels_per_mesh(meshes: Iterable[UsdSkel.BindingAPI]) -> dict[str, list[st
     """
     by_mesh = []
     for mesh in meshes:
-        channels = list(map(str, mesh.GetBlendShapesAttr().Get() or ()))
+        channels = names_in(mesh.GetBlendShapesAttr())
         shapes = [each.name for each in mesh.GetBlendShapeTargetsRel().GetTargets()]
         prefixes = {each.removesuffix(name) for each, name in zip(channels, shapes, strict=False)}
         if len(prefixes) > 1 or prefixes & {"", *channels}:
@@ -152,7 +152,9 @@ def read_combinations(root: Usd.Prim, path: Path) -> tuple[Combination, ...]:
                 f"{path} <{prim.GetPath()}>: states {combination}, another mesh "
                 f"{combinations[name]}; make them equal"
             )
-    for first, *others in channels_per_mesh(map(UsdSkel.BindingAPI, _meshes_below(root))).values():
+    for first, *others in channels_per_mesh(
+        map(UsdSkel.BindingAPI, prims_below(root, UsdGeom.Mesh))
+    ).values():
         for name in others:
             combinations.setdefault(name, Combination(name, (first,)))
     return order_combinations(combinations.values(), names, source=path)
@@ -167,7 +169,7 @@ def combinations_below(top: Usd.Prim, path: Path) -> tuple[Combination, ...]:
 def skeletons_of(root: Usd.Prim) -> list[Usd.Prim]:
     """Return the skeletons of the meshes with BlendShapes below a SkelRoot."""
     skeletons: dict[str, Usd.Prim] = {}
-    for mesh in _meshes_below(root):
+    for mesh in prims_below(root, UsdGeom.Mesh):
         if UsdSkel.BindingAPI(mesh).GetBlendShapesAttr().HasAuthoredValue():
             skeleton = UsdSkel.BindingAPI(mesh).GetInheritedSkeleton()
             if skeleton:
@@ -177,7 +179,11 @@ def skeletons_of(root: Usd.Prim) -> list[Usd.Prim]:
 
 def faces_below(top: Usd.Prim) -> list[Usd.Prim]:
     """Return the outermost SkelRoots with BlendShapes below a prim."""
-    faces = [root for root in _skel_roots(top) if any(map(_has_shapes, _meshes_below(root)))]
+    faces = [
+        root
+        for root in prims_below(top, UsdSkel.Root)
+        if any(map(_has_shapes, prims_below(root, UsdGeom.Mesh)))
+    ]
     return [
         each
         for each in faces
@@ -198,9 +204,8 @@ def find_face(stage: Usd.Stage, path: Path, prim: str | None) -> Usd.Prim:
                 f"{path} <{orphans[0].GetPath()}>: has BlendShapes but no SkelRoot above it, so "
                 "nothing can animate it; put it under a SkelRoot"
             )
-        what = (
-            "no SkelRoot" if not _skel_roots(top) else "no mesh with BlendShapes under its SkelRoot"
-        )
+        roots = prims_below(top, UsdSkel.Root)
+        what = "no mesh with BlendShapes under its SkelRoot" if roots else "no SkelRoot"
         raise InputError(f"{path}: {what}; a rig needs meshes bound to BlendShapes (UsdSkel)")
     if len(faces) > 1:
         names = ", ".join(f"<{each.GetPath()}>" for each in faces)
@@ -221,7 +226,7 @@ def _check_below_top(face: Usd.Prim, path: Path) -> None:
     """Refuse skeletons and BlendShapes that a reference to the face's top prim does not bring."""
     top = face.GetPath().GetPrefixes()[0]
     used = [each.GetPath() for each in skeletons_of(face)]
-    for mesh in _meshes_below(face):
+    for mesh in prims_below(face, UsdGeom.Mesh):
         used += UsdSkel.BindingAPI(mesh).GetBlendShapeTargetsRel().GetTargets()
     outside = [each for each in used if not each.HasPrefix(top)]
     if outside:
@@ -229,17 +234,6 @@ def _check_below_top(face: Usd.Prim, path: Path) -> None:
             f"{path} <{outside[0]}>: moves <{face.GetPath()}> and lies outside <{top}>, the prim "
             f"that performances reference: the face would not move in them; put it below <{top}>"
         )
-
-
-def _skel_roots(top: Usd.Prim) -> list[Usd.Prim]:
-    prims = Usd.PrimRange(top, Usd.TraverseInstanceProxies())
-    return [each for each in prims if each.IsA(UsdSkel.Root)]
-
-
-def _meshes_below(root: Usd.Prim) -> Iterator[Usd.Prim]:
-    for each in Usd.PrimRange(root, Usd.TraverseInstanceProxies()):
-        if each.IsA(UsdGeom.Mesh):
-            yield each
 
 
 def _has_shapes(prim: Usd.Prim) -> bool:
@@ -252,11 +246,7 @@ def _read_mesh(prim: Usd.Prim, rest: RestPose, path: Path) -> RigMesh:
     counts = np.array(mesh.GetFaceVertexCountsAttr().Get() or [], dtype=np.int64)
     indices = np.array(mesh.GetFaceVertexIndicesAttr().Get() or [], dtype=np.int64)
     where = f"{path} <{prim.GetPath()}>"
-    fits = counts.min(initial=0) >= 0 and counts.sum() == len(indices)
-    if not fits or indices.min(initial=0) < 0 or indices.max(initial=-1) >= len(local):
-        raise InputError(f"{where}: its faces name points that are not there; repair the mesh")
-    if not np.isfinite(local).all():
-        raise InputError(f"{where}: points hold NaN or infinity; repair the mesh")
+    check_mesh(local, counts, indices, where)
     placed = rest.place(prim, local)
     look = read_look(prim, len(counts))
     bare = RigMesh(
@@ -265,7 +255,7 @@ def _read_mesh(prim: Usd.Prim, rest: RestPose, path: Path) -> RigMesh:
         face_counts=counts,
         face_indices=indices,
         colors=read_colors(mesh, len(local), indices),
-        normals=_read_normals(mesh, placed),
+        normals=_read_normals(mesh, placed, len(indices)),
         subdivision=str(mesh.GetSubdivisionSchemeAttr().Get()),
         visible=mesh.ComputeVisibility() != UsdGeom.Tokens.invisible
         and mesh.ComputePurpose() in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render),
@@ -365,15 +355,11 @@ def _read_ranges(root: Usd.Prim, shapes: tuple[str, ...], path: Path) -> FloatAr
     return np.array([stated.get(name, (0.0, 1.0)) for name in shapes], float).reshape(-1, 2)
 
 
-def _read_normals(mesh: UsdGeom.Mesh, placed: PlacedMesh) -> FloatArray | None:
-    """Return a unit normal of each point, where they are given so; ``primvars:normals`` first."""
-    primvar = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("normals")
-    values = primvar.ComputeFlattened() if primvar and primvar.HasAuthoredValue() else None
-    if values is None:
-        values = mesh.GetNormalsAttr().Get()
-    if values is None or len(values) != len(placed.points):
+def _read_normals(mesh: UsdGeom.Mesh, placed: PlacedMesh, corner_count: int) -> FloatArray | None:
+    """Return a unit normal of each point, where they are authored so."""
+    interpolation, _, normals = authored_normals(mesh, len(placed.points), corner_count)
+    if normals is None or interpolation != "vertex":
         return None
-    normals = np.array(values, dtype=np.float64).reshape(-1, 3)
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     if not np.isfinite(normals).all() or not (length > 0).all():
         return None

@@ -14,6 +14,7 @@ from pxr import Gf, Usd, UsdGeom, UsdSkel
 from usdface.core.arrays import FloatArray
 from usdface.core.errors import InputError
 from usdface.core.text import first_few
+from usdface.usdio.authoring import prims_below
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.units import column_matrix, millimetres, stage_to_ours
 
@@ -121,11 +122,8 @@ def _camera(stage: Usd.Stage, path: Path, name: str) -> Usd.Prim:
     prim = stage.GetPrimAtPath(name)
     if prim and prim.IsA(UsdGeom.Camera):
         return prim
-    found = [
-        f"<{each.GetPath()}>"
-        for each in Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies())
-        if each.IsA(UsdGeom.Camera)
-    ]
+    cameras = prims_below(stage.GetPseudoRoot(), UsdGeom.Camera)
+    found = [f"<{each.GetPath()}>" for each in cameras]
     kind = prim.GetTypeName() or "prim without a type" if prim else ""
     what = f"<{name}> is a {kind}, no camera" if prim else f"there is no prim <{name}>"
     remedy = (
@@ -141,9 +139,8 @@ def _character(stage: Usd.Stage, path: Path, home: Usd.Prim) -> Usd.Prim | None:
     specs = {(spec.layer.realPath, spec.path) for spec in home.GetPrimStack()}
     found = [
         prim
-        for prim in Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies())
-        if prim.IsA(UsdSkel.Root)
-        and any((spec.layer.realPath, spec.path) in specs for spec in prim.GetPrimStack())
+        for prim in prims_below(stage.GetPseudoRoot(), UsdSkel.Root)
+        if any((spec.layer.realPath, spec.path) in specs for spec in prim.GetPrimStack())
     ]
     if len(found) > 1:
         paths = first_few(f"<{prim.GetPath()}>" for prim in found)

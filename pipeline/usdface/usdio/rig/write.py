@@ -150,11 +150,7 @@ def _bind_joints(stage: Usd.Stage, mesh: RigMesh, controls: RigControls) -> None
 
 
 def write_logic(
-    path: Path,
-    rig: Rig,
-    combinations: tuple[Combination, ...],
-    *,
-    provenance: Provenance,
+    path: Path, rig: Rig, combinations: tuple[Combination, ...], *, provenance: Provenance
 ) -> None:
     """Write a layer over a rig's file, with its combinations."""
     source, driven = open_stage(rig.file), {each.shape: each for each in combinations}

@@ -217,27 +217,22 @@ def _read_place(path: Path, prim: Usd.Prim, face: BoundSurface) -> _MarkerPlace:
     mesh = face.mesh
     counts, indices = mesh.face_counts, mesh.face_indices
     point = _value(prim, "face:binding:point")
-    corrected = {
-        key: _corrected(prim, key)
-        for key in ("face:binding:face", "face:binding:weights", TRANSLATE)
-    }
+    face_corrected, weights_corrected, ball_moved = (
+        _corrected(prim, key) for key in ("face:binding:face", "face:binding:weights", TRANSLATE)
+    )
     source = str(_value(prim, "face:binding:source") or "proposed")
     if source == "corrected":  # by a correction that has been removed
         source = "proposed"
-    is_corrected = point is not None or any(corrected.values())
+    is_corrected = point is not None or face_corrected or weights_corrected or ball_moved
     try:
         if point is not None:
             places = places_at_points(counts, indices, np.array([int(str(point))]))
-        elif (
-            corrected[TRANSLATE]
-            and not corrected["face:binding:face"]
-            and not corrected["face:binding:weights"]
-        ):
+        elif ball_moved and not (face_corrected or weights_corrected):
             places = _under_ball(prim, face)
         else:
             number = int(str(_value(prim, "face:binding:face")))
             weights = np.array(_value(prim, "face:binding:weights"), np.float64).reshape(-1)
-            if corrected["face:binding:face"] and not corrected["face:binding:weights"]:
+            if face_corrected and not weights_corrected:
                 known = 0 <= number < len(counts)
                 corners = int(counts[number]) if known else 3
                 weights = np.full(corners, 1 / corners)  # by default the centre of the face

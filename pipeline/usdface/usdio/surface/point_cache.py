@@ -24,6 +24,7 @@ from usdface.usdio.authoring import apply_api, author_timing, author_uniform
 from usdface.usdio.layers import new_layer, open_layer, relative_path
 from usdface.usdio.rig.mesh import FaceMesh
 from usdface.usdio.rig.reference import default_rig_path, define_reference
+from usdface.usdio.units import author_units
 
 UNCERTAINTY = "primvars:face:uncertainty"
 UNSAVED_BYTES = 128 << 20
@@ -62,13 +63,18 @@ class PointsFormat:
 class PointsWriter:
     """Appends frames of an animated mesh; made by `writing_points`."""
 
-    def __init__(self, face: FaceMesh, place: Sdf.Path, format_: PointsFormat) -> None:
-        self._face = face
-        self._place = place
-        self._format = format_
-        self._layer: Sdf.Layer | None = None
+    def __init__(
+        self,
+        face: FaceMesh,
+        place: Sdf.Path,
+        format_: PointsFormat,
+        first_frame: int,
+        layer: Sdf.Layer | None = None,
+    ) -> None:
+        self._face, self._place, self._format = face, place, format_
+        self._layer = layer
         self._unsaved = 0
-        self.next_frame = 0
+        self.next_frame = first_frame
 
     def append(
         self,
@@ -119,19 +125,21 @@ class _ClipsWriter(PointsWriter):
         face: FaceMesh,
         place: Sdf.Path,
         format_: PointsFormat,
-        clips: "_ClipNames",
+        header: PointsHeader,
+        *,
+        clip_frames: int,
+        stem: Path,
         used: set[Path],
     ) -> None:
-        super().__init__(face, place, format_)
-        self._used = used
+        super().__init__(face, place, format_, header.first_frame)
+        self._header, self._clip_frames = header, clip_frames
+        self._stem, self._used = stem, used
         self.files: list[Path] = []
         self.starts: list[int] = []
-        self._clips = clips
         self._open: contextlib.ExitStack | None = None
 
     def _put(self, frame: int, rows: list[tuple[str, FloatArray | Float32Array]]) -> None:
-        offset = frame - self._clips.header.first_frame
-        if offset % self._clips.clip_frames == 0:
+        if (frame - self._header.first_frame) % self._clip_frames == 0:
             if self._open is not None:
                 # A clip ends with the next one's first frame, to which motion is interpolated.
                 super()._put(frame, rows)
@@ -140,12 +148,11 @@ class _ClipsWriter(PointsWriter):
         super()._put(frame, rows)
 
     def _begin_clip(self, frame: int) -> None:
-        path = self._clips.clip(len(self.files) + 1)
-        header = self._clips.header
-        last = min(frame + self._clips.clip_frames, header.last_frame)
+        path = self._stem.with_name(f"{self._stem.name}.{len(self.files) + 1:04d}.usdc")
+        last = min(frame + self._clip_frames, self._header.last_frame)
         self._open = contextlib.ExitStack()
         layer = self._open.enter_context(new_layer(path))
-        part = replace(header, first_frame=frame, last_frame=last)
+        part = replace(self._header, first_frame=frame, last_frame=last)
         _author_header(layer, self._face, self._place, part)
         _declare(layer, self._face, self._place, self._format)
         self._layer, self._unsaved = layer, 0
@@ -167,22 +174,6 @@ class _ClipsWriter(PointsWriter):
         for file in self.files:
             if file not in self._used:
                 file.unlink(missing_ok=True)
-
-
-@dataclass(frozen=True)
-class _ClipNames:
-    """The files of a take that is written as value clips."""
-
-    header: PointsHeader
-    clip_frames: int
-    stem: Path
-
-    def clip(self, number: int) -> Path:
-        return self.stem.with_name(f"{self.stem.name}.{number:04d}.usdc")
-
-    @property
-    def manifest(self) -> Path:
-        return self.stem.with_name(f"{self.stem.name}.manifest.usda")
 
 
 @contextlib.contextmanager
@@ -246,27 +237,26 @@ def _writing_samples(
             kind = Sdf.ValueTypeNames.String
             author_uniform(prim, "face:timecode:start", kind, header.timecode_start)
         if frames * _frame_bytes(face, format_) <= format_.clip_bytes:
-            writer = PointsWriter(face, at, format_)
-            writer._layer, writer.next_frame = layer, header.first_frame
+            writer = PointsWriter(face, at, format_, header.first_frame, layer)
             yield writer
         else:
             # By provenance, so that clips of another are not replaced.
             stem = points_file.with_name(f"{points_file.stem}.{provenance.digest}")
-            clips = _ClipNames(header, clip_frames, stem)
+            used = _clip_files(points_file, at)
             writer = clips_writer = _ClipsWriter(
-                face, at, format_, clips, _clip_files(points_file, at)
+                face, at, format_, header, clip_frames=clip_frames, stem=stem, used=used
             )
-            writer.next_frame = header.first_frame
             try:
                 yield writer
                 clips_writer.close()
             except BaseException as error:
                 clips_writer.abandon(error)
                 raise
-            with new_layer(clips.manifest) as manifest:
-                _author_header(manifest, face, at, header)
-                _declare(manifest, face, at, format_)
-            _author_clips(layer, at, clips, clips_writer, points_file)
+            manifest = stem.with_name(f"{stem.name}.manifest.usda")
+            with new_layer(manifest) as declared:
+                _author_header(declared, face, at, header)
+                _declare(declared, face, at, format_)
+            _author_clips(prim, header, clips_writer, manifest, points_file)
         if writer.next_frame != header.last_frame + 1:
             raise ValueError(
                 f"{points_file}: {writer.next_frame - header.first_frame} frames were appended "
@@ -290,11 +280,10 @@ def _sample(values: FloatArray | Float32Array) -> Vt.FloatArray | Vt.Vec3fArray:
 
 
 def _author_header(layer: Sdf.Layer, face: FaceMesh, at: Sdf.Path, header: PointsHeader) -> None:
-    """Set timing, and the units of the mesh's stage, which a reference does not convert."""
+    """Set timing and the mesh's units."""
     author_timing(layer, rate=header.rate, first=header.first_frame, last=header.last_frame)
     layer.defaultPrim = at.GetPrefixes()[0].name
-    layer.pseudoRoot.SetInfo("metersPerUnit", face.meters_per_unit)
-    layer.pseudoRoot.SetInfo("upAxis", face.up_axis)
+    author_units(layer, like=face.file)
 
 
 def _declare(layer: Sdf.Layer, face: FaceMesh, at: Sdf.Path, format_: PointsFormat) -> None:
@@ -321,17 +310,21 @@ def _declare(layer: Sdf.Layer, face: FaceMesh, at: Sdf.Path, format_: PointsForm
 
 
 def _author_clips(
-    layer: Sdf.Layer, at: Sdf.Path, clips: _ClipNames, writer: _ClipsWriter, points_file: Path
+    prim: Sdf.PrimSpec,
+    header: PointsHeader,
+    writer: _ClipsWriter,
+    manifest: Path,
+    points_file: Path,
 ) -> None:
-    first, last = clips.header.first_frame, clips.header.last_frame
+    first, last = header.first_frame, header.last_frame
     files = [Sdf.AssetPath(relative_path(file, points_file)) for file in writer.files]
-    layer.GetPrimAtPath(at).SetInfo(
+    prim.SetInfo(
         "clips",
         {
             "default": {
                 "assetPaths": Sdf.AssetPathArray(files),
-                "primPath": str(at),
-                "manifestAssetPath": Sdf.AssetPath(relative_path(clips.manifest, points_file)),
+                "primPath": str(prim.path),
+                "manifestAssetPath": Sdf.AssetPath(relative_path(manifest, points_file)),
                 "active": Vt.Vec2dArray([(start, i) for i, start in enumerate(writer.starts)]),
                 "times": Vt.Vec2dArray([(first, first), (last, last)]),
             }

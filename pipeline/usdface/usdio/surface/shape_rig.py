@@ -22,7 +22,7 @@ from usdface.usdio.authoring import (
 )
 from usdface.usdio.layers import new_layer, open_stage, relative_path
 from usdface.usdio.rig.mesh import FaceMesh
-from usdface.usdio.units import stage_to_ours, transform_points
+from usdface.usdio.units import author_units, stage_to_ours, transform_points
 
 ASSET = "asset"
 SHAPES = "shapes"
@@ -97,8 +97,7 @@ def write_shape_rig(
     top = Sdf.Path(face.path).GetPrefixes()[0]
     mesh = Sdf.Path(face.path).ReplacePrefix(top, root.AppendChild(ASSET))
     with new_layer(path, provenance) as layer:
-        layer.pseudoRoot.SetInfo("metersPerUnit", face.meters_per_unit)
-        layer.pseudoRoot.SetInfo("upAxis", face.up_axis)
+        author_units(layer, like=face.file)
         layer.defaultPrim = root.name
         define_prim(layer, root, "SkelRoot").SetInfo("kind", Kind.Tokens.component)
         _define_skeleton(layer, root.AppendChild(SKELETON))

@@ -13,7 +13,7 @@ from usdface.core.arrays import BoolArray, Float32Array, FloatArray
 from usdface.core.assets import WeightsClip
 from usdface.core.errors import InputError
 from usdface.core.rates import check_frame_span, exact_rate
-from usdface.usdio.authoring import names_in
+from usdface.usdio.authoring import names_in, read_array_samples
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.units import column_matrix, stage_to_ours, transform_points
 
@@ -96,13 +96,10 @@ def read_foreign_take(path: Path, *, prim: str | None = None) -> ForeignTake:
         animation = UsdSkel.Animation(weights)
         channels = names_in(animation.GetBlendShapesAttr())
         attribute = animation.GetBlendShapeWeightsAttr()
-        values = [np.array(attribute.Get(t) or [], np.float32) for t in grid.stage_times]
-        if any(len(row) != len(channels) for row in values):
-            raise InputError(
-                f"{path} <{attribute.GetPath()}>: weights and names differ in number; "
-                "export the animation again"
-            )
-        source = WeightsClip(channels, np.array(values), grid.first_frame, grid.rate)
+        times, remedy = grid.stage_times.tolist(), "export the animation again"
+        values = read_array_samples(path, attribute, times, (len(channels),), remedy=remedy)
+        single = values.astype(np.float32)
+        source = WeightsClip(channels, single, grid.first_frame, grid.rate)
     return ForeignTake(grid.rate, grid.first_frame, kind, names, positions, visible, source)
 
 

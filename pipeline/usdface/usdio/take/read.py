@@ -11,7 +11,7 @@ from usdface.core.arrays import Float32Array
 from usdface.core.assets import Event, Markers, Take, Video, WeightsClip
 from usdface.core.errors import InputError
 from usdface.core.rates import check_frame_span, exact_rate, frames_within, shift_timecode
-from usdface.usdio.authoring import names_in, read_gaps, text_of, value_of
+from usdface.usdio.authoring import names_in, read_array_samples, read_gaps, text_of, value_of
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.take.write import AUDIO, HEAD_MOTION, MARKER_CONFIDENCE, MARKERS, SOURCE, VISIBLE
 from usdface.usdio.units import column_matrix, stage_to_ours
@@ -275,18 +275,11 @@ class TakeReader:
             return None
         animation = UsdSkel.Animation(prim)
         names = names_in(animation.GetBlendShapesAttr())
-        attribute = animation.GetBlendShapeWeightsAttr()
-        values = np.zeros((len(frames), len(names)), dtype=np.float32)
-        query = self._query(attribute)
-        for index, frame in enumerate(frames):
-            row = query.Get(frame)
-            if row is None or len(row) != len(names):
-                raise InputError(
-                    f"{self.path} <{attribute.GetPath()}> frame {frame}: "
-                    f"{0 if row is None else len(row)} weights for {len(names)} names"
-                )
-            values[index] = row
-        return WeightsClip(names, values, frames[0], self.rate, read_gaps(prim))
+        weights = animation.GetBlendShapeWeightsAttr()
+        remedy = "ingest the capture again"
+        values = read_array_samples(self.path, weights, frames, (len(names),), remedy=remedy)
+        single = values.astype(np.float32)
+        return WeightsClip(names, single, frames[0], self.rate, read_gaps(prim))
 
     @refusing_wrong_types
     def head_motion_from_neutral(self, first: int, last: int) -> np.ndarray | None:
@@ -377,11 +370,7 @@ def _between(times: np.ndarray, values: np.ndarray, frames: np.ndarray) -> np.nd
 
 @refusing_wrong_types
 def read_take(
-    path: Path,
-    *,
-    first: int | None = None,
-    last: int | None = None,
-    head_motion: bool = True,
+    path: Path, *, first: int | None = None, last: int | None = None, head_motion: bool = True
 ) -> Take:
     """Read a take, or a range of its frames; see `TakeReader.read`."""
     return TakeReader(path).read(first, last, head_motion=head_motion)

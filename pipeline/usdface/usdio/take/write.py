@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from pxr import Kind, Sdf, UsdGeom, UsdMedia, Vt
 
+from usdface.core.arrays import FloatArray, frame_blocks
 from usdface.core.assets import Markers, Take
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
@@ -15,8 +16,10 @@ from usdface.usdio.authoring import (
     PointExtents,
     apply_api,
     author_gaps,
+    author_series,
     author_timing,
     author_uniform,
+    author_weights,
     define_prim,
 )
 from usdface.usdio.layers import FRAMES_IN_MEMORY, new_layer, new_layers, open_layer, relative_path
@@ -104,16 +107,12 @@ def _author(layer: Sdf.Layer, take: Take) -> None:
     if take.markers is not None:
         _author_markers(layer, take.markers, frames)
     if take.head_motion is not None:
-        _author_head_motion(layer, take.head_motion, frames)
+        _author_head_motion(layer, take.head_motion, take.first_frame)
     if take.source is not None:
         prim = define_prim(layer, SOURCE, "SkelAnimation")
-        author_uniform(prim, "blendShapes", Sdf.ValueTypeNames.TokenArray, list(take.source.names))
         author_gaps(prim, take.source.gaps)
-        weights = Sdf.AttributeSpec(prim, "blendShapeWeights", Sdf.ValueTypeNames.FloatArray)
-        for offset, row in enumerate(np.ascontiguousarray(take.source.values, np.float32)):
-            layer.SetTimeSample(
-                weights.path, take.source.first_frame + offset, Vt.FloatArray.FromNumpy(row)
-            )
+        source = take.source
+        author_weights(prim, source.names, source.values, first=source.first_frame)
 
 
 def _author_markers(layer: Sdf.Layer, markers: Markers, frames: np.ndarray) -> None:
@@ -136,8 +135,7 @@ def _author_markers(layer: Sdf.Layer, markers: Markers, frames: np.ndarray) -> N
         primvar.SetInfo("interpolation", UsdGeom.Tokens.vertex)
     # Setting samples on the layer is three times as fast as through the stage.
     writers = _ChangeWriter(visible.path), _ChangeWriter(confidence.path)
-    for start in range(0, len(frames), FRAMES_IN_MEMORY):
-        block = slice(start, start + FRAMES_IN_MEMORY)
+    for block in frame_blocks(len(frames), frames=FRAMES_IN_MEMORY):
         numbers = frames[block].tolist()
         positions = markers.positions[block] / np.float32(MM_PER_STAGE_UNIT)
         for index, frame in enumerate(numbers):
@@ -178,15 +176,13 @@ class _ChangeWriter:
         self._written = frame
 
 
-def _author_head_motion(layer: Sdf.Layer, motion: np.ndarray, frames: np.ndarray) -> None:
+def _author_head_motion(layer: Sdf.Layer, motion: FloatArray, first: int) -> None:
     prim = define_prim(layer, HEAD_MOTION, "Xform")
     author_uniform(prim, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, ["xformOp:transform"])
-    transform = Sdf.AttributeSpec(prim, "xformOp:transform", Sdf.ValueTypeNames.Matrix4d)
     rows = motion.transpose(0, 2, 1).copy()
     rows[:, 3, :3] /= MM_PER_STAGE_UNIT
     matrices = Vt.Matrix4dArray.FromNumpy(rows)
-    for frame, matrix in zip(frames.tolist(), matrices, strict=True):
-        layer.SetTimeSample(transform.path, frame, matrix)
+    author_series(prim, "xformOp:transform", Sdf.ValueTypeNames.Matrix4d, matrices, first=first)
 
 
 def _author_audio(layer: Sdf.Layer, audio: Path, first_frame: int, path: Path) -> None:
