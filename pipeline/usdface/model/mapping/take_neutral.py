@@ -108,7 +108,8 @@ class TakeNeutral:
             )
             notes.append(
                 f"{subject} {self.offset_mm:.1f} mm (root mean square) from the performer's, "
-                f"{', '.join(worst)}; this offset is subtracted from its frames"
+                f"{', '.join(worst)}; this offset is subtracted from its frames, as is an "
+                "expression that the take holds throughout"
             )
         if not self.is_stated_neutral:
             notes.append(
