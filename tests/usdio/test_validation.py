@@ -284,14 +284,14 @@ def test_a_range_that_the_rig_states_is_the_range(tmp_path: Path) -> None:
     assert not [each for each in validate(path) if "range" in each.message]  # smile: -0.5 to 1.5
 
 
-def sided(folder: Path, *, flipped: str = "") -> Path:
+def sided(folder: Path, *, flipped: str = "", sides: tuple[str, str] = ("Left", "Right")) -> Path:
     """A performance over a rig whose shapes have sides, one of them perhaps the wrong way round."""
     rig = small_rig()
     skin = rig.meshes[0]
     half = skin.points[:, 0] > skin.points[:, 0].mean()
     shapes = []
     for name in ("brow", "cheek", "mouth", "nose"):
-        for side, part in (("Left", half), ("Right", ~half)):
+        for side, part in zip(sides, (half, ~half), strict=True):
             moved = np.flatnonzero(~part if name == flipped else part)
             shapes.append(
                 MeshShape(f"{name}{side}", (ShapeKey(1.0, moved, np.ones((len(moved), 3))),))
@@ -307,11 +307,16 @@ def sided(folder: Path, *, flipped: str = "") -> Path:
     return folder / "sided.usda"
 
 
-def test_a_pair_of_shapes_with_sides_exchanged_stands_out_from_the_others(tmp_path: Path) -> None:
-    assert not [f for f in validate(sided(tmp_path)) if f.check == "usdface:Sides"]
+@pytest.mark.parametrize("sides", [("Left", "Right"), ("_l_01", "_r_01"), ("L", "R")])
+def test_a_pair_of_shapes_with_sides_exchanged_stands_out_from_the_others(
+    tmp_path: Path, sides: tuple[str, str]
+) -> None:
+    assert not [f for f in validate(sided(tmp_path, sides=sides)) if f.check == "usdface:Sides"]
     (tmp_path / "b").mkdir()
-    found = only(sided(tmp_path / "b", flipped="cheek"), "Sides")
-    assert found.message.startswith("cheekLeft: left and right are exchanged, compared with the")
+    found = only(sided(tmp_path / "b", flipped="cheek", sides=sides), "Sides")
+    assert found.message.startswith(
+        f"cheek{sides[0]}: left and right are exchanged, compared with the"
+    )
     assert "3 pairs" in found.message
 
 

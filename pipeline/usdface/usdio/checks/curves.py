@@ -7,6 +7,7 @@ from pxr import Usd, UsdSkel
 
 from usdface.core.arrays import BoolArray, FloatArray, index_of, runs
 from usdface.core.text import first_few, pluralize
+from usdface.numerics.measure.face_regions import mirrored_shapes
 from usdface.usdio.authoring import read_gaps, value_of
 from usdface.usdio.checks.fault import Fault, Samples, is_recorded, is_solved, read_samples
 from usdface.usdio.rig.read import RANGE_ATTRIBUTE, shape_prims
@@ -113,8 +114,6 @@ STUCK_SECONDS = 2.0
 MOTIONLESS_SECONDS = 10.0
 """Least length of takes in which constant shapes other than 0 are reported."""
 
-SIDES = (("Left", "Right"), ("left", "right"), ("_L", "_R"), ("_l", "_r"), ("L_", "R_"))
-
 
 def check_curves(prim: Usd.Prim) -> list[Fault]:
     """Find weights out of range, jumps, frozen stretches, motionless shapes and swapped sides."""
@@ -139,15 +138,10 @@ def check_curves(prim: Usd.Prim) -> list[Fault]:
 
 def pair_sides(names: tuple[str, ...]) -> list[tuple[int, int]]:
     """Return (left, right) columns of shapes whose names differ only in the side."""
-    place = index_of(names)
-    pairs = []
-    for name, index in place.items():
-        for left, right in SIDES:
-            other = place.get(name.replace(left, right)) if left in name else None
-            if other is not None and other != index:
-                pairs.append((index, other))
-                break
-    return pairs
+    partner = mirrored_shapes(names).tolist()
+    # l precedes r, where two such names differ first.
+    lowered = [name.lower() for name in names]
+    return [(k, other) for k, other in enumerate(partner) if lowered[k] < lowered[other]]
 
 
 def _ranges(prim: Usd.Prim, samples: Samples) -> FloatArray:
