@@ -168,9 +168,9 @@ class Scene:
         if sent.pair >= len(references.frames):
             raise InputError(f"there are {len(references.frames)} pairs; reload the page")
         self.rig.check_has({*sent.weights, *sent.free}, source="the page", remedy="reload it")
-        held = [[sent.weights.get(name, 0.0) for name in self.rig.shapes]]
+        held = np.array([sent.weights.get(name, 0.0) for name in self.rig.shapes])
         free = np.isin(self.rig.shapes, sent.free)
-        solved = solve_shapes(references, targets, sent.pair, np.array(held)[0], free)
+        solved = solve_shapes(references, targets, sent.pair, held, free)
         weights = dict(zip(self.rig.shapes, solved.tolist(), strict=True))
         return {"weights": {name: weights[name] for name in sent.free}}
 
@@ -242,15 +242,6 @@ class Scene:
         }
 
 
-def _seconds_after(request: Request) -> float | None:
-    """Return the requested time relative to a pair's frame [s]; None if invalid."""
-    try:
-        after = float(request.query_params.get("after", 0))
-    except ValueError:
-        return None
-    return after if abs(after) <= _FARTHEST_SECONDS else None
-
-
 async def _home(request: Request) -> Response:
     return Response(read_web_file("tune.html"), media_type="text/html; charset=utf-8")
 
@@ -272,17 +263,20 @@ def build_application(scene: Scene) -> Starlette:
 
     async def picture(request: Request) -> Response:
         pair = request.path_params["pair"]
-        if not 0 <= pair < len(scene.notes):
+        if pair >= len(scene.notes):
             return _refusal(404, f"no pair {pair}")
-        after = _seconds_after(request)
-        if after is None:
-            return _refusal(400, "after is not a number of seconds")
+        try:
+            after = float(request.query_params.get("after", 0))
+        except ValueError:
+            after = np.nan
+        if not abs(after) <= _FARTHEST_SECONDS:
+            return _refusal(400, f"after is not a number of seconds up to {_FARTHEST_SECONDS:g}")
         data = await scene.waits.result_of(lambda: scene.pictures.jpeg(pair, after))
         return Response(data, media_type="image/jpeg")
 
     async def sound(request: Request) -> Response:
         pair = request.path_params["pair"]
-        if not 0 <= pair < len(scene.notes):
+        if pair >= len(scene.notes):
             return _refusal(404, f"no pair {pair}")
         data = await scene.waits.result_of(lambda: scene.pictures.sound(pair))
         return Response(data or b"", 200 if data else 204, media_type="audio/wav")
@@ -331,24 +325,21 @@ def _refuser(status: int, reason: str | None = None) -> _Refuser:
     return answer
 
 
-async def _sent(request: Request, kind: type[_Sent]) -> _Sent | Response:
-    """Return the validated body of a POST, or the response that refuses it."""
-    try:
-        return kind.model_validate_json(await request.body())
-    except ClientDisconnect:
-        return _refusal(413, "the change is too large")
-    except ValidationError as error:
-        fault = error.errors()[0]
-        where = ".".join(map(str, fault["loc"]))
-        return _refusal(400, f"{where}: {fault['msg']}")
-
-
 def _answer(
     kind: type[_Sent], make: Callable[[_Sent], _Answer]
 ) -> Callable[[Request], Awaitable[Response]]:
+    """Return the handler of a POST, which answers with the result of its validated body."""
+
     async def answer(request: Request) -> Response:
-        sent = await _sent(request, kind)
-        return sent if isinstance(sent, Response) else JSONResponse(await make(sent))
+        try:
+            sent = kind.model_validate_json(await request.body())
+        except ClientDisconnect:
+            return _refusal(413, "the change is too large")
+        except ValidationError as error:
+            fault = error.errors()[0]
+            where = ".".join(map(str, fault["loc"]))
+            return _refusal(400, f"{where}: {fault['msg']}")
+        return JSONResponse(await make(sent))
 
     return answer
 
