@@ -11,7 +11,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from usdface.core.arrays import ByteImage, Float32Array, FloatArray
 from usdface.core.errors import InputError
-from usdface.media.picture.color import Color
+from usdface.media.picture.color import Color, blend
 
 Weight = Literal["regular", "bold", "mono"]
 Anchor = Literal["left", "middle", "right"]
@@ -171,10 +171,8 @@ def draw_text(
     top, left = max(y, 0), max(x, 0)
     bottom, right = min(y + height, picture.shape[0]), min(x + width, picture.shape[1])
     if bottom > top and right > left:
-        cover = mask[top - y : bottom - y, left - x : right - x, None]
-        under = picture[top:bottom, left:right].astype(np.float32)
-        mixed = under * (1 - cover) + cover * np.asarray(style.color, np.float32)
-        picture[top:bottom, left:right] = (mixed + 0.5).astype(np.uint8)
+        cover = mask[top - y : bottom - y, left - x : right - x]
+        blend(picture[top:bottom, left:right], cover, style.color)
     return int(width)
 
 
