@@ -34,7 +34,7 @@ class TrainSpec(MovedRigSpec):
     or `hybrid`."""
     dimensions: tuple[Annotated[int, Field(ge=1, le=1000)], ...] = ()
     """Numbers of principal components among which cross-validation chooses. Default: by method;
-    `d06` has the 4 of the paper, `face_map` all with variance, others compare 8 to 40."""
+    `d06` has the 4 of the paper, `face_map` the first 50 with variance, others compare 8 to 40."""
     widths: tuple[Annotated[float, Field(gt=0.0, le=1000.0)], ...] = ()
     """Widths of Gaussian kernels among which cross-validation chooses: multiples of the distance to
     the nearest reference (`d06`, `rbf`) or of the median distance (`kernel_cca`, `hybrid`).
