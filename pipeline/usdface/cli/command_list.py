@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from usdface.cli.console import STOPPED
+from usdface.cli.console import INTERRUPTED_MESSAGE
 from usdface.cli.spec_options import refuse_removed_options
 from usdface.core.errors import CancelledError
 
@@ -70,7 +70,7 @@ class CommandList(TyperGroup):
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt as interrupt:
-            raise CancelledError(STOPPED) from interrupt
+            raise CancelledError(INTERRUPTED_MESSAGE) from interrupt
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names of the commands; Typer's method would create all of them."""

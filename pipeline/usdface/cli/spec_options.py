@@ -45,7 +45,7 @@ def _keyword(name: str, annotation: Any, default: Any) -> inspect.Parameter:
     )
 
 
-COMMON = [
+COMMON_OPTIONS = [
     _keyword("overwrite", Overwrite, False),
     _keyword("save_spec", SaveSpec, None),
     _keyword("progress", ShowProgress, "auto"),

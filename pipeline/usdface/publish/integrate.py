@@ -13,7 +13,7 @@ from usdface.core.text import json_text
 from usdface.core.version import __version__
 from usdface.publish.extract import Extracted
 
-MANIFEST = "publish.json"
+MANIFEST_NAME = "publish.json"
 _VERSION = re.compile(r"v(\d{3,})")
 MOST_VERSIONS_TRIED = 1000
 
@@ -82,7 +82,7 @@ def latest_version(folder: Path) -> int:
 
 def read_manifest(folder: Path) -> dict[str, Any]:
     """Return the manifest of a published version."""
-    file = folder / MANIFEST
+    file = folder / MANIFEST_NAME
     try:
         data = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
@@ -129,11 +129,11 @@ def _write_manifest(
     }
     text = json_text(manifest)
     try:
-        (folder / MANIFEST).write_text(text, encoding="utf-8", newline="\n")
+        (folder / MANIFEST_NAME).write_text(text, encoding="utf-8", newline="\n")
     except OSError as error:
         raise InputError(
-            f"{folder / MANIFEST}: cannot be written: {error.strerror}; free space, or make the "
-            "folder writable"
+            f"{folder / MANIFEST_NAME}: cannot be written: {error.strerror}; free space, or make "
+            "the folder writable"
         ) from error
 
 

@@ -19,7 +19,7 @@ from usdface.usdio.take.read import TakeReader, is_take
 
 LARGEST_FIGURES_BYTES = 64 << 20
 
-REFUSED = " refused"
+REFUSED_SUFFIX = " refused"
 """Suffix of a step's name in outputs written on failure, which are never up to date."""
 
 

@@ -166,10 +166,7 @@ class TrackSpec(Spec):
         "focal_length": ("part", "calibration"),
         "distortion": ("part", "calibration"),
     }
-    only_with: ClassVar[OnlyWith] = {
-        "views": ("calibration", ()),
-        "cameras": ("calibration", ()),
-    }
+    only_with: ClassVar[OnlyWith] = {"views": ("calibration", ()), "cameras": ("calibration", ())}
 
     step: Literal["track"] = "track"
     video: Annotated[FilePath, Reads(), Positional()]

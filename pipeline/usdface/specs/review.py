@@ -203,10 +203,7 @@ class ReportSpec(ShotSpec, WeightTableSpec):
 
     example = "usdface report kitchen.hero.usda --take kitchen.clean.take.usda --out kitchen.html"
     module = "review.report"
-    only_with: ClassVar[OnlyWith] = {
-        **ShotSpec.only_with,
-        "weight_unit": ("against", ()),
-    }
+    only_with: ClassVar[OnlyWith] = {**ShotSpec.only_with, "weight_unit": ("against", ())}
 
     step: Literal["report"] = "report"
     out: Annotated[WritePath, AfterValidator(file_ending(PAGE_SUFFIXES, "a page"))]

@@ -31,12 +31,7 @@ from usdface.tuning.journal import Change
 from usdface.tuning.pictures import PairPictures
 from usdface.tuning.poses import PoseName, PoseWeights, read_poses, save_pose
 from usdface.tuning.session import StaleRevisionError, TuningSession
-from usdface.tuning.targets import (
-    MarkerTargets,
-    correct_place,
-    solve_shapes,
-    targets_or_reason,
-)
+from usdface.tuning.targets import MarkerTargets, correct_place, solve_shapes, targets_or_reason
 from usdface.tuning.waits import StoppedError, Waits
 from usdface.usdio.references.read import PairNotes
 
@@ -144,10 +139,6 @@ class Scene:
         await run_in_threadpool(self.place, sent)
         return await self.waits.result_of(self.markers)
 
-    async def solve_markers(self, sent: SentSolve) -> dict[str, Any]:
-        """Run `solve` in a thread."""
-        return await self.waits.result_of(lambda: self.solve(sent))
-
     def poses(self) -> dict[str, Any]:
         """Return the saved poses."""
         return read_poses(poses_path(self.session.path)).model_dump()
@@ -246,16 +237,17 @@ async def _home(request: Request) -> Response:
     return Response(read_web_file("tune.html"), media_type="text/html; charset=utf-8")
 
 
+async def _file(request: Request) -> Response:
+    name = request.path_params["name"]
+    kind = _FILES.get(Path(name).suffix)
+    with contextlib.suppress(OSError):
+        if kind is not None and Path(name).name == name:
+            return Response(read_web_file(name), media_type=kind)
+    return _refusal(404, f"no file {name}")
+
+
 def build_application(scene: Scene) -> Starlette:
     """Return the application, to be wrapped in `usdface.tuning.guard.Guard`."""
-
-    async def file(request: Request) -> Response:
-        name = request.path_params["name"]
-        kind = _FILES.get(Path(name).suffix)
-        with contextlib.suppress(OSError):
-            if kind is not None and Path(name).name == name:
-                return Response(read_web_file(name), media_type=kind)
-        return _refusal(404, f"no file {name}")
 
     async def face_data(request: Request) -> Response:
         payload = await scene.waits.result_of(lambda: scene.payload)
@@ -281,6 +273,9 @@ def build_application(scene: Scene) -> Starlette:
         data = await scene.waits.result_of(lambda: scene.pictures.sound(pair))
         return Response(data or b"", 200 if data else 204, media_type="audio/wav")
 
+    def solve(sent: SentSolve) -> _Answer:
+        return scene.waits.result_of(lambda: scene.solve(sent))
+
     def change(sent: SentChanges) -> _Answer:
         return run_in_threadpool(scene.change, sent)
 
@@ -289,7 +284,7 @@ def build_application(scene: Scene) -> Starlette:
 
     routes = [
         Route("/", _home),
-        Route("/web/{name}", file),
+        Route("/web/{name}", _file),
         Route("/face.json", _json(scene.face, scene.waits)),
         Route("/face.bin", face_data),
         Route("/markers.json", _json(scene.markers, scene.waits)),
@@ -300,7 +295,7 @@ def build_application(scene: Scene) -> Starlette:
         Route("/changes", _answer(SentChanges, change), methods=["POST"]),
         Route("/place", _answer(SentPlace, scene.place_and_measure), methods=["POST"]),
         Route("/poses", _answer(SentPose, save_pose), methods=["POST"]),
-        Route("/solve", _answer(SentSolve, scene.solve_markers), methods=["POST"]),
+        Route("/solve", _answer(SentSolve, solve), methods=["POST"]),
     ]
     return Starlette(
         routes=routes,

@@ -80,12 +80,7 @@ class TuningSession:
     """
 
     def __init__(
-        self,
-        path: Path,
-        *,
-        author: str = "",
-        take_over: bool = False,
-        first_revision: int = 0,
+        self, path: Path, *, author: str = "", take_over: bool = False, first_revision: int = 0
     ) -> None:
         self.path = path
         self.author = author or user_name()

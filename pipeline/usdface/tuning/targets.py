@@ -83,11 +83,7 @@ def find_targets(references: References, rig: Rig) -> MarkerTargets:
 
 
 def solve_shapes(
-    references: References,
-    targets: MarkerTargets,
-    pair: int,
-    weights: FloatArray,
-    free: BoolArray,
+    references: References, targets: MarkerTargets, pair: int, weights: FloatArray, free: BoolArray
 ) -> FloatArray:
     """Return the weights of a pair, solved for the `free` shapes by its markers: (shapes,).
 

@@ -14,7 +14,7 @@ from usdface.media.film.timed_frames import OpenVideo
 from usdface.media.picture.color import bytes_from_linear
 from usdface.media.picture.image import check_size, reason_of
 
-SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".dpx")
+PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".dpx")
 _NUMBERED = re.compile(r"^(.*?)(\d+)(\.[^.]+)$")
 
 

@@ -25,7 +25,7 @@ from usdface.media.film.containers import (
     start_seconds,
     unreadable,
 )
-from usdface.media.film.image_sequence import SUFFIXES, ImageSequence
+from usdface.media.film.image_sequence import PICTURE_SUFFIXES, ImageSequence
 from usdface.media.film.timed_frames import OpenVideo
 
 MAX_FRAMES = 5_000_000
@@ -260,7 +260,7 @@ def open_video(path: Path, rate: Fraction | None = None) -> OpenVideo:
 
     `InputError` if it is neither, or a sequence without a rate.
     """
-    if path.suffix.lower() not in SUFFIXES:
+    if path.suffix.lower() not in PICTURE_SUFFIXES:
         return VideoReader(path)
     if rate is None or rate <= 0:
         raise InputError(f"{path}: pictures do not state their rate; give it with --video-rate")

@@ -75,7 +75,7 @@ def bytes_from_linear(linear: Float32Array | FloatArray) -> ByteImage:
     return _ENCODE[index]
 
 
-def blend(window: ByteImage, cover: ArrayLike, color: ArrayLike) -> None:
+def mix_color(window: ByteImage, cover: ArrayLike, color: ArrayLike) -> None:
     """Mix a colour into pixels in place; `cover`: opacity of all or of each [0-1]."""
     share = np.asarray(cover, np.float32)[..., None]
     mixed = window * (1 - share) + np.asarray(color, np.float32) * share

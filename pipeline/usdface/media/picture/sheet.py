@@ -24,12 +24,7 @@ from usdface.media.picture.color import (
     heat_color,
     heat_ramp,
 )
-from usdface.media.picture.error_strip import (
-    ErrorCurve,
-    ErrorStrip,
-    draw_error_strip,
-    strip_height,
-)
+from usdface.media.picture.error_strip import ErrorCurve, ErrorStrip, draw_error_strip, strip_height
 from usdface.media.picture.sheet_layout import (
     BADGE_GAP,
     CODE_STYLE,
@@ -134,12 +129,7 @@ def draw_header(
 
 
 def draw_verdict(
-    page: ByteImage,
-    verdict: Sequence[str],
-    *,
-    y: int,
-    scale: float = 1.0,
-    x: int = PAGE_MARGIN,
+    page: ByteImage, verdict: Sequence[str], *, y: int, scale: float = 1.0, x: int = PAGE_MARGIN
 ) -> int:
     """Write a verdict and a bar on the page's left edge in its colour; return the row below.
 
