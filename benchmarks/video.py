@@ -26,9 +26,9 @@ from usdface.core.errors import InputError
 from usdface.demo.acting import performance
 from usdface.demo.build import (
     CAMERA,
+    CLIP_SIZE,
     FOCAL_LENGTH,
     OFFSET_SECONDS,
-    SIZE,
     DemoInputs,
     drawing_processes,
     weights_on_video,
@@ -113,7 +113,7 @@ def run(*, quick: bool = False) -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         inputs = write_demo_inputs(folder)
-        video, size = inputs.video, SIZE
+        video, size = inputs.video, CLIP_SIZE
         if not quick:
             video, size = folder / "large.mp4", LARGE
             _film(video, size=size)

@@ -12,7 +12,7 @@ from pxr import Sdf
 
 from usdface.cli.app import app
 from usdface.cli.command_list import EPILOG
-from usdface.cli.spec_options import COMMON
+from usdface.cli.spec_options import COMMON_OPTIONS
 from usdface.specs.base import Spec
 from usdface.specs.job import STEP_SPECS
 from usdface.specs.paths import Reads, Writes
@@ -56,7 +56,7 @@ def _command_line() -> dict[str, str]:
         parts.append(f"| [{title}]({page}) | {first} |")
         body = [f"# usdface {title}", GENERATED, _documentation(text), _options(call)]
         pages[f"{COMMANDS}/{page}"] = "\n".join(body)
-    common = [_option_row(each) for each in COMMON]
+    common = [_option_row(each) for each in COMMON_OPTIONS]
     parts += ["\n## Common options\n", "| option | value | default | |\n|---|---|---|---|"]
     return {f"{COMMANDS}/README.md": "\n".join([*parts, *common, ""]), **pages}
 
@@ -252,4 +252,6 @@ def _attribute(spec: Sdf.AttributeSpec) -> str:
     return f"| `{spec.name}` | {uniform}{spec.typeName} | {default} | {text} |"
 
 
-COMMON_ROWS = {_option_row(each): f"`{each.annotation.__metadata__[0].default}`" for each in COMMON}
+COMMON_ROWS = {
+    _option_row(each): f"`{each.annotation.__metadata__[0].default}`" for each in COMMON_OPTIONS
+}

@@ -10,8 +10,8 @@ move, 1 if none does, 2 if the file cannot be imported.
 
 import sys
 
-LOOKED_AT = 24
-"""Number of sampled frames."""
+LEAST_FRAMES = 24
+"""Number of frames that are sampled at least, if there are as many; at most twice as many are."""
 
 SMALLEST_MOVE = 1e-4
 """Least range of weights that counts as motion."""
@@ -27,7 +27,7 @@ def moving_shapes(bpy):
     """
     scene = bpy.context.scene
     first, last = scene.frame_start, scene.frame_end
-    step = max(1, (last - first) // LOOKED_AT)
+    step = max(1, (last - first) // LEAST_FRAMES)
     seen = {}
     for frame in [*range(first, last, step), last]:
         scene.frame_set(frame)

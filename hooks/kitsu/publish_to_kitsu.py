@@ -104,8 +104,7 @@ def _read_version(folder):
     files = []
     for role in PREVIEWS:
         if role in manifest["files"]:
-            entry = manifest["files"][role]
-            name = entry.get("name") if isinstance(entry, dict) else None
+            name = manifest["files"][role].get("name")
             # Only files in the version's folder are uploaded, whatever the manifest names.
             file = folder / Path(name).name if isinstance(name, str) else folder
             if not file.is_file():

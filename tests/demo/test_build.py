@@ -15,8 +15,8 @@ from usdface.cli import main
 from usdface.core.assets import WeightsClip
 from usdface.demo.acting import ActedPerformance
 from usdface.demo.build import (
+    CLIP_SIZE,
     OFFSET_SECONDS,
-    SIZE,
     VIDEO_RATE,
     DemoInputs,
     Studio,
@@ -50,7 +50,7 @@ def test_the_camera_sees_a_face_that_moves(actor: DemoHead, acted: ActedPerforma
     )
     poses = head_poses(acted)[[30, 1020]]
     rest, angry = (studio.film(pose, row) for pose, row in zip(poses, weights, strict=True))
-    assert rest.shape == (SIZE[1], SIZE[0], 3)
+    assert rest.shape == (CLIP_SIZE[1], CLIP_SIZE[0], 3)
     assert rest.std() > 20.0
     assert np.abs(rest.astype(int) - angry.astype(int)).mean() > 3.0
 
@@ -69,7 +69,7 @@ def test_the_clip_is_filmed_at_the_lines_asked_for(
     )
     for lines in (240, 720):
         write_demo_inputs(tmp_path, video_lines=lines)
-    assert filmed == [SIZE, (648, 720)]
+    assert filmed == [CLIP_SIZE, (648, 720)]
 
 
 def _nothing_captured(*args: object) -> SimpleNamespace:

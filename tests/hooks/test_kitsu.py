@@ -114,7 +114,7 @@ def test_another_performance_of_the_same_number_is_another_version(
     [
         ({"version": None}, "lacks a name or a version"),
         ({"name": 7}, "lacks a name or a version"),
-        ({"files": {"sheet": "a.sheet.jpg"}}, "the sheet None is not in it"),
+        ({"files": {"sheet": "a.sheet.jpg"}}, "does not describe a published version"),
         ({"files": {"sheet": {"name": "gone.jpg"}}}, "the sheet 'gone.jpg' is not in it"),
         ({"files": {"sheet": {"name": "../../secret.jpg"}}}, "secret.jpg' is not in it"),
     ],

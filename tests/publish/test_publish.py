@@ -130,6 +130,17 @@ def test_what_has_not_changed_is_not_published_again(shot: Shot, tmp_path: Path)
     assert sorted(path.name for path in first.folder.parent.iterdir()) == ["v001", "v002"]
 
 
+def test_a_damaged_manifest_of_the_newest_version_does_not_stop_a_publish(
+    shot: Shot, tmp_path: Path
+) -> None:
+    first = publish(shot, tmp_path)
+    manifest = first.folder / "publish.json"
+    manifest.write_text('{"files": {"performance": "shot.hero.usda"}}')
+    with pytest.raises(InputError, match="does not describe a published version"):
+        read_manifest(first.folder)
+    assert publish(shot, tmp_path).version == 2
+
+
 def test_two_who_publish_at_once_each_get_a_version(shot: Shot, tmp_path: Path) -> None:
     (item,) = collect_performances([shot / "shot.hero.usda"])
     made = []

@@ -71,7 +71,7 @@ READERS: dict[str, tuple[str, Callable[[], bytes], Callable[[Path], object]]] = 
     "alpha": ("x.csv", lambda: b"frame,alpha\n101,0\n150,1\n",
               lambda path: read_alpha(path, np.arange(100, 160))),
     "names of shapes": ("x.csv", lambda: b"frame,name\n101,smile\n150,jaw\n", _from_csv),
-    "manifest": ("publish.json", lambda: json.dumps({"files": {"a": "b"}}).encode(),
+    "manifest": ("publish.json", lambda: json.dumps({"files": {"a": {"name": "b"}}}).encode(),
                  lambda path: read_manifest(path.parent)),
 }  # fmt: skip
 

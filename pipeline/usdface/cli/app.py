@@ -22,7 +22,7 @@ from usdface.cli.commands import (
     validate,
 )
 from usdface.cli.console import (
-    STOPPED,
+    INTERRUPTED_MESSAGE,
     echo,
     exit_at_once,
     exit_code_of,
@@ -111,7 +111,7 @@ def _run(given: list[str]) -> NoReturn:
         code = app(args=given, standalone_mode=False)
     except (Exception, KeyboardInterrupt) as error:
         if was_stopped() and not isinstance(error, CancelledError | KeyboardInterrupt):
-            error = CancelledError(STOPPED)
+            error = CancelledError(INTERRUPTED_MESSAGE)
         _fail_by(error, verbose="--verbose" in given, as_json=as_json)
     sys.exit(code if isinstance(code, int) else 0)
 

@@ -1,13 +1,14 @@
 """Command groups: commands built on demand, listed in sections, interrupted by Ctrl+C."""
 
-from collections.abc import Callable, Iterator, Mapping, MutableMapping
+from collections import UserDict
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from usdface.cli.console import STOPPED
+from usdface.cli.console import INTERRUPTED_MESSAGE
 from usdface.cli.spec_options import refuse_removed_options
 from usdface.core.errors import CancelledError
 
@@ -52,7 +53,7 @@ class CommandList(TyperGroup):
     on_demand: ClassVar[Mapping[str, CommandMaker]] = {}
 
     def __init__(self, **settings: Any) -> None:
-        commands = _MadeOnDemand(self.on_demand, settings.pop("commands", None) or {})
+        commands = _MadeOnDemand({**self.on_demand, **(settings.pop("commands", None) or {})})
         super().__init__(**settings)
         self.commands = commands
 
@@ -69,7 +70,7 @@ class CommandList(TyperGroup):
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt as interrupt:
-            raise CancelledError(STOPPED) from interrupt
+            raise CancelledError(INTERRUPTED_MESSAGE) from interrupt
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names of the commands; Typer's method would create all of them."""
@@ -92,29 +93,14 @@ class CommandList(TyperGroup):
                     formatter.write_dl(list(summaries.items()))
 
 
-class _MadeOnDemand(MutableMapping[str, Any]):
-    """Commands by name, each created on first use."""
-
-    def __init__(self, makers: Mapping[str, CommandMaker], made: Mapping[str, Any]) -> None:
-        self._makers = dict(makers)
-        self._made = dict(made)
+class _MadeOnDemand(UserDict[str, Any]):
+    """Commands by name, or their makers until they are used."""
 
     def __getitem__(self, name: str) -> Any:
-        if name not in self._made:
-            self._made[name] = _command(name, self._makers[name].make)
-        return self._made[name]
-
-    def __setitem__(self, name: str, command: Any) -> None:
-        self._made[name] = command
-
-    def __delitem__(self, name: str) -> None:
-        del self._made[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._makers | self._made)
-
-    def __len__(self) -> int:
-        return len(self._makers | self._made)
+        command = self.data[name]
+        if isinstance(command, CommandMaker):
+            command = self.data[name] = _command(name, command.make)
+        return command
 
 
 def commands_on_demand(makers: Mapping[str, CommandMaker]) -> Any:

@@ -36,15 +36,13 @@ def run(
     overwrite: Overwrite = False,
     as_json: Json = False,
     path_mapping: Annotated[
-        Path | None,
-        typer.Option(help="Path mapping rules of a farm (JSON, pathmapping-1.0)."),
+        Path | None, typer.Option(help="Path mapping rules of a farm (JSON, pathmapping-1.0).")
     ] = None,
     with_folders: Annotated[
         bool, typer.Option("--make-folders", help="Create the folders of the job's outputs.")
     ] = False,
     notes: Annotated[
-        bool,
-        typer.Option("--notes", help="Print the notes of steps that are up to date, too."),
+        bool, typer.Option("--notes", help="Print the notes of steps that are up to date, too.")
     ] = False,
     root: Root = None,
 ) -> None:
@@ -301,8 +299,7 @@ def validate(
 def list_edits(
     performance: Annotated[Path, typer.Argument(help="An edited performance.", show_default=False)],
     prim: Annotated[
-        str | None,
-        typer.Option(help="Face, if the layer holds several.", show_default=False),
+        str | None, typer.Option(help="Face, if the layer holds several.", show_default=False)
     ] = None,
     as_json: Json = False,
 ) -> None:

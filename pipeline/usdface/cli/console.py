@@ -22,7 +22,7 @@ from usdface.runner.result import StepResult
 
 ProgressStyle = Literal["auto", "bar", "openjd", "none"]
 
-STOPPED = "interrupted; no partly written files remain"
+INTERRUPTED_MESSAGE = "interrupted; no partly written files remain"
 
 RETRY_SECONDS = 0.05
 """Interval after which a signal during an import is sent again; imports take a second or two."""
@@ -34,11 +34,7 @@ loaded, OpenImageIO's ends the process."""
 LONGEST_FARM_MESSAGE = 1000
 """Characters; farms truncate or refuse longer lines."""
 
-_LEVEL_COLORS = {
-    "good": typer.colors.GREEN,
-    "check": typer.colors.YELLOW,
-    "bad": typer.colors.RED,
-}
+_LEVEL_COLORS = {"good": typer.colors.GREEN, "check": typer.colors.YELLOW, "bad": typer.colors.RED}
 
 LEAST_FARM_PROGRESS = 0.01
 LEAST_FARM_SECONDS = 1.0
@@ -236,7 +232,11 @@ def raise_on_signals() -> None:
             return
         _stopped.set()
         # Modules that import others if they can may catch any other exception.
-        raise KeyboardInterrupt if signum == signal.SIGINT or imported else CancelledError(STOPPED)
+        raise (
+            KeyboardInterrupt
+            if signum == signal.SIGINT or imported
+            else CancelledError(INTERRUPTED_MESSAGE)
+        )
 
     def lost(unraisable: "sys.UnraisableHookArgs") -> None:
         kind = unraisable.exc_type

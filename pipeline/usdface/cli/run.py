@@ -13,7 +13,7 @@ from typing import Any
 import typer
 
 from usdface.cli.console import (
-    STOPPED,
+    INTERRUPTED_MESSAGE,
     ProgressStyle,
     echo,
     progress_listener,
@@ -33,13 +33,7 @@ _LARGEST_NOTES_BYTES = 16 << 20
 
 
 def run_and_show(
-    job: JobSpec,
-    file: Path,
-    *,
-    style: ProgressStyle,
-    overwrite: bool,
-    as_json: bool,
-    again: bool,
+    job: JobSpec, file: Path, *, style: ProgressStyle, overwrite: bool, as_json: bool, again: bool
 ) -> None:
     """Run a job and print each step's result when it ends, also of steps before a failure.
 
@@ -57,7 +51,7 @@ def run_and_show(
             run_job(job, progress=listener, overwrite=overwrite, events=events)
     except (UsdfaceError, KeyboardInterrupt) as error:
         kind = CancelledError if isinstance(error, KeyboardInterrupt) else type(error)
-        message, steps = str(error) or STOPPED, len(job.steps)
+        message, steps = str(error) or INTERRUPTED_MESSAGE, len(job.steps)
         if steps > 1:
             message += f"\n{len(shown)} of {steps} steps are done; run again to continue"
         if not as_json:
@@ -74,12 +68,7 @@ def _as_data(job: JobSpec, shown: list[StepResult]) -> dict[str, object]:
 
 
 def showing_events(
-    file: Path,
-    shown: list[StepResult],
-    *,
-    style: ProgressStyle,
-    as_json: bool,
-    again: bool = False,
+    file: Path, shown: list[StepResult], *, style: ProgressStyle, as_json: bool, again: bool = False
 ) -> JobEvents:
     """Return callbacks that print and store the results of steps, and append them to `shown`."""
     stored = _StoredResults(file)

@@ -45,7 +45,7 @@ def _keyword(name: str, annotation: Any, default: Any) -> inspect.Parameter:
     )
 
 
-COMMON = [
+COMMON_OPTIONS = [
     _keyword("overwrite", Overwrite, False),
     _keyword("save_spec", SaveSpec, None),
     _keyword("progress", ShowProgress, "auto"),
@@ -77,14 +77,7 @@ def options_of(spec: type[Spec]) -> list[inspect.Parameter]:
                 case_sensitive=False,
             )
         default = inspect.Parameter.empty if required else _default(field, kind)
-        parameters.append(
-            inspect.Parameter(
-                name,
-                inspect.Parameter.KEYWORD_ONLY,
-                default=default,
-                annotation=Annotated[kind, info],
-            )
-        )
+        parameters.append(_keyword(name, Annotated[kind, info], default))
     return sorted(parameters, key=lambda each: each.default is not inspect.Parameter.empty)
 
 
@@ -155,9 +148,8 @@ def _command_line_type(annotation: Any) -> Any:
     if origin is tuple:
         element = _command_line_type(get_args(annotation)[0])
         return list[Path] if element is Path else list[str]
-    if origin is Literal:
-        return annotation
-    return annotation if annotation in (int, float, bool, Path) else str | None
+    plain = origin is Literal or annotation in (int, float, bool, Path)
+    return annotation if plain else str | None
 
 
 def _is_list_of_names(annotation: Any) -> bool:

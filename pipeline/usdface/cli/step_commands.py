@@ -1,7 +1,9 @@
 """Commands generated from the specs of steps."""
 
+import inspect
 import json
 import webbrowser
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,7 +12,7 @@ import typer
 
 from usdface.cli.command_list import CommandMaker, commands_on_demand
 from usdface.cli.console import ProgressStyle, echo, progress_listener, show_result
-from usdface.cli.spec_options import COMMON, build_spec, command_of, help_of
+from usdface.cli.spec_options import COMMON_OPTIONS, build_spec, command_of, help_of
 from usdface.core.errors import CancelledError, InputError
 from usdface.core.progress import Progress
 from usdface.core.replacing import creating
@@ -24,7 +26,6 @@ from usdface.specs.reading import spec_text
 from usdface.specs.retarget import RetargetSpec
 
 _TUNE_NEEDS = ("starlette", "uvicorn", "anyio", "h11")
-_SUBMIT_COMMON = ("overwrite", "as_json")
 
 
 def _run_step(
@@ -72,11 +73,7 @@ def _folder_of_takes(spec_type: type[Spec], values: dict[str, Any]) -> Path | No
 
 
 def _run_folder(
-    spec_type: type[Spec],
-    values: dict[str, Any],
-    folder: Path,
-    overwrite: bool,
-    progress: Progress,
+    spec_type: type[Spec], values: dict[str, Any], folder: Path, overwrite: bool, progress: Progress
 ) -> StepResult:
     if spec_type is IngestSpec:
         from usdface.steps.capture.ingest_folder import ingest_folder
@@ -96,11 +93,7 @@ def _run_folder(
 
 
 def _submit(
-    spec_type: type[SubmitSpec],
-    values: dict[str, Any],
-    *,
-    overwrite: bool,
-    as_json: bool,
+    spec_type: type[SubmitSpec], values: dict[str, Any], *, overwrite: bool, as_json: bool
 ) -> None:
     from usdface.farm.submit import describe, submit
 
@@ -197,15 +190,19 @@ GROUPS = {
 """Groups of commands: workflow and summary."""
 
 
-def _step_maker(spec: type[Spec]) -> CommandMaker:
-    make = partial(command_of, spec, _run_step, COMMON)
+def _maker(
+    spec: type[Spec],
+    run: Callable[..., None] = _run_step,
+    common: list[inspect.Parameter] = COMMON_OPTIONS,
+) -> CommandMaker:
+    make = partial(command_of, spec, run, common)
     return CommandMaker(make, help_of(spec), spec.workflow())
 
 
 def make_group(group: str) -> typer.Typer:
     """Return a group with the commands of the steps named ``GROUP-...``."""
     makers = {
-        spec.step_name().removeprefix(f"{group}-"): _step_maker(spec)
+        spec.step_name().removeprefix(f"{group}-"): _maker(spec)
         for spec in COMMAND_SPECS
         if spec.step_name().startswith(f"{group}-")
     }
@@ -226,17 +223,13 @@ def top_commands(groups: dict[str, typer.Typer]) -> dict[str, CommandMaker]:
             workflow, summary = GROUPS[group]
             makers[group] = CommandMaker(partial(groups.__getitem__, group), summary, workflow)
         else:
-            makers[spec.step_name()] = _step_maker(spec)
-    shared = [each for each in COMMON if each.name in _SUBMIT_COMMON]
+            makers[spec.step_name()] = _maker(spec)
     return makers | {
-        "tune": CommandMaker(
-            partial(command_of, TuneSpec, _tune, COMMON[-1:]),
-            help_of(TuneSpec),
-            TuneSpec.workflow(),
-        ),
-        "submit": CommandMaker(
-            partial(command_of, SubmitSpec, _submit, shared),
-            help_of(SubmitSpec),
-            SubmitSpec.workflow(),
-        ),
+        "tune": _maker(TuneSpec, _tune, _shared("as_json")),
+        "submit": _maker(SubmitSpec, _submit, _shared("overwrite", "as_json")),
     }
+
+
+def _shared(*names: str) -> list[inspect.Parameter]:
+    """Return some of the common options."""
+    return [each for each in COMMON_OPTIONS if each.name in names]

@@ -1,7 +1,7 @@
 """The built-in performance: speech with coarticulation, moods, blinks, gaze, brows and head motion.
 
-All curves are sums of smooth bumps and ramps with natural durations: 60 to 120 ms for lips, 70 ms
-for closing and twice that for opening lids, a third of a second for moods.
+All curves are sums of smooth bumps and ramps with natural durations: 60 to 120 ms for lips, 75 ms
+for closing and 130 for opening lids, a third of a second for moods.
 """
 
 from collections.abc import Mapping, Sequence

@@ -29,7 +29,7 @@ from usdface.speech.track_files import write_phone_track
 from usdface.usdio.rig.write import write_rig
 
 VIDEO_RATE = Fraction(24)
-SIZE = (216, 240)
+CLIP_SIZE = (216, 240)
 """Width and height of the clip [pixels]."""
 
 OFFSET_SECONDS = -0.4
@@ -53,7 +53,11 @@ CAMERA = Camera(
 
 
 FOCAL_LENGTH = float(
-    np.hypot(36.0, 24.0) / np.hypot(*SIZE) * SIZE[1] / 2 / np.tan(np.radians(_FIELD_DEGREES) / 2)
+    np.hypot(36.0, 24.0)
+    / np.hypot(*CLIP_SIZE)
+    * CLIP_SIZE[1]
+    / 2
+    / np.tan(np.radians(_FIELD_DEGREES) / 2)
 )
 """Of `CAMERA`, as expected by `track` [mm, 35 mm equivalent]."""
 
@@ -71,7 +75,7 @@ class Studio:
         self,
         pose: FloatArray,
         weights: FloatArray,
-        size: tuple[int, int] = SIZE,
+        size: tuple[int, int] = CLIP_SIZE,
         camera: Camera = CAMERA,
     ) -> ByteImage:
         """Draw one picture: (4, 4) pose in the room, weights in `ActorFace`'s order."""
@@ -110,7 +114,7 @@ def write_clip(
     head: DemoHead,
     acted: ActedPerformance,
     *,
-    size: tuple[int, int] = SIZE,
+    size: tuple[int, int] = CLIP_SIZE,
     camera: Camera = CAMERA,
     give_work: SubmitWork | None = None,
     progress: Progress = silent,
@@ -237,10 +241,7 @@ class DemoInputs:
 
 
 def write_demo_inputs(
-    folder: Path,
-    *,
-    video_lines: int = SIZE[1],
-    progress: Progress = silent,
+    folder: Path, *, video_lines: int = CLIP_SIZE[1], progress: Progress = silent
 ) -> DemoInputs:
     """Generate the demo's inputs.
 
@@ -273,7 +274,7 @@ def write_demo_inputs(
         phones_file = folder / "actor.phones.json"
         write_phone_track(phones_file, spoken_phones())
         video_file = folder / "actor.mp4"
-        size = (2 * round(video_lines * SIZE[0] / SIZE[1] / 2), video_lines)
+        size = (2 * round(video_lines * CLIP_SIZE[0] / CLIP_SIZE[1] / 2), video_lines)
         filming = part(progress, 0.2, 1.0)
         write_clip(video_file, actor, acted, size=size, give_work=give_work, progress=filming)
         shapes = character.result() if character else _write_character(rig_file)

@@ -216,28 +216,7 @@ def lashes(style: Style, rim: FloatArray) -> Piece:
 
 
 # The hairline: azimuth from the front [degrees], height above the eyes [mm].
-_LINE_AZIMUTH = (
-    0,
-    12,
-    24,
-    34,
-    44,
-    54,
-    63,
-    70,
-    75,
-    79,
-    84,
-    90,
-    97,
-    104,
-    110,
-    116,
-    126,
-    142,
-    160,
-    180,
-)
+_LINE_ANGLE = (0, 12, 24, 34, 44, 54, 63, 70, 75, 79, 84, 90, 97, 104, 110, 116, 126, 142, 160, 180)
 _LINE_HEIGHT = (62, 63, 65, 66, 60, 47, 30, 9, -8, -10, -4, 8, 13, 11, 1, -16, -36, -54, -65, -67)
 _COLUMNS, _ROWS = 120, 32
 _PARTING_X = 20.0
@@ -247,7 +226,7 @@ _PARTING_X = 20.0
 def hair_cap(style: Style, form: Form) -> Piece:
     """Build the hair of a style on its head. `form`: signed distance to the head [mm]."""
     azimuth = np.linspace(-180.0, 180.0, _COLUMNS, endpoint=False)
-    line = PchipInterpolator(_LINE_AZIMUTH, _LINE_HEIGHT)(np.abs(azimuth))
+    line = PchipInterpolator(_LINE_ANGLE, _LINE_HEIGHT)(np.abs(azimuth))
     # The fringe covers the forehead on one side of the parting.
     line -= 8.0 * np.exp(-(((azimuth + 24.0) / 20.0) ** 2)) - 5.0 * np.exp(
         -(((azimuth - 17.0) / 9.0) ** 2)

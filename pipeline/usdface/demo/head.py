@@ -10,7 +10,7 @@ from scipy import sparse
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.demo import details
 from usdface.demo.cage import lay_eye, lay_grid, lay_grid_faces, lay_mouth
-from usdface.demo.details import hair_cap, smooth_step
+from usdface.demo.details import smooth_step
 from usdface.demo.half_cage import NO_RING, HalfCage, Mark, Whole, mirror_half, refine
 from usdface.demo.sculpt import Form, Style, head_form, settle
 
@@ -128,7 +128,7 @@ def bare_head(style: Style) -> DemoHead:
     for part, half in halves.items():
         whole = mirror_half(half.points, half.faces)
         head = _with_piece(head, part, whole, half.colors[whole.source])
-    hair = hair_cap(style, form)
+    hair = details.hair_cap(style, form)
     own = np.arange(len(hair.points))
     head = _with_piece(head, HeadPart.HAIR, Whole(hair.points, hair.faces, own, own), hair.colors)
     lash = np.flatnonzero(head.parts == HeadPart.LASHES)
@@ -188,7 +188,7 @@ def _close_lips(style: Style, points: FloatArray, marks: FloatArray) -> FloatArr
     top, bottom = (np.interp(x, points[r, 0], points[r, 1]) for r in (upper, lower))
     top_z, bottom_z = (np.interp(x, points[r, 0], points[r, 2]) for r in (upper, lower))
     ring, side = marks[:, Mark.MOUTH_RING], marks[:, Mark.MOUTH_SIDE]
-    near = details.smooth_step(2.2, 0.0, np.abs(ring)) * (np.abs(x) < style.mouth.half_width)
+    near = smooth_step(2.2, 0.0, np.abs(ring)) * (np.abs(x) < style.mouth.half_width)
     half_gap = 0.5 * (top - bottom) - 0.06
     moved = points.copy()
     moved[:, 1] -= near * np.sign(side) * half_gap

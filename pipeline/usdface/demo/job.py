@@ -12,8 +12,8 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress, part, silent
 from usdface.demo import JOB_NAME
 from usdface.demo.build import (
+    CLIP_SIZE,
     FOCAL_LENGTH,
-    SIZE,
     DemoInputs,
     weights_on_video,
     write_demo_inputs,
@@ -46,7 +46,7 @@ def run_demo(
     folder: Path,
     *,
     model: Path | None = None,
-    video_lines: int = SIZE[1],
+    video_lines: int = CLIP_SIZE[1],
     progress: Progress = silent,
     events: JobEvents | None = None,
 ) -> StepResult:

@@ -244,10 +244,7 @@ def _rolled(f: FaceFields, lip: FloatArray, sign: float) -> FloatArray:
 def _sideways(f: FaceFields) -> dict[str, FloatArray]:
     m = f.style.mouth
     around = f.soft * np.exp(-((f.x / (1.5 * m.half_width)) ** 2) - ((f.above_line / 20.0) ** 2))
-    return {
-        "jaw": np.outer(f.jaw, (8.0, -0.8, 0.0)),
-        "mouth": np.outer(around, (8.0, 0.0, -0.6)),
-    }
+    return {"jaw": np.outer(f.jaw, (8.0, -0.8, 0.0)), "mouth": np.outer(around, (8.0, 0.0, -0.6))}
 
 
 MESHES = {

@@ -271,9 +271,7 @@ def _eye(style: Style, d: FloatArray, p: FloatArray) -> FloatArray:
     e = style.eye
     x, y, z = e.center
     socket = ellipsoid(
-        p,
-        (x - 1.0, y + 5.0, z + e.radius + 3.0),
-        (e.half_width + 7.0, 17.0, e.socket + 2.0),
+        p, (x - 1.0, y + 5.0, z + e.radius + 3.0), (e.half_width + 7.0, 17.0, e.socket + 2.0)
     )
     d = carve(d, socket, 14.0)
     corner = ellipsoid(p, (x - e.half_width - 3.0, y + 2.0, z + e.radius + 3.0), (6.0, 8.0, 7.0))

@@ -1,5 +1,6 @@
 """Plan of a job on a farm: steps as parallel tasks, with long ones in chunks that are joined."""
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -190,14 +191,10 @@ def _tasks_before(tasks: list[Spec]) -> list[set[int]]:
 
 def _names(tasks: list[Spec], depth: list[int]) -> list[str]:
     """Return the name of each task's farm step: its kind, numbered from the second depth on."""
-    depths: dict[str, list[int]] = {}
-    for task, level in zip(tasks, depth, strict=True):
-        if level not in depths.setdefault(task.step, []):
-            depths[task.step].append(level)
-    for levels in depths.values():
-        levels.sort()
-    names = []
-    for task, level in zip(tasks, depth, strict=True):
-        number = 1 + depths[task.step].index(level)
-        names.append(task.step if number == 1 else f"{task.step}-{number}")
-    return names
+    kinds = [task.step for task in tasks]
+    names: dict[tuple[str, int], str] = {}
+    numbers = Counter[str]()
+    for kind, level in sorted(set(zip(kinds, depth, strict=True))):
+        numbers[kind] += 1
+        names[kind, level] = kind if numbers[kind] == 1 else f"{kind}-{numbers[kind]}"
+    return [names[each] for each in zip(kinds, depth, strict=True)]

@@ -191,10 +191,7 @@ def _run_command(command: Sequence[str], *, quiet: bool, remedy: str) -> None:
     environment = os.environ | {"PATH": _search_path()}
     sys.stdout.flush()
     with subprocess.Popen(
-        list(command),
-        env=environment,
-        stdin=subprocess.DEVNULL,
-        stdout=2 if quiet else None,
+        list(command), env=environment, stdin=subprocess.DEVNULL, stdout=2 if quiet else None
     ) as process:
         try:
             code = process.wait()
@@ -289,9 +286,7 @@ def _write(spec: SubmitSpec, *, overwrite: bool) -> Submission:
         map=spec.chunk, movie=spec.movie_chunk, track=spec.track_chunk, clips=spec.clips
     )
     plan = plan_job(
-        job,
-        sizes=sizes,
-        frames_of=lambda path: frame_range_of(path) if path.exists() else None,
+        job, sizes=sizes, frames_of=lambda path: frame_range_of(path) if path.exists() else None
     )
     carried = _carried(job)
     if root is not None:  # uploaded to farms without shared storage

@@ -25,7 +25,7 @@ from usdface.usdio.rig.reference import read_rig_of_stage, replaced_motion_notes
 
 log = logging.getLogger(__name__)
 
-UNFINISHED = re.compile(r"\.[0-9a-f]{12}")
+UNFINISHED_FOLDER = re.compile(r"\.[0-9a-f]{12}")
 ABANDONED_SECONDS = 7 * 86400.0
 """Age from which an unfinished extraction is removed."""
 
@@ -112,7 +112,7 @@ def _clear_abandoned(folder: Path) -> None:
     with contextlib.suppress(OSError):  # removed meanwhile, or without permission
         for each in folder.iterdir():
             old = time.time() - each.stat().st_mtime > ABANDONED_SECONDS
-            if old and UNFINISHED.fullmatch(each.name) and each.is_dir():
+            if old and UNFINISHED_FOLDER.fullmatch(each.name) and each.is_dir():
                 shutil.rmtree(each, ignore_errors=True)
 
 

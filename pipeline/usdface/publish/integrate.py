@@ -6,13 +6,14 @@ import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from usdface.core.errors import InputError
 from usdface.core.text import json_text
 from usdface.core.version import __version__
 from usdface.publish.extract import Extracted
 
-MANIFEST = "publish.json"
+MANIFEST_NAME = "publish.json"
 _VERSION = re.compile(r"v(\d{3,})")
 MOST_VERSIONS_TRIED = 1000
 
@@ -79,18 +80,19 @@ def latest_version(folder: Path) -> int:
     return max((int(match[1]) for match in found if match), default=0)
 
 
-def read_manifest(folder: Path) -> dict[str, object]:
+def read_manifest(folder: Path) -> dict[str, Any]:
     """Return the manifest of a published version."""
-    file = folder / MANIFEST
+    file = folder / MANIFEST_NAME
     try:
         data = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(
             f"{file}: cannot be read ({error}); is this a published version?"
         ) from error
-    if not isinstance(data, dict) or not isinstance(data.get("files"), dict):
+    files = data.get("files") if isinstance(data, dict) else None
+    if not isinstance(files, dict) or not all(isinstance(each, dict) for each in files.values()):
         raise InputError(f"{file}: does not describe a published version; give a version's folder")
-    return data
+    return dict(data)
 
 
 def _published(extracted: Extracted, version: int, *, is_new: bool) -> Published:
@@ -127,11 +129,11 @@ def _write_manifest(
     }
     text = json_text(manifest)
     try:
-        (folder / MANIFEST).write_text(text, encoding="utf-8", newline="\n")
+        (folder / MANIFEST_NAME).write_text(text, encoding="utf-8", newline="\n")
     except OSError as error:
         raise InputError(
-            f"{folder / MANIFEST}: cannot be written: {error.strerror}; free space, or make the "
-            "folder writable"
+            f"{folder / MANIFEST_NAME}: cannot be written: {error.strerror}; free space, or make "
+            "the folder writable"
         ) from error
 
 
@@ -139,8 +141,6 @@ def _hashes_of(folder: Path) -> dict[str, str] | None:
     try:
         files = read_manifest(folder)["files"]
     except InputError:
-        return None
-    if not isinstance(files, dict):
         return None
     return {str(role): each.get("sha256", "") for role, each in files.items()}
 

@@ -4,7 +4,6 @@ import contextlib
 import errno
 import os
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import nullcontext, suppress
 from importlib import import_module
 from pathlib import Path
 
@@ -77,7 +76,9 @@ def execute(
             check_outputs(spec, overwrite=overwrite)
             step = find_step(type(spec))
             made = provenance or make_provenance(spec)
-            moved = moved_rig(spec.rig) if isinstance(spec, MovedRigSpec) else nullcontext()
+            moved = (
+                moved_rig(spec.rig) if isinstance(spec, MovedRigSpec) else contextlib.nullcontext()
+            )
             with _one_blas_thread(), moved:
                 return step(spec, provenance=made, progress=progress)
     except OSError as error:
@@ -120,7 +121,7 @@ def execute_each(
             failed.append(str(error))
     if failed and not done:
         for empty in made:
-            with suppress(OSError):  # not empty
+            with contextlib.suppress(OSError):  # not empty
                 empty.rmdir()
     if failed:
         reasons = "\n".join(f"  {message}" for message in failed)

@@ -19,7 +19,7 @@ from usdface.usdio.take.read import TakeReader, is_take
 
 LARGEST_FIGURES_BYTES = 64 << 20
 
-REFUSED = " refused"
+REFUSED_SUFFIX = " refused"
 """Suffix of a step's name in outputs written on failure, which are never up to date."""
 
 
@@ -85,7 +85,7 @@ def traced_files(spec: Spec) -> dict[Path, Reads]:
     """
     given = {name for name in _TRACED if getattr(spec, name, None)}
     found: dict[Path, Reads] = {}
-    traced = [path for name in type(spec).traces for path in _paths_in(getattr(spec, name))]
+    traced = [path for name in spec.traces for path in spec.paths_of(name)]
     waiting = [file for path in traced if path.is_file() for file in made_files(path)]
     seen: set[Path] = set()
     while waiting:
@@ -120,10 +120,10 @@ def made_files(performance: Path) -> list[Path]:
     return [performance, *(each for each in files if each.resolve() != performance.resolve())]
 
 
-def _paths_in(value: object, folder: Path = Path()) -> list[Path]:
-    """Return the files of a field that may hold one path, several or none."""
-    several = value if isinstance(value, list | tuple) else [value]
-    return [folder / each for each in several if isinstance(each, str | Path) and str(each)]
+def _paths_in(value: object, folder: Path) -> list[Path]:
+    """Return the files of a stored field that may hold one path, several or none."""
+    several = value if isinstance(value, list) else [value]
+    return [folder / each for each in several if isinstance(each, str) and each]
 
 
 def _from_metadata(metadata: dict[str, object]) -> Provenance | None:
@@ -175,13 +175,8 @@ def spec_of(provenance: Provenance | None) -> dict[str, Any]:
 
 def path_made_from(file: Path, field: str) -> Path | None:
     """Return the file that a field of a file's stored spec names; None if there is no such file."""
-    named = spec_of(provenance_of(file)).get(field)
-    if isinstance(named, list) and len(named) == 1:
-        named = named[0]
-    if not isinstance(named, str) or not named:
-        return None
-    path = file.parent / named
-    return path if path.is_file() else None
+    paths = _paths_in(spec_of(provenance_of(file)).get(field), file.parent)
+    return paths[0] if len(paths) == 1 and paths[0].is_file() else None
 
 
 def find_take(performance: Path, given: Path | None) -> Path:

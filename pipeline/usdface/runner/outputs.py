@@ -10,7 +10,7 @@ from usdface.core.errors import InputError
 from usdface.core.replacing import check_unprotected
 from usdface.core.sidecars import LAYER_SUFFIXES, corrected_path
 from usdface.core.text import first_few
-from usdface.runner.origin import REFUSED, input_files, provenance_of, traced_files
+from usdface.runner.origin import REFUSED_SUFFIX, input_files, provenance_of, traced_files
 from usdface.specs.base import Spec
 from usdface.specs.job import SPEC_BY_STEP, JobSpec
 from usdface.specs.paths import Reads, Writes
@@ -167,7 +167,7 @@ def _check_may_be_replaced(spec: Spec, path: Path) -> None:
             f"{path}: exists and was not written by usdface; choose another --out, or --overwrite "
             "it"
         )
-    writer = SPEC_BY_STEP.get(made.step.removesuffix(REFUSED))
+    writer = SPEC_BY_STEP.get(made.step.removesuffix(REFUSED_SUFFIX))
     if writer is None or writer.kind_of_output() != spec.kind_of_output():
         raise InputError(
             f"{path}: exists and was written by `{made.step}`, whose outputs {spec.step} does not "

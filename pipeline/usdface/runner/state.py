@@ -74,17 +74,19 @@ def chunk_specs(spec: Spec, made: Provenance, path: Path) -> tuple[Spec, ...]:
     return (join, *parts)
 
 
+_JOIN_SPECS: Mapping[type[Spec], type[JoinSpec | MovieJoinSpec | TrackSpec]] = {
+    MapSpec: JoinSpec,
+    MovieSpec: MovieJoinSpec,
+    TrackSpec: TrackSpec,
+}
+"""The spec that joins parts of each step."""
+
+
 def _join_of(spec: Spec, made: Provenance) -> JoinSpec | MovieJoinSpec | TrackSpec | None:
-    kind: type[JoinSpec] | type[MovieJoinSpec] | type[TrackSpec]
-    if isinstance(spec, MapSpec):
-        kind = JoinSpec
-    elif isinstance(spec, MovieSpec):
-        kind = MovieJoinSpec
-    elif isinstance(spec, TrackSpec) and not spec.parts and spec_of(made).get("parts"):
-        kind = TrackSpec
-    else:
+    kind = _JOIN_SPECS.get(type(spec))
+    if kind is None or made.step != kind.step_name():
         return None
-    if made.step != kind.step_name():
+    if isinstance(spec, TrackSpec) and (spec.parts or not spec_of(made).get("parts")):
         return None
     try:
         return kind.model_validate(spec_of(made))

@@ -50,6 +50,13 @@ def _parts_once(drive: tuple[str, ...]) -> tuple[str, ...]:
 
 Drive = Annotated[tuple[Name, ...], Several, AfterValidator(_parts_once)]
 
+OnlyWith = Mapping[str, tuple[str, Sequence[str]]]
+"""``{option: (other, values)}``: `other` must have one of `values`, or must be given if there are
+none."""
+
+NeverWith = Mapping[str, Sequence[str]]
+"""``{option: others}``"""
+
 Sidecar = Callable[[Path], Path]
 """Function from the path of a file to that of a layer it needs; see `core.sidecars`."""
 
@@ -145,13 +152,11 @@ class Spec(BaseModel):
     """Removed fields, and removed values as ``field=value``, each with its replacement; refused
     with this advice."""
 
-    only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {}
-    """Options that need another option: ``{option: (other, values)}``, where `other` must have one
-    of `values`, or must be given if there are none. Refused where they would be ignored."""
+    only_with: ClassVar[OnlyWith] = {}
+    """Options that need another option. Refused where they would be ignored."""
 
-    never_with: ClassVar[Mapping[str, Sequence[str]]] = {}
-    """Options without effect if one of the others is given: ``{option: others}``. Refused
-    together."""
+    never_with: ClassVar[NeverWith] = {}
+    """Options without effect if one of the others is given. Refused together."""
 
     step: str
 
@@ -243,23 +248,17 @@ class Spec(BaseModel):
 
     def paths(self, kind: type[Reads] | type[Writes]) -> tuple[Path, ...]:
         """Return every path this spec reads, or every path it writes."""
-        paths: list[Path] = []
-        for name in type(self).fields_marked(kind):
-            value = getattr(self, name)
-            if isinstance(value, Path):
-                paths.append(value)
-            elif value is not None:
-                paths.extend(value)
-        return tuple(paths)
+        return tuple(path for name in self.fields_marked(kind) for path in self.paths_of(name))
+
+    def paths_of(self, name: str) -> tuple[Path, ...]:
+        """Return the paths in a field that holds one, several or none."""
+        value = getattr(self, name)
+        return (value,) if isinstance(value, Path) else tuple(value or ())
 
     def reads(self) -> Mapping[Path, Reads]:
         """Return the mark of every path this spec reads."""
-        read = dict[Path, Reads]()
-        for name, mark in type(self).fields_marked(Reads).items():
-            value = getattr(self, name)
-            for path in (value,) if isinstance(value, Path) else value or ():
-                read[path] = mark
-        return read
+        marks = self.fields_marked(Reads)
+        return {path: mark for name, mark in marks.items() for path in self.paths_of(name)}
 
     def outputs(self) -> tuple[Path, ...]:
         """Return the files this spec writes, whose state decides whether it is up to date."""

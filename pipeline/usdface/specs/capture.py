@@ -1,13 +1,21 @@
 """Specs of capture: ingest, track, align, clean, phones."""
 
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
 from usdface.core.sidecars import samples_path
-from usdface.specs.base import Axis, Name, Positional, Spec, Units, WeightTableSpec
+from usdface.specs.base import (
+    Axis,
+    Name,
+    NeverWith,
+    OnlyWith,
+    Positional,
+    Spec,
+    Units,
+    WeightTableSpec,
+)
 from usdface.specs.paths import (
     FilePath,
     Frames,
@@ -35,6 +43,8 @@ class IngestSpec(WeightTableSpec):
     example = "usdface ingest kitchen.c3d --out kitchen.take.usda --video kitchen.mov --neutral 120"
     module = "capture.ingest"
     sidecars = (samples_path,)
+    only_with: ClassVar[OnlyWith] = {"video_offset": ("video", ()), "video_rate": ("video", ())}
+    never_with: ClassVar[NeverWith] = {"audio_channel": ("audio",)}
 
     step: Literal["ingest"] = "ingest"
     sources: Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()] = ()
@@ -112,11 +122,7 @@ class IngestSpec(WeightTableSpec):
         return self
 
     @model_validator(mode="after")
-    def _offset_needs_video(self) -> Self:
-        if self.video is None and (self.video_offset or self.video_rate is not None):
-            raise ValueError("video_offset or video_rate is given without a video; give one")
-        if self.audio is not None and self.audio_channel is not None:
-            raise ValueError("audio and audio_channel are both given; keep one")
+    def _sound_starts_with_the_capture(self) -> Self:
         if self.audio is not None and self.frames is not None:
             raise ValueError(
                 "frames is given with audio, whose sound would start too early; cut the sound to "
@@ -154,16 +160,13 @@ class TrackSpec(Spec):
     example = "usdface track kitchen.mp4 --out kitchen.take.usda --model face_landmarker.task"
     module = "capture.track"
     sidecars = (samples_path,)
-    never_with: ClassVar[Mapping[str, Sequence[str]]] = {
+    never_with: ClassVar[NeverWith] = {
         **dict.fromkeys(_ONLY_OF_TAKES, ("part",)),
         "views": ("part", "parts"),
         "focal_length": ("part", "calibration"),
         "distortion": ("part", "calibration"),
     }
-    only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
-        "views": ("calibration", ()),
-        "cameras": ("calibration", ()),
-    }
+    only_with: ClassVar[OnlyWith] = {"views": ("calibration", ()), "cameras": ("calibration", ())}
 
     step: Literal["track"] = "track"
     video: Annotated[FilePath, Reads(), Positional()]
@@ -243,8 +246,9 @@ class AlignSpec(Spec):
 
     example = "usdface align kitchen.take.usda"
     module = "capture.align"
-    cores = 1
     memory_mib = 4096
+    only_with: ClassVar[OnlyWith] = {"drift": ("offset", ())}
+    never_with: ClassVar[NeverWith] = {"by": ("offset",)}
 
     step: Literal["align"] = "align"
     take: Annotated[FilePath, Reads(assets=True), Positional()]
@@ -260,14 +264,6 @@ class AlignSpec(Spec):
     it, otherwise sound."""
     picture: ImageOut | None = None
     """Picture of the evidence to write. Default: next to the take."""
-
-    @model_validator(mode="after")
-    def _drift_needs_offset(self) -> Self:
-        if self.drift is not None and self.offset is None:
-            raise ValueError("drift is given without an offset; give --offset too")
-        if self.offset is not None and self.by != "auto":
-            raise ValueError("offset sets the shift by hand; remove --by")
-        return self
 
     def picture_path(self) -> Path:
         """Return where the picture goes."""
@@ -329,6 +325,7 @@ class PhonesSpec(Spec):
 
     example = "usdface phones kitchen.wav --transcript kitchen.txt --out kitchen.TextGrid"
     module = "capture.phones"
+    never_with: ClassVar[NeverWith] = {"text": ("transcript",)}
 
     step: Literal["phones"] = "phones"
     audio: Annotated[FilePath, Reads(), Positional()]
@@ -344,12 +341,10 @@ class PhonesSpec(Spec):
     """Pronunciation of names and rare words: one per line, such as `kvothe K V OW TH`."""
 
     @model_validator(mode="after")
-    def _one_transcript(self) -> Self:
+    def _has_a_transcript(self) -> Self:
         if self.transcript is None and self.text is None:
             raise ValueError(
                 "no transcript is given: give a text file of the spoken words with "
                 "--transcript, or the words with --text"
             )
-        if self.transcript is not None and self.text is not None:
-            raise ValueError("transcript and text are both given; keep one")
         return self

@@ -1,13 +1,12 @@
 """Specs of edits and publishing: edit, edits-import, bake, package."""
 
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
 from usdface.core.sidecars import edits_path
-from usdface.specs.base import MovedRigSpec, Name, Positional, Spec, WeightTableSpec
+from usdface.specs.base import MovedRigSpec, Name, OnlyWith, Positional, Spec, WeightTableSpec
 from usdface.specs.paths import (
     FilePath,
     Frames,
@@ -111,9 +110,7 @@ class BakeSpec(MovedRigSpec):
 
     example = "usdface bake kitchen.hero.usda --out kitchen.hero.published.usdc"
     module = "edits.bake"
-    only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
-        "unit": ("tolerance", ()),
-    }
+    only_with: ClassVar[OnlyWith] = {"unit": ("tolerance", ())}
 
     step: Literal["bake"] = "bake"
     performance: Annotated[FilePath, Reads(), Positional()]

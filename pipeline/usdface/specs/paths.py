@@ -74,12 +74,7 @@ def _figures_or_curves(paths: tuple[Path, ...]) -> tuple[Path, ...]:
     return paths
 
 
-MeasuredOut = Annotated[
-    tuple[FilePath, ...],
-    Several,
-    AfterValidator(_figures_or_curves),
-    Writes(),
-]
+MeasuredOut = Annotated[tuple[FilePath, ...], Several, AfterValidator(_figures_or_curves), Writes()]
 
 PRIM_PATTERN = r"(/[^\x00-@\[-^`{-\x7f][^\x00-/:-@\[-^`{-\x7f]*)+"
 """Prim paths in any script, as in USD; `prim_path` checks the names with `str.isidentifier`."""

@@ -1,13 +1,13 @@
 """Specs of performances: train, map, join."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
 from usdface.core.sidecars import weights_path
-from usdface.specs.base import Drive, MovedRigSpec, Name, Positional, Spec
+from usdface.specs.base import Drive, MovedRigSpec, Name, NeverWith, OnlyWith, Positional, Spec
 from usdface.specs.paths import FilePath, Frames, ImageOut, LayerOut, PrimPath, ReadPath, Reads
 
 
@@ -22,6 +22,7 @@ class TrainSpec(MovedRigSpec):
     module = "performance.train"
     cores = 2
     memory_mib = 8192
+    never_with: ClassVar[NeverWith] = {"all_pairs": ("tuned_only",)}
 
     step: Literal["train"] = "train"
     references: Annotated[FilePath, Reads(), Positional()]
@@ -33,7 +34,7 @@ class TrainSpec(MovedRigSpec):
     or `hybrid`."""
     dimensions: tuple[Annotated[int, Field(ge=1, le=1000)], ...] = ()
     """Numbers of principal components among which cross-validation chooses. Default: by method;
-    `d06` has the 4 of the paper, `face_map` all with variance, others compare 8 to 40."""
+    `d06` has the 4 of the paper, `face_map` the first 50 with variance, others compare 8 to 40."""
     widths: tuple[Annotated[float, Field(gt=0.0, le=1000.0)], ...] = ()
     """Widths of Gaussian kernels among which cross-validation chooses: multiples of the distance to
     the nearest reference (`d06`, `rbf`) or of the median distance (`kernel_cca`, `hybrid`).
@@ -45,12 +46,6 @@ class TrainSpec(MovedRigSpec):
     """Train on tuned pairs only, however few they are. Default: if at least 8 pairs are tuned."""
     all_pairs: bool = False
     """Train on proposals as well, even if 8 or more pairs are tuned."""
-
-    @model_validator(mode="after")
-    def _one_choice_of_pairs(self) -> Self:
-        if self.tuned_only and self.all_pairs:
-            raise ValueError("tuned_only and all_pairs exclude each other; give one of them")
-        return self
 
     @field_validator("dimensions", "widths", mode="before")
     @classmethod
@@ -78,11 +73,14 @@ class MapSpec(Spec):
     removed: ClassVar[Mapping[str, str]] = {
         "device": "weights are always predicted on the processor; leave it out"
     }
-    only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
+    only_with: ClassVar[OnlyWith] = {
         "cutoff": ("temporal", ("whole", "causal")),
         "lag": ("temporal", ("causal",)),
         "bands": ("temporal", ("bands",)),
+        "unlimited": ("baseline", ()),
+        "placement": ("baseline", ()),
     }
+    never_with: ClassVar[NeverWith] = dict.fromkeys(("alpha", "temporal", "drive"), ("baseline",))
 
     step: Literal["map"] = "map"
     take: Annotated[FilePath, Reads(), Positional()]
@@ -136,10 +134,6 @@ class MapSpec(Spec):
     def _mapping_or_baseline(self) -> Self:
         if self.baseline == (self.mapping is not None):
             raise ValueError("give --mapping, or --baseline for the blendshape equation; not both")
-        if not self.baseline and (self.unlimited or self.placement is not None):
-            raise ValueError("--unlimited and --placement are options of --baseline; give it too")
-        if self.baseline and (self.alpha is not None or self.temporal != "none" or self.drive):
-            raise ValueError("--alpha, --temporal and --drive are for mappings; leave them out")
         return self
 
 

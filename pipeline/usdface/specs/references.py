@@ -1,6 +1,6 @@
 """Specs of references: place, select, import, from-edits, add, coverage, sheet."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
@@ -13,7 +13,15 @@ from usdface.core.sidecars import (
     samples_path,
     tuned_path,
 )
-from usdface.specs.base import MovedRigSpec, Name, Positional, Spec, WeightTableSpec
+from usdface.specs.base import (
+    MovedRigSpec,
+    Name,
+    NeverWith,
+    OnlyWith,
+    Positional,
+    Spec,
+    WeightTableSpec,
+)
 from usdface.specs.paths import (
     ChosenFrames,
     FilePath,
@@ -44,7 +52,7 @@ class PlaceSpec(Spec):
     sidecars = (proposed_path,)
     cores = 2
     memory_mib = 4096
-    only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {"quality": ("picture", ())}
+    only_with: ClassVar[OnlyWith] = {"quality": ("picture", ())}
 
     step: Literal["place"] = "place"
     takes: _Takes
@@ -91,10 +99,8 @@ class SelectSpec(Spec):
     cores = 2
     memory_mib = 8192
 
-    only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
-        "extremes": ("method", ("viseme",))
-    }
-    never_with: ClassVar[Mapping[str, Sequence[str]]] = {"landmarks": ("placement",)}
+    only_with: ClassVar[OnlyWith] = {"extremes": ("method", ("viseme",))}
+    never_with: ClassVar[NeverWith] = {"landmarks": ("placement",)}
     removed: ClassVar[Mapping[str, str]] = {
         "method=active": "it chose no better than design. Leave it out: a higher --count keeps the "
         "tuned pairs, and --mapping proposes the others' weights"
@@ -154,11 +160,6 @@ class SelectSpec(Spec):
             raise ValueError(
                 "viseme needs --phones (made by `usdface phones AUDIO --transcript TEXT`); or "
                 "choose --method design"
-            )
-        if self.landmarks is not None and self.placement is not None:
-            raise ValueError(
-                "--landmarks cannot be used with --placement, which holds its own; give them to "
-                "`usdface place`"
             )
         return self
 
@@ -235,7 +236,7 @@ class ReferencesFromEditsSpec(MovedRigSpec):
     module = "references.from_edits"
     makes = "references"
     sidecars = (proposed_path, samples_path)
-    traces: ClassVar[Sequence[str]] = ("performances",)
+    traces = ("performances",)
 
     step: Literal["references-from-edits"] = "references-from-edits"
     performances: Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]
@@ -269,7 +270,7 @@ class ReferencesAddSpec(MovedRigSpec):
     module = "references.add"
     makes = "references"
     sidecars = (proposed_path, samples_path)
-    traces: ClassVar[Sequence[str]] = ("performance",)
+    traces = ("performance",)
 
     step: Literal["references-add"] = "references-add"
     performance: Annotated[FilePath, Reads(), Positional()]

@@ -1,12 +1,11 @@
 """Specs of retargeting: pairs, train-retarget, retarget, cyclic, sequences, warp."""
 
-from collections.abc import Mapping, Sequence
 from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
 from usdface.core.sidecars import proposed_path, weights_path
-from usdface.specs.base import Drive, Name, Positional, Spec, WeightTableSpec
+from usdface.specs.base import Drive, Name, NeverWith, OnlyWith, Positional, Spec, WeightTableSpec
 from usdface.specs.paths import (
     FilePath,
     Frames,
@@ -31,7 +30,7 @@ class PairsProposeSpec(Spec):
     module = "retarget.pairs_propose"
     makes = "pairs"
     sidecars = (proposed_path,)
-    never_with: ClassVar[Mapping[str, Sequence[str]]] = {"match": ("names",)}
+    never_with: ClassVar[NeverWith] = {"match": ("names",)}
 
     step: Literal["pairs-propose"] = "pairs-propose"
     source: ReadPath
@@ -105,8 +104,9 @@ class TrainRetargetSpec(Spec):
     cores = 2
     memory_mib = 8192
 
-    only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
-        "alpha": ("method", ("hybrid",))
+    only_with: ClassVar[OnlyWith] = {
+        "alpha": ("method", ("hybrid",)),
+        "published": ("method", ("kernel_cca", "hybrid")),
     }
 
     step: Literal["train-retarget"] = "train-retarget"
@@ -129,19 +129,6 @@ class TrainRetargetSpec(Spec):
     squares over few components, as published. By default it uses all components, with the same
     penalty as these."""
 
-    @model_validator(mode="after")
-    def _options_of_the_method(self) -> Self:
-        if self.alpha is not None and self.method != "hybrid":
-            raise ValueError(
-                f"--alpha is for --method hybrid, and the method is {self.method}; leave it out"
-            )
-        if self.published and self.method not in ("kernel_cca", "hybrid"):
-            raise ValueError(
-                "--published is for --method kernel_cca and hybrid, and the method is "
-                f"{self.method}; leave it out"
-            )
-        return self
-
 
 class RetargetSpec(WeightTableSpec):
     """Transfer weights to one or more characters.
@@ -160,6 +147,8 @@ class RetargetSpec(WeightTableSpec):
     module = "retarget.retarget"
     makes = "performance"
     sidecars = (weights_path,)
+    only_with: ClassVar[OnlyWith] = {"alpha": ("retargeting", ())}
+    never_with: ClassVar[NeverWith] = {"source_rig": ("retargeting",)}
 
     step: Literal["retarget"] = "retarget"
     source: Annotated[FilePath, Reads(), Positional()]
@@ -202,10 +191,6 @@ class RetargetSpec(WeightTableSpec):
                 "no target is given: name its rig with --rig, or the output of `usdface "
                 "train-retarget` with --retargeting"
             )
-        if self.retargeting and self.source_rig is not None:
-            raise ValueError("--source-rig and --retargeting are two methods; give one")
-        if not self.retargeting and self.alpha is not None:
-            raise ValueError("alpha blends the two parts of a trained hybrid; give --retargeting")
         trained = len(self.retargeting) or len(self.out)
         if len(self.out) != trained or len(self.rig) not in (0, len(self.out)):
             raise ValueError(
@@ -232,7 +217,7 @@ class CyclicSpec(WeightTableSpec):
     )
     module = "retarget.cyclic"
 
-    only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {"weight_unit": ("truth", ())}
+    only_with: ClassVar[OnlyWith] = {"weight_unit": ("truth", ())}
 
     step: Literal["cyclic"] = "cyclic"
     pairs: Annotated[FilePath, Reads(), Positional()]
@@ -309,6 +294,7 @@ class FindSequencesSpec(Spec):
         "--out kitchen.matches.usda"
     )
     module = "retarget.find_sequences"
+    only_with: ClassVar[OnlyWith] = {"threshold": ("by", ("threshold", "published"))}
 
     step: Literal["find-sequences"] = "find-sequences"
     source: Annotated[FilePath, Reads(), Positional()]
@@ -332,11 +318,9 @@ class FindSequencesSpec(Spec):
     """Frames to search, as FIRST-LAST. Default: all."""
 
     @model_validator(mode="after")
-    def _threshold_where_it_counts(self) -> Self:
+    def _threshold_is_given(self) -> Self:
         if self.by == "threshold" and self.threshold is None:
             raise ValueError("--by threshold needs --threshold")
-        if self.by not in ("threshold", "published") and self.threshold is not None:
-            raise ValueError("--threshold needs --by threshold, or --by published for the paper's")
         return self
 
 

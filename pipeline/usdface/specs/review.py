@@ -1,12 +1,12 @@
 """Specs of review: sheet, movie, movie-join, report, faces, evaluate."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from usdface.specs.base import MovedRigSpec, Name, Positional, Spec, WeightTableSpec
+from usdface.specs.base import MovedRigSpec, Name, OnlyWith, Positional, Spec, WeightTableSpec
 from usdface.specs.paths import (
     PRIM_PATTERN,
     ChosenFrames,
@@ -41,8 +41,8 @@ CameraName = Annotated[
 class ShotSpec(MovedRigSpec):
     """Options common to `sheet`, `movie` and `report`."""
 
-    only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {"camera_stage": ("camera", ())}
-    traces: ClassVar[Sequence[str]] = ("performance",)
+    only_with: ClassVar[OnlyWith] = {"camera_stage": ("camera", ())}
+    traces = ("performance",)
 
     performance: Annotated[FilePath, Reads(), Positional()]
     """The performance to show."""
@@ -77,7 +77,7 @@ class SheetSpec(ShotSpec, WeightTableSpec):
     module = "review.sheet"
     cores = 2
     memory_mib = 4096
-    only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
+    only_with: ClassVar[OnlyWith] = {
         **ShotSpec.only_with,
         "baseline": ("layout", ("comparison", "worst")),
         "difference": ("layout", ("comparison", "worst")),
@@ -203,10 +203,7 @@ class ReportSpec(ShotSpec, WeightTableSpec):
 
     example = "usdface report kitchen.hero.usda --take kitchen.clean.take.usda --out kitchen.html"
     module = "review.report"
-    only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
-        **ShotSpec.only_with,
-        "weight_unit": ("against", ()),
-    }
+    only_with: ClassVar[OnlyWith] = {**ShotSpec.only_with, "weight_unit": ("against", ())}
 
     step: Literal["report"] = "report"
     out: Annotated[WritePath, AfterValidator(file_ending(PAGE_SUFFIXES, "a page"))]

@@ -1,13 +1,13 @@
 """Specs of meshes and rigs: bind, deform, make-shapes, logic."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
 from usdface.core.sidecars import proposed_path
-from usdface.specs.base import Name, Positional, Spec, WeightTableSpec
+from usdface.specs.base import Name, NeverWith, OnlyWith, Positional, Spec, WeightTableSpec
 from usdface.specs.paths import FilePath, Frames, ImageOut, LayerOut, PrimPath, ReadPath, Reads
 
 Landmark = Annotated[str, Field(pattern=r"^[^=]+=\d+$", max_length=300, examples=["nose_tip=1203"])]
@@ -27,7 +27,7 @@ class BindSpec(Spec):
     )
     module = "surface.bind"
     sidecars = (proposed_path,)
-    only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {"quality": ("picture", ())}
+    only_with: ClassVar[OnlyWith] = {"quality": ("picture", ())}
 
     step: Literal["bind"] = "bind"
     take: Annotated[FilePath, Reads(), Positional()]
@@ -72,6 +72,9 @@ class SurfaceSpec(Spec):
         "device": "leave it out: the processor is used",
         "precision": "leave it out",
     }
+    only_with: ClassVar[OnlyWith] = {"quality": ("picture", ())}
+    never_with: ClassVar[NeverWith] = {"blend": ("choose_blend",), "landmarks": ("binding",)}
+
     take: Annotated[FilePath, Reads(), Positional()]
     """The cleaned take."""
     mesh: ReadPath
@@ -126,20 +129,12 @@ class SurfaceSpec(Spec):
     """`draft` omits soft shadows and ambient occlusion from the picture."""
 
     @model_validator(mode="after")
-    def _landmarks_are_for_binding(self) -> Self:
-        if self.landmarks and self.binding is not None:
-            raise ValueError("--landmarks cannot be used with --binding; leave one of them out")
-        return self
-
-    @model_validator(mode="after")
     def _options_of_the_method(self) -> Self:
-        fields = type(self).model_fields
         for choice, unused in (
             ("--method rbf", _FOR_GP if self.method == "rbf" else ()),
             ("--sampler map", _FOR_SAMPLES if self.sampler == "map" else ()),
         ):
-            given = [name for name in unused if getattr(self, name) != fields[name].default]
-            if given:
+            if given := [name for name in unused if self.is_given(name)]:
                 options = ", ".join(f"--{name.replace('_', '-')}" for name in given)
                 raise ValueError(f"{choice} does not use {options}; leave it out")
         return self
@@ -160,12 +155,11 @@ class DeformSpec(SurfaceSpec):
     module = "surface.deform"
     cores = 2
     memory_mib = 8192
-    only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {
-        "quality": ("picture", ()),
+    only_with: ClassVar[OnlyWith] = {
+        **SurfaceSpec.only_with,
         "rows": ("picture", ()),
         "picture_noise": ("picture", ()),
     }
-    never_with: ClassVar[Mapping[str, Sequence[str]]] = {"blend": ("choose_blend",)}
 
     step: Literal["deform"] = "deform"
     out: LayerOut
@@ -207,10 +201,11 @@ class MakeShapesSpec(SurfaceSpec):
     module = "surface.make_shapes"
     cores = 2
     memory_mib = 8192
-    only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {"quality": ("picture", ())}
-    never_with: ClassVar[Mapping[str, Sequence[str]]] = {
-        "blend": ("choose_blend",),
+    never_with: ClassVar[NeverWith] = {
+        **SurfaceSpec.never_with,
         "count": ("shape_frames", "names", "references"),
+        "shape_frames": ("names", "references"),
+        "names": ("references",),
     }
 
     step: Literal["make-shapes"] = "make-shapes"
@@ -232,16 +227,6 @@ class MakeShapesSpec(SurfaceSpec):
     picture: ImageOut | None = None
     """Picture of the shapes to write (.jpg, .png or .exr)."""
 
-    @model_validator(mode="after")
-    def _one_way_to_choose(self) -> Self:
-        ways = [bool(self.shape_frames), self.names is not None, self.references is not None]
-        if sum(ways) > 1:
-            raise ValueError(
-                "frames are chosen by one of --shape-frames, --names and --references; leave out "
-                "the others"
-            )
-        return self
-
 
 class LogicSpec(WeightTableSpec):
     """Define which shapes of a rig are driven by others: combinations, correctives, in-betweens.
@@ -255,7 +240,7 @@ class LogicSpec(WeightTableSpec):
 
     example = "usdface logic hero.usd --naming --out hero.logic.usda"
     module = "surface.logic"
-    only_with: ClassVar[Mapping[str, tuple[str, Sequence[str]]]] = {"weight_unit": ("weights", ())}
+    only_with: ClassVar[OnlyWith] = {"weight_unit": ("weights", ())}
 
     step: Literal["logic"] = "logic"
     rig: Annotated[FilePath, Reads(), Positional()]

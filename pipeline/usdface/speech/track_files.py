@@ -118,7 +118,7 @@ def _check_track(path: Path, track: PhoneTrack) -> None:
             f"{path}: {first_few(map(repr, sampa))}: these phones are in SAMPA, whose letters "
             "are other phones in ARPAbet; export them as IPA (in WebMAUS, the output symbols `ipa`)"
         )
-    unknown = sorted({span.label for span in spoken if viseme_of(span.label) is None})
+    unknown = unknown_symbols(track)
     share = sum(viseme_of(span.label) is None for span in spoken) / len(spoken)
     if share > 0.5:
         raise InputError(

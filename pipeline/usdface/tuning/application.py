@@ -31,12 +31,7 @@ from usdface.tuning.journal import Change
 from usdface.tuning.pictures import PairPictures
 from usdface.tuning.poses import PoseName, PoseWeights, read_poses, save_pose
 from usdface.tuning.session import StaleRevisionError, TuningSession
-from usdface.tuning.targets import (
-    MarkerTargets,
-    correct_place,
-    solve_shapes,
-    targets_or_reason,
-)
+from usdface.tuning.targets import MarkerTargets, correct_place, solve_shapes, targets_or_reason
 from usdface.tuning.waits import StoppedError, Waits
 from usdface.usdio.references.read import PairNotes
 
@@ -144,10 +139,6 @@ class Scene:
         await run_in_threadpool(self.place, sent)
         return await self.waits.result_of(self.markers)
 
-    async def solve_markers(self, sent: SentSolve) -> dict[str, Any]:
-        """Run `solve` in a thread."""
-        return await self.waits.result_of(lambda: self.solve(sent))
-
     def poses(self) -> dict[str, Any]:
         """Return the saved poses."""
         return read_poses(poses_path(self.session.path)).model_dump()
@@ -168,9 +159,9 @@ class Scene:
         if sent.pair >= len(references.frames):
             raise InputError(f"there are {len(references.frames)} pairs; reload the page")
         self.rig.check_has({*sent.weights, *sent.free}, source="the page", remedy="reload it")
-        held = [[sent.weights.get(name, 0.0) for name in self.rig.shapes]]
+        held = np.array([sent.weights.get(name, 0.0) for name in self.rig.shapes])
         free = np.isin(self.rig.shapes, sent.free)
-        solved = solve_shapes(references, targets, sent.pair, np.array(held)[0], free)
+        solved = solve_shapes(references, targets, sent.pair, held, free)
         weights = dict(zip(self.rig.shapes, solved.tolist(), strict=True))
         return {"weights": {name: weights[name] for name in sent.free}}
 
@@ -242,29 +233,21 @@ class Scene:
         }
 
 
-def _seconds_after(request: Request) -> float | None:
-    """Return the requested time relative to a pair's frame [s]; None if invalid."""
-    try:
-        after = float(request.query_params.get("after", 0))
-    except ValueError:
-        return None
-    return after if abs(after) <= _FARTHEST_SECONDS else None
-
-
 async def _home(request: Request) -> Response:
     return Response(read_web_file("tune.html"), media_type="text/html; charset=utf-8")
 
 
+async def _file(request: Request) -> Response:
+    name = request.path_params["name"]
+    kind = _FILES.get(Path(name).suffix)
+    with contextlib.suppress(OSError):
+        if kind is not None and Path(name).name == name:
+            return Response(read_web_file(name), media_type=kind)
+    return _refusal(404, f"no file {name}")
+
+
 def build_application(scene: Scene) -> Starlette:
     """Return the application, to be wrapped in `usdface.tuning.guard.Guard`."""
-
-    async def file(request: Request) -> Response:
-        name = request.path_params["name"]
-        kind = _FILES.get(Path(name).suffix)
-        with contextlib.suppress(OSError):
-            if kind is not None and Path(name).name == name:
-                return Response(read_web_file(name), media_type=kind)
-        return _refusal(404, f"no file {name}")
 
     async def face_data(request: Request) -> Response:
         payload = await scene.waits.result_of(lambda: scene.payload)
@@ -272,20 +255,26 @@ def build_application(scene: Scene) -> Starlette:
 
     async def picture(request: Request) -> Response:
         pair = request.path_params["pair"]
-        if not 0 <= pair < len(scene.notes):
+        if pair >= len(scene.notes):
             return _refusal(404, f"no pair {pair}")
-        after = _seconds_after(request)
-        if after is None:
-            return _refusal(400, "after is not a number of seconds")
+        try:
+            after = float(request.query_params.get("after", 0))
+        except ValueError:
+            after = np.nan
+        if not abs(after) <= _FARTHEST_SECONDS:
+            return _refusal(400, f"after is not a number of seconds up to {_FARTHEST_SECONDS:g}")
         data = await scene.waits.result_of(lambda: scene.pictures.jpeg(pair, after))
         return Response(data, media_type="image/jpeg")
 
     async def sound(request: Request) -> Response:
         pair = request.path_params["pair"]
-        if not 0 <= pair < len(scene.notes):
+        if pair >= len(scene.notes):
             return _refusal(404, f"no pair {pair}")
         data = await scene.waits.result_of(lambda: scene.pictures.sound(pair))
         return Response(data or b"", 200 if data else 204, media_type="audio/wav")
+
+    def solve(sent: SentSolve) -> _Answer:
+        return scene.waits.result_of(lambda: scene.solve(sent))
 
     def change(sent: SentChanges) -> _Answer:
         return run_in_threadpool(scene.change, sent)
@@ -295,7 +284,7 @@ def build_application(scene: Scene) -> Starlette:
 
     routes = [
         Route("/", _home),
-        Route("/web/{name}", file),
+        Route("/web/{name}", _file),
         Route("/face.json", _json(scene.face, scene.waits)),
         Route("/face.bin", face_data),
         Route("/markers.json", _json(scene.markers, scene.waits)),
@@ -306,7 +295,7 @@ def build_application(scene: Scene) -> Starlette:
         Route("/changes", _answer(SentChanges, change), methods=["POST"]),
         Route("/place", _answer(SentPlace, scene.place_and_measure), methods=["POST"]),
         Route("/poses", _answer(SentPose, save_pose), methods=["POST"]),
-        Route("/solve", _answer(SentSolve, scene.solve_markers), methods=["POST"]),
+        Route("/solve", _answer(SentSolve, solve), methods=["POST"]),
     ]
     return Starlette(
         routes=routes,
@@ -331,24 +320,21 @@ def _refuser(status: int, reason: str | None = None) -> _Refuser:
     return answer
 
 
-async def _sent(request: Request, kind: type[_Sent]) -> _Sent | Response:
-    """Return the validated body of a POST, or the response that refuses it."""
-    try:
-        return kind.model_validate_json(await request.body())
-    except ClientDisconnect:
-        return _refusal(413, "the change is too large")
-    except ValidationError as error:
-        fault = error.errors()[0]
-        where = ".".join(map(str, fault["loc"]))
-        return _refusal(400, f"{where}: {fault['msg']}")
-
-
 def _answer(
     kind: type[_Sent], make: Callable[[_Sent], _Answer]
 ) -> Callable[[Request], Awaitable[Response]]:
+    """Return the handler of a POST, which answers with the result of its validated body."""
+
     async def answer(request: Request) -> Response:
-        sent = await _sent(request, kind)
-        return sent if isinstance(sent, Response) else JSONResponse(await make(sent))
+        try:
+            sent = kind.model_validate_json(await request.body())
+        except ClientDisconnect:
+            return _refusal(413, "the change is too large")
+        except ValidationError as error:
+            fault = error.errors()[0]
+            where = ".".join(map(str, fault["loc"]))
+            return _refusal(400, f"{where}: {fault['msg']}")
+        return JSONResponse(await make(sent))
 
     return answer
 

@@ -17,10 +17,10 @@ from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-HEADER = "x-usdface-tune"
+PAGE_HEADER = "x-usdface-tune"
 """Header that scripts of other origins cannot send without a CORS preflight."""
 
-_SINGLE_HEADERS = ("host", "origin", "content-type", "cookie", HEADER)
+_SINGLE_HEADERS = ("host", "origin", "content-type", "cookie", PAGE_HEADER)
 
 LARGEST_BODY = 4 << 20
 """Bytes; all weights of a pair with thousands of shapes are far below."""
@@ -102,7 +102,7 @@ class Guard:
             return None
         if request.method != "POST":
             return _refusal(405, "only GET and POST are understood")
-        if origin is None or headers.get(HEADER) != "1":
+        if origin is None or headers.get(PAGE_HEADER) != "1":
             return _refusal(403, "only the tuning page may change weights")
         if headers.get("content-type", "").split(";")[0].strip().lower() != "application/json":
             return _refusal(415, "changes are sent as application/json")

@@ -111,13 +111,11 @@ class PairPictures:
 
         Relative to the neutral frame; None if the take has no head motion.
         """
-        found: list[list[float] | None] = []
-        for name, frame in zip(
-            self._references.takes, self._references.frames.tolist(), strict=True
-        ):
-            reader = self._readers.get(name)
-            found.append(None if reader is None else _head_degrees(reader, frame))
-        return found
+        takes, frames = self._references.takes, self._references.frames.tolist()
+        return [
+            _head_degrees(self._readers[name], frame) if name in self._readers else None
+            for name, frame in zip(takes, frames, strict=True)
+        ]
 
     def close(self) -> None:
         """Close the videos."""

@@ -28,7 +28,7 @@ from usdface.usdio.rig.reference import moved_rig
 log = logging.getLogger(__name__)
 
 IDLE_SECONDS = 0.5
-"""Pause after which the layer is written."""
+"""Interval of looks at the revision; if two in a row find the same one, the layer is written."""
 
 RENEW_SECONDS = 5.0
 
@@ -72,10 +72,7 @@ def serve(spec: TuneSpec, *, announce: Callable[[str], None]) -> TuningSession:
 
 
 def _run(
-    session: TuningSession,
-    spec: TuneSpec,
-    listener: socket.socket,
-    announce: Callable[[str], None],
+    session: TuningSession, spec: TuneSpec, listener: socket.socket, announce: Callable[[str], None]
 ) -> None:
     references = session.references
     rig = read_rig_of(references, spec.references)

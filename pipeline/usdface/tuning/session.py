@@ -80,12 +80,7 @@ class TuningSession:
     """
 
     def __init__(
-        self,
-        path: Path,
-        *,
-        author: str = "",
-        take_over: bool = False,
-        first_revision: int = 0,
+        self, path: Path, *, author: str = "", take_over: bool = False, first_revision: int = 0
     ) -> None:
         self.path = path
         self.author = author or user_name()
@@ -186,7 +181,7 @@ class TuningSession:
                 replace(self.references, weights=self._proposals),
                 tuned,
                 layer_path=self.tuned_path,
-                provenance=self._provenance(),
+                provenance=self._layer_provenance(),
             )
             flush_folder(self.tuned_path.parent)  # before the journal is removed
             self._journal.clear()
@@ -218,10 +213,7 @@ class TuningSession:
 
     def _reread_if_changed(self) -> None:
         """Merge changes by `references import` or a DCC."""
-        if self._selected != [
-            _signature(self.path),
-            _signature(proposed_path(self.path)),
-        ]:
+        if self._selected != [_signature(self.path), _signature(proposed_path(self.path))]:
             raise InputError(
                 f"{self.path.name}: its frames were selected again while this page was open, so "
                 "changes can no longer be saved; what was saved before is kept. Stop `usdface "
@@ -260,11 +252,14 @@ class TuningSession:
                 if not np.isfinite(value) or abs(value) > 100.0:
                     raise InputError(f"{where}: {name} cannot be {value}; keep it near 0 to 1")
 
-    def _provenance(self) -> Provenance:
+    def _layer_provenance(self) -> Provenance:
         """Return the layer's provenance, if it has one, so that jobs do not make it again."""
         if self.tuned_path.is_file() and (made := read_provenance(self.tuned_path)) is not None:
             return made
-        proposals = proposed_path(self.path)
+        return self.provenance(proposed_path(self.path))
+
+    def provenance(self, proposals: Path) -> Provenance:
+        """Return the provenance of changes to proposals, a layer."""
         return Provenance(
             step="tune",
             spec=canonical_json({"step": "tune", "references": self.path.name}),

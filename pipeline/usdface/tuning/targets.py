@@ -8,7 +8,6 @@ from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from usdface.core.assets import References, Rig
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
-from usdface.core.provenance import Provenance, canonical_json, hash_files
 from usdface.core.sidecars import corrected_path, proposed_path
 from usdface.model.placement.shape_parts import shape_parts
 from usdface.model.selection.baseline import BlendshapeEquation, PerformerMarkers
@@ -22,6 +21,9 @@ from usdface.tuning.session import TuningSession
 from usdface.usdio.rig.mesh import rig_surfaces
 from usdface.usdio.surface.binding import correct_binding
 from usdface.usdio.surface.placement import RigPlacement, read_placement
+
+_CARRIED_SHARE = 0.85
+"""Factor on the jaw's motion, which also carries other parts, mainly the lower lip."""
 
 
 @dataclass(frozen=True)
@@ -81,11 +83,7 @@ def find_targets(references: References, rig: Rig) -> MarkerTargets:
 
 
 def solve_shapes(
-    references: References,
-    targets: MarkerTargets,
-    pair: int,
-    weights: FloatArray,
-    free: BoolArray,
+    references: References, targets: MarkerTargets, pair: int, weights: FloatArray, free: BoolArray
 ) -> FloatArray:
     """Return the weights of a pair, solved for the `free` shapes by its markers: (shapes,).
 
@@ -131,8 +129,8 @@ def _regions(
         return tuple("" if marker in rigid else "face" for marker in range(moved.shape[1]))
     names = list(by_region)
     claims = np.array([share[columns].max(axis=0) for columns in by_region.values()])
-    if "jaw" in names:  # the jaw also carries other parts, mainly the lower lip
-        claims[names.index("jaw")] *= 0.85
+    if "jaw" in names:
+        claims[names.index("jaw")] *= _CARRIED_SHARE
     owner = claims.argmax(axis=0)
     return tuple("" if m in rigid else names[owner[m]] for m in range(moved.shape[1]))
 
@@ -181,9 +179,5 @@ def correct_place(
         away = float(np.linalg.norm(place - wanted[0]))
         if away > surface.reach_mm:
             raise InputError(f"{marker}: {away:.0f} mm off the rig; drop it on the face")
-    made = Provenance(
-        step="tune",
-        spec=canonical_json({"step": "tune", "references": session.path.name}),
-        inputs={proposed_path(placement).name: hash_files([proposed_path(placement)])},
-    )
+    made = session.provenance(proposed_path(placement))
     correct_binding(placement, layer, {marker: place}, made, author=session.author)

@@ -56,8 +56,8 @@ def test_a_stretch_of_frames_is_solved_as_the_whole_take(
     [
         ({}, "give --mapping, or --baseline"),
         ({"mapping": "m.usdc", "baseline": True}, "give --mapping, or --baseline"),
-        ({"mapping": "m.usdc", "unlimited": True}, "are options of --baseline"),
-        ({"baseline": True, "temporal": "whole"}, "are for mappings"),
+        ({"mapping": "m.usdc", "unlimited": True}, "unlimited has no effect without baseline"),
+        ({"baseline": True, "temporal": "whole"}, "temporal has no effect with baseline"),
     ],
 )
 def test_options_that_do_not_go_together_are_refused(

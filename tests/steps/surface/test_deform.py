@@ -503,7 +503,7 @@ def test_an_island_without_a_marker_is_told(folder: Path, scan: Scan) -> None:
     ("more", "message"),
     [
         ({"frames": "1-20"}, "frames 1-20 are not all there; it has 101-140"),
-        ({"landmarks": ("a=1",)}, "--landmarks cannot be used with --binding"),
+        ({"landmarks": ("a=1",)}, "landmarks has no effect with binding"),
         ({"blend": 1.5}, "less than or equal to 1"),
         ({"device": "cuda"}, "device"),
         ({"method": "rbf", "sampler": "hmc"}, "--method rbf does not use --sampler"),
@@ -525,7 +525,10 @@ def test_what_deform_cannot_do_is_said(moved: Path, more: dict[str, object], mes
         ({"shape_frames": ("101",)}, "moves no point"),
         ({"count": 3, "least_mm": 9.0}, "--count is 3, but . of the faces"),
         ({"count": 500}, "faces of the take differ"),
-        ({"shape_frames": ("110",), "names": Path("x.csv")}, "chosen by one of"),
+        (
+            {"shape_frames": ("110",), "names": Path("x.csv")},
+            "shape_frames has no effect with names",
+        ),
     ],
 )
 def test_what_make_shapes_cannot_do_is_said(

@@ -18,17 +18,7 @@ from usdface.media.charts.axes import (
     render,
 )
 from usdface.media.picture.canvas import fill_box, new_picture
-from usdface.media.picture.color import (
-    BLUE,
-    BRIGHT,
-    DIM,
-    GREEN,
-    ORANGE,
-    PAGE,
-    SOFT,
-    VIOLET,
-    Color,
-)
+from usdface.media.picture.color import BLUE, BRIGHT, DIM, GREEN, ORANGE, PAGE, SOFT, VIOLET, Color
 from usdface.media.picture.text import TextStyle, draw_text, text_width, wrap_text
 from usdface.numerics.timing.audio_alignment import LEAST_AGREEMENT, LEAST_PEAK, SoundAlignment
 

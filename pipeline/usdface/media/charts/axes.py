@@ -14,15 +14,7 @@ import numpy as np
 
 from usdface.core.arrays import ByteImage, FloatArray
 from usdface.media.picture.canvas import space_rows
-from usdface.media.picture.color import (
-    BRIGHT,
-    DIM,
-    FRAME,
-    GRID,
-    PAGE,
-    PANEL,
-    Color,
-)
+from usdface.media.picture.color import BRIGHT, DIM, FRAME, GRID, PAGE, PANEL, Color
 from usdface.media.picture.text import east_asian_font_file
 
 if TYPE_CHECKING:

@@ -107,10 +107,7 @@ def before_and_after(
         Panel(
             names[index],
             "",
-            (
-                Curve("before", before[:, index], BLUE),
-                Curve("after", after[:, index], ORANGE),
-            ),
+            (Curve("before", before[:, index], BLUE), Curve("after", after[:, index], ORANGE)),
         )
         for index in chosen
     )

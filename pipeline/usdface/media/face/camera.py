@@ -194,10 +194,7 @@ def frame_rig(meshes: Sequence[RigMesh], *, yaw_degrees: float = 0.0, hair: bool
             posed.append(mesh.points[key.points] + key.offsets)
             taken.append(own[key.points])
     return frame_face(
-        np.concatenate(posed),
-        weights=np.concatenate(taken),
-        yaw_degrees=yaw_degrees,
-        hair=hair,
+        np.concatenate(posed), weights=np.concatenate(taken), yaw_degrees=yaw_degrees, hair=hair
     )
 
 

@@ -46,12 +46,23 @@ def polygon_edges(face_counts: IntArray, face_indices: IntArray) -> IntArray:
     (corners, 2) int array
         Edges between two polygons occur twice.
     """
-    starts = np.cumsum(face_counts) - face_counts
-    corner = np.arange(len(face_indices))
-    faces = np.repeat(np.arange(len(face_counts)), face_counts)
-    last = corner - starts[faces] == face_counts[faces] - 1
-    following = np.where(last, starts[faces], corner + 1)
-    return np.stack([face_indices, face_indices[following]], axis=1)
+    return np.stack([face_indices, face_indices[following_corners(face_counts)]], axis=1)
+
+
+def following_corners(face_counts: IntArray) -> IntArray:
+    """Return the index of the next corner of the same polygon, for each corner: (corners,)."""
+    ends = np.cumsum(face_counts)
+    following = np.arange(1, int(face_counts.sum()) + 1)
+    filled = face_counts > 0
+    following[ends[filled] - 1] = (ends - face_counts)[filled]
+    return following
+
+
+def border_edges(mesh: RigMesh) -> IntArray:
+    """Return the edges of a single polygon: (edges, 2) int array."""
+    sides = np.sort(polygon_edges(mesh.face_counts, mesh.face_indices), axis=1)
+    edges, uses = np.unique(sides, axis=0, return_counts=True)
+    return np.asarray(edges[uses == 1])
 
 
 def components(face_counts: IntArray, face_indices: IntArray, *, point_count: int) -> IntArray:

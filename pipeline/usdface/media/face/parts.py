@@ -13,7 +13,7 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import RigMesh
-from usdface.media.face.mesh_topology import components, polygon_edges
+from usdface.media.face.mesh_topology import border_edges, components
 
 
 class FacePart(IntEnum):
@@ -60,9 +60,8 @@ _NAMES: tuple[tuple[str, FacePart], ...] = (
         FacePart.EYE,
     ),
 )
-_SPHERE_MISFIT = (
-    0.06  # largest residual over the radius: 0.045 for eyeballs with a cornea, more for lashes
-)
+_SPHERE_MISFIT = 0.06
+"""Largest residual over the radius: 0.045 for eyeballs with a cornea, more for lashes."""
 _EYE_SHEET = 2.7  # largest distance of lash cards from the eye's centre [radii]
 _CLOSED_IN = 0.15  # visible share of the sky at rest below which a piece is in the mouth
 _TOOTH_SIZE = 0.26  # largest diagonal of teeth over the head's width
@@ -145,10 +144,8 @@ def _label(meshes: Sequence[RigMesh]) -> tuple[IntArray, list[FacePart | None]]:
 
 def _on_border(mesh: RigMesh) -> FloatArray:
     """Return whether each point is on an open edge."""
-    sides = np.sort(polygon_edges(mesh.face_counts, mesh.face_indices), axis=1)
-    edges, uses = np.unique(sides, axis=0, return_counts=True)
     border = np.zeros(len(mesh.points), bool)
-    border[edges[uses == 1]] = True
+    border[border_edges(mesh)] = True
     return border
 
 

@@ -31,10 +31,7 @@ class RayCounts:
     edge_light_rays: int
 
 
-RAY_COUNTS = {
-    "draft": RayCounts(2, 1, 4, 2, 1),
-    "final": RayCounts(4, 2, 8, 3, 2),
-}
+RAY_COUNTS = {"draft": RayCounts(2, 1, 4, 2, 1), "final": RayCounts(4, 2, 8, 3, 2)}
 _CONTRAST_STEP = 0.08  # difference between neighbours from which a pixel is supersampled
 _TOP, _BOTTOM = 0.060, 0.022  # background, linear
 _BACK_ALBEDO = 0.04  # factor on the albedo of a back face

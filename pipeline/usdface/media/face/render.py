@@ -39,11 +39,7 @@ class FaceRenderer:
     """
 
     def __init__(
-        self,
-        meshes: Sequence[RigMesh],
-        *,
-        display: DisplayView | None = None,
-        paper: bool = False,
+        self, meshes: Sequence[RigMesh], *, display: DisplayView | None = None, paper: bool = False
     ) -> None:
         self.point_count = sum(len(mesh.points) for mesh in meshes)
         """Number of points of all meshes, drawn or not."""

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import RigMesh
-from usdface.media.face.mesh_topology import Sparse, polygon_edges
+from usdface.media.face.mesh_topology import Sparse, border_edges
 
 _SHARE_OF_OPENING = 0.52  # radius over the width between the corners of the lids
 _LEAST_BLINK = 0.10  # mean motion of a lid's rim in a blink over the largest motion
@@ -76,12 +76,7 @@ def _holes(meshes: Sequence[RigMesh]) -> list[IntArray]:
     """Return the points of each connected border, as indices into all meshes concatenated."""
     holes, first = list[IntArray](), 0
     for mesh in meshes:
-        edges, uses = np.unique(
-            np.sort(polygon_edges(mesh.face_counts, mesh.face_indices), axis=1),
-            axis=0,
-            return_counts=True,
-        )
-        border = edges[uses == 1]
+        border = border_edges(mesh)
         rim = np.unique(border)
         ends = np.searchsorted(rim, border)
         links = sparse.coo_array(

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 
 from usdface.core.arrays import FloatArray, IntArray
-from usdface.media.face.mesh_topology import Sparse
+from usdface.media.face.mesh_topology import Sparse, following_corners
 
 
 @dataclass(frozen=True)
@@ -50,11 +50,7 @@ def catmull_clark(
     counts = face_counts[kept_faces]
     points = face_indices[kept]
     faces = np.repeat(np.arange(len(counts)), counts)
-    starts = np.cumsum(counts) - counts
-
-    corner = np.arange(len(points))
-    last = corner - starts[faces] == counts[faces] - 1
-    following = np.where(last, starts[faces], corner + 1)
+    following = following_corners(counts)
     pairs = np.sort(np.stack([points, points[following]], axis=1), axis=1)
     edges, edge_of_corner = np.unique(pairs, axis=0, return_inverse=True)
     edge_of_corner = edge_of_corner.reshape(-1)
@@ -66,7 +62,7 @@ def catmull_clark(
 
     first_edge, first_face = point_count, point_count + len(edges)
     previous = np.empty_like(following)
-    previous[following] = corner
+    previous[following] = np.arange(len(points))
     quads = np.stack(
         [
             points,

@@ -1,6 +1,6 @@
 """The drawn surface of a rig at rest: refined polygons, parts and colours."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -245,22 +245,20 @@ def _concatenate(drawn: Sequence[_Drawn]) -> _Drawn:
     rows = np.cumsum([0, *(d.matrix.shape[0] for d in drawn)])
     columns = np.cumsum([0, *(d.matrix.shape[1] for d in drawn)])
     faces = np.cumsum([0, *(d.face_count for d in drawn)])
+
+    def shifted(indices: Iterable[IntArray], starts: IntArray) -> IntArray:
+        return np.concatenate([each + first for each, first in zip(indices, starts, strict=False)])
+
     return _Drawn(
         matrix=sparse.csr_array(sparse.block_diag([d.matrix for d in drawn], format="csr")),
-        triangles=np.concatenate([d.triangles + r for d, r in zip(drawn, rows, strict=False)]),
-        corner_of_triangle=np.concatenate(
-            [d.corner_of_triangle + c for d, c in zip(drawn, columns, strict=False)]
-        ),
-        face_of_triangle=np.concatenate(
-            [d.face_of_triangle + f for d, f in zip(drawn, faces, strict=False)]
-        ),
+        triangles=shifted((d.triangles for d in drawn), rows),
+        corner_of_triangle=shifted((d.corner_of_triangle for d in drawn), columns),
+        face_of_triangle=shifted((d.face_of_triangle for d in drawn), faces),
         face_count=int(faces[-1]),
-        row_of_point=np.concatenate(
-            [d.row_of_point + r for d, r in zip(drawn, rows, strict=False)]
-        ),
+        row_of_point=shifted((d.row_of_point for d in drawn), rows),
         middles=QuadCentres(
-            np.concatenate([d.middles.points + r for d, r in zip(drawn, rows, strict=False)]),
-            np.concatenate([d.middles.corners + r for d, r in zip(drawn, rows, strict=False)]),
+            shifted((d.middles.points for d in drawn), rows),
+            shifted((d.middles.corners for d in drawn), rows),
         ),
     )
 

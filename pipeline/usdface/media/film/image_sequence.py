@@ -14,7 +14,7 @@ from usdface.media.film.timed_frames import OpenVideo
 from usdface.media.picture.color import bytes_from_linear
 from usdface.media.picture.image import check_size, reason_of
 
-SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".dpx")
+PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".dpx")
 _NUMBERED = re.compile(r"^(.*?)(\d+)(\.[^.]+)$")
 
 
@@ -46,16 +46,10 @@ class ImageSequence(OpenVideo):
         self._files = [numbers[number] for number in order]
         self.path = self._files[0]
         self.rate = rate
+        self.tolerance = 1e-6
         self.times = (np.array(order) - order[0]) / float(rate)
         self.duration = float(self.times[-1] + 1 / rate)
         self.timecode = ""
-
-    def index_at(self, seconds: float) -> int | None:
-        """Return the index of the picture at a time, None before and after the sequence."""
-        moment = seconds + 1e-6
-        if not self.times[0] <= moment < self.duration:
-            return None
-        return int(np.searchsorted(self.times, moment, side="right")) - 1
 
     def frame(self, index: int) -> ByteImage:
         """Read a picture by its index."""

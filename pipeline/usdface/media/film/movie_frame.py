@@ -5,14 +5,7 @@ from dataclasses import dataclass
 
 from usdface.core.arrays import ByteImage
 from usdface.media.picture.canvas import empty_tile, fill_box, fit_picture, new_picture
-from usdface.media.picture.color import (
-    BRIGHT,
-    SOFT,
-    VERDICT_COLORS,
-    Color,
-    bytes_from_linear,
-    heat_ramp,
-)
+from usdface.media.picture.color import BRIGHT, SOFT, VERDICT_COLORS, Color, heat_color
 from usdface.media.picture.text import TextStyle, draw_text, text_width, wrap_text
 
 BAR_SHARE = 0.075
@@ -130,7 +123,6 @@ def _draw_bar(
     right = width - used - 34
     if uncertainty is not None:
         value, high = uncertainty
-        color = bytes_from_linear(heat_ramp(value, high=high))
         side = round(0.44 * bar)
         room = max(right - side - 10, 0)
         labels = (f"uncertainty {value:.2f} mm", f"{value:.2f} mm", "")
@@ -144,14 +136,7 @@ def _draw_bar(
             anchor="right",
         )
         right -= text + side + 8
-        fill_box(
-            picture,
-            right,
-            top + (bar - side) // 2,
-            side,
-            side,
-            (int(color[0]), int(color[1]), int(color[2])),
-        )
+        fill_box(picture, right, top + (bar - side) // 2, side, side, heat_color(value, high=high))
         right -= 14
     heading = TextStyle(size=round(0.5 * bar), color=SOFT)
     y = top + (bar - heading.size) // 2 - 1

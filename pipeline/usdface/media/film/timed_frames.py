@@ -4,6 +4,8 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Self
 
+import numpy as np
+
 from usdface.core.arrays import ByteImage, FloatArray
 
 
@@ -20,6 +22,8 @@ class OpenVideo:
         Start of each frame [s]; 0 is where players start the file, including its sound.
     duration : float
         End of the last frame [s].
+    tolerance : float
+        Largest error of `times` by rounding [s].
     timecode : str
         SMPTE start time; empty if not stated.
     """
@@ -28,6 +32,7 @@ class OpenVideo:
     rate: Fraction | None
     times: FloatArray
     duration: float
+    tolerance: float
     timecode: str
 
     def __enter__(self) -> Self:
@@ -41,7 +46,10 @@ class OpenVideo:
 
     def index_at(self, seconds: float) -> int | None:
         """Return the index in `times` of the frame at a time, None before and after the video."""
-        raise NotImplementedError
+        moment = seconds + self.tolerance
+        if not self.times[0] <= moment < self.duration + self.tolerance:
+            return None
+        return int(np.searchsorted(self.times, moment, side="right")) - 1
 
     def frame(self, index: int) -> ByteImage:
         """Return one frame by its index in `times`: (height, width, 3) sRGB, upright."""

@@ -25,7 +25,7 @@ from usdface.media.film.containers import (
     start_seconds,
     unreadable,
 )
-from usdface.media.film.image_sequence import SUFFIXES, ImageSequence
+from usdface.media.film.image_sequence import PICTURE_SUFFIXES, ImageSequence
 from usdface.media.film.timed_frames import OpenVideo
 
 MAX_FRAMES = 5_000_000
@@ -86,7 +86,7 @@ class VideoReader(OpenVideo):
             self._container, stream, self.path
         )
         base = Fraction(stream.time_base)
-        self._tick = float(base)
+        self.tolerance = float(base) / 2  # half a tick, to which containers round time stamps
         start = start_seconds(self._container)
         self.times = np.asarray(self._index.stamps * float(base) - start, np.float64)
         self.duration = float(self.times[-1] + self._index.last_duration * float(base))
@@ -102,14 +102,6 @@ class VideoReader(OpenVideo):
         """Close the file."""
         self._decoded = None
         self._container.close()
-
-    def index_at(self, seconds: float) -> int | None:
-        """Return the index of the frame at a time, None before and after the movie."""
-        # Half a tick, because containers round time stamps.
-        moment = seconds + self._tick / 2
-        if not self.times[0] <= moment < self.duration + self._tick / 2:
-            return None
-        return int(np.searchsorted(self.times, moment, side="right")) - 1
 
     def frame(self, index: int) -> ByteImage:
         """Decode a frame by its index."""
@@ -129,12 +121,7 @@ class VideoReader(OpenVideo):
         keys = self._index.keys
         key = int(keys[max(int(np.searchsorted(keys, stamp, side="right")) - 1, 0)])
         try:
-            position = self._position
-            if (
-                self._decoded is None
-                or position is None
-                or not self._is_ahead(position, key, stamp)
-            ):
+            if self._decoded is None or not self._is_ahead(key, stamp):
                 self._container.seek(key, stream=self._stream, backward=True)
                 self._decoded = self._container.decode(self._stream)
             for frame in self._decoded:
@@ -153,12 +140,14 @@ class VideoReader(OpenVideo):
             "there: copy or export it again"
         )
 
-    def _is_ahead(self, position: int, key: int, stamp: int) -> bool:
-        """Return whether decoding on from a position is no longer than from the key frame.
+    def _is_ahead(self, key: int, stamp: int) -> bool:
+        """Return whether decoding on from the last frame is no longer than from the key frame.
 
         Seeking to a key frame that is next anyway would discard frames that are decoded ahead.
         """
-        stamps = self._index.stamps
+        stamps, position = self._index.stamps, self._position
+        if position is None:
+            return False
         after = min(int(np.searchsorted(stamps, position, side="right")), len(stamps) - 1)
         return position < stamp and key <= int(stamps[after])
 
@@ -271,7 +260,7 @@ def open_video(path: Path, rate: Fraction | None = None) -> OpenVideo:
 
     `InputError` if it is neither, or a sequence without a rate.
     """
-    if path.suffix.lower() not in SUFFIXES:
+    if path.suffix.lower() not in PICTURE_SUFFIXES:
         return VideoReader(path)
     if rate is None or rate <= 0:
         raise InputError(f"{path}: pictures do not state their rate; give it with --video-rate")

@@ -210,12 +210,7 @@ class _Keys:
 
 def _shapes(rig: Rig, parts: tuple[str, ...]) -> list[dict[str, Any]]:
     return [
-        {
-            "name": name,
-            "region": region_of_shape(part),
-            "low": float(low),
-            "high": float(high),
-        }
+        {"name": name, "region": region_of_shape(part), "low": float(low), "high": float(high)}
         for name, part, (low, high) in zip(rig.shapes, parts, rig.ranges, strict=True)
     ]
 

@@ -36,6 +36,7 @@ _MARKER_STEPS = 100
 """Steps per millimetre of markers: a tenth of a capture's resolution, up to 327 mm from rest."""
 
 _SCRIPTS = (
+    "elements.js",
     "report_page.js",
     "tab_stops.js",
     "report_curves.js",
@@ -273,7 +274,7 @@ def _data(page: ReviewPage) -> Mapping[str, Any]:
                 "high": strip.high,
                 "unit": strip.unit,
                 "values": [
-                    None if not np.isfinite(value) else round(value, 4)
+                    round(value, 4) if np.isfinite(value) else None
                     for value in strip.values.tolist()
                 ],
             }
@@ -290,15 +291,11 @@ def _data(page: ReviewPage) -> Mapping[str, Any]:
 def _heat(heat: PageHeat | None) -> Mapping[str, Any] | None:
     if heat is None:
         return None
+    scale = {"name": heat.name, "high": heat.high_mm}
     if heat.values is None:
-        return {"name": heat.name, "high": heat.high_mm, "against": heat.against}
+        return {**scale, "against": heat.against}
     values = np.round(np.nan_to_num(heat.values.T), 2).ravel().tolist()
-    return {
-        "name": heat.name,
-        "high": heat.high_mm,
-        "regions": list(heat.regions),
-        "values": values,
-    }
+    return {**scale, "regions": list(heat.regions), "values": values}
 
 
 def _markers(markers: PageMarkers | None) -> Mapping[str, Any] | None:

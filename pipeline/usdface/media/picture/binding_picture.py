@@ -13,13 +13,7 @@ from usdface.core.assets import RigMesh
 from usdface.core.errors import InputError
 from usdface.media.face.camera import Camera, frame_face
 from usdface.media.face.render import FaceRenderer, Quality
-from usdface.media.picture.canvas import (
-    draw_dot,
-    draw_line,
-    fill_box,
-    new_picture,
-    space_rows,
-)
+from usdface.media.picture.canvas import draw_dot, draw_line, fill_box, new_picture, space_rows
 from usdface.media.picture.color import BLUE, GREEN, PAGE, SOFT, Color
 from usdface.media.picture.sheet import draw_header, draw_verdict
 from usdface.media.picture.sheet_layout import VERDICT_SCALE, verdict_lines
@@ -182,11 +176,7 @@ def _view(
 
 
 def _draw_view(
-    points: FloatArray,
-    renderer: FaceRenderer,
-    markers: BoundMarkers,
-    view: _View,
-    quality: Quality,
+    points: FloatArray, renderer: FaceRenderer, markers: BoundMarkers, view: _View, quality: Quality
 ) -> ByteImage:
     camera, width, height = view.camera, view.width, _VIEW_HEIGHT
     panel = renderer.render(points, camera=camera, width=width, height=height, quality=quality)
@@ -261,9 +251,7 @@ def _write_name(
     warning = markers.warnings[marker]
     text = f"{markers.names[marker]}  {warning}" if warning else markers.names[marker]
     style = TextStyle(
-        size=_NAME_SIZE,
-        color=_color(markers, marker),
-        weight="bold" if warning else "regular",
+        size=_NAME_SIZE, color=_color(markers, marker), weight="bold" if warning else "regular"
     )
     room = _NAMES_WIDTH - 4
     long = min(text_width(text, style), room)
@@ -271,13 +259,7 @@ def _write_name(
     # A wide head may reach the names.
     fill_box(panel, start, row - 8, long + 6, 16, PAGE, cover=0.55)
     draw_text(
-        panel,
-        text,
-        x=x,
-        y=row - 9,
-        style=style,
-        anchor="right" if left else "left",
-        max_width=room,
+        panel, text, x=x, y=row - 9, style=style, anchor="right" if left else "left", max_width=room
     )
 
 

@@ -6,7 +6,7 @@ from PIL import Image
 
 from usdface.core.arrays import ByteImage, Float32Array, FloatArray
 from usdface.core.errors import InputError
-from usdface.media.picture.color import DIM, PANEL, Color
+from usdface.media.picture.color import DIM, PANEL, Color, mix_color
 from usdface.media.picture.text import TextStyle, draw_text
 
 
@@ -20,12 +20,7 @@ def fill_box(
 ) -> None:
     """Fill a rectangle in place, clipped to the picture; `cover` is the opacity."""
     rows, columns = slice(max(y, 0), max(y + height, 0)), slice(max(x, 0), max(x + width, 0))
-    if cover >= 1:
-        picture[rows, columns] = color
-        return
-    under = picture[rows, columns].astype(np.float32)
-    mixed = under * (1 - cover) + np.asarray(color, np.float32) * cover
-    picture[rows, columns] = (mixed + 0.5).astype(np.uint8)
+    mix_color(picture[rows, columns], cover, color)
 
 
 def outline_box(picture: ByteImage, x: int, y: int, width: int, height: int, color: Color) -> None:
@@ -37,13 +32,7 @@ def outline_box(picture: ByteImage, x: int, y: int, width: int, height: int, col
 
 
 def draw_dot(
-    picture: ByteImage,
-    x: float,
-    y: float,
-    radius: float,
-    color: Color,
-    *,
-    hollow: bool = False,
+    picture: ByteImage, x: float, y: float, radius: float, color: Color, *, hollow: bool = False
 ) -> None:
     """Draw a disc, or a ring a quarter of its radius thick, with subpixel position."""
     window, columns, rows = _window(picture, x - radius, y - radius, x + radius, y + radius)
@@ -51,16 +40,11 @@ def draw_dot(
     cover = np.clip(radius + 0.5 - distance, 0, 1)
     if hollow:
         cover = np.minimum(cover, np.clip(distance - (radius * 0.75 - 1.0), 0, 1))
-    _blend(window, cover, color)
+    mix_color(window, cover, color)
 
 
 def draw_line(
-    picture: ByteImage,
-    start: ArrayLike,
-    end: ArrayLike,
-    color: Color,
-    *,
-    thickness: float = 1.5,
+    picture: ByteImage, start: ArrayLike, end: ArrayLike, color: Color, *, thickness: float = 1.5
 ) -> None:
     """Draw a straight line between two (x, y) with round ends."""
     (x0, y0), (x1, y1) = np.asarray(start, float), np.asarray(end, float)
@@ -75,7 +59,7 @@ def draw_line(
     length = max(float(along @ along), 1e-9)
     at = np.clip(((columns - x0) * along[0] + (rows - y0) * along[1]) / length, 0, 1)
     distance = np.hypot(columns - x0 - at * along[0], rows - y0 - at * along[1])
-    _blend(window, np.clip(thickness / 2 + 0.5 - distance, 0, 1), color)
+    mix_color(window, np.clip(thickness / 2 + 0.5 - distance, 0, 1), color)
 
 
 def space_rows(
@@ -112,12 +96,6 @@ def _window(
     columns = np.arange(x0, x1, dtype=np.float32)[None, :] + np.float32(0.5)
     rows = np.arange(y0, y1, dtype=np.float32)[:, None] + np.float32(0.5)
     return picture[y0:y1, x0:x1], columns, rows
-
-
-def _blend(window: ByteImage, cover: ArrayLike, color: Color) -> None:
-    share = np.asarray(cover, np.float32)[..., None]
-    mixed = window * (1 - share) + np.asarray(color, np.float32) * share
-    window[:] = (mixed + 0.5).astype(np.uint8)
 
 
 _HATCH: Color = (37, 39, 44)

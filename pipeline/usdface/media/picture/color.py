@@ -75,6 +75,19 @@ def bytes_from_linear(linear: Float32Array | FloatArray) -> ByteImage:
     return _ENCODE[index]
 
 
+def mix_color(window: ByteImage, cover: ArrayLike, color: ArrayLike) -> None:
+    """Mix a colour into pixels in place; `cover`: opacity of all or of each [0-1]."""
+    share = np.asarray(cover, np.float32)[..., None]
+    mixed = window * (1 - share) + np.asarray(color, np.float32) * share
+    window[:] = (mixed + 0.5).astype(np.uint8)
+
+
+def heat_color(value: float, *, high: float) -> Color:
+    """Return the colour of one value in `heat_ramp` as bytes."""
+    red, green, blue = bytes_from_linear(heat_ramp(value, high=high)).tolist()
+    return red, green, blue
+
+
 def heat_ramp(values: ArrayLike, *, low: float = 0.0, high: float = 1.0) -> FloatArray:
     """Return colours from blue (`low`) to yellow (`high`), linear in lightness; NaN is grey.
 

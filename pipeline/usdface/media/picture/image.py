@@ -73,8 +73,8 @@ def write_image(
     Raises
     ------
     InputError
-        If the extension is unknown, the timecode malformed, the picture not of bytes, or the file
-        cannot be written. An existing file is then unchanged.
+        If the extension is unknown, the timecode of an EXR malformed, the picture not of bytes, or
+        the file cannot be written. An existing file is then unchanged.
     """
     suffix = path.suffix.lower()
     if suffix not in _IMAGE_SUFFIXES:
@@ -181,10 +181,8 @@ def _specification(
     spec["Software"] = _SOFTWARE
     spec["oiio:ColorSpace"] = "lin_rec709" if suffix == ".exr" else "sRGB"
     spec["Compression"] = _COMPRESSION[suffix]
-    if timecode is not None:
-        packed = pack_timecode(timecode)
-        if suffix == ".exr":
-            spec.attribute("smpte:TimeCode", oiio.TypeTimeCode, (packed, 0))
+    if timecode is not None and suffix == ".exr":
+        spec.attribute("smpte:TimeCode", oiio.TypeTimeCode, (pack_timecode(timecode), 0))
     if rate is not None and suffix == ".exr":
         fraction = (rate.numerator, rate.denominator)
         spec.attribute("FramesPerSecond", oiio.TypeRational, fraction)

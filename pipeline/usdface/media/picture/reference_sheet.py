@@ -78,13 +78,7 @@ class PaperColors:
 
 
 SCREEN = PaperColors(
-    page=PAGE,
-    rule=FRAME,
-    empty=PANEL,
-    title=BRIGHT,
-    text=SOFT,
-    dim=DIM,
-    tuned=GREEN,
+    page=PAGE, rule=FRAME, empty=PANEL, title=BRIGHT, text=SOFT, dim=DIM, tuned=GREEN
 )
 PAPER = PaperColors(
     page=(255, 255, 255),

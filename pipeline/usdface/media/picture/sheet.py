@@ -21,14 +21,10 @@ from usdface.media.picture.color import (
     TEXT,
     VERDICT_COLORS,
     bytes_from_linear,
+    heat_color,
     heat_ramp,
 )
-from usdface.media.picture.error_strip import (
-    ErrorCurve,
-    ErrorStrip,
-    draw_error_strip,
-    strip_height,
-)
+from usdface.media.picture.error_strip import ErrorCurve, ErrorStrip, draw_error_strip, strip_height
 from usdface.media.picture.sheet_layout import (
     BADGE_GAP,
     CODE_STYLE,
@@ -133,12 +129,7 @@ def draw_header(
 
 
 def draw_verdict(
-    page: ByteImage,
-    verdict: Sequence[str],
-    *,
-    y: int,
-    scale: float = 1.0,
-    x: int = PAGE_MARGIN,
+    page: ByteImage, verdict: Sequence[str], *, y: int, scale: float = 1.0, x: int = PAGE_MARGIN
 ) -> int:
     """Write a verdict and a bar on the page's left edge in its colour; return the row below.
 
@@ -238,9 +229,8 @@ def _draw_row(
         below = top + height + 2
         used = 0
         if tile.value is not None:
-            color = bytes_from_linear(heat_ramp(np.array([tile.value]), high=high))[0]
             side = round(16 * scale)
-            fill_box(page, at, below + 6, side, side, (int(color[0]), int(color[1]), int(color[2])))
+            fill_box(page, at, below + 6, side, side, heat_color(tile.value, high=high))
             style = best_style if tile.value == best else value_style
             label, style = _value_label(tile.value, style, room=width - side - 8)
             level = below + (value_style.size - style.size) // 2

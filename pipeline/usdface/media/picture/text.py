@@ -1,5 +1,6 @@
 """Text on pictures, drawn by Pillow with the DejaVu fonts of matplotlib."""
 
+from bisect import bisect_left
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.util import find_spec
@@ -11,7 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from usdface.core.arrays import ByteImage, Float32Array, FloatArray
 from usdface.core.errors import InputError
-from usdface.media.picture.color import Color
+from usdface.media.picture.color import Color, mix_color
 
 Weight = Literal["regular", "bold", "mono"]
 Anchor = Literal["left", "middle", "right"]
@@ -171,10 +172,8 @@ def draw_text(
     top, left = max(y, 0), max(x, 0)
     bottom, right = min(y + height, picture.shape[0]), min(x + width, picture.shape[1])
     if bottom > top and right > left:
-        cover = mask[top - y : bottom - y, left - x : right - x, None]
-        under = picture[top:bottom, left:right].astype(np.float32)
-        mixed = under * (1 - cover) + cover * np.asarray(style.color, np.float32)
-        picture[top:bottom, left:right] = (mixed + 0.5).astype(np.uint8)
+        cover = mask[top - y : bottom - y, left - x : right - x]
+        mix_color(picture[top:bottom, left:right], cover, style.color)
     return int(width)
 
 
@@ -182,13 +181,11 @@ def shortened(text: str, style: TextStyle, *, max_width: int) -> str:
     """Return the text, shortened in the middle if it is too wide."""
     if text_width(text, style) <= max_width:
         return text
-    fits, too_long = 0, len(text)
-    while too_long - fits > 1:
-        middle = (fits + too_long) // 2
-        if text_width(_cut(text, middle), style) <= max_width:
-            fits = middle
-        else:
-            too_long = middle
+
+    def is_too_wide(length: int) -> bool:
+        return text_width(_cut(text, length), style) > max_width
+
+    fits = bisect_left(range(1, len(text)), True, key=is_too_wide)
     return _cut(text, fits) if fits else ""
 
 

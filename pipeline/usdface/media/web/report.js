@@ -1,6 +1,7 @@
 // The report's player: one clock for video, face, curves, strips and notes.
 
-import { NOTHING, announce, byId, count, data, inflate, node, pictureOf, tell } from "./report_page.js";
+import { node } from "./elements.js";
+import { NOTHING, announce, byId, count, data, inflate, pictureOf, tell } from "./report_page.js";
 import { oneTabStop } from "./tab_stops.js";
 import { Curves, stripValue } from "./report_curves.js";
 import { Stage } from "./report_face.js";

@@ -1,6 +1,7 @@
 // Plots over time: ruler, zoom, strips, legend, and sorted rows of curves.
 
-import { NOTHING, announce, byId, count, data, node } from "./report_page.js";
+import { node } from "./elements.js";
+import { NOTHING, announce, byId, count, data } from "./report_page.js";
 
 const COLUMNS = 1200; // most points of a line, for a wide screen
 const LEAST_SPAN = 12; // pictures at the largest zoom
@@ -274,7 +275,7 @@ export class Curves extends EventTarget {
   #fillStrips() {
     for (const strip of data.strips) {
       const value = (i) => strip.values[i];
-      const lines = [true, false].map((fill) => ({ fill, value, path: node("path", { class: `${fill ? "fill " : ""}strip-${strip.name.replace(" ", "-")}` }) }));
+      const lines = [true, false].map((fill) => ({ fill, value, path: node("path", { class: `${fill ? "fill " : ""}strip-${strip.name}` }) }));
       const plot = this.#plot(lines, strip.low, strip.high);
       const into = node("span", { class: "value" });
       const scale = strip.unit === "%" ? "0–100%" : `${strip.low.toFixed(0)}–${strip.high.toPrecision(2)} ${strip.unit}`;
@@ -326,7 +327,7 @@ export class Curves extends EventTarget {
   }
 
   #drawRow(entry) {
-    if (entry.drawn) return this.#draw(entry.drawn);
+    if (entry.drawn) { this.#draw(entry.drawn); return; }
     let low = 0, high = 1;
     for (const { values } of this.curves) {
       for (let i = entry.shape * count; i < (entry.shape + 1) * count; i++) {
@@ -345,7 +346,6 @@ export class Curves extends EventTarget {
     const values = (i) => this.weight(this.shownCurve, entry.shape, i)?.toFixed(3) ?? "–";
     this.figures.push({ into, values });
     into.textContent = values(this.picture);
-    return undefined;
   }
 
   /** Make one row the stop of the Tab key; arrows move from there. */

@@ -1,9 +1,9 @@
 // The face of the report: pose, comparison with a second pose, markers, and heat maps.
 
-import { byId, count, data, inflate, node } from "./report_page.js";
+import { node } from "./elements.js";
+import { NOTHING, byId, count, data, inflate } from "./report_page.js";
 
 const SKIN_PART = 0; // of FacePart in media/face/parts.py
-const MISSING = -32768;
 const SEEN = [0.47, 0.78, 1];
 
 /** Captured markers on the character, and their positions in the pose. */
@@ -26,8 +26,8 @@ class PlacedMarkers {
     });
     for (let i = 0; i < size; i++) {
       const step = motion[picture * size + i];
-      points[i] = step === MISSING ? NaN : this.rest[i] + step / this.steps;
-      if (step === MISSING) targets[i] = NaN; // no line
+      points[i] = step === NOTHING ? NaN : this.rest[i] + step / this.steps;
+      if (step === NOTHING) targets[i] = NaN; // no line
     }
     if (transform) for (const each of [points, targets]) transformPoints(each, transform);
     return { points, targets, colors: this.colors, names: this.names, lines: this.lines, diameter: 6 };

@@ -1,6 +1,7 @@
 // Notes on frames: text, drawings, or corrections with a preview on the face; saved as JSON.
 
-import { announce, button, byId, data, node, pictureOf, tell } from "./report_page.js";
+import { button, node } from "./elements.js";
+import { announce, byId, data, pictureOf, tell } from "./report_page.js";
 
 const FORMAT_OF_NOTES = 1;
 const LONGEST_NOTE = 4000;
@@ -42,7 +43,7 @@ function readNotes(text) {
   return file.notes;
 }
 
-/** Emits `seek` (detail: picture), `changed`, and `preview` when the correction in the form changes. */
+/** Emits `seek` (detail: picture), and `preview` when the correction in the form changes. */
 export class Notes extends EventTarget {
   /** @param panes {Map<string, HTMLElement>} elements to draw on, by name: face, video */
   constructor(panes, player) {
@@ -175,7 +176,6 @@ export class Notes extends EventTarget {
       localStorage.setItem(this.key, this.text());
     } catch { /* no storage: the page shows that notes are not saved */ }
     this.fill();
-    this.dispatchEvent(new Event("changed"));
   }
 
   get author() {

@@ -1,25 +1,9 @@
-// Shared by the report's scripts: data, and helpers for elements.
+// Shared by the report's scripts: data and messages.
 
 export const data = JSON.parse(document.getElementById("data").textContent);
 export const count = data.frames.length;
-export const NOTHING = -32768; // missing weight
+export const NOTHING = -32768; // missing weight or position
 export const byId = (id) => document.getElementById(id);
-
-const SVG = "http://www.w3.org/2000/svg";
-const DRAWN = new Set(["svg", "path", "polyline"]);
-
-export function node(name, attributes = {}, ...children) {
-  const made = DRAWN.has(name) ? document.createElementNS(SVG, name) : document.createElement(name);
-  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
-  made.append(...children);
-  return made;
-}
-
-export function button(label, title, action) {
-  const made = node("button", { type: "button", title }, label);
-  made.addEventListener("click", action);
-  return made;
-}
 
 /** Show an error permanently; an empty message hides it. */
 export function tell(message) {

@@ -1,8 +1,9 @@
 // The tuning page: connects face, sliders, pairs and server.
 
 import { FaceViewer, bytesFromBase64, unpackFace } from "./face_viewer.js";
+import { node } from "./elements.js";
 import { FilmStrip } from "./tune_film.js";
-import { Outbox } from "./tune_outbox.js";
+import { Outbox, post } from "./tune_outbox.js";
 import { PoseDialog } from "./tune_poses.js";
 import { PlacementTool } from "./tune_placement.js";
 import { oneTabStop } from "./tab_stops.js";
@@ -19,21 +20,6 @@ async function ask(path) {
   const response = await fetch(path);
   if (!response.ok) throw new Error(`${path}: ${await response.text()}`);
   return response;
-}
-
-/** Send JSON with the guard's header; the answer has a `reason` if it was refused. */
-async function post(path, body) {
-  try {
-    const response = await fetch(path, {
-      method: "POST",
-      headers: { "Content-Type": "application/json", "X-Usdface-Tune": "1" },
-      body: JSON.stringify(body),
-    });
-    const answer = await response.json();
-    return response.ok ? answer : { reason: answer.reason ?? `the server answered ${response.status}` };
-  } catch {
-    return { reason: "the server does not answer" };
-  }
 }
 
 async function readState() {
@@ -240,11 +226,7 @@ class Page {
     $("total").textContent = ` / ${state.pairs.length}`;
     const facts = [`frame ${pair.frame}`, pair.take, pair.viseme, pair.emotion].filter(Boolean);
     $("facts").textContent = facts.join(" · ");
-    $("remarks").replaceChildren(...pair.notes.map((text) => {
-      const item = document.createElement("li");
-      item.textContent = text;
-      return item;
-    }));
+    $("remarks").replaceChildren(...pair.notes.map((text) => node("li", {}, text)));
     this.video.show(state.current, state.pairs);
     if (this.wiping.on) this.matchCamera();
     this.film.paint();

@@ -1,8 +1,10 @@
 // Strip of all pairs: thumbnail, number and state of each.
 
+import { node } from "./elements.js";
+
 const [WIDTH, HEIGHT] = [76, 78];
 const SETTLE_MS = 350;
-export const OFF_MM = 1;
+const OFF_MM = 1;
 
 export class FilmStrip {
   /**
@@ -99,27 +101,17 @@ export class FilmStrip {
   }
 
   #tile(pair, index, onPick) {
-    const element = document.createElement("button");
-    element.className = pair.notes.length ? "tile noted" : "tile";
-    element.dataset.pair = index;
-    element.tabIndex = -1;
-    element.title = [`pair ${index + 1}`, `frame ${pair.frame}`, pair.take, pair.viseme, pair.emotion, ...pair.notes]
-      .filter(Boolean)
-      .join(" · ");
-    const canvas = document.createElement("canvas");
+    const facts = [`pair ${index + 1}`, `frame ${pair.frame}`, pair.take, pair.viseme, pair.emotion, ...pair.notes];
     const ratio = 2; // supersampled
-    canvas.width = WIDTH * ratio;
-    canvas.height = HEIGHT * ratio;
-    const what = document.createElement("span");
-    what.className = "what";
-    const number = document.createElement("b");
-    number.textContent = index + 1;
-    const spoken = document.createElement("span");
-    spoken.textContent = pair.viseme || "";
-    const mark = document.createElement("span");
-    mark.className = "mark";
-    what.append(number, spoken, mark);
-    element.append(canvas, what);
+    const canvas = node("canvas", { width: WIDTH * ratio, height: HEIGHT * ratio });
+    const mark = node("span", { class: "mark" });
+    const what = node("span", { class: "what" }, node("b", {}, index + 1), node("span", {}, pair.viseme || ""), mark);
+    const element = node("button", {
+      class: pair.notes.length ? "tile noted" : "tile",
+      title: facts.filter(Boolean).join(" · "),
+      tabindex: -1,
+      "data-pair": index,
+    }, canvas, what);
     element.addEventListener("click", () => onPick(index));
     return { element, canvas, mark };
   }

@@ -4,6 +4,22 @@
 const RETRY_MS = 1500;
 const SLOWEST_MS = 15000;
 
+/** Send JSON with the guard's header; the answer has its `status`, and a `reason` if it was refused. */
+export async function post(path, body) {
+  try {
+    const response = await fetch(path, {
+      method: "POST",
+      headers: { "Content-Type": "application/json", "X-Usdface-Tune": "1" },
+      body: JSON.stringify(body),
+    });
+    const { ok, status } = response;
+    const answer = await response.json().catch(() => ({})); // the guard refuses in plain text
+    return ok ? { status, ...answer } : { status, reason: answer.reason ?? `the server answered ${status}` };
+  } catch {
+    return { status: 0, reason: "the server does not answer" };
+  }
+}
+
 /** Emits `status` (detail: kind 'saved' | 'busy' | 'bad', text) and `outdated` (read the state). */
 export class Outbox extends EventTarget {
   /** @param {string} name of the asset, key of the stored changes */
@@ -16,7 +32,6 @@ export class Outbox extends EventTarget {
     this.flying = null;
     this.failures = 0;
     this.sent = 0;
-    this.times = [];
     state.addEventListener("weights", ({ detail: { pair, shapes } }) => {
       const { weights } = this.#entry(pair);
       for (const shape of shapes) weights.set(shape, state.row(pair)[shape]);
@@ -104,7 +119,6 @@ export class Outbox extends EventTarget {
     if (this.flying || !this.waiting.size) return;
     this.flying = this.waiting;
     this.waiting = new Map();
-    const begun = performance.now();
     const fault = await this.#post(this.#changes(this.flying));
     if (fault) {
       for (const [pair, entry] of this.flying) this.#putBack(pair, entry);
@@ -119,7 +133,6 @@ export class Outbox extends EventTarget {
       this.timer = setTimeout(() => this.#send(), Math.min(RETRY_MS * this.failures, SLOWEST_MS));
       return;
     }
-    this.times.push(performance.now() - begun);
     this.failures = 0;
     this.sent++;
     this.flying = null;
@@ -130,28 +143,13 @@ export class Outbox extends EventTarget {
 
   /** Returns the fault, or null if the changes are on disk. */
   async #post(changes) {
-    let response;
-    try {
-      response = await fetch("/changes", {
-        method: "POST",
-        headers: { "Content-Type": "application/json", "X-Usdface-Tune": "1" },
-        body: JSON.stringify({ revision: this.revision, changes }),
-      });
-    } catch {
-      return { text: "not saved: the server does not answer; trying again" };
-    }
-    if (response.status === 403) {
+    const { status, reason, revision } = await post("/changes", { revision: this.revision, changes });
+    if (status === 403) {
       return { text: "not saved: the server was started anew; open the link in its terminal" };
     }
-    let answer = {};
-    try {
-      answer = await response.json();
-    } catch {
-      return { text: `not saved: the server answered ${response.status}` };
-    }
-    if (response.status === 409) return { again: () => this.#catchUp() };
-    if (!response.ok) return { text: `not saved: ${answer.reason}` };
-    this.revision = answer.revision;
+    if (status === 409) return { again: () => this.#catchUp() };
+    if (reason) return { text: `not saved: ${reason}${status ? "" : "; trying again"}` };
+    this.revision = revision;
     return null;
   }
 

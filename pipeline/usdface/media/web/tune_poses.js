@@ -1,5 +1,7 @@
 // Dialog of named poses, which are applied to a pair or to a part of the face.
 
+import { button, node } from "./elements.js";
+
 /** Emits `save` (detail: name) , `remove` (detail: name) and `apply` (detail: name, part). */
 export class PoseDialog extends EventTarget {
   /** @param {HTMLDialogElement} dialog @param {string[]} parts of the face that have shapes */
@@ -41,22 +43,13 @@ export class PoseDialog extends EventTarget {
   }
 
   #item(name) {
-    const item = document.createElement("li");
-    const [apply, remove] = [name, "Remove"].map((text) => {
-      const button = document.createElement("button");
-      button.type = "button";
-      button.textContent = text;
-      item.append(button);
-      return button;
-    });
-    apply.title = "Apply this pose to the pair";
-    apply.addEventListener("click", () => {
+    const apply = button(name, "Apply this pose to the pair", () => {
       this.dialog.close();
       this.#tell("apply", { name, part: this.part.value });
     });
+    const remove = button("Remove", "Remove this pose", () => this.#tell("remove", { name }));
     remove.setAttribute("aria-label", `Remove ${name}`);
-    remove.addEventListener("click", () => this.#tell("remove", { name }));
-    return item;
+    return node("li", {}, apply, remove);
   }
 
   #label() {

@@ -2,6 +2,8 @@
 // character's skin moves differently from the performer's, and correct keys often have a larger
 // residual than a solve.
 
+import { node } from "./elements.js";
+
 const GOOD_MM = 0.5;
 const BAD_MM = 3;
 const FULL_BAR_MM = 4;
@@ -88,17 +90,10 @@ export class ResidualTable {
     this.table = table;
     this.rows = new Map();
     for (const part of [...parts, ""]) {
-      const row = table.tBodies[0].insertRow();
-      if (!part) row.className = "all";
-      const name = document.createElement("th");
-      name.textContent = part || "whole face";
-      name.scope = "row";
-      const bar = document.createElement("td");
-      bar.className = "bar";
-      const fill = document.createElement("i");
-      bar.append(fill);
-      const distance = document.createElement("td");
-      row.append(name, bar, distance);
+      const fill = node("i");
+      const distance = node("td");
+      const cells = [node("th", { scope: "row" }, part || "whole face"), node("td", { class: "bar" }, fill), distance];
+      table.tBodies[0].append(node("tr", { class: part ? "" : "all" }, ...cells));
       this.rows.set(part, { fill, distance });
     }
   }

@@ -1,5 +1,6 @@
 // Panel with a slider and a number per shape, grouped by part of the face.
 
+import { button, node } from "./elements.js";
 import { oneTabStop } from "./tab_stops.js";
 
 const ORDER = ["brows", "lids", "cheeks and nose", "mouth", "jaw", ""];
@@ -40,7 +41,13 @@ export class ShapePanel {
    */
   constructor(root, state, regions, onHover, tools) {
     this.root = root;
-    this.tools = tools;
+    this.tools = {
+      ...tools,
+      Reset: {
+        title: "This part back to the proposal",
+        act: (shapes) => state.reset(shapes.filter((shape) => state.differs(shape))),
+      },
+    };
     this.state = state;
     this.rows = [];
     this.groups = [];
@@ -50,9 +57,7 @@ export class ShapePanel {
       const own = state.names.map((_, k) => k).filter((k) => (regions[k] || "") === region);
       if (own.length) this.#group(region, besides(own, state.mirror));
     }
-    this.none = document.createElement("p");
-    this.none.className = "none";
-    this.none.hidden = true;
+    this.none = node("p", { class: "none", hidden: "" });
     root.append(this.none);
     root.addEventListener("pointerover", (event) => {
       const row = event.target.closest?.(".label")?.closest(".shape");
@@ -95,34 +100,19 @@ export class ShapePanel {
   }
 
   #group(region, shapes) {
-    const details = document.createElement("details");
-    details.open = true;
-    const summary = document.createElement("summary");
-    const title = document.createElement("span");
-    title.textContent = TITLES[region] ?? region;
-    const count = document.createElement("span");
-    count.className = "count";
-    const reset = document.createElement("button");
-    reset.textContent = "Reset";
-    reset.title = "This part back to the proposal";
-    reset.addEventListener("click", (event) => {
-      event.preventDefault();
-      this.state.reset(shapes.filter((shape) => this.state.differs(shape)));
-    });
+    const title = TITLES[region] ?? region;
+    const count = node("span", { class: "count" });
     const buttons = Object.entries(this.tools).map(([label, { title: hint, act }]) => {
-      const button = document.createElement("button");
-      button.textContent = label;
-      button.title = hint;
-      button.dataset.tool = label;
-      button.addEventListener("click", (event) => {
-        event.preventDefault();
-        act(shapes, title.textContent);
+      const made = button(label, hint, (event) => {
+        event.preventDefault(); // the summary stays open
+        act(shapes, title);
       });
-      return button;
+      made.dataset.tool = label;
+      return made;
     });
-    summary.append(title, count, ...buttons, reset);
-    details.append(summary);
-    const group = { region, details, shapes, count, reset };
+    const summary = node("summary", {}, node("span", {}, title), count, ...buttons);
+    const details = node("details", { open: "" }, summary);
+    const group = { region, details, shapes, count, reset: buttons.at(-1) };
     for (const shape of shapes) details.append(this.#row(shape, group));
     this.groups.push(group);
     this.root.append(details);
@@ -132,29 +122,15 @@ export class ShapePanel {
   #row(shape, group) {
     const { state } = this;
     const name = state.names[shape];
-    const element = document.createElement("div");
-    const partner = state.mirror[shape];
-    element.className = partner === shape || partner > shape ? "shape first" : "shape";
-    element.dataset.shape = shape;
-    const dot = document.createElement("span");
-    dot.className = "dot";
-    const label = document.createElement("span");
-    label.className = "label";
-    label.textContent = name;
-    const slide = document.createElement("span");
-    slide.className = "slide";
-    const range = document.createElement("input");
-    const number = document.createElement("input");
-    range.type = "range";
-    number.type = "number";
-    for (const input of [range, number]) {
-      input.min = state.low[shape];
-      input.max = state.high[shape];
-      input.setAttribute("aria-label", name);
-    }
-    range.step = 0.001;
-    number.step = 0.01;
-    number.tabIndex = -1; // reached by Enter on the slider
+    const both = { min: state.low[shape], max: state.high[shape], "aria-label": name };
+    const range = node("input", { type: "range", step: 0.001, ...both });
+    const number = node("input", { type: "number", step: 0.01, tabindex: -1, ...both }); // reached by Enter
+    const slide = node("span", { class: "slide" }, range);
+    const element = node(
+      "div",
+      { class: state.mirror[shape] >= shape ? "shape first" : "shape", "data-shape": shape },
+      node("span", { class: "dot" }), node("span", { class: "label" }, name), slide, number,
+    );
     let back = null;
     range.addEventListener("input", () => state.slide(shape, range.valueAsNumber));
     range.addEventListener("change", () => state.endGesture());
@@ -178,9 +154,7 @@ export class ShapePanel {
     element.addEventListener("dblclick", (event) => {
       if (event.target !== number) state.resetShape(shape);
     });
-    slide.append(range);
-    element.append(dot, label, slide, number);
-    this.rows[shape] = { shape, element, label, slide, range, number, group };
+    this.rows[shape] = { shape, element, slide, range, number, group };
     return element;
   }
 
@@ -206,8 +180,7 @@ export class ShapePanel {
     slide.style.setProperty("--tick", at(state.proposal()[shape]));
     if (Number(range.value) !== value) range.value = value;
     if (document.activeElement !== number) number.value = (value + 0).toFixed(3);
-    const active = Math.abs(value) > ACTIVE;
-    element.classList.toggle("active", active);
+    element.classList.toggle("active", Math.abs(value) > ACTIVE);
     element.classList.toggle("changed", state.differs(shape));
   }
 
@@ -215,7 +188,6 @@ export class ShapePanel {
     const changed = shapes.filter((shape) => this.state.differs(shape)).length;
     count.textContent = changed ? `${changed} changed` : "";
     reset.hidden = !changed;
-    if (reset.parentElement) count.style.marginLeft = "auto";
   }
 
   #sieve() {

@@ -14,7 +14,7 @@ from usdface.media.film.sound import read_audio
 from usdface.media.film.video import VideoReader, open_video
 from usdface.media.picture.image import write_image
 from usdface.numerics.timing.audio_alignment import SoundAlignment, align_sounds
-from usdface.runner.origin import REFUSED, make_provenance, provenance_of
+from usdface.runner.origin import REFUSED_SUFFIX, make_provenance, provenance_of
 from usdface.runner.result import StepResult
 from usdface.specs.capture import AlignSpec
 from usdface.usdio.take.read import TakeReader
@@ -137,7 +137,7 @@ def run(spec: AlignSpec, *, provenance: Provenance, progress: Progress = silent)
     progress(0.9, f"writing {picture.name}")
     page = _page(take, evidence, decision)
     if decision.sync is None:
-        refused = Provenance(step=f"{spec.step}{REFUSED}")
+        refused = Provenance(step=f"{spec.step}{REFUSED_SUFFIX}")
         write_image(picture, draw_alignment(page), metadata=refused.metadata)
         raise CheckFailedError(
             f"{spec.take}: the video cannot be aligned: {decision.source}. Look at {picture}; set "
