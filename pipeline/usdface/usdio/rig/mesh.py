@@ -98,10 +98,8 @@ def _skin_at_rest(
     bind = query.GetJointWorldBindTransforms()
     if not rest or not bind or len(rest) != len(bind):
         return None
+    # In the skeleton's order; `ComputeSkinnedPoints` maps them to the mesh's own ``skel:joints``.
     skinning = Vt.Matrix4dArray([b.GetInverse() * r for b, r in zip(bind, rest, strict=True)])
-    mapper = target.GetJointMapper()
-    if mapper and not mapper.IsIdentity():
-        skinning = mapper.RemapTransforms(skinning)
 
     def skin(points: FloatArray) -> FloatArray | None:
         moved = Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(points, dtype=np.float32))

@@ -68,13 +68,10 @@ class PosedRig:
             return _to_world(transforms.GetLocalToWorldTransform(prim), points, self._ours)
         _deform(prim, points, weights)
         joints = query.ComputeSkinningTransforms(frame)
-        if target.HasJointInfluences() and joints:
-            mapper = target.GetJointMapper()
-            if mapper and not mapper.IsIdentity():
-                joints = mapper.RemapTransforms(joints)
-            if target.ComputeSkinnedPoints(joints, points, frame):
-                world = transforms.GetLocalToWorldTransform(query.GetPrim())
-                return _to_world(world, points, self._ours)
+        skinned = target.HasJointInfluences() and joints
+        if skinned and target.ComputeSkinnedPoints(joints, points, frame):
+            world = transforms.GetLocalToWorldTransform(query.GetPrim())
+            return _to_world(world, points, self._ours)
         return _to_world(transforms.GetLocalToWorldTransform(prim), points, self._ours)
 
 
