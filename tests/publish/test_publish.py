@@ -130,6 +130,16 @@ def test_what_has_not_changed_is_not_published_again(shot: Shot, tmp_path: Path)
     assert sorted(path.name for path in first.folder.parent.iterdir()) == ["v001", "v002"]
 
 
+@pytest.mark.parametrize("left", [None, b"cut off"])
+def test_a_version_that_lost_a_file_is_published_again(
+    shot: Shot, tmp_path: Path, left: bytes | None
+) -> None:
+    weights = publish(shot, tmp_path).files["weights"]
+    weights.unlink() if left is None else weights.write_bytes(left)
+    again = publish(shot, tmp_path)
+    assert (again.version, again.is_new, again.files["weights"].is_file()) == (2, True, True)
+
+
 def test_two_who_publish_at_once_each_get_a_version(shot: Shot, tmp_path: Path) -> None:
     (item,) = collect_performances([shot / "shot.hero.usda"])
     made = []
