@@ -130,6 +130,18 @@ def test_what_has_not_changed_is_not_published_again(shot: Shot, tmp_path: Path)
     assert sorted(path.name for path in first.folder.parent.iterdir()) == ["v001", "v002"]
 
 
+def test_a_rig_that_changed_since_the_solve_is_told(shot: Shot) -> None:
+    (item,) = collect_performances([shot / "shot.hero.usda"])
+    stage = Usd.Stage.Open(str(shot / "hero.usdc"))
+    shape = next(each for each in stage.Traverse() if each.GetName() == "jawOpen")
+    offsets = UsdSkel.BlendShape(shape).GetOffsetsAttr()
+    offsets.Set([0.5 * each for each in offsets.Get()])
+    stage.Save()
+    (finding,) = validate_performance(item)
+    assert finding.severity == "warning"
+    assert finding.message.startswith("hero.usdc changed since it was made")
+
+
 @pytest.mark.parametrize("left", [None, b"cut off"])
 def test_a_version_that_lost_a_file_is_published_again(
     shot: Shot, tmp_path: Path, left: bytes | None

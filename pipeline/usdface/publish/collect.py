@@ -7,8 +7,9 @@ from pathlib import Path
 
 from usdface.core.errors import InputError
 from usdface.core.sidecars import LAYER_SUFFIXES, is_usd_name, weights_path
+from usdface.core.text import first_few
 from usdface.model.review.verdict import SolveVerdict
-from usdface.runner.origin import take_of_performance
+from usdface.runner.origin import changed_inputs, take_of_performance
 from usdface.steps.edits.validate import check_layer
 from usdface.steps.inputs.solve_verdict import judge_performance
 from usdface.usdio.layers import read_provenance
@@ -122,6 +123,16 @@ def validate_performance(item: PublishItem) -> tuple[Finding, ...]:
     A verdict worse than Check, or than `USDFACE_WORST_VERDICT`, is an error.
     """
     findings = check_layer(item.performance)
+    if changed := changed_inputs(item.performance):
+        findings.append(
+            Finding(
+                "warning",
+                "usdface:inputs",
+                str(item.performance),
+                f"{first_few(each.name for each in changed)} changed since it was made: its "
+                "weights and verdict are of what was there before; make it again",
+            )
+        )
     if item.take is None:
         made = read_provenance(item.performance)
         remedy = (
