@@ -59,6 +59,22 @@ def test_a_folder_is_searched_for_performances_and_nothing_else(shot: Shot) -> N
     assert validate_performance(item) == ()
 
 
+def test_a_performance_of_a_folder_is_not_passed_over_because_it_is_damaged(
+    shot: Shot, caplog
+) -> None:
+    (shot / "broken.usdc").write_bytes(b"PXR-USDC, cut off")
+    (item,) = collect_performances([shot.folder])
+    assert "broken.usdc" in caplog.text
+    item.performance.with_suffix(".weights.usdc").unlink()
+    with pytest.raises(InputError, match=r"shot.hero.weights.usdc@? cannot be read"):
+        collect_performances([shot.folder])
+
+
+def test_a_folder_without_performances_is_told(tmp_path: Path, caplog) -> None:
+    assert collect_performances([tmp_path]) == ()
+    assert "holds no performances" in caplog.text
+
+
 def test_a_folder_with_weights_in_parts_and_controls_beside_holds_one_performance(
     tmp_path: Path,
 ) -> None:
