@@ -65,6 +65,8 @@ FAULTS = {
         "trc", samples.trc(",").replace(".", "_", 2).replace("0.0", "0,0"), "cells, 14 expected"),
     "trc: no rows": ("trc", "\n".join(TRC.splitlines()[:5]), "no data rows"),
     "trc: no axes": ("trc", without_line(TRC, 5, 2), "line 5: begins .*must hold X1, Y1, Z1"),
+    "trc: other columns": (
+        "trc", TRC.replace("X1\tY1\tZ1", "X1\tZ1\tY1"), "line 5: .*Z1 and so on, in this order"),
     "trc: cut in the header": ("trc", TRC[:60], "ends before its header does"),
     "trc: a frame twice": (
         "trc", replaced(doubled(TRC, 9), 10, 3, "5", "\t"), "line 10: 7 follows 7; it must ascend"),

@@ -59,6 +59,22 @@ def test_a_folder_is_searched_for_performances_and_nothing_else(shot: Shot) -> N
     assert validate_performance(item) == ()
 
 
+def test_a_performance_of_a_folder_is_not_passed_over_because_it_is_damaged(
+    shot: Shot, caplog
+) -> None:
+    (shot / "broken.usdc").write_bytes(b"PXR-USDC, cut off")
+    (item,) = collect_performances([shot.folder])
+    assert "broken.usdc" in caplog.text
+    item.performance.with_suffix(".weights.usdc").unlink()
+    with pytest.raises(InputError, match=r"shot.hero.weights.usdc@? cannot be read"):
+        collect_performances([shot.folder])
+
+
+def test_a_folder_without_performances_is_told(tmp_path: Path, caplog) -> None:
+    assert collect_performances([tmp_path]) == ()
+    assert "holds no performances" in caplog.text
+
+
 def test_a_folder_with_weights_in_parts_and_controls_beside_holds_one_performance(
     tmp_path: Path,
 ) -> None:
@@ -139,6 +155,28 @@ def test_a_damaged_manifest_of_the_newest_version_does_not_stop_a_publish(
     with pytest.raises(InputError, match="does not describe a published version"):
         read_manifest(first.folder)
     assert publish(shot, tmp_path).version == 2
+
+
+def test_a_rig_that_changed_since_the_solve_is_told(shot: Shot) -> None:
+    (item,) = collect_performances([shot / "shot.hero.usda"])
+    stage = Usd.Stage.Open(str(shot / "hero.usdc"))
+    shape = next(each for each in stage.Traverse() if each.GetName() == "jawOpen")
+    offsets = UsdSkel.BlendShape(shape).GetOffsetsAttr()
+    offsets.Set([0.5 * each for each in offsets.Get()])
+    stage.Save()
+    (finding,) = validate_performance(item)
+    assert finding.severity == "warning"
+    assert finding.message.startswith("hero.usdc changed since it was made")
+
+
+@pytest.mark.parametrize("left", [None, b"cut off"])
+def test_a_version_that_lost_a_file_is_published_again(
+    shot: Shot, tmp_path: Path, left: bytes | None
+) -> None:
+    weights = publish(shot, tmp_path).files["weights"]
+    weights.unlink() if left is None else weights.write_bytes(left)
+    again = publish(shot, tmp_path)
+    assert (again.version, again.is_new, again.files["weights"].is_file()) == (2, True, True)
 
 
 def test_two_who_publish_at_once_each_get_a_version(shot: Shot, tmp_path: Path) -> None:

@@ -77,10 +77,13 @@ def _labels(titles: TableLine, axes: TableLine, delimiter: str | None) -> list[s
     """Return the marker names, which are over every third column after frame and time."""
     names = split_cells(titles, delimiter)
     marks = [cell for cell in split_cells(axes, delimiter) if cell]
-    if not marks or len(marks) % 3 or not all(_AXIS.fullmatch(mark) for mark in marks):
+    in_order = all(
+        _AXIS.fullmatch(mark) and mark[0].upper() == "XYZ"[at % 3] for at, mark in enumerate(marks)
+    )
+    if not marks or len(marks) % 3 or not in_order:
         raise InputError(
             f"{axes.where}: begins {axes.text.strip()[:24]!r}; this line must hold X1, Y1, Z1 and "
-            "so on, three for each marker: export the take again"
+            "so on, in this order, three for each marker: export the take again"
         )
     count = len(marks) // 3
     if [name.lower() for name in names[:2]] != ["frame#", "time"]:

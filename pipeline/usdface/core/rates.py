@@ -36,6 +36,15 @@ def label_rate(rate: Fraction) -> tuple[int, int]:
     )
 
 
+def label_alike(rate: Fraction, other: Fraction) -> bool:
+    """Return whether a label of one rate is the same moment at the other."""
+    try:
+        bases = label_rate(rate)[0], label_rate(other)[0]
+    except InputError:
+        return rate == other
+    return rate.denominator == other.denominator and bases[0] == bases[1]
+
+
 def frames_of(timecode: str, rate: Fraction) -> int:
     """Return the capture frames from midnight to the frame of a label."""
     base, per_label = label_rate(rate)

@@ -1,5 +1,6 @@
 """Collection and validation of performances to publish."""
 
+import logging
 from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
@@ -7,14 +8,18 @@ from pathlib import Path
 
 from usdface.core.errors import InputError
 from usdface.core.sidecars import LAYER_SUFFIXES, is_usd_name, weights_path
+from usdface.core.text import first_few
 from usdface.model.review.verdict import SolveVerdict
-from usdface.runner.origin import take_of_performance
+from usdface.runner.origin import changed_inputs, take_of_performance
 from usdface.steps.edits.validate import check_layer
 from usdface.steps.inputs.solve_verdict import judge_performance
 from usdface.usdio.layers import read_provenance
 from usdface.usdio.performance.read import PerformanceReader
+from usdface.usdio.referenced_files import missing_sublayers
 from usdface.usdio.take.read import is_take
 from usdface.usdio.validation import Finding
+
+log = logging.getLogger(__name__)
 
 PERFORMANCE_STEPS = ("map", "join", "retarget", "warp")
 """Steps that write performances."""
@@ -101,7 +106,10 @@ def _take_of(performance: Path) -> Path | None:
 
 def _in_folder(folder: Path) -> list[Path]:
     layers = sorted(path for path in folder.iterdir() if path.suffix.lower() in LAYER_SUFFIXES)
-    return [path for path in layers if _is_performance(path)]
+    found = [path for path in layers if _is_performance(path)]
+    if not found:
+        log.warning("%s: holds no performances, nothing of it is published", folder)
+    return found
 
 
 def _is_performance(path: Path) -> bool:
@@ -110,9 +118,11 @@ def _is_performance(path: Path) -> bool:
         if made is None or made.step not in PERFORMANCE_STEPS:
             return False
         # Its other layers (weights, their parts and seams, controls) have the same provenance;
-        # only the layer to open has a weights file of its name.
-        return not path.stem.endswith(".weights") and weights_path(path).is_file()
-    except InputError:
+        # only the layer to open has a weights file of its name, or misses it.
+        top = weights_path(path).is_file() or bool(missing_sublayers(path))
+        return top and not path.stem.endswith(".weights")
+    except InputError as error:
+        log.warning("left out, as it cannot be read: %s", error)
         return False
 
 
@@ -122,6 +132,16 @@ def validate_performance(item: PublishItem) -> tuple[Finding, ...]:
     A verdict worse than Check, or than `USDFACE_WORST_VERDICT`, is an error.
     """
     findings = check_layer(item.performance)
+    if changed := changed_inputs(item.performance):
+        findings.append(
+            Finding(
+                "warning",
+                "usdface:inputs",
+                str(item.performance),
+                f"{first_few(each.name for each in changed)} changed since it was made: its "
+                "weights and verdict are of what was there before; make it again",
+            )
+        )
     if item.take is None:
         made = read_provenance(item.performance)
         remedy = (

@@ -4,6 +4,7 @@ import hashlib
 import json
 import os
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -36,7 +37,7 @@ def integrate_performance(extracted: Extracted, *, comment: str = "") -> Publish
     """Publish extracted files as the next version.
 
     Versions are created by one rename, also with concurrent publishes. Files equal to the newest
-    version are not published again, so that a publish can be retried.
+    version's are not published again, so that a publish can be retried.
 
     Parameters
     ----------
@@ -49,12 +50,9 @@ def integrate_performance(extracted: Extracted, *, comment: str = "") -> Publish
         If the version cannot be made; the extracted files are kept.
     """
     parent = extracted.folder.parent
-    hashes = {
-        role: hashlib.sha256((extracted.folder / name).read_bytes()).hexdigest()
-        for role, name in extracted.files.items()
-    }
+    hashes = _hashes(extracted.folder, extracted.files)
     newest = latest_version(parent)
-    if newest and _hashes_of(parent / _folder_name(newest)) == hashes:
+    if newest and _holds(parent / _folder_name(newest), extracted.files, hashes):
         extracted.discard()
         return _published(extracted, newest, is_new=False)
     for version in range(newest + 1, newest + 1 + MOST_VERSIONS_TRIED):
@@ -137,12 +135,20 @@ def _write_manifest(
         ) from error
 
 
-def _hashes_of(folder: Path) -> dict[str, str] | None:
+def _hashes(folder: Path, files: Mapping[str, str]) -> dict[str, str]:
+    return {
+        role: hashlib.sha256((folder / name).read_bytes()).hexdigest()
+        for role, name in files.items()
+    }
+
+
+def _holds(folder: Path, files: Mapping[str, str], hashes: dict[str, str]) -> bool:
+    """Return whether a version has these files; not what its manifest says of lost ones."""
     try:
-        files = read_manifest(folder)["files"]
-    except InputError:
-        return None
-    return {str(role): each.get("sha256", "") for role, each in files.items()}
+        stated = read_manifest(folder)["files"]
+        return {*stated} == {*files} and _hashes(folder, files) == hashes
+    except (InputError, OSError):
+        return False
 
 
 def _relative(path: Path, folder: Path) -> str:

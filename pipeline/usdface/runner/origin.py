@@ -154,6 +154,20 @@ def hash_input(path: Path, how: Reads = Reads()) -> str:  # noqa: B008  # it is 
     return hash_files(input_files(path, how))
 
 
+def changed_inputs(file: Path) -> list[Path]:
+    """Return the inputs of a file, by its provenance, that exist with other contents."""
+    made, anchor = provenance_of(file), file.resolve().parent
+    named = {anchor / name: known for name, known in (made.inputs.items() if made else ())}
+    return [path for path, known in named.items() if path.is_file() and not _is_same(path, known)]
+
+
+def _is_same(path: Path, known: str) -> bool:
+    try:
+        return any(known == hash_input(path, how) for how in (Reads(), Reads(assets=True)))
+    except InputError:  # unreadable, or outside USDFACE_ROOT
+        return True
+
+
 def input_files(path: Path, how: Reads) -> list[Path]:
     """Return an input and, of a layer, the layers that it composes.
 

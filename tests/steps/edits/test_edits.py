@@ -380,8 +380,16 @@ def test_samples_between_the_frames_of_a_shot_are_told_when_they_are_left_out(sh
     slow = Sdf.Layer.FindOrOpen(str(shot_above(path)))
     slow.timeCodesPerSecond = slow.framesPerSecond = 24
     slow.Save()
-    note = run(BakeSpec(performance=Path(slow.realPath), out=shot / "few.usdc")).notes[0]
-    assert note.startswith(f"{FRAMES - FRAMES // 5} of {FRAMES} samples lie between the frames of")
+    notes = run(BakeSpec(performance=Path(slow.realPath), out=shot / "few.usdc")).notes
+    # 120 frames per second are labelled as 30, which 24 cannot count
+    assert notes[0].startswith("the timecode of the capture has no labels at 24 frames per second")
+    between = f"{FRAMES - FRAMES // 5} of {FRAMES} samples lie between the frames of"
+    assert notes[1].startswith(between)
+    assert PerformanceReader(shot / "few.usdc").timecode_start == ""
+    slow.timeCodesPerSecond = slow.framesPerSecond = 30
+    slow.Save()
+    run(BakeSpec(performance=Path(slow.realPath), out=shot / "fewer.usdc"))
+    assert PerformanceReader(shot / "fewer.usdc").timecode_start == "01:00:00:00"
 
 
 def test_weights_beyond_their_range_that_come_back_are_told(shot: Shot) -> None:

@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.media.bar_code import read_number
 from tests.media.film.stated_movie import write_stated_movie
+from tests.steps.review.test_report import EARLY_PICTURES, give_video
 from tests.steps.small_shot import Shot
 from usdface.core.assets import Take, Video
 from usdface.core.errors import InputError
@@ -226,6 +228,21 @@ def test_each_picture_shows_the_frame_nearest_its_moment(rate: Fraction) -> None
     nearest = np.abs(np.arange(997)[None] / 120 - moments[:, None]).min(axis=1)
     np.testing.assert_allclose(np.abs(rows / 120 - moments), nearest, atol=1e-12)
     assert abs(clock.picture_count / float(rate) - 997 / 120) <= 1 / float(rate)
+
+
+def test_no_picture_of_a_camera_is_missed_or_shown_twice(shot: Shot, monkeypatch) -> None:
+    give_video(shot)
+    seen: list[int] = []
+    compose = movie_step.compose_movie_frame
+
+    def keep(panels, **more):
+        seen.append(read_number(panels[0].pixels))
+        return compose(panels, **more)
+
+    monkeypatch.setattr(movie_step, "compose_movie_frame", keep)
+    execute(spec_of(shot, "review.mp4", frames="1-240", panels=("video",)))
+    # the capture has 120 frames a second
+    assert seen == list(range(EARLY_PICTURES, EARLY_PICTURES + 50))
 
 
 def test_a_fast_capture_without_video_is_shown_at_a_rate_of_screens() -> None:

@@ -20,7 +20,8 @@ from usdface.usdio.rig.posed_points import PosedRig
 from usdface.usdio.rig.read import read_rig
 
 
-def test_it_is_what_usd_bakes(tmp_path: Path) -> None:
+@pytest.mark.parametrize("own_order", [False, True])
+def test_it_is_what_usd_bakes(tmp_path: Path, *, own_order: bool) -> None:
     rig = write_creature(tmp_path / "beast.usda")
     stage = Usd.Stage.Open(str(tmp_path / "beast.usda"))
     for mesh in rig.meshes:  # let every point follow two joints
@@ -35,6 +36,12 @@ def test_it_is_what_usd_bakes(tmp_path: Path) -> None:
         binding.CreateJointWeightsPrimvar(False, 2).Set(
             np.stack([1 - share, share], 1).ravel().tolist()
         )
+        if own_order:  # the mesh numbers its joints in another order than the skeleton
+            skeleton = UsdSkel.Skeleton(binding.GetInheritedSkeleton())
+            binding.CreateJointsAttr(skeleton.GetJointsAttr().Get()[::-1])
+            binds = skeleton.GetBindTransformsAttr().Get()  # some are not those of the rest pose
+            moved = [Gf.Matrix4d().SetTranslate((0.0, each, 0.0)) for each in range(len(binds))]
+            skeleton.GetBindTransformsAttr().Set([a * b for a, b in zip(binds, moved, strict=True)])
     stage.GetRootLayer().Save()
     rig = read_rig(tmp_path / "beast.usda")
     controls = creature_acts(human_moves(12))

@@ -268,7 +268,7 @@ def open_video(path: Path, rate: Fraction | None = None) -> OpenVideo:
 
 
 def picture_at_frame(
-    take: Take | None, video: OpenVideo | None, frame: int
+    take: Take | None, video: OpenVideo | None, frame: float
 ) -> tuple[ByteImage | None, str]:
     """Return the picture of a take's video at a frame of the take, or None and the reason."""
     if take is None or take.video is None or video is None:

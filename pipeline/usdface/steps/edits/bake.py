@@ -13,6 +13,7 @@ from usdface.core.text import first_few, pluralize
 from usdface.numerics.motion.key_reduction import Deviation, reduce_keys
 from usdface.runner.result import StepResult
 from usdface.specs.edits import BakeSpec
+from usdface.usdio.authoring import text_of
 from usdface.usdio.performance.edits import edited_weights
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import writing_weights
@@ -49,7 +50,7 @@ def run(spec: BakeSpec, *, provenance: Provenance, progress: Progress = silent) 
             )
             done = last - reader.first_frame + 1
             progress(done / header.frame_count, f"baked to frame {last}")
-    notes = reader.sampling_notes()
+    notes = _left_out(reader)
     unknown = sorted(set(reader.edits) - set(reader.names))
     if unknown:
         notes.append(
@@ -65,6 +66,24 @@ def run(spec: BakeSpec, *, provenance: Provenance, progress: Progress = silent) 
         tuple(notes),
         {"frames": header.frame_count, "keys": kept, "edited_shapes": edited},
     )
+
+
+def _left_out(reader: PerformanceReader) -> list[str]:
+    """Return notes on what a stage of another rate leaves out: timecode and samples."""
+    notes = []
+    if not reader.timecode_fits and text_of(reader.animation, "face:timecode:start"):
+        notes.append(
+            f"the timecode of the capture has no labels at {float(reader.rate):g} frames per "
+            "second, and was left out"
+        )
+    between = reader.between_frames
+    if between.any():
+        notes.append(
+            f"{between.sum()} of {pluralize(len(between), 'sample')} lie between the frames of "
+            f"{reader.path.name}, {float(reader.rate):g} per second: left out, weights at frames "
+            "are interpolated; to keep them, author the capture's timeCodesPerSecond in that layer"
+        )
+    return notes
 
 
 def baked_weights(

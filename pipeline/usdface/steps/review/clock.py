@@ -39,6 +39,10 @@ class MovieClock:
         nearest = math.floor(picture * self.take_rate / self.rate + Fraction(1, 2))
         return min(nearest, self.frame_count - 1)
 
+    def take_frame(self, picture: int) -> float:
+        """Return the frame number at the start of a picture, which may lie between two frames."""
+        return float(self.first_frame + picture * self.take_rate / self.rate)
+
     def timecode(self, take_start: str, take_first: int, picture: int = 0) -> str:
         """Return the timecode of a picture at the movie's rate; empty if unknown."""
         if not take_start:

@@ -260,7 +260,8 @@ def _pictures(studio: _Studio, stretch: _Stretch) -> Iterator[ByteImage]:
         for panel in plan.panels:
             missing, pixels = "", None
             if panel == "video":
-                tile = pictures.video(frame)
+                # Not at the frame: pictures of a camera of another rate would double or be missed.
+                tile = pictures.video(plan.clock.take_frame(number))
                 pixels, missing = tile.pixels, tile.caption
             elif panel == "markers":
                 pixels = pictures.markers(row)

@@ -124,8 +124,8 @@ class ShotPictures:
     def __exit__(self, *exception: object) -> None:
         self._open.close()
 
-    def video(self, frame: int) -> Tile:
-        """Return the video's picture at a frame of the take."""
+    def video(self, frame: float) -> Tile:
+        """Return the video's picture at a frame of the take, or between two."""
         picture, reason = picture_at_frame(self._shot.take, self._video, frame)
         return Tile(picture, caption=reason)
 

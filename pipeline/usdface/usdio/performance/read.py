@@ -10,10 +10,10 @@ from statistics import NormalDist
 import numpy as np
 from pxr import Sdf, Usd, UsdSkel
 
-from usdface.core.arrays import Float32Array, FloatArray, IntArray
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from usdface.core.assets import Performance, SolveBasis, WeightsClip
 from usdface.core.errors import InputError
-from usdface.core.rates import exact_rate, shift_timecode, span_of_samples
+from usdface.core.rates import exact_rate, label_alike, shift_timecode, span_of_samples
 from usdface.core.rig_logic import Combination
 from usdface.core.text import first_few, pluralize
 from usdface.usdio.authoring import names_in, read_gaps, text_of, value_of
@@ -117,6 +117,12 @@ class PerformanceReader:
         scaled = "" if moved.scale == 1 else f" and scales their times by {moved.scale:g}"
         return f"by {moved.offset:+g} frames{scaled}"
 
+    @property
+    def timecode_fits(self) -> bool:
+        """Whether labels of the capture's timecode count at the stage's rate, too."""
+        captured = self.stage.GetTimeCodesPerSecond() / abs(self._offset.scale)
+        return label_alike(exact_rate(captured, where=f"{self.path}: layer offset"), self.rate)
+
     def take_frames_at(self, frames: IntArray) -> IntArray:
         """Return the take's frames, those of the weights' layer, at frames of the stage."""
         times = (frames - self._offset.offset) / self._offset.scale
@@ -133,17 +139,11 @@ class PerformanceReader:
         times = self._weights.GetTimeSamples()
         return frozenset(int(time) for time in times if float(time).is_integer())
 
-    def sampling_notes(self) -> list[str]:
-        """Return a note if frames leave out samples, as of a capture in a stage of fewer frames."""
+    @property
+    def between_frames(self) -> BoolArray:
+        """(samples,): which lie between frames, as of a capture in a stage of fewer frames."""
         times = np.array(self._weights.GetTimeSamples())
-        between = int((np.abs(times - np.round(times)) > _TIME_ROUNDING).sum())
-        if not between:
-            return []
-        return [
-            f"{between} of {pluralize(len(times), 'sample')} lie between the frames of "
-            f"{self.path.name}, {float(self.rate):g} per second: left out, weights at frames are "
-            "interpolated; to keep them, author the capture's timeCodesPerSecond in that layer"
-        ]
+        return np.asarray(np.abs(times - np.round(times)) > _TIME_ROUNDING)
 
     @property
     @refusing_wrong_types
@@ -186,8 +186,8 @@ class PerformanceReader:
 
     @property
     def timecode_start(self) -> str:
-        """SMPTE timecode of the first frame; empty if unknown."""
-        return text_of(self.animation, "face:timecode:start")
+        """SMPTE timecode of the first frame; empty if unknown, or if it does not fit the rate."""
+        return text_of(self.animation, "face:timecode:start") if self.timecode_fits else ""
 
     def timecode_at(self, frame: int) -> str:
         """Return the SMPTE timecode of a frame; empty if unknown."""
@@ -248,12 +248,9 @@ class PerformanceReader:
                 count = pluralize(len(row), "weight")
                 raise self._sample_error(frame, f"has {count} for {len(self.names)} shapes")
             values[index] = row
-        finite = np.isfinite(values).all(axis=1)
-        if not finite.all():
-            frame = int(np.argmin(finite))
-            column = int(np.argmin(np.isfinite(values[frame])))
-            fault = f"{self.names[column]} is {values[frame, column]}, not finite"
-            raise self._sample_error(first + frame, fault)
+        for row, column in np.argwhere(~np.isfinite(values))[:1].tolist():
+            fault = f"{self.names[column]} is {values[row, column]}, not finite"
+            raise self._sample_error(first + row, fault)
         return values
 
     def _sample_error(self, frame: int, fault: str) -> InputError:

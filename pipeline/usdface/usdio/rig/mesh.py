@@ -65,19 +65,6 @@ def skel_bindings(
     }
 
 
-def skin_in_place(
-    target: UsdSkel.SkinningQuery,
-    joints: Vt.Matrix4dArray,
-    points: Vt.Vec3fArray,
-    time: Usd.TimeCode,
-) -> bool:
-    """Skin points in place by transforms in the order of the skeleton; return whether it could."""
-    mapper = target.GetJointMapper()
-    if mapper and not mapper.IsIdentity():
-        joints = mapper.RemapTransforms(joints)
-    return bool(target.ComputeSkinnedPoints(joints, points, time))
-
-
 class RestPose:
     """The skeletons of a SkelRoot at rest; meshes without one have only their transforms."""
 
@@ -111,11 +98,12 @@ def _skin_at_rest(
     bind = query.GetJointWorldBindTransforms()
     if not rest or not bind or len(rest) != len(bind):
         return None
+    # In the skeleton's order; `ComputeSkinnedPoints` maps them to the mesh's own ``skel:joints``.
     skinning = Vt.Matrix4dArray([b.GetInverse() * r for b, r in zip(bind, rest, strict=True)])
 
     def skin(points: FloatArray) -> FloatArray | None:
         moved = Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(points, dtype=np.float32))
-        if not skin_in_place(target, skinning, moved, Usd.TimeCode.Default()):
+        if not target.ComputeSkinnedPoints(skinning, moved, Usd.TimeCode.Default()):
             return None
         return np.array(moved, dtype=np.float64)
 

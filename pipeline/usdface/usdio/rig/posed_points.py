@@ -11,7 +11,7 @@ from usdface.core.errors import InputError
 from usdface.usdio.authoring import names_in, prims_below
 from usdface.usdio.layers import open_stage, refusing_wrong_types
 from usdface.usdio.performance.read import PerformanceReader
-from usdface.usdio.rig.mesh import skel_bindings, skin_in_place
+from usdface.usdio.rig.mesh import skel_bindings
 from usdface.usdio.rig.read import faces_below, find_face
 from usdface.usdio.rig.reference import read_rig_of_stage, rig_path_of, stage_with_rig
 from usdface.usdio.units import column_matrix, stage_to_ours, transform_points
@@ -65,10 +65,10 @@ class PosedRig:
             return _to_world(transforms.GetLocalToWorldTransform(prim), points, self._ours)
         _deform(prim, points, weights)
         joints = query.ComputeSkinningTransforms(frame)
-        if target.HasJointInfluences() and joints:
-            if skin_in_place(target, joints, points, Usd.TimeCode(frame)):
-                world = transforms.GetLocalToWorldTransform(query.GetPrim())
-                return _to_world(world, points, self._ours)
+        skinned = target.HasJointInfluences() and joints
+        if skinned and target.ComputeSkinnedPoints(joints, points, frame):
+            world = transforms.GetLocalToWorldTransform(query.GetPrim())
+            return _to_world(world, points, self._ours)
         return _to_world(transforms.GetLocalToWorldTransform(prim), points, self._ours)
 
 
