@@ -9,14 +9,7 @@ from pathlib import Path
 import numpy as np
 from pxr import Sdf, Usd, Vt
 
-from usdface.core.arrays import (
-    Float32Array,
-    FloatArray,
-    IntArray,
-    RealArray,
-    frame_blocks,
-    index_of,
-)
+from usdface.core.arrays import Float32Array, FloatArray, IntArray, RealArray, index_of
 from usdface.core.assets import Rig, SolveBasis
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
@@ -173,7 +166,8 @@ class WeightsWriter:
         if keys is not None:
             wanted[keys] = True
         rest = len(self._header.shape_names) - weights.shape[1]
-        for part in frame_blocks(len(weights), frames=self._save_frames):
+        for start in range(0, len(weights), self._save_frames):
+            part = slice(start, start + self._save_frames)
             rows: RealArray = np.pad(weights[part], ((0, 0), (0, rest)))
             rows[:, self._zeroed] = 0.0
             if self._logic is not None:
