@@ -120,7 +120,7 @@ def whole_numbers(numbers: FloatArray, lines: IntArray, *, where: str) -> IntArr
         bad = int(np.argmin(whole))
         raise InputError(
             f"{where} line {lines[bad]}: frame number {numbers[bad]:g}; it must be a whole number "
-            f"below {_LARGEST_FRAME_NUMBER}: export the take again, or correct it"
+            f"below {_LARGEST_FRAME_NUMBER}; correct it, or export the file again"
         )
     return numbers.astype(np.int64)
 

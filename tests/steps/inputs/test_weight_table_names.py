@@ -39,7 +39,7 @@ def test_keys_of_a_recorder_are_read_as_its_takes_are(tmp_path: Path) -> None:
 def test_frames_between_frames_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "keys.csv"
     path.write_text("frame,jawOpen,smile\n1,0,0\n2.5,1,0\n", encoding="utf-8")
-    with pytest.raises(InputError, match=r"line 3: 2\.5 is not a frame"):
+    with pytest.raises(InputError, match=r"line 3: frame number 2\.5; it must be a whole number"):
         read_weight_table(path)
 
 
