@@ -32,10 +32,10 @@ _LONGEST_SECONDS = 1e10
 """Times may count from 1970."""
 _LOWEST_RATE = 1.0
 """Lowest rate of a capture [Hz]; below it, times are in milliseconds."""
-_LARGEST_STRAY = (2.0, 0.1)
-"""[frames, s] Largest distance of a row's time from even frames, by the larger of the two: times of
-arrival are uneven. Beyond it the sound is visibly out of step: frames are missing from the count,
-or recordings were joined."""
+_LARGEST_ERROR_FRAMES, _LARGEST_ERROR_SECONDS = 2.0, 0.1
+"""Largest difference of a row's time from that of its frame number, by the larger of the two: times
+of arrival are uneven. Beyond it the sound is visibly out of step: frames are missing from the
+count, or recordings were joined."""
 _LARGEST_RATIO = 10
 """Frames per sample above which frame numbers count as damaged."""
 _LARGEST_FRAME_NUMBER = 2**31
@@ -205,11 +205,11 @@ def _rate_limits(
         7,
     )
     count = float(frames[-1] - frames[0])
-    stray = np.abs((seconds - seconds[0]) - (frames - frames[0]) * (span / count))
-    if stray.max() > max(_LARGEST_STRAY[0] * span / count, _LARGEST_STRAY[1]):
+    errors = np.abs((seconds - seconds[0]) - (frames - frames[0]) * (span / count))
+    if errors.max() > max(_LARGEST_ERROR_FRAMES * span / count, _LARGEST_ERROR_SECONDS):
         row = int(np.argmax(np.abs(np.diff(seconds) - np.diff(frames) * (span / count)))) + 1
         raise InputError(
-            f"{where}: times and frame numbers of the rows differ by up to {stray.max():.3g} s at "
+            f"{where}: times and frame numbers of the rows differ by up to {errors.max():.3g} s at "
             f"{count / span:.4g} frames per second, most between rows {row} and {row + 1}: frames "
             "are missing from the count, or two recordings were joined; export without frame "
             "numbers, or split the recording; of markers, --rate sets the rate without the times"

@@ -126,14 +126,14 @@ def find_outliers(
 
     map_threads(compare, frame_blocks(count))
     outliers = np.zeros_like(distant)
-    shown = np.asarray(visible.any(axis=1))
+    any_seen = np.asarray(visible.any(axis=1))
     for marker in np.flatnonzero(distant.any(axis=0)):
         outliers[:, marker] = _between_jumps(
             distant[:, marker],
             excess[:, marker],
             jumps[:, marker],
             visible[:, marker],
-            shown,
+            any_seen,
             sudden_share,
         )
     return outliers
@@ -186,7 +186,7 @@ def _between_jumps(
     excess: RealArray,
     jumps: RealArray,
     seen: BoolArray,
-    shown: BoolArray,
+    any_seen: BoolArray,
     sudden_share: float,
 ) -> BoolArray:
     """Return the distant stretches of a marker that start or end with a jump.
@@ -194,7 +194,7 @@ def _between_jumps(
     Parameters
     ----------
     distant, seen : (frames,) bool arrays
-    shown : (frames,) bool array
+    any_seen : (frames,) bool array
         Whether any marker is seen: a dropped frame tells nothing of one marker.
     excess, jumps : (frames,) arrays
         Distance from the prediction, and jump to the next frame [limits].
@@ -203,7 +203,7 @@ def _between_jumps(
     """
     outliers = np.zeros_like(distant)
     tracked = seen[1:] & seen[:-1]
-    gaps = shown[1:] & shown[:-1] & ~tracked
+    gaps = any_seen[1:] & any_seen[:-1] & ~tracked
     for start, stop in runs(distant):
         if stop - start > _LONGEST_SHARE * len(seen):
             continue

@@ -79,7 +79,7 @@ _REFERENCE_FRAMES = 20_000
 _MOST_POSE_ERROR_MM = 0.5
 """Of the face's markers, by noise of the rigid markers that are seen, if nearly on a line. Above it
 the face tells the pose better: to 0.2 to 0.5 mm in gaps of recorded takes (decision 47)."""
-_LOOSE_RATIO = 3.0
+_LEAST_ERROR_RATIO = 3.0
 """Of that error to the take's usual one, which smoothing and `clean_markers` reduce."""
 
 
@@ -129,8 +129,10 @@ def stabilize(
     noise = np.median(alignment_residuals(body, reference, alignment)[body_seen])
     reach = np.sqrt(points[neutral, seen[neutral]].var(axis=0, dtype=np.float64).sum())
     turn = _turn_per_mm(reference, body_seen)
-    loose = (turn * reach * noise > _MOST_POSE_ERROR_MM) & (turn > _LOOSE_RATIO * np.median(turn))
-    alignment = replace(alignment, determined=alignment.determined & ~loose)
+    uncertain = (turn * reach * noise > _MOST_POSE_ERROR_MM) & (
+        turn > _LEAST_ERROR_RATIO * np.median(turn)
+    )
+    alignment = replace(alignment, determined=alignment.determined & ~uncertain)
     return _stabilized(alignment, reference)
 
 
