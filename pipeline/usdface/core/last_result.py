@@ -28,6 +28,8 @@ def _add_content(digest: _Hash, content: object) -> None:
         digest.update(f"{len(content)};".encode())
         for each in content:
             _add_content(digest, each)
+    elif isinstance(content, frozenset):
+        _add_content(digest, sorted(content))
     elif isinstance(content, Mapping):
         _add_content(digest, list(content.items()))
     else:

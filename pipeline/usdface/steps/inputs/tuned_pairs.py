@@ -44,7 +44,9 @@ def find_placed_pairs(spec: SelectSpec, takes: CleanedTakes, rig: Rig) -> list[P
     """Find the frames of tuned pairs; refuse those of other takes or rigs, or beyond --count."""
     layer = tuned_path(spec.out)
     marked = {each.pair: each for each in read_tuned_pairs(layer)}
-    keyed = _keyed_pairs(spec.out, marked)
+    old = _read_existing(spec.out)
+    keyed = {} if old is None else _keyed_pairs(spec.out, old, marked)
+    driven = set() if old is None else {each.shape for each in old.combinations}
     together = marked | keyed
     tuned = [together[pair] for pair in sorted(together)]
     rows = takes.find_rows([(each.take, each.frame) for each in tuned])
@@ -63,7 +65,7 @@ def find_placed_pairs(spec: SelectSpec, takes: CleanedTakes, rig: Rig) -> list[P
         )
     for each in tuned:
         rig.check_has(
-            each.weights,
+            [name for name in each.weights if name not in driven],
             source=f"{layer} pair {each.pair + 1}",
             remedy="it was tuned for another rig: give that rig, or write to another --out",
         )
@@ -74,15 +76,20 @@ def find_placed_pairs(spec: SelectSpec, takes: CleanedTakes, rig: Rig) -> list[P
     ]
 
 
-def _keyed_pairs(out: Path, marked: dict[int, TunedPair]) -> dict[int, TunedPair]:
-    """Return pairs of an existing asset that a DCC keyed; none if it cannot be read.
+def _read_existing(out: Path) -> References | None:
+    """Read the asset that would be replaced; None if there is none, or it cannot be read."""
+    try:
+        return read_references(out) if out.is_file() else None
+    except InputError:
+        return None
+
+
+def _keyed_pairs(out: Path, old: References, marked: dict[int, TunedPair]) -> dict[int, TunedPair]:
+    """Return the pairs of an existing asset that a DCC keyed; none if a sublayer cannot be read.
 
     Their weights differ from the proposals, and are not marked as tuned.
     """
-    if not out.is_file():
-        return {}
     try:
-        old = read_references(out)
         keyed = find_keyed_pairs(out, old)
     except InputError:
         return {}

@@ -102,7 +102,8 @@ def _new_frames(
 def _with_pairs(
     old: References, reader: PerformanceReader, take: str, frames: IntArray, captured: FloatArray
 ) -> References:
-    missing = [name for name in reader.names if name not in old.shape_names]
+    driven = {each.shape for each in old.combinations}
+    missing = [name for name in reader.names if name not in {*old.shape_names, *driven}]
     if missing:
         raise InputError(
             f"{reader.path}: its shapes {first_few(missing)} are not in the references; give the "

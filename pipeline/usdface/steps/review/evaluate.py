@@ -1,5 +1,6 @@
 """Measure the error of a performance against keys."""
 
+from collections.abc import Set
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +15,7 @@ from usdface.core.text import first_few, json_text, pluralize
 from usdface.media.charts.evaluation import draw_evaluation
 from usdface.media.picture.image import write_image
 from usdface.model.mapping.evaluation import Evaluation, evaluate_weights
-from usdface.model.retarget.name_matching import Transfer, meaning_notes
+from usdface.model.retarget.name_matching import meaning_notes
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.review import EvaluateSpec
@@ -117,7 +118,7 @@ def _compare(
             *meaning_notes(transfer),
             *given.numbering_notes(spec.against),
             *_missing_notes(spec, truth_frames, len(solved_frames)),
-            *_unknown_notes(spec, given, transfer),
+            *_unknown_notes(spec, given, {*transfer.matched, *rig.logic.driven}),
             *_notes(spec, clip.names, truth.names, rig),
         ),
     )
@@ -130,9 +131,8 @@ def _missing_notes(spec: EvaluateSpec, keyed: IntArray, count: int) -> list[str]
     return [f"{spec.against.name} has {len(keyed)} of the {count} frames; the others have no keys"]
 
 
-def _unknown_notes(spec: EvaluateSpec, given: WeightTable, transfer: Transfer) -> list[str]:
-    matched = set(transfer.matched)
-    unknown = [name for name in given.names if name not in matched]
+def _unknown_notes(spec: EvaluateSpec, given: WeightTable, known: Set[str]) -> list[str]:
+    unknown = [name for name in given.names if name not in known]
     if not unknown:
         return []
     return [
