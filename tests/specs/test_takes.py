@@ -135,11 +135,26 @@ def test_a_table_that_is_not_in_order_is_refused(
         read_job(file)
 
 
-def test_aliases_that_stand_for_billions_of_values_are_refused(tmp_path: Path) -> None:
-    lines = ["job: bomb", "takes: [a]", "x0: &x0 [" + ",".join("a" * 200) + "]"]
-    for level in range(1, 8):
-        lines.append(f"x{level}: &x{level} [" + ", ".join([f"*x{level - 1}"] * 200) + "]")
-    lines += ["steps: *x7"]
+@pytest.mark.parametrize("takes", ["takes: [a]", "# no takes"])
+@pytest.mark.parametrize(
+    "steps", ["*x9", "[*x9]", "[{step: *x9}]", "[{step: train, references: *x9, method: *x9}]"]
+)
+def test_aliases_that_stand_for_billions_of_values_are_refused(
+    tmp_path: Path, takes: str, steps: str
+) -> None:
+    lines = ["job: bomb", takes, "x0: &x0 [" + ",".join("a" * 10) + "]"]
+    for level in range(1, 10):
+        lines.append(f"x{level}: &x{level} [" + ", ".join([f"*x{level - 1}"] * 10) + "]")
+    file = tmp_path / "bomb.yaml"
+    file.write_text("\n".join([*lines, f"steps: {steps}"]))
+    with pytest.raises(InputError, match="more than 1000000 values"):
+        read_job(file)
+
+
+def test_merged_tables_that_stand_for_billions_of_keys_are_refused(tmp_path: Path) -> None:
+    lines = ["job: bomb", "steps: []", "x0: &x0 {a: 1, b: 2}"]
+    for level in range(1, 12):
+        lines.append(f"x{level}: &x{level} {{<<: [" + ", ".join([f"*x{level - 1}"] * 10) + "]}")
     file = tmp_path / "bomb.yaml"
     file.write_text("\n".join(lines))
     with pytest.raises(InputError, match="more than 1000000 values"):

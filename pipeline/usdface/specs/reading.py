@@ -157,6 +157,9 @@ def _did_you_mean(given: str, known: Sequence[str], otherwise: str = "it can be"
 LARGEST_SPEC_BYTES = 16 << 20
 """Limit of the size of a spec; jobs of thousands of steps are far smaller."""
 
+MOST_VALUES = 1_000_000
+"""Limit of values; YAML aliases can expand a few lines to billions."""
+
 
 def read_job(path: Path, *, path_rules: PathRules = ()) -> JobSpec:
     """Read a job, or a single step as a job; paths are resolved against the job's folder.
@@ -219,8 +222,10 @@ def _read_data(path: Path) -> Any:
             f"{path}: is no YAML or JSON, as a job or spec is: not UTF-8 at byte {error.start}"
         ) from error
     try:
-        data = yaml.safe_load(text)
-        _check_keys(text)
+        loader = yaml.SafeLoader(text)
+        node = loader.get_single_node()
+        _count_values(node, {})  # before aliases and merged tables are expanded
+        data = None if node is None else loader.construct_document(node)
     except yaml.YAMLError as error:
         raise InputError(f"{path}: is no valid YAML or JSON: {_yaml_reason(error)}") from error
     except RecursionError as error:
@@ -230,28 +235,33 @@ def _read_data(path: Path) -> Any:
     return data
 
 
-def _check_keys(text: str) -> None:
-    """Refuse keys given twice in one table, of which YAML would use the last."""
+def _count_values(node: "yaml.Node | None", counts: dict[int, int]) -> int:
+    """Return the number of values that a node stands for.
+
+    Refuses too many, and keys given twice in one table, of which YAML would use the last.
+    """
     import yaml
 
-    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times as fast, where it is built
-    nodes, seen = [yaml.compose(text, loader)], set[int]()
-    while nodes:
-        node = nodes.pop()
-        if id(node) in seen or not isinstance(node, yaml.CollectionNode):
-            continue
-        seen.add(id(node))  # aliases share nodes
-        if isinstance(node, yaml.SequenceNode):
-            nodes += node.value
-            continue
+    if not isinstance(node, yaml.CollectionNode):
+        return 1
+    if id(node) in counts:  # aliases share nodes
+        return counts[id(node)]
+    counts[id(node)] = MOST_VALUES  # if it holds itself
+    inner = node.value
+    if isinstance(node, yaml.MappingNode):
         keys = set[tuple[str, str]]()
-        for key, value in node.value:
-            name = key.tag, str(key.value)
+        for key, _ in node.value:
+            name = key.tag, str(key.value) if isinstance(key, yaml.ScalarNode) else str(id(key))
             if name in keys and key.tag != "tag:yaml.org,2002:merge":
                 problem = f"{key.value} is given twice in one table; keep one"
                 raise yaml.MarkedYAMLError(None, None, problem, key.start_mark)
             keys.add(name)
-            nodes += [key, value]
+        inner = [each for pair in node.value for each in pair]
+    counts[id(node)] = count = 1 + sum(_count_values(each, counts) for each in inner)
+    if count > MOST_VALUES:
+        problem = f"stands for more than {MOST_VALUES} values; split the job"
+        raise yaml.MarkedYAMLError(None, None, problem, node.start_mark)
+    return count
 
 
 def _yaml_reason(error: "yaml.YAMLError") -> str:

@@ -21,9 +21,6 @@ from typing import Any
 _MOST_STEPS = 100_000
 """Limit of steps; a shooting day has a few thousand."""
 
-_MOST_VALUES = 1_000_000
-"""Limit of values; YAML aliases can expand a few lines to billions."""
-
 _PLACE = re.compile(r"\{\{|\}\}|\{([A-Za-z_][A-Za-z0-9_]*)\}")
 _TAKE_NAME = re.compile(r"[^\x00-\x1f\x7f/\\]{1,200}")
 
@@ -81,7 +78,6 @@ def write_out(job: Mapping[str, Any]) -> dict[str, Any]:
                 "`for_each: take` needs `takes`, a list of takes, at the level of `steps`"
             )
         return written
-    _check_size(steps)
     rows = _rows(given)
     done: list[Any] = []
     for number, step in enumerate(steps, start=1):
@@ -111,22 +107,6 @@ def step_places(job: Mapping[str, Any]) -> list[str]:
         each = [f"step {number}.{within}" for within in range(1, count + 1)]
         places += each * len(takes) if each else [f"step {number}"]
     return places
-
-
-def _check_size(steps: Sequence[Any]) -> None:
-    waiting: list[Any] = [steps]
-    count = 0
-    while waiting:
-        value = waiting.pop()
-        inner: Sequence[Any] = ()
-        if isinstance(value, Mapping):
-            inner = list(value.values())
-        elif isinstance(value, list | tuple):
-            inner = value
-        count += len(inner)
-        if count > _MOST_VALUES:
-            raise ValueError(f"steps hold more than {_MOST_VALUES} values; split the job")
-        waiting.extend(inner)
 
 
 def _is_loop(step: Any) -> bool:
