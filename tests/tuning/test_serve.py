@@ -1,5 +1,7 @@
 """Where the page is served from."""
 
+import asyncio
+import errno
 import json
 import signal
 import socket
@@ -57,6 +59,35 @@ def test_a_page_left_open_over_a_restart_is_told_to_read_again(
         serve.serve(spec, announce=print)
     assert len(set(shown)) == 3
     assert max(shown) < 2**53, "a browser's numbers"
+
+
+def test_a_file_server_that_fails_for_a_moment_ends_neither_saving_nor_the_lock(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asset = write_asset(tmp_path)
+    session = TuningSession(asset)
+    session.apply([change(session, 1, jawOpen=0.5)], revision=session.revision)
+    save, faults = session.save, [OSError(errno.ESTALE, "Stale file handle")]
+    renewed = threading.Event()
+    monkeypatch.setattr(session, "save", lambda: save() if not faults else _raise(faults.pop()))
+    monkeypatch.setattr(session.lock, "renew", renewed.set)
+    monkeypatch.setattr(serve, "IDLE_SECONDS", 0.01)
+    monkeypatch.setattr(serve, "RENEW_SECONDS", 0.1)
+
+    async def work() -> None:
+        saving = asyncio.create_task(serve._save_when_idle(session))
+        while not (saving.done() or (session.is_saved and renewed.is_set())):
+            await asyncio.sleep(0.01)
+        assert not saving.done(), saving.exception()
+        saving.cancel()
+
+    asyncio.run(asyncio.wait_for(work(), 20))
+    assert read_references(asset).weights[1, 0] == 0.5
+    session.close()
+
+
+def _raise(error: OSError) -> None:
+    raise error
 
 
 def test_ctrl_c_does_not_wait_for_markers_that_are_being_placed(tmp_path: Path) -> None:

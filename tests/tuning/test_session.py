@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pxr import Sdf
 
 from tests.tuning.small_asset import change, put, small_references, write_asset
 from usdface.core.errors import InputError
@@ -14,7 +15,7 @@ from usdface.core.sidecars import tuned_path
 from usdface.tuning import session as session_module
 from usdface.tuning.journal import Change
 from usdface.tuning.session import StaleRevisionError, TuningSession
-from usdface.usdio.references.read import read_references
+from usdface.usdio.references.read import WEIGHTS_ATTRIBUTE, read_references
 from usdface.usdio.references.weight_layers import TunedPair, read_tuned_pairs
 from usdface.usdio.references.write import write_tuned_weights
 
@@ -144,6 +145,28 @@ def test_weights_imported_while_the_page_is_open_are_kept(
     session.save()
     assert weights(asset, 1)[0] == np.float32(0.6)
     assert weights(asset, 3)[2] == 0.25
+
+
+def test_a_layer_that_another_program_damaged_is_refused_until_it_is_mended(
+    asset: Path, session: TuningSession
+) -> None:
+    put(session, 1, jawOpen=0.5)
+    session.save()
+    good = tuned_path(asset).read_bytes()
+    layer = Sdf.Layer.OpenAsAnonymous(str(tuned_path(asset)))
+    layer.SetTimeSample(WEIGHTS_ATTRIBUTE, 3, [0.25, 0.5, 0.75])
+    layer.SetTimeSample(WEIGHTS_ATTRIBUTE, 4, [0.5, 0.5])  # for three shapes
+    layer.Export(str(tuned_path(asset)))
+    damaged = tuned_path(asset).read_bytes()
+    for _ in range(2):
+        with pytest.raises(InputError, match="time code 4: 2 values where 3"):
+            put(session, 1, jawOpen=0.6)
+        session.save()
+        assert tuned_path(asset).read_bytes() == damaged
+    tuned_path(asset).write_bytes(good)
+    with pytest.raises(StaleRevisionError):
+        put(session, 1, jawOpen=0.6)
+    put(session, 1, jawOpen=0.6)
 
 
 def test_frames_selected_again_while_the_page_is_open_stop_it(

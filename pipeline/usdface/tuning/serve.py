@@ -171,7 +171,9 @@ async def _save_when_idle(session: TuningSession) -> None:
         try:
             await asyncio.to_thread(session.save)
             warned = ""
-        except InputError as error:  # the journal has the changes; the page is told with the next
+        # The journal has the changes; the page is told with the next. OSError is of a file server
+        # that fails for a moment; the lock must be renewed all the same.
+        except (InputError, OSError) as error:
             if str(error) != warned:
                 log.warning("%s", error)
             warned = str(error)

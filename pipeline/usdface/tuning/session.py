@@ -202,11 +202,13 @@ class TuningSession:
 
     def _read_layer(self) -> None:
         """Read the weights from disk and apply unsaved changes."""
-        self._seen = _signature(self.tuned_path)
-        self._weights: FloatArray = read_references(self.path).weights.copy()
-        self._done: BoolArray = np.zeros(len(self._weights), dtype=np.bool_)
-        self._authors: list[str] = [""] * len(self._weights)
-        for pair in read_tuned_pairs(self.tuned_path):
+        seen = _signature(self.tuned_path)
+        weights, tuned = read_references(self.path).weights, read_tuned_pairs(self.tuned_path)
+        self._seen = seen  # not of a layer that cannot be read, which would be overwritten
+        self._weights: FloatArray = weights.copy()
+        self._done: BoolArray = np.zeros(len(weights), dtype=np.bool_)
+        self._authors: list[str] = [""] * len(weights)
+        for pair in tuned:
             self._done[pair.pair], self._authors[pair.pair] = pair.done, pair.author
         for change in self._unsaved:
             self._put(change)
