@@ -1,5 +1,6 @@
 """From a phone straight to a rig whose names are understood, and the table of names."""
 
+import csv
 import json
 import os
 import re
@@ -15,10 +16,12 @@ from tests.test_docs import commands, run
 from tests.usdio.small_rig import small_rig
 from usdface.cli.app import main
 from usdface.core.assets import MeshShape, Rig, RigMesh
+from usdface.model.retarget.name_matching import Transfer
 from usdface.model.retarget.shape_matching import ShapeMatch
 from usdface.publish.collect import collect_performance, validate_performance
 from usdface.publish.extract import ReviewOptions, extract_performance
 from usdface.steps.inputs.solve_verdict import describe_retarget, judge_performance
+from usdface.steps.inputs.source_motion import transfer_by_table, write_name_table
 from usdface.steps.retarget.pairs_propose import match_rigs
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.rig.write import write_rig
@@ -264,6 +267,22 @@ def test_no_target_and_uneven_targets_are_refused(take: np.ndarray, capsys) -> N
     line = "retarget phone.csv --rig hero.usda --out a.usda --out b.usda"
     assert usdface(*line.split()) == 2
     assert "2 outputs and 1 rigs" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".json"])
+def test_no_name_in_a_table_is_a_formula_for_the_spreadsheet_that_edits_it(
+    tmp_path: Path, suffix: str
+) -> None:
+    names = ("=cmd|'/C calc'!A0", "-2+3", "+jawOpen", "@SUM(A1)", "jaw=open", "'quoted")
+    weights = -0.5 * np.eye(len(names))
+    made = Transfer(names, names[::-1], weights, {}, ())
+    write_name_table(tmp_path / f"names{suffix}", made)
+    if suffix == ".csv":
+        with (tmp_path / "names.csv").open(encoding="utf-8", newline="") as stream:
+            cells = [cell for row in csv.reader(stream) for cell in (row[0], row[1])]
+        assert not [cell for cell in cells if cell[0] in "=+-@"]
+    back = transfer_by_table(tmp_path / f"names{suffix}", names, names[::-1])
+    np.testing.assert_array_equal(back.matrix, weights)
 
 
 def test_a_table_that_is_replaced_is_whole_for_who_reads_it(tmp_path: Path) -> None:

@@ -294,6 +294,10 @@ def transfer_by_table(path: Path, source: Sequence[str], target: Sequence[str]) 
     return Transfer(tuple(source), tuple(target), matrix, by, notes)
 
 
+_FORMULA, _QUOTED = re.compile("^(?=[-=+@])"), re.compile("^'(?=[-=+@])")
+"""Start of a name that a spreadsheet would evaluate, and of one that is quoted against it."""
+
+
 def write_name_table(path: Path, transfer: Transfer) -> None:
     """Write a transfer as an editable CSV or JSON table."""
     rows = transfer.rows()
@@ -303,7 +307,9 @@ def write_name_table(path: Path, transfer: Transfer) -> None:
         lines = io.StringIO()
         writer = csv.DictWriter(lines, (*COLUMNS, "by"), lineterminator="\n")
         writer.writeheader()
-        writer.writerows(rows)
+        for row in rows:
+            names = {key: _FORMULA.sub("'", str(row[key])) for key in COLUMNS[:2]}
+            writer.writerow({**row, **names})
         text = lines.getvalue()
     write_text(path, text)
 
@@ -328,7 +334,7 @@ def _json_rows(path: Path) -> list[tuple[str, dict[str, object]]]:
 
 
 def _checked(path: Path, where: str, row: dict[str, object]) -> tuple[str, str, str, float]:
-    source, target = (str(row.get(name) or "").strip() for name in COLUMNS[:2])
+    source, target = (_QUOTED.sub("", str(row.get(name) or "").strip()) for name in COLUMNS[:2])
     if not source or not target:
         raise InputError(f"{path} {where}: a pair needs a source and a target; complete the row")
     given = row.get("weight")
