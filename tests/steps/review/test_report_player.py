@@ -368,11 +368,46 @@ def test_notes_of_a_file_join_those_of_the_page(page: Any, tmp_path: Path) -> No
     words = page.inner_text("#notes")
     assert "better" in words
     assert "outside this report" in words
-    page.set_input_files("#file", write_notes(tmp_path / "c.json", [{"id": "c"}]))
-    page.wait_for_selector("#fault:visible")
-    assert "c.json: cannot be read as notes" in page.inner_text("#fault")
-    assert page.locator("#notes li").count() == 2
+    for name, bad in (
+        ("c", {"id": "c"}),
+        ("d", {"id": "d", "frame": 9, "made": 5}),
+        ("e", {"id": "e", "frame": 9, "strokes": [{"on": "face", "points": [None]}]}),
+    ):
+        page.set_input_files("#file", write_notes(tmp_path / f"{name}.json", [bad]))
+        wait_for(page, f"document.getElementById('fault').textContent.startsWith('{name}.json: ')")
+        assert "cannot be read as notes" in page.inner_text("#fault")
+    page.reload()
+    wait_for(page, "document.querySelectorAll('#notes li').length === 2")
     page.evaluate("localStorage.clear()")
+
+
+def test_notes_of_two_tabs_are_kept_and_what_was_deleted_stays_so(
+    browser: Any, reported: Shot
+) -> None:
+    context = browser.new_context(viewport={"width": 1280, "height": 900})
+    faults: list[str] = []
+    tabs = [visit(context.new_page(), reported / "shot.html", faults) for _ in range(2)]
+    for tab, text in zip(tabs, ("of the first", "of the second"), strict=True):
+        tab.evaluate("report.show(49)")
+        tab.keyboard.press("t")
+        tab.keyboard.type(text)
+        tab.click("#noteForm button[type=submit]")
+    for tab in tabs:
+        wait_for(tab, "document.querySelectorAll('#notes li').length === 3")
+    tabs[0].locator("#notes li", has_text=NOTE["text"]).get_by_text("Delete").click()
+    wait_for(tabs[1], "document.querySelectorAll('#notes li').length === 2")
+    tabs[1].reload()
+    wait_for(tabs[1], "globalThis.report?.viewer")
+    words = tabs[1].inner_text("#notes")
+    assert "of the first" in words
+    assert "of the second" in words
+    assert NOTE["text"] not in words
+    tabs[1].set_input_files("#file", str(reported / "shot.hero.notes.json"))
+    for tab in tabs:
+        wait_for(tab, "document.querySelectorAll('#notes li').length === 3")
+    tabs[0].evaluate("localStorage.clear()")
+    context.close()
+    assert not faults
 
 
 def test_the_command_that_tunes_a_frame_is_copied(page: Any, reported: Shot) -> None:

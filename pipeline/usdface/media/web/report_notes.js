@@ -7,6 +7,7 @@ const FORMAT_OF_NOTES = 1;
 const LONGEST_NOTE = 4000;
 const LARGEST_NOTES = 16 << 20;
 const INK = "#ffdb4d";
+const TEXTS = ["id", "text", "author", "made", "version"];
 
 const stamp = () => new Date().toISOString();
 const newId = () => `${Date.now().toString(36)}-${Math.random().toString(36).slice(2, 8)}`;
@@ -25,7 +26,7 @@ function merged(one, other) {
 function textsOfNewer(notes, newer) {
   return notes.filter((note) => typeof note === "object" && note !== null).map((note, index) => {
     const shown = { id: `newer-${index}`, frame: Number.isInteger(note.frame) ? note.frame : 0, newer, original: note };
-    for (const key of ["id", "text", "author", "made", "version"]) if (typeof note[key] === "string") shown[key] = note[key];
+    for (const key of TEXTS) if (typeof note[key] === "string") shown[key] = note[key];
     return shown;
   });
 }
@@ -38,7 +39,9 @@ function readNotes(text) {
     throw new Error("not a file of notes of a usdface report");
   }
   if (format > FORMAT_OF_NOTES) return textsOfNewer(file.notes, format);
-  const fits = ({ id, frame, text: words }) => typeof id === "string" && Number.isInteger(frame) && typeof (words ?? "") === "string";
+  const fits = (note) => typeof note.id === "string" && Number.isInteger(note.frame)
+    && TEXTS.every((key) => typeof (note[key] ?? "") === "string")
+    && (note.strokes ?? []).every(({ points }) => points.every(Array.isArray));
   if (!file.notes.every(fits)) throw new Error("a note lacks its id, frame or text");
   return file.notes;
 }
@@ -50,8 +53,10 @@ export class Notes extends EventTarget {
     super();
     this.player = player; // {picture, range, view(): camera, look(camera)}
     this.key = `usdface-notes ${location.pathname} ${data.performance}`;
-    this.notes = merged(data.notes, this.#draft());
-    this.saved = JSON.stringify(data.notes);
+    this.removed = new Map(); // id → time
+    this.notes = merged(data.notes, []);
+    this.saved = JSON.stringify(this.notes);
+    this.#join();
     this.strokes = [];
     this.drawing = false;
     this.inks = new Map();
@@ -144,9 +149,9 @@ export class Notes extends EventTarget {
     this.fill();
   }
 
-  text() {
+  text(more = {}) {
     const { performance, take } = data;
-    return `${JSON.stringify({ usdface_notes: FORMAT_OF_NOTES, performance, take, notes: this.notes }, null, 1)}\n`;
+    return `${JSON.stringify({ usdface_notes: FORMAT_OF_NOTES, performance, take, notes: this.notes, ...more }, null, 1)}\n`;
   }
 
   /** Add the notes of a file. */
@@ -157,23 +162,30 @@ export class Notes extends EventTarget {
       this.notes = merged(this.notes, found);
       announce(`${found.length} notes from ${file.name}`);
       tell("");
+      this.#changed(found.map(({ id }) => [id, ""])); // restored if they were deleted
     } catch (error) {
       tell(`${file.name}: cannot be read as notes: ${error.message}`);
-      return;
     }
-    this.#changed();
   }
 
-  #draft() {
+  /** Merge with what this page stored in the browser, perhaps in another tab. */
+  #join(removed = []) {
+    let known = [];
     try {
       const kept = localStorage.getItem(this.key);
-      return kept ? readNotes(kept) : [];
-    } catch { return []; } // no storage
+      if (kept) {
+        this.notes = merged(readNotes(kept), this.notes);
+        known = JSON.parse(kept).removed ?? [];
+      }
+    } catch { /* no storage */ }
+    this.removed = new Map([...this.removed, ...known, ...removed]);
+    this.notes = this.notes.filter(({ id, made }) => !((made ?? "") < this.removed.get(id)));
   }
 
-  #changed() {
+  #changed(removed = []) {
+    this.#join(removed);
     try {
-      localStorage.setItem(this.key, this.text());
+      localStorage.setItem(this.key, this.text({ removed: [...this.removed] }));
     } catch { /* no storage: the page shows that notes are not saved */ }
     this.fill();
   }
@@ -200,6 +212,7 @@ export class Notes extends EventTarget {
     for (const id of ["noteShape", "noteChange", "noteFade"]) on(id, "input", () => this.#correct());
     on("noteKind", "change", () => this.#correct());
     on("noteRange", "change", () => this.#where());
+    addEventListener("storage", ({ key }) => { if (key === this.key) { this.#join(); this.fill(); } });
     addEventListener("dragover", (event) => event.preventDefault());
     addEventListener("drop", (event) => {
       event.preventDefault();
@@ -286,8 +299,7 @@ export class Notes extends EventTarget {
     const actions = note.newer ? [] : [node("label", {}, done, " done"), button("Edit", "Edit this note", () => this.#edit(note))];
     if (old && !note.newer) actions.push(button("Still valid", "Make it a note on this version", () => this.#change(note, { version: data.version })));
     actions.push(button("Delete", "Delete this note", () => {
-      this.notes = this.notes.filter(({ id }) => id !== note.id);
-      this.#changed();
+      this.#changed([[note.id, stamp()]]);
     }));
     const item = node("li", { class: note.done ? "done" : "" }, words, facts, node("div", { class: "acts" }, ...actions));
     this.items.set(note.id, item);
