@@ -147,6 +147,15 @@ def test_a_part_is_solved_again_while_sliders_that_were_set_hold(
         opened.type_weight(names[shape], 0.8)
     title.locator("button", has_text="Solve").click()
     message.filter(has_text="Every slider of the mouth is set by hand").wait_for()
+    set_meanwhile = f"""async () => {{
+      tune.state.reset({mouth});
+      const solved = tune.solve({mouth}, "mouth");
+      tune.state.slide({mouth[1]}, 0.7);
+      await solved;
+    }}"""
+    opened.page.evaluate(set_meanwhile)
+    row = np.array(opened.page.evaluate("[...tune.state.row()]"))
+    assert row[mouth[1]] == pytest.approx(0.7, abs=1e-6), "a slider moved while it was solved"
     opened.saved()
     assert not opened.faults
 

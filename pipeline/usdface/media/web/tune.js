@@ -174,7 +174,8 @@ class Page {
     const weights = this.posed();
     const answer = await post("/solve", { pair, weights, free: free.map((shape) => names[shape]) });
     if (answer.reason) return this.tell(`The ${part} is not solved: ${answer.reason}`);
-    state.putSolved(new Map(free.map((shape) => [shape, answer.weights[names[shape]]])), pair);
+    const still = free.filter((shape) => state.row(pair)[shape] === weights[names[shape]]);
+    state.putSolved(new Map(still.map((shape) => [shape, answer.weights[names[shape]]])), pair);
     const which = held.map((shape) => names[shape]);
     this.tell(`The ${part} is solved for the markers${held.length ? `; kept: ${which.join(", ")}` : ""}`);
   }
@@ -225,7 +226,7 @@ class Page {
     $("number").textContent = state.current + 1;
     $("total").textContent = ` / ${state.pairs.length}`;
     const facts = [`frame ${pair.frame}`, pair.take, pair.viseme, pair.emotion].filter(Boolean);
-    $("facts").textContent = facts.join(" · ");
+    $("facts").textContent = $("facts").title = facts.join(" · ");
     $("remarks").replaceChildren(...pair.notes.map((text) => node("li", {}, text)));
     this.video.show(state.current, state.pairs);
     if (this.wiping.on) this.matchCamera();
@@ -429,7 +430,8 @@ class Page {
   key(event) {
     const { state } = this;
     const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
-    if ((event.ctrlKey || event.metaKey) && !event.altKey) {
+    if (event.altKey || $("keys").open || this.poses.isOpen) return;
+    if (event.ctrlKey || event.metaKey) {
       if (key === "z") event.shiftKey ? state.redo() : state.undo();
       else if (key === "y") state.redo();
       else return;
@@ -437,7 +439,6 @@ class Page {
       return;
     }
     const into = event.target;
-    if (event.altKey || $("keys").open || this.poses.isOpen) return;
     if (key === "Escape") {
       if (into === $("search")) {
         $("search").value = "";

@@ -67,14 +67,15 @@ export class Outbox extends EventTarget {
       kept = [];
     }
     for (const change of kept) {
-      const shown = this.state.pairs[change.pair];
-      if (shown?.take !== change.take || shown?.frame !== change.frame) continue;
+      const { take, frame } = change; // its index may be another after selecting again
+      const pair = this.state.pairs.findIndex((each) => each.take === take && each.frame === frame);
+      if (pair < 0) continue;
       const known = Object.entries(change.weights)
         .map(([name, value]) => [this.state.names.indexOf(name), value])
-        .filter(([shape, value]) => shape >= 0 && this.state.row(change.pair)[shape] !== value);
+        .filter(([shape, value]) => shape >= 0 && this.state.row(pair)[shape] !== value);
       found += known.length;
-      this.state.set(new Map(known), null, change.pair); // can be undone
-      if (typeof change.done === "boolean") this.state.setDone(change.done, change.pair);
+      this.state.set(new Map(known), null, pair); // can be undone
+      if (typeof change.done === "boolean") this.state.setDone(change.done, pair);
     }
     return found;
   }
