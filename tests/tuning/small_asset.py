@@ -33,7 +33,9 @@ def small_references(folder: Path, *, take: str = "kitchen", first: int = 100) -
     )
 
 
-def write_asset(folder: Path, references: References | None = None) -> Path:
+def write_asset(
+    folder: Path, references: References | None = None, *, provenance: Provenance | None = None
+) -> Path:
     """Write the asset, or select it anew: what is tuned stays."""
     if not (folder / "rig.usda").exists():
         write_rig(folder / "rig.usda", small_rig())
@@ -42,7 +44,7 @@ def write_asset(folder: Path, references: References | None = None) -> Path:
         path,
         references or small_references(folder),
         read_rig(folder / "rig.usda"),
-        provenance=Provenance(),
+        provenance=provenance or Provenance(),
     )
     return path
 

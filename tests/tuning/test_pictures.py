@@ -125,6 +125,12 @@ def test_an_asset_made_by_hand_knows_no_takes_and_has_no_notes(tmp_path: Path) -
     assert [(each.viseme, each.emotion, each.image) for each in notes] == [("", "", None)] * 5
 
 
+@pytest.mark.parametrize("spec", ['{"takes":5,"performances":{}}', '{"takes":null}', "[" * 5000])
+def test_takes_of_a_strange_provenance_are_none(tmp_path: Path, spec: str) -> None:
+    path = write_asset(tmp_path, provenance=Provenance(step="select", spec=spec))
+    assert take_files(path) == ()
+
+
 def test_the_sound_around_a_pair_is_the_takes_at_its_moment(folder: Path, tmp_path: Path) -> None:
     rate = 48000
     moments = np.arange(4 * rate) / rate

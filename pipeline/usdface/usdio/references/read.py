@@ -224,8 +224,12 @@ def take_files(path: Path) -> tuple[Path, ...]:
     """Return the takes of a references asset, from its provenance and that of its performances."""
     made = read_provenance(path)
     spec = {} if made is None else json_object(made.spec)
-    files = [path.parent / str(take) for take in spec.get("takes", ())]
-    added = spec.get("performances", [spec["performance"]] if "performance" in spec else [])
+    takes, added = (
+        each if isinstance(each, list) else []
+        for each in (spec.get("takes"), spec.get("performances"))
+    )
+    files = [path.parent / str(take) for take in takes]
+    added = [*added, *([spec["performance"]] if "performance" in spec else [])]
     for performance in (path.parent / str(each) for each in added):
         made = read_provenance(performance) if performance.is_file() else None
         of = {} if made is None else json_object(made.spec)
