@@ -112,6 +112,23 @@ def test_an_error_is_never_cut_to_other_digits(tile_height: int, monkeypatch) ->
     assert all(width is None for _, width in values)
 
 
+@pytest.mark.parametrize("side", [64, 96, 160, 320])
+def test_a_caption_below_a_small_tile_is_never_cut_to_other_digits(side: int, monkeypatch) -> None:
+    """max 1.3 mm below a small tile was drawn as max…3 mm."""
+    drawn: list[tuple[str, int, int]] = []
+
+    def keep(page, text, *, style, max_width=9999, **more):
+        drawn.append((text, text_width(text, style), max_width))
+        return 0
+
+    monkeypatch.setattr(sheet_module, "draw_text", keep)
+    tile = Tile(np.full((96, 96, 3), 120, np.uint8), "max 12.3 mm")
+    compose_sheet(make_spec(columns=("error",), rows=(SheetRow(1, "", (tile,)),), tile_height=side))
+    captions = [each for each in drawn if each[0].startswith("max 12.3")]
+    assert len(captions) == 1
+    assert captions[0][1] <= captions[0][2]
+
+
 @pytest.mark.parametrize("width", [800, 1000, 1600, 4000])
 def test_notes_are_told_whole_whatever_the_width(width: int, monkeypatch) -> None:
     notes = ("error: RMS distance of the markers from what the weights explain; not the keys",) * 3

@@ -232,12 +232,14 @@ def _draw_row(
             side = round(16 * scale)
             fill_box(page, at, below + 6, side, side, heat_color(tile.value, high=high))
             style = best_style if tile.value == best else value_style
-            label, style = _value_label(tile.value, style, room=width - side - 8)
+            label = f"{tile.value:.2f} mm" if np.isfinite(tile.value) else "no value"
+            label, style = _fitted(label, style, room=width - side - 8)
             level = below + (value_style.size - style.size) // 2
             used = side + 22 + draw_text(page, label, x=at + side + 8, y=level, style=style)
         if tile.pixels is not None:
             room = max(width - used, 0)
-            draw_text(page, tile.caption, x=at + used, y=below + 1, style=dim, max_width=room)
+            caption, style = _fitted(tile.caption, dim, room=room)
+            draw_text(page, caption, x=at + used, y=below + 1, style=style, max_width=room)
         at += width + TILE_GUTTER
 
 
@@ -261,11 +263,13 @@ def _draw_row_head(
         draw_text(page, line, x=x, y=below, style=dim, max_width=layout.group_width)
 
 
-def _value_label(value: float, style: TextStyle, *, room: int) -> tuple[str, TextStyle]:
-    """Return an error's label and the largest style that fits; digits are never cut."""
-    number = f"{value:.2f}" if np.isfinite(value) else "no value"
-    whole = f"{number} mm" if np.isfinite(value) else number
-    sizes = [replace(style, size=size) for size in (style.size, 17, 14)]
-    choices = [(label, one) for label in (whole, number) for one in sizes]
-    smallest = number, replace(style, size=11)
+def _fitted(label: str, style: TextStyle, *, room: int) -> tuple[str, TextStyle]:
+    """Return a label, at need without its unit, and the largest style that fits.
+
+    No digit is cut.
+    """
+    labels = label, label.removesuffix(" mm")
+    sizes = [replace(style, size=size) for size in (style.size, 17, 14) if size <= style.size]
+    choices = [(label, one) for label in labels for one in sizes]
+    smallest = labels[-1], replace(style, size=11)
     return next((pair for pair in choices if text_width(*pair) <= room), smallest)
