@@ -268,3 +268,12 @@ def test_the_author_is_kept_with_the_pairs_that_change(asset: Path) -> None:
         put(session, pair, smile=0.75)
         session.close()
     assert read_references(asset).authors == ("", "anna", "ben", "", "")
+
+
+def test_who_takes_over_is_not_the_author_of_what_was_not_saved_yet(asset: Path) -> None:
+    before = TuningSession(asset, author="anna")
+    put(before, 1, smile=0.75)
+    session = TuningSession(asset, author="ben", take_over=True)
+    put(session, 2, smile=0.75)
+    session.close()
+    assert read_references(asset).authors == ("", "anna", "ben", "", "")

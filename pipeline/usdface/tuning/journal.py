@@ -31,6 +31,8 @@ class Change:
     """By shape name."""
     done: bool | None = None
     """None: unchanged."""
+    author: str = ""
+    """Set by the session, so that who recovers a change is not taken for its author."""
 
 
 _CHANGE = TypeAdapter(Change)

@@ -148,6 +148,7 @@ class TuningSession:
                     f"{self.path.name}: changed elsewhere since revision {revision}; read it again"
                 )
             self._check_pairs(changes)
+            changes = [replace(change, author=self.author) for change in changes]
             self._journal.append(changes)
             self._unsaved.extend(changes)
             for change in changes:
@@ -230,7 +231,7 @@ class TuningSession:
     def _put(self, change: Change) -> None:
         for name, value in change.weights.items():
             self._weights[change.pair, self._column[name]] = value
-            self._authors[change.pair] = self.author
+            self._authors[change.pair] = change.author or self.author
         if change.done is not None:
             self._done[change.pair] = change.done
 
