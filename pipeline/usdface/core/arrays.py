@@ -49,6 +49,9 @@ def columns_by_name(
 ROUNDING_SHARE = 1e-9
 """Relative difference up to which results are equal: the rounding of a million terms is 2e-10."""
 
+_EQUAL_SHARE = 1e-6
+"""[of the largest distance] A smaller distance is rounding error of squares that cancel."""
+
 _LEAST_SINGLE = np.float32(1e-9)
 
 
@@ -74,6 +77,22 @@ def row_lengths(rows: NDArray[np.floating]) -> Any:
 def distances(one: NDArray[np.floating], other: NDArray[np.floating]) -> Any:
     """Return the distances of points, (..., k) to (...), of their type."""
     return row_lengths(one - other)[..., 0]
+
+
+def relative_distances(rows: FloatArray) -> FloatArray:
+    """Return distances between all rows, over the median between rows that differ: (rows, rows)."""
+    product = rows @ rows.T
+    squares = np.diag(product)
+    away = np.sqrt(np.maximum(squares[:, None] + squares - 2 * product, 0.0))
+    between = away[np.triu_indices(len(rows), 1)]
+    differing = between[between > _EQUAL_SHARE * away.max()]
+    return np.asarray(away / (np.median(differing) if len(differing) else 1.0))
+
+
+def medians_where(values: RealArray, mask: BoolArray) -> FloatArray:
+    """Return the median of each column over the rows of a mask; 0 where it has none."""
+    columns = zip(values.T, mask.T, strict=True)
+    return np.array([np.median(column[ok]) if ok.any() else 0.0 for column, ok in columns], float)
 
 
 def first_largest(values: FloatArray) -> int:
@@ -106,6 +125,26 @@ def hold_last_seen(positions: NDArray[np.floating], seen: BoolArray) -> None:
         latest = np.maximum.accumulate(np.where(known, frames, -1))
         latest[latest < 0] = int(np.argmax(known))
         positions[~known, marker] = positions[latest[~known], marker]
+
+
+def equal_rows(rows: BoolArray | FloatArray) -> list[IntArray]:
+    """Return the groups of equal rows, as indices in ascending order.
+
+    Frames with the same markers seen, for one, share a matrix.
+    """
+    if not len(rows):
+        return []
+    if (rows == rows[0]).all():
+        return [np.arange(len(rows))]
+    keys = np.packbits(rows, axis=1) if rows.dtype == np.bool_ else rows  # sorted much faster
+    _, group = np.unique(keys, axis=0, return_inverse=True)
+    order = np.argsort(group.ravel(), kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(group.ravel()[order])) + 1)
+
+
+def coordinates_of(points: IntArray) -> IntArray:
+    """Return the indices of the three coordinates of points, (n,) to (3 n,), in flat arrays."""
+    return np.asarray((3 * points[:, None] + np.arange(3)).ravel())
 
 
 def runs(mask: BoolArray) -> list[tuple[int, int]]:

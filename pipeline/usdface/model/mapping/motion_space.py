@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from usdface.core.arrays import BoolArray, FloatArray, sample_frames
+from usdface.core.arrays import BoolArray, FloatArray, equal_rows, sample_frames
 from usdface.core.assets import MotionSpace, References, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.numerics.registration.marker_application import SAMPLE_FRAMES
@@ -168,24 +168,11 @@ def marker_coordinates(
     values += rounding @ motion.components.T
     if visible is None or not occluded:
         return values
-    for pattern, rows in _visibility_patterns(visible):
-        values[rows] = _conditional_mean(motion, offsets[rows] + rounding, pattern)
+    for rows in equal_rows(visible):
+        pattern = visible[rows[0]]
+        if not pattern.all():
+            values[rows] = _conditional_mean(motion, offsets[rows] + rounding, pattern)
     return values
-
-
-def _visibility_patterns(visible: BoolArray) -> list[tuple[BoolArray, NDArray[np.int64]]]:
-    """Return each pattern of partly visible frames, (markers,), with the frames that have it."""
-    partial = np.flatnonzero(~visible.all(axis=1))
-    if not len(partial):
-        return []
-    packed = np.packbits(visible[partial], axis=1)
-    _, first, group = np.unique(packed, axis=0, return_index=True, return_inverse=True)
-    order = np.argsort(group, kind="stable")
-    ends = np.cumsum(np.bincount(group))
-    return [
-        (visible[partial[first[k]]], partial[order[ends[k] - size : ends[k]]])
-        for k, size in enumerate(np.bincount(group))
-    ]
 
 
 def _conditional_mean(motion: MotionSpace, offsets: FloatArray, pattern: BoolArray) -> FloatArray:

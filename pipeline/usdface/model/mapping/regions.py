@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.arrays import FloatArray, IntArray, coordinates_of
 from usdface.model.placement.label_hints import face_region, label_hint
 from usdface.numerics.measure.face_regions import (
     REGIONS,
@@ -151,8 +151,8 @@ def offsets_at(offsets: FloatArray | sparse.sparray, points: IntArray) -> FloatA
     """Return the displacements of points: (shapes, points, 3) [mm]."""
     from scipy import sparse  # importing takes half a second
 
-    table, columns = sparse.csc_array(offsets), (3 * points[:, None] + np.arange(3)).ravel()
-    sampled: FloatArray = np.asarray(table[:, columns].toarray(), dtype=np.float64)
+    table = sparse.csc_array(offsets)
+    sampled: FloatArray = np.asarray(table[:, coordinates_of(points)].toarray(), dtype=np.float64)
     return sampled.reshape(table.shape[0], len(points), 3)
 
 

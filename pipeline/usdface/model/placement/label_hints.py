@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from usdface.core.arrays import FloatArray
+from usdface.numerics.measure.face_regions import swap_side
 
 Side = str
 """``'L'``, ``'R'`` or empty."""
@@ -79,13 +80,8 @@ def mirrored_label(label: str) -> tuple[str, ...]:
     candidates = []
     for found in _LEFT_RIGHT.finditer(label):
         group = "front" if found["front"] else "back"
-        token = found[group]
-        if token[0].upper() != side:
-            continue
-        other = {"l": "r", "r": "l", "left": "right", "right": "left"}[token.lower()]
-        if token[0].isupper():
-            other = other.upper() if token.isupper() else other.capitalize()
-        candidates.append(label[: found.start(group)] + other + label[found.end(group) :])
+        if found[group][0].upper() == side:
+            candidates.append(swap_side(label, found, group))
     return tuple(dict.fromkeys(candidates))
 
 

@@ -173,8 +173,7 @@ def _followed_share(
     """Return the share of the energy of some markers' motion that all shapes can explain."""
     if not skin.deltas[:, samples].any():
         return 0.0
-    weights = solve_weights_at(skin, samples, moved, _FARTHER_WEIGHT * ranges)
-    away = moved - np.einsum("fk,kmc->fmc", weights, skin.deltas[:, samples], optimize=True)
+    away = _left_motion(skin, samples, moved, ranges)
     return 1.0 - float((away**2).sum() / (moved**2).sum())
 
 
@@ -182,12 +181,19 @@ def _unfollowed_mm(
     skin: FaceSkin, samples: IntArray, moved: FloatArray, ranges: FloatArray
 ) -> FloatArray:
     """Return the RMS motion that all shapes leave, (markers,) [mm]; 0 where they follow it."""
-    weights = solve_weights_at(skin, samples, moved, _FARTHER_WEIGHT * ranges)
-    away = moved - np.einsum("fk,kmc->fmc", weights, skin.deltas[:, samples], optimize=True)
+    away = _left_motion(skin, samples, moved, ranges)
     left, motion = (np.sqrt((each**2).sum(axis=2).mean(axis=0)) for each in (away, moved))
     follows = left**2 < (1 - _UNFOLLOWED_SHARE) * motion**2
     follows |= left < _UNFOLLOWED_MM * skin.size_mm / TYPICAL_SIZE_MM
     return np.asarray(np.where(follows, 0.0, left))
+
+
+def _left_motion(
+    skin: FaceSkin, samples: IntArray, moved: FloatArray, ranges: FloatArray
+) -> FloatArray:
+    """Return the motion of markers that all shapes leave: (frames, markers, 3) [mm]."""
+    weights = solve_weights_at(skin, samples, moved, _FARTHER_WEIGHT * ranges)
+    return moved - np.einsum("fk,kmc->fmc", weights, skin.deltas[:, samples], optimize=True)
 
 
 def _closes_eyes(skin: FaceSkin, shapes: tuple[str, ...], owners: np.ndarray) -> bool:

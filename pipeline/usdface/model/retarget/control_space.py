@@ -8,9 +8,8 @@ rotation and a positive scale.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.distance import cdist
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, relative_distances
 from usdface.core.controls import Controls, ExpressionPairs
 from usdface.core.errors import InputError
 from usdface.numerics.motion.rotation_space import (
@@ -126,10 +125,8 @@ def check_pairs(pairs: ExpressionPairs, where: str) -> None:
 def find_pair_conflicts(pairs: ExpressionPairs) -> tuple[PairConflict, ...]:
     """Return pairs that contradict each other, the worst first (S11, section 4.1)."""
     target = control_space(pairs.target).encode(pairs.target)
-    source_distances = _relative_distances(pairs.source)
-    target_distances = _relative_distances(
-        target / np.maximum(np.ptp(target, axis=0), LEAST_WEIGHT)
-    )
+    source_distances = relative_distances(pairs.source)
+    target_distances = relative_distances(target / np.maximum(np.ptp(target, axis=0), LEAST_WEIGHT))
     first, second = np.triu_indices(len(pairs), 1)
     source, target_side = source_distances[first, second], target_distances[first, second]
     conflicting = (source < _EQUAL_SHARE) & (
@@ -155,10 +152,3 @@ def constant_controls(pairs: ExpressionPairs) -> tuple[str, ...]:
     constant = np.ptp(target.values, axis=0) < LEAST_WEIGHT
     shapes = [name for name, each in zip(target.shapes, still, strict=True) if each]
     return (*shapes, *(n for n, each in zip(target.attributes, constant, strict=True) if each))
-
-
-def _relative_distances(values: FloatArray) -> FloatArray:
-    """Return distances divided by the median of those above 0."""
-    distances = cdist(values, values)
-    positive = distances[distances > 0]
-    return np.asarray(distances / (np.median(positive) if len(positive) else 1.0))

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, IntArray, columns_by_name, frame_blocks
+from usdface.core.arrays import FloatArray, IntArray, columns_by_name, coordinates_of, frame_blocks
 from usdface.core.assets import Rig
 from usdface.core.controls import ExpressionPairs
 from usdface.core.deformer import Deformer
@@ -94,8 +94,7 @@ def sampled_displacements(rig: Rig, names: tuple[str, ...]) -> FloatArray:
 
 def _columns(point_count: int, most: int) -> IntArray:
     """Return the columns x, y, z of evenly spread points, at most `most` of them."""
-    points = np.arange(0, point_count, -(-point_count // most))
-    return np.asarray((3 * points[:, None] + np.arange(3)).ravel(), np.int64)
+    return coordinates_of(np.arange(0, point_count, -(-point_count // most)))
 
 
 def evaluate_cyclic(

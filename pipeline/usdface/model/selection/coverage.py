@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, FloatArray, IntArray, sample_frames
+from usdface.core.arrays import BoolArray, FloatArray, IntArray, relative_distances, sample_frames
 from usdface.core.assets import References
 from usdface.model.mapping.coverage import LEAST_COVERAGE, CoverageModel
 from usdface.model.mapping.motion_space import motion_from_pca
@@ -31,9 +31,6 @@ LEAST_STEP = 0.35
 
 FAR_WEIGHTS_SHARE = 0.6
 """Share of the usual distance between pairs above which weights of a region differ."""
-
-_ROUNDING_SHARE = 1e-6
-"""Share of the largest distance below which a distance is rounding error."""
 
 
 @dataclass(frozen=True)
@@ -72,8 +69,8 @@ def find_reference_conflicts(references: References) -> list[ReferenceConflict]:
     worst: dict[tuple[int, int], ReferenceConflict] = {}
     for region, (a, b) in zip(space.regions, space.columns, strict=True):
         columns = by_region.get(region, np.arange(shapes))
-        near = _distances(features[:, a:b])
-        far = _distances(references.weights[:, columns])
+        near = relative_distances(features[:, a:b])
+        far = relative_distances(references.weights[:, columns])
         conflicting = (near < _NEAR_MARKERS_SHARE) & (far > FAR_WEIGHTS_SHARE)
         for i, j in np.argwhere(np.triu(conflicting, 1)).tolist():
             difference = np.abs(references.weights[i, columns] - references.weights[j, columns])
@@ -105,16 +102,6 @@ def conflict_text(references: References, conflict: ReferenceConflict) -> str:
         f"{first} and {second} have nearly the same markers{where} and unlike weights: "
         f"{conflict.shape} {low:.2f} and {high:.2f}"
     )
-
-
-def _distances(rows: FloatArray) -> FloatArray:
-    """Return distances between all rows, relative to the median between rows that differ."""
-    product = rows @ rows.T
-    squares = np.diag(product)
-    away = np.sqrt(np.maximum(squares[:, None] + squares - 2 * product, 0.0))
-    between = away[np.triu_indices(len(rows), 1)]
-    positive = between[between > _ROUNDING_SHARE * away.max()]
-    return np.asarray(away / (np.median(positive) if len(positive) else 1.0))
 
 
 _BLOCK_FRAMES = 4096

@@ -6,6 +6,7 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray, sample_frames
 from usdface.model.selection.baseline import BlendshapeEquation, Positions
+from usdface.numerics.regression.reference_design import design_k_centre
 
 _SOLVED_FRAMES = 60
 """Evenly spaced frames on which each candidate is evaluated."""
@@ -82,10 +83,6 @@ def find_better_neutral(
 
 def _spread(frames: FloatArray, neutral: FloatArray) -> IntArray:
     """Return frames farthest from the neutral and from each other, and evenly spaced ones."""
-    flat = frames.reshape(len(frames), -1)
-    least = ((flat - neutral.ravel()) ** 2).sum(axis=1)
-    chosen: list[int] = []
-    for _ in range(_CANDIDATE_FRAMES // 2):
-        chosen.append(int(least.argmax()))
-        least = np.minimum(least, ((flat - flat[chosen[-1]]) ** 2).sum(axis=1))
-    return np.union1d(chosen, sample_frames(len(frames), _CANDIDATE_FRAMES // 2))
+    together = np.concatenate([neutral[None], frames]).reshape(len(frames) + 1, -1)
+    farthest = design_k_centre(together, _CANDIDATE_FRAMES // 2, already=np.zeros(1, np.int64))
+    return np.union1d(farthest.chosen - 1, sample_frames(len(frames), _CANDIDATE_FRAMES // 2))

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, equal_rows
 from usdface.numerics.manifold.hyper_posterior import MarkerSpectrum
 from usdface.numerics.manifold.posterior_prediction import SurfaceFields
 
@@ -69,7 +69,7 @@ def unseen_variances(
 
 def _unseen_patterns(seen: BoolArray) -> Iterator[tuple[IntArray, IntArray]]:
     """Yield the unseen markers of each pattern that has some, with its frames."""
-    patterns, which = np.unique(seen, axis=0, return_inverse=True)
-    for number, pattern in enumerate(patterns):
-        if not pattern.all():
-            yield np.flatnonzero(~pattern), np.flatnonzero(which.ravel() == number)
+    for rows in equal_rows(seen):
+        unseen = np.flatnonzero(~seen[rows[0]])
+        if len(unseen):
+            yield unseen, rows

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from usdface.core.arrays import BoolArray, FloatArray, IntArray, index_of
+from usdface.core.arrays import BoolArray, FloatArray, IntArray, coordinates_of, index_of
 
 if TYPE_CHECKING:
     from scipy import sparse
@@ -45,7 +45,7 @@ def mirrored_shapes(names: Sequence[str]) -> IntArray:
     partner = np.arange(len(names))
     for index, name in enumerate(names):
         for match in (*_WORD.finditer(name), *_LETTER.finditer(name)):
-            other = place.get(_swapped(name, match), index)
+            other = place.get(swap_side(name, match), index)
             if other != index and partner[index] == index and partner[other] == other:
                 partner[index], partner[other] = other, index
                 break
@@ -77,15 +77,15 @@ def _middle(x: FloatArray) -> float:
     return float((x.min() + x.max()) / 2) if len(x) else 0.0
 
 
-def _swapped(name: str, match: re.Match[str]) -> str:
+def swap_side(name: str, match: re.Match[str], group: str | int = 0) -> str:
     """Return the name with the matched side replaced by the other, in the same case."""
-    side = match.group()
+    side = match.group(group)
     other = _OTHER[side.lower()]
     if side.isupper():
         other = other.upper()
     elif side[0].isupper():
         other = other.capitalize()
-    return name[: match.start()] + other + name[match.end() :]
+    return name[: match.start(group)] + other + name[match.end(group) :]
 
 
 REGIONS = ("brows", "lids", "cheeks and nose", "mouth", "jaw")
@@ -195,6 +195,5 @@ def region_gram(key_offsets: sparse.csr_array, points: IntArray) -> FloatArray:
     """
     from scipy import sparse  # imported late: it takes half a second
 
-    columns = (3 * points[:, None] + np.arange(3)).ravel()
-    part = sparse.csr_array(key_offsets.tocsc()[:, columns])
+    part = sparse.csr_array(key_offsets.tocsc()[:, coordinates_of(points)])
     return np.asarray((part @ part.T).toarray()) / max(len(points), 1)

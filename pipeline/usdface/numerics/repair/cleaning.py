@@ -11,10 +11,10 @@ from usdface.core.arrays import (
     BoolArray,
     Float32Array,
     FloatArray,
-    RealArray,
     distances,
     frame_blocks,
     hold_last_seen,
+    medians_where,
     sample_frames,
 )
 from usdface.core.processes import map_threads
@@ -348,8 +348,7 @@ def _refine_pose(take: _StabilizedTake, good: BoolArray, model: LowRankModel) ->
     sample = sample_frames(len(positions), _POSE_SAMPLE_FRAMES)
     for _ in range(_POSE_ROUNDS):
         complete, predicted = fill_and_predict(model, positions[sample], good[sample])
-        distance = distances(complete, predicted)
-        median = np.array([_median(distance[ok, m]) for m, ok in enumerate(good[sample].T)])
+        median = medians_where(distances(complete, predicted), good[sample])
         deviation = np.maximum(MAD_TO_DEVIATION * median, model.noise)
 
         def align(block: slice, deviation: FloatArray = deviation) -> None:
@@ -373,7 +372,3 @@ def _scale_confidence(
         confidence[swap.start : swap.stop, [swap.first, swap.second]] *= _RELABELLED_CONFIDENCE
     confidence *= pose_confidence[:, None].astype(np.float32)
     return confidence
-
-
-def _median(values: RealArray) -> float:
-    return float(np.median(values)) if values.size else 0.0

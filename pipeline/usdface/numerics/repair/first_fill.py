@@ -20,7 +20,15 @@ Hoerl and Kennard (1970), Ridge regression, Technometrics 12(1), 55-67.
 import numpy as np
 from scipy import linalg
 
-from usdface.core.arrays import BoolArray, FloatArray, RealArray, runs, sample_frames
+from usdface.core.arrays import (
+    BoolArray,
+    FloatArray,
+    RealArray,
+    coordinates_of,
+    runs,
+    sample_frames,
+)
+from usdface.numerics.regression.pca import fit_pca
 
 STRETCH_COUNT, FOLD_COUNT = 24, 3
 """Stretches of time, and folds of them, of cross-validation: stretches of a take are nearly
@@ -55,11 +63,11 @@ def first_fill(positions: RealArray, good: BoolArray) -> RealArray:
     for marker, start, stop in gaps:
         absent[start:stop, marker] = True
     flat = filled.reshape(len(filled), -1).astype(np.float64)
-    centered = flat - flat.mean(axis=0)
-    directions = _principal_directions(centered)
+    pca = fit_pca(flat, dimensions=min(_DIRECTION_COUNT, flat.shape[1], len(flat) - 1))
+    centered, directions = flat - pca.mean, pca.components.T
     scores = centered @ directions
     for marker, start, stop in gaps:
-        columns = (3 * np.flatnonzero(absent[start:stop].any(axis=0))[:, None] + range(3)).ravel()
+        columns = coordinates_of(np.flatnonzero(absent[start:stop].any(axis=0)))
         seen = np.flatnonzero(good[:, marker])
         training = seen[sample_frames(len(seen), _TRAINING_FRAMES)]
         rows = np.concatenate([training, np.arange(start, stop)])
@@ -89,19 +97,6 @@ def _long_gaps(good: BoolArray) -> list[tuple[int, int, int]]:
         if sum(stop - start for start, stop in gaps) >= _LEAST_GAP_SHARE * len(good):
             found += [(int(marker), start, stop) for start, stop in gaps]
     return found
-
-
-def _principal_directions(centered: FloatArray) -> FloatArray:
-    """Return the directions of largest variance, (coordinates, directions)."""
-    frames, size = centered.shape
-    few = frames < size
-    matrix = centered @ centered.T if few else centered.T @ centered
-    largest = [max(0, len(matrix) - _DIRECTION_COUNT), len(matrix) - 1]
-    vectors = linalg.eigh(matrix, subset_by_index=largest)[1]
-    if not few:
-        return np.asarray(vectors)
-    directions = centered.T @ vectors
-    return np.asarray(directions / np.maximum(np.linalg.norm(directions, axis=0), 1e-12))
 
 
 def _regress(scores: FloatArray, targets: FloatArray, wanted: FloatArray) -> FloatArray:

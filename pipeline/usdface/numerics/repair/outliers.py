@@ -16,6 +16,7 @@ from usdface.core.arrays import (
     distances,
     extend_block,
     frame_blocks,
+    medians_where,
     row_lengths,
     runs,
     sample_frames,
@@ -172,13 +173,8 @@ def _limits(
     rows = sample_frames(len(positions), _LIMIT_SAMPLE_FRAMES)
     seen = visible[rows]
     complete, predicted = fill_and_predict(model, positions[rows], seen)
-    distance = distances(complete, predicted)
-    limits = np.maximum(_LIMIT_NOISE_DEVIATIONS * noise, _LEAST_LIMIT_MM)
-    for marker, ok in enumerate(seen.T):
-        if ok.any():
-            median = float(np.median(distance[ok, marker]))
-            limits[marker] = max(limits[marker], _LIMIT_MEDIANS * median)
-    return limits
+    limits = _LIMIT_MEDIANS * medians_where(distances(complete, predicted), seen)
+    return np.maximum(limits, np.maximum(_LIMIT_NOISE_DEVIATIONS * noise, _LEAST_LIMIT_MM))
 
 
 def _between_jumps(

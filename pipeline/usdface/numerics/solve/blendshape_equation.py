@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
-from usdface.core.arrays import BoolArray, FloatArray, IntArray
+from usdface.core.arrays import BoolArray, FloatArray, IntArray, equal_rows
 from usdface.numerics.solve.bounded_least_squares import solve_bounded_least_squares
 
 _MOST_RELINEARISATIONS = 8
@@ -177,7 +177,7 @@ def solve_least_squares(
     """Return the weights of smallest residual, as published; see `solve_weights`."""
     problem = _checked(deltas, motion, visible, marker_trust)
     weights = np.zeros((problem.frame_count, problem.shape_count))
-    for rows in _equal_rows(problem.trust):
+    for rows in equal_rows(problem.trust):
         A, b = _stacked(problem, rows, problem.deltas, problem.motion)
         weights[rows] = np.asarray(np.linalg.lstsq(A.T, b.T)[0]).T
     return weights
@@ -194,7 +194,7 @@ def _solve_bounded(
     """Solve frames within bounds, for the shapes' slopes `deltas` and the remaining `motion`."""
     chosen = np.arange(problem.frame_count) if rows is None else rows
     spread, out = variables.spread, np.zeros((len(chosen), problem.shape_count))
-    for group in _equal_rows(problem.trust[chosen]):
+    for group in equal_rows(problem.trust[chosen]):
         A, b = _stacked(problem, chosen[group], deltas, motion)
         solved = solve_bounded_least_squares(
             (spread @ A).T,
@@ -248,7 +248,7 @@ def _relinearise(
         part = problem.take(rows)
         rest = part.motion - _predict_keys(keys, offset)
         costs = _Prior(prior.ridge, prior.cost[rows])
-        for group in _equal_rows(slopes):
+        for group in equal_rows(slopes):
             bent = np.zeros_like(problem.deltas)
             np.add.at(bent, channels, slopes[group[0], :, None, None] * keys.deltas)
             now[rows[group]] = _solve_bounded(part, costs, variables, bent, rest, group)
@@ -278,17 +278,6 @@ def _objective(
     misfit = (off * problem.trust).sum(axis=1)
     costs = prior.ridge * weights**2 + 2 * prior.cost * np.abs(weights)
     return np.asarray(misfit + costs.sum(axis=1))
-
-
-def _equal_rows(rows: FloatArray) -> list[IntArray]:
-    """Return groups of equal rows, whose frames share one matrix."""
-    if not len(rows):
-        return []
-    if (rows == rows[0]).all():
-        return [np.arange(len(rows))]
-    _, group = np.unique(rows, axis=0, return_inverse=True)
-    order = np.argsort(group.ravel(), kind="stable")
-    return np.split(order, np.flatnonzero(np.diff(group.ravel()[order])) + 1)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
-from usdface.core.arrays import FloatArray, IntArray
+from usdface.core.arrays import FloatArray, IntArray, coordinates_of
 from usdface.core.rig_logic import RigLogic
 
 _LEAST_SHARE = 0.02
@@ -78,7 +78,7 @@ class BlendShapes:
         single = [(channel, *knots[0]) for channel, knots in self._knots if len(knots) == 1]
         channels, at, rows = np.array(single, np.float64).reshape(-1, 3).T
         self._single_keys = (rows.astype(np.int64), channels.astype(np.int64), at)
-        columns = [(3 * key.points[:, None] + np.arange(3)).ravel() for key in keys]
+        columns = [coordinates_of(key.points) for key in keys]
         row_starts = np.concatenate([[0], np.cumsum([len(column) for column in columns])])
         self.key_offsets: sparse.csr_array = sparse.csr_array(
             (
@@ -156,7 +156,7 @@ class BlendShapes:
             Weights at which combinations are linearised; the mean over them is returned. By default
             at rest.
         """
-        columns = (3 * self.face_points[:, None] + np.arange(3)).ravel()
+        columns = coordinates_of(self.face_points)
         targets = sparse.csr_array(self.target_offsets()[:, columns])
         if self.logic is None or poses is None:
             return np.asarray((targets @ targets.T).toarray()) / max(len(self.face_points), 1)
