@@ -1,13 +1,12 @@
 """Markers and weights from USD files of other tools: Points, Skeleton joints or Xforms."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
-from pxr import Usd, UsdGeom, UsdSkel
+from pxr import Gf, Usd, UsdGeom, UsdSkel
 
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray
 from usdface.core.assets import WeightsClip
@@ -56,8 +55,7 @@ def read_foreign_take(path: Path, *, prim: str | None = None) -> ForeignTake:
     top = stage.GetPseudoRoot() if prim is None else stage.GetPrimAtPath(prim)
     if not top:
         raise InputError(f"{path}: there is no prim <{prim}>; check --prim")
-    sets: list[_MarkerSet] = [*_points_sets(top), *_joint_sets(top)]
-    sets = sets or [*_xform_sets(top)]
+    sets = [*_points_sets(top), *_joint_sets(top)] or [*_xform_sets(top)]
     if len(sets) > 1:
         places = ", ".join(f"<{each.path}> ({each.kind})" for each in sets)
         raise InputError(f"{path}: {len(sets)} sets of markers: {places}; name one with --prim")
@@ -143,32 +141,34 @@ def _frame_grid(stage: Usd.Stage, times: list[float], path: Path) -> _Grid:
     )
 
 
-class _MarkerSet(Protocol):
-    """Markers of one kind at one prim, with their names, sample times and positions."""
+@dataclass(frozen=True)
+class _MarkerSet:
+    """Markers of one kind at one prim."""
 
     kind: str
     path: str
     names: tuple[str, ...]
     times: list[float]
+    at: Callable[[float], FloatArray]
+    """Positions at a time code, (markers, 3), in world space and the stage's units."""
 
-    def at(self, time: float) -> FloatArray: ...
+
+def _points_sets(top: Usd.Prim) -> Iterator[_MarkerSet]:
+    for prim in Usd.PrimRange(top):
+        attribute = UsdGeom.Points(prim).GetPointsAttr() if prim.IsA(UsdGeom.Points) else None
+        if attribute and attribute.GetNumTimeSamples():
+            yield _points_set(prim, attribute)
 
 
-class _PointsSet:
-    kind = "Points"
-
-    def __init__(self, prim: Usd.Prim) -> None:
-        self.path = str(prim.GetPath())
-        self._prim = prim
-        self._attribute = UsdGeom.Points(prim).GetPointsAttr()
-        self.times: list[float] = self._attribute.GetTimeSamples()
-        count = len(self._attribute.Get(self.times[0]) or ())
-        self.names = _labels(prim, count)
-
-    def at(self, time: float) -> FloatArray:
-        points = np.array(self._attribute.Get(time) or [], dtype=np.float64).reshape(-1, 3)
-        world = UsdGeom.Xformable(self._prim).ComputeLocalToWorldTransform(time)
+def _points_set(prim: Usd.Prim, attribute: Usd.Attribute) -> _MarkerSet:
+    def at(time: float) -> FloatArray:
+        points = np.array(attribute.Get(time) or [], dtype=np.float64).reshape(-1, 3)
+        world = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time)
         return transform_points(column_matrix(world), points)
+
+    times = attribute.GetTimeSamples()
+    names = _labels(prim, len(attribute.Get(times[0]) or ()))
+    return _MarkerSet("Points", str(prim.GetPath()), names, times, at)
 
 
 def _labels(prim: Usd.Prim, count: int) -> tuple[str, ...]:
@@ -182,58 +182,7 @@ def _labels(prim: Usd.Prim, count: int) -> tuple[str, ...]:
     return tuple(f"marker_{number:03d}" for number in numbers)
 
 
-class _JointSet:
-    kind = "Skeleton joints"
-
-    def __init__(
-        self, skeleton: Usd.Prim, query: UsdSkel.SkeletonQuery, times: list[float]
-    ) -> None:
-        self.path = str(skeleton.GetPath())
-        self.times = times
-        self._query = query
-        self._skeleton = skeleton
-        joints = [str(joint) for joint in query.GetJointOrder()]
-        # Markers are the leaves; joints above only group them.
-        parents = {joint.rpartition("/")[0] for joint in joints}
-        self._leaves = [index for index, joint in enumerate(joints) if joint not in parents]
-        short = [joints[index].rpartition("/")[2] for index in self._leaves]
-        full = [joints[index] for index in self._leaves]
-        self.names = tuple(short if len(set(short)) == len(short) else full)
-
-    def at(self, time: float) -> FloatArray:
-        cache = UsdGeom.XformCache(time)
-        matrices = self._query.ComputeJointWorldTransforms(cache)
-        positions = [matrices[index].ExtractTranslation() for index in self._leaves]
-        return np.array(positions, dtype=np.float64).reshape(-1, 3)
-
-
-class _XformSet:
-    kind = "Xforms"
-
-    def __init__(self, parent: Usd.Prim, prims: list[Usd.Prim]) -> None:
-        self.path = str(parent.GetPath())
-        self._prims = prims
-        self.names = tuple(prim.GetName() for prim in prims)
-        times: set[float] = set()
-        for prim in prims:
-            times.update(UsdGeom.Xformable(prim).GetTimeSamples())
-        self.times = sorted(times)
-
-    def at(self, time: float) -> FloatArray:
-        cache = UsdGeom.XformCache(time)
-        return np.array(
-            [cache.GetLocalToWorldTransform(prim).ExtractTranslation() for prim in self._prims],
-            dtype=np.float64,
-        )
-
-
-def _points_sets(top: Usd.Prim) -> Iterator[_PointsSet]:
-    for prim in Usd.PrimRange(top):
-        if prim.IsA(UsdGeom.Points) and UsdGeom.Points(prim).GetPointsAttr().GetNumTimeSamples():
-            yield _PointsSet(prim)
-
-
-def _joint_sets(top: Usd.Prim) -> Iterator[_JointSet]:
+def _joint_sets(top: Usd.Prim) -> Iterator[_MarkerSet]:
     cache = UsdSkel.Cache()
     for prim in Usd.PrimRange(top):
         if prim.IsA(UsdSkel.Root):
@@ -245,10 +194,26 @@ def _joint_sets(top: Usd.Prim) -> Iterator[_JointSet]:
         animation = query.GetAnimQuery() if query else None
         times = animation.GetJointTransformTimeSamples() if animation else None
         if times:
-            yield _JointSet(prim, query, list(times))
+            yield _joint_set(prim, query, list(times))
 
 
-def _xform_sets(top: Usd.Prim) -> Iterator[_XformSet]:
+def _joint_set(skeleton: Usd.Prim, query: UsdSkel.SkeletonQuery, times: list[float]) -> _MarkerSet:
+    joints = [str(joint) for joint in query.GetJointOrder()]
+    # Markers are the leaves; joints above only group them.
+    parents = {joint.rpartition("/")[0] for joint in joints}
+    leaves = [index for index, joint in enumerate(joints) if joint not in parents]
+    short = [joints[index].rpartition("/")[2] for index in leaves]
+    full = [joints[index] for index in leaves]
+    names = tuple(short if len(set(short)) == len(short) else full)
+
+    def at(time: float) -> FloatArray:
+        matrices = query.ComputeJointWorldTransforms(UsdGeom.XformCache(time))
+        return _origins(matrices[index] for index in leaves)
+
+    return _MarkerSet("Skeleton joints", str(skeleton.GetPath()), names, times, at)
+
+
+def _xform_sets(top: Usd.Prim) -> Iterator[_MarkerSet]:
     for parent in Usd.PrimRange(top):
         moving = [
             child
@@ -256,7 +221,23 @@ def _xform_sets(top: Usd.Prim) -> Iterator[_XformSet]:
             if child.IsA(UsdGeom.Xformable) and UsdGeom.Xformable(child).GetTimeSamples()
         ]
         if len(moving) >= FEWEST_XFORMS:
-            yield _XformSet(parent, moving)
+            yield _xform_set(parent, moving)
+
+
+def _xform_set(parent: Usd.Prim, prims: list[Usd.Prim]) -> _MarkerSet:
+    def at(time: float) -> FloatArray:
+        cache = UsdGeom.XformCache(time)
+        return _origins(cache.GetLocalToWorldTransform(prim) for prim in prims)
+
+    times = {time for prim in prims for time in UsdGeom.Xformable(prim).GetTimeSamples()}
+    names = tuple(prim.GetName() for prim in prims)
+    return _MarkerSet("Xforms", str(parent.GetPath()), names, sorted(times), at)
+
+
+def _origins(matrices: Iterable[Gf.Matrix4d]) -> FloatArray:
+    """Return the translation of each matrix: (n, 3)."""
+    places = [matrix.ExtractTranslation() for matrix in matrices]
+    return np.array(places, dtype=np.float64).reshape(-1, 3)
 
 
 def _weights_prim(top: Usd.Prim, path: Path) -> Usd.Prim | None:
