@@ -12,7 +12,6 @@ from usdface.numerics.regression.rbf_ridge import (
     fit_rbf_ridge,
     gaussian_design,
     gcv_scores,
-    nearest_distances,
     predict_rbf_ridge,
     reestimate_ridge,
     rotate,
@@ -171,13 +170,12 @@ def test_prediction_does_not_depend_on_the_block_size(monkeypatch: pytest.Monkey
 
 def test_widths_follow_the_nearest_neighbour_and_survive_coinciding_centres() -> None:
     points = np.array([[0.0], [1.0], [1.0], [4.0]])
-    np.testing.assert_array_equal(nearest_distances(points), [1.0, 0.0, 0.0, 3.0])
     np.testing.assert_array_equal(centre_widths(points, multiple=2.0), [2.0, 4.0, 4.0, 6.0])
     np.testing.assert_array_equal(shared_widths(points, multiple=8.0), np.full(4, 16.0))
     with pytest.raises(ValueError, match="all centres coincide"):
         shared_widths(np.zeros((3, 2)))
     with pytest.raises(ValueError, match="at least 2 points"):
-        nearest_distances(np.zeros((1, 2)))
+        centre_widths(np.zeros((1, 2)))
 
 
 def test_bad_input_is_refused() -> None:

@@ -12,7 +12,6 @@ from usdface.core.arrays import FloatArray
 from usdface.numerics.regression.rbf_ridge import (
     choose_ridge,
     evaluate_network,
-    nearest_distances,
     rotate,
 )
 
@@ -38,10 +37,8 @@ def nearest_softness(centres: FloatArray) -> FloatArray:
     """Return each centre's distance to the nearest other centre that does not coincide with it."""
     from scipy.spatial.distance import cdist  # imported late: it takes half a second
 
-    nearest = nearest_distances(centres)
-    if not (nearest > 0).all():
-        distances = cdist(centres, centres)
-        nearest = np.where(distances > 0, distances, np.inf).min(axis=1)
+    distances = cdist(centres, centres)
+    nearest = np.asarray(np.where(distances > 0, distances, np.inf).min(axis=1))
     if not np.isfinite(nearest).all():
         raise ValueError(f"all {len(centres)} centres coincide; no distance between them")
     return nearest
@@ -83,10 +80,9 @@ def fit_multiquadric(
     if not smooth:
         from scipy.spatial.distance import cdist  # imported late: it takes half a second
 
-        distances = cdist(C, C)
-        distances[np.tril_indices(len(C))] = np.inf
-        if distances.min() == 0.0:
-            first, second = np.argwhere(distances == 0.0)[0]
+        equal = np.argwhere(np.triu(cdist(C, C) == 0.0, 1))
+        if len(equal):
+            first, second = equal[0]
             raise ValueError(
                 f"centres {first} and {second} coincide, so their pairs cannot both be met; "
                 "leave one out, or fit with smooth=True"

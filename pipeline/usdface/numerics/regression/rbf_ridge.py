@@ -47,24 +47,10 @@ class Rotated:
     unreached: FloatArray
 
 
-def nearest_distances(points: FloatArray) -> FloatArray:
-    """Return the distance of each point to its nearest other point."""
-    if len(points) < 2:
-        raise ValueError(f"nearest distances need at least 2 points, got {len(points)}")
-    from scipy.spatial.distance import cdist  # imported late: it takes half a second
-
-    distances = cdist(points, points)
-    np.fill_diagonal(distances, np.inf)
-    return np.asarray(distances.min(axis=1))
-
-
 def shared_widths(centres: FloatArray, *, multiple: float = 8.0) -> FloatArray:
     """Return one width for all centres: a multiple of the median nearest-neighbour distance."""
-    nearest = nearest_distances(centres)
-    positive = nearest[nearest > 0]
-    if not len(positive):
-        raise ValueError("all centres coincide; no width fits them")
-    return np.full(len(centres), multiple * float(np.median(positive)))
+    _, median = _nearest_distances(centres)
+    return np.full(len(centres), multiple * median)
 
 
 def centre_widths(centres: FloatArray, *, multiple: float = 2.0) -> FloatArray:
@@ -72,11 +58,22 @@ def centre_widths(centres: FloatArray, *, multiple: float = 2.0) -> FloatArray:
 
     The median width for coinciding centres.
     """
-    nearest = nearest_distances(centres)
-    positive = nearest[nearest > 0]
-    if not len(positive):
+    nearest, median = _nearest_distances(centres)
+    return multiple * np.where(nearest > 0, nearest, median)
+
+
+def _nearest_distances(points: FloatArray) -> tuple[FloatArray, float]:
+    """Return the distance of each point to its nearest other point, and the median above 0."""
+    if len(points) < 2:
+        raise ValueError(f"nearest distances need at least 2 points, got {len(points)}")
+    from scipy.spatial.distance import cdist  # imported late: it takes half a second
+
+    distances = cdist(points, points)
+    np.fill_diagonal(distances, np.inf)
+    nearest = np.asarray(distances.min(axis=1))
+    if not nearest.any():
         raise ValueError("all centres coincide; no width fits them")
-    return multiple * np.where(nearest > 0, nearest, float(np.median(positive)))
+    return nearest, float(np.median(nearest[nearest > 0]))
 
 
 def gaussian_design(points: FloatArray, centres: FloatArray, widths: FloatArray) -> FloatArray:
