@@ -136,7 +136,9 @@ def equal_rows(rows: BoolArray | FloatArray) -> list[IntArray]:
         return []
     if (rows == rows[0]).all():
         return [np.arange(len(rows))]
-    keys = np.packbits(rows, axis=1) if rows.dtype == np.bool_ else rows  # sorted much faster
+    keys: NDArray[Any] = rows
+    if rows.dtype == np.bool_:
+        keys = np.packbits(rows.astype(np.bool_, copy=False), axis=1)  # sorted much faster
     _, group = np.unique(keys, axis=0, return_inverse=True)
     order = np.argsort(group.ravel(), kind="stable")
     return np.split(order, np.flatnonzero(np.diff(group.ravel()[order])) + 1)

@@ -193,7 +193,8 @@ def _left_motion(
 ) -> FloatArray:
     """Return the motion of markers that all shapes leave: (frames, markers, 3) [mm]."""
     weights = solve_weights_at(skin, samples, moved, _FARTHER_WEIGHT * ranges)
-    return moved - np.einsum("fk,kmc->fmc", weights, skin.deltas[:, samples], optimize=True)
+    followed = np.einsum("fk,kmc->fmc", weights, skin.deltas[:, samples], optimize=True)
+    return np.asarray(moved - followed)
 
 
 def _closes_eyes(skin: FaceSkin, shapes: tuple[str, ...], owners: np.ndarray) -> bool:
