@@ -6,14 +6,12 @@ Deng, Chiang, Fox and Neumann (2006), Animating Blendshape Faces by Cross-Mappin
 Data, I3D, section 3, equations 1 and 2.
 Umeyama (1991), Least-squares estimation of transformation parameters between two point patterns,
 IEEE PAMI 13(4): the determinant.
-Markley (1993), Attitude determination using vector observations: a fast optimal matrix algorithm,
-Journal of the Astronautical Sciences 41(2), 261-280: `optimal_rotations`.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from usdface.core.arrays import BoolArray, FloatArray, RealArray, frame_blocks
 from usdface.core.processes import map_threads
@@ -29,10 +27,6 @@ _INLIER_MEDIANS = 2.6
 """Residuals of Gaussian noise in three dimensions stay below 2.6 medians in 999 of 1000 samples."""
 _LEAST_SCALE = 1e-6
 """[mm] Scale of the residuals of exact data, which are rounding."""
-_NEWTON_LIMIT = 30
-_NEWTON_SETTLED = 1e-15
-_SAFE_ZETA = 0.05
-"""Below it the closed form is inaccurate, and the SVD is used."""
 
 
 @dataclass(frozen=True)
@@ -82,14 +76,7 @@ def align_rigid(
     w = np.broadcast_to(1.0, points.shape[:2]) if weights is None else np.array(weights, np.float64)
     if w.shape != points.shape[:2]:
         raise ValueError(f"weights {w.shape} must be (frames, points) = {points.shape[:2]}")
-    count = len(points)
-    rotations, translations = np.empty((count, 3, 3)), np.empty((count, 3))
-    determined = np.empty(count, bool)
-    for rows in frame_blocks(count, frames=_CHUNK_FRAMES):
-        rotations[rows], translations[rows], determined[rows] = _align_chunk(
-            points[rows], y, w[rows]
-        )
-    return RigidAlignment(rotations, translations, determined, w)
+    return _align(points, np.broadcast_to(y, points.shape), w)
 
 
 def align_rigid_robust(
@@ -150,19 +137,27 @@ def align_frames(positions: ArrayLike, targets: ArrayLike, *, weights: ArrayLike
         raise ValueError(
             f"positions {points.shape}, targets {goals.shape} and weights {w.shape} must agree"
         )
+    return _align(points, goals, w)
+
+
+def _align(points: RealArray, goals: RealArray, w: FloatArray) -> RigidAlignment:
     count = len(points)
     rotations, translations = np.empty((count, 3, 3)), np.empty((count, 3))
     determined = np.empty(count, bool)
     for rows in frame_blocks(count, frames=_CHUNK_FRAMES):
+        unused = w[rows] <= 0
         share = w[rows] / np.maximum(w[rows].sum(axis=1), np.finfo(np.float64).tiny)[:, None]
         x, y = points[rows].astype(np.float64), np.ones((*share.shape, 4))
+        if unused.any():
+            x[unused] = 0.0  # arbitrary, perhaps NaN
         x *= share[..., None]
         y[..., :3] = goals[rows]
         moments, y_center = np.swapaxes(x, 1, 2) @ y, (share[:, None] @ y)[:, 0, :3]
         x_center = moments[:, :, 3]
-        moments = moments[:, :, :3] - x_center[:, :, None] * y_center[:, None]
-        R, known = optimal_rotations(moments, rank_tolerance=_RANK_TOLERANCE)
-        known &= (w[rows] > 0).sum(axis=1) >= 3
+        covariance = moments[:, :, :3] - x_center[:, :, None] * y_center[:, None]
+        # D06 equations 1 and 2: y^T x = U D V^T, R = V U^T, with determinant +1
+        R, known = optimal_rotations(covariance, rank_tolerance=_RANK_TOLERANCE)
+        known &= points.shape[1] - unused.sum(axis=1) >= 3
         R[~known] = np.eye(3)
         rotations[rows], determined[rows] = R, known
         translations[rows] = x_center - np.einsum("fij,fj->fi", R, y_center)
@@ -216,10 +211,6 @@ def optimal_rotations(
 ) -> tuple[FloatArray, BoolArray]:
     """Return the rotations R that maximise ``trace(R.T @ B)``, which are U diag(1, 1, ±1) V^T.
 
-    By Markley's closed form, ten times as fast as a batched SVD and equal to rounding. It needs the
-    sum of the singular values of B (the last with the determinant's sign): the largest root of a
-    quartic, by Newton's method from above. Matrices near rank one are decomposed by SVD.
-
     Parameters
     ----------
     matrices : (n, 3, 3) float array
@@ -234,93 +225,8 @@ def optimal_rotations(
         Identity where not determined.
     determined : (n,) bool array
     """
-    # Frames last, so that operations run over contiguous memory.
-    B = np.ascontiguousarray(np.moveaxis(matrices, 0, -1))
-    size = np.sqrt((B * B).sum(axis=(0, 1)))
-    B /= np.maximum(size, np.finfo(np.float64).tiny)
-    above, below = B[[1, 2, 0]], B[[2, 0, 1]]
-    cofactors = (
-        above[:, [1, 2, 0]] * below[:, [2, 0, 1]] - above[:, [2, 0, 1]] * below[:, [1, 2, 0]]
-    )
-    determinant = (B[0] * cofactors[0]).sum(axis=0)
-    cofactor_norm2 = (cofactors * cofactors).sum(axis=(0, 1))
-    # (λ² - |B|²)² - 8 λ det B - 4 |cof B|² = 0, |B| = 1; convex from the largest root upwards
-    root = np.full(len(matrices), np.sqrt(3.0))
-    for _ in range(_NEWTON_LIMIT):
-        excess = root * root - 1.0
-        value = excess * excess - 8.0 * root * determinant - 4.0 * cofactor_norm2
-        slope = 4.0 * root * excess - 8.0 * determinant
-        step = value / np.maximum(slope, _NEWTON_SETTLED)
-        root -= step
-        if np.abs(step).max(initial=0.0) < _NEWTON_SETTLED:
-            break
-    kappa = 0.5 * (root * root - 1.0)
-    zeta = kappa * root - determinant
-    safe = (zeta > _SAFE_ZETA) & (size > 0)
-    turned = (kappa + 1.0) * B + root * cofactors - _product(B, _gram(B))
-    turned /= np.where(safe, zeta, 1.0)
-    turned = 1.5 * turned - 0.5 * _product(turned, _gram(turned))  # orthogonal to rounding
-    R = np.ascontiguousarray(np.moveaxis(turned, -1, 0))
-    determined = safe.copy()
-    rest = np.flatnonzero(~safe)
-    R[rest], determined[rest] = _decompose(np.moveaxis(B[:, :, rest], -1, 0), rank_tolerance)
-    return R, determined
-
-
-def _align_chunk(
-    points: NDArray[np.generic], y: FloatArray, w: FloatArray
-) -> tuple[FloatArray, FloatArray, BoolArray]:
-    x = points.astype(np.float64)
-    unused = w <= 0
-    if unused.any():
-        x[unused] = 0.0  # arbitrary, perhaps NaN
-    y_middle = y.mean(axis=0)
-    moments = _moments(x, y - y_middle, w)
-    total = np.maximum(moments[:, 9], np.finfo(np.float64).tiny)[:, None]
-    x_center = moments[:, 10:13] / total
-    y_center = moments[:, 13:16] / total
-    covariance = moments[:, :9].reshape(-1, 3, 3)
-    covariance -= x_center[:, :, None] * moments[:, None, 13:16]
-    # D06 equations 1 and 2: y^T x = U D V^T, R = V U^T, with determinant +1
-    rotations, determined = optimal_rotations(covariance, rank_tolerance=_RANK_TOLERANCE)
-    determined &= points.shape[1] - unused.sum(axis=1) >= 3
-    rotations[~determined] = np.eye(3)
-    y_center += y_middle
-    translations = x_center - np.einsum("fij,fj->fi", rotations, y_center)
-    return rotations, translations, determined
-
-
-def _moments(x: FloatArray, y: FloatArray, w: FloatArray) -> FloatArray:
-    """Return the weighted sums of ``x y^T``, 1, x and y of each frame: (frames, 9 + 1 + 3 + 3).
-
-    By one matrix product. `x` must be 0 where `w` is, and is changed.
-    """
-    count = len(y)
-    operator = np.zeros((count, 3, 12))
-    for axis in range(3):
-        operator[:, axis, 3 * axis : 3 * axis + 3] = y
-        operator[:, axis, 9 + axis] = 1.0
-    flat = x.reshape(len(x), -1)
-    if ((w != 0) & (w != 1)).any():
-        flat *= np.repeat(w, 3, axis=1)
-    sums = flat @ operator.reshape(count * 3, 12)
-    of_reference = w @ np.column_stack([np.ones(count), y])
-    return np.concatenate([sums[:, :9], of_reference[:, :1], sums[:, 9:], of_reference[:, 1:]], 1)
-
-
-def _product(A: FloatArray, B: FloatArray) -> FloatArray:
-    """Return A B of (3, 3, n) matrices."""
-    return A[:, :1] * B[:1] + A[:, 1:2] * B[1:2] + A[:, 2:] * B[2:]
-
-
-def _gram(A: FloatArray) -> FloatArray:
-    """Return A.T A of (3, 3, n) matrices."""
-    return _product(np.swapaxes(A, 0, 1), A)
-
-
-def _decompose(B: FloatArray, rank_tolerance: float) -> tuple[FloatArray, BoolArray]:
-    U, singular, Vt = np.linalg.svd(np.where(np.isfinite(B), B, 0.0))
-    sign = np.sign(np.linalg.det(U) * np.linalg.det(Vt))
+    U, singular, Vt = np.linalg.svd(np.where(np.isfinite(matrices), matrices, 0.0))
+    sign = np.sign(np.linalg.det(U @ Vt))
     U[:, :, 2] *= sign[:, None]
     margin = singular[:, 1] + sign * singular[:, 2]  # 0: the rotation is not unique
     determined = margin > rank_tolerance * singular[:, 0]

@@ -12,6 +12,7 @@ compared: they cannot be told from those of the weights.
 import numpy as np
 
 from usdface.core.arrays import BoolArray, FloatArray
+from usdface.numerics.rigid.rigid_alignment import optimal_rotations
 
 _SKIN_MM = 15.0
 """Distance over which neighbouring markers share the rotation of the skin."""
@@ -42,9 +43,7 @@ def skin_rotations(
     cross = np.tensordot(near, np.einsum("fmi,fmj->mij", y, m, optimize=True), axes=1)
     motion = near @ (m**2).sum(axis=(0, 2)) / 3
     unturned = _UNTURNED_SHARE * motion + _UNTURNED_MM**2 * len(m)
-    left, _, right = np.linalg.svd(cross + unturned[:, None, None] * np.eye(3))
-    left[:, :, 2] *= np.linalg.det(left @ right)[:, None]
-    return np.asarray(left @ right)
+    return optimal_rotations(cross + unturned[:, None, None] * np.eye(3), rank_tolerance=0.0)[0]
 
 
 def rotate_deltas(deltas: FloatArray, rotations: FloatArray) -> FloatArray:

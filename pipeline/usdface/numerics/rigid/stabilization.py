@@ -18,7 +18,14 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import distance_transform_edt, uniform_filter1d
 from scipy.spatial.transform import Rotation, Slerp
 
-from usdface.core.arrays import BoolArray, FloatArray, IntArray, RealArray, sample_frames
+from usdface.core.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    RealArray,
+    equal_rows,
+    sample_frames,
+)
 from usdface.numerics.rigid.rigid_alignment import (
     RigidAlignment,
     align_rigid,
@@ -138,13 +145,13 @@ def stabilize(
 
 def _turn_per_mm(reference: FloatArray, seen: BoolArray) -> FloatArray:
     """Return by how much noise of 1 mm turns a frame's rigid markers about their line [rad]."""
-    patterns, rows = np.unique(seen, axis=0, return_inverse=True)
-    widths = np.zeros(len(patterns))
-    for row, pattern in enumerate(patterns):
-        if pattern.any():
-            each = reference[pattern] - reference[pattern].mean(axis=0)
-            widths[row] = np.linalg.norm(np.linalg.svd(each, compute_uv=False)[1:])
-    return np.asarray(1.0 / np.maximum(widths, 1e-9))[rows.ravel()]
+    widths = np.zeros(len(seen))
+    for rows in equal_rows(seen):
+        markers = reference[seen[rows[0]]]
+        if len(markers):
+            offsets = markers - markers.mean(axis=0)
+            widths[rows] = np.linalg.norm(np.linalg.svd(offsets, compute_uv=False)[1:])
+    return np.asarray(1.0 / np.maximum(widths, 1e-9))
 
 
 def stabilize_by_prior(
