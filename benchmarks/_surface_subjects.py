@@ -118,7 +118,7 @@ def deviations_of_axes(fitted: GpSurface, moved: np.ndarray) -> np.ndarray:
     theta, factors = fitted._sample(moved), fitted.factors
     chains = np.moveaxis(theta, 2, 3).reshape(len(theta), 4, -1)
     moments = average_dual_weights(fitted.table.spectrum, _rows_of_axes(moved), chains)
-    variance = np.maximum(predict_variance(fitted.fields, moments), fitted.least_variance)
+    variance = np.maximum(predict_variance(fitted.basis, moments), fitted.least_variance)
     variance += moments.constant[:, None] * fitted.added
     variance = variance.reshape(-1, 3, fitted.point_count)
     deviations = np.sqrt(variance) * factors.of_axes[:, None] * factors.of_points

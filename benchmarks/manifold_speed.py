@@ -64,9 +64,7 @@ def run(frames: int = 512) -> None:
     squares = (theta[:, :1] - theta.mean(axis=(0, 1))) ** 2
     ess_squared = np.median(effective_sample_size(squares))
     points = np.tile(subject.points, (3, 1))[:26_719]
-    basis = np.tile(fitted.fields.basis, (3, 1))[: len(points)]
-    squares = np.tile(fitted.fields.squares, (3, 1))[: len(points)]
-    whole = _grown(fitted, basis, squares)
+    whole = _grown(fitted, np.tile(fitted.basis, (3, 1))[: len(points)])
     took = np.empty((2, 2))
     for turn in took:
         start, wall = time.process_time(), time.perf_counter()
@@ -94,8 +92,7 @@ def run(frames: int = 512) -> None:
     print(f"| the same, frames a second as measured | {frames / wall:.0f} | ≥ 120 |")
 
 
-def _grown(fitted: GpSurface, basis: np.ndarray, squares: np.ndarray) -> GpSurface:
+def _grown(fitted: GpSurface, basis: np.ndarray) -> GpSurface:
     """Return the model on a mesh with the number of points of ICT's head."""
     factors = replace(fitted.factors, of_points=np.tile(fitted.factors.of_points, 3)[: len(basis)])
-    fields = replace(fitted.fields, basis=basis, squares=squares)
-    return replace(fitted, fields=fields, factors=factors, point_count=len(basis))
+    return replace(fitted, basis=basis, factors=factors, point_count=len(basis))

@@ -36,7 +36,6 @@ REMEMBERED = (
     ("usdface.model.retarget.shape_matching", "align_cloud"),
     ("usdface.model.selection.baseline", "solve_weights"),
     ("usdface.model.surface.binding", "place_markers"),
-    ("usdface.numerics.manifold.posterior_prediction", "_right_singular_vectors"),
     ("usdface.steps.inputs.placement", "place_markers"),
     ("usdface.steps.inputs.placement", "judge_placement"),
     ("usdface.steps.inputs.placement", "bind_at"),

@@ -11,7 +11,7 @@ from usdface.model.surface import gp_surface
 from usdface.model.surface.distance import surface_distances
 from usdface.model.surface.gp_surface import GpOptions, GpSurface, fit_gp_surface
 from usdface.model.surface.rbf_surface import RbfOptions, fit_rbf_surface
-from usdface.numerics.manifold.posterior_prediction import DualMoments, SurfaceFields
+from usdface.numerics.manifold.posterior_prediction import DualMoments
 from usdface.numerics.surface.surface_places import places_at_points
 
 CORNERS = np.array([[-60, -60, 0], [60, -60, 0], [-60, 60, 0], [60, 60, 0], [0, 60, 0]])
@@ -66,8 +66,8 @@ def test_noise_is_smoothed_and_95_percent_intervals_contain_95_percent(
 def test_no_point_is_surer_than_all_markers_together(
     mouth: Mouth, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def nothing(fields: SurfaceFields, moments: DualMoments) -> np.ndarray:
-        return np.zeros((len(moments.constant), len(fields.basis)), np.float32)
+    def nothing(basis: np.ndarray, moments: DualMoments) -> np.ndarray:
+        return np.zeros((len(moments.constant), len(basis)), np.float32)
 
     moved = mouth.markers(noise=0.5)
     fitted = fit(mouth, moved, sampler="shared", length_scale=40.0, samples=20)
@@ -201,7 +201,8 @@ def test_markers_that_vanish_follow_the_others_and_are_less_certain(
     assert np.allclose(found.mean[0], trusted.mean[0])
     if found.sd is not None and trusted.sd is not None:
         assert np.allclose(found.sd[0], trusted.sd[0])
-        assert (found.sd[1:] > 0.99 * trusted.sd[1:]).all()
+        # Held markers contradict the others, which adds micrometres at those that are seen.
+        assert (found.sd[1:] > 0.99 * trusted.sd[1:] - 1e-3).all()
         assert (found.sd[1:] > 1.1 * trusted.sd[1:]).mean() > 0.03
         filled = model.deform(moved, np.where(seen, 1.0, 0.5))
         assert np.array_equal(filled.mean, model.deform(moved).mean)

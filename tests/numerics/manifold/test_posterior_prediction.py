@@ -19,11 +19,11 @@ from usdface.numerics.manifold.posterior_prediction import (
     calibrate_spread,
     join_moments,
     leave_markers_out,
-    make_fields,
     mix_variances,
     predict_mean,
     predict_variance,
     prior_shares,
+    surface_basis,
 )
 from usdface.numerics.manifold.surface_fields import fit_covariance
 
@@ -40,17 +40,18 @@ def dense_prediction(spectrum, theta, row, cross, places) -> tuple[np.ndarray, n
     return k @ solved[:, 0], own - np.einsum("pi,ip->p", k, solved[:, 1:])
 
 
-def test_mean_and_variance_are_those_of_the_mixture_over_samples() -> None:
+@pytest.mark.parametrize("markers", [12, 60])
+def test_mean_and_variance_are_those_of_the_mixture_over_samples(markers: int) -> None:
     rng = np.random.default_rng(0)
-    spectrum, at = small_spectrum(12), small_places(12)
-    places = rng.standard_normal((60, 3))
+    spectrum, at = small_spectrum(markers), small_places(markers)
+    places = np.concatenate([at, rng.standard_normal((400, 3))])
     covariance = fit_covariance(cdist(at, at), length_scale=1.0)
     cross = covariance.cross(cdist(at, places))
     rows = draw_rows(spectrum, rng, 3)
     theta = np.log([3.0, 0.1, 1.0, 1.0])[:, None] + 0.5 * rng.standard_normal((20, 4, 3))
-    fields = make_fields(spectrum, cross, places.astype(np.float32), rank=400, rng=rng)
+    basis = surface_basis(spectrum, cross, places)
     moments = average_dual_weights(spectrum, rows, theta)
-    mean, variance = predict_mean(fields, moments)[0].T, predict_variance(fields, moments)
+    mean, variance = predict_mean(basis, moments)[0].T, predict_variance(basis, moments)
     for chain in range(3):
         each = [
             dense_prediction(spectrum, theta[s, :, chain], rows[chain], cross, places)
@@ -68,10 +69,10 @@ def test_at_markers_without_noise_it_meets_them_and_is_sure() -> None:
     cross = fit_covariance(cdist(at, at), length_scale=1.0).cross(cdist(at, at))
     rows = draw_rows(spectrum, rng, 3)
     theta = np.repeat(np.log([4.0, 1e-5, 1.0, 1.0])[None, :, None], 3, axis=2)
-    fields = make_fields(spectrum, cross, at.astype(np.float32), rank=400, rng=rng)
+    basis = surface_basis(spectrum, cross, at)
     moments = average_dual_weights(spectrum, rows, theta)
-    assert np.allclose(predict_mean(fields, moments)[0].T, rows, atol=0.02)
-    assert predict_variance(fields, moments).max() < 0.02
+    assert np.allclose(predict_mean(basis, moments)[0].T, rows, atol=0.02)
+    assert predict_variance(basis, moments).max() < 0.02
 
 
 def test_batches_put_together_are_one_batch_and_axes_add_up() -> None:

@@ -39,17 +39,16 @@ from usdface.numerics.manifold.hyper_sampling import (
 )
 from usdface.numerics.manifold.posterior_prediction import (
     SpreadFactors,
-    SurfaceFields,
     average_dual_weights,
     calibrate_spread,
     join_moments,
     leave_markers_out,
-    make_fields,
     marker_precisions,
     mix_variances,
     predict_mean,
     predict_variance,
     prior_shares,
+    surface_basis,
 )
 from usdface.numerics.manifold.surface_fields import (
     CovarianceShape,
@@ -113,8 +112,8 @@ class GpSurface(SurfaceModel):
     options: GpOptions
     table: SharedTable = field(repr=False)
     """Table of the posterior's energy."""
-    fields: SurfaceFields = field(repr=False)
-    """Covariances between points and markers."""
+    basis: Float32Array = field(repr=False)
+    """(points, markers + 4): see `surface_basis`."""
     factors: SpreadFactors = field(repr=False)
     """Calibration of standard deviations."""
     added: Float32Array = field(repr=False)
@@ -130,7 +129,7 @@ class GpSurface(SurfaceModel):
     def least_variance(self) -> float:
         """Variance of a point at which all N markers are, ``1 / (1 / v0 + N / v1)`` [mm^2].
 
-        At markers the low-rank approximation of variances may be less, or 0.
+        Rounding in single precision may give less.
         """
         v0, v1 = np.exp(self.typical[:2])
         return float(1.0 / (1.0 / v0 + self.marker_count / v1))
@@ -178,14 +177,14 @@ class GpSurface(SurfaceModel):
             rows = _rows_of_axes(moved[part])
             parts.append(average_dual_weights(self.table.spectrum, rows, chains))
         moments = join_moments(parts)
-        mean = predict_mean(self.fields, moments)
+        mean = predict_mean(self.basis, moments)
         shares = self.factors.of_axes**2 / 3.0
         mixed = mix_variances(moments, shares)
-        variance = predict_variance(self.fields, mixed)
+        variance = predict_variance(self.basis, mixed)
         np.maximum(variance, np.float32(shares.sum() * self.least_variance), out=variance)
         if not measured.all():
             variance += np.float32(shares.sum()) * unseen_variances(
-                self.fields, self.table.spectrum, self.typical, measured, self.precision
+                self.basis, self.table.spectrum, self.typical, measured, self.precision
             )
         # No marker tells how a separate part moves: its deviation is that of any point.
         variance[:, self.alone] = np.maximum(variance[:, self.alone], mixed.constant[:, None])
@@ -213,12 +212,11 @@ def fit_gp_surface(
     covariance, table = chosen.covariance, SharedTable(chosen.spectrum)
     rng = np.random.default_rng(options.seed)
     cross = covariance.cross(distances.blended_to_points(chosen.blend))
-    places = distances.scaled(distances.points).astype(np.float32)
+    places = distances.scaled(distances.points)
     if options.folds and chosen.blend > 0:
         folds = find_surface_folds(distances)
         folds.apply(cross, covariance.matrix())
         folds.apply(places, distances.scaled(distances.marker_positions))
-    fields = make_fields(chosen.spectrum, cross, places, rng=rng)
     theta, facts = _sample_fitted(rng, table, rows, options)
     thin = max(1, len(theta) // _CALIBRATION_SAMPLES)
     left_out = leave_markers_out(chosen.spectrum, rows, theta[::thin], with_nearest=True)
@@ -233,7 +231,7 @@ def fit_gp_surface(
         precision=marker_precisions(chosen.spectrum, typical[None])[0],
         options=options,
         table=table,
-        fields=fields,
+        basis=surface_basis(chosen.spectrum, cross, places),
         factors=factors,
         added=_prior_shares(distances, chosen, factors, theta, options),
         alone=distances.unreached.points,

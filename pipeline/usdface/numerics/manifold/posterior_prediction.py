@@ -28,7 +28,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import Float32Array, FloatArray, RealArray, frame_blocks
+from usdface.core.arrays import Float32Array, FloatArray, RealArray
 from usdface.numerics.manifold.hyper_posterior import SYMMETRIC_ENTRIES, HyperPrior, MarkerSpectrum
 
 _LARGEST_LOG = 30.0
@@ -166,77 +166,34 @@ def mix_variances(moments: DualMoments, shares: FloatArray) -> DualMoments:
     return DualMoments(moments.mean, mixed, level)
 
 
-@dataclass(frozen=True)
-class SurfaceFields:
-    """h over a mesh, and a low-rank approximation of its products for variances."""
-
-    basis: Float32Array
-    """(points, N + 4): h"""
-    squares: Float32Array
-    """(points, rank)"""
-    directions: Float32Array
-    """(rank, (N + 4)(N + 5) / 2): ``squares @ directions`` approximates the products ``h_i h_j`` in
-    the order of `numpy.triu_indices`, doubled for i < j."""
-
-
-def make_fields(
-    spectrum: MarkerSpectrum,
-    cross: Float32Array,
-    places: Float32Array,
-    *,
-    rank: int = 128,
-    rng: np.random.Generator,
-) -> SurfaceFields:
-    """Return the fields of a mesh.
+def surface_basis(spectrum: MarkerSpectrum, cross: Float32Array, places: RealArray) -> Float32Array:
+    """Return h at the points of a mesh: (points, N + 4).
 
     Parameters
     ----------
     cross : (points, N) float32 array
         Covariance of the points with the markers.
-    places : (points, 3) float32 array
+    places : (points, 3) float array
         Of points, centred and scaled as the markers' places.
-    rank : int
-        Of the variances; the mean is exact.
-    rng : numpy.random.Generator
-        Chooses the points for the basis of the variances.
     """
-    ones = np.ones((len(cross), 1), np.float32)
     rotated = cross @ spectrum.vectors.astype(np.float32)
-    basis = np.concatenate([rotated, ones, places.astype(np.float32)], axis=1)
-    sample = basis[rng.choice(len(basis), min(len(basis), 8 * rank), replace=False)]
-    directions = np.ascontiguousarray(_right_singular_vectors(_products(sample), rank))
-    squares = np.empty((len(basis), len(directions)), np.float32)
-    block = max(1, (1 << 22) // directions.shape[1])
-    for part in frame_blocks(len(basis), frames=block):
-        np.matmul(_products(basis[part]), directions.T, out=squares[part])
-    return SurfaceFields(basis, squares, directions)
+    ones = np.ones((len(cross), 1), np.float32)
+    return np.concatenate([rotated, ones, places.astype(np.float32)], axis=1)
 
 
-def _right_singular_vectors(matrix: Float32Array, rank: int) -> Float32Array:
-    """Return those of the largest singular values: (rank, columns)."""
-    right: Float32Array = np.linalg.svd(matrix, full_matrices=False)[2]
-    return right[:rank]
-
-
-def _products(basis: Float32Array) -> Float32Array:
-    i, j = np.triu_indices(basis.shape[1])
-    out: Float32Array = basis[:, i] * basis[:, j]
-    out *= np.where(i == j, 1.0, 2.0).astype(np.float32)
-    return out
-
-
-def predict_mean(fields: SurfaceFields, moments: DualMoments) -> Float32Array:
+def predict_mean(basis: Float32Array, moments: DualMoments) -> Float32Array:
     """Return displacements, three chains to a frame: (frames, points, 3) float32 array [mm]."""
-    flat = fields.basis @ moments.mean.T
+    flat = basis @ moments.mean.T
     return np.ascontiguousarray(flat.reshape(len(flat), -1, 3).transpose(1, 0, 2), np.float32)
 
 
-def predict_variance(fields: SurfaceFields, moments: DualMoments) -> Float32Array:
+def predict_variance(basis: Float32Array, moments: DualMoments) -> Float32Array:
     """Return variances: (chains, points) float32 array [mm^2]."""
-    chains, size = moments.covariance.shape[:2]
-    upper = np.triu_indices(size)
-    entries = np.take(moments.covariance.reshape(chains, -1), upper[0] * size + upper[1], axis=1)
-    out = (entries @ fields.directions.T) @ fields.squares.T
+    out = np.empty((len(moments.constant), len(basis)), np.float32)
+    for chain, covariance in enumerate(moments.covariance):
+        # The products of h are not approximated by few: deviations at markers would be wrong by
+        # factors, although those of most points are not.
+        np.einsum("pi,pi->p", basis @ covariance, basis, out=out[chain])
     out += moments.constant[:, None]
     return np.asarray(np.maximum(out, 0.0, out=out))
 

@@ -15,7 +15,6 @@ import numpy as np
 
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, equal_rows
 from usdface.numerics.manifold.hyper_posterior import MarkerSpectrum
-from usdface.numerics.manifold.posterior_prediction import SurfaceFields
 
 
 def predict_unseen(moved: FloatArray, seen: BoolArray, precision: FloatArray) -> FloatArray:
@@ -40,7 +39,7 @@ def predict_unseen(moved: FloatArray, seen: BoolArray, precision: FloatArray) ->
 
 
 def unseen_variances(
-    fields: SurfaceFields,
+    basis: Float32Array,
     spectrum: MarkerSpectrum,
     theta: FloatArray,
     seen: BoolArray,
@@ -50,6 +49,8 @@ def unseen_variances(
 
     Parameters
     ----------
+    basis : (points, N + 4) float32 array
+        See `surface_basis`.
     theta : (4,) float array
         Log hyper-parameters.
     seen : (frames, N) bool array
@@ -59,10 +60,10 @@ def unseen_variances(
     v0, _, a0, a1 = np.exp(theta)
     trend = (spectrum.vectors @ spectrum.trend).T
     dual = np.concatenate([v0 * spectrum.vectors.T, a0 * trend[:1], a1 * trend[1:]])
-    out = np.zeros((len(seen), len(fields.basis)), np.float32)
+    out = np.zeros((len(seen), len(basis)), np.float32)
     for unseen, rows in _unseen_patterns(seen):
         root = np.linalg.cholesky(np.linalg.inv(precision[np.ix_(unseen, unseen)]))
-        gain = fields.basis @ (dual @ precision[:, unseen] @ root).astype(np.float32)
+        gain = basis @ (dual @ precision[:, unseen] @ root).astype(np.float32)
         out[rows] = (gain**2).sum(axis=1)
     return out
 
