@@ -286,3 +286,16 @@ def test_a_shape_that_no_pair_uses_decides_too() -> None:
     weights = np.random.default_rng(0).random((40, 2)) * [1.0, 0.0]
     assert observable_shapes([0.1 * weights], weights).tolist() == [True, True]
     assert observable_shapes([weights * 0.1 + [0.0, 0.2]], weights).tolist() == [True, True]
+
+
+def test_shapes_that_a_method_cannot_predict_are_among_its_errors() -> None:
+    """Markers show them, as the default method predicts them."""
+    face = synthetic_face(bend=0.3)
+    mapping = train_mapping(
+        references_of(face, CHOSEN),
+        ranges=face.ranges,
+        gram=face.gram,
+        method="d06",
+        choices=Choices(dimensions=(1,)),
+    )
+    assert mapping.settings["unobservable_shapes"] == 0

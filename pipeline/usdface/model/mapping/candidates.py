@@ -242,7 +242,13 @@ def compare_candidates(
     for i, candidate in enumerate(candidates if len(pairs.outputs) >= MINIMUM_TO_COMPARE else []):
         progress(0.9 * i / len(candidates), f"cross-validating {candidate.method.name}")
         predictions.append((folds.predict(candidate), candidate))
-    observable = observable_shapes([each.errors for each, _ in predictions], pairs.outputs)
+    judged = [each.errors for each, _ in predictions]
+    if judged and all(candidate.method.name != AUTO[0] for candidate in candidates):
+        # Shapes that a method cannot predict are its errors: markers may show them nevertheless.
+        judged += [
+            folds.predict(each).errors for each in list_candidates(pairs, AUTO[0], Choices())
+        ]
+    observable = observable_shapes(judged, pairs.outputs)
     gram = pairs.face.gram if in_mm else None
     scored = [
         _Scored(_score(candidate, predicted.errors, observable, gram), candidate, predicted)
