@@ -22,3 +22,12 @@ def test_only_other_content_is_computed_again() -> None:
     assert total(values.T) == values.sum()
     total(values.astype(np.float32))
     assert len(computed) == 5
+
+
+def test_sets_have_content() -> None:
+    @cache_last_result
+    def count(names: frozenset[str]) -> int:
+        return len(names)
+
+    assert count(frozenset("ab")) == 2
+    assert count(frozenset("abc")) == 3
