@@ -128,7 +128,7 @@ def test_keys_have_the_frames_that_the_take_of_the_same_table_has(
     first = take.first_frame
     assert table.frames == tuple(range(first, first + take.frame_count))
     assert table.rate in (None, 30)
-    (note,) = table.numbering_notes(path) or [""]
+    (note,) = table.notes(path, table.names, owner="on the rig") or [""]
     assert ("count from frame 1" in note) == (name not in (*FROM_101, "rows.json"))
 
 

@@ -179,9 +179,14 @@ class Take(_Asset):
         return 0 if self.source is None else len(self.source.values)
 
     @property
+    def last_frame(self) -> int:
+        """Frame number of the last sample."""
+        return self.first_frame + self.frame_count - 1
+
+    @property
     def frames(self) -> IntArray:
         """Frame numbers, one per sample."""
-        return np.arange(self.first_frame, self.first_frame + self.frame_count, dtype=np.int64)
+        return np.arange(self.first_frame, self.last_frame + 1, dtype=np.int64)
 
     def seconds(self, frames: Seconds) -> Seconds:
         """Return times of frames, by number, on the take's clock: 0 at its first frame [s]."""
@@ -360,6 +365,10 @@ class References(_Asset):
     source_names: tuple[str, ...] = ()
     source: FloatArray | None = None
     """(pairs, source names): weights in takes that have weights instead of markers, else None."""
+
+    def weights_of(self, pair: int) -> dict[str, float]:
+        """Return the weights of a pair by shape."""
+        return dict(zip(self.shape_names, self.weights[pair].tolist(), strict=True))
 
     def rows(self, kept: IntArray | BoolArray) -> "References":
         """Return some of the pairs, by index or mask."""

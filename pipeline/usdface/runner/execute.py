@@ -80,7 +80,10 @@ def execute(
                 moved_rig(spec.rig) if isinstance(spec, MovedRigSpec) else contextlib.nullcontext()
             )
             with _one_blas_thread(), moved:
-                return step(spec, provenance=made, progress=progress)
+                progress(0.0, "reading")
+                result = step(spec, provenance=made, progress=progress)
+                progress(1.0, "done")
+                return result
     except OSError as error:
         if error.errno != errno.ENAMETOOLONG:
             raise

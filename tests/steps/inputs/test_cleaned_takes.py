@@ -14,7 +14,6 @@ from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.model.mapping.performer_face import PerformerFace
 from usdface.steps.inputs.cleaned_takes import read_cleaned_takes
-from usdface.steps.inputs.scene import takes_head_space
 from usdface.usdio.take.read import read_take
 from usdface.usdio.take.write import write_take
 
@@ -74,7 +73,7 @@ def test_takes_are_compared_with_a_mapping_by_their_length_in_seconds(tmp_path: 
     for rate, compared in ((count // 15, True), (count // 6, False)):
         moved = from_neutral(1) + GLUE
         path = write(tmp_path, f"at{rate}", moved, rate=rate, performer="Kim")
-        space = takes_head_space(face, read_cleaned_takes((path,)))
+        space = read_cleaned_takes((path,)).head_space(face)
         assert space.neutral.offset.any() == compared
 
 

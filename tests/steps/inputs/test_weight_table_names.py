@@ -29,7 +29,7 @@ def test_keys_of_a_recorder_are_read_as_its_takes_are(tmp_path: Path) -> None:
     assert table.names == SHAPES
     assert (table.frames, table.rate) == (tuple(range(1, 131)), 60)
     np.testing.assert_allclose(table.weights, weights, atol=1e-7)
-    assert table.numbering_notes(path)
+    assert table.notes(path, table.names, owner="on the rig")
     rows = path.read_text(encoding="utf-8").replace(f",{weights[2, 0]:.9g},", ",much,", 1)
     path.write_text(rows, encoding="utf-8")
     with pytest.raises(InputError, match=r"line 4.*'much'"):

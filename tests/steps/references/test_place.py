@@ -16,9 +16,13 @@ from usdface.core.sidecars import corrected_path
 from usdface.model.selection.baseline import PerformerMarkers
 from usdface.runner.execute import execute
 from usdface.specs.references import PlaceSpec, SelectSpec
-from usdface.steps.inputs.cleaned_takes import read_cleaned_takes
+from usdface.steps.inputs.cleaned_takes import (
+    read_cleaned_takes,
+    read_performer_markers,
+    spread_frames,
+)
 from usdface.steps.inputs.placement import placed_equation, stored_placement, virtual_markers
-from usdface.steps.surface.plan import sample_take
+from usdface.steps.surface.plan import PLAN_FRAMES
 from usdface.usdio.layers import read_provenance
 from usdface.usdio.references.read import read_references
 from usdface.usdio.rig.mesh import rig_surfaces
@@ -134,8 +138,9 @@ def test_a_take_in_another_head_space_is_turned_into_the_placements(shot: Shot) 
 def test_a_marker_that_is_deactivated_counts_in_no_solve(shot: Shot) -> None:
     out, rig = shot / "hero.placement.usda", read_rig(shot / "hero.usdc", prim=None)
     execute(spec(shot))
-    take = sample_take(TakeReader(shot / "shot.clean.take.usda"))
-    name = next(each for i, each in enumerate(take.names) if i not in take.rigid)
+    reader = TakeReader(shot / "shot.clean.take.usda")
+    take = read_performer_markers(reader, spread_frames(reader, PLAN_FRAMES))
+    name = next(each for i, each in enumerate(take.labels) if i not in take.rigid)
     stage = Usd.Stage.Open(str(corrected_path(out)))
     stage.OverridePrim(f"/Binding/Markers/{name}").SetActive(False)
     stage.Save()
@@ -145,15 +150,9 @@ def test_a_marker_that_is_deactivated_counts_in_no_solve(shot: Shot) -> None:
         placement,
         rig,
         Deformer(rig),
-        PerformerMarkers(
-            labels=take.names,
-            neutral=take.neutral,
-            positions=take.positions,
-            visible=take.visible,
-            rigid=take.rigid,
-        ),
+        take,
     )
-    row = take.names.index(name)
+    row = take.labels.index(name)
     shaken = take.positions.copy()
     shaken[:, row] += 30.0
     np.testing.assert_allclose(equation.propose(take.positions), equation.propose(shaken))

@@ -25,7 +25,7 @@ from usdface.specs.references import (
     ReferenceSheetSpec,
     ReferencesImportSpec,
 )
-from usdface.steps.references import select, select_files
+from usdface.steps.references import select
 from usdface.tuning.journal import Change
 from usdface.tuning.session import TuningSession
 from usdface.usdio.references.read import read_pair_notes, read_references
@@ -274,7 +274,7 @@ def test_placement_and_pairs_are_those_of_one_run(
     def stopped(*args: object, **options: object) -> None:
         raise InputError("the disk is full")
 
-    monkeypatch.setattr(select_files, "write_references", stopped)
+    monkeypatch.setattr(select, "write_references", stopped)
     with pytest.raises(InputError, match="the disk is full"):
         execute(spec(shot, count=PAIRS - 1), overwrite=True)
     assert asset_bytes(out) == before

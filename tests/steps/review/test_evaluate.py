@@ -239,7 +239,7 @@ def test_shapes_of_one_side_count_as_0_on_the_other_and_are_told(shot: Shot) -> 
     lines = ["frame,jawOpen,wiggle", *(f"{frame},0.5,0" for frame in range(1, FRAMES + 1))]
     (shot / "jaw.csv").write_text("\n".join(lines))
     notes = execute(spec_of(shot, against=shot / "jaw.csv")).notes
-    assert any("left out 1 shape of" in note and "wiggle" in note for note in notes)
+    assert any("left out 1 column of" in note and "wiggle" in note for note in notes)
     assert any("jaw.csv lacks" in note and "taken as 0" in note for note in notes)
 
 

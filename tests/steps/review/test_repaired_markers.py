@@ -1,10 +1,8 @@
 """Markers that cleaning repaired look other than those that were measured."""
 
-from fractions import Fraction
-
 import numpy as np
 
-from usdface.core.assets import Markers, Take
+from usdface.core.assets import Markers
 from usdface.steps.review.pictures import repaired_markers
 
 
@@ -14,6 +12,5 @@ def test_a_marker_is_repaired_where_it_was_filled_or_moved() -> None:
     visible[1, 0] = False  # filled
     confidence[1, 2] = 0.4  # moved
     markers = Markers(("a", "b", "c", "d"), positions, visible, confidence)
-    take = Take("x", Fraction(60), first_frame=101, markers=markers)
-    assert repaired_markers(take, 102).tolist() == [True, False, True, False]
-    assert not repaired_markers(take, 101).any()
+    assert repaired_markers(markers, 1).tolist() == [True, False, True, False]
+    assert not repaired_markers(markers, 0).any()

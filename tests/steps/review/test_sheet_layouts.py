@@ -314,5 +314,5 @@ def test_rows_tell_what_is_said_where_phones_are_known(shot: Shot, monkeypatch) 
     mute = replace(wide, rows=(replace(row, spoken=""),))
     assert np.any(compose(wide) != compose(mute)), "the label is drawn"
     late = write_phones(shot / "y.json", [(0.0, 100.0, "M")])
-    with pytest.raises(InputError, match=r"lasts 100.0 s and take .* 4.0 s"):
+    with pytest.raises(InputError, match=r"lasts 100.0 s and its take .* 4.0 s"):
         execute(spec_of(shot, phones=late), overwrite=True)

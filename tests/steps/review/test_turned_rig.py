@@ -1,6 +1,6 @@
 """A rig that does not face Z is drawn from where it faces."""
 
-from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ TURN = Rotation.from_euler("y", 135, degrees=True).as_matrix()
 def test_the_camera_stands_before_the_face(name: str) -> None:
     rig = demo_rig()
     straight, turned = (
-        ShotCamera(Path("x.usda"), None, each, name=name).at(1)  # type: ignore[arg-type]
+        ShotCamera(SimpleNamespace(rig=each, motion=None, performance=None), name).at(1)  # type: ignore[arg-type]
         for each in (rig, transformed(rig, TURN))
     )
     views = [np.subtract(each.target, each.eye) for each in (straight, turned)]

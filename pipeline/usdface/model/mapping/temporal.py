@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from usdface.core.arrays import FloatArray
-from usdface.core.errors import InputError
+from usdface.core.errors import as_input_error
 from usdface.numerics.solve.banded_smoothing import (
     LEAST_CUTOFF_SHARE,
     FixedLagSmoother,
@@ -111,7 +111,7 @@ def smooth_weights(
     trust = np.maximum(1 / (1 + (uncertainty_mm / _HALF_WEIGHT_MM) ** 2), _MIN_WEIGHT)
     if solve.mode == "none":
         return weights
-    try:
+    with as_input_error("weights cannot be smoothed"):
         if solve.mode == "bands":
             banded = apply_filter_bank(weights, gains=[0.0] * solve.bands)
             return np.clip(banded, lower, upper, out=banded)
@@ -121,8 +121,6 @@ def smooth_weights(
                 weights, penalty=penalty, trust=trust, lower=lower, upper=upper
             )
         smoother = FixedLagSmoother(weights.shape[1], penalty=penalty, lag=solve.lag)
-    except ValueError as error:
-        raise InputError(f"weights cannot be smoothed: {error}") from error
     pushed = [smoother.push(row, float(each)) for row, each in zip(weights, trust, strict=True)]
     smoothed = [row for row in pushed if row is not None] + smoother.finish()
     return np.asarray(np.clip(np.array(smoothed).reshape(weights.shape), lower, upper))

@@ -15,9 +15,9 @@ import numpy as np
 from scipy import sparse
 
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, sample_frames
-from usdface.core.assets import Rig
+from usdface.core.assets import Markers, Rig
 from usdface.core.deformer import Deformer
-from usdface.core.errors import InputError
+from usdface.core.errors import as_input_error
 from usdface.core.last_result import cache_last_result
 from usdface.model.placement.label_hints import upper_lid_sides
 from usdface.model.placement.marker_cloud import marker_cloud
@@ -290,6 +290,17 @@ class PerformerMarkers:
     starts: tuple[int, ...] = (0,)
     """Row of the first frame of each take."""
 
+    @classmethod
+    def of_take(cls, markers: Markers, neutral: Positions) -> "PerformerMarkers":
+        """Return the markers of one take; `neutral`: (markers, 3) [mm]."""
+        return cls(
+            labels=markers.names,
+            neutral=neutral.astype(np.float64),
+            positions=markers.positions,
+            visible=markers.usable,
+            rigid=tuple(markers.names.index(name) for name in markers.rigid),
+        )
+
 
 def set_up_equation(
     rig: Rig, deformer: Deformer, performer: PerformerMarkers
@@ -297,7 +308,7 @@ def set_up_equation(
     """Return the equation of a performer's markers, placed on a character."""
     positions, visible = performer.positions, performer.visible
     picks = sample_frames(len(positions), MOTION_FRAMES)
-    try:
+    with as_input_error(f"the markers cannot be placed on {rig.file}"):
         skin = deformer.face_skin()
         cloud = marker_cloud(
             performer.labels,
@@ -307,8 +318,6 @@ def set_up_equation(
             rigid=performer.rigid,
         )
         placement = place_markers(cloud, skin, rig.shapes, ranges=rig.ranges)
-    except ValueError as error:
-        raise InputError(f"the markers cannot be placed on {rig.file}: {error}") from error
     return equation_at(rig, deformer, placement.virtual, performer)
 
 

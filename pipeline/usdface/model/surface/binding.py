@@ -9,7 +9,7 @@ from scipy.spatial import KDTree
 from usdface.core.arrays import BoolArray, FloatArray, IntArray, sample_frames
 from usdface.core.assets import Rig, RigMesh
 from usdface.core.deformer import Deformer
-from usdface.core.errors import InputError
+from usdface.core.errors import InputError, as_input_error
 from usdface.model.placement.marker_cloud import MarkerCloud, marker_cloud
 from usdface.model.placement.place import place_markers
 from usdface.numerics.registration.cloud_alignment import align_landmarks
@@ -94,7 +94,7 @@ def propose_binding(
         )
     picks = sample_frames(len(positions), _SAMPLE_FRAMES)
     sample, seen = positions[picks].astype(np.float64), visible[picks]
-    try:
+    with as_input_error(f"the markers cannot be placed on <{mesh.path}>"):
         if mesh.shapes:
             cloud = marker_cloud(names, neutral, sample, visible=seen, rigid=rigid)
             places = _by_shapes(mesh, cloud, pins)
@@ -109,8 +109,6 @@ def propose_binding(
         return bind_at(
             mesh, places, names, neutral=neutral, sample=sample, pins=pins, sources=sources
         )
-    except ValueError as error:
-        raise InputError(f"the markers cannot be placed on <{mesh.path}>: {error}") from error
 
 
 def _by_shapes(mesh: RigMesh, cloud: MarkerCloud, pins: dict[int, FloatArray]) -> SurfacePoints:

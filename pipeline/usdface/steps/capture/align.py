@@ -6,7 +6,7 @@ from fractions import Fraction
 
 from usdface.core.assets import Take, Video
 from usdface.core.errors import CheckFailedError, InputError
-from usdface.core.progress import Progress, part, silent
+from usdface.core.progress import Progress, part
 from usdface.core.provenance import Provenance
 from usdface.core.rates import day_seconds, frames_of, label_rate
 from usdface.media.charts.alignment import AlignmentPage, ShiftMark, draw_alignment
@@ -120,9 +120,8 @@ class Decision:
     notes: tuple[str, ...] = ()
 
 
-def run(spec: AlignSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
+def run(spec: AlignSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Measure the video's offset and drift, draw the evidence, and write them if reliable."""
-    progress(0.0, f"reading {spec.take.name}")
     picture = spec.picture_path()
     if spec.picture is None and picture.exists() and provenance_of(picture) is None:
         raise InputError(
@@ -147,7 +146,6 @@ def run(spec: AlignSpec, *, provenance: Provenance, progress: Progress = silent)
     # The take's hash has changed: the picture, written last, stores the new one.
     made = make_provenance(spec)
     write_image(picture, draw_alignment(page), metadata=made.metadata)
-    progress(1.0, "aligned")
     log.info("%s: %s", spec.take, page.verdict)
     return StepResult(
         outputs=(spec.take, picture),

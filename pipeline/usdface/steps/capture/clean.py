@@ -8,8 +8,8 @@ import numpy as np
 
 from usdface.core.arrays import BoolArray, FloatArray, runs
 from usdface.core.assets import Markers, Take
-from usdface.core.errors import InputError
-from usdface.core.progress import Progress, part, silent
+from usdface.core.errors import InputError, as_input_error
+from usdface.core.progress import Progress, part
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import samples_path
 from usdface.core.text import first_few, pluralize
@@ -30,6 +30,7 @@ from usdface.steps.capture.clean_notes import (
     cleaning_summary,
     repair_picture,
 )
+from usdface.steps.inputs.cleaned_takes import check_neutral_frame
 from usdface.usdio.take.read import read_take
 from usdface.usdio.take.write import write_take
 
@@ -68,9 +69,8 @@ _LISTED_RIGID = 24
 """Names listed; further ones, of a dense set, are counted."""
 
 
-def run(spec: CleanSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
+def run(spec: CleanSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Stabilise, relabel, fill and smooth the markers of a take."""
-    progress(0.0, f"reading {spec.take.name}")
     take = read_take(spec.take)
     markers = _check_captured(spec, take)
     neutral = markers.neutral_frame if spec.neutral is None else spec.neutral
@@ -80,7 +80,7 @@ def run(spec: CleanSpec, *, provenance: Provenance, progress: Progress = silent)
     max_gap = spec.max_gap
     if max_gap is None:
         max_gap = round(LONGEST_GAP_SECONDS * float(take.rate))
-    try:
+    with as_input_error(f"{spec.take}: cannot be cleaned"):
         cleaned = clean_markers(
             markers.positions,
             markers.visible,
@@ -94,8 +94,6 @@ def run(spec: CleanSpec, *, provenance: Provenance, progress: Progress = silent)
             relabel=spec.relabel and not are_image_landmarks(markers.names),
             progress=part(progress, 0.1, 0.9),
         )
-    except ValueError as error:
-        raise InputError(f"{spec.take}: cannot be cleaned: {error}") from error
     notes += cleaning_notes(cleaned, markers, take)
     progress(0.9, f"writing {spec.out.name}")
     still = Markers(
@@ -119,14 +117,14 @@ def run(spec: CleanSpec, *, provenance: Provenance, progress: Progress = silent)
         head_motion=cleaned.head_motion,
     )
     write_take(spec.out, written, over=spec.take, provenance=provenance)
-    outputs = tuple(dict.fromkeys((spec.out, samples_path(spec.out))))
     if spec.report is not None:
         picture = repair_picture(cleaned, markers, take)
         write_image(spec.report, picture, metadata=provenance.metadata)
-        outputs += (spec.report,)
-    progress(1.0, "done")
     return StepResult(
-        outputs, cleaning_summary(cleaned, take), tuple(notes), cleaning_figures(cleaned, rigid)
+        tuple(dict.fromkeys((spec.out, samples_path(spec.out), *spec.paths_of("report")))),
+        cleaning_summary(cleaned, take),
+        tuple(notes),
+        cleaning_figures(cleaned, rigid),
     )
 
 
@@ -147,12 +145,8 @@ def _check_neutral(
     spec: CleanSpec, take: Take, markers: Markers, rigid: tuple[str, ...], neutral: int
 ) -> None:
     """Refuse a neutral frame that is not in the take, or that shows too few rigid markers."""
+    check_neutral_frame(spec.take, neutral, take, "name another with --neutral")
     row = neutral - take.first_frame
-    if not 0 <= row < take.frame_count:
-        raise InputError(
-            f"{spec.take}: neutral frame {neutral} is outside the take, {take.first_frame}-"
-            f"{take.first_frame + take.frame_count - 1}; name one with --neutral"
-        )
     shown = int(markers.visible[row, [markers.names.index(name) for name in rigid]].sum())
     if shown < _FEWEST_RIGID:
         raise InputError(

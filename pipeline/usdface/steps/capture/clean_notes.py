@@ -116,7 +116,7 @@ def repair_picture(cleaned: CleanedMarkers, markers: Markers, take: Take) -> Byt
         title=f"{take.name}: repairs",
         verdict=_repair_verdict(cleaned, markers, take),
         facts=(
-            f"frames {take.first_frame}-{take.first_frame + take.frame_count - 1}",
+            f"frames {take.first_frame}-{take.last_frame}",
             f"{float(take.rate):g} fps",
             f"{len(markers.names)} markers",
             f"noise {cleaned.noise_mm:.2f} mm",

@@ -11,8 +11,8 @@ from usdface.capture.marker_labels import match_labels, resolve_labels
 from usdface.capture.marker_take import Capture, CaptureHeader, CaptureOptions, build_marker_take
 from usdface.capture.sniff import read_capture
 from usdface.core.assets import Take, Video
-from usdface.core.errors import InputError
-from usdface.core.progress import Progress, silent
+from usdface.core.errors import InputError, as_input_error
+from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.rates import exact_rate, frames_of, valid_timecode
 from usdface.core.sidecars import is_usd_name, samples_path
@@ -30,6 +30,7 @@ from usdface.steps.capture.merge_captures import (
     join_captures,
     padding_notes,
 )
+from usdface.steps.inputs.cleaned_takes import check_neutral_frame
 from usdface.usdio.take.foreign import read_foreign_take
 from usdface.usdio.take.read import TakeReader, is_take, read_take
 from usdface.usdio.take.write import write_take
@@ -37,7 +38,7 @@ from usdface.usdio.take.write import write_take
 log = logging.getLogger(__name__)
 
 
-def run(spec: IngestSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
+def run(spec: IngestSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Read captures of one take and write it as USD."""
     if spec.only is not None:
         raise InputError("--only chooses among the captures of a folder; leave it out for files")
@@ -71,7 +72,6 @@ def run(spec: IngestSpec, *, provenance: Provenance, progress: Progress = silent
     take = replace(take, audio=spec.audio or take.audio or (sound.file if sound else None))
     progress(0.7, f"writing {spec.out.name}")
     write_take(spec.out, take, provenance=provenance)
-    progress(1.0, f"wrote {spec.out.name}")
     notes = (*(note for capture in captures for note in capture.notes), *joined.notes)
     notes += (*timecode_notes, *padding, *(warnings or ()), *_unused_notes(spec, take, captures))
     notes += (sound.note,) if sound else ()
@@ -84,10 +84,8 @@ def _labelled(takes: list[Take], spec: IngestSpec) -> list[Take]:
     if not spec.timecode:
         return takes
     first = next((at for at, take in enumerate(takes) if take.markers is not None), 0)
-    try:
+    with as_input_error("--timecode", of=InputError):
         frames_of(spec.timecode, takes[first].rate)
-    except InputError as error:
-        raise InputError(f"--timecode: {error}") from error
     named = replace(takes[first], timecode_start=spec.timecode)
     return [named if at == first else take for at, take in enumerate(takes)]
 
@@ -214,12 +212,7 @@ def _with_options(take: Take, spec: IngestSpec, source: Path) -> Take:
         named = match_labels(spec.rigid, markers.names, where=str(source))
         markers = replace(markers, rigid=named)
     if spec.neutral is not None:
-        last = take.first_frame + take.frame_count - 1
-        if not take.first_frame <= spec.neutral <= last:
-            raise InputError(
-                f"{source}: neutral frame {spec.neutral} is outside the take, {take.first_frame} "
-                f"to {last}; name a frame number of the take with --neutral"
-            )
+        check_neutral_frame(source, spec.neutral, take, "name another with --neutral")
         markers = replace(markers, neutral_frame=spec.neutral)
     return replace(take, markers=markers)
 

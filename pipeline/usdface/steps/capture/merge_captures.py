@@ -49,8 +49,7 @@ def exchange_sides(take: Take, mirrored: str, *, where: object) -> Take:
 
 def cut_frames(take: Take, limits: tuple[int, int], *, where: object) -> Take:
     """Keep the frames within `limits`; timecode and video offset follow."""
-    end = take.first_frame + take.frame_count - 1
-    first, last = frames_within(where, limits, take.first_frame, end)
+    first, last = frames_within(where, limits, take.first_frame, take.last_frame)
     skipped = first - take.first_frame
     rows = slice(skipped, last - take.first_frame + 1)
     markers, source, video = take.markers, take.source, take.video
@@ -109,7 +108,7 @@ def _frozen(positions: Float32Array) -> int:
 
 def _padding(take: Take, first: int, last: int, words: str) -> str:
     """Return the note that rows before `first` and after `last` are padding."""
-    start, end = take.first_frame, take.first_frame + take.frame_count - 1
+    start, end = take.first_frame, take.last_frame
     keep = (start + first, start + last)
     ends = [f"{a}-{b}" for a, b in ((start, keep[0] - 1), (keep[1] + 1, end)) if a <= b]
     count = take.frame_count - (last - first + 1)

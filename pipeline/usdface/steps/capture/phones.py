@@ -2,7 +2,7 @@
 
 from usdface.core.assets import Take, Video
 from usdface.core.errors import InputError
-from usdface.core.progress import Progress, part, silent
+from usdface.core.progress import Progress, part
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import is_usd_name
 from usdface.core.text import counted, read_text
@@ -28,14 +28,13 @@ NAMED_WORDS = 8
 """Words listed in a note; further ones are counted."""
 
 
-def run(spec: PhonesSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
+def run(spec: PhonesSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Align the words with the sound and write the phones."""
     text = spec.text
     if spec.transcript is not None:
         text = read_text(spec.transcript, LARGEST_TRANSCRIPT_BYTES)
     words = _words(spec, text or "")
     pronunciations = {} if spec.dictionary is None else read_dictionary(spec.dictionary)
-    progress(0.0, "reading the sound")
     take = read_take(spec.audio) if is_usd_name(spec.audio) else None
     if take is None:
         samples, video = read_audio(spec.audio, rate=SPEECH_SAMPLE_RATE), None
@@ -50,7 +49,6 @@ def run(spec: PhonesSpec, *, provenance: Provenance, progress: Progress = silent
     outside = share_outside(samples, found.track.words, rate=SPEECH_SAMPLE_RATE)
     track = found.track if video is None else _on_take_clock(found.track, video)
     write_phone_track(spec.out, track, origin=provenance.metadata)
-    progress(1.0, "done")
     spoken = [span for span in track.phones if viseme_of(span.label) != "pau"]
     visemes = sorted({viseme_of(span.label) or "" for span in spoken})
     return StepResult(

@@ -21,7 +21,7 @@ from usdface.capture.marker_take import CaptureHeader, CaptureOptions, build_mar
 from usdface.core.arrays import Float32Array
 from usdface.core.assets import Take, Video, WeightsClip
 from usdface.core.errors import InputError
-from usdface.core.progress import Progress, part, silent
+from usdface.core.progress import Progress, part
 from usdface.core.provenance import Provenance
 from usdface.core.rates import exact_rate, shift_timecode, valid_timecode
 from usdface.core.sidecars import samples_path
@@ -53,7 +53,7 @@ class _Clip:
     track: FaceTrack
 
 
-def run(spec: TrackSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
+def run(spec: TrackSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Track the face in a video and write a take, or with --part the model's detections."""
     rate = None if spec.video_rate is None else exact_rate(spec.video_rate, where="--video-rate")
     with detections_folder(spec.out) as folder, ExitStack() as open_files:
@@ -135,7 +135,6 @@ def _write(
     take = replace(take, warnings=warnings, timecode_start=start)
     progress(0.95, f"writing {spec.out.name}")
     write_take(spec.out, take, provenance=provenance)
-    progress(1.0, f"wrote {spec.out.name}")
     outputs = tuple(dict.fromkeys((spec.out, samples_path(spec.out))))
     figures = _figures(take, clip.track, cameras[0].camera)
     several = f" of {len(clips)} cameras" if len(clips) > 1 else ""

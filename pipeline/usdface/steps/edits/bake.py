@@ -7,7 +7,7 @@ import numpy as np
 from usdface.core.arrays import FloatArray, IntArray, index_of
 from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
-from usdface.core.progress import Progress, silent
+from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.text import first_few, pluralize
 from usdface.numerics.motion.key_reduction import Deviation, reduce_keys
@@ -26,7 +26,7 @@ SURFACE_FRAMES = 8
 """Frames per comparison of surfaces, to bound memory."""
 
 
-def run(spec: BakeSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
+def run(spec: BakeSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Write the edited weights as one layer of UsdSkel animation."""
     reader = PerformanceReader(spec.performance, prim=spec.prim)
     rig = read_rig_of_stage(reader.stage, reader.animation)

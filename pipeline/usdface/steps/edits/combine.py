@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from usdface.core.errors import InputError
-from usdface.core.progress import Progress, silent
+from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.text import first_few, pluralize
 from usdface.runner.result import StepResult
@@ -12,7 +12,7 @@ from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.write import VARIANT_SET, write_takes
 
 
-def run(spec: CombineSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
+def run(spec: CombineSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Check that the performances are of one rig at one rate, and write the asset over them."""
     names = _names(spec)
     readers = [PerformanceReader(path) for path in spec.performances]
@@ -27,7 +27,6 @@ def run(spec: CombineSpec, *, provenance: Provenance, progress: Progress = silen
         shown=shown,
         provenance=provenance,
     )
-    progress(1.0, "written")
     edited = [name for name, each in zip(names, readers, strict=True) if each.edits]
     notes: tuple[str, ...] = ()
     if edited:

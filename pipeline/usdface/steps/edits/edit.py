@@ -9,7 +9,7 @@ import numpy as np
 
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.core.errors import InputError
-from usdface.core.progress import Progress, silent
+from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.rates import UNSAMPLED_FRAMES, check_frame_span
 from usdface.core.text import first_few, pluralize
@@ -80,7 +80,7 @@ class _Change:
         return clear_edit(curve, mask)
 
 
-def run(spec: EditSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
+def run(spec: EditSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Write the changed edits, keeping all others."""
     stamp = edits_stamp(spec.performance)
     reader = PerformanceReader(spec.performance, prim=spec.prim)
@@ -116,7 +116,6 @@ def run(spec: EditSpec, *, provenance: Provenance, progress: Progress = silent) 
     path = write_edits(
         spec.performance, reader.animation, changed, frames, stamp=stamp, provenance=provenance
     )
-    progress(1.0, "written")
     inside = (frames >= reader.first_frame) & (frames <= reader.last_frame) & touched
     return StepResult(
         (path,),

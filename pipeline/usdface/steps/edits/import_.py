@@ -4,9 +4,9 @@ import numpy as np
 
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.core.errors import InputError
-from usdface.core.progress import Progress, silent
+from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
-from usdface.core.text import first_few, pluralize
+from usdface.core.text import pluralize
 from usdface.numerics.motion.key_reduction import EditCurve, no_edit
 from usdface.runner.result import StepResult
 from usdface.specs.edits import EditsImportSpec
@@ -28,9 +28,7 @@ from usdface.usdio.performance.edits import (
 from usdface.usdio.performance.read import PerformanceReader
 
 
-def run(
-    spec: EditsImportSpec, *, provenance: Provenance, progress: Progress = silent
-) -> StepResult:
+def run(spec: EditsImportSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Set edits so that the performance equals the file at its frames.
 
     Where they are equal already, edits do not change, including overrides and masks.
@@ -48,10 +46,12 @@ def run(
     progress(0.3, "comparing with the solve")
     changed, elsewhere, differing = _changes(spec, reader, table, known, frames, given)
     notes = (
-        *table.numbering_notes(spec.changed),
-        *_notes(reader, table),
+        *table.notes(spec.changed, reader.names, owner="in the performance"),
         *other_mesh_notes(table, elsewhere),
     )
+    outside = len(table.frames) - len(given)
+    if outside:
+        notes += (f"left out {pluralize(outside, 'frame')} outside the performance",)
     if not changed:
         return StepResult(
             (),
@@ -70,7 +70,6 @@ def run(
         spec.performance, reader.animation, changed, frames, stamp=stamp, provenance=provenance
     )
     notes += tuple(range_notes(spec.performance, spec.prim, changed))
-    progress(1.0, "written")
     return StepResult(
         (path,),
         f"{count} of {len(given)} frames differ from the performance, in "
@@ -149,17 +148,3 @@ def _rows(spec: EditsImportSpec, reader: PerformanceReader, table: WeightTable) 
             "frame; if the animation was shifted in the other tool, shift it back"
         )
     return np.array(pairs, dtype=np.int64)
-
-
-def _notes(reader: PerformanceReader, table: WeightTable) -> tuple[str, ...]:
-    notes = []
-    unknown = [name for name in table.names if name not in reader.names]
-    if unknown:
-        notes.append(
-            f"left out {pluralize(len(unknown), 'shape')} that the performance lacks: "
-            f"{first_few(unknown)}"
-        )
-    outside = sum(not reader.first_frame <= f <= reader.last_frame for f in table.frames)
-    if outside:
-        notes.append(f"left out {pluralize(outside, 'frame')} outside the performance")
-    return tuple(notes)

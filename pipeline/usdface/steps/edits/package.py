@@ -1,6 +1,6 @@
 """Pack a performance for review into one .usdz."""
 
-from usdface.core.progress import Progress, part, silent
+from usdface.core.progress import Progress, part
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import replacing
 from usdface.core.side_files import emptied_side_folder
@@ -12,7 +12,7 @@ from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.write import write_package
 
 
-def run(spec: PackageSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
+def run(spec: PackageSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Bake the edits, and pack the weights with the rig and its dependencies."""
     reader = PerformanceReader(spec.performance, prim=spec.prim)
     with (
@@ -26,7 +26,6 @@ def run(spec: PackageSpec, *, provenance: Provenance, progress: Progress = silen
             progress=part(progress, 0.0, 0.7),
         )
         write_package(temporary, reader, baked, provenance=provenance)
-    progress(1.0, "packed")
     size = spec.out.stat().st_size / 1e6
     return StepResult(
         (spec.out,),

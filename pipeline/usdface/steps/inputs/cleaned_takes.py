@@ -7,13 +7,14 @@ from pathlib import Path
 import numpy as np
 
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, sample_frames
-from usdface.core.assets import Markers, Rig, Take, TrainedMapping
-from usdface.core.errors import InputError
+from usdface.core.assets import Markers, References, Rig, Take, TrainedMapping
+from usdface.core.errors import InputError, as_input_error
 from usdface.model.mapping.head_space import MINIMUM_SHARE, HeadSpace, find_head_space
 from usdface.model.mapping.performer_face import PerformerFace, face_of_mapping
 from usdface.model.mapping.take_neutral import TakeNeutral
 from usdface.model.placement.plausibility import check_findings, judge_markers
 from usdface.model.placement.rig_orientation import check_rig_upright
+from usdface.model.selection.baseline import PerformerMarkers
 from usdface.numerics.registration.marker_application import SAMPLE_FRAMES
 from usdface.usdio.take.read import TakeReader, read_take
 
@@ -24,17 +25,21 @@ def take_head_space(take: TakeReader, mapping: TrainedMapping) -> HeadSpace:
     if take.first_frame <= take.neutral_frame <= take.last_frame:
         picks = np.union1d(picks, take.neutral_frame)
     sample = read_markers_at(take, picks.tolist())
-    try:
-        return find_head_space(
-            face_of_mapping(mapping),
-            sample,
-            frames=picks,
-            rate=float(take.rate),
-            performer=take.performer,
-            session=take.session,
-        )
-    except InputError as error:
-        raise InputError(f"{take.path}: {error}") from error
+    with as_input_error(take.path, of=InputError):
+        return _head_space(face_of_mapping(mapping), sample, picks, take)
+
+
+def _head_space(
+    face: PerformerFace, sample: Markers, frames: IntArray, take: Take | TakeReader
+) -> HeadSpace:
+    return find_head_space(
+        face,
+        sample,
+        frames=frames,
+        rate=float(take.rate),
+        performer=take.performer,
+        session=take.session,
+    )
 
 
 def spread_frames(take: TakeReader, most: int) -> list[int]:
@@ -57,7 +62,18 @@ def read_markers_at(take: TakeReader, frames: Sequence[int]) -> Markers:
     return markers
 
 
+def read_performer_markers(take: TakeReader, frames: Sequence[int]) -> PerformerMarkers:
+    """Read the neutral face and some frames, in ascending order, of a cleaned take."""
+    markers = read_markers_at(take, frames)
+    check_stabilized(take.path, markers)
+    check_neutral_frame(take.path, markers.neutral_frame, take)
+    neutral = read_markers_at(take, [markers.neutral_frame]).positions[0]
+    return PerformerMarkers.of_take(markers, neutral)
+
+
 FEWEST_RIGID = 3
+_HEAD_SPACE_FRAMES = 2000
+"""Frames used to find the head space of several takes, evenly spread."""
 _COMPARED_FRAMES = 20_000
 """Frames of a take that are compared with those before it; their median has 1 % of the noise."""
 
@@ -87,15 +103,20 @@ class CleanedTakes:
     neutrals: tuple[TakeNeutral, ...]
     """Difference of each take's neutral face from the first one's, removed from `positions`."""
 
+    @property
+    def starts(self) -> IntArray:
+        """Row of the first frame of each take, and the number of all frames."""
+        return np.cumsum([0, *(len(clip) for clip in self.positions)])
+
     def take_rows(self, rows: IntArray) -> list[tuple[int, int]]:
         """Return the take of each row of all frames, and its row in that take."""
-        starts = np.cumsum([0, *(len(clip) for clip in self.positions)])
+        starts = self.starts
         take = np.searchsorted(starts, rows, side="right") - 1
         return list(zip(take.tolist(), (rows - starts[take]).tolist(), strict=True))
 
     def find_rows(self, frames: list[tuple[str, int]]) -> list[int | None]:
         """Return the row of each take and frame; None if there is none."""
-        starts = np.cumsum([0, *(len(clip) for clip in self.positions)]).tolist()
+        starts = self.starts.tolist()
         first = {
             source.name: (start, end, int(self.frames[start]))
             for source, start, end in zip(self.sources, starts, starts[1:], strict=False)
@@ -120,6 +141,44 @@ class CleanedTakes:
             [self.usable[take][row] for take, row in self.take_rows(rows)], dtype=np.bool_
         )
 
+    def markers_at(self, rows: IntArray) -> Markers:
+        """Return the markers at rows of all frames, with their names and visibility."""
+        visible = self.usable_at(rows)
+        return Markers(
+            names=self.marker_names,
+            positions=self.positions_at(rows),
+            visible=visible,
+            confidence=visible.astype(np.float32),
+            rigid=self.rigid,
+            space="stabilized",
+        )
+
+    def head_space(self, face: PerformerFace) -> HeadSpace:
+        """Find the transform from the common head space of the takes to that of a face."""
+        rows = sample_frames(len(self.frames), _HEAD_SPACE_FRAMES)
+        return _head_space(face, self.markers_at(rows), rows, self.sources[0])
+
+    def new_references(self, rig: Rig, rows: IntArray, weights: FloatArray) -> References:
+        """Return pairs at rows of all frames, with weights to be tuned, (rows, shapes)."""
+        first = self.sources[0]
+        return References(
+            marker_names=self.marker_names,
+            shape_names=rig.shapes,
+            markers=self.positions_at(rows).astype(np.float64),
+            weights=weights,
+            frames=self.frames[rows],
+            takes=tuple(self.takes[row] for row in rows),
+            tuned=np.zeros(len(rows), dtype=np.bool_),
+            rigid=self.rigid,
+            neutral=self.neutral,
+            rig_file=rig.file,
+            rig_prim=rig.prim,
+            combinations=rig.combinations,
+            performer=first.performer,
+            session=first.session,
+            rate=float(first.rate),
+        )
+
 
 def read_cleaned(path: Path, *, need_markers: bool = True) -> Take:
     """Read a take without head motion that has markers or, if they are not needed, weights."""
@@ -138,19 +197,21 @@ def check_stabilized(path: Path, markers: Markers) -> None:
         raise InputError(f"{path}: still holds head motion; run `usdface clean {path}` first")
 
 
-def check_neutral_frame(path: Path, markers: Markers, first: int, last: int) -> None:
-    """Refuse markers whose neutral frame is not one of a take's, `first` to `last`."""
-    if not first <= markers.neutral_frame <= last:
+def check_neutral_frame(
+    path: Path, frame: int, take: Take | TakeReader, remedy: str = "clean it with --neutral"
+) -> None:
+    """Refuse a neutral frame that is not one of a take's."""
+    if not take.first_frame <= frame <= take.last_frame:
         raise InputError(
-            f"{path}: neutral frame {markers.neutral_frame} is outside the take, {first}-{last}; "
-            "clean it with --neutral"
+            f"{path}: neutral frame {frame} is outside the take, {take.first_frame}-"
+            f"{take.last_frame}; {remedy}"
         )
 
 
 def read_cleaned_takes(paths: tuple[Path, ...]) -> CleanedTakes:
     """Read cleaned takes in a common marker order, head space and neutral face."""
     takes = [read_cleaned(path) for path in paths]
-    _check_names(paths, takes)
+    check_take_names(paths, takes)
     _check_performers(paths, takes)
     clouds = [take.markers for take in takes if take.markers is not None]
     shared = set.intersection(*(set(cloud.names) for cloud in clouds))
@@ -168,9 +229,9 @@ def read_cleaned_takes(paths: tuple[Path, ...]) -> CleanedTakes:
             columns = [cloud.names.index(name) for name in names]
             positions.append(cloud.positions[:, columns])
             usable.append(known[:, columns])
-    first = takes[0].first_frame
-    check_neutral_frame(paths[0], clouds[0], first, first + takes[0].frame_count - 1)
-    neutral = positions[0][clouds[0].neutral_frame - first].astype(np.float64)
+    frame = clouds[0].neutral_frame
+    check_neutral_frame(paths[0], frame, takes[0])
+    neutral = positions[0][frame - takes[0].first_frame].astype(np.float64)
     neutrals = _onto_first(paths, takes, (names, rigid), neutral, positions, usable)
     return CleanedTakes(
         marker_names=names,
@@ -219,17 +280,8 @@ def _onto_first(
             neutral_frame=row + take.first_frame,
             space="stabilized",
         )
-        try:
-            space = find_head_space(
-                face,
-                sample,
-                frames=take.frames[rows],
-                rate=float(take.rate),
-                performer=take.performer,
-                session=take.session,
-            )
-        except InputError as error:
-            raise InputError(f"{paths[index]}, with {paths[0]}: {error}") from error
+        with as_input_error(f"{paths[index]}, with {paths[0]}", of=InputError):
+            space = _head_space(face, sample, take.frames[rows], take)
         positions[index] = space.move(positions[index])
         neutrals.append(space.neutral)
     return tuple(neutrals)
@@ -268,7 +320,8 @@ def _check_marker_sets(
         )
 
 
-def _check_names(paths: tuple[Path, ...], takes: list[Take]) -> None:
+def check_take_names(paths: tuple[Path, ...], takes: Sequence[Take]) -> None:
+    """Refuse takes of which two have one name."""
     seen: dict[str, Path] = {}
     for path, take in zip(paths, takes, strict=True):
         if take.name in seen:

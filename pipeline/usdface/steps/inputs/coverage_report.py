@@ -1,6 +1,7 @@
 """Measure and draw the coverage of takes by references."""
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -23,14 +24,12 @@ from usdface.model.selection.coverage import (
     measure_growth,
 )
 from usdface.model.selection.design import features_at
-from usdface.specs.references import ReferencesCoverageSpec
 from usdface.steps.inputs.cleaned_takes import FEWEST_RIGID, CleanedTakes, read_cleaned_takes
 from usdface.steps.inputs.placement import stored_placement
 from usdface.steps.inputs.scene import (
     SelectionScene,
     candidate_frames,
     set_up_scene,
-    takes_head_space,
 )
 from usdface.usdio.references.read import read_rig_of
 from usdface.usdio.references.weight_layers import read_keyed_references
@@ -46,127 +45,9 @@ LEAST_MARKER_SHARE = 0.5
 class TakesCoverage:
     """Coverage of takes by pairs, and its growth with further frames."""
 
+    takes: CleanedTakes
     frames: Coverage
     growth: Growth
-
-
-@dataclass(frozen=True)
-class PairFaces:
-    """Features and displacements of pairs, of these takes or others."""
-
-    features: FloatArray
-    """(pairs, d)"""
-    displacements: FloatArray
-    """(pairs, markers, 3): from the neutral, at the rig's size [mm]."""
-
-    @classmethod
-    def at(cls, scene: SelectionScene, rows: IntArray) -> "PairFaces":
-        """Return those at rows of the takes."""
-        return cls(features_at(scene.features, rows), scene.displacements(rows))
-
-
-def takes_coverage(
-    scene: SelectionScene, pairs: PairFaces, rows: IntArray, *, candidates: BoolArray
-) -> TakesCoverage:
-    """Measure the coverage of all frames by pairs; `rows` are the frames that are pairs."""
-    free = candidates.copy()
-    free[rows] = False
-    points = region_points(scene.parts, scene.equation.deltas)
-    markers, count = scene.equation.deltas.shape[1], len(scene.features)
-    model = CoverageModel(scene.equation.deltas, pairs.displacements, membership(points, markers))
-    further = choose_next_frames(
-        scene.features, pairs.features, count=NEXT_FRAME_COUNT, candidates=free
-    )
-    return TakesCoverage(
-        measure_coverage(model, tuple(points), scene.displacements, count),
-        measure_growth(model, further, scene.displacements, count),
-    )
-
-
-def next_frames(coverage: TakesCoverage, takes: CleanedTakes) -> tuple[NextFrame, ...]:
-    """Return the frames that would be chosen next."""
-    return tuple(
-        NextFrame(
-            take=takes.takes[row],
-            frame=int(takes.frames[row]),
-            coverage=float(coverage.frames.face[row]),
-            mean_then=float(mean),
-        )
-        for row, mean in zip(
-            coverage.growth.next_rows.tolist(), coverage.growth.next_share, strict=True
-        )
-    )
-
-
-def coverage_picture(
-    coverage: TakesCoverage,
-    takes: CleanedTakes,
-    rows: IntArray,
-    *,
-    tuned: IntArray,
-    title: str,
-    pairs: int | None = None,
-) -> ByteImage:
-    """Draw coverage; `pairs` is the number of pairs including those of other takes."""
-    frames = coverage.frames
-    lanes = [ErrorCurve("whole face", 100 * (1 - frames.face))]
-    if len(frames.regions) > 1:
-        lanes += [
-            ErrorCurve(region.split(" and ")[0], 100 * (1 - frames.by_region[:, index]))
-            for index, region in enumerate(frames.regions)
-        ]
-    facts = (
-        f"{len(rows) if pairs is None else pairs} references, {len(tuned)} tuned",
-        f"mean coverage {frames.mean:.0%}",
-        f"{LEAST_COVERAGE:.0%} or more in {frames.sufficient_share:.0%} of the frames",
-        f"{len(takes.frames)} frames of {pluralize(len(takes.sources), 'take')}",
-    )
-    return draw_coverage(
-        CoveragePage(
-            title=f"Coverage of {title}",
-            facts=facts,
-            lanes=tuple(lanes),
-            takes=tuple(
-                (source.name, len(clip))
-                for source, clip in zip(takes.sources, takes.positions, strict=True)
-            ),
-            first_frame=int(takes.frames[0]),
-            marks=tuple(sorted(rows.tolist())),
-            growth=coverage.growth.share,
-            next_frames=next_frames(coverage, takes),
-        )
-    )
-
-
-def coverage_figures(coverage: TakesCoverage, takes: CleanedTakes) -> dict[str, object]:
-    """Return coverage as plain data."""
-    frames = coverage.frames
-    return {
-        "coverage": round(frames.mean, 4),
-        "coverage_by_region": {
-            region: round(float(frames.by_region[:, index].mean()), 4)
-            for index, region in enumerate(frames.regions)
-        },
-        "uncovered_share": round(1 - frames.sufficient_share, 4),
-        "growth": np.round(coverage.growth.share, 4).tolist(),
-        "next": [
-            {
-                "take": each.take,
-                "frame": each.frame,
-                "covered": round(each.coverage, 4),
-                "coverage_then": round(each.mean_then, 4),
-            }
-            for each in next_frames(coverage, takes)
-        ],
-    }
-
-
-@dataclass(frozen=True)
-class MeasuredCoverage:
-    """Coverage of takes by the pairs of references."""
-
-    coverage: TakesCoverage
-    takes: CleanedTakes
     pairs: IntArray
     """(pairs,): indices of the pairs that count."""
     rows: IntArray
@@ -175,34 +56,123 @@ class MeasuredCoverage:
     """(m,): the tuned ones of `rows`."""
     tuned_count: int
     """Number of tuned pairs, including those of other takes."""
-    notes: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+
+    def next_frames(self) -> tuple[NextFrame, ...]:
+        """Return the frames that would be chosen next."""
+        growth = self.growth
+        return tuple(
+            NextFrame(
+                take=self.takes.takes[row],
+                frame=int(self.takes.frames[row]),
+                coverage=float(self.frames.face[row]),
+                mean_then=float(mean),
+            )
+            for row, mean in zip(growth.next_rows.tolist(), growth.next_share, strict=True)
+        )
 
     def picture(self, title: str) -> ByteImage:
         """Draw the coverage."""
-        return coverage_picture(
-            self.coverage,
-            self.takes,
-            self.rows,
-            tuned=self.tuned,
-            title=title,
-            pairs=len(self.pairs),
+        frames, takes = self.frames, self.takes
+        lanes = [ErrorCurve("whole face", 100 * (1 - frames.face))]
+        if len(frames.regions) > 1:
+            lanes += [
+                ErrorCurve(region.split(" and ")[0], 100 * (1 - frames.by_region[:, index]))
+                for index, region in enumerate(frames.regions)
+            ]
+        facts = (
+            f"{len(self.pairs)} references, {len(self.tuned)} tuned",
+            f"mean coverage {frames.mean:.0%}",
+            f"{LEAST_COVERAGE:.0%} or more in {frames.sufficient_share:.0%} of the frames",
+            f"{len(takes.frames)} frames of {pluralize(len(takes.sources), 'take')}",
+        )
+        return draw_coverage(
+            CoveragePage(
+                title=f"Coverage of {title}",
+                facts=facts,
+                lanes=tuple(lanes),
+                takes=tuple(
+                    (source.name, len(clip))
+                    for source, clip in zip(takes.sources, takes.positions, strict=True)
+                ),
+                first_frame=int(takes.frames[0]),
+                marks=tuple(sorted(self.rows.tolist())),
+                growth=self.growth.share,
+                next_frames=self.next_frames(),
+            )
         )
 
+    def figures(self) -> dict[str, object]:
+        """Return coverage as plain data."""
+        frames = self.frames
+        return {
+            "coverage": round(frames.mean, 4),
+            "coverage_by_region": {
+                region: round(float(frames.by_region[:, index].mean()), 4)
+                for index, region in enumerate(frames.regions)
+            },
+            "uncovered_share": round(1 - frames.sufficient_share, 4),
+            "growth": np.round(self.growth.share, 4).tolist(),
+            "next": [
+                {
+                    "take": each.take,
+                    "frame": each.frame,
+                    "covered": round(each.coverage, 4),
+                    "coverage_then": round(each.mean_then, 4),
+                }
+                for each in self.next_frames()
+            ],
+        }
 
-def measure_pairs(spec: ReferencesCoverageSpec, *, progress: Progress) -> MeasuredCoverage:
-    """Measure the coverage of the takes by the pairs."""
-    progress(0.0, "reading the takes")
-    references = read_keyed_references(spec.references)
+
+def coverage_and_growth(
+    scene: SelectionScene,
+    features: FloatArray,
+    displacements: FloatArray,
+    *,
+    candidates: BoolArray,
+    rows: IntArray,
+) -> tuple[Coverage, Growth]:
+    """Measure the coverage of all frames by pairs.
+
+    Parameters
+    ----------
+    features : (pairs, d) float array
+        Of pairs of these takes or others.
+    displacements : (pairs, markers, 3) float array
+        From the neutral, at the rig's size [mm].
+    candidates : (frames,) bool array
+        Frames that may be chosen next.
+    rows : (n,) int array
+        Frames that are pairs.
+    """
+    free = candidates.copy()
+    free[rows] = False
+    points = region_points(scene.parts, scene.equation.deltas)
+    markers, count = scene.equation.deltas.shape[1], len(scene.features)
+    model = CoverageModel(scene.equation.deltas, displacements, membership(points, markers))
+    further = choose_next_frames(scene.features, features, count=NEXT_FRAME_COUNT, candidates=free)
+    return (
+        measure_coverage(model, tuple(points), scene.displacements, count),
+        measure_growth(model, further, scene.displacements, count),
+    )
+
+
+def measure_pairs(
+    file: Path, paths: tuple[Path, ...], *, tuned_only: bool = False, progress: Progress
+) -> TakesCoverage:
+    """Measure the coverage of takes by the pairs of a references asset."""
+    references = read_keyed_references(file)
     pairs = np.arange(len(references.frames), dtype=np.int64)
-    if spec.tuned_only:
+    if tuned_only:
         pairs = np.flatnonzero(references.tuned)
         if not len(pairs):
             raise InputError(
-                f"{spec.references}: none of its {len(references.frames)} pairs is tuned; leave "
-                "out --tuned-only for the coverage by all pairs"
+                f"{file}: none of its {len(references.frames)} pairs is tuned; leave out "
+                "--tuned-only for the coverage by all pairs"
             )
-    takes = _with_markers_of(read_cleaned_takes(spec.takes), references, spec)
-    rig = read_rig_of(references, spec.references)
+    takes = _with_markers_of(read_cleaned_takes(paths), references, file)
+    rig = read_rig_of(references, file)
     scene = set_up_scene(takes, rig, placement=stored_placement(references, rig), progress=progress)
     progress(0.7, "measuring the coverage")
     # Pairs of other takes use the references' markers.
@@ -210,18 +180,19 @@ def measure_pairs(spec: ReferencesCoverageSpec, *, progress: Progress) -> Measur
     found = takes.find_rows(places)
     is_here = np.array([row is not None for row in found], dtype=np.bool_)
     rows = np.array([row for row in found if row is not None], dtype=np.int64)
-    here = PairFaces.at(scene, rows)
     features = np.empty((len(pairs), scene.features.shape[1]))
     displacements = np.empty((len(pairs), *takes.neutral.shape))
-    features[is_here], displacements[is_here] = here.features, here.displacements
+    features[is_here] = features_at(scene.features, rows)
+    displacements[is_here] = scene.displacements(rows)
     if not is_here.all():
         columns = [references.marker_names.index(name) for name in takes.marker_names]
-        space = takes_head_space(face_of_references(references), takes)
+        space = takes.head_space(face_of_references(references))
         markers = space.restore(references.markers)[:, columns][pairs[~is_here]]
         features[~is_here] = scene.space.features(marker_coordinates(scene.motion, markers))
         displacements[~is_here] = scene.equation.motion(markers)
-    faces = PairFaces(features, displacements)
-    coverage = takes_coverage(scene, faces, rows, candidates=candidate_frames(takes, None))
+    coverage, growth = coverage_and_growth(
+        scene, features, displacements, candidates=candidate_frames(takes, None), rows=rows
+    )
     is_tuned = references.tuned[pairs]
     tuned, count = rows[is_tuned[is_here]], int(is_tuned.sum())
     notes = tuple(scene.notes)
@@ -230,19 +201,17 @@ def measure_pairs(spec: ReferencesCoverageSpec, *, progress: Progress) -> Measur
             "no pair is tuned: pairs count by their markers, as if their weights fitted them; the "
             "coverage of a mapping trained on proposals may be lower. Tune them first",
         )
-    return MeasuredCoverage(coverage, takes, pairs, rows, tuned, count, notes)
+    return TakesCoverage(takes, coverage, growth, pairs, rows, tuned, count, notes)
 
 
-def _with_markers_of(
-    takes: CleanedTakes, references: References, spec: ReferencesCoverageSpec
-) -> CleanedTakes:
+def _with_markers_of(takes: CleanedTakes, references: References, file: Path) -> CleanedTakes:
     """Return takes with only the markers of the references."""
     columns = [i for i, name in enumerate(takes.marker_names) if name in references.marker_names]
     names = tuple(takes.marker_names[i] for i in columns)
     rigid = tuple(name for name in takes.rigid if name in names)
     if len(names) < LEAST_MARKER_SHARE * len(takes.marker_names) or len(rigid) < FEWEST_RIGID:
         raise InputError(
-            f"{spec.references}: has {len(names)} of the takes' {len(takes.marker_names)} markers, "
+            f"{file}: has {len(names)} of the takes' {len(takes.marker_names)} markers, "
             f"{len(rigid)} of them rigid; at least {LEAST_MARKER_SHARE:.0%} and {FEWEST_RIGID} "
             "rigid ones are needed. Give takes of the marker set that the references were selected "
             "from"

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
-from usdface.core.errors import InputError
+from usdface.core.errors import InputError, as_input_error
 from usdface.core.text import first_few
 from usdface.model.placement.rig_orientation import face_axes, face_centre
 from usdface.model.retarget.head_pose import (
@@ -148,10 +148,8 @@ def named_targets(rig: Rig, drive: Sequence[str]) -> tuple[DriveTarget, ...]:
 
 def weights_head_source(path: Path, names: Sequence[str], weights: FloatArray) -> HeadSource:
     """Return the motion of head and eyes from channels, (frames, channels)."""
-    try:
+    with as_input_error(path):
         angles = look_angles(names, weights) | recorded_angles(names, weights)
-    except ValueError as error:
-        raise InputError(f"{path}: {error}") from error
     return HeadSource(path, {part: rotations_of(each) for part, each in angles.items()})
 
 

@@ -48,12 +48,7 @@ def read_phone_labels(spec: SelectSpec, takes: CleanedTakes) -> PhoneLabels:
         seconds = (np.arange(count) / rate).tolist()
         track = PhoneTrack(())
         if spec.phones:
-            track = read_phone_track(spec.phones[index])
-            if track.duration > count / rate + MARGIN_SECONDS:
-                raise InputError(
-                    f"{spec.phones[index]}: lasts {track.duration:.1f} s and its take "
-                    f"{source.name} {count / rate:.1f} s; give --phones in the order of the takes"
-                )
+            track = _read_track(spec.phones[index], source.name, count / rate)
             unknown = unknown_symbols(track)
             if unknown:
                 notes.append(
@@ -85,6 +80,17 @@ def read_phone_labels(spec: SelectSpec, takes: CleanedTakes) -> PhoneLabels:
     return PhoneLabels(tuple(segments), tuple(visemes), tuple(emotions), tuple(notes))
 
 
+def _read_track(path: Path, take: str, take_seconds: float) -> PhoneTrack:
+    """Read the phones of a take; refuse those of another."""
+    track = read_phone_track(path)
+    if track.duration > take_seconds + MARGIN_SECONDS:
+        raise InputError(
+            f"{path}: lasts {track.duration:.1f} s and its take {take} {take_seconds:.1f} s; give "
+            "the phones of this take, for several takes in their order"
+        )
+    return track
+
+
 def _phones_at(track: PhoneTrack, seconds: Sequence[float]) -> list[str]:
     """Return the phone at each time, ``sil`` in silence; empty outside of all phones."""
     if not track.phones:
@@ -104,13 +110,7 @@ def labels_at(phones: Path | None, take: Take, frames: IntArray) -> tuple[str, .
     """Return phone, viseme and emotion of each frame, such as ``M  /b/ /p/ /m/``, else ``''``."""
     if phones is None:
         return ("",) * len(frames)
-    track = read_phone_track(phones)
-    lasts = take.frame_count / float(take.rate)
-    if track.duration > lasts + MARGIN_SECONDS:
-        raise InputError(
-            f"{phones}: lasts {track.duration:.1f} s and take {take.name} {lasts:.1f} s; give the "
-            "phones of this take"
-        )
+    track = _read_track(phones, take.name, take.frame_count / float(take.rate))
     seconds = take.seconds(np.asarray(frames, np.float64))
     return tuple(_label_text(track, at) for at in seconds.tolist())
 

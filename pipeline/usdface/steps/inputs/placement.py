@@ -9,7 +9,7 @@ import numpy as np
 from usdface.core.arrays import ByteImage, FloatArray, sample_frames
 from usdface.core.assets import References, Rig
 from usdface.core.deformer import Deformer
-from usdface.core.errors import InputError
+from usdface.core.errors import InputError, as_input_error
 from usdface.core.text import counted, first_few
 from usdface.media.face.render import Quality
 from usdface.media.picture.binding_picture import BoundMarkers, draw_binding
@@ -75,7 +75,7 @@ class PlacementScene:
         rows = sample_frames(len(takes.frames), _SAMPLE_FRAMES)
         self._sample = takes.positions_at(rows).astype(np.float64)
         self._mesh = rig_surfaces(rig)[0].mesh
-        try:
+        with as_input_error(f"the markers cannot be placed on {rig.file}"):
             self._cloud = marker_cloud(
                 takes.marker_names,
                 takes.neutral,
@@ -84,8 +84,6 @@ class PlacementScene:
                 rigid=[takes.marker_names.index(name) for name in takes.rigid],
             )
             self._skin = deformer.face_skin()
-        except ValueError as error:
-            raise InputError(f"the markers cannot be placed on {rig.file}: {error}") from error
 
     def place(self, *, out: Path, landmarks: Mapping[str, FloatArray]) -> PlacedTakes:
         """Place the markers, keeping landmarks [mm] and the corrections of a placement at `out`."""
@@ -94,12 +92,10 @@ class PlacementScene:
         names = takes.marker_names
         known = {**landmarks, **given.corrected}
         pins = {names.index(name): at for name, at in known.items() if name in names}
-        try:
+        with as_input_error(f"the markers cannot be placed on {rig.file}"):
             found = place_markers(
                 self._cloud, self._skin, rig.shapes, ranges=rig.ranges, pinned=pins
             )
-        except ValueError as error:
-            raise InputError(f"the markers cannot be placed on {rig.file}: {error}") from error
         at = found.virtual
         binding = bind_at(
             mesh,

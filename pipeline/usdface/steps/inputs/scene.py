@@ -4,14 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, sample_frames
-from usdface.core.assets import Markers, MotionSpace, Rig, TrainedMapping
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from usdface.core.assets import MotionSpace, Rig
 from usdface.core.deformer import Deformer
 from usdface.core.progress import Progress
-from usdface.model.mapping.head_space import HeadSpace, find_head_space
 from usdface.model.mapping.motion_space import fit_motion_space, marker_coordinates
-from usdface.model.mapping.performer_face import PerformerFace, face_of_mapping
-from usdface.model.mapping.predict import predict_weights
 from usdface.model.placement.shape_parts import missing_parts_note, shape_parts
 from usdface.model.selection.baseline import BlendshapeEquation, PerformerMarkers
 from usdface.model.selection.design import SelectionSpace, WeightProposals, selection_space
@@ -139,60 +136,6 @@ def _equation(
             positions=takes.positions[0] if one else np.concatenate(takes.positions),
             visible=takes.usable[0] if one else np.concatenate(takes.usable),
             rigid=tuple(takes.marker_names.index(name) for name in takes.rigid),
-            starts=tuple(np.cumsum([0, *(len(clip) for clip in takes.positions[:-1])]).tolist()),
+            starts=tuple(takes.starts[:-1].tolist()),
         ),
-    )
-
-
-_HEAD_SPACE_FRAMES = 2000
-"""Frames used to find the head space, evenly spread."""
-
-
-@dataclass(frozen=True)
-class TakesPrediction:
-    """A mapping applied to takes in a common head space."""
-
-    mapping: TrainedMapping
-    takes: CleanedTakes
-    space: HeadSpace
-
-    @property
-    def shape_names(self) -> tuple[str, ...]:
-        """Order of the weights."""
-        return self.mapping.shape_names
-
-    def weights(self, rows: IntArray) -> FloatArray:
-        """Return the mapping's weights at rows of all takes: (rows, shapes)."""
-        placed = self.space.place(_markers(self.takes, rows))
-        return predict_weights(self.mapping, placed.positions, visible=placed.visible).weights
-
-
-def takes_prediction(mapping: TrainedMapping, takes: CleanedTakes) -> TakesPrediction:
-    """Return the prediction of a mapping for takes."""
-    return TakesPrediction(mapping, takes, takes_head_space(face_of_mapping(mapping), takes))
-
-
-def takes_head_space(face: PerformerFace, takes: CleanedTakes) -> HeadSpace:
-    """Find the transform from the common head space of takes to that of a face."""
-    rows = sample_frames(len(takes.frames), _HEAD_SPACE_FRAMES)
-    first = takes.sources[0]
-    return find_head_space(
-        face,
-        _markers(takes, rows),
-        frames=rows,
-        rate=float(first.rate),
-        performer=first.performer,
-        session=first.session,
-    )
-
-
-def _markers(takes: CleanedTakes, rows: IntArray) -> Markers:
-    visible = takes.usable_at(rows)
-    return Markers(
-        names=takes.marker_names,
-        positions=takes.positions_at(rows),
-        visible=visible,
-        confidence=visible.astype(np.float32),
-        rigid=takes.rigid,
-        space="stabilized",
     )

@@ -123,8 +123,7 @@ def read_source_motion(
         )
     if capture is not None:
         take = capture.take
-        end = take.first_frame + take.frame_count - 1
-        first, last = frames_within(path, frames, take.first_frame, end)
+        first, last = frames_within(path, frames, take.first_frame, take.last_frame)
         start = shift_timecode(take.timecode_start, first - take.first_frame, take.rate)
         motion = _of_take(path, replace(take, timecode_start=start), first, last)
         return replace(motion, notes=capture.notes)

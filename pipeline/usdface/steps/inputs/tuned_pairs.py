@@ -98,7 +98,7 @@ def _keyed_pairs(out: Path, old: References, marked: dict[int, TunedPair]) -> di
             pair,
             old.takes[pair],
             int(old.frames[pair]),
-            dict(zip(old.shape_names, old.weights[pair].tolist(), strict=True)),
+            old.weights_of(pair),
             done=pair in marked and marked[pair].done,
             author=marked[pair].author if pair in marked else "",
         )

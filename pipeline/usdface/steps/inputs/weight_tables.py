@@ -12,7 +12,7 @@ from usdface.capture.sniff import read_capture, recognise_format
 from usdface.capture.text_table import csv_rows
 from usdface.capture.weight_samples import read_cell, read_weight_samples
 from usdface.capture.weight_table import in_fractions, read_weight_take, row_frames
-from usdface.core.arrays import FloatArray, IntArray, columns_by_name
+from usdface.core.arrays import FloatArray, IntArray, columns_by_name, index_of
 from usdface.core.assets import WeightsClip
 from usdface.core.errors import InputError
 from usdface.core.sidecars import is_usd_name
@@ -56,6 +56,12 @@ class WeightTable:
         """Return the weights in another order of shapes; 0 for missing shapes."""
         return columns_by_name(self.weights, self.names, names)
 
+    def at_frames(self, frames: IntArray, names: tuple[str, ...]) -> FloatArray:
+        """Return the weights of shapes at frames, (frames, names); NaN at missing frames."""
+        row_of = index_of(self.frames)
+        rows = np.array([row_of.get(frame, -1) for frame in frames.tolist()], dtype=np.int64)
+        return np.where(rows[:, None] < 0, np.nan, self.columns(names)[rows])
+
     def shapes_among(self, names: Sequence[str], *, file: Path, owner: str) -> list[str]:
         """Return the table's shapes that are among `names`; `owner` of these, for the message."""
         known = [name for name in self.names if name in names]
@@ -90,15 +96,23 @@ class WeightTable:
         table = self.renamed(transfer)
         return (table if table.names else self), transfer
 
-    def numbering_notes(self, file: Path) -> list[str]:
-        """Return a note if the file does not number its frames."""
-        if self.numbered:
-            return []
-        rate = "" if self.rate is None else f" at {float(self.rate):g} frames per second"
-        return [
-            f"{file.name} has no column of frames: its {pluralize(len(self.frames), 'row')} count "
-            f"from frame 1{rate}, as for `ingest`"
-        ]
+    def notes(self, file: Path, known: Collection[str], *, owner: str) -> list[str]:
+        """Return notes on frames without numbers, and on columns that are not among `known`.
+
+        `owner` of the known shapes, for the message.
+        """
+        notes = []
+        if not self.numbered:
+            rate = "" if self.rate is None else f" at {float(self.rate):g} frames per second"
+            notes.append(
+                f"{file.name} has no column of frames: its {pluralize(len(self.frames), 'row')} "
+                f"count from frame 1{rate}, as for `ingest`"
+            )
+        unknown = [name for name in self.names if name not in known]
+        if unknown:
+            columns = pluralize(len(unknown), "column")
+            notes.append(f"left out {columns} of {file.name}, not {owner}: {first_few(unknown)}")
+        return notes
 
     def check_rate(self, rate: Fraction, *, file: Path, performance: Path) -> None:
         """Refuse a file with another rate than the performance's."""

@@ -12,15 +12,10 @@ from usdface.core.provenance import Provenance
 from usdface.core.sidecars import weights_path
 from usdface.core.text import pluralize
 from usdface.model.placement.rig_orientation import check_rig_upright
-from usdface.model.selection.baseline import MOTION_FRAMES, BlendshapeEquation, PerformerMarkers
+from usdface.model.selection.baseline import MOTION_FRAMES, BlendshapeEquation
 from usdface.runner.result import StepResult
 from usdface.specs.performance import MapSpec
-from usdface.steps.inputs.cleaned_takes import (
-    check_neutral_frame,
-    check_stabilized,
-    read_markers,
-    read_markers_at,
-)
+from usdface.steps.inputs.cleaned_takes import read_markers, read_performer_markers
 from usdface.steps.inputs.edit_ranges import performance_notes
 from usdface.steps.inputs.placement import placed_equation, read_placement_of
 from usdface.usdio.performance.weights_layer import make_header
@@ -88,25 +83,11 @@ def _equation(spec: MapSpec, take: TakeReader, rig: Rig) -> BlendshapeEquation:
     """Set up the equation from frames sampled over the whole take, so that chunks are equal."""
     count = take.last_frame - take.first_frame + 1
     picks = take.first_frame + sample_frames(count, MOTION_FRAMES)
-    sample = read_markers_at(take, picks.tolist())
-    check_stabilized(take.path, sample)
-    check_neutral_frame(take.path, sample, take.first_frame, take.last_frame)
-    neutral = read_markers_at(take, [sample.neutral_frame]).positions[0].astype(np.float64)
+    performer = read_performer_markers(take, picks.tolist())
     placement = None
     if spec.placement is not None:
-        placement = read_placement_of(spec.placement, rig, sample.names, neutral)
-    return placed_equation(
-        placement,
-        rig,
-        Deformer(rig),
-        PerformerMarkers(
-            neutral=neutral,
-            positions=sample.positions,
-            visible=sample.usable,
-            rigid=tuple(sample.names.index(name) for name in sample.rigid),
-            labels=sample.names,
-        ),
-    )
+        placement = read_placement_of(spec.placement, rig, performer.labels, performer.neutral)
+    return placed_equation(placement, rig, Deformer(rig), performer)
 
 
 def _solve(equation: BlendshapeEquation, markers: Markers, *, unlimited: bool) -> FloatArray:

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from usdface.core.errors import InputError
-from usdface.core.progress import Progress, silent
+from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import controls_path, head_path, weights_path
 from usdface.core.text import first_few, pluralize
@@ -22,7 +22,7 @@ from usdface.usdio.performance.write import writing_top
 from usdface.usdio.rig.reference import read_rig_of_stage
 
 
-def run(spec: JoinSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
+def run(spec: JoinSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Merge the parts, or play them as value clips, by --clips and their size."""
     readers = sorted(map(PerformanceReader, spec.parts), key=lambda each: each.first_frame)
     headers = [reader.header for reader in readers]

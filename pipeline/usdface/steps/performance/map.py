@@ -12,9 +12,9 @@ import numpy as np
 
 from usdface.core.arrays import BoolArray, FloatArray
 from usdface.core.assets import Rig, TrainedMapping
-from usdface.core.errors import InputError
+from usdface.core.errors import InputError, as_input_error
 from usdface.core.processes import usable_cores
-from usdface.core.progress import Progress, silent
+from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import head_path, weights_path
 from usdface.core.text import counted, first_few, pluralize
@@ -125,7 +125,7 @@ class _Residuals:
         self.few_markers.append(solved.few_markers[rows])
 
 
-def run(spec: MapSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
+def run(spec: MapSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Map every frame of a take, block by block, and write the performance."""
     if spec.mapping is None:
         return _run_baseline(spec, provenance, progress)
@@ -232,12 +232,8 @@ def _driven(
     targets = named_targets(rig, spec.drive)
     into_mapping = np.eye(4)
     into_mapping[:3, :3], into_mapping[:3, 3] = space.rotation, space.shift
-    try:
+    with as_input_error(f"{spec.mapping}: the performer cannot be aligned with the rig"):
         onto = performer_onto_rig(mapping, rig) @ into_mapping
-    except ValueError as error:
-        raise InputError(
-            f"{spec.mapping}: the performer cannot be aligned with the rig: {error}"
-        ) from error
     return take_head_source(take, *frames).drive(rig, targets, onto)
 
 

@@ -8,7 +8,7 @@ from usdface.core.arrays import ByteImage, FloatArray, IntArray, columns_by_name
 from usdface.core.assets import CandidateScore, References, Rig, TrainedMapping
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
-from usdface.core.progress import Progress, silent
+from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.rig_logic import Combination
 from usdface.core.sidecars import proposed_path
@@ -51,7 +51,7 @@ _SHOWN_MM = 0.5
 """Largest displacement of a marker by a full shape, below which markers do not show the shape."""
 
 
-def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
+def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Train the mapping, write it, and with --picture draw the eigen-space."""
     references, notes = _read_pairs(spec)
     rig = read_rig_of(references, spec.references)
@@ -74,13 +74,11 @@ def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress = silent)
             "uses"
         )
     notes += [*_correction_notes(mapping, references), variance_line(mapping)]
-    outputs = [spec.out]
     if spec.picture is not None:
         picture = eigenspace_picture(mapping, references, f"eigen-space of {spec.references.stem}")
         write_image(spec.picture, picture, metadata=provenance.metadata)
-        outputs.append(spec.picture)
     return StepResult(
-        tuple(outputs),
+        (spec.out, *spec.paths_of("picture")),
         _summary(mapping, references),
         tuple(notes),
         describe_figures(mapping) | {"unkeyed_shapes": unkeyed},

@@ -1,3 +1,3 @@
 """Reference frames: selection, tuned weights, coverage."""
 
-_helpers = ("images", "select_files", "select_notes", "weight_takes")
+_helpers = ("images", "select_notes", "weight_takes")

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, IntArray, columns_by_name
+from usdface.core.arrays import IntArray, columns_by_name
 from usdface.core.assets import References
 from usdface.core.errors import InputError
-from usdface.core.progress import Progress, part, silent
+from usdface.core.progress import Progress, part
 from usdface.core.provenance import Provenance
 from usdface.core.text import first_few, pluralize
 from usdface.runner.result import StepResult
@@ -14,6 +14,7 @@ from usdface.specs.paths import frame_list, frame_range
 from usdface.specs.references import ReferencesAddSpec
 from usdface.steps.references.from_edits import (
     captured_markers,
+    check_shapes,
     find_take_and_mapping,
     with_pairs,
     write_extended,
@@ -25,9 +26,7 @@ MOST_FRAMES = 1000
 """Largest number of frames to add: ten times the default of `select`."""
 
 
-def run(
-    spec: ReferencesAddSpec, *, provenance: Provenance, progress: Progress = silent
-) -> StepResult:
+def run(spec: ReferencesAddSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Add the frames with the performance's weights as proposals."""
     old = read_references(spec.references)
     reader = PerformanceReader(spec.performance)
@@ -50,7 +49,10 @@ def run(
     if not seen.all():
         notes.append(f"left out, missing a marker: frames {first_few(frames[~seen].tolist())}")
     progress(0.8, f"read {pluralize(len(frames), 'frame')}")
-    references = _with_pairs(old, reader, take.name, frames[seen], captured[seen])
+    check_shapes(reader, old, spec.references)
+    edited = reader.edited()[frames[seen] - reader.first_frame]
+    weights = columns_by_name(edited, reader.names, old.shape_names)
+    references = with_pairs(old, take.name, frames[seen], captured[seen], weights, tuned=False)
     files = write_extended(spec, references, notes, provenance, part(progress, 0.8, 1.0))
     added = frames[seen].tolist()
     return StepResult(
@@ -97,18 +99,3 @@ def _new_frames(
             "are added; choose frames with `usdface select`"
         )
     return np.array(frames, dtype=np.int64)
-
-
-def _with_pairs(
-    old: References, reader: PerformanceReader, take: str, frames: IntArray, captured: FloatArray
-) -> References:
-    driven = {each.shape for each in old.combinations}
-    missing = [name for name in reader.names if name not in {*old.shape_names, *driven}]
-    if missing:
-        raise InputError(
-            f"{reader.path}: its shapes {first_few(missing)} are not in the references; give the "
-            "references that its mapping was trained on"
-        )
-    edited = reader.edited()[frames - reader.first_frame]
-    weights = columns_by_name(edited, reader.names, old.shape_names)
-    return with_pairs(old, take, frames, captured, weights, tuned=False)

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from usdface.core.errors import InputError
-from usdface.core.progress import Progress, silent
+from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import coverage_path
 from usdface.media.picture.image import write_image
@@ -12,26 +12,21 @@ from usdface.runner.origin import provenance_of, spec_of
 from usdface.runner.outputs import confine
 from usdface.runner.result import StepResult
 from usdface.specs.references import ReferencesCoverageSpec
-from usdface.steps.inputs.coverage_report import coverage_figures, measure_pairs, next_frames
+from usdface.steps.inputs.coverage_report import measure_pairs
 
 _NAMED_FRAMES = 3
 """Suggested frames listed in notes; figures and picture have all."""
 
 
-def run(
-    spec: ReferencesCoverageSpec,
-    *,
-    provenance: Provenance,
-    progress: Progress = silent,
-) -> StepResult:
+def run(spec: ReferencesCoverageSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Measure the coverage of the takes by the pairs, and draw it."""
-    measured = measure_pairs(spec, progress=progress)
-    measure, takes, pairs = measured.coverage, measured.takes, measured.pairs
+    measured = measure_pairs(
+        spec.references, spec.takes, tuned_only=spec.tuned_only, progress=progress
+    )
+    pairs, coverage = measured.pairs, measured.frames
     progress(0.9, f"writing {spec.out.name}")
     picture = measured.picture(spec.references.stem)
     write_image(spec.out, picture, metadata=provenance.metadata)
-    progress(1.0, "done")
-    coverage = measure.frames
     notes = []
     if len(measured.rows) < len(pairs):
         notes.append(
@@ -40,19 +35,19 @@ def run(
         )
     notes += [
         f"with frame {each.frame} of {each.take}, mean coverage would be {each.mean_then:.0%}"
-        for each in next_frames(measure, takes)[:_NAMED_FRAMES]
+        for each in measured.next_frames()[:_NAMED_FRAMES]
     ]
     notes += measured.notes
     return StepResult(
         (spec.out,),
         f"{len(pairs)} pairs, {measured.tuned_count} of them tuned: mean coverage "
         f"{coverage.mean:.0%}, {LEAST_COVERAGE:.0%} or more in {coverage.sufficient_share:.0%} of "
-        f"{len(takes.frames)} frames",
+        f"{len(measured.takes.frames)} frames",
         tuple(notes),
         {
             "pairs": [pair + 1 for pair in pairs.tolist()],
             "of_other_takes": len(pairs) - len(measured.rows),
-            **coverage_figures(measure, takes),
+            **measured.figures(),
         },
     )
 
@@ -69,9 +64,8 @@ def redraw_coverage(references: Path, progress: Progress) -> tuple[tuple[Path, .
         return (), []
     takes = tuple(references.parent / str(name) for name in spec_of(origin).get("takes", ()))
     confine("references coverage", reads=takes, writes=[picture])
-    spec = ReferencesCoverageSpec(references=references, takes=takes, out=picture)
     try:
-        measured = measure_pairs(spec, progress=progress)
+        measured = measure_pairs(references, takes, progress=progress)
     except InputError as error:
         return (), [f"{picture.name} was not drawn again, and is out of date: {error}"]
     write_image(picture, measured.picture(references.stem), metadata=origin.metadata)

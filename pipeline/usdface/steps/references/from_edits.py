@@ -11,7 +11,7 @@ from usdface.core.arrays import BoolArray, FloatArray, IntArray, columns_by_name
 from usdface.core.assets import References, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.core.locks import tuning_lock
-from usdface.core.progress import Progress, part, silent
+from usdface.core.progress import Progress, part
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import proposed_path, reference_layers, tuned_path
 from usdface.core.text import first_few, pluralize
@@ -51,12 +51,7 @@ EDITED_SHARE = 0.5
 strength."""
 
 
-def run(
-    spec: ReferencesFromEditsSpec,
-    *,
-    provenance: Provenance,
-    progress: Progress = silent,
-) -> StepResult:
+def run(spec: ReferencesFromEditsSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Add the edited frames to the references as tuned pairs."""
     old = read_references(spec.references)
     notes: list[str] = []
@@ -109,13 +104,7 @@ def _edited_frames(
     notes: list[str],
 ) -> _EditedFrames:
     reader = PerformanceReader(performance)
-    driven = {each.shape for each in old.combinations}
-    missing = [name for name in reader.names if name not in {*old.shape_names, *driven}]
-    if missing:
-        raise InputError(
-            f"{performance}: its shapes {first_few(missing)} are not in {spec.references}; give "
-            "the references that its mapping was trained on"
-        )
+    check_shapes(reader, old, spec.references)
     edited = reader.edited().astype(np.float64)
     changes = np.abs(edited - reader.solved())
     columns = [reader.names.index(name) for name in reader.edits]
@@ -140,6 +129,17 @@ def _edited_frames(
         notes.append(f"{performance}: used {len(chosen)} of {len(rows)} edited frames")
     weights = columns_by_name(edited[rows[chosen]], reader.names, old.shape_names)
     return _EditedFrames(take.name, frames[chosen], captured[chosen], weights)
+
+
+def check_shapes(reader: PerformanceReader, old: References, references: Path) -> None:
+    """Refuse a performance with shapes that neither the references nor their combinations have."""
+    driven = {each.shape for each in old.combinations}
+    missing = [name for name in reader.names if name not in {*old.shape_names, *driven}]
+    if missing:
+        raise InputError(
+            f"{reader.path}: its shapes {first_few(missing)} are not in {references}; give the "
+            "references that its mapping was trained on"
+        )
 
 
 def full_strength_frames(edits: Sequence[EditCurve], changes: FloatArray) -> BoolArray:
@@ -256,7 +256,6 @@ def write_extended(
         )
     pictures, picture_notes = redraw_coverage(spec.out, progress)
     notes += picture_notes
-    progress(1.0, "written")
     return (*reference_layers(spec.out), *pictures)
 
 
@@ -272,8 +271,7 @@ def _tuned_by_hand(
         if weights is not None:
             kept += 1
         elif references.tuned[pair]:
-            row = references.weights[pair].tolist()
-            weights = dict(zip(references.shape_names, row, strict=True))
+            weights = references.weights_of(pair)
         if weights is not None:
             author = references.authors[pair] if references.authors else ""
             tuned.append(TunedPair(pair, take, frame, weights, author=author))
@@ -293,9 +291,7 @@ def _by_hand(out: Path) -> dict[tuple[str, int], dict[str, float]]:
         return {}
     differs = np.abs(existing.weights - proposals).max(axis=1, initial=0.0) > SAME_WEIGHT
     return {
-        (existing.takes[pair], int(existing.frames[pair])): dict(
-            zip(existing.shape_names, existing.weights[pair].tolist(), strict=True)
-        )
+        (existing.takes[pair], int(existing.frames[pair])): existing.weights_of(pair)
         for pair in np.flatnonzero(differs).tolist()
     }
 

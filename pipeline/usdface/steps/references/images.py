@@ -8,6 +8,8 @@ from pathlib import Path
 
 from usdface.core.assets import References, Take, Video
 from usdface.core.errors import InputError
+from usdface.core.progress import Progress
+from usdface.core.provenance import Provenance
 from usdface.core.side_files import check_side_folder, make_side_folder
 from usdface.core.sidecars import images_folder
 from usdface.core.text import first_few
@@ -24,6 +26,20 @@ class PairImages:
     """Per pair; None if it has no image."""
     notes: tuple[str, ...]
     """Reasons for missing images, per take."""
+
+
+def store_images(
+    spec: SelectSpec,
+    references: References,
+    sources: tuple[Take, ...],
+    provenance: Provenance,
+    progress: Progress,
+) -> PairImages:
+    """Store the video frames of the pairs, unless --no-images is given."""
+    if not spec.images:
+        return PairImages((), ())
+    progress(0.0, "storing the video frames of the pairs")
+    return write_pair_images(spec.out, references, sources, metadata=provenance.metadata)
 
 
 def write_pair_images(

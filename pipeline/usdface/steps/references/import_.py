@@ -1,6 +1,5 @@
 """Import tuned weights into a references asset, by frame and shape name."""
 
-from collections.abc import Sequence, Set
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -10,7 +9,7 @@ import numpy as np
 from usdface.core.arrays import index_of
 from usdface.core.assets import References, Take, Video
 from usdface.core.errors import InputError
-from usdface.core.progress import Progress, part, silent
+from usdface.core.progress import Progress, part
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import tuned_path
 from usdface.core.text import counted, first_few, pluralize
@@ -38,12 +37,7 @@ _CHANCE_PROBABILITY = 0.01
 """Largest probability that as many random rows would be at pairs."""
 
 
-def run(
-    spec: ReferencesImportSpec,
-    *,
-    provenance: Provenance,
-    progress: Progress = silent,
-) -> StepResult:
+def run(spec: ReferencesImportSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Match the file's rows to pairs and its columns to shapes, and write the tuned layer."""
     references = read_keyed_references(spec.references)
     given = read_weight_table(
@@ -68,7 +62,6 @@ def run(
         references, pairs, layer_path=tuned_path(spec.references), provenance=provenance
     )
     pictures, picture_notes = redraw_coverage(spec.references, part(progress, 0.1, 1.0))
-    progress(1.0, "imported")
     tuned = set(np.flatnonzero(references.tuned).tolist()) | {pair.pair for pair in pairs}
     count = len(references.frames)
     texts, conflicts = tuned_conflicts(spec.references)
@@ -77,10 +70,12 @@ def run(
         *_row_notes(spec, table, pairs, unmatched),
         *_missed_notes(spec, references, table, pairs),
         *meaning_notes(transfer),
-        *given.numbering_notes(spec.weights),
-        *_column_notes(given, combinations, transfer.matched),
+        *given.notes(spec.weights, {*transfer.matched, *combinations}, owner="on the rig"),
         *_missing_notes(spec, references, table, pairs),
     ]
+    driven = [name for name in given.names if name in combinations]
+    if driven:
+        notes.append(f"not imported, as other shapes drive them: {counted(driven, 'combination')}")
     if len(tuned) < count:
         notes.append(
             f"still untuned proposals: {pluralize(count - len(tuned), 'pair')}; `usdface train` "
@@ -146,21 +141,6 @@ def _missed_notes(
         f"{min(table.frames)}-{max(table.frames)}: {len(missed)} of "
         f"{pluralize(len(references.frames), 'pair')} ({first_few(missed)})"
     ]
-
-
-def _column_notes(given: WeightTable, combinations: Set[str], matched: Sequence[str]) -> list[str]:
-    """Return notes on columns that set no shape."""
-    notes = []
-    driven = [name for name in given.names if name in combinations]
-    if driven:
-        notes.append(f"not imported, as other shapes drive them: {counted(driven, 'combination')}")
-    unknown = [name for name in given.names if name not in {*matched, *driven}]
-    if unknown:
-        notes.append(
-            f"left out {pluralize(len(unknown), 'column')} without a shape of the rig: "
-            f"{first_few(unknown)}"
-        )
-    return notes
 
 
 def _missing_notes(
@@ -330,7 +310,7 @@ def _pairs(
             continue
         if spec.at != "frames" and key not in table.keyed:
             continue  # values between keys of pairs mean nothing
-        weights = dict(zip(references.shape_names, references.weights[pair].tolist(), strict=True))
+        weights = references.weights_of(pair)
         if not (references.tuned[pair] or spec.keep_proposed):
             weights |= dict.fromkeys(weights.keys() - set(known), 0.0)
         row = np.array([row_of[key]])

@@ -1,6 +1,6 @@
 """Place the markers of takes on a rig, with a verdict and a picture."""
 
-from usdface.core.progress import Progress, silent
+from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import binding_layers
 from usdface.core.text import first_few, pluralize
@@ -19,9 +19,8 @@ from usdface.usdio.rig.read import read_rig
 from usdface.usdio.surface.placement import write_placement
 
 
-def run(spec: PlaceSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
+def run(spec: PlaceSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Place the markers, keeping earlier corrections, and write and draw the placement."""
-    progress(0.0, "reading the takes")
     takes = read_cleaned_takes(spec.takes)
     rig = read_rig(spec.rig, prim=spec.prim)
     notes = plausibility_notes(takes, spec.takes, rig)
@@ -29,16 +28,13 @@ def run(spec: PlaceSpec, *, provenance: Provenance, progress: Progress = silent)
     progress(0.2, "placing the markers on the rig")
     placed = PlacementScene(takes, rig).place(out=spec.out, landmarks=landmarks)
     write_placement(spec.out, placed.placement, rig, provenance=provenance)
-    outputs = [*binding_layers(spec.out)]
     if spec.picture is not None:
         progress(0.7, f"drawing {spec.picture.name}")
         title = f"{first_few([source.name for source in takes.sources], most=3)} on {spec.rig.stem}"
         picture = draw_placement(placed, rig, title=title, quality=spec.quality)
         write_image(spec.picture, picture, metadata=provenance.metadata)
-        outputs.append(spec.picture)
-    progress(1.0, "done")
     return StepResult(
-        tuple(outputs),
+        (*binding_layers(spec.out), *spec.paths_of("picture")),
         f"{pluralize(len(takes.marker_names), 'marker')} on {rig.file.name}. "
         f"{placed.verdict.sentence}",
         (*notes, *placement_notes(placed)),

@@ -8,16 +8,20 @@ import numpy as np
 from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.core.assets import References, Rig, TrainedMapping
 from usdface.core.errors import InputError
-from usdface.core.locks import check_tuning_lock
-from usdface.core.progress import Progress, part, silent
+from usdface.core.locks import check_tuning_lock, tuning_lock
+from usdface.core.progress import Progress, part
 from usdface.core.provenance import Provenance
-from usdface.core.sidecars import placement_path, reference_layers
-from usdface.core.text import first_few
+from usdface.core.replacing import replacing_group
+from usdface.core.sidecars import binding_layers, placement_path, reference_layers, tuned_path
+from usdface.core.text import first_few, pluralize
 from usdface.media.picture.image import write_image
+from usdface.model.mapping.performer_face import face_of_mapping
+from usdface.model.mapping.predict import predict_weights
 from usdface.model.selection.design import (
     ReferenceChoice,
     choose_by_design,
     choose_visemes,
+    features_at,
     rank_by_information,
 )
 from usdface.model.selection.lip_contact import find_lips, keep_lip_contact
@@ -27,11 +31,8 @@ from usdface.specs.references import SelectSpec
 from usdface.speech.phones import VISEMES
 from usdface.steps.inputs.cleaned_takes import CleanedTakes, plausibility_notes, read_cleaned_takes
 from usdface.steps.inputs.coverage_report import (
-    PairFaces,
     TakesCoverage,
-    coverage_figures,
-    coverage_picture,
-    takes_coverage,
+    coverage_and_growth,
 )
 from usdface.steps.inputs.landmark_files import read_landmarks
 from usdface.steps.inputs.phone_labels import PhoneLabels, read_phone_labels
@@ -45,10 +46,8 @@ from usdface.steps.inputs.placement import (
 )
 from usdface.steps.inputs.scene import (
     SelectionScene,
-    TakesPrediction,
     candidate_frames,
     set_up_scene,
-    takes_prediction,
 )
 from usdface.steps.inputs.tuned_pairs import (
     PlacedPair,
@@ -56,13 +55,14 @@ from usdface.steps.inputs.tuned_pairs import (
     rows_of_pairs,
     tuned_conflicts,
 )
-from usdface.steps.references.images import PairImages
-from usdface.steps.references.select_files import store_images, write_selection
+from usdface.steps.references.images import PairImages, remove_unused_images, store_images
 from usdface.steps.references.select_notes import next_step, selection_notes
 from usdface.steps.references.weight_takes import have_weights_only, select_by_weights
 from usdface.usdio.mapping import read_mapping
+from usdface.usdio.references.weight_layers import read_tuned_pairs
+from usdface.usdio.references.write import write_references
 from usdface.usdio.rig.read import read_rig
-from usdface.usdio.surface.placement import RigPlacement
+from usdface.usdio.surface.placement import RigPlacement, write_placement
 
 
 @dataclass(frozen=True)
@@ -74,8 +74,8 @@ class _Selection:
     spoken: PhoneLabels
     kept: list[PlacedPair]
     candidates: BoolArray
-    predicted: TakesPrediction | None
-    """By --mapping."""
+    mapping: TrainedMapping | None
+    """Proposes the weights."""
 
     @property
     def already(self) -> IntArray:
@@ -88,9 +88,8 @@ class _Selection:
         return self.spec.count - len(self.kept)
 
 
-def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
+def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Choose pairs, propose their weights, write the asset and draw its coverage."""
-    progress(0.0, "reading the takes")
     check_tuning_lock(spec.out)
     if have_weights_only(spec.takes):
         return _run_on_weights(spec, provenance, progress)
@@ -125,13 +124,12 @@ def run(spec: SelectSpec, *, provenance: Provenance, progress: Progress = silent
     images = store_images(spec, references, takes.sources, provenance, part(progress, 0.75, 0.85))
     progress(0.85, f"writing {spec.out.name}")
     made_here = None if spec.placement is not None else placed.placement
-    write_selection(spec, references, rig, selection.kept, images, provenance, made_here)
+    _write(spec, references, rig, selection.kept, images, provenance, made_here)
     title = f"{spec.out.stem} on {rig.file.stem}"
     picture = draw_placement(placed, rig, title=title, quality="draft")
     write_image(_placement_picture(spec), picture, metadata=provenance.metadata)
     progress(0.9, "measuring the coverage")
     coverage = _measure_coverage(selection, rows, provenance)
-    progress(1.0, "done")
     return _result(selection, placed, choice, references, images, coverage, warnings)
 
 
@@ -144,8 +142,7 @@ def _run_on_weights(spec: SelectSpec, provenance: Provenance, progress: Progress
         spec, references, found.takes.sources, provenance, part(progress, 0.6, 0.9)
     )
     progress(0.9, f"writing {spec.out.name}")
-    write_selection(spec, references, rig, found.kept, images, provenance)
-    progress(1.0, "done")
+    _write(spec, references, rig, found.kept, images, provenance)
     return StepResult(
         reference_layers(spec.out),
         f"{len(references.frames)} pairs of {len(found.takes.frames)} frames, {len(found.kept)} of "
@@ -159,16 +156,58 @@ def _run_on_weights(spec: SelectSpec, provenance: Provenance, progress: Progress
     )
 
 
+def _write(
+    spec: SelectSpec,
+    references: References,
+    rig: Rig,
+    kept: list[PlacedPair],
+    images: PairImages,
+    provenance: Provenance,
+    placement: RigPlacement | None = None,
+) -> None:
+    """Write references, and a placement made here, unless pairs were tuned since they were read."""
+    written = (*binding_layers(placement_path(spec.out)), *reference_layers(spec.out))
+    with tuning_lock(spec.out), replacing_group(written):
+        _check_tuning_is_as_read(spec, kept)
+        if placement is not None:
+            write_placement(placement_path(spec.out), placement, rig, provenance=provenance)
+        write_references(
+            spec.out,
+            references,
+            rig,
+            tuned=[each.tuned for each in kept if each.is_keyed],
+            images=images.files,
+            provenance=provenance,
+        )
+    remove_unused_images(spec.out, images.files)
+
+
+def _check_tuning_is_as_read(spec: SelectSpec, kept: list[PlacedPair]) -> None:
+    """Refuse to write if pairs were tuned since they were read."""
+    now = {(each.pair, each.take, each.frame) for each in read_tuned_pairs(tuned_path(spec.out))}
+    before = {(each.tuned.pair, each.tuned.take, each.tuned.frame) for each in kept}
+    if now - before:
+        raise InputError(
+            f"{tuned_path(spec.out)}: {pluralize(len(now - before), 'pair')} tuned while frames "
+            "were chosen; nothing was changed. Select again, which keeps tuned pairs"
+        )
+
+
 def _measure_coverage(
     selection: _Selection, rows: IntArray, provenance: Provenance
 ) -> TakesCoverage:
     """Measure the coverage of the takes by the pairs, and draw it."""
     spec, scene = selection.spec, selection.scene
-    faces = PairFaces.at(scene, rows)
-    coverage = takes_coverage(scene, faces, rows, candidates=selection.candidates)
-    picture = coverage_picture(
-        coverage, scene.takes, rows, tuned=selection.already, title=spec.out.stem
+    frames, growth = coverage_and_growth(
+        scene,
+        features_at(scene.features, rows),
+        scene.displacements(rows),
+        candidates=selection.candidates,
+        rows=rows,
     )
+    pairs, tuned = np.arange(len(rows), dtype=np.int64), selection.already
+    coverage = TakesCoverage(scene.takes, frames, growth, pairs, rows, tuned, len(tuned))
+    picture = coverage.picture(spec.out.stem)
     write_image(spec.picture_path(), picture, metadata=provenance.metadata)
     return coverage
 
@@ -215,7 +254,7 @@ def _result(
                 for take, neutral in zip(takes.sources, takes.neutrals, strict=True)
             },
             "placement": placement_figures(placed),
-            **coverage_figures(coverage, takes),
+            **coverage.figures(),
         },
     )
 
@@ -232,14 +271,6 @@ def _figures(
     }
 
 
-def _mapping_for(path: Path, rig: Rig) -> TrainedMapping:
-    """Read the mapping; refuse one for another rig."""
-    mapping = read_mapping(path)
-    remedy = "it was trained for another rig: give the mapping of this one"
-    rig.check_has(mapping.shape_names, source=path, remedy=remedy)
-    return mapping
-
-
 def _placement_picture(spec: SelectSpec) -> Path:
     return placement_path(spec.out).with_suffix(".jpg")
 
@@ -253,7 +284,10 @@ def _set_up(
 ) -> _Selection:
     spoken = read_phone_labels(spec, takes)
     kept = find_placed_pairs(spec, takes, rig)
-    mapping = None if spec.mapping is None else _mapping_for(spec.mapping, rig)
+    mapping = None if spec.mapping is None else read_mapping(spec.mapping)
+    if mapping is not None:
+        remedy = "it was trained for another rig: give the mapping of this one"
+        rig.check_has(mapping.shape_names, source=spec.mapping, remedy=remedy)
     candidates = candidate_frames(takes, spec.frames)
     free = candidates.copy()
     free[[each.row for each in kept]] = False
@@ -263,8 +297,7 @@ def _set_up(
             "lower it, widen --frames or give more takes"
         )
     scene = set_up_scene(takes, rig, placement=placement, progress=progress)
-    predicted = None if mapping is None else takes_prediction(mapping, takes)
-    return _Selection(spec, scene, spoken, kept, candidates, predicted)
+    return _Selection(spec, scene, spoken, kept, candidates, mapping)
 
 
 def _choose(selection: _Selection) -> ReferenceChoice:
@@ -305,40 +338,29 @@ def _choose(selection: _Selection) -> ReferenceChoice:
 
 def _propose(selection: _Selection, rows: IntArray) -> FloatArray:
     """Return proposed weights, from the mapping if there is one, else from the rig's geometry."""
-    scene, predicted = selection.scene, selection.predicted
+    scene, mapping = selection.scene, selection.mapping
     positions = scene.positions(rows)
     weights = scene.equation.propose(positions, visible=scene.takes.usable_at(rows))
     lips = find_lips(scene.equation, scene.deformer, scene.parts)
     if lips is not None:
         weights = keep_lip_contact(scene.equation, scene.deformer, lips, positions, weights)
-    if predicted is not None:
-        columns = [scene.rig.shapes.index(name) for name in predicted.shape_names]
-        weights[:, columns] = predicted.weights(rows)
+    if mapping is not None:
+        space = scene.takes.head_space(face_of_mapping(mapping))
+        placed = space.place(scene.takes.markers_at(rows))
+        predicted = predict_weights(mapping, placed.positions, visible=placed.visible)
+        columns = [scene.rig.shapes.index(name) for name in mapping.shape_names]
+        weights[:, columns] = predicted.weights
     return weights
 
 
 def _references(
     selection: _Selection, choice: ReferenceChoice, rows: IntArray, weights: FloatArray
 ) -> References:
-    scene, takes, spoken = selection.scene, selection.scene.takes, selection.spoken
-    return References(
-        marker_names=takes.marker_names,
-        shape_names=scene.rig.shapes,
-        markers=scene.positions(rows),
-        weights=weights,
-        frames=takes.frames[rows],
-        takes=tuple(takes.takes[row] for row in rows),
-        tuned=np.zeros(len(rows), dtype=np.bool_),
-        rigid=takes.rigid,
-        neutral=takes.neutral,
-        rig_file=scene.rig.file,
-        rig_prim=scene.rig.prim,
-        combinations=scene.rig.combinations,
+    scene, spoken = selection.scene, selection.spoken
+    return replace(
+        scene.takes.new_references(scene.rig, rows, weights),
         motion=scene.motion,
         visemes=tuple(choice.visemes.get(row, spoken.viseme_of[row]) for row in rows.tolist()),
         emotions=tuple(spoken.emotion_of[row] for row in rows.tolist()),
-        performer=takes.sources[0].performer,
-        session=takes.sources[0].session,
-        rate=float(takes.sources[0].rate),
         placement=selection.spec.placement or placement_path(selection.spec.out),
     )

@@ -9,7 +9,7 @@ from usdface.core.arrays import ByteImage, columns_by_name
 from usdface.core.assets import References, Rig, Take
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
-from usdface.core.progress import Progress, silent
+from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.rates import shift_timecode
 from usdface.core.text import pluralize
@@ -40,11 +40,8 @@ _LEAST_SHOWN_WEIGHT = 0.05
 """Smallest weight that is listed."""
 
 
-def run(
-    spec: ReferenceSheetSpec, *, provenance: Provenance, progress: Progress = silent
-) -> StepResult:
+def run(spec: ReferenceSheetSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Draw every pair and write the sheet."""
-    progress(0.0, "reading")
     references = read_keyed_references(spec.references)
     rig = read_rig_of(references, spec.references)
     pairs = _pairs(spec, references)
@@ -80,7 +77,6 @@ def run(
                 file = spec.out.with_name(f"{spec.out.stem}.{number + 1}{spec.out.suffix}")
             write_image(file, page, metadata=provenance.metadata)
             written.append(file)
-    progress(1.0, "done")
     notes = tuple(undrawn)
     if without_video:
         notes = (f"no video frame for {pluralize(without_video, 'pair')}", *notes)

@@ -12,7 +12,7 @@ from usdface.core.progress import Progress
 from usdface.core.text import first_few
 from usdface.numerics.regression.reference_design import design_k_centre
 from usdface.specs.references import SelectSpec
-from usdface.steps.inputs.cleaned_takes import CleanedTakes
+from usdface.steps.inputs.cleaned_takes import CleanedTakes, check_take_names
 from usdface.steps.inputs.scene import candidate_frames
 from usdface.steps.inputs.source_motion import (
     MOVING_WEIGHT,
@@ -66,23 +66,9 @@ def select_by_weights(spec: SelectSpec, rig: Rig, progress: Progress) -> WeightS
     rows = np.array(rows_of_pairs(spec.count, kept, chosen), dtype=np.int64)
     names = motions[0].names
     source = np.concatenate([columns_by_name(m.weights, m.names, names) for m in motions])
-    references = References(
-        marker_names=(),
-        shape_names=rig.shapes,
-        markers=np.zeros((len(rows), 0, 3)),
-        weights=proposed[rows],
-        frames=takes.frames[rows],
-        takes=tuple(takes.takes[row] for row in rows),
-        tuned=np.zeros(len(rows), dtype=np.bool_),
-        rigid=(),
-        neutral=np.zeros((0, 3)),
-        rig_file=rig.file,
-        rig_prim=rig.prim,
-        combinations=rig.combinations,
+    references = replace(
+        takes.new_references(rig, rows, proposed[rows]),
         emotions=tuple(motions[take].emotion for take, _ in takes.take_rows(rows)),
-        performer=takes.sources[0].performer,
-        session=takes.sources[0].session,
-        rate=float(takes.sources[0].rate),
         source_names=names,
         source=source[rows],
     )
@@ -96,12 +82,7 @@ def _without_markers(spec: SelectSpec, motions: list[SourceMotion]) -> CleanedTa
         reader = TakeReader(path)
         take = reader.read(reader.first_frame, reader.first_frame, head_motion=False)
         sources.append(replace(take, source=None))
-    names = [take.name for take in sources]
-    if len(set(names)) < len(names):
-        raise InputError(
-            f"{first_few(spec.takes)}: two takes have the same name; ingest one of them with "
-            "--take NAME"
-        )
+    check_take_names(spec.takes, sources)
     counts = [len(motion.weights) for motion in motions]
     return CleanedTakes(
         marker_names=(),
@@ -110,7 +91,9 @@ def _without_markers(spec: SelectSpec, motions: list[SourceMotion]) -> CleanedTa
         positions=tuple(np.zeros((count, 0, 3), np.float32) for count in counts),
         usable=tuple(np.zeros((count, 0), np.bool_) for count in counts),
         frames=np.concatenate([np.arange(m.first_frame, m.last_frame + 1) for m in motions]),
-        takes=tuple(name for name, count in zip(names, counts, strict=True) for _ in range(count)),
+        takes=tuple(
+            take.name for take, count in zip(sources, counts, strict=True) for _ in range(count)
+        ),
         dropped=(),
         sources=tuple(sources),
         neutrals=(),

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import ByteImage, FloatArray, columns_by_name, index_of
+from usdface.core.arrays import ByteImage, FloatArray, columns_by_name
 from usdface.core.assets import Rig
 from usdface.core.controls import ExpressionPairs
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
-from usdface.core.progress import Progress, silent
+from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import write_text
 from usdface.core.text import json_text
@@ -49,7 +49,7 @@ _NO_ERROR_MM = 0.005
 """Round-trip error that rounds to 0.00 mm."""
 
 
-def run(spec: CyclicSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
+def run(spec: CyclicSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Measure every method and write figures and curves."""
     for method in spec.methods:
         if method not in ("auto", POSITION_MATCHING):
@@ -121,15 +121,15 @@ def _truth(
     given.check_rate(motion.rate, file=path, performance=spec.source)
     table, _ = given.by_meaning(pairs.target.shapes)
     table.shapes_among(pairs.target.shapes, file=path, owner="of the pairs' target")
-    row_of = index_of(table.frames)
-    frames = (picks + motion.first_frame).tolist()
-    missing = [frame for frame in frames if frame not in row_of]
-    if missing:
+    frames = picks + motion.first_frame
+    truth = table.at_frames(frames, pairs.target.shapes)
+    missing = frames[np.isnan(truth).any(axis=1)]
+    if len(missing):
         raise InputError(
             f"{path}: has no weights at {len(missing)} of the frames to measure, the first "
             f"{missing[0]}; narrow --frames"
         )
-    return table.columns(pairs.target.shapes)[[row_of[frame] for frame in frames]]
+    return truth
 
 
 def _least(found: tuple[CyclicError, ...]) -> CyclicError:

@@ -1,13 +1,12 @@
 """Find the frames of a source performance that match emotional sequences."""
 
-from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 
 from usdface.core.arrays import FloatArray
 from usdface.core.controls import EmotionalSequence, SequenceMatch
 from usdface.core.errors import InputError
-from usdface.core.progress import Progress, silent
+from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.text import pluralize
 from usdface.numerics.motion.sequence_search import (
@@ -24,17 +23,11 @@ from usdface.steps.inputs.source_motion import SourceMotion, read_source_motion,
 from usdface.steps.retarget.make_sequence import read_sequence_at
 from usdface.usdio.retarget.sequences import write_matches
 
-
-@dataclass(frozen=True)
-class _RatedMatch:
-    match: SequenceMatch
-    nearness: float
-    """Distance divided by the threshold, comparable between sequences."""
+_RatedMatch = tuple[float, SequenceMatch]
+"""A match after its distance divided by the threshold, which is comparable between sequences."""
 
 
-def run(
-    spec: FindSequencesSpec, *, provenance: Provenance, progress: Progress = silent
-) -> StepResult:
+def run(spec: FindSequencesSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Search for every sequence; of overlapping matches, keep the nearest."""
     motion = read_source_motion(spec.source, frame_range(spec.frames))
     sequences, notes = _read_sequences(spec, motion)
@@ -115,7 +108,7 @@ def _find(
     for start, distance in zip(matches.starts.tolist(), matches.distances.tolist(), strict=True):
         first = motion.first_frame + start
         match = SequenceMatch(path, sequence.label, first, first + length - 1, distance)
-        found.append(_RatedMatch(match, distance / max(matches.threshold, 1e-12)))
+        found.append((distance / max(matches.threshold, 1e-12), match))
     if not found:
         notes = (
             *notes,
@@ -153,11 +146,10 @@ def _without_overlaps(
 ) -> tuple[tuple[SequenceMatch, ...], tuple[SequenceMatch, ...]]:
     kept: list[SequenceMatch] = []
     dropped: list[SequenceMatch] = []
-    for each in sorted(found, key=lambda item: item.nearness):
+    for _, match in sorted(found, key=lambda rated: rated[0]):
         overlaps = any(
-            each.match.first_frame <= other.last_frame
-            and other.first_frame <= each.match.last_frame
+            match.first_frame <= other.last_frame and other.first_frame <= match.last_frame
             for other in kept
         )
-        (dropped if overlaps else kept).append(each.match)
+        (dropped if overlaps else kept).append(match)
     return tuple(sorted(kept, key=lambda each: each.first_frame)), tuple(dropped)

@@ -9,7 +9,7 @@ import numpy as np
 from usdface.core.arrays import FloatArray
 from usdface.core.controls import EmotionalSequence
 from usdface.core.errors import InputError
-from usdface.core.progress import Progress, silent
+from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.text import first_few
 from usdface.model.retarget.control_space import control_space
@@ -23,9 +23,7 @@ from usdface.usdio.retarget.controls import read_control_clip
 from usdface.usdio.retarget.sequences import read_sequence, sequence_rate, write_sequence
 
 
-def run(
-    spec: MakeSequenceSpec, *, provenance: Provenance, progress: Progress = silent
-) -> StepResult:
+def run(spec: MakeSequenceSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Cut both ranges and write the sequence."""
     source = read_source_motion(spec.source, frame_range(spec.source_frames))
     attributes = spec.attributes or None
@@ -57,7 +55,6 @@ def run(
         key_weights=np.ones(len(target)),
     )
     write_sequence(spec.out, sequence, rate=read.rate, provenance=provenance)
-    progress(1.0, "done")
     notes = []
     if not alike:
         notes.append(

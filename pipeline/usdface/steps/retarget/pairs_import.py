@@ -5,7 +5,7 @@ from dataclasses import replace
 from usdface.core.assets import Rig
 from usdface.core.controls import ControlClip, Controls, ExpressionPairs, shape_controls
 from usdface.core.errors import InputError
-from usdface.core.progress import Progress, silent
+from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import is_usd_name, proposed_path
 from usdface.core.text import counted, first_few, pluralize
@@ -19,9 +19,7 @@ from usdface.usdio.retarget.pairs import keyed_above, write_pairs
 from usdface.usdio.rig.read import read_rig
 
 
-def run(
-    spec: PairsImportSpec, *, provenance: Provenance, progress: Progress = silent
-) -> StepResult:
+def run(spec: PairsImportSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Read both sides, pair them by frame, and write the asset."""
     keyed = keyed_above(spec.out) if spec.out.is_file() else ()
     if keyed:
@@ -34,12 +32,8 @@ def run(
     target_rig = read_rig(spec.target_rig, prim=spec.target_prim)
     given = read_weight_table(spec.source, unit=spec.weight_unit)
     table, transfer = given.by_meaning(source_rig.shapes)
-    unknown = [name for name in given.names if name not in set(transfer.matched)]
-    if len(unknown) == len(given.names):
-        raise InputError(
-            f"{spec.source}: none of its shapes ({first_few(unknown, most=3)}) is on "
-            f"{spec.source_rig} ({first_few(source_rig.shapes, most=3)}); rename them"
-        )
+    owner = f"on {spec.source_rig}"
+    table.shapes_among(source_rig.shapes, file=spec.source, owner=owner)
     frames, target = _read_target(spec, target_rig)
     _check_sides(spec, table.frames, frames)
     progress(0.5, "read")
@@ -58,13 +52,7 @@ def run(
     write_pairs(
         spec.out, pairs, source_rig=source_rig, target_rig=target_rig, provenance=provenance
     )
-    progress(1.0, "done")
-    notes = [*meaning_notes(transfer), *given.numbering_notes(spec.source)]
-    if unknown:
-        notes.append(
-            f"left out {pluralize(len(unknown), 'column')} that match no shape of "
-            f"{spec.source_rig}: {first_few(unknown)}"
-        )
+    notes = meaning_notes(transfer) + given.notes(spec.source, transfer.matched, owner=owner)
     unused = unused_shapes(pairs)
     if unused:
         notes.append(f"in no pair and without effect: {counted(unused, 'source shape')}")

@@ -10,7 +10,7 @@ from usdface.capture.weight_table import read_weight_take
 from usdface.core.arrays import FloatArray, index_of
 from usdface.core.assets import Rig
 from usdface.core.controls import Controls, ExpressionPairs, shape_controls
-from usdface.core.errors import InputError
+from usdface.core.errors import InputError, as_input_error
 from usdface.core.progress import Progress, silent
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import is_usd_name, proposed_path
@@ -42,9 +42,7 @@ from usdface.usdio.take.read import is_take
 REST_PAIR = "rest"
 
 
-def run(
-    spec: PairsProposeSpec, *, provenance: Provenance, progress: Progress = silent
-) -> StepResult:
+def run(spec: PairsProposeSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Match shapes, and write a pair for rest and one for each match."""
     shapes, source = source_shapes(spec.source, prim=spec.source_prim)
     target = read_rig(spec.target, prim=spec.target_prim)
@@ -60,10 +58,8 @@ def run(
     if spec.out.is_file():
         old = read_pairs(spec.out)
         kept = len(old)
-        try:
+        with as_input_error(spec.out, of=InputError):
             merged = merge_pairs(old, pairs)
-        except InputError as error:
-            raise InputError(f"{spec.out}: {error}") from error
         keyed = keyed_above(spec.out)
         if keyed and len(merged) > kept:
             notes.append(
@@ -75,7 +71,6 @@ def run(
         pairs = old if keyed else merged
     progress(0.9, f"writing {spec.out.name}")
     write_pairs(spec.out, pairs, source_rig=source, target_rig=target, provenance=provenance)
-    progress(1.0, "done")
     dead = constant_controls(pairs)
     if dead:
         notes.append(

@@ -9,7 +9,7 @@ from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig
 from usdface.core.controls import Controls, Retargeting, shape_controls
 from usdface.core.errors import InputError
-from usdface.core.progress import Progress, part, silent
+from usdface.core.progress import Progress, part
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import LAYER_SUFFIXES, controls_path, head_path, weights_path
 from usdface.core.text import first_few, frame_ranges, pluralize
@@ -86,7 +86,7 @@ class _Target:
         return shape_controls(self.rig.shapes, columns), columns
 
 
-def run(spec: RetargetSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
+def run(spec: RetargetSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Retarget to each target in turn; all are read before the first is written."""
     motion = read_source_motion(
         spec.source,
@@ -112,8 +112,7 @@ def run(spec: RetargetSpec, *, provenance: Provenance, progress: Progress = sile
     for index, target in enumerate(targets):
         out = spec.out[index]
         share = part(progress, index / len(targets), (index + 1) / len(targets))
-        header = _header(spec, motion, target)
-        header = replace(header, zeroed_shapes=heads[index].zeroed_shapes)
+        header = _header(spec, motion, target, heads[index])
         largest = _write(out, header, motion, target, heads[index], alpha, share, provenance)
         target_notes = (
             *target.notes,
@@ -154,21 +153,14 @@ def run(spec: RetargetSpec, *, provenance: Provenance, progress: Progress = sile
     return with_verdict(result, worst) if worst.level == "bad" else result
 
 
-def _surface_target(
-    spec: RetargetSpec, source_rig: Path, rig: Rig, motion: SourceMotion
-) -> _Target:
-    """Return a target retargeted by matching positions of the surfaces."""
-    source = read_rig(source_rig)
-    transfer, notes = source_transfer(spec.source, motion, source.shapes, spec.names)
-    unmatched = unmatched_moving(transfer, motion)
-    return _Target(rig, None, transfer, notes, unmatched, surfaces=correspond(source, rig))
-
-
 def _target(spec: RetargetSpec, index: int, motion: SourceMotion) -> _Target:
     if not spec.retargeting:
         rig = read_rig(spec.rig[index])
         if spec.source_rig is not None:
-            return _surface_target(spec, spec.source_rig, rig, motion)
+            source = read_rig(spec.source_rig)
+            transfer, notes = source_transfer(spec.source, motion, source.shapes, spec.names)
+            unmatched = unmatched_moving(transfer, motion)
+            return _Target(rig, None, transfer, notes, unmatched, surfaces=correspond(source, rig))
         motion = replace(motion, driven=motion.driven | rig.logic.driven)
         transfer, notes = source_transfer(spec.source, motion, rig.shapes, spec.names)
         notes = (*notes, *_beyond(rig, motion, transfer))
@@ -210,7 +202,9 @@ def _heads(spec: RetargetSpec, motion: SourceMotion, targets: list[_Target]) -> 
     return [head.drive(each.rig, parts) for each, parts in zip(targets, driven, strict=True)]
 
 
-def _header(spec: RetargetSpec, motion: SourceMotion, target: _Target) -> WeightsHeader:
+def _header(
+    spec: RetargetSpec, motion: SourceMotion, target: _Target, head: HeadDrive
+) -> WeightsHeader:
     header = make_header(
         target.rig,
         shape_names=append_rig_shapes(target.shapes, target.rig),
@@ -227,6 +221,7 @@ def _header(spec: RetargetSpec, motion: SourceMotion, target: _Target) -> Weight
         header,
         unmatched=tuple(shares),
         gaps=motion.gaps,
+        zeroed_shapes=head.zeroed_shapes,
         unmatched_shares=() if by_table else tuple(shares.values()),
     )
 

@@ -8,7 +8,7 @@ import numpy as np
 from usdface.core.arrays import FloatArray, columns_by_name
 from usdface.core.controls import ExpressionPairs, Retargeting, shape_controls
 from usdface.core.errors import InputError
-from usdface.core.progress import Progress, silent
+from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.text import counted, first_few, pluralize
 from usdface.model.retarget.control_space import (
@@ -39,9 +39,7 @@ LISTED_CONFLICTS = 5
 """Conflicts listed in notes."""
 
 
-def run(
-    spec: TrainRetargetSpec, *, provenance: Provenance, progress: Progress = silent
-) -> StepResult:
+def run(spec: TrainRetargetSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Train the retargeting and write it."""
     pairs = read_pairs(spec.pairs)
     notes: list[str] = []

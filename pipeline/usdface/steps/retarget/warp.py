@@ -11,7 +11,7 @@ from usdface.core.arrays import FloatArray, index_of
 from usdface.core.assets import Rig
 from usdface.core.controls import Controls, EmotionalSequence, SequenceMatch
 from usdface.core.errors import InputError
-from usdface.core.progress import Progress, part, silent
+from usdface.core.progress import Progress, part
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import controls_path, head_path, weights_path
 from usdface.core.text import first_few, pluralize
@@ -61,9 +61,8 @@ class _Placement:
         return self.first_frame + self.frame_count - 1
 
 
-def run(spec: WarpSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
+def run(spec: WarpSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Warp every control to the sequences and write the performance."""
-    progress(0.0, "reading")
     reader = PerformanceReader(spec.performance)
     rig = read_rig_of_stage(reader.stage, reader.animation)
     read = read_control_clip(spec.performance)
@@ -87,13 +86,12 @@ def run(spec: WarpSpec, *, provenance: Provenance, progress: Progress = silent) 
     _write(spec, rig, reader.header.rig_path, read, warped, part(progress, 0.6, 0.95), provenance)
     if spec.curves is not None:
         _draw(spec, spec.curves, placements, space, before, after, read, provenance)
-    progress(1.0, "done")
     changed = int((after != before).any(axis=1).sum())
     outputs = [spec.out, weights_path(spec.out)]
     if warped.joints or warped.attributes:
         outputs.append(controls_path(spec.out))
     return StepResult(
-        (*outputs, *([spec.curves] if spec.curves else [])),
+        (*outputs, *spec.paths_of("curves")),
         f"{pluralize(len(placements), 'sequence')} in {len(before)} frames; "
         f"{pluralize(changed, 'frame')} changed",
         (

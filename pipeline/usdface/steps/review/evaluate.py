@@ -1,6 +1,5 @@
 """Measure the error of a performance against keys."""
 
-from collections.abc import Set
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,7 +7,7 @@ import numpy as np
 from usdface.core.arrays import BoolArray, FloatArray, IntArray, columns_by_name
 from usdface.core.assets import Performance, Rig
 from usdface.core.errors import InputError
-from usdface.core.progress import Progress, silent
+from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import write_text
 from usdface.core.text import first_few, json_text, pluralize
@@ -43,9 +42,8 @@ class _Comparison:
     notes: tuple[str, ...]
 
 
-def run(spec: EvaluateSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
+def run(spec: EvaluateSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Measure the performance and write figures and curves."""
-    progress(0.0, "reading")
     performance = read_performance(spec.performance)
     reader = PerformanceReader(spec.performance)
     rig = read_rig_of_stage(reader.stage, reader.animation)
@@ -72,7 +70,6 @@ def run(spec: EvaluateSpec, *, provenance: Provenance, progress: Progress = sile
     failed = failures(spec, figures)
     progress(0.8, "writing")
     _write(spec, evaluation, figures, failed, provenance)
-    progress(1.0, "done")
     return StepResult(
         spec.out,
         evaluation_summary(evaluation),
@@ -90,7 +87,7 @@ def _compare(
     given.check_rate(clip.rate, file=spec.against, performance=spec.performance)
     truth, transfer = given.by_meaning(rig.shapes, leave=rig.logic.driven)
     truth.check_numbering(clip, columns=rig.shapes, file=spec.against, performance=spec.performance)
-    driven = truth.shapes_among(rig.shapes, file=spec.against, owner=f"on {rig.file}")
+    keyed = truth.shapes_among(rig.shapes, file=spec.against, owner=f"on {rig.file}")
     solved_frames = np.arange(clip.first_frame, clip.first_frame + len(clip.values), dtype=np.int64)
     truth_frames = np.array(truth.frames, dtype=np.int64)
     frames, solved_rows, truth_rows = np.intersect1d(
@@ -108,7 +105,8 @@ def _compare(
             f"frame{within}; give keys of the same take"
         )
     names = np.array(rig.shapes)
-    either = np.isin(names, clip.names) | np.isin(names, driven)
+    known = {*transfer.matched, *rig.logic.driven}
+    either = np.isin(names, clip.names) | np.isin(names, keyed)
     return _Comparison(
         frames=frames,
         solved=columns_by_name(clip.values[solved_rows], clip.names, rig.shapes),
@@ -116,9 +114,8 @@ def _compare(
         compared=either,
         notes=(
             *meaning_notes(transfer),
-            *given.numbering_notes(spec.against),
+            *given.notes(spec.against, known, owner="on the rig"),
             *_missing_notes(spec, truth_frames, len(solved_frames)),
-            *_unknown_notes(spec, given, {*transfer.matched, *rig.logic.driven}),
             *_notes(spec, clip.names, truth.names, rig),
         ),
     )
@@ -129,16 +126,6 @@ def _missing_notes(spec: EvaluateSpec, keyed: IntArray, count: int) -> list[str]
     if spec.frames or len(keyed) < 2 or len(keyed) >= count or (np.diff(np.sort(keyed)) > 1).any():
         return []
     return [f"{spec.against.name} has {len(keyed)} of the {count} frames; the others have no keys"]
-
-
-def _unknown_notes(spec: EvaluateSpec, given: WeightTable, known: Set[str]) -> list[str]:
-    unknown = [name for name in given.names if name not in known]
-    if not unknown:
-        return []
-    return [
-        f"left out {pluralize(len(unknown), 'shape')} of {spec.against}, not on the rig: "
-        f"{first_few(unknown)}"
-    ]
 
 
 def _notes(

@@ -99,12 +99,11 @@ def evaluation_figures(evaluation: Evaluation) -> dict[str, object]:
             "first": int(evaluation.frames[0]),
             "last": int(evaluation.frames[-1]),
         },
-        **_skin_figures(evaluation.skin),
+        "skin_mean_mm": evaluation.skin.mean_mm,
+        **_surface_figures(evaluation.skin, "skin"),
         **{f"{name}_mean_mm": mm for name, mm in evaluation.excluded_mm.items()},
         "weight_rmse": _known(evaluation.weight_rmse),
-        "vertex_rms_mm": evaluation.surface.rms_mm,
-        "vertex_p95_mm": evaluation.surface.p95_mm,
-        "vertex_max_mm": evaluation.surface.max_mm,
+        **_surface_figures(evaluation.surface, "vertex"),
         "lip_error_mm": None if lips is None else lips.rms_mm,
         "lip_closed_bias_mm": None if lips is None else _known(lips.closed_bias_mm),
         "blink_bias": _known(evaluation.blink_bias),
@@ -119,11 +118,10 @@ def evaluation_figures(evaluation: Evaluation) -> dict[str, object]:
             {
                 "region": region.name,
                 "shapes": region.shape_count,
-                **_skin_figures(region.skin),
+                "skin_mean_mm": region.skin.mean_mm,
+                **_surface_figures(region.skin, "skin"),
                 "weight_rmse": _known(region.weight_rmse),
-                "vertex_rms_mm": region.surface.rms_mm,
-                "vertex_p95_mm": region.surface.p95_mm,
-                "vertex_max_mm": region.surface.max_mm,
+                **_surface_figures(region.surface, "vertex"),
             }
             for region in evaluation.regions
         ],
@@ -140,12 +138,11 @@ def evaluation_figures(evaluation: Evaluation) -> dict[str, object]:
     }
 
 
-def _skin_figures(skin: SurfaceError) -> dict[str, float]:
+def _surface_figures(error: SurfaceError, what: str) -> dict[str, float]:
     return {
-        "skin_mean_mm": skin.mean_mm,
-        "skin_rms_mm": skin.rms_mm,
-        "skin_p95_mm": skin.p95_mm,
-        "skin_max_mm": skin.max_mm,
+        f"{what}_rms_mm": error.rms_mm,
+        f"{what}_p95_mm": error.p95_mm,
+        f"{what}_max_mm": error.max_mm,
     }
 
 

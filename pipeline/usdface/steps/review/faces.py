@@ -6,7 +6,7 @@ import numpy as np
 
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.errors import InputError
-from usdface.core.progress import Progress, silent
+from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.text import pluralize
 from usdface.media.face.camera import frame_rig
@@ -32,7 +32,7 @@ MOST_POSES = 4000
 """Frames among which the most different are chosen."""
 
 
-def run(spec: FacesSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
+def run(spec: FacesSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Choose frames, draw every face at each of them, and write the sheet."""
     actors = []
     for path, rig in pair_with_files(spec.performances, spec.rig, "rig"):

@@ -12,7 +12,7 @@ from usdface.core.arrays import ByteImage
 from usdface.core.assets import Take
 from usdface.core.errors import CancelledError, InputError
 from usdface.core.processes import process_count, worker_processes
-from usdface.core.progress import Progress, silent
+from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance, canonical_json, hash_text
 from usdface.core.rates import exact_rate
 from usdface.core.side_files import clear_side_folder, make_side_folder
@@ -72,20 +72,14 @@ class _Studio:
     """Whether the main process has stopped; called for every picture."""
 
 
-def run(spec: MovieSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
+def run(spec: MovieSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Draw the stretches of the movie, and join them with the sound."""
-    progress(0.0, "reading")
     shot = open_shot(spec.performance, spec.take, frames=spec.frames, video=spec.video)
     take = shot.take
     notes: list[str] = []
     panels = _panels(spec, take, notes)
     rate = movie_rate(take) if spec.rate is None else exact_rate(spec.rate, where="--rate")
-    clock = MovieClock(
-        rate=rate,
-        take_rate=take.rate,
-        first_frame=int(shot.frames[0]),
-        frame_count=len(shot.frames),
-    )
+    clock = shot.clock(rate)
     folder = work_folder(spec.out, "stretches")
     workers = process_count(spec.workers)
     stretches = _stretches(spec, clock, folder, provenance, workers)
@@ -128,7 +122,6 @@ def run(spec: MovieSpec, *, provenance: Provenance, progress: Progress = silent)
     clear_side_folder(folder, _STRETCHES)
     with contextlib.suppress(OSError):  # holds other files
         folder.rmdir()
-    progress(1.0, "done")
     seconds = clock.picture_count / float(rate)
     return StepResult(
         (spec.out,),

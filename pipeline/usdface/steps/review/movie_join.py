@@ -9,7 +9,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from usdface.core.errors import InputError
-from usdface.core.progress import Progress, silent
+from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.text import pluralize
 from usdface.media.film.movie import read_movie_comment
@@ -20,9 +20,8 @@ from usdface.steps.review.clock import SAMPLE_RATE, MovieClock, take_sound
 from usdface.usdio.take.read import TakeReader
 
 
-def run(spec: MovieJoinSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
+def run(spec: MovieJoinSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Join the pictures of the parts, and encode the sound."""
-    progress(0.0, "reading")
     parts_info = [_read_part(path.name, read_movie_comment(path)) for path in spec.parts]
     rate = parts_info[0].rate
     for path, part, before in zip(spec.parts[1:], parts_info[1:], parts_info[:-1], strict=True):
@@ -75,7 +74,6 @@ def run(spec: MovieJoinSpec, *, provenance: Provenance, progress: Progress = sil
         timecode=timecode,
         comment=json.dumps(written),
     )
-    progress(1.0, "done")
     return StepResult(
         (spec.out,),
         f"{pluralize(len(spec.parts), 'part')}, {pluralize(count, 'picture')} at "

@@ -7,7 +7,7 @@ from typing import Literal, Self
 import numpy as np
 
 from usdface.core.arrays import BoolArray, ByteImage, FloatArray, IntArray
-from usdface.core.assets import Take
+from usdface.core.assets import Markers, Take
 from usdface.core.errors import InputError
 from usdface.media.face.camera import Camera
 from usdface.media.face.markers_view import (
@@ -47,12 +47,8 @@ def _frame_of(take: Take) -> tuple[MarkersFrame | None, IntArray]:
     return frame_markers(positions), marker_lines(take.markers.names, at)
 
 
-def repaired_markers(take: Take, frame: int) -> BoolArray:
-    """Return which markers of a frame are filled or corrected."""
-    markers = take.markers
-    if markers is None:
-        raise InputError(f"{take.name}: has no markers")
-    at = frame - take.first_frame
+def repaired_markers(markers: Markers, at: int) -> BoolArray:
+    """Return which markers of a row of their take are filled or corrected."""
     return np.asarray(~markers.visible[at] | (markers.confidence[at] < 1))
 
 
@@ -131,9 +127,7 @@ class ShotPictures:
 
     def markers(self, row: int) -> ByteImage:
         """Draw the markers of a row."""
-        markers = self._shot.take.markers
-        if markers is None:
-            raise InputError(f"{self._shot.take.name}: has no markers")
+        markers = self._shot.markers
         at = int(self._shot.frames[row]) - self._shot.take.first_frame
         return draw_markers(
             markers.positions[at].astype(np.float64),
@@ -151,7 +145,7 @@ class ShotPictures:
         Repaired markers are orange and hollow.
         """
         shot, frame = self._shot, int(self._shot.frames[row])
-        repaired = repaired_markers(shot.take, frame)
+        repaired = repaired_markers(shot.markers, frame - shot.take.first_frame)
         still = shot.motion is None or not shot.motion.moves_as_one  # markers ignore joints
         picture = self.face(row, shot.weights[row], still=still)
         posed = shot.deformer.points(shot.weights[row][None])[0]
@@ -168,8 +162,8 @@ class ShotPictures:
             for points in both
         ]
         if self._placed_lines is None:
-            names = () if shot.take.markers is None else shot.take.markers.names
-            self._placed_lines = lines_on_rig(names, equation, shot.deformer, shot.rig.shapes)
+            names, shapes = shot.markers.names, shot.rig.shapes
+            self._placed_lines = lines_on_rig(names, equation, shot.deformer, shapes)
         draw_marker_lines(picture, ends[1], self._placed_lines, size=size, color=BLUE)
         for solved, captured, hollow in zip(*ends, repaired.tolist(), strict=True):
             if np.isfinite(solved).all() and np.isfinite(captured).all():

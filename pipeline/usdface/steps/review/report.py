@@ -9,7 +9,7 @@ import numpy as np
 from usdface.core.arrays import ByteImage
 from usdface.core.assets import Video
 from usdface.core.errors import InputError
-from usdface.core.progress import Progress, part, silent
+from usdface.core.progress import Progress, part
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import write_text
 from usdface.core.side_files import emptied_side_folder
@@ -63,19 +63,13 @@ LARGEST_SHEET_BYTES = 64 << 20
 SHEET_TYPES = {".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".png": "image/png"}
 
 
-def run(spec: ReportSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
+def run(spec: ReportSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Collect the contents of the report and write it."""
-    progress(0.0, "reading")
     check_same_take(spec.performance, spec.take, spec.also)
     shot = open_shot(spec.performance, spec.take, frames=spec.frames, video=spec.video)
     shot = with_video_head_turn(shot, spec.camera)
     # One picture per frame of the take, so that video frames match those of the sheet.
-    clock = MovieClock(
-        rate=shot.take.rate,
-        take_rate=shot.take.rate,
-        first_frame=int(shot.frames[0]),
-        frame_count=len(shot.frames),
-    )
+    clock = shot.clock(shot.take.rate)
     if len(shot.frames) > LONGEST_FRAMES:
         raise InputError(
             f"{spec.performance}: {len(shot.frames)} frames are too many for a report, at most "
@@ -86,7 +80,6 @@ def run(spec: ReportSpec, *, provenance: Provenance, progress: Progress = silent
     progress(0.97, f"writing {spec.out.name}")
     text = build_page(page)
     write_text(spec.out, text)
-    progress(1.0, "done")
     return StepResult(
         (spec.out,),
         f"{page.verdict[1]} ({pluralize(len(page.frames), 'frame')}, "
@@ -132,9 +125,9 @@ def _page(
         covered = pool.submit(show_coverage, spec, shot, more_notes)
         movie = _movie(spec, shot, clock, notes, part(progress, 0.25, 0.97))
     notes += more_notes
-    if (coverage := covered.result()) is not None:
-        tables = (*tables[:-1], *coverage.listings, tables[-1])  # provenance stays last
-        pictures = (*pictures, coverage.picture)
+    coverage_tables, coverage_pictures = covered.result()
+    tables = (*tables[:-1], *coverage_tables, tables[-1])  # provenance stays last
+    pictures += coverage_pictures
     moments = review_moments(signals, spec.worst, rate=float(take.rate))
     curves = page_curves(spec, shot, keys, baseline)
     return ReviewPage(

@@ -95,9 +95,7 @@ def page_strips(signals: ReviewSignals) -> tuple[Strip, ...]:
 
 def page_markers(shot: Shot, equation: BlendshapeEquation) -> PageMarkers | None:
     """Return the markers on the character, without rigid ones."""
-    markers = shot.take.markers
-    if markers is None:
-        return None
+    markers = shot.markers
     shown = np.array([i for i, name in enumerate(markers.names) if name not in markers.rigid])
     if not len(shown):
         return None

@@ -1,6 +1,5 @@
 """Tables of a report: errors, repairs, edits, coverage and provenance."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +14,8 @@ from usdface.model.mapping.coverage import LEAST_COVERAGE
 from usdface.model.mapping.evaluation import Evaluation, evaluate_weights
 from usdface.runner.origin import find_take, path_made_from, provenance_of, spec_of
 from usdface.runner.outputs import confine
-from usdface.specs.references import ReferencesCoverageSpec
 from usdface.specs.review import ReportSpec
-from usdface.steps.inputs.coverage_report import MeasuredCoverage, measure_pairs, next_frames
+from usdface.steps.inputs.coverage_report import TakesCoverage, measure_pairs
 from usdface.steps.inputs.edit_ranges import find_edited_ranges
 from usdface.steps.review.evaluation_tables import evaluation_figures
 from usdface.steps.review.shot import Shot
@@ -145,44 +143,33 @@ def _provenance(shot: Shot, page: Provenance) -> Listing:
     return Listing("Provenance", ("file", "made by", "with"), tuple(rows))
 
 
-@dataclass(frozen=True)
-class ShownCoverage:
-    """Tables and picture of the current coverage by the references."""
+def show_coverage(
+    spec: ReportSpec, shot: Shot, notes: list[str]
+) -> tuple[tuple[Listing, ...], tuple[PagePicture, ...]]:
+    """Return tables and a picture of the coverage of a shot by its references.
 
-    listings: tuple[Listing, ...]
-    picture: PagePicture
-
-
-def show_coverage(spec: ReportSpec, shot: Shot, notes: list[str]) -> ShownCoverage | None:
-    """Measure the coverage of a shot by its references; None, with a note, if not possible."""
+    Without references of markers there are none; if it cannot be measured, there is a note.
+    """
     references = spec.references or find_references(shot.performance_file)
     if references is None or shot.take.markers is None:
-        return None
+        return (), ()
     try:
         if spec.references is None:
             confine("report", reads=[references])
-        measured = measure_pairs(
-            ReferencesCoverageSpec(
-                references=references,
-                takes=(find_take(spec.performance, spec.take),),
-                out=Path("coverage.png"),
-            ),
-            progress=silent,
-        )
+        takes = (find_take(spec.performance, spec.take),)
+        measured = measure_pairs(references, takes, progress=silent)
     except InputError as error:
         if spec.references is not None:
             raise
         notes.append(f"coverage is left out: {error}")
-        return None
-    return ShownCoverage(
-        (_shares(measured, references), _next(measured)),
-        PagePicture(
-            "Coverage",
-            f"Coverage by {references.name}",
-            encode_image(measured.picture(references.stem), "png"),
-            "image/png",
-        ),
+        return (), ()
+    picture = PagePicture(
+        "Coverage",
+        f"Coverage by {references.name}",
+        encode_image(measured.picture(references.stem), "png"),
+        "image/png",
     )
+    return (_shares(measured, references), _next(measured)), (picture,)
 
 
 def find_references(performance: Path) -> Path | None:
@@ -192,8 +179,8 @@ def find_references(performance: Path) -> Path | None:
     return None if mapping is None else path_made_from(mapping, "references")
 
 
-def _shares(measured: MeasuredCoverage, references: Path) -> Listing:
-    coverage = measured.coverage.frames
+def _shares(measured: TakesCoverage, references: Path) -> Listing:
+    coverage = measured.frames
     rows = [
         ("pairs", f"{len(measured.pairs)}"),
         ("tuned pairs of this take", f"{len(measured.tuned)}"),
@@ -209,8 +196,8 @@ def _shares(measured: MeasuredCoverage, references: Path) -> Listing:
     return Listing(f"Coverage by {references.name}", ("figure", "value"), tuple(rows))
 
 
-def _next(measured: MeasuredCoverage) -> Listing:
-    frames = next_frames(measured.coverage, measured.takes)
+def _next(measured: TakesCoverage) -> Listing:
+    frames = measured.next_frames()
     return Listing(
         "Tune next",
         ("frame", "coverage", "mean coverage, once tuned"),

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray, IntArray, index_of
+from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.errors import InputError
 from usdface.media.picture.color import KEYS_RANGE_MM, UNKEYED_RANGE_MM
 from usdface.media.picture.error_strip import ErrorCurve
@@ -108,20 +108,12 @@ class Score:
 
 def set_up_shot_baseline(shot: Shot) -> BlendshapeEquation:
     """Return the blendshape equation of a shot's markers on its rig."""
-    take, markers = shot.take, shot.take.markers
-    if markers is None:
-        raise InputError(f"{take.name}: has no markers")
+    markers = shot.markers
     return placed_equation(
         placement_of_performance(shot.performance_file, shot.rig),
         shot.rig,
         shot.deformer,
-        PerformerMarkers(
-            neutral=markers.positions[shot.neutral_row].astype(np.float64),
-            positions=markers.positions,
-            visible=markers.usable,
-            rigid=tuple(markers.names.index(name) for name in markers.rigid),
-            labels=markers.names,
-        ),
+        PerformerMarkers.of_take(markers, markers.positions[shot.neutral_row]),
     )
 
 
@@ -158,14 +150,8 @@ def read_keys(file: Path | None, shot: Shot, unit: str | None = None) -> FloatAr
         file=file,
         performance=shot.performance_file,
     )
-    if not set(table.names) & set(rig.shapes):
-        raise InputError(f"{file}: names none of the rig's shapes; give keys of {rig.file.name}")
-    row_of = index_of(table.frames)
-    known = table.columns(rig.shapes)
-    truth = np.full((len(frames), len(rig.shapes)), np.nan)
-    for index, frame in enumerate(frames.tolist()):
-        if frame in row_of:
-            truth[index] = known[row_of[frame]]
+    table.shapes_among(rig.shapes, file=file, owner=f"on {rig.file}")
+    truth = table.at_frames(frames, rig.shapes)
     if np.isnan(truth).all():
         raise InputError(
             f"{file}: has none of the frames {frames[0]}-{frames[-1]}; give keys of this take"

@@ -12,7 +12,7 @@ import numpy as np
 
 from usdface.core.errors import InputError
 from usdface.core.processes import usable_cores
-from usdface.core.progress import Progress, silent
+from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import replacing_group
 from usdface.core.text import pluralize
@@ -67,9 +67,8 @@ class _Desk:
         )
 
 
-def run(spec: SheetSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
+def run(spec: SheetSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Draw the sheet and write it."""
-    progress(0.0, "reading")
     shots = open_shots(spec)
     with ExitStack() as open_files:
         cameras = [each.camera(spec.camera, spec.camera_stage) for each in shots]
@@ -84,7 +83,6 @@ def run(spec: SheetSpec, *, provenance: Provenance, progress: Progress = silent)
             desks.append(_Desk(comparison, sheet_columns(spec, comparison, threads), stopped))
         page = _page(spec, comparison, desks[0].columns, pictures)
         written = _write_pages(spec, page, desks, progress, provenance)
-    progress(1.0, "done")
     first = int(shots[0].frames[0])
     notes = dict.fromkeys(note for each in cameras for note in each.notes(first))
     notes |= dict.fromkeys(note for each in shots for note in each.rig.undrawn_notes())

@@ -1,13 +1,14 @@
 """A shot: performance, take and rig over their common frames, and its cameras."""
 
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 
 from usdface.capture.sniff import read_capture
 from usdface.core.arrays import FloatArray, IntArray, columns_by_name
-from usdface.core.assets import Performance, Rig, Take
+from usdface.core.assets import Markers, Performance, Rig, Take
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.rates import shift_timecode
@@ -20,6 +21,7 @@ from usdface.specs.paths import frame_range
 from usdface.specs.review import AUTO_CAMERA, FRONT_CAMERA
 from usdface.steps.inputs.cleaned_takes import read_cleaned
 from usdface.steps.inputs.solve_verdict import evidence_of
+from usdface.steps.review.clock import MovieClock
 from usdface.usdio.performance.read import PerformanceReader, read_performance
 from usdface.usdio.rig.reference import read_rig_of_stage
 from usdface.usdio.rig.rig_motion import PointMotion, RigMotion
@@ -33,7 +35,7 @@ SMALL_SHARE = 0.2
 
 
 class ShotCamera:
-    """One camera for all pictures of a shot.
+    """One camera for all pictures of a shot, which it follows if it is automatic.
 
     Parameters
     ----------
@@ -41,22 +43,11 @@ class ShotCamera:
         ``'auto'``, ``'front'`` or the path of a camera.
     stage : Path, optional
         The stage of the camera; the performance by default.
-    motion : PointMotion, optional
-        Motion that the automatic camera follows.
     """
 
-    def __init__(
-        self,
-        performance_file: Path,
-        performance: Performance,
-        rig: Rig,
-        *,
-        name: str = AUTO_CAMERA,
-        stage: Path | None = None,
-        motion: PointMotion | None = None,
-    ) -> None:
-        self._rig = rig
-        self._motion = motion
+    def __init__(self, shot: "Shot", name: str = AUTO_CAMERA, stage: Path | None = None) -> None:
+        rig, performance = shot.rig, shot.performance
+        self._rig, self._motion = rig, shot.motion
         reach = motion_weights(rig.meshes)
         self._points = np.concatenate([mesh.points for mesh in rig.meshes])
         self._face = reach > 0 if reach.any() else np.ones(len(reach), bool)
@@ -65,7 +56,7 @@ class ShotCamera:
         self._stage: StageCamera | None = None
         if name not in (AUTO_CAMERA, FRONT_CAMERA):
             self._stage = StageCamera(
-                stage or performance_file,
+                stage or shot.performance_file,
                 name,
                 rig_file=performance.rig_file,
                 rig_prim=performance.rig_prim,
@@ -165,22 +156,24 @@ class Shot:
 
     def camera(self, name: str = AUTO_CAMERA, stage: Path | None = None) -> ShotCamera:
         """Return a camera of the shot; see `ShotCamera`."""
-        return ShotCamera(
-            self.performance_file,
-            self.performance,
-            self.rig,
-            name=name,
-            stage=stage,
-            motion=self.motion,
-        )
+        return ShotCamera(self, name, stage)
+
+    def clock(self, rate: Fraction) -> MovieClock:
+        """Return the clock of a movie of the shot, in pictures per second."""
+        return MovieClock(rate, self.take.rate, int(self.frames[0]), len(self.frames))
+
+    @property
+    def markers(self) -> Markers:
+        """Markers of the whole take; refuse a take that has none."""
+        if self.take.markers is None:
+            raise InputError(f"{self.take.name}: has no markers")
+        return self.take.markers
 
     @property
     def positions(self) -> FloatArray:
         """Markers at the common frames, (frames, markers, 3) [mm]."""
-        markers = self.take.markers
-        if markers is None:
-            raise InputError(f"{self.take.name}: has no markers")
-        return markers.positions[self.frames - self.take.first_frame].astype(np.float64)
+        rows = self.frames - self.take.first_frame
+        return self.markers.positions[rows].astype(np.float64)
 
     @property
     def neutral_row(self) -> int:

@@ -5,21 +5,26 @@ from dataclasses import replace
 import numpy as np
 
 from usdface.core.arrays import FloatArray
-from usdface.core.progress import Progress, silent
+from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import binding_layers, corrected_path, proposed_path
 from usdface.core.text import counted, first_few
 from usdface.media.picture.binding_picture import BoundMarkers, draw_binding
 from usdface.media.picture.image import write_image
 from usdface.model.review.verdict import VERDICT_WORDS
+from usdface.model.selection.baseline import PerformerMarkers
 from usdface.model.surface.binding import FEWEST_LANDMARKS, UNCERTAIN_CONFIDENCE, facing_yaw
 from usdface.numerics.registration.cloud_alignment import align_landmarks
 from usdface.numerics.registration.marker_binding import MarkerBinding
 from usdface.runner.result import StepResult
 from usdface.specs.surface import BindSpec
-from usdface.steps.inputs.cleaned_takes import take_warnings
+from usdface.steps.inputs.cleaned_takes import (
+    read_performer_markers,
+    spread_frames,
+    take_warnings,
+)
 from usdface.steps.surface.picture import other_meshes
-from usdface.steps.surface.plan import TakeSample, bind_take, landmark_places, sample_take
+from usdface.steps.surface.plan import PLAN_FRAMES, bind_take, landmark_places
 from usdface.usdio.rig.mesh import FaceMesh, read_face_mesh
 from usdface.usdio.surface.binding import has_binding, read_binding, write_binding
 from usdface.usdio.take.read import TakeReader
@@ -34,14 +39,13 @@ probably wrong. Between three heads it is 0.19 at most, and 0.26 and more for 95
 four to six of which two are exchanged."""
 
 
-def run(spec: BindSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
+def run(spec: BindSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Propose a binding, keep the corrections of an earlier one, and write it."""
-    progress(0.0, "reading")
     face = read_face_mesh(spec.mesh, prim=spec.mesh_prim)
     take = TakeReader(spec.take)
-    sample = sample_take(take)
+    sample = read_performer_markers(take, spread_frames(take, PLAN_FRAMES))
     warnings = take_warnings(take)
-    pinned = landmark_places(spec.landmarks, sample.names, face, spec.take)
+    pinned = landmark_places(spec.landmarks, sample.labels, face, spec.take)
     sources = dict.fromkeys(pinned, "landmark")
     corrections, left_out = _corrections(spec, sample, face)
     pinned |= corrections
@@ -72,7 +76,7 @@ def run(spec: BindSpec, *, provenance: Provenance, progress: Progress = silent) 
                     ),
                     np.array([source != "proposed" for source in binding.sources]),
                 ),
-                title=f"{TakeReader(spec.take).name} on {spec.mesh.stem}",
+                title=f"{take.name} on {spec.mesh.stem}",
                 verdict=_verdict(binding),
                 facts=_facts(binding),
                 yaw_degrees=facing_yaw(face.mesh, at),
@@ -80,7 +84,6 @@ def run(spec: BindSpec, *, provenance: Provenance, progress: Progress = silent) 
             ),
             metadata=provenance.metadata,
         )
-    progress(1.0, "done")
     report = _report(spec, binding, face, left_out)
     landmarks = [i for i, source in enumerate(binding.sources) if source == "landmark"]
     doubts = _landmark_notes(sample.neutral[landmarks], at[landmarks])
@@ -88,7 +91,7 @@ def run(spec: BindSpec, *, provenance: Provenance, progress: Progress = silent) 
 
 
 def _corrections(
-    spec: BindSpec, sample: TakeSample, face: FaceMesh
+    spec: BindSpec, sample: PerformerMarkers, face: FaceMesh
 ) -> tuple[dict[int, FloatArray], tuple[str, ...]]:
     """Return the corrected positions of an earlier binding [mm], and the markers it leaves out."""
     if not has_binding(spec.out):
@@ -96,11 +99,11 @@ def _corrections(
     before = read_binding(spec.out, face)
     at = before.binding.places.positions(face.mesh.points)
     corrected = {
-        sample.names.index(name): at[index]
+        sample.labels.index(name): at[index]
         for index, (name, source) in enumerate(
             zip(before.binding.names, before.binding.sources, strict=True)
         )
-        if source == "corrected" and name in sample.names
+        if source == "corrected" and name in sample.labels
     }
     return corrected, before.left_out
 
@@ -170,9 +173,8 @@ def _report(
         notes.append(f"still left out: {counted(left_out, 'marker')}")
     if face.others:
         notes.append(f"{len(face.others)} other meshes of {spec.mesh.name} have no markers")
-    outputs = binding_layers(spec.out)
     return StepResult(
-        outputs if spec.picture is None else (*outputs, spec.picture),
+        (*binding_layers(spec.out), *spec.paths_of("picture")),
         f"{len(binding.names)} markers on {len(face.mesh.points)} points, {len(doubtful)} of them "
         "uncertain",
         tuple(notes),

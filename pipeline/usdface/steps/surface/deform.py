@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from usdface.core.progress import Progress, part, silent
+from usdface.core.progress import Progress, part
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import points_path
 from usdface.core.text import pluralize
@@ -25,7 +25,7 @@ _CHUNK_FRAMES = 2048
 """Frames of markers per read, to bound memory."""
 
 
-def run(spec: DeformSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
+def run(spec: DeformSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Deform the mesh at every frame of the take, and write its points."""
     take = TakeReader(spec.take)
     first, last = take.frames_within(frame_range(spec.frames))
@@ -65,11 +65,9 @@ def run(spec: DeformSpec, *, provenance: Provenance, progress: Progress = silent
                     spread.extend(np.sqrt((moved.sd**2).mean(axis=1)).tolist())
                 done = (writer.next_frame - first) / (last - first + 1)
                 progress(0.2 + 0.7 * done, f"moved to frame {writer.next_frame - 1}")
-    if spec.picture is not None:
-        write_comparison(
-            spec, plan, take, (first, last), provenance=provenance, progress=part(progress, 0.9, 1)
-        )
-    progress(1.0, "done")
+    write_comparison(
+        spec, plan, take, (first, last), provenance=provenance, progress=part(progress, 0.9, 1)
+    )
     return _report(spec, plan, first, last, spread)
 
 
@@ -102,11 +100,8 @@ def _report(
     )
     if spread:
         summary += f", standard deviation {np.median(spread):.2f} mm"
-    outputs = [spec.out, points_path(spec.out)]
-    if spec.picture is not None:
-        outputs.append(spec.picture)
     return StepResult(
-        tuple(outputs),
+        (spec.out, points_path(spec.out), *spec.paths_of("picture")),
         summary,
         (*plan.notes, *sampler_notes(model)),
         {

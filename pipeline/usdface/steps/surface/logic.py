@@ -9,7 +9,7 @@ from typing import Any, cast
 from usdface.capture.text_table import csv_rows
 from usdface.core.arrays import columns_by_name
 from usdface.core.errors import InputError
-from usdface.core.progress import Progress, silent
+from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.rig_logic import Combination, CombinationMode, order_combinations
 from usdface.core.text import first_few, pluralize, read_json
@@ -24,7 +24,7 @@ _MOST_ROWS = 2000
 """Rows of weights used for inference, evenly spread."""
 
 
-def run(spec: LogicSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
+def run(spec: LogicSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Read the logic, check it against the rig and write an asset over the rig."""
     rig = read_rig(spec.rig, prim=spec.prim)
     shapes = (*rig.shapes, *(each.shape for each in rig.combinations))
@@ -50,7 +50,6 @@ def run(spec: LogicSpec, *, provenance: Provenance, progress: Progress = silent)
     kept = [each for each in rig.combinations if each.shape not in stated]
     every = order_combinations((*new, *kept), shapes, source=spec.definition or spec.rig)
     write_logic(spec.out, rig, every, provenance=provenance)
-    progress(1.0, "written")
     driven = {each.shape for each in every}
     return StepResult(
         (spec.out,),

@@ -8,7 +8,7 @@ import numpy as np
 from usdface.capture.text_table import csv_rows
 from usdface.core.arrays import BoolArray, FloatArray
 from usdface.core.errors import InputError
-from usdface.core.progress import Progress, part, silent
+from usdface.core.progress import Progress, part
 from usdface.core.provenance import Provenance
 from usdface.core.text import first_few
 from usdface.model.surface.fit import SurfaceMotion
@@ -114,7 +114,7 @@ def _from_references(path: Path, take: TakeReader) -> tuple[ShapeFrame, ...]:
     return tuple(found[frame] for frame in sorted(found))
 
 
-def run(spec: MakeShapesSpec, *, provenance: Provenance, progress: Progress = silent) -> StepResult:
+def run(spec: MakeShapesSpec, *, provenance: Provenance, progress: Progress) -> StepResult:
     """Choose frames, deform the mesh, and write the rig."""
     take = TakeReader(spec.take)
     given = given_frames(spec, take)
@@ -136,11 +136,9 @@ def run(spec: MakeShapesSpec, *, provenance: Provenance, progress: Progress = si
         least_mm=spec.least_mm,
         provenance=provenance,
     )
-    if spec.picture is not None:
-        progress(0.8, f"drawing {spec.picture.name}")
-        names = [shape.name for shape in written]
-        write_shapes_picture(spec, plan, shapes, names=names, sd_mm=moved.sd, provenance=provenance)
-    progress(1.0, "done")
+    progress(0.8, f"wrote {spec.out.name}")
+    names = [shape.name for shape in written]
+    write_shapes_picture(spec, plan, shapes, names=names, sd_mm=moved.sd, provenance=provenance)
     return _report(spec, plan, chosen, written)
 
 
@@ -183,7 +181,7 @@ def _report(
         notes.append(f"invalid or repeated names were changed: {first_few(renamed)}")
     share = np.mean([shape.points for shape in written]) / len(plan.face.mesh.points)
     return StepResult(
-        (spec.out,) if spec.picture is None else (spec.out, spec.picture),
+        (spec.out, *spec.paths_of("picture")),
         f"{len(written)} shapes on {len(plan.face.mesh.points)} points, each moving "
         f"{100 * share:.0f} % of them",
         tuple(notes),

@@ -23,7 +23,8 @@ from usdface.model.surface.gp_surface import GpOptions
 from usdface.numerics.manifold.hyper_posterior import HyperPrior
 from usdface.numerics.regression.reference_design import pivoted_selection
 from usdface.specs.surface import DeformSpec, MakeShapesSpec
-from usdface.steps.surface.plan import SurfacePlan, fit_surface, surface_options
+from usdface.steps.inputs.cleaned_takes import spread_frames
+from usdface.steps.surface.plan import PLAN_FRAMES, SurfacePlan, fit_surface, surface_options
 from usdface.usdio.rig.mesh import FaceMesh, read_face_mesh
 from usdface.usdio.surface.shape_rig import NewShape
 from usdface.usdio.take.read import TakeReader
@@ -55,7 +56,8 @@ def write_comparison(
     if spec.picture is None:
         return
     progress(0.0, f"drawing {spec.picture.name}")
-    inside = [i for i, f in enumerate(plan.sample.frames) if frames[0] <= f <= frames[1]]
+    sampled = spread_frames(take, PLAN_FRAMES)
+    inside = [i for i, f in enumerate(sampled) if frames[0] <= f <= frames[1]]
     every = plan.displacements(plan.sample.positions)
     if spec.picture_noise:
         every = every + np.random.default_rng(0).normal(0, spec.picture_noise, every.shape)
@@ -68,8 +70,8 @@ def write_comparison(
     rest = plan.face.mesh.points
     compared = [
         ComparedFrame(
-            frame=plan.sample.frames[inside[row]],
-            timecode=take.timecode_at(plan.sample.frames[inside[row]]),
+            frame=sampled[inside[row]],
+            timecode=take.timecode_at(sampled[inside[row]]),
             surfaces=tuple(rest + plan.fade * each.mean[number] for each in surfaces),
             uncertainty_mm=None if sds is None else sds[number].astype(np.float64),
         )

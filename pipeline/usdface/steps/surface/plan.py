@@ -8,11 +8,12 @@ import numpy as np
 
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from usdface.core.assets import RigMesh
-from usdface.core.errors import InputError
+from usdface.core.errors import InputError, as_input_error
 from usdface.core.progress import Progress, part
 from usdface.core.provenance import hash_text
 from usdface.core.sidecars import distances_path
 from usdface.core.text import first_few, pluralize
+from usdface.model.selection.baseline import PerformerMarkers
 from usdface.model.surface.binding import UNCERTAIN_CONFIDENCE, propose_binding
 from usdface.model.surface.distance import SurfaceDistances, surface_distances, unpack_distances
 from usdface.model.surface.fit import SurfaceModel, SurfaceMotion
@@ -28,10 +29,9 @@ from usdface.numerics.registration.marker_binding import (
 from usdface.numerics.surface.surface_places import SurfacePoints, places_at_points
 from usdface.specs.surface import SurfaceSpec
 from usdface.steps.inputs.cleaned_takes import (
-    check_neutral_frame,
-    check_stabilized,
     read_markers,
     read_markers_at,
+    read_performer_markers,
     spread_frames,
 )
 from usdface.usdio.rig.mesh import FaceMesh, read_face_mesh
@@ -48,58 +48,23 @@ _COINCIDENCE_MM = 0.01
 _FEW_MARKERS = 14
 """Markers below which the prior of v0 weighs more than a tenth in its mean."""
 
-_SAMPLE_FRAMES = 400
-"""Frames of a `TakeSample`."""
-
-
-@dataclass(frozen=True)
-class TakeSample:
-    """Frames spread over a take, for binding and fitting."""
-
-    names: tuple[str, ...]
-    """Names of the markers."""
-    rigid: tuple[int, ...]
-    """Indices of the rigid markers."""
-    neutral: FloatArray
-    """(markers, 3) [mm]"""
-    frames: tuple[int, ...]
-    """Frame numbers."""
-    positions: FloatArray
-    """(frames, markers, 3) [mm]"""
-    visible: BoolArray
-    """(frames, markers)"""
-
-
-def sample_take(take: TakeReader) -> TakeSample:
-    """Read the neutral face and frames spread over a cleaned take."""
-    frames = spread_frames(take, _SAMPLE_FRAMES)
-    markers = read_markers_at(take, frames)
-    check_stabilized(take.path, markers)
-    check_neutral_frame(take.path, markers, take.first_frame, take.last_frame)
-    neutral = read_markers_at(take, [markers.neutral_frame]).positions[0]
-    return TakeSample(
-        names=markers.names,
-        rigid=tuple(markers.names.index(name) for name in markers.rigid),
-        neutral=neutral.astype(np.float64),
-        frames=tuple(frames),
-        positions=markers.positions.astype(np.float64),
-        visible=markers.usable,
-    )
+PLAN_FRAMES = 400
+"""Frames spread over a take, for binding and fitting."""
 
 
 def bind_take(
-    sample: TakeSample,
+    sample: PerformerMarkers,
     face: FaceMesh,
     *,
-    pinned: dict[int, FloatArray] | None = None,
-    sources: dict[int, str] | None = None,
+    pinned: dict[int, FloatArray],
+    sources: dict[int, str],
 ) -> MarkerBinding:
     """Propose a binding, using the shapes of the mesh if its file is a rig."""
     return propose_binding(
         add_shapes(face),
-        names=sample.names,
+        names=sample.labels,
         neutral=sample.neutral,
-        positions=sample.positions,
+        positions=sample.positions.astype(np.float64),
         visible=sample.visible,
         rigid=sample.rigid,
         pinned=pinned,
@@ -153,7 +118,8 @@ class SurfacePlan:
     """A mesh and the model that deforms it by a take."""
 
     face: FaceMesh
-    sample: TakeSample
+    sample: PerformerMarkers
+    """The take at `PLAN_FRAMES` frames."""
     columns: IntArray
     """(markers,): indices of the take's bound markers, in the binding's order."""
     places: SurfacePoints
@@ -196,35 +162,32 @@ def plan_surface(
     spec: SurfaceSpec, take: TakeReader, *, out: Path, progress: Progress
 ) -> SurfacePlan:
     """Read mesh and take, bind, measure distances (cached next to `out`) and fit the model."""
-    progress(0.0, "reading")
     face = read_face_mesh(spec.mesh, prim=spec.mesh_prim)
-    sample = sample_take(take)
+    sample = read_performer_markers(take, spread_frames(take, PLAN_FRAMES))
     progress(0.1, "placing the markers")
     binding, notes = _bind(spec, sample, face)
-    bound = [i for i, name in enumerate(binding.names) if name in sample.names]
-    columns = np.array([sample.names.index(binding.names[i]) for i in bound], np.int64)
+    bound = [i for i, name in enumerate(binding.names) if name in sample.labels]
+    columns = np.array([sample.labels.index(binding.names[i]) for i in bound], np.int64)
     if len(bound) < FEWEST_MARKERS:
         raise InputError(
-            f"{spec.take}: {len(bound)} of its {len(sample.names)} markers are bound to "
+            f"{spec.take}: {len(bound)} of its {len(sample.labels)} markers are bound to "
             f"{spec.mesh}, at least {FEWEST_MARKERS} are needed; bind this take's markers"
         )
     if len(bound) < len(binding.names):
-        missing = [name for name in binding.names if name not in sample.names]
+        missing = [name for name in binding.names if name not in sample.labels]
         notes.append(f"the take lacks {len(missing)} of the bound markers: {first_few(missing)}")
     places = SurfacePoints(
         binding.places.faces[bound], binding.places.corners[bound], binding.places.weights[bound]
     )
-    try:
+    with as_input_error(f"{spec.take} cannot be aligned with {spec.mesh}"):
         proportions = fit_proportions(
             sample.neutral[columns],
             places.positions(face.mesh.points),
             weight=binding.confidence[bound],
         )
-    except ValueError as error:
-        raise InputError(f"{spec.take} cannot be aligned with {spec.mesh}: {error}") from error
     progress(0.3, "measuring distances over the mesh")
     distances = _distances(spec, face, places, out, part(progress, 0.3, 0.6))
-    names = [sample.names[column] for column in columns.tolist()]
+    names = [sample.labels[column] for column in columns.tolist()]
     notes.extend(distances.unreached.describe(names))
     coinciding = np.argwhere(np.triu(distances.euclidean_between < _COINCIDENCE_MM, 1)).tolist()
     if coinciding:
@@ -233,7 +196,7 @@ def plan_surface(
     progress(0.6, "fitting the regression")
     seen = sample.visible[:, columns]
     notes.extend(_unseen_notes(names, seen))
-    moved = sample.positions[:, columns] - sample.neutral[columns]
+    moved = sample.positions[:, columns].astype(np.float64) - sample.neutral[columns]
     options = surface_options(spec, proportions)
     model = fit_surface(spec, distances, moved @ proportions.linear.T, options)
     if model.predicts_sd and len(bound) < _FEW_MARKERS:
@@ -242,9 +205,16 @@ def plan_surface(
             "standard deviation is mostly that of any face (--priors)"
         )
     fade = _fade(distances, spec.reach)
-    progress(1.0, "ready")
     return SurfacePlan(
-        face, sample, columns, places, proportions, distances, model, fade, tuple(notes)
+        face,
+        sample,
+        columns,
+        places,
+        proportions,
+        distances,
+        model,
+        fade,
+        tuple(notes),
     )
 
 
@@ -273,15 +243,10 @@ _LEAST_CUT = 5e-4
 
 def sampler_figures(model: SurfaceModel) -> dict[str, object]:
     """Return diagnostics of the sampled hyper-parameters; None if they were not sampled."""
-    quality = model.diagnostics
+    names = ("acceptance", "effective_samples", "rhat", "two_modes")
+    values = [getattr(model.diagnostics, name) for name in names]
     return {
-        name: None if np.isnan(value) else value
-        for name, value in (
-            ("acceptance", quality.acceptance),
-            ("effective_samples", quality.effective_samples),
-            ("rhat", quality.rhat),
-            ("two_modes", quality.two_modes),
-        )
+        name: None if np.isnan(value) else value for name, value in zip(names, values, strict=True)
     }
 
 
@@ -312,7 +277,9 @@ def fit_surface(
     return fit_gp_surface(distances, displacements, options)
 
 
-def _bind(spec: SurfaceSpec, sample: TakeSample, face: FaceMesh) -> tuple[MarkerBinding, list[str]]:
+def _bind(
+    spec: SurfaceSpec, sample: PerformerMarkers, face: FaceMesh
+) -> tuple[MarkerBinding, list[str]]:
     notes = []
     if spec.binding is not None:
         read = read_binding(spec.binding, face)
@@ -320,7 +287,7 @@ def _bind(spec: SurfaceSpec, sample: TakeSample, face: FaceMesh) -> tuple[Marker
         if read.left_out:
             notes.append(f"left out by the binding: {first_few(read.left_out)}")
     else:
-        pinned = landmark_places(spec.landmarks, sample.names, face, spec.take)
+        pinned = landmark_places(spec.landmarks, sample.labels, face, spec.take)
         binding = bind_take(sample, face, pinned=pinned, sources=dict.fromkeys(pinned, "landmark"))
         notes.append("the markers were bound automatically; check them with `usdface bind`")
     doubtful = int((binding.confidence < UNCERTAIN_CONFIDENCE).sum())

@@ -12,7 +12,7 @@ from pxr import Sdf, Usd, UsdSkel
 
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from usdface.core.assets import Performance, SolveBasis, WeightsClip
-from usdface.core.errors import InputError
+from usdface.core.errors import InputError, as_input_error
 from usdface.core.rates import exact_rate, label_alike, shift_timecode, span_of_samples
 from usdface.core.rig_logic import Combination
 from usdface.core.text import first_few, pluralize
@@ -191,10 +191,8 @@ class PerformanceReader:
 
     def timecode_at(self, frame: int) -> str:
         """Return the SMPTE timecode of a frame; empty if unknown."""
-        try:
+        with as_input_error(f"{self.path}: face:timecode:start", of=InputError):
             return shift_timecode(self.timecode_start, frame - self.first_frame, self.rate)
-        except InputError as error:
-            raise InputError(f"{self.path}: face:timecode:start: {error}") from error
 
     @cached_property
     @refusing_wrong_types

@@ -12,7 +12,7 @@ from pxr import Gf, Sdf, Usd, UsdSkel, Vt
 from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig
 from usdface.core.controls import ControlClip, Controls, shape_controls
-from usdface.core.errors import InputError
+from usdface.core.errors import InputError, as_input_error
 from usdface.core.rates import frames_within
 from usdface.core.text import first_few
 from usdface.numerics.motion.rotation_space import normalize_quaternions
@@ -257,10 +257,8 @@ def controls_at(
     if joints:
         # Quaternions are x, y, z, w in memory.
         quaternions = read(skel.GetRotationsAttr(), len(joints), 4)[..., [3, 0, 1, 2]]
-        try:
+        with as_input_error(f"{path} <{animation.GetPath()}.rotations>"):
             rotations = normalize_quaternions(quaternions)
-        except ValueError as error:
-            raise InputError(f"{path} <{animation.GetPath()}.rotations>: {error}") from error
         controls = replace(
             controls,
             joints=joints,

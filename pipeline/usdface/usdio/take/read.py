@@ -9,7 +9,7 @@ from pxr import Usd, UsdGeom, UsdSkel
 
 from usdface.core.arrays import Float32Array
 from usdface.core.assets import Event, Markers, Take, Video, WeightsClip
-from usdface.core.errors import InputError
+from usdface.core.errors import InputError, as_input_error
 from usdface.core.rates import check_frame_span, exact_rate, frames_within, shift_timecode
 from usdface.usdio.authoring import names_in, read_array_samples, read_gaps, text_of, value_of
 from usdface.usdio.layers import open_stage, refusing_wrong_types
@@ -108,10 +108,8 @@ class TakeReader:
     def timecode_at(self, frame: int) -> str:
         """Return the SMPTE timecode of a frame; empty if the take has none."""
         start = str(self._value("face:timecode:start") or "")
-        try:
+        with as_input_error(f"{self.path}: face:timecode:start", of=InputError):
             return shift_timecode(start, frame - self.first_frame, self.rate)
-        except InputError as error:
-            raise InputError(f"{self.path}: face:timecode:start: {error}") from error
 
     def frames_within(self, frames: tuple[int, int] | None) -> tuple[int, int]:
         """Return the first and the last of the frames, by default all; refuse missing ones."""
