@@ -200,6 +200,8 @@ def read_setups(folder: Path, *, full: bool = False) -> Iterator[Setup]:
     gains = np.resize(ANIMATOR_GAINS, len(fifty.weights))[:, None]
     keys = replace(fifty, weights=np.clip(fifty.weights * gains, 0, 1))
     yield _setup("two animators", keys, near, second)
+    authors = tuple(np.resize(("first", "second"), len(fifty.weights)).tolist())
+    yield _setup("named animators", replace(keys, authors=authors), near, second)
 
 
 def _inexact(weights: np.ndarray, seed: int) -> np.ndarray:

@@ -209,8 +209,8 @@ class ReferencesImportSpec(MovedRigSpec, WeightTableSpec):
     keep_proposed: bool = False
     """Keep the proposals of shapes missing from the file, for keys set on top of them."""
     author: str = ""
-    """Author of the weights, stored with the pairs: `train` compares the gains of several
-    authors."""
+    """Author of the weights, stored with the pairs: `train` brings the keys of several authors to
+    one gain."""
 
     def outputs(self) -> tuple[Path, ...]:
         """Return the layer of tuned weights."""

@@ -1,10 +1,12 @@
 """Gains of pairs: found where keys are scaled, not where single keys are wrong."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from usdface.core.assets import MotionSpace
 from usdface.model.mapping.corrected_pairs import correct_pairs, fit_pairs_forward
-from usdface.model.mapping.pair_gains import gain_variance
+from usdface.model.mapping.pair_gains import gain_groups
 from usdface.model.regressions.base import Face, Pairs
 
 UPPER = ("browInnerUp", "browDown_L", "browDown_R", "eyeBlink_L", "eyeBlink_R")
@@ -35,8 +37,8 @@ def pairs_of(keys: np.ndarray, moved: np.ndarray, neutral: np.ndarray) -> Pairs:
     return Pairs(flat, keys, face, moved + neutral)
 
 
-def variance_of(pairs: Pairs) -> float:
-    return gain_variance(fit_pairs_forward(pairs), SHAPES, 3.0)
+def variance_of(pairs: Pairs, authors: tuple[str, ...] = ()) -> float:
+    return gain_groups(fit_pairs_forward(pairs), SHAPES, 3.0, authors)[1]
 
 
 def test_pairs_of_two_animators_get_one_gain() -> None:
@@ -75,4 +77,33 @@ def test_few_pairs_and_faces_of_one_part_have_no_gains() -> None:
     keys = weights * np.resize((1.2, 0.8), PAIRS)[:, None]
     assert variance_of(pairs_of(keys[:10], moved[:10], neutral)) == 0
     forward = fit_pairs_forward(pairs_of(keys, moved, neutral))
-    assert gain_variance(forward, ("browInnerUp",) * len(SHAPES), 3.0) == 0
+    assert gain_groups(forward, ("browInnerUp",) * len(SHAPES), 3.0, ())[1] == 0
+
+
+def test_authors_share_a_gain_more_exact_than_those_of_pairs() -> None:
+    weights, moved, neutral = simulated()
+    authors = tuple(np.resize(("anna", "bob"), 16))
+    gains = np.resize((1.12, 0.9), 16)
+    rng = np.random.default_rng(1)
+    keys = weights[:16] * gains[:, None] * (1 + 0.1 * rng.normal(size=(16, len(SHAPES))))
+    pairs = pairs_of(keys, moved[:16], neutral)
+    factors, alone = (
+        correct_pairs(replace(pairs, authors=known), SHAPES).log_factor for known in (authors, ())
+    )
+    assert len(set(factors.round(9))) == 2
+    error, error_alone = (np.std(each + np.log(gains)) for each in (factors, alone))
+    assert error < 0.5 * error_alone
+    assert error < 0.4 * np.std(np.log(gains))
+    chosen = np.array([0, 2, 3])
+    assert replace(pairs, authors=authors).rows(chosen).authors == ("anna", "anna", "bob")
+
+
+def test_authors_of_equal_gain_and_of_one_half_of_the_face_have_none() -> None:
+    weights, moved, neutral = simulated()
+    authors = tuple(np.resize(("anna", "bob", ""), PAIRS))
+    for seed in range(3):
+        error = 1 + 0.1 * np.random.default_rng(seed).normal(size=weights.shape)
+        assert variance_of(pairs_of(weights * error, moved, neutral), authors) == 0
+    keys = weights.copy()
+    keys[::3, : len(UPPER)] *= 1.2
+    assert variance_of(pairs_of(keys, moved, neutral), authors) == 0

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from usdface.core.arrays import FloatArray
-from usdface.model.mapping.pair_gains import gain_variance, predict_log_factors, scale_keys
+from usdface.model.mapping.pair_gains import gain_groups, predict_log_factors, scale_keys
 from usdface.model.mapping.regions import FACE, marker_motion, region_points
 from usdface.model.regressions.base import Pairs, Regression
 from usdface.model.regressions.bent_weights import bend, unbend
@@ -100,7 +100,7 @@ def correct_pairs(
 ) -> CorrectedPairs:
     """Fit the forward model, and correct the keys if their estimated error tau is positive.
 
-    First the gain of each pair (`pair_gains`), then each key.
+    First gains (`pair_gains`), then each key.
 
     Parameters
     ----------
@@ -150,14 +150,14 @@ def _equalise_gains(
     scales: ForwardScales | None,
     prior: RigPrior,
 ) -> tuple[Pairs, ForwardModel, FloatArray]:
-    """Scale the keys of each pair to the mean gain, if the gains' variance is significant."""
+    """Scale the keys to the mean gain, if gains of authors or of pairs differ significantly."""
     log_factor = np.zeros(len(pairs.outputs))
-    variance = gain_variance(forward, parts, key_inflation)
+    groups, variance = gain_groups(forward, parts, key_inflation, pairs.authors)
     if variance == 0:
         return pairs, forward, log_factor
     for _ in range(_GAIN_ROUNDS):
         log_factor = predict_log_factors(
-            forward, parts, key_inflation, variance=variance, applied=log_factor
+            forward, parts, key_inflation, groups=groups, variance=variance, applied=log_factor
         )
         scaled = scale_keys(pairs, log_factor)
         forward = fit_pairs_forward(scaled, forward.scales, prior)

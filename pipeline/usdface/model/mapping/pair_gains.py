@@ -1,4 +1,4 @@
-"""Gains of the keys of pairs, relative to their mean.
+"""Gains of the keys of pairs, or of their authors, relative to their mean.
 
 Animators who key the same expressions differ in gain: one may set all weights 10 % larger than
 another. If the keys of pair i are ``g_i`` times the weights that the other pairs imply, its markers
@@ -12,13 +12,18 @@ A single wrong key has the same effect, but in one part only. Upper and lower fa
 shape, so the covariance of their ``c`` over pairs estimates the variance of the gain. If it is
 significant, the gain of each pair is its best linear unbiased prediction (Robinson 1991,
 Statistical Science 6(1), 15-32), and its keys are divided by it. The mean gain of all pairs is 1.
+
+If the pairs' authors are known, all pairs of an author have one gain. Its variance is the
+covariance over authors of the parts' means of ``log(1 + c)``, if a one-way analysis of variance (F
+test) finds differences between authors in both parts. Otherwise each pair has its own gain, as
+above.
 """
 
 from dataclasses import replace
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, IntArray
 from usdface.model.mapping.regions import membership, region_points
 from usdface.model.regressions.base import Pairs
 from usdface.model.regressions.forward_model import ForwardModel
@@ -35,6 +40,9 @@ _MIN_GAIN_DEVIATION = 0.03
 _CRITICAL_T = 2.5
 """Ratio of the gain variance to its standard error from which it is significant, p = .01."""
 
+_MAX_P_VALUE = 0.05
+"""Largest probability, if authors do not differ, of the F statistics of both parts of the face."""
+
 _MAX_EXCESS = 0.4
 """Limit of ``c``: larger values are due to wrong keys, not to gain."""
 
@@ -45,8 +53,10 @@ _DETECTED_GAIN = 0.1
 """Relative gain that a pair's markers must be able to resolve for full weight in the estimate."""
 
 
-def gain_variance(forward: ForwardModel, parts: tuple[str, ...], inflation: float) -> float:
-    """Return the variance of the gains of pairs, or 0 if it is not significant.
+def gain_groups(
+    forward: ForwardModel, parts: tuple[str, ...], inflation: float, authors: tuple[str, ...]
+) -> tuple[IntArray, float]:
+    """Return the group of pairs of equal gain of each pair, and the variance of the gains.
 
     Parameters
     ----------
@@ -56,10 +66,51 @@ def gain_variance(forward: ForwardModel, parts: tuple[str, ...], inflation: floa
         Part of the face of each shape; see `region_points`.
     inflation : float
         As of `correct_keys`.
+    authors : tuple of str
+        Author of each pair, ``''`` if unknown; empty if all are.
+
+    Returns
+    -------
+    groups : (pairs,) int array
+        Authors if their gains differ significantly, else the pairs.
+    variance : float
+        0 if it is not significant.
     """
     excess, precision = _motion_excess(forward, parts, inflation)
+    each = np.arange(len(excess))
     if len(excess) < _MIN_PAIRS or not precision.any(axis=0).all():
-        return 0.0
+        return each, 0.0
+    if 1 < len(set(authors)) < len(excess):
+        groups = np.unique(authors, return_inverse=True)[1]
+        variance = _author_variance(excess, precision, groups)
+        if variance:
+            return groups, variance
+    return each, _pair_variance(excess, precision)
+
+
+def _author_variance(excess: FloatArray, precision: FloatArray, groups: IntArray) -> float:
+    """Return the variance of the gains of groups of pairs, or 0 if it is not significant."""
+    from scipy.special import fdtrc
+
+    weights, values = _excess_weights(excess, precision), np.log1p(excess)
+    size = np.bincount(groups, weights.sum(axis=1))
+    between, within = len(size) - 1, len(values) - len(size)  # degrees of freedom
+    deviations = []
+    for weight, value in zip(weights.T, values.T, strict=True):
+        count = np.bincount(groups, weight)
+        mean = np.bincount(groups, weight * value) / count
+        error = float(weight @ (value - mean[groups]) ** 2) / within
+        spread = float(count @ (mean - np.average(mean, weights=count)) ** 2) / between
+        if fdtrc(between, within, spread / error) > _MAX_P_VALUE:
+            return 0.0
+        deviations.append(mean - np.average(mean, weights=size))
+    covariance = float(size @ np.prod(deviations, axis=0))
+    variance = covariance / float(size.sum() - (size**2).sum() / size.sum())
+    return variance if variance > _MIN_GAIN_DEVIATION**2 else 0.0
+
+
+def _pair_variance(excess: FloatArray, precision: FloatArray) -> float:
+    """Return the variance of the gains of pairs, or 0 if it is not significant."""
     weight = (precision / (precision + 1 / _DETECTED_GAIN**2)).prod(axis=1)
     products, total = excess.prod(axis=1), max(float(weight.sum()), 1e-9)
     variance = float(weight @ products) / total
@@ -73,6 +124,7 @@ def predict_log_factors(
     parts: tuple[str, ...],
     inflation: float,
     *,
+    groups: IntArray,
     variance: float,
     applied: FloatArray,
 ) -> FloatArray:
@@ -81,18 +133,23 @@ def predict_log_factors(
     Parameters
     ----------
     forward, parts, inflation
-        As of `gain_variance`.
-    variance : float
-        Variance of the gains.
+        As of `gain_groups`.
+    groups, variance
+        From `gain_groups`.
     applied : (pairs,) float array
         Logarithm of the factors already applied to the keys of `forward`.
     """
     excess, precision = _motion_excess(forward, parts, inflation)
-    part_variance = (excess**2).mean(axis=0)  # of the errors of one part's keys
-    weight = 1 / (part_variance + 1 / np.maximum(precision, 1e-9))
+    weight = _excess_weights(excess, precision)
     total = (weight * (np.log1p(excess) + applied[:, None])).sum(axis=1)
-    predicted = total / (1 / variance + weight.sum(axis=1))
+    weight_of_group = np.bincount(groups, weight.sum(axis=1))
+    predicted = (np.bincount(groups, total) / (1 / variance + weight_of_group))[groups]
     return np.asarray(predicted - predicted.mean())
+
+
+def _excess_weights(excess: FloatArray, precision: FloatArray) -> FloatArray:
+    """Return the inverse variance of ``c``: that of the errors of one part's keys, and noise."""
+    return np.asarray(1 / ((excess**2).mean(axis=0) + 1 / np.maximum(precision, 1e-9)))
 
 
 def scale_keys(pairs: Pairs, log_factor: FloatArray) -> Pairs:

@@ -176,7 +176,8 @@ def _outer_skin(
 
 def _pairs(references: References, face: Face) -> Pairs:
     markers = references.markers.astype(np.float64)
-    return Pairs(marker_coordinates(face.motion, markers), references.weights, face, markers)
+    coordinates = marker_coordinates(face.motion, markers)
+    return Pairs(coordinates, references.weights, face, markers, authors=references.authors)
 
 
 def _driven_skin(references: References, skin: FloatArray | None) -> DrivenSkin | None:

@@ -103,6 +103,8 @@ class Pairs:
     """(pairs, markers, 3): marker positions of the references [mm]; None in retargeting."""
     forward: ForwardModel | None = None
     """Posterior given these pairs; None in retargeting."""
+    authors: tuple[str, ...] = ()
+    """Who keyed each pair, ``''`` if unknown; empty if nobody is known."""
 
     @property
     def displacements(self) -> FloatArray:
@@ -138,6 +140,7 @@ class Pairs:
             outputs=self.outputs[chosen],
             markers=None if self.markers is None else self.markers[chosen],
             forward=None,
+            authors=tuple(np.array(self.authors)[chosen].tolist()) if self.authors else (),
         )
 
 
