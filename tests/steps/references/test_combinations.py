@@ -5,15 +5,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pxr import Usd
 
 from tests.steps.small_shot import Shot
 from usdface.core.assets import MeshShape, ShapeKey
 from usdface.core.rig_logic import Combination
 from usdface.runner.execute import execute
+from usdface.specs.edits import BakeSpec, EditSpec
 from usdface.specs.performance import MapSpec, TrainSpec
 from usdface.specs.references import ReferencesAddSpec, ReferencesImportSpec, SelectSpec
 from usdface.specs.review import EvaluateSpec
 from usdface.steps.references import select
+from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.references.read import read_references
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
@@ -60,3 +63,35 @@ def test_pairs_are_chosen_tuned_extended_and_evaluated(shot: Shot, driven: Path)
 
     result = execute(EvaluateSpec(performance=solved, against=solved))
     assert not [note for note in result.notes if "not on the rig" in note]
+
+    baked = shot / "baked.usdc"
+    execute(EditSpec(performance=solved, shape=("jawOpen",), override=0.5, frames="100-200"))
+    execute(BakeSpec(performance=solved, out=baked))
+    weights = PerformanceReader(baked).edited()
+    moved = driven.rename(shot / "moved.usdc")
+    execute(ReferencesImportSpec(references=out, weights=shot / "keys.csv", rig=moved))
+    execute(TrainSpec(references=out, out=mapping, method="face_map", rig=moved), overwrite=True)
+    execute(BakeSpec(performance=solved, out=baked, rig=moved), overwrite=True)
+    np.testing.assert_array_equal(PerformanceReader(baked).edited(), weights)
+
+
+def with_two_faces(path: Path, rig: Path) -> Path:
+    """Write a stage with a rig twice."""
+    stage = Usd.Stage.CreateNew(str(path))
+    stage.SetDefaultPrim(stage.DefinePrim("/shot", "Xform"))
+    for name in ("left", "right"):
+        stage.DefinePrim(f"/shot/{name}").GetReferences().AddReference(rig.name)
+    stage.Save()
+    return path
+
+
+def test_one_of_two_faces_in_a_stage(shot: Shot, driven: Path) -> None:
+    two = with_two_faces(shot / "two.usda", driven)
+    take, out = shot / "shot.clean.take.usda", shot / "two.references.usda"
+    execute(SelectSpec(takes=(take,), rig=two, prim="/shot/right", out=out, count=COUNT))
+    execute(ReferencesImportSpec(references=out, weights=shot / "keys.csv"))
+    before = read_references(out)
+    assert [each.shape for each in before.combinations] == [each.shape for each in DRIVEN]
+    mapping, solved = shot / "two.mapping.usdc", shot / "two.hero.usda"
+    execute(TrainSpec(references=out, out=mapping, method="face_map"))
+    execute(MapSpec(take=take, mapping=mapping, rig=two, rig_prim="/shot/right", out=solved))

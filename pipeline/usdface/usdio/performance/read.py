@@ -34,8 +34,7 @@ from usdface.usdio.performance.weights_layer import (
     UNSEEN_REGIONS,
     WeightsHeader,
 )
-from usdface.usdio.rig.read import combinations_below
-from usdface.usdio.rig.reference import rig_of, rig_path_of
+from usdface.usdio.rig.reference import combinations_of, rig_of, rig_path_of
 
 _CONFIDENCE_RANGE = (0.001, 0.9999)
 """Limits of the confidence of earlier versions: at 0 and 1 the uncertainty would be infinite or 0.
@@ -204,8 +203,7 @@ class PerformanceReader:
     @refusing_wrong_types
     def combinations(self) -> tuple[Combination, ...]:
         """Combinations of the rig; none without a rig in the stage."""
-        top = self.stage.GetPrimAtPath(rig_path_of(self.stage, self.animation))
-        return combinations_below(top, self.path)
+        return combinations_of(self.stage, self.animation, self.path)
 
     @property
     def header(self) -> WeightsHeader:

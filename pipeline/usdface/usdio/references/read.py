@@ -13,8 +13,8 @@ from usdface.core.text import json_object
 from usdface.usdio.authoring import names_in, read_array_samples, text_of, value_of
 from usdface.usdio.layers import read_provenance, refusing_wrong_types
 from usdface.usdio.references.pair_layers import open_pair_stage
-from usdface.usdio.rig.read import combinations_below, read_rig
-from usdface.usdio.rig.reference import rig_of
+from usdface.usdio.rig.read import read_rig
+from usdface.usdio.rig.reference import combinations_of, rig_of
 from usdface.usdio.units import MM_PER_STAGE_UNIT
 
 ROOT = Sdf.Path("/References")
@@ -65,7 +65,7 @@ def read_references(path: Path) -> References:
         points.GetPrim().GetAttribute("face:markers:neutral").Get(), dtype=np.float64
     )
     rig_file, rig_prim = rig_of(stage, animation.GetPrim())
-    combinations = combinations_below(stage.GetPrimAtPath(RIG), path)
+    combinations = combinations_of(stage, animation.GetPrim(), path)
     driven = {each.shape for each in combinations}
     columns = [index for index, name in enumerate(shape_names) if name not in driven]
     source = UsdSkel.Animation(stage.GetPrimAtPath(SOURCE_PATH))

@@ -160,12 +160,6 @@ def read_combinations(root: Usd.Prim, path: Path) -> tuple[Combination, ...]:
     return order_combinations(combinations.values(), names, source=path)
 
 
-def combinations_below(top: Usd.Prim, path: Path) -> tuple[Combination, ...]:
-    """Read the combinations of the faces below a prim, which may be invalid."""
-    faces = faces_below(top) if top else ()
-    return tuple(each for face in faces for each in read_combinations(face, path))
-
-
 def skeletons_of(root: Usd.Prim) -> list[Usd.Prim]:
     """Return the skeletons of the meshes with BlendShapes below a SkelRoot."""
     skeletons: dict[str, Usd.Prim] = {}

@@ -11,6 +11,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 
 from usdface.core.assets import Rig
 from usdface.core.errors import InputError
+from usdface.core.rig_logic import Combination
 from usdface.core.text import pluralize
 from usdface.usdio.authoring import (
     apply_api,
@@ -25,7 +26,13 @@ from usdface.usdio.layers import (
     relative_path,
     usd_errors_as_input_errors,
 )
-from usdface.usdio.rig.read import read_rig, skeletons_of
+from usdface.usdio.rig.read import (
+    faces_below,
+    find_face,
+    read_combinations,
+    read_rig,
+    skeletons_of,
+)
 from usdface.usdio.units import MM_PER_STAGE_UNIT, stage_to_ours
 
 UNITS = "xformOp:transform:units"
@@ -341,6 +348,21 @@ def read_rig_of_stage(stage: Usd.Stage, animation: Usd.Prim) -> Rig:
     file, prim = rig_of(stage, animation)
     rig_path, top = rig_path_of(stage, animation), str(Sdf.Path(prim).GetPrefixes()[0])
     return read_rig(file, prim=prim, variants=variant_choices(stage, rig_path, file, top))
+
+
+def combinations_of(stage: Usd.Stage, animation: Usd.Prim, path: Path) -> tuple[Combination, ...]:
+    """Read the combinations of the rig that an animation drives; none if it is gone."""
+    top = stage.GetPrimAtPath(rig_path_of(stage, animation))
+    faces = [
+        face
+        for face in (faces_below(top) if top else ())
+        if any(_follows(skeleton, animation) for skeleton in skeletons_of(face))
+    ]
+    moved = os.environ.get(_MOVED_RIG)
+    if moved and not faces:
+        rig_stage = open_stage(Path(moved))  # prims do not outlive their stage
+        faces = [find_face(rig_stage, Path(moved), rig_of(stage, animation)[1])]
+    return tuple(dict.fromkeys(each for face in faces for each in read_combinations(face, path)))
 
 
 def variant_choices(
