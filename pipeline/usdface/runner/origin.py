@@ -246,6 +246,13 @@ def _one_take(first: Path, second: Path, other: Path) -> bool:
     return first.name == second.name or (first.is_file() and _was_read(second, first, other))
 
 
+def take_name(performance: Path) -> str:
+    """Return the stored name of a performance's take; empty if it has none, or its file is gone."""
+    take = take_of_performance(performance)
+    known = take is not None and take.is_file() and is_usd_name(take) and is_take(take)
+    return TakeReader(take).name if take is not None and known else ""
+
+
 def pair_with_files(
     performances: Sequence[Path], given: Sequence[Path], what: str
 ) -> list[tuple[Path, Path | None]]:

@@ -15,7 +15,7 @@ from usdface.media.picture.image import read_image_metadata
 from usdface.runner.execute import execute
 from usdface.runner.job import run_job
 from usdface.runner.state import job_states
-from usdface.specs.edits import EditSpec
+from usdface.specs.edits import EditsImportSpec, EditSpec
 from usdface.specs.reading import read_job
 from usdface.specs.review import EvaluateSpec, ReportSpec, SheetSpec
 from usdface.steps.inputs.weight_tables import read_weight_table
@@ -324,21 +324,52 @@ def frames_outside(shot: Shot) -> list[str]:
     return ["--against", "keys.csv", "--frames", "900-999"]
 
 
+def other_solve(shot: Shot, name: str, weights: np.ndarray, rate: int) -> None:
+    performance, rig = read_performance(shot / "shot.hero.usda"), read_rig(shot / "hero.usdc")
+    header = make_header(
+        rig,
+        shape_names=performance.weights.names,
+        rate=rate,
+        first_frame=1,
+        last_frame=len(weights),
+    )
+    with writing_performance(shot / name, header, rig) as writer:
+        writer.append(weights.astype(float))
+
+
+def test_of_a_table_of_takes_the_rows_of_its_take_count(shot: Shot) -> None:
+    header, *rows = (shot / "keys.csv").read_text("utf-8").splitlines()
+    zeros = [f"b,{row.partition(',')[0]}{',0' * row.count(',')}" for row in rows]
+    lines = [f"take,{header}", *(f"shot,{row}" for row in rows), *zeros]
+    both = shot / "takes.csv"
+    both.write_text("\n".join(lines), "utf-8")
+    solved = shot / "shot.hero.usda"
+    alone, found = (
+        execute(EvaluateSpec(performance=solved, against=each)).figures["weight_rmse"]
+        for each in (shot / "keys.csv", both)
+    )
+    assert found == alone
+    view = open_shot(solved, frames="1-39")
+    np.testing.assert_array_equal(*(read_keys(each, view) for each in (shot / "keys.csv", both)))
+    execute(EditsImportSpec(performance=solved, changed=both))
+    edited = EvaluateSpec(performance=solved, against=shot / "keys.csv")
+    assert execute(edited).figures["weight_rmse"] < 0.2 * alone
+    both.write_text("\n".join(lines).replace("shot,", "c,"), "utf-8")
+    with pytest.raises(InputError, match="none of its takes"):
+        execute(EvaluateSpec(performance=solved, against=both))
+
+
 def another_rate(shot: Shot) -> list[str]:
-    performance = read_performance(shot / "shot.hero.usda")
-    with writing_performance(
-        shot / "slow.usda",
-        make_header(
-            read_rig(shot / "hero.usdc"),
-            shape_names=performance.weights.names,
-            rate=24,
-            first_frame=1,
-            last_frame=5,
-        ),
-        read_rig(shot / "hero.usdc"),
-    ) as writer:
-        writer.append(performance.weights.values[:5].astype(float))
+    solved = read_performance(shot / "shot.hero.usda").weights
+    other_solve(shot, "slow.usda", solved.values[:5], 24)
     return ["--against", "slow.usda"]
+
+
+def test_keys_of_a_still_solve_count_its_frames(shot: Shot) -> None:
+    solved = read_performance(shot / "shot.hero.usda").weights
+    other_solve(shot, "still.usda", np.zeros_like(solved.values), 120)
+    given = EvaluateSpec(performance=shot / "still.usda", against=shot / "keys.csv")
+    assert execute(given).figures["frames"]["count"] > FRAMES / 2
 
 
 def rows_of_another_rate(shot: Shot) -> list[str]:

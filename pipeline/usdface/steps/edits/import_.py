@@ -8,6 +8,7 @@ from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.text import pluralize
 from usdface.numerics.motion.key_reduction import EditCurve, no_edit
+from usdface.runner.origin import take_name
 from usdface.runner.result import StepResult
 from usdface.specs.edits import EditsImportSpec
 from usdface.steps.edits.edit import all_frames, range_notes, solve_at, with_curve
@@ -35,7 +36,12 @@ def run(spec: EditsImportSpec, *, provenance: Provenance, progress: Progress) ->
     """
     stamp = edits_stamp(spec.performance)
     reader = PerformanceReader(spec.performance, prim=spec.prim)
-    table = read_weight_table(spec.changed, known=reader.names, unit=spec.weight_unit)
+    table = read_weight_table(
+        spec.changed,
+        known=reader.names,
+        unit=spec.weight_unit,
+        take=take_name(spec.performance),
+    )
     table.check_rate(reader.rate, file=spec.changed, performance=spec.performance)
     driven = {each.shape for each in reader.combinations}
     editable = [name for name in reader.names if name not in driven]

@@ -12,7 +12,7 @@ from usdface.capture.sniff import read_capture, recognise_format
 from usdface.capture.text_table import csv_rows
 from usdface.capture.weight_samples import read_cell, read_weight_samples
 from usdface.capture.weight_table import in_fractions, read_weight_take, row_frames
-from usdface.core.arrays import FloatArray, IntArray, columns_by_name, index_of
+from usdface.core.arrays import BoolArray, FloatArray, IntArray, columns_by_name, index_of
 from usdface.core.assets import WeightsClip
 from usdface.core.errors import InputError
 from usdface.core.sidecars import is_usd_name
@@ -131,17 +131,23 @@ class WeightTable:
         keys = columns_by_name(self.weights, self.names, shared)
         weights = columns_by_name(solved.values, solved.names, shared)
 
-        def error(ratio: float) -> tuple[float, int]:
-            rows = np.rint((np.array(self.frames) - 1) * ratio).astype(int) + 1 - solved.first_frame
-            inside = (rows >= 0) & (rows < len(weights))
-            away = keys[inside] - weights[rows[inside]]
-            return float(np.sqrt((away**2).mean())) if away.size else np.inf, int(inside.sum())
+        def rows(ratio: float) -> IntArray:
+            return np.rint((np.array(self.frames) - 1) * ratio).astype(int) + 1 - solved.first_frame
 
-        as_numbered = error(1.0)[0]
+        def error(rows: IntArray, used: BoolArray) -> float:
+            away = keys[used] - weights[rows[used]]
+            return float(np.sqrt((away**2).mean())) if away.size else np.inf
+
+        numbered = rows(1.0)
         for rate in USUAL_RATES:
-            found, count = error(float(solved.rate) / rate)
+            counted = rows(float(solved.rate) / rate)
+            inside = (counted >= 0) & (counted < len(weights))
+            # The same rows: those of another stretch may match better by being closer to neutral.
+            both = inside & (numbered >= 0) & (numbered < len(weights))
+            as_numbered = error(numbered, both)
+            found = error(counted, both if both.any() else inside)
             if (
-                count >= _FEWEST_COUNTED
+                inside.sum() >= _FEWEST_COUNTED
                 and as_numbered > _LEAST_MISCOUNT
                 and found < as_numbered / 2
             ):
@@ -159,6 +165,7 @@ def read_weight_table(
     known: tuple[str, ...] = (),
     unit: str | None = None,
     shapes: Path | None = None,
+    take: str | None = "",
 ) -> WeightTable:
     """Read weights by frame from a table (.csv, .json, .npy) or from USD.
 
@@ -170,6 +177,9 @@ def read_weight_table(
         Unit of a table. Default: detected, and refused if ambiguous.
     shapes : Path, optional
         Names of the columns of a .npy matrix; see `read_weight_samples`.
+    take : str, optional
+        Take whose rows are read of a table of several; empty if unknown: frames must then be
+        unique. None: the rows of all takes.
     """
     if is_usd_name(path):
         if unit is not None or shapes is not None:
@@ -185,7 +195,7 @@ def read_weight_table(
         weights = reader.edited().astype(np.float64)
         numbers = tuple(reader.frames.tolist())
         return WeightTable(reader.names, numbers, weights, reader.rate, reader.keyed_frames)
-    return _table_of(path, unit, shapes)
+    return _table_of(path, unit, shapes, take)
 
 
 def _recorded_table(path: Path) -> WeightTable | None:
@@ -204,7 +214,7 @@ def _recorded_table(path: Path) -> WeightTable | None:
     )
 
 
-def _table_of(path: Path, unit: str | None, shapes: Path | None) -> WeightTable:
+def _table_of(path: Path, unit: str | None, shapes: Path | None, take: str | None) -> WeightTable:
     recorded = _recorded_table(path) if unit is None and shapes is None else None
     if recorded is not None:
         return recorded
@@ -212,12 +222,20 @@ def _table_of(path: Path, unit: str | None, shapes: Path | None) -> WeightTable:
         samples = read_weight_samples(path, shapes=shapes)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}; check the path") from error
+    if take and len(set(samples.takes)) > 1:
+        chosen = np.flatnonzero(np.array(samples.takes, object) == take)
+        if not len(chosen):
+            raise InputError(
+                f"{path}: none of its takes ({first_few(dict.fromkeys(samples.takes), most=3)}) is "
+                f"{take}; keep the rows of this take"
+            )
+        samples = samples.rows(chosen)
     numbers, rate = row_frames(path, samples)
     frames = tuple(numbers.tolist())
-    takes = samples.takes or ("",) * len(frames)
-    (take, twice), count = Counter(zip(takes, frames, strict=True)).most_common(1)[0]
+    takes = (take is None and samples.takes) or ("",) * len(frames)
+    (named, twice), count = Counter(zip(takes, frames, strict=True)).most_common(1)[0]
     if count > 1:
-        where = f" of take {take}" if take else ""
+        where = f" of take {named}" if named else ""
         raise InputError(f"{path}: frame {twice}{where} occurs {count} times; keep one row")
     values = in_fractions(path, samples.values, unit, samples.names, [])
     return WeightTable(

@@ -41,7 +41,11 @@ def run(spec: ReferencesImportSpec, *, provenance: Provenance, progress: Progres
     """Match the file's rows to pairs and its columns to shapes, and write the tuned layer."""
     references = read_keyed_references(spec.references)
     given = read_weight_table(
-        spec.weights, known=references.shape_names, unit=spec.weight_unit, shapes=spec.shapes
+        spec.weights,
+        known=references.shape_names,
+        unit=spec.weight_unit,
+        shapes=spec.shapes,
+        take=None,
     )
     if spec.at == "frames" and references.rate:
         rate = Fraction(references.rate)

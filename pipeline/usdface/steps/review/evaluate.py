@@ -15,6 +15,7 @@ from usdface.media.charts.evaluation import draw_evaluation
 from usdface.media.picture.image import write_image
 from usdface.model.mapping.evaluation import Evaluation, evaluate_weights
 from usdface.model.retarget.name_matching import meaning_notes
+from usdface.runner.origin import take_name
 from usdface.runner.result import StepResult
 from usdface.specs.paths import frame_range
 from usdface.specs.review import EvaluateSpec
@@ -47,7 +48,9 @@ def run(spec: EvaluateSpec, *, provenance: Provenance, progress: Progress) -> St
     performance = read_performance(spec.performance)
     reader = PerformanceReader(spec.performance)
     rig = read_rig_of_stage(reader.stage, reader.animation)
-    given = read_weight_table(spec.against, known=rig.shapes, unit=spec.weight_unit)
+    given = read_weight_table(
+        spec.against, known=rig.shapes, unit=spec.weight_unit, take=take_name(spec.performance)
+    )
     comparison = _compare(spec, performance, given, rig)
     observable, notes = None, list[str]()
     if spec.unobservable is not None:

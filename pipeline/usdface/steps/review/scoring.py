@@ -141,7 +141,7 @@ def read_keys(file: Path | None, shot: Shot, unit: str | None = None) -> FloatAr
     if file is None:
         return None
     rig, frames = shot.rig, shot.frames
-    given = read_weight_table(file, known=rig.shapes, unit=unit)
+    given = read_weight_table(file, known=rig.shapes, unit=unit, take=shot.take.name)
     given.check_rate(shot.take.rate, file=file, performance=shot.performance_file)
     table, _ = given.by_meaning(rig.shapes, leave=rig.logic.driven)
     table.check_numbering(
