@@ -38,7 +38,7 @@ def fit_motion_space(
     frames = sum(len(clip) for clip in clips)
     if frames < 2:
         raise InputError(
-            f"the motion space needs at least 2 frames, got {frames}; give takes with markers"
+            f"the motion space needs at least 2 frames, got {frames}; give longer takes"
         )
     if dimensions < 1 or sample_count < 1:
         raise InputError(
