@@ -3,10 +3,13 @@
 import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
+# Images of containers set it; workers and commands would each compile the tests and the package.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 import pickle
 import shutil
 import signal
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,6 +21,8 @@ from hypothesis import settings
 from tests.browser import chromium
 from tests.remembered import REMEMBERED, remember, store
 from tests.steps.small_shot import Shot, make_inputs
+
+sys.dont_write_bytecode = False
 
 # A run must say the same twice; USDFACE_FUZZ=random searches anew each time. How long an example
 # takes says more of what else the machine does than of us.
