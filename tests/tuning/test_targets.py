@@ -45,7 +45,13 @@ LABELS = {
 
 
 @pytest.fixture(scope="module")
-def made() -> tuple[Rig, SmallActor, References, MarkerTargets]:
+def places() -> list[MarkerPlacement]:
+    """Where `made` places its markers; all else here is asked of the same places."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def made(places: list[MarkerPlacement]) -> tuple[Rig, SmallActor, References, MarkerTargets]:
     face = small_face()
     actor = small_actor(face, np.random.default_rng(0))
     rig = rig_of(face)
@@ -63,7 +69,15 @@ def made() -> tuple[Rig, SmallActor, References, MarkerTargets]:
         rig_file=rig.file,
         rig_prim=rig.prim,
     )
-    return rig, actor, references, find_targets(references, rig)
+    place = baseline.place_markers
+
+    def placing(*given: object, **named: object) -> MarkerPlacement:
+        places.append(place(*given, **named))
+        return places[-1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(baseline, "place_markers", placing)
+        return rig, actor, references, find_targets(references, rig)
 
 
 def residual(rig: Rig, targets: MarkerTargets, weights: np.ndarray) -> np.ndarray:
@@ -125,16 +139,10 @@ def test_some_shapes_are_solved_while_the_others_hold(made) -> None:
     assert ((found >= low) & (found <= high))[held].all()
 
 
-def test_blinks_are_judged_take_by_take_as_by_select(made, monkeypatch) -> None:
+def test_blinks_are_judged_take_by_take_as_by_select(made, places, monkeypatch) -> None:
     """The lids of one take lie lower than those of the other, by another head pose."""
     rig, actor, references, targets = made
-    place, places = baseline.place_markers, []
-
-    def place_once(*given: object, **named: object) -> MarkerPlacement:
-        places.append(places[0] if places else place(*given, **named))
-        return places[0]
-
-    monkeypatch.setattr(baseline, "place_markers", place_once)
+    monkeypatch.setattr(baseline, "place_markers", lambda *given, **named: places[0])
     clips = [actor.positions[:160].copy(), actor.positions[160:].copy()]
     lids = np.array(targets.regions) == "lids"
     clips[1][:, lids, 1] -= 3.0

@@ -40,6 +40,14 @@ def write_wave(path: Path, samples: np.ndarray) -> Path:
     return path
 
 
+@pytest.fixture
+def excerpt(speech: Path, tmp_path: Path) -> tuple[Path, str]:
+    """The first ten of 27 seconds of sound, and their words; time is proportional to both."""
+    samples = read_audio(speech / "wav" / "acoustic_corpus.wav")[: 16000 * 10]
+    words = (speech / "lab" / "acoustic_corpus.lab").read_text("utf-8").split()[:28]
+    return write_wave(tmp_path / "excerpt.wav", samples), " ".join(words)
+
+
 def said(track: PhoneTrack) -> list[Span]:
     return [span for span in track.phones if viseme_of(span.label) != "pau"]
 
@@ -70,12 +78,15 @@ def test_phones_lie_where_another_aligner_found_them(speech: Path, tmp_path: Pat
     assert any("yknow (Y K N OW)" in note for note in report.notes)
 
 
-def test_a_users_dictionary_says_how_a_name_is_said(speech: Path, tmp_path: Path) -> None:
+def test_a_users_dictionary_says_how_a_name_is_said(
+    excerpt: tuple[Path, str], tmp_path: Path
+) -> None:
     (tmp_path / "own.dict").write_text("yknow Y AH N OW\n", encoding="utf-8")
+    audio, words = excerpt
     report = execute(
         PhonesSpec(
-            audio=speech / "wav" / "acoustic_corpus.wav",
-            transcript=speech / "lab" / "acoustic_corpus.lab",
+            audio=audio,
+            text=words,
             dictionary=tmp_path / "own.dict",
             out=tmp_path / "x.lab",
         )
@@ -85,15 +96,12 @@ def test_a_users_dictionary_says_how_a_name_is_said(speech: Path, tmp_path: Path
 
 
 @pytest.mark.parametrize("other", ["cold_corpus", "cold_corpus3"])
-def test_a_transcript_of_other_words_is_refused(speech: Path, tmp_path: Path, other: str) -> None:
+def test_a_transcript_of_other_words_is_refused(
+    speech: Path, excerpt: tuple[Path, str], tmp_path: Path, other: str
+) -> None:
+    words = (speech / "lab" / f"{other}.lab").read_text("utf-8").split()[:28]
     with pytest.raises(InputError, match="transcript of another recording"):
-        execute(
-            PhonesSpec(
-                audio=speech / "wav" / "acoustic_corpus.wav",
-                transcript=speech / "lab" / f"{other}.lab",
-                out=tmp_path / "x.TextGrid",
-            )
-        )
+        execute(PhonesSpec(audio=excerpt[0], text=" ".join(words), out=tmp_path / "x.TextGrid"))
     assert not (tmp_path / "x.TextGrid").exists()
 
 
@@ -179,14 +187,12 @@ def test_phones_know_what_made_them_so_that_a_job_need_not_make_them_again(
 
 
 def test_a_transcript_that_lacks_most_of_what_is_said_is_noticed(
-    speech: Path, tmp_path: Path
+    excerpt: tuple[Path, str], tmp_path: Path
 ) -> None:
-    words = (speech / "lab" / "acoustic_corpus.lab").read_text("utf-8").split()
+    audio, words = excerpt[0], excerpt[1].split()
 
     def aligned(text: str) -> StepResult:
-        spec = PhonesSpec(
-            audio=speech / "wav" / "acoustic_corpus.wav", text=text, out=tmp_path / "x.json"
-        )
+        spec = PhonesSpec(audio=audio, text=text, out=tmp_path / "x.json")
         return execute(spec, overwrite=True)
 
     whole, half = aligned(" ".join(words)), aligned(" ".join(words[: len(words) // 2]))
