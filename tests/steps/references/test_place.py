@@ -18,10 +18,14 @@ from usdface.runner.execute import execute
 from usdface.specs.references import PlaceSpec, SelectSpec
 from usdface.steps.inputs.cleaned_takes import (
     read_cleaned_takes,
-    read_performer_markers,
     spread_frames,
 )
-from usdface.steps.inputs.placement import placed_equation, stored_placement, virtual_markers
+from usdface.steps.inputs.placement import (
+    placed_equation,
+    read_performer_markers,
+    stored_placement,
+    virtual_markers,
+)
 from usdface.steps.surface.plan import PLAN_FRAMES
 from usdface.usdio.layers import read_provenance
 from usdface.usdio.references.read import read_references

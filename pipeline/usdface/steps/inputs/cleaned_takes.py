@@ -14,7 +14,6 @@ from usdface.model.mapping.performer_face import PerformerFace, face_of_mapping
 from usdface.model.mapping.take_neutral import TakeNeutral
 from usdface.model.placement.plausibility import check_findings, judge_markers
 from usdface.model.placement.rig_orientation import check_rig_upright
-from usdface.model.selection.baseline import PerformerMarkers
 from usdface.numerics.registration.marker_application import SAMPLE_FRAMES
 from usdface.usdio.take.read import TakeReader, read_take
 
@@ -60,15 +59,6 @@ def read_markers_at(take: TakeReader, frames: Sequence[int]) -> Markers:
     if markers is None:
         raise InputError(f"{take.path}: has no markers; ingest a capture that has")
     return markers
-
-
-def read_performer_markers(take: TakeReader, frames: Sequence[int]) -> PerformerMarkers:
-    """Read the neutral face and some frames, in ascending order, of a cleaned take."""
-    markers = read_markers_at(take, frames)
-    check_stabilized(take.path, markers)
-    check_neutral_frame(take.path, markers.neutral_frame, take)
-    neutral = read_markers_at(take, [markers.neutral_frame]).positions[0]
-    return PerformerMarkers.of_take(markers, neutral)
 
 
 FEWEST_RIGID = 3

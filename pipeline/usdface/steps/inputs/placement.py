@@ -1,6 +1,6 @@
 """Placement of a performer's markers on a rig: computed, judged, drawn, and read back."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -31,7 +31,12 @@ from usdface.numerics.registration.virtual_markers import VirtualMarkers
 from usdface.numerics.rigid.rigid_alignment import align_rigid_robust
 from usdface.numerics.surface.surface_places import places_of_corners
 from usdface.runner.origin import path_made_from
-from usdface.steps.inputs.cleaned_takes import CleanedTakes
+from usdface.steps.inputs.cleaned_takes import (
+    CleanedTakes,
+    check_neutral_frame,
+    check_stabilized,
+    read_markers_at,
+)
 from usdface.usdio.references.read import read_references
 from usdface.usdio.rig.mesh import rig_surfaces
 from usdface.usdio.surface.binding import has_binding
@@ -41,6 +46,7 @@ from usdface.usdio.surface.placement import (
     read_given_places,
     read_placement,
 )
+from usdface.usdio.take.read import TakeReader
 
 _SAMPLE_FRAMES = 2000
 """Frames of the takes that a placement uses, evenly spread."""
@@ -231,6 +237,15 @@ def virtual_markers(
         placement.motion_scale,
         np.asarray(rotation),
     )
+
+
+def read_performer_markers(take: TakeReader, frames: Sequence[int]) -> PerformerMarkers:
+    """Read the neutral face and some frames, in ascending order, of a cleaned take."""
+    markers = read_markers_at(take, frames)
+    check_stabilized(take.path, markers)
+    check_neutral_frame(take.path, markers.neutral_frame, take)
+    neutral = read_markers_at(take, [markers.neutral_frame]).positions[0]
+    return PerformerMarkers.of_take(markers, neutral)
 
 
 def placed_equation(

@@ -15,9 +15,13 @@ from usdface.model.placement.rig_orientation import check_rig_upright
 from usdface.model.selection.baseline import MOTION_FRAMES, BlendshapeEquation
 from usdface.runner.result import StepResult
 from usdface.specs.performance import MapSpec
-from usdface.steps.inputs.cleaned_takes import read_markers, read_performer_markers
+from usdface.steps.inputs.cleaned_takes import read_markers
 from usdface.steps.inputs.edit_ranges import performance_notes
-from usdface.steps.inputs.placement import placed_equation, read_placement_of
+from usdface.steps.inputs.placement import (
+    placed_equation,
+    read_performer_markers,
+    read_placement_of,
+)
 from usdface.usdio.performance.weights_layer import make_header
 from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.take.read import TakeReader

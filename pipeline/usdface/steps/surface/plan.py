@@ -31,9 +31,9 @@ from usdface.specs.surface import SurfaceSpec
 from usdface.steps.inputs.cleaned_takes import (
     read_markers,
     read_markers_at,
-    read_performer_markers,
     spread_frames,
 )
+from usdface.steps.inputs.placement import read_performer_markers
 from usdface.usdio.rig.mesh import FaceMesh, read_face_mesh
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.surface.binding import read_binding
