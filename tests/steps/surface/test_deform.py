@@ -31,6 +31,7 @@ from usdface.specs.base import Spec
 from usdface.specs.reading import read_job
 from usdface.specs.references import SelectSpec
 from usdface.specs.surface import BindSpec, DeformSpec, MakeShapesSpec
+from usdface.steps.surface import picture, plan
 from usdface.usdio.performance.read import read_performance
 from usdface.usdio.rig.mesh import read_face_mesh
 from usdface.usdio.rig.read import read_rig
@@ -399,7 +400,22 @@ def test_a_binding_of_two_markers_to_one_place_is_told(folder: Path, scan: Scan)
     write_take(folder / "talk.take.usda", replace(take, markers=twice), provenance=Provenance())
     run(bind(folder, scan))
     notes = run(deform(folder)).notes
-    assert any(f"at one place of the mesh: {scan.names[0]} and twin" in note for note in notes)
+    words = f"at one place of the mesh: {scan.names[0]} and twin"
+    assert any(words in note for note in notes)
+    with pytest.raises(InputError, match=words):
+        run(deform(folder, method="rbf"))
+
+
+@pytest.mark.parametrize("frames", [f"{FIRST}-{FIRST}", f"{FIRST + 9}-{FIRST + 11}"])
+def test_few_frames_of_a_take_are_drawn(
+    folder: Path, frames: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The neutral frame, which is still; and frames between those that a model is fitted to."""
+    for module in (picture, plan):
+        monkeypatch.setattr(module, "PLAN_FRAMES", 3)
+    made = folder / "few.jpg"
+    run(deform(folder, method="rbf", frames=frames, picture=made, rows=2, quality="draft"))
+    assert made.is_file()
 
 
 def test_three_markers_are_too_few(folder: Path, scan: Scan) -> None:

@@ -41,10 +41,10 @@ def _head_space(
     )
 
 
-def spread_frames(take: TakeReader, most: int) -> list[int]:
-    """Return at most `most` frames, spread evenly over a take."""
-    count = take.last_frame - take.first_frame + 1
-    picks = np.linspace(take.first_frame, take.last_frame, min(count, most))
+def spread_frames(take: TakeReader, most: int, frames: tuple[int, int] | None = None) -> list[int]:
+    """Return at most `most` frames, spread evenly over a take, or over some frames of it."""
+    first, last = frames or (take.first_frame, take.last_frame)
+    picks = np.linspace(first, last, min(last - first + 1, most))
     return list(map(int, np.unique(picks.astype(int))))
 
 

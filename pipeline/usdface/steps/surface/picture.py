@@ -23,7 +23,7 @@ from usdface.model.surface.gp_surface import GpOptions
 from usdface.numerics.manifold.hyper_posterior import HyperPrior
 from usdface.numerics.regression.reference_design import pivoted_selection
 from usdface.specs.surface import DeformSpec, MakeShapesSpec
-from usdface.steps.inputs.cleaned_takes import spread_frames
+from usdface.steps.inputs.cleaned_takes import read_markers_at, spread_frames
 from usdface.steps.surface.plan import PLAN_FRAMES, SurfacePlan, fit_surface, surface_options
 from usdface.usdio.rig.mesh import FaceMesh, read_face_mesh
 from usdface.usdio.surface.shape_rig import NewShape
@@ -56,22 +56,23 @@ def write_comparison(
     if spec.picture is None:
         return
     progress(0.0, f"drawing {spec.picture.name}")
-    sampled = spread_frames(take, PLAN_FRAMES)
-    inside = [i for i, f in enumerate(sampled) if frames[0] <= f <= frames[1]]
-    every = plan.displacements(plan.sample.positions)
-    if spec.picture_noise:
-        every = every + np.random.default_rng(0).normal(0, spec.picture_noise, every.shape)
-    moved = every[inside]
+    sampled = spread_frames(take, PLAN_FRAMES, frames)
+    markers, rng = read_markers_at(take, sampled), np.random.default_rng(0)
+    every, moved = (
+        plan.displacements(each) + rng.normal(0, spec.picture_noise, each[:, plan.columns].shape)
+        for each in (plan.sample.positions, markers.positions)
+    )
     rows = np.sort(pivoted_selection(moved.reshape(len(moved), -1), spec.rows))
+    rows = rows if len(rows) else np.zeros(1, np.int64)  # a still face
     columns, models = _compared_models(spec, plan, every)
-    seen = plan.sample.visible[inside][rows][:, plan.columns].astype(np.float64)
+    seen = markers.visible[rows][:, plan.columns].astype(np.float64)
     surfaces = [each.deform(moved[rows], seen) for each in models]
     sds = surfaces[-1].sd
     rest = plan.face.mesh.points
     compared = [
         ComparedFrame(
-            frame=sampled[inside[row]],
-            timecode=take.timecode_at(sampled[inside[row]]),
+            frame=sampled[row],
+            timecode=take.timecode_at(sampled[row]),
             surfaces=tuple(rest + plan.fade * each.mean[number] for each in surfaces),
             uncertainty_mm=None if sds is None else sds[number].astype(np.float64),
         )

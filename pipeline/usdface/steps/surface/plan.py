@@ -192,7 +192,10 @@ def plan_surface(
     coinciding = np.argwhere(np.triu(distances.euclidean_between < _COINCIDENCE_MM, 1)).tolist()
     if coinciding:
         listed = first_few([f"{names[i]} and {names[j]}" for i, j in coinciding])
-        notes.append(f"at one place of the mesh: {listed}; leave one of them out")
+        words = f"at one place of the mesh: {listed}; leave one of them out"
+        if spec.method == "rbf":  # it interpolates every marker
+            raise InputError(f"{spec.mesh}: {words}")
+        notes.append(words)
     progress(0.6, "fitting the regression")
     seen = sample.visible[:, columns]
     notes.extend(_unseen_notes(names, seen))
