@@ -14,6 +14,7 @@ from usdface.runner.execute import execute
 from usdface.specs.edits import BakeSpec, EditSpec
 from usdface.specs.performance import MapSpec, TrainSpec
 from usdface.specs.references import ReferencesAddSpec, ReferencesImportSpec, SelectSpec
+from usdface.specs.retarget import PairsImportSpec
 from usdface.specs.review import EvaluateSpec
 from usdface.steps.references import select
 from usdface.usdio.performance.read import PerformanceReader
@@ -63,6 +64,15 @@ def test_pairs_are_chosen_tuned_extended_and_evaluated(shot: Shot, driven: Path)
 
     result = execute(EvaluateSpec(performance=solved, against=solved))
     assert not [note for note in result.notes if "not on the rig" in note]
+
+    pairs = PairsImportSpec(
+        source=solved,
+        target=solved,
+        source_rig=driven,
+        target_rig=driven,
+        out=shot / "driven.pairs.usda",
+    )
+    assert not [note for note in execute(pairs).notes if "left out" in note]
 
     baked = shot / "baked.usdc"
     execute(EditSpec(performance=solved, shape=("jawOpen",), override=0.5, frames="100-200"))

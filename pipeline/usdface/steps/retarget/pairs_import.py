@@ -31,7 +31,7 @@ def run(spec: PairsImportSpec, *, provenance: Provenance, progress: Progress) ->
     source_rig = read_rig(spec.source_rig, prim=spec.source_prim)
     target_rig = read_rig(spec.target_rig, prim=spec.target_prim)
     given = read_weight_table(spec.source, unit=spec.weight_unit)
-    table, transfer = given.by_meaning(source_rig.shapes)
+    table, transfer = given.by_meaning(source_rig.shapes, leave=source_rig.logic.driven)
     owner = f"on {spec.source_rig}"
     table.shapes_among(source_rig.shapes, file=spec.source, owner=owner)
     frames, target = _read_target(spec, target_rig)
@@ -52,7 +52,8 @@ def run(spec: PairsImportSpec, *, provenance: Provenance, progress: Progress) ->
     write_pairs(
         spec.out, pairs, source_rig=source_rig, target_rig=target_rig, provenance=provenance
     )
-    notes = meaning_notes(transfer) + given.notes(spec.source, transfer.matched, owner=owner)
+    known = {*transfer.matched, *source_rig.logic.driven}
+    notes = meaning_notes(transfer) + given.notes(spec.source, known, owner=owner)
     unused = unused_shapes(pairs)
     if unused:
         notes.append(f"in no pair and without effect: {counted(unused, 'source shape')}")
