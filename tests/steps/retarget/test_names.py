@@ -226,6 +226,13 @@ def test_what_a_phone_did_not_capture_is_named_down_to_the_verdict(take, capsys)
         verdict = judge_performance(PerformanceReader(Path(f"{source}.usda")))
         assert f"{words}, which are filled" in verdict.sentence
         assert any(words in each.message for each in validate(Path(f"{source}.usda")))
+    for frames, out in (("1-14", "b1.usda"), ("15-40", "b2.usda")):
+        line = f"retarget phone.take.usda --rig hero.usda --frames {frames} --out {out}"
+        assert usdface(*line.split()) == 0
+    assert usdface("join", "b1.usda", "b2.usda", "--out", "joined.usda") == 0
+    whole, joined = (PerformanceReader(Path(n)) for n in ("phone.take.usda.usda", "joined.usda"))
+    assert joined.header.gaps == whole.header.gaps
+    capsys.readouterr()
     line = "retarget phone.take.usda --rig hero.usda --frames 22-40 --out part.usda"
     assert usdface(*line.split()) == 0
     assert "nothing was captured" not in capsys.readouterr().out

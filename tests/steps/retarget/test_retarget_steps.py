@@ -28,6 +28,7 @@ from usdface.media.picture.image import read_image_metadata
 from usdface.steps.inputs.solve_verdict import describe_retarget
 from usdface.steps.inputs.source_motion import read_source_motion
 from usdface.usdio.layers import read_provenance
+from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.retarget.controls import read_control_clip
 from usdface.usdio.retarget.pairs import read_pairs
 from usdface.usdio.retarget.sequences import read_sequence
@@ -583,11 +584,23 @@ def test_a_source_shape_that_no_pair_uses_is_told_at_training_and_at_work(
     assert import_pairs(source="still.usda", target="still_t.usda") == 0
     assert usdface("train-retarget", "x.pairs.usda", "--out", "x.retarget.usdc") == 0
     assert "in no pair and without effect: 1 source shape, eyeBlink" in capsys.readouterr().out
-    line = "retarget shot.usda --retargeting x.retarget.usdc --out b.usda"
-    assert usdface(*line.split()) == 0
+    line = "retarget shot.usda --retargeting x.retarget.usdc"
+    assert usdface(*line.split(), "--out", "b.usda") == 0
     assert "are in no pair, so the target does not follow: eyeBlink" in capsys.readouterr().out
     words = describe_retarget(Path("b.usda"))
     assert words == "a retarget of 30 pairs, keyed by hand; eyeBlink moves and is not followed"
+    whole = PerformanceReader(Path("b.usda")).header
+    for frames, out in (("101-130", "b1"), ("131-300", "b2")):
+        assert usdface(*line.split(), "--frames", frames, "--out", f"{out}.usda") == 0
+    assert usdface("join", "b1.usda", "b2.usda", "--out", "joined.usda") == 0
+    assert "wrote joined.controls.usdc" in capsys.readouterr().out
+    sequence_and_matches(stall)
+    warp = "warp joined.usda --matches shot.matches.usda --out warped.usda --timing fit"
+    assert usdface(*warp.split()) == 0
+    for name in ("joined.usda", "warped.usda"):
+        assert describe_retarget(Path(name)) == words
+        shares = PerformanceReader(Path(name)).header.unmatched_shares
+        np.testing.assert_allclose(shares, whole.unmatched_shares, rtol=0.2)
     rows = "".join(f"{frame},0.1,{0.02 * frame},0.1\n" for frame in range(40))
     Path("phone.csv").write_text(f"frame,JawOpen,EyeBlink,Smile\n{rows}", encoding="utf-8")
     line = "retarget phone.csv --rate 24 --retargeting x.retarget.usdc --out c.usda"

@@ -80,18 +80,23 @@ def bad_source(performance: Path, *, judged: frozenset[Path] = frozenset()) -> s
     return source.name if verdict is not None and verdict.level == "bad" else ""
 
 
+_COPYING_STEPS = {"bake": "performance", "join": "parts", "warp": "performance"}
+"""Steps whose results are judged as the performance that they read, and the field that names it."""
+
+
 def find_retargeted(performance: Path) -> Path | None:
-    """Return the performance that `retarget` wrote, or that one was baked from; None otherwise."""
+    """Return the performance that `retarget` wrote, or that one was made from; None otherwise.
+
+    Of joined parts, the first.
+    """
     seen = set[Path]()
     while performance not in seen:
         seen.add(performance)
         made = provenance_of(performance)
-        if made is None or made.step != "bake":
+        if made is None or made.step not in _COPYING_STEPS:
             return performance if made is not None and made.step == "retarget" else None
-        baked = path_made_from(performance, "performance")
-        if baked is None:
-            return None
-        performance = baked
+        read = spec_of(made).get(_COPYING_STEPS[made.step])
+        performance = performance.parent / (read[0] if isinstance(read, list) else str(read))
     return None
 
 
@@ -104,13 +109,13 @@ def describe_retarget(performance: Path) -> str:
     retargeted = find_retargeted(performance)
     if retargeted is None:
         return ""
+    header = PerformanceReader(performance).header
     performance, spec = retargeted, spec_of(provenance_of(retargeted))
     words = f"a retarget by {'positions' if spec.get('source_rig') else 'names'}"
     if spec.get("retargeting"):
         outs = [Path(each).name for each in spec["out"]]
         index = outs.index(performance.name) if performance.name in outs else 0
         words = f"a retarget of {_pair_words(performance.parent / spec['retargeting'][index])}"
-    header = PerformanceReader(performance).header
     if header.gaps:
         words += f"; nothing was captured in {frame_ranges(header.gaps)}, which are filled"
     unmatched = header.unmatched

@@ -233,10 +233,11 @@ def _of_take(path: Path, take: Take, first: int, last: int) -> SourceMotion:
 def _gaps(
     stretches: tuple[tuple[int, int], ...], first: int, last: int, rate: Fraction
 ) -> tuple[tuple[int, int], ...]:
-    """Return the parts of frame ranges between two frames that are long enough to report."""
-    within = ((max(start, first), min(end, last)) for start, end in stretches)
+    """Return the parts between two frames of the frame ranges that are long enough to report."""
     least = _LEAST_GAP_SECONDS * rate
-    return tuple((start, end) for start, end in within if end - start + 1 >= least)
+    long = (each for each in stretches if each[1] - each[0] + 1 >= least)
+    within = ((max(start, first), min(end, last)) for start, end in long)
+    return tuple((start, end) for start, end in within if start <= end)
 
 
 LARGEST_NAMES_BYTES = 16 << 20

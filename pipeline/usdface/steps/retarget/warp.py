@@ -1,7 +1,7 @@
 """Blend keyed sequences into a target's performance."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -35,7 +35,7 @@ from usdface.steps.inputs.edit_ranges import performance_notes
 from usdface.steps.retarget.make_sequence import read_sequence_at
 from usdface.usdio.performance.driving_layers import head_layer_xforms
 from usdface.usdio.performance.read import PerformanceReader
-from usdface.usdio.performance.weights_layer import make_header
+from usdface.usdio.performance.weights_layer import WeightsHeader, animation_name
 from usdface.usdio.retarget.control_performance import writing_control_performance
 from usdface.usdio.retarget.controls import ReadControls, read_control_clip
 from usdface.usdio.retarget.sequences import read_matches
@@ -83,7 +83,15 @@ def run(spec: WarpSpec, *, provenance: Provenance, progress: Progress) -> StepRe
     # Unchanged frames keep their controls, as rotations change by rounding when converted.
     warped = _replace_changed(read.clip.controls, space.decode(after), after != before)
     progress(0.6, "writing")
-    _write(spec, rig, reader.header.rig_path, read, warped, part(progress, 0.6, 0.95), provenance)
+    # Figures of a solve do not hold for warped frames, what is known of the source does.
+    header = replace(
+        reader.header,
+        regions=(),
+        basis=None,
+        name=animation_name(rig),
+        combinations=rig.combinations,
+    )
+    _write(spec, rig, header, warped, part(progress, 0.6, 0.95), provenance)
     if spec.curves is not None:
         _draw(spec, spec.curves, placements, space, before, after, read, provenance)
     changed = int((after != before).any(axis=1).sum())
@@ -246,23 +254,14 @@ def _replace_changed(old: Controls, new: Controls, changed: np.ndarray) -> Contr
 def _write(
     spec: WarpSpec,
     rig: Rig,
-    rig_path: str,
-    read: ReadControls,
+    header: WeightsHeader,
     warped: Controls,
     progress: Progress,
     provenance: Provenance,
 ) -> None:
     with writing_control_performance(
         spec.out,
-        make_header(
-            rig,
-            shape_names=warped.shapes,
-            rate=read.rate,
-            first_frame=read.clip.first_frame,
-            last_frame=read.clip.last_frame,
-            rig_path=rig_path,
-            timecode_start=read.timecode_start,
-        ),
+        header,
         rig,
         joints=warped.joints,
         attributes=warped.attributes,
@@ -270,7 +269,7 @@ def _write(
     ) as writer:
         for start in range(0, len(warped), _CHUNK_FRAMES):
             writer.append(warped.rows(slice(start, start + _CHUNK_FRAMES)))
-            progress(start / len(warped), f"writing frame {read.clip.first_frame + start}")
+            progress(start / len(warped), f"writing frame {header.first_frame + start}")
 
 
 def _draw(
