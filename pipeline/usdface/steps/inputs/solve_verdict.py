@@ -96,7 +96,10 @@ def find_retargeted(performance: Path) -> Path | None:
         if made is None or made.step not in _COPYING_STEPS:
             return performance if made is not None and made.step == "retarget" else None
         read = spec_of(made).get(_COPYING_STEPS[made.step])
-        performance = performance.parent / (read[0] if isinstance(read, list) else str(read))
+        first = read[0] if isinstance(read, list) and read else read
+        if not isinstance(first, str):
+            return None
+        performance = performance.parent / first
     return None
 
 
