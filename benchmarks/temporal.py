@@ -18,9 +18,9 @@ MODES: dict[str, dict[str, object]] = {
     "causal, 2 frames late": {"temporal": "causal"},
     "whole take, 12 Hz": {"temporal": "whole", "cutoff": 12.0},
     "whole take, 8 Hz": {"temporal": "whole", "cutoff": 8.0},
-    "1 octave left out": {"temporal": "bands", "bands": 1},
-    "2 octaves left out": {"temporal": "bands", "bands": 2},
-    "3 octaves left out": {"temporal": "bands", "bands": 3},
+    "1 octave removed": {"temporal": "bands", "bands": 1},
+    "2 octaves removed": {"temporal": "bands", "bands": 2},
+    "3 octaves removed": {"temporal": "bands", "bands": 3},
 }
 TAKES = {"as recorded": tuple(MODES), "noise 0.5 mm": ("none", "whole take")}
 
