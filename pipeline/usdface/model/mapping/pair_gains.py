@@ -67,7 +67,8 @@ def gain_groups(
     inflation : float
         As of `correct_keys`.
     authors : tuple of str
-        Author of each pair, ``''`` if unknown; empty if all are.
+        Author of each pair, ``''`` if unknown; empty if all are. Pairs of unknown authors count as
+        those of one more.
 
     Returns
     -------
@@ -99,7 +100,7 @@ def _author_variance(excess: FloatArray, precision: FloatArray, groups: IntArray
     for weight, value in zip(weights.T, values.T, strict=True):
         count = np.bincount(groups, weight)
         mean = np.bincount(groups, weight * value) / count
-        error = float(weight @ (value - mean[groups]) ** 2) / within
+        error = max(float(weight @ (value - mean[groups]) ** 2) / within, 1e-12)
         spread = float(count @ (mean - np.average(mean, weights=count)) ** 2) / between
         if fdtrc(between, within, spread / error) > _MAX_P_VALUE:
             return 0.0
