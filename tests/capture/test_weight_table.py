@@ -167,9 +167,14 @@ def test_each_take_of_a_table_without_numbers_counts_its_own_rows(tmp_path: Path
     path = tmp_path / "day.csv"
     rows = [f"{'kitchen' if n < 10 else 'stairs'},{(n % 10) / 30:.6f}" for n in range(20)]
     path.write_text("\n".join(csv("take time", rows + ["x,0"] * 5).splitlines()[:21]))
-    table = read_weight_table(path)
+    table = read_weight_table(path, take=None)
     assert table.frames == (*range(1, 11), *range(1, 11))
     assert table.rate == 30
+    assert read_weight_table(path, take="stairs").frames == tuple(range(1, 11))
+    with pytest.raises(InputError, match="frame 1 occurs 2 times"):
+        read_weight_table(path)
+    with pytest.raises(InputError, match=r"none of its takes \(kitchen, stairs\) is hall"):
+        read_weight_table(path, take="hall")
 
 
 def test_a_picture_without_a_face_is_a_dropped_frame(tmp_path: Path) -> None:
