@@ -85,7 +85,7 @@ def _inferred(
             f"{spec.rig}: --driven matches none of its shapes ({first_few(shapes, most=3)}); name "
             "the driven shapes"
         )
-    table = read_weight_table(weights, known=shapes, unit=spec.weight_unit)
+    table = read_weight_table(weights, known=shapes, unit=spec.weight_unit, take=None)
     table.shapes_among(driven, file=weights, owner="among those driven")
     rows = table.weights[:: -(-len(table.weights) // _MOST_ROWS)]
     free = tuple(name for name in shapes if name not in driven and name in table.names)
