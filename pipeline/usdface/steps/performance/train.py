@@ -289,7 +289,8 @@ def _gain_notes(mapping: TrainedMapping) -> list[str]:
     whose = (
         f"mean gain by author: {gains.replace(';', ',')}"
         if gains
-        else "give the authors with `usdface references import --author` to list their gains"
+        else "give the authors with `usdface references import --author`, as one gain for all keys "
+        "of an author is more exact"
     )
     return [
         f"keys of the same expressions differ in gain between pairs, with a standard deviation of "
