@@ -6,6 +6,8 @@ Deng, Chiang, Fox and Neumann (2006), Animating Blendshape Faces by Cross-Mappin
 Data, I3D, section 3, equations 1 and 2.
 Umeyama (1991), Least-squares estimation of transformation parameters between two point patterns,
 IEEE PAMI 13(4): the determinant.
+Markley (1993), Attitude determination using vector observations: a fast optimal matrix algorithm,
+Journal of the Astronautical Sciences 41(2), 261-280: `optimal_rotations`.
 """
 
 from dataclasses import dataclass
@@ -27,6 +29,10 @@ _INLIER_MEDIANS = 2.6
 """Residuals of Gaussian noise in three dimensions stay below 2.6 medians in 999 of 1000 samples."""
 _LEAST_SCALE = 1e-6
 """[mm] Scale of the residuals of exact data, which are rounding."""
+_NEWTON_LIMIT = 30
+_NEWTON_SETTLED = 1e-15
+_SAFE_ZETA = 0.05
+"""Below it the closed form is inaccurate, and the SVD is used."""
 
 
 @dataclass(frozen=True)
@@ -211,6 +217,10 @@ def optimal_rotations(
 ) -> tuple[FloatArray, BoolArray]:
     """Return the rotations R that maximise ``trace(R.T @ B)``, which are U diag(1, 1, ±1) V^T.
 
+    By Markley's closed form, in a quarter of the time of an SVD and equal to rounding. It needs the
+    sum of the singular values of B (the last with the determinant's sign): the largest root of a
+    quartic, by Newton's method from above. Matrices near rank one are decomposed by SVD.
+
     Parameters
     ----------
     matrices : (n, 3, 3) float array
@@ -225,8 +235,52 @@ def optimal_rotations(
         Identity where not determined.
     determined : (n,) bool array
     """
-    U, singular, Vt = np.linalg.svd(np.where(np.isfinite(matrices), matrices, 0.0))
-    sign = np.sign(np.linalg.det(U @ Vt))
+    # Frames last, so that operations run over contiguous memory.
+    B = np.ascontiguousarray(np.moveaxis(matrices, 0, -1))
+    size = np.sqrt((B * B).sum(axis=(0, 1)))
+    B /= np.maximum(size, np.finfo(np.float64).tiny)
+    above, below = B[[1, 2, 0]], B[[2, 0, 1]]
+    cofactors = (
+        above[:, [1, 2, 0]] * below[:, [2, 0, 1]] - above[:, [2, 0, 1]] * below[:, [1, 2, 0]]
+    )
+    determinant = (B[0] * cofactors[0]).sum(axis=0)
+    cofactor_norm2 = (cofactors * cofactors).sum(axis=(0, 1))
+    # (λ² - |B|²)² - 8 λ det B - 4 |cof B|² = 0, |B| = 1; convex from the largest root upwards
+    root = np.full(len(matrices), np.sqrt(3.0))
+    for _ in range(_NEWTON_LIMIT):
+        excess = root * root - 1.0
+        value = excess * excess - 8.0 * root * determinant - 4.0 * cofactor_norm2
+        slope = 4.0 * root * excess - 8.0 * determinant
+        step = value / np.maximum(slope, _NEWTON_SETTLED)
+        root -= step
+        if np.abs(step).max(initial=0.0) < _NEWTON_SETTLED:
+            break
+    kappa = 0.5 * (root * root - 1.0)
+    zeta = kappa * root - determinant
+    safe = (zeta > _SAFE_ZETA) & (size > 0)
+    turned = (kappa + 1.0) * B + root * cofactors - _product(B, _gram(B))
+    turned /= np.where(safe, zeta, 1.0)
+    turned = 1.5 * turned - 0.5 * _product(turned, _gram(turned))  # orthogonal to rounding
+    R = np.ascontiguousarray(np.moveaxis(turned, -1, 0))
+    determined = safe.copy()
+    rest = np.flatnonzero(~safe)
+    R[rest], determined[rest] = _decompose(np.moveaxis(B[:, :, rest], -1, 0), rank_tolerance)
+    return R, determined
+
+
+def _product(A: FloatArray, B: FloatArray) -> FloatArray:
+    """Return A B of (3, 3, n) matrices."""
+    return A[:, :1] * B[:1] + A[:, 1:2] * B[1:2] + A[:, 2:] * B[2:]
+
+
+def _gram(A: FloatArray) -> FloatArray:
+    """Return A.T A of (3, 3, n) matrices."""
+    return _product(np.swapaxes(A, 0, 1), A)
+
+
+def _decompose(B: FloatArray, rank_tolerance: float) -> tuple[FloatArray, BoolArray]:
+    U, singular, Vt = np.linalg.svd(np.where(np.isfinite(B), B, 0.0))
+    sign = np.sign(np.linalg.det(U) * np.linalg.det(Vt))
     U[:, :, 2] *= sign[:, None]
     margin = singular[:, 1] + sign * singular[:, 2]  # 0: the rotation is not unique
     determined = margin > rank_tolerance * singular[:, 0]
