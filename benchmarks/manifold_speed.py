@@ -94,5 +94,13 @@ def run(frames: int = 512) -> None:
 
 def _grown(fitted: GpSurface, basis: np.ndarray) -> GpSurface:
     """Return the model on a mesh with the number of points of ICT's head."""
-    factors = replace(fitted.factors, of_points=np.tile(fitted.factors.of_points, 3)[: len(basis)])
-    return replace(fitted, basis=basis, factors=factors, point_count=len(basis))
+    count = len(basis)
+    factors = replace(fitted.factors, of_points=np.tile(fitted.factors.of_points, 3)[:count])
+    return replace(
+        fitted,
+        basis=basis,
+        factors=factors,
+        added=np.tile(fitted.added, 3)[:count],
+        alone=np.tile(fitted.alone, 3)[:count],
+        point_count=count,
+    )
