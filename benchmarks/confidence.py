@@ -109,7 +109,7 @@ def _crosstake(counts: tuple[int, ...]) -> Iterator[Claims]:
                 said = predict_weights(mapping, placed.positions, visible=placed.visible)
                 wanted = truth["weights"][crosstake.HALF :].astype(float)
                 own = [rig.shapes.index(shape) for shape in mapping.shape_names]
-                error = _errors(
+                error = errors_by_region(
                     said.weights - wanted[:, [names.index(s) for s in mapping.shape_names]],
                     said.regions,
                     mapping.shape_names,
@@ -137,7 +137,7 @@ def _performers(counts: tuple[int, ...]) -> Iterator[Claims]:
             )
             for take, markers, truth in acted.takes:
                 said = predict_weights(mapping, markers)
-                error = _errors(
+                error = errors_by_region(
                     said.weights - truth, said.regions, shapes.names, shapes.gram, shapes.skin
                 )
                 group = f"{_name(performer)}{keys}"
@@ -152,7 +152,7 @@ def _claims(group: str, take: str, count: int, error: np.ndarray, said: Predicti
     return Claims(group, take, count, error, LIMIT_DEVIATIONS * said.uncertainty)
 
 
-def _errors(
+def errors_by_region(
     off: np.ndarray,
     regions: tuple[str, ...],
     names: tuple[str, ...],

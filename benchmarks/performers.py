@@ -17,12 +17,12 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks._takes import weights_of
 from tests.conftest import SHARED_DATA
-from tests.model.synthetic import sample_skin
 from usdface.capture.sniff import read_capture
-from usdface.core.assets import References, TrainedMapping
+from usdface.core.assets import MotionSpace, References, TrainedMapping
 from usdface.core.deformer import Deformer
 from usdface.model.mapping.motion_space import fit_motion_space
 from usdface.model.mapping.predict import predict_weights
+from usdface.model.mapping.regions import skin_points
 from usdface.model.mapping.train import train_mapping
 from usdface.model.regressions import MAPPING_METHODS
 from usdface.numerics.regression.cross_validation import surface_rms_mm
@@ -43,16 +43,27 @@ UNSEEN_PERFORMERS = tuple((rig, seed + 10, lids, limit) for rig, seed, lids, lim
 """Others of the same kinds, that chose nothing."""
 
 COUNTS = (25, 50, 100)
-MARKERS = 92
+MARKERS, NOISE_MM = 92, 0.15
 DESIGN_DIMENSIONS = 32
 
 
 @dataclass(frozen=True)
 class Shapes:
-    """Neutral points of a rig, and their displacements by the performances' channels."""
+    """Displacements of a rig's points by the performances' channels.
 
-    neutral: np.ndarray
+    Attributes
+    ----------
+    names : tuple of str
+    places : (points, 3) float array
+        Sampled points of the skin, in the neutral [mm].
+    skin : (shapes, points, 3) float array
+        Displacements of the same [mm].
+    gram : (shapes, shapes) float array
+        Mean dot products of the displacements of all points [mm^2].
+    """
+
     names: tuple[str, ...]
+    places: np.ndarray
     skin: np.ndarray
     gram: np.ndarray
 
@@ -160,21 +171,19 @@ def act(performer: Performer, count: int, *, still: str = "-") -> Acted:
     Shapes whose name begins with `still` do not move in the first performance.
     """
     rig, seed, lids, limit = performer
-    weights, names = _performance("livelink_alex/alex_rom_3.csv", 30)
+    weights, names = performance("livelink_alex/alex_rom_3.csv", 30)
     weights[:, [name.startswith(still) for name in names]] = 0
-    other, _ = _performance("livelink_jmtechart/MySlate_3_Jason_Millers_iPhone.csv", 60)
-    shapes = _shapes(SHARED_DATA / "rigs" / f"{rig}.usdc", names)
+    other, _ = performance("livelink_jmtechart/MySlate_3_Jason_Millers_iPhone.csv", 60)
+    shapes = shapes_of_rig(SHARED_DATA / "rigs" / f"{rig}.usdc", names)
     upper = np.array([name.startswith(("brow", "eye")) for name in names])
     mixed = weights.copy()
     mixed[:, upper] = weights[::-1][:, upper]
     places, basis = _face(shapes, seed, lids)
     rng = np.random.default_rng(seed)
     half = len(weights) // 2
-    takes = [_capture(places, basis, w, limit, rng) for w in (weights, other, mixed)]
+    takes = [clean_motion(places, basis, w, limit, NOISE_MM, rng) for w in (weights, other, mixed)]
     motion = fit_motion_space([takes[0][:half].astype(np.float32)])
-    kept = DESIGN_DIMENSIONS
-    rows = (takes[0][:half].reshape(half, -1) - motion.mean) @ motion.components[:kept].T
-    chosen = design_gp_variance(whiten(rows, motion.variances[:kept]), count).chosen
+    chosen = choose_pairs(takes[0][:half], motion, count)
     references = References(
         marker_names=tuple(f"m{i}" for i in range(len(places))),
         shape_names=names,
@@ -201,6 +210,13 @@ def act(performer: Performer, count: int, *, still: str = "-") -> Acted:
     )
 
 
+def choose_pairs(markers: np.ndarray, motion: MotionSpace, count: int) -> np.ndarray:
+    """Return frames that a Gaussian process of the markers' motion learns most from."""
+    kept = DESIGN_DIMENSIONS
+    rows = (markers.reshape(len(markers), -1) - motion.mean) @ motion.components[:kept].T
+    return np.asarray(design_gp_variance(whiten(rows, motion.variances[:kept]), count).chosen)
+
+
 def _figures(
     mapping: TrainedMapping, shapes: Shapes, markers: np.ndarray, truth: np.ndarray
 ) -> tuple[float, float]:
@@ -210,7 +226,7 @@ def _figures(
     return surface_rms_mm(error, shapes.gram), float(error[:, blinks][peaks].mean())
 
 
-def _performance(file: str, rate: int) -> tuple[np.ndarray, tuple[str, ...]]:
+def performance(file: str, rate: int) -> tuple[np.ndarray, tuple[str, ...]]:
     """Return a recording's weights at 60 frames per second, of channels that every rig has."""
     source = weights_of(read_capture(SHARED_DATA / file).take)
     rows = np.linspace(0, len(source.values) - 1, len(source.values) * 60 // rate)
@@ -224,7 +240,8 @@ def _is_shape(name: str) -> bool:
     return not name.lower().startswith(("head", "lefteye", "righteye", "tongue"))
 
 
-def _shapes(file: Path, names: tuple[str, ...]) -> Shapes:
+def shapes_of_rig(file: Path, names: tuple[str, ...]) -> Shapes:
+    """Return the displacements by channels that are named as on phones."""
     rig = read_rig(file)
     deformer = Deformer(rig)
     dense = deformer.shapes.target_offsets().toarray().reshape(len(rig.shapes), -1, 3)
@@ -235,7 +252,8 @@ def _shapes(file: Path, names: tuple[str, ...]) -> Shapes:
         offsets[i] = dense[sides].sum(axis=0)
     flat = offsets.reshape(len(names), -1)
     gram = flat @ flat.T / offsets.shape[1]
-    return Shapes(deformer.neutral, names, sample_skin(flat), gram)
+    chosen = skin_points(flat)
+    return Shapes(names, deformer.neutral[chosen], offsets[:, chosen], gram)
 
 
 def _face(shapes: Shapes, seed: int, lids: int) -> tuple[np.ndarray, np.ndarray]:
@@ -257,18 +275,19 @@ def _face(shapes: Shapes, seed: int, lids: int) -> tuple[np.ndarray, np.ndarray]
     return rng.uniform(-70, 70, size=(len(chosen), 3)), basis
 
 
-def _capture(
+def clean_motion(
     places: np.ndarray,
     basis: np.ndarray,
     weights: np.ndarray,
     limit: float,
+    noise_mm: float,
     rng: np.random.Generator,
 ) -> np.ndarray:
     """Return markers on saturating skin, with noise, smoothed along the motion."""
     moved = np.einsum("fs,smc->fmc", weights, basis, optimize=True)
     far = np.linalg.norm(moved, axis=2, keepdims=True)
     moved *= limit * np.tanh(far / limit) / np.maximum(far, 1e-9)
-    packed = (moved + 0.15 * rng.standard_normal(moved.shape)).reshape(len(moved), -1)
+    packed = (moved + noise_mm * rng.standard_normal(moved.shape)).reshape(len(moved), -1)
     mean = packed.mean(axis=0)
     directions = np.linalg.eigh(np.cov((packed - mean).T))[1][:, ::-1][:, :40]
     smooth = smooth_tracks((packed - mean) @ directions)
