@@ -313,7 +313,8 @@ class FindSequencesSpec(Spec):
     label: Name | None = None
     """Search only for sequences of this emotion; with --by label, instead of the take's."""
     shapes: tuple[Name, ...] = ()
-    """Source shapes to compare. Default: all. * matches any characters."""
+    """Source shapes to compare. Default: all. * matches any characters. Combination shapes and
+    angles are never compared."""
     frames: Frames | None = None
     """Frames to search, as FIRST-LAST. Default: all."""
 

@@ -1,5 +1,7 @@
 """Tables straight onto a rig: what they do not say is stated, what they say twice refused."""
 
+import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +12,7 @@ from tests.usdio.driven_rig import driven_rig
 from tests.usdio.small_creature import write_human
 from usdface.cli import main
 from usdface.core.deformer import Deformer
+from usdface.core.provenance import Provenance
 from usdface.model.review.verdict import judge_solve
 from usdface.publish.collect import collect_performance
 from usdface.steps.inputs.source_motion import (
@@ -18,6 +21,7 @@ from usdface.steps.inputs.source_motion import (
     unmatched_moving,
 )
 from usdface.steps.review.shot import open_shot
+from usdface.usdio.retarget.sequences import read_sequence, write_sequence
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
 from usdface.usdio.validation import validate
@@ -198,3 +202,43 @@ def test_what_a_take_says_itself_is_not_stated(
     line = ("retarget", "t.take.usda", "--rate", 24, "--rig", "human.usda", "--out", "p.usda")
     assert usdface(*line) == 2
     assert "--rate is for tables of weights" in capsys.readouterr().err
+
+
+def test_sequences_compare_free_shapes_and_say_who_has_the_options(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_rig(folder / "logic.usda", driven_rig())
+    write("t.csv", "frame,jawOpen,smile,HeadYaw", "{n},{w},{w},{w}")
+    line = ("retarget", "t.csv", "--rate", 24, "--rig", "logic.usda", "--out", "p.usda")
+    assert usdface(*line) == 0
+    assert usdface("ingest", "t.csv", "--rate", 24, "--out", "t.take.usda") == 0
+    make = ("make-sequence", "--target", "p.usda", "--label", "joy", "--source-frames", "1-20")
+    for name, source in (("a", "p.usda"), ("b", "t.take.usda")):
+        assert usdface(*make, "--source", source, "--out", f"{name}.sequence.usda") == 0
+    assert not {"jaw_smile", "smile50", "all"} & {
+        *read_sequence(Path("a.sequence.usda")).source_shapes
+    }
+    assert read_sequence(Path("b.sequence.usda")).source_shapes == ("jawOpen", "smile")
+
+    sequence = read_sequence(Path("a.sequence.usda"))  # as an earlier version wrote it
+    motion = read_source_motion(Path("p.usda"))
+    whole = replace(sequence, source_shapes=motion.names, source=motion.weights[:20])
+    rate = motion.rate
+    write_sequence(Path("old.sequence.usda"), whole, rate=rate, provenance=Provenance())
+    find = ("find-sequences", "p.usda", "--out", "m.usda", "--overwrite", "--sequence")
+    asked = ("--by", "threshold", "--threshold", 0.2, "--json")
+    found = []
+    for name in ("a", "old"):
+        capsys.readouterr()
+        assert usdface(*find, f"{name}.sequence.usda", *asked) == 0
+        found.append(json.loads(capsys.readouterr().out)["figures"]["matches"])
+    for each, other in zip(*found, strict=True):
+        assert each["distance"] == pytest.approx(other["distance"])
+    capsys.readouterr()
+    assert usdface(*find, "b.sequence.usda", "--shapes", "HeadYaw") == 2
+    assert "that no others drive matches HeadYaw" in capsys.readouterr().err
+
+    assert (
+        usdface("find-sequences", "t.csv", "--sequence", "b.sequence.usda", "--out", "n.usda") == 2
+    )
+    assert "with --rate, of `usdface ingest`, and give the take" in capsys.readouterr().err

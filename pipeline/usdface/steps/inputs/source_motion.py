@@ -70,13 +70,16 @@ class SourceMotion:
         return self.first_frame + len(self.weights) - 1
 
     @property
+    def free(self) -> tuple[str, ...]:
+        """Shapes without driven ones and without rotations of the head and the eyes."""
+        return tuple(each for each in self.names if each not in self.driven and not is_angle(each))
+
+    @property
     def moving(self) -> tuple[str, ...]:
-        """Shapes that move, without driven shapes and rotations of the head and the eyes."""
+        """Free shapes that move."""
         used = np.abs(self.weights).max(axis=0, initial=0.0) > MOVING_WEIGHT
-        named = zip(self.names, used, strict=True)
-        return tuple(
-            name for name, each in named if each and name not in self.driven and not is_angle(name)
-        )
+        still = {name for name, each in zip(self.names, used, strict=True) if not each}
+        return tuple(name for name in self.free if name not in still)
 
     @cached_property
     def shares(self) -> dict[str, float]:
@@ -111,9 +114,15 @@ def read_source_motion(
 
     `**stated`: options of a capture file, or None: fields of `CaptureOptions`.
     """
+    optionless = not stated
     stated = {name: value for name, value in stated.items() if value is not None}
     is_layer = is_usd_name(path)
-    capture = None if is_layer else read_capture(path, **stated)
+    try:
+        capture = None if is_layer else read_capture(path, **stated)
+    except InputError as error:
+        if optionless and " --" in str(error):
+            raise InputError(f"{error}, of `usdface ingest`, and give the take") from error
+        raise
     if capture is not None and capture.format != "weights" and "rate" in stated:
         capture = with_stated_rate(capture, stated.pop("rate"), where=path)
     if stated and (capture is None or capture.format != "weights"):

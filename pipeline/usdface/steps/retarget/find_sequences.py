@@ -9,6 +9,7 @@ from usdface.core.errors import InputError
 from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.text import pluralize
+from usdface.model.retarget.head_pose import is_angle
 from usdface.numerics.motion.sequence_search import (
     PAPER_DELTA,
     Matches,
@@ -97,7 +98,7 @@ def _find(
     spec: FindSequencesSpec, path: Path, sequence: EmotionalSequence, motion: SourceMotion
 ) -> tuple[list[_RatedMatch], list[str]]:
     weights, notes = source_columns(spec.source, motion, sequence.source_shapes)
-    columns = _columns(spec, path, sequence)
+    columns = _columns(spec, path, sequence, motion.driven)
     taken, wanted = weights[:, columns], sequence.source[:, columns]
     try:
         matches = _search(spec, taken, wanted)
@@ -125,18 +126,22 @@ def _search(spec: FindSequencesSpec, motion: FloatArray, sequence: FloatArray) -
     return find_sequence(motion, sequence, threshold=spec.threshold)
 
 
-def _columns(spec: FindSequencesSpec, path: Path, sequence: EmotionalSequence) -> list[int]:
-    if not spec.shapes:
-        return list(range(len(sequence.source_shapes)))
+def _columns(
+    spec: FindSequencesSpec, path: Path, sequence: EmotionalSequence, driven: frozenset[str]
+) -> list[int]:
+    """Return the columns to compare: driven shapes would count twice, angles have another unit."""
+    patterns = [pattern.lower() for pattern in spec.shapes or ("*",)]
     chosen = [
         index
         for index, name in enumerate(sequence.source_shapes)
-        if any(fnmatchcase(name.lower(), pattern.lower()) for pattern in spec.shapes)
+        if name not in driven
+        and not is_angle(name)
+        and any(fnmatchcase(name.lower(), pattern) for pattern in patterns)
     ]
     if not chosen:
         raise InputError(
-            f"{path}: none of its {len(sequence.source_shapes)} shapes matches --shapes "
-            f"{', '.join(spec.shapes)}; correct the patterns"
+            f"{path}: none of its {len(sequence.source_shapes)} shapes that no others drive "
+            f"matches {', '.join(spec.shapes) or '*'}; correct --shapes"
         )
     return chosen
 

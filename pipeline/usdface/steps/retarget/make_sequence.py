@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, columns_by_name
 from usdface.core.controls import EmotionalSequence
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress
@@ -39,17 +39,18 @@ def run(spec: MakeSequenceSpec, *, provenance: Provenance, progress: Progress) -
             raise InputError(
                 f"{path}: {count} frame to pair, and a sequence needs at least 2; widen {option}"
             )
-    if mean_face_distance(source.weights) == 0.0:
+    motion = columns_by_name(source.weights, source.names, source.free)
+    if not source.free or mean_face_distance(motion) == 0.0:
         raise InputError(
             f"{spec.source}: frames {source.first_frame}-{source.last_frame} do not move, and "
             "would match any face at rest; choose frames that move"
         )
     factor = read.rate / source.rate
     alike = abs(source.rate - read.rate) < RATE_TOLERANCE
-    weights = source.weights if alike else motion_at_rate(source.weights, factor)
+    weights = motion if alike else motion_at_rate(motion, factor)
     sequence = EmotionalSequence(
         label=spec.label,
-        source_shapes=source.names,
+        source_shapes=source.free,
         source=weights,
         target=target,
         key_weights=np.ones(len(target)),
@@ -65,7 +66,7 @@ def run(spec: MakeSequenceSpec, *, provenance: Provenance, progress: Progress) -
         notes.append(f"including the attributes that move: {first_few(target.attributes)}")
     return StepResult(
         (spec.out,),
-        f"{spec.label}: {len(weights)} frames of {len(source.names)} source shapes, "
+        f"{spec.label}: {len(weights)} frames of {len(source.free)} source shapes, "
         f"{len(target)} frames of {target.summary}",
         tuple(notes),
         {

@@ -32,6 +32,7 @@ from usdface.numerics.motion.laplacian_warp import (
 from usdface.runner.result import StepResult
 from usdface.specs.retarget import WarpSpec
 from usdface.steps.inputs.edit_ranges import performance_notes
+from usdface.steps.inputs.solve_verdict import judge_performance, with_verdict
 from usdface.steps.retarget.make_sequence import read_sequence_at
 from usdface.usdio.performance.driving_layers import head_layer_xforms
 from usdface.usdio.performance.read import PerformanceReader
@@ -83,22 +84,18 @@ def run(spec: WarpSpec, *, provenance: Provenance, progress: Progress) -> StepRe
     # Unchanged frames keep their controls, as rotations change by rounding when converted.
     warped = _replace_changed(read.clip.controls, space.decode(after), after != before)
     progress(0.6, "writing")
-    # Figures of a solve do not hold for warped frames, what is known of the source does.
-    header = replace(
-        reader.header,
-        regions=(),
-        basis=None,
-        name=animation_name(rig),
-        combinations=rig.combinations,
-    )
-    _write(spec, rig, header, warped, part(progress, 0.6, 0.95), provenance)
+    header = replace(reader.header, name=animation_name(rig), combinations=rig.combinations)
+    figures = _figures_outside(spec, reader, placements)
+    if not figures:
+        header = replace(header, regions=(), basis=None)
+    _write(spec, rig, header, warped, figures, part(progress, 0.6, 0.95), provenance)
     if spec.curves is not None:
         _draw(spec, spec.curves, placements, space, before, after, read, provenance)
     changed = int((after != before).any(axis=1).sum())
     outputs = [spec.out, weights_path(spec.out)]
     if warped.joints or warped.attributes:
         outputs.append(controls_path(spec.out))
-    return StepResult(
+    result = StepResult(
         (*outputs, *spec.paths_of("curves")),
         f"{pluralize(len(placements), 'sequence')} in {len(before)} frames; "
         f"{pluralize(changed, 'frame')} changed",
@@ -126,6 +123,30 @@ def run(spec: WarpSpec, *, provenance: Provenance, progress: Progress) -> StepRe
             for each in placements
         ),
     )
+    return with_verdict(result, judge_performance(PerformanceReader(spec.out)))
+
+
+def _figures_outside(
+    spec: WarpSpec, reader: PerformanceReader, placements: list[_Placement]
+) -> dict[str, FloatArray]:
+    """Return the figures of a solve, which do not hold in sequences: interpolated there."""
+    frames = reader.frames
+    outside = np.ones(len(frames), dtype=bool)
+    for each in placements:
+        outside &= (frames < each.first_frame - spec.blend) | (
+            frames > each.last_frame + spec.blend
+        )
+    if not reader.regions or not outside.any():
+        return {}
+    return {
+        name: np.stack(
+            [np.interp(frames, frames[outside], column) for column in values[outside].T], axis=1
+        )
+        for name, values in zip(
+            ("uncertainty_mm", "coverage", "residual_mm"), reader.figures(), strict=True
+        )
+        if values is not None
+    }
 
 
 def _placements(spec: WarpSpec, read: ReadControls) -> list[_Placement]:
@@ -256,6 +277,7 @@ def _write(
     rig: Rig,
     header: WeightsHeader,
     warped: Controls,
+    figures: dict[str, FloatArray],
     progress: Progress,
     provenance: Provenance,
 ) -> None:
@@ -268,7 +290,10 @@ def _write(
         provenance=provenance,
     ) as writer:
         for start in range(0, len(warped), _CHUNK_FRAMES):
-            writer.append(warped.rows(slice(start, start + _CHUNK_FRAMES)))
+            rows = slice(start, start + _CHUNK_FRAMES)
+            writer.append(
+                warped.rows(rows), **{name: values[rows] for name, values in figures.items()}
+            )
             progress(start / len(warped), f"writing frame {header.first_frame + start}")
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from pxr import Sdf
 
+from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig
 from usdface.core.controls import Controls
 from usdface.core.provenance import Provenance
@@ -35,55 +36,47 @@ _FRAMES_PER_SAVE = 1 << 14
 """Frames between two saves, which bounds the memory."""
 
 
-class ControlsLayer:
-    """Appends joints and attributes to a layer."""
+class ControlsWriter:
+    """Appends frames; made by `writing_control_performance`.
+
+    `layer`: of joints and attributes, at `path`; None if there are none.
+    """
 
     def __init__(
         self,
-        layer: Sdf.Layer,
-        path: Path,
+        weights: WeightsWriter | PartsWriter,
         header: WeightsHeader,
-        rig: Rig,
+        layer: Sdf.Layer | None,
+        path: Path,
+        attributes: list[Sdf.Path],
+    ) -> None:
+        self._weights, self.layer, self._path, self._unsaved = weights, layer, path, 0
+        self._animation, self._attributes = header.animation, attributes
+        self.next_frame = header.first_frame
+
+    def append(
+        self,
+        controls: Controls,
         *,
-        joints: tuple[str, ...],
-        attributes: tuple[str, ...],
+        uncertainty_mm: FloatArray | None = None,
+        coverage: FloatArray | None = None,
+        residual_mm: FloatArray | None = None,
     ) -> None:
-        self.layer, self._path, self._unsaved = layer, path, 0
-        self._animation = header.animation
-        prim = Sdf.CreatePrimInLayer(layer, self._animation)
-        if joints:
-            author_joints(prim, joints)
-        if attributes:
-            author_uniform(prim, NAMES, Sdf.ValueTypeNames.StringArray, list(attributes))
-        top = Sdf.Path(header.rig_path)
-        self._attributes = author_attribute_specs(layer, top, rig, attributes)
-
-    def append(self, controls: Controls, first_frame: int) -> None:
-        """Append frames of joints and attributes."""
-        if controls.joints:
-            set_joint_samples(self.layer, self._animation, controls, first_frame)
-        set_attribute_samples(self.layer, self._attributes, controls, first_frame)
-        self._unsaved += len(controls)
-        if self._unsaved >= _FRAMES_PER_SAVE:
-            save_layer(self.layer, self._path)
-            self._unsaved = 0
-
-
-class ControlsWriter:
-    """Appends frames; made by `writing_control_performance`."""
-
-    def __init__(
-        self, weights: WeightsWriter | PartsWriter, others: ControlsLayer | None, first_frame: int
-    ) -> None:
-        self._weights, self._others = weights, others
-        self.layer = others.layer if others is not None else None
-        self.next_frame = first_frame
-
-    def append(self, controls: Controls) -> None:
-        """Append frames of all controls."""
-        self._weights.append(controls.weights)
-        if self._others is not None:
-            self._others.append(controls, self.next_frame)
+        """Append frames of all controls, with figures as of `WeightsWriter.append`."""
+        self._weights.append(
+            controls.weights,
+            uncertainty_mm=uncertainty_mm,
+            coverage=coverage,
+            residual_mm=residual_mm,
+        )
+        if self.layer is not None:
+            if controls.joints:
+                set_joint_samples(self.layer, self._animation, controls, self.next_frame)
+            set_attribute_samples(self.layer, self._attributes, controls, self.next_frame)
+            self._unsaved += len(controls)
+            if self._unsaved >= _FRAMES_PER_SAVE:
+                save_layer(self.layer, self._path)
+                self._unsaved = 0
         self.next_frame += len(controls)
 
 
@@ -109,17 +102,19 @@ def writing_control_performance(
     above : sequence of Path
         As in `writing_top`.
     """
-    controls_file = controls_path(path) if joints or attributes else None
+    controls_file, layer, authored = controls_path(path), None, list[Sdf.Path]()
     with contextlib.ExitStack() as stack:
-        above = above if controls_file is None else (controls_file, *above)
+        above = (controls_file, *above) if joints or attributes else above
         weights = stack.enter_context(
             writing_performance(path, header, rig, above=above, provenance=provenance)
         )
-        others = None
-        if controls_file is not None:
+        if joints or attributes:
             layer = stack.enter_context(new_layer(controls_file, provenance))
             author_layer_metadata(layer, header, rig)
-            others = ControlsLayer(
-                layer, controls_file, header, rig, joints=joints, attributes=attributes
-            )
-        yield ControlsWriter(weights, others, header.first_frame)
+            prim = Sdf.CreatePrimInLayer(layer, header.animation)
+            if joints:
+                author_joints(prim, joints)
+            if attributes:
+                author_uniform(prim, NAMES, Sdf.ValueTypeNames.StringArray, list(attributes))
+            authored = author_attribute_specs(layer, Sdf.Path(header.rig_path), rig, attributes)
+        yield ControlsWriter(weights, header, layer, controls_file, authored)
