@@ -86,6 +86,11 @@ def test_trc_may_use_any_delimiter(put, delimiter):
     np.testing.assert_allclose(marker_positions(capture), samples.positions(), atol=1e-4)
 
 
+def test_a_stated_rate_is_that_of_a_trc_file_without_one(put):
+    path = put(samples.trc().replace("DataRate", "Fast"))
+    assert read_capture(path, rate=100).take.rate == 100
+
+
 def test_trc_between_spaces_has_one_name_per_marker(put):
     text = "\n".join(" ".join(line.split()) for line in samples.trc().splitlines())
     capture = read_capture(put(text))

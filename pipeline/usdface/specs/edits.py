@@ -21,7 +21,7 @@ from usdface.specs.paths import (
 _Change = Annotated[float, Field(ge=-10.0, le=10.0)]
 
 
-class _EditedSpec(Spec):
+class _EditedSpec(MovedRigSpec):
     """Options common to `edit` and `edits import`."""
 
     makes = "edits"

@@ -15,7 +15,7 @@ from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import weights_path
 from usdface.runner.execute import execute
-from usdface.specs.edits import EditSpec, PackageSpec
+from usdface.specs.edits import BakeSpec, EditSpec, PackageSpec
 from usdface.usdio.layers import relative_path
 from usdface.usdio.performance import weights_layer
 from usdface.usdio.performance.read import PerformanceReader, read_performance
@@ -23,7 +23,7 @@ from usdface.usdio.performance.weights_layer import make_header
 from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.rig.posed_points import PosedRig
 from usdface.usdio.rig.read import read_rig
-from usdface.usdio.rig.reference import replaced_motion_notes
+from usdface.usdio.rig.reference import moved_rig, replaced_motion_notes
 from usdface.usdio.rig.write import write_rig
 from usdface.usdio.validation import validate
 
@@ -360,6 +360,19 @@ def test_two_faces_of_one_file_are_each_moved_by_their_own_weights(tmp_path: Pat
         )
         source = UsdSkel.Animation(UsdSkel.BindingAPI(skeleton).GetInheritedAnimationSource())
         np.testing.assert_array_equal(source.GetBlendShapeWeightsAttr().Get(1), weights[0])
+    del both, shot, stage, source, skeleton  # which hold the rig's layers open
+    (tmp_path / "moved").mkdir()
+    for name in ("hero.usda", "rig.usda"):
+        (tmp_path / name).rename(tmp_path / "moved" / name)
+    moved = tmp_path / "moved" / "rig.usda"
+    for name in ("anna", "bert"):  # each performance knows its face
+        with moved_rig(moved):
+            assert PerformanceReader(tmp_path / f"{name}.usda").rig() == (moved, f"/duo/{name}")
+        execute(
+            EditSpec(performance=tmp_path / f"{name}.usda", shape=("jawOpen",), add=0.1, rig=moved)
+        )
+        baked = BakeSpec(performance=tmp_path / f"{name}.usda", out=tmp_path / "b.usdc", rig=moved)
+        execute(baked, overwrite=True)
 
 
 def test_the_rig_file_is_never_written(tmp_path: Path) -> None:

@@ -196,11 +196,19 @@ def rig_of(stage: Usd.Stage, animation: Usd.Prim) -> tuple[Path, str]:
         raise InputError(f"{where}: no rig follows this animation; reference the rig it is for")
     file, top = missing
     if moved:
-        return Path(moved), top
+        return Path(moved), _bound_face(stage, animation, moved, top)
     remedy = "say where it is by --rig"
     if moved is None:
         remedy = "write the performance on it where it is by `usdface join PERFORMANCE --rig RIG`"
     raise InputError(f"{where}: its rig, {file}, is gone; put it back, or {remedy}")
+
+
+def _bound_face(stage: Usd.Stage, animation: Usd.Prim, file: str, top: str) -> str:
+    """Return the SkelRoot of a file whose skeleton follows an animation in a stage without it."""
+    opened, rig_path = _open(file), animation.GetPath().GetParentPath()
+    bound = (each.GetPath() for each in stage.TraverseAll() if _follows(each, animation))
+    roots = (_skel_root_above(opened, path.ReplacePrefix(rig_path, top)) for path in bound)
+    return next(filter(None, roots), top)
 
 
 @refusing_wrong_types
