@@ -143,7 +143,15 @@ def test_what_has_not_changed_is_not_published_again(shot: Shot, tmp_path: Path)
     execute(EditSpec(performance=shot / "shot.hero.usda", shape=("jawOpen",), add=0.1))
     changed = publish(shot, tmp_path)
     assert (changed.version, changed.is_new) == (2, True)
-    assert sorted(path.name for path in first.folder.parent.iterdir()) == ["v001", "v002"]
+    parent = first.folder.parent
+    assert sorted(path.name for path in parent.iterdir() if path.is_dir()) == ["v001", "v002"]
+
+
+def test_the_number_of_a_deleted_version_is_not_used_again(shot: Shot, tmp_path: Path) -> None:
+    publish(shot, tmp_path)
+    execute(EditSpec(performance=shot / "shot.hero.usda", shape=("jawOpen",), add=0.1))
+    shutil.rmtree(publish(shot, tmp_path).folder)
+    assert publish(shot, tmp_path).version == 3
 
 
 def test_a_damaged_manifest_of_the_newest_version_does_not_stop_a_publish(

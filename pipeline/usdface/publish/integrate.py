@@ -15,7 +15,9 @@ from usdface.core.version import __version__
 from usdface.publish.extract import Extracted
 
 MANIFEST_NAME = "publish.json"
-_VERSION = re.compile(r"v(\d{3,})")
+_VERSION = re.compile(r"(\.?)v(\d{3,})")
+"""Folder of a version; with a dot, the file that marks its number as used, so that after a deletion
+caches do not serve it for another version."""
 MOST_VERSIONS_TRIED = 1000
 
 
@@ -52,12 +54,14 @@ def integrate_performance(extracted: Extracted, *, comment: str = "") -> Publish
     parent = extracted.folder.parent
     hashes = _hashes(extracted.folder, extracted.files)
     newest = latest_version(parent)
+    last = latest_version(parent, deleted=True)
     if newest and _holds(parent / _folder_name(newest), extracted.files, hashes):
         extracted.discard()
         return _published(extracted, newest, is_new=False)
-    for version in range(newest + 1, newest + 1 + MOST_VERSIONS_TRIED):
+    for version in range(last + 1, last + 1 + MOST_VERSIONS_TRIED):
         _write_manifest(extracted, version, hashes, comment)
         try:
+            (parent / f".{_folder_name(version)}").touch()
             extracted.folder.rename(parent / _folder_name(version))
         except OSError as error:
             if (parent / _folder_name(version)).exists():
@@ -68,14 +72,14 @@ def integrate_performance(extracted: Extracted, *, comment: str = "") -> Publish
             ) from error
         return _published(extracted, version, is_new=True)
     raise InputError(
-        f"{parent}: no version is free from v{newest + 1:03} to v{version:03}; publish elsewhere"
+        f"{parent}: no version is free from v{last + 1:03} to v{version:03}; publish elsewhere"
     )
 
 
-def latest_version(folder: Path) -> int:
+def latest_version(folder: Path, *, deleted: bool = False) -> int:
     """Return the highest version number in an item's folder; 0 if there is none."""
     found = [_VERSION.fullmatch(path.name) for path in folder.iterdir()] if folder.is_dir() else []
-    return max((int(match[1]) for match in found if match), default=0)
+    return max((int(match[2]) for match in found if match and (deleted or not match[1])), default=0)
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
