@@ -3,7 +3,6 @@
 import itertools
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress
@@ -29,7 +28,7 @@ def run(spec: JoinSpec, *, provenance: Provenance, progress: Progress) -> StepRe
     headers = [reader.header for reader in readers]
     _check_parts(readers, headers)
     rig = read_rig_of_stage(readers[0].stage, readers[0].animation)
-    whole = replace(headers[0], last_frame=headers[-1].last_frame, **_of_source(headers))
+    whole = _with_source(replace(headers[0], last_frame=headers[-1].last_frame), headers)
     size = 4 * whole.frame_count * len(whole.shape_names)
     clips = spec.clips == "always" or (spec.clips == "auto" and size > LARGEST_LAYER_BYTES)
     target = weights_path(spec.out)
@@ -74,11 +73,10 @@ def run(spec: JoinSpec, *, provenance: Provenance, progress: Progress) -> StepRe
     return with_verdict(result, judge_performance(PerformanceReader(spec.out)))
 
 
-def _of_source(headers: list[WeightsHeader]) -> dict[str, Any]:
-    """Return the gaps of a retargeting's source, and its shapes that drive nothing."""
+def _with_source(whole: WeightsHeader, headers: list[WeightsHeader]) -> WeightsHeader:
+    """Add the gaps of a retargeting's source, and its shapes that drive nothing."""
     gaps: list[tuple[int, int]] = []
     shares: dict[str, float] = {}
-    frames = sum(header.frame_count for header in headers)
     for header in headers:
         for first, last in header.gaps:
             if gaps and gaps[-1][1] + 1 == first:  # the parts were cut within it
@@ -86,14 +84,15 @@ def _of_source(headers: list[WeightsHeader]) -> dict[str, Any]:
             gaps.append((first, last))
         known = header.unmatched_shares or (0.0,) * len(header.unmatched)
         for name, share in zip(header.unmatched, known, strict=True):
-            shares[name] = shares.get(name, 0.0) + share * header.frame_count / frames
+            shares[name] = shares.get(name, 0.0) + share * header.frame_count / whole.frame_count
     shares = dict(sorted(shares.items(), key=lambda each: -each[1]))  # the largest motion first
     stated = any(header.unmatched_shares for header in headers)
-    return {
-        "gaps": tuple(gaps),
-        "unmatched": tuple(shares),
-        "unmatched_shares": tuple(shares.values()) if stated else (),
-    }
+    return replace(
+        whole,
+        gaps=tuple(gaps),
+        unmatched=tuple(shares),
+        unmatched_shares=tuple(shares.values()) if stated else (),
+    )
 
 
 def _check_parts(readers: list[PerformanceReader], headers: list[WeightsHeader]) -> None:

@@ -131,20 +131,21 @@ def _figures_outside(
 ) -> dict[str, FloatArray]:
     """Return the figures of a solve, which do not hold in sequences: interpolated there."""
     frames = reader.frames
-    outside = np.ones(len(frames), dtype=bool)
+    inside = np.zeros(len(frames), dtype=bool)
     for each in placements:
-        outside &= (frames < each.first_frame - spec.blend) | (
-            frames > each.last_frame + spec.blend
-        )
-    if not reader.regions or not outside.any():
+        first, last = each.first_frame - spec.blend, each.last_frame + spec.blend
+        inside |= (first <= frames) & (frames <= last)
+    rows = np.flatnonzero(~inside)
+    if not reader.regions or not len(rows):
         return {}
+
+    def filled(column: FloatArray) -> FloatArray:
+        return np.interp(frames, frames[rows], column)
+
+    figures = zip(("uncertainty_mm", "coverage", "residual_mm"), reader.figures(), strict=True)
     return {
-        name: np.stack(
-            [np.interp(frames, frames[outside], column) for column in values[outside].T], axis=1
-        )
-        for name, values in zip(
-            ("uncertainty_mm", "coverage", "residual_mm"), reader.figures(), strict=True
-        )
+        name: np.apply_along_axis(filled, 0, values[rows])
+        for name, values in figures
         if values is not None
     }
 
