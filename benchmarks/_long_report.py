@@ -142,7 +142,7 @@ def _write(folder: Path, rig: Rig, weights: FloatArray) -> Path:
         ),
         rig,
     ) as writer:
-        writer.append(weights, uncertainty_mm=np.full((len(weights), 1), 0.2))
+        writer.append(weights, (np.full((len(weights), 1), 0.2),))
     spec = ReportSpec(
         performance=folder / "minute.usda",
         take=folder / "minute.take.usda",

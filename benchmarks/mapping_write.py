@@ -155,11 +155,7 @@ def _written(
         part_frames=part_frames,
     ) as writer:
         for weights, trust in solved:
-            writer.append(
-                weights,
-                uncertainty_mm=trust,
-                residual_mm=trust,
-            )
+            writer.append(weights, (trust, None, trust))
 
 
 def _acted(rng: np.random.Generator) -> Callable[[np.ndarray], np.ndarray]:

@@ -29,7 +29,6 @@ from usdface.capture.text_table import (
     without_repeated_rows,
 )
 from usdface.core.errors import InputError
-from usdface.core.rates import exact_rate
 from usdface.core.text import pluralize
 
 _AXIS = re.compile(r"[XYZ]\d*", re.IGNORECASE)
@@ -61,10 +60,7 @@ def read_trc(path: Path, options: CaptureOptions) -> Capture:
     notes = _check_counts(header, len(labels), unnamed.most, len(table.values))
     table = without_repeated_rows(table, notes)
     first_frame, frames = resolve_frame_numbers(table.values[:, 0], table.lines, where=str(path))
-    if options.rate is None or header.get("DataRate"):
-        rate = read_rate(header.get("DataRate", ""), stated, "DataRate")
-    else:
-        rate = exact_rate(options.rate, where="--rate")
+    rate = read_rate(header.get("DataRate") or str(options.rate or ""), stated, "DataRate")
     if options.rate is None:
         check_rate(rate, "DataRate", table.values[:, 1], frames, where=str(path))
     return build_table_take(

@@ -97,7 +97,7 @@ def _one_take(path: Path, samples: WeightSamples, take: str | None) -> WeightSam
     if take not in counts:
         raise InputError(
             f"{path}: holds rows of {pluralize(len(counts), 'take')} ({first_few(counts)}); name "
-            "the one to read with --take"
+            "the one to read with --take (of `usdface ingest`)"
         )
     chosen = np.flatnonzero(np.array(samples.takes, object) == take)
     return replace(samples.rows(chosen), takes=())
@@ -134,7 +134,7 @@ def _times(
         if samples.seconds is None:
             raise InputError(
                 f"{path}: has no column of times and states no rate; give the frames per second "
-                "with --rate"
+                "with --rate, or give a take, ingested with it, if this command has no such option"
             )
         stated = rate_of_times(samples.seconds, frames, where=where)
     elif samples.seconds is None and rate is not None:

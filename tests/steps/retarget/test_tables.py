@@ -241,4 +241,4 @@ def test_sequences_compare_free_shapes_and_say_who_has_the_options(
     assert (
         usdface("find-sequences", "t.csv", "--sequence", "b.sequence.usda", "--out", "n.usda") == 2
     )
-    assert "with --rate, of `usdface ingest`, and give the take" in capsys.readouterr().err
+    assert "with --rate, or give a take, ingested with it" in capsys.readouterr().err

@@ -54,9 +54,7 @@ def write(
         for start in range(rows.start, rows.stop, 5):
             part = WEIGHTS[start : min(start + 5, rows.stop)]
             residual = np.full((len(part), 1), 0.5)
-            writer.append(
-                part, uncertainty_mm=part[:, :1], coverage=part[:, 1:2], residual_mm=residual
-            )
+            writer.append(part, (part[:, :1], part[:, 1:2], residual))
     return path
 
 

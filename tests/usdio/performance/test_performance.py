@@ -66,9 +66,11 @@ def write(folder: Path, *, place: str | None = None, weights=WEIGHTS, first: int
             part = weights[start : start + 7]
             writer.append(
                 part,
-                uncertainty_mm=np.linspace(0, 1, len(weights))[start : start + 7, None],
-                coverage=np.full((len(part), 1), 0.75),
-                residual_mm=np.full((len(part), 1), 0.5),
+                (
+                    np.linspace(0, 1, len(weights))[start : start + 7, None],
+                    np.full((len(part), 1), 0.75),
+                    np.full((len(part), 1), 0.5),
+                ),
             )
     return path
 

@@ -43,9 +43,11 @@ def run(spec: BakeSpec, *, provenance: Provenance, progress: Progress) -> StepRe
             kept += len(keys)
             writer.append(
                 weights,
-                uncertainty_mm=reader.uncertainty_mm(first, last),
-                coverage=reader.series("face:coverage", first, last),
-                residual_mm=reader.series("face:residual", first, last),
+                (
+                    reader.uncertainty_mm(first, last),
+                    reader.series("face:coverage", first, last),
+                    reader.series("face:residual", first, last),
+                ),
                 keys=keys,
             )
             done = last - reader.first_frame + 1

@@ -71,7 +71,7 @@ class SourceMotion:
 
     @property
     def free(self) -> tuple[str, ...]:
-        """Shapes without driven ones and without rotations of the head and the eyes."""
+        """Shapes that no others drive, without rotations of the head and the eyes."""
         return tuple(each for each in self.names if each not in self.driven and not is_angle(each))
 
     @property
@@ -114,15 +114,9 @@ def read_source_motion(
 
     `**stated`: options of a capture file, or None: fields of `CaptureOptions`.
     """
-    optionless = not stated
     stated = {name: value for name, value in stated.items() if value is not None}
     is_layer = is_usd_name(path)
-    try:
-        capture = None if is_layer else read_capture(path, **stated)
-    except InputError as error:
-        if optionless and " --" in str(error):
-            raise InputError(f"{error}, of `usdface ingest`, and give the take") from error
-        raise
+    capture = None if is_layer else read_capture(path, **stated)
     if capture is not None and capture.format != "weights" and "rate" in stated:
         capture = with_stated_rate(capture, stated.pop("rate"), where=path)
     if stated and (capture is None or capture.format != "weights"):

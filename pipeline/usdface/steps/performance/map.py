@@ -184,9 +184,7 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress) -> StepRes
             )
             writer.append(
                 weights[rows],
-                uncertainty_mm=solved.uncertainty[rows],
-                coverage=solved.coverage[rows],
-                residual_mm=solved.residual_mm[rows],
+                (solved.uncertainty[rows], solved.coverage[rows], solved.residual_mm[rows]),
             )
             residuals.add(solved, rows)
             done = min(block.stop - 1, last)

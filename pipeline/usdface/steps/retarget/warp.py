@@ -128,26 +128,21 @@ def run(spec: WarpSpec, *, provenance: Provenance, progress: Progress) -> StepRe
 
 def _figures_outside(
     spec: WarpSpec, reader: PerformanceReader, placements: list[_Placement]
-) -> dict[str, FloatArray]:
+) -> list[FloatArray | None]:
     """Return the figures of a solve, which do not hold in sequences: interpolated there."""
     frames = reader.frames
     inside = np.zeros(len(frames), dtype=bool)
     for each in placements:
         first, last = each.first_frame - spec.blend, each.last_frame + spec.blend
         inside |= (first <= frames) & (frames <= last)
-    rows = np.flatnonzero(~inside)
-    if not reader.regions or not len(rows):
-        return {}
+    if not reader.regions or inside.all():
+        return []
 
     def filled(column: FloatArray) -> FloatArray:
-        return np.interp(frames, frames[rows], column)
+        return np.interp(frames, frames[~inside], column[~inside])
 
-    figures = zip(("uncertainty_mm", "coverage", "residual_mm"), reader.figures(), strict=True)
-    return {
-        name: np.apply_along_axis(filled, 0, values[rows])
-        for name, values in figures
-        if values is not None
-    }
+    figures = reader.figures()
+    return [None if each is None else np.apply_along_axis(filled, 0, each) for each in figures]
 
 
 def _placements(spec: WarpSpec, read: ReadControls) -> list[_Placement]:
@@ -264,8 +259,6 @@ def _insertion(
 
 def _replace_changed(old: Controls, new: Controls, changed: np.ndarray) -> Controls:
     rows = changed.any(axis=1)
-    if rows.all():
-        return new
 
     def pick(one: FloatArray, other: FloatArray) -> FloatArray:
         return np.where(rows.reshape(-1, *(1,) * (one.ndim - 1)), other, one)
@@ -278,7 +271,7 @@ def _write(
     rig: Rig,
     header: WeightsHeader,
     warped: Controls,
-    figures: dict[str, FloatArray],
+    figures: list[FloatArray | None],
     progress: Progress,
     provenance: Provenance,
 ) -> None:
@@ -292,9 +285,8 @@ def _write(
     ) as writer:
         for start in range(0, len(warped), _CHUNK_FRAMES):
             rows = slice(start, start + _CHUNK_FRAMES)
-            writer.append(
-                warped.rows(rows), **{name: values[rows] for name, values in figures.items()}
-            )
+            parts = [None if each is None else each[rows] for each in figures]
+            writer.append(warped.rows(rows), parts)
             progress(start / len(warped), f"writing frame {header.first_frame + start}")
 
 

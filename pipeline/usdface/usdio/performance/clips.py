@@ -68,12 +68,9 @@ class PartsWriter:
     def append(
         self,
         weights: FloatArray | Float32Array,
-        *,
-        uncertainty_mm: FloatArray | None = None,
-        coverage: FloatArray | None = None,
-        residual_mm: FloatArray | None = None,
+        figures: Sequence[FloatArray | Float32Array | None] = (),
     ) -> None:
-        """Append frames: (frames, shapes), and if known (frames, regions)."""
+        """Append frames, as `WeightsWriter.append`."""
         done = 0
         while done < len(weights):
             if self.next_frame > self._last:
@@ -82,10 +79,7 @@ class PartsWriter:
             count = min(len(weights) - done, self._last - self.next_frame + 1)
             part = slice(done, done + count)
             self._writer.append(
-                weights[part],
-                uncertainty_mm=None if uncertainty_mm is None else uncertainty_mm[part],
-                coverage=None if coverage is None else coverage[part],
-                residual_mm=None if residual_mm is None else residual_mm[part],
+                weights[part], [None if each is None else each[part] for each in figures]
             )
             done += count
             self.next_frame += count

@@ -1,7 +1,7 @@
 """A layer of weights over time: a SkelAnimation, and overs that bind a rig's skeletons to it."""
 
 import contextlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -146,10 +146,8 @@ class WeightsWriter:
     def append(
         self,
         weights: FloatArray | Float32Array,
+        figures: Sequence[FloatArray | Float32Array | None] = (),
         *,
-        uncertainty_mm: FloatArray | Float32Array | None = None,
-        coverage: FloatArray | Float32Array | None = None,
-        residual_mm: FloatArray | Float32Array | None = None,
         keys: IntArray | None = None,
     ) -> None:
         """Append frames.
@@ -158,7 +156,8 @@ class WeightsWriter:
         ----------
         weights : (frames, shapes) float array
             Of the first shapes of the header; the others are 0.
-        uncertainty_mm, coverage, residual_mm : (frames, regions) float array, optional
+        figures : sequence of (frames, regions) float array or None
+            Those of `FIGURES`: uncertainty [mm], coverage [0-1], residual [mm]; or none.
         keys : (keys,) int array, optional
             Rows whose weights are written; by default all.
         """
@@ -180,9 +179,7 @@ class WeightsWriter:
                         np.ascontiguousarray(values[part], dtype=np.float32),
                         COVERAGE_TOLERANCE if path.name == COVERAGE else SAMPLE_TOLERANCE_MM,
                     )
-                    for path, values in zip(
-                        self._figures, (uncertainty_mm, coverage, residual_mm), strict=True
-                    )
+                    for path, values in zip(self._figures, figures, strict=False)
                     if values is not None
                 ],
                 np.flatnonzero(wanted[part]),

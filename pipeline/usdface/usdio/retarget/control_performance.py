@@ -54,21 +54,9 @@ class ControlsWriter:
         self._animation, self._attributes = header.animation, attributes
         self.next_frame = header.first_frame
 
-    def append(
-        self,
-        controls: Controls,
-        *,
-        uncertainty_mm: FloatArray | None = None,
-        coverage: FloatArray | None = None,
-        residual_mm: FloatArray | None = None,
-    ) -> None:
-        """Append frames of all controls, with figures as of `WeightsWriter.append`."""
-        self._weights.append(
-            controls.weights,
-            uncertainty_mm=uncertainty_mm,
-            coverage=coverage,
-            residual_mm=residual_mm,
-        )
+    def append(self, controls: Controls, figures: Sequence[FloatArray | None] = ()) -> None:
+        """Append frames of all controls. `figures`: as in `WeightsWriter.append`."""
+        self._weights.append(controls.weights, figures)
         if self.layer is not None:
             if controls.joints:
                 set_joint_samples(self.layer, self._animation, controls, self.next_frame)
