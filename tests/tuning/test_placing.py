@@ -230,6 +230,34 @@ def test_places_off_the_face_and_unknown_markers_are_refused_and_nothing_is_writ
         session.lock.release()
 
 
+def test_a_marker_corrected_while_others_are_measured_is_not_shown_at_its_old_place(
+    asset: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from usdface.tuning import application
+    from usdface.tuning.pictures import PairPictures
+
+    session = TuningSession(asset)
+    try:
+        references = session.references
+        rig = read_rig(references.rig_file, prim=references.rig_prim)
+        scene = application.Scene(session, rig, [], PairPictures(references, (), ()))
+        near = tuple((marker_place(asset, "nose_tip") + np.array([0.0, 3.0, 0.0])).tolist())
+        second = [application.SentPlace(marker="nose_tip", at=near)]
+
+        def measure(*given: Any) -> Any:
+            found = find_targets(*given)
+            if second:
+                scene.place(second.pop())  # dropped while the first one was measured
+            return found
+
+        monkeypatch.setattr(application, "targets_or_reason", measure)
+        assert not isinstance(scene.targets, str)
+        assert scene.targets.corrected[scene.targets.names.index("nose_tip")]
+        assert scene.targets is scene.targets
+    finally:
+        session.lock.release()
+
+
 def test_what_the_page_sends_is_checked(asset: Path) -> None:
     from tests.tuning.test_guard import RIGHTS, Browser
     from usdface.tuning.application import Scene, build_application

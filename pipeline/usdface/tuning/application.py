@@ -2,7 +2,6 @@
 
 import base64
 import contextlib
-import functools
 import json
 import threading
 from collections.abc import Awaitable, Callable
@@ -107,22 +106,28 @@ class Scene:
         self.waits = Waits()
         self._writing = threading.Lock()
         self._packing = threading.Lock()
+        self._packed: FacePayload | None = None
+        self._measuring, self._corrections = threading.Lock(), 0
+        self._measured: tuple[int, MarkerTargets | str] | None = None
 
     @property
     def payload(self) -> FacePayload:
         """The face, packed for the first of its callers; the others wait."""
-        with self._packing:  # since Python 3.12, cached properties have no lock
-            return self._payload
+        with self._packing:
+            if self._packed is None:
+                camera = frame_rig(self.rig.meshes, yaw_degrees=facing_degrees(self.rig), hair=True)
+                parts = shape_parts(self.rig, Deformer(self.rig))
+                self._packed = pack_face(self.rig, camera=camera, parts=parts)
+            return self._packed
 
-    @functools.cached_property
-    def _payload(self) -> FacePayload:
-        camera = frame_rig(self.rig.meshes, yaw_degrees=facing_degrees(self.rig), hair=True)
-        return pack_face(self.rig, camera=camera, parts=shape_parts(self.rig, Deformer(self.rig)))
-
-    @functools.cached_property
+    @property
     def targets(self) -> MarkerTargets | str:
         """Target positions of the markers, or the reason why there are none."""
-        return targets_or_reason(self.session.references, self.rig)
+        with self._measuring:
+            while self._measured is None or self._measured[0] != self._corrections:
+                number = self._corrections  # while they are measured, more may be made
+                self._measured = number, targets_or_reason(self.session.references, self.rig)
+            return self._measured[1]
 
     def change(self, sent: SentChanges) -> dict[str, Any]:
         """Apply changes; return the new revision."""
@@ -132,7 +137,7 @@ class Scene:
         """Correct the position of a marker, or remove the correction; invalidates `targets`."""
         with self._writing:
             correct_place(self.session, self.rig, sent.marker, sent.at)
-            self.__dict__.pop("targets", None)
+            self._corrections += 1
 
     async def place_and_measure(self, sent: SentPlace) -> dict[str, Any]:
         """Correct the position of a marker; return the new markers."""

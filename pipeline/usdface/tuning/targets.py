@@ -54,11 +54,11 @@ def find_targets(references: References, rig: Rig) -> MarkerTargets:
     """
     positions, starts = _sample(references)
     rigid = [references.marker_names.index(name) for name in references.rigid]
-    placement = stored_placement(references, rig)
+    placement, deformer = stored_placement(references, rig), Deformer(rig)
     equation = placed_equation(
         placement,
         rig,
-        Deformer(rig),
+        deformer,
         PerformerMarkers(
             neutral=references.neutral,
             positions=positions,
@@ -68,16 +68,16 @@ def find_targets(references: References, rig: Rig) -> MarkerTargets:
             starts=starts,
         ),
     )
-    rest = equation.virtual.places(np.concatenate([mesh.points for mesh in rig.meshes]))
+    rest = equation.virtual.places(deformer.neutral)
     motion = character_motion(equation.virtual, references.markers, references.neutral)
     return MarkerTargets(
         names=references.marker_names,
         rest=rest.astype(np.float32),
         key_deltas=np.asarray(equation.keys.deltas, np.float32),
         targets=(rest + motion).astype(np.float32),
-        regions=_regions(equation, shape_parts(rig, Deformer(rig)), rigid),
+        regions=_regions(equation, shape_parts(rig, deformer), rigid),
         corrected=_corrected(placement, references.marker_names),
-        lines=lines_on_rig(references.marker_names, equation, Deformer(rig), rig.shapes),
+        lines=lines_on_rig(references.marker_names, equation, deformer, rig.shapes),
         equation=equation,
     )
 
