@@ -15,6 +15,7 @@ from usdface.demo.acting import ActedPerformance
 from usdface.demo.details import smooth_step
 from usdface.demo.half_cage import Mark
 from usdface.demo.head import DemoHead, HeadPart
+from usdface.numerics.rigid.rigid_alignment import pose_matrices
 
 MARKER_RADIUS = 1.5
 """Distance of a marker's centre from the skin [mm]."""
@@ -287,11 +288,8 @@ def simulate_capture(
 def head_poses(acted: ActedPerformance) -> FloatArray:
     """Return the poses of the actor's head in the room, (frames, 4, 4) [mm]."""
     turn = Rotation.from_euler("YXZ", acted.rotation[:, [1, 0, 2]], degrees=True).as_matrix()
-    poses = np.tile(np.eye(4), (len(turn), 1, 1))
-    poses[:, :3, :3] = turn
     neck = np.array(_NECK)
-    poses[:, :3, 3] = neck - turn @ neck + acted.translation + _STANDING
-    return poses
+    return pose_matrices(turn, neck - turn @ neck + acted.translation + _STANDING)
 
 
 def _normals(head: DemoHead) -> FloatArray:

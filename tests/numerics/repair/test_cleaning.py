@@ -10,7 +10,7 @@ from tests.numerics.simulated_face import SimulatedFace, hold_head, simulate_fac
 from usdface.capture.sniff import read_capture
 from usdface.numerics.repair.cleaning import CleanedMarkers, clean_markers
 from usdface.numerics.repair.outliers import find_lost
-from usdface.numerics.rigid.rigid_alignment import align_frames
+from usdface.numerics.rigid.rigid_alignment import align_rigid
 from usdface.numerics.rigid.rigid_markers import find_rigid_markers
 from usdface.numerics.rigid.stabilization import stabilize
 
@@ -263,7 +263,7 @@ def test_the_face_tells_the_pose_where_too_few_rigid_markers_are_seen():
 def test_a_pose_by_an_unknown_expression_is_known_to_be_uncertain():
     """Half of the face moves as never before where no rigid marker is seen."""
     face = simulate_face(frames=1200, noise=0.1)
-    poses = align_frames(face.captured, face.truth, weights=np.ones(face.visible.shape))
+    poses = align_rigid(face.captured, face.truth, weights=np.ones(face.visible.shape))
     lower = np.argsort(face.truth[0, :, 1])[: face.visible.shape[1] // 2]
     opening = np.zeros(1200)
     opening[700:] = 12.0 * np.sin(np.arange(500) / 20.0) ** 2

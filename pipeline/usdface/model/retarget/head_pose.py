@@ -20,7 +20,7 @@ from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig, TrainedMapping
 from usdface.core.deformer import Deformer
 from usdface.model.retarget.shape_names import read_meanings
-from usdface.numerics.rigid.rigid_alignment import optimal_rotations
+from usdface.numerics.rigid.rigid_alignment import optimal_rotations, pose_matrices
 
 HEAD = "head"
 EYES = ("left_eye", "right_eye")
@@ -149,15 +149,15 @@ def performer_onto_rig(mapping: TrainedMapping, rig: Rig) -> FloatArray:
     Soc. Am. A 4, 629-642).
     """
     on_face = (mapping.arrays["forward_basis"] ** 2).sum(axis=2)
-    offsets = Deformer(rig).shapes.target_offsets().toarray().reshape(len(rig.shapes), -1, 3)
+    deformer = Deformer(rig)
+    offsets = deformer.shapes.target_offsets().toarray().reshape(len(rig.shapes), -1, 3)
     on_rig = (offsets**2).sum(axis=2)[[rig.shapes.index(n) for n in mapping.shape_names]]
     both = (on_face.sum(axis=1) > 0) & (on_rig.sum(axis=1) > 0)
     if both.sum() < _FEWEST_SHAPES:
         raise ValueError(f"{both.sum()} shapes move both, {_FEWEST_SHAPES} are needed")
-    points = np.concatenate([mesh.points for mesh in rig.meshes])
     face, character = (
         size[both] @ places / size[both].sum(axis=1, keepdims=True)
-        for size, places in ((on_face, mapping.neutral), (on_rig, points))
+        for size, places in ((on_face, mapping.neutral), (on_rig, deformer.neutral))
     )
     weight = np.sqrt(on_face[both].sum(axis=1))
     means = [np.average(each, axis=0, weights=weight) for each in (face, character)]
@@ -182,7 +182,5 @@ def turn_about(turns: FloatArray, axes: FloatArray, pivot: Sequence[float]) -> F
     pivot : (3,) sequence of float
         Fixed point.
     """
-    out = np.tile(np.eye(4), (len(turns), 1, 1))
-    out[:, :3, :3] = axes @ turns @ axes.T
-    out[:, :3, 3] = pivot - out[:, :3, :3] @ np.asarray(pivot)
-    return out
+    rotations = axes @ turns @ axes.T
+    return pose_matrices(rotations, pivot - rotations @ np.asarray(pivot))

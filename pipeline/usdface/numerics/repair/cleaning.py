@@ -28,7 +28,7 @@ from usdface.numerics.repair.outliers import USUAL_RATE, find_lost, find_outlier
 from usdface.numerics.repair.relabeling import Swap, apply_swaps, find_swaps
 from usdface.numerics.repair.slips import Slip, find_slips, undo_slips
 from usdface.numerics.repair.smoothing import smooth_poses, smooth_take
-from usdface.numerics.rigid.rigid_alignment import align_frames, alignment_of, remove_motion
+from usdface.numerics.rigid.rigid_alignment import align_rigid, alignment_of, remove_motion
 from usdface.numerics.rigid.stabilization import stabilize, stabilize_by_prior
 
 _RELABEL_ROUNDS = 4
@@ -356,7 +356,7 @@ def _refine_pose(take: _StabilizedTake, good: BoolArray, model: LowRankModel) ->
             distance = distances(complete, predicted)
             weights = good[block] / (1.0 + (distance / (_POSE_INLIER_DEVIATIONS * deviation)) ** 2)
             weights /= deviation**2
-            turn = align_frames(complete, predicted, weights=weights)
+            turn = align_rigid(complete, predicted, weights=weights)
             remove_motion(positions[block], turn, out=positions[block])
             motion[block] = motion[block] @ turn.matrices()
 

@@ -29,7 +29,12 @@ from scipy.spatial.transform import Rotation
 from usdface.core.arrays import BoolArray, FloatArray, RealArray, frame_blocks
 from usdface.core.processes import map_threads
 from usdface.numerics.repair.low_rank import LowRankModel
-from usdface.numerics.rigid.rigid_alignment import align_frames, alignment_of, remove_motion
+from usdface.numerics.rigid.rigid_alignment import (
+    align_rigid,
+    alignment_of,
+    pose_matrices,
+    remove_motion,
+)
 
 _BLOCK_FRAMES = 256
 """The derivatives of a hundred markers take 4 MB."""
@@ -93,7 +98,7 @@ def _solve(
 ) -> tuple[FloatArray, FloatArray]:
     mean, prior = model.mean.reshape(-1, 3), np.maximum(prior, _VAGUE_PRECISION)
     weights, excess = seen / model.noise**2, np.ones(len(seen))
-    start = align_frames(positions, np.broadcast_to(mean, positions.shape), weights=seen)
+    start = align_rigid(positions, mean, weights=seen)
     poses, aligned = start.matrices(), remove_motion(positions.astype(np.float64), start)
     for _ in range(_MOST_STEPS):
         vectors = np.zeros((*aligned.shape, 7))  # derivatives of r by rotation and shift, and r
@@ -141,11 +146,9 @@ def _coordinates(poses: FloatArray, centre: FloatArray) -> FloatArray:
 
 def _inverse_motion(coordinates: FloatArray, centre: FloatArray) -> FloatArray:
     """Return the poses, (frames, 4, 4), whose `_coordinates` are given."""
-    poses = np.tile(np.eye(4), (len(coordinates), 1, 1))
-    poses[:, :3, :3] = Rotation.from_rotvec(-coordinates[:, :3]).as_matrix()
+    turns = Rotation.from_rotvec(-coordinates[:, :3]).as_matrix()
     target = (centre + coordinates[:, 3:])[..., None]
-    poses[:, :3, 3] = centre - (poses[:, :3, :3] @ target)[..., 0]
-    return poses
+    return pose_matrices(turns, centre - (turns @ target)[..., 0])
 
 
 def interpolation_precision(

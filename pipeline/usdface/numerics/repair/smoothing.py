@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from usdface.core.arrays import FloatArray, RealArray, extend_block, frame_blocks
 from usdface.core.processes import map_threads
 from usdface.numerics.repair.low_rank import LowRankModel
+from usdface.numerics.rigid.rigid_alignment import pose_matrices
 
 _DIFFERENCE_ORDER = 3
 """Third differences are penalised: position, velocity and acceleration pass."""
@@ -115,11 +116,8 @@ def smooth_poses(head_motion: ArrayLike, *, center: ArrayLike) -> FloatArray:
     vectors = (mean.inv() * rotations).as_rotvec()
     path = motion[:, :3, :3] @ middle + motion[:, :3, 3]
     smooth = smooth_tracks(np.concatenate([vectors, path], axis=1))
-    result = np.zeros_like(motion)
-    result[:, :3, :3] = (mean * Rotation.from_rotvec(smooth[:, :3])).as_matrix()
-    result[:, :3, 3] = smooth[:, 3:] - result[:, :3, :3] @ middle
-    result[:, 3, 3] = 1.0
-    return result
+    turns = (mean * Rotation.from_rotvec(smooth[:, :3])).as_matrix()
+    return pose_matrices(turns, smooth[:, 3:] - turns @ middle)
 
 
 def significant_detail(rest: ArrayLike, *, noise: ArrayLike) -> RealArray:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from usdface.core.arrays import BoolArray, FloatArray
-from usdface.numerics.rigid.rigid_alignment import align_frames
+from usdface.numerics.rigid.rigid_alignment import align_rigid
 
 _LINEAR_ROUNDS = 3
 _NEWTON_ROUNDS = 5
@@ -123,7 +123,7 @@ def average_heads(
     for view, (head, weight) in enumerate(zip(heads, weights, strict=True)):
         # Not by hidden points: which are hidden depends on the head's rotation, and biases it.
         counted = (weight > 0) * rigidity
-        pose = align_frames(points, head, weights=counted)
+        pose = align_rigid(points, head, weights=counted)
         turned = head @ np.swapaxes(pose.rotations, 1, 2)
         share = counted / np.maximum(counted.sum(axis=1, keepdims=True), 1e-12)
         centred = turned - (share[..., None] * turned).sum(axis=1, keepdims=True)

@@ -50,17 +50,21 @@ class RigidAlignment:
 
     def matrices(self) -> FloatArray:
         """Return (frames, 4, 4) transforms for column vectors."""
-        matrices = np.zeros((len(self.rotations), 4, 4))
-        matrices[:, :3, :3] = self.rotations
-        matrices[:, :3, 3] = self.translations
-        matrices[:, 3, 3] = 1.0
-        return matrices
+        return pose_matrices(self.rotations, self.translations)
+
+
+def pose_matrices(rotations: FloatArray, translations: FloatArray) -> FloatArray:
+    """Return (frames, 4, 4) transforms for column vectors: a rotation, then a translation."""
+    matrices = np.tile(np.eye(4), (len(rotations), 1, 1))
+    matrices[:, :3, :3] = rotations
+    matrices[:, :3, 3] = translations
+    return matrices
 
 
 def align_rigid(
     positions: ArrayLike, reference: ArrayLike, *, weights: ArrayLike | None = None
 ) -> RigidAlignment:
-    """Align a reference to every frame by weighted least squares.
+    """Align a reference, or a target per frame, to every frame by weighted least squares.
 
     The centroids of a frame and of the reference are of the same points with the same weights.
 
@@ -68,21 +72,45 @@ def align_rigid(
     ----------
     positions : (frames, points, 3) array_like
         Arbitrary, also not finite, where the weight is 0.
-    reference : (points, 3) array_like
+    reference : (points, 3) or (frames, points, 3) array_like
     weights : (frames, points) array_like, optional
         Not negative, or bool. All 1 by default.
     """
-    points = np.asarray(positions)
-    y = np.asarray(reference, np.float64)
-    if points.ndim != 3 or points.shape[1:] != y.shape or y.shape[1:] != (3,):
+    points, goals = np.asarray(positions), np.asarray(reference)
+    if (
+        points.ndim != 3
+        or points.shape[2] != 3
+        or goals.shape not in (points.shape, points.shape[1:])
+    ):
         raise ValueError(
-            f"positions {points.shape} and reference {y.shape} must be (frames, points, 3) and "
-            "(points, 3)"
+            f"positions {points.shape} and reference {goals.shape} must be (frames, points, 3) and "
+            "(points, 3) or the same"
         )
+    goals = np.broadcast_to(goals, points.shape)
     w = np.broadcast_to(1.0, points.shape[:2]) if weights is None else np.array(weights, np.float64)
     if w.shape != points.shape[:2]:
         raise ValueError(f"weights {w.shape} must be (frames, points) = {points.shape[:2]}")
-    return _align(points, np.broadcast_to(y, points.shape), w)
+    count = len(points)
+    rotations, translations = np.empty((count, 3, 3)), np.empty((count, 3))
+    determined = np.empty(count, bool)
+    for rows in frame_blocks(count, frames=_CHUNK_FRAMES):
+        unused = w[rows] <= 0
+        share = w[rows] / np.maximum(w[rows].sum(axis=1), np.finfo(np.float64).tiny)[:, None]
+        x, y = points[rows].astype(np.float64), np.ones((*share.shape, 4))
+        if unused.any():
+            x[unused] = 0.0  # arbitrary, perhaps NaN
+        x *= share[..., None]
+        y[..., :3] = goals[rows]
+        moments, y_center = np.swapaxes(x, 1, 2) @ y, (share[:, None] @ y)[:, 0, :3]
+        x_center = moments[:, :, 3]
+        covariance = moments[:, :, :3] - x_center[:, :, None] * y_center[:, None]
+        # D06 equations 1 and 2: y^T x = U D V^T, R = V U^T, with determinant +1
+        R, known = optimal_rotations(covariance, rank_tolerance=_RANK_TOLERANCE)
+        known &= points.shape[1] - unused.sum(axis=1) >= 3
+        R[~known] = np.eye(3)
+        rotations[rows], determined[rows] = R, known
+        translations[rows] = x_center - np.einsum("fij,fj->fi", R, y_center)
+    return RigidAlignment(rotations, translations, determined, w)
 
 
 def align_rigid_robust(
@@ -126,48 +154,6 @@ def align_rigid_robust(
 
     map_threads(reweigh, frame_blocks(len(points)))
     return RigidAlignment(rotations, translations, determined, weights)
-
-
-def align_frames(positions: ArrayLike, targets: ArrayLike, *, weights: ArrayLike) -> RigidAlignment:
-    """Align one target per frame: ``positions = rotation @ target + translation``.
-
-    Parameters
-    ----------
-    positions, targets : (frames, points, 3) array_like
-        Finite.
-    weights : (frames, points) array_like
-        Not negative.
-    """
-    points, goals, w = np.asarray(positions), np.asarray(targets), np.asarray(weights, np.float64)
-    if points.shape != goals.shape or w.shape != points.shape[:2]:
-        raise ValueError(
-            f"positions {points.shape}, targets {goals.shape} and weights {w.shape} must agree"
-        )
-    return _align(points, goals, w)
-
-
-def _align(points: RealArray, goals: RealArray, w: FloatArray) -> RigidAlignment:
-    count = len(points)
-    rotations, translations = np.empty((count, 3, 3)), np.empty((count, 3))
-    determined = np.empty(count, bool)
-    for rows in frame_blocks(count, frames=_CHUNK_FRAMES):
-        unused = w[rows] <= 0
-        share = w[rows] / np.maximum(w[rows].sum(axis=1), np.finfo(np.float64).tiny)[:, None]
-        x, y = points[rows].astype(np.float64), np.ones((*share.shape, 4))
-        if unused.any():
-            x[unused] = 0.0  # arbitrary, perhaps NaN
-        x *= share[..., None]
-        y[..., :3] = goals[rows]
-        moments, y_center = np.swapaxes(x, 1, 2) @ y, (share[:, None] @ y)[:, 0, :3]
-        x_center = moments[:, :, 3]
-        covariance = moments[:, :, :3] - x_center[:, :, None] * y_center[:, None]
-        # D06 equations 1 and 2: y^T x = U D V^T, R = V U^T, with determinant +1
-        R, known = optimal_rotations(covariance, rank_tolerance=_RANK_TOLERANCE)
-        known &= points.shape[1] - unused.sum(axis=1) >= 3
-        R[~known] = np.eye(3)
-        rotations[rows], determined[rows] = R, known
-        translations[rows] = x_center - np.einsum("fij,fj->fi", R, y_center)
-    return RigidAlignment(rotations, translations, determined, w)
 
 
 def alignment_of(matrices: ArrayLike) -> RigidAlignment:
