@@ -141,9 +141,9 @@ def bare_head(style: Style) -> DemoHead:
 
 def _skin(style: Style, form: Form) -> DemoHead:
     """Return the skin: the subdivided cage, projected to the sculpted form and coloured."""
-    cage = build_cage(style, form)
+    cage, cage_marks = build_cage(style, form)
     fine = refine(cage.faces, cage.mirror)
-    points, marks = fine.matrix @ cage.points, fine.matrix @ cage.marks
+    points, marks = fine.matrix @ cage.points, fine.matrix @ cage_marks
     amount = np.clip(1.3 * marks[:, Mark.SETTLE] - 0.15, 0.0, 1.0)
     smooth = _neighbour_mean(fine.faces, len(points))
     points = settle(form, points, amount)
@@ -246,31 +246,17 @@ def _with_piece(head: DemoHead, part: HeadPart, whole: Whole, colors: FloatArray
     )
 
 
-@dataclass(frozen=True)
-class Cage:
-    """The control cage of the skin, left half first: quads with edge loops around eyes and mouth.
+def build_cage(style: Style, form: Form) -> tuple[Whole, FloatArray]:
+    """Return the control cage of the skin, and the marks of its points, (points, len(Mark)).
 
     A grid of rows (neck to crown) and columns (midline to nape) with rings around the eye and the
     mouth in place of two blocks, so that lids and lips open along loops. The marks of the rings are
     used by the shapes.
     """
-
-    points: FloatArray
-    """(points, 3) [mm]"""
-    faces: IntArray
-    """(faces, 4)"""
-    marks: FloatArray
-    """(points, len(Mark))"""
-    mirror: IntArray
-    """(points,)"""
-
-
-def build_cage(style: Style, form: Form) -> Cage:
-    """Return the cage of a style on its sculpted form."""
     half = HalfCage()
     grid = lay_grid(half, style, form)
     lay_grid_faces(half, grid)
     lay_mouth(half, style, form, grid)
     lay_eye(half, style, grid)
     whole = mirror_half(np.array(half.points), np.array(half.faces))
-    return Cage(whole.points, whole.faces, np.array(half.marks)[whole.source], whole.mirror)
+    return whole, np.array(half.marks)[whole.source]
