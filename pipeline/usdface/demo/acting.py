@@ -4,10 +4,11 @@ All curves are sums of smooth bumps and ramps with natural durations: 60 to 120 
 for closing and 130 for opening lids, a third of a second for moods.
 """
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import pairwise
+from itertools import chain, pairwise
 
 import numpy as np
 
@@ -108,13 +109,11 @@ _FRAME_RATE = 120
 def performance() -> ActedPerformance:
     """Return the performance of the script: 15 s, deterministic."""
     time = np.arange(round(DURATION_SECONDS * _FRAME_RATE) + 1) / _FRAME_RATE
-    curves: dict[str, FloatArray] = {}
+    curves: defaultdict[str, FloatArray] = defaultdict(lambda: np.zeros_like(time))
     speech, closure, activity = _speech(time)
-    _add(curves, speech)
-    _add(curves, _moods(time, activity))
-    _add(curves, _beats(time))
-    _add(curves, _gaze(time))
-    _add(curves, _blinks(time))
+    every = (speech, _moods(time, activity), _beats(time), _gaze(time), _blinks(time))
+    for name, curve in chain.from_iterable(each.items() for each in every):
+        curves[name] += curve
     # Lids do not cross: blinks are smaller where other shapes close the eye.
     for side in ("Left", "Right"):
         shut = sum(
@@ -139,11 +138,6 @@ def performance() -> ActedPerformance:
         rotation=rotation,
         translation=translation,
     )
-
-
-def _add(curves: dict[str, FloatArray], more: Mapping[str, FloatArray]) -> None:
-    for name, curve in more.items():
-        curves[name] = curves.get(name, 0.0) + curve
 
 
 def _speech(time: FloatArray) -> tuple[dict[str, FloatArray], FloatArray, FloatArray]:
@@ -189,28 +183,27 @@ def _speech(time: FloatArray) -> tuple[dict[str, FloatArray], FloatArray, FloatA
 def _moods(time: FloatArray, activity: FloatArray) -> dict[str, FloatArray]:
     """Return curves of the moods with drift, reduced around the mouth during speech."""
     rng = np.random.default_rng(11)
-    curves: dict[str, FloatArray] = {}
+    curves: defaultdict[str, FloatArray] = defaultdict(lambda: np.zeros_like(time))
     for line in LINES:
         envelope = smooth_step(line.start - 0.12, line.start + 0.36, time)
         envelope = envelope * smooth_step(line.stop + 0.22, line.stop - 0.22, time)
         for name, value in EMOTIONS[line.emotion].items():
             sway = 1.0 + 0.10 * _drift(rng, time, 0.9)
             room = 1.0 - 0.42 * activity * name.startswith(("mouth", "jaw"))
-            curve = value * _ASYMMETRY.get(name, 1.0) * envelope * sway * room
-            curves[name] = curves.get(name, 0.0) + curve
+            curves[name] += value * _ASYMMETRY.get(name, 1.0) * envelope * sway * room
         for stress in line.stresses:
             accent = 0.30 * _bump(time, stress - 0.16, stress + 0.42)
             for name in ("browInnerUp", "browOuterUpLeft", "browOuterUpRight"):
-                curves[name] = curves.get(name, 0.0) + accent * (line.emotion != "anger")
+                curves[name] += accent * (line.emotion != "anger")
             for name in ("noseSneerLeft", "noseSneerRight", "browDownLeft", "browDownRight"):
-                curves[name] = curves.get(name, 0.0) + 0.5 * accent * (line.emotion == "anger")
+                curves[name] += 0.5 * accent * (line.emotion == "anger")
     return curves
 
 
 def _beats(time: FloatArray) -> dict[str, FloatArray]:
-    curves: dict[str, FloatArray] = {}
+    curves: defaultdict[str, FloatArray] = defaultdict(lambda: np.zeros_like(time))
     for name, start, stop, amount in _BEATS:
-        curves[name] = curves.get(name, 0.0) + amount * _bump(time, start, stop)
+        curves[name] += amount * _bump(time, start, stop)
     return curves
 
 

@@ -25,27 +25,19 @@ def make_head(style: Style) -> DemoHead:
 def with_shapes(head: DemoHead) -> DemoHead:
     """Add the shapes to a head at rest."""
     fields = FaceFields(head)
+    pairs = {**_brow_pairs(fields), **_eye_pairs(fields), **_mouth_pairs(fields)}
+    left: dict[str, Keys] = {name: ((1.0, _sided(head, field)),) for name, field in pairs.items()}
+    left["eyeBlink"] = tuple(
+        (weight, _sided(head, _blink(fields, weight))) for weight in (0.25, 0.5, 0.75, 1.0)
+    )
+    left |= {name: ((1.0, field),) for name, field in _sideways(fields).items()}
     shapes: dict[str, Keys] = {}
-    for name, field in {
-        **_brow_pairs(fields),
-        **_eye_pairs(fields),
-        **_mouth_pairs(fields),
-    }.items():
-        left = _sided(head, field)
-        shapes[name + "Left"] = ((1.0, left),)
-        shapes[name + "Right"] = ((1.0, _flipped(head, left)),)
-    for side in ("Left", "Right"):
-        keys = []
-        for weight in (0.25, 0.5, 0.75, 1.0):
-            left = _sided(head, _blink(fields, weight))
-            keys.append((weight, left if side == "Left" else _flipped(head, left)))
-        shapes["eyeBlink" + side] = tuple(keys)
+    for name, keys in left.items():
+        shapes[name + "Left"] = keys
+        shapes[name + "Right"] = tuple((weight, _flipped(head, field)) for weight, field in keys)
     for name, field in _whole(fields).items():
         signed = field * _sign(head)
         shapes[name] = ((1.0, 0.5 * (signed + _flipped(head, signed))),)
-    for name, field in _sideways(fields).items():
-        shapes[name + "Left"] = ((1.0, field),)
-        shapes[name + "Right"] = ((1.0, _flipped(head, field)),)
     return replace(head, shapes={name: _followed(head, shapes[name]) for name in sorted(shapes)})
 
 
