@@ -23,24 +23,16 @@ _SHARED_MM = 1.0
 share, if it is the nearest to that corner."""
 
 _CORNERS = {
-    "lip_upper": ("mouth_L", "mouth_R"),
-    "lip_lower": ("mouth_L", "mouth_R"),
+    "lip_upper": ("mouth_R", "mouth_L"),
+    "lip_lower": ("mouth_R", "mouth_L"),
     **{f"lid_crease_{side}": (f"eye_inner_{side}", f"eye_outer_{side}") for side in "LR"},
     **{f"lid_lower_{side}": (f"eye_inner_{side}", f"eye_outer_{side}") for side in "LR"},
     "brow_L": (),
     "brow_R": (),
 }
-"""Rows, each with the landmarks that end it and that it shares with others."""
+"""Rows, each named for the landmark in its middle, with those that end it and that it shares with
+others. Brows have none, as their landmarks are centroids of motion, not points of a line."""
 
-_PATHS = (
-    ("mouth_R", "lip_upper", "mouth_L"),
-    ("mouth_R", "lip_lower", "mouth_L"),
-    *((f"eye_inner_{side}", f"lid_crease_{side}", f"eye_outer_{side}") for side in "LR"),
-    *((f"eye_inner_{side}", f"lid_lower_{side}", f"eye_outer_{side}") for side in "LR"),
-)
-"""Landmarks along each row. Those of brows are centroids of motion, not points of a line."""
-
-_PATH_LENGTH = 3
 _LEAST_PLACED = 3
 """Fewest markers of a row without labels: two may be the corners of a mouth."""
 
@@ -85,8 +77,8 @@ def rows_by_place(
         Size of the face, of an adult's 1.
     """
     at = np.asarray(places, np.float64)
-    paths = [[landmarks[name] for name in path if name in landmarks] for path in _PATHS]
-    paths = [path for path in paths if len(path) == _PATH_LENGTH]
+    lines = [(corners[0], row, corners[1]) for row, corners in _CORNERS.items() if corners]
+    paths = [[landmarks[name] for name in line] for line in lines if landmarks.keys() >= set(line)]
     if not paths:
         return []
     away = np.stack([_distance(at[:, :2], np.array(path)[:, :2]) for path in paths])
