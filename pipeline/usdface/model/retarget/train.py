@@ -13,7 +13,7 @@ from usdface.core.controls import Controls, ExpressionPairs, Retargeting, Retarg
 from usdface.core.errors import InputError
 from usdface.core.progress import Progress, silent
 from usdface.model.regressions import RETARGET_METHODS, find_retarget_method
-from usdface.model.regressions.base import Pairs, Regression, Settings
+from usdface.model.regressions.base import Pairs, Settings
 from usdface.model.regressions.hybrid import predict_blended
 from usdface.model.regressions.kernel_cca import PUBLISHED_LINES
 from usdface.model.retarget.control_space import (
@@ -67,8 +67,7 @@ class Examples:
 
 @dataclass(frozen=True)
 class _Fit:
-    name: str
-    method: Regression
+    method: str
     settings: Settings
     forward: Arrays
     backward: Arrays
@@ -115,7 +114,7 @@ def train_retargeting(
     tried = _best_first(tried)
     best = tried[0][1]
     return Retargeting(
-        method=best.name,
+        method=best.method,
         source_shapes=pairs.source_shapes,
         shapes=examples.space.shapes,
         joints=examples.space.joints,
@@ -153,14 +152,10 @@ def predict_coordinates(
             f"alpha blends the two parts of a hybrid, and this retargeting is {trained.method}; "
             "train with --method hybrid"
         )
-    method = find_retarget_method(trained.method)
     arrays = {_EARLIER_NAMES.get(name, name): each for name, each in trained.arrays.items()}
     try:
         inputs = source - arrays["source_rest"]
-        if alpha is None:
-            moved = method.predict(arrays, trained.settings, inputs)
-        else:
-            moved = predict_blended(arrays, trained.settings, inputs, alpha)
+        moved = _predict(trained.method, arrays, trained.settings, inputs, alpha)
         if "target_units" in arrays:  # absent in earlier versions
             moved = moved * arrays["target_units"]
         return np.asarray(moved + trained.rest)
@@ -301,36 +296,32 @@ def _fit(name: str, settings: Settings, examples: Examples) -> _Fit:
     method = find_retarget_method(name)
     forward = Pairs(examples.source, examples.target / examples.units)
     backward = Pairs(examples.target / examples.spans, examples.source)
-    return _Fit(
-        name,
-        method,
-        settings,
-        method.fit(forward, settings).arrays,
-        method.fit(backward, settings).arrays,
-    )
+    both = (method.fit(pairs, settings).arrays for pairs in (forward, backward))
+    return _Fit(name, settings, *both)
 
 
 def _predict(
-    fitted: _Fit, arrays: Arrays, inputs: FloatArray, alpha: FloatArray | None
+    method: str, arrays: Arrays, settings: Settings, inputs: FloatArray, alpha: FloatArray | None
 ) -> FloatArray:
     if alpha is None:
-        return fitted.method.predict(arrays, fitted.settings, inputs)
-    return predict_blended(arrays, fitted.settings, inputs, alpha)
+        return find_retarget_method(method).predict(arrays, settings, inputs)
+    return predict_blended(arrays, settings, inputs, alpha)
 
 
 def _forward(
     fitted: _Fit, examples: Examples, source: FloatArray, alpha: FloatArray | None = None
 ) -> FloatArray:
     inputs = source - examples.source_rest
-    moved = _predict(fitted, fitted.forward, inputs, alpha) * examples.units
-    return np.asarray(np.clip(moved + examples.target_rest, *examples.target_ranges.T))
+    moved = _predict(fitted.method, fitted.forward, fitted.settings, inputs, alpha)
+    target = moved * examples.units + examples.target_rest
+    return np.asarray(np.clip(target, *examples.target_ranges.T))
 
 
 def _cycle(
     fitted: _Fit, examples: Examples, source: FloatArray, alpha: FloatArray | None = None
 ) -> FloatArray:
     target = (_forward(fitted, examples, source, alpha) - examples.target_rest) / examples.spans
-    back = _predict(fitted, fitted.backward, target, alpha)
+    back = _predict(fitted.method, fitted.backward, fitted.settings, target, alpha)
     return np.asarray(np.clip(back + examples.source_rest, *examples.source_ranges.T))
 
 
@@ -342,7 +333,7 @@ def _score(
     residual = (at_pairs - examples.target_rest - examples.target) / examples.spans
     settings = ", ".join(f"{name} {value}" for name, value in fitted.settings.items())
     return RetargetScore(
-        method=fitted.name,
+        method=fitted.method,
         settings=settings,
         cyclic_mm=_mean_distance(error, surface),
         pair_error=float(np.sqrt((residual**2).mean())),
