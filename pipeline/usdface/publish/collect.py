@@ -7,16 +7,15 @@ from fractions import Fraction
 from pathlib import Path
 
 from usdface.core.errors import InputError
-from usdface.core.sidecars import LAYER_SUFFIXES, is_usd_name, weights_path
+from usdface.core.sidecars import LAYER_SUFFIXES, weights_path
 from usdface.core.text import first_few
 from usdface.model.review.verdict import SolveVerdict
-from usdface.runner.origin import changed_inputs, take_of_performance
+from usdface.runner.origin import changed_inputs, existing_take
 from usdface.steps.edits.validate import check_layer
 from usdface.steps.inputs.solve_verdict import judge_performance
 from usdface.usdio.layers import read_provenance
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.referenced_files import missing_sublayers
-from usdface.usdio.take.read import is_take
 from usdface.usdio.validation import Finding
 
 log = logging.getLogger(__name__)
@@ -85,7 +84,7 @@ def collect_performance(path: Path) -> PublishItem:
     return PublishItem(
         name=path.stem,
         performance=path,
-        take=_take_of(path),
+        take=existing_take(path),
         rig=rig,
         first_frame=reader.first_frame,
         last_frame=reader.last_frame,
@@ -95,13 +94,6 @@ def collect_performance(path: Path) -> PublishItem:
         edited=tuple(sorted(reader.edits)),
         verdict=judge_performance(reader),
     )
-
-
-def _take_of(performance: Path) -> Path | None:
-    """Return the take of a performance if it exists, else None."""
-    take = take_of_performance(performance)
-    is_usable = take is not None and is_usd_name(take) and take.is_file() and is_take(take)
-    return take if is_usable else None
 
 
 def _in_folder(folder: Path) -> list[Path]:

@@ -241,16 +241,25 @@ def check_same_take(performance: Path, take: Path | None, others: Sequence[Path]
 
 
 def _one_take(first: Path, second: Path, other: Path) -> bool:
-    if all(take.is_file() and is_usd_name(take) and is_take(take) for take in (first, second)):
+    if _is_take_file(first) and _is_take_file(second):
         return TakeReader(first).name == TakeReader(second).name
     return first.name == second.name or (first.is_file() and _was_read(second, first, other))
 
 
 def take_name(performance: Path) -> str:
     """Return the stored name of a performance's take; empty if it has none, or its file is gone."""
+    take = existing_take(performance)
+    return "" if take is None else TakeReader(take).name
+
+
+def existing_take(performance: Path) -> Path | None:
+    """Return the take of a performance, by its provenance, if it exists, else None."""
     take = take_of_performance(performance)
-    known = take is not None and take.is_file() and is_usd_name(take) and is_take(take)
-    return TakeReader(take).name if take is not None and known else ""
+    return take if take is not None and _is_take_file(take) else None
+
+
+def _is_take_file(path: Path) -> bool:
+    return path.is_file() and is_usd_name(path) and is_take(path)
 
 
 def pair_with_files(
