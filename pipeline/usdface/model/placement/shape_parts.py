@@ -110,7 +110,7 @@ def _read_by_vocabulary(names: tuple[str, ...]) -> tuple[str, ...]:
         named, meant = region_of_shape(name), region_of_shape(meaning.motion)
         if meaning.understood and named and meant and named != meant:
             read[index] = meaning.motion
-    return names if read == list(names) else tuple(read)
+    return tuple(read)
 
 
 def _motions(offsets: sparse.csr_array) -> FloatArray:
