@@ -9,13 +9,18 @@ from pxr import Sdf
 
 from tests.steps.small_shot import FRAMES, Shot
 from usdface.cli import main
+from usdface.cli import run as command
+from usdface.cli.run import showing_events
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
+from usdface.core.provenance import Provenance
 from usdface.runner import execute as executing
 from usdface.runner import job as jobs
 from usdface.runner.execute import execute
-from usdface.runner.job import run_job
+from usdface.runner.job import JobStep, run_job
+from usdface.runner.result import StepResult
 from usdface.runner.state import job_states
+from usdface.specs.edits import CombineSpec
 from usdface.specs.job import JobSpec
 from usdface.specs.reading import read_job
 from usdface.steps.inputs.weight_tables import read_weight_table
@@ -160,6 +165,28 @@ def test_results_are_printed_as_steps_end_and_again_when_asked(shot: Shot, capsy
     data = json.loads(out)
     assert len(data["steps"]) == 6
     assert "was not written by usdface" in data["error"]
+
+
+def test_stored_results_keep_every_character_and_are_left_out_if_too_large(
+    tmp_path: Path, monkeypatch
+) -> None:
+    spec = CombineSpec(performances=(tmp_path / "a.usda",), out=tmp_path / "b.usda")
+    step = JobStep(1, 1, spec, Provenance(step="combine", spec="{}"))
+    result = StepResult((), "a summary\u2028of two lines", ("a note of\x85two",))
+
+    def results(report: StepResult) -> StepResult:
+        shown: list[StepResult] = []
+        job = tmp_path / "day.job.yaml"
+        showing_events(job, shown, style="none", as_json=True, again=True).ended(step, report)
+        return shown[0]
+
+    results(result)
+    again = results(StepResult((), "up to date", up_to_date=True))
+    assert (*again.table, *again.notes) == (result.summary, *result.notes)
+    monkeypatch.setattr(command, "_LARGEST_NOTES_BYTES", 10)
+    assert results(StepResult((), "up to date", up_to_date=True)).table == ("no stored notes",)
+    results(result)
+    assert (tmp_path / ".day.job.yaml.notes").read_text("utf-8").count("\n") == 1
 
 
 def test_folders_that_are_not_there_are_named_once_with_the_remedy(shot: Shot) -> None:

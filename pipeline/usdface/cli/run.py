@@ -23,7 +23,7 @@ from usdface.cli.console import (
     styled_summary,
 )
 from usdface.core.errors import CancelledError, InputError, UsdfaceError
-from usdface.core.side_files import open_side_file
+from usdface.core.side_files import side_stream
 from usdface.runner.job import JobEvents, JobStep, run_job
 from usdface.runner.result import StepResult
 from usdface.specs.job import JobSpec
@@ -101,11 +101,16 @@ class _StoredResults:
         self._folder = job.resolve().parent
         self._file = job.with_name(f".{job.name}.notes")
         self._entries: dict[str, Mapping[str, Any]] = {}
-        with contextlib.suppress(OSError, ValueError, InputError):
-            for line in self._open(os.O_RDONLY).splitlines():
-                with contextlib.suppress(ValueError, KeyError, TypeError):  # an incomplete line
-                    entry = json.loads(line)
-                    self._entries[entry["made"]] = entry
+        stored = b""
+        with (
+            contextlib.suppress(OSError, ValueError, InputError),
+            side_stream(self._file, "rb") as stream,
+        ):
+            stored = stream.read(_LARGEST_NOTES_BYTES + 1)
+        for line in stored.splitlines() if len(stored) <= _LARGEST_NOTES_BYTES else ():
+            with contextlib.suppress(ValueError, KeyError, TypeError):  # an incomplete line
+                entry = json.loads(line)
+                self._entries[entry["made"]] = entry
 
     def add(self, step: JobStep, report: StepResult) -> None:
         """Store the result of a step."""
@@ -115,8 +120,13 @@ class _StoredResults:
             "notes": report.notes,
         }
         text = json.dumps(entry, ensure_ascii=False, default=str)
-        with contextlib.suppress(OSError, ValueError, InputError):
-            self._open(os.O_WRONLY | os.O_CREAT | os.O_APPEND, text)
+        with (
+            contextlib.suppress(OSError, ValueError, InputError),
+            side_stream(self._file, "ab") as stream,
+        ):
+            if stream.tell() > _LARGEST_NOTES_BYTES:
+                stream.truncate(0)
+            stream.write(f"{text}\n".encode())
 
     def of(self, step: JobStep, report: StepResult) -> StepResult:
         """Return the result of a step that is up to date with its stored table and notes."""
@@ -135,15 +145,3 @@ class _StoredResults:
         return hashlib.sha256(
             json.dumps([made.step, made.spec, dict(made.inputs), files]).encode()
         ).hexdigest()
-
-    def _open(self, flags: int, line: str = "") -> str:
-        """Append a line to the file, or return its text."""
-        descriptor = open_side_file(self._file, flags)
-        with os.fdopen(descriptor, "a" if line else "r", encoding="utf-8") as file:
-            large = os.fstat(file.fileno()).st_size > _LARGEST_NOTES_BYTES
-            if not line:
-                return "" if large else file.read()
-            if large:
-                os.ftruncate(file.fileno(), 0)
-            file.write(f"{line}\n")
-        return ""
