@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote, unquote
 
 from usdface.core.errors import InputError
-from usdface.core.replacing import replacing, replacing_together
+from usdface.core.replacing import replacing, replacing_together, write_text
 from usdface.core.text import first_few, json_object, read_text
 from usdface.speech.phones import PhoneTrack, Span, viseme_of
 
@@ -71,12 +71,11 @@ def write_phone_track(
     """
     suffix = path.suffix.lower()
     if suffix == ".lab":
-        _write_htk(path, _htk_text(track).encode(), origin)
-        return
-    with replacing(path) as temporary:
-        if suffix == ".json":
-            temporary.write_text(_json_text(track, origin), encoding="utf-8")
-        else:
+        _write_htk(path, _htk_text(track), origin)
+    elif suffix == ".json":
+        write_text(path, _json_text(track, origin))
+    else:
+        with replacing(path) as temporary:
             _textgrid(track, origin).save(
                 str(temporary), "long_textgrid", includeBlankSpaces=True, reportingMode="silence"
             )
@@ -87,14 +86,13 @@ def origin_path(labels: Path) -> Path:
     return labels.with_name(f"{labels.name}.origin.json")
 
 
-def _write_htk(path: Path, text: bytes, origin: Mapping[str, object] | None) -> None:
+def _write_htk(path: Path, text: str, origin: Mapping[str, object] | None) -> None:
     if origin is None:
-        with replacing(path) as temporary:
-            temporary.write_bytes(text)
+        write_text(path, text)
         return
-    data = {"sha256": hashlib.sha256(text).hexdigest(), "provenance": dict(origin)}
+    data = {"sha256": hashlib.sha256(text.encode()).hexdigest(), "provenance": dict(origin)}
     with replacing_together([path, origin_path(path)]) as (temporary, sidecar):
-        temporary.write_bytes(text)
+        temporary.write_bytes(text.encode())
         sidecar.write_text(json.dumps(data, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
