@@ -14,7 +14,6 @@ Chetverikov, Svirko, Stepanov and Krsek (2002), The trimmed iterative closest po
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
@@ -47,32 +46,32 @@ class Alignment:
     residual_mm: float = np.inf
     """Trimmed root mean square distance between the cloud and the skin."""
 
-    def apply(self, cloud: ArrayLike) -> FloatArray:
+    def apply(self, cloud: FloatArray) -> FloatArray:
         """Return the cloud in the character's space."""
-        return self.scale * (np.asarray(cloud, float) @ self.rotation.T) + self.translation
+        return self.scale * (cloud @ self.rotation.T) + self.translation
 
-    def apply_to_motion(self, motion: ArrayLike) -> FloatArray:
+    def apply_to_motion(self, motion: FloatArray) -> FloatArray:
         """Return displacements in the character's space and proportions."""
-        return self.scale * (np.asarray(motion, float) @ self.rotation.T)
+        return self.scale * (motion @ self.rotation.T)
 
-    def undo(self, placed: ArrayLike) -> FloatArray:
+    def undo(self, placed: FloatArray) -> FloatArray:
         """Return points of the character in the cloud's space."""
-        return self.undo_motion(np.asarray(placed, float) - self.translation)
+        return self.undo_motion(placed - self.translation)
 
-    def undo_motion(self, motion: ArrayLike) -> FloatArray:
+    def undo_motion(self, motion: FloatArray) -> FloatArray:
         """Return displacements of the character in the cloud's space and proportions."""
-        return np.asarray(motion, float) / self.scale @ self.rotation
+        return np.asarray(motion / self.scale @ self.rotation)
 
 
 UNMOVED = Alignment(np.ones(3), np.eye(3), np.zeros(3))
 
 
-def align_landmarks(cloud: ArrayLike, targets: ArrayLike) -> Alignment:
+def align_landmarks(cloud: FloatArray, targets: FloatArray) -> Alignment:
     """Align named points with a similarity, and refuse a mirrored cloud.
 
     Parameters
     ----------
-    cloud, targets : (n, 3) arrays
+    cloud, targets : (n, 3) float arrays
         Pair by pair, at least three.
 
     Raises
@@ -80,10 +79,11 @@ def align_landmarks(cloud: ArrayLike, targets: ArrayLike) -> Alignment:
     ValueError
         If there are too few pairs, they lie on a line, or only a mirrored cloud fits.
     """
-    y, x = np.asarray(cloud, float), np.asarray(targets, float)
-    if len(y) < 3 or y.shape != x.shape:
-        raise ValueError(f"landmarks need at least 3 pairs of points, got {y.shape} and {x.shape}")
-    yc, xc = y - y.mean(axis=0), x - x.mean(axis=0)
+    if len(cloud) < 3 or cloud.shape != targets.shape:
+        raise ValueError(
+            f"landmarks need at least 3 pairs of points, got {cloud.shape} and {targets.shape}"
+        )
+    yc, xc = cloud - cloud.mean(axis=0), targets - targets.mean(axis=0)
     for points, where in ((yc, "markers"), (xc, "points on the mesh")):
         spread = np.linalg.svd(points, compute_uv=False)
         if spread[1] <= 0.02 * spread[0]:
@@ -99,33 +99,33 @@ def align_landmarks(cloud: ArrayLike, targets: ArrayLike) -> Alignment:
         )
     rotation = u @ np.diag([1, 1, sign]) @ vt
     scale = np.full(3, np.sqrt((xc**2).sum() / (yc**2).sum()))
-    translation = x.mean(axis=0) - scale * (rotation @ y.mean(axis=0))
-    residual = scale * (y @ rotation.T) + translation - x
+    translation = targets.mean(axis=0) - scale * (rotation @ cloud.mean(axis=0))
+    residual = scale * (cloud @ rotation.T) + translation - targets
     residual_mm = float(np.sqrt((residual**2).sum(axis=1).mean()))
     return Alignment(scale, rotation, translation, residual_mm)
 
 
 def align_cloud(
-    cloud: ArrayLike,
-    skin: ArrayLike,
+    cloud: FloatArray,
+    skin: FloatArray,
     *,
-    activity: ArrayLike,
-    areas: ArrayLike,
-    amplitude: ArrayLike | None = None,
+    activity: FloatArray,
+    areas: FloatArray,
+    amplitude: FloatArray | None,
 ) -> Alignment:
     """Fit the rotation, translation and per-axis scale that map a marker cloud onto a face.
 
     Parameters
     ----------
-    cloud : (markers, 3) array
+    cloud : (markers, 3) float array
         The performer's neutral face, Y roughly up, in any heading.
-    skin : (samples, 3) array
+    skin : (samples, 3) float array
         Points of the character's outer face.
-    activity : (samples,) array
+    activity : (samples,) float array
         Displacement of each sample by the shapes.
-    areas : (samples,) array
+    areas : (samples,) float array
         Area of skin that each sample represents.
-    amplitude : (markers,) array, optional
+    amplitude : (markers,) float array, optional
         Motion of each marker in the take; ignored if all are 0.
 
     Raises
@@ -133,22 +133,21 @@ def align_cloud(
     ValueError
         If there are fewer than four markers, or no start ends upright.
     """
-    y, x = np.asarray(cloud, float), np.asarray(skin, float)
-    if len(y) < 4:
-        raise ValueError(f"registration needs at least 4 markers, got {len(y)}")
-    moving = np.sqrt(np.asarray(activity, float) / np.asarray(activity, float).max())
-    area = np.asarray(areas, float)
-    size = float(np.sqrt(np.average(((x - x.mean(axis=0)) ** 2).sum(axis=1), weights=area)))
-    a = np.zeros(len(y)) if amplitude is None else np.asarray(amplitude, float)
+    if len(cloud) < 4:
+        raise ValueError(f"registration needs at least 4 markers, got {len(cloud)}")
+    moving = np.sqrt(activity / activity.max())
+    squared = ((skin - skin.mean(axis=0)) ** 2).sum(axis=1)
+    size = float(np.sqrt(np.average(squared, weights=areas)))
+    a = np.zeros(len(cloud)) if amplitude is None else amplitude
     largest = float(np.quantile(a, 0.97))
-    skin_motion, cloud_motion = np.zeros(len(x)), np.zeros(len(y))
+    skin_motion, cloud_motion = np.zeros(len(skin)), np.zeros(len(cloud))
     if largest > 0:  # 0 in a take of one frame
         skin_motion = _MOTION_MM * size / 80 * moving
         cloud_motion = _MOTION_MM * size / 80 * np.sqrt(np.minimum(a / largest, 1.2))
-    skin4, cloud4 = np.column_stack([x, skin_motion]), np.column_stack([y, cloud_motion])
-    need = area * (moving > 0.35)  # parts that a marker set always covers
+    skin4, cloud4 = np.column_stack([skin, skin_motion]), np.column_stack([cloud, cloud_motion])
+    need = areas * (moving > 0.35)  # parts that a marker set always covers
     coarse = _Skin(skin4, need, _COARSE_SKIN)
-    ends = [_refine(cloud4, coarse, start, _COARSE_STEPS) for start in _starts(y, x, need)]
+    ends = [_refine(cloud4, coarse, start, _COARSE_STEPS) for start in _starts(cloud, skin, need)]
     ends = [end for end in ends if end.rotation[1, 1] > _LEAST_UP_COSINE]
     if not ends:
         raise ValueError(
@@ -160,14 +159,13 @@ def align_cloud(
     return min(ends, key=lambda end: end.residual_mm)
 
 
-def align_pairs(cloud: ArrayLike, targets: ArrayLike, *, weight: ArrayLike) -> Alignment:
+def align_pairs(cloud: FloatArray, targets: FloatArray, *, weight: FloatArray) -> Alignment:
     """Fit rotation, translation and one scale per axis to corresponding points (n, 3), weighted."""
-    y, x, w = (np.asarray(value, float) for value in (cloud, targets, weight))
-    now = _fit(y, x, w, UNMOVED, proportions=False)
+    now = _fit(cloud, targets, weight, UNMOVED, proportions=False)
     for _ in range(5):
-        now = _fit(y, x, w, now, proportions=True)
-    squared = ((now.apply(y) - x) ** 2).sum(axis=1)
-    return replace(now, residual_mm=float(np.sqrt(np.average(squared, weights=w))))
+        now = _fit(cloud, targets, weight, now, proportions=True)
+    squared = ((now.apply(cloud) - targets) ** 2).sum(axis=1)
+    return replace(now, residual_mm=float(np.sqrt(np.average(squared, weights=weight))))
 
 
 class _Skin:

@@ -8,7 +8,6 @@ mouth, eyeballs, teeth and the back of the head, whatever the parts are called.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.spatial import KDTree
 
@@ -39,7 +38,7 @@ class SurfaceSamples:
     """(samples,): area that each represents [mm^2]; smaller where the face moves much."""
 
 
-def facing_direction(points: ArrayLike, triangles: ArrayLike, activity: ArrayLike) -> FloatArray:
+def facing_direction(points: FloatArray, triangles: IntArray, activity: FloatArray) -> FloatArray:
     """Return the horizontal unit vector along which a face looks.
 
     It points from the centroid of the head to that of the part which the shapes move; on a mask
@@ -47,20 +46,19 @@ def facing_direction(points: ArrayLike, triangles: ArrayLike, activity: ArrayLik
 
     Parameters
     ----------
-    points : (points, 3) array
+    points : (points, 3) float array
         Y up.
     triangles : (triangles, 3) int array
-    activity : (points,) array
+    activity : (points,) float array
         Displacement of each point by the shapes.
     """
-    P, T = np.asarray(points, float), np.asarray(triangles, np.int64)
-    a = np.asarray(activity, float)[T].mean(axis=1)
-    cross = np.cross(P[T[:, 1]] - P[T[:, 0]], P[T[:, 2]] - P[T[:, 0]])
+    a, corners = activity[triangles].mean(axis=1), points[triangles]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(cross, axis=1) / 2
     if not (a * area).sum() > 0:
         raise ValueError("the shapes move no part of the surface; check that it is the face's mesh")
-    middle = P[T].mean(axis=1)
-    size = float(np.ptp(P, axis=0).max())
+    middle = corners.mean(axis=1)
+    size = float(np.ptp(points, axis=0).max())
     ahead = np.average(middle, axis=0, weights=a * area) - np.average(middle, axis=0, weights=area)
     facing = np.array([ahead[0], 0, ahead[2]]) / (0.1 * size)
     outward = np.einsum("ij,i->j", cross, a) / (2 * (a * area).sum())
@@ -72,36 +70,32 @@ def facing_direction(points: ArrayLike, triangles: ArrayLike, activity: ArrayLik
 
 
 def sample_outer_surface(
-    points: ArrayLike, triangles: ArrayLike, *, facing: ArrayLike, activity: ArrayLike
+    points: FloatArray, triangles: IntArray, *, facing: FloatArray, activity: FloatArray
 ) -> SurfaceSamples:
     """Sample the skin of the face that is visible from the front.
 
     Parameters
     ----------
-    points : (points, 3) array
+    points : (points, 3) float array
         Y up.
     triangles : (triangles, 3) int array
         Either winding.
-    facing : (3,) array
+    facing : (3,) float array
         Horizontal direction along which the face looks.
-    activity : (points,) array
+    activity : (points,) float array
         Displacement of each point by the shapes. Pieces that hardly move (eyeballs) and parts far
         from all movement (shoulders, the crown) are left out.
     """
-    P, T = np.asarray(points, float), np.asarray(triangles, np.int64)
-    moves = np.asarray(activity, float)
-    if not moves.max(initial=0.0) > 0:
-        raise ValueError("the shapes move no part of the surface; check that it is the face's mesh")
-    middle, weight = P[T].mean(axis=1), moves[T].mean(axis=1) * triangle_areas(P, T)
+    P, T = points, triangles
+    middle, weight = P[T].mean(axis=1), activity[T].mean(axis=1) * triangle_areas(P, T)
     centre = np.average(middle, axis=0, weights=weight)
     distance = np.linalg.norm(middle - centre, axis=1)
     T = T[distance < _REACH_RADII * np.sqrt(np.average(distance**2, weights=weight))]
-    density = 0.3 + moves[T].mean(axis=1) / moves.max()
+    density = 0.3 + activity[T].mean(axis=1) / activity.max()
     dense, weights, owner = _low_discrepancy_samples(P, T, density, count=3 * _SAMPLE_COUNT)
-    forward = np.asarray(facing, float)
-    frame = np.stack([np.cross([0.0, 1.0, 0.0], forward), [0.0, 1.0, 0.0], forward])
+    frame = np.stack([np.cross([0.0, 1.0, 0.0], facing), [0.0, 1.0, 0.0], facing])
     visible = _visible_from_front((dense - P.mean(axis=0)) @ frame.T)
-    visible &= _on_skin(P, T, owner, visible, moves)
+    visible &= _on_skin(P, T, owner, visible, activity)
     if not visible.any():
         raise ValueError("no part of the surface is visible from the front; check its facing")
     chosen = np.flatnonzero(visible)
@@ -207,7 +201,7 @@ class FaceSkin:
 
 
 @cache_last_result
-def sample_face_skin(points: ArrayLike, triangles: ArrayLike, offsets: sparse.sparray) -> FaceSkin:
+def sample_face_skin(points: FloatArray, triangles: IntArray, offsets: sparse.sparray) -> FaceSkin:
     """Sample the skin of a rig's face.
 
     Parameters
@@ -218,17 +212,16 @@ def sample_face_skin(points: ArrayLike, triangles: ArrayLike, offsets: sparse.sp
     offsets : (shapes, 3 * points) sparse array
         Displacements by each shape at 1 [mm].
     """
-    rest, faces = np.asarray(points, float), np.asarray(triangles, np.int64)
     matrix = sparse.csc_array(offsets)
     squares = np.asarray(matrix.power(2).sum(axis=0), float).reshape(-1, 3).sum(axis=1)
     activity = np.sqrt(squares)
-    facing = facing_direction(rest, faces, activity)
+    facing = facing_direction(points, triangles, activity)
     left = np.cross([0.0, 1.0, 0.0], facing)
     frame = np.stack([left, [0.0, 1.0, 0.0], facing])
-    skin = sample_outer_surface(rest, faces, facing=facing, activity=activity)
+    skin = sample_outer_surface(points, triangles, facing=facing, activity=activity)
     corners, shares = skin.corners, skin.weights
     positions = skin.positions @ frame.T
-    sides = rest[corners]
+    sides = points[corners]
     normals = np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0]) @ frame.T
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     # Each axis of a shape is contiguous, as placements multiply axis by axis.
