@@ -79,6 +79,11 @@ def distances(one: NDArray[np.floating], other: NDArray[np.floating]) -> Any:
     return row_lengths(one - other)[..., 0]
 
 
+def rms_radius(points: FloatArray) -> float:
+    """Return the root mean square distance of points, (n, 3), from their mean."""
+    return float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
+
+
 def relative_distances(rows: FloatArray) -> FloatArray:
     """Return distances between all rows, over the median between rows that differ: (rows, rows)."""
     product = rows @ rows.T

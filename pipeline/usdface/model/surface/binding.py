@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import KDTree
 
-from usdface.core.arrays import BoolArray, FloatArray, IntArray, sample_frames
+from usdface.core.arrays import BoolArray, FloatArray, IntArray, rms_radius, sample_frames
 from usdface.core.assets import Rig, RigMesh
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError, as_input_error
@@ -147,7 +147,7 @@ def _skin_near(mesh: RigMesh, aligned: FloatArray, landmarks: FloatArray) -> Sur
     """Sample the skin around the aligned markers, on the front of the face."""
     triangles, _ = triangulate(mesh.face_counts, mesh.face_indices)
     points = mesh.points
-    size = float(np.sqrt(((aligned - aligned.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    size = rms_radius(aligned)
     distance, _ = KDTree(np.concatenate([aligned, landmarks])).query(points)
     weight = np.exp(-(distance**2) / (2 * (_SKIN_RADIUS_SHARE * size) ** 2))
     return sample_outer_surface(
@@ -166,7 +166,7 @@ def facing_yaw(mesh: RigMesh, places: FloatArray) -> float:
         Positions of the markers on it [mm].
     """
     triangles, _ = triangulate(mesh.face_counts, mesh.face_indices)
-    size = float(np.sqrt(((places - places.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    size = rms_radius(places)
     distance, _ = KDTree(places).query(mesh.points)
     weight = np.exp(-((distance / (_SKIN_RADIUS_SHARE * size)) ** 2))
     facing = _facing(mesh.points, triangles, places, weight)
@@ -220,7 +220,7 @@ def bind_at(
         places = replace(places, faces=faces, corners=corners, weights=weights)
     at = places.positions(mesh.points)
     fitted = fit_proportions(neutral, at, weight=np.ones(len(neutral)))
-    size = float(np.sqrt(((at - at.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    size = rms_radius(at)
     # The residual of the affine map is mostly proportion, equal among neighbours: use the excess.
     near = np.argsort(np.linalg.norm(at[:, None] - at[None], axis=2), axis=1)[:, 1:5]
     median = np.median(fitted.away_mm[near], axis=1)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, rms_radius
 from usdface.numerics.registration.cloud_alignment import align_landmarks
 from usdface.numerics.surface.surface_places import SurfacePoints
 
@@ -76,7 +76,7 @@ def fit_proportions(cloud: FloatArray, places: FloatArray, *, weight: FloatArray
     """
     if len(cloud) < FEWEST_MARKERS:
         raise ValueError(f"{len(cloud)} markers; an affine map needs at least {FEWEST_MARKERS}")
-    size = float(np.sqrt(((places - places.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    size = rms_radius(places)
     robust = np.maximum(weight, 1e-3)
     for _ in range(_ROBUST_ROUNDS):
         w = robust / robust.sum()

@@ -9,7 +9,7 @@ these weights, place the marker again, and regularise by a smooth warp.
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from usdface.core.arrays import Float32Array, FloatArray
+from usdface.core.arrays import Float32Array, FloatArray, rms_radius
 from usdface.numerics.registration.cloud_alignment import Alignment, align_pairs
 from usdface.numerics.registration.skin_placement import (
     SkinPlacement,
@@ -66,7 +66,7 @@ def place_by_motion(
     pinned : dict of int to (3,) float array, optional
         Known places of markers.
     """
-    size = float(np.sqrt(((skin - skin.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    size = rms_radius(skin)
     pins = pinned or {}
     warped = alignment.apply(cloud)
     for radius in _SEARCH_RADII:

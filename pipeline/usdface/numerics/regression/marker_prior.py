@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, rms_radius
 
 _GAIN_RANGE = (0.4, 2.5)
 """Limits of the amplitude (gain) of a performer's skin over the rig's."""
@@ -165,7 +165,7 @@ def _refine_by_place(
     motion, skin_motion, energy = faces.motion, faces.skin_motion, faces.energy
     rest, neutral, places = faces.rest, faces.neutral, faces.places
     known = np.isfinite(places).all(axis=1)
-    radius = float(np.sqrt(((rest - rest.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    radius = rms_radius(rest)
     refined = match
     for turn in range(_PLACE_ROUNDS):
         share = _shares(refined.log_likelihood)

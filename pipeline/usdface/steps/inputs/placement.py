@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import ByteImage, FloatArray, sample_frames
+from usdface.core.arrays import ByteImage, FloatArray, rms_radius, sample_frames
 from usdface.core.assets import References, Rig
 from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError, as_input_error
@@ -209,7 +209,7 @@ def is_placement_of(placement: RigPlacement, names: tuple[str, ...], neutral: Fl
     everywhere = np.ones((1, len(bound)), np.bool_)
     turned = align_rigid_robust(neutral[None, bound], placed, visible=everywhere)
     away = neutral[bound] - placed @ turned.rotations[0].T - turned.translations[0]
-    size = np.sqrt(((placed - placed.mean(axis=0)) ** 2).sum(axis=1).mean())
+    size = rms_radius(placed)
     return bool(np.sqrt((away**2).sum(axis=1).mean()) <= _SAME_FACE_SHARE * size)
 
 

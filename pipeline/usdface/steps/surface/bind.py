@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, rms_radius
 from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import binding_layers, corrected_path, proposed_path
@@ -145,7 +145,7 @@ def _landmark_notes(markers: FloatArray, at: FloatArray) -> list[str]:
     except ValueError:  # on a line: enough where the mesh has shapes
         return []
     away = np.sqrt(((aligned - at) ** 2).sum(axis=1).mean())
-    share = float(away / np.sqrt(((at - at.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    share = float(away / rms_radius(at))
     if share < _LANDMARK_SHARE:
         return []
     return [
