@@ -145,34 +145,30 @@ def _newest_input_ns(spec: Spec, inputs: Mapping[Path, Reads]) -> int:
 def check_may_be_replaced(spec: Spec) -> None:
     """Refuse outputs that would replace files of other programs or other kinds of step."""
     for path in spec.paths(Writes):
-        _check_may_be_replaced(spec, path)
-
-
-def _check_may_be_replaced(spec: Spec, path: Path) -> None:
-    if foreign := foreign_sidecar(spec, path):
-        raise InputError(
-            f"{foreign}: exists and was not written by usdface, and {spec.step} writes a layer of "
-            f"{path.name} there; choose another --out, or --overwrite it"
-        )
-    if sibling := sibling_sharing_layers(spec, path):
-        raise InputError(
-            f"{sibling}: has the same sublayers as {path.name} would have, and would change with "
-            "it; choose another --out, or --overwrite it"
-        )
-    if not path.exists():
-        return
-    made = provenance_of(path)
-    if made is None:
-        raise InputError(
-            f"{path}: exists and was not written by usdface; choose another --out, or --overwrite "
-            "it"
-        )
-    writer = SPEC_BY_STEP.get(made.step.removesuffix(REFUSED_SUFFIX))
-    if writer is None or writer.kind_of_output() != spec.kind_of_output():
-        raise InputError(
-            f"{path}: exists and was written by `{made.step}`, whose outputs {spec.step} does not "
-            "replace; choose another --out, or --overwrite it"
-        )
+        if foreign := foreign_sidecar(spec, path):
+            raise InputError(
+                f"{foreign}: exists and was not written by usdface, and {spec.step} writes a layer "
+                f"of {path.name} there; choose another --out, or --overwrite it"
+            )
+        if sibling := sibling_sharing_layers(spec, path):
+            raise InputError(
+                f"{sibling}: has the same sublayers as {path.name} would have, and would change "
+                "with it; choose another --out, or --overwrite it"
+            )
+        if not path.exists():
+            continue
+        made = provenance_of(path)
+        if made is None:
+            raise InputError(
+                f"{path}: exists and was not written by usdface; choose another --out, or "
+                "--overwrite it"
+            )
+        writer = SPEC_BY_STEP.get(made.step.removesuffix(REFUSED_SUFFIX))
+        if writer is None or writer.kind_of_output() != spec.kind_of_output():
+            raise InputError(
+                f"{path}: exists and was written by `{made.step}`, whose outputs {spec.step} does "
+                "not replace; choose another --out, or --overwrite it"
+            )
 
 
 def sidecars_of(spec: Spec, path: Path) -> list[Path]:
