@@ -172,6 +172,15 @@ def test_clips_that_nothing_plays_any_more_are_removed(tmp_path: Path, face: Fac
     assert points_path(tmp_path / "out.usda").is_file()
 
 
+def test_clips_of_a_face_that_was_elsewhere_are_removed(tmp_path: Path, face: FaceMesh) -> None:
+    write(tmp_path / "out.usda", face, CLIPS)
+    header = PointsHeader(Fraction(24), 1, 1, rig_path="/Shot/face")
+    out, made = tmp_path / "out.usda", Provenance(spec="elsewhere")
+    with writing_points(out, face, header, WHOLE, provenance=made) as writer:
+        writer.append(face.local[None])
+    assert not list(tmp_path.glob("out.points.*.*"))
+
+
 def test_what_others_put_into_the_layer_to_open_stays(tmp_path: Path, face: FaceMesh) -> None:
     write(tmp_path / "out.usda", face, WHOLE)
     stage = Usd.Stage.Open(str(tmp_path / "out.usda"))

@@ -9,12 +9,11 @@ import contextlib
 import itertools
 import re
 import shutil
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from pxr import Gf, Sdf, Usd, Vt
+from pxr import Sdf, Usd, Vt
 
 from usdface.core.arrays import Float32Array, FloatArray
 from usdface.core.assets import Rig
@@ -57,10 +56,11 @@ class PartsWriter:
         rig: Rig,
         part_frames: int,
         provenance: Provenance | None,
+        opened: contextlib.ExitStack,
     ) -> None:
         self._path, self._header, self._rig = path, header, rig
         self._part_frames, self._provenance = part_frames, provenance
-        self._open = contextlib.ExitStack()
+        self._open = opened
         self._start(header.first_frame)
         self.parts: list[ClipPart] = []
         self.next_frame = header.first_frame
@@ -91,10 +91,6 @@ class PartsWriter:
             ClipPart(self._file, self._first, self._last, str(self._header.animation))
         )
 
-    def discard(self) -> None:
-        """Discard the open part while an exception is handled."""
-        self._open.__exit__(*sys.exc_info())
-
     def _start(self, first: int) -> None:
         header = self._header
         self._first = first
@@ -117,13 +113,10 @@ def writing_parts(
     provenance: Provenance | None = None,
 ) -> Iterator[PartsWriter]:
     """Write weights as parts of `part_frames` frames, and at `path` the layer that plays them."""
-    writer = PartsWriter(path, header, rig, part_frames, provenance)
-    try:
+    with contextlib.ExitStack() as opened:  # discards the open part after an exception
+        writer = PartsWriter(path, header, rig, part_frames, provenance, opened)
         yield writer
         writer.close()
-    except BaseException:
-        writer.discard()
-        raise
     write_clips(path, header, rig, writer.parts, provenance=provenance)
 
 
@@ -138,23 +131,55 @@ def part_path(path: Path, first: int, last: int, provenance: Provenance | None) 
 
 def clear_parts(path: Path) -> None:
     """Remove parts that a weights layer does not play any more."""
-    played = {Path(asset).name for asset in _clip_assets(open_layer(path))}
+    played = clip_files(path)
     stem, suffix = re.escape(path.stem), re.escape(path.suffix)
     ours = re.compile(rf"{stem}\.(-?\d+--?\d+|seams)\.[0-9a-f]{{8}}{suffix}")
     for each in path.parent.iterdir():
-        if ours.fullmatch(each.name) and each.name not in played:
+        if ours.fullmatch(each.name) and each not in played:
             each.unlink(missing_ok=True)
 
 
-def _clip_assets(layer: Sdf.Layer) -> list[str]:
-    prims = (layer.GetPrimAtPath(path) for path in paths_in(layer) if path.IsPrimPath())
-    return [
-        asset.path
-        for prim in prims
-        if prim.HasInfo("clips")
-        for clip_set in prim.GetInfo("clips").values()
-        for asset in clip_set.get("assetPaths", ())
-    ]
+def clip_files(path: Path) -> set[Path]:
+    """Return the clips and manifests that a layer uses, of those named after it."""
+    layer = open_layer(path)
+    prims = (layer.GetPrimAtPath(place) for place in paths_in(layer) if place.IsPrimPath())
+    sets = [each for prim in prims for each in dict(prim.GetInfo("clips") or {}).values()]
+    clips = [asset for each in sets for asset in each.get("assetPaths", ())]
+    manifests = [each["manifestAssetPath"] for each in sets if "manifestAssetPath" in each]
+    files = {path.parent / Path(asset.path).name for asset in (*clips, *manifests)}
+    return {file for file in files if file.name.startswith(f"{path.stem}.")}
+
+
+def author_clips(
+    prim: Sdf.PrimSpec,
+    clip_set: str,
+    files: Sequence[Path],
+    manifest: Path,
+    *,
+    active: Sequence[tuple[int, int]],
+    ends: tuple[int, int],
+    path: Path,
+) -> None:
+    """Write value clips of a prim, in which it has the same path.
+
+    Parameters
+    ----------
+    active : sequence of tuple of int
+        Time codes from which a file is played, and its index.
+    ends : tuple of int
+        First and last time code, the same in the clips.
+    path : Path
+        Final path of the layer.
+    """
+    assets = [Sdf.AssetPath(relative_path(file, path)) for file in files]
+    clips = {
+        "primPath": str(prim.path),
+        "assetPaths": Sdf.AssetPathArray(assets),
+        "manifestAssetPath": Sdf.AssetPath(relative_path(manifest, path)),
+        "active": Vt.Vec2dArray(list(active)),
+        "times": Vt.Vec2dArray([(end, end) for end in ends]),
+    }
+    prim.SetInfo("clips", {clip_set: clips})
 
 
 def write_clips(
@@ -176,27 +201,16 @@ def write_clips(
             _copy_sample(layer, header, after, after.first_frame)
     with new_layer(path, provenance) as layer:
         prim = author_header(layer, header, rig)
-        assets, active = [Sdf.AssetPath(relative_path(seams, path))], []
+        active = []
         for index, part in enumerate(parts, start=1):
-            assets.append(Sdf.AssetPath(relative_path(part.file, path)))
             is_last = index == len(parts)
             if part.first_frame < part.last_frame or is_last:
-                active.append(Gf.Vec2d(part.first_frame, index))
+                active.append((part.first_frame, index))
             if not is_last:
-                active.append(Gf.Vec2d(part.last_frame, 0))
+                active.append((part.last_frame, 0))
+        files = [seams, *(part.file for part in parts)]
         ends = (header.first_frame, header.last_frame)
-        prim.SetInfo(
-            "clips",
-            {
-                CLIP_SET: {
-                    "primPath": str(header.animation),
-                    "assetPaths": Sdf.AssetPathArray(assets),
-                    "manifestAssetPath": Sdf.AssetPath(relative_path(seams, path)),
-                    "active": Vt.Vec2dArray(active),
-                    "times": Vt.Vec2dArray([Gf.Vec2d(end, end) for end in ends]),
-                }
-            },
-        )
+        author_clips(prim, CLIP_SET, files, seams, active=active, ends=ends, path=path)
 
 
 def _playable_parts(part: ClipPart, path: Path, provenance: Provenance | None) -> list[ClipPart]:

@@ -22,6 +22,7 @@ from usdface.core.replacing import replacing_group
 from usdface.core.sidecars import points_path
 from usdface.usdio.authoring import apply_api, author_timing, author_uniform
 from usdface.usdio.layers import new_layer, open_layer, relative_path
+from usdface.usdio.performance.clips import author_clips, clip_files
 from usdface.usdio.rig.mesh import FaceMesh
 from usdface.usdio.rig.reference import default_rig_path, define_reference
 from usdface.usdio.units import author_units
@@ -136,11 +137,11 @@ class _ClipsWriter(PointsWriter):
         self._stem, self._used = stem, used
         self.files: list[Path] = []
         self.starts: list[int] = []
-        self._open: contextlib.ExitStack | None = None
+        self._open = contextlib.ExitStack()
 
     def _put(self, frame: int, rows: list[tuple[str, FloatArray | Float32Array]]) -> None:
         if (frame - self._header.first_frame) % self._clip_frames == 0:
-            if self._open is not None:
+            if self.files:
                 # A clip ends with the next one's first frame, to which motion is interpolated.
                 super()._put(frame, rows)
                 self.close()
@@ -150,7 +151,6 @@ class _ClipsWriter(PointsWriter):
     def _begin_clip(self, frame: int) -> None:
         path = self._stem.with_name(f"{self._stem.name}.{len(self.files) + 1:04d}.usdc")
         last = min(frame + self._clip_frames, self._header.last_frame)
-        self._open = contextlib.ExitStack()
         layer = self._open.enter_context(new_layer(path))
         part = replace(self._header, first_frame=frame, last_frame=last)
         _author_header(layer, self._face, self._place, part)
@@ -161,16 +161,13 @@ class _ClipsWriter(PointsWriter):
 
     def close(self) -> None:
         self._layer = None
-        if self._open is not None:
-            self._open.close()
-        self._open = None
+        self._open.close()
 
     def abandon(self, error: BaseException) -> None:
         """Remove the clips written so far, unless the existing asset uses files of these names."""
         self._layer = None
-        if self._open is not None:
-            with contextlib.suppress(BaseException):
-                self._open.__exit__(type(error), error, error.__traceback__)
+        with contextlib.suppress(BaseException):
+            self._open.__exit__(type(error), error, error.__traceback__)
         for file in self.files:
             if file not in self._used:
                 file.unlink(missing_ok=True)
@@ -198,7 +195,7 @@ def writing_points(
     top = header.rig_path or default_rig_path(asset)
     at = Sdf.Path(face.path).ReplacePrefix(Sdf.Path(default_rig_path(asset)), Sdf.Path(top))
     points_file = points_path(path)
-    outdated = _clip_files(points_file, at)
+    outdated = _clip_files(points_file)
     with replacing_group((points_file, path)):
         with _writing_samples(points_file, face, at, header, format_, provenance) as writer:
             yield writer
@@ -211,7 +208,7 @@ def writing_points(
             define_reference(layer, top, asset, path, replace_rig=is_open)
             if not is_open:
                 layer.subLayerPaths.append(name)
-    for file in outdated - _clip_files(points_file, at):
+    for file in outdated - clip_files(points_file):
         file.unlink(missing_ok=True)
 
 
@@ -242,21 +239,29 @@ def _writing_samples(
         else:
             # By provenance, so that clips of another are not replaced.
             stem = points_file.with_name(f"{points_file.stem}.{provenance.digest}")
-            used = _clip_files(points_file, at)
-            writer = clips_writer = _ClipsWriter(
+            used = _clip_files(points_file)
+            writer = clips = _ClipsWriter(
                 face, at, format_, header, clip_frames=clip_frames, stem=stem, used=used
             )
             try:
                 yield writer
-                clips_writer.close()
+                clips.close()
             except BaseException as error:
-                clips_writer.abandon(error)
+                clips.abandon(error)
                 raise
             manifest = stem.with_name(f"{stem.name}.manifest.usda")
             with new_layer(manifest) as declared:
                 _author_header(declared, face, at, header)
                 _declare(declared, face, at, format_)
-            _author_clips(prim, header, clips_writer, manifest, points_file)
+            author_clips(
+                prim,
+                "default",
+                clips.files,
+                manifest,
+                active=[(start, index) for index, start in enumerate(clips.starts)],
+                ends=(header.first_frame, header.last_frame),
+                path=points_file,
+            )
         if writer.next_frame != header.last_frame + 1:
             raise ValueError(
                 f"{points_file}: {writer.next_frame - header.first_frame} frames were appended "
@@ -309,38 +314,5 @@ def _declare(layer: Sdf.Layer, face: FaceMesh, at: Sdf.Path, format_: PointsForm
         uncertainty.SetInfo("interpolation", "vertex")
 
 
-def _author_clips(
-    prim: Sdf.PrimSpec,
-    header: PointsHeader,
-    writer: _ClipsWriter,
-    manifest: Path,
-    points_file: Path,
-) -> None:
-    first, last = header.first_frame, header.last_frame
-    files = [Sdf.AssetPath(relative_path(file, points_file)) for file in writer.files]
-    prim.SetInfo(
-        "clips",
-        {
-            "default": {
-                "assetPaths": Sdf.AssetPathArray(files),
-                "primPath": str(prim.path),
-                "manifestAssetPath": Sdf.AssetPath(relative_path(manifest, points_file)),
-                "active": Vt.Vec2dArray([(start, i) for i, start in enumerate(writer.starts)]),
-                "times": Vt.Vec2dArray([(first, first), (last, last)]),
-            }
-        },
-    )
-
-
-def _clip_files(points_file: Path, at: Sdf.Path) -> set[Path]:
-    """Return the clips and the manifest that an existing points layer uses."""
-    if not points_file.is_file():
-        return set()
-    layer = open_layer(points_file)  # keep a reference: specs do not outlive their layer
-    prim = layer.GetPrimAtPath(at)
-    clips = dict(prim.GetInfo("clips")).get("default") if prim and prim.HasInfo("clips") else None
-    if not clips:
-        return set()
-    assets = [*clips.get("assetPaths", ()), clips.get("manifestAssetPath", Sdf.AssetPath())]
-    files = {points_file.parent / Path(asset.path).name for asset in assets if asset.path}
-    return {file for file in files if file.name.startswith(f"{points_file.stem}.")}
+def _clip_files(points_file: Path) -> set[Path]:
+    return clip_files(points_file) if points_file.is_file() else set()
