@@ -30,7 +30,6 @@ from usdface.core.errors import InputError
 from usdface.core.rates import exact_rate
 
 _EVENT_MARK = 12345
-_HEADER_EVENT_LIMIT = 18
 
 
 @dataclass(frozen=True)
@@ -42,15 +41,6 @@ class C3dPoints:
     residuals: Float32Array
     """(frames, points): reconstruction residual in the file's units; negative where the point is
     occluded, NaN where the stored number is not a residual."""
-
-
-@dataclass(frozen=True)
-class C3dEvent:
-    """An event: label, context (such as the subject or side) and time [s]; 0 is frame 1."""
-
-    label: str
-    context: str
-    seconds: float
 
 
 @dataclass(frozen=True)
@@ -103,34 +93,42 @@ class C3dFile:
         scale, offset = self._analog_calibration()
         return np.asarray((stored - offset) * scale)
 
-    def events(self) -> tuple[C3dEvent, ...]:
-        """Return the events of the EVENT group, or else of the header."""
-        parameters = self.layout.parameters
-        times = parameters.numbers("EVENT:TIMES")
-        labels, contexts = parameters.texts("EVENT:LABELS"), parameters.texts("EVENT:CONTEXTS")
-        if times.size and labels:
-            pairs = times[: times.size // 2 * 2].reshape(-1, 2)  # minutes, seconds
-            return tuple(
-                C3dEvent(
-                    label, contexts[i] if i < len(contexts) else "", float(60 * pair[0] + pair[1])
-                )
-                for i, (label, pair) in enumerate(zip(labels, pairs, strict=False))
-            )
-        return self._header_events()
+    def events(self) -> tuple[Event, ...]:
+        """Return the events of the EVENT group, or else of the header, by frame number.
 
-    def _header_events(self) -> tuple[C3dEvent, ...]:
+        Second 0 is frame 1, also in a trimmed file.
+        """
+        parameters = self.layout.parameters
+        times, labels = parameters.numbers("EVENT:TIMES"), parameters.texts("EVENT:LABELS")
+        if times.size and labels:
+            pairs = times[: times.size // 2 * 2].reshape(-1, 2).tolist()  # minutes, seconds
+            # Such as the subject or the side; there may be fewer than labels.
+            contexts = (*parameters.texts("EVENT:CONTEXTS"), *("",) * len(labels))
+            timed = [
+                (f"{context} {label}", 60 * minutes + seconds)
+                for label, context, (minutes, seconds) in zip(labels, contexts, pairs, strict=False)
+            ]
+        else:
+            timed = self._header_events()
+        events = [
+            Event(label.strip(), 1 + seconds * self.layout.rate)
+            for label, seconds in timed
+            if np.isfinite(seconds)
+        ]
+        return tuple(sorted(events, key=lambda event: event.frame))
+
+    def _header_events(self) -> list[tuple[str, float]]:
+        """Return label and time [s] of the events of the header."""
         header, processor = self.layout.header, self.layout.processor
         mark, count = (int(word) for word in np.frombuffer(header, processor.unsigned, 2, 149 * 2))
         if mark != _EVENT_MARK:
-            return ()
-        times = processor.floats(header[152 * 2 : 188 * 2])
+            return []
+        times = processor.floats(header[152 * 2 : 188 * 2]).tolist()
         labels = [
             header[at : at + 4].decode("latin-1").strip(" \x00")
             for at in range(198 * 2, 234 * 2, 4)
         ]
-        return tuple(
-            C3dEvent(labels[i], "", float(times[i])) for i in range(min(count, _HEADER_EVENT_LIMIT))
-        )
+        return list(zip(labels, times, strict=True))[:count]
 
     def _analog_calibration(self) -> tuple[Float32Array, Float32Array]:
         """Return scale and offset per channel; 1 and 0 where not stated."""
@@ -264,18 +262,7 @@ def read_c3d_take(path: Path, options: CaptureOptions) -> Capture:
         visible,
         options,
     )
-    return replace(capture, take=replace(capture.take, events=_events(file)))
-
-
-def _events(file: C3dFile) -> tuple[Event, ...]:
-    """Return the events by frame number: second 0 is frame 1, also in a trimmed file."""
-    rate = file.layout.rate
-    events = [
-        Event(f"{event.context} {event.label}".strip(), 1 + event.seconds * rate)
-        for event in file.events()
-        if np.isfinite(event.seconds)
-    ]
-    return tuple(sorted(events, key=lambda event: event.frame))
+    return replace(capture, take=replace(capture.take, events=file.events()))
 
 
 def _rotation(file: C3dFile, options: CaptureOptions, notes: list[str]) -> np.ndarray:
