@@ -12,8 +12,8 @@ from usdface.capture.marker_take import (
     CaptureHeader,
     CaptureOptions,
     MarkerTable,
-    StatedSpace,
     build_table_take,
+    space_to_mm,
 )
 from usdface.capture.sample_times import (
     index_kind,
@@ -72,10 +72,12 @@ def read_marker_csv(path: Path, options: CaptureOptions) -> Capture:
     if others:
         named = first_few([titles[place] for place in others])
         notes.append(f"{pluralize(len(others), 'column')} other than markers left out: {named}")
+    up_note = "the table does not state the up axis; Y assumed"
+    to_mm = space_to_mm(path, options, notes, units="", field="header", up_note=up_note)
+    labels, starts = list(triples), list(triples.values())
     return build_table_take(
         CaptureHeader(path, "marker-csv", rate, first_frame, notes=notes),
-        MarkerTable(list(triples), list(triples.values()), table.values, frames, header.where),
-        StatedSpace("", "header", up_note="the table does not state the up axis; Y assumed"),
+        MarkerTable(labels, starts, table.values, frames, to_mm, header.where),
         options,
     )
 

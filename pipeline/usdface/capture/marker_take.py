@@ -98,22 +98,10 @@ class MarkerTable:
     """(rows, columns): NaN where a marker is occluded."""
     frames: IntArray
     """(rows,): frame of each row from 0, ascending."""
+    to_mm: FloatArray
+    """(3, 3): from the file's units and axes to mm, Y up."""
     where: str
     """File and line of the labels, for messages."""
-
-
-@dataclass(frozen=True)
-class StatedSpace:
-    """What a file states about its units and axes."""
-
-    units: str
-    """Empty if not stated, then mm."""
-    units_field: str
-    """The name of its units in the file, for notes and messages."""
-    up: str = "y"
-    """``'y'`` or ``'z'``: the format's convention."""
-    up_note: str = ""
-    """Note if the convention decides; none if empty."""
 
 
 def build_marker_take(
@@ -230,22 +218,12 @@ def _settle_neutral(
     return neutral
 
 
-def build_table_take(
-    header: CaptureHeader, table: MarkerTable, space: StatedSpace | None, options: CaptureOptions
-) -> Capture:
-    """Return a take of the markers of a table; without `space`, `header.to_mm` is used.
+def build_table_take(header: CaptureHeader, table: MarkerTable, options: CaptureOptions) -> Capture:
+    """Return a take of the markers of a table.
 
     Frames without a row are gaps of all markers, and are reported.
     """
-    notes, to_mm = [*header.notes], header.to_mm
-    if space is not None:
-        where = str(header.path)
-        scale = resolve_units(space.units, options, notes, where=where, field=space.units_field)
-        if options.up is None and space.up_note:
-            notes.append(f"{space.up_note}; set it with --up")
-        to_mm = scale * rotation_to_y_up(up=options.up or space.up, where=f"{where} up axis")
-    if to_mm is None:
-        raise ValueError(f"{header.path}: neither `space` nor `header.to_mm` is given")
+    notes = [*header.notes]
     labels = resolve_labels(table.labels, where=table.where)
     notes += labels.notes()
     frames = table.frames
@@ -258,11 +236,11 @@ def build_table_take(
     axes = starts[:, None] + np.arange(3)
     for rows in frame_blocks(len(frames), frames=_CHUNK_ROWS):
         with np.errstate(invalid="ignore", over="ignore"):  # damaged samples are hidden later
-            samples = table.values[rows][:, axes] @ to_mm.T
+            samples = table.values[rows][:, axes] @ table.to_mm.T
             positions[frames[rows]] = samples
         visible[frames[rows]] = ~np.isnan(samples).any(axis=2)
     return build_marker_take(
-        replace(header, notes=notes, to_mm=to_mm), labels.names, positions, visible, options
+        replace(header, notes=notes, to_mm=table.to_mm), labels.names, positions, visible, options
     )
 
 
@@ -278,3 +256,28 @@ def resolve_units(
     if not stated and options.scale is None:
         notes.append(f"no unit stated ({field}); mm assumed, set it with --units")
     return scale * mm_per_unit(stated or "mm", where=f"{where} {field}")
+
+
+def space_to_mm(
+    path: Path,
+    options: CaptureOptions,
+    notes: list[str],
+    *,
+    units: str,
+    field: str,
+    up: str = "y",
+    up_note: str = "",
+) -> FloatArray:
+    """Return the matrix from a file's units and axes to mm, Y up: (3, 3).
+
+    Parameters
+    ----------
+    units, field : str
+        The unit that the file states, empty if it states none, and the field in which it does.
+    up, up_note : str
+        Axis that is up by the format's convention, and a note if only the convention states it.
+    """
+    scale = resolve_units(units, options, notes, where=str(path), field=field)
+    if options.up is None and up_note:
+        notes.append(f"{up_note}; set it with --up")
+    return scale * rotation_to_y_up(up=options.up or up, where=f"{path} up axis")

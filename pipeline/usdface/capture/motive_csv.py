@@ -18,8 +18,8 @@ from usdface.capture.marker_take import (
     CaptureHeader,
     CaptureOptions,
     MarkerTable,
-    StatedSpace,
     build_table_take,
+    space_to_mm,
 )
 from usdface.capture.sample_times import check_rate, rate_of_times, resolve_frame_numbers
 from usdface.capture.text_table import (
@@ -101,23 +101,13 @@ def read_motive_csv(path: Path, options: CaptureOptions) -> Capture:
     elif options.rate is None:
         check_rate(rate, "the first line", table.values[:, 1], frames, where=str(path))
     stamp = table.texts[stamps[0]][0] if stamps and table.texts[stamps[0]] else ""
+    timecode_start = _timecode(stamp, rate, notes)
+    units, field = header.stated.get("Length Units", ""), "Length Units"
+    to_mm = space_to_mm(path, options, notes, units=units, field=field)
+    labels, where = [header.names[at] for at in starts], header.names_line.where
     return build_table_take(
-        CaptureHeader(
-            path,
-            "motive-csv",
-            rate,
-            first_frame,
-            timecode_start=_timecode(stamp, rate, notes),
-            notes=notes,
-        ),
-        MarkerTable(
-            [header.names[at] for at in starts],
-            starts,
-            table.values,
-            frames,
-            header.names_line.where,
-        ),
-        StatedSpace(header.stated.get("Length Units", ""), "Length Units"),
+        CaptureHeader(path, "motive-csv", rate, first_frame, timecode_start, notes),
+        MarkerTable(labels, starts, table.values, frames, to_mm, where),
         options,
     )
 

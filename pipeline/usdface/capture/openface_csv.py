@@ -104,15 +104,15 @@ def read_openface_csv(path: Path, options: CaptureOptions) -> Capture:
     points[~seen] = np.nan
     to_mm = resolve_units("mm", options, notes, where=str(path), field="OpenFace") * _TO_Y_UP
     capture = build_table_take(
-        CaptureHeader(path, "openface-csv", rate, first_frame, notes=notes, to_mm=to_mm),
+        CaptureHeader(path, "openface-csv", rate, first_frame, notes=notes),
         MarkerTable(
             [f"landmark_{number}" for number in columns.landmarks],
             range(0, 3 * len(columns.landmarks), 3),
             points.reshape(len(points), -1),
             frames,
+            to_mm,
             header.where,
         ),
-        None,
         options,
     )
     confidence = np.zeros(int(frames[-1]) + 1)

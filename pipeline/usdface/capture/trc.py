@@ -13,8 +13,8 @@ from usdface.capture.marker_take import (
     CaptureHeader,
     CaptureOptions,
     MarkerTable,
-    StatedSpace,
     build_table_take,
+    space_to_mm,
 )
 from usdface.capture.sample_times import check_rate, resolve_frame_numbers
 from usdface.capture.text_table import (
@@ -63,12 +63,11 @@ def read_trc(path: Path, options: CaptureOptions) -> Capture:
     rate = read_rate(header.get("DataRate") or str(options.rate or ""), stated, "DataRate")
     if options.rate is None:
         check_rate(rate, "DataRate", table.values[:, 1], frames, where=str(path))
+    units, up_note = header.get("Units", ""), "TRC does not state the up axis; Y assumed"
+    to_mm = space_to_mm(path, options, notes, units=units, field="Units", up_note=up_note)
     return build_table_take(
         CaptureHeader(path, "trc", rate, first_frame, notes=notes),
-        MarkerTable(labels, range(2, len(columns), 3), table.values, frames, titles.where),
-        StatedSpace(
-            header.get("Units", ""), "Units", up_note="TRC does not state the up axis; Y assumed"
-        ),
+        MarkerTable(labels, range(2, len(columns), 3), table.values, frames, to_mm, titles.where),
         options,
     )
 

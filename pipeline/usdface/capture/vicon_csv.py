@@ -18,8 +18,8 @@ from usdface.capture.marker_take import (
     CaptureHeader,
     CaptureOptions,
     MarkerTable,
-    StatedSpace,
     build_table_take,
+    space_to_mm,
 )
 from usdface.capture.sample_times import resolve_frame_numbers
 from usdface.capture.text_table import (
@@ -130,15 +130,14 @@ def _read_block(path: Path, lines: Iterator[TableLine], options: CaptureOptions)
     )
     table = without_repeated_rows(table, notes)
     first_frame, frames = resolve_frame_numbers(table.values[:, 0], table.lines, where=str(path))
+    field, up_note = f"units, line {header.unit_line.number}", "Vicon's Z taken as up"
+    to_mm = space_to_mm(
+        path, options, notes, units=header.unit, field=field, up="z", up_note=up_note
+    )
+    labels, where = header.labels, header.names_line.where
     return build_table_take(
         CaptureHeader(path, "vicon-csv", header.rate, first_frame, notes=notes),
-        MarkerTable(header.labels, header.starts, table.values, frames, header.names_line.where),
-        StatedSpace(
-            header.unit,
-            f"units, line {header.unit_line.number}",
-            up="z",
-            up_note="Vicon's Z taken as up",
-        ),
+        MarkerTable(labels, header.starts, table.values, frames, to_mm, where),
         options,
     )
 
