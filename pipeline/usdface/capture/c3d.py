@@ -224,7 +224,7 @@ def read_c3d_take(path: Path, options: CaptureOptions) -> Capture:
     if missing := point_count - len(written):
         notes.append(f"the last {missing} of {point_count} points have no label, left out")
     labels = resolve_labels(written, where=f"{path} POINT:LABELS")
-    notes += labels.notes()
+    notes += labels.notes
     scale = resolve_units(file.units, options, notes, where=str(path), field="POINT:UNITS")
     to_mm = scale * _rotation(file, options, notes)
     rotation = to_mm.astype(np.float32)

@@ -3,7 +3,7 @@
 import difflib
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from usdface.core.errors import InputError
@@ -21,35 +21,8 @@ class MarkerLabels:
     """Unique, without subject prefixes."""
     columns: tuple[int, ...]
     """Column of each name."""
-    dropped: tuple[str, ...]
-    """Generated labels of unlabelled points."""
-    subjects: tuple[str, ...]
-    """Prefixes that were removed."""
-    empty: tuple[str, ...]
-    """Names given to markers with an empty label: `marker_` and the column, from 1."""
-    numbered: tuple[str, ...]
-    """Names given to markers with a repeated label: numbered in the file's order."""
-
-    def notes(self) -> list[str]:
-        """Return notes on columns left out and names changed, if any."""
-        found = []
-        if self.dropped:
-            found.append(
-                f"{len(self.dropped)} unlabelled markers were left out: {first_few(self.dropped)}"
-            )
-        if self.subjects:
-            found.append(f"subject prefixes taken off: {first_few(self.subjects)}")
-        if self.empty:
-            found.append(
-                f"{pluralize(len(self.empty), 'marker')} with an empty label, named by column: "
-                f"{first_few(self.empty)}"
-            )
-        if self.numbered:
-            found.append(
-                f"{len(self.numbered)} markers share their labels with others and were numbered "
-                f"in the file's order: {first_few(self.numbered)}; check which is which"
-            )
-        return found
+    notes: tuple[str, ...]
+    """On columns left out and names changed."""
 
 
 def resolve_labels(labels: Sequence[str], *, where: str) -> MarkerLabels:
@@ -95,14 +68,28 @@ def resolve_labels(labels: Sequence[str], *, where: str) -> MarkerLabels:
             name = _unused(f"{name}_1", used)
             numbered.append(name)
         names.append(name)
-    return MarkerLabels(
-        tuple(names),
-        tuple(column for _, column in found),
-        tuple(dropped),
-        tuple(subjects),
-        tuple(empty),
-        tuple(numbered),
+    notes = _notes(dropped, subjects, empty, numbered)
+    return MarkerLabels(tuple(names), tuple(column for _, column in found), notes)
+
+
+def _notes(
+    dropped: list[str], subjects: Mapping[str, None], empty: list[str], numbered: list[str]
+) -> tuple[str, ...]:
+    notes = (
+        (dropped, f"{len(dropped)} unlabelled markers were left out: {first_few(dropped)}"),
+        (subjects, f"subject prefixes taken off: {first_few(subjects)}"),
+        (
+            empty,
+            f"{pluralize(len(empty), 'marker')} with an empty label, named by column: "
+            f"{first_few(empty)}",
+        ),
+        (
+            numbered,
+            f"{len(numbered)} markers share their labels with others and were numbered in the "
+            f"file's order: {first_few(numbered)}; check which is which",
+        ),
     )
+    return tuple(note for names, note in notes if names)
 
 
 def _unused(name: str, used: set[str]) -> str:

@@ -225,7 +225,7 @@ def build_table_take(header: CaptureHeader, table: MarkerTable, options: Capture
     """
     notes = [*header.notes]
     labels = resolve_labels(table.labels, where=table.where)
-    notes += labels.notes()
+    notes += labels.notes
     frames = table.frames
     count = int(frames[-1]) + 1
     if count > len(frames):

@@ -185,7 +185,7 @@ def _read_usd(source: Path, spec: IngestSpec) -> Capture:
         take = Take(source.stem, found.rate, found.first_frame, source=found.source)
         return Capture(take, "usd", ("no markers, only blendshape weights",))
     labels = resolve_labels(found.names, where=f"{source} {found.kind}")
-    notes = [f"markers were found as {found.kind}", *labels.notes()]
+    notes = [f"markers were found as {found.kind}", *labels.notes]
     columns = list(labels.columns)
     capture = build_marker_take(
         CaptureHeader(source, "usd", found.rate, found.first_frame, notes=notes),
