@@ -107,7 +107,7 @@ def _neighbours(meshes: Sequence[RigMesh]) -> Sparse:
     """Return the symmetric (points, points) adjacency matrix."""
     pairs, first = [], 0
     for mesh in meshes:
-        pairs.append(polygon_edges(mesh.face_counts, mesh.face_indices) + first)
+        pairs.append(polygon_edges(mesh) + first)
         first += len(mesh.points)
     rows, columns = np.concatenate(pairs).T
     ones = np.ones(len(rows))

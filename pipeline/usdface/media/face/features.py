@@ -123,10 +123,9 @@ def _offsets(meshes: Sequence[RigMesh]) -> tuple[tuple[str, ...], sparse.csr_arr
     return names, sparse.csr_array(given, shape=(len(names), 3 * first))
 
 
-def _motion(offsets: sparse.csr_array, shape: int) -> FloatArray:
-    """Return the displacement of each point by a shape [mm]."""
-    moved = np.asarray(offsets[[shape]].toarray(), float).reshape(-1, 3)
-    return np.asarray(np.linalg.norm(moved, axis=1))
+def _moved_by(offsets: sparse.csr_array, shape: int) -> FloatArray:
+    """Return the displacement of each point by a shape: (points, 3) [mm]."""
+    return np.asarray(offsets[[shape]].toarray(), float).reshape(-1, 3)
 
 
 def _lips(
@@ -144,7 +143,7 @@ def _lips(
         return ()
     gap = np.abs(points[pairs.upper, 1] - points[pairs.lower, 1])
     middle = (line[:, 0].min() + line[:, 0].max()) / 2
-    opened = np.asarray(offsets[[jaw]].toarray(), float).reshape(-1, 3)
+    opened = _moved_by(offsets, jaw)
     opening = np.linalg.norm(opened[pairs.upper] - opened[pairs.lower], axis=1)
     fall, widest = np.polyfit((line[:, 0] - middle) ** 2, opening, 1).tolist()
     if not fall < 0 < widest:
@@ -173,7 +172,9 @@ def _brows(
     shapes = shapes_by_region(names).get("brows")
     if shapes is None or len(eyeballs) != 2:
         return []
-    motion = np.array([_motion(offsets, int(shape)) for shape in shapes])
+    motion = np.array(
+        [np.linalg.norm(_moved_by(offsets, shape), axis=1) for shape in shapes.tolist()]
+    )
     largest = motion.max(axis=1, keepdims=True)
     moved = (motion / np.maximum(largest, 1e-9)).max(axis=0) ** _RIDGE_POWER
     centers = np.array([ball.center for ball in eyeballs])

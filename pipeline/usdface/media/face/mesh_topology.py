@@ -33,20 +33,13 @@ def check_topology(mesh: RigMesh) -> None:
         )
 
 
-def polygon_edges(face_counts: IntArray, face_indices: IntArray) -> IntArray:
-    """Return both points of each side of each polygon, in the order of the corners.
+def polygon_edges(mesh: RigMesh) -> IntArray:
+    """Return both points of each side of each polygon, in the order of the corners: (corners, 2).
 
-    Parameters
-    ----------
-    face_counts : (faces,) int array
-    face_indices : (corners,) int array
-
-    Returns
-    -------
-    (corners, 2) int array
-        Edges between two polygons occur twice.
+    Edges between two polygons occur twice.
     """
-    return np.stack([face_indices, face_indices[following_corners(face_counts)]], axis=1)
+    following = mesh.face_indices[following_corners(mesh.face_counts)]
+    return np.stack([mesh.face_indices, following], axis=1)
 
 
 def following_corners(face_counts: IntArray) -> IntArray:
@@ -60,25 +53,19 @@ def following_corners(face_counts: IntArray) -> IntArray:
 
 def border_edges(mesh: RigMesh) -> IntArray:
     """Return the edges of a single polygon: (edges, 2) int array."""
-    sides = np.sort(polygon_edges(mesh.face_counts, mesh.face_indices), axis=1)
+    sides = np.sort(polygon_edges(mesh), axis=1)
     edges, uses = np.unique(sides, axis=0, return_counts=True)
     return np.asarray(edges[uses == 1])
 
 
-def components(face_counts: IntArray, face_indices: IntArray, *, point_count: int) -> IntArray:
-    """Return the connected piece of each point: (points,) int array.
-
-    Parameters
-    ----------
-    face_counts : (faces,) int array
-    face_indices : (corners,) int array
-    """
-    filled = face_counts > 0
-    starts = (np.cumsum(face_counts) - face_counts)[filled]
-    first = np.repeat(face_indices[starts], face_counts[filled])
-    links = sparse.coo_array(
-        (np.ones(len(first), np.int8), (first, face_indices)), shape=(point_count, point_count)
-    )
+def components(mesh: RigMesh) -> IntArray:
+    """Return the connected piece of each point: (points,) int array."""
+    counts, size = mesh.face_counts, len(mesh.points)
+    filled = counts > 0
+    starts = (np.cumsum(counts) - counts)[filled]
+    first = np.repeat(mesh.face_indices[starts], counts[filled])
+    ones = np.ones(len(first), np.int8)
+    links = sparse.coo_array((ones, (first, mesh.face_indices)), shape=(size, size))
     _, labels = connected_components(links, directed=False)
     return np.asarray(labels, np.int64)
 

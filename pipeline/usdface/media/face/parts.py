@@ -133,8 +133,7 @@ def _label(meshes: Sequence[RigMesh]) -> tuple[IntArray, list[FacePart | None]]:
     for mesh in meshes:
         part = part_from_name(mesh.path)
         if part in (None, FacePart.EYE):
-            own = components(mesh.face_counts, mesh.face_indices, point_count=len(mesh.points))
-            own = np.unique(own, return_inverse=True)[1].reshape(-1)
+            own = np.unique(components(mesh), return_inverse=True)[1].reshape(-1)
         else:
             own = np.zeros(len(mesh.points), np.int64)
         labels.append(own + len(named))
