@@ -1,6 +1,6 @@
 """Concatenation of movies of the same kind without decoding."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from itertools import repeat
 from pathlib import Path
@@ -60,60 +60,49 @@ def join_movies(
             with av.open(str(temporary), "w", format=container_format) as container:
                 stated = {"timecode": timecode, "comment": comment}
                 container.metadata.update({key: text for key, text in stated.items() if text})
-                joined = _Joined(container, stated_rate if rate is None else rate)
                 counts = repeat(None) if pictures is None else pictures
-                for part, count in zip(parts, counts, strict=False):
-                    joined.add(part, count, audio, sample_rate)
-                joined.finish()
+                kept_rate = stated_rate if rate is None else rate
+                return _copy(parts, counts, container, kept_rate, audio, sample_rate)
         except (av.error.FFmpegError, OSError, ValueError) as error:
             which = f"{parts[0]} and those after it" if len(parts) > 1 else str(parts[0])
             raise InputError(
                 f"{path}: {which} cannot be joined ({error}); make them anew"
             ) from error
-    return joined.count
 
 
-class _Joined:
-    """A movie to which packets of others are copied, numbered from 0."""
-
-    def __init__(self, container: Any, rate: Fraction) -> None:
-        self.count = 0
-        self._container = container
-        self._rate = rate
-        self._stream: Any = None
-        self._sound: SoundTrack | None = None
-
-    def add(
-        self, part: Path, most: int | None, audio: Float32Array | None, sample_rate: int
-    ) -> None:
-        """Copy the pictures of a part, at most `most`; the first part defines the streams."""
-        end = None if most is None else self.count + most
+def _copy(
+    parts: Sequence[Path],
+    counts: Iterable[int | None],
+    container: Any,
+    rate: Fraction,
+    audio: Float32Array | None,
+    sample_rate: int,
+) -> int:
+    """Copy the packets of parts, at most a count of each, numbered from 0; return their number."""
+    number, stream, sound = 0, None, None
+    for part, most in zip(parts, counts, strict=False):
+        end = None if most is None else number + most
         with open_media(part) as source:
             video = source.streams.video[0]
-            if self._stream is None:
-                self._begin(video, audio, sample_rate)
+            if stream is None:
+                stream = container.add_stream_from_template(video)
+                stream.time_base = 1 / rate
+                if audio is not None:
+                    sound = SoundTrack(container, audio, sample_rate)
             for packet in source.demux(video):
-                if packet.size and self.count != end:
-                    # One packet is one picture: counting avoids the accumulation of rounding.
-                    packet.pts = packet.dts = self.count
-                    packet.duration = 1
-                    packet.time_base = 1 / self._rate
-                    packet.stream = self._stream
-                    self._container.mux(packet)
-                    self.count += 1
-                    if self._sound is not None:
-                        self._sound.encode_until(Fraction(self.count) / self._rate)
-
-    def _begin(self, template: Any, audio: Float32Array | None, sample_rate: int) -> None:
-        self._stream = self._container.add_stream_from_template(template)
-        self._stream.time_base = 1 / self._rate
-        if audio is not None:
-            self._sound = SoundTrack(self._container, audio, sample_rate)
-
-    def finish(self) -> None:
-        """Write the rest of the sound."""
-        if self._sound is not None:
-            self._sound.finish()
+                if not packet.size or number == end:
+                    continue
+                # One packet is one picture: counting avoids the accumulation of rounding.
+                packet.pts = packet.dts = number
+                packet.duration, packet.time_base = 1, 1 / rate
+                packet.stream = stream
+                container.mux(packet)
+                number += 1
+                if sound is not None:
+                    sound.encode_until(Fraction(number) / rate)
+    if sound is not None:
+        sound.finish()
+    return number
 
 
 def _check_kinds(parts: Sequence[Path]) -> Fraction:
