@@ -104,17 +104,17 @@ def _mean_label(mean: float, unit: str) -> str:
 def _draw_lane(area: ByteImage, values: FloatArray, count: int, high: float) -> None:
     height, width = area.shape[:2]
     area[:] = LANE
-    # The largest error of the frames of each column; NaN if all are unknown.
+    # The largest error of the frames of each column; not finite if all are unknown.
     first = np.arange(width) * count // width
     last = np.maximum((np.arange(width) + 1) * count // width, first + 1)
     padded = np.full(count + 1, -np.inf)
     padded[: len(values)] = np.where(np.isfinite(values), values, -np.inf)
     bounds = np.stack([first, last], axis=1).ravel()
     maxima = np.maximum.reduceat(padded, bounds)[::2]
-    error = np.where(np.isfinite(maxima), maxima, np.nan)
-    known = np.isfinite(error)
-    tall = np.where(known, np.clip(np.nan_to_num(error) / high, 0.03, 1) * height, 0)
-    colors = bytes_from_linear(heat_ramp(np.nan_to_num(error), high=high))
+    known = np.isfinite(maxima)
+    error = np.where(known, maxima, 0.0)
+    tall = np.where(known, np.clip(error / high, 0.03, 1) * height, 0)
+    colors = bytes_from_linear(heat_ramp(error, high=high))
     depth = height - np.arange(height)[:, None]
     filled = depth <= np.round(tall)[None, :]
     area[filled] = np.broadcast_to(colors, area.shape)[filled]
