@@ -26,11 +26,9 @@ class PosedRig:
         self.reader = PerformanceReader(path)
         file, prim = self.reader.rig()
         self.rig: Rig = read_rig_of_stage(self.reader.stage, self.reader.animation)
-        self._stage = open_stage(path)
+        self._stage = self.reader.stage
         # The face that moves, of a file with several.
-        rig_path = rig_path_of(
-            self._stage, self._stage.GetPrimAtPath(self.reader.animation.GetPath())
-        )
+        rig_path = rig_path_of(self._stage, self.reader.animation)
         face = Sdf.Path(prim).ReplacePrefix(Sdf.Path(prim).GetPrefixes()[0], Sdf.Path(rig_path))
         if not UsdSkel.Root(self._stage.GetPrimAtPath(face)) and not faces_below(
             self._stage.GetPseudoRoot()

@@ -346,9 +346,8 @@ def _open(file: str) -> Usd.Stage:
 
 def _skel_root_above(stage: Usd.Stage, skeleton: Sdf.Path) -> str:
     prim = stage.GetPrimAtPath(skeleton)
-    while prim and not prim.IsA(UsdSkel.Root):
-        prim = prim.GetParent()
-    return str(prim.GetPath()) if prim else ""
+    root = UsdSkel.Root.Find(prim) if prim else None
+    return str(root.GetPath()) if root else ""
 
 
 def read_rig_of_stage(stage: Usd.Stage, animation: Usd.Prim) -> Rig:

@@ -119,10 +119,7 @@ class RigMotion(PointMotion):
         ]
         if not moving:
             return
-        indices, weights = (
-            np.array(each).reshape(count, -1)
-            for each in target.ComputeVaryingJointInfluences(count)
-        )
+        indices, weights = _influences(target, count)
         for index, joint in moving:
             share = np.where(indices == index, weights, 0.0).sum(axis=1)
             points = np.flatnonzero(share)
@@ -150,13 +147,16 @@ def points_following(rig: Rig, path: str, *, is_joint: bool) -> BoolArray:
         if query is not None and target is not None and target.HasJointInfluences():
             joints = target.GetJointOrder() or query.GetJointOrder()
             below = [at for at, each in enumerate(joints) if f"{each}/".startswith(f"{path}/")]
-            indices, weights = (
-                np.array(each).reshape(len(share), -1)
-                for each in target.ComputeVaryingJointInfluences(len(share))
-            )
+            indices, weights = _influences(target, len(share))
             share = np.where(np.isin(indices, below), weights, 0.0).sum(axis=1)
         following.append(share > 0.5)
     return np.concatenate(following)
+
+
+def _influences(target: UsdSkel.SkinningQuery, count: int) -> tuple[IntArray, FloatArray]:
+    """Return the joints of each point and their weights: (points, k) each."""
+    joints, weights = target.ComputeVaryingJointInfluences(count)
+    return np.array(joints).reshape(count, -1), np.array(weights).reshape(count, -1)
 
 
 class _Placement:
