@@ -18,7 +18,7 @@ from usdface.media.face.render import FaceRenderer
 from usdface.media.film.movie import write_movie
 from usdface.runner.execute import execute
 from usdface.specs.review import ReportSpec
-from usdface.usdio.performance.weights_layer import make_header
+from usdface.usdio.performance.weights_layer import SolveFigures, make_header
 from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.take.write import write_take
 
@@ -142,7 +142,7 @@ def _write(folder: Path, rig: Rig, weights: FloatArray) -> Path:
         ),
         rig,
     ) as writer:
-        writer.append(weights, (np.full((len(weights), 1), 0.2),))
+        writer.append(weights, SolveFigures(np.full((len(weights), 1), 0.2)))
     spec = ReportSpec(
         performance=folder / "minute.usda",
         take=folder / "minute.take.usda",

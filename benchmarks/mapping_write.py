@@ -135,7 +135,7 @@ def _written(
     part_frames: int | None = None,
 ) -> None:
     from tests.usdio.small_rig import small_rig
-    from usdface.usdio.performance.weights_layer import make_header
+    from usdface.usdio.performance.weights_layer import SolveFigures, make_header
     from usdface.usdio.performance.write import writing_performance
     from usdface.usdio.rig.read import read_rig
     from usdface.usdio.rig.write import write_rig
@@ -155,7 +155,7 @@ def _written(
         part_frames=part_frames,
     ) as writer:
         for weights, trust in solved:
-            writer.append(weights, (trust, None, trust))
+            writer.append(weights, SolveFigures(uncertainty_mm=trust, residual_mm=trust))
 
 
 def _acted(rng: np.random.Generator) -> Callable[[np.ndarray], np.ndarray]:

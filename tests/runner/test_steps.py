@@ -303,9 +303,7 @@ def test_mapping_a_part_equals_that_part_of_the_whole(shot: Shot) -> None:
     reader = PerformanceReader(shot / "part.usda")
     evidence = SolveEvidence(
         reader.regions,
-        uncertainty_mm=reader.uncertainty_mm(101, 140),
-        coverage=reader.series("face:coverage", 101, 140),
-        residual_mm=reader.series("face:residual", 101, 140),
+        *reader.figures(101, 140),
         basis=reader.basis,
     )
     verdict = judge_solve(evidence)  # by what the layer keeps of it

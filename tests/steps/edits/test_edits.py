@@ -18,7 +18,7 @@ from usdface.core.deformer import Deformer
 from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import replacing
-from usdface.core.sidecars import edits_path
+from usdface.core.sidecars import edits_path, weights_path
 from usdface.numerics.motion.key_reduction import no_edit
 from usdface.runner.execute import execute
 from usdface.runner.origin import make_provenance, provenance_of
@@ -326,6 +326,19 @@ def test_the_progress_of_a_bake_is_of_all_frames(shot: Shot, monkeypatch) -> Non
         progress=lambda share, _: shares.append(share),
     )
     assert shares == [0.25, 0.5, 0.75, 1.0]
+
+
+def test_the_residual_of_earlier_versions_is_not_baked(shot: Shot) -> None:
+    """It was another quantity, and there was no coverage."""
+    layer = Sdf.Layer.FindOrOpen(str(weights_path(shot / "shot.hero.usda")))
+    animation = PerformanceReader(shot / "shot.hero.usda").animation.GetPath()
+    solve = layer.GetPrimAtPath(animation)
+    solve.RemoveProperty(solve.properties["face:coverage"])
+    layer.Save()
+    run(BakeSpec(performance=shot / "shot.hero.usda", out=shot / "baked.usdc"))
+    baked = PerformanceReader(shot / "baked.usdc")
+    assert baked.series("face:uncertainty", 1, 1) is not None
+    assert baked.series("face:residual", 1, 1) is None
 
 
 def test_what_is_baked_is_what_is_shown_to_any_reader_of_usdskel(shot: Shot) -> None:

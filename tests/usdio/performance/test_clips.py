@@ -14,7 +14,7 @@ from usdface.core.sidecars import weights_path
 from usdface.runner.execute import execute
 from usdface.specs.performance import JoinSpec
 from usdface.usdio.performance.read import read_performance
-from usdface.usdio.performance.weights_layer import make_header
+from usdface.usdio.performance.weights_layer import SolveFigures, make_header
 from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
@@ -54,7 +54,7 @@ def write(
         for start in range(rows.start, rows.stop, 5):
             part = WEIGHTS[start : min(start + 5, rows.stop)]
             residual = np.full((len(part), 1), 0.5)
-            writer.append(part, (part[:, :1], part[:, 1:2], residual))
+            writer.append(part, SolveFigures(part[:, :1], part[:, 1:2], residual))
     return path
 
 

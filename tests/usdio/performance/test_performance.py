@@ -19,7 +19,7 @@ from usdface.specs.edits import BakeSpec, EditSpec, PackageSpec
 from usdface.usdio.layers import relative_path
 from usdface.usdio.performance import weights_layer
 from usdface.usdio.performance.read import PerformanceReader, read_performance
-from usdface.usdio.performance.weights_layer import make_header
+from usdface.usdio.performance.weights_layer import SolveFigures, make_header
 from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.rig.posed_points import PosedRig
 from usdface.usdio.rig.read import read_rig
@@ -64,14 +64,12 @@ def write(folder: Path, *, place: str | None = None, weights=WEIGHTS, first: int
     ) as writer:
         for start in range(0, len(weights), 7):
             part = weights[start : start + 7]
-            writer.append(
-                part,
-                (
-                    np.linspace(0, 1, len(weights))[start : start + 7, None],
-                    np.full((len(part), 1), 0.75),
-                    np.full((len(part), 1), 0.5),
-                ),
+            figures = SolveFigures(
+                np.linspace(0, 1, len(weights))[start : start + 7, None],
+                np.full((len(part), 1), 0.75),
+                np.full((len(part), 1), 0.5),
             )
+            writer.append(part, figures)
     return path
 
 

@@ -41,15 +41,7 @@ def run(spec: BakeSpec, *, provenance: Provenance, progress: Progress) -> StepRe
             weights = baked_weights(reader, rig, first, last, limit=spec.limit)
             keys = _keys(spec, weights, surface)
             kept += len(keys)
-            writer.append(
-                weights,
-                (
-                    reader.uncertainty_mm(first, last),
-                    reader.series("face:coverage", first, last),
-                    reader.series("face:residual", first, last),
-                ),
-                keys=keys,
-            )
+            writer.append(weights, reader.figures(first, last), keys=keys)
             done = last - reader.first_frame + 1
             progress(done / header.frame_count, f"baked to frame {last}")
     notes = _left_out(reader)

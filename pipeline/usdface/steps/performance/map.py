@@ -34,7 +34,7 @@ from usdface.steps.inputs.weight_tables import read_alpha
 from usdface.usdio.mapping import read_mapping
 from usdface.usdio.performance.driving_layers import write_head_layer
 from usdface.usdio.performance.read import PerformanceReader
-from usdface.usdio.performance.weights_layer import append_rig_shapes, make_header
+from usdface.usdio.performance.weights_layer import SolveFigures, append_rig_shapes, make_header
 from usdface.usdio.performance.write import writing_performance
 from usdface.usdio.rig.drive_targets import HeadDrive
 from usdface.usdio.rig.read import read_rig
@@ -182,10 +182,8 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress) -> StepRes
             rows = slice(
                 max(first, block.start) - window.start, min(last + 1, block.stop) - window.start
             )
-            writer.append(
-                weights[rows],
-                (solved.uncertainty[rows], solved.coverage[rows], solved.residual_mm[rows]),
-            )
+            figures = SolveFigures(solved.uncertainty, solved.coverage, solved.residual_mm)
+            writer.append(weights[rows], figures.rows(rows))
             residuals.add(solved, rows)
             done = min(block.stop - 1, last)
             progress((done - first + 1) / (last - first + 1), f"mapped to frame {done}")

@@ -36,7 +36,12 @@ from usdface.steps.inputs.solve_verdict import judge_performance, with_verdict
 from usdface.steps.retarget.make_sequence import read_sequence_at
 from usdface.usdio.performance.driving_layers import head_layer_xforms
 from usdface.usdio.performance.read import PerformanceReader
-from usdface.usdio.performance.weights_layer import WeightsHeader, animation_name
+from usdface.usdio.performance.weights_layer import (
+    NO_FIGURES,
+    SolveFigures,
+    WeightsHeader,
+    animation_name,
+)
 from usdface.usdio.retarget.control_performance import writing_control_performance
 from usdface.usdio.retarget.controls import ReadControls, read_control_clip
 from usdface.usdio.retarget.sequences import read_matches
@@ -86,7 +91,7 @@ def run(spec: WarpSpec, *, provenance: Provenance, progress: Progress) -> StepRe
     progress(0.6, "writing")
     header = replace(reader.header, name=animation_name(rig), combinations=rig.combinations)
     figures = _figures_outside(spec, reader, placements)
-    if not figures:
+    if figures is NO_FIGURES:
         header = replace(header, regions=(), basis=None)
     _write(spec, rig, header, warped, figures, part(progress, 0.6, 0.95), provenance)
     if spec.curves is not None:
@@ -128,7 +133,7 @@ def run(spec: WarpSpec, *, provenance: Provenance, progress: Progress) -> StepRe
 
 def _figures_outside(
     spec: WarpSpec, reader: PerformanceReader, placements: list[_Placement]
-) -> list[FloatArray | None]:
+) -> SolveFigures:
     """Return the figures of a solve, which do not hold in sequences: interpolated there."""
     frames = reader.frames
     inside = np.zeros(len(frames), dtype=bool)
@@ -136,13 +141,15 @@ def _figures_outside(
         first, last = each.first_frame - spec.blend, each.last_frame + spec.blend
         inside |= (first <= frames) & (frames <= last)
     if not reader.regions or inside.all():
-        return []
+        return NO_FIGURES
 
     def filled(column: FloatArray) -> FloatArray:
         return np.interp(frames, frames[~inside], column[~inside])
 
     figures = reader.figures()
-    return [None if each is None else np.apply_along_axis(filled, 0, each) for each in figures]
+    return SolveFigures(
+        *(None if each is None else np.apply_along_axis(filled, 0, each) for each in figures)
+    )
 
 
 def _placements(spec: WarpSpec, read: ReadControls) -> list[_Placement]:
@@ -271,7 +278,7 @@ def _write(
     rig: Rig,
     header: WeightsHeader,
     warped: Controls,
-    figures: list[FloatArray | None],
+    figures: SolveFigures,
     progress: Progress,
     provenance: Provenance,
 ) -> None:
@@ -285,8 +292,7 @@ def _write(
     ) as writer:
         for start in range(0, len(warped), _CHUNK_FRAMES):
             rows = slice(start, start + _CHUNK_FRAMES)
-            parts = [None if each is None else each[rows] for each in figures]
-            writer.append(warped.rows(rows), parts)
+            writer.append(warped.rows(rows), figures.rows(rows))
             progress(start / len(warped), f"writing frame {header.first_frame + start}")
 
 

@@ -25,7 +25,9 @@ from usdface.usdio.authoring import paths_in
 from usdface.usdio.layers import new_layer, open_layer, open_stage, relative_path
 from usdface.usdio.performance.weights_layer import (
     FIGURES,
+    NO_FIGURES,
     WEIGHTS,
+    SolveFigures,
     WeightsHeader,
     author_header,
     writing_weights,
@@ -66,11 +68,9 @@ class PartsWriter:
         self.next_frame = header.first_frame
 
     def append(
-        self,
-        weights: FloatArray | Float32Array,
-        figures: Sequence[FloatArray | Float32Array | None] = (),
+        self, weights: FloatArray | Float32Array, figures: SolveFigures = NO_FIGURES
     ) -> None:
-        """Append frames, as `WeightsWriter.append`."""
+        """Append frames: (frames, shapes)."""
         done = 0
         while done < len(weights):
             if self.next_frame > self._last:
@@ -78,9 +78,7 @@ class PartsWriter:
                 self._start(self.next_frame)
             count = min(len(weights) - done, self._last - self.next_frame + 1)
             part = slice(done, done + count)
-            self._writer.append(
-                weights[part], [None if each is None else each[part] for each in figures]
-            )
+            self._writer.append(weights[part], figures.rows(part))
             done += count
             self.next_frame += count
 

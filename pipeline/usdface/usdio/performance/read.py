@@ -28,10 +28,12 @@ from usdface.usdio.performance.weights_layer import (
     PAIR_COUNTS,
     RESIDUAL,
     SHAPELESS_REGIONS,
+    SOLVE_UNCERTAINTY,
     STILL_REGIONS,
     UNMATCHED,
     UNMATCHED_SHARES,
     UNSEEN_REGIONS,
+    SolveFigures,
     WeightsHeader,
 )
 from usdface.usdio.rig.reference import combinations_of, rig_of, rig_path_of
@@ -283,13 +285,13 @@ class PerformanceReader:
             )
         return values
 
-    def uncertainty_mm(self, first: int, last: int) -> FloatArray | None:
+    def _uncertainty_mm(self, first: int, last: int) -> FloatArray | None:
         """Return the uncertainty at frames: (frames, regions), or of the face alone (frames, 1).
 
         Layers of earlier versions have a confidence c, the probability of an error below 1 mm, that
         of a normal distribution with the standard deviation ``1 / Phi^-1((1 + c) / 2)``.
         """
-        uncertainty = self.series("face:uncertainty", first, last)
+        uncertainty = self.series(SOLVE_UNCERTAINTY, first, last)
         if uncertainty is not None:
             return uncertainty
         confidence = self.series("face:confidence", first, last)
@@ -299,15 +301,16 @@ class PerformanceReader:
         quantile = NormalDist().inv_cdf
         return np.array([[1 / quantile((1 + each) / 2)] for each in inside.tolist()])
 
-    def figures(self) -> tuple[FloatArray | None, FloatArray | None, FloatArray | None]:
-        """Return uncertainty [mm], coverage [0-1], residual [mm]: (frames, regions) or None each.
+    def figures(self, first: int | None = None, last: int | None = None) -> SolveFigures:
+        """Return the figures of the solve at frames, by default all.
 
         Layers of earlier versions, without coverage, have another quantity as residual: None.
         """
-        first, last = self.first_frame, self.last_frame
+        first = self.first_frame if first is None else first
+        last = self.last_frame if last is None else last
         coverage = self.series(COVERAGE, first, last)
         residual = None if coverage is None else self.series(RESIDUAL, first, last)
-        return self.uncertainty_mm(first, last), coverage, residual
+        return SolveFigures(self._uncertainty_mm(first, last), coverage, residual)
 
 
 def find_animation(stage: Usd.Stage, path: Path, *, prim: str | None = None) -> Usd.Prim:

@@ -1,10 +1,11 @@
 """A layer of weights over time: a SkelAnimation, and overs that bind a rig's skeletons to it."""
 
 import contextlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from pxr import Sdf, Usd, Vt
@@ -64,6 +65,22 @@ takes as long as a frame of weights. Weights are all written."""
 
 COVERAGE_TOLERANCE = 0.002
 """The same of coverage, which has no unit."""
+
+
+class SolveFigures(NamedTuple):
+    """Figures of a solve by frame, (frames, regions) float arrays, in the order of `FIGURES`."""
+
+    uncertainty_mm: FloatArray | None = None
+    coverage: FloatArray | None = None
+    """[0-1]"""
+    residual_mm: FloatArray | None = None
+
+    def rows(self, rows: slice) -> "SolveFigures":
+        """Return the figures of some frames."""
+        return SolveFigures(*(None if each is None else each[rows] for each in self))
+
+
+NO_FIGURES = SolveFigures()
 
 
 @dataclass(frozen=True)
@@ -146,7 +163,7 @@ class WeightsWriter:
     def append(
         self,
         weights: FloatArray | Float32Array,
-        figures: Sequence[FloatArray | Float32Array | None] = (),
+        figures: SolveFigures = NO_FIGURES,
         *,
         keys: IntArray | None = None,
     ) -> None:
@@ -156,8 +173,6 @@ class WeightsWriter:
         ----------
         weights : (frames, shapes) float array
             Of the first shapes of the header; the others are 0.
-        figures : sequence of (frames, regions) float array or None
-            Those of `FIGURES`: uncertainty [mm], coverage [0-1], residual [mm]; or none.
         keys : (keys,) int array, optional
             Rows whose weights are written; by default all.
         """
@@ -179,7 +194,7 @@ class WeightsWriter:
                         np.ascontiguousarray(values[part], dtype=np.float32),
                         COVERAGE_TOLERANCE if path.name == COVERAGE else SAMPLE_TOLERANCE_MM,
                     )
-                    for path, values in zip(self._figures, figures, strict=False)
+                    for path, values in zip(self._figures, figures, strict=True)
                     if values is not None
                 ],
                 np.flatnonzero(wanted[part]),

@@ -10,7 +10,6 @@ from pathlib import Path
 
 from pxr import Sdf
 
-from usdface.core.arrays import FloatArray
 from usdface.core.assets import Rig
 from usdface.core.controls import Controls
 from usdface.core.provenance import Provenance
@@ -19,6 +18,8 @@ from usdface.usdio.authoring import author_uniform
 from usdface.usdio.layers import new_layer, save_layer
 from usdface.usdio.performance.clips import PartsWriter
 from usdface.usdio.performance.weights_layer import (
+    NO_FIGURES,
+    SolveFigures,
     WeightsHeader,
     WeightsWriter,
     author_layer_metadata,
@@ -54,8 +55,8 @@ class ControlsWriter:
         self._animation, self._attributes = header.animation, attributes
         self.next_frame = header.first_frame
 
-    def append(self, controls: Controls, figures: Sequence[FloatArray | None] = ()) -> None:
-        """Append frames of all controls. `figures`: as in `WeightsWriter.append`."""
+    def append(self, controls: Controls, figures: SolveFigures = NO_FIGURES) -> None:
+        """Append frames of all controls."""
         self._weights.append(controls.weights, figures)
         if self.layer is not None:
             if controls.joints:
