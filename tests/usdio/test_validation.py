@@ -320,6 +320,15 @@ def test_a_pair_of_shapes_with_sides_exchanged_stands_out_from_the_others(
     assert "3 pairs" in found.message
 
 
+def test_names_without_a_target_have_no_side(tmp_path: Path) -> None:
+    stage = Usd.Stage.Open(str(sided(tmp_path)))
+    for prim in stage.Traverse():
+        if targets := prim.GetRelationship("skel:blendShapeTargets"):
+            targets.SetTargets(targets.GetTargets()[:1])
+    stage.Save()
+    assert not [each for each in validate(tmp_path / "sided.usda") if "usdface:" in each.check]
+
+
 def test_sides_that_exchange_their_weights_at_a_frame_are_named(tmp_path: Path) -> None:
     rig = read_rig(sided(tmp_path))
     weights = np.tile(0.4 + 0.3 * np.sin(SECONDS)[:240, None], (1, 8))

@@ -139,7 +139,7 @@ def check_sides(stage: Usd.Stage) -> Iterator[Fault]:
         pairs = pair_sides(names)
         if len(pairs) < 3:
             continue
-        shares = _side_shares(mesh)
+        shares = [*_side_shares(mesh), *[0.0] * len(names)]  # 0 for names without a target
         clear = [
             (names[left], shares[left] - shares[right])
             for left, right in pairs
