@@ -177,7 +177,7 @@ def gap_ranges(missing: BoolArray, first_frame: int) -> tuple[tuple[int, int], .
     return tuple((first_frame + a, first_frame + b - 1) for a, b in runs(missing))
 
 
-def describe_missing(frames: FloatArray, first_frame: int = _FIRST_FRAME) -> list[str]:
+def _describe_missing(frames: FloatArray, first_frame: int) -> list[str]:
     """Return a note with the missing frames between samples at whole frames, if any."""
     missing = [
         (first_frame + int(before) + 1, first_frame + int(after) - 1)
@@ -198,7 +198,7 @@ def _describe_times(times: SampleTimes, first_frame: int) -> list[str]:
     rate = float(times.rate)
     if not times.even:
         return [f"samples came unevenly; resampled by their times to {rate:g} frames per second"]
-    notes = describe_missing(times.frames, first_frame)
+    notes = _describe_missing(times.frames, first_frame)
     drift = times.clock_error * float(times.frames[-1])
     if abs(drift) > 0.5:  # noticeable against a video
         notes.append(

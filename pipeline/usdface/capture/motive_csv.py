@@ -136,15 +136,8 @@ def _read_header(lines: Iterator[TableLine]) -> _Header:
     axes = without_empty_tail(axes)
     width = len(axes)
     above = rows[:-1]
-    kinds_at = next(
-        (
-            at
-            for at, (_, cells) in enumerate(above)
-            if _holds(cells, "Marker", "Rigid Body", "Bone")
-        ),
-        None,
-    )
-    values_at = next((at for at, (_, cells) in enumerate(above) if _holds(cells, "Position")), None)
+    kinds_at = _row_with({"Marker", "Rigid Body", "Bone"}, above)
+    values_at = _row_with({"Position"}, above)
     if kinds_at is None or values_at is None or values_at <= kinds_at + 1:
         raise InputError(
             f"{line.where}: the rows above do not say which columns are the positions of markers; "
@@ -167,8 +160,9 @@ def _read_header(lines: Iterator[TableLine]) -> _Header:
     )
 
 
-def _holds(cells: list[str], *wanted: str) -> bool:
-    return any(cell in wanted for cell in cells)
+def _row_with(wanted: set[str], rows: list[tuple[TableLine, list[str]]]) -> int | None:
+    """Return the first of the rows with one of these cells."""
+    return next((at for at, (_, cells) in enumerate(rows) if wanted.intersection(cells)), None)
 
 
 def _rate(stated: dict[str, str], line: TableLine) -> Fraction | None:

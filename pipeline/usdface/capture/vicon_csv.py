@@ -86,7 +86,7 @@ class _BlockHeader:
     axes: list[str]
     """Title of every column: ``Frame``, ``Sub Frame``, ``X``, ``Y``, ``Z``, ..."""
     names: list[str]
-    """Cells above the titles: ``subject:marker`` over every X."""
+    """Cells above the titles, padded to their number: ``subject:marker`` over every X."""
     names_line: TableLine
     starts: list[int]
     """Column of each marker's X."""
@@ -96,22 +96,6 @@ class _BlockHeader:
     first_row: TableLine | None
     """The line after the titles if it is a row rather than units."""
 
-    @property
-    def columns(self) -> list[str]:
-        """Names of the columns in messages."""
-        return [
-            *self.axes[:2],
-            *(f"{self._name(at)} {self.axes[at]}" for at in range(2, len(self.axes))),
-        ]
-
-    @property
-    def labels(self) -> list[str]:
-        """Labels of the markers, as in the file."""
-        return [self._name(at) for at in self.starts]
-
-    def _name(self, at: int) -> str:
-        return self.names[at] if at < len(self.names) else ""
-
 
 def _read_block(path: Path, lines: Iterator[TableLine], options: CaptureOptions) -> Capture:
     """Read the block whose title has just been read."""
@@ -120,9 +104,10 @@ def _read_block(path: Path, lines: Iterator[TableLine], options: CaptureOptions)
     others = len(header.axes) - 2 - 3 * len(header.starts)
     if others > 0:
         notes.append(f"{others} columns other than positions left out")
+    named = zip(header.names[2:], header.axes[2:], strict=True)
     table = read_number_table(
         lines if header.first_row is None else chain([header.first_row], lines),
-        header.columns,
+        [*header.axes[:2], *(f"{name} {axis}" for name, axis in named)],
         path=path,
         delimiter=header.delimiter,
         gaps=True,
@@ -134,7 +119,7 @@ def _read_block(path: Path, lines: Iterator[TableLine], options: CaptureOptions)
     to_mm = space_to_mm(
         path, options, notes, units=header.unit, field=field, up="z", up_note=up_note
     )
-    labels, where = header.labels, header.names_line.where
+    labels, where = [header.names[at] for at in header.starts], header.names_line.where
     return build_table_take(
         CaptureHeader(path, "vicon-csv", header.rate, first_frame, notes=notes),
         MarkerTable(labels, header.starts, table.values, frames, to_mm, where),
@@ -159,7 +144,7 @@ def _read_block_header(path: Path, lines: Iterator[TableLine]) -> _BlockHeader:
         raise InputError(
             f"{titles.where}: no columns X, Y, Z; export the trajectories as positions"
         )
-    names = split_cells(names_line, delimiter)
+    names = [*split_cells(names_line, delimiter), *[""] * len(axes)][: len(axes)]
     unit_line = _next(lines, path)
     unit_cells = split_cells(unit_line, delimiter)
     has_units = not "".join(unit_cells[:2])
