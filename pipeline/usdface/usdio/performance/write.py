@@ -4,6 +4,7 @@ import contextlib
 import struct
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from usdface.core.replacing import check_not_written_since, replacing_group
 from usdface.core.side_files import side_stream
 from usdface.core.sidecars import controls_path, edits_path, head_path, weights_path
 from usdface.core.text import first_few
-from usdface.usdio.authoring import author_timing, move_samples
+from usdface.usdio.authoring import author_timing, define_prim, move_samples
 from usdface.usdio.layers import (
     new_layer,
     open_layer,
@@ -72,8 +73,7 @@ def write_package(
         below = [*_copy_driving_layers(reader, driving), weights]
         top.subLayerPaths = [f"./{each.name}" for each in below]
         for above in rig_path.GetParentPath().GetPrefixes():
-            prim = Sdf.CreatePrimInLayer(top, above)
-            prim.specifier, prim.typeName = Sdf.SpecifierDef, "Xform"
+            define_prim(top, above, "Xform")
         prim = Sdf.CreatePrimInLayer(top, rig_path)
         prim.specifier = Sdf.SpecifierDef
         prim.referenceList.prependedItems = [Sdf.Reference(str(rig_file), source)]
@@ -198,16 +198,15 @@ def writing_performance(
     above : sequence of Path
         As in `writing_top`.
     """
-    weights_file = weights_path(path)
-    with writing_top(path, header, rig, above=above, provenance=provenance):
-        if part_frames is None:
-            with writing_weights(weights_file, header, rig, provenance=provenance) as writer:
-                yield writer
-        else:
-            with writing_parts(
-                weights_file, header, rig, part_frames=part_frames, provenance=provenance
-            ) as parts:
-                yield parts
+    writing: AbstractContextManager[WeightsWriter | PartsWriter]
+    if part_frames is None:
+        writing = writing_weights(weights_path(path), header, rig, provenance=provenance)
+    else:
+        writing = writing_parts(
+            weights_path(path), header, rig, part_frames=part_frames, provenance=provenance
+        )
+    with writing_top(path, header, rig, above=above, provenance=provenance), writing as writer:
+        yield writer
 
 
 @contextlib.contextmanager

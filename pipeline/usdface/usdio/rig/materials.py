@@ -27,14 +27,6 @@ class Look:
     """Parts of materials that pictures leave out."""
 
 
-@dataclass(frozen=True)
-class _Surface:
-    """Constant colour of a material, if it has one, and what is left out."""
-
-    color: tuple[float, float, float, float] | None
-    undrawn: str = ""
-
-
 def read_look(prim: Usd.Prim, face_count: int) -> Look:
     """Return the colours of a mesh's faces by its materials, else by ``displayColor``.
 
@@ -49,11 +41,11 @@ def read_look(prim: Usd.Prim, face_count: int) -> Look:
             UsdShade.Tokens.preview
         )
         if material:
-            surface = _read_surface(material)
-            if surface.color is not None:
-                colors[faces] = surface.color
-            if surface.undrawn:
-                undrawn.append(surface.undrawn)
+            color, left_out = _read_surface(material)
+            if color is not None:
+                colors[faces] = color
+            if left_out:
+                undrawn.append(left_out)
 
     apply_material(prim, slice(None))
     for subset in UsdShade.MaterialBindingAPI(prim).GetMaterialBindSubsets():
@@ -85,20 +77,23 @@ def _display_colors(prim: Usd.Prim, face_count: int) -> FloatArray:
     return colors
 
 
-def _read_surface(material: UsdShade.Material) -> _Surface:
+def _read_surface(
+    material: UsdShade.Material,
+) -> tuple[tuple[float, float, float, float] | None, str]:
+    """Return a material's constant colour and opacity, or None and what is left out."""
     where = f"<{material.GetPath()}>"
     shader, _, _ = material.ComputeSurfaceSource()
     if not shader:
-        return _Surface(None, f"{where}: has no surface that a preview shows")
+        return None, f"{where}: has no surface that a preview shows"
     kind = shader.GetShaderId()
     if kind != SURFACE:
-        return _Surface(None, f"{where}: is a {kind or 'shader'}, not a {SURFACE}")
+        return None, f"{where}: is a {kind or 'shader'}, not a {SURFACE}"
     color, left_out = _constant(shader.GetInput("diffuseColor"))
     opacity, _ = _constant(shader.GetInput("opacity"))
     if color is None:
-        return _Surface(None, f"{where}: {left_out}" if left_out else "")
+        return None, f"{where}: {left_out}" if left_out else ""
     red, green, blue = (max(float(each), 0.0) for each in color)
-    return _Surface((red, green, blue, 1.0 if opacity is None else float(opacity)))
+    return (red, green, blue, 1.0 if opacity is None else float(opacity)), ""
 
 
 def _constant(given: UsdShade.Input | None) -> tuple[Any, str]:

@@ -80,17 +80,17 @@ class TakeReader:
     @property
     def name(self) -> str:
         """The take's name, by default the file's."""
-        return str(self._value("face:take") or self.path.name.split(".")[0])
+        return text_of(self._root, "face:take") or self.path.name.split(".")[0]
 
     @property
     def performer(self) -> str:
         """The performer's name; empty if unknown."""
-        return str(self._value("face:performer") or "")
+        return text_of(self._root, "face:performer")
 
     @property
     def session(self) -> str:
         """The session in which the markers were applied; empty if unknown."""
-        return str(self._value("face:session") or "")
+        return text_of(self._root, "face:session")
 
     @functools.cached_property
     def neutral_frame(self) -> int:
@@ -107,7 +107,7 @@ class TakeReader:
 
     def timecode_at(self, frame: int) -> str:
         """Return the SMPTE timecode of a frame; empty if the take has none."""
-        start = str(self._value("face:timecode:start") or "")
+        start = text_of(self._root, "face:timecode:start")
         with as_input_error(f"{self.path}: face:timecode:start", of=InputError):
             return shift_timecode(start, frame - self.first_frame, self.rate)
 
@@ -138,7 +138,7 @@ class TakeReader:
             audio=self._read_audio(),
             performer=self.performer,
             session=self.session,
-            emotion=str(self._value("face:emotion") or ""),
+            emotion=text_of(self._root, "face:emotion"),
             timecode_start=self.timecode_at(first),
             events=tuple(e for e in self._read_events() if first <= e.frame <= last),
             warnings=self.warnings,
