@@ -172,13 +172,17 @@ def test_clips_that_nothing_plays_any_more_are_removed(tmp_path: Path, face: Fac
     assert points_path(tmp_path / "out.usda").is_file()
 
 
-def test_clips_of_a_face_that_was_elsewhere_are_removed(tmp_path: Path, face: FaceMesh) -> None:
+def test_a_face_that_moves_to_another_prim_leaves_nothing(tmp_path: Path, face: FaceMesh) -> None:
     write(tmp_path / "out.usda", face, CLIPS)
     header = PointsHeader(Fraction(24), 1, 1, rig_path="/Shot/face")
     out, made = tmp_path / "out.usda", Provenance(spec="elsewhere")
     with writing_points(out, face, header, WHOLE, provenance=made) as writer:
         writer.append(face.local[None])
     assert not list(tmp_path.glob("out.points.*.*"))
+    stage = Usd.Stage.Open(str(out))
+    meshes = [prim.GetPath() for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh)]
+    assert meshes == ["/Shot/face/head"]
+    assert [prim.GetName() for prim in stage.GetPseudoRoot().GetChildren()] == ["Shot"]
 
 
 def test_what_others_put_into_the_layer_to_open_stays(tmp_path: Path, face: FaceMesh) -> None:

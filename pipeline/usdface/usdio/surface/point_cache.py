@@ -20,11 +20,11 @@ from usdface.core.errors import InputError
 from usdface.core.provenance import Provenance
 from usdface.core.replacing import replacing_group
 from usdface.core.sidecars import points_path
-from usdface.usdio.authoring import apply_api, author_timing, author_uniform
+from usdface.usdio.authoring import apply_api, author_timing, author_uniform, paths_in
 from usdface.usdio.layers import new_layer, open_layer, relative_path
 from usdface.usdio.performance.clips import author_clips, clip_files
 from usdface.usdio.rig.mesh import FaceMesh
-from usdface.usdio.rig.reference import default_rig_path, define_reference
+from usdface.usdio.rig.reference import default_rig_path, define_reference, remove_reference
 from usdface.usdio.units import author_units
 
 UNCERTAINTY = "primvars:face:uncertainty"
@@ -195,7 +195,7 @@ def writing_points(
     top = header.rig_path or default_rig_path(asset)
     at = Sdf.Path(face.path).ReplacePrefix(Sdf.Path(default_rig_path(asset)), Sdf.Path(top))
     points_file = points_path(path)
-    outdated = _clip_files(points_file)
+    outdated, before = _clip_files(points_file), _deformed_prim(points_file)
     with replacing_group((points_file, path)):
         with _writing_samples(points_file, face, at, header, format_, provenance) as writer:
             yield writer
@@ -206,6 +206,9 @@ def writing_points(
             name = relative_path(points_file, path)
             is_open = name in list(layer.subLayerPaths)
             define_reference(layer, top, asset, path, replace_rig=is_open)
+            for each in before.GetPrefixes() if before != at else ():
+                if each != top:  # where the mesh was before
+                    remove_reference(layer, str(each), {face.file.resolve()}, path)
             if not is_open:
                 layer.subLayerPaths.append(name)
     for file in outdated - clip_files(points_file):
@@ -316,3 +319,12 @@ def _declare(layer: Sdf.Layer, face: FaceMesh, at: Sdf.Path, format_: PointsForm
 
 def _clip_files(points_file: Path) -> set[Path]:
     return clip_files(points_file) if points_file.is_file() else set()
+
+
+def _deformed_prim(points_file: Path) -> Sdf.Path:
+    """Return the mesh of an existing points layer, or an empty path."""
+    if not points_file.is_file():
+        return Sdf.Path()
+    layer = open_layer(points_file)
+    prims = (layer.GetPrimAtPath(path) for path in paths_in(layer) if path.IsPrimPath())
+    return next((prim.path for prim in prims if prim.HasInfo("apiSchemas")), Sdf.Path())
