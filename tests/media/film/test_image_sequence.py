@@ -29,6 +29,16 @@ def test_pictures_appear_at_their_time_and_a_missing_one_holds_the_last(sequence
         assert video.duration == pytest.approx(0.2)
 
 
+@pytest.mark.parametrize("named", ["7", "007"])
+def test_of_two_pictures_with_one_number_that_of_the_given_digits_is_shown(
+    tmp_path: Path, named: str
+) -> None:
+    for digits in ("007", "7", "08"):
+        write_image(tmp_path / f"a.{digits}.png", np.full((8, 8, 3), len(digits), np.uint8))
+    with open_video(tmp_path / f"a.{named}.png", Fraction(24)) as video:
+        assert [video.frame(index)[0, 0, 0] for index in (0, 1)] == [len(named), 2]
+
+
 def test_linear_exr_and_one_channel_become_srgb(tmp_path: Path) -> None:
     grey = np.full((8, 8, 3), 100, np.uint8)
     write_image(tmp_path / "a.1.exr", grey)

@@ -38,10 +38,12 @@ class ImageSequence(OpenVideo):
         if not first.is_file():
             raise InputError(f"{first}: no such file; check the path")
         numbers = {}
-        for path in first.parent.iterdir():
-            other = _NUMBERED.match(path.name)
+        # Of 7 and 0007, the last remains: that with as many digits as the picture given.
+        beside = sorted(path.name for path in first.parent.iterdir())
+        for name in sorted(beside, key=lambda name: len(name) == len(first.name)):
+            other = _NUMBERED.match(name)
             if other and (other[1], other[3]) == (match[1], match[3]):
-                numbers[int(other[2])] = path
+                numbers[int(other[2])] = first.with_name(name)
         order = sorted(numbers)
         self._files = [numbers[number] for number in order]
         self.path = self._files[0]
