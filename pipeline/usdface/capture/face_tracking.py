@@ -11,6 +11,7 @@ from usdface.capture.face_landmarker import FaceDetection
 from usdface.capture.face_landmarks import LANDMARKS
 from usdface.core.arrays import BoolArray, ByteImage, Float32Array, FloatArray
 from usdface.core.errors import InputError
+from usdface.numerics.measure.face_regions import mirrored_shapes
 
 FaceChoice = Literal["largest", "left", "right"]
 
@@ -237,7 +238,7 @@ class FaceTracker:
 
         `score_names`: of the `FaceDetector`; scores of mirror images have left and right exchanged.
         """
-        other = [score_names.index(_other_side(name)) for name in score_names]
+        other = mirrored_shapes(score_names)
         scores = [
             direct if mirrored is None else (direct + mirrored[other]) / 2
             for *_, direct, mirrored in self._rows
@@ -267,12 +268,6 @@ class FaceTracker:
             face = min(faces, key=lambda face: side * float(face.landmarks[:, 0].mean()))
         self._others = [each.landmarks for each in faces if each is not face]
         return face
-
-
-def _other_side(name: str) -> str:
-    """Return ARKit's name of the same shape on the other side of the face."""
-    side = next((each for each in ("Left", "Right") if name.endswith(each)), "")
-    return name.removesuffix(side) + {"Left": "Right", "Right": "Left", "": ""}[side]
 
 
 def _distinct(faces: list[FaceDetection]) -> list[FaceDetection]:
