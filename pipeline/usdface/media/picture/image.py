@@ -11,10 +11,9 @@ from typing import Any, Literal
 
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813  # the name all its users know it by
-from numpy.typing import ArrayLike
 from PIL import Image, PngImagePlugin
 
-from usdface.core.arrays import ByteImage
+from usdface.core.arrays import ByteImage, Float32Array
 from usdface.core.confinement import check_may_open
 from usdface.core.errors import InputError
 from usdface.core.rates import LABEL
@@ -302,7 +301,7 @@ BUILT_IN = "ocio://default"
 _RENDERED = "lin_rec709"
 """Alias of the renderer's colour space in configurations."""
 
-DisplayView = Callable[[ArrayLike], ByteImage]
+DisplayView = Callable[[Float32Array], ByteImage]
 
 
 def display_view(name: str | None) -> DisplayView:
@@ -312,7 +311,7 @@ def display_view(name: str | None) -> DisplayView:
     configuration is that of ``$OCIO``, or else the one built into OpenColorIO.
     """
     if name is None:
-        return lambda light: bytes_from_linear(np.asarray(light, np.float32))
+        return bytes_from_linear
     where = os.environ.get("OCIO") or BUILT_IN
     config = oiio.ColorConfig(where)
     problem = reason_of(config)
@@ -329,7 +328,7 @@ def display_view(name: str | None) -> DisplayView:
         listed = ", ".join(map(repr, views))
         raise InputError(f"{where}: display {display!r} has no view {view!r}; it has {listed}")
 
-    def show(light: ArrayLike) -> ByteImage:
+    def show(light: Float32Array) -> ByteImage:
         source = oiio.ImageBuf(np.ascontiguousarray(light, np.float32))
         shown = oiio.ImageBufAlgo.ociodisplay(
             source, display, view, _RENDERED, "", True, False, "", "", where
