@@ -121,16 +121,6 @@ def _part(name: str, number: int) -> str:
     return name if number == 1 else f"{name}{number}"
 
 
-@dataclass(frozen=True)
-class _Record:
-    """One group or parameter in the section."""
-
-    name: str
-    group: int
-    following: int
-    value: Value | None
-
-
 def parse_parameters(section: bytes, *, processor: Processor) -> Parameters:
     """Parse a parameter section, its four header bytes included.
 
@@ -151,37 +141,37 @@ def parse_parameters(section: bytes, *, processor: Processor) -> Parameters:
         if name_length == 0 or group == 0:
             break
         try:
-            record = _parse_record(section, position, name_length, group, processor)
+            name, following, value = _parse_record(section, position, name_length, group, processor)
         except ValueError as error:
             notes.append(
                 f"parameter section damaged at byte {position}: {error}; the rest of it is ignored"
             )
             break
-        if record.value is None:
-            groups[-group] = record.name
+        if value is None:
+            groups[-group] = name
         else:
-            found.setdefault((group, record.name), record.value)
-        if record.following > len(section):
-            notes.append(f"parameter {record.name} at byte {position} links past the section's end")
-        if record.following <= position:
+            found.setdefault((group, name), value)
+        if following > len(section):
+            notes.append(f"parameter {name} at byte {position} links past the section's end")
+        if following <= position:
             break
-        position = record.following
+        position = following
     values = {f"{groups.get(group, group)}:{name}": value for (group, name), value in found.items()}
     return Parameters(values, tuple(notes))
 
 
 def _parse_record(
     section: bytes, position: int, name_length: int, group: int, processor: Processor
-) -> _Record:
+) -> tuple[str, int, Value | None]:
+    """Return the name of a group or parameter, where the next begins, and a parameter's value."""
     link = position + 2 + name_length
     if link + 2 > len(section):
         raise ValueError("a name runs past its end")
     name = section[position + 2 : link].decode("latin-1").strip().upper()
     offset = int(np.frombuffer(section, processor.unsigned, 1, link)[0])
     following = link + offset if offset else 0
-    if group < 0:
-        return _Record(name, group, following, None)
-    return _Record(name, group, following, _parse_value(section, link + 2, name, processor))
+    value = None if group < 0 else _parse_value(section, link + 2, name, processor)
+    return name, following, value
 
 
 def _parse_value(section: bytes, position: int, name: str, processor: Processor) -> Value:

@@ -124,10 +124,10 @@ def build_surface(meshes: Sequence[RigMesh]) -> Surface:
     triangles, painted = drawn.triangles[kept], painted[kept]
     # Lash cards and tear lines would occlude visible skin.
     shown = replace(drawn, triangles=triangles, corner_of_triangle=drawn.corner_of_triangle[kept])
-    exposure = _rest_exposure(visible, shown, rays=_EXPOSURE_RAYS)
+    exposure, outward = _rest_exposure(visible, shown, rays=_EXPOSURE_RAYS)
     cage = np.concatenate([mesh.points for mesh in visible])
     rest = np.asarray(drawn.matrix @ cage)
-    complexion = paint(visible, pieces, exposure=exposure.seen)
+    complexion = paint(visible, pieces, exposure=exposure)
     band_opacity = drawn.matrix @ complexion.band_opacity
     near = np.zeros(len(band_opacity), bool)
     for band in complexion.bands:
@@ -148,7 +148,7 @@ def build_surface(meshes: Sequence[RigMesh]) -> Surface:
             [ball.center for ball in pieces.eyeballs.values()], np.float32
         ).reshape(-1, 3),
         size=float(max(np.ptp(rest[:, 1]), 1e-6)),
-        outward=exposure.outward,
+        outward=outward,
         has_stand_in_eyes=stand_ins is not None,
     )
 
@@ -166,21 +166,13 @@ class _Drawn:
     middles: QuadCentres
 
 
-@dataclass(frozen=True)
-class _Exposure:
-    """Visible share of the sky of each cage point [0-1], and orientation of normals (+1 or -1)."""
-
-    seen: FloatArray
-    outward: float
-
-
 def _recognise(meshes: Sequence[RigMesh]) -> tuple[_Drawn, Pieces]:
     """Refine the meshes and classify their pieces."""
     heights = np.concatenate([mesh.points[:, 1] for mesh in meshes])
     least = LONG_EDGE * float(np.ptp(heights))
     drawn = _concatenate([_refine(mesh, least_edge=least) for mesh in meshes])
-    exposure = _rest_exposure(meshes, drawn, rays=_SORTING_RAYS)
-    return drawn, find_pieces(meshes, exposure=exposure.seen)
+    exposure, _ = _rest_exposure(meshes, drawn, rays=_SORTING_RAYS)
+    return drawn, find_pieces(meshes, exposure=exposure)
 
 
 def _clear(mesh: RigMesh) -> BoolArray:
@@ -274,8 +266,10 @@ def _selection(meshes: Sequence[RigMesh], visible: Sequence[RigMesh]) -> Sparse:
     )
 
 
-def _rest_exposure(meshes: Sequence[RigMesh], drawn: _Drawn, *, rays: int) -> _Exposure:
-    """Return the visible share of the sky of each point, and the orientation of normals.
+def _rest_exposure(
+    meshes: Sequence[RigMesh], drawn: _Drawn, *, rays: int
+) -> tuple[FloatArray, float]:
+    """Return each cage point's visible share of the sky [0-1], and `Surface.outward`.
 
     The maximum of the pose at rest and of a blink: lids folded away at rest are skin; occluded in
     both are the inside of the mouth and of the sockets.
@@ -291,7 +285,7 @@ def _rest_exposure(meshes: Sequence[RigMesh], drawn: _Drawn, *, rays: int) -> _E
     if len(folded):
         shut = _Posed(blink, drawn).sky_over(folded, outward=outward, rays=rays)
         seen[folded] = np.maximum(seen[folded], shut)
-    return _Exposure(seen=seen, outward=outward)
+    return seen, outward
 
 
 class _Posed:

@@ -5,7 +5,6 @@ import struct
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
 from pathlib import Path
 
 from pxr import Kind, Sdf, Usd, UsdUtils
@@ -238,7 +237,7 @@ def writing_top(
         new_layer(path, provenance) as layer,
     ):
         check_not_written_since(path)
-        before = _previous(path)
+        rig_before, files_before = _previous(path)
         yield
         if copied is not None:
             above = _copy_driving_layers(copied, driving, provenance)
@@ -256,8 +255,8 @@ def writing_top(
         define_reference(layer, header.rig_path, rig, path, replace_rig=is_open)
         if copied is not None:
             _copy_rig_use(layer, copied, default_rig_path(rig))
-        if before.rig_path not in ("", header.rig_path):
-            remove_reference(layer, before.rig_path, {rig.file.resolve(), *before.files}, path)
+        if rig_before not in ("", header.rig_path):
+            remove_reference(layer, rig_before, {rig.file.resolve(), *files_before}, path)
         if not is_open:
             layer.subLayerPaths.append(weights_asset)
         for each in driving:
@@ -279,26 +278,17 @@ def _open_above(layer: Sdf.Layer, asset: str, other: str, *, wanted: bool) -> No
         layer.subLayerOffsets[at] = layer.subLayerOffsets[at + 1]
 
 
-@dataclass(frozen=True)
-class _Previous:
-    """A performance that is written again."""
-
-    rig_path: str = ""
-    """Prim path of its rig; empty if unknown."""
-    files: frozenset[Path] = frozenset()
-    """Its inputs, resolved."""
-
-
-def _previous(path: Path) -> _Previous:
+def _previous(path: Path) -> tuple[str, frozenset[Path]]:
+    """Return the rig's prim path, empty if unknown, and inputs of a performance written again."""
     if not (path.is_file() and weights_path(path).is_file()):
-        return _Previous()
+        return "", frozenset()
     try:
         rig_path = rig_path_in(open_layer(weights_path(path)))
         made = read_provenance(path)
     except InputError:  # damaged, and about to be replaced
-        return _Previous()
+        return "", frozenset()
     folder, inputs = path.resolve().parent, () if made is None else made.inputs
-    return _Previous(rig_path, frozenset((folder / each).resolve() for each in inputs))
+    return rig_path, frozenset((folder / each).resolve() for each in inputs)
 
 
 VARIANT_SET = "take"
