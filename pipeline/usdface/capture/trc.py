@@ -52,12 +52,11 @@ def read_trc(path: Path, options: CaptureOptions) -> Capture:
     axes = _next(lines, path, "X1 Y1 Z1 and so on")
     labels = _labels(titles, axes, delimiter)
     columns = ["Frame#", "Time"] + [f"{label}.{axis}" for label in labels for axis in "XYZ"]
-    unnamed = _UnnamedMarkers(len(columns), delimiter)
-    table = read_number_table(
-        unnamed.left_out(lines), columns, path=path, delimiter=delimiter, gaps=True
-    )
-
-    notes = _check_counts(header, len(labels), unnamed.most, len(table.values))
+    unnamed: list[int] = []
+    rows = _without_unnamed(lines, len(columns), delimiter, unnamed)
+    table = read_number_table(rows, columns, path=path, delimiter=delimiter, gaps=True)
+    most = max(unnamed, default=0)
+    notes = _check_counts(header, len(labels), most, len(table.values))
     table = without_repeated_rows(table, notes)
     first_frame, frames = resolve_frame_numbers(table.values[:, 0], table.lines, where=str(path))
     rate = read_rate(header.get("DataRate") or str(options.rate or ""), stated, "DataRate")
@@ -101,34 +100,24 @@ def _labels(titles: TableLine, axes: TableLine, delimiter: str | None) -> list[s
     return [*labels, *[""] * count][:count]
 
 
-class _UnnamedMarkers:
-    """Removes the columns of unnamed markers from the rows.
+def _without_unnamed(
+    lines: Iterator[TableLine], columns: int, delimiter: str | None, counts: list[int]
+) -> Iterator[TableLine]:
+    """Yield rows without the columns of unnamed markers, whose number in such a row is appended.
 
     Cortex and EVaRT append the visible ones to each row. A multiple of three extra cells is
     distinguished from a damaged row; not with comma delimiters, where each decimal comma adds a
     cell.
     """
-
-    def __init__(self, columns: int, delimiter: str | None) -> None:
-        self._columns, self._delimiter = columns, delimiter
-        self.most = 0
-        """The largest number of unnamed markers in a row."""
-
-    def left_out(self, lines: Iterator[TableLine]) -> Iterator[TableLine]:
-        """Yield the lines without unnamed markers."""
-        if self._delimiter is None or self._delimiter == ",":
-            yield from lines
-            return
-        for line in lines:
-            # counting is faster than splitting
-            if line.text.count(self._delimiter) >= self._columns:
-                cells = without_empty_tail(split_cells(line, self._delimiter))
-                count, rest = divmod(len(cells) - self._columns, 3)
-                if count > 0 and rest == 0:
-                    self.most = max(self.most, count)
-                    text = self._delimiter.join(cells[: self._columns])
-                    line = TableLine(line.path, line.number, text)
-            yield line
+    for line in lines:
+        # counting is faster than splitting
+        if delimiter and delimiter != "," and line.text.count(delimiter) >= columns:
+            cells = without_empty_tail(split_cells(line, delimiter))
+            count, rest = divmod(len(cells) - columns, 3)
+            if count > 0 and rest == 0:
+                counts.append(count)
+                line = TableLine(line.path, line.number, delimiter.join(cells[:columns]))
+        yield line
 
 
 def _header(keys: list[str], values: list[str]) -> dict[str, str]:
