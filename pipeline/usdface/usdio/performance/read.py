@@ -69,7 +69,7 @@ class PerformanceReader:
         self.path = path
         self.stage = open_stage(path)
         self.animation = (
-            find_animation(self.stage, path, prim=prim)
+            _find_animation(self.stage, path, prim)
             if animation is None
             else self.stage.GetPrimAtPath(animation)
         )
@@ -313,16 +313,8 @@ class PerformanceReader:
         return SolveFigures(self._uncertainty_mm(first, last), coverage, residual)
 
 
-def find_animation(stage: Usd.Stage, path: Path, *, prim: str | None = None) -> Usd.Prim:
-    """Return the only animation with weights over time that a skeleton of the stage follows.
-
-    Parameters
-    ----------
-    path : Path
-        For messages.
-    prim : str, optional
-        Restricts the search to skeletons at or below it.
-    """
+def _find_animation(stage: Usd.Stage, path: Path, prim: str | None) -> Usd.Prim:
+    """Return the only animation with weights over time that a skeleton follows, below a prim."""
     top = Sdf.Path(prim or "/")
     found = animations_of_skeletons(stage, below=top)
     if not found:
