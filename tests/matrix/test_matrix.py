@@ -3,6 +3,7 @@
 Each variant runs alone: `poe slow tests/matrix -k 23.976`.
 """
 
+from collections.abc import Iterable
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -85,14 +86,29 @@ def test_a_rig_of_another_kind_is_driven_within_its_ranges(made: str, tmp_path: 
             rigs.assert_driven(studio.weights(name))
 
 
-@pytest.mark.parametrize("written", WRITTEN)
+OPEN = {
+    "two faces": "names refuses a performance of one of two faces, and has no --prim",
+    "stage": "eyeLookUpLeft differs by 0.05 on a rig in metres with Z up, scaled and turned",
+    "numbered": "shape_12, eyeLookInLeft, differs by 0.1: gaze is recognised by name",
+}
+"""Variants that fail, and how; a strict xfail says when one is mended."""
+
+
+def variants(names: Iterable[str]) -> list[object]:
+    def marks(name: str) -> list[pytest.MarkDecorator]:
+        return [pytest.mark.xfail(strict=True, reason=OPEN[name])] if name in OPEN else []
+
+    return [pytest.param(name, marks=marks(name)) for name in names]
+
+
+@pytest.mark.parametrize("written", variants(WRITTEN))
 def test_how_a_rig_is_written_does_not_matter(written: str, tmp_path: Path, plain: Weights) -> None:
     WRITTEN[written](tmp_path)
     prim = "/Shot/b/hero" if written == "two faces" else ""
     assert_same(run_chain(tmp_path, Case(rig_file="hero.usda", prim=prim))[1], plain)
 
 
-@pytest.mark.parametrize("named", NAMED)
+@pytest.mark.parametrize("named", variants(NAMED))
 def test_the_names_of_shapes_do_not_matter(named: str, tmp_path: Path, plain: Weights) -> None:
     case = Case(rig=NAMED[named](), keyed=coarse_rig().shapes)
     assert_same(run_chain(tmp_path, case)[1], plain)
