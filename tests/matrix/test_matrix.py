@@ -89,7 +89,7 @@ def test_a_rig_of_another_kind_is_driven_within_its_ranges(made: str, tmp_path: 
 OPEN = {
     "two faces": "names refuses a performance of one of two faces, and has no --prim",
     "stage": "eyeLookUpLeft differs by 0.05 on a rig in metres with Z up, scaled and turned",
-    "numbered": "shape_12, eyeLookInLeft, differs by 0.1: gaze is recognised by name",
+    "numbered": "shape_12, eyeLookInLeft, differs by 0.11; why is not known",
 }
 """Variants that fail, and how; a strict xfail says when one is mended."""
 
