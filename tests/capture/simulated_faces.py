@@ -1,6 +1,7 @@
 """A face finder that needs no model: it shows a head that moves as it is told."""
 
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -17,8 +18,12 @@ IRIS_DIAMETER = 11.7
 SKULL = [LANDMARKS.indices[LANDMARKS.names.index(name)] for name in LANDMARKS.rigid]
 
 
+@cache
 def head_points() -> FloatArray:
-    """(478, 3): an adult's face where labels put it, ears behind it [mm]; others in its middle."""
+    """(478, 3), read only: an adult's face where labels put it, ears behind it [mm].
+
+    Landmarks without a label are in its middle.
+    """
     points = np.zeros((LANDMARK_COUNT, 3))
     template = face_template(LANDMARKS.names)
     points[LANDMARKS.indices[template.columns]] = template.places
@@ -31,6 +36,7 @@ def head_points() -> FloatArray:
     edges = IRIS_DIAMETER / 2 * np.array([(0, 0), (1, 0), (0, 1), (-1, 0), (0, -1)])
     for first in (LANDMARK_COUNT - 10, LANDMARK_COUNT - 5):
         points[first : first + 5, :2] += edges
+    points.flags.writeable = False
     return points
 
 
