@@ -10,6 +10,7 @@ import pytest
 
 from tests.model.synthetic import skin_samples
 from tests.numerics.simulated_face import hold_head
+from tests.remembered import coarse_face_skin
 from usdface.capture.sniff import read_capture
 from usdface.core.deformer import Deformer
 from usdface.demo.rig import demo_rig
@@ -32,6 +33,15 @@ def skin_of(rig) -> FaceSkin:
 def demo():
     rig = demo_rig()
     return rig, skin_of(rig)
+
+
+@pytest.fixture(scope="module")
+def coarse_demo():
+    """The demo's character for markers that lie on its samples: how dense they are is no matter."""
+    rig = demo_rig()
+    deformer = Deformer(rig)
+    offsets = deformer.shapes.target_offsets()
+    return rig, coarse_face_skin(deformer.neutral, deformer.triangles, offsets)
 
 
 def test_landmarks_of_a_face_stand_in_the_order_of_a_face(demo) -> None:
@@ -220,9 +230,9 @@ def numbered_labels(skin: FaceSkin, shapes, at) -> tuple[str, ...]:
     return tuple(labels)
 
 
-def test_numbered_labels_of_a_part_do_not_draw_its_markers_together(demo) -> None:
+def test_numbered_labels_of_a_part_do_not_draw_its_markers_together(coarse_demo) -> None:
     """Nine markers of a brow are not at one landmark: the cloud keeps its size."""
-    rig, skin = demo
+    rig, skin = coarse_demo
     rng = np.random.default_rng(6)
     moving = np.flatnonzero(skin.activity() > 0.1 * skin.activity().max())
     chosen = rng.choice(moving, 60, replace=False)
@@ -241,8 +251,8 @@ def test_numbered_labels_of_a_part_do_not_draw_its_markers_together(demo) -> Non
     assert placed.virtual.motion_scale == pytest.approx(1 / np.sqrt(1.1 * 0.95), rel=0.08)
 
 
-def test_numbered_labels_decide_where_the_rig_does_not_show_the_motion(demo) -> None:
-    rig, skin = demo
+def test_numbered_labels_decide_where_the_rig_does_not_show_the_motion(coarse_demo) -> None:
+    rig, skin = coarse_demo
     rng = np.random.default_rng(0)
     moving = np.flatnonzero(skin.activity() > 0.1 * skin.activity().max())
     at = skin.positions[rng.choice(moving, 40, replace=False)]
