@@ -123,6 +123,14 @@ def browser() -> Iterator[Any]:
 
 
 @pytest.fixture
+def without_comparison(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Train without cross-validation, as with few pairs, where a test is not of what it judges."""
+    from usdface.model.mapping import candidates
+
+    monkeypatch.setattr(candidates, "MINIMUM_TO_COMPARE", sys.maxsize)
+
+
+@pytest.fixture
 def shot(finished_shot: Shot, tmp_path: Path) -> Shot:
     """A copy of the finished shot that a test may change."""
     folder = tmp_path / "Schuss 1 ü"  # a name as users give them

@@ -49,6 +49,8 @@ from usdface.usdio.take.read import read_take
 from usdface.usdio.take.write import write_take
 from usdface.usdio.validation import validate
 
+pytestmark = pytest.mark.usefixtures("without_comparison")
+
 
 def run(spec: Spec) -> StepResult:
     return execute(spec, overwrite=True)
