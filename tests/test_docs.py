@@ -139,8 +139,8 @@ def test_the_review_page_runs(shot, monkeypatch, capsys) -> None:
         if command == "tune":  # a server; it has tests of its own
             continue
         small = {
-            "sheet": " --tile 64 --quality draft --rows 4",
-            "movie": " --height 64 --rate 6 --workers 1",
+            "sheet": " --tile 64 --quality draft --rows 2",
+            "movie": " --height 64 --rate 3 --workers 1",
         }
         replacing = "" if command == "edit" else " --overwrite"
         code = run(f"{line}{small.get(command, '')}{replacing}")
