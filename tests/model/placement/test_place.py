@@ -37,7 +37,7 @@ def demo():
 
 @pytest.fixture(scope="module")
 def coarse_demo():
-    """The demo's character for markers that lie on its samples: how dense they are is no matter."""
+    """The demo's character, for markers placed by their labels to within several samples."""
     rig = demo_rig()
     deformer = Deformer(rig)
     offsets = deformer.shapes.target_offsets()
@@ -230,9 +230,9 @@ def numbered_labels(skin: FaceSkin, shapes, at) -> tuple[str, ...]:
     return tuple(labels)
 
 
-def test_numbered_labels_of_a_part_do_not_draw_its_markers_together(coarse_demo) -> None:
+def test_numbered_labels_of_a_part_do_not_draw_its_markers_together(demo) -> None:
     """Nine markers of a brow are not at one landmark: the cloud keeps its size."""
-    rig, skin = coarse_demo
+    rig, skin = demo
     rng = np.random.default_rng(6)
     moving = np.flatnonzero(skin.activity() > 0.1 * skin.activity().max())
     chosen = rng.choice(moving, 60, replace=False)
