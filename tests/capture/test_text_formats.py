@@ -12,6 +12,7 @@ from tests.capture import text_samples as samples
 from tests.regenerate import REPOSITORY
 from usdface.capture.marker_take import Capture
 from usdface.capture.sniff import FORMATS, read_capture, recognise_format
+from usdface.capture.text_table import csv_rows
 from usdface.core.errors import InputError
 
 Z_UP_TO_Y_UP = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
@@ -553,3 +554,11 @@ def test_the_documentation_says_of_every_format_what_is_read_and_what_is_not():
     rows = [line.split("|")[1:-1] for line in table.splitlines() if line.startswith("| `")]
     assert all(len(row) == 4 and all(cell.strip() for cell in row) for row in rows)
     assert {row[0].strip(" `") for row in rows} == {known.name for known in FORMATS} | {"--format"}
+
+
+def test_separators_of_unicode_in_a_cell_are_no_ends_of_rows(tmp_path) -> None:
+    path = tmp_path / "places.csv"
+    path.write_bytes('marker,note\r\nA,one\u2028two\r\nB,"three\nfour"\r\n'.encode())
+    (_, first), (where, second) = csv_rows(path, ("marker",))
+    assert first["note"] == "one\u2028two"
+    assert (where, second["note"]) == ("line 4", "three\nfour")

@@ -4,6 +4,7 @@ Every fault is an `InputError` with the file, line, column and value.
 """
 
 import csv
+import io
 import math
 import re
 from array import array
@@ -308,8 +309,12 @@ _LARGEST_CSV_BYTES = 1 << 30
 
 def csv_rows(path: Path, columns: Sequence[str]) -> list[tuple[str, dict[str, object]]]:
     """Read the rows of a table that must have `columns`, each with its line for messages."""
-    lines = read_text(path, _LARGEST_CSV_BYTES).splitlines()
-    reader = csv.DictReader(lines, delimiter=sniff_delimiter(next(iter(lines), "")) or ",")
+    text = read_text(path, _LARGEST_CSV_BYTES)
+    # Lines of a file: `str.splitlines` also cuts cells at form feeds and Unicode separators.
+    lines = io.StringIO(text, newline=None)
+    delimiter = sniff_delimiter(lines.readline()) or ","
+    lines.seek(0)
+    reader = csv.DictReader(lines, delimiter=delimiter)
     header = reader.fieldnames or []
     missing = [name for name in columns if name not in header]
     if missing:
