@@ -13,6 +13,7 @@ from usdface.model.mapping.coverage import CoverageModel
 from usdface.model.mapping.head_space import MINIMUM_SHARE
 from usdface.model.mapping.motion_space import marker_coordinates, motion_of
 from usdface.model.mapping.rig_match import changed_shapes
+from usdface.model.mapping.shape_sides import ShapeSides
 from usdface.model.mapping.uncertainty import UncertaintyModel
 from usdface.model.regressions import REMOVED_METHODS, find_method
 from usdface.model.regressions.bent_weights import bend, unbend
@@ -75,6 +76,7 @@ class WeightPredictor:
         self._mapping = mapping
         try:
             self._motion = motion_of(mapping)
+            self._sides = ShapeSides.of_mapping(mapping)
             self._regions = regions_of(mapping)
             self._solver = FrameSolver.from_arrays(mapping.arrays)
             self._uncertainty = UncertaintyModel.from_arrays(mapping.arrays)
@@ -89,7 +91,7 @@ class WeightPredictor:
                 self._prior = self._method.prepare_prior(
                     mapping.arrays,
                     mapping.settings,
-                    ranges=mapping.ranges,
+                    ranges=self._sides.ranges,
                     curve=self._solver.forward.scales.curve,
                 )
                 trial = self.predict(mapping.neutral[None])
@@ -123,9 +125,10 @@ class WeightPredictor:
             block_confidence = None if confidence is None else confidence[block]
             coordinates = marker_coordinates(self._motion, positions[block], visible=seen[block])
             displacements = self._displacements(positions[block], seen[block], coordinates)
-            weights[block], uncertainty[block], residual[block] = self._solve(
+            columns, uncertainty[block], residual[block] = self._solve(
                 coordinates, displacements, seen[block], block_confidence
             )
+            weights[block] = self._sides.join(columns)
             residual_mm[block] = self._excess_residual(residual[block], seen[block])
             coverage[block] = self._coverage.measure(displacements)
         few_markers = seen.sum(axis=1) < MINIMUM_SHARE * seen.shape[1]
@@ -164,8 +167,11 @@ class WeightPredictor:
         visible: BoolArray,
         confidence: Float32Array | None,
     ) -> tuple[FloatArray, FloatArray, Float32Array]:
-        """Return weights, uncertainty (frames, regions) and residuals (frames, markers, 3)."""
-        low, high = self._mapping.ranges.T
+        """Return weights, uncertainty and residuals.
+
+        (frames, columns of `ShapeSides`), (frames, regions) and (frames, markers, 3).
+        """
+        low, high = self._sides.ranges.T
         solver, curve = self._solver, self._solver.forward.scales.curve
         solves = self._method.solves_frames
         prior_mean, deviation = self._prior(coordinates, displacements)

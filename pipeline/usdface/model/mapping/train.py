@@ -26,7 +26,9 @@ from usdface.model.mapping.regions import (
     regions_without_markers,
     regions_without_shapes,
 )
+from usdface.model.mapping.shape_sides import ShapeSides
 from usdface.model.mapping.uncertainty import UncertaintyModel, calibrate_uncertainty
+from usdface.model.regressions import find_method
 from usdface.model.regressions.base import (
     DEFAULT_CHOICES,
     Choices,
@@ -104,17 +106,20 @@ def train_mapping(
         If the references, the skin or the choices do not fit each other or the method.
     """
     check = check_references(references, ranges=ranges, gram=gram)
-    checked, parts = check.references, references.parts or references.shape_names
+    sides = _sides(references, ranges.astype(np.float64), method)
+    checked = sides.references(check.references)
+    parts, gram = checked.parts or checked.shape_names, None if gram is None else sides.gram(gram)
     skin, rest = _outer_skin(skin, rest, references)
+    driven_skin = None if skin is None else skin[len(references.shape_names) :]
     motion = checked.motion if checked.motion is not None else motion_of_pairs(checked)
     check_dimensions(choices.dimensions, pairs=len(checked.weights), motion=motion)
     face = Face(
-        ranges=ranges.astype(np.float64),
-        gram=np.eye(len(ranges)) if gram is None else _skin_gram(gram, parts),
+        ranges=sides.ranges,
+        gram=np.eye(len(parts)) if gram is None else _skin_gram(gram, parts),
         motion=motion,
-        skin=None if skin is None else skin[: len(ranges)],
+        skin=None if skin is None else sides.motion(skin[: len(ranges)]),
         lids=shapes_by_region(parts).get("lids"),
-        driven=_driven_skin(references, skin),
+        driven=_driven_skin(checked, driven_skin),
         rest=rest,
         neutral=checked.neutral.astype(np.float64),
     )
@@ -131,12 +136,16 @@ def train_mapping(
     return TrainedMapping(
         method=best.method.name,
         marker_names=checked.marker_names,
-        shape_names=checked.shape_names,
+        shape_names=references.shape_names,
         rigid=checked.rigid,
         neutral=checked.neutral.astype(np.float64),
-        ranges=face.ranges,
+        ranges=sides.limits,
         arrays=_as_stored(
-            fitted.arrays | motion_arrays(motion) | solver.to_arrays() | error_arrays
+            fitted.arrays
+            | motion_arrays(motion)
+            | solver.to_arrays()
+            | error_arrays
+            | sides.to_arrays()
         ),
         settings=fitted.settings
         | _region_settings(checked, folds, regions, parts)
@@ -150,6 +159,14 @@ def train_mapping(
         },
         scores=compared.scores,
     )
+
+
+def _sides(references: References, ranges: FloatArray, method: str) -> ShapeSides:
+    """Return the columns of the model: methods without a forward model have one of each shape."""
+    names, whole = references.shape_names, set(references.shape_names)
+    if method == "auto" or find_method(method).solves_frames:
+        whole = {part for each in references.combinations for part in each.parts}
+    return ShapeSides.of_ranges(ranges, names, whole)
 
 
 def _outer_skin(
@@ -182,9 +199,7 @@ def _pairs(references: References, face: Face) -> Pairs:
 
 def _driven_skin(references: References, skin: FloatArray | None) -> DrivenSkin | None:
     logic = logic_of(references.shape_names, references.combinations)
-    if skin is None or logic is None:
-        return None
-    return DrivenSkin(logic, skin[len(references.shape_names) :])
+    return None if skin is None or logic is None else DrivenSkin(logic, skin)
 
 
 def _key_settings(

@@ -148,7 +148,7 @@ def performer_onto_rig(mapping: TrainedMapping, rig: Rig) -> FloatArray:
     by their displacement of the performer. The scale is the symmetric one of Horn (1987, J. Opt.
     Soc. Am. A 4, 629-642).
     """
-    on_face = (mapping.arrays["forward_basis"] ** 2).sum(axis=2)
+    on_face = (mapping.arrays["forward_basis"] ** 2).sum(axis=2)[: len(mapping.shape_names)]
     deformer = Deformer(rig)
     offsets = deformer.shapes.target_offsets().toarray().reshape(len(rig.shapes), -1, 3)
     on_rig = (offsets**2).sum(axis=2)[[rig.shapes.index(n) for n in mapping.shape_names]]

@@ -18,6 +18,7 @@ from usdface.media.picture.image import write_image
 from usdface.model.mapping.motion_space import marker_coordinates, motion_of
 from usdface.model.mapping.regions import offsets_at, skin_points
 from usdface.model.mapping.rig_match import rig_summary
+from usdface.model.mapping.shape_sides import ShapeSides
 from usdface.model.mapping.train import train_mapping
 from usdface.model.mapping.uncertainty import proposal_error
 from usdface.model.placement.label_hints import are_image_landmarks
@@ -62,7 +63,7 @@ def run(spec: TrainSpec, *, provenance: Provenance, progress: Progress) -> StepR
     mapping = _train(spec, references, rig, deformer, progress)
     write_mapping(spec.out, mapping, provenance=provenance)
     # Shapes that move markers and are 0 in every pair, the largest motion first.
-    moved_mm = np.sqrt(mapping.arrays["forward_shape_size2"].max(axis=1))
+    moved_mm = np.sqrt(mapping.arrays["forward_shape_size2"].max(axis=1))[: len(mapping.ranges)]
     moved_mm[references.weights.any(axis=0)] = 0.0
     moved_mm[gaze_and_tongue_shapes(references.parts or references.shape_names)] = 0.0
     order = np.argsort(-moved_mm, kind="stable").tolist()
@@ -170,15 +171,14 @@ def _mirrored_notes(spec: TrainSpec, references: References) -> list[str]:
 
 def _proposal_error(spec: TrainSpec, mapping: TrainedMapping, references: References) -> FloatArray:
     """Return the terms of the uncertainty due to proposals; see `proposal_error`."""
-    low, high = mapping.ranges.T
-    normalised = np.clip((references.weights - low) / (high - low), 0.0, 1.0)
-    proposals = None
+    sides, proposals = ShapeSides.of_mapping(mapping), None
+    span = np.ptp(sides.ranges, axis=1)
     layer = proposed_path(spec.references)
     if 0 < references.tuned.sum() < len(references.tuned) and layer.is_file():
-        proposals = np.clip((read_proposals(layer, references) - low) / (high - low), 0.0, 1.0)
+        proposals = sides.split(read_proposals(layer, references)) / span
     return proposal_error(
         mapping.arrays["uncertainty_grams"],
-        normalised,
+        sides.split(references.weights) / span,
         references.tuned,
         proposals,
         landmarks=are_image_landmarks(references.marker_names),

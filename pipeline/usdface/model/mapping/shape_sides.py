@@ -1,0 +1,97 @@
+"""Shapes with negative weights: two shapes, each from rest to one end of the range.
+
+Displacements saturate away from rest, on either side, and a performer's jaw may move farther to the
+left than to the right. The model of a mapping therefore has a column for each side of such a shape,
+with weights from 0 to the distance of the end from rest; their difference is the shape's weight. A
+shape that a combination or an in-between of the rig depends on keeps one column over its range.
+"""
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from usdface.core.arrays import Arrays, FloatArray, IntArray
+from usdface.core.assets import References, TrainedMapping
+
+
+@dataclass(frozen=True)
+class ShapeSides:
+    """Columns of a model: one of each shape in order, then the negative sides of those with two."""
+
+    limits: FloatArray
+    """(shapes, 2): lowest and highest weight of each shape."""
+    shapes: IntArray
+    """(columns,): shape of each column."""
+    signs: FloatArray
+    """(columns,): -1 for weights below 0, else 1."""
+
+    @classmethod
+    def of_ranges(
+        cls, ranges: FloatArray, names: tuple[str, ...], whole: Collection[str] = ()
+    ) -> "ShapeSides":
+        """Return the sides of shapes with these ranges, (shapes, 2); those in `whole` have one."""
+        low, high = ranges.T
+        divided = (low < 0) & ~np.isin(names, list(whole))
+        both = np.flatnonzero(divided & (high > 0))
+        first = np.where(divided & (high <= 0), -1.0, 1.0)
+        return cls(
+            ranges,
+            np.concatenate([np.arange(len(ranges)), both]),
+            np.concatenate([first, -np.ones(len(both))]),
+        )
+
+    @classmethod
+    def of_mapping(cls, mapping: TrainedMapping) -> "ShapeSides":
+        """Return the sides of a mapping's model; in earlier versions all shapes have one."""
+        count = len(mapping.ranges)
+        alone = np.stack([np.arange(count), np.ones(count)], axis=1)
+        shapes, signs = mapping.arrays.get("shape_sides", alone).T
+        return cls(mapping.ranges, shapes.astype(np.int64), signs)
+
+    def to_arrays(self) -> Arrays:
+        """Return the sides as arrays of a mapping."""
+        return {"shape_sides": np.stack([self.shapes.astype(float), self.signs], axis=1)}
+
+    @property
+    def ranges(self) -> FloatArray:
+        """Lowest and highest weight of each column: (columns, 2)."""
+        low, high = self.limits[self.shapes].T
+        divided = np.isin(self.shapes, self.shapes[self.signs < 0])
+        return np.stack([np.where(divided, 0.0, low), np.where(self.signs < 0, -low, high)], axis=1)
+
+    def split(self, weights: FloatArray) -> FloatArray:
+        """Return the weights of the columns within their ranges: (frames, columns)."""
+        return np.asarray(np.clip(self.signs * weights[:, self.shapes], *self.ranges.T))
+
+    def join(self, columns: FloatArray) -> FloatArray:
+        """Return the weights of the shapes: (frames, shapes)."""
+        count = len(self.limits)
+        weights = self.signs[:count] * columns[:, :count]
+        weights[:, self.shapes[count:]] -= columns[:, count:]
+        return np.asarray(weights)
+
+    def motion(self, skin: FloatArray) -> FloatArray:
+        """Return displacements by each column at 1, from those by each shape, (shapes, ...)."""
+        signs = self.signs.reshape(-1, *(1,) * (skin.ndim - 1))
+        return np.asarray(signs * skin[self.shapes])
+
+    def gram(self, gram: FloatArray) -> FloatArray:
+        """Return the Gram matrix of the columns, from that of the shapes."""
+        return np.asarray(np.outer(self.signs, self.signs) * gram[np.ix_(self.shapes, self.shapes)])
+
+    def references(self, references: References) -> References:
+        """Return references with the weights of the columns, whose second sides have other names.
+
+        Sides of a shape are in the same part of the face.
+        """
+        if len(self.shapes) == len(self.limits) and (self.signs > 0).all():
+            return references
+        names, parts = references.shape_names, references.parts or references.shape_names
+        second = tuple(f"{names[shape]} below 0" for shape in self.shapes[len(names) :])
+        return replace(
+            references,
+            weights=self.split(references.weights),
+            shape_names=(*names, *second),
+            parts=tuple(parts[shape] for shape in self.shapes),
+        )

@@ -1,0 +1,130 @@
+"""Shapes with negative weights: as accurate as one shape for each side."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.model.synthetic import SyntheticFace, references_of, sample_skin, synthetic_face
+from usdface.core.assets import References, TrainedMapping
+from usdface.core.rig_logic import Combination
+from usdface.model.mapping.predict import predict_weights
+from usdface.model.mapping.shape_sides import ShapeSides
+from usdface.model.mapping.train import train_mapping
+
+RANGES = np.array([[0.0, 1.0], [-1.0, 1.0], [-0.5, 0.0], [-2.0, 1.0]])
+NAMES = ("smile", "jaw", "lid", "brow")
+
+
+def test_weights_come_back_from_their_sides() -> None:
+    sides = ShapeSides.of_ranges(RANGES, NAMES)
+    assert sides.shapes.tolist() == [0, 1, 2, 3, 1, 3]
+    np.testing.assert_array_equal(sides.ranges[:, 0], 0)
+    np.testing.assert_array_equal(sides.ranges[:, 1], [1, 1, 0.5, 1, 1, 2])
+    weights = np.random.default_rng(0).uniform(*RANGES.T, size=(50, 4))
+    columns = sides.split(weights)
+    assert (columns >= 0).all()
+    np.testing.assert_allclose(sides.join(columns), weights)
+    # Both describe the same surface.
+    skin = np.random.default_rng(1).standard_normal((4, 7, 3))
+    moved = np.einsum("ns,spc->npc", weights, skin)
+    np.testing.assert_allclose(np.einsum("nk,kpc->npc", columns, sides.motion(skin)), moved)
+    gram = np.einsum("spc,tpc->st", skin, skin)
+    np.testing.assert_allclose(
+        np.einsum("nk,kl,nl->n", columns, sides.gram(gram), columns), (moved**2).sum(axis=(1, 2))
+    )
+
+
+def test_a_shape_that_others_depend_on_is_whole() -> None:
+    sides = ShapeSides.of_ranges(RANGES, NAMES, {"jaw"})
+    assert sides.shapes.tolist() == [0, 1, 2, 3, 3]
+    assert sides.ranges[1].tolist() == [-1, 1]
+
+
+def turning() -> SyntheticFace:
+    """A face whose second shape is the opposite of its first, and moves when that does not."""
+    face = synthetic_face()
+    shapes, turn = face.shapes.copy(), face.weights[:, 0] - face.weights[:, 1]
+    shapes[1] = -shapes[0]
+    weights = face.weights.copy()
+    weights[:, 0], weights[:, 1] = np.maximum(turn, 0), np.maximum(-turn, 0)
+    bent = weights + 0.3 * weights * (1 - weights)
+    noise = 0.02 * np.random.default_rng(5).standard_normal(face.positions.shape)
+    return replace(
+        face,
+        shapes=shapes,
+        weights=weights,
+        positions=face.neutral + np.einsum("fs,smc->fmc", bent, shapes) + noise,
+        gram=np.einsum("smc,tmc->st", shapes, shapes) / len(face.names),
+    )
+
+
+def with_one_shape(face: SyntheticFace) -> SyntheticFace:
+    """Replace the opposite shapes by the first with negative weights."""
+    kept = [0, 2, 3, 4, 5]
+    weights = face.weights[:, kept]
+    weights[:, 0] -= face.weights[:, 1]
+    ranges = face.ranges[kept].copy()
+    ranges[0, 0] = -1.0
+    return replace(
+        face,
+        shapes=face.shapes[kept],
+        weights=weights,
+        gram=face.gram[np.ix_(kept, kept)],
+        ranges=ranges,
+    )
+
+
+def pairs_of(face: SyntheticFace) -> References:
+    pairs = references_of(face, np.arange(0, 600, 15))
+    return replace(pairs, shape_names=pairs.shape_names[: len(face.ranges)])
+
+
+def train(face: SyntheticFace, method: str = "face_map") -> TrainedMapping:
+    return train_mapping(
+        pairs_of(face),
+        ranges=face.ranges,
+        gram=face.gram,
+        skin=sample_skin(face.shapes.reshape(len(face.shapes), -1)),
+        method=method,
+    )
+
+
+def test_a_shape_with_negative_weights_is_solved_as_well_as_two() -> None:
+    two, one = turning(), with_one_shape(turning())
+    apart, together = (predict_weights(train(each), two.positions[600:]) for each in (two, one))
+    expected = apart.weights[:, 0] - apart.weights[:, 1]
+    np.testing.assert_allclose(together.weights[:, 0], expected, atol=0.005)
+    assert np.abs(together.weights[:, 0] - one.weights[600:, 0]).max() < 0.1
+    np.testing.assert_allclose(together.uncertainty[:, 0], apart.uncertainty[:, 0], rtol=0.2)
+
+
+def test_a_mapping_without_sides_has_whole_shapes() -> None:
+    face = with_one_shape(turning())
+    mapping = train(face, "ridge")
+    assert mapping.arrays["shape_sides"].shape == (5, 2)
+    earlier = {name: each for name, each in mapping.arrays.items() if name != "shape_sides"}
+    np.testing.assert_array_equal(
+        predict_weights(replace(mapping, arrays=earlier), face.positions[600:620]).weights,
+        predict_weights(mapping, face.positions[600:620]).weights,
+    )
+
+
+@pytest.mark.parametrize("part", [0, 1])
+def test_combinations_of_a_face_with_negative_weights_are_trained(part: int) -> None:
+    face = with_one_shape(turning())
+    references = pairs_of(face)
+    driver = references.shape_names[part]
+    skin = sample_skin(face.shapes.reshape(len(face.shapes), -1))
+    mapping = train_mapping(
+        replace(
+            references, combinations=(Combination("both", (driver, references.shape_names[2])),)
+        ),
+        ranges=face.ranges,
+        gram=face.gram,
+        skin=np.concatenate([skin, 0.1 * skin[:1]]),
+        method="face_map",
+    )
+    assert len(mapping.arrays["shape_sides"]) == (5 if part == 0 else 6)
+    error = predict_weights(mapping, face.positions[600:]).weights - face.weights[600:]
+    assert np.abs(error).mean() < 0.1
