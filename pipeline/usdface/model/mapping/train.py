@@ -150,13 +150,8 @@ def train_mapping(
         settings=fitted.settings
         | _region_settings(checked, folds, regions, parts)
         | _key_settings(corrected, checked, parts)
-        | {
-            "pairs": len(checked.weights),
-            "limited_weights": check.limited_weights,
-            "unobservable_shapes": int((~compared.observable).sum()),
-            "performer": checked.performer,
-            "session": checked.session,
-        },
+        | {"limited_weights": check.limited_weights}
+        | {"unobservable_shapes": int((~compared.observable).sum())},
         scores=compared.scores,
     )
 
@@ -205,10 +200,13 @@ def _driven_skin(references: References, skin: FloatArray | None) -> DrivenSkin 
 def _key_settings(
     corrected: CorrectedPairs, references: References, parts: tuple[str, ...]
 ) -> dict[str, float | str]:
-    """Return the errors, gains and contradictions of the keys, as estimated from the markers."""
+    """Return what is known of the keys: errors, gains and contradictions by the markers, origin."""
     gains = mean_gains(corrected.log_factor, references.authors)
     contradicted = find_contradicted(corrected.uncorrected, parts).items()
     return {
+        "pairs": len(references.weights),
+        "performer": references.performer,
+        "session": references.session,
         "key_error": corrected.key_error,
         "gain_deviation": float(corrected.log_factor.std()),
         "author_gains": "; ".join(f"{author} {gain:.2f}" for author, gain in gains.items()),
