@@ -26,6 +26,7 @@ from usdface.model.mapping.uncertainty import (
     proposal_error,
 )
 from usdface.model.regressions.base import RestPlaces
+from usdface.model.regressions.frame_solve import FrameSolver
 
 CHOSEN = np.arange(0, 1200, 30)
 NAMES = ("browUp", "browDown", "eyeBlink", "eyeSquint", "mouthSmile", "mouthOpen")
@@ -76,7 +77,8 @@ def test_nine_of_ten_errors_are_within_what_is_said(noise: float) -> None:
             held.append(
                 (face_errors(shown, found) < LIMIT_DEVIATIONS * found.uncertainty[:, 0]).mean()
             )
-    assert 0.85 < np.mean(held) < 0.995  # .9 or more: the posterior is not narrowed
+    # .9 or more: the posterior is not narrowed, and keys are taken to be inexact.
+    assert 0.85 < np.mean(held) < 0.999
 
 
 def test_noise_errs_where_references_are_near_too() -> None:
@@ -308,3 +310,26 @@ def test_regions_without_markers_are_named(labels: str, known: bool, unseen: str
 )
 def test_regions_with_markers_and_without_shapes_are_named(parts, labels, expected) -> None:
     assert regions_without_shapes(parts, labels, ("Nose_tip",)) == expected
+
+
+def test_few_pairs_that_show_a_shape_determine_its_gain_less() -> None:
+    """Two mappings differ by one shape, which all pairs show, or three of them."""
+    face = face_in_parts(0, 0.3)
+    often, seldom = face.weights.copy(), face.weights.copy()
+    seldom[CHOSEN[3:], 0] = 0.0
+    clip = face.positions[CHOSEN[:3]]
+    spread = []
+    for weights in (often, seldom):
+        moved = face.neutral + np.einsum("fs,smc->fmc", weights, face.shapes)
+        mapping = trained(replace(face, weights=weights, positions=moved))
+        solver = FrameSolver.from_arrays(mapping.arrays)
+        model = UncertaintyModel.from_arrays(mapping.arrays)
+        visible = np.ones(clip.shape[:2], dtype=bool)
+        solution = solver.solve(
+            clip - mapping.neutral, visible, solver.forward.targets[:3], bounded=False
+        )
+        known = model.calibration * model.uncalibrated(solver, solution, visible)
+        spread.append(np.sqrt(model.deviations(solver, solution, visible) ** 2 - known**2)[:, 0])
+    shown = face.weights[CHOSEN[:3], 0] > 0.1
+    assert shown.any()
+    assert (spread[1] > 1.2 * spread[0])[shown].all()

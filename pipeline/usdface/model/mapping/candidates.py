@@ -173,7 +173,7 @@ class PairFolds:
             solver = each.solver if solves else each.solver_of(default_error)
             solution = each.solve(self.pairs.rows(fold.test), solver)
             visible = np.ones((len(fold.test), len(solver.forward.noise)), np.bool_)
-            out[fold.test] = model.deviations(solver, solution, visible)
+            out[fold.test] = model.uncalibrated(solver, solution, visible)
         return out
 
     def squared_errors(self, predicted: OutOfFold, grams: FloatArray) -> FloatArray:

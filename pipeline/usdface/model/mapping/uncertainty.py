@@ -29,15 +29,24 @@ constant of the face.
 The errors are relative to the keys, to the corrected ones if keys have random errors, plus the
 variance of the solve by the jackknife (`PairFolds.squared_errors`, decision 37).
 
+Errors of the keys of one shape average out over the pairs that show it, to a factor g_s on its
+motion that cross-validation shows only where these pairs are many::
+
+    sigma_g^2 + sum_s var(g_s) w_s^2 G_gss,    var(g_s) = (tau^2 + tau_0^2) / n_s
+
+``w``: weights of the frame. ``tau``: relative error of the keys, `ForwardScales.tau`. ``tau_0``:
+`_LEAST_KEY_ERROR`. ``n_s = sum_n t_ns^2 / max_n t_ns^2``: effective number of pairs that show the
+shape, with bent weights t.
+
 Proposals that were not tuned have errors in common with takes solved by the rig's geometry, which
 cross-validation does not show. These grow with motion (`poe bench untuned`), and are present in a
 still face as well::
 
     sigma_g^2 + u^2 rho^2 (w' G_g w + M^2)
 
-``u``: share of proposals among the references. ``w``: weights of the frame. ``M^2``: mean squared
-motion of the face over the references. ``rho``: relative error of proposals, `_PROPOSAL_ERROR` a
-priori, updated by the changes that tuning made.
+``u``: share of proposals among the references. ``M^2``: mean squared motion of the face over the
+references. ``rho``: relative error of proposals, `_PROPOSAL_ERROR` a priori, updated by the changes
+that tuning made.
 """
 
 from dataclasses import dataclass, field
@@ -48,6 +57,7 @@ import numpy as np
 from usdface.core.arrays import Arrays, BoolArray, FloatArray, RealArray
 from usdface.core.errors import InputError
 from usdface.model.regressions.bent_weights import unbend
+from usdface.model.regressions.forward_model import ForwardModel
 from usdface.model.regressions.frame_solve import FrameSolution, FrameSolver
 
 ERROR_PROBABILITY = 0.9
@@ -67,6 +77,11 @@ is as uncertain as the constants of regions differ."""
 _CALIBRATION_RANGE = (1.0, 4.0)
 """Limits of ``c``. It never narrows the posterior: folds lack references that the mapping has, so
 that their posteriors are wider than those of takes (decision 43)."""
+
+_LEAST_KEY_ERROR = 0.05
+"""Smallest relative error of the keys of one shape: animators set weights in such steps. Residuals
+hardly show it where few pairs have the shape. Chosen on set-ups 0 to 39 of `poe bench
+random_setups`; set-ups 40 to 99 and `poe bench confidence` validate it."""
 
 _PROPOSAL_ERROR = 0.25
 """Prior of rho, error of proposals relative to the motion. Chosen on the performers of `poe bench
@@ -132,6 +147,19 @@ class UncertaintyModel:
         self, solver: FrameSolver, solution: FrameSolution, visible: BoolArray
     ) -> FloatArray:
         """Return ``sigma_g``: (frames, regions) [mm]; `visible` is (frames, markers)."""
+        squared = (self.calibration * self.uncalibrated(solver, solution, visible)) ** 2
+        weights = unbend(solution.targets, solver.forward.scales.curve)
+        diagonals = np.einsum("rss->sr", self.grams)
+        squared += weights**2 @ (_gain_variance(solver.forward)[:, None] * diagonals)
+        share2, mean_motion2 = self.proposals
+        if share2:
+            squared += share2 * (squared_motion(self.grams, weights) + mean_motion2)
+        return np.asarray(np.sqrt(squared))
+
+    def uncalibrated(
+        self, solver: FrameSolver, solution: FrameSolution, visible: BoolArray
+    ) -> FloatArray:
+        """Return ``sigma_g / c_g`` of the solve: (frames, regions) [mm]."""
         if solution.hessian is None:
             squared = self._interpolated_variance(solver, solution)
         else:
@@ -143,12 +171,7 @@ class UncertaintyModel:
         unknown = np.einsum("rss->rs", self.grams) @ spread2
         squared = np.minimum(squared * (1 + chi2), np.maximum(squared, unknown))
         squared += self.motion_scale**2 * excess2
-        squared = np.maximum(squared, 0.0) * self.calibration**2
-        share2, mean_motion2 = self.proposals
-        if share2:
-            weights = unbend(solution.targets, solver.forward.scales.curve)
-            squared = squared + share2 * (squared_motion(self.grams, weights) + mean_motion2)
-        return np.asarray(np.sqrt(squared))
+        return np.asarray(np.sqrt(np.maximum(squared, 0.0)))
 
     def _interpolated_variance(self, solver: FrameSolver, solution: FrameSolution) -> FloatArray:
         """Return ``tr(G C)``, without D, for solutions without a Hessian: (frames, regions) [mm^2].
@@ -180,6 +203,13 @@ class UncertaintyModel:
             for each in (squared / expected, squared - expected)
         )
         return chi2, np.maximum(excess2, 0.0)
+
+
+def _gain_variance(forward: ForwardModel) -> FloatArray:
+    """Return ``var(g_s)`` of each shape: (shapes,)."""
+    squared = forward.targets**2
+    pairs = squared.sum(axis=0) / np.maximum(squared.max(axis=0), 1e-12)
+    return np.asarray((forward.scales.tau**2 + _LEAST_KEY_ERROR**2) / np.maximum(pairs, 1.0))
 
 
 def squared_motion(grams: FloatArray, weights: FloatArray) -> FloatArray:
