@@ -282,7 +282,7 @@ def fit_rig_prior(pairs: Pairs) -> RigPrior:
     if face.driven is None:
         return RigPrior(basis, None)
     motion = basis[count:].reshape(len(basis) - count, displaced[0].size)
-    return RigPrior(basis[:count], DrivenMotion(face.driven.logic, face.ranges, motion))
+    return RigPrior(basis[:count], DrivenMotion(face.driven.logic, face.driven.sides, motion))
 
 
 def fit_pairs_forward(
@@ -310,4 +310,5 @@ def _driven_weights(pairs: Pairs) -> FloatArray:
     face = pairs.face
     if face.driven is None:
         return np.zeros((len(pairs.outputs), 0))
-    return driven_weights(face.driven.logic, np.clip(pairs.outputs, *face.ranges.T))
+    weights = face.driven.sides.join(np.clip(pairs.outputs, *face.ranges.T))
+    return driven_weights(face.driven.logic, weights)

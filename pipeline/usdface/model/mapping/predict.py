@@ -13,12 +13,12 @@ from usdface.model.mapping.coverage import CoverageModel
 from usdface.model.mapping.head_space import MINIMUM_SHARE
 from usdface.model.mapping.motion_space import marker_coordinates, motion_of
 from usdface.model.mapping.rig_match import changed_shapes
-from usdface.model.mapping.shape_sides import ShapeSides
 from usdface.model.mapping.uncertainty import UncertaintyModel
 from usdface.model.regressions import REMOVED_METHODS, find_method
 from usdface.model.regressions.bent_weights import bend, unbend
 from usdface.model.regressions.forward_model import ForwardModel
 from usdface.model.regressions.frame_solve import FrameSolution, FrameSolver
+from usdface.model.regressions.shape_sides import ShapeSides
 from usdface.numerics.regression.usage_prior import expected_weights
 
 _BLOCK_FRAMES = 1024
@@ -76,7 +76,7 @@ class WeightPredictor:
         self._mapping = mapping
         try:
             self._motion = motion_of(mapping)
-            self._sides = ShapeSides.of_mapping(mapping)
+            self._sides = ShapeSides.from_arrays(mapping.arrays, mapping.ranges)
             self._regions = regions_of(mapping)
             self._solver = FrameSolver.from_arrays(mapping.arrays)
             self._uncertainty = UncertaintyModel.from_arrays(mapping.arrays)
@@ -205,8 +205,8 @@ class WeightPredictor:
             each for each in driven.logic.combinations if len(each.parts) > 1 or each.spans
         ]
         parts = {part for each in combinations for part in each.parts}
-        names = driven.logic.shapes[: len(self._mapping.shape_names)]
-        return np.flatnonzero([name in parts for name in names])
+        names = driven.logic.shapes
+        return np.flatnonzero([names[shape] in parts for shape in self._sides.shapes])
 
     def _expected(self, solution: FrameSolution) -> FloatArray:
         """Return the posterior mean of the bent weights of `_driving`, with the keys as prior."""

@@ -26,7 +26,6 @@ from usdface.model.mapping.regions import (
     regions_without_markers,
     regions_without_shapes,
 )
-from usdface.model.mapping.shape_sides import ShapeSides
 from usdface.model.mapping.uncertainty import UncertaintyModel, calibrate_uncertainty
 from usdface.model.regressions import find_method
 from usdface.model.regressions.base import (
@@ -39,6 +38,7 @@ from usdface.model.regressions.base import (
     RestPlaces,
 )
 from usdface.model.regressions.frame_solve import FrameSolver
+from usdface.model.regressions.shape_sides import ShapeSides
 from usdface.numerics.measure.face_regions import (
     gaze_and_tongue_shapes,
     gaze_shapes,
@@ -106,11 +106,11 @@ def train_mapping(
         If the references, the skin or the choices do not fit each other or the method.
     """
     check = check_references(references, ranges=ranges, gram=gram)
-    sides = _sides(references, ranges.astype(np.float64), method)
+    divides = method == "auto" or find_method(method).solves_frames
+    sides = (ShapeSides.divided if divides else ShapeSides.undivided)(ranges.astype(np.float64))
     checked = sides.references(check.references)
     parts, gram = checked.parts or checked.shape_names, None if gram is None else sides.gram(gram)
     skin, rest = _outer_skin(skin, rest, references)
-    driven_skin = None if skin is None else skin[len(references.shape_names) :]
     motion = checked.motion if checked.motion is not None else motion_of_pairs(checked)
     check_dimensions(choices.dimensions, pairs=len(checked.weights), motion=motion)
     face = Face(
@@ -119,7 +119,7 @@ def train_mapping(
         motion=motion,
         skin=None if skin is None else sides.motion(skin[: len(ranges)]),
         lids=shapes_by_region(parts).get("lids"),
-        driven=_driven_skin(checked, driven_skin),
+        driven=_driven_skin(references, skin, sides),
         rest=rest,
         neutral=checked.neutral.astype(np.float64),
     )
@@ -156,14 +156,6 @@ def train_mapping(
     )
 
 
-def _sides(references: References, ranges: FloatArray, method: str) -> ShapeSides:
-    """Return the columns of the model: methods without a forward model have one of each shape."""
-    names, whole = references.shape_names, set(references.shape_names)
-    if method == "auto" or find_method(method).solves_frames:
-        whole = {part for each in references.combinations for part in each.parts}
-    return ShapeSides.of_ranges(ranges, names, whole)
-
-
 def _outer_skin(
     skin: FloatArray | None, rest: RestPlaces | None, references: References
 ) -> tuple[FloatArray | None, RestPlaces | None]:
@@ -192,9 +184,13 @@ def _pairs(references: References, face: Face) -> Pairs:
     return Pairs(coordinates, references.weights, face, markers, authors=references.authors)
 
 
-def _driven_skin(references: References, skin: FloatArray | None) -> DrivenSkin | None:
+def _driven_skin(
+    references: References, skin: FloatArray | None, sides: ShapeSides
+) -> DrivenSkin | None:
     logic = logic_of(references.shape_names, references.combinations)
-    return None if skin is None or logic is None else DrivenSkin(logic, skin)
+    if skin is None or logic is None:
+        return None
+    return DrivenSkin(logic, sides, skin[len(references.shape_names) :])
 
 
 def _key_settings(

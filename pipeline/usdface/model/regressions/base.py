@@ -15,6 +15,7 @@ from usdface.core.assets import MotionSpace
 from usdface.core.rig_logic import RigLogic
 from usdface.model.regressions.bent_weights import bend
 from usdface.model.regressions.forward_model import ForwardModel
+from usdface.model.regressions.shape_sides import ShapeSides
 
 Settings = dict[str, float | int | str | bool]
 
@@ -54,7 +55,9 @@ class DrivenSkin:
     """Combination shapes of the rig, whose weights follow from those of the pairs' shapes."""
 
     logic: RigLogic
-    """Its first shapes are those of the pairs."""
+    """Its first shapes are those of the references."""
+    sides: ShapeSides
+    """Columns of the pairs' outputs."""
     skin: FloatArray
     """(combinations, points, 3): displacement of the points of `Face.skin` by each at 1 [mm]."""
 

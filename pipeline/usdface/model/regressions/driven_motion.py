@@ -19,6 +19,7 @@ from usdface.core.arrays import (
 )
 from usdface.core.rig_logic import COMBINATION_MODES, Combination, RigLogic
 from usdface.model.regressions.bent_weights import unbend, unbend_slope
+from usdface.model.regressions.shape_sides import ShapeSides
 
 
 @dataclass(frozen=True)
@@ -27,8 +28,8 @@ class DrivenMotion:
 
     logic: RigLogic
     """Its first shapes are the mapping's, in order; any others stay at 0."""
-    ranges: FloatArray
-    """(shapes, 2): lowest and highest weight of the mapping's shapes."""
+    sides: ShapeSides
+    """Columns of the bent weights, sides of the mapping's shapes."""
     motion: FloatArray
     """(combinations, 3 markers): ``F`` [mm]."""
 
@@ -39,21 +40,21 @@ class DrivenMotion:
 
         Parameters
         ----------
-        targets : (frames, shapes) float array
+        targets : (frames, columns) float array
             Bent weights.
-        slope : (frames, shapes, 3 markers) float32 array, optional
+        slope : (frames, columns, 3 markers) float32 array, optional
             Jacobian, to which the derivatives are added in place.
         """
-        bent, low, span = targets.astype(np.float64), self.ranges[:, 0], np.ptp(self.ranges, axis=1)
-        weights = low + span * np.clip(unbend(bent, curve), 0.0, 1.0)
+        bent, (low, high) = targets.astype(np.float64), self.sides.ranges.T
+        weights = self.sides.join(low + (high - low) * np.clip(unbend(bent, curve), 0.0, 1.0))
         values = self.logic.evaluate(pad_columns(weights, len(self.logic.shapes)))
         if slope is not None:
-            slopes = single_precision(unbend_slope(bent, curve) * span)
+            slopes = single_precision(unbend_slope(bent, curve) * (high - low) * self.sides.signs)
             link_slopes = single_precision(self.logic.link_slopes(values))
-            for shape, links in enumerate(self._links_of_shape):
+            for column, links in enumerate(self._links_of_column):
                 if len(links):
-                    chained = link_slopes[:, links] * slopes[:, [shape]]
-                    slope[:, shape] += chained @ self._link_motion[links]
+                    chained = link_slopes[:, links] * slopes[:, [column]]
+                    slope[:, column] += chained @ self._link_motion[links]
         combinations = single_precision(values[:, len(self.logic.shapes) :])
         return np.asarray(combinations @ self._motion32)
 
@@ -66,11 +67,9 @@ class DrivenMotion:
         return self._motion32[self.logic.links[:, 0]]
 
     @cached_property
-    def _links_of_shape(self) -> list[IntArray]:
-        """Rows of the logic's links that each of the mapping's shapes drives."""
-        return [
-            np.flatnonzero(self.logic.links[:, 1] == shape) for shape in range(len(self.ranges))
-        ]
+    def _links_of_column(self) -> list[IntArray]:
+        """Rows of the logic's links that the shape of each column drives."""
+        return [np.flatnonzero(self.logic.links[:, 1] == shape) for shape in self.sides.shapes]
 
     def to_arrays(self) -> Arrays:
         """Return the combinations as arrays of a mapping, the input of `from_arrays`."""
@@ -93,7 +92,7 @@ class DrivenMotion:
             "driven_weights": weights,
             "driven_spans": spans,
             "driven_modes": modes,
-            "driven_ranges": self.ranges,
+            "driven_ranges": self.sides.limits,
             "driven_motion": self.motion,
         }
 
@@ -117,7 +116,8 @@ class DrivenMotion:
                 )
             )
         logic = RigLogic([str(shape) for shape in range(count)], combinations)
-        return cls(logic, arrays["driven_ranges"], arrays["driven_motion"])
+        sides = ShapeSides.from_arrays(arrays, arrays["driven_ranges"])
+        return cls(logic, sides, arrays["driven_motion"])
 
 
 def driven_weights(logic: RigLogic, weights: FloatArray) -> FloatArray:

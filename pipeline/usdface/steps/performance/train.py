@@ -18,7 +18,6 @@ from usdface.media.picture.image import write_image
 from usdface.model.mapping.motion_space import marker_coordinates, motion_of
 from usdface.model.mapping.regions import offsets_at, skin_points
 from usdface.model.mapping.rig_match import rig_summary
-from usdface.model.mapping.shape_sides import ShapeSides
 from usdface.model.mapping.train import train_mapping
 from usdface.model.mapping.uncertainty import proposal_error
 from usdface.model.placement.label_hints import are_image_landmarks
@@ -26,6 +25,7 @@ from usdface.model.placement.rig_orientation import check_rig_upright
 from usdface.model.placement.shape_parts import missing_parts_note, shape_parts
 from usdface.model.regressions.base import Choices
 from usdface.model.regressions.gaussian_rbf import PAPER_DIMENSIONS
+from usdface.model.regressions.shape_sides import ShapeSides
 from usdface.numerics.measure.face_regions import gaze_and_tongue_shapes, mirrored_shapes
 from usdface.runner.result import StepResult
 from usdface.specs.performance import TrainSpec
@@ -171,7 +171,7 @@ def _mirrored_notes(spec: TrainSpec, references: References) -> list[str]:
 
 def _proposal_error(spec: TrainSpec, mapping: TrainedMapping, references: References) -> FloatArray:
     """Return the terms of the uncertainty due to proposals; see `proposal_error`."""
-    sides, proposals = ShapeSides.of_mapping(mapping), None
+    sides, proposals = ShapeSides.from_arrays(mapping.arrays, mapping.ranges), None
     span = np.ptp(sides.ranges, axis=1)
     layer = proposed_path(spec.references)
     if 0 < references.tuned.sum() < len(references.tuned) and layer.is_file():

@@ -2,17 +2,15 @@
 
 Displacements saturate away from rest, on either side, and a performer's jaw may move farther to the
 left than to the right. The model of a mapping therefore has a column for each side of such a shape,
-with weights from 0 to the distance of the end from rest; their difference is the shape's weight. A
-shape that a combination or an in-between of the rig depends on keeps one column over its range.
+with weights from 0 to the distance of the end from rest; their difference is the shape's weight.
 """
 
-from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from usdface.core.arrays import Arrays, FloatArray, IntArray
-from usdface.core.assets import References, TrainedMapping
+from usdface.core.assets import References
 
 
 @dataclass(frozen=True)
@@ -27,30 +25,31 @@ class ShapeSides:
     """(columns,): -1 for weights below 0, else 1."""
 
     @classmethod
-    def of_ranges(
-        cls, ranges: FloatArray, names: tuple[str, ...], whole: Collection[str] = ()
-    ) -> "ShapeSides":
-        """Return the sides of shapes with these ranges, (shapes, 2); those in `whole` have one."""
-        low, high = ranges.T
-        divided = (low < 0) & ~np.isin(names, list(whole))
-        both = np.flatnonzero(divided & (high > 0))
-        first = np.where(divided & (high <= 0), -1.0, 1.0)
+    def undivided(cls, limits: FloatArray) -> "ShapeSides":
+        """Return one column for each shape."""
+        return cls(limits, np.arange(len(limits)), np.ones(len(limits)))
+
+    @classmethod
+    def divided(cls, limits: FloatArray) -> "ShapeSides":
+        """Return a column for each side of rest."""
+        low, high = limits.T
+        both = np.flatnonzero((low < 0) & (high > 0))
         return cls(
-            ranges,
-            np.concatenate([np.arange(len(ranges)), both]),
-            np.concatenate([first, -np.ones(len(both))]),
+            limits,
+            np.concatenate([np.arange(len(limits)), both]),
+            np.concatenate([np.where(high > 0, 1.0, -1.0), -np.ones(len(both))]),
         )
 
     @classmethod
-    def of_mapping(cls, mapping: TrainedMapping) -> "ShapeSides":
-        """Return the sides of a mapping's model; in earlier versions all shapes have one."""
-        count = len(mapping.ranges)
-        alone = np.stack([np.arange(count), np.ones(count)], axis=1)
-        shapes, signs = mapping.arrays.get("shape_sides", alone).T
-        return cls(mapping.ranges, shapes.astype(np.int64), signs)
+    def from_arrays(cls, arrays: Arrays, limits: FloatArray) -> "ShapeSides":
+        """Rebuild the sides from the arrays of a mapping; earlier versions divided no shape."""
+        if "shape_sides" not in arrays:
+            return cls.undivided(limits)
+        shapes, signs = arrays["shape_sides"].T
+        return cls(limits, shapes.astype(np.int64), signs)
 
     def to_arrays(self) -> Arrays:
-        """Return the sides as arrays of a mapping."""
+        """Return the sides as arrays of a mapping, the input of `from_arrays`."""
         return {"shape_sides": np.stack([self.shapes.astype(float), self.signs], axis=1)}
 
     @property
@@ -69,7 +68,7 @@ class ShapeSides:
         count = len(self.limits)
         weights = self.signs[:count] * columns[:, :count]
         weights[:, self.shapes[count:]] -= columns[:, count:]
-        return np.asarray(weights)
+        return np.asarray(np.clip(weights, *self.limits.T))
 
     def motion(self, skin: FloatArray) -> FloatArray:
         """Return displacements by each column at 1, from those by each shape, (shapes, ...)."""
@@ -85,7 +84,7 @@ class ShapeSides:
 
         Sides of a shape are in the same part of the face.
         """
-        if len(self.shapes) == len(self.limits) and (self.signs > 0).all():
+        if (self.signs > 0).all():
             return references
         names, parts = references.shape_names, references.parts or references.shape_names
         second = tuple(f"{names[shape]} below 0" for shape in self.shapes[len(names) :])
