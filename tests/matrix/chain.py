@@ -42,31 +42,36 @@ MOVIE_FRAMES = 18
 """Its halves last no whole number of pictures at 120 and 250 frames per second."""
 
 START = """
-ingest {t}.c3d --out {t}.take.usda --neutral {neutral}{timecode}
+ingest {t}.c3d --out {t}.take.usda --neutral {neutral} {timecode}
 clean {t}.take.usda --out {T}
-place {T} --rig {R}{face} --out p.placement.usda --picture p.jpg --quality draft
-select {T} --rig {R}{face} --out r.references.usda --count {n}
+place {T} --rig {R} {face} --out p.placement.usda --picture p.jpg --quality draft
+select {T} --rig {R} {face} --out r.references.usda --count {n}
 references import r.references.usda --weights keys.csv
 """
 SOLVE = """
 train r.references.usda --out {m}.usdc --method {m}
-map {T} --rig {R}{map_face} --mapping {m}.usdc --out {m}.usda
+map {T} --rig {R} {map_face} --mapping {m}.usdc --out {m}.usda
 evaluate {m}.usda --against keys.csv --out {m}.json
 describe {m}.usdc
 """
 REVIEW = """
-select {T} --rig {R}{face} --out r.references.usda --count {n2} --mapping face_map.usdc --overwrite
+select {T} --rig {R} {face} --out r.references.usda --count {n2} --mapping face_map.usdc --overwrite
 references coverage r.references.usda {T} --out coverage.png
 references sheet r.references.usda --out r.jpg --tile 64 --quality draft
-map {T} --rig {R}{map_face} --baseline --out baseline.usda
-map {T} --rig {R}{map_face} --mapping face_map.usdc --temporal whole --out whole.usda
-map {T} --rig {R}{map_face} --mapping face_map.usdc --temporal causal --out causal.usda
-map {T} --rig {R}{map_face} --mapping face_map.usdc --chunk 50 --out chunks.usda
+map {T} --rig {R} {map_face} --baseline --out baseline.usda
+map {T} --rig {R} {map_face} --mapping face_map.usdc --temporal whole --out whole.usda
+map {T} --rig {R} {map_face} --mapping face_map.usdc --temporal causal --out causal.usda
+map {T} --rig {R} {map_face} --mapping face_map.usdc --chunk 50 --out chunks.usda
+map {T} --rig {R} {map_face} --mapping face_map.usdc --frames {first}-{middle} --out a.usda
+map {T} --rig {R} {map_face} --mapping face_map.usdc --frames {next}-{last} --out b.usda
 join a.usda b.usda --out joined.usda
+movie face_map.usda --height 90 --out all.mp4 --frames {first}-{end}
+movie face_map.usda --height 90 --out 1.mp4 --frames {first}-{half}
+movie face_map.usda --height 90 --out 2.mp4 --frames {second}-{end}
+movie-join 1.mp4 2.mp4 --take {T} --out joined.mp4
 sheet face_map.usda --against keys.csv --out s.jpg --rows 1 --tile 64 --quality draft
 report face_map.usda --against keys.csv --out r.html
 faces face_map.usda baseline.usda --out f.jpg --rows 1 --tile 64 --quality draft
-names face_map.usda {R} --out names.csv
 """
 EDIT = """
 edit face_map.usda --shape {raised} --add 0.2 --frames {low}-{high}
@@ -81,6 +86,8 @@ train r3.references.usda --method face_map --out again.usdc
 combine face_map.usda baseline.usda --takes solve,baseline --out all.usda
 package face_map.usda --out p.usdz
 """
+NAMES = "names face_map.usda {R} --out names.csv"
+LAYERS = ("{T}", "{R}", "face_map.usda", "all.usda", "p.usdz", "r.references.usda")
 
 
 @dataclass(frozen=True)
@@ -100,12 +107,6 @@ class Case:
     timecode: str = ""
     lost_share: float = 0.0  # of samples, in addition to the gaps of the demo
     methods: tuple[str, ...] = METHODS[:1]
-
-    @property
-    def files(self) -> dict[str, str]:
-        """Names for commands: the take, its cleaned layer and the rig."""
-        clean = f"{self.take}.clean.take.usda"
-        return {"t": quote(self.take), "T": quote(clean), "R": self.rig_file}
 
 
 def sampled_performance(case: Case) -> ActedPerformance:
@@ -146,51 +147,56 @@ def write_inputs(folder: Path, case: Case) -> Studio:
     write_weights(folder / "keys.csv", keys, case.rig.shapes)
     if not (folder / case.rig_file).exists():
         write_rig(folder / case.rig_file, case.rig)
-    return Studio(folder, case.rate, case.first, case.first + len(seen) - 1)
+    return Studio(folder, rate, first, first + count - 1, words_of(case, acted))
+
+
+def words_of(case: Case, acted: ActedPerformance) -> dict[str, object]:
+    """Return what stands for the names in braces of the commands."""
+    first, count = case.first, len(acted.rotation)
+    last, shown, prim = first + count - 1, min(count, MOVIE_FRAMES), case.prim
+    return {
+        "t": quote(case.take),
+        "T": quote(f"{case.take}.clean.take.usda"),
+        "R": case.rig_file,
+        "neutral": acted.neutral_frame,
+        "timecode": f"--timecode '{case.timecode}'" if case.timecode else "",
+        "face": f"--prim {prim}" if prim else "",
+        "map_face": f"--rig-prim {prim}" if prim else "",
+        "n": min(COUNT, count // 3),
+        "n2": min(COUNT, count // 3) + 2,
+        **{"first": first, "middle": (first + last) // 2, "next": (first + last) // 2 + 1},
+        **{"last": last, "low": first + 2, "high": min(first + 40, last - 1)},
+        **{"half": first + shown // 2 - 1, "second": first + shown // 2, "end": first + shown - 1},
+        "set": quote(case.rig.shapes[0]),
+        "raised": quote(case.rig.shapes[-1]),
+    }
 
 
 def run_chain(folder: Path, case: Case) -> tuple[Studio, Weights]:
     """Run every command from ingest to publish; return the weights by the default method."""
     studio = write_inputs(folder, case)
-    count = min(COUNT, (studio.last - studio.first + 1) // 3)
-    names = {
-        **case.files,
-        "neutral": sampled_performance(case).neutral_frame,
-        "timecode": f" --timecode '{case.timecode}'" if case.timecode else "",
-        "face": f" --prim {case.prim}" if case.prim else "",
-        "map_face": f" --rig-prim {case.prim}" if case.prim else "",
-        "n": count,
-        "n2": count + 2,
-        "low": studio.first + 2,
-        "high": min(studio.first + 40, studio.last - 1),
-        "set": quote(case.rig.shapes[0]),
-        "raised": quote(case.rig.shapes[-1]),
-    }
-    studio.run(START, **names)
+    studio.run(START)
     check_take(studio, case)
     pairs = read_references(studio / "r.references.usda")
     assert pairs.tuned.all()
     for method in case.methods:
-        studio.run(SOLVE, m=method, **names)
+        studio.run(SOLVE, m=method)
         figures = json.loads((studio / f"{method}.json").read_text(encoding="utf-8"))
         assert figures["weight_rmse"] < LARGEST_ERROR, method
-    middle = (studio.first + studio.last) // 2
-    for part, first, last in (("a", studio.first, middle), ("b", middle + 1, studio.last)):
-        line = f"map {{T}} --rig {{R}}{{map_face}} --mapping face_map.usdc --out {part}.usda"
-        studio.run(f"{line} --frames {first}-{last}", frames=(first, last), **names)
-    studio.run(REVIEW, **names)
+    studio.run(REVIEW)
+    if not case.prim:  # `names` has no option for one of several faces
+        studio.run(NAMES)
     after = read_references(studio / "r.references.usda")
     assert np.array_equal(after.weights[after.tuned], pairs.weights)
     solve = studio.weights("face_map.usda")
     for alike in ("joined.usda", "chunks.usda"):
         assert_same(studio.weights(alike), solve)
         assert studio.weights(alike).timecode == case.timecode
-    check_movie(studio, case)
+    check_movie(studio)
     new = min({*range(studio.first, studio.last + 1)} - {*after.frames.tolist()})
-    studio.run(EDIT, new=new, **names)
+    studio.run(EDIT, new=new)
     check_edits(studio, case, solve)
-    for name in ("{T}", "{R}", "face_map.usda", "all.usda", "p.usdz", "r.references.usda"):
-        studio.run(f"validate {name}", **names)
+    studio.run("\n".join(f"validate {layer}" for layer in LAYERS))
     return studio, solve
 
 
@@ -207,21 +213,13 @@ def check_take(studio: Studio, case: Case) -> None:
     assert np.abs(at - np.median(at, axis=0)).max() < MOST_HEAD_CM
 
 
-def check_movie(studio: Studio, case: Case) -> None:
+def check_movie(studio: Studio) -> None:
     """Check the rate and number of pictures of a movie, drawn whole and in two parts."""
-    count = min(MOVIE_FRAMES, studio.last - studio.first + 1)
-    middle, last = studio.first + count // 2, studio.first + count - 1
-    parts = {"all": (studio.first, last), "1": (studio.first, middle - 1), "2": (middle, last)}
-    for part, (first, end) in parts.items():
-        line = f"movie face_map.usda --height 90 --out {part}.mp4 --frames {first}-{end}"
-        studio.run(line)
-    studio.run("movie-join 1.mp4 2.mp4 --take {T} --out joined.mp4", **case.files)
-    rate, pictures = studio.movie("all.mp4")
-    assert rate <= HIGHEST_RATE
-    assert (case.rate / rate).denominator == 1
-    assert pictures == -(-count // (case.rate / rate))
-    joined_rate, joined = studio.movie("joined.mp4")
-    assert joined_rate == rate
+    (rate, pictures), (joined_rate, joined) = map(studio.movie, ("all.mp4", "joined.mp4"))
+    assert rate == joined_rate <= HIGHEST_RATE
+    step = studio.rate / rate  # frames a picture
+    assert step.denominator == 1
+    assert pictures == -(-min(MOVIE_FRAMES, studio.last - studio.first + 1) // step)
     assert joined - pictures in (0, 1)  # the last picture of the last part may outlast its frames
 
 

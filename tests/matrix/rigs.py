@@ -22,11 +22,15 @@ DRIVEN = (
 
 def with_combinations() -> Rig:
     bump = ShapeKey(1.0, np.arange(200), np.random.default_rng(0).normal(0, 0.5, (200, 3)))
+    rig = _with(*(MeshShape(each.shape, (bump,)) for each in DRIVEN))
+    return replace(rig, combinations=DRIVEN)
+
+
+def _with(*shapes: MeshShape) -> Rig:
+    """Add shapes to the skin, not to the controls."""
     rig = coarse_rig()
     skin, *rest = rig.meshes
-    extra = tuple(MeshShape(each.shape, (bump,)) for each in DRIVEN)
-    skin = replace(skin, shapes=(*skin.shapes, *extra))
-    return replace(rig, meshes=(skin, *rest), combinations=DRIVEN)
+    return replace(rig, meshes=(replace(skin, shapes=(*skin.shapes, *shapes)), *rest))
 
 
 def with_inbetweens() -> Rig:
@@ -62,33 +66,20 @@ def with_five_shapes() -> Rig:
 
 def with_dead_shapes() -> Rig:
     """Add a shape that moves nothing, and one that moves what another moves."""
-    rig = coarse_rig()
-    skin, *rest = rig.meshes
     nothing = MeshShape("nothing", (ShapeKey(1.0, np.array([0]), np.zeros((1, 3))),))
-    twin = replace(skin.shapes[3], name="twin")
-    skin = replace(skin, shapes=(*skin.shapes, nothing, twin))
+    rig = _with(nothing, replace(coarse_rig().meshes[0].shapes[3], name="twin"))
     ranges = np.vstack([rig.ranges, [[0, 1], [0, 1]]])
-    return replace(
-        rig, shapes=(*rig.shapes, "nothing", "twin"), ranges=ranges, meshes=(skin, *rest)
-    )
+    return replace(rig, shapes=(*rig.shapes, "nothing", "twin"), ranges=ranges)
 
 
-def with_unicode_names() -> Rig:
-    return renamed(tuple(f"Größe_{name}" for name in coarse_rig().shapes))
-
-
-def with_numbered_names() -> Rig:
-    return renamed(tuple(f"shape_{k:02d}" for k in range(len(coarse_rig().shapes))))
-
-
-def renamed(shapes: tuple[str, ...]) -> Rig:
+def renamed(pattern: str) -> Rig:
     rig = coarse_rig()
-    new = dict(zip(rig.shapes, shapes, strict=True))
+    new = {name: pattern.format(name=name, k=k) for k, name in enumerate(rig.shapes)}
     meshes = tuple(
         replace(mesh, shapes=tuple(replace(each, name=new[each.name]) for each in mesh.shapes))
         for mesh in rig.meshes
     )
-    return replace(rig, shapes=shapes, meshes=meshes)
+    return replace(rig, shapes=tuple(new.values()), meshes=meshes)
 
 
 def assert_driven(weights: Weights) -> None:

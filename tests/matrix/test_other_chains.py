@@ -1,5 +1,6 @@
 """Chains that do not start from one take: jobs of several takes, retargeting, meshes."""
 
+from collections.abc import Iterable
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -54,7 +55,7 @@ steps:
       - {step: package, performance: "{take}.usda", out: "{take}.usdz"}
 """
 TASKS = 13
-AGAIN = "map '{t}.clean.take.usda' --mapping m.usdc --rig hero.usdc --out x.usda --overwrite"
+AGAIN = "map {T} --mapping m.usdc --rig {R} --out x.usda --overwrite"
 
 
 def test_a_job_of_two_takes_in_one_folder(tmp_path: Path) -> None:
@@ -78,7 +79,7 @@ def test_a_job_of_two_takes_in_one_folder(tmp_path: Path) -> None:
     assert after.count("up to date") == TASKS
     for studio, case in zip(studios, cases, strict=True):
         studio.check_file(folder / f"{case.take}.usda", (studio.first, studio.last))
-        studio.run(AGAIN, t=case.take)
+        studio.run(AGAIN)
         for alike in (f"{case.take}.usda", f"{case.take}.usdz"):
             assert_same(studio.weights(alike), studio.weights("x.usda"))
 
@@ -116,48 +117,40 @@ report w.usda --out w.html
 """
 
 
+def write_table(path: Path, *rows: Iterable[object]) -> None:
+    path.write_text("\n".join(",".join(map(str, row)) for row in rows), encoding="utf-8")
+
+
 def write_acted(path: Path, rig: Rig, weights: np.ndarray, rate: Fraction) -> None:
-    """Write a performance of a rig, whose first shapes are those of the demo's rig."""
-    header = make_header(
-        rig, shape_names=rig.shapes, rate=rate, first_frame=1, last_frame=len(weights)
-    )
+    last = len(weights)
+    header = make_header(rig, shape_names=rig.shapes, rate=rate, first_frame=1, last_frame=last)
     with writing_performance(path, header, rig) as writer:
         writer.append(weights)
-
-
-def written(path: Path, rig: Rig) -> Rig:
-    write_rig(path, rig)
-    return read_rig(path)
 
 
 TARGETS = {
     "combinations": (rigs.with_combinations, Fraction(24000, 1001)),
     "five shapes": (rigs.with_five_shapes, Fraction(250)),
-    "unicode": (
-        lambda: rigs.renamed(coarse_rig(), {n: f"Größe_{n}" for n in coarse_rig().shapes}),
-        Fraction(30000, 1001),
-    ),
+    "unicode": (lambda: rigs.renamed("Größe_{name}"), Fraction(30000, 1001)),
 }
 
 
 @pytest.mark.parametrize("target", TARGETS)
 def test_a_performance_is_retargeted(target: str, tmp_path: Path) -> None:
     make, rate = TARGETS[target]
-    source, rig = (
-        written(tmp_path / name, made)
-        for name, made in (("s.usdc", coarse_rig()), ("t.usdc", make()))
-    )
+    write_rig(tmp_path / "s.usdc", coarse_rig())
+    write_rig(tmp_path / "t.usdc", make())
+    source, rig = read_rig(tmp_path / "s.usdc"), read_rig(tmp_path / "t.usdc")
     clip = performance().weights
     weights = columns_by_name(clip.values[::16], clip.names, source.shapes)
     studio = Studio(tmp_path, rate, 1, len(weights))
     kept = [k for k, name in enumerate(source.shapes) if {name, f"Größe_{name}"} & {*rig.shapes}]
     poses = expressions(source.shapes)[1]
     for name, each, values in (("sposes", source, poses), ("tposes", rig, poses[:, kept])):
-        table = [",".join(["frame", *each.shapes])]
-        table += [",".join(map(str, [k, *row])) for k, row in enumerate(values, start=1)]
-        (tmp_path / f"{name}.csv").write_text("\n".join(table), encoding="utf-8")
-    table = [f"{source.shapes[k]},{name}" for k, name in zip(kept, rig.shapes, strict=True)]
-    (tmp_path / "names.csv").write_text("\n".join(["source,target", *table]), encoding="utf-8")
+        rows = ([k, *row] for k, row in enumerate(values, start=1))
+        write_table(tmp_path / f"{name}.csv", ["frame", *each.shapes], *rows)
+    pairs = zip((source.shapes[k] for k in kept), rig.shapes, strict=True)
+    write_table(tmp_path / "names.csv", ["source", "target"], *pairs)
     write_acted(tmp_path / "talk.usda", source, weights, rate)
     write_acted(tmp_path / "smile.usda", rig, 0.9 * weights[40:71, kept], rate)
     studio.run(RETARGET, jaw=rig.shapes[kept.index(source.shapes.index("jawOpen"))])

@@ -111,7 +111,8 @@ def _choose_covariance(
 ) -> ProcessSettings:
     """Return the covariance of least leave-one-out error, relative to each shape's least."""
     choices = usable_choices(_COVARIANCES, most=len(features[0].variances))
-    by_size = np.argsort(-np.diag(gram), kind="stable")
+    size = np.log(np.maximum(np.diag(gram), 1e-12))  # rounded: mirrored shapes are equally large
+    by_size = np.argsort(-size.round(4), kind="stable")
     errors = np.stack(
         [
             leave_one_out_errors(
