@@ -22,7 +22,6 @@ from usdface.usdio.authoring import (
     author_timing,
     author_uniform,
     define_prim,
-    paths_in,
 )
 from usdface.usdio.layers import (
     FRAMES_IN_MEMORY,
@@ -352,16 +351,6 @@ def append_rig_shapes(names: Iterable[str], rig: Rig) -> tuple[str, ...]:
     Importers that match shapes by order (Maya's) need all of them.
     """
     return tuple(dict.fromkeys((*names, *rig.shapes)))
-
-
-def rig_path_in(layer: Sdf.Layer) -> str:
-    """Return the prim path of the rig of a weights layer; empty if unknown."""
-    places = [
-        str(path.GetParentPath())
-        for path in paths_in(layer)
-        if path.IsPrimPath() and path.name.startswith(ANIMATION)
-    ]
-    return places[0] if len(places) == 1 else ""
 
 
 def author_layer_metadata(layer: Sdf.Layer, header: WeightsHeader, rig: Rig) -> None:

@@ -16,7 +16,7 @@ from usdface.core.replacing import check_not_written_since, replacing_group
 from usdface.core.side_files import side_stream
 from usdface.core.sidecars import controls_path, edits_path, head_path, weights_path
 from usdface.core.text import first_few
-from usdface.usdio.authoring import author_timing, define_prim, move_samples
+from usdface.usdio.authoring import author_timing, define_prim, move_samples, paths_in
 from usdface.usdio.layers import (
     new_layer,
     open_layer,
@@ -30,9 +30,9 @@ from usdface.usdio.layers import (
 from usdface.usdio.performance.clips import PartsWriter, clear_parts, writing_parts
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import (
+    ANIMATION,
     WeightsHeader,
     WeightsWriter,
-    rig_path_in,
     writing_weights,
 )
 from usdface.usdio.rig.reference import (
@@ -283,7 +283,7 @@ def _previous(path: Path) -> tuple[str, frozenset[Path]]:
     if not (path.is_file() and weights_path(path).is_file()):
         return "", frozenset()
     try:
-        rig_path = rig_path_in(open_layer(weights_path(path)))
+        rig_path = _rig_path_in(open_layer(weights_path(path)))
         made = read_provenance(path)
     except InputError:  # damaged, and about to be replaced
         return "", frozenset()
@@ -334,3 +334,13 @@ def write_takes(
             variant = Sdf.VariantSpec(variants, name)
             reference = Sdf.Reference(relative_path(reader.path, path), top)
             variant.primSpec.referenceList.prependedItems = [reference]
+
+
+def _rig_path_in(layer: Sdf.Layer) -> str:
+    """Return the prim path of the rig of a weights layer; empty if unknown."""
+    places = [
+        str(path.GetParentPath())
+        for path in paths_in(layer)
+        if path.IsPrimPath() and path.name.startswith(ANIMATION)
+    ]
+    return places[0] if len(places) == 1 else ""
