@@ -238,6 +238,10 @@ def names(
         Path | None,
         typer.Option("--names", help="Edited table to use instead.", show_default=False),
     ] = None,
+    prim: Annotated[
+        list[str] | None,
+        typer.Option(help="Face of the rig; given again, of the source. Needed among several."),
+    ] = None,
     match: Annotated[
         Literal["both", "name", "deformation"],
         typer.Option(help="Between rigs: match by name, by deformation, or by both."),
@@ -262,7 +266,11 @@ def names(
     """
     from usdface.steps.retarget.pairs_propose import list_names
 
-    report = list_names(rig, source, names=table, by=match, out=out, overwrite=overwrite)
+    if len(prims := tuple(prim or ())) > 2:
+        raise InputError(f"--prim {prims[2]}: the rig and the source have a face each")
+    report = list_names(
+        rig, source, prims=prims, names=table, by=match, out=out, overwrite=overwrite
+    )
     if as_json:
         show_json(report.as_data() | {"pairs": report.figures["pairs"]})
     else:

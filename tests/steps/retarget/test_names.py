@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pxr import Usd
 
 from tests.regenerate import REPOSITORY
 from tests.test_docs import commands, run
@@ -301,6 +302,21 @@ def test_a_table_that_is_replaced_is_whole_for_who_reads_it(tmp_path: Path) -> N
         assert reading.read() == table.read_text(encoding="utf-8")
         assert os.fstat(reading.fileno()).st_ino != table.stat().st_ino
     assert usdface("names", rig.file, "--out", tmp_path / "missing" / "names.csv") == 2
+
+
+def test_a_face_among_several_is_named(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    rig = named_rig(tmp_path / "hero.usda", {each: each for each in small_rig().shapes})
+    stage = Usd.Stage.CreateNew(str(tmp_path / "both.usda"))
+    for name in ("/A", "/B"):
+        stage.DefinePrim(name).GetReferences().AddReference("./hero.usda", rig.prim)
+    stage.Save()
+    both = stage.GetRootLayer().realPath
+    assert usdface("names", both, both, "--prim", "/A") == 2
+    assert "2 faces, </A>, </B>; name one with --prim" in capsys.readouterr().err
+    assert usdface("names", both, both, *("--prim", "/A", "--prim", "/B", "--prim", "/C")) == 2
+    assert "--prim /C" in capsys.readouterr().err
+    assert usdface("names", both, both, "--prim", "/A", "--prim", "/B", "--json") == 0
+    assert len(json.loads(capsys.readouterr().out)["pairs"]) == len(rig.shapes)
 
 
 def test_sides_that_are_matched_differently_are_noted(tmp_path: Path, monkeypatch) -> None:

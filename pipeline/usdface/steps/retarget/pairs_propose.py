@@ -257,20 +257,25 @@ def list_names(
     rig: Path,
     source: Path | None = None,
     *,
+    prims: tuple[str, ...] = (),
     names: Path | None = None,
     by: str = "both",
     out: Path | None = None,
     overwrite: bool = False,
 ) -> StepResult:
-    """Match a source's shapes, by default ARKit's, with a rig's; write the table to `out`."""
+    """Match a source's shapes, by default ARKit's, with a rig's; write the table to `out`.
+
+    `prims`: the faces in the rig and in the source, where these hold several.
+    """
     files = [each for each in (rig, source, names) if each is not None]
     confine("names", reads=files, writes=[] if out is None else [out])
     if out is not None and out.suffix.lower() not in _TABLES:
         raise InputError(f"{out}: a table is written, so the name must end in {', '.join(_TABLES)}")
     if out is not None and out.exists() and not overwrite:
         raise InputError(f"{out} exists; choose another --out, or --overwrite it")
-    target = read_rig(rig)
-    shapes, other = (tuple(ARKIT), None) if source is None else source_shapes(source)
+    prim, source_prim, *_ = (*prims, None, None)
+    target = read_rig(rig, prim=prim)
+    shapes, other = source_shapes(source, prim=source_prim) if source else (tuple(ARKIT), None)
     notes: list[str] = []
     if names is not None:
         transfer = transfer_by_table(names, shapes, target.shapes)
