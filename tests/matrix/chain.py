@@ -72,6 +72,7 @@ movie-join 1.mp4 2.mp4 --take {T} --out joined.mp4
 sheet face_map.usda --against keys.csv --out s.jpg --rows 1 --tile 64 --quality draft
 report face_map.usda --against keys.csv --out r.html
 faces face_map.usda baseline.usda --out f.jpg --rows 1 --tile 64 --quality draft
+names face_map.usda {R} --out names.csv {faces}
 """
 EDIT = """
 edit face_map.usda --shape {raised} --add 0.2 --frames {low}-{high}
@@ -86,7 +87,6 @@ train r3.references.usda --method face_map --out again.usdc
 combine face_map.usda baseline.usda --takes solve,baseline --out all.usda
 package face_map.usda --out p.usdz
 """
-NAMES = "names face_map.usda {R} --out names.csv"
 LAYERS = ("{T}", "{R}", "face_map.usda", "all.usda", "p.usdz", "r.references.usda")
 
 
@@ -161,6 +161,7 @@ def words_of(case: Case, acted: ActedPerformance) -> dict[str, object]:
         "neutral": acted.neutral_frame,
         "timecode": f"--timecode '{case.timecode}'" if case.timecode else "",
         "face": f"--prim {prim}" if prim else "",
+        "faces": f"--prim {prim} --prim {prim}" if prim else "",
         "map_face": f"--rig-prim {prim}" if prim else "",
         "n": min(COUNT, count // 3),
         "n2": min(COUNT, count // 3) + 2,
@@ -184,8 +185,6 @@ def run_chain(folder: Path, case: Case) -> tuple[Studio, Weights]:
         figures = json.loads((studio / f"{method}.json").read_text(encoding="utf-8"))
         assert figures["weight_rmse"] < LARGEST_ERROR, method
     studio.run(REVIEW)
-    if not case.prim:  # `names` has no option for one of several faces
-        studio.run(NAMES)
     after = read_references(studio / "r.references.usda")
     assert np.array_equal(after.weights[after.tuned], pairs.weights)
     solve = studio.weights("face_map.usda")
