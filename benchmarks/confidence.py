@@ -19,6 +19,7 @@ from benchmarks.performers import PERFORMERS, UNSEEN_PERFORMERS, Performer, act
 from tests.conftest import SHARED_DATA
 from tests.model.synthetic import sample_skin
 from usdface.core.deformer import Deformer
+from usdface.model.mapping.performer_face import face_of_mapping
 from usdface.model.mapping.predict import Prediction, predict_weights
 from usdface.model.mapping.regions import region_points
 from usdface.model.mapping.train import train_mapping
@@ -105,7 +106,7 @@ def _crosstake(counts: tuple[int, ...]) -> Iterator[Claims]:
                 mapping = read_mapping(folder / "x.mapping.usdc")
                 take = TakeReader(folder / "x.clean.take.usda")
                 seen = read_markers(take, take.first_frame + crosstake.HALF, take.last_frame)
-                placed = take_head_space(take, mapping).place(seen)
+                placed = take_head_space(take, face_of_mapping(mapping)).place(seen)
                 said = predict_weights(mapping, placed.positions, visible=placed.visible)
                 wanted = truth["weights"][crosstake.HALF :].astype(float)
                 own = [rig.shapes.index(shape) for shape in mapping.shape_names]

@@ -24,12 +24,14 @@ from usdface.runner.execute import execute
 from usdface.runner.origin import make_provenance, provenance_of
 from usdface.runner.result import StepResult
 from usdface.specs.base import Spec
+from usdface.specs.capture import CleanSpec
 from usdface.specs.edits import BakeSpec, EditsImportSpec, EditSpec, PackageSpec
 from usdface.specs.performance import MapSpec, TrainSpec
 from usdface.specs.references import (
     ReferencesAddSpec,
     ReferencesFromEditsSpec,
     ReferencesImportSpec,
+    SelectSpec,
 )
 from usdface.specs.retarget import RetargetSpec
 from usdface.steps.edits import bake
@@ -45,7 +47,7 @@ from usdface.usdio.performance import write
 from usdface.usdio.performance.read import PerformanceReader, read_performance
 from usdface.usdio.references.read import read_references
 from usdface.usdio.rig.read import read_rig
-from usdface.usdio.take.read import read_take
+from usdface.usdio.take.read import TakeReader, read_take
 from usdface.usdio.take.write import write_take
 from usdface.usdio.validation import validate
 
@@ -539,6 +541,20 @@ def test_curves_of_a_dcc_that_peak_at_different_frames_teach_where_they_are_stro
     assert len(taken) == 4
     change = np.abs(wanted - clip.values).max(axis=1)
     assert change[taken - 1].max() > 0.99 * change.max()
+
+
+def test_edits_teach_references_of_another_head_space_in_that_space(shot: Shot) -> None:
+    raised, other = shot / "raised.take.usda", shot / "other.references.usda"
+    run(CleanSpec(take=shot / "shot.take.usda", out=raised, neutral=200))
+    run(SelectSpec(takes=(raised,), rig=shot / "hero.usdc", out=other, count=8, images=False))
+    edit(shot / "shot.hero.usda", override=0.8, frames="100-102")
+    given = {"references": other, "out": shot / "v2.usda"}
+    run(ReferencesFromEditsSpec(performances=(shot / "shot.hero.usda",), **given))
+    after, here = read_references(shot / "v2.usda"), [100, 101, 102]
+    pairs = [after.frames.tolist().index(frame) for frame in here]
+    seen = TakeReader(raised).read_markers_at(here)
+    order = [seen.names.index(name) for name in after.marker_names]
+    np.testing.assert_allclose(after.markers[pairs], seen.positions[:, order], atol=0.05)
 
 
 @pytest.mark.parametrize("moved", [0, 40])

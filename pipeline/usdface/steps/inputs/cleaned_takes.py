@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, sample_frames
-from usdface.core.assets import Markers, References, Rig, Take, TrainedMapping
+from usdface.core.assets import Markers, References, Rig, Take
 from usdface.core.errors import InputError, as_input_error
 from usdface.model.mapping.head_space import MINIMUM_SHARE, HeadSpace, find_head_space
-from usdface.model.mapping.performer_face import PerformerFace, face_of_mapping
+from usdface.model.mapping.performer_face import PerformerFace
 from usdface.model.mapping.take_neutral import TakeNeutral
 from usdface.model.placement.plausibility import check_findings, judge_markers
 from usdface.model.placement.rig_orientation import check_rig_upright
@@ -18,14 +18,14 @@ from usdface.numerics.registration.marker_application import SAMPLE_FRAMES
 from usdface.usdio.take.read import TakeReader, read_take
 
 
-def take_head_space(take: TakeReader, mapping: TrainedMapping) -> HeadSpace:
-    """Find the transform from a take's markers to those of a mapping, from frames all over it."""
+def take_head_space(take: TakeReader, face: PerformerFace) -> HeadSpace:
+    """Find the transform from a take's markers to those of a face, from frames all over it."""
     picks = np.array(spread_frames(take, SAMPLE_FRAMES))
     if take.first_frame <= take.neutral_frame <= take.last_frame:
         picks = np.union1d(picks, take.neutral_frame)
     sample = read_markers_at(take, picks.tolist())
     with as_input_error(take.path, of=InputError):
-        return _head_space(face_of_mapping(mapping), sample, picks, take)
+        return _head_space(face, sample, picks, take)
 
 
 def _head_space(

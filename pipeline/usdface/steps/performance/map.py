@@ -19,6 +19,7 @@ from usdface.core.provenance import Provenance
 from usdface.core.sidecars import head_path, weights_path
 from usdface.core.text import counted, first_few, pluralize
 from usdface.model.mapping.head_space import MINIMUM_SHARE, HeadSpace, MappedMarkers
+from usdface.model.mapping.performer_face import face_of_mapping
 from usdface.model.mapping.predict import Prediction, WeightPredictor, basis_of, regions_of
 from usdface.model.mapping.rig_match import check_same_rig
 from usdface.model.mapping.temporal import TemporalSolve, smooth_weights
@@ -140,7 +141,7 @@ def run(spec: MapSpec, *, provenance: Provenance, progress: Progress) -> StepRes
         )
     take = TakeReader(spec.take)
     first, last = take.frames_within(frame_range(spec.frames))
-    space = take_head_space(take, mapping)
+    space = take_head_space(take, face_of_mapping(mapping))
     driven = _driven(spec, take, mapping, space, rig, (first, last))
     temporal = TemporalSolve(spec.temporal, spec.cutoff, spec.lag, spec.bands)
     margin = temporal.margin_at(float(take.rate))

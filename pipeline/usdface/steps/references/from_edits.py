@@ -15,6 +15,7 @@ from usdface.core.progress import Progress, part
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import proposed_path, reference_layers, tuned_path
 from usdface.core.text import first_few, pluralize
+from usdface.model.mapping.performer_face import face_of_references
 from usdface.numerics.motion.key_reduction import EditCurve
 from usdface.numerics.regression.reference_design import design_k_centre
 from usdface.runner.origin import made_files, pair_with_files, spec_of
@@ -183,7 +184,7 @@ def captured_markers(
     Without a mapping, the take's weights, in the order of the references' source names.
     """
     if mapping is not None:
-        return _markers_at(take, mapping, old, frames)
+        return _markers_at(take, old, frames)
     motion = read_source_motion(take.path)
     columns = columns_by_name(motion.weights, motion.names, old.source_names)
     return columns[frames - motion.first_frame], np.ones(len(frames), dtype=np.bool_)
@@ -218,22 +219,15 @@ def with_pairs(
 
 
 def _markers_at(
-    take: TakeReader, mapping: TrainedMapping, old: References, frames: IntArray
+    take: TakeReader, old: References, frames: IntArray
 ) -> tuple[FloatArray, BoolArray]:
-    missing = [name for name in old.marker_names if name not in mapping.marker_names]
-    if missing:
-        raise InputError(
-            f"{take.path}: its mapping lacks the references' markers {first_few(missing)}; give "
-            "the references that it was trained on"
-        )
-    space = take_head_space(take, mapping)
-    order = [mapping.marker_names.index(name) for name in old.marker_names]
-    positions = np.zeros((len(frames), len(order), 3))
+    # That of the mapping may be another, if the references were selected again since.
+    space = take_head_space(take, face_of_references(old))
+    positions = np.zeros((len(frames), len(old.marker_names), 3))
     seen = np.zeros(len(frames), dtype=bool)
     for index, frame in enumerate(frames.tolist()):
         placed = space.place(read_markers(take, frame, frame))
-        positions[index] = placed.positions[0, order]
-        seen[index] = placed.visible[0, order].all()
+        positions[index], seen[index] = placed.positions[0], placed.visible[0].all()
     return positions, seen
 
 
