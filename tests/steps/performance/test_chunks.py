@@ -11,8 +11,9 @@ from usdface.core.errors import InputError
 from usdface.runner.execute import execute
 from usdface.runner.result import StepResult
 from usdface.specs.base import Spec
+from usdface.specs.capture import CleanSpec
 from usdface.specs.edits import EditSpec
-from usdface.specs.performance import JoinSpec, MapSpec
+from usdface.specs.performance import JoinSpec, MapSpec, TrainSpec
 from usdface.specs.references import ReferencesFromEditsSpec
 from usdface.steps.performance import map as map_step
 from usdface.usdio.performance.read import PerformanceReader
@@ -122,6 +123,18 @@ def test_parts_that_do_not_fit_are_all_named(shot: Shot) -> None:
     for told in ("frames 101-110 are in no part", "frames 190-200 are in two", "another prim"):
         assert told in str(fault.value)
     assert not (shot / "joined.usda").exists()
+
+
+def test_parts_of_another_take_or_mapping_are_not_joined(shot: Shot) -> None:
+    first = map_to(shot, "a.usda", frames="1-100")
+    run(CleanSpec(take=shot / "shot.take.usda", out=shot / "rough.usda", smooth=False))
+    take = map_to(shot, "b.usda", frames="101-200", take=shot / "rough.usda")
+    run(TrainSpec(references=shot / "hero.references.usda", out=shot / "r.usdc", method="ridge"))
+    mapping = map_to(shot, "c.usda", frames="201-300", mapping=shot / "r.usdc")
+    with pytest.raises(
+        InputError, match=r"b\.usda: has another take .*c\.usda: has another mapping "
+    ):
+        run(JoinSpec(parts=(first, take, mapping), out=shot / "joined.usda"))
 
 
 def test_frames_outside_the_take_are_refused(shot: Shot) -> None:

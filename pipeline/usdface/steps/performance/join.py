@@ -9,6 +9,7 @@ from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
 from usdface.core.sidecars import controls_path, head_path, weights_path
 from usdface.core.text import first_few, pluralize
+from usdface.runner.origin import provenance_of, spec_of
 from usdface.runner.result import StepResult
 from usdface.specs.performance import JoinSpec
 from usdface.steps.inputs.edit_ranges import performance_notes
@@ -97,7 +98,7 @@ def _with_source(whole: WeightsHeader, headers: list[WeightsHeader]) -> WeightsH
 
 def _check_parts(readers: list[PerformanceReader], headers: list[WeightsHeader]) -> None:
     """Refuse parts that do not fit the first, overlap, or leave a gap, naming all of them."""
-    faults = []
+    faults, inputs = [], _inputs(readers[0].path)
     for reader, header in zip(readers[1:], headers[1:], strict=True):
         for what, found, wanted in (
             ("shapes", header.shape_names, headers[0].shape_names),
@@ -105,6 +106,7 @@ def _check_parts(readers: list[PerformanceReader], headers: list[WeightsHeader])
             ("prim", header.rig_path, headers[0].rig_path),
             ("regions", header.regions, headers[0].regions),
             ("rig", reader.rig(), readers[0].rig()),
+            *((name, made, inputs.get(name, made)) for name, made in _inputs(reader.path).items()),
         ):
             if found != wanted:
                 faults.append(f"{reader.path}: has another {what} than {readers[0].path}")
@@ -122,6 +124,17 @@ def _check_parts(readers: list[PerformanceReader], headers: list[WeightsHeader])
             )
     if faults:
         raise InputError("; ".join(faults) + "; map those parts again")
+
+
+def _inputs(part: Path) -> dict[str, str]:
+    """Return the hashes of take, mapping and source of a retargeting that a part was made from."""
+    made = provenance_of(part) or Provenance()
+    named = spec_of(made)
+    return {
+        f"{name} (file or contents)": made.inputs[named[name]]
+        for name in ("take", "mapping", "source")
+        if isinstance(named.get(name), str) and named[name] in made.inputs
+    }
 
 
 def _check_not_moved(readers: list[PerformanceReader]) -> None:
