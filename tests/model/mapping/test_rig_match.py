@@ -73,11 +73,24 @@ def test_a_sculpt_that_changed_is_noted_with_its_name(
     assert "train again" in notes[0]
 
 
-def test_a_neutral_that_was_moved_moves_every_shape() -> None:
-    rig = small_rig()
-    meshes = tuple(replace(mesh, points=mesh.points + np.array([0, 2, 0])) for mesh in rig.meshes)
-    (note,) = check_same_rig(mapping_for(rig), replace(rig, meshes=meshes))
-    assert "3 of the mapping's 3 shapes" in note
+def placed(rig: Rig, turn: np.ndarray, move: tuple[float, float, float]) -> Rig:
+    def turned(shape: MeshShape) -> MeshShape:
+        keys = (replace(key, offsets=key.offsets @ turn.T) for key in shape.keys)
+        return replace(shape, keys=tuple(keys))
+
+    meshes = (
+        replace(mesh, points=mesh.points @ turn.T + move, shapes=tuple(map(turned, mesh.shapes)))
+        for mesh in rig.meshes
+    )
+    return replace(rig, meshes=tuple(meshes))
+
+
+def test_a_rig_that_is_placed_elsewhere_is_the_same_unless_it_was_scaled_or_mirrored() -> None:
+    rig, quarter = small_rig(), np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
+    assert check_same_rig(mapping_for(rig), placed(rig, quarter, (400, 0, -50))) == ()
+    for other in (1.1 * np.eye(3), np.diag([-1.0, 1, 1])):
+        (note,) = check_same_rig(mapping_for(rig), placed(rig, other, (400, 0, 0)))
+        assert "3 of the mapping's 3 shapes" in note
 
 
 def test_other_points_are_refused_and_meshes_without_shapes_do_not_count() -> None:

@@ -10,6 +10,7 @@ from usdface.core.arrays import FloatArray
 from usdface.core.assets import MeshShape, Rig, RigMesh, TrainedMapping
 from usdface.core.errors import InputError
 from usdface.core.text import first_few
+from usdface.numerics.rigid.rigid_alignment import align_rigid
 
 POINTS, SHAPES = "rig_points", "rig_shapes"
 
@@ -129,6 +130,16 @@ def _shape_summary(parts: list[tuple[RigMesh, MeshShape]]) -> FloatArray:
 
 
 def _changed(trained: FloatArray, now: FloatArray) -> np.ndarray:
+    """Return the rows that differ; none if the rig as a whole was placed elsewhere or turned."""
+    pose = align_rigid(now[None, :, _POSITION], trained[:, _POSITION])
+    placed = trained.copy()
+    placed[:, _POSITION] = trained[:, _POSITION] @ pose.rotations[0].T + pose.translations[0]
+    placed[:, _DISPLACEMENT] = trained[:, _DISPLACEMENT] @ pose.rotations[0].T
+    moved_whole = not len(_differing(placed, now))
+    return np.zeros(0, np.int64) if moved_whole else _differing(trained, now)
+
+
+def _differing(trained: FloatArray, now: FloatArray) -> np.ndarray:
     limit = np.maximum(CHANGED_MM, CHANGED_SHARE * trained[:, _SIZE])
     away = np.abs(now - trained)
     changed = away[:, _SIZE] > limit
