@@ -10,7 +10,7 @@ from pxr import Usd, UsdSkel
 from tests.usdio.small_rig import small_rig
 from usdface.core.errors import InputError
 from usdface.runner.execute import execute
-from usdface.specs.edits import CombineSpec
+from usdface.specs.edits import CombineSpec, EditSpec
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import make_header
 from usdface.usdio.performance.write import writing_performance
@@ -73,6 +73,23 @@ def test_takes_keep_their_names_in_any_script(folder: Path) -> None:
     stage = Usd.Stage.Open(str(folder / "takes.usda"))
     found = stage.GetDefaultPrim().GetVariantSet("take").GetVariantNames()
     assert sorted(found) == sorted((*names[:3], "a_b"))
+
+
+def test_an_edit_of_one_take_does_not_change_the_others(folder: Path) -> None:
+    weights = np.random.default_rng(0).random((2, 6, 3)).astype(np.float32)
+    paths = tuple(perform(folder / f"{i}.usda", each) for i, each in enumerate(weights))
+    execute(CombineSpec(performances=paths, out=folder / "takes.usda"))
+    change = {"shape": ("jawOpen",), "add": 0.2}
+    with pytest.raises(InputError, match=r"takes\.usda: its takes 0, 1 are variants, .* edit the"):
+        execute(EditSpec(performance=folder / "takes.usda", **change))
+    assert not (folder / "takes.edits.usda").exists()
+    execute(EditSpec(performance=paths[0], **change))
+    stage = Usd.Stage.Open(str(folder / "takes.usda"))
+    for name, added in (("0", 0.2), ("1", 0)):
+        stage.GetDefaultPrim().GetVariantSet("take").SetVariantSelection(name)
+        stage.GetRootLayer().Export(str(folder / "shown.usda"))
+        expected = weights[int(name)] + [added, 0, 0]
+        np.testing.assert_allclose(PerformanceReader(folder / "shown.usda").edited(), expected)
 
 
 def test_what_does_not_belong_together_is_refused(folder: Path) -> None:

@@ -9,7 +9,8 @@ from usdface.core.text import first_few, pluralize
 from usdface.runner.result import StepResult
 from usdface.specs.edits import CombineSpec
 from usdface.usdio.performance.read import PerformanceReader
-from usdface.usdio.performance.write import VARIANT_SET, write_takes
+from usdface.usdio.performance.weights_layer import VARIANT_SET
+from usdface.usdio.performance.write import write_takes
 
 
 def run(spec: CombineSpec, *, provenance: Provenance, progress: Progress) -> StepResult:

@@ -18,6 +18,7 @@ from usdface.core.provenance import Provenance, hash_files
 from usdface.core.rates import check_frame_span
 from usdface.core.rig_logic import Combination, logic_of
 from usdface.core.sidecars import edits_path
+from usdface.core.text import first_few
 from usdface.numerics.motion.key_reduction import (
     EditCurve,
     apply_edit,
@@ -27,6 +28,7 @@ from usdface.numerics.motion.key_reduction import (
 )
 from usdface.usdio.authoring import author_timing, check_not_instanced, paths_in, retime_layer
 from usdface.usdio.layers import new_layers, open_layer, relative_path, usd_errors_as_input_errors
+from usdface.usdio.performance.weights_layer import VARIANT_SET
 from usdface.usdio.units import author_units
 
 _OFFSET = "face:edit:"
@@ -232,6 +234,7 @@ def write_edits(
         edits of a shape, or another process changed the edits since.
     """
     check_not_instanced(performance, animation)
+    _check_one_take(performance, animation)
     path = edits_path(performance)
     top = animation.GetStage().GetRootLayer()
     names = UsdSkel.Animation(animation).GetBlendShapesAttr().Get() or ()
@@ -270,6 +273,19 @@ def write_edits(
             if asset not in list(opened.subLayerPaths):
                 opened.subLayerPaths.insert(0, asset)
     return path
+
+
+def _check_one_take(performance: Path, animation: Usd.Prim) -> None:
+    """Refuse an asset of several takes: a layer above its variants changes all of them."""
+    layer = open_layer(performance)
+    for path in animation.GetPath().GetPrefixes():
+        prim = layer.GetPrimAtPath(path)
+        takes = prim.variantSets.get(VARIANT_SET) if prim else None
+        if takes is not None and len(takes.variants) > 1:
+            raise InputError(
+                f"{performance}: its takes {first_few(takes.variants.keys())} are variants, and an "
+                "edit above them would change all; edit the performance that the variant references"
+            )
 
 
 def edits_stamp(performance: Path) -> str:

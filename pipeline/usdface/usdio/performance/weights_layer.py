@@ -37,6 +37,7 @@ from usdface.usdio.units import author_units
 
 ANIMATION = "FaceSolve"
 """Name of the animation prim, a child of the referenced rig."""
+VARIANT_SET = "take"
 
 WEIGHTS = "blendShapeWeights"
 SOLVE_UNCERTAINTY = "face:uncertainty"

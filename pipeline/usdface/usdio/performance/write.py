@@ -31,6 +31,7 @@ from usdface.usdio.performance.clips import PartsWriter, clear_parts, writing_pa
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.performance.weights_layer import (
     ANIMATION,
+    VARIANT_SET,
     WeightsHeader,
     WeightsWriter,
     writing_weights,
@@ -289,9 +290,6 @@ def _previous(path: Path) -> tuple[str, frozenset[Path]]:
         return "", frozenset()
     folder, inputs = path.resolve().parent, () if made is None else made.inputs
     return rig_path, frozenset((folder / each).resolve() for each in inputs)
-
-
-VARIANT_SET = "take"
 
 
 def write_takes(
