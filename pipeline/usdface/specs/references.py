@@ -33,6 +33,8 @@ from usdface.specs.paths import (
     Reads,
 )
 
+_NO_MAPPING = {"mapping": "markers are read in the head space of the references; leave it out"}
+
 _Takes = Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]
 
 
@@ -237,15 +239,14 @@ class ReferencesFromEditsSpec(MovedRigSpec):
     makes = "references"
     sidecars = (proposed_path, samples_path)
     traces = ("performances",)
+    removed: ClassVar[Mapping[str, str]] = _NO_MAPPING
 
     step: Literal["references-from-edits"] = "references-from-edits"
     performances: Annotated[tuple[Path, ...], Field(min_length=1), Reads(), Positional()]
-    """Edited performances. Each stores the take and the mapping it was made from."""
+    """Edited performances. Each stores the take it was made from."""
     take: Annotated[tuple[Path, ...], Reads()] = ()
     """The takes they were made from, if their files have moved: one per performance, in order, or
     one for all."""
-    mapping: ReadPath | None = None
-    """The mapping they were made with, if its file has moved."""
     references: ReadPath
     """The references to add to."""
     out: LayerOut
@@ -271,14 +272,13 @@ class ReferencesAddSpec(MovedRigSpec):
     makes = "references"
     sidecars = (proposed_path, samples_path)
     traces = ("performance",)
+    removed: ClassVar[Mapping[str, str]] = _NO_MAPPING
 
     step: Literal["references-add"] = "references-add"
     performance: Annotated[FilePath, Reads(), Positional()]
-    """The performance. It stores the take and the mapping it was made from."""
+    """The performance. It stores the take it was made from."""
     take: ReadPath | None = None
     """The take it was made from, if its file has moved."""
-    mapping: ReadPath | None = None
-    """The mapping it was made with, if its file has moved."""
     references: ReadPath
     """The references to add to."""
     out: LayerOut

@@ -588,7 +588,7 @@ def test_edits_in_a_shot_teach_at_the_frames_of_the_take_that_it_plays(
     flattened = Usd.Stage.Open(str(cut)).Flatten()
     flattened.customLayerData = {}
     flattened.Export(str(flat))
-    with pytest.raises(InputError, match=r"the take and mapping .* give --take and --mapping,"):
+    with pytest.raises(InputError, match=r"does not name the take .* give --take,"):
         learn(flat)
     if moved:
         with pytest.raises(InputError, match=r"moves its weights by \+40 frames"):

@@ -15,7 +15,7 @@ from usdface.specs.references import ReferencesAddSpec
 from usdface.steps.references.from_edits import (
     captured_markers,
     check_shapes,
-    find_take_and_mapping,
+    find_captured_take,
     with_pairs,
     write_extended,
 )
@@ -36,11 +36,9 @@ def run(spec: ReferencesAddSpec, *, provenance: Provenance, progress: Progress) 
             "frames are others than those of its take; give the performance as mapped"
         )
     notes: list[str] = []
-    take, mapping = find_take_and_mapping(
-        spec.performance, old, take=spec.take, mapping=spec.mapping
-    )
+    take = find_captured_take(spec.performance, old, spec.take)
     frames = _new_frames(spec, reader, old, take.name, notes)
-    captured, seen = captured_markers(take, mapping, old, frames)
+    captured, seen = captured_markers(take, old, frames)
     if not seen.any():
         raise InputError(
             f"{spec.performance}: frames {first_few(frames.tolist())} lack a marker, and pairs "

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from usdface.core.arrays import BoolArray, FloatArray, IntArray, columns_by_name, index_of, runs
-from usdface.core.assets import References, TrainedMapping
+from usdface.core.assets import References
 from usdface.core.errors import InputError
 from usdface.core.locks import tuning_lock
 from usdface.core.progress import Progress, part
@@ -25,7 +25,6 @@ from usdface.steps.inputs.cleaned_takes import read_markers, take_head_space
 from usdface.steps.inputs.source_motion import read_source_motion
 from usdface.steps.references.coverage import redraw_coverage
 from usdface.usdio.layers import read_provenance
-from usdface.usdio.mapping import read_mapping
 from usdface.usdio.performance.read import PerformanceReader
 from usdface.usdio.references.read import read_pair_notes, read_references
 from usdface.usdio.references.weight_layers import (
@@ -114,9 +113,9 @@ def _edited_frames(
     if not len(rows):
         notes.append(f"{performance}: no frame was edited")
         return _NO_FRAMES
-    take, mapping = find_take_and_mapping(performance, old, take=moved_take, mapping=spec.mapping)
+    take = find_captured_take(performance, old, moved_take)
     frames = reader.take_frames_at(reader.frames[rows])
-    captured, seen = captured_markers(take, mapping, old, frames)
+    captured, seen = captured_markers(take, old, frames)
     rows, frames, captured = rows[seen], frames[seen], captured[seen]
     if not seen.all():
         notes.append(
@@ -177,17 +176,24 @@ def choose_distant_rows(weights: FloatArray, change: FloatArray, count: int) -> 
 
 
 def captured_markers(
-    take: TakeReader, mapping: TrainedMapping | None, old: References, frames: IntArray
+    take: TakeReader, old: References, frames: IntArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Return the captured markers [mm] of frames, and which frames are complete.
+    """Return the captured markers [mm] of frames in the references' space, and which are complete.
 
-    Without a mapping, the take's weights, in the order of the references' source names.
+    Of references of takes that carry weights: the weights, in the order of their source names.
     """
-    if mapping is not None:
-        return _markers_at(take, old, frames)
-    motion = read_source_motion(take.path)
-    columns = columns_by_name(motion.weights, motion.names, old.source_names)
-    return columns[frames - motion.first_frame], np.ones(len(frames), dtype=np.bool_)
+    if old.source is not None:
+        motion = read_source_motion(take.path)
+        columns = columns_by_name(motion.weights, motion.names, old.source_names)
+        return columns[frames - motion.first_frame], np.ones(len(frames), dtype=np.bool_)
+    # Not the mapping's space, which differs if the references were selected again since.
+    space = take_head_space(take, face_of_references(old))
+    positions = np.zeros((len(frames), len(old.marker_names), 3))
+    seen = np.zeros(len(frames), dtype=bool)
+    for index, frame in enumerate(frames.tolist()):
+        placed = space.place(read_markers(take, frame, frame))
+        positions[index], seen[index] = placed.positions[0], placed.visible[0].all()
+    return positions, seen
 
 
 def with_pairs(
@@ -216,19 +222,6 @@ def with_pairs(
         emotions=(*old.emotions, *unlabelled) if old.emotions else (),
         authors=(*old.authors, *unlabelled) if old.authors else (),
     )
-
-
-def _markers_at(
-    take: TakeReader, old: References, frames: IntArray
-) -> tuple[FloatArray, BoolArray]:
-    # That of the mapping may be another, if the references were selected again since.
-    space = take_head_space(take, face_of_references(old))
-    positions = np.zeros((len(frames), len(old.marker_names), 3))
-    seen = np.zeros(len(frames), dtype=bool)
-    for index, frame in enumerate(frames.tolist()):
-        placed = space.place(read_markers(take, frame, frame))
-        positions[index], seen[index] = placed.positions[0], placed.visible[0].all()
-    return positions, seen
 
 
 def write_extended(
@@ -329,33 +322,29 @@ def _with_edited(old: References, edited: list[_EditedFrames], notes: list[str])
     return extended
 
 
-def find_take_and_mapping(
-    performance: Path, old: References, *, take: Path | None, mapping: Path | None
-) -> tuple[TakeReader, TrainedMapping | None]:
-    """Return take and mapping, from new paths or by the provenance of a performance.
+def find_captured_take(performance: Path, old: References, moved: Path | None) -> TakeReader:
+    """Return the take of a performance, from its new path or by the performance's provenance.
 
-    Or by that of the performance in a shot, or of parts. References of takes that carry weights
-    have no mapping.
+    Or by that of the performance in a shot, or of parts.
     """
-    step = "map" if old.source is None else "retarget"
-    given = {"take": take} | ({"mapping": mapping} if step == "map" else {})
-    fields = {"take": "take" if step == "map" else "source", "mapping": "mapping"}
+    if moved is not None:
+        return TakeReader(moved)
+    step, field = ("map", "take") if old.source is None else ("retarget", "source")
     file, spec = _made_by(performance, step)
-    missing = [name for name in given if given[name] is None and fields[name] not in spec]
-    if missing:
-        names, options = " and ".join(missing), " and ".join(f"--{name}" for name in missing)
+    if field not in spec:
         below = first_few(each.name for each in made_files(performance)[1:])
         raise InputError(
-            f"{performance}: does not name the {names} it was made from"
-            f"{f', nor does {below}, which holds its weights' if below else ''}; give {options}, "
+            f"{performance}: does not name the take it was made from"
+            f"{f', nor does {below}, which holds its weights' if below else ''}; give --take, "
             f"or give a performance that `usdface {step}` wrote, or one joined from such parts "
             "that still exist"
         )
-    paths = {
-        name: path or _present(performance, name, file.resolve().parent / str(spec[fields[name]]))
-        for name, path in given.items()
-    }
-    return TakeReader(paths["take"]), read_mapping(paths["mapping"]) if step == "map" else None
+    take = file.resolve().parent / str(spec[field])
+    if not take.is_file():
+        raise InputError(
+            f"{performance}: its take, {take}, is gone; put it back, or give its new path by --take"
+        )
+    return TakeReader(take)
 
 
 def _made_by(performance: Path, step: str) -> tuple[Path, dict[str, object]]:
@@ -372,11 +361,3 @@ def _made_by(performance: Path, step: str) -> tuple[Path, dict[str, object]]:
         if made is not None and made.step == "join":
             waiting += [file.resolve().parent / str(each) for each in spec_of(made)["parts"][:1]]
     return performance, {}
-
-
-def _present(performance: Path, what: str, file: Path) -> Path:
-    if file.is_file():
-        return file
-    raise InputError(
-        f"{performance}: its {what}, {file}, is gone; put it back, or give its new path by --{what}"
-    )
