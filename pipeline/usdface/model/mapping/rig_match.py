@@ -135,8 +135,7 @@ def _changed(trained: FloatArray, now: FloatArray) -> np.ndarray:
     placed = trained.copy()
     placed[:, _POSITION] = trained[:, _POSITION] @ pose.rotations[0].T + pose.translations[0]
     placed[:, _DISPLACEMENT] = trained[:, _DISPLACEMENT] @ pose.rotations[0].T
-    moved_whole = not len(_differing(placed, now))
-    return np.zeros(0, np.int64) if moved_whole else _differing(trained, now)
+    return _differing(trained if len(_differing(placed, now)) else placed, now)
 
 
 def _differing(trained: FloatArray, now: FloatArray) -> np.ndarray:

@@ -21,7 +21,7 @@ from usdface.numerics.regression.reference_design import design_k_centre
 from usdface.runner.origin import made_files, pair_with_files, spec_of
 from usdface.runner.result import StepResult
 from usdface.specs.references import ReferencesAddSpec, ReferencesFromEditsSpec
-from usdface.steps.inputs.cleaned_takes import read_markers, take_head_space
+from usdface.steps.inputs.cleaned_takes import read_markers_at, take_head_space
 from usdface.steps.inputs.source_motion import read_source_motion
 from usdface.steps.references.coverage import redraw_coverage
 from usdface.usdio.layers import read_provenance
@@ -188,12 +188,8 @@ def captured_markers(
         return columns[frames - motion.first_frame], np.ones(len(frames), dtype=np.bool_)
     # Not the mapping's space, which differs if the references were selected again since.
     space = take_head_space(take, face_of_references(old))
-    positions = np.zeros((len(frames), len(old.marker_names), 3))
-    seen = np.zeros(len(frames), dtype=bool)
-    for index, frame in enumerate(frames.tolist()):
-        placed = space.place(read_markers(take, frame, frame))
-        positions[index], seen[index] = placed.positions[0], placed.visible[0].all()
-    return positions, seen
+    placed = space.place(read_markers_at(take, frames.tolist()))
+    return placed.positions.astype(np.float64), np.asarray(placed.visible.all(axis=1))
 
 
 def with_pairs(
