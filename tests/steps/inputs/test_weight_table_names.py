@@ -1,11 +1,13 @@
 """A table of weights by other names than the rig's."""
 
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.steps.retarget.test_names import SHAPES, phone_csv
+from usdface.core.assets import WeightsClip
 from usdface.core.errors import InputError
 from usdface.steps.inputs.weight_tables import WeightTable, read_weight_table
 
@@ -41,6 +43,17 @@ def test_frames_between_frames_are_refused(tmp_path: Path) -> None:
     path.write_text("frame,jawOpen,smile\n1,0,0\n2.5,1,0\n", encoding="utf-8")
     with pytest.raises(InputError, match=r"line 3: frame number 2\.5; it must be a whole number"):
         read_weight_table(path)
+
+
+def test_keys_of_a_take_are_those_of_its_last_part_wherever_it_starts() -> None:
+    weights = np.random.default_rng(0).random((200, 2))
+    table = WeightTable(("a", "b"), tuple(range(1, 201)), weights)
+    part = WeightsClip(table.names, weights[100:].astype(np.float32), 101, Fraction(60))
+    paths = {"file": Path("keys.csv"), "performance": Path("part.usda")}
+    table.check_numbering(part, columns=table.names, **paths)
+    counted = WeightsClip(table.names, np.repeat(weights, 2, axis=0)[1:], 1, Fraction(60))
+    with pytest.raises(InputError, match=r"keys\.csv: its rows match .* count 30 frames"):
+        table.check_numbering(counted, columns=table.names, **paths)
 
 
 def test_names_that_mean_nothing_stay_for_the_message() -> None:

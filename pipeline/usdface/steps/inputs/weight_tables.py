@@ -139,11 +139,14 @@ class WeightTable:
             return float(np.sqrt((away**2).mean())) if away.size else np.inf
 
         numbered = rows(1.0)
+        present = (numbered >= 0) & (numbered < len(weights))
         for rate in USUAL_RATES:
             counted = rows(float(solved.rate) / rate)
             inside = (counted >= 0) & (counted < len(weights))
             # The same rows: those of another stretch may match better by being closer to neutral.
-            both = inside & (numbered >= 0) & (numbered < len(weights))
+            both = inside & present
+            if present.any() and not both.any():
+                continue
             as_numbered = error(numbered, both)
             found = error(counted, both if both.any() else inside)
             if (
