@@ -221,6 +221,21 @@ def test_two_sets_of_markers_must_be_told_apart(tmp_path: Path) -> None:
     assert len(read_foreign_take(tmp_path / "two.usda", prim="/body").names) == 5
 
 
+def test_edits_of_a_performance_are_not_lost_without_a_word(tmp_path: Path) -> None:
+    stage = foreign_stage(tmp_path / "edited.usda")
+    animation = UsdSkel.Animation.Define(stage, "/Hero/FaceSolve")
+    animation.CreateBlendShapesAttr(["jawOpen"])
+    for frame in range(4):
+        animation.CreateBlendShapeWeightsAttr().Set([0.1 * frame], frame)
+    stage.Save()
+    assert read_foreign_take(tmp_path / "edited.usda").source.names == ("jawOpen",)
+    edit = animation.GetPrim().CreateAttribute("face:edit:jawOpen", Sdf.ValueTypeNames.Float)
+    edit.Set(0.2, 1)
+    stage.Save()
+    with pytest.raises(InputError, match=r"</Hero/FaceSolve>: has edits, .*`usdface bake`"):
+        read_foreign_take(tmp_path / "edited.usda")
+
+
 def spoil_rate(layer: Sdf.Layer) -> None:
     layer.timeCodesPerSecond = 0
 

@@ -14,6 +14,7 @@ from usdface.core.errors import InputError
 from usdface.core.rates import check_frame_span, exact_rate
 from usdface.usdio.authoring import names_in, read_array_samples
 from usdface.usdio.layers import open_stage, refusing_wrong_types
+from usdface.usdio.performance.edits import edited_frames
 from usdface.usdio.units import column_matrix, stage_to_ours, transform_points
 
 NAME_ATTRIBUTES = (
@@ -252,5 +253,10 @@ def _weights_prim(top: Usd.Prim, path: Path) -> Usd.Prim | None:
         raise InputError(
             f"{path}: {len(animations)} animations with blendShapeWeights: {places}; name one, or "
             "a prim above it and its markers, with --prim"
+        )
+    if animations and edited_frames(animations[0]) is not None:
+        raise InputError(
+            f"{path} <{animations[0].GetPath()}>: has edits, which would be lost; ingest the layer "
+            "that `usdface bake` writes of it"
         )
     return animations[0] if animations else None
