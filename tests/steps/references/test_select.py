@@ -355,6 +355,20 @@ def test_the_sheet_shows_pairs_as_they_are_now(shot: Shot, monkeypatch: pytest.M
         assert read_image_metadata(shot / name)["step"] == "references-sheet"
 
 
+def test_further_pages_of_pairs_replace_their_own_alone(shot: Shot) -> None:
+    given = {"references": shot / "hero.references.usda", "out": shot / "x.png", "tile": 64}
+    sheet = ReferenceSheetSpec(**given, pairs="1-7", quality="draft")
+    theirs = shot / "x.2.png"
+    theirs.write_bytes(b"my drawing")
+    with pytest.raises(InputError, match=r"x\.2\.png: exists, and would be replaced by a page"):
+        execute(sheet)
+    assert theirs.read_bytes() == b"my drawing"
+    theirs.unlink()
+    assert execute(sheet).outputs == (shot / "x.png", theirs)
+    execute(sheet.model_copy(update={"pairs": "1-2"}), overwrite=True)
+    assert not theirs.exists()
+
+
 def test_a_sheet_of_pairs_that_are_not_there_or_of_another_take_is_refused(shot: Shot) -> None:
     given = {"references": shot / "hero.references.usda", "out": shot / "x.png", "tile": 64}
     with pytest.raises(InputError, match="has pairs 1-24; --pairs 30-40"):

@@ -32,6 +32,7 @@ from usdface.specs.references import ReferenceSheetSpec
 from usdface.speech.phones import viseme_label
 from usdface.steps.inputs.marker_lines import lines_on_rig
 from usdface.steps.inputs.placement import placed_equation, stored_placement
+from usdface.steps.inputs.sheet_pages import replacing_pages
 from usdface.usdio.references.read import read_pair_notes, read_rig_of
 from usdface.usdio.references.weight_layers import read_keyed_references
 from usdface.usdio.take.read import read_take
@@ -45,8 +46,9 @@ def run(spec: ReferenceSheetSpec, *, provenance: Provenance, progress: Progress)
     references = read_keyed_references(spec.references)
     rig = read_rig_of(references, spec.references)
     pairs = _pairs(spec, references)
-    undrawn, without_video, written = rig.undrawn_notes(), 0, []
-    with ExitStack() as open_files:
+    undrawn, without_video = rig.undrawn_notes(), 0
+    pages = -(-len(pairs) // PAGE_PAIRS)
+    with ExitStack() as open_files, replacing_pages(spec.out, pages, step=spec.step) as files:
         pictures = _PairPictures(spec, references, rig, open_files)
         facts = [
             rig.file.name,
@@ -57,8 +59,7 @@ def run(spec: ReferenceSheetSpec, *, provenance: Provenance, progress: Progress)
             facts.append("the rig has no eyes: stand-ins are drawn")
         if undrawn:
             facts.append("textures are not drawn")
-        pages = -(-len(pairs) // PAGE_PAIRS)
-        for number in range(pages):
+        for number, file in enumerate(files):
             rows = []
             for pair in pairs[number * PAGE_PAIRS : (number + 1) * PAGE_PAIRS]:
                 progress(0.2 + 0.75 * number / pages, f"drawing pair {pair + 1}")
@@ -72,17 +73,13 @@ def run(spec: ReferenceSheetSpec, *, provenance: Provenance, progress: Progress)
                 tile=spec.tile,
                 paper=spec.paper,
             )
-            file = spec.out
-            if number:
-                file = spec.out.with_name(f"{spec.out.stem}.{number + 1}{spec.out.suffix}")
             write_image(file, page, metadata=provenance.metadata)
-            written.append(file)
     notes = tuple(undrawn)
     if without_video:
         notes = (f"no video frame for {pluralize(without_video, 'pair')}", *notes)
     tuned = int(references.tuned[pairs].sum())
     return StepResult(
-        tuple(written),
+        tuple(files),
         f"{pluralize(len(pairs), 'pair')} drawn, {tuned} of them tuned",
         notes,
         {"pairs": [pair + 1 for pair in pairs], "width": page.shape[1], "height": page.shape[0]},

@@ -10,19 +10,17 @@ from threading import Event
 
 import numpy as np
 
-from usdface.core.errors import InputError
 from usdface.core.processes import usable_cores
 from usdface.core.progress import Progress
 from usdface.core.provenance import Provenance
-from usdface.core.replacing import replacing_group
 from usdface.core.text import pluralize
 from usdface.media.picture.error_strip import ErrorCurve
 from usdface.media.picture.image import display_view, write_image
 from usdface.media.picture.sheet import SheetPage, SheetRow, compose_sheet
 from usdface.model.review.verdict import worst_verdict
-from usdface.runner.origin import provenance_of, spec_of
 from usdface.runner.result import StepResult
 from usdface.specs.review import AUTO_CAMERA, SheetSpec
+from usdface.steps.inputs.sheet_pages import replacing_pages
 from usdface.steps.review.pictures import ShotPictures
 from usdface.steps.review.scoring import (
     coverage_curves,
@@ -177,21 +175,11 @@ def _write_pages(
     progress: Progress,
     provenance: Provenance,
 ) -> tuple[Path, ...]:
-    """Draw and write page by page, to bound memory.
-
-    All pages are renamed together; further pages of an earlier sheet are removed.
-    """
+    """Draw and write page by page, to bound memory."""
     comparison = desks[0].comparison
     shot, count = comparison.shots[0], len(comparison.chosen)
     pages = -(-count // spec.page_rows)
-    files = [_page_file(spec.out, number) for number in range(pages)]
-    for file in files[1:]:
-        if file.exists() and not _is_page_of(file, spec.out):
-            raise InputError(
-                f"{file}: exists, and would be replaced by a page of {spec.out.name}; move it "
-                "away, or choose another --out"
-            )
-    with replacing_group(files):
+    with replacing_pages(spec.out, pages, step=spec.step) as files:
         for number, file in enumerate(files):
             first = number * spec.page_rows
             numbers = range(first, min(first + spec.page_rows, count))
@@ -204,21 +192,7 @@ def _write_pages(
                 timecode=shot.timecode(int(shot.frames[0])) or None,
                 rate=shot.take.rate,
             )
-    further = max(pages, 1)
-    while _is_page_of(old := _page_file(spec.out, further), spec.out):
-        old.unlink()
-        further += 1
     return tuple(files)
-
-
-def _page_file(out: Path, number: int) -> Path:
-    return out.with_name(f"{out.stem}.{number + 1}{out.suffix}") if number else out
-
-
-def _is_page_of(file: Path, out: Path) -> bool:
-    """Whether a file is a further page of the sheet `out`."""
-    made = provenance_of(file) if file.is_file() else None
-    return made is not None and made.step == "sheet" and spec_of(made).get("out") == out.name
 
 
 def _facts(spec: SheetSpec, shot: Shot) -> tuple[str, ...]:
