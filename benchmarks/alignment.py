@@ -6,7 +6,7 @@ Recorded speech with reverberation is recorded by two devices whose clocks diffe
 """
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,10 +55,15 @@ def run() -> None:
     print(f"{'must be refused':>26} {'refused':>8} {'highest confidence':>19}")
     for label, make in unusable_pairs(speech).items():
         rng = np.random.default_rng(0)
-        found = [align_sounds(*make(rng), rate=RATE) for _ in range(REFUSALS)]
+        found = [_aligned(make(rng)) for _ in range(REFUSALS)]
         refused = sum(bool(each.warnings) for each in found)
         highest = max(each.confidence for each in found)
         print(f"{label:>26} {refused:>4} / {REFUSALS} {highest:>18.2f}")
+
+
+def _aligned(sounds: Iterable[Sound]) -> SoundAlignment:
+    first, second = (each.astype(np.float32) for each in sounds)
+    return align_sounds(first, second, rate=RATE)
 
 
 def simulate_pairs(
@@ -89,7 +94,7 @@ def simulate_pairs(
             reverb_seconds=float(rng.choice([0.0, 0.2])),
         )
         sounds = [resampled(record(event, each, rng), each.rate) for each in (camera, capture)]
-        found = align_sounds(*sounds, rate=RATE)
+        found = _aligned(sounds)
         offset, drift = true_line(camera, capture)
         times = np.array([0.0, seconds])
         error = np.abs(found.offset - offset + (found.drift - drift) * times).max()

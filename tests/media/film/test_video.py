@@ -191,6 +191,19 @@ def test_movie_without_sound_is_refused_by_name(tmp_path: Path) -> None:
         read_audio(path)
 
 
+def test_sound_with_samples_that_are_no_numbers_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "take.wav"
+    samples = np.zeros((1, 4800), np.float32)
+    samples[0, 100] = np.nan
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("pcm_f32le", rate=48000, layout="mono")
+        frame = av.AudioFrame.from_ndarray(samples, format="flt", layout="mono")
+        frame.sample_rate = 48000
+        container.mux(stream.encode(frame))
+    with pytest.raises(InputError, match=r"take\.wav: its sound holds NaN or infinite samples"):
+        read_audio(path)
+
+
 @pytest.mark.parametrize(
     ("name", "content"),
     [

@@ -45,7 +45,10 @@ def read_audio(path: Path, *, rate: int = 16000) -> Float32Array:
             raise unreadable(path, error) from error
     if not blocks:
         raise InputError(f"{path}: its sound is empty; record or export it again")
-    return np.concatenate(blocks)
+    samples = np.concatenate(blocks)
+    if not np.isfinite(samples).all():  # of float formats
+        raise InputError(f"{path}: its sound holds NaN or infinite samples; export it again")
+    return samples
 
 
 def _sound_stream(file: Path, container: Any) -> Any:
