@@ -45,7 +45,7 @@ def join_parts(path: Path) -> None:
     from usdface.media.film.movie_join import join_movies
 
     with tempfile.TemporaryDirectory() as folder:
-        join_movies(Path(folder) / path.with_suffix(".mkv").name, [path, path])
+        join_movies(Path(folder) / path.with_suffix(".mkv").name, [path, path], rate=Fraction(24))
 
 
 def read_still(path: Path) -> None:

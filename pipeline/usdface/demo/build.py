@@ -24,7 +24,7 @@ from usdface.demo.sculpt import ACTOR
 from usdface.demo.voice import speak
 from usdface.media.face.camera import Camera
 from usdface.media.face.render import FaceRenderer
-from usdface.media.film.movie import write_movie
+from usdface.media.film.movie import SAMPLE_RATE, write_movie
 from usdface.speech.track_files import write_phone_track
 from usdface.usdio.rig.write import write_rig
 
@@ -44,7 +44,6 @@ _MOST_PROCESSES = 4
 _TASK_PICTURES = 4
 """Pictures per task of a drawing process."""
 
-_SAMPLE_RATE = 48000
 _FIELD_DEGREES = 14.2
 CAMERA = Camera(
     eye=(190.0, 1512.0, 1290.0), target=(60.0, 1503.0, 150.0), fov_degrees=_FIELD_DEGREES
@@ -139,9 +138,9 @@ def write_clip(
         acted.weights.names, acted.weights.values[frames].astype(np.float64)
     )
     poses = head_poses(acted)[frames]
-    lead = np.zeros(round(-OFFSET_SECONDS * _SAMPLE_RATE), np.float32)
-    voice = speak(_SAMPLE_RATE)
-    tail = np.zeros(round(TAIL_SECONDS * _SAMPLE_RATE), np.float32)
+    lead = np.zeros(round(-OFFSET_SECONDS * SAMPLE_RATE), np.float32)
+    voice = speak(SAMPLE_RATE)
+    tail = np.zeros(round(TAIL_SECONDS * SAMPLE_RATE), np.float32)
     room = np.random.default_rng(7).standard_normal(len(lead) + len(voice) + len(tail))
     sound = np.concatenate([lead, voice, tail]) + 6e-4 * room.astype(np.float32)
     pictures = _drawn(Studio(head), (poses, ordered), (size, camera), give_work, progress)
@@ -150,7 +149,6 @@ def write_clip(
         (picture for picture, times in zip(pictures, counts, strict=True) for _ in range(times)),
         rate=VIDEO_RATE,
         audio=sound.astype(np.float32),
-        sample_rate=_SAMPLE_RATE,
     )
 
 

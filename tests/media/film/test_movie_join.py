@@ -28,11 +28,11 @@ def test_every_picture_of_the_parts_is_there_bit_for_bit(tmp_path: Path, suffix:
             shown += [movie.frame(index) for index in range(stop - start)]
         parts.append(part)
     whole = tmp_path / f"whole{suffix}"
-    written = join_movies(whole, parts, rate=FILM, timecode="01:00:00:00", comment="made here")
-    assert written == 20
+    join_movies(whole, parts, rate=FILM, timecode="01:00:00:00", comment="made here")
     assert read_movie_comment(whole) == "made here"
     with VideoReader(whole) as movie:
         assert movie.timecode == "01:00:00:00"
+        assert len(movie.times) == 20
         np.testing.assert_allclose(movie.times, np.arange(20) / float(FILM), atol=0.0011)
         for number in range(20):
             assert read_number(movie.frame(number)) == number
@@ -53,7 +53,7 @@ def test_the_sound_lies_under_the_pictures_it_belongs_to(tmp_path: Path) -> None
     write_movie(part, (draw_number(n) for n in range(48)), rate=Fraction(24))
     sound = np.zeros(2 * 48000, np.float32)
     sound[48000:48200] = 0.9  # a click one second in
-    join_movies(tmp_path / "whole.mp4", [part], audio=sound)
+    join_movies(tmp_path / "whole.mp4", [part], rate=Fraction(24), audio=sound)
     heard = np.abs(read_audio(tmp_path / "whole.mp4", rate=48000))
     assert abs(int(heard.argmax()) - 48000) < 1100  # AAC frames and their pre-echo: 23 ms
 
@@ -63,7 +63,7 @@ def test_parts_of_another_size_are_refused_and_the_old_movie_kept(tmp_path: Path
     write_movie(tmp_path / "b.mp4", [np.zeros((64, 80, 3), np.uint8)], rate=FILM)
     (tmp_path / "whole.mp4").write_bytes(b"kept")
     with pytest.raises(InputError, match=r"b\.mp4: is h?.*80 × 64.*a\.mp4 is"):
-        join_movies(tmp_path / "whole.mp4", [tmp_path / "a.mp4", tmp_path / "b.mp4"])
+        join_movies(tmp_path / "whole.mp4", [tmp_path / "a.mp4", tmp_path / "b.mp4"], rate=FILM)
     assert (tmp_path / "whole.mp4").read_bytes() == b"kept"
 
 

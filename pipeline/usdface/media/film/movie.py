@@ -34,6 +34,8 @@ _PROXY_OPTIONS = {
 _BT709_CODE = 1
 _ENCODER_THREADS = 4
 """Fixed, because the encoded bytes depend on it; the default is one per core."""
+SAMPLE_RATE = 48_000
+"""[samples per second] Of the sound of movies."""
 _AAC_BLOCK = 1024
 """Samples per AAC frame."""
 
@@ -44,7 +46,6 @@ def write_movie(
     *,
     rate: Fraction,
     audio: Float32Array | None = None,
-    sample_rate: int = 48000,
     proxy: bool = False,
 ) -> None:
     """Encode pictures and optional sound into a movie that replaces `path` atomically.
@@ -60,9 +61,7 @@ def write_movie(
     rate : Fraction
         Frames per second.
     audio : (samples,) float array, optional
-        Mono [-1 to 1], starting at the first frame.
-    sample_rate : int
-        Samples per second of `audio`.
+        Mono [-1 to 1] at `SAMPLE_RATE`, starting at the first frame.
     proxy : bool
         A third of the size, for a page: every fifteenth picture is a key frame, and a repeated
         array is not encoded again.
@@ -89,7 +88,6 @@ def write_movie(
                     size=_even_size(first),
                     rate=Fraction(rate),
                     audio=audio,
-                    sample_rate=sample_rate,
                     proxy=proxy,
                 )
         except (av.error.FFmpegError, OSError) as error:
@@ -126,7 +124,6 @@ def _encode(
     size: tuple[int, int],
     rate: Fraction,
     audio: Float32Array | None,
-    sample_rate: int,
     proxy: bool,
 ) -> None:
     encoder = video_encoder(container.format.name)
@@ -140,7 +137,7 @@ def _encode(
     # Tagged as BT.709, so that players do not convert the sRGB colours.
     context.color_primaries = context.color_trc = context.colorspace = _BT709_CODE
     context.color_range = 1  # limited, as players expect
-    sound = None if audio is None else SoundTrack(container, audio, sample_rate)
+    sound = None if audio is None else SoundTrack(container, audio)
     for number, picture in _changes(pictures) if proxy else enumerate(pictures):
         padded = _padded(picture, size)
         frame = av.VideoFrame.from_ndarray(padded, format="rgb24")
@@ -193,20 +190,19 @@ def _same_size(file: Path, first: ByteImage, pictures: Iterable[ByteImage]) -> I
 class SoundTrack:
     """An audio stream of a container.
 
-    `samples`: (samples,), mono [-1 to 1], starting at the first picture.
+    `samples`: (samples,), mono [-1 to 1] at `SAMPLE_RATE`, starting at the first picture.
     """
 
-    def __init__(self, container: Any, samples: Float32Array, sample_rate: int) -> None:
+    def __init__(self, container: Any, samples: Float32Array) -> None:
         codec = "libopus" if container.format.name == "webm" else "aac"
         self._container = container
-        self._stream = container.add_stream(codec, rate=sample_rate, layout="mono")
+        self._stream = container.add_stream(codec, rate=SAMPLE_RATE, layout="mono")
         self._samples = samples
-        self._rate = sample_rate
         self._done = 0
 
     def encode_until(self, seconds: Fraction) -> None:
         """Encode all full blocks up to a time."""
-        self._encode(min(int(seconds * self._rate), len(self._samples)), last=False)
+        self._encode(min(int(seconds * SAMPLE_RATE), len(self._samples)), last=False)
 
     def finish(self) -> None:
         """Encode the remaining samples."""
@@ -220,7 +216,7 @@ class SoundTrack:
             frame = av.AudioFrame.from_ndarray(
                 np.ascontiguousarray(limited[None]), format="fltp", layout="mono"
             )
-            frame.sample_rate, frame.pts = self._rate, self._done
-            frame.time_base = Fraction(1, self._rate)
+            frame.sample_rate, frame.pts = SAMPLE_RATE, self._done
+            frame.time_base = Fraction(1, SAMPLE_RATE)
             self._container.mux(self._stream.encode(frame))
             self._done += len(block)

@@ -20,14 +20,13 @@ def join_movies(
     path: Path,
     parts: Sequence[Path],
     *,
+    rate: Fraction,
     pictures: Sequence[int] | None = None,
     audio: Float32Array | None = None,
-    sample_rate: int = 48000,
-    rate: Fraction | None = None,
     timecode: str = "",
     comment: str = "",
-) -> int:
-    """Write the pictures of several movies as one; return their number.
+) -> None:
+    """Write the pictures of several movies as one.
 
     Parameters
     ----------
@@ -35,16 +34,16 @@ def join_movies(
         The movie to write.
     parts : sequence of Path
         Movies of `write_movie`, of one size, rate and encoder, in order. Their sound is ignored.
+    rate : Fraction
+        Pictures per second, which some containers round.
     pictures : sequence of int, optional
         Number of pictures from the start of each part; default: all.
-    audio, sample_rate
+    audio : (samples,) float array, optional
         Of the whole, as for `write_movie`.
     timecode : str
         SMPTE timecode of the first frame, ``HH:MM:SS:FF``, or ``;`` before FF for drop-frame.
     comment : str
         Stored in the file; see `read_movie_comment`.
-    rate : Fraction, optional
-        Pictures per second; default: as stated by the first part, which some containers round.
 
     Raises
     ------
@@ -54,15 +53,14 @@ def join_movies(
     if not parts:
         raise InputError(f"{path}: there is no part to join; give at least one")
     container_format = movie_format(path)
-    stated_rate = _check_kinds(parts)
+    _check_kinds(parts)
     with replacing(path) as temporary:
         try:
             with av.open(str(temporary), "w", format=container_format) as container:
                 stated = {"timecode": timecode, "comment": comment}
                 container.metadata.update({key: text for key, text in stated.items() if text})
                 counts = repeat(None) if pictures is None else pictures
-                kept_rate = stated_rate if rate is None else rate
-                return _copy(parts, counts, container, kept_rate, audio, sample_rate)
+                _copy(parts, counts, container, rate, audio)
         except (av.error.FFmpegError, OSError, ValueError) as error:
             which = f"{parts[0]} and those after it" if len(parts) > 1 else str(parts[0])
             raise InputError(
@@ -76,9 +74,8 @@ def _copy(
     container: Any,
     rate: Fraction,
     audio: Float32Array | None,
-    sample_rate: int,
-) -> int:
-    """Copy the packets of parts, at most a count of each, numbered from 0; return their number."""
+) -> None:
+    """Copy the packets of parts, at most a count of each, numbered from 0."""
     number, stream, sound = 0, None, None
     for part, most in zip(parts, counts, strict=False):
         end = None if most is None else number + most
@@ -88,7 +85,7 @@ def _copy(
                 stream = container.add_stream_from_template(video)
                 stream.time_base = 1 / rate
                 if audio is not None:
-                    sound = SoundTrack(container, audio, sample_rate)
+                    sound = SoundTrack(container, audio)
             for packet in source.demux(video):
                 if not packet.size or number == end:
                     continue
@@ -102,11 +99,10 @@ def _copy(
                     sound.encode_until(Fraction(number) / rate)
     if sound is not None:
         sound.finish()
-    return number
 
 
-def _check_kinds(parts: Sequence[Path]) -> Fraction:
-    """Refuse parts of different kinds; return the rate stated by the first."""
+def _check_kinds(parts: Sequence[Path]) -> None:
+    """Refuse parts of different kinds."""
     kinds = []
     for part in parts:
         with open_media(part) as source:
@@ -116,7 +112,6 @@ def _check_kinds(parts: Sequence[Path]) -> Fraction:
                 f"{part}: is {_description(kinds[-1])} and {parts[0]} is "
                 f"{_description(kinds[0])}; make all parts with the same options"
             )
-    return kinds[0][3]
 
 
 def _kind(part: Path, source: Any) -> tuple[str, int, int, Fraction, bytes]:

@@ -10,6 +10,7 @@ from usdface.core.arrays import Float32Array
 from usdface.core.assets import Take
 from usdface.core.errors import InputError
 from usdface.core.rates import frames_of, timecode_of
+from usdface.media.film.movie import SAMPLE_RATE
 from usdface.media.film.sound import read_audio
 
 HIGHEST_RATE = 60
@@ -62,9 +63,6 @@ def movie_rate(take: Take) -> Fraction:
     while rate > HIGHEST_RATE:
         rate /= 2
     return rate
-
-
-SAMPLE_RATE = 48000
 
 
 def take_sound(take: Take, clock: MovieClock, notes: list[str]) -> Float32Array | None:

@@ -24,7 +24,7 @@ from usdface.media.film.movie_join import join_movies
 from usdface.model.review.verdict import judge_solve
 from usdface.runner.result import StepResult
 from usdface.specs.review import MovieSpec, PanelKind
-from usdface.steps.review.clock import SAMPLE_RATE, MovieClock, movie_rate, take_sound
+from usdface.steps.review.clock import MovieClock, movie_rate, take_sound
 from usdface.steps.review.head_turn import with_video_head_turn
 from usdface.steps.review.pictures import ShotPictures
 from usdface.steps.review.scoring import range_mm
@@ -114,7 +114,6 @@ def run(spec: MovieSpec, *, provenance: Provenance, progress: Progress) -> StepR
         spec.out,
         [stretch.file for stretch in stretches],
         audio=sound,
-        sample_rate=SAMPLE_RATE,
         rate=rate,
         timecode=clock.timecode(take.timecode_start, take.first_frame),
         comment=json.dumps(comment),

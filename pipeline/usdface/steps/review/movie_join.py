@@ -16,7 +16,7 @@ from usdface.media.film.movie import read_movie_comment
 from usdface.media.film.movie_join import join_movies
 from usdface.runner.result import StepResult
 from usdface.specs.review import MovieJoinSpec
-from usdface.steps.review.clock import SAMPLE_RATE, MovieClock, take_sound
+from usdface.steps.review.clock import MovieClock, take_sound
 from usdface.usdio.take.read import TakeReader
 
 
@@ -69,7 +69,6 @@ def run(spec: MovieJoinSpec, *, provenance: Provenance, progress: Progress) -> S
         spec.parts,
         pictures=pictures,
         audio=sound,
-        sample_rate=SAMPLE_RATE,
         rate=rate,
         timecode=timecode,
         comment=json.dumps(written),

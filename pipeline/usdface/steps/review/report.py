@@ -31,7 +31,7 @@ from usdface.runner.origin import check_same_take
 from usdface.runner.result import StepResult
 from usdface.specs.review import ReportSpec
 from usdface.steps.inputs.phone_labels import labels_at
-from usdface.steps.review.clock import SAMPLE_RATE, MovieClock, take_sound
+from usdface.steps.review.clock import MovieClock, take_sound
 from usdface.steps.review.head_turn import with_video_head_turn
 from usdface.steps.review.report_parts import (
     page_commands,
@@ -195,7 +195,6 @@ def _movie(
             _camera_pictures(spec, shot, take.video, clock, progress),
             rate=clock.rate,
             audio=sound,
-            sample_rate=SAMPLE_RATE,
             proxy=True,
         )
         return file.read_bytes()
