@@ -1,26 +1,32 @@
 """Accuracy of the regression over a surface, on faces with known motion."""
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 from scipy import sparse
 
 from benchmarks._surface_subjects import Subject, demo_subject, deviations_of_axes, recorded_subject
-from usdface.model.surface.distance import surface_distances
+from usdface.core.arrays import FloatArray
+from usdface.model.surface.distance import SurfaceDistances, surface_distances
 from usdface.model.surface.fit import SurfaceModel
 from usdface.model.surface.gp_surface import GpOptions, GpSurface, fit_gp_surface
-from usdface.model.surface.rbf_surface import RbfOptions, fit_rbf_surface
+from usdface.model.surface.rbf_surface import fit_rbf_surface
 from usdface.numerics.measure.performance_error import find_lip_pairs
 
-METHODS: dict[str, GpOptions | RbfOptions] = {
-    "RBF, Euclidean": RbfOptions(blend=0.0),
-    "RBF, blended": RbfOptions(),
-    "RBF, blended, folds as the rest": RbfOptions(folds=False),
-    "GP, shared sample": GpOptions(sampler="shared"),
-    "GP, shared sample, folds as the rest": GpOptions(sampler="shared", folds=False),
-    "GP, mode and Laplace": GpOptions(sampler="map"),
-    "GP, HMC": GpOptions(),
-    "GP, HMC, w chosen": GpOptions(blend=None),
-    "GP, HMC, w = 1": GpOptions(blend=1.0),
-    "GP, HMC, eq. 7's shape": GpOptions(covariance="published"),
+METHODS: dict[str, Callable[[SurfaceDistances, FloatArray], SurfaceModel]] = {
+    "RBF, Euclidean": partial(fit_rbf_surface, blend=0.0),
+    "RBF, blended": fit_rbf_surface,
+    "RBF, blended, folds as the rest": partial(fit_rbf_surface, folds=False),
+    "GP, shared sample": partial(fit_gp_surface, options=GpOptions(sampler="shared")),
+    "GP, shared sample, folds as the rest": partial(
+        fit_gp_surface, options=GpOptions(sampler="shared", folds=False)
+    ),
+    "GP, mode and Laplace": partial(fit_gp_surface, options=GpOptions(sampler="map")),
+    "GP, HMC": partial(fit_gp_surface, options=GpOptions()),
+    "GP, HMC, w chosen": partial(fit_gp_surface, options=GpOptions(blend=None)),
+    "GP, HMC, w = 1": partial(fit_gp_surface, options=GpOptions(blend=1.0)),
+    "GP, HMC, eq. 7's shape": partial(fit_gp_surface, options=GpOptions(covariance="published")),
 }
 
 
@@ -50,12 +56,8 @@ def accuracy(subject: Subject) -> None:
     for noise in (0.0, 0.5):
         moved = subject.motion[:, subject.chosen]
         moved = moved + noise * rng.standard_normal(moved.shape)
-        for name, options in METHODS.items():
-            fitted: SurfaceModel
-            if isinstance(options, RbfOptions):
-                fitted = fit_rbf_surface(distances, moved, options)
-            else:
-                fitted = fit_gp_surface(distances, moved, options)
+        for name, fit in METHODS.items():
+            fitted = fit(distances, moved)
             found = fitted.deform(moved)
             error = (found.mean - subject.motion)[:, moving]
             coverage = "-"

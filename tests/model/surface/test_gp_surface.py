@@ -10,7 +10,7 @@ from usdface.model.surface import fit as surface_fit
 from usdface.model.surface import gp_surface
 from usdface.model.surface.distance import surface_distances
 from usdface.model.surface.gp_surface import GpOptions, GpSurface, fit_gp_surface
-from usdface.model.surface.rbf_surface import RbfOptions, fit_rbf_surface
+from usdface.model.surface.rbf_surface import fit_rbf_surface
 from usdface.numerics.manifold.posterior_prediction import DualMoments
 from usdface.numerics.surface.surface_places import places_at_points
 
@@ -25,7 +25,7 @@ def test_without_noise_errors_are_no_larger_than_of_multiquadrics_and_lips_part(
     mouth: Mouth,
 ) -> None:
     moved = mouth.markers()
-    rbf = fit_rbf_surface(mouth.distances(), moved, RbfOptions()).deform(moved)
+    rbf = fit_rbf_surface(mouth.distances(), moved).deform(moved)
     process = fit(mouth, moved, sampler="map").deform(moved)
     assert rms(mouth, process.mean) <= rms(mouth, rbf.mean)
     true = opening(mouth, mouth.motion)
@@ -52,7 +52,7 @@ def test_noise_is_smoothed_and_95_percent_intervals_contain_95_percent(
     mouth: Mouth, sampler: str
 ) -> None:
     moved = mouth.markers(noise=0.5)
-    rbf = fit_rbf_surface(mouth.distances(), moved, RbfOptions()).deform(moved)
+    rbf = fit_rbf_surface(mouth.distances(), moved).deform(moved)
     fitted = fit(mouth, moved, sampler=sampler)
     found = fitted.deform(moved)
     assert rms(mouth, found.mean) < 0.97 * rms(mouth, rbf.mean)
@@ -194,7 +194,7 @@ def test_markers_that_vanish_follow_the_others_and_are_less_certain(
     model = (
         fit(mouth, moved, sampler="shared", length_scale=40.0)
         if method == "gp"
-        else fit_rbf_surface(mouth.distances(), moved, RbfOptions())
+        else fit_rbf_surface(mouth.distances(), moved)
     )
     found, trusted = model.deform(held, seen.astype(float)), model.deform(held)
     assert rms(mouth, found.mean) < 0.6 * rms(mouth, trusted.mean)

@@ -6,11 +6,11 @@ import pytest
 from tests.model.surface.mouth import Mouth, opening, rms
 from usdface.core.errors import InputError
 from usdface.model.surface import fit as surface_fit
-from usdface.model.surface.rbf_surface import RbfOptions, RbfSurface, fit_rbf_surface
+from usdface.model.surface.rbf_surface import RbfSurface, fit_rbf_surface
 
 
 def fit(mouth: Mouth, moved: np.ndarray, **options: object) -> RbfSurface:
-    return fit_rbf_surface(mouth.distances(), moved, RbfOptions(**options))  # type: ignore[arg-type]
+    return fit_rbf_surface(mouth.distances(), moved, **options)  # type: ignore[arg-type]
 
 
 def test_over_the_surface_errors_are_smaller_and_lips_part(mouth: Mouth) -> None:
@@ -61,4 +61,4 @@ def test_two_markers_at_one_place_are_refused(mouth: Mouth) -> None:
     distances.euclidean_between[:, 1] = distances.euclidean_between[:, 0]
     distances.euclidean_between[1] = distances.euclidean_between[0]
     with pytest.raises(InputError, match="markers 0 and 1 are 0 mm apart"):
-        fit_rbf_surface(distances, mouth.markers(), RbfOptions())
+        fit_rbf_surface(distances, mouth.markers())

@@ -27,17 +27,6 @@ from usdface.numerics.manifold.surface_fields import (
 
 
 @dataclass(frozen=True)
-class RbfOptions:
-    """Options of `fit_rbf_surface`."""
-
-    blend: float | None = BLEND_PUBLISHED
-    """Share of the geodesic distance [0-1]; None: chosen by leave-one-out."""
-    folds: bool = True
-    """Whether points in folds, such as the insides of lips, follow the markers of their side; no
-    effect if `blend` is 0."""
-
-
-@dataclass(frozen=True)
 class RbfSurface(SurfaceModel):
     """Fitted multiquadrics: ``displacements of points = operator @ displacements of markers``."""
 
@@ -57,7 +46,11 @@ class RbfSurface(SurfaceModel):
 
 
 def fit_rbf_surface(
-    distances: SurfaceDistances, displacements: FloatArray, options: RbfOptions
+    distances: SurfaceDistances,
+    displacements: FloatArray,
+    *,
+    blend: float | None = BLEND_PUBLISHED,
+    folds: bool = True,
 ) -> RbfSurface:
     """Fit multiquadrics to the markers of a mesh.
 
@@ -65,25 +58,27 @@ def fit_rbf_surface(
     ----------
     displacements : (frames, markers, 3) float array
         Of a take, from the neutral frame [mm]; used to choose the blend if it is not given.
+    blend, folds
+        See `GpOptions`.
     """
-    frames = fitted_frames(check_fit(distances, displacements, options.blend))
+    frames = fitted_frames(check_fit(distances, displacements, blend))
     columns = frames.transpose(1, 0, 2).reshape(frames.shape[1], -1)
     tried: list[tuple[float, float, DistanceMultiquadric]] = []
-    for blend in BLENDS_TRIED if options.blend is None else (options.blend,):
-        between = distances.blended_between(blend)
+    for share in BLENDS_TRIED if blend is None else (blend,):
+        between = distances.blended_between(share)
         try:
             network = fit_distance_multiquadric(between, nearest_stiffness(between))
         except ValueError as error:
             raise InputError(str(error)) from error
         # Leave-one-out errors in closed form: Rippa (1999).
         errors = (network.inverse @ columns) / np.diag(network.inverse)[:, None]
-        tried.append((float(np.sqrt((errors**2).mean())), blend, network))
-    rms, blend, network = min(tried, key=lambda each: each[0])
-    operator = multiquadric_fields(network, distances.blended_to_points(blend))
-    if options.folds and blend > 0:
+        tried.append((float(np.sqrt((errors**2).mean())), share, network))
+    rms, share, network = min(tried, key=lambda each: each[0])
+    operator = multiquadric_fields(network, distances.blended_to_points(share))
+    if folds and share > 0:
         find_surface_folds(distances).apply(operator, np.eye(len(columns)))
     return RbfSurface(
-        blend=blend,
+        blend=share,
         length_scale=0.0,
         diagnostics=SurfaceDiagnostics(rms),
         marker_count=len(columns),

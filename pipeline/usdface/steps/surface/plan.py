@@ -18,7 +18,7 @@ from usdface.model.surface.binding import UNCERTAIN_CONFIDENCE, propose_binding
 from usdface.model.surface.distance import SurfaceDistances, surface_distances, unpack_distances
 from usdface.model.surface.fit import SurfaceModel, SurfaceMotion
 from usdface.model.surface.gp_surface import GpOptions, fit_gp_surface
-from usdface.model.surface.rbf_surface import RbfOptions, fit_rbf_surface
+from usdface.model.surface.rbf_surface import fit_rbf_surface
 from usdface.numerics.manifold.hyper_posterior import HyperPrior
 from usdface.numerics.registration.marker_binding import (
     FEWEST_MARKERS,
@@ -275,8 +275,7 @@ def fit_surface(
 ) -> SurfaceModel:
     """Fit the model of --method; `rbf` uses only some of the options."""
     if spec.method == "rbf":
-        rbf = RbfOptions(blend=options.blend, folds=options.folds)
-        return fit_rbf_surface(distances, displacements, rbf)
+        return fit_rbf_surface(distances, displacements, blend=options.blend, folds=options.folds)
     return fit_gp_surface(distances, displacements, options)
 
 
