@@ -174,6 +174,21 @@ def test_without_h264_the_movie_is_vp9_and_reads_the_same(
         assert container.streams.video[0].codec.name.startswith(("vp9", "libvpx"))
 
 
+def test_pictures_of_wide_pixels_are_as_wide_as_players_show_them(tmp_path: Path) -> None:
+    path = tmp_path / "anamorphic.mp4"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("mpeg4", rate=24)
+        stream.pix_fmt = "yuv420p"
+        stream.height, stream.width = draw_number(0).shape[:2]
+        stream.codec_context.sample_aspect_ratio = Fraction(4, 3)
+        picture = av.VideoFrame.from_ndarray(draw_number(0), format="rgb24")
+        container.mux(stream.encode(picture))
+        container.mux(stream.encode())
+    with VideoReader(path) as movie:
+        assert movie.height == stream.height
+        assert movie.width == round(stream.width * 4 / 3)
+
+
 def test_sound_comes_back_where_it_was(tmp_path: Path) -> None:
     path = tmp_path / "clap.mp4"
     sound = np.zeros(96000, np.float32)

@@ -111,7 +111,7 @@ class VideoReader(OpenVideo):
             seconds = float(self.times[index])
             decoded = self._decode(int(self._index.stamps[index]), seconds)
             try:
-                self._shown = (index, _upright(decoded))
+                self._shown = (index, _upright(decoded, self._stream.sample_aspect_ratio))
             except (av.error.FFmpegError, OSError, ValueError) as error:
                 raise unreadable(self.path, error, where=f" at {seconds:.3f} s") from error
         return self._shown[1]
@@ -216,13 +216,12 @@ def _even_rate(stamps: IntArray, base: Fraction, stated: Fraction | None) -> Fra
     return rate if np.abs(drift).max() <= 1.5 else None
 
 
-def _upright(frame: Any) -> ByteImage:
-    """Convert to sRGB bytes, upright and with square pixels."""
+def _upright(frame: Any, aspect: Fraction | None) -> ByteImage:
+    """Convert to sRGB bytes, upright and with square pixels; `aspect`: of the frame's pixels."""
     options: dict[str, Any] = {"format": "rgb24"}
     if int(frame.colorspace) == 2 and frame.height >= 720:
         # Unspecified: players assume BT.709 for HD, the converter BT.601.
         options["src_colorspace"] = "ITU709"
-    aspect = frame.sample_aspect_ratio if hasattr(frame, "sample_aspect_ratio") else None
     if aspect and aspect != 1 and Fraction(1, 4) < aspect < 4:
         options["width"] = max(int(frame.width * aspect + Fraction(1, 2)), 1)
     pixels = frame.reformat(**options).to_ndarray()
