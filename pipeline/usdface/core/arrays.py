@@ -149,6 +149,12 @@ def equal_rows(rows: BoolArray | FloatArray) -> list[IntArray]:
     return np.split(order, np.flatnonzero(np.diff(group.ravel()[order])) + 1)
 
 
+def smoothstep(values: NDArray[np.floating], low: float = 0.0, high: float = 1.0) -> Any:
+    """Return ``t^2 (3 - 2 t)``, with t from 0 at `low` to 1 at `high`, of the values' type."""
+    t = np.clip((values - low) / (high - low), 0, 1)
+    return t * t * (3 - 2 * t)
+
+
 def coordinates_of(points: IntArray) -> IntArray:
     """Return the indices of the three coordinates of points, (n,) to (3 n,), in flat arrays."""
     return np.asarray((3 * points[:, None] + np.arange(3)).ravel())

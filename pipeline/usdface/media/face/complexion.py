@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from usdface.core.arrays import FloatArray
+from usdface.core.arrays import FloatArray, smoothstep
 from usdface.core.assets import RigMesh
 from usdface.media.face import shading
 from usdface.media.face.features import ColorBand, find_bands
@@ -73,7 +73,7 @@ def paint(meshes: Sequence[RigMesh], pieces: Pieces, *, exposure: FloatArray) ->
     skin = parts == FacePart.SKIN
     links = _neighbours(meshes)
     smooth = _average_neighbours(exposure, links, times=2)
-    inside = np.where(skin, _step((_OPEN - smooth) / (_OPEN - _CLOSED)), 0.0)
+    inside = np.where(skin, smoothstep((_OPEN - smooth) / (_OPEN - _CLOSED)), 0.0)
     colors = palette[parts]
     bare = [mesh.colors is None and mesh.face_colors is None for mesh in meshes]
     plain = skin & np.repeat(bare, [len(mesh.points) for mesh in meshes])
@@ -95,12 +95,6 @@ def paint(meshes: Sequence[RigMesh], pieces: Pieces, *, exposure: FloatArray) ->
             colors[own] = mesh.colors
         first += len(mesh.points)
     return Complexion(colors, bands, np.where(plain, 1 - inside, 0.0))
-
-
-def _step(value: FloatArray) -> FloatArray:
-    """Return the smoothstep function of values in [0, 1]."""
-    limited = np.clip(value, 0, 1)
-    return np.asarray(limited**2 * (3 - 2 * limited))
 
 
 def _neighbours(meshes: Sequence[RigMesh]) -> Sparse:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, smoothstep
 from usdface.core.assets import RigMesh
 from usdface.media.face import shading
 from usdface.media.face.parts import Eyeball
@@ -78,9 +78,8 @@ class ColorBand:
         toward = (at - low)[:, None]
         curve, above, below, least = ((1 - toward) * self.rows[low] + toward * self.rows[low + 1]).T
         beyond = np.abs(y - curve) - np.where(y > curve, above, below)
-        faded = np.clip(0.5 - beyond / self.edge, 0, 1)
         here = (along > 0) & (along < 1) & (z > least)
-        return np.asarray(np.where(here, faded**2 * (3 - 2 * faded), 0), np.float32)
+        return np.asarray(np.where(here, smoothstep(0.5 - beyond / self.edge), 0), np.float32)
 
 
 def find_bands(

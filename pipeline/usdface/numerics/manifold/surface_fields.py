@@ -39,7 +39,14 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from usdface.core.arrays import Float32Array, FloatArray, IntArray, RealArray, frame_blocks
+from usdface.core.arrays import (
+    Float32Array,
+    FloatArray,
+    IntArray,
+    RealArray,
+    frame_blocks,
+    smoothstep,
+)
 
 LEAST_DETOUR, FULL_DETOUR = 2.0, 3.0
 """Distance along the surface over the straight line: s is 0 below the first and 1 above the second.
@@ -95,8 +102,8 @@ def find_folds(geodesic: RealArray, euclidean: RealArray, *, spread: float) -> F
         along = np.asarray(geodesic[:, part], np.float64)
         straight = np.asarray(euclidean[:, part], np.float64)
         detour = along / np.maximum(straight, 1e-6)
-        fold = _smoothstep(detour, LEAST_DETOUR, FULL_DETOUR)
-        share = (fold * (1 - _smoothstep(straight, near, 2 * near))).max(axis=0)
+        fold = smoothstep(detour, LEAST_DETOUR, FULL_DETOUR)
+        share = (fold * (1 - smoothstep(straight, near, 2 * near))).max(axis=0)
         inside = np.flatnonzero(share > 0)
         distance = np.maximum(along[:, inside], 1e-6)
         q = (distance.min(axis=0) / distance) ** _WEIGHT_POWER
@@ -104,12 +111,6 @@ def find_folds(geodesic: RealArray, euclidean: RealArray, *, spread: float) -> F
         shares.append(share[inside].astype(np.float32))
         weights.append((q / q.sum(axis=0)).T.astype(np.float32))
     return Folds(np.concatenate(points), np.concatenate(shares), np.concatenate(weights))
-
-
-def _smoothstep(values: FloatArray, low: float, high: float) -> FloatArray:
-    """Return ``t^2 (3 - 2 t)``, with t from 0 at `low` to 1 at `high`."""
-    t = np.clip((values - low) / (high - low), 0.0, 1.0)
-    return np.asarray(t * t * (3.0 - 2.0 * t))
 
 
 STIFFNESS_SHARE = 0.1

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, smoothstep
 from usdface.core.assets import RigMesh
 from usdface.core.errors import InputError, as_input_error
 from usdface.core.progress import Progress, part
@@ -322,8 +322,7 @@ def _fade(distances: SurfaceDistances, reach: float | None) -> Float32Array:
         )
         reach = _REACH_SPACINGS * float(np.median(others.min(axis=1)))
     nearest = distances.geodesic_to_points.min(axis=0)
-    share = np.clip(2 - nearest / np.float32(reach / 2), 0, 1)
-    return np.asarray((share**2 * (3 - 2 * share))[:, None], np.float32)
+    return np.asarray(smoothstep(2 - nearest / np.float32(reach / 2))[:, None], np.float32)
 
 
 def _distances(
