@@ -16,12 +16,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
-from usdface.core.arrays import BoolArray, Float32Array, FloatArray, smoothstep
+from usdface.core.arrays import BoolArray, Float32Array, FloatArray, index_of, smoothstep
 from usdface.core.assets import RigMesh
 from usdface.media.face import shading
 from usdface.media.face.parts import Eyeball
 from usdface.numerics.measure.face_regions import jaw_opener, shapes_by_region
 from usdface.numerics.measure.performance_error import find_lip_pairs
+from usdface.numerics.solve.blendshapes import BlendShapes, ChannelKeys, Key
 
 _UPPER_LIP, _LOWER_LIP = 0.26, 0.32
 """Height of the lips in the middle [half widths of the mouth]."""
@@ -108,18 +109,13 @@ def _band(x: FloatArray, rows: Sequence[ArrayLike], edge: float, color: Float32A
 def _offsets(meshes: Sequence[RigMesh]) -> tuple[tuple[str, ...], sparse.csr_array]:
     """Return the names of all shapes, and their offsets at weight 1: (shapes, 3 * points)."""
     names = tuple(dict.fromkeys(shape.name for mesh in meshes for shape in mesh.shapes))
-    row_of, first = {name: row for row, name in enumerate(names)}, 0
-    rows, columns, values = [np.zeros(0, int)], [np.zeros(0, int)], [np.zeros(0)]
+    row_of, first, tracks = index_of(names), 0, list[ChannelKeys]()
     for mesh in meshes:
         for shape in mesh.shapes:
-            key = shape.keys[-1]
-            at = (3 * (first + key.points)[:, None] + np.arange(3)).ravel()
-            rows.append(np.full(len(at), row_of[shape.name]))
-            columns.append(at)
-            values.append(np.asarray(key.offsets, float).ravel())
+            full = Key(1.0, first + shape.keys[-1].points, shape.keys[-1].offsets)
+            tracks.append(ChannelKeys(row_of[shape.name], [full]))
         first += len(mesh.points)
-    given = np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))
-    return names, sparse.csr_array(given, shape=(len(names), 3 * first))
+    return names, BlendShapes(first, len(names), tracks).target_offsets()
 
 
 def _moved_by(offsets: sparse.csr_array, shape: int) -> FloatArray:
