@@ -12,10 +12,9 @@ from tests.usdio.small_rig import small_rig
 from usdface.core.assets import MeshShape, Rig, RigMesh, ShapeKey
 from usdface.core.deformer import Deformer
 from usdface.media.face.camera import Camera
-from usdface.media.face.mesh_topology import normal_operator, vertex_normals
 from usdface.media.face.render import FaceRenderer
 from usdface.media.face.sculpted_normals import SculptedNormals
-from usdface.numerics.surface.triangulation import triangulate
+from usdface.numerics.surface.triangulation import normal_operator, triangulate, vertex_normals
 from usdface.usdio.rig.read import read_rig
 from usdface.usdio.rig.write import write_rig
 

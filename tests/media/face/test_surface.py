@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from tests.media.forms import mesh, sphere
-from usdface.media.face.mesh_topology import normal_operator, vertex_normals
 from usdface.media.face.parts import FacePart, find_pieces, part_from_name
 from usdface.media.face.subdivision import catmull_clark
-from usdface.numerics.surface.triangulation import triangulate
+from usdface.numerics.surface.triangulation import normal_operator, triangulate, vertex_normals
 
 CUBE = mesh(
     np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float),

@@ -10,8 +10,8 @@ from usdface.core.arrays import FloatArray, smoothstep
 from usdface.core.assets import RigMesh
 from usdface.media.face import shading
 from usdface.media.face.features import ColorBand, find_bands
-from usdface.media.face.mesh_topology import Sparse, polygon_edges
 from usdface.media.face.parts import FacePart, Pieces
+from usdface.numerics.surface.triangulation import Sparse, polygon_edges
 
 _CLOSED, _OPEN = 0.015, 0.09  # visible share of the sky at rest: inside of a mouth, and skin
 
@@ -101,7 +101,7 @@ def _neighbours(meshes: Sequence[RigMesh]) -> Sparse:
     """Return the symmetric (points, points) adjacency matrix."""
     pairs, first = [], 0
     for mesh in meshes:
-        pairs.append(polygon_edges(mesh) + first)
+        pairs.append(polygon_edges(mesh.face_counts, mesh.face_indices) + first)
         first += len(mesh.points)
     rows, columns = np.concatenate(pairs).T
     ones = np.ones(len(rows))

@@ -1,19 +1,21 @@
-"""Polygon meshes: edges, connected pieces, triangles and smooth normals."""
+"""Polygon meshes: open edges, connected pieces, and triangles."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
-from usdface.core.arrays import BoolArray, FloatArray, IntArray, row_lengths
+from usdface.core.arrays import BoolArray, FloatArray, IntArray
 from usdface.core.assets import RigMesh
 from usdface.core.errors import InputError
-from usdface.numerics.surface.triangulation import triangulate
-
-Sparse = Any
-"""A SciPy CSR array, which is untyped."""
+from usdface.numerics.surface.surface_graph import connected_parts
+from usdface.numerics.surface.triangulation import (
+    Sparse,
+    normal_operator,
+    polygon_edges,
+    triangulate,
+    vertex_normals,
+)
 
 
 def check_topology(mesh: RigMesh) -> None:
@@ -33,71 +35,17 @@ def check_topology(mesh: RigMesh) -> None:
         )
 
 
-def polygon_edges(mesh: RigMesh) -> IntArray:
-    """Return both points of each side of each polygon, in the order of the corners: (corners, 2).
-
-    Edges between two polygons occur twice.
-    """
-    following = mesh.face_indices[following_corners(mesh.face_counts)]
-    return np.stack([mesh.face_indices, following], axis=1)
-
-
-def following_corners(face_counts: IntArray) -> IntArray:
-    """Return the index of the next corner of the same polygon, for each corner: (corners,)."""
-    ends = np.cumsum(face_counts)
-    following = np.arange(1, int(face_counts.sum()) + 1)
-    filled = face_counts > 0
-    following[ends[filled] - 1] = (ends - face_counts)[filled]
-    return following
-
-
 def border_edges(mesh: RigMesh) -> IntArray:
     """Return the edges of a single polygon: (edges, 2) int array."""
-    sides = np.sort(polygon_edges(mesh), axis=1)
+    sides = np.sort(polygon_edges(mesh.face_counts, mesh.face_indices), axis=1)
     edges, uses = np.unique(sides, axis=0, return_counts=True)
     return np.asarray(edges[uses == 1])
 
 
 def components(mesh: RigMesh) -> IntArray:
     """Return the connected piece of each point: (points,) int array."""
-    counts, size = mesh.face_counts, len(mesh.points)
-    filled = counts > 0
-    starts = (np.cumsum(counts) - counts)[filled]
-    first = np.repeat(mesh.face_indices[starts], counts[filled])
-    ones = np.ones(len(first), np.int8)
-    links = sparse.coo_array((ones, (first, mesh.face_indices)), shape=(size, size))
-    _, labels = connected_components(links, directed=False)
-    return np.asarray(labels, np.int64)
-
-
-def normal_operator(triangles: IntArray, *, point_count: int) -> Sparse:
-    """Return the (points, triangles) matrix that sums triangle normals at their corners."""
-    count = len(triangles)
-    columns = np.repeat(np.arange(count), 3)
-    ones = np.ones(3 * count, np.float32)
-    return sparse.csr_array((ones, (triangles.ravel(), columns)), shape=(point_count, count))
-
-
-def vertex_normals(points: FloatArray, triangles: IntArray, operator: Sparse) -> FloatArray:
-    """Return unit normals: area-weighted means of the triangles at each point.
-
-    Parameters
-    ----------
-    points : (points, 3) float array
-    triangles : (triangles, 3) int array
-    operator : (points, triangles) sparse array
-        From `normal_operator`.
-
-    Returns
-    -------
-    (points, 3) float array
-        Zero for points without a triangle of positive area.
-    """
-    # Twice as fast as an index
-    a, b, c = (np.take(points, triangles[:, k], axis=0) for k in range(3))
-    summed = np.asarray(operator @ np.cross(b - a, c - a))
-    length = row_lengths(summed)
-    return np.asarray(np.divide(summed, length, out=np.zeros_like(summed), where=length > 0))
+    edges = polygon_edges(mesh.face_counts, mesh.face_indices)
+    return connected_parts(edges, len(mesh.points))
 
 
 LEAST_ANGLE = np.radians(0.5)

@@ -12,8 +12,7 @@ from scipy import sparse
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import Rig, RigMesh
 from usdface.core.deformer import Deformer
-from usdface.media.face.mesh_topology import normal_operator, vertex_normals
-from usdface.numerics.surface.triangulation import triangulate
+from usdface.numerics.surface.triangulation import normal_operator, triangulate, vertex_normals
 
 
 class SculptedNormals:

@@ -9,11 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
 from usdface.core.arrays import FloatArray, IntArray
 from usdface.core.assets import RigMesh
-from usdface.media.face.mesh_topology import Sparse, border_edges
+from usdface.media.face.mesh_topology import border_edges
+from usdface.numerics.surface.surface_graph import connected_parts
+from usdface.numerics.surface.triangulation import Sparse
 
 _SHARE_OF_OPENING = 0.52  # radius over the width between the corners of the lids
 _LEAST_BLINK = 0.10  # mean motion of a lid's rim in a blink over the largest motion
@@ -78,12 +79,8 @@ def _holes(meshes: Sequence[RigMesh]) -> list[IntArray]:
     for mesh in meshes:
         border = border_edges(mesh)
         rim = np.unique(border)
-        ends = np.searchsorted(rim, border)
-        links = sparse.coo_array(
-            (np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(len(rim), len(rim))
-        )
-        count, labels = connected_components(links, directed=False)
-        holes += [first + rim[labels == hole] for hole in range(count)]
+        labels = connected_parts(np.searchsorted(rim, border), len(rim))
+        holes += [first + rim[labels == hole] for hole in np.unique(labels)]
         first += len(mesh.points)
     return [hole for hole in holes if len(hole) >= 6]
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 
 from usdface.core.arrays import FloatArray, IntArray
-from usdface.media.face.mesh_topology import Sparse, following_corners
+from usdface.numerics.surface.triangulation import Sparse, following_corners
 
 
 @dataclass(frozen=True)

@@ -12,17 +12,12 @@ from usdface.core.errors import InputError
 from usdface.core.last_result import cache_last_result
 from usdface.media.face.complexion import LEAST_OPACITY, faces_painted, is_plain_eye, paint
 from usdface.media.face.features import ColorBand
-from usdface.media.face.mesh_topology import (
-    Sparse,
-    check_topology,
-    cut_polygons,
-    normal_operator,
-    vertex_normals,
-)
+from usdface.media.face.mesh_topology import check_topology, cut_polygons
 from usdface.media.face.parts import FacePart, Pieces, find_pieces
 from usdface.media.face.stand_in_eyes import blink_offsets, fit_stand_in_eyes
 from usdface.media.face.subdivision import catmull_clark
 from usdface.media.face.tracing import PATTERN_COUNT, Tracer, sky_seen, traced_triangles
+from usdface.numerics.surface.triangulation import Sparse, normal_operator, vertex_normals
 
 COARSE_POINTS = 6000
 """Catmull-Clark cages of fewer points are subdivided; finer ones look smooth at sheet size."""
@@ -259,11 +254,7 @@ def _selection(meshes: Sequence[RigMesh], visible: Sequence[RigMesh]) -> Sparse:
     """Return the matrix that selects the points of the visible meshes."""
     shown = {id(mesh) for mesh in visible}
     taken = np.concatenate([np.full(len(m.points), id(m) in shown) for m in meshes])
-    columns = np.flatnonzero(taken)
-    ones = np.ones(len(columns))
-    return sparse.csr_array(
-        (ones, (np.arange(len(columns)), columns)), shape=(len(columns), len(taken))
-    )
+    return sparse.eye_array(len(taken), format="csr")[np.flatnonzero(taken)]
 
 
 def _rest_exposure(

@@ -24,11 +24,11 @@ from usdface.core.assets import Rig
 from usdface.core.deformer import Deformer
 from usdface.media.face.camera import Camera, frame_rig
 from usdface.media.face.features import ColorBand
-from usdface.media.face.mesh_topology import normal_operator
 from usdface.media.face.surface import Surface, build_surface
 from usdface.media.face.tracing import PATTERN_COUNT, Tracer, sky_seen, traced_triangles
 from usdface.media.picture.color import bytes_from_linear
 from usdface.numerics.measure.face_regions import blinks, jaw_opener, region_of_shape
+from usdface.numerics.surface.triangulation import normal_operator
 
 PAYLOAD_FORMAT = 4
 """Version of the data; the viewer refuses others."""

@@ -104,7 +104,6 @@ class SurfaceDistances:
             "islandsWithoutMarker": self.unreached.islands_without_marker,
             "nonmanifoldEdges": faults.nonmanifold_edges,
             "degenerateFaces": faults.degenerate_faces,
-            "loosePoints": faults.loose_points,
         }
 
     def scaled(self, positions: FloatArray | Float32Array) -> FloatArray:
@@ -198,8 +197,6 @@ def unpack_distances(
             apart=arrays["apart"].astype(np.bool_),
             islands=counts["islands"],
             islands_without_marker=counts["islandsWithoutMarker"],
-            faults=MeshFaults(
-                counts["nonmanifoldEdges"], counts["degenerateFaces"], counts["loosePoints"]
-            ),
+            faults=MeshFaults(counts["nonmanifoldEdges"], counts["degenerateFaces"]),
         ),
     )

@@ -14,6 +14,7 @@ from scipy.spatial import KDTree
 from usdface.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from usdface.core.last_result import cache_last_result
 from usdface.numerics.registration.virtual_markers import deltas_at
+from usdface.numerics.surface.surface_graph import connected_parts
 from usdface.numerics.surface.triangulation import triangle_areas
 
 _SAMPLE_COUNT = 12_000  # about 2 mm apart on a face
@@ -148,12 +149,8 @@ def _on_skin(
     _, weld = np.unique(np.round(P / (1e-5 * size)), axis=0, return_inverse=True)
     weld = weld.ravel()
     edges = np.concatenate([T[:, [0, 1]], T[:, [1, 2]]])
-    graph = sparse.coo_array(
-        (np.ones(len(edges)), (weld[edges[:, 0]], weld[edges[:, 1]])),
-        shape=(int(weld.max()) + 1,) * 2,
-    )
-    count, label = sparse.csgraph.connected_components(graph, directed=False)
-    piece = label[weld]
+    piece = connected_parts(weld[edges], int(weld.max()) + 1)[weld]
+    count = int(piece.max()) + 1
     visible_count = np.bincount(piece[T[owner[visible], 0]], minlength=count).astype(float)
     moved = np.zeros(count)
     np.maximum.at(moved, piece, activity)

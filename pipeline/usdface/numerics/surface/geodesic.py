@@ -93,11 +93,9 @@ def geodesic_distances(
     else:
         to_points = _shortest_paths(graph, polygons, lengths, progress)
     between = _between(to_points, places.faces, positions, polygons, lengths)
-    copies = int((joined != np.arange(len(points))).sum())
-    if copies:
+    if (joined != np.arange(len(points))).any():
         to_points = to_points[:, joined]
         islands = np.unique(islands[joined], return_inverse=True)[1]
-        faults = replace(faults, loose_points=faults.loose_points - copies)
     return Geodesics(to_points, between, positions, islands, faults)
 
 

@@ -7,7 +7,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from usdface.core.arrays import FloatArray, IntArray
-from usdface.numerics.surface.triangulation import triangulate
+from usdface.numerics.surface.triangulation import polygon_edges, triangulate
 
 _MOST_CORNERS = 8
 """Corners of a polygon up to which all its diagonals are used. In larger ones, only those of its
@@ -22,8 +22,6 @@ class MeshFaults:
     """Edges with more than two faces; paths may use them."""
     degenerate_faces: int = 0
     """Faces that use a point twice or have fewer than three corners."""
-    loose_points: int = 0
-    """Points of no face; no path reaches them."""
 
 
 def check_surface(points: FloatArray, face_counts: IntArray, face_indices: IntArray) -> None:
@@ -86,7 +84,7 @@ def surface_segments(
     )
     if crossings:
         segments, _ = _unique_pairs(np.concatenate([segments, *crossings]), points)
-    return segments, MeshFaults(int((face_count > 2).sum()), degenerate, 0)
+    return segments, MeshFaults(int((face_count > 2).sum()), degenerate)
 
 
 def _unique_pairs(pairs: IntArray, points: int) -> tuple[IntArray, IntArray]:
@@ -132,11 +130,7 @@ def surface_graph(
     graph = sparse.csr_array(
         (np.concatenate([lengths, lengths]), (both[:, 0], both[:, 1])), (len(points), len(points))
     )
-    islands = connected_components(graph, directed=False)[1].astype(np.int64)
-    used = np.zeros(len(points), np.bool_)
-    used[face_indices] = True
-    faults = MeshFaults(faults.nonmanifold_edges, faults.degenerate_faces, int((~used).sum()))
-    return graph, islands, faults
+    return graph, connected_parts(segments, len(points)), faults
 
 
 def join_parts(points: FloatArray, face_counts: IntArray, face_indices: IntArray) -> IntArray:
@@ -151,13 +145,8 @@ def join_parts(points: FloatArray, face_counts: IntArray, face_indices: IntArray
         The first point that each one is a copy of; most often the point itself.
     """
     check_surface(points, face_counts, face_indices)
-    following = np.arange(1, len(face_indices) + 1)
-    full = face_counts > 0
-    following[np.cumsum(face_counts)[full] - 1] = (np.cumsum(face_counts) - face_counts)[full]
-    edges, used = _unique_pairs(
-        np.stack([face_indices, face_indices[following]], axis=1), len(points)
-    )
-    parts = _parts(edges, len(points))
+    edges, used = _unique_pairs(polygon_edges(face_counts, face_indices), len(points))
+    parts = connected_parts(edges, len(points))
     edges = edges[used == 1]
     ends, corners = np.unique(edges, return_inverse=True)
     _, position = np.unique(points[ends], axis=0, return_inverse=True)
@@ -168,11 +157,11 @@ def join_parts(points: FloatArray, face_counts: IntArray, face_indices: IntArray
     edges, at = edges[order], at[order]
     same = (at[1:] == at[:-1]).all(axis=1) & (parts[edges[1:, 0]] != parts[edges[:-1, 0]])
     pairs = np.stack([edges[:-1][same].ravel(), edges[1:][same].ravel()], axis=1)
-    copies = _parts(pairs, len(points))
+    copies = connected_parts(pairs, len(points))
     return np.asarray(np.unique(copies, return_index=True)[1][copies])
 
 
-def _parts(pairs: IntArray, points: int) -> IntArray:
-    """Return the connected part of each point."""
+def connected_parts(pairs: IntArray, points: int) -> IntArray:
+    """Return the connected part of each point, given pairs (n, 2) of joined ones: (points,)."""
     graph = sparse.coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), (points, points))
     return np.asarray(connected_components(graph, directed=False)[1], np.int64)

@@ -1,12 +1,18 @@
-"""Triangulation of polygons, areas and normals of triangles, and authored normals under motion.
+"""Triangles and edges of polygons, smooth normals, and authored normals under motion.
 
 An authored normal is rotated by the smallest rotation that maps the smooth normal of its point at
 rest to that of the moved surface, which preserves hard edges and sculpted normals.
 """
 
-import numpy as np
+from typing import Any
 
-from usdface.core.arrays import FloatArray, IntArray
+import numpy as np
+from scipy import sparse
+
+from usdface.core.arrays import FloatArray, IntArray, row_lengths
+
+Sparse = Any
+"""A SciPy CSR array, which is untyped."""
 
 
 def triangulate(face_counts: IntArray, face_indices: IntArray) -> tuple[IntArray, IntArray]:
@@ -28,13 +34,56 @@ def triangulate(face_counts: IntArray, face_indices: IntArray) -> tuple[IntArray
 
 def triangle_areas(points: FloatArray, triangles: IntArray) -> FloatArray:
     """Return the area of each triangle, in the points' unit squared."""
-    return np.asarray(0.5 * np.linalg.norm(_cross_products(points, triangles), axis=1))
-
-
-def _cross_products(points: FloatArray, triangles: IntArray) -> FloatArray:
-    """Return normals (triangles, 3) of twice the triangles' areas in length."""
     a, b, c = (points[triangles[:, i]] for i in range(3))
-    return np.cross(b - a, c - a)
+    return np.asarray(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
+
+
+def polygon_edges(face_counts: IntArray, face_indices: IntArray) -> IntArray:
+    """Return both points of each side of each polygon, in the order of the corners: (corners, 2).
+
+    Edges between two polygons occur twice.
+    """
+    following = face_indices[following_corners(face_counts)]
+    return np.stack([face_indices, following], axis=1)
+
+
+def following_corners(face_counts: IntArray) -> IntArray:
+    """Return the index of the next corner of the same polygon, for each corner: (corners,)."""
+    ends = np.cumsum(face_counts)
+    following = np.arange(1, int(face_counts.sum()) + 1)
+    filled = face_counts > 0
+    following[ends[filled] - 1] = (ends - face_counts)[filled]
+    return following
+
+
+def normal_operator(triangles: IntArray, *, point_count: int) -> Sparse:
+    """Return the (points, triangles) matrix that sums triangle normals at their corners."""
+    count = len(triangles)
+    columns = np.repeat(np.arange(count), 3)
+    ones = np.ones(3 * count, np.float32)
+    return sparse.csr_array((ones, (triangles.ravel(), columns)), shape=(point_count, count))
+
+
+def vertex_normals(points: FloatArray, triangles: IntArray, operator: Sparse) -> FloatArray:
+    """Return unit normals: area-weighted means of the triangles at each point.
+
+    Parameters
+    ----------
+    points : (points, 3) float array
+    triangles : (triangles, 3) int array
+    operator : (points, triangles) sparse array
+        From `normal_operator`.
+
+    Returns
+    -------
+    (points, 3) float array
+        Zero for points without a triangle of positive area.
+    """
+    # Twice as fast as an index
+    a, b, c = (np.take(points, triangles[:, k], axis=0) for k in range(3))
+    summed = np.asarray(operator @ np.cross(b - a, c - a))
+    length = row_lengths(summed)
+    return np.asarray(np.divide(summed, length, out=np.zeros_like(summed), where=length > 0))
 
 
 class NormalTurner:
@@ -63,12 +112,13 @@ class NormalTurner:
     ) -> None:
         self._triangles, _ = triangulate(face_counts, face_indices)
         self._owners = face_indices if per_corner else np.arange(len(points))
-        self._rest = smooth_normals(points, self._triangles)[self._owners]
+        self._operator = normal_operator(self._triangles, point_count=len(points))
+        self._rest = vertex_normals(points, self._triangles, self._operator)[self._owners]
         self._authored = authored
 
     def turn(self, points: FloatArray) -> FloatArray:
         """Return the normals (n, 3) of a moved surface (points, 3)."""
-        now = smooth_normals(points, self._triangles)[self._owners]
+        now = vertex_normals(points, self._triangles, self._operator)[self._owners]
         axis = np.cross(self._rest, now)
         cosine = np.einsum("ij,ij->i", self._rest, now)
         across = np.cross(axis, self._authored)
@@ -78,19 +128,3 @@ class NormalTurner:
         turned: FloatArray = self._authored + across + twice
         length = np.linalg.norm(turned, axis=1, keepdims=True)
         return np.asarray(turned / np.maximum(length, 1e-12))
-
-
-def smooth_normals(points: FloatArray, triangles: IntArray) -> FloatArray:
-    """Return area-weighted unit normals of points; 0 where there is no face."""
-    across = _cross_products(points, triangles)
-    normals = np.stack(
-        [
-            np.bincount(
-                triangles.ravel(), weights=np.repeat(across[:, axis], 3), minlength=len(points)
-            )
-            for axis in range(3)
-        ],
-        axis=1,
-    )
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.asarray(normals / np.maximum(length, 1e-30))
