@@ -93,9 +93,9 @@ def nearest_places(
     found = KDTree(middles).query_ball_point(wanted, bound + reach + 1e-9)
     for index, candidates in enumerate(found):
         near = np.array(sorted(candidates), np.int64)
-        shares, away = _closest_on_triangles(corners[near], wanted[index : index + 1])
-        best = int(away[0].argmin())
-        rows[index], weights[index] = near[best], shares[0, best]
+        shares, away = _closest_on_triangles(corners[near], wanted[index])
+        best = int(away.argmin())
+        rows[index], weights[index] = near[best], shares[best]
     return SurfacePoints(owners[rows], triangles[rows], weights)
 
 
@@ -137,8 +137,7 @@ def place_on_polygon(
         raise ValueError(f"the weights on face {face} are not 0 or more with sum 1: {weights}")
     shares = np.maximum(weights, 0) / np.maximum(weights, 0).sum()
     used = np.flatnonzero(shares)
-    fans = np.stack([np.zeros(count - 2), np.arange(1, count - 1), np.arange(2, count)], axis=1)
-    for fan in fans.astype(int):
+    for fan in triangulate(np.array([count]), np.arange(count))[0]:
         if set(used) <= set(fan.tolist()):
             return SurfacePoints(np.array([face]), polygon[fan][None], shares[fan][None])
     wanted = (shares @ points[polygon])[None]
@@ -149,7 +148,7 @@ def place_on_polygon(
 def _closest_on_triangles(
     triangles: FloatArray, wanted: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return barycentric weights (places, triangles, 3) and squared distances of closest points.
+    """Return barycentric weights (triangles, 3) and squared distances of the points closest to one.
 
     The projection to the plane where it lies inside, else the closest of those to the three sides.
     """
@@ -157,7 +156,7 @@ def _closest_on_triangles(
     ab, ac = b - a, c - a
     d00, d01, d11 = ((x * y).sum(-1) for x, y in ((ab, ab), (ab, ac), (ac, ac)))
     size = np.maximum(d00 * d11 - d01**2, 1e-300)
-    ap = wanted[:, None] - a
+    ap = wanted - a
     d20, d21 = (ap * ab).sum(-1), (ap * ac).sum(-1)
     v, w = (d11 * d20 - d01 * d21) / size, (d00 * d21 - d01 * d20) / size
     inside = (v >= 0) & (w >= 0) & (v + w <= 1)
@@ -165,17 +164,17 @@ def _closest_on_triangles(
     away = np.where(inside, _squared(wanted, triangles, best), np.inf)
     for first, second in ((0, 1), (1, 2), (2, 0)):
         start, side = triangles[:, first], triangles[:, second] - triangles[:, first]
-        along = ((wanted[:, None] - start) * side).sum(-1)
+        along = ((wanted - start) * side).sum(-1)
         t = np.clip(along / np.maximum((side**2).sum(-1), 1e-300), 0, 1)
-        shares = np.zeros((*t.shape, 3))
-        shares[..., first], shares[..., second] = 1 - t, t
+        shares = np.zeros((len(t), 3))
+        shares[:, first], shares[:, second] = 1 - t, t
         squared = _squared(wanted, triangles, shares)
         closer = squared < away
-        best = np.where(closer[..., None], shares, best)
+        best = np.where(closer[:, None], shares, best)
         away = np.where(closer, squared, away)
     return best, away
 
 
 def _squared(wanted: FloatArray, triangles: FloatArray, shares: FloatArray) -> FloatArray:
-    foot = np.einsum("ptk,tkc->ptc", shares, triangles)
-    return np.asarray(((wanted[:, None] - foot) ** 2).sum(-1))
+    foot = np.einsum("tk,tkc->tc", shares, triangles)
+    return np.asarray(((wanted - foot) ** 2).sum(-1))
