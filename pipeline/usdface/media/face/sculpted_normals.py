@@ -34,7 +34,7 @@ class SculptedNormals:
     def __init__(self, rig: Rig, deformer: Deformer) -> None:
         self._shapes = deformer.shapes
         rest = [np.zeros(mesh.points.shape) for mesh in rig.meshes]
-        rows, columns, values = [], [], []
+        rows, columns, values = [np.zeros(0, int)], [np.zeros(0, int)], [np.zeros(0)]
         row = 0
         for own, mesh, start in zip(rest, rig.meshes, deformer.starts, strict=False):
             keys = [key for shape in mesh.shapes for key in shape.keys]
@@ -55,15 +55,9 @@ class SculptedNormals:
                 rows.append(np.full(3 * len(at), first + number))
                 values.append(beyond[at].ravel())
         self._rest = np.concatenate(rest)
-        shape = (row, self._rest.size)
-        self._keys = (
-            sparse.csr_array(
-                (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape
-            )
-            if values
-            else None
-        )
-        self.any = bool(values) or bool(self._rest.any())
+        places = np.concatenate(rows), np.concatenate(columns)
+        self._keys = sparse.csr_array((np.concatenate(values), places), (row, self._rest.size))
+        self.any = bool(self._keys.nnz or self._rest.any())
 
     def at(self, weights: FloatArray) -> FloatArray | None:
         """Return the correction of unit normals at one set of weights; None if there is none.
@@ -79,8 +73,6 @@ class SculptedNormals:
         """
         if not self.any:
             return None
-        if self._keys is None:
-            return self._rest
         moved = self._shapes.key_weights(weights[None]) @ self._keys
         return np.asarray(self._rest + np.asarray(moved).reshape(self._rest.shape), np.float64)
 
