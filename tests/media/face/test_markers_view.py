@@ -24,7 +24,7 @@ def test_dots_lie_where_the_markers_project() -> None:
 
 def test_nearer_markers_are_brighter() -> None:
     cloud = np.array([[-20.0, 0, -30], [20, 0, 30]])
-    picture = draw_markers(cloud, width=160, height=120, frame=frame_markers(cloud, aspect=4 / 3))
+    picture = draw_markers(cloud, width=160, height=120, frame=frame_markers(cloud))
     assert picture[:, 80:].max() > picture[:, :80].max() + 40
 
 

@@ -38,15 +38,13 @@ _CLOUD_ROOM = 1.16
 """Height of the tile over that of the cloud."""
 
 
-def frame_markers(positions: ArrayLike, *, aspect: float = 1.0) -> MarkersFrame:
+def frame_markers(positions: ArrayLike) -> MarkersFrame:
     """Return the framing of a cloud over all of its frames, except outliers.
 
     Parameters
     ----------
     positions : (..., 3) array
         [mm], without head motion.
-    aspect : float
-        Width of the tile over its height.
     """
     cloud = np.asarray(positions, np.float64).reshape(-1, 3)
     cloud = cloud[np.isfinite(cloud).all(axis=1)]
@@ -57,7 +55,7 @@ def frame_markers(positions: ArrayLike, *, aspect: float = 1.0) -> MarkersFrame:
     span = np.maximum(high - low, 1e-6)
     return MarkersFrame(
         center=(low + high) / 2,
-        height=float(_CLOUD_ROOM * max(span[1], span[0] / aspect)),
+        height=float(_CLOUD_ROOM * max(span[:2])),
         depth=float(span[2]),
         spacing=_spacing(np.asarray(positions, np.float64)),
     )
@@ -109,7 +107,7 @@ def draw_markers(
             f"{len(cloud)} markers to draw with visibility of shape {seen.shape}; give one for "
             "each marker"
         )
-    view = frame or frame_markers(cloud, aspect=width / height)
+    view = frame or frame_markers(cloud)
     scale = height / view.height
     picture = bytes_from_linear(background(height, width))
 

@@ -2,12 +2,13 @@
 
 from contextlib import ExitStack
 from copy import copy
+from functools import cached_property
 from typing import Literal, Self
 
 import numpy as np
 
 from usdface.core.arrays import BoolArray, ByteImage, FloatArray, IntArray
-from usdface.core.assets import Markers, Take
+from usdface.core.assets import Markers
 from usdface.core.errors import InputError
 from usdface.media.face.camera import Camera
 from usdface.media.face.markers_view import (
@@ -34,17 +35,6 @@ _LAST_PICTURES = 2
 
 FRAMING_FRAMES = 2000
 """Largest number of frames used to frame the markers of a take."""
-
-
-def _frame_of(take: Take) -> tuple[MarkersFrame | None, IntArray]:
-    """Return the frame of the markers of a whole take, and their lines."""
-    if take.markers is None:
-        return None, np.zeros((0, 2), np.int64)
-    step = max(take.frame_count // FRAMING_FRAMES, 1)
-    positions = take.markers.positions[::step].astype(np.float64)
-    seen_first = np.isfinite(positions).all(axis=2).argmax(axis=0)
-    at = positions[seen_first, np.arange(len(seen_first))]
-    return frame_markers(positions), marker_lines(take.markers.names, at)
 
 
 def repaired_markers(markers: Markers, at: int) -> BoolArray:
@@ -91,7 +81,6 @@ class ShotPictures:
         self._camera = camera or shot.camera()
         self.face_width = self._camera.width(height, int(shot.frames[0]))
         self._last: dict[tuple[Camera, bytes, int | None], ByteImage] = {}
-        self._cloud, self._lines = _frame_of(shot.take)
         self._placed_lines: IntArray | None = None
         self._open = ExitStack()
         self._video: OpenVideo | None = None
@@ -101,6 +90,16 @@ class ShotPictures:
         other = copy(self)
         other._renderer, other._last, other._open = copy(self._renderer), {}, ExitStack()
         return other
+
+    @cached_property
+    def _framing(self) -> tuple[MarkersFrame, IntArray]:
+        """The frame of the markers of the whole take, and their lines."""
+        markers = self._shot.markers
+        step = max(len(markers.positions) // FRAMING_FRAMES, 1)
+        positions = markers.positions[::step].astype(np.float64)
+        seen_first = np.isfinite(positions).all(axis=2).argmax(axis=0)
+        at = positions[seen_first, np.arange(len(seen_first))]
+        return frame_markers(positions), marker_lines(markers.names, at)
 
     @property
     def video_aspect(self) -> float:
@@ -127,15 +126,15 @@ class ShotPictures:
 
     def markers(self, row: int) -> ByteImage:
         """Draw the markers of a row."""
-        markers = self._shot.markers
+        markers, (frame, lines) = self._shot.markers, self._framing
         at = int(self._shot.frames[row]) - self._shot.take.first_frame
         return draw_markers(
             markers.positions[at].astype(np.float64),
             width=self._height,
             height=self._height,
-            frame=self._cloud,
+            frame=frame,
             visible=markers.visible[at],
-            lines=self._lines,
+            lines=lines,
         )
 
     def markers_on_face(self, row: int, equation: BlendshapeEquation) -> ByteImage:
