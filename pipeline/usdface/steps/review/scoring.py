@@ -1,6 +1,7 @@
 """Errors of weights over a shot's frames, and the choice of frames to review."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -55,27 +56,32 @@ class ShotMetric:
         return region_distances(self.skin.differences(weights, truth), self.skin.grams)
 
     def evidence(self, truth: FloatArray | None) -> SolveEvidence:
-        """Return the evidence of the shot's verdict; see `signals`."""
+        """Return the evidence of the shot's verdict; errors against keys replace uncertainty."""
+        evidence = self.shot.evidence()
         if truth is None:
-            return self.shot.evidence()
-        return self.shot.evidence(self.regions, self.distances(self.shot.weights, truth))
+            return evidence
+        error_mm = self.distances(self.shot.weights, truth)
+        covered = None if evidence.coverage is None else evidence.coverage[:, :1]
+        return SolveEvidence(
+            self.regions, error_mm=error_mm, coverage=covered, basis=evidence.basis
+        )
 
     def signals(
         self, truth: FloatArray | None, equation: BlendshapeEquation | None = None
     ) -> ReviewSignals:
         """Return the signals by which frames are ranked; `equation` detects closed lips."""
         shot = self.shot
-        evidence = self.evidence(truth)
         keys = self.skin.differences(shot.weights, np.zeros_like(shot.weights))
         jumps = surface_jumps(keys, self.skin.grams)
+        signals = ReviewSignals(self.evidence(truth), jumps, jump_regions=self.regions)
         if equation is None or truth is not None:
-            return ReviewSignals(evidence, jumps, jump_regions=self.regions)
+            return signals
         lips = find_lips(equation, shot.deformer, self.skin.parts)
         if lips is None:
-            return ReviewSignals(evidence, jumps, jump_regions=self.regions)
+            return signals
         on_lips = len(np.union1d(lips.pairs.upper, lips.pairs.lower))
         share = on_lips / len(shot.deformer.neutral)
-        return ReviewSignals(evidence, jumps, lip_gaps(shot, equation, lips), share, self.regions)
+        return replace(signals, gap_mm=lip_gaps(shot, equation, lips), lip_share=share)
 
 
 def lip_gaps(shot: Shot, equation: BlendshapeEquation, lips: Lips) -> FloatArray:
@@ -255,24 +261,18 @@ def _strongest(strength: FloatArray, count: int, apart: int) -> list[int]:
     return chosen
 
 
-def _largest(
-    values: FloatArray, count: int, apart: int, *, taken: list[int] | None = None
-) -> list[int]:
+def _largest(values: FloatArray, count: int, apart: int, *, taken: Sequence[int] = ()) -> list[int]:
     """Return rows by decreasing value until there are `count` with those taken.
 
     Rows are at least `apart` rows from each other and from those taken, as far as possible.
     """
-    known = list(taken or ())
-    chosen: list[int] = []
-    blocked = np.zeros(len(values), bool)
-    for row in known:
+    chosen, blocked = list(taken), np.zeros(len(values), bool)
+    for row in chosen:
         blocked[max(row - apart + 1, 0) : row + apart] = True
     order = np.argsort(-values, kind="stable")
     for row in order.tolist():
-        if len(known) + len(chosen) >= count:
-            return chosen
-        if not blocked[row]:
+        if len(chosen) < count and not blocked[row]:
             chosen.append(row)
             blocked[max(row - apart + 1, 0) : row + apart] = True
-    left = [row for row in order.tolist() if row not in {*known, *chosen}]
-    return chosen + left[: max(count - len(known) - len(chosen), 0)]
+    left = order[~np.isin(order, chosen)].tolist()
+    return [*chosen, *left][len(taken) : count]

@@ -191,19 +191,9 @@ class Shot:
         rows = self.frames - self.performance.weights.first_frame
         return np.asarray(uncertainty[rows, 0])
 
-    def evidence(
-        self, regions: tuple[str, ...] | None = None, error_mm: FloatArray | None = None
-    ) -> SolveEvidence:
-        """Return the evidence of the verdict at the common frames.
-
-        With `error_mm`, (frames, regions), the error against keys replaces the uncertainty.
-        """
-        rows = self.frames - self.performance.weights.first_frame
-        evidence = self.evidence_at(rows)
-        if error_mm is not None and regions is not None:
-            covered = None if evidence.coverage is None else evidence.coverage[:, :1]
-            return SolveEvidence(regions, error_mm=error_mm, coverage=covered, basis=evidence.basis)
-        return evidence
+    def evidence(self) -> SolveEvidence:
+        """Return the evidence of the verdict at the common frames."""
+        return self.evidence_at(self.frames - self.performance.weights.first_frame)
 
     def evidence_at(self, rows: IntArray | slice) -> SolveEvidence:
         """Return the evidence at some rows of the performance."""
