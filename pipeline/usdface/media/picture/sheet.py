@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from usdface.core.arrays import ByteImage, FloatArray
+from usdface.core.arrays import ByteImage
 from usdface.core.errors import InputError
 from usdface.media.picture.canvas import empty_tile, fill_box, fit_picture, new_picture, outline_box
 from usdface.media.picture.color import (
@@ -43,7 +43,6 @@ from usdface.media.picture.sheet_layout import (
     SheetPage,
     SheetRow,
     Tile,
-    all_errors,
     badge_width,
     check_sheet,
     has_legend,
@@ -78,7 +77,7 @@ def compose_sheet(spec: SheetPage) -> ByteImage:
             f"a sheet of {layout.width} × {layout.height} pixels is too large; ask for fewer rows "
             "or smaller tiles"
         )
-    high = spec.high if spec.high is not None else round_range(all_errors(spec))
+    high = spec.high or 1.0  # without errors, nothing has a colour of the ramp
     page, scale = new_picture(layout.width, layout.height, PAGE), layout.scale
     inner = layout.width - 2 * PAGE_MARGIN
     y = draw_header(page, spec.title, spec.facts, margin=PAGE_MARGIN, scale=scale)
@@ -90,7 +89,7 @@ def compose_sheet(spec: SheetPage) -> ByteImage:
         y += strip_height(len(spec.curves), scale)
     if has_legend(spec):
         notes = legend_lines(spec.notes, layout.width, scale)
-        unit = f"{high:g} mm" if spec.high is not None or len(all_errors(spec)) else ""
+        unit = "" if spec.high is None else f"{high:g} mm"
         draw_legend(page, notes, x=PAGE_MARGIN, y=y, width=inner, high=unit, scale=scale)
     for group in range(layout.groups):
         first = group * layout.rows_per_group
@@ -99,18 +98,6 @@ def compose_sheet(spec: SheetPage) -> ByteImage:
             x = PAGE_MARGIN + group * (layout.group_width + GROUP_GAP)
             _draw_group(page, spec, layout, rows, first, x=x, high=high)
     return page
-
-
-def round_range(errors: FloatArray) -> float:
-    """Return a round number above the 98th percentile of errors; 1 if there are none."""
-    finite = errors[np.isfinite(errors)]
-    if not len(finite) or finite.max() <= 0:
-        return 1.0
-    wanted = max(float(np.percentile(finite, 98)), 1e-3)
-    magnitude = 10.0 ** np.floor(np.log10(wanted))
-    return next(
-        float(m * magnitude) for m in (1, 1.5, 2, 3, 4, 5, 6, 8, 10) if m * magnitude >= wanted
-    )
 
 
 def draw_header(

@@ -6,7 +6,7 @@ from textwrap import wrap
 
 import numpy as np
 
-from usdface.core.arrays import ByteImage, FloatArray
+from usdface.core.arrays import ByteImage
 from usdface.core.errors import InputError
 from usdface.media.picture.color import BRIGHT, DIM, SOFT, TEXT
 from usdface.media.picture.error_strip import ErrorCurve, strip_height
@@ -92,7 +92,7 @@ class SheetPage:
     notes: tuple[str, ...] = ()
     """Legend: meaning of marks and colours, sources of the numbers."""
     high: float | None = None
-    """Error in the ramp's last colour [mm]; None: chosen from curves and rows."""
+    """Error in the ramp's last colour [mm]; None for a sheet without errors."""
     tile_height: int = 320
     """[pixels]"""
     comparable: bool = True
@@ -167,16 +167,10 @@ def check_sheet(spec: SheetPage) -> None:
         raise InputError(f"tiles of {spec.tile_height} pixels; choose 48 to 4096")
 
 
-def all_errors(spec: SheetPage) -> FloatArray:
-    """Return all errors of tiles and strips."""
-    shown = [t.value for row in spec.rows for t in row.tiles if t.value is not None]
-    curves = [curve.values for curve in spec.curves]
-    return np.concatenate([np.array(shown, float), *curves])
-
-
 def has_legend(spec: SheetPage) -> bool:
     """Return whether the sheet has notes or errors."""
-    return bool(spec.notes or len(all_errors(spec)))
+    valued = any(tile.value is not None for row in spec.rows for tile in row.tiles)
+    return bool(spec.notes or spec.curves or valued)
 
 
 def legend_bar(width: int) -> int:
