@@ -133,6 +133,18 @@ def _shares_cells(name: str, own: Mapping[str, Meaning], others: Mapping[str, Me
     return name in own and any(own[name].cells & each.cells for each in others.values())
 
 
+def expression_rows(
+    expressions: Sequence[Sequence[tuple[str, float]]], names: Sequence[str]
+) -> FloatArray:
+    """Return the weights of expressions, each of shapes and weights: (expressions, names)."""
+    column_of = index_of(names)
+    rows = np.zeros((len(expressions), len(names)))
+    for row, expression in zip(rows, expressions, strict=True):
+        for name, weight in expression:
+            row[column_of[name]] = weight
+    return rows
+
+
 def transfer_matrix(
     matches: Iterable[NameMatch], source: Sequence[str], target: Sequence[str]
 ) -> FloatArray:
@@ -141,14 +153,8 @@ def transfer_matrix(
     Returns (source shapes, target shapes), of least norm; exact if each match has one source shape.
     """
     matches = tuple(matches)
-    row_of, column_of = index_of(source), index_of(target)
-    left = np.zeros((len(matches), len(source)))
-    right = np.zeros((len(matches), len(target)))
-    for row, match in enumerate(matches):
-        for name, weight in match.source:
-            left[row, row_of[name]] = weight
-        for name, weight in match.target:
-            right[row, column_of[name]] = weight
+    left = expression_rows([match.source for match in matches], source)
+    right = expression_rows([match.target for match in matches], target)
     singles = ((left != 0).sum(axis=1) == 1).all() and ((left != 0).sum(axis=0) <= 1).all()
     if singles and (left.max(axis=1, initial=1.0) == 1.0).all():
         return np.asarray(left.T @ right)

@@ -7,7 +7,6 @@ import numpy as np
 from usdface.capture.sniff import recognise_format
 from usdface.capture.weight_samples import read_weight_samples
 from usdface.capture.weight_table import read_weight_take
-from usdface.core.arrays import FloatArray, index_of
 from usdface.core.assets import Rig
 from usdface.core.controls import Controls, ExpressionPairs, shape_controls
 from usdface.core.errors import InputError, as_input_error
@@ -21,6 +20,7 @@ from usdface.model.retarget.name_matching import (
     NameMatch,
     NameMatching,
     Transfer,
+    expression_rows,
     match_names,
     transfer_by_names,
 )
@@ -216,8 +216,8 @@ def _pairs(
     rest: Controls,
 ) -> ExpressionPairs:
     count = len(matches) + 1
-    left = _rows([match.source for match in matches], shapes)
-    right = _rows([match.target for match in matches], target.shapes)
+    left = expression_rows([(), *(match.source for match in matches)], shapes)
+    right = expression_rows([(), *(match.target for match in matches)], target.shapes)
     low, high = target.ranges.T
     controls = shape_controls(target.shapes, np.clip(right, np.minimum(low, 0), high))
     return ExpressionPairs(
@@ -239,15 +239,6 @@ def _pairs(
         target_rig=target.file,
         target_prim=target.prim,
     )
-
-
-def _rows(expressions: list[tuple[tuple[str, float], ...]], names: tuple[str, ...]) -> FloatArray:
-    place = index_of(names)
-    out = np.zeros((len(expressions) + 1, len(names)))
-    for row, expression in enumerate(expressions, start=1):
-        for name, weight in expression:
-            out[row, place[name]] = weight
-    return out
 
 
 _TABLES = (".csv", ".json")
