@@ -63,5 +63,9 @@ def direct_moments(
     b, c = ((R * rotated) @ P).T, (R * rotated**2).sum(axis=1)[None]
     b_slope, c_slope = ((slope * rotated) @ P).T, (slope * rotated**2).sum(axis=1)[None]
     return PosteriorMoments(
-        shared, np.concatenate([b, c]), shared_slope, np.concatenate([b_slope, c_slope])
+        shared,
+        np.concatenate([b, c]),
+        shared_slope,
+        np.concatenate([b_slope, c_slope]),
+        np.zeros(len(x), bool),
     )

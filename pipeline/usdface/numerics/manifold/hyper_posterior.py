@@ -120,7 +120,7 @@ class PosteriorMoments:
     shared_slope: RealArray
     per_chain_slope: RealArray
     """`shared_slope`, `per_chain_slope`: d/dx of both."""
-    outside: BoolArray | None = None
+    outside: BoolArray
     """(chains,): chains whose x cannot be evaluated."""
 
 
@@ -179,9 +179,7 @@ def energy_of_moments(
     energy = count * theta[1] + M[10] + np.log(determinant) + fit
     energy = energy + (theta[2] - theta[1]) + 3.0 * (theta[3] - theta[1])
     energy = 0.5 * (energy + np.sum(offset * prior_slope, axis=0))
-    possible = np.isfinite(energy) & (energy < REJECTED_ENERGY)
-    if moments.outside is not None:
-        possible = possible & ~moments.outside
+    possible = np.isfinite(energy) & (energy < REJECTED_ENERGY) & ~moments.outside
     return np.where(possible, energy, np.full_like(energy, REJECTED_ENERGY)), gradient
 
 
