@@ -119,9 +119,10 @@ def test_sheet_and_report_join_the_same_markers(shot: Shot) -> None:
     opened = open_shot(shot / "shot.hero.usda", shot / "shot.clean.take.usda")
     equation = set_up_shot_baseline(opened)
     with ShotPictures(opened, height=160, quality="draft") as pictures:
-        lines = pictures._lines
+        frame, lines = pictures._framing
         shown = {"cloud": pictures.markers(0), "face": pictures.markers_on_face(0, equation)}
-        pictures._lines = pictures._placed_lines = np.zeros((0, 2), np.int64)
+        pictures._placed_lines = np.zeros((0, 2), np.int64)
+        pictures._framing = frame, pictures._placed_lines
         assert (pictures.markers(0) != shown["cloud"]).any()
         assert (pictures.markers_on_face(0, equation) != shown["face"]).any()
     execute(
