@@ -6,6 +6,7 @@ interpolation, which keeps the markers' noise, beside regression, which smooths 
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -66,26 +67,14 @@ def draw_compared(
         yaw_degrees=yaw_degrees,
         hair=True,
     )
+    draw = partial(
+        renderer.render, camera=camera, width=_TILE_SIZE, height=_TILE_SIZE, quality=quality
+    )
     for each in frames:
-        tiles = [
-            Tile(
-                renderer.render(
-                    np.concatenate([points, others]),
-                    camera=camera,
-                    width=_TILE_SIZE,
-                    height=_TILE_SIZE,
-                    quality=quality,
-                )
-            )
-            for points in each.surfaces
-        ]
+        tiles = [Tile(draw(np.concatenate([points, others]))) for points in each.surfaces]
         if each.uncertainty_mm is not None:
-            heat = renderer.render(
+            heat = draw(
                 np.concatenate([each.surfaces[-1], others]),
-                camera=camera,
-                width=_TILE_SIZE,
-                height=_TILE_SIZE,
-                quality=quality,
                 values=np.concatenate([each.uncertainty_mm, np.zeros(len(others))]),
                 value_range=(0.0, UNKEYED_RANGE_MM),
             )
