@@ -135,7 +135,7 @@ def _page(
     shot = comparison.shots[0]
     rigs = dict.fromkeys(each.rig.file.stem for each in comparison.shots)
     keyed = comparison.truth is not None
-    known = [each for each in comparison.scores if np.isfinite(each.error_mm).any()]
+    known = comparison.known_scores
     curves = [
         ErrorCurve(
             each.label if each.against_truth else f"{each.label}, uncertainty", each.error_mm
@@ -212,7 +212,7 @@ def _notes(spec: SheetSpec, comparison: SheetComparison, *, stand_in_eyes: bool)
     if truth is not None:
         notes = [
             "error: RMS distance of the skin from the keys, without gaze and tongue",
-            *(f"{name} alone {mm:.3f} mm" for name, mm in _unseen_mm(comparison).items() if mm),
+            *(f"{name} alone {mm:.3f} mm" for name, mm in comparison.unseen_mm.items() if mm),
         ]
         means = (
             f"{each.label} {np.nanmean(each.error_mm):.2f} mm"
@@ -239,20 +239,11 @@ def _notes(spec: SheetSpec, comparison: SheetComparison, *, stand_in_eyes: bool)
     return tuple(notes)
 
 
-def _unseen_mm(comparison: SheetComparison) -> dict[str, float]:
-    """Return the errors of gaze and tongue against the keys; empty without keys."""
-    if comparison.truth is None:
-        return {}
-    weights = comparison.shots[0].weights
-    return comparison.metric.skin.excluded_mm(weights, comparison.truth)
-
-
 def _result(
     written: tuple[Path, ...], comparison: SheetComparison, notes: tuple[str, ...]
 ) -> StepResult:
-    scores, chosen = comparison.scores, comparison.chosen
+    known, chosen = comparison.known_scores, comparison.chosen
     verdict = worst_verdict(comparison.verdicts)
-    known = [each for each in scores if np.isfinite(each.error_mm).any()]
     means = {each.label: float(np.nanmean(each.error_mm)) for each in known}
     kinds = {True: "off the keys", False: "uncertainty"}
     listed = ", ".join(
@@ -266,7 +257,7 @@ def _result(
             "frames": [int(comparison.shots[0].frames[frame.row]) for frame in chosen],
             "mean_error_mm": {FIGURE_KEYS.get(label, label): mean for label, mean in means.items()},
             "against_truth": comparison.truth is not None,
-            **{f"{name}_mean_mm": mm for name, mm in _unseen_mm(comparison).items()},
+            **{f"{name}_mean_mm": mm for name, mm in comparison.unseen_mm.items()},
             "verdict": verdict.figures,
             "verdicts": {FIGURE_KEYS.get(k, k): v.level for k, v in comparison.verdicts.items()},
         },

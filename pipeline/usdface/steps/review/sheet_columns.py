@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -67,6 +68,18 @@ class SheetComparison:
     """Phone and viseme of each chosen frame; empty if unknown."""
     verdicts: dict[str, SolveVerdict]
     """By label of the performance."""
+
+    @property
+    def known_scores(self) -> list[Score]:
+        """Scores with an error or an uncertainty."""
+        return [each for each in self.scores if np.isfinite(each.error_mm).any()]
+
+    @cached_property
+    def unseen_mm(self) -> dict[str, float]:
+        """Errors of gaze and tongue against the keys; empty without keys."""
+        if self.truth is None:
+            return {}
+        return self.metric.skin.excluded_mm(self.shots[0].weights, self.truth)
 
 
 @dataclass(frozen=True)
