@@ -99,10 +99,9 @@ def run(spec: MovieSpec, *, provenance: Provenance, progress: Progress) -> StepR
         ]
     try:
         _draw_all(_Plan(spec, panels, clock), waiting, shot, min(workers, len(waiting)), progress)
-    except BaseException:
-        with contextlib.suppress(OSError):  # holds stretches, with which the next run goes on
+    finally:
+        with contextlib.suppress(OSError):  # holds stretches, for the join or the next run
             folder.rmdir()
-        raise
     progress(0.97, "joining the stretches")
     sound = take_sound(take, clock, notes) if spec.sound else None
     comment = provenance.metadata | {
