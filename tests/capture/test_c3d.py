@@ -73,6 +73,20 @@ def test_we_read_what_ezc3d_writes(take, tmp_path):
     np.testing.assert_array_equal(points.positions, positions)
 
 
+def test_outputs_of_a_body_model_are_no_markers(tmp_path):
+    file = ezc3d.c3d()
+    file["parameters"]["POINT"]["RATE"]["value"] = [100]
+    file["parameters"]["POINT"]["LABELS"]["value"] = ["brow_L", "Kim:HeadAngles", "Force", "nose"]
+    file["data"]["points"] = np.random.default_rng(0).normal(0, 50, (4, 4, 9))
+    file["data"]["points"][3] = 1
+    file.add_parameter("POINT", "ANGLES", ["HeadAngles"])
+    file.add_parameter("POINT", "FORCES", ["Force"])
+    file.write(str(tmp_path / "take.c3d"))
+    capture = read_c3d_take(tmp_path / "take.c3d", CaptureOptions())
+    assert capture.take.markers.names == ("brow_L", "nose")
+    assert "left out: Kim:HeadAngles, Force" in " ".join(capture.notes)
+
+
 def test_a_slice_of_frames_equals_the_same_slice_of_the_whole(take, tmp_path):
     positions, visible, labels = take
     write_c3d(tmp_path / "take.c3d", positions, visible, labels, rate=60)

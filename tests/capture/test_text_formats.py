@@ -187,6 +187,30 @@ def test_times_alone_number_the_frames_of_a_marker_table(put, stated, rate):
     assert np.flatnonzero(~gap.markers.visible.any(axis=1)).tolist() == [4]
 
 
+@pytest.mark.parametrize("ticks", [1e3, 1e6, 1e9])
+def test_times_count_milli_micro_or_nanoseconds(put, ticks):
+    rows = "".join(f"{ticks * (10 + i / 60):.0f},0.{i % 7},0.{i % 5}\n" for i in range(90))
+    take = read_capture(put("timestamp,jawOpen,smile\n" + rows)).take
+    assert (take.rate, take.frame_count) == (60, 90)
+
+
+@pytest.mark.parametrize(
+    "bone",
+    [
+        ("head.x", "head.y", "head.z", "head.w"),
+        ("Head_Rotation_X", "Head_Rotation_Y", "Head_Rotation_Z"),
+    ],
+)
+def test_rotations_of_a_bone_are_no_marker(put, bone):
+    markers = [f"{name}.{axis}" for name in ("brow", "chin", "nose") for axis in "xyz"]
+    titles = ["frame", "time_s", *bone, *markers]
+    rows = [[i, i / 60, *range(len(bone)), *range(i, i + 9)] for i in range(20)]
+    text = "\n".join(",".join(map(str, row)) for row in [titles, *rows]) + "\n"
+    capture = read_capture(put(text))
+    assert capture.take.markers.names == ("brow", "chin", "nose")
+    assert noted(capture, "columns other than markers left out")
+
+
 def test_markers_at_uneven_times_without_frame_numbers_are_refused(put):
     lines = without_frames(samples.marker_csv()).splitlines()
     for row in range(2, len(lines), 2):

@@ -28,6 +28,7 @@ from usdface.core.arrays import Float32Array, frame_blocks
 from usdface.core.assets import Event
 from usdface.core.errors import InputError
 from usdface.core.rates import exact_rate
+from usdface.core.text import first_few
 
 _EVENT_MARK = 12345
 
@@ -205,6 +206,8 @@ def _unsigned_analog(items: NDArray[np.int16], layout: C3dLayout) -> NDArray[np.
 
 
 _CHUNK_FRAMES = 8192
+_MODEL_OUTPUTS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
+"""Parameters with the labels of points that are other quantities, as Vicon writes them."""
 
 
 def is_c3d(head: bytes) -> bool:
@@ -216,14 +219,18 @@ def is_c3d(head: bytes) -> bool:
 def read_c3d_take(path: Path, options: CaptureOptions) -> Capture:
     """Read the labelled points of a C3D file as markers."""
     file = open_c3d(path)
-    notes = list(file.layout.notes)
+    notes, parameters = list(file.layout.notes), file.layout.parameters
     point_count = file.layout.point_count
     if not point_count:
         raise InputError(f"{path}: holds no points, only analog channels; export the markers")
     written = file.point_labels or ("",) * point_count
     if missing := point_count - len(written):
         notes.append(f"the last {missing} of {point_count} points have no label, left out")
-    labels = resolve_labels(written, where=f"{path} POINT:LABELS")
+    modelled = {text for each in _MODEL_OUTPUTS for text in parameters.texts(f"POINT:{each}")}
+    outputs = [text for text in written if modelled & {text, text.rpartition(":")[2]} - {""}]
+    if outputs:
+        notes.append(f"outputs of a body model, no markers, left out: {first_few(outputs)}")
+    labels = resolve_labels(written, where=f"{path} POINT:LABELS", without=outputs)
     notes += labels.notes
     scale = resolve_units(file.units, options, notes, where=str(path), field="POINT:UNITS")
     to_mm = scale * _rotation(file, options, notes)

@@ -35,7 +35,10 @@ from usdface.core.errors import InputError
 from usdface.core.rates import exact_rate
 from usdface.core.text import first_few, pluralize
 
-_X = re.compile(r"(.+)[._: ]x", re.IGNORECASE)
+_X = re.compile(
+    r"(?!.*(?:rot(?:ation)?|euler|quat|angles?|velocity|scale).x$)(.+)[._: ]x", re.IGNORECASE
+)
+"""Title of a marker's x; rotations and velocities of bones have such triples too."""
 
 
 def is_marker_csv(head: bytes) -> bool:
@@ -116,6 +119,7 @@ def _triples(titles: list[str]) -> dict[str, int]:
         if match is None:
             continue
         stem = title[:-1].lower()
-        if [title.lower() for title in titles[at + 1 : at + 3]] == [f"{stem}y", f"{stem}z"]:
+        others = [title.lower() for title in titles[at + 1 : at + 4]]
+        if others[:2] == [f"{stem}y", f"{stem}z"] and f"{stem}w" not in others:  # a quaternion
             found[match[1]] = at
     return found

@@ -3,7 +3,7 @@
 import difflib
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from usdface.core.errors import InputError
@@ -25,8 +25,10 @@ class MarkerLabels:
     """On columns left out and names changed."""
 
 
-def resolve_labels(labels: Sequence[str], *, where: str) -> MarkerLabels:
-    """Remove subject prefixes and unlabelled points, and make every name unique.
+def resolve_labels(
+    labels: Sequence[str], *, where: str, without: Collection[str] = ()
+) -> MarkerLabels:
+    """Remove subject prefixes, unlabelled points and labels `without`, and make names unique.
 
     `InputError` if two subjects have a marker of the same name, or if no point is labelled.
     """
@@ -34,6 +36,8 @@ def resolve_labels(labels: Sequence[str], *, where: str) -> MarkerLabels:
     dropped: list[str] = []
     subjects: dict[str, None] = {}
     for column, label in enumerate(labels):
+        if label in without:
+            continue
         prefix, _, name = label.strip().rpartition(":")
         if name and (_UNLABELLED.fullmatch(name) or _UNLABELLED.fullmatch(label.strip())):
             dropped.append(label)

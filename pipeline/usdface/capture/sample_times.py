@@ -252,8 +252,8 @@ def index_seconds(at: Mapping[str, int], values: FloatArray) -> FloatArray | Non
     times = values[:, at["time"]]
     if len(times) < 2:
         return times
-    # Steps of one and more are milliseconds: captures are faster than 1 Hz.
+    # Steps of one and more are milli-, micro- or nanoseconds: captures have 1 to 1000 Hz.
     steps = np.diff(times)
     if "frame" in at:  # keys are farther apart than frames
         steps = steps / np.maximum(np.diff(values[:, at["frame"]]), 1.0)
-    return times * 1e-3 if np.median(steps) >= 1.0 else times
+    return times / 1e3 ** np.searchsorted([1.0, 1e3, 1e6], np.median(steps), side="right")

@@ -209,6 +209,39 @@ def test_xforms_become_markers_at_half_the_time_codes(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.positions, POSITIONS, rtol=1e-6)
 
 
+def test_hidden_or_unsampled_xforms_are_gaps(tmp_path: Path) -> None:
+    stage = foreign_stage(tmp_path / "xforms.usda")
+    UsdGeom.Xform.Define(stage, "/mocap")
+    for marker, name in enumerate("abcde"):
+        xform = UsdGeom.Xform.Define(stage, f"/mocap/{name}")
+        op, constant = xform.AddTranslateOp(), name == "e"
+        for frame, row in enumerate(POSITIONS[:1] if constant else POSITIONS):
+            if (name, frame) != ("b", 3):
+                op.Set(Gf.Vec3d(*map(float, row[marker])), frame)
+    hidden = UsdGeom.Imageable(stage.GetPrimAtPath("/mocap/a")).CreateVisibilityAttr()
+    for frame, shown in ((0, "inherited"), (4, "invisible"), (5, "inherited")):
+        hidden.Set(shown, frame)
+    stage.Save()
+    found = read_foreign_take(tmp_path / "xforms.usda")
+    assert np.argwhere(~found.visible).tolist() == [[3, 1], [4, 0]]
+
+
+def test_points_that_come_and_go_are_known_by_their_ids(tmp_path: Path) -> None:
+    stage = foreign_stage(tmp_path / "points.usda")
+    points = UsdGeom.Points.Define(stage, "/mocap/face")
+    rng = np.random.default_rng(0)
+    for frame, row in enumerate(POSITIONS):
+        order = rng.permutation(5)[: 5 - frame % 2]
+        points.GetPointsAttr().Set(Vt.Vec3fArray.FromNumpy(row[order]), frame)
+        points.GetIdsAttr().Set((order + 7).tolist(), frame)
+    stage.Save()
+    found = read_foreign_take(tmp_path / "points.usda")
+    columns = [int(name[-3:]) - 7 for name in found.names]
+    assert found.visible.sum(axis=1).tolist() == [5, 4] * 3
+    expected = POSITIONS[:, columns]
+    np.testing.assert_allclose(found.positions[found.visible], expected[found.visible], rtol=1e-6)
+
+
 def test_two_sets_of_markers_must_be_told_apart(tmp_path: Path) -> None:
     stage = foreign_stage(tmp_path / "two.usda")
     for name in ("face", "body"):

@@ -1,6 +1,6 @@
 """Markers and weights from USD files of other tools: Points, Skeleton joints or Xforms."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -89,7 +89,7 @@ def read_foreign_take(path: Path, *, prim: str | None = None) -> ForeignTake:
                     f"{len(names)} markers; every marker must keep its slot over the take"
                 )
             positions[index] = row @ ours.T
-        visible = np.repeat(grid.sampled[:, None], len(names), axis=1)
+        visible = grid.sampled[:, None] & ~np.isnan(positions).any(axis=2)
     source = None
     if weights is not None:
         animation = UsdSkel.Animation(weights)
@@ -151,7 +151,7 @@ class _MarkerSet:
     names: tuple[str, ...]
     times: list[float]
     at: Callable[[float], FloatArray]
-    """Positions at a time code, (markers, 3), in world space and the stage's units."""
+    """Positions at a time code, (markers, 3), in world space and the stage's units; NaN in gaps."""
 
 
 def _points_sets(top: Usd.Prim) -> Iterator[_MarkerSet]:
@@ -162,24 +162,33 @@ def _points_sets(top: Usd.Prim) -> Iterator[_MarkerSet]:
 
 
 def _points_set(prim: Usd.Prim, attribute: Usd.Attribute) -> _MarkerSet:
+    times, ids = attribute.GetTimeSamples(), UsdGeom.Points(prim).GetIdsAttr()
+    slots = dict[int, int]()  # of each id, where points come and go or change their order
+    for time in ids.GetTimeSamples():
+        for each in ids.Get(time):
+            slots.setdefault(each, len(slots))
+
     def at(time: float) -> FloatArray:
         points = np.array(attribute.Get(time) or [], dtype=np.float64).reshape(-1, 3)
+        if slots and len(ids.Get(time)) == len(points):
+            rows = [slots[each] for each in ids.Get(time)]
+            found, points = points, np.full((len(slots), 3), np.nan)
+            points[rows] = found
         world = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time)
         return transform_points(column_matrix(world), points)
 
-    times = attribute.GetTimeSamples()
-    names = _labels(prim, len(attribute.Get(times[0]) or ()))
+    names = _labels(prim, tuple(slots) or range(len(attribute.Get(times[0]) or ())))
     return _MarkerSet("Points", str(prim.GetPath()), names, times, at)
 
 
-def _labels(prim: Usd.Prim, count: int) -> tuple[str, ...]:
+def _labels(prim: Usd.Prim, numbers: Sequence[int]) -> tuple[str, ...]:
     for name in NAME_ATTRIBUTES:
         attribute = prim.GetAttribute(name)
         value = attribute.Get() if attribute else None
-        if value is not None and len(value) == count:
+        if value is not None and len(value) == len(numbers):
             return tuple(map(str, value))
     ids = UsdGeom.Points(prim).GetIdsAttr().Get()
-    numbers = ids if ids is not None and len(ids) == count else range(count)
+    numbers = ids if ids is not None and len(ids) == len(numbers) else numbers
     return tuple(f"marker_{number:03d}" for number in numbers)
 
 
@@ -226,11 +235,18 @@ def _xform_sets(top: Usd.Prim) -> Iterator[_MarkerSet]:
 
 
 def _xform_set(parent: Usd.Prim, prims: list[Usd.Prim]) -> _MarkerSet:
+    sampled = [set(UsdGeom.Xformable(prim).GetTimeSamples()) for prim in prims]
+    times = set[float]().union(*sampled)
+
     def at(time: float) -> FloatArray:
         cache = UsdGeom.XformCache(time)
-        return _origins(cache.GetLocalToWorldTransform(prim) for prim in prims)
+        places = _origins(cache.GetLocalToWorldTransform(prim) for prim in prims)
+        for row, (prim, own) in enumerate(zip(prims, sampled, strict=True)):
+            visibility = UsdGeom.Imageable(prim).ComputeVisibility(time)
+            if (len(own) > 1 and time not in own) or visibility == UsdGeom.Tokens.invisible:
+                places[row] = np.nan  # not measured at this time
+        return places
 
-    times = {time for prim in prims for time in UsdGeom.Xformable(prim).GetTimeSamples()}
     names = tuple(prim.GetName() for prim in prims)
     return _MarkerSet("Xforms", str(parent.GetPath()), names, sorted(times), at)
 
